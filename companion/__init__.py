@@ -1,0 +1,1 @@
+"""Online path planner for a drone's companion computer."""

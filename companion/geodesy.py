@@ -1,0 +1,89 @@
+"""Frames and units: the local frame, meridian convergence, and the wire's integers.
+
+The local frame is an azimuthal equidistant projection about an origin (WGS84), so that distances
+and directions from the origin are those of the geodesic.  Its north axis agrees with true north
+only at the origin (1 degree off 100 km east at 47 N): velocities and yaw are rotated by
+the convergence on their way to and from the wire (design section 3).
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+import numpy.typing as npt
+import pyproj
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+_WGS84 = pyproj.Geod(ellps="WGS84")
+_BASELINE_M = 100.0  # long enough that rounding of the projection does not show in the azimuth
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalFrame:
+    """North, east in metres about an origin, and back."""
+
+    latitude_deg: float
+    longitude_deg: float
+    _projection: pyproj.Proj = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        projection = pyproj.Proj(
+            proj="aeqd", lat_0=self.latitude_deg, lon_0=self.longitude_deg, datum="WGS84"
+        )
+        object.__setattr__(self, "_projection", projection)
+
+    def to_local_m(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+        """Latitude, longitude in degrees -> north, east in metres."""
+        east_m, north_m = self._projection(longitude_deg, latitude_deg)
+        return north_m, east_m
+
+    def to_geodetic_deg(self, north_m: float, east_m: float) -> tuple[float, float]:
+        """North, east in metres -> latitude, longitude in degrees."""
+        longitude_deg, latitude_deg = self._projection(east_m, north_m, inverse=True)
+        return latitude_deg, longitude_deg
+
+    def grid_north_rad(self, north_m: float, east_m: float) -> float:
+        """True azimuth of the frame's north axis at a point, radians clockwise.
+
+        A direction of azimuth a in the local frame has the true azimuth a + this.
+        """
+        lat_a, lon_a = self.to_geodetic_deg(north_m, east_m)
+        lat_b, lon_b = self.to_geodetic_deg(north_m + _BASELINE_M, east_m)
+        azimuth_deg, _, _ = _WGS84.inv(lon_a, lat_a, lon_b, lat_b)
+        return math.radians(azimuth_deg)
+
+
+def offset_deg(
+    latitude_deg: float, longitude_deg: float, north_m: float, east_m: float
+) -> tuple[float, float]:
+    """The point that lies north_m, east_m (true north and east, along the geodesic) of another."""
+    azimuth_deg = math.degrees(math.atan2(east_m, north_m))
+    longitude, latitude, _ = _WGS84.fwd(
+        longitude_deg, latitude_deg, azimuth_deg, math.hypot(north_m, east_m)
+    )
+    return latitude, longitude
+
+
+def rotate(north: float, east: float, angle_rad: float) -> tuple[float, float]:
+    """Turn a horizontal vector clockwise (from north towards east)."""
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+    return north * cos - east * sin, north * sin + east * cos
+
+
+def deg_e7(degrees: float) -> int:
+    """Degrees -> the wire's 1e-7 degrees."""
+    return round(degrees * 1e7)
+
+
+def deg(degrees_e7: int) -> float:
+    """The wire's 1e-7 degrees -> degrees."""
+    return degrees_e7 * 1e-7
+
+
+def wrap_rad(angle_rad: float) -> float:
+    """The same angle in [-pi, pi)."""
+    return (angle_rad + math.pi) % (2 * math.pi) - math.pi

@@ -1,0 +1,1 @@
+"""What is good: the six terms of the paper's objective (2.6) and their weighted sum."""

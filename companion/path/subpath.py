@@ -1,0 +1,72 @@
+"""A subpath: one B-spline curve, parametrised by the length flown along it."""
+
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from companion.geodesy import FloatArray
+from companion.path.bspline import Basis, basis, uniform_basis
+
+_TABLE = 2000  # chords of the arc-length table: 10 m on a 20 km subpath
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pose:
+    """A point of a curve and the direction in which the curve leaves it."""
+
+    position_nea_m: FloatArray  # (3,)
+    tangent_nea: FloatArray  # (3,), unit length
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Subpath:
+    """A clamped cubic B-spline and its arc length."""
+
+    control_nea_m: FloatArray  # (points, 3)
+    _length_at_m: FloatArray = field(init=False, repr=False)  # (_TABLE + 1,) at uniform u
+
+    def __post_init__(self) -> None:
+        points = uniform_basis(_TABLE, len(self.control_nea_m)).value @ self.control_nea_m
+        chords = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+        object.__setattr__(self, "_length_at_m", np.concatenate([[0.0], np.cumsum(chords)]))
+
+    @property
+    def length_m(self) -> float:
+        """Length of the curve, metres."""
+        return float(self._length_at_m[-1])
+
+    def _basis_at(self, lengths_m: FloatArray) -> Basis:
+        u = np.interp(lengths_m, self._length_at_m, np.linspace(0.0, 1.0, _TABLE + 1))
+        return basis(u, len(self.control_nea_m))
+
+    def pose(self, length_m: float) -> Pose:
+        """Where the curve is after a length flown, metres from its start (clamped to its ends)."""
+        at = self._basis_at(np.array([length_m]))
+        first = (at.first @ self.control_nea_m)[0]
+        return Pose(
+            position_nea_m=(at.value @ self.control_nea_m)[0],
+            tangent_nea=first / np.linalg.norm(first),
+        )
+
+    def sampled(self, spacing_m: float) -> "Samples":
+        """The curve at points of about equal spacing, both ends included."""
+        count = max(int(np.ceil(self.length_m / spacing_m)), 2)
+        at = self._basis_at(np.linspace(0.0, self.length_m, count + 1))
+        return Samples(
+            points_nea_m=at.value @ self.control_nea_m,
+            first=at.first @ self.control_nea_m,
+            second=at.second @ self.control_nea_m,
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """Points of a curve and its derivatives by its parameter, each (S, 3)."""
+
+    points_nea_m: FloatArray
+    first: FloatArray
+    second: FloatArray

@@ -1,0 +1,89 @@
+"""The online procedure without a vehicle: simulated scans and perfect tracking."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+from companion.path.subpath import Pose
+from companion.planner.plan import NotPlanned, Planned, PlanOutcome, PlanRequest, plan
+from companion.planner.procedure import Leg, hover_pose
+from companion.planner.settings import Task
+from companion.world.known_map import KnownMap
+from companion.world.simulated_scan import simulated_scan
+
+_MOST_LEGS = 60
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfflineFlight:
+    """All legs, the points where they were planned from, and what was known in the end."""
+
+    legs: tuple[Leg, ...]
+    plans: tuple[Planned, ...]
+    scans_nea_m: tuple[tuple[float, float, float], ...]
+    known: KnownMap
+    failure: NotPlanned | None
+    """Why it ended before the target."""
+
+
+def fly_offline(
+    task: Task,
+    *,
+    blank: KnownMap,
+    truth: KnownMap,
+    start_nea_m: tuple[float, float, float],
+    target_ne_m: tuple[float, float],
+    seed: int,
+    planner: Callable[[PlanRequest], PlanOutcome] = plan,
+) -> OfflineFlight:
+    """Scan, plan, go on to p_prog, until a leg reaches the target or nothing can be planned."""
+    known, pose, scan_nea_m, from_rest = blank, hover_pose(start_nea_m), start_nea_m, True
+    legs: list[Leg] = []
+    plans: list[Planned] = []
+    scans: list[tuple[float, float, float]] = []
+    while True:
+        scans.append(scan_nea_m)
+        known = known.with_scan(simulated_scan(truth, scan_nea_m, task.settings.scan_range_m))
+        outcome = planner(
+            PlanRequest(
+                plan_id=len(legs) + 1,
+                seed=seed,
+                task=task,
+                known=known,
+                scan_nea_m=scan_nea_m,
+                start=pose,
+                from_rest=from_rest,
+                target_ne_m=target_ne_m,
+            )
+        )
+        failure = outcome if isinstance(outcome, NotPlanned) else None
+        if isinstance(outcome, Planned):
+            plans.append(outcome)
+            legs.append(_leg(outcome, len(legs) + 1))
+        if failure or legs[-1].reaches_target or len(legs) == _MOST_LEGS:
+            return OfflineFlight(
+                legs=tuple(legs),
+                plans=tuple(plans),
+                scans_nea_m=tuple(scans),
+                known=known,
+                failure=failure,
+            )
+        leg = legs[-1]
+        pose = leg.subpath.pose(leg.successor_at_m(task))
+        scan_nea_m = _point(leg.subpath.pose(leg.scan_at_m(task)))
+        from_rest = False
+
+
+def _leg(planned: Planned, number: int) -> Leg:
+    return Leg(
+        number=number,
+        plan_id=planned.plan_id,
+        subpath=planned.subpath,
+        reaches_target=planned.reaches_target,
+    )
+
+
+def _point(pose: Pose) -> tuple[float, float, float]:
+    north, east, altitude = (float(value) for value in pose.position_nea_m)
+    return north, east, altitude
