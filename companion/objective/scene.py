@@ -114,8 +114,9 @@ def control_points(x: FloatArray, scene: Scene) -> FloatArray:
     """Control points of subpaths.  (P, 6) in the unit cube -> (P, 4, 3) north, east, altitude.
 
     r2 along the tangent at p_prog; (r3, phi3, z3) about p_prog; the end at azimuth phi4 and
-    altitude z4 on the circle about p_scan, or at the target.  Azimuths are measured from the tangent at p_prog,
-    +-90 degrees.  On the last subpath r2 and r3 scale with the distance that is left.
+    altitude z4 on the circle about p_scan, or at the target (part A, rows 18 and 20).  Azimuths
+    are measured from the tangent at p_prog, +-90 degrees.  On the last subpath r2 and r3 scale
+    with the distance that is left.
     """
     r2, r3, phi3, z3, phi4, z4 = np.moveaxis(x, -1, 0)
     start = scene.start.position_nea_m

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+import numpy.typing as npt
 
 from companion.geodesy import FloatArray
 
@@ -96,7 +97,7 @@ class ImprovedDE:
         return np.where(take, mutant, self.population)
 
 
-def distinct_others(size: int, count: int, rng: np.random.Generator) -> list[FloatArray]:
+def distinct_others(size: int, count: int, rng: np.random.Generator) -> list[npt.NDArray[np.intp]]:
     """For each i of size members, count distinct members other than i.  -> count x (size,)."""
     keys = rng.random((size, size))
     np.fill_diagonal(keys, math.inf)

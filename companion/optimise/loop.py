@@ -54,6 +54,4 @@ def minimise(
         optimiser.tell(np.where(np.isnan(costs), np.inf, costs))
         spent += len(x)
     order = np.argsort(optimiser.costs, kind="stable")
-    return Ranked(
-        x=optimiser.population[order], costs=optimiser.costs[order], evaluations=spent
-    )
+    return Ranked(x=optimiser.population[order], costs=optimiser.costs[order], evaluations=spent)

@@ -1,8 +1,8 @@
 """Clamped cubic B-splines, evaluated for whole populations at once.
 
 A clamped B-spline starts at its first control point, along the first leg of the control
-polygon, and ends at its last one along the last leg (paper 2.4).  With four control points, as in the
-paper, it is the cubic Bezier curve.
+polygon, and ends at its last one along the last leg (paper 2.4).  With four control points,
+as in the paper, it is the cubic Bezier curve.
 """
 
 from dataclasses import dataclass

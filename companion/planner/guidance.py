@@ -32,8 +32,8 @@ def tangent_guide_rad(
 
     Case 1: S-T crosses no radar circle: towards the target.  Case 2: the nearest circle that
     S-T crosses, with all circles that overlap it by more than d_overlap, and those that overlap
-    these, and so on (part A, row 17); of its two outer tangents the one with the smaller angle to S-T
-    (row 16).  Circles of the whole range (row 14); a radar around S is ignored (row 15).
+    these, and so on (part A, row 17); of its two outer tangents the one with the smaller angle
+    to S-T (row 16).  Circles of the whole range (row 14); a radar around S is ignored (row 15).
     """
     north, east = target_ne_m[0] - scan_ne_m[0], target_ne_m[1] - scan_ne_m[1]
     straight, distance = math.atan2(east, north), math.hypot(north, east)

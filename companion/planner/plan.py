@@ -245,9 +245,7 @@ def _vary(scene: Scene, request: PlanRequest, how: _Try) -> Scene:
 
 
 def _facing(pose: Pose, bearing_rad: float) -> Pose:
-    return replace(
-        pose, tangent_nea=np.array([math.cos(bearing_rad), math.sin(bearing_rad), 0.0])
-    )
+    return replace(pose, tangent_nea=np.array([math.cos(bearing_rad), math.sin(bearing_rad), 0.0]))
 
 
 def _bearing_rad(here_ne_m: tuple[float, float], there_ne_m: tuple[float, float]) -> float:

@@ -48,8 +48,8 @@ class Task:
 
     @property
     def cell_m(self) -> float:
-        """Size of the cells of the known map."""
-        return self.settings.scan_range_m / _CELLS_PER_RANGE
+        """Size of the cells of the known map: R / 80, in the whole metres of the wire."""
+        return float(max(round(self.settings.scan_range_m / _CELLS_PER_RANGE), 1))
 
     @property
     def tail_m(self) -> float:
@@ -68,7 +68,9 @@ class Task:
     def shortest_scan_distance_m(self) -> float:
         """The least L: V (T + t_scan) and the tail (eq. 4, with the time that a scan takes)."""
         settings = self.settings
-        return self.limits.speed_m_s * (settings.planning_time_s + settings.scan_time_s) + self.tail_m
+        return (
+            self.limits.speed_m_s * (settings.planning_time_s + settings.scan_time_s) + self.tail_m
+        )
 
     @property
     def scan_distance_m(self) -> float:

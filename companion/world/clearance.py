@@ -59,8 +59,10 @@ class _Window:
     upper_m: FloatArray
 
 
-def _window(known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float, unknown_m: float) -> _Window:
-    """The part of the map within reach of a point; what is unknown, or off the map, has unknown_m."""
+def _window(
+    known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float, unknown_m: float
+) -> _Window:
+    """The part of the map within reach of a point; unknown or off the map: unknown_m."""
     row, column = known.cell_of(*centre_ne_m)
     half = math.ceil(reach_m / known.cell_m) + 1
     rows, columns = known.upper_m.shape

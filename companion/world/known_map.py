@@ -1,8 +1,9 @@
 """What the vehicle's scans have shown of the terrain so far.
 
-The map is a lattice of square cells over the mission's area, in the local frame.  Each cell holds
-an upper bound of the terrain in it: the highest terrain where a scan saw the cell, the sight line over
-what hides it where a scan could not see it, infinity where nothing is known (design section 4).
+The map is a lattice of square cells over the mission's area, in the local frame.  Each cell
+holds an upper bound of the terrain in it: the highest terrain where a scan saw the cell, the
+sight line over what hides it where a scan could not see it, infinity where nothing is known
+(design section 4).
 """
 
 import math
@@ -12,7 +13,7 @@ from typing import final
 import numpy as np
 import scipy.ndimage
 
-from companion.geodesy import FloatArray
+from companion.geodesy import BoolArray, FloatArray
 
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
@@ -46,7 +47,9 @@ class KnownMap:
     north_min_m: float
     east_min_m: float
     upper_m: FloatArray  # (rows, columns), rows to the north, columns to the east
+    seen: BoolArray  # (rows, columns), cells that a scan has seen: nothing more to learn
     registration_m: float = 0.0
+    """How far the terrain of a cell may lie from it."""
 
     def cell_of(self, north_m: float, east_m: float) -> tuple[int, int]:
         """Row and column of the cell that holds a point (may lie outside the lattice)."""
@@ -64,24 +67,31 @@ class KnownMap:
 
     def with_scan(self, scan: Scan) -> "KnownMap":
         """The map after one more scan: nothing that was known is lost."""
-        seen = replace(self, upper_m=self.upper_m.copy())
+        after = replace(
+            self,
+            upper_m=self.upper_m.copy(),
+            seen=self.seen.copy(),
+            registration_m=max(self.registration_m, scan.registration_m),
+        )
         rows, columns = scan.heights_m.shape
-        window = seen.upper_m[scan.row : scan.row + rows, scan.column : scan.column + columns]
-        np.fmin(window, np.where(np.isfinite(scan.heights_m), scan.heights_m, np.inf), out=window)
-        np.minimum(window, _hidden_bound_m(seen, scan), out=window)
-        registration = max(self.registration_m, scan.registration_m)
-        return replace(seen, registration_m=registration)
+        window = np.s_[scan.row : scan.row + rows, scan.column : scan.column + columns]
+        now_seen = np.isfinite(scan.heights_m)
+        after.upper_m[window] = np.where(now_seen, scan.heights_m, after.upper_m[window])
+        after.seen[window] |= now_seen
+        hidden_bound = _hidden_bound_m(after, scan)
+        after.upper_m[window] = np.minimum(after.upper_m[window], hidden_bound)
+        return after
 
-    def middles_m(self, row: int, column: int, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+    def middles_m(
+        self, row: int, column: int, shape: tuple[int, int]
+    ) -> tuple[FloatArray, FloatArray]:
         """North (rows, 1) and east (1, columns) of the middles of a window of cells, metres."""
-        north = self.north_min_m + (row + np.arange(shape[0]) + 0.5) * self.cell_m
-        east = self.east_min_m + (column + np.arange(shape[1]) + 0.5) * self.cell_m
+        north: FloatArray = self.north_min_m + (row + np.arange(shape[0]) + 0.5) * self.cell_m
+        east: FloatArray = self.east_min_m + (column + np.arange(shape[1]) + 0.5) * self.cell_m
         return north[:, None], east[None, :]
 
 
-def empty_map(
-    cell_m: float, north_m: tuple[float, float], east_m: tuple[float, float]
-) -> KnownMap:
+def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, float]) -> KnownMap:
     """A map of an area (minimum, maximum north and east) of which nothing is known."""
     rows = math.ceil((north_m[1] - north_m[0]) / cell_m)
     columns = math.ceil((east_m[1] - east_m[0]) / cell_m)
@@ -90,6 +100,7 @@ def empty_map(
         north_min_m=north_m[0],
         east_min_m=east_m[0],
         upper_m=np.full((rows, columns), np.inf),
+        seen=np.zeros((rows, columns), dtype=bool),
     )
 
 

@@ -1,4 +1,4 @@
-"""A scan of a world that is known: what the vehicle's radar would show, for planning without one."""
+"""A scan of a world that is known: what the radar would show, for planning without a vehicle."""
 
 import math
 
@@ -18,7 +18,9 @@ def true_map(terrain: PeakTerrain, like: KnownMap) -> KnownMap:
     return blank
 
 
-def simulated_scan(truth: KnownMap, radar_nea_m: tuple[float, float, float], range_m: float) -> Scan:
+def simulated_scan(
+    truth: KnownMap, radar_nea_m: tuple[float, float, float], range_m: float
+) -> Scan:
     """What a radar at a point sees of a true map: cells in range that nothing hides."""
     row, column = truth.cell_of(radar_nea_m[0], radar_nea_m[1])
     half = math.ceil(range_m / truth.cell_m)

@@ -34,7 +34,11 @@ class PeakTerrain:
         return self.highest_in_box_m(north_m, north_m, east_m, east_m)
 
     def highest_in_box_m(
-        self, north_min: FloatArray, north_max: FloatArray, east_min: FloatArray, east_max: FloatArray
+        self,
+        north_min: FloatArray,
+        north_max: FloatArray,
+        east_min: FloatArray,
+        east_max: FloatArray,
     ) -> FloatArray:
         """Highest terrain of axis-aligned boxes, metres AMSL.  (...) x4 -> (...).
 
@@ -43,7 +47,9 @@ class PeakTerrain:
         """
         result = np.full(np.broadcast_shapes(np.shape(north_min), np.shape(east_min)), 0.0)
         for peak in self.peaks:
-            north = (np.clip(peak.north_m, north_min, north_max) - peak.north_m) / peak.spread_north_m
+            north = (
+                np.clip(peak.north_m, north_min, north_max) - peak.north_m
+            ) / peak.spread_north_m
             east = (np.clip(peak.east_m, east_min, east_max) - peak.east_m) / peak.spread_east_m
             height = peak.height_amsl_m * np.exp(-(north**2) - east**2)
             result = result + height if self.sum_of_peaks else np.maximum(result, height)

@@ -1,0 +1,50 @@
+"""One strategy per autopilot: its modes, and the messages that a flight needs of it.
+
+ArduCopter: position + velocity + yaw setpoints in guided mode; it holds in BRAKE, not LOITER, which sinks
+without a throttle stick (measured: reference ardupilot, section 2).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+from companion.mavlink.dialect import wire
+from companion.mission.events import Mode
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Autopilot:
+    """How one kind of autopilot is told what to do."""
+
+    name: str
+    mode_numbers: Mapping[Mode, int]
+    streams_hz: Mapping[int, float]
+    """Message id -> rate, besides the position."""
+
+    def mode_of(self, custom_mode: int) -> Mode:
+        """The mode that a heartbeat reports."""
+        for mode, number in self.mode_numbers.items():
+            if number == custom_mode:
+                return mode
+        return Mode.OTHER
+
+
+ARDUCOPTER = Autopilot(
+    name="ArduCopter",
+    mode_numbers={
+        Mode.GUIDED: wire.COPTER_MODE_GUIDED,
+        Mode.HOLD: wire.COPTER_MODE_BRAKE,
+        Mode.LAND: wire.COPTER_MODE_LAND,
+    },
+    streams_hz={
+        wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
+        wire.MAVLINK_MSG_ID_GPS_RAW_INT: 2.0,
+        wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,
+        wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
+        wire.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
+        wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
+        wire.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+        wire.MAVLINK_MSG_ID_ATTITUDE: 1.0,
+    },
+)

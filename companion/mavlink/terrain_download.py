@@ -1,0 +1,212 @@
+"""One scan of the terrain radar, over TERRAIN_REQUEST, TERRAIN_DATA and TERRAIN_REPORT.
+
+Requests cover 28 x 32 cells: 7 x 8 blocks of 4 x 4 (message definition: "row major 8x7 array
+of grids").  One is outstanding; what it leaves unanswered is asked for again, and stays unknown if that
+does not help either.  Cells run along true north and east of a request's corner, the lattice of
+the known map along the local frame: each request is laid so that its middle agrees, and how far
+its corners are off is part of the answer (design section 4).
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from companion.geodesy import LocalFrame, deg, deg_e7, offset_deg
+from companion.mavlink.dialect import Message, wire
+from companion.world.known_map import NO_ANSWER, NOT_SEEN, KnownMap, Scan
+
+BLOCK = 4
+BLOCK_ROWS, BLOCK_COLUMNS = 7, 8
+ROWS, COLUMNS = BLOCK_ROWS * BLOCK, BLOCK_COLUMNS * BLOCK
+_UNSEEN_WIRE = -32768
+_ANSWER_S = 1.0
+_MOST_REQUESTS = 3  # of one area
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Area:
+    """What one TERRAIN_REQUEST asks for."""
+
+    row: int
+    column: int
+    """Lattice index of the south-west cell."""
+    mask: int
+    latitude_e7: int
+    longitude_e7: int
+    """South-west corner."""
+    registration_m: float
+
+
+def areas(
+    known: KnownMap, centre_ne_m: tuple[float, float], range_m: float, frame: LocalFrame
+) -> Iterator[Area]:
+    """The requests that cover what is within range of a point and has not been seen yet."""
+    centre_row, centre_column = known.cell_of(*centre_ne_m)
+    reach = math.ceil(range_m / known.cell_m)
+    for row in _starts(centre_row, reach, ROWS):
+        for column in _starts(centre_column, reach, COLUMNS):
+            mask = _mask(known, row, column, centre_ne_m, range_m)
+            if mask:
+                yield _placed(known, row, column, mask, frame)
+
+
+def _starts(centre: int, reach: int, size: int) -> range:
+    count = math.ceil(2 * reach / size)
+    first = centre - count * size // 2
+    return range(first, first + count * size, size)
+
+
+def _mask(
+    known: KnownMap, row: int, column: int, centre_ne_m: tuple[float, float], range_m: float
+) -> int:
+    """Bits of the blocks that are on the map, within range and not seen entirely."""
+    north, east = known.middles_m(row, column, (ROWS, COLUMNS))
+    wanted = np.hypot(north - centre_ne_m[0], east - centre_ne_m[1]) <= range_m
+    rows, columns = known.seen.shape
+    row_index, column_index = np.arange(row, row + ROWS), np.arange(column, column + COLUMNS)
+    wanted &= ((row_index >= 0) & (row_index < rows))[:, None]
+    wanted &= ((column_index >= 0) & (column_index < columns))[None, :]
+    seen = known.seen[
+        np.clip(row_index, 0, rows - 1)[:, None], np.clip(column_index, 0, columns - 1)[None, :]
+    ]
+    blocks = (wanted & ~seen).reshape(BLOCK_ROWS, BLOCK, BLOCK_COLUMNS, BLOCK).any(axis=(1, 3))
+    return sum(1 << int(bit) for bit in np.flatnonzero(blocks.ravel()))
+
+
+def _placed(known: KnownMap, row: int, column: int, mask: int, frame: LocalFrame) -> Area:
+    """Lay an area so that its middle is on the lattice; measure how far its corners are off."""
+    cell = known.cell_m
+    south, west = known.north_min_m + row * cell, known.east_min_m + column * cell
+    height, width = ROWS * cell, COLUMNS * cell
+    middle = frame.to_geodetic_deg(south + 0.5 * height, west + 0.5 * width)
+    corner = offset_deg(*middle, -0.5 * height, -0.5 * width)
+    latitude_e7, longitude_e7 = deg_e7(corner[0]), deg_e7(corner[1])
+    off = 0.0
+    for north in (0.0, height):
+        for east in (0.0, width):
+            place = offset_deg(deg(latitude_e7), deg(longitude_e7), north, east)
+            off = max(off, math.dist(frame.to_local_m(*place), (south + north, west + east)))
+    return Area(
+        row=row,
+        column=column,
+        mask=mask,
+        latitude_e7=latitude_e7,
+        longitude_e7=longitude_e7,
+        registration_m=off,
+    )
+
+
+@final
+class TerrainDownload:
+    """Asks for a scan area by area and collects the answers.  Pure: time is an argument."""
+
+    def __init__(
+        self,
+        known: KnownMap,
+        *,
+        centre_ne_m: tuple[float, float],
+        range_m: float,
+        deadline_s: float,
+        drift_m: float,
+        frame: LocalFrame,
+    ) -> None:
+        self._known = known
+        self._range_m = range_m
+        self._deadline_s = deadline_s
+        self._drift_m = drift_m
+        self._waiting = list(areas(known, centre_ne_m, range_m, frame))
+        self._registration_m = max((area.registration_m for area in self._waiting), default=0.0)
+        self._tries: dict[tuple[int, int], int] = {}
+        self._area: Area | None = None
+        self._left = 0
+        self._asked_at_s = -math.inf
+        shape = known.upper_m.shape
+        self._heights_m = np.full(shape, NO_ANSWER)
+        self._radar_nea_m = np.zeros((*shape, 3))
+        self.asked = sum(area.mask.bit_count() for area in self._waiting)
+        """Blocks asked for."""
+        self.answered = 0
+        """Blocks answered."""
+
+    def is_over(self, now_s: float) -> bool:
+        """Whether everything was answered or given up, or time is up."""
+        return (self._area is None and not self._waiting) or now_s >= self._deadline_s
+
+    def on_time(self, now_s: float) -> Message | None:
+        """The next request, if it is time for one: the last was answered, or took too long."""
+        if self._area is not None:
+            if now_s - self._asked_at_s < _ANSWER_S:
+                return None
+            self._give_back()
+        if not self._waiting or now_s >= self._deadline_s:
+            return None
+        area = self._waiting.pop(0)
+        self._area, self._left, self._asked_at_s = area, area.mask, now_s
+        self._tries[area.row, area.column] = self._tries.get((area.row, area.column), 0) + 1
+        return wire.MAVLink_terrain_request_message(
+            area.latitude_e7, area.longitude_e7, round(self._known.cell_m), area.mask
+        )
+
+    def on_message(self, message: Message, radar_nea_m: tuple[float, float, float]) -> None:
+        """An answer of the radar: a block, or the report that ends the answers to a request."""
+        area = self._area
+        if area is None or (message.lat, message.lon) != (area.latitude_e7, area.longitude_e7):
+            return
+        if message.get_type() == "TERRAIN_REPORT":
+            if message.pending == 0:
+                self._give_back()
+        elif self._left >> message.gridbit & 1 and message.grid_spacing == round(
+            self._known.cell_m
+        ):
+            self._store(area, message, radar_nea_m)
+
+    def _store(self, area: Area, message: Message, radar_nea_m: tuple[float, float, float]) -> None:
+        self._left &= ~(1 << message.gridbit)
+        self.answered += 1
+        row = area.row + message.gridbit // BLOCK_COLUMNS * BLOCK
+        column = area.column + message.gridbit % BLOCK_COLUMNS * BLOCK
+        heights = np.array(message.data, dtype=float).reshape(BLOCK, BLOCK)
+        heights[heights == _UNSEEN_WIRE] = NOT_SEEN
+        rows, columns = self._known.upper_m.shape
+        south, west = max(row, 0), max(column, 0)
+        north, east = min(row + BLOCK, rows), min(column + BLOCK, columns)
+        self._heights_m[south:north, west:east] = heights[
+            south - row : north - row, west - column : east - column
+        ]
+        self._radar_nea_m[south:north, west:east] = radar_nea_m
+
+    def _give_back(self) -> None:
+        """End the outstanding request; what it left unanswered is asked for again."""
+        area = self._area
+        assert area is not None
+        if self._left and self._tries[area.row, area.column] < _MOST_REQUESTS:
+            again = Area(
+                row=area.row,
+                column=area.column,
+                mask=self._left,
+                latitude_e7=area.latitude_e7,
+                longitude_e7=area.longitude_e7,
+                registration_m=area.registration_m,
+            )
+            self._waiting.append(again)
+        self._area = None
+
+    def scan(self) -> Scan:
+        """What was answered so far, on the part of the map that has answers."""
+        rows, columns = np.nonzero(~np.isnan(self._heights_m))
+        if rows.size == 0:
+            rows = columns = np.zeros(1, dtype=np.intp)
+        window = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+        return Scan(
+            row=int(rows.min()),
+            column=int(columns.min()),
+            heights_m=self._heights_m[window].copy(),
+            radar_nea_m=self._radar_nea_m[window].copy(),
+            range_m=self._range_m,
+            drift_m=self._drift_m,
+            registration_m=self._registration_m,
+        )

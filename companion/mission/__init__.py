@@ -1,0 +1,1 @@
+"""What to do next: the mission machine, a pure function of (state, event)."""

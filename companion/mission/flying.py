@@ -1,0 +1,236 @@
+"""What happens in the phase `flying`: follow a leg, scan, plan, go on to the next (design 6)."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from companion.mission.events import (
+    Command,
+    Plan,
+    PlanLate,
+    PlanReady,
+    Position,
+    Say,
+    ScanDone,
+    Setpoint,
+    StartScan,
+    Vector,
+)
+from companion.mission.mission import Mission
+from companion.mission.state import Flight, Reason, State, Trigger
+from companion.path.subpath import Pose
+from companion.planner.plan import NotPlanned, Planned, PlanRequest
+from companion.planner.procedure import (
+    Leg,
+    Reference,
+    advance,
+    allowed_speed_m_s,
+    hover_pose,
+    is_at_end,
+)
+
+Step = tuple[State, list[Command], Trigger | None]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Context:
+    """What stays the same during a mission."""
+
+    mission: Mission
+    seed: int
+
+
+def on_position(state: State, event: Position, context: Context) -> Step:
+    """Move the reference point and send it; scan when its time has come."""
+    if state.flight.leg is None:
+        return _hover(state, event, context)
+    elapsed_s = event.time_s - state.vehicle.position_at_s
+    flight = _moved_on(state.flight, event, elapsed_s, context)
+    leg = flight.leg
+    assert leg is not None
+    commands: list[Command] = [_setpoint(event.time_s, leg, flight.reference, context)]
+    if is_at_end(flight.reference, leg):
+        if leg.reaches_target:
+            return replace(state, flight=flight), commands, Trigger.TARGET_REACHED
+        flight = at_rest(flight, _vector(leg.subpath.pose(leg.subpath.length_m)))
+        return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
+    due = flight.reference.length_m >= leg.scan_at_m(context.mission.task)
+    if due and not flight.tried and not leg.reaches_target:
+        flight, scan = _start_scan(flight, _vector(leg.subpath.pose(flight.reference.length_m)))
+        commands.append(scan)
+    return replace(state, flight=flight), commands, None
+
+
+def on_scan(state: State, event: ScanDone, context: Context) -> Step:
+    """Ask for the next subpath on the map that the scan has completed."""
+    flight = state.flight
+    scanned_from = flight.scanning_from_nea_m
+    if scanned_from is None:
+        return state, [], None
+    flight = replace(flight, scanning_from_nea_m=None)
+    if event.asked and not event.answered:
+        return _no_successor(replace(state, flight=flight), Reason.RADAR_SILENT)
+    task = context.mission.task
+    leg = flight.leg
+    start = hover_pose(scanned_from)
+    if leg is not None:
+        start = leg.subpath.pose(leg.successor_at_m(task))
+    request = PlanRequest(
+        plan_id=flight.plan_id + 1,
+        seed=context.seed,
+        task=task,
+        known=flight.known,
+        scan_nea_m=scanned_from,
+        start=start,
+        from_rest=leg is None,
+        target_ne_m=context.mission.targets_ne_m[flight.target],
+        attempt=flight.failures,
+    )
+    flight = replace(flight, plan_id=request.plan_id, planning=True)
+    due_s = event.time_s + task.settings.planning_time_s
+    return replace(state, flight=flight), [Plan(request=request, due_s=due_s)], None
+
+
+def on_plan(state: State, event: PlanReady, context: Context) -> Step:
+    """Take the next subpath, or note why there is none."""
+    flight, outcome = state.flight, event.outcome
+    if outcome.plan_id != flight.plan_id or not flight.planning:
+        return state, [], None  # the answer to a question that is no longer asked
+    state = replace(state, flight=replace(flight, planning=False))
+    if isinstance(outcome, NotPlanned):
+        return _no_successor(state, Reason.NO_PLAN)
+    leg = flight.leg
+    late = leg is not None and flight.reference.length_m > leg.successor_at_m(context.mission.task)
+    if late:
+        return _no_successor(state, Reason.PLAN_LATE)
+    flight = _accepted(state.flight, outcome)
+    text = f"subpath {flight.legs_flown + (flight.next_leg is not None)}: cost {outcome.cost:.2f}"
+    return replace(state, flight=flight), [Say(text=text)], None
+
+
+def on_late_plan(state: State, event: PlanLate) -> Step:
+    """Note it: the leg is flown to its end unless the plan comes before p_prog."""
+    if event.plan_id == state.flight.plan_id:
+        state = replace(state, flight=replace(state.flight, shortfall=Reason.PLAN_LATE))
+    return state, [], None
+
+
+def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
+    """The flight without a leg: it begins again from where the vehicle stops."""
+    return replace(
+        flight,
+        leg=None,
+        next_leg=None,
+        reference=Reference(),
+        hover_nea_m=hover_nea_m,
+        scanning_from_nea_m=None,
+        planning=False,
+        tried=False,
+    )
+
+
+def hold_setpoint(state: State, time_s: float, context: Context) -> Setpoint | None:
+    """Stay where the flight came to rest: a position and an explicit velocity of zero."""
+    here = state.flight.hover_nea_m
+    if here is None:
+        return None
+    target = context.mission.targets_ne_m[state.flight.target]
+    yaw = math.atan2(target[1] - here[1], target[0] - here[0])
+    return Setpoint(
+        time_s=time_s, position_nea_m=here, velocity_nea_m_s=(0.0, 0.0, 0.0), yaw_rad=yaw
+    )
+
+
+def _hover(state: State, event: Position, context: Context) -> Step:
+    """Wait for the first subpath where the vehicle is."""
+    flight = state.flight
+    if flight.hover_nea_m is None:
+        flight = replace(flight, hover_nea_m=event.position_nea_m)
+    commands: list[Command] = []
+    if not flight.tried and flight.hover_nea_m is not None:
+        flight, scan = _start_scan(flight, flight.hover_nea_m)
+        commands.append(scan)
+    state = replace(state, flight=flight)
+    setpoint = hold_setpoint(state, event.time_s, context)
+    return state, [*([setpoint] if setpoint else []), *commands], None
+
+
+def _moved_on(flight: Flight, event: Position, elapsed_s: float, context: Context) -> Flight:
+    """The reference point one position later; at p_prog it goes over to the next leg."""
+    task = context.mission.task
+    leg = flight.leg
+    assert leg is not None
+    reference = advance(
+        flight.reference,
+        leg,
+        elapsed_s,
+        np.asarray(event.position_nea_m),
+        task.limits,
+        goes_on=flight.next_leg is not None,
+    )
+    over = reference.length_m - leg.successor_at_m(task)
+    if flight.next_leg is None or over < 0.0:
+        return replace(flight, reference=reference)
+    return replace(
+        flight,
+        leg=flight.next_leg,
+        next_leg=None,
+        reference=replace(reference, length_m=over),
+        tried=False,
+        shortfall=Reason.NO_PLAN,
+        legs_flown=flight.legs_flown + 1,
+    )
+
+
+def _accepted(flight: Flight, planned: Planned) -> Flight:
+    leg = Leg(
+        number=flight.legs_flown + 1,
+        plan_id=planned.plan_id,
+        subpath=planned.subpath,
+        reaches_target=planned.reaches_target,
+    )
+    if flight.leg is not None:
+        return replace(flight, next_leg=leg)
+    return replace(
+        flight,
+        leg=leg,
+        reference=Reference(),
+        tried=False,
+        failures=0,
+        shortfall=Reason.NO_PLAN,
+        legs_flown=flight.legs_flown + 1,
+    )
+
+
+def _no_successor(state: State, reason: Reason) -> Step:
+    """A leg in flight is flown to its end; without one the vehicle holds now."""
+    flight = replace(state.flight, shortfall=reason)
+    if flight.leg is not None:
+        return replace(state, flight=flight), [Say(text=reason.text, warning=True)], None
+    flight = replace(at_rest(flight, flight.hover_nea_m), failures=flight.failures + 1)
+    return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
+
+
+def _start_scan(flight: Flight, centre_nea_m: Vector) -> tuple[Flight, StartScan]:
+    flight = replace(flight, tried=True, scanning_from_nea_m=centre_nea_m)
+    return flight, StartScan(centre_nea_m=centre_nea_m)
+
+
+def _setpoint(time_s: float, leg: Leg, reference: Reference, context: Context) -> Setpoint:
+    pose = leg.subpath.pose(reference.length_m)
+    speed = min(reference.speed_m_s, allowed_speed_m_s(pose, context.mission.task.limits))
+    velocity = speed * pose.tangent_nea
+    return Setpoint(
+        time_s=time_s,
+        position_nea_m=_vector(pose),
+        velocity_nea_m_s=(float(velocity[0]), float(velocity[1]), float(velocity[2])),
+        yaw_rad=math.atan2(pose.tangent_nea[1], pose.tangent_nea[0]),
+    )
+
+
+def _vector(pose: Pose) -> Vector:
+    north, east, altitude = (float(value) for value in pose.position_nea_m)
+    return north, east, altitude

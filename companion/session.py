@@ -1,0 +1,455 @@
+"""The whole companion, without I/O: bytes and vehicle events in, bytes and journal entries out.
+
+    session.receive(data)       bytes of the link, in any portions
+    session.run() -> Output     handle them: what to send, to record and to compute
+    session.deliver(outcome)    the answer to Output.plan, then run() again
+    session.silence(seconds)    nothing has been heard for so long (wall time, told by the runtime)
+    session.stop()              a person wants the end
+
+Time is the vehicle's: the newest time_boot_ms of any message.  A plan becomes an event
+at the first position at or after request + T, never earlier; in lockstep run() stops before that
+position until the plan is delivered (Output.awaits_plan), otherwise the plan is late.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, final
+
+from companion.mavlink.autopilots import ARDUCOPTER, Autopilot
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, codec, wire
+from companion.mavlink.terrain_download import TerrainDownload
+from companion.mavlink.translate import (
+    command_long,
+    event_of,
+    heartbeat_message,
+    mode_message,
+    setpoint_message,
+)
+from companion.mission import machine
+from companion.mission.events import (
+    Arm,
+    Command,
+    End,
+    Event,
+    LinkLost,
+    Mode,
+    Plan,
+    PlanLate,
+    PlannerDied,
+    PlanReady,
+    Position,
+    RequestStreams,
+    Say,
+    ScanDone,
+    SetMode,
+    Setpoint,
+    StartScan,
+    StopAsked,
+    TakeOff,
+    Tick,
+)
+from companion.mission.flying import Context
+from companion.mission.mission import Mission
+from companion.mission.state import Flight, Phase, State
+from companion.planner.plan import NotPlanned, Planned, PlanOutcome, PlanRequest
+from companion.world.known_map import empty_map
+
+Entry = dict[str, Any]
+
+_HEARTBEAT_S = 1.0
+_STREAM_MISSING_S = 2.0
+_SETTLE_S = 3.0  # for the vehicle to confirm its last mode
+_NO_VEHICLE_S = 10.0
+_SILENT_S = 3.0
+_GONE_S = 10.0
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Output:
+    """What one run() asks of the outside."""
+
+    frames: list[bytes] = field(default_factory=list)
+    """To be sent, in order."""
+    record: list[tuple[float, bytes]] = field(default_factory=list)
+    """Vehicle time and frame, both directions, for the telemetry log."""
+    journal: list[Entry] = field(default_factory=list)
+    plan: PlanRequest | None = None
+    """To be computed and delivered."""
+    awaits_plan: bool = False
+    end: End | None = None
+
+
+@final
+class Session:
+    """Parser, clock, protocols and mission machine of one companion."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        *,
+        seed: int,
+        lockstep: bool,
+        autopilot: Autopilot = ARDUCOPTER,
+        scanner_component: int = 100,
+    ) -> None:
+        limits = mission.task.limits
+        self.mission = mission
+        self.state = State(
+            flight=Flight(known=empty_map(mission.task.cell_m, limits.north_m, limits.east_m))
+        )
+        self.now_s = 0.0
+        self.last_plan: Planned | None = None
+        self._context = Context(mission=mission, seed=seed)
+        self._lockstep = lockstep
+        self._autopilot = autopilot
+        self._scanner_component = scanner_component
+        self._codec = codec(mission.system_id)
+        self._inbox: deque[Message] = deque()
+        self._out = Output()
+        self._download: TerrainDownload | None = None
+        self._plan_due_s = math.inf
+        self._plan: PlanOutcome | PlannerDied | None = None
+        self._late_told = False
+        self._heartbeat_at_s = -math.inf
+        self._heard: dict[int, float] = {}
+        self._streams: dict[int, float] = {}
+        self._streams_at_s = -math.inf
+        self._end: End | None = None
+        self._confirming: Mode | None = None
+        self._ended_at_s = math.inf
+        self._silence_told_s = 0.0
+
+    # --- what the runtime calls
+
+    def receive(self, data: bytes) -> None:
+        """Bytes of the link; garbage between frames is passed over."""
+        self._silence_told_s = 0.0
+        for message in self._codec.parse_buffer(data) or ():
+            if message.get_type() != "BAD_DATA":
+                self._inbox.append(message)
+
+    def deliver(self, outcome: PlanOutcome) -> None:
+        """The answer to the last plan request."""
+        self._plan = outcome
+
+    def planner_died(self, error: str) -> None:
+        """The planner raised instead of answering."""
+        self._plan = PlannerDied(time_s=self.now_s, error=error)
+        self._plan_due_s = min(self._plan_due_s, self.now_s)
+
+    def stop(self) -> None:
+        """A person wants the mission to end."""
+        self._handle(StopAsked(time_s=self.now_s))
+
+    def silence(self, silent_s: float) -> None:
+        """Nothing was heard for so long; called again and again while it lasts."""
+        waiting = self.state.phase is Phase.WAITING
+        for limit in (_NO_VEHICLE_S,) if waiting else (_SILENT_S, _GONE_S):
+            if self._silence_told_s < limit <= silent_s:
+                self._handle(LinkLost(time_s=self.now_s, silent_s=limit))
+        self._silence_told_s = silent_s
+
+    def run(self) -> Output:
+        """Handle what was received, as far as it goes."""
+        while self._inbox:
+            if self._must_wait_for_plan(self._inbox[0]):
+                self._out.awaits_plan = True
+                break
+            self._on_message(self._inbox.popleft())
+        out, self._out = self._out, Output()
+        if self._settled():
+            out.end = self._end
+        return out
+
+    def farewell(self) -> Output:
+        """The last frames of a companion that ends."""
+        self._send(heartbeat_message(wire.MAV_STATE_POWEROFF))
+        out, self._out = self._out, Output()
+        return out
+
+    # --- messages
+
+    def _on_message(self, message: Message) -> None:
+        component = message.get_srcComponent()
+        time_ms = getattr(message, "time_boot_ms", None)
+        ours = message.get_srcSystem() == self.mission.system_id
+        if ours and component == AUTOPILOT_COMPONENT:
+            if time_ms is not None:
+                self._clock(time_ms * 1e-3)
+            elif self._lockstep and message.get_type() == "TIMESYNC" and message.tc1 == 0:
+                self._clock(message.ts1 * 1e-9)
+        self._out.record.append((self.now_s, bytes(message.get_msgbuf())))
+        if not ours:
+            return
+        if component == AUTOPILOT_COMPONENT:
+            self._from_autopilot(message)
+        elif component == self._scanner_component and self._download is not None:
+            here = self.state.vehicle.position_nea_m
+            is_terrain = message.get_type() in ("TERRAIN_DATA", "TERRAIN_REPORT")
+            if is_terrain and here is not None:
+                self._download.on_message(message, here)
+                self._scan_on()
+
+    def _from_autopilot(self, message: Message) -> None:
+        self._heard[message.get_msgId()] = self.now_s
+        if message.get_type() == "GLOBAL_POSITION_INT":
+            self._take_plan()
+        event = event_of(message, self.now_s, self.mission.frame, self._autopilot)
+        if event is not None:
+            self._handle(event)
+        if isinstance(event, Position):
+            self._scan_on()
+        self._housekeeping()
+        if message.get_type() == "TIMESYNC" and message.tc1 == 0:
+            self._send(wire.MAVLink_timesync_message(message.ts1, message.ts1))
+        elif message.get_type() == "STATUSTEXT":
+            self._note("vehicle says", text=message.text)
+        elif message.get_type() == "COMMAND_ACK":
+            self._note("acknowledged", command=message.command, result=message.result)
+
+    def _clock(self, time_s: float) -> None:
+        if time_s > self.now_s:
+            self.now_s = time_s
+            self._handle(Tick(time_s=time_s))
+
+    def _housekeeping(self) -> None:
+        """What is sent by the vehicle's clock: heartbeat, missing streams."""
+        if self.now_s - self._heartbeat_at_s >= _HEARTBEAT_S and self._end is None:
+            self._heartbeat_at_s = self.now_s
+            if self.state.phase is not Phase.FAULTED:
+                flying = self.state.phase in (Phase.FLYING, Phase.TAKING_OFF, Phase.ARRIVED)
+                critical = self.state.phase is Phase.HOLDING
+                self._send(
+                    heartbeat_message(
+                        wire.MAV_STATE_CRITICAL
+                        if critical
+                        else (wire.MAV_STATE_ACTIVE if flying else wire.MAV_STATE_STANDBY)
+                    )
+                )
+        if self._streams and self.now_s - self._streams_at_s >= _STREAM_MISSING_S:
+            self._request_streams()
+
+    def _request_streams(self) -> None:
+        """Ask for every stream that has not been heard lately (a first request may get lost)."""
+        self._streams_at_s = self.now_s
+        for message_id, rate_hz in self._streams.items():
+            silent_s = self.now_s - self._heard.get(message_id, -math.inf)
+            if silent_s > max(_STREAM_MISSING_S, 3.0 / rate_hz):
+                interval_us = 1e6 / rate_hz
+                self._send(
+                    command_long(
+                        self.mission.system_id,
+                        wire.MAV_CMD_SET_MESSAGE_INTERVAL,
+                        message_id,
+                        interval_us,
+                    )
+                )
+
+    # --- plans and scans
+
+    def _must_wait_for_plan(self, message: Message) -> bool:
+        if self._plan is not None or message.get_type() != "GLOBAL_POSITION_INT":
+            return False
+        due = message.time_boot_ms * 1e-3 >= self._plan_due_s
+        if due and not self._lockstep and not self._late_told:
+            self._late_told = True
+            self._handle(PlanLate(time_s=self.now_s, plan_id=self.state.flight.plan_id))
+        return due and self._lockstep
+
+    def _take_plan(self) -> None:
+        """Turn a delivered plan into an event once it is due."""
+        if self._plan is None or self.now_s < self._plan_due_s:
+            return
+        outcome, self._plan, self._plan_due_s = self._plan, None, math.inf
+        if isinstance(outcome, PlannerDied):
+            self._handle(outcome)
+        else:
+            if isinstance(outcome, Planned):
+                self.last_plan = outcome
+            self._handle(PlanReady(time_s=self.now_s, outcome=outcome))
+
+    def _scan_on(self) -> None:
+        download = self._download
+        if download is None:
+            return
+        if download.is_over(self.now_s):
+            self._download = None
+            self._handle(
+                ScanDone(
+                    time_s=self.now_s,
+                    scan=download.scan(),
+                    asked=download.asked,
+                    answered=download.answered,
+                )
+            )
+            return
+        request = download.on_time(self.now_s)
+        if request is not None:
+            self._send(request)
+
+    # --- events and commands
+
+    def _handle(self, event: Event) -> None:
+        before = self.state
+        self.state, commands = machine.step(before, event, self._context)
+        self._journal_event(event)
+        if self.state.phase is not before.phase:
+            reason = self.state.reason
+            self._note(
+                "phase",
+                phase=self.state.phase.value,
+                was=before.phase.value,
+                reason=None if reason is None else reason.text,
+            )
+        if self.state.flight.legs_flown != before.flight.legs_flown:
+            self._note("leg", number=self.state.flight.legs_flown)
+        for command in commands:
+            self._carry_out(command)
+
+    def _carry_out(self, command: Command) -> None:
+        system = self.mission.system_id
+        match command:
+            case Setpoint():
+                self._send_setpoint(command)
+            case RequestStreams():
+                position = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+                self._streams = {
+                    position: self.mission.position_rate_hz,
+                    **self._autopilot.streams_hz,
+                }
+                self._request_streams()
+            case SetMode(mode=mode):
+                self._confirming = mode
+                self._note("set mode", mode=mode.value)
+                self._send(mode_message(system, mode, self._autopilot))
+            case Arm():
+                self._note("arm")
+                self._send(command_long(system, wire.MAV_CMD_COMPONENT_ARM_DISARM, 1.0))
+            case TakeOff(above_home_m=height):
+                self._note("take off", above_home_m=height)
+                self._send(command_long(system, wire.MAV_CMD_NAV_TAKEOFF, *([0.0] * 6), height))
+            case StartScan(centre_nea_m=centre):
+                self._start_scan(centre)
+            case Plan(request=request, due_s=due_s):
+                self._plan, self._plan_due_s, self._late_told = None, due_s, False
+                self._out.plan = request
+                self._note("plan asked", **_request_entry(request, due_s))
+            case Say(text=text, warning=warning):
+                self._say(text, warning=warning)
+            case End():
+                self._finish(command)
+
+    def _send_setpoint(self, setpoint: Setpoint) -> None:
+        message = setpoint_message(setpoint, self.mission.frame, self.mission.system_id)
+        if message is None:
+            self._note("setpoint refused", setpoint=repr(setpoint))
+            self._handle(PlannerDied(time_s=self.now_s, error="setpoint out of range"))
+        else:
+            self._send(message)
+
+    def _start_scan(self, centre_nea_m: tuple[float, float, float]) -> None:
+        task = self.mission.task
+        tick_s = 1.0 / self.mission.position_rate_hz
+        self._download = TerrainDownload(
+            self.state.flight.known,
+            centre_ne_m=centre_nea_m[:2],
+            range_m=task.settings.scan_range_m,
+            deadline_s=self.now_s + task.settings.scan_time_s,
+            drift_m=2.0 * tick_s * task.limits.speed_m_s,
+            frame=self.mission.frame,
+        )
+        self._note("scan", centre_nea_m=list(centre_nea_m), blocks=self._download.asked)
+        self._scan_on()
+
+    def _say(self, text: str, *, warning: bool) -> None:
+        self._note("say", text=text, warning=warning)
+        severity = wire.MAV_SEVERITY_WARNING if warning else wire.MAV_SEVERITY_INFO
+        self._send(wire.MAVLink_statustext_message(severity, text.encode()[:50]))
+
+    def _finish(self, end: End) -> None:
+        self._note("end", outcome=end.outcome.value, reason=end.reason)
+        self._end, self._ended_at_s = end, self.now_s
+
+    def _settled(self) -> bool:
+        """Whether the mission is over and the vehicle is in the mode that it was left in."""
+        if self._end is None:
+            return False
+        unheard = self._confirming is None or self._silence_told_s > 0.0
+        there = self.state.vehicle.mode is self._confirming
+        return unheard or there or self.now_s - self._ended_at_s > _SETTLE_S
+
+    def _send(self, message: Message) -> None:
+        frame = message.pack(self._codec)
+        self._codec.seq = (self._codec.seq + 1) % 256
+        self._out.frames.append(frame)
+        self._out.record.append((self.now_s, frame))
+
+    # --- journal
+
+    def _note(self, kind: str, **values: Any) -> None:
+        self._out.journal.append({"t_s": round(self.now_s, 6), "kind": kind, **values})
+
+    def _journal_event(self, event: Event) -> None:
+        match event:
+            case ScanDone():
+                known = self.state.flight.known
+                self._note(
+                    "scan done",
+                    blocks_asked=event.asked,
+                    blocks_answered=event.answered,
+                    registration_m=event.scan.registration_m,
+                    cells_seen=int(known.seen.sum()),
+                )
+            case PlanReady(outcome=Planned() as planned):
+                self._note("plan ready", **_planned_entry(planned))
+            case PlanReady(outcome=NotPlanned() as refused):
+                self._note(
+                    "plan refused",
+                    plan_id=refused.plan_id,
+                    reason=refused.refusal.name,
+                    broken=list(refused.broken),
+                    evaluations=refused.evaluations,
+                )
+            case PlanLate(plan_id=plan_id):
+                self._note("plan late", plan_id=plan_id)
+            case PlannerDied(error=error):
+                self._note("planner died", error=error)
+            case LinkLost(silent_s=silent_s):
+                self._note("link lost", silent_s=silent_s)
+            case StopAsked():
+                self._note("stop asked")
+            case _:
+                pass
+
+
+def _request_entry(request: PlanRequest, due_s: float) -> Entry:
+    return {
+        "plan_id": request.plan_id,
+        "due_s": due_s,
+        "attempt": request.attempt,
+        "from_rest": request.from_rest,
+        "scan_nea_m": list(request.scan_nea_m),
+        "start_nea_m": request.start.position_nea_m.tolist(),
+        "tangent_nea": request.start.tangent_nea.tolist(),
+        "target_ne_m": list(request.target_ne_m),
+    }
+
+
+def _planned_entry(planned: Planned) -> Entry:
+    report = planned.report
+    return {
+        "plan_id": planned.plan_id,
+        "kernel": "numpy",
+        "evaluations": planned.evaluations,
+        "tries": planned.tries,
+        "rank": planned.rank,
+        "cost": planned.cost,
+        "terms": planned.terms,
+        "guide_rad": planned.guide_rad,
+        "reaches_target": planned.reaches_target,
+        "length_m": planned.subpath.length_m,
+        "control_nea_m": planned.subpath.control_nea_m.tolist(),
+        "check": {name: getattr(report, name) for name in report.__slots__},
+    }
