@@ -59,7 +59,6 @@ Entry = dict[str, Any]
 
 _HEARTBEAT_S = 1.0
 _STREAM_MISSING_S = 2.0
-_SETTLE_S = 3.0  # for the vehicle to confirm its last mode
 _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
 _GONE_S = 10.0
@@ -79,6 +78,9 @@ class Output:
     """To be computed and delivered."""
     awaits_plan: bool = False
     end: End | None = None
+    """Set once the mission is over."""
+    settled: bool = False
+    """Whether the vehicle has confirmed the mode in which the mission leaves it."""
 
 
 @final
@@ -118,7 +120,6 @@ class Session:
         self._streams_at_s = -math.inf
         self._end: End | None = None
         self._confirming: Mode | None = None
-        self._ended_at_s = math.inf
         self._silence_told_s = 0.0
 
     # --- what the runtime calls
@@ -159,8 +160,7 @@ class Session:
                 break
             self._on_message(self._inbox.popleft())
         out, self._out = self._out, Output()
-        if self._settled():
-            out.end = self._end
+        out.end, out.settled = self._end, self._settled()
         return out
 
     def farewell(self) -> Output:
@@ -370,15 +370,11 @@ class Session:
 
     def _finish(self, end: End) -> None:
         self._note("end", outcome=end.outcome.value, reason=end.reason)
-        self._end, self._ended_at_s = end, self.now_s
+        self._end = end
 
     def _settled(self) -> bool:
         """Whether the mission is over and the vehicle is in the mode that it was left in."""
-        if self._end is None:
-            return False
-        unheard = self._confirming is None or self._silence_told_s > 0.0
-        there = self.state.vehicle.mode is self._confirming
-        return unheard or there or self.now_s - self._ended_at_s > _SETTLE_S
+        return self._confirming is None or self.state.vehicle.mode is self._confirming
 
     def _send(self, message: Message) -> None:
         frame = message.pack(self._codec)

@@ -1,7 +1,7 @@
 """One strategy per autopilot: its modes, and the messages that a flight needs of it.
 
-ArduCopter: position + velocity + yaw setpoints in guided mode; it holds in BRAKE, not LOITER, which sinks
-without a throttle stick (measured: reference ardupilot, section 2).
+ArduCopter: position + velocity + yaw setpoints in guided mode; it holds in BRAKE, not LOITER,
+which sinks without a throttle stick (measured: reference/ardupilot.md, section 2).
 """
 
 from collections.abc import Mapping

@@ -1,10 +1,10 @@
 """One scan of the terrain radar, over TERRAIN_REQUEST, TERRAIN_DATA and TERRAIN_REPORT.
 
 Requests cover 28 x 32 cells: 7 x 8 blocks of 4 x 4 (message definition: "row major 8x7 array
-of grids").  One is outstanding; what it leaves unanswered is asked for again, and stays unknown if that
-does not help either.  Cells run along true north and east of a request's corner, the lattice of
-the known map along the local frame: each request is laid so that its middle agrees, and how far
-its corners are off is part of the answer (design section 4).
+of grids").  One is outstanding; what it leaves unanswered is asked for again, and stays unknown
+if that does not help either.  Cells run along true north and east of a request's corner, the
+lattice of the known map along the local frame: each request is laid so that its middle agrees,
+and how far its corners are off is part of the answer (design section 4).
 """
 
 import math

@@ -86,8 +86,8 @@ class KnownMap:
         self, row: int, column: int, shape: tuple[int, int]
     ) -> tuple[FloatArray, FloatArray]:
         """North (rows, 1) and east (1, columns) of the middles of a window of cells, metres."""
-        north: FloatArray = self.north_min_m + (row + np.arange(shape[0]) + 0.5) * self.cell_m
-        east: FloatArray = self.east_min_m + (column + np.arange(shape[1]) + 0.5) * self.cell_m
+        north = self.north_min_m + np.arange(row + 0.5, row + shape[0]) * self.cell_m
+        east = self.east_min_m + np.arange(column + 0.5, column + shape[1]) * self.cell_m
         return north[:, None], east[None, :]
 
 

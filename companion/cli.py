@@ -1,0 +1,260 @@
+"""The command line: fly, plan, check."""
+
+import contextlib
+import platform
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from enum import StrEnum
+from importlib.metadata import version
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from companion.config import load_mission, load_world, mission_text
+from companion.errors import CompanionError, FlightFailed, InputError
+from companion.mission.events import Outcome
+from companion.planner.offline import OfflineFlight, fly_offline
+from companion.runtime.link import UdpLink
+from companion.runtime.loop import fly
+from companion.session import Session
+from companion.telemetry.flown import Flown
+from companion.telemetry.run_folder import RunFolder
+from companion.views.live import Progress
+from companion.views.pictures import draw_flown, draw_offline
+from companion.views.words import flight_table, mission_words
+from companion.world.known_map import empty_map
+from companion.world.simulated_scan import true_map
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    help=(
+        "Plans a drone's path online, past mountains and radars that it knows only in part, "
+        "and flies it over MAVLink.\n\n"
+        "Start with **companion plan environment-1 environment-1**: no vehicle needed. "
+        "Then fly it: start **vehicle-sim environment-1 --lockstep** in one terminal and "
+        "**companion fly environment-1 --lockstep** in another."
+    ),
+)
+
+
+class ProfileName(StrEnum):
+    """How the planner takes the paper."""
+
+    FLIGHT = "flight"
+    PAPER = "paper"
+
+
+MissionArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="MISSION", help="A mission.toml, or a bundled name: environment-1, environment-2."
+    ),
+]
+ProfileOption = Annotated[
+    ProfileName | None,
+    typer.Option(
+        help="*flight*: made safe, checked before it is flown (the default). "
+        "*paper*: literally as published, for comparison; not safe to fly."
+    ),
+]
+SeedOption = Annotated[
+    int, typer.Option(min=0, help="Seed of the search: the same seed plans the same path.")
+]
+
+
+@app.command("fly")
+def fly_command(
+    mission: MissionArgument,
+    connect: Annotated[
+        str,
+        typer.Option(help="Where the vehicle is: udpin:HOST:PORT waits for it, udpout: calls it."),
+    ] = "udpin:127.0.0.1:14540",
+    lockstep: Annotated[
+        bool,
+        typer.Option(
+            "--lockstep",
+            help="Let a simulator that was started with --lockstep run as fast as both can.",
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Run folder to write; by default runs/DATE-MISSION."),
+    ] = None,
+    seed: SeedOption = 1,
+    profile: ProfileOption = None,
+) -> None:
+    """Fly a mission: wait for the vehicle, take off, plan and follow subpaths to the target.
+
+    Writes a run folder with the telemetry log, the journal of all decisions and a picture.
+    Exit code: 0 arrived, 1 the flight failed, 2 the input was wrong, 130 stopped by Ctrl-C.
+    """
+    console = Console()
+    chosen = load_mission(mission, profile and profile.value)
+    began = datetime.now(UTC)
+    folder_path = out or Path("runs") / f"{began:%Y%m%d-%H%M%S}-{chosen.name}"
+    session = Session(chosen, seed=seed, lockstep=lockstep)
+    with (
+        UdpLink(connect) as link,
+        RunFolder(
+            folder_path, mission_toml=mission_text(mission), epoch_us=round(began.timestamp() * 1e6)
+        ) as folder,
+        Progress(console) as progress,
+        _stop_signals() as stop_asked,
+    ):
+        profile_name = chosen.task.settings.profile.name
+        folder.header(
+            {"mission": chosen.name, "seed": seed, "profile": profile_name, "lockstep": lockstep}
+        )
+        flown = fly(
+            session,
+            link,
+            folder,
+            lockstep=lockstep,
+            on_progress=progress.show,
+            stop_asked=lambda: bool(stop_asked),
+        )
+        folder.run_json(_run_facts(flown, began, connect))
+    draw_flown(flown, folder_path / "flight.png")
+    console.print(flight_table(flown))
+    console.print(f"run folder: {folder_path}", soft_wrap=True, highlight=False)
+    _exit_as_it_ended(flown, connect)
+
+
+@app.command("plan")
+def plan_command(
+    world: Annotated[str, typer.Argument(metavar="WORLD", help="A world.toml or a bundled name.")],
+    mission: MissionArgument,
+    out: Annotated[Path, typer.Option(help="Picture to write.")] = Path("plan.png"),
+    seed: SeedOption = 1,
+    profile: ProfileOption = None,
+) -> None:
+    """Plan a mission without a vehicle: simulated scans of the world, perfect tracking.
+
+    Writes a picture: the path in three dimensions, from above, and as a vertical profile.
+    """
+    console = Console()
+    chosen, place = load_mission(mission, profile and profile.value), load_world(world)
+    task, limits = chosen.task, chosen.task.limits
+    blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
+    truth = true_map(place.terrain, blank)
+    began_s = time.perf_counter()
+    flight = fly_offline(
+        task,
+        blank=blank,
+        truth=truth,
+        start_nea_m=(*place.start_ne_m, chosen.take_off_amsl_m),
+        target_ne_m=chosen.targets_ne_m[-1],
+        seed=seed,
+    )
+    took_s = time.perf_counter() - began_s
+    for number, planned in enumerate(flight.plans, start=1):
+        report = planned.report
+        console.print(
+            f"subpath {number:2d}: cost {planned.cost:6.2f}, "
+            f"clearance {report.clearance_m:5.0f} m, "
+            f"tightest turn {report.turn_radius_m / 1000:5.1f} km, "
+            f"inside radars {report.radar_m / 1000:4.1f} km",
+            highlight=False,
+        )
+    length_m = draw_offline(flight, chosen, truth, out)
+    console.print(
+        f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s; "
+        f"picture: {out}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    _exit_as_planned(flight)
+
+
+@app.command("check")
+def check_command(mission: MissionArgument, profile: ProfileOption = None) -> None:
+    """Check a mission file and say in words what the mission will do."""
+    Console(soft_wrap=True).print(
+        mission_words(load_mission(mission, profile and profile.value)), highlight=False
+    )
+
+
+@app.callback()
+def _common(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.")
+    ] = False,
+) -> None:
+    if show_version:
+        Console().print(version("companion"), highlight=False)
+        raise typer.Exit
+
+
+def main() -> None:
+    """Entry point: every expected failure is one line and an exit code."""
+    try:
+        app(standalone_mode=True)
+    except CompanionError as error:
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(error.exit_code)
+
+
+# --- the end of a command
+
+
+def _exit_as_it_ended(flown: Flown, connect: str) -> None:
+    end = flown.end
+    if end is None or end.outcome is Outcome.FAILED:
+        reason = "the flight did not end" if end is None else end.reason
+        remedy = "" if end is None else end.remedy
+        if not flown.heard:
+            raise InputError(
+                "--connect",
+                connect,
+                "no vehicle was heard within 10 s",
+                "Start the vehicle, or give the address that it sends to.",
+            )
+        raise FlightFailed(reason, remedy)
+    if end.outcome is Outcome.STOPPED:
+        raise typer.Exit(130)
+
+
+def _exit_as_planned(flight: OfflineFlight) -> None:
+    if flight.failure is not None:
+        broken = ", ".join(flight.failure.broken)
+        raise FlightFailed(f"{flight.failure.refusal.value} (broken: {broken})", "")
+    if not flight.legs[-1].reaches_target:
+        raise FlightFailed("the target was not reached", "Look at the picture for a trap.")
+
+
+@contextlib.contextmanager
+def _stop_signals() -> Iterator[list[int]]:
+    """Collect SIGINT and SIGTERM instead of being ended by them."""
+    received: list[int] = []
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        received.append(number)
+
+    before = {each: signal.signal(each, note) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+
+def _run_facts(flown: Flown, began: datetime, connect: str) -> dict[str, object]:
+    return {
+        "companion": version("companion"),
+        "began": began.isoformat(),
+        "connect": connect,
+        "machine": platform.platform(),
+        "python": platform.python_version(),
+        "wall_s": flown.elapsed_s,
+        "times_real_time": flown.times_real_time,
+        "planning_s": flown.plans_s,
+    }

@@ -1,0 +1,1 @@
+"""The only sockets, clock, threads and processes of the companion."""

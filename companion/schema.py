@@ -1,0 +1,247 @@
+"""The tables of world and mission files, and what is said of one that breaks a rule.
+
+Keys carry their SI unit, altitudes their datum; unknown keys are refused with the nearest known
+one named.  A broken rule is one line: field, value, rule, remedy.
+"""
+
+import difflib
+import types
+import typing
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
+
+from companion.errors import InputError
+from companion.objective.scene import Weights
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Slope = Annotated[float, Field(gt=0.0, lt=90.0)]
+Horizontal = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Altitude = Annotated[float, Field(ge=-500.0, le=50_000.0, allow_inf_nan=False)]
+
+
+class Table(BaseModel):
+    """A table of a file: its keys and no others, each of its own type."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class OriginTable(Table):
+    """Where the local frame has its origin."""
+
+    latitude_deg: Annotated[float, Field(ge=-85.0, le=85.0)]
+    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)]
+
+
+class AreaTable(Table):
+    """The map: no path leaves it."""
+
+    north_min_m: Horizontal
+    north_max_m: Horizontal
+    east_min_m: Horizontal
+    east_max_m: Horizontal
+
+
+class BandTable(Table):
+    """The altitudes between which to fly."""
+
+    floor_amsl_m: Altitude
+    ceiling_amsl_m: Altitude
+
+
+class TargetTable(Table):
+    """A place to reach; its altitude is free within the band."""
+
+    north_m: Horizontal
+    east_m: Horizontal
+
+
+class RadarTable(Table):
+    """A radar: known threat in a mission, true one in a world."""
+
+    name: str
+    north_m: Horizontal
+    east_m: Horizontal
+    altitude_amsl_m: Altitude
+    range_m: Positive
+
+
+class KeepOutTable(Table):
+    """A zone that is never entered: a circle or a polygon."""
+
+    name: str
+    north_m: Horizontal | None = None
+    east_m: Horizontal | None = None
+    radius_m: Positive | None = None
+    vertices_m: list[Annotated[list[Horizontal], Field(min_length=2, max_length=2)]] | None = None
+
+
+class MissionVehicleTable(Table):
+    """What the vehicle can fly, and how it is to be flown."""
+
+    kind: Literal["copter"]
+    autopilot: Literal["ardupilot"]
+    system_id: Annotated[int, Field(ge=1, le=255)] = 1
+    speed_m_s: Positive
+    acceleration_m_s2: Positive
+    climb_rate_m_s: Positive
+    turn_radius_m: Positive
+    climb_angle_deg: Slope
+    dive_angle_deg: Slope
+    tracking_error_m: Positive = 10.0
+    position_rate_hz: Annotated[float, Field(ge=2.0, le=50.0)] = 10.0
+
+
+class WeightsTable(Table):
+    """a_1 .. a_6 of eq. 5."""
+
+    length: Annotated[float, Field(ge=0.0)] = Weights().length
+    height: Annotated[float, Field(ge=0.0)] = Weights().height
+    guide: Annotated[float, Field(ge=0.0)] = Weights().guide
+    crash: Annotated[float, Field(ge=0.0)] = Weights().crash
+    radar: Annotated[float, Field(ge=0.0)] = Weights().radar
+    constraints: Annotated[float, Field(ge=0.0)] = Weights().constraints
+
+
+class PlannerTable(Table):
+    """Distances and times of the online procedure, and the budget of the search."""
+
+    scan_range_m: Positive
+    safety_distance_m: Positive
+    planning_time_s: Positive
+    scan_time_s: Positive = 4.0
+    scan_distance_m: Positive | None = None
+    overlap_m: Annotated[float, Field(ge=0.0)] = 2000.0
+    evaluations: Annotated[int, Field(ge=60, le=1_000_000)] = 3000
+    profile: Literal["flight", "paper"] = "flight"
+    weights: WeightsTable = WeightsTable()
+
+
+class EndTable(Table):
+    """What to do at the last target."""
+
+    action: Literal["hold", "land"]
+
+
+class MissionTable(Table):
+    """A mission.toml."""
+
+    schema_: Annotated[Literal[1], Field(alias="schema")]
+    name: str
+    origin: OriginTable
+    area: AreaTable
+    altitude: BandTable
+    targets: Annotated[list[TargetTable], Field(min_length=1)]
+    vehicle: MissionVehicleTable
+    planner: PlannerTable
+    end: EndTable
+    radars: list[RadarTable] = []
+    keep_outs: list[KeepOutTable] = []
+
+
+class PeakTable(Table):
+    """A mountain of eq. 1."""
+
+    north_m: Horizontal
+    east_m: Horizontal
+    height_amsl_m: Altitude
+    spread_north_m: Positive
+    spread_east_m: Positive
+
+
+class TerrainTable(Table):
+    """The true terrain of a world."""
+
+    combine: Literal["maximum", "sum"]
+    ground_amsl_m: Altitude
+    peaks: list[PeakTable] = []
+
+
+class WorldVehicleTable(BaseModel):
+    """Of the simulator's vehicle, only where it stands concerns the companion."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+    north_m: Horizontal
+    east_m: Horizontal
+
+
+class WorldTable(Table):
+    """A world.toml."""
+
+    schema_: Annotated[Literal[1], Field(alias="schema")]
+    name: str
+    origin: OriginTable
+    terrain: TerrainTable
+    radars: list[RadarTable] = []
+    vehicle: WorldVehicleTable
+    scanner: dict[str, Any] = {}
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def validated(model: type[Model], table: dict[str, Any], where: str) -> Model:
+    """The checked table, or the first broken rule as an InputError."""
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        details = error.errors()
+    unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
+    first = (unknown or details)[0]
+    field = f"{where}: {_dotted(first['loc'])}"
+    if first["type"] == "extra_forbidden":
+        raise _unknown_key(model, first, field)
+    if first["type"] == "missing":
+        key = first["loc"][-1]
+        raise InputError(field, None, "it is missing", f"Add {key}; see docs/files.md.")
+    message = first["msg"].replace("Input should be", "it must be")
+    unit = _unit_of(str(first["loc"][-1]))
+    raise InputError(field, first["input"], message, f"Give a valid value{unit}.")
+
+
+def _unknown_key(model: type[BaseModel], detail: ErrorDetails, field: str) -> InputError:
+    key = str(detail["loc"][-1])
+    known = _known_keys(model, detail["loc"][:-1])
+    nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
+    about_altitude = any(word in key for word in ("altitude", "floor", "ceiling", "height"))
+    if about_altitude and nearest and nearest[0].endswith("_amsl_m"):
+        rule = "an altitude must name its datum and unit, and only AMSL metres are known here"
+    else:
+        rule = "no such key (units are part of keys)"
+    listed = f"Did you mean {nearest[0]}?" if nearest else "Remove it."
+    return InputError(field, detail["input"], rule, f"{listed} Known here: {', '.join(known)}.")
+
+
+def _known_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
+    here: Any = model
+    for step in path:
+        if isinstance(step, str):
+            fields = {info.alias or name: info for name, info in here.model_fields.items()}
+            here = _table_in(fields[step].annotation)
+    return sorted(info.alias or name for name, info in here.model_fields.items())
+
+
+def _table_in(annotation: Any) -> Any:
+    if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias):
+        return annotation
+    return next(found for part in typing.get_args(annotation) if (found := _table_in(part)))
+
+
+def _dotted(location: tuple[int | str, ...]) -> str:
+    parts = [f"[{step}]" if isinstance(step, int) else f".{step}" for step in location]
+    return "".join(parts).lstrip(".")
+
+
+def _unit_of(key: str) -> str:
+    units = {
+        "_m_s2": " in metres per second squared",
+        "_m_s": " in metres per second",
+        "_amsl_m": " in metres above mean sea level",
+        "_m": " in metres",
+        "_s": " in seconds",
+        "_deg": " in degrees",
+        "_hz": " in hertz",
+    }
+    return next((unit for ending, unit in units.items() if key.endswith(ending)), "")

@@ -1,0 +1,87 @@
+"""The run folder of a flight: all that replay, report and resume need (design section 9).
+
+    flight.tlog    every frame, both ways: 8 bytes of microseconds since 1970 (big-endian), frame
+    journal.jsonl  a header, then events and decisions; a function of mission, seed and vehicle
+    mission.toml   the mission as flown (seed and profile: the journal's header)
+    run.json       what differs from run to run: when, where, how long plans took
+    flight.png     the picture
+
+Whatever was recorded stays readable to the last whole record, however the flight ends: each
+batch is handed to the operating system as soon as it is there.  The known map is in the
+TERRAIN_DATA frames of the log, the path in the journal: a restart needs nothing else.
+"""
+
+import json
+import struct
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, final
+
+from companion.errors import InputError
+
+JOURNAL_SCHEMA = "companion-journal"
+JOURNAL_VERSION = 1
+
+
+@final
+class RunFolder:
+    """Writes a run folder; frames and entries in the order in which they happened."""
+
+    def __init__(self, path: Path, *, mission_toml: str, epoch_us: int) -> None:
+        """epoch_us: microseconds since 1970 at vehicle time 0, for the log's stamps."""
+        self.path = path
+        self._epoch_us = epoch_us
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            if (path / "journal.jsonl").exists():
+                raise InputError(
+                    "--out", str(path), "it holds a flight already", "Give a new folder."
+                )
+            (path / "mission.toml").write_text(mission_toml, encoding="utf-8")
+            self._tlog = (path / "flight.tlog").open("wb", buffering=0)
+            self._journal = (path / "journal.jsonl").open("wb", buffering=0)
+        except OSError as error:
+            rule = f"it cannot be written to ({error.strerror})"
+            raise InputError("--out", str(path), rule, "Give a folder that can be.") from error
+
+    def header(self, values: Mapping[str, Any]) -> None:
+        """The first line of the journal: schema and version, and what the flight depends on."""
+        head = {"schema": JOURNAL_SCHEMA, "version": JOURNAL_VERSION, **values}
+        self._journal.write(_line(head))
+
+    def frames(self, stamped: Iterable[tuple[float, bytes]]) -> None:
+        """Frames with their vehicle times, seconds."""
+        batch = b"".join(
+            struct.pack(">Q", self._epoch_us + round(time_s * 1e6)) + frame
+            for time_s, frame in stamped
+        )
+        if batch:
+            self._tlog.write(batch)
+
+    def entries(self, entries: Iterable[Mapping[str, Any]]) -> None:
+        """Journal entries."""
+        batch = b"".join(_line(entry) for entry in entries)
+        if batch:
+            self._journal.write(batch)
+
+    def run_json(self, values: Mapping[str, Any]) -> None:
+        """What differs from run to run."""
+        text = json.dumps(values, indent=2) + "\n"
+        (self.path / "run.json").write_text(text, encoding="utf-8")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._tlog.close()
+        self._journal.close()
+
+
+def _line(entry: Mapping[str, Any]) -> bytes:
+    return json.dumps(entry, separators=(",", ":"), default=float).encode() + b"\n"

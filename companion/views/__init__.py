@@ -1,0 +1,1 @@
+"""What people look at: figures, words, and the progress of a flight."""

@@ -1,0 +1,65 @@
+"""The progress of a flight, in the terminal: one line that is redrawn, or lines in a log."""
+
+from types import TracebackType
+from typing import Self, final
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from companion.mission.state import Phase
+from companion.telemetry.flown import Flown
+
+
+@final
+class Progress:
+    """Shows a flight while it is flown; a context manager that gives the terminal back."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._told: tuple[Phase, int] | None = None
+
+    def show(self, flown: Flown) -> None:
+        """Draw the flight as it stands now."""
+        state = flown.session.state
+        if self._console.is_terminal:
+            self._live.update(Text(progress_line(flown)), refresh=True)
+        elif self._told != (state.phase, state.flight.legs_flown):
+            self._told = (state.phase, state.flight.legs_flown)
+            self._console.print(progress_line(flown), highlight=False, soft_wrap=True)
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._console.is_terminal:
+            self._live.stop()
+
+
+def progress_line(flown: Flown) -> str:
+    """Phase, time, distance to go, subpath, its cost and clearance, planning time, speed-up."""
+    session = flown.session
+    state = session.state
+    parts = [f"{state.phase.value:<10}", f"t {session.now_s:7.1f} s"]
+    if flown.to_go_m is not None:
+        parts.append(f"to go {flown.to_go_m / 1000:6.1f} km")
+    if flown.plans:
+        newest = flown.plans[-1]
+        parts.append(f"subpath {state.flight.legs_flown:2d}")
+        parts.append(f"cost {newest.cost:5.2f}")
+        parts.append(f"clearance {newest.report.clearance_m:5.0f} m")
+    if flown.plans_s:
+        parts.append(f"planned in {flown.plans_s[-1] * 1e3:4.0f} ms")
+    if session.now_s > 0.0:
+        parts.append(f"{flown.times_real_time:4.0f}x real time")
+    if state.reason is not None:
+        parts.append(f"({state.reason.text})")
+    return "  ".join(parts)

@@ -1,0 +1,86 @@
+"""A mission in words, and a flight in a table."""
+
+import itertools
+import math
+import statistics
+
+from rich.table import Table
+
+from companion.mission.mission import EndAction, Mission
+from companion.telemetry.flown import Flown
+
+
+def mission_words(mission: Mission) -> str:
+    """What a mission will do, for a person who has to decide whether to fly it."""
+    task, limits, settings = mission.task, mission.task.limits, mission.task.settings
+    profile = settings.profile
+    lines = [
+        f"{mission.name}: profile {profile.name}",
+        f"  Take off, climb straight up to {_m(mission.take_off_amsl_m)} AMSL, then fly at "
+        f"{limits.speed_m_s:g} m/s between {_m(limits.floor_amsl_m)} and "
+        f"{_m(limits.ceiling_amsl_m)} AMSL.",
+        f"  {_targets(mission)}",
+        f"  Turns no tighter than {_m(limits.turn_radius_m)}, climbs to "
+        f"{math.degrees(limits.climb_angle_rad):g}, dives to "
+        f"{math.degrees(limits.dive_angle_rad):g} degrees.",
+        f"  The radar sees {_m(settings.scan_range_m)} (R). {_m(task.scan_distance_m)} (L) before "
+        f"the end of each subpath it scans for up to {settings.scan_time_s:g} s, plans for "
+        f"{settings.planning_time_s:g} s (T), and goes over to the next subpath "
+        f"{_m(task.tail_m)} before the end.",
+        f"  Kept from terrain and keep-outs: {_m(settings.safety_distance_m)} (d_s). "
+        f"{_threats(mission)}",
+        f"  Each subpath: {settings.evaluations} candidates at {profile.samples} points; "
+        + ("checked every 10 m before it is flown." if profile.verified else "flown unchecked."),
+        "  If no safe subpath is found it flies the last one to its end, stops there and tries "
+        "again; after four attempts it holds and says why.",
+    ]
+    return "\n".join(lines)
+
+
+def _targets(mission: Mission) -> str:
+    last = "hold there" if mission.end_action is EndAction.HOLD else "land there"
+    places = [f"{_m(north)} north, {_m(east)} east" for north, east in mission.targets_ne_m]
+    route = " then ".join(places)
+    ends = [(0.0, 0.0), *mission.targets_ne_m]
+    straight = sum(math.dist(a, b) for a, b in itertools.pairwise(ends))
+    return f"Go to {route} of the origin ({_m(straight)} straight from there), and {last}."
+
+
+def _threats(mission: Mission) -> str:
+    task = mission.task
+    radars = f"{len(task.radars)} radars are known and avoided where possible"
+    zones = (
+        f"{len(task.keep_outs)} keep-outs are never entered" if task.keep_outs else "no keep-outs"
+    )
+    return f"{radars}; {zones}."
+
+
+def _m(value_m: float) -> str:
+    return f"{value_m / 1000:g} km" if abs(value_m) >= 1000.0 else f"{value_m:g} m"
+
+
+def flight_table(flown: Flown) -> Table:
+    """How a flight went."""
+    session = flown.session
+    table = Table(title=f"{session.mission.name}: {session.state.phase.value}", show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    rows = [("outcome", "none" if flown.end is None else flown.end.outcome.value)]
+    if flown.to_go_m is not None:
+        rows.append(("distance to target", f"{flown.to_go_m:,.1f} m"))
+    rows.append(("vehicle time", f"{session.now_s:,.1f} s"))
+    rows.append(("wall time", f"{flown.elapsed_s:,.1f} s"))
+    rows.append(("times real time", f"{flown.times_real_time:,.0f}x"))
+    rows.append(("subpaths flown", f"{session.state.flight.legs_flown}"))
+    if flown.plans:
+        rows.append(("cost of all subpaths", f"{sum(plan.cost for plan in flown.plans):.1f}"))
+        nearest = min(plan.report.clearance_m for plan in flown.plans)
+        rows.append(("least planned clearance", f"{nearest:,.0f} m"))
+        inside = sum(plan.report.radar_m for plan in flown.plans)
+        rows.append(("planned inside radar ranges", f"{inside:,.0f} m"))
+    if flown.plans_s:
+        median, worst = statistics.median(flown.plans_s), max(flown.plans_s)
+        rows.append(("planning, median / longest", f"{median * 1e3:,.0f} / {worst * 1e3:,.0f} ms"))
+    for name, value in rows:
+        table.add_row(name, value)
+    return table

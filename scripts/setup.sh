@@ -1,0 +1,23 @@
+# Sourced by the other scripts: a virtual environment in the checkout, with pinned versions.
+# usage: . scripts/setup.sh requirements.txt
+cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
+python=${PYTHON:-python3}
+venv=${VENV:-.venv}
+if ! "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+    echo "error: PYTHON = '$python': Python 3.11 or newer is needed. Install it, or set PYTHON." >&2
+    exit 2
+fi
+stamp="$venv/.installed-$1"
+wanted=$(cat "$1" pyproject.toml | cksum)
+if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
+    if ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
+        echo "error: this Python has no venv. On Debian or Ubuntu: sudo apt install python3-venv" >&2
+        exit 2
+    fi
+    echo "setting up $venv (once, about a minute) ..."
+    "$python" -m venv "$venv" &&
+        "$venv/bin/pip" install -q --disable-pip-version-check --require-hashes -r "$1" &&
+        "$venv/bin/pip" install -q --disable-pip-version-check --no-deps --no-build-isolation -e . ||
+        exit 1
+    echo "$wanted" >"$stamp"
+fi

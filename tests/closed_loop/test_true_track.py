@@ -1,0 +1,323 @@
+import importlib.util
+import json
+import math
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+FloatArray = NDArray[np.float64]
+
+
+def load_true_track() -> ModuleType:
+    """Load the module beside this file: tests are files, not a package."""
+    if (loaded := sys.modules.get("true_track")) is not None:
+        return loaded
+    path = Path(__file__).with_name("true_track.py")
+    spec = importlib.util.spec_from_file_location("true_track", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["true_track"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+true_track = load_true_track()
+
+PEAK = {
+    "north_m": 10_000.0,
+    "east_m": 2_000.0,
+    "height_amsl_m": 5_200.0,
+    "spread_north_m": 3_000.0,
+    "spread_east_m": 4_000.0,
+}
+
+
+def a_world(*peaks: dict[str, float], radars: tuple[dict[str, Any], ...] = ()) -> dict[str, Any]:
+    return {
+        "origin": {"latitude_deg": 47.0, "longitude_deg": 8.0},
+        "terrain": {"combine": "maximum", "ground_amsl_m": 0.0, "peaks": list(peaks)},
+        "radars": list(radars),
+    }
+
+
+def a_mission(**changes: Any) -> dict[str, Any]:
+    mission: dict[str, Any] = {
+        "origin": {"latitude_deg": 47.0, "longitude_deg": 8.0},
+        "altitude": {"floor_amsl_m": 3000.0, "ceiling_amsl_m": 5000.0},
+        "targets": [{"north_m": 20_000.0, "east_m": 0.0}],
+        "vehicle": {"turn_radius_m": 2500.0, "climb_angle_deg": 10.0, "dive_angle_deg": 10.0},
+        "planner": {"safety_distance_m": 500.0},
+    }
+    return mission | changes
+
+
+def a_straight_track(
+    speed_m_s: float = 150.0, altitude_m: float = 3500.0, length_m: float = 20_000.0
+) -> tuple[FloatArray, FloatArray]:
+    t_s = np.append(np.arange(0.0, length_m / speed_m_s, 0.1), length_m / speed_m_s)
+    return t_s, np.stack([speed_m_s * t_s, 0 * t_s, 0 * t_s + altitude_m], axis=-1)
+
+
+def a_helix(
+    radius_m: float, speed_m_s: float, climb_deg: float, duration_s: float = 60.0
+) -> tuple[FloatArray, FloatArray]:
+    t_s = np.arange(0.0, duration_s, 0.1)
+    angle = speed_m_s * t_s / radius_m
+    up = speed_m_s * t_s * math.tan(math.radians(climb_deg))
+    north, east = radius_m * np.cos(angle), radius_m * np.sin(angle)
+    return t_s, np.stack([north, east, 4000.0 + up], axis=-1)
+
+
+def verdict(track: Any, name: str) -> bool:
+    (check,) = (check for check in track.checks if check.name == name)
+    return bool(check.ok)
+
+
+@settings(deadline=None, max_examples=20)
+@given(radius_m=st.floats(500, 20_000), speed_m_s=st.floats(25, 170))
+def test_a_circle_has_its_radius_at_any_speed(radius_m: float, speed_m_s: float) -> None:
+    _, radii, slopes = true_track.turns_and_slopes(*a_helix(radius_m, speed_m_s, 0.0))
+    # Positions between two samples lie on their chord: up to (speed 0.1 s)^2 / 8 R inside.
+    np.testing.assert_allclose(radii, radius_m, rtol=2e-3)
+    np.testing.assert_allclose(slopes, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("climb_deg", [-12.0, -3.0, 3.0, 10.0])
+def test_a_helix_climbs_at_its_angle_up_to_chord_over_arc(climb_deg: float) -> None:
+    radius_m, speed_m_s = 3000.0, 150.0
+    _, radii, slopes = true_track.turns_and_slopes(*a_helix(radius_m, speed_m_s, climb_deg))
+    half = speed_m_s / radius_m / 2  # half the angle turned in 1 s
+    expected = math.atan(math.tan(math.radians(climb_deg)) * half / math.sin(half))
+    np.testing.assert_allclose(slopes, expected, rtol=1e-3)
+    np.testing.assert_allclose(radii, radius_m, rtol=2e-3)
+
+
+def test_turns_and_slopes_are_not_judged_at_low_speed() -> None:
+    times, _, _ = true_track.turns_and_slopes(*a_helix(30.0, 15.0, 20.0))
+    assert len(times) == 0
+
+
+@pytest.mark.parametrize("altitude_m", [3100.0, 4000.0, 5500.0, 7000.0])
+@pytest.mark.parametrize("peak_east_m", [0.0, 1500.0, 5000.0])
+def test_a_straight_line_past_one_mountain_has_the_clearance_that_scipy_finds(
+    altitude_m: float, peak_east_m: float
+) -> None:
+    peak = PEAK | {"east_m": peak_east_m}
+    surface = true_track.surface_of(a_world(peak))
+
+    def height(n: float, e: float) -> float:
+        x, y = (n - 10_000.0) / 3_000.0, (e - peak_east_m) / 4_000.0
+        return max(5_200.0 * math.exp(-x * x - y * y), 0.0)
+
+    def distance(q: FloatArray) -> float:
+        """From the point of the line at north q[0] to the surface at q[1], q[2]."""
+        return math.dist((q[0], 0.0, altitude_m), (q[1], q[2], height(q[1], q[2])))
+
+    _, track = a_straight_track(altitude_m=altitude_m)
+    _, points = true_track.resampled(np.arange(float(len(track))), track)
+    clearance = float(true_track.clearances_m(points, surface).min())
+    if height(10_000.0, 0.0) > altitude_m:
+        assert clearance < 0  # the line runs through the mountain
+        return
+    starts = [(10_000.0 + dn, 10_000.0, e) for dn in (-1e3, 0, 1e3) for e in (0.0, peak_east_m / 2)]
+    oracle = min(
+        minimize(
+            distance,
+            np.array(q),
+            method="Nelder-Mead",
+            options={"xatol": 1e-3, "fatol": 1e-6, "maxiter": 4000, "maxfev": 4000},
+        ).fun
+        for q in starts
+    )
+    assert clearance == pytest.approx(oracle, abs=1.0)
+
+
+def test_clearance_agrees_with_brute_force_over_a_range_of_mountains() -> None:
+    rng = np.random.default_rng(3)
+    peaks = [
+        {
+            "north_m": float(rng.uniform(0, 12_000)),
+            "east_m": float(rng.uniform(-4_000, 4_000)),
+            "height_amsl_m": float(rng.uniform(2_000, 3_200)),
+            "spread_north_m": float(rng.uniform(800, 3_000)),
+            "spread_east_m": float(rng.uniform(800, 3_000)),
+        }
+        for _ in range(8)
+    ]
+    for combine in ("maximum", "sum"):
+        world = a_world(*peaks)
+        world["terrain"]["combine"] = combine
+        surface = true_track.surface_of(world)
+        points = rng.uniform((2_000, -2_000, 3_400), (10_000, 2_000, 5_000), (20, 3))
+        if combine == "sum":
+            points[:, 2] += 4_000
+        found = true_track.clearances_m(points, surface)
+        for point, clearance in zip(points, found, strict=True):
+            around = np.arange(-abs(clearance), abs(clearance) + 10, 10.0)
+            n, e = np.meshgrid(point[0] + around, point[1] + around)
+            brute = np.sqrt((n - point[0]) ** 2 + (e - point[1]) ** 2
+                            + (surface.height_m(n, e) - point[2]) ** 2).min()  # fmt: skip
+            assert brute - 5.0 <= clearance <= brute + 1.0
+
+
+def test_level_flight_over_a_plain_has_its_altitude_as_clearance() -> None:
+    track = true_track.judge(a_world(), a_mission(), *a_straight_track(altitude_m=3500.0))
+    assert track.clearance_m == pytest.approx(3500.0, abs=1e-6)
+    assert track.length_m == pytest.approx(20_000.0)
+    assert track.duration_s == pytest.approx(20_000.0 / 150.0)
+    assert track.turn_radius_m == math.inf
+    assert track.ok
+
+
+@given(
+    speed_m_s=st.floats(5, 170),
+    offset_m=st.floats(0, 4_900),
+    period_s=st.floats(1.0, 100.0),
+)
+def test_time_inside_a_radar_is_the_chord_over_the_speed(
+    speed_m_s: float, offset_m: float, period_s: float
+) -> None:
+    t_s = np.arange(0.0, 20_000.0 / speed_m_s + period_s, period_s)
+    track = np.stack([speed_m_s * t_s, 0 * t_s, 0 * t_s + 3000.0], axis=-1)
+    centre = np.array([10_000.0, offset_m * 0.6, 3000.0 - offset_m * 0.8])
+    inside = true_track.seconds_inside(t_s, track, centre, 5_000.0).sum()
+    chord_s = 2 * math.sqrt(5_000.0**2 - offset_m**2) / speed_m_s
+    assert inside == pytest.approx(chord_s, rel=1e-6)
+
+
+def test_hovering_inside_a_radar_counts_every_second() -> None:
+    t_s = np.arange(0.0, 10.0)
+    track = np.tile([100.0, 0.0, 3000.0], (10, 1))
+    assert true_track.seconds_inside(t_s, track, np.zeros(3), 3100.0).sum() == 9.0
+    assert true_track.seconds_inside(t_s, track, np.zeros(3), 2900.0).sum() == 0.0
+
+
+def test_a_track_through_a_radar_is_a_violation_and_one_above_it_is_not() -> None:
+    radar = {"name": "radar 1", "north_m": 10_000.0, "east_m": 0.0, "altitude_amsl_m": 0.0}
+    through = a_world(radars=(radar | {"range_m": 5_000.0},))
+    below = a_world(radars=(radar | {"range_m": 3_400.0},))
+    seen = true_track.judge(through, a_mission(), *a_straight_track(altitude_m=3000.0))
+    assert seen.radar_s["radar 1"] == pytest.approx(8_000.0 / 150.0)  # 3-4-5
+    assert not verdict(seen, "time inside radar 1")
+    assert not seen.ok
+    assert true_track.judge(below, a_mission(), *a_straight_track()).ok
+
+
+def test_a_keep_out_is_entered_as_deep_as_its_middle_is_away_from_its_edge() -> None:
+    circle = {"north_m": 10_000.0, "east_m": 300.0, "radius_m": 1_000.0}
+    square = {"vertices_m": [[9_000, -400], [11_000, -400], [11_000, 9_000], [9_000, 9_000]]}
+    beside = {"vertices_m": [[9_000, 10], [11_000, 10], [11_000, 9_000], [9_000, 9_000]]}
+    for zone, depth in ((circle, 700.0), (square, 400.0), (beside, 0.0)):
+        mission = a_mission(keep_outs=[zone])
+        track = true_track.judge(a_world(), mission, *a_straight_track())
+        assert track.keep_out_intrusion_m == pytest.approx(depth, abs=0.1)
+        assert track.ok == (depth == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "track", "ok"),
+    [
+        ("turn radius", a_helix(2_400.0, 150.0, 0.0), True),
+        ("turn radius", a_helix(2_350.0, 150.0, 0.0), False),
+        ("climb angle", a_helix(9_000.0, 25.0, 10.4, 30.0), True),
+        ("climb angle", a_helix(9_000.0, 25.0, 10.6, 30.0), False),
+        ("dive angle", a_helix(9_000.0, 25.0, -10.4, 30.0), True),
+        ("dive angle", a_helix(9_000.0, 25.0, -10.6, 30.0), False),
+        ("highest altitude AMSL", a_straight_track(altitude_m=5024.0), True),
+        ("highest altitude AMSL", a_straight_track(altitude_m=5026.0), False),
+        ("end to target", a_straight_track(length_m=20_049.0), True),
+        ("end to target", a_straight_track(length_m=20_051.0), False),
+    ],
+)
+def test_a_bound_may_be_missed_by_its_tolerance_and_no_more(
+    name: str, track: tuple[FloatArray, FloatArray], ok: bool
+) -> None:
+    assert verdict(true_track.judge(a_world(), a_mission(), *track), name) is ok
+
+
+@pytest.mark.parametrize(("clearance_m", "ok"), [(480.0, True), (470.0, False)])
+def test_terrain_may_be_five_percent_nearer_than_the_safety_distance(
+    clearance_m: float, ok: bool
+) -> None:
+    world = a_world()
+    world["terrain"]["ground_amsl_m"] = 3500.0 - clearance_m
+    track = true_track.judge(world, a_mission(), *a_straight_track())
+    assert verdict(track, "distance to terrain") is ok
+
+
+def test_the_climb_out_is_not_judged_but_a_later_dip_below_the_floor_is() -> None:
+    t_s, cruise = a_straight_track()
+    climb = np.stack([np.zeros(36), np.zeros(36), np.linspace(0, 3500, 36)], axis=-1)
+    times = np.concatenate([np.arange(36.0), 36.0 + t_s])
+    whole = np.concatenate([climb, cruise])
+    track = true_track.judge(a_world(), a_mission(), times, whole)
+    assert track.lowest_amsl_m == 3500.0
+    assert track.begin_s == 36.0
+    whole[700, 2] = 2900.0
+    dipped = true_track.judge(a_world(), a_mission(), times, whole)
+    assert dipped.lowest_amsl_m == 2900.0
+    assert not verdict(dipped, "lowest altitude AMSL")
+
+
+def test_leaving_below_the_band_is_judged() -> None:
+    track = true_track.judge(a_world(), a_mission(), *a_straight_track(altitude_m=2000.0))
+    assert not verdict(track, "lowest altitude AMSL")
+
+
+def test_a_vehicle_that_never_flew_is_an_error_and_not_a_success() -> None:
+    with pytest.raises(ValueError, match="never flew"):
+        true_track.judge(a_world(), a_mission(), np.arange(9.0), np.zeros((9, 3)))
+
+
+def _as_toml(table: dict[str, Any]) -> str:
+    lines: list[str] = []
+    tables: list[str] = []
+    for key, value in table.items():
+        items = value if isinstance(value, list) else [value]
+        head = f"[[{key}]]" if isinstance(value, list) else f"[{key}]"
+        for item in items:
+            plain = {k: v for k, v in item.items() if not isinstance(v, list)}
+            tables += [head, *(f"{k} = {json.dumps(v)}" for k, v in plain.items())]
+    return "\n".join(lines + tables)
+
+
+def test_the_command_reads_the_files_and_exits_1_on_a_violation(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = ("world.toml", "mission.toml", "truth.jsonl")
+    world, mission, truth = (tmp_path / name for name in names)
+    world.write_text(_as_toml(a_world()))
+    mission.write_text(_as_toml(a_mission()))
+    codes = []
+    for altitude_m in (3500.0, 5500.0):
+        lines = [json.dumps({"schema": 1, "world": "plain", "seed": 0})]
+        keys = ("north_m", "east_m", "altitude_amsl_m")
+        for t, point in zip(*a_straight_track(altitude_m=altitude_m), strict=True):
+            row = dict(zip(keys, point.tolist(), strict=True))
+            lines.append(json.dumps({"t_s": float(t), **row, "mode": "GUIDED"}))
+        truth.write_text("\n".join(lines) + "\n")
+        codes.append(true_track.main([str(world), str(mission), str(truth)]))
+        assert ("VIOLATION" in capsys.readouterr().out) == (altitude_m > 5000.0)
+        true_track.main([str(world), str(mission), str(truth), "--json"])
+        result = json.loads(capsys.readouterr().out)
+        assert result["highest_amsl_m"] == altitude_m
+        assert result["ok"] == (altitude_m < 5000.0)
+    assert codes == [0, 1]
+
+
+def test_truth_that_is_not_finite_or_runs_backwards_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "truth.jsonl"
+    good = '{"t_s": 1.0, "north_m": 0.0, "east_m": 0.0, "altitude_amsl_m": 0.0}'
+    for bad in (good, good.replace("1.0", "NaN"), ""):
+        path.write_text("\n".join(["{}", good, bad]))
+        with pytest.raises(ValueError, match="rising t_s"):
+            true_track.read_truth(path)

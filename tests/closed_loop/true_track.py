@@ -1,0 +1,449 @@
+"""An independent judge of a flown track: what the vehicle truly did, against the true world.
+
+    python tests/closed_loop/true_track.py WORLD_TOML MISSION_TOML TRUTH_JSONL [--json]
+
+It shares no code with the two programs that it judges. Everything happens in the local frame:
+north, east, altitude AMSL in metres (`_nea_m`); velocities are differences of positions.
+
+What is judged begins at the first sample that is in the band (no more than 5 % of the safety
+distance below the floor) and moves at more than 1 m/s over the ground, or at the first sample
+more than 100 m (horizontally) from the place of take-off, whichever comes first: a climb-out
+that wanders off below the band is judged too. It goes on to the end of the file.
+
+- Terrain: the track is resampled every 10 m. Each point's nearest place on the surface is looked up
+  among surface samples 100 m apart and then searched on ever finer grids about it, down to
+  decimetres. For the points that come out worst the whole disc in which a nearer place could lie is
+  searched again with 20 m samples, so that a second mountainside cannot hide behind the first.
+- Radars: the exact part of every straight piece of the track that lies within the sphere.
+- Turns: between the chords of two consecutive windows of 1 s; exact for a circle.
+- Climbs and dives: the slope of the chord of 1 s.
+"""
+
+import argparse
+import json
+import math
+import sys
+import tomllib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from scipy.spatial import cKDTree
+
+FloatArray = NDArray[np.float64]
+
+TOLERANCE = 0.05
+"""The part of a bound by which it may be missed; for altitudes, of the safety distance."""
+ARRIVED_M = 50.0
+"""As far as the end may be from the last target, horizontally."""
+RESAMPLE_M = 10.0
+WINDOW_S = 1.0
+SLOWEST_M_S = 20.0
+"""Turns and slopes are judged above this ground speed only."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """One figure of the track beside the bound that it had to keep."""
+
+    name: str
+    value: float
+    unit: str
+    relation: str
+    """">=" or "<=", or "" for a figure without a bound."""
+    bound: float
+    """What the mission asks; NaN without a relation."""
+    limit: float
+    """The bound with its tolerance: what is enforced."""
+    t_s: float
+    """Vehicle time of the worst moment; NaN where there is none."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether the limit was kept."""
+        if self.relation == ">=":
+            return self.value >= self.limit
+        return self.relation == "" or self.value <= self.limit
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrueTrack:
+    """What a flown track truly was."""
+
+    clearance_m: float
+    """Least Euclidean distance to the terrain surface; negative below it."""
+    radar_s: dict[str, float]
+    """Seconds within the sphere of each radar, by its name."""
+    radar_total_s: float
+    """Sum over the radars: two at once count twice."""
+    keep_out_intrusion_m: float
+    """Greatest depth inside a keep-out zone; 0 outside all of them."""
+    turn_radius_m: float
+    """Smallest; infinite for a track without a turn."""
+    climb_deg: float
+    dive_deg: float
+    lowest_amsl_m: float
+    highest_amsl_m: float
+    target_distance_m: float
+    """Horizontal distance of the last point from the last target."""
+    length_m: float
+    duration_s: float
+    begin_s: float
+    """Vehicle time at which the judged part begins."""
+    checks: tuple[Check, ...]
+
+    @property
+    def violations(self) -> tuple[Check, ...]:
+        """The checks that failed."""
+        return tuple(check for check in self.checks if not check.ok)
+
+    @property
+    def ok(self) -> bool:
+        """Whether every bound was kept."""
+        return not self.violations
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """The true terrain: mountains of eq. 1 on a plain."""
+
+    peaks: FloatArray
+    """(K, 5): north, east, height, spread north, spread east, in metres."""
+    ground_amsl_m: float
+    combine: str
+
+    def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Height AMSL of the surface. (...), (...) -> (...)."""
+        height = np.full(np.broadcast(north_m, east_m).shape, -np.inf)
+        if self.combine == "sum":
+            height = np.zeros_like(height)
+        for n, e, h, spread_n, spread_e in self.peaks:
+            peak = h * np.exp(-(((north_m - n) / spread_n) ** 2) - ((east_m - e) / spread_e) ** 2)
+            height = height + peak if self.combine == "sum" else np.maximum(height, peak)
+        surface: FloatArray = np.maximum(height, self.ground_amsl_m)
+        return surface
+
+
+def surface_of(world: dict[str, Any]) -> Surface:
+    """Read the terrain of a parsed world.toml."""
+    terrain = world["terrain"]
+    keys = ("north_m", "east_m", "height_amsl_m", "spread_north_m", "spread_east_m")
+    rows = [[float(peak[key]) for key in keys] for peak in terrain.get("peaks", [])]
+    if terrain["combine"] not in ("maximum", "sum"):
+        raise ValueError(f"terrain.combine = {terrain['combine']!r}: neither maximum nor sum")
+    return Surface(
+        peaks=np.array(rows, dtype=np.float64).reshape(-1, 5),
+        ground_amsl_m=float(terrain["ground_amsl_m"]),
+        combine=terrain["combine"],
+    )
+
+
+def clearances_m(points_nea_m: FloatArray, surface: Surface) -> FloatArray:
+    """Euclidean distance of points to the surface, negative below it. (P, 3) -> (P,)."""
+    north, east, altitude = points_nea_m.T
+    above = altitude - surface.height_m(north, east)
+    # Nothing nearer than the ground straight below can lie further away than it, sideways.
+    reach = float(np.abs(above).max()) + 200.0
+    axes = [np.arange(a.min() - reach, a.max() + reach + 100.0, 100.0) for a in (north, east)]
+    n, e = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
+    samples = np.stack([n, e, surface.height_m(n, e)], axis=-1)
+    _, nearest = cKDTree(samples, balanced_tree=False, compact_nodes=False).query(points_nea_m)
+    distance = _refined_m(points_nea_m, samples[nearest, :2], 150.0, surface)
+    distance = np.minimum(distance, _refined_m(points_nea_m, points_nea_m[:, :2], 150.0, surface))
+    for worst in _spread_worst(distance, 10):
+        around = np.arange(-distance[worst], distance[worst] + 20.0, 20.0)
+        n, e = (a.ravel() for a in np.meshgrid(north[worst] + around, east[worst] + around))
+        offsets = np.stack([n, e, surface.height_m(n, e)], axis=-1) - points_nea_m[worst]
+        k = int(np.argmin(np.sum(offsets**2, axis=-1)))
+        foot = np.array([[n[k], e[k]]])
+        again = _refined_m(points_nea_m[worst : worst + 1], foot, 30.0, surface)[0]
+        distance[worst] = min(distance[worst], again)
+    return np.where(above < 0, -distance, distance)
+
+
+def _refined_m(
+    points_nea_m: FloatArray, feet_ne_m: FloatArray, half_m: float, surface: Surface
+) -> FloatArray:
+    """Distance to the surface near given feet, by ever finer grids. (P, 3), (P, 2) -> (P,)."""
+    grid = np.linspace(-1.0, 1.0, 7)
+    step = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)  # (G, 2)
+    rows = np.arange(len(points_nea_m))
+    best = np.full(len(points_nea_m), np.inf)
+    feet = feet_ne_m
+    while half_m > 0.1:
+        tried = feet[:, None, :] + half_m * step  # (P, G, 2)
+        height = surface.height_m(tried[..., 0], tried[..., 1])
+        ground = np.sum((tried - points_nea_m[:, None, :2]) ** 2, axis=-1)
+        squared = ground + (height - points_nea_m[:, None, 2]) ** 2
+        k = np.argmin(squared, axis=1)
+        feet = tried[rows, k]
+        best = np.minimum(best, np.sqrt(squared[rows, k]))
+        half_m *= 0.45
+    return best
+
+
+def _spread_worst(distance_m: FloatArray, count: int) -> list[int]:
+    """Indices of the least distances, no two within 20 samples of each other."""
+    chosen: list[int] = []
+    for i in np.argsort(distance_m):
+        if all(abs(int(i) - j) > 20 for j in chosen):
+            chosen.append(int(i))
+        if len(chosen) == count:
+            break
+    return chosen
+
+
+def seconds_inside(
+    t_s: FloatArray, track_nea_m: FloatArray, centre_nea_m: FloatArray, range_m: float
+) -> FloatArray:
+    """Time that each straight piece of a track spends in a sphere. (N,), (N, 3) -> (N - 1,)."""
+    start = track_nea_m[:-1] - centre_nea_m
+    leg = np.diff(track_nea_m, axis=0)
+    a, b = np.sum(leg**2, axis=-1), np.sum(start * leg, axis=-1)
+    c = np.sum(start**2, axis=-1) - range_m**2
+    moving = a > 1e-12
+    root = np.sqrt(np.maximum(b**2 - a * c, 0.0))
+    safe = np.where(moving, a, 1.0)
+    enter, leave = np.clip((-b - root) / safe, 0, 1), np.clip((-b + root) / safe, 0, 1)
+    part = np.where(moving, np.where(b**2 > a * c, leave - enter, 0.0), (c < 0).astype(float))
+    inside_s: FloatArray = part * np.diff(t_s)
+    return inside_s
+
+
+def intrusions_m(points_nea_m: FloatArray, keep_out: dict[str, Any]) -> FloatArray:
+    """Depth inside a circle or polygon, 0 outside. (P, 3) -> (P,)."""
+    north, east = points_nea_m[:, 0], points_nea_m[:, 1]
+    if "radius_m" in keep_out:
+        away = np.hypot(north - keep_out["north_m"], east - keep_out["east_m"])
+        depth: FloatArray = np.maximum(keep_out["radius_m"] - away, 0.0)
+        return depth
+    corners = np.array(keep_out["vertices_m"], dtype=np.float64)
+    inside = np.zeros(len(north), dtype=bool)
+    edge = np.full(len(north), np.inf)
+    for (n0, e0), (n1, e1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if e0 != e1:  # a ray to the north crosses this edge: the even-odd rule
+            crossing = n0 + (east - e0) * (n1 - n0) / (e1 - e0)
+            inside ^= ((e0 > east) != (e1 > east)) & (north < crossing)
+        dn, de = n1 - n0, e1 - e0
+        along = ((north - n0) * dn + (east - e0) * de) / max(dn**2 + de**2, 1e-12)
+        along = np.clip(along, 0.0, 1.0)
+        edge = np.minimum(edge, np.hypot(north - n0 - along * dn, east - e0 - along * de))
+    return np.where(inside, edge, 0.0)
+
+
+def resampled(t_s: FloatArray, track_nea_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A track every 10 m of its length, its corners' ends kept. -> times (P,), points (P, 3)."""
+    leg = np.linalg.norm(np.diff(track_nea_m, axis=0), axis=-1)
+    moved = np.concatenate([[True], leg > 1e-9])
+    length = np.concatenate([[0.0], np.cumsum(leg)])[moved]
+    wanted = np.append(np.arange(0.0, length[-1], RESAMPLE_M), length[-1])
+    kept = track_nea_m[moved]
+    points = np.stack([np.interp(wanted, length, kept[:, k]) for k in range(3)], axis=-1)
+    return np.interp(wanted, length, t_s[moved]), points
+
+
+def turns_and_slopes(
+    t_s: FloatArray, track_nea_m: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Turn radius and slope about each sample. (N,), (N, 3) -> times, radii_m, slopes_rad (M,).
+
+    The radius of the circle through two consecutive chords of 1 s whose headings differ by D is
+    their mean length / (2 sin(D / 2)). Samples with a chord at 20 m/s or less are left out.
+    """
+    middle = t_s[(t_s >= t_s[0] + WINDOW_S) & (t_s <= t_s[-1] - WINDOW_S)]
+    before, here, after = (
+        np.stack([np.interp(middle + d, t_s, track_nea_m[:, k]) for k in range(3)], axis=-1)
+        for d in (-WINDOW_S, 0.0, WINDOW_S)
+    )
+    first, second = here - before, after - here
+    ground_1 = np.hypot(first[:, 0], first[:, 1])
+    ground_2 = np.hypot(second[:, 0], second[:, 1])
+    fast = np.minimum(ground_1, ground_2) > SLOWEST_M_S * WINDOW_S
+    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    dot = first[:, 0] * second[:, 0] + first[:, 1] * second[:, 1]
+    turn = np.abs(np.arctan2(cross, dot))[fast]
+    chord = ((ground_1 + ground_2) / 2)[fast]
+    radius = np.full_like(chord, np.inf)
+    np.divide(chord, 2 * np.sin(turn / 2), out=radius, where=turn > 1e-9)
+    slopes = np.stack([np.arctan2(first[:, 2], ground_1), np.arctan2(second[:, 2], ground_2)])
+    steepest = np.take_along_axis(slopes, np.argmax(np.abs(slopes), axis=0)[None], axis=0)[0]
+    return middle[fast], radius, steepest[fast]
+
+
+def read_truth(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Read truth.jsonl: times (N,) and positions (N, 3)."""
+    lines = path.read_text(encoding="utf-8").splitlines()[1:]  # the first is a header
+    rows = [json.loads(line) for line in lines if line.strip()]
+    keys = ("t_s", "north_m", "east_m", "altitude_amsl_m")
+    table = np.array([[row[key] for key in keys] for row in rows], dtype=np.float64).reshape(-1, 4)
+    if len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise ValueError(f"{path}: needs two or more samples, all finite, with rising t_s")
+    return table[:, 0], table[:, 1:]
+
+
+def first_judged(t_s: FloatArray, track_nea_m: FloatArray, lowest_amsl_m: float) -> int:
+    """Index of the sample at which the judged part of a track begins."""
+    speed = np.hypot(*np.diff(track_nea_m[:, :2], axis=0).T) / np.diff(t_s)
+    strayed = np.hypot(*(track_nea_m[:, :2] - track_nea_m[0, :2]).T)[:-1] > 100.0
+    begun = ((speed > 1.0) & (track_nea_m[:-1, 2] >= lowest_amsl_m)) | strayed
+    if not begun.any():
+        raise ValueError("the vehicle never flew: no sample moves over the ground in the band")
+    return int(np.argmax(begun))
+
+
+def judge(
+    world: dict[str, Any], mission: dict[str, Any], t_s: FloatArray, track_nea_m: FloatArray
+) -> TrueTrack:
+    """Judge a track against the true world and the mission's bounds.
+
+    world, mission : the parsed world.toml and mission.toml
+    t_s : vehicle times (N,)
+    track_nea_m : positions in the local frame, altitude AMSL (N, 3)
+    """
+    if world["origin"] != mission["origin"]:
+        raise ValueError("the world and the mission have different origins")
+    vehicle, altitude = mission["vehicle"], mission["altitude"]
+    safety = float(mission["planner"]["safety_distance_m"])
+    floor, ceiling = float(altitude["floor_amsl_m"]), float(altitude["ceiling_amsl_m"])
+    slack = TOLERANCE * safety
+    first = first_judged(t_s, track_nea_m, floor - slack)
+    t_s, track_nea_m = t_s[first:], track_nea_m[first:]
+    point_t_s, points = resampled(t_s, track_nea_m)
+
+    checks: list[Check] = []
+
+    def check(
+        name: str, values: FloatArray, times: FloatArray, unit: str,
+        relation: str, bound: float, limit: float,
+    ) -> float:  # fmt: skip
+        """Add the worst of the values; without any, the best there can be."""
+        pick = np.argmin if relation == ">=" else np.argmax
+        worst = int(pick(values)) if len(values) else -1
+        none = math.inf if relation == ">=" else 0.0
+        value = float(values[worst]) if len(values) else none
+        t = float(times[worst]) if len(values) and len(times) else math.nan
+        checks.append(Check(name=name, value=value, unit=unit, relation=relation, bound=bound,
+                            limit=limit, t_s=t))  # fmt: skip
+        return value
+
+    low, high = 1 - TOLERANCE, 1 + TOLERANCE
+    clearances = clearances_m(points, surface_of(world))
+    clearance = check("distance to terrain", clearances, point_t_s, "m", ">=", safety, low * safety)
+    radar_s: dict[str, float] = {}
+    for radar in world.get("radars", []):
+        centre = np.array([radar["north_m"], radar["east_m"], radar["altitude_amsl_m"]])
+        spent = seconds_inside(t_s, track_nea_m, centre, radar["range_m"])
+        radar_s[radar["name"]] = float(spent.sum())
+        when = t_s[:-1][spent > 0][:1]
+        name = f"time inside {radar['name']}"
+        check(name, spent.sum(keepdims=True), when, "s", "<=", 0.0, 0.0)
+    radar_total = float(sum(radar_s.values()))
+    check("time inside radars", np.array([radar_total]), np.empty(0), "s", "<=", 0.0, 0.0)
+    zones = [intrusions_m(points, zone) for zone in mission.get("keep_outs", [])]
+    deepest = np.max(zones, axis=0) if zones else np.empty(0)
+    intrusion = check("keep-out intrusion", deepest, point_t_s, "m", "<=", 0.0, 0.0)
+    middle_s, radii, slopes = turns_and_slopes(t_s, track_nea_m)
+    turn = float(vehicle["turn_radius_m"])
+    radius = check("turn radius", radii, middle_s, "m", ">=", turn, low * turn)
+    bounds = (float(vehicle["climb_angle_deg"]), float(vehicle["dive_angle_deg"]))
+    climbs, dives = np.maximum(np.degrees(slopes), 0.0), np.maximum(-np.degrees(slopes), 0.0)
+    climb = check("climb angle", climbs, middle_s, "deg", "<=", bounds[0], high * bounds[0])
+    dive = check("dive angle", dives, middle_s, "deg", "<=", bounds[1], high * bounds[1])
+    heights = track_nea_m[:, 2]
+    lowest = check("lowest altitude AMSL", heights, t_s, "m", ">=", floor, floor - slack)
+    highest = check("highest altitude AMSL", heights, t_s, "m", "<=", ceiling, ceiling + slack)
+    target = mission["targets"][-1]
+    end = track_nea_m[-1]
+    miss = np.hypot(end[0] - target["north_m"], end[1] - target["east_m"])
+    miss_m = check("end to target", np.array([miss]), t_s[-1:], "m", "<=", ARRIVED_M, ARRIVED_M)
+    flown = np.linalg.norm(np.diff(track_nea_m, axis=0), axis=-1).sum(keepdims=True)
+    took = np.array([t_s[-1] - t_s[0]])
+    nothing = np.empty(0)
+    length = check("length flown", flown, nothing, "m", "", math.nan, math.nan)
+    duration = check("duration", took, nothing, "s", "", math.nan, math.nan)
+    return TrueTrack(
+        clearance_m=clearance,
+        radar_s=radar_s,
+        radar_total_s=radar_total,
+        keep_out_intrusion_m=intrusion,
+        turn_radius_m=radius,
+        climb_deg=climb,
+        dive_deg=dive,
+        lowest_amsl_m=lowest,
+        highest_amsl_m=highest,
+        target_distance_m=miss_m,
+        length_m=length,
+        duration_s=duration,
+        begin_s=float(t_s[0]),
+        checks=tuple(checks),
+    )
+
+
+def judge_files(world_toml: Path, mission_toml: Path, truth_jsonl: Path) -> TrueTrack:
+    """Judge a flight by its three files."""
+    world = tomllib.loads(world_toml.read_text(encoding="utf-8"))
+    mission = tomllib.loads(mission_toml.read_text(encoding="utf-8"))
+    return judge(world, mission, *read_truth(truth_jsonl))
+
+
+def as_json(track: TrueTrack) -> str:
+    """Write the result as JSON; what is not finite becomes null."""
+    table = asdict(track) | {"ok": track.ok}
+    for check, row in zip(track.checks, table["checks"], strict=True):
+        row["ok"] = check.ok
+
+    def finite(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: finite(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return [finite(item) for item in value]
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return json.dumps(finite(table), indent=2, allow_nan=False)
+
+
+def as_table(track: TrueTrack) -> Table:
+    """Lay out the checks for a person."""
+    title = f"True track from t = {track.begin_s:.1f} s"
+    table = Table(title=title, box=box.SIMPLE, pad_edge=False, show_edge=False)
+    table.add_column("figure", no_wrap=True)
+    for heading in ("worst", "bound", "limit", "at time"):
+        table.add_column(heading, justify="right")
+    table.add_column("verdict", no_wrap=True)
+    for check in track.checks:
+        bound = f"{check.relation} {check.bound:.1f}" if check.relation else ""
+        limit = f"{check.relation} {check.limit:.1f}" if check.relation else ""
+        when = f"{check.t_s:.1f} s" if math.isfinite(check.t_s) else ""
+        verdict = "" if not check.relation else "ok" if check.ok else "[bold red]VIOLATION"
+        name = escape(f"{check.name} [{check.unit}]")
+        table.add_row(name, f"{check.value:.1f}", bound, limit, when, verdict)
+    return table
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Judge a flight; 0 when every bound was kept, 1 on a violation."""
+    parser = argparse.ArgumentParser(description="Judge a flown track against the true world.")
+    for name in ("world_toml", "mission_toml", "truth_jsonl"):
+        parser.add_argument(name, type=Path)
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    given = parser.parse_args(arguments)
+    track = judge_files(given.world_toml, given.mission_toml, given.truth_jsonl)
+    if given.json:
+        sys.stdout.write(as_json(track) + "\n")
+    else:
+        Console().print(as_table(track))
+    return 0 if track.ok else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,30 @@
+"""Every error that a user of the simulator can meet.  One line each, never a traceback.
+
+SimulatorError
+├── InputError        what was asked for cannot be done as asked: exit code 2
+└── CompanionSilent   the other side of a lockstep fell silent: exit code 1
+"""
+
+from typing import final
+
+
+class SimulatorError(Exception):
+    """What the simulator says instead of a traceback."""
+
+    exit_code = 1
+
+
+@final
+class InputError(SimulatorError):
+    """A file or an option that breaks a rule."""
+
+    exit_code = 2
+
+    def __init__(self, field: str, value: object, rule: str, remedy: str) -> None:
+        super().__init__(f"{field} = {value!r}: {rule}. {remedy}")
+        self.field = field
+
+
+@final
+class CompanionSilent(SimulatorError):
+    """Nothing came from the companion for longer than lockstep allows."""

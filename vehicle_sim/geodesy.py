@@ -1,0 +1,85 @@
+"""Positions on the WGS84 ellipsoid: the world's local frame, and metres per degree.
+
+The vehicle is kept as latitude, longitude and height and advanced by true-north velocities over
+the ellipsoid's radii of curvature: right at any distance from the origin, with no convergence to
+rotate by.  The local frame (azimuthal equidistant: geodesic distance and azimuth from the origin)
+serves only what is defined in it: terrain, radars, the truth file.  Heights do not stretch
+horizontal distances: a metre is a metre on the ellipsoid, as in the local frame.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import Geod
+
+FloatArray = NDArray[np.float64]
+
+WGS84 = Geod(ellps="WGS84")
+_ONE_DEG_RAD = math.pi / 180.0
+_ECCENTRICITY_SQUARED = WGS84.es
+_RADIUS_DEG_M = WGS84.a * _ONE_DEG_RAD
+
+
+def metres_per_degree(latitude_deg: float) -> tuple[float, float]:
+    """Length of one degree of latitude and of longitude: radii of curvature M and N cos(lat)."""
+    latitude_rad = latitude_deg * _ONE_DEG_RAD
+    sine = math.sin(latitude_rad)
+    w2 = 1.0 - _ECCENTRICITY_SQUARED * sine * sine
+    prime_vertical = _RADIUS_DEG_M / math.sqrt(w2)
+    meridian = prime_vertical * (1.0 - _ECCENTRICITY_SQUARED) / w2
+    return meridian, prime_vertical * max(math.cos(latitude_rad), 1e-6)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalFrame:
+    """North and east about an origin: a point's geodesic distance along its azimuth."""
+
+    latitude_deg: float
+    longitude_deg: float
+
+    def to_local(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+        """North and east of one point, in metres."""
+        azimuth_deg, _, distance_m = WGS84.inv(
+            self.longitude_deg, self.latitude_deg, longitude_deg, latitude_deg
+        )
+        azimuth_rad = math.radians(azimuth_deg)
+        return distance_m * math.cos(azimuth_rad), distance_m * math.sin(azimuth_rad)
+
+    def to_geographic(self, north_m: float, east_m: float) -> tuple[float, float]:
+        """Latitude and longitude of one point, in degrees."""
+        longitude_deg, latitude_deg, _ = WGS84.fwd(
+            self.longitude_deg,
+            self.latitude_deg,
+            math.degrees(math.atan2(east_m, north_m)),
+            math.hypot(north_m, east_m),
+        )
+        return latitude_deg, longitude_deg
+
+    def to_local_many(
+        self, latitude_deg: FloatArray, longitude_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """North and east of many points.  (K,), (K,) -> (K,), (K,)."""
+        azimuth_deg, _, distance_m = WGS84.inv(
+            np.full_like(longitude_deg, self.longitude_deg),
+            np.full_like(latitude_deg, self.latitude_deg),
+            longitude_deg,
+            latitude_deg,
+        )
+        azimuth_rad = np.radians(azimuth_deg)
+        return distance_m * np.cos(azimuth_rad), distance_m * np.sin(azimuth_rad)
+
+    def to_geographic_many(
+        self, north_m: FloatArray, east_m: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Latitude and longitude of many points.  (K,), (K,) -> (K,), (K,)."""
+        longitude_deg, latitude_deg, _ = WGS84.fwd(
+            np.full_like(east_m, self.longitude_deg),
+            np.full_like(north_m, self.latitude_deg),
+            np.degrees(np.arctan2(east_m, north_m)),
+            np.hypot(north_m, east_m),
+        )
+        return latitude_deg, longitude_deg

@@ -1,0 +1,232 @@
+"""The world file: the truth that the simulator flies in.  Parsed once, at the door.
+
+Every class is one table of world.toml.  Unknown keys are refused with the nearest known one named,
+and so is an altitude whose key does not say what it is measured from.
+"""
+
+import dataclasses
+import difflib
+import tomllib
+import types
+import typing
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, final
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from vehicle_sim.errors import InputError
+from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.terrain import Combine, PeakTerrain
+
+_REFUSE_UNKNOWN = ConfigDict(extra="forbid")
+_Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+_Positive = Annotated[_Real, Field(gt=0)]
+_Local = Annotated[_Real, Field(ge=-5e6, le=5e6)]
+_Altitude = Annotated[_Real, Field(ge=-1000, le=20000)]
+_Speed = Annotated[_Real, Field(gt=0, le=300)]
+_Acceleration = Annotated[_Real, Field(gt=0, le=200)]
+_Name = Annotated[str, Field(strict=True, min_length=1)]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Origin:
+    """Where the local frame touches the ellipsoid."""
+
+    latitude_deg: Annotated[_Real, Field(ge=-85, le=85)]
+    longitude_deg: Annotated[_Real, Field(ge=-180, le=180)]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Peak:
+    """One mountain (eq. 1)."""
+
+    north_m: _Local
+    east_m: _Local
+    height_amsl_m: Annotated[_Altitude, Field(gt=0)]
+    spread_north_m: _Positive
+    spread_east_m: _Positive
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class TerrainTable:
+    """What the ground looks like."""
+
+    combine: Combine
+    ground_amsl_m: _Altitude
+    peaks: tuple[Peak, ...] = ()
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Threat:
+    """A radar that looks for the vehicle (eq. 3): a sphere about the point."""
+
+    name: _Name
+    north_m: _Local
+    east_m: _Local
+    altitude_amsl_m: _Altitude
+    range_m: _Positive
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Parameters:
+    """The autopilot's parameters under their ArduPilot names, in ArduPilot's units.
+
+    Climb and descent that the file leaves out follow the vehicle's limits, not ArduPilot's 250 and
+    150 cm/s: a vehicle for 3 km of height would otherwise climb for twenty minutes.
+    """
+
+    GUID_TIMEOUT: Annotated[_Real, Field(ge=0, le=60)] = 3.0
+    """Seconds that GUIDED flies on after the last setpoint with a velocity."""
+    WPNAV_SPEED: Annotated[_Real, Field(ge=10, le=30000)] = 1000.0
+    """cm/s, horizontal: towards positions, and for getting back to a position with a velocity."""
+    WPNAV_ACCEL: Annotated[_Real, Field(ge=10, le=5000)] = 250.0
+    """cm/s/s, horizontal: stopping, and flying to positions."""
+    PSC_JERK_XY: Annotated[_Real, Field(ge=1, le=100)] = 5.0
+    """m/s/s/s: how fast the above sets in."""
+    WPNAV_SPEED_UP: Annotated[_Real, Field(ge=10, le=30000)] | None = None
+    """cm/s: taking off, and climbing to positions.  Left out: the vehicle's vertical limit."""
+    WPNAV_SPEED_DN: Annotated[_Real, Field(ge=10, le=30000)] | None = None
+    """cm/s: landing from a height, and descending to positions.  Left out: as above."""
+    LAND_SPEED: Annotated[_Real, Field(ge=20, le=500)] = 50.0
+    """cm/s: the last 10 m of a landing."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Vehicle:
+    """What flies, and where it stands at the start: on the terrain."""
+
+    kind: Literal["copter"]
+    autopilot: Literal["ardupilot"]
+    system_id: Annotated[int, Field(strict=True, ge=1, le=255)]
+    north_m: _Local
+    east_m: _Local
+    heading_deg: Annotated[_Real, Field(ge=-360, le=360)]
+    speed_max_m_s: _Speed
+    acceleration_max_m_s2: _Acceleration
+    speed_vertical_max_m_s: _Speed
+    acceleration_vertical_max_m_s2: _Acceleration
+    parameters: Parameters = Parameters()
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Scanner:
+    """The terrain radar on board: a MAVLink component of its own."""
+
+    component_id: Annotated[int, Field(strict=True, ge=2, le=255)]
+    range_m: _Positive
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class World:
+    """One world file."""
+
+    schema: Literal[1]
+    name: _Name
+    origin: Origin
+    terrain: TerrainTable
+    vehicle: Vehicle
+    scanner: Scanner
+    radars: tuple[Threat, ...] = ()
+
+    @property
+    def frame(self) -> LocalFrame:
+        """The local frame that positions in the file are given in."""
+        return LocalFrame(
+            latitude_deg=self.origin.latitude_deg, longitude_deg=self.origin.longitude_deg
+        )
+
+    def truth(self) -> PeakTerrain:
+        """The terrain itself."""
+        table = self.terrain
+        return PeakTerrain.of(table.peaks, combine=table.combine, ground_amsl_m=table.ground_amsl_m)
+
+
+_WORLD = TypeAdapter(World)
+
+
+def read_world(path: Path) -> World:
+    """The world in this file; InputError says what is wrong with it."""
+    field = str(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not a text file"
+        raise InputError(
+            "WORLD", field, f"cannot be read ({reason})", "Name a world file."
+        ) from None
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError("WORLD", field, f"not TOML ({error})", "Name a world.toml.") from None
+    return parse_world(table)
+
+
+def parse_world(table: dict[str, Any]) -> World:
+    """The world that this TOML table describes."""
+    missing_all = not table.keys() & {"terrain", "vehicle", "scanner"}
+    if missing_all:
+        what = "a mission" if table.keys() & {"targets", "planner", "area"} else "something else"
+        raise InputError(
+            "WORLD",
+            table.get("name", "file"),
+            f"describes {what}, not a world",
+            "Name a world.toml.",
+        )
+    try:
+        return _WORLD.validate_python(table)
+    except ValidationError as error:
+        problems = error.errors()
+        # A misspelt key is both unknown and missing: the unknown one tells the user more.
+        unknown = [p for p in problems if p["type"] == "unexpected_keyword_argument"]
+        raise _explained((unknown or problems)[0], table) from None
+
+
+def _explained(problem: Any, table: dict[str, Any]) -> InputError:
+    """What pydantic found, in words."""
+    location: tuple[str | int, ...] = problem["loc"]
+    field = ".".join(str(part) for part in location)
+    match problem["type"]:
+        case "unexpected_keyword_argument":
+            return _unknown_key(field, location, problem["input"])
+        case "missing":
+            return InputError(field, None, "is missing", "Write it into the world file.")
+    rule = problem["msg"].removeprefix("Input should be ")
+    known = {"terrain": "a table", "float_type": "a number", "int_type": "a whole number"}
+    rule = known.get(problem["type"], rule)
+    return InputError(field, problem["input"], f"must be {rule}", "Correct the world file.")
+
+
+def _unknown_key(field: str, location: Sequence[str | int], value: object) -> InputError:
+    """An unknown key: the nearest known one, and a word about datums where one is missing."""
+    key = str(location[-1])
+    known = _keys_of(location[:-1])
+    datums = [k for k in known if k.endswith("_amsl_m")]
+    word = next((w for w in ("altitude", "height", "ground", "elevation") if w in key), None)
+    if word and datums and key not in known:
+        nearest = difflib.get_close_matches(key, datums, n=1, cutoff=0.0)[0]
+        rule = "an altitude names its datum, and here it is above mean sea level (amsl)"
+        return InputError(field, value, rule, f"Write {nearest}.")
+    nearby = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+    remedy = f"Did you mean {nearby[0]}?" if nearby else f"Choose from: {', '.join(known)}."
+    return InputError(field, value, "no such key", remedy)
+
+
+def _keys_of(location: Sequence[str | int]) -> list[str]:
+    """The keys that the table at this place may have."""
+    table: Any = World
+    for part in location:
+        if isinstance(part, str):
+            table = typing.get_type_hints(table)[part]
+            if isinstance(table, types.GenericAlias):
+                table = typing.get_args(table)[0]
+    return [f.name for f in dataclasses.fields(table)]
