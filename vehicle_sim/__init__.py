@@ -1,1 +1,1 @@
-"""A MAVLink vehicle to test against: point-mass copter, autopilot, GPS and terrain radar over UDP."""
+"""A MAVLink vehicle to test against: point-mass copter, autopilot, GPS and terrain radar."""

@@ -7,7 +7,7 @@ to the centre, and its minimum over a box at the farthest corner: both exact.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, final
+from typing import Literal, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,21 +15,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 Combine = Literal["maximum", "sum"]
-
-
-class PeakLike(Protocol):
-    """One mountain, as the world file describes it."""
-
-    @property
-    def north_m(self) -> float: ...
-    @property
-    def east_m(self) -> float: ...
-    @property
-    def height_amsl_m(self) -> float: ...
-    @property
-    def spread_north_m(self) -> float: ...
-    @property
-    def spread_east_m(self) -> float: ...
+PeakRow = tuple[float, float, float, float, float]
+"""North and east of the centre, height AMSL, spread north and east; all in metres."""
 
 
 @final
@@ -47,14 +34,9 @@ class PeakTerrain:
     spread_east_m: FloatArray
 
     @classmethod
-    def of(
-        cls, peaks: Sequence[PeakLike], *, combine: Combine, ground_amsl_m: float
-    ) -> "PeakTerrain":
+    def of(cls, peaks: Sequence[PeakRow], *, combine: Combine, ground_amsl_m: float) -> Self:
         """The terrain that these peaks make."""
-        rows = [
-            (p.north_m, p.east_m, p.height_amsl_m, p.spread_north_m, p.spread_east_m) for p in peaks
-        ]
-        columns = np.array(rows, dtype=np.float64).reshape(-1, 5).T.copy()
+        columns = np.array(peaks, dtype=np.float64).reshape(-1, 5).T.copy()
         return cls(
             combine=combine,
             ground_amsl_m=ground_amsl_m,

@@ -148,7 +148,11 @@ class World:
     def truth(self) -> PeakTerrain:
         """The terrain itself."""
         table = self.terrain
-        return PeakTerrain.of(table.peaks, combine=table.combine, ground_amsl_m=table.ground_amsl_m)
+        rows = [
+            (p.north_m, p.east_m, p.height_amsl_m, p.spread_north_m, p.spread_east_m)
+            for p in table.peaks
+        ]
+        return PeakTerrain.of(rows, combine=table.combine, ground_amsl_m=table.ground_amsl_m)
 
 
 _WORLD = TypeAdapter(World)
@@ -188,18 +192,17 @@ def parse_world(table: dict[str, Any]) -> World:
         problems = error.errors()
         # A misspelt key is both unknown and missing: the unknown one tells the user more.
         unknown = [p for p in problems if p["type"] == "unexpected_keyword_argument"]
-        raise _explained((unknown or problems)[0], table) from None
+        raise _explained((unknown or problems)[0]) from None
 
 
-def _explained(problem: Any, table: dict[str, Any]) -> InputError:
+def _explained(problem: Any) -> InputError:
     """What pydantic found, in words."""
     location: tuple[str | int, ...] = problem["loc"]
     field = ".".join(str(part) for part in location)
-    match problem["type"]:
-        case "unexpected_keyword_argument":
-            return _unknown_key(field, location, problem["input"])
-        case "missing":
-            return InputError(field, None, "is missing", "Write it into the world file.")
+    if problem["type"] == "unexpected_keyword_argument":
+        return _unknown_key(field, location, problem["input"])
+    if problem["type"] == "missing":
+        return InputError(field, None, "is missing", "Write it into the world file.")
     rule = problem["msg"].removeprefix("Input should be ")
     known = {"terrain": "a table", "float_type": "a number", "int_type": "a whole number"}
     rule = known.get(problem["type"], rule)

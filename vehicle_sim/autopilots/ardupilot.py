@@ -108,6 +108,8 @@ class ArduCopter:
                     result, replies = _set_interval(p[0], p[1], p[2])
                 case CommandNumber.REQUEST_MESSAGE:
                     result, replies = self._send_once(p[0])
+                case _:
+                    pass
         return [Ack(to=command.sender, command=command.number, result=result), *replies]
 
     def _set_mode(self, flags: float, number: float) -> tuple[Result, list[Reply]]:

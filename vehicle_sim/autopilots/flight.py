@@ -186,6 +186,7 @@ class Flight:
         return []
 
     def landed_state(self) -> Landed:
+        """What EXTENDED_SYS_STATE says."""
         if self.landed:
             return Landed.ON_GROUND
         if self._takeoff_us is not None:

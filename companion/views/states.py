@@ -1,0 +1,52 @@
+"""docs/mission-states.md, made from the transition table itself: `scripts/docs` writes it."""
+
+from companion.mission.state import MOVES, Phase, Reason, Trigger
+
+
+def mission_states_markdown() -> str:
+    """The phases of a mission as a diagram and tables."""
+    lines = [
+        "# Mission states",
+        "",
+        "Made from `companion/mission/state.py` by `scripts/docs`; do not edit.",
+        "",
+        "```mermaid",
+        "stateDiagram-v2",
+        "    [*] --> waiting",
+    ]
+    shared = _shared_moves()
+    lines += [
+        f"    {_id(before)} --> {_id(after)}: {trigger.name.lower()}"
+        for (before, trigger), after in MOVES.items()
+        if trigger not in shared
+    ]
+    lines += ["    done --> [*]", "    faulted --> [*]", "```", ""]
+    for trigger, (befores, after) in shared.items():
+        names = ", ".join(before.value for before in befores)
+        lines.append(f"Not drawn: `{trigger.name.lower()}` leads from {names} to {after.value}.")
+    unreached = [phase.value for phase in Phase if phase not in _reached()]
+    lines += ["", f"Reserved, not entered yet: {', '.join(unreached)}.", "", "## Triggers", ""]
+    lines += ["| trigger | when |", "|---|---|"]
+    lines += [f"| `{trigger.name.lower()}` | {trigger.value} |" for trigger in Trigger]
+    lines += ["", "## Reasons to hold or to end, and what to do", "", "| reason | remedy |", "|---|---|"]
+    lines += [f"| {reason.text} | {reason.remedy} |" for reason in Reason]
+    return "\n".join(lines) + "\n"
+
+
+def _shared_moves() -> dict[Trigger, tuple[list[Phase], Phase]]:
+    """Triggers that lead from many phases to one: drawn, they would hide the rest."""
+    shared = {}
+    for trigger in Trigger:
+        befores = [before for before, on in MOVES if on is trigger]
+        afters = {MOVES[before, trigger] for before in befores}
+        if len(befores) > 3 and len(afters) == 1:
+            shared[trigger] = (befores, afters.pop())
+    return shared
+
+
+def _reached() -> set[Phase]:
+    return {Phase.WAITING, *MOVES.values()}
+
+
+def _id(phase: Phase) -> str:
+    return phase.value.replace(" ", "_")

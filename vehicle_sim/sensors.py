@@ -1,0 +1,214 @@
+"""The terrain radar: which cells it sees from where the vehicle is, and how high they are.
+
+A cell's height is that of its highest true terrain, rounded up to the metre.  A cell is seen if one
+of six points of it (its corners, its middle, its highest point) has a free line of sight to the
+radar, and its middle is not farther than the radar's range.
+
+Lines of sight are marched through a grid of lower bounds of the terrain.  What blocks a line there
+blocks it in truth, so a cell is never called hidden that is not; a line that passes within a grid
+cell of a ridge may count as free though it is not, which only reports one true height more.  The
+curvature of the earth is left out: height in the local frame over horizontal distance.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.terrain import FloatArray, PeakTerrain
+
+BLOCK_CELLS = 4
+ROWS, COLUMNS = 7, 8
+UNSEEN_M = -32768
+_CELLS_NORTH, _CELLS_EAST = ROWS * BLOCK_CELLS, COLUMNS * BLOCK_CELLS
+_GRID_CELLS_PER_RANGE = 400
+_GRID_MARGIN = 0.25
+_LOWEST_M, _HIGHEST_M = -32767.0, 32767.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanRequest:
+    """A TERRAIN_REQUEST: an area of 28 x 32 cells, and which of its 56 blocks are wanted."""
+
+    latitude_deg: float
+    """Of the south-west corner."""
+    longitude_deg: float
+    spacing_m: int
+    mask: int
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanBlock:
+    """The 4 x 4 cells of one bit of the mask, from the south-west, east running fastest."""
+
+    gridbit: int
+    heights_amsl_m: tuple[int, ...]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Viewpoint:
+    """Where the radar looks from."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Grid:
+    """Lower bounds of the terrain around a point; nothing at all outside."""
+
+    south_m: float
+    west_m: float
+    cell_m: float
+    lowest_amsl_m: FloatArray
+    """(N, N), flattened."""
+    size: int
+
+    def centre_ne_m(self) -> tuple[float, float]:
+        half_m = 0.5 * self.size * self.cell_m
+        return self.south_m + half_m, self.west_m + half_m
+
+
+@final
+class TerrainRadar:
+    """Answers scan requests.  Keeps the grid of the neighbourhood that it last looked at."""
+
+    def __init__(self, terrain: PeakTerrain, frame: LocalFrame, *, range_m: float) -> None:
+        self._terrain = terrain
+        self._frame = frame
+        self._range_m = range_m
+        self._grid: _Grid | None = None
+
+    def answer(self, request: ScanRequest, view: Viewpoint) -> tuple[ScanBlock, ...]:
+        """The wanted blocks, by rising bit."""
+        bits = [bit for bit in range(ROWS * COLUMNS) if request.mask >> bit & 1]
+        if not bits or request.spacing_m <= 0 or abs(request.latitude_deg) >= 90.0:
+            return ()
+        north, east = _cells_of(np.array(bits))
+        corners_ne_m = self._corners_ne_m(request)[  # (C, 4, 2), anticlockwise from the south-west
+            np.stack([north, north, north + 1, north + 1], axis=-1),
+            np.stack([east, east + 1, east + 1, east], axis=-1),
+        ]
+        heights = np.full(len(north), UNSEEN_M, dtype=np.int64)
+        near = np.flatnonzero(self._within_range(request, view, north, east))
+        if len(near):
+            highest, place_ne_m = self._terrain.highest_in_quads_amsl_m(corners_ne_m[near])
+            seen = self._seen(corners_ne_m[near], place_ne_m, view)
+            rounded = np.clip(np.ceil(highest[seen]), _LOWEST_M, _HIGHEST_M)
+            heights[near[seen]] = rounded.astype(np.int64)
+        blocks = heights.reshape(len(bits), BLOCK_CELLS * BLOCK_CELLS).tolist()
+        return tuple(
+            ScanBlock(gridbit=bit, heights_amsl_m=tuple(block))
+            for bit, block in zip(bits, blocks, strict=True)
+        )
+
+    def height_amsl_m(self, latitude_deg: float, longitude_deg: float) -> float:
+        """The true height of the terrain at a point."""
+        return self._terrain.height_at_amsl_m(*self._frame.to_local(latitude_deg, longitude_deg))
+
+    def _corners_ne_m(self, request: ScanRequest) -> FloatArray:
+        """The lattice of the request's cell corners in the local frame.  -> (29, 33, 2)."""
+        north, east = np.meshgrid(
+            np.arange(_CELLS_NORTH + 1) * float(request.spacing_m),
+            np.arange(_CELLS_EAST + 1) * float(request.spacing_m),
+            indexing="ij",
+        )
+        corner = LocalFrame(latitude_deg=request.latitude_deg, longitude_deg=request.longitude_deg)
+        latitude_deg, longitude_deg = corner.to_geographic_many(north.ravel(), east.ravel())
+        local = self._frame.to_local_many(latitude_deg, longitude_deg)
+        return np.stack(local, axis=-1).reshape(*north.shape, 2)
+
+    def _within_range(
+        self,
+        request: ScanRequest,
+        view: Viewpoint,
+        north: NDArray[np.intp],
+        east: NDArray[np.intp],
+    ) -> NDArray[np.bool_]:
+        """Whether the middle of each cell is in range.  (C,), (C,) -> (C,)."""
+        corner = LocalFrame(latitude_deg=request.latitude_deg, longitude_deg=request.longitude_deg)
+        view_north_m, view_east_m = corner.to_local(view.latitude_deg, view.longitude_deg)
+        away_m = np.hypot(
+            (north + 0.5) * request.spacing_m - view_north_m,
+            (east + 0.5) * request.spacing_m - view_east_m,
+        )
+        return away_m <= self._range_m
+
+    def _seen(
+        self, corners_ne_m: FloatArray, highest_ne_m: FloatArray, view: Viewpoint
+    ) -> NDArray[np.bool_]:
+        """Whether any tested point of each cell is in sight.  (C, 4, 2), (C, 2) -> (C,)."""
+        north_m, east_m = self._frame.to_local(view.latitude_deg, view.longitude_deg)
+        eye = (north_m, east_m, view.altitude_amsl_m)
+        seen = self._in_sight(eye, highest_ne_m)  # the likeliest point first: few need the others
+        hidden = np.flatnonzero(~seen)
+        if len(hidden):
+            corners = corners_ne_m[hidden]
+            others = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
+            free = self._in_sight(eye, others.reshape(-1, 2)).reshape(-1, 5)
+            seen[hidden] = free.any(axis=1)
+        return seen
+
+    def _in_sight(
+        self, eye: tuple[float, float, float], points_ne_m: FloatArray
+    ) -> NDArray[np.bool_]:
+        """Whether each point of the surface has a free line to the eye.  (K, 2) -> (K,)."""
+        grid = self._grid_about(eye[0], eye[1])
+        top_m = self._terrain.height_amsl_m(points_ne_m[:, 0], points_ne_m[:, 1])
+        offset = points_ne_m - np.array(eye[:2])
+        farthest_m = float(np.max(np.hypot(offset[:, 0], offset[:, 1]), initial=0.0))
+        count = max(math.ceil(farthest_m / grid.cell_m), 1)
+        share = ((np.arange(count) + 0.5) / count)[:, None]  # (S, 1) of the way to the point
+        start_north = (eye[0] - grid.south_m) / grid.cell_m
+        start_east = (eye[1] - grid.west_m) / grid.cell_m
+        row = (start_north + share * (offset[:, 0] / grid.cell_m)).astype(np.int32)  # (S, K)
+        column = (start_east + share * (offset[:, 1] / grid.cell_m)).astype(np.int32)
+        np.clip(row, 0, grid.size - 1, out=row)
+        np.clip(column, 0, grid.size - 1, out=column)
+        line_m = eye[2] + share * (top_m - eye[2])
+        blocked = grid.lowest_amsl_m[row * grid.size + column] > line_m
+        return ~blocked.any(axis=0)
+
+    def _grid_about(self, north_m: float, east_m: float) -> _Grid:
+        """The grid that reaches beyond the range on all sides of this point."""
+        grid = self._grid
+        spare_m = _GRID_MARGIN * self._range_m
+        if grid is not None:
+            centre_north_m, centre_east_m = grid.centre_ne_m()
+            if max(abs(north_m - centre_north_m), abs(east_m - centre_east_m)) <= spare_m:
+                return grid
+        cell_m = self._range_m / _GRID_CELLS_PER_RANGE
+        size = 2 * math.ceil((self._range_m + 2.0 * spare_m) / cell_m)
+        # Whole multiples of the cell: the same ground gives the same grid wherever it is asked from.
+        south_m = (math.floor(north_m / cell_m) - size // 2) * cell_m
+        west_m = (math.floor(east_m / cell_m) - size // 2) * cell_m
+        lowest = self._terrain.lowest_in_grid_amsl_m(
+            south_m + np.arange(size + 1) * cell_m, west_m + np.arange(size + 1) * cell_m
+        )
+        lowest[[0, -1], :] = lowest[
+            :, [0, -1]
+        ] = -np.inf  # lines beyond the edge are looked up there
+        self._grid = _Grid(
+            south_m=south_m,
+            west_m=west_m,
+            cell_m=cell_m,
+            lowest_amsl_m=lowest.ravel(),
+            size=size,
+        )
+        return self._grid
+
+
+def _cells_of(bits: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Row and column of the cells of these blocks, in wire order.  (B,) -> (16 B,), (16 B,)."""
+    x, y = np.divmod(np.arange(BLOCK_CELLS * BLOCK_CELLS), BLOCK_CELLS)
+    north = (bits // COLUMNS * BLOCK_CELLS)[:, None] + x
+    east = (bits % COLUMNS * BLOCK_CELLS)[:, None] + y
+    return north.ravel(), east.ravel()
