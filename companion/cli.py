@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 
 from companion.config import load_mission, load_world, mission_text
-from companion.errors import CompanionError, FlightFailed, InputError
+from companion.errors import CompanionError, FlightFailed
 from companion.mission.events import Outcome
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.runtime.link import UdpLink
@@ -123,7 +123,8 @@ def fly_command(
             stop_asked=lambda: bool(stop_asked),
         )
         folder.run_json(_run_facts(flown, began, connect))
-    draw_flown(flown, folder_path / "flight.png")
+    if flown.heard:
+        draw_flown(flown, folder_path / "flight.png")
     console.print(flight_table(flown))
     console.print(f"run folder: {folder_path}", soft_wrap=True, highlight=False)
     _exit_as_it_ended(flown, connect)
@@ -212,12 +213,8 @@ def _exit_as_it_ended(flown: Flown, connect: str) -> None:
         reason = "the flight did not end" if end is None else end.reason
         remedy = "" if end is None else end.remedy
         if not flown.heard:
-            raise InputError(
-                "--connect",
-                connect,
-                "no vehicle was heard within 10 s",
-                "Start the vehicle, or give the address that it sends to.",
-            )
+            reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
+            remedy = "Start the vehicle, or give the address that it sends to."
         raise FlightFailed(reason, remedy)
     if end.outcome is Outcome.STOPPED:
         raise typer.Exit(130)

@@ -28,7 +28,13 @@ def mission_states_markdown() -> str:
     lines += ["", f"Reserved, not entered yet: {', '.join(unreached)}.", "", "## Triggers", ""]
     lines += ["| trigger | when |", "|---|---|"]
     lines += [f"| `{trigger.name.lower()}` | {trigger.value} |" for trigger in Trigger]
-    lines += ["", "## Reasons to hold or to end, and what to do", "", "| reason | remedy |", "|---|---|"]
+    lines += [
+        "",
+        "## Reasons to hold or to end, and what to do",
+        "",
+        "| reason | remedy |",
+        "|---|---|",
+    ]
     lines += [f"| {reason.text} | {reason.remedy} |" for reason in Reason]
     return "\n".join(lines) + "\n"
 

@@ -1,13 +1,11 @@
-import importlib.util
 import json
 import math
-import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+import true_track
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -15,22 +13,6 @@ from scipy.optimize import minimize
 
 FloatArray = NDArray[np.float64]
 
-
-def load_true_track() -> ModuleType:
-    """Load the module beside this file: tests are files, not a package."""
-    if (loaded := sys.modules.get("true_track")) is not None:
-        return loaded
-    path = Path(__file__).with_name("true_track.py")
-    spec = importlib.util.spec_from_file_location("true_track", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["true_track"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-true_track = load_true_track()
 
 PEAK = {
     "north_m": 10_000.0,

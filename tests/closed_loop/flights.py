@@ -1,0 +1,96 @@
+"""Real flights: two processes, real UDP, everything that they leave behind."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+BIN = Path(sys.executable).parent
+_PATIENCE_S = 120.0
+
+
+@dataclass(kw_only=True)
+class Flight:
+    """One flight, flown to its end unless it was interrupted."""
+
+    folder: Path
+    companion: subprocess.Popen[str]
+    simulator: subprocess.Popen[str]
+    said: dict[str, str] = field(default_factory=dict)
+
+    def wait(self) -> None:
+        """Wait for both sides to end by themselves."""
+        for name in ("companion", "simulator"):
+            process = getattr(self, name)
+            out, _ = process.communicate(timeout=_PATIENCE_S)
+            self.said[name] = out
+
+    def kill(self) -> None:
+        """End whatever still runs; a flight leaves no process behind."""
+        for process in (self.companion, self.simulator):
+            if process.poll() is None:
+                process.kill()
+            process.communicate()
+
+    @property
+    def journal(self) -> list[dict[str, Any]]:
+        lines = (self.folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+        return [json.loads(line) for line in lines]
+
+    @property
+    def truth(self) -> list[dict[str, Any]]:
+        lines = (self.folder / "truth.jsonl").read_text(encoding="utf-8").splitlines()
+        return [json.loads(line) for line in lines[1:]]
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+Launch = Callable[..., Flight]
+
+
+def launch(
+    folder: Path,
+    world: str,
+    mission: str,
+    *options: str,
+    clock: tuple[str, ...] = ("--lockstep",),
+    simulator_options: tuple[str, ...] = (),
+) -> Flight:
+    """Start both programs on a free port of loopback."""
+    port = free_port()
+    companion_clock = [option for option in clock if option == "--lockstep"]
+    common: dict[str, Any] = {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.STDOUT,
+        "text": True,
+        "cwd": ROOT,
+    }
+    companion = subprocess.Popen(
+        [
+            *(BIN / "companion", "fly", mission, "--connect", f"udpin:127.0.0.1:{port}"),
+            *("--out", folder, *companion_clock, *options),
+        ],
+        **common,
+    )
+    simulator = subprocess.Popen(
+        [
+            *(BIN / "vehicle-sim", world, "--connect", f"udpout:127.0.0.1:{port}"),
+            *("--out", folder, *clock, *simulator_options),
+        ],
+        **common,
+    )
+    return Flight(folder=folder, companion=companion, simulator=simulator)
+
+
+def interrupt(process: subprocess.Popen[str]) -> None:
+    process.send_signal(signal.SIGINT)

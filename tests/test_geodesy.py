@@ -1,0 +1,139 @@
+import cmath
+import math
+
+import pyproj
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from companion.geodesy import LocalFrame, deg, deg_e7, offset_deg, rotate, wrap_rad
+
+GEOD = pyproj.Geod(ellps="WGS84")
+HERE = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
+
+latitudes = st.floats(-80.0, 80.0)
+longitudes = st.floats(-180.0, 180.0)
+frames = st.builds(LocalFrame, latitude_deg=latitudes, longitude_deg=longitudes)
+metres = st.floats(-150_000.0, 150_000.0)
+
+
+def angle_between(a_rad: float, b_rad: float) -> float:
+    return abs(cmath.phase(cmath.rect(1.0, a_rad - b_rad)))
+
+
+@given(frame=frames, north_m=metres, east_m=metres)
+def test_local_to_geodetic_and_back_is_where_it_began(
+    frame: LocalFrame, north_m: float, east_m: float
+) -> None:
+    back = frame.to_local_m(*frame.to_geodetic_deg(north_m, east_m))
+    assert back == pytest.approx((north_m, east_m), abs=1e-4)
+
+
+@given(frame=frames)
+def test_the_origin_is_zero(frame: LocalFrame) -> None:
+    local = frame.to_local_m(frame.latitude_deg, frame.longitude_deg)
+    assert local == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+@given(frame=frames, azimuth_deg=st.floats(-180.0, 180.0), distance_m=st.floats(1.0, 150_000.0))
+def test_distance_and_direction_from_the_origin_are_those_of_the_geodesic(
+    frame: LocalFrame, azimuth_deg: float, distance_m: float
+) -> None:
+    longitude, latitude, _ = GEOD.fwd(
+        frame.longitude_deg, frame.latitude_deg, azimuth_deg, distance_m
+    )
+    north_m, east_m = frame.to_local_m(latitude, longitude)
+    expected = cmath.rect(distance_m, math.radians(azimuth_deg))
+    assert abs(complex(north_m, east_m) - expected) < 1e-3
+
+
+@given(
+    frame=st.builds(LocalFrame, latitude_deg=st.floats(-70.0, 70.0), longitude_deg=longitudes),
+    north_m=metres,
+    east_m=metres,
+)
+def test_a_step_to_true_north_leans_from_the_frames_north_by_the_convergence(
+    frame: LocalFrame, north_m: float, east_m: float
+) -> None:
+    latitude, longitude = frame.to_geodetic_deg(north_m, east_m)
+    farther_lon, farther_lat, _ = GEOD.fwd(longitude, latitude, 0.0, 100.0)
+    north_b, east_b = frame.to_local_m(farther_lat, farther_lon)
+    true_north_in_frame = math.atan2(east_b - east_m, north_b - north_m)
+    # 3e-4: the projection is not conformal, it stretches by (d / earth)^2 / 6 across the radius
+    assert angle_between(-true_north_in_frame, frame.grid_north_rad(north_m, east_m)) < 3e-4
+
+
+@given(azimuth_rad=st.floats(-3.0, 3.0), distance_m=st.floats(1_000.0, 150_000.0))
+def test_a_local_azimuth_and_the_convergence_make_the_true_azimuth_of_the_ray_from_the_origin(
+    azimuth_rad: float, distance_m: float
+) -> None:
+    north_m, east_m = distance_m * math.cos(azimuth_rad), distance_m * math.sin(azimuth_rad)
+    latitude, longitude = HERE.to_geodetic_deg(north_m, east_m)
+    _, back_deg, _ = GEOD.inv(HERE.longitude_deg, HERE.latitude_deg, longitude, latitude)
+    true_rad = math.radians(back_deg + 180.0)
+    local_plus_convergence = azimuth_rad + HERE.grid_north_rad(north_m, east_m)
+    assert angle_between(local_plus_convergence, true_rad) < 3e-4
+
+
+def test_grid_north_is_one_degree_clockwise_of_true_north_100_km_east_at_47_north() -> None:
+    convergence_deg = math.degrees(HERE.grid_north_rad(0.0, 100_000.0))
+    across_deg = 100_000.0 / (6_378_137.0 * math.cos(math.radians(47.0))) * 180.0 / math.pi
+    assert convergence_deg == pytest.approx(across_deg * math.sin(math.radians(47.0)), abs=0.01)
+    assert convergence_deg == pytest.approx(1.0, abs=0.05)
+    sideways_m_s = 150.0 * math.sin(math.radians(convergence_deg))
+    assert sideways_m_s == pytest.approx(2.6, abs=0.15)
+
+
+@given(frame=frames)
+def test_grid_north_is_true_north_at_the_origin_and_due_north_of_it(frame: LocalFrame) -> None:
+    assert frame.grid_north_rad(0.0, 0.0) == pytest.approx(0.0, abs=1e-6)
+    assert frame.grid_north_rad(50_000.0, 0.0) == pytest.approx(0.0, abs=1e-6)
+
+
+@given(latitude=latitudes, longitude=longitudes, north_m=metres, east_m=metres)
+def test_an_offset_lies_where_a_frame_about_its_beginning_says(
+    latitude: float, longitude: float, north_m: float, east_m: float
+) -> None:
+    there = offset_deg(latitude, longitude, north_m, east_m)
+    frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
+    assert frame.to_local_m(*there) == pytest.approx((north_m, east_m), abs=1e-3)
+
+
+@given(north=st.floats(-200, 200), east=st.floats(-200, 200), angle=st.floats(-10, 10))
+def test_turning_a_vector_clockwise_is_multiplying_by_a_unit_complex_number(
+    north: float, east: float, angle: float
+) -> None:
+    turned = complex(north, east) * cmath.exp(1j * angle)
+    assert rotate(north, east, angle) == pytest.approx((turned.real, turned.imag), abs=1e-9)
+
+
+def test_turning_north_by_a_quarter_clockwise_is_east() -> None:
+    assert rotate(1.0, 0.0, math.pi / 2) == pytest.approx((0.0, 1.0), abs=1e-15)
+
+
+@given(st.integers(-1_800_000_000, 1_800_000_000))
+def test_the_wire_integer_survives_the_way_through_degrees(degrees_e7: int) -> None:
+    assert deg_e7(deg(degrees_e7)) == degrees_e7
+
+
+@given(longitudes)
+def test_degrees_lose_at_most_half_a_unit_on_the_wire(degrees: float) -> None:
+    assert abs(deg_e7(degrees) * 1e-7 - degrees) <= 0.5000001e-7
+
+
+@given(st.floats(-1_000.0, 1_000.0))
+def test_a_wrapped_angle_is_the_same_direction_within_half_a_turn(angle: float) -> None:
+    wrapped = wrap_rad(angle)
+    assert -math.pi <= wrapped <= math.pi
+    assert abs(cmath.rect(1.0, wrapped) - cmath.rect(1.0, angle)) < 1e-9
+
+
+@given(st.floats(-math.pi, math.pi))
+def test_an_angle_that_is_wrapped_already_stays(angle: float) -> None:
+    assume(abs(angle) < 3.14159)
+    assert wrap_rad(angle) == pytest.approx(angle, abs=1e-12)
+
+
+def test_frames_about_the_same_origin_are_equal() -> None:
+    assert LocalFrame(latitude_deg=47.0, longitude_deg=8.0) == HERE
+    assert LocalFrame(latitude_deg=47.0, longitude_deg=8.1) != HERE

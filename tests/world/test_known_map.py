@@ -1,0 +1,299 @@
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from companion.world.known_map import (
+    NO_ANSWER,
+    NOT_SEEN,
+    KnownMap,
+    Scan,
+    empty_map,
+    sight_line_m,
+)
+
+FloatArray = NDArray[np.float64]
+Heights = Callable[[FloatArray, FloatArray], FloatArray]
+
+CELL_M = 100.0
+CELLS = 28
+RANGE_M = 1_150.0
+SUB = 6  # points a side at which a cell of the true terrain is looked at
+
+
+def random_hills(rng: np.random.Generator) -> Heights:
+    """A true terrain, written apart from the product's: ground 50 m and a few Gaussian hills."""
+    count = int(rng.integers(1, 7))
+    north, east = rng.uniform(0.0, CELLS * CELL_M, (2, count))
+    height = rng.uniform(50.0, 900.0, count)
+    width_n, width_e = rng.uniform(120.0, 600.0, (2, count))
+
+    def terrain(n: FloatArray, e: FloatArray) -> FloatArray:
+        result = np.full(np.broadcast(n, e).shape, 50.0)
+        for k in range(count):
+            x, y = (n - north[k]) / width_n[k], (e - east[k]) / width_e[k]
+            result = np.maximum(result, height[k] * np.exp(-x * x - y * y))
+        return result
+
+    return terrain
+
+
+def looked_at(shift_ne_m: tuple[float, float] = (0.0, 0.0)) -> tuple[FloatArray, FloatArray]:
+    """North and east of SUB x SUB points of all cells, edges included.  (CELLS, CELLS, SUB^2)."""
+    inside = np.linspace(0.0, CELL_M, SUB)
+    corner = np.arange(CELLS) * CELL_M
+    north = corner[:, None, None, None] + inside[:, None] + 0.0 * inside + shift_ne_m[0]
+    east = corner[None, :, None, None] + inside + 0.0 * inside[:, None] + shift_ne_m[1]
+    shape = (CELLS, CELLS, SUB, SUB)
+    flat = (CELLS, CELLS, SUB * SUB)
+    return np.broadcast_to(north, shape).reshape(flat), np.broadcast_to(east, shape).reshape(flat)
+
+
+def brute_force_scan(
+    terrain: Heights, radar: FloatArray, shift_ne_m: tuple[float, float] = (0.0, 0.0)
+) -> tuple[FloatArray, FloatArray]:
+    """What a radar truly sees, by marching rays over the true terrain.
+
+    -> the answers (CELLS, CELLS): highest terrain of a cell, rounded up, where any of its points
+    is in sight and its middle in range; and the true highest terrain of every cell.
+    """
+    north, east = looked_at(shift_ne_m)
+    height = terrain(north, east)  # (CELLS, CELLS, SUB^2)
+    far = np.hypot(north - radar[0], east - radar[1])
+    in_sight = np.ones(height.shape, dtype=bool)
+    for fraction in (np.arange(60) + 0.5) / 60.0:
+        n, e = radar[0] + fraction * (north - radar[0]), radar[1] + fraction * (east - radar[1])
+        in_sight &= terrain(n, e) <= radar[2] + fraction * (height - radar[2]) + 1e-6
+    top = height.max(axis=-1)
+    in_range = far.mean(axis=-1) <= RANGE_M
+    return np.where(in_sight.any(axis=-1) & in_range, np.ceil(top + 1.0), NOT_SEEN), top
+
+
+def as_scan(answers: FloatArray, radar: FloatArray, **changes: float) -> Scan:
+    scan = Scan(
+        row=0,
+        column=0,
+        heights_m=answers,
+        radar_nea_m=np.broadcast_to(radar, (*answers.shape, 3)),
+        range_m=RANGE_M,
+        drift_m=0.0,
+        registration_m=0.0,
+    )
+    return replace(scan, **changes)
+
+
+def blank() -> KnownMap:
+    size = CELLS * CELL_M
+    return empty_map(CELL_M, (0.0, size), (0.0, size))
+
+
+def random_radar(rng: np.random.Generator, terrain: Heights) -> FloatArray:
+    """In the middle half of the map and 20 to 700 m over the terrain."""
+    n, e = rng.uniform(0.25, 0.75, 2) * CELLS * CELL_M
+    return np.array([n, e, float(terrain(np.array(n), np.array(e))) + rng.uniform(20.0, 700.0)])
+
+
+# --- the lattice
+
+
+@given(row=st.integers(-5, 60), column=st.integers(-5, 60), n=st.floats(-0.49, 0.49))
+def test_the_cell_of_a_point_is_the_one_whose_middle_is_within_half_a_cell(
+    row: int, column: int, n: float
+) -> None:
+    known = empty_map(250.0, (-4_000.0, 5_000.0), (1_000.0, 9_000.0))
+    north, east = known.middles_m(row, column, (1, 1))
+    assert known.cell_of(north[0, 0] + n * 250.0, east[0, 0] - n * 250.0) == (row, column)
+
+
+def test_the_middles_of_a_window_are_a_column_of_norths_and_a_row_of_easts() -> None:
+    known = empty_map(10.0, (100.0, 200.0), (-50.0, 50.0))
+    north, east = known.middles_m(2, 3, (2, 3))
+    assert north.tolist() == [[125.0], [135.0]]
+    assert east.tolist() == [[-15.0, -5.0, 5.0]]
+
+
+def test_an_empty_map_covers_its_area_and_knows_nothing() -> None:
+    known = empty_map(250.0, (-10.0, 990.0), (0.0, 1_010.0))
+    assert known.upper_m.shape == (4, 5)
+    assert np.isposinf(known.upper_m).all()
+    assert not known.seen.any()
+    assert not known.is_known(0.0, 0.0)
+
+
+def test_nothing_is_known_off_the_map() -> None:
+    known = blank()
+    known.upper_m[:] = 10.0
+    inside, outside = 0.5 * CELL_M, CELLS * CELL_M + 1.0
+    assert known.is_known(inside, inside)
+    for north, east in ((-1.0, inside), (inside, -1.0), (outside, inside), (inside, outside)):
+        assert not known.is_known(north, east)
+
+
+# --- scans
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 10**6))
+def test_a_hidden_cells_bound_is_never_below_the_true_terrain(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_hills(rng)
+    known = blank()
+    for _ in range(2):
+        radar = random_radar(rng, terrain)
+        answers, truth = brute_force_scan(terrain, radar)
+        known = known.with_scan(as_scan(answers, radar))
+        assert (known.upper_m >= truth).all()
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10**6))
+def test_a_hidden_cells_bound_allows_for_the_registration_and_the_radars_drift(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_hills(rng)
+    radar = random_radar(rng, terrain)
+    shift = complex(*rng.normal(size=2))
+    shift *= 80.0 / abs(shift)
+    drift = np.append(rng.normal(size=2), 0.0)
+    drift *= 120.0 / np.linalg.norm(drift)
+    answers, truth = brute_force_scan(terrain, radar, (shift.real, shift.imag))
+    scan = as_scan(answers, radar + drift, registration_m=80.0, drift_m=120.0)
+    known = blank().with_scan(scan)
+    assert known.registration_m == 80.0
+    assert (known.upper_m >= truth).all()
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 10**6))
+def test_a_hidden_cells_bound_is_sound_when_part_of_the_scan_was_not_answered(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_hills(rng)
+    radar = random_radar(rng, terrain)
+    answers, truth = brute_force_scan(terrain, radar)
+    lost = np.kron(rng.random((CELLS // 4, CELLS // 4)) < 0.2, np.ones((4, 4))) > 0.0
+    answers[lost] = NO_ANSWER
+    known = blank().with_scan(as_scan(answers, radar))
+    assert (known.upper_m >= truth).all()
+
+
+def test_ground_behind_a_ridge_that_was_not_answered_is_not_believed_to_be_low() -> None:
+    radar = np.array([5.5 * CELL_M, 13.5 * CELL_M, 300.0])
+    answers = np.full((CELLS, CELLS), 50.0)
+    answers[10:14] = NO_ANSWER  # a ridge of 800 m stands here
+    answers[14:] = NOT_SEEN  # and shelters a hill of 200 m behind it
+    known = blank().with_scan(as_scan(answers, radar))
+    assert known.upper_m[15, 13] >= 200.0
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 10**6))
+def test_nothing_known_is_lost_by_a_scan_and_the_map_before_stays_as_it_was(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_hills(rng)
+    before = blank()
+    for _ in range(3):
+        radar = random_radar(rng, terrain)
+        answers, _ = brute_force_scan(terrain, radar)
+        upper, seen = before.upper_m.copy(), before.seen.copy()
+        after = before.with_scan(as_scan(answers, radar))
+        assert (before.upper_m == upper).all()
+        assert (before.seen == seen).all()
+        assert (after.upper_m <= before.upper_m).all()
+        assert (after.seen >= before.seen).all()
+        assert (after.seen >= np.isfinite(answers)).all()
+        before = after
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10**6), row=st.integers(0, 9), column=st.integers(0, 9))
+def test_cells_without_an_answer_or_outside_the_window_stay_as_they_were(
+    seed: int, row: int, column: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    before = blank()
+    before.upper_m[rng.random(before.upper_m.shape) < 0.5] = 123.0
+    answers = rng.choice([NO_ANSWER, NOT_SEEN, 77.0], size=(12, 15))
+    radar = np.array([900.0, 900.0, 600.0])
+    after = before.with_scan(as_scan(answers, radar, row=row, column=column))
+    touched = np.zeros((CELLS, CELLS), dtype=bool)
+    touched[row : row + 12, column : column + 15] = ~np.isnan(answers)
+    assert (after.upper_m[~touched] == before.upper_m[~touched]).all()
+    window = np.s_[row : row + 12, column : column + 15]
+    seen = np.isfinite(answers)
+    assert (after.upper_m[window][seen] <= 77.0).all()
+    assert (after.seen[window] == seen).all()
+
+
+def test_a_cell_out_of_range_stays_unknown_although_the_radar_answered() -> None:
+    radar = np.array([13.5 * CELL_M, 13.5 * CELL_M, 600.0])
+    north, east = looked_at()
+    far = np.hypot(north.mean(axis=-1) - radar[0], east.mean(axis=-1) - radar[1]) > RANGE_M
+    known = blank().with_scan(as_scan(np.where(far, NOT_SEEN, 50.0), radar))
+    assert np.isposinf(known.upper_m[far]).all()
+    assert (known.upper_m[~far] == 50.0).all()
+
+
+def test_the_registration_of_a_map_is_the_worst_of_its_scans() -> None:
+    known = blank()
+    answers = np.full((CELLS, CELLS), 50.0)
+    for registration_m, worst in ((3.0, 3.0), (8.0, 8.0), (5.0, 8.0)):
+        scan = as_scan(answers, np.array([1e3, 1e3, 1e3]), registration_m=registration_m)
+        known = known.with_scan(scan)
+        assert known.registration_m == worst
+
+
+# --- the sight line
+
+
+@settings(max_examples=40)
+@given(wall_cell=st.integers(4, 12), top_m=st.floats(0.0, 800.0), behind=st.integers(2, 12))
+def test_the_sight_line_over_a_wall_is_the_straight_line_loosened_by_the_slack(
+    wall_cell: int, top_m: float, behind: int
+) -> None:
+    known = blank()
+    known.upper_m[:] = 0.0
+    known.upper_m[wall_cell] = top_m
+    radar = np.array([0.5 * CELL_M, 13.5 * CELL_M, 400.0])
+    far = (wall_cell + behind) * CELL_M  # to the middle of a cell behind the wall
+    point = np.array([radar[0] + far, radar[1]])
+    slack = 150.0
+    found = sight_line_m(known, radar[None], point[None], slack)[0]
+
+    def line(over_m: float, to_m: float) -> float:
+        return 400.0 + (top_m - 400.0) / over_m * to_m
+
+    near, middle = (wall_cell - 0.5) * CELL_M, wall_cell * CELL_M
+    steep, flat = (near, middle + CELL_M / 2) if top_m > 400.0 else (middle + CELL_M / 2, near)
+    floor = 400.0 - 400.0 / (far - CELL_M) * far  # over the ground in front of the point
+    assert found >= line(steep, far) - 1e-6
+    assert found >= floor
+    # the march looks one cell around and a slack before or behind it
+    loosest = (
+        line(max(middle - CELL_M - slack, 0.5 * CELL_M), far + slack)
+        if top_m > 400.0
+        else max(
+            line(middle + CELL_M + slack, far - slack),
+            400.0 - 400.0 / (far + slack) * (far - slack),
+        )
+    )
+    assert found <= loosest + 1e-6
+    assert flat > 0.0
+
+
+def test_there_is_no_sight_line_where_nothing_known_lies_between() -> None:
+    radar, point = np.array([[50.0, 50.0, 100.0]]), np.array([[2_000.0, 50.0]])
+    assert np.isneginf(sight_line_m(blank(), radar, point, 150.0)).all()
+
+
+def test_the_sight_line_does_not_depend_on_what_lies_behind_the_point() -> None:
+    known = blank()
+    known.upper_m[:] = 10.0
+    radar, point = np.array([[50.0, 1_350.0, 400.0]]), np.array([[1_050.0, 1_350.0]])
+    before = sight_line_m(known, radar, point, 50.0)
+    known.upper_m[13:] = 5_000.0
+    assert sight_line_m(known, radar, point, 50.0) == before
+    assert math.isfinite(before[0])

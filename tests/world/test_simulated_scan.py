@@ -1,0 +1,122 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.world.known_map import KnownMap, empty_map
+from companion.world.simulated_scan import simulated_scan, true_map
+from companion.world.terrain import Peak, PeakTerrain
+
+CELL_M = 100.0
+
+
+def random_terrain(rng: np.random.Generator) -> PeakTerrain:
+    peaks = tuple(
+        Peak(
+            north_m=float(rng.uniform(0, 4_000)),
+            east_m=float(rng.uniform(0, 4_000)),
+            height_amsl_m=float(rng.uniform(50, 1_200)),
+            spread_north_m=float(rng.uniform(200, 900)),
+            spread_east_m=float(rng.uniform(200, 900)),
+        )
+        for _ in range(int(rng.integers(1, 6)))
+    )
+    return PeakTerrain(peaks=peaks, ground_amsl_m=30.0)
+
+
+def blank() -> KnownMap:
+    return empty_map(CELL_M, (0.0, 4_000.0), (0.0, 4_000.0))
+
+
+def flat(ground_m: float = 100.0) -> KnownMap:
+    return true_map(PeakTerrain(peaks=(), ground_amsl_m=ground_m), blank())
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 10**6))
+def test_the_true_map_holds_the_highest_terrain_of_each_cell_in_whole_metres(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_terrain(rng)
+    truth = true_map(terrain, blank())
+    inside = np.linspace(0.0, CELL_M, 21)
+    for row, column in rng.integers(0, 40, (30, 2)):
+        north, east = np.meshgrid(row * CELL_M + inside, column * CELL_M + inside)
+        brute = float(terrain.height_m(north, east).max())
+        # 21 points a side come within 2.5 m of the highest; no slope is above 1200 x 0.86 / 200
+        assert brute <= truth.upper_m[row, column] <= math.ceil(brute + 2 * 2.5 * 5.2)
+    assert (truth.upper_m == np.round(truth.upper_m)).all()
+
+
+@given(
+    north_min_m=st.floats(-1e5, 1e5),
+    east_min_m=st.floats(-1e5, 1e5),
+    rows=st.integers(1, 60),
+    cell_m=st.integers(1, 500),
+)
+def test_the_true_map_lies_on_the_lattice_of_the_map_it_is_like(
+    north_min_m: float, east_min_m: float, rows: int, cell_m: int
+) -> None:
+    like = empty_map(
+        float(cell_m),
+        (north_min_m, north_min_m + rows * cell_m),
+        (east_min_m, east_min_m + 7.3 * cell_m),
+    )
+    truth = true_map(PeakTerrain(peaks=(), ground_amsl_m=1.0), like)
+    assert truth.upper_m.shape == like.upper_m.shape
+    assert truth.cell_of(north_min_m + 0.5, east_min_m + 0.5) == (0, 0)
+
+
+@given(n=st.floats(100, 3_900), e=st.floats(100, 3_900), range_m=st.floats(200, 2_500))
+def test_over_flat_ground_just_the_cells_in_range_are_seen(
+    n: float, e: float, range_m: float
+) -> None:
+    scan = simulated_scan(flat(), (n, e, 400.0), range_m)
+    middles = (np.arange(40) + 0.5) * CELL_M
+    far = np.hypot(middles[:, None] - n, middles[None, :] - e)
+    seen = np.zeros((40, 40), dtype=bool)
+    rows, columns = scan.heights_m.shape
+    window = np.s_[scan.row : scan.row + rows, scan.column : scan.column + columns]
+    seen[window] = np.isfinite(scan.heights_m)
+    assert (seen == (far <= range_m)).all()
+    assert (scan.heights_m[np.isfinite(scan.heights_m)] == 100.0).all()
+    assert np.isneginf(scan.heights_m[~np.isfinite(scan.heights_m)]).all()
+
+
+@settings(max_examples=40)
+@given(wall=st.integers(5, 15), top_m=st.floats(0.0, 900.0), radar_m=st.floats(50.0, 900.0))
+def test_a_wall_hides_just_what_lies_below_the_line_over_its_top(
+    wall: int, top_m: float, radar_m: float
+) -> None:
+    truth = flat(0.0)
+    truth.upper_m[wall] = top_m
+    scan = simulated_scan(truth, (0.5 * CELL_M, 20.5 * CELL_M, radar_m), 3_500.0)
+    due_north = scan.heights_m[:, 20 - scan.column]
+    for cell in range(wall + 1, 34):
+        line = radar_m + (top_m - radar_m) / wall * cell
+        if abs(line) > 1e-6:
+            assert np.isfinite(due_north[cell - scan.row]) == (line <= 0.0)
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10**6))
+def test_the_known_map_of_simulated_scans_is_never_below_the_true_map(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = true_map(random_terrain(rng), blank())
+    known = blank()
+    for _ in range(3):
+        n, e = rng.uniform(0, 4_000, 2)
+        top = truth.upper_m[known.cell_of(n, e)]
+        altitude = float(top + rng.uniform(10, 600))
+        known = known.with_scan(simulated_scan(truth, (float(n), float(e), altitude), 1_500.0))
+        assert (known.upper_m >= truth.upper_m).all()
+        assert known.is_known(float(n), float(e))
+
+
+def test_a_scan_beside_the_edge_of_the_map_stays_on_it() -> None:
+    scan = simulated_scan(flat(), (3_990.0, 10.0, 400.0), 1_000.0)
+    assert (scan.row, scan.column) == (29, 0)
+    assert scan.heights_m.shape == (11, 11)
+    assert scan.radar_nea_m.shape == (11, 11, 3)
+    assert scan.radar_nea_m[3, 4] == pytest.approx((3_990.0, 10.0, 400.0))

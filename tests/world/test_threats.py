@@ -1,0 +1,132 @@
+import cmath
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.world.threats import CircleKeepOut, PolygonKeepOut, Radar, detection_probability
+
+Polygon = tuple[tuple[float, float], ...]
+
+
+@st.composite
+def stars(draw: st.DrawFn) -> Polygon:
+    """Simple polygons, convex or not: a radius at each of a few increasing angles."""
+    corners = draw(st.integers(3, 9))
+    radii = draw(st.lists(st.floats(50.0, 1_000.0), min_size=corners, max_size=corners))
+    turn = draw(st.floats(0.0, 2.0 * math.pi))
+    north, east = draw(st.floats(-500, 500)), draw(st.floats(-500, 500))
+    backwards = draw(st.booleans())
+    points = [
+        (north + r * math.cos(turn + a), east + r * math.sin(turn + a))
+        for r, a in zip(radii, np.linspace(0.0, 2.0 * math.pi, corners + 1)[:-1], strict=True)
+    ]
+    return tuple(points[::-1] if backwards else points)
+
+
+def dense_edge(polygon: Polygon, each: int = 2_000) -> tuple[np.ndarray, float]:
+    """Points along all edges, and the greatest step between two of them."""
+    ends = (*polygon[1:], polygon[0])
+    along = np.linspace(0.0, 1.0, each + 1)[:, None]
+    points = [
+        np.array(a) + along * (np.array(b) - np.array(a))
+        for a, b in zip(polygon, ends, strict=True)
+    ]
+    step = max(math.dist(a, b) for a, b in zip(polygon, ends, strict=True)) / each
+    return np.concatenate(points), step
+
+
+def winding_number(polygon: Polygon, north: float, east: float) -> int:
+    seen = [complex(n - north, e - east) for n, e in polygon]
+    turns = [cmath.phase(b / a) for a, b in zip(seen, seen[1:] + seen[:1], strict=True)]
+    return round(sum(turns) / (2.0 * math.pi))
+
+
+def signed_distance(zone: PolygonKeepOut, north: float, east: float) -> float:
+    return float(zone.distance_m(np.array(north), np.array(east)))
+
+
+def test_a_radar_sees_with_certainty_at_its_place_and_half_at_its_range() -> None:
+    seen = detection_probability(np.array([0.0, 5_000.0, 10_000.0]), 10_000.0)
+    assert seen == pytest.approx([1.0, 1.0 / (1.0 + 1.0 / 16.0), 0.5])
+
+
+@given(range_m=st.floats(1.0, 1e5), fraction=st.floats(0.0, 1.0))
+def test_detection_within_the_range_is_equation_3(range_m: float, fraction: float) -> None:
+    d = fraction * range_m
+    expected = range_m**4 / (range_m**4 + d**4)
+    assert detection_probability(np.array(d), range_m) == pytest.approx(expected)
+
+
+@given(range_m=st.floats(1.0, 1e5))
+def test_detection_falls_from_a_half_to_nothing_at_the_range(range_m: float) -> None:
+    d = np.array([range_m, np.nextafter(range_m, np.inf)])
+    inside, outside = detection_probability(d, range_m)
+    assert inside == 0.5
+    assert outside == 0.0
+
+
+def test_distance_from_a_radar_is_euclidean_for_any_shape_of_points() -> None:
+    radar = Radar(name="r", centre_nea_m=(100.0, -200.0, 50.0), range_m=1.0)
+    points = np.random.default_rng(1).normal(size=(3, 4, 3)) * 1_000.0
+    distance = radar.distance_m(points)
+    assert distance.shape == (3, 4)
+    for index in np.ndindex(3, 4):
+        assert distance[index] == pytest.approx(math.dist(points[index], radar.centre_nea_m))
+
+
+@given(st.floats(-100, 100), st.floats(-100, 100), st.floats(1, 50))
+def test_the_distance_to_a_circle_is_that_to_its_nearest_point(
+    north: float, east: float, radius: float
+) -> None:
+    zone = CircleKeepOut(name="c", north_m=7.0, east_m=-3.0, radius_m=radius)
+    angle = np.linspace(0.0, 2.0 * math.pi, 10_001)
+    ring = np.hypot(7.0 + radius * np.cos(angle) - north, -3.0 + radius * np.sin(angle) - east)
+    inside = math.hypot(north - 7.0, east + 3.0) < radius
+    signed = -ring.min() if inside else ring.min()
+    assert zone.distance_m(np.array(north), np.array(east)) == pytest.approx(signed, abs=0.05)
+
+
+@given(polygon=stars(), north=st.floats(-1_500, 1_500), east=st.floats(-1_500, 1_500))
+def test_the_distance_to_a_polygon_is_that_to_its_nearest_edge_point(
+    polygon: Polygon, north: float, east: float
+) -> None:
+    edge, step = dense_edge(polygon)
+    brute = np.hypot(*(edge - (north, east)).T).min()
+    distance = abs(signed_distance(PolygonKeepOut(name="p", vertices_ne_m=polygon), north, east))
+    assert distance <= brute + 1e-6
+    assert brute <= math.hypot(distance, 0.5 * step) + 1e-6
+
+
+@given(polygon=stars(), north=st.floats(-1_500, 1_500), east=st.floats(-1_500, 1_500))
+def test_the_distance_is_negative_just_where_the_polygon_winds_around_the_point(
+    polygon: Polygon, north: float, east: float
+) -> None:
+    distance = signed_distance(PolygonKeepOut(name="p", vertices_ne_m=polygon), north, east)
+    if abs(distance) > 1e-6:
+        assert (distance < 0.0) == (winding_number(polygon, north, east) != 0)
+
+
+@given(polygon=stars())
+def test_the_distance_at_a_corner_is_zero(polygon: Polygon) -> None:
+    zone = PolygonKeepOut(name="p", vertices_ne_m=polygon)
+    for north, east in polygon:
+        assert signed_distance(zone, north, east) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_side_of_a_square_with_edges_along_the_axes() -> None:
+    square = PolygonKeepOut(name="s", vertices_ne_m=((0, 0), (0, 100), (100, 100), (100, 0)))
+    north, east = np.array([50.0, 150.0, 50.0, -30.0]), np.array([50.0, 50.0, -20.0, -40.0])
+    assert square.distance_m(north, east) == pytest.approx([-50.0, 50.0, 20.0, 50.0])
+
+
+def test_a_polygon_that_repeats_its_first_corner_to_close_itself_is_the_same_polygon() -> None:
+    open_ = ((0.0, 0.0), (0.0, 100.0), (100.0, 0.0))
+    closed = (*open_, open_[0])
+    here = np.array([10.0, 200.0]), np.array([10.0, 5.0])
+    expected = PolygonKeepOut(name="o", vertices_ne_m=open_).distance_m(*here)
+    with np.errstate(all="ignore"):
+        found = PolygonKeepOut(name="c", vertices_ne_m=closed).distance_m(*here)
+    assert found == pytest.approx(expected)
