@@ -27,7 +27,7 @@ from companion.telemetry.flown import Flown
 from companion.telemetry.run_folder import RunFolder
 from companion.views.live import Progress
 from companion.views.pictures import draw_flown, draw_offline
-from companion.views.words import flight_table, mission_words
+from companion.views.words import flight_table, mission_words, plans_table
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 
@@ -157,15 +157,7 @@ def plan_command(
         seed=seed,
     )
     took_s = time.perf_counter() - began_s
-    for number, planned in enumerate(flight.plans, start=1):
-        report = planned.report
-        console.print(
-            f"subpath {number:2d}: cost {planned.cost:6.2f}, "
-            f"clearance {report.clearance_m:5.0f} m, "
-            f"tightest turn {report.turn_radius_m / 1000:5.1f} km, "
-            f"inside radars {report.radar_m / 1000:4.1f} km",
-            highlight=False,
-        )
+    console.print(plans_table(flight.plans))
     length_m = draw_offline(flight, chosen, truth, out)
     console.print(
         f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s; "
@@ -184,15 +176,26 @@ def check_command(mission: MissionArgument, profile: ProfileOption = None) -> No
     )
 
 
-@app.callback()
-def _common(
-    show_version: Annotated[
-        bool, typer.Option("--version", help="Print the version and exit.")
-    ] = False,
-) -> None:
-    if show_version:
+def _print_version(wanted: bool) -> None:
+    if wanted:
         Console().print(version("companion"), highlight=False)
         raise typer.Exit
+
+
+@app.callback()
+def _common(
+    *,
+    _version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            is_eager=True,
+            callback=_print_version,
+            help="Print the version and exit.",
+        ),
+    ] = False,
+) -> None:
+    """Options that come before the command."""
 
 
 def main() -> None:

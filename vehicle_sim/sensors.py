@@ -187,11 +187,12 @@ class TerrainRadar:
                 return grid
         cell_m = self._range_m / _GRID_CELLS_PER_RANGE
         size = 2 * math.ceil((self._range_m + 2.0 * spare_m) / cell_m)
-        # Whole multiples of the cell: the same ground gives the same grid wherever it is asked from.
+        # Whole multiples of the cell: the same ground has the same bounds wherever one looks from.
         south_m = (math.floor(north_m / cell_m) - size // 2) * cell_m
         west_m = (math.floor(east_m / cell_m) - size // 2) * cell_m
         lowest = self._terrain.lowest_in_grid_amsl_m(
-            south_m + np.arange(size + 1) * cell_m, west_m + np.arange(size + 1) * cell_m
+            (south_m + np.arange(size + 1) * cell_m).astype(np.float64),
+            (west_m + np.arange(size + 1) * cell_m).astype(np.float64),
         )
         lowest[[0, -1], :] = lowest[
             :, [0, -1]

@@ -177,9 +177,9 @@ def read_world(path: Path) -> World:
 
 def parse_world(table: dict[str, Any]) -> World:
     """The world that this TOML table describes."""
-    missing_all = not table.keys() & {"terrain", "vehicle", "scanner"}
-    if missing_all:
-        what = "a mission" if table.keys() & {"targets", "planner", "area"} else "something else"
+    is_mission = bool(table.keys() & {"targets", "planner", "area"})
+    if "terrain" not in table and (is_mission or not table.keys() & {"vehicle", "scanner"}):
+        what = "a mission" if is_mission else "something else"
         raise InputError(
             "WORLD",
             table.get("name", "file"),

@@ -27,6 +27,8 @@ class CheckReport:
 
     clearance_m: float
     """Distance to the nearest known terrain (its cells taken as high as their highest point)."""
+    farthest_m: float
+    """Clearances are measured up to here."""
     above_safe_m: float
     """Height over the surface that keeps the required clearance; negative: violated."""
     keep_out_m: float
@@ -75,6 +77,7 @@ def check(
     off_map = np.maximum(_beyond(north, limits.north_m), _beyond(east, limits.east_m))
     return CheckReport(
         clearance_m=float(clearance_m(known, points[::5]).min()),
+        farthest_m=_FARTHEST_CELLS * known.cell_m,
         above_safe_m=float((altitude - safe.altitude_m(north, east)).min()),
         keep_out_m=min(keep_out, default=np.inf),
         turn_radius_m=float(1.0 / max(curvature.max(), 1e-9)),

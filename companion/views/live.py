@@ -9,6 +9,7 @@ from rich.text import Text
 
 from companion.mission.state import Phase
 from companion.telemetry.flown import Flown
+from companion.views.words import clearance_words
 
 
 @final
@@ -55,7 +56,7 @@ def progress_line(flown: Flown) -> str:
         newest = flown.plans[-1]
         parts.append(f"subpath {state.flight.legs_flown:2d}")
         parts.append(f"cost {newest.cost:5.2f}")
-        parts.append(f"clearance {newest.report.clearance_m:5.0f} m")
+        parts.append(f"clearance {clearance_words(newest.report):>9}")
     if flown.plans_s:
         parts.append(f"planned in {flown.plans_s[-1] * 1e3:4.0f} ms")
     if session.now_s > 0.0:

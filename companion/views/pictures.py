@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.geodesy import FloatArray
+from companion.mission.events import Vector
 from companion.mission.mission import Mission
 from companion.planner.offline import OfflineFlight
 from companion.planner.plan import Planned
@@ -19,8 +20,10 @@ _SPACING_M = 100.0
 def draw_offline(flight: OfflineFlight, mission: Mission, truth: KnownMap, path: Path) -> float:
     """Draw a flight without a vehicle over the true terrain; its length in metres."""
     lines = _flown_lines(flight.legs, mission)
-    _draw(path, mission, truth, lines, flight.scans_nea_m, None)
-    return sum(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in lines)
+    length_m = sum(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in lines)
+    caption = f"planned without a vehicle: {len(lines)} subpaths, {length_m / 1000:.1f} km"
+    _draw(path, mission, truth, lines, flight.scans_nea_m, flight.scans_nea_m[0], caption)
+    return length_m
 
 
 def draw_flown(flown: Flown, path: Path) -> None:
@@ -28,9 +31,13 @@ def draw_flown(flown: Flown, path: Path) -> None:
     session = flown.session
     legs = tuple(_leg(planned, number) for number, planned in enumerate(flown.plans, start=1))
     track = np.array(flown.track_nea_m) if len(flown.track_nea_m) > 1 else None
-    known = session.state.flight.known
+    start = flown.track_nea_m[0] if flown.track_nea_m else (0.0, 0.0, 0.0)
+    end = "in flight" if flown.end is None else f"{flown.end.outcome.value}: {flown.end.reason}"
+    caption = f"{end}, after {session.now_s:,.0f} s; terrain as far as it was seen"
     lines = _flown_lines(legs, session.mission)
-    _draw(path, session.mission, known, lines, tuple(flown.scans_nea_m), track)
+    scans = tuple(flown.scans_nea_m)
+    known = session.state.flight.known
+    _draw(path, session.mission, known, lines, scans, start, caption, track)
 
 
 def _leg(planned: Planned, number: int) -> Leg:
@@ -58,9 +65,33 @@ def _draw(
     mission: Mission,
     terrain: KnownMap,
     lines: tuple[FloatArray, ...],
-    scans_nea_m: tuple[tuple[float, float, float], ...],
-    track_nea_m: FloatArray | None,
+    scans_nea_m: tuple[Vector, ...],
+    start_nea_m: Vector,
+    caption: str,
+    track_nea_m: FloatArray | None = None,
 ) -> None:
-    from companion.views.figure import FlightFigure, draw  # matplotlib takes a second to import
+    from companion.views.figure import FlightFigure, TerrainPicture, draw  # slow to import
 
-    print(path, mission, terrain, lines, scans_nea_m, track_nea_m, FlightFigure, draw)
+    limits = mission.task.limits
+    rows, columns = terrain.upper_m.shape
+    draw(
+        FlightFigure(
+            title=f"{mission.name}, profile {mission.task.settings.profile.name}",
+            terrain=TerrainPicture(
+                north_edges_m=terrain.north_min_m + np.arange(rows + 1) * terrain.cell_m,
+                east_edges_m=terrain.east_min_m + np.arange(columns + 1) * terrain.cell_m,
+                heights_m=np.where(terrain.seen, terrain.upper_m, np.nan),
+            ),
+            radars=mission.task.radars,
+            keep_outs=mission.task.keep_outs,
+            floor_amsl_m=limits.floor_amsl_m,
+            ceiling_amsl_m=limits.ceiling_amsl_m,
+            legs_nea_m=lines,
+            scans_nea_m=scans_nea_m,
+            start_nea_m=start_nea_m,
+            targets_ne_m=mission.targets_ne_m,
+            track_nea_m=track_nea_m,
+            caption=caption,
+        ),
+        path,
+    )

@@ -7,6 +7,8 @@ import statistics
 from rich.table import Table
 
 from companion.mission.mission import EndAction, Mission
+from companion.path.check import CheckReport
+from companion.planner.plan import Planned
 from companion.telemetry.flown import Flown
 
 
@@ -74,8 +76,8 @@ def flight_table(flown: Flown) -> Table:
     rows.append(("subpaths flown", f"{session.state.flight.legs_flown}"))
     if flown.plans:
         rows.append(("cost of all subpaths", f"{sum(plan.cost for plan in flown.plans):.1f}"))
-        nearest = min(plan.report.clearance_m for plan in flown.plans)
-        rows.append(("least planned clearance", f"{nearest:,.0f} m"))
+        nearest = min((plan.report for plan in flown.plans), key=lambda each: each.clearance_m)
+        rows.append(("least planned clearance", clearance_words(nearest)))
         inside = sum(plan.report.radar_m for plan in flown.plans)
         rows.append(("planned inside radar ranges", f"{inside:,.0f} m"))
     if flown.plans_s:
@@ -84,3 +86,28 @@ def flight_table(flown: Flown) -> Table:
     for name, value in rows:
         table.add_row(name, value)
     return table
+
+
+def plans_table(plans: tuple[Planned, ...]) -> Table:
+    """Subpath by subpath, what was planned."""
+    table = Table()
+    for heading in ("subpath", "cost", "length", "clearance", "tightest turn", "inside radars"):
+        table.add_column(heading, justify="right")
+    for number, planned in enumerate(plans, start=1):
+        report = planned.report
+        turn_km = report.turn_radius_m / 1000.0
+        table.add_row(
+            f"{number}",
+            f"{planned.cost:.2f}",
+            f"{planned.subpath.length_m / 1000:.1f} km",
+            clearance_words(report),
+            f"{turn_km:.1f} km" if turn_km < 100.0 else "straight",
+            f"{report.radar_m / 1000:.1f} km",
+        )
+    return table
+
+
+def clearance_words(report: CheckReport) -> str:
+    """The clearance of a subpath; beyond some distance it is not measured."""
+    more = "> " if report.clearance_m >= report.farthest_m else ""
+    return f"{more}{report.clearance_m:,.0f} m"

@@ -125,13 +125,18 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
 
 
 def sight_line_m(
-    known: KnownMap, radars_nea_m: FloatArray, points_ne_m: FloatArray, slack_m: float
+    known: KnownMap,
+    radars_nea_m: FloatArray,
+    points_ne_m: FloatArray,
+    slack_m: float,
+    stop_short_m: float = 0.0,
 ) -> FloatArray:
     """Altitude of the highest sight line from radars to points over the terrain between.
 
     radars_nea_m (K, 3), points_ne_m (K, 2) -> (K,), metres AMSL, -inf where nothing known lies
     between.  Never too low if the terrain, the radar and the point are known to slack_m:
-    the march looks at every cell within the slack of the line.
+    the march looks at every cell within the slack of the line.  It ends stop_short_m before the
+    point, so that a cell need not hide itself.
     """
     cell = known.cell_m
     bounded = np.where(np.isfinite(known.upper_m), known.upper_m, -np.inf)
@@ -145,7 +150,7 @@ def sight_line_m(
     steepest = np.full(distance.shape, -np.inf)
     for step in range(1, math.ceil(float(distance.max()) / cell)):
         along = step * cell
-        before = np.nonzero(along < distance)[0]
+        before = np.nonzero(along < distance - stop_short_m)[0]
         index = np.clip((start[before] + heading[before] * step).astype(np.intp), 0, limits)
         rise = highest[index[:, 0], index[:, 1]] - radars_nea_m[before, 2]
         gap = np.where(rise > 0, max(along - slack_m, 0.5 * cell), along + slack_m)

@@ -15,6 +15,7 @@ def true_map(terrain: PeakTerrain, like: KnownMap) -> KnownMap:
     heights = terrain.highest_in_box_m(north - half, north + half, east - half, east + half)
     blank = empty_map(like.cell_m, _extent(like, 0), _extent(like, 1))
     blank.upper_m[:] = np.ceil(heights)
+    blank.seen[:] = True
     return blank
 
 
@@ -31,7 +32,7 @@ def simulated_scan(
     rows, columns = np.nonzero(in_range)
     middles = np.stack([north[rows, 0], east[0, columns]], axis=-1)
     radars = np.broadcast_to(np.asarray(radar_nea_m), (len(rows), 3))
-    line = sight_line_m(truth, radars, middles, 0.0)
+    line = sight_line_m(truth, radars, middles, 0.0, stop_short_m=truth.cell_m)
     seen = np.zeros(heights.shape, dtype=bool)
     seen[in_range] = heights[in_range] >= line
     heights[~seen] = NOT_SEEN

@@ -121,6 +121,7 @@ class Report:
     """Of the estimator; its local frame is ArduPilot's flat earth about this point."""
     local_ned_m: tuple[float, float, float] | None
     target: "TargetEcho | None"
+    hardware_id: int
 
 
 @final

@@ -45,7 +45,10 @@ from vehicle_sim.dynamics import GRAVITY_M_S2, Copter
 class ArduCopter:
     """One vehicle's autopilot; steers the copter that it is given."""
 
-    def __init__(self, copter: Copter, tuning: Tuning, *, heading_rad: float) -> None:
+    def __init__(
+        self, copter: Copter, tuning: Tuning, *, heading_rad: float, hardware_id: int = 1
+    ) -> None:
+        self._hardware_id = hardware_id
         self._flight = Flight(copter, tuning, heading_rad=heading_rad)
         self._home: Place | None = None
         self._origin: Place | None = None
@@ -233,6 +236,7 @@ class ArduCopter:
             origin=origin,
             local_ned_m=flat_earth_ned_m(origin, place) if positioned and origin else None,
             target=flight.echo(origin) if origin else None,
+            hardware_id=self._hardware_id,
         )
 
 

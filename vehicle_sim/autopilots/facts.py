@@ -10,7 +10,7 @@ HEALTHY_US = 23_500_000
 POSITION_US = 41_500_000
 """Time since boot at which the estimator's position is there, and arming in GUIDED with it."""
 EKF_WITHOUT_GPS, EKF_WITH_GPS = 0x0A7, 0x33F
-SPOOL_UP_US = 1_500_000
+SPOOL_UP_US = 2_000_000
 REACHED_US = 1_000_000
 """From reaching the height to the end of the take-off."""
 DISARM_US = 2_000_000

@@ -1,0 +1,296 @@
+"""A made-up vehicle for tests of the mission: events in, commands out, no bytes and no planner."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from companion.config import load_mission
+from companion.mission import machine
+from companion.mission.events import (
+    Arm,
+    Command,
+    End,
+    Estimator,
+    Event,
+    GpsFix,
+    Home,
+    Landed,
+    LandedState,
+    Mode,
+    Plan,
+    PlanReady,
+    Position,
+    ScanDone,
+    SetMode,
+    Setpoint,
+    StartScan,
+    TakeOff,
+    Tick,
+    Vector,
+    VehicleStatus,
+)
+from companion.mission.flying import Context
+from companion.mission.mission import EndAction, Mission
+from companion.mission.state import Flight, Phase, State
+from companion.path.check import CheckReport
+from companion.path.subpath import Subpath
+from companion.planner.plan import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
+from companion.world.known_map import NO_ANSWER, Scan, empty_map
+
+MISSION = load_mission("environment-1")
+HOME_AMSL_M = 3000.0
+TAKE_OFF_AMSL_M = 3020.0  # floor 3000 m and twice the tracking error of 10 m
+TICK_S = 0.1
+SPEED_M_S = 150.0
+LEG_M = 17_000.0
+Kind = TypeVar("Kind", bound=Command)
+Step = tuple[State, Event, State, list[Command]]
+
+
+def mission(**changes: Any) -> Mission:
+    return replace(MISSION, **changes)
+
+
+LAND = mission(end_action=EndAction.LAND)
+
+
+def fresh(of: Mission = MISSION) -> State:
+    limits = of.task.limits
+    return State(flight=Flight(known=empty_map(of.task.cell_m, limits.north_m, limits.east_m)))
+
+
+def straight(start_nea_m: Sequence[float], end_nea_m: Sequence[float]) -> Subpath:
+    return Subpath(control_nea_m=np.linspace(start_nea_m, end_nea_m, 4))
+
+
+REPORT = CheckReport(
+    clearance_m=1000.0,
+    above_safe_m=500.0,
+    keep_out_m=math.inf,
+    turn_radius_m=math.inf,
+    climb_angle_rad=0.0,
+    dive_angle_rad=0.0,
+    lowest_amsl_m=3020.0,
+    highest_amsl_m=3020.0,
+    off_map_m=0.0,
+    radar_m=0.0,
+)
+
+
+def planned(request: PlanRequest, length_m: float = LEG_M) -> Planned:
+    """A straight and level subpath towards the target, or to it if it is near enough."""
+    start = request.start.position_nea_m
+    target = np.array([*request.target_ne_m, start[2]])
+    left_m = float(np.linalg.norm(target - start))
+    reaches = left_m <= length_m
+    end = target if reaches else start + (target - start) / left_m * length_m
+    return Planned(
+        plan_id=request.plan_id,
+        subpath=straight(start, end),
+        reaches_target=reaches,
+        cost=1.0,
+        terms={"f1": 1.0},
+        report=REPORT,
+        guide_rad=0.0,
+        evaluations=60,
+        rank=0,
+        tries=1,
+    )
+
+
+def not_planned(request: PlanRequest) -> NotPlanned:
+    return NotPlanned(
+        plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE, broken=("floor",), evaluations=60
+    )
+
+
+def scan(height_m: float = NO_ANSWER) -> Scan:
+    return Scan(
+        row=0,
+        column=0,
+        heights_m=np.full((1, 1), height_m),
+        radar_nea_m=np.zeros((1, 1, 3)),
+        range_m=20_000.0,
+        drift_m=0.0,
+        registration_m=0.0,
+    )
+
+
+def scan_done(time_s: float, *, answered: int = 1) -> ScanDone:
+    return ScanDone(
+        time_s=time_s, scan=scan(0.0 if answered else NO_ANSWER), asked=1, answered=answered
+    )
+
+
+def status(time_s: float, mode: Mode = Mode.GUIDED, *, armed: bool = True) -> VehicleStatus:
+    return VehicleStatus(time_s=time_s, mode=mode, armed=armed)
+
+
+def position(
+    time_s: float, at: Vector = (0.0, 0.0, TAKE_OFF_AMSL_M), velocity: Vector = (0.0, 0.0, 0.0)
+) -> Position:
+    return Position(time_s=time_s, position_nea_m=at, velocity_nea_m_s=velocity)
+
+
+class Craft:
+    """A mission in flight, and a vehicle that does exactly what it is told."""
+
+    def __init__(
+        self,
+        of: Mission = MISSION,
+        plan: Callable[[PlanRequest], PlanOutcome | None] = planned,
+    ) -> None:
+        self.context = Context(mission=of, seed=1)
+        self.state = fresh(of)
+        self.plan = plan
+        self.steps: list[Step] = []
+        self.now_s = 0.0
+        self.mode, self.armed, self.landed = Mode.OTHER, False, Landed.ON_GROUND
+        self.here: Vector = (0.0, 0.0, HOME_AMSL_M)
+        self.velocity: Vector = (0.0, 0.0, 0.0)
+        self.climb_to_m: float | None = None
+        self.obeys_modes, self.follows, self.fix, self.answered = True, True, True, 1
+        self.scan_asked = False
+        self.pending: tuple[float, PlanOutcome] | None = None
+
+    @property
+    def phase(self) -> Phase:
+        return self.state.phase
+
+    @property
+    def commands(self) -> list[Command]:
+        return [command for *_, commands in self.steps for command in commands]
+
+    def sent(self, kind: type[Kind]) -> list[Kind]:
+        return [command for command in self.commands if isinstance(command, kind)]
+
+    def take(self, *events: Event) -> list[Command]:
+        """Events in, commands out; the vehicle does not hear of them."""
+        out: list[Command] = []
+        for event in events:
+            before = self.state
+            self.state, commands = machine.step(before, event, self.context)
+            self.steps.append((before, event, self.state, commands))
+            out += commands
+        return out
+
+    def obey(self, commands: Sequence[Command]) -> None:
+        for command in commands:
+            match command:
+                case SetMode(mode=mode) if self.obeys_modes:
+                    self.mode = mode
+                case Arm():
+                    self.armed = True
+                case TakeOff(above_home_m=height):
+                    self.landed, self.climb_to_m = Landed.TAKING_OFF, HOME_AMSL_M + height
+                case StartScan():
+                    self.scan_asked = True
+                case Plan(request=request, due_s=due_s):
+                    outcome = self.plan(request)
+                    self.pending = None if outcome is None else (due_s, outcome)
+                case Setpoint() if self.follows and self.mode is Mode.GUIDED:
+                    self.here, self.velocity = command.position_nea_m, command.velocity_nea_m_s
+                case _:
+                    pass
+
+    def _move(self) -> None:
+        """Climb, sink or stand; what setpoints say was done when they came."""
+        height = self.here[2]
+        if self.climb_to_m is not None:
+            height = min(height + 25.0 * TICK_S, self.climb_to_m)
+            if height == self.climb_to_m:
+                self.landed, self.climb_to_m = Landed.IN_AIR, None
+        elif self.mode is Mode.LAND and self.landed is not Landed.ON_GROUND:
+            height = max(height - 25.0 * TICK_S, HOME_AMSL_M)
+            if height == HOME_AMSL_M:
+                self.landed, self.armed = Landed.ON_GROUND, False
+        if self.mode is not Mode.GUIDED:
+            self.velocity = (0.0, 0.0, 0.0)
+        self.here = (*self.here[:2], height)
+
+    def events(self) -> list[Event]:
+        """What the vehicle says at the next tick of its clock."""
+        self.now_s = now = round(self.now_s + TICK_S, 6)
+        self._move()
+        said: list[Event] = [Tick(time_s=now)]
+        if round(now / TICK_S) % 10 == 0:
+            said += [
+                status(now, self.mode, armed=self.armed),
+                LandedState(time_s=now, landed=self.landed),
+                GpsFix(time_s=now, good=self.fix),
+                Estimator(time_s=now, good=True),
+                Home(time_s=now, altitude_amsl_m=HOME_AMSL_M),
+            ]
+        if self.scan_asked:
+            self.scan_asked = False
+            said.append(scan_done(now, answered=self.answered))
+        if self.pending is not None and now >= self.pending[0]:
+            said.append(PlanReady(time_s=now, outcome=self.pending[1]))
+            self.pending = None
+        return [*said, position(now, self.here, self.velocity)]
+
+    def tick(self) -> list[Command]:
+        out: list[Command] = []
+        for event in self.events():
+            commands = self.take(event)
+            self.obey(commands)
+            out += commands
+        return out
+
+    def run_until(self, done: Callable[["Craft"], bool], limit_s: float = 3600.0) -> "Craft":
+        deadline_s = self.now_s + limit_s
+        while not done(self):
+            assert self.now_s < deadline_s, f"nothing after {limit_s} s: {self.phase}"
+            self.tick()
+        return self
+
+    def fly_to(self, phase: Phase) -> "Craft":
+        return self.run_until(lambda craft: craft.phase is phase)
+
+    def run_for(self, seconds: float) -> "Craft":
+        for _ in range(round(seconds / TICK_S)):
+            self.tick()
+        return self
+
+    def end(self) -> End:
+        ends = self.sent(End)
+        assert len(ends) == 1, ends
+        return ends[0]
+
+
+def near_target(of: Mission = MISSION) -> Mission:
+    """The same mission with a target that one leg reaches."""
+    return replace(of, targets_ne_m=((5000.0, 5000.0),))
+
+
+def flying(of: Mission = MISSION, **keywords: Any) -> Craft:
+    """On its first leg, at speed."""
+    craft = Craft(of, **keywords).fly_to(Phase.FLYING)
+    return craft.run_until(lambda craft: craft.state.flight.reference.speed_m_s > 100.0)
+
+
+def holding_without_plan() -> Craft:
+    return Craft(plan=not_planned).fly_to(Phase.HOLDING)
+
+
+def holding_mode_taken() -> Craft:
+    craft = flying()
+    craft.mode, craft.obeys_modes = Mode.OTHER, False
+    return craft.fly_to(Phase.HOLDING)
+
+
+def holding_without_fix() -> Craft:
+    craft = flying()
+    craft.fix = False
+    return craft.fly_to(Phase.HOLDING)
+
+
+def arrived(of: Mission = MISSION) -> Craft:
+    return Craft(near_target(of)).fly_to(Phase.ARRIVED)
+
+
+def landing() -> Craft:
+    return arrived(LAND).fly_to(Phase.LANDING)

@@ -1,0 +1,156 @@
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from made_up import LEG_M, MISSION, SPEED_M_S, TICK_S, Craft, flying, position
+
+from companion.mission.events import Plan, Position, Setpoint, StartScan, Tick
+from companion.mission.state import Phase
+from companion.planner.plan import Planned, PlanRequest
+
+# The distances of environment-1 by hand: V = 150 m/s, a = 5 m/s2, T = 5 s, t_scan = 4 s,
+# d_s = 500 m, R = 20 km: tail = max(0.15 R, V^2 / 2a + d_s), L = V (T + t_scan) + tail.
+TAIL_M = max(3000.0, 150.0**2 / 10.0 + 500.0)
+L_M = 150.0 * 9.0 + TAIL_M
+NORTH_EAST = math.sqrt(0.5)
+
+
+def flown_m(setpoint: Setpoint) -> float:
+    """Distance from the start: all legs lie on one straight line towards the target."""
+    return math.hypot(*setpoint.position_nea_m[:2])
+
+
+def two_legs() -> Craft:
+    return Craft().run_until(lambda craft: craft.state.flight.legs_flown == 3)
+
+
+def test_a_scan_starts_at_p_scan_and_not_before() -> None:
+    craft = two_legs()
+    first, *later = craft.sent(StartScan)
+    assert flown_m(craft.sent(Setpoint)[0]) == math.hypot(*first.centre_nea_m[:2]) == 0.0
+    for number, scan in enumerate(later, start=1):
+        end_m = LEG_M + (number - 1) * (LEG_M - TAIL_M)
+        assert 0.0 <= math.hypot(*scan.centre_nea_m[:2]) - (end_m - L_M) <= SPEED_M_S * TICK_S
+
+
+def test_every_leg_is_scanned_for_once() -> None:
+    craft = two_legs()
+    assert len(craft.sent(StartScan)) == 3
+    assert [plan.request.plan_id for plan in craft.sent(Plan)] == [1, 2, 3]
+
+
+def test_the_next_leg_is_planned_from_p_prog_with_its_tangent_and_is_due_after_t() -> None:
+    craft = two_legs()
+    steps = [(after, c) for _, _, after, commands in craft.steps for c in commands]
+    plans = [(after.now_s, c) for after, c in steps if isinstance(c, Plan)]
+    for number, (asked_s, plan) in enumerate(plans):
+        assert plan.due_s == pytest.approx(asked_s + 5.0)
+        assert plan.request.from_rest == (number == 0)
+        expected_m = number * (LEG_M - TAIL_M)
+        start = plan.request.start
+        assert np.hypot(*start.position_nea_m[:2]) == pytest.approx(expected_m, abs=1e-6)
+        if number:
+            np.testing.assert_allclose(start.tangent_nea, [NORTH_EAST, NORTH_EAST, 0], atol=1e-9)
+
+
+def test_the_reference_goes_over_to_the_next_leg_at_p_prog() -> None:
+    craft = two_legs()
+    for before, event, after, _ in craft.steps:
+        if after.flight.legs_flown > before.flight.legs_flown >= 1:
+            assert isinstance(event, Position)
+            reference = after.flight.reference.length_m
+            assert 0.0 <= reference <= SPEED_M_S * TICK_S
+            assert before.flight.reference.length_m <= LEG_M - TAIL_M
+
+
+def test_setpoints_are_continuous_across_the_switch_to_1e_6() -> None:
+    """On a straight line the steps are those of the speed: trapezoids of v dt."""
+    setpoints = Craft().run_until(lambda craft: craft.state.flight.legs_flown == 3).sent(Setpoint)
+    moving = [s for s in setpoints if math.hypot(*s.velocity_nea_m_s) > 149.999]
+    flown = [flown_m(setpoint) for setpoint in moving]
+    assert len(flown) > 1000
+    np.testing.assert_allclose(np.diff(flown), SPEED_M_S * TICK_S, atol=1e-6)
+
+
+def test_a_setpoint_lies_on_the_leg_with_its_velocity_and_nose_along_it() -> None:
+    for setpoint in flying().run_for(20.0).sent(Setpoint)[100:]:
+        north, east, altitude = setpoint.position_nea_m
+        assert north == pytest.approx(east, abs=1e-6)
+        assert altitude == pytest.approx(3020.0)
+        speed = math.hypot(*setpoint.velocity_nea_m_s)
+        expected = [speed * NORTH_EAST, speed * NORTH_EAST, 0.0]
+        np.testing.assert_allclose(setpoint.velocity_nea_m_s, expected, atol=1e-6)
+        assert setpoint.yaw_rad == pytest.approx(math.pi / 4)
+
+
+def test_speed_and_acceleration_keep_to_the_mission() -> None:
+    craft = Craft().run_until(lambda craft: craft.phase is Phase.ARRIVED)
+    speeds = np.array([math.hypot(*s.velocity_nea_m_s) for s in craft.sent(Setpoint)])
+    assert speeds.max() == pytest.approx(SPEED_M_S)
+    changes = np.diff(speeds) / TICK_S
+    assert changes.max() <= 5.0 + 1e-6
+    assert changes.min() >= -2.0 * 5.0 - 1e-6  # it may brake twice as hard
+
+
+def test_the_last_setpoint_of_a_leg_to_the_target_is_at_the_target_at_rest() -> None:
+    craft = Craft().run_until(lambda craft: craft.phase is Phase.DONE)
+    last = craft.sent(Setpoint)[-1]
+    assert last.velocity_nea_m_s == (0.0, 0.0, 0.0)
+    np.testing.assert_allclose(last.position_nea_m[:2], MISSION.targets_ne_m[0], atol=1.0)
+
+
+def test_the_reference_waits_for_a_vehicle_that_falls_behind_and_goes_on_when_it_follows() -> None:
+    craft = flying()
+    craft.follows = False
+    craft.velocity = (0.5, 0.5, 0.0)
+    ahead = [s for _ in range(100) for s in craft.tick() if isinstance(s, Setpoint)]
+    leads = [math.dist(s.position_nea_m, craft.here) for s in ahead]
+    assert max(leads) <= SPEED_M_S * 1.0 + SPEED_M_S * TICK_S
+    assert ahead[-1].velocity_nea_m_s == (0.0, 0.0, 0.0)
+    craft.follows = True
+    craft.run_for(30.0)
+    assert math.hypot(*craft.velocity) == pytest.approx(SPEED_M_S)
+
+
+def test_the_velocity_of_a_setpoint_never_points_back_along_the_leg() -> None:
+    """Not even after a datagram that was overtaken by a later one."""
+    craft = Craft().run_until(lambda craft: craft.state.flight.leg is not None)
+    craft.run_for(1.0)
+    late = replace(position(craft.now_s - 0.2, craft.here, craft.velocity))
+    again = position(craft.now_s, craft.here, craft.velocity)
+    sent = [*craft.take(late), *craft.take(again), *craft.run_for(1.0).sent(Setpoint)[-10:]]
+    flown = [flown_m(s) for s in sent if isinstance(s, Setpoint)]
+    assert flown == sorted(flown)
+    for setpoint in (s for s in sent if isinstance(s, Setpoint)):
+        assert setpoint.velocity_nea_m_s[0] >= 0.0
+
+
+def test_a_position_twice_moves_the_reference_once() -> None:
+    craft = flying()
+    [first] = [c for c in craft.take(*craft.events()) if isinstance(c, Setpoint)]
+    again = craft.take(position(craft.now_s, craft.here, craft.velocity))
+    assert [c for c in again if isinstance(c, Setpoint)] == [first]
+
+
+def test_a_plan_that_comes_after_p_prog_is_not_flown() -> None:
+    asked: list[PlanRequest] = []
+
+    def never(request: PlanRequest) -> Planned | None:
+        asked.append(request)
+        return craft_plan(request) if request.plan_id == 1 else None
+
+    from made_up import planned as craft_plan
+
+    craft = Craft(plan=never).run_until(lambda craft: len(asked) == 2)
+    craft.run_until(lambda craft: craft.state.flight.reference.length_m > LEG_M - TAIL_M)
+    from companion.mission.events import PlanReady
+
+    outcome = craft_plan(asked[1])
+    craft.take(Tick(time_s=craft.now_s), PlanReady(time_s=craft.now_s, outcome=outcome))
+    assert craft.state.flight.next_leg is None
+    assert craft.fly_to(Phase.HOLDING).state.reason is not None

@@ -1,0 +1,104 @@
+"""Thresholds: 0.5 s without a position, 1 s frozen, a jump of more than 1.5 times what can be flown."""
+
+import math
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+sys.path.insert(0, str(Path(__file__).parent))
+from made_up import MISSION, position
+
+from companion.mission.health import distrust, with_position
+from companion.mission.state import Reason, Vehicle
+
+LIMITS = MISSION.task.limits
+GOOD = Vehicle(fix_good=True, estimator_good=True)
+EAST = (0.0, 100.0, 0.0)
+JUMP_M = 1.5 * math.hypot(150.0, 25.0) * 0.1 + 20.0  # in a tenth of a second, V = 150, climb 25
+
+
+def after(*positions: tuple[float, float, float]) -> Vehicle:
+    """Time, east, speed towards the east of each position."""
+    vehicle = GOOD
+    for time_s, east_m, speed_m_s in positions:
+        event = position(time_s, (0.0, east_m, 3000.0), (0.0, speed_m_s, 0.0))
+        vehicle = with_position(vehicle, event, LIMITS)
+    return vehicle
+
+
+def test_a_vehicle_that_never_gave_a_position_is_not_believed() -> None:
+    assert distrust(GOOD, 0.0) is Reason.POSITION_STALE
+
+
+@pytest.mark.parametrize(("age_s", "reason"), [(0.49, None), (0.51, Reason.POSITION_STALE)])
+def test_a_position_is_believed_for_half_a_second(age_s: float, reason: Reason | None) -> None:
+    assert distrust(after((10.0, 0.0, 0.0)), 10.0 + age_s) is reason
+
+
+@pytest.mark.parametrize(("frozen_s", "reason"), [(0.9, None), (1.1, Reason.POSITION_FROZEN)])
+@pytest.mark.parametrize(("speed_m_s", "moves"), [(0.9, False), (1.1, True)])
+def test_a_position_that_stands_still_for_a_second_while_the_speed_does_not_is_frozen(
+    frozen_s: float, reason: Reason | None, speed_m_s: float, moves: bool
+) -> None:
+    times = [10.0 + 0.1 * tick for tick in range(round(frozen_s / 0.1) + 1)]
+    vehicle = after(*((time_s, 0.0, speed_m_s) for time_s in times))
+    assert distrust(vehicle, times[-1]) is (reason if moves else None)
+
+
+def test_one_changed_coordinate_thaws_a_frozen_position() -> None:
+    ticks = [(10.0 + 0.1 * tick, 0.0, 50.0) for tick in range(20)]
+    assert distrust(after(*ticks), 11.9) is Reason.POSITION_FROZEN
+    assert distrust(after(*ticks, (12.0, 5.0, 50.0)), 12.0) is None
+
+
+@pytest.mark.parametrize(
+    ("step_m", "reason"), [(JUMP_M - 0.01, None), (JUMP_M + 0.01, Reason.POSITION_JUMPED)]
+)
+def test_a_jump_is_a_step_of_more_than_can_be_flown(step_m: float, reason: Reason | None) -> None:
+    vehicle = after((10.0, 0.0, 0.0), (10.1, step_m, 0.0))
+    assert distrust(vehicle, 10.1) is reason
+
+
+def test_a_jump_is_forgotten_after_half_a_second_of_positions_that_agree() -> None:
+    jumped = [(10.0, 0.0, 0.0), (10.1, 500.0, 0.0)]
+    later = [(10.1 + 0.1 * tick, 500.0, 0.0) for tick in range(1, 6)]
+    assert distrust(after(*jumped, *later[:-1]), 10.5) is Reason.POSITION_JUMPED
+    assert distrust(after(*jumped, *later), 10.61) is None
+
+
+def test_the_step_of_a_gap_in_the_positions_may_be_longer() -> None:
+    assert distrust(after((10.0, 0.0, 0.0), (14.0, 150.0 * 4.0, 150.0)), 14.0) is None
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "reason"),
+    [
+        (Vehicle(fix_good=False, estimator_good=True), Reason.NO_FIX),
+        (Vehicle(fix_good=True, estimator_good=False), Reason.ESTIMATOR),
+        (Vehicle(fix_good=False, estimator_good=False), Reason.NO_FIX),
+    ],
+    ids=["fix", "estimator", "both"],
+)
+def test_receiver_and_estimator_must_both_vouch(vehicle: Vehicle, reason: Reason) -> None:
+    assert distrust(with_position(vehicle, position(1.0), LIMITS), 1.0) is reason
+
+
+@given(
+    speed_m_s=st.floats(0.0, 150.0),
+    climb_m_s=st.floats(-25.0, 25.0),
+    course_rad=st.floats(-math.pi, math.pi),
+    rate_hz=st.sampled_from([2.5, 5.0, 10.0, 20.0, 50.0]),
+)
+def test_a_flight_within_the_limits_is_always_believed(
+    speed_m_s: float, climb_m_s: float, course_rad: float, rate_hz: float
+) -> None:
+    vehicle = GOOD
+    velocity = (speed_m_s * math.cos(course_rad), speed_m_s * math.sin(course_rad), climb_m_s)
+    for tick in range(60):
+        time_s = tick / rate_hz
+        here = (velocity[0] * time_s, velocity[1] * time_s, 3000.0 + climb_m_s * time_s)
+        vehicle = with_position(vehicle, position(time_s, here, velocity), LIMITS)
+        assert distrust(vehicle, time_s) is None

@@ -1,0 +1,236 @@
+"""The paper's operators, recognised in the candidates whatever was drawn.
+
+`Dice` stands in for the random generator: a and Cr are what the test says, everything else is
+random.  A trial is then compared with eq. 17 for every triple of members that could have been
+drawn.
+"""
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from companion.optimise.improved_de import ImprovedDE, Settings, distinct_others
+from companion.optimise.loop import minimise
+
+FloatArray = NDArray[np.float64]
+
+NP, D = 7, 3
+INNER = (0.4, 0.6)  # members so near the middle that mutants are not clipped
+
+
+class Dice:
+    """A generator whose normal deviates are scripted: a first or second told by their mean."""
+
+    def __init__(self, seed: int, a: FloatArray | float, cr: FloatArray | float) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.a, self.cr = a, cr
+        self.asked: list[tuple[float, float]] = []
+
+    def normal(self, mean: float, spread: float, size: int) -> FloatArray:
+        is_a = len(self.asked) % 2 == 0
+        self.asked.append((mean, spread))
+        return np.broadcast_to(np.asarray(self.a if is_a else self.cr, dtype=float), size).copy()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rng, name)
+
+
+def started(
+    dice: Dice, settings: Settings, generations: int = 10, seed: int = 0
+) -> tuple[ImprovedDE, FloatArray, FloatArray]:
+    """An optimiser with a population and costs, and both."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(*INNER, (settings.population, D))
+    de = ImprovedDE(D, generations, settings, dice, seeds=x)  # type: ignore[arg-type]
+    assert (de.ask() == x).all()
+    costs = rng.random(settings.population)
+    de.tell(costs)
+    return de, x, costs
+
+
+def is_eq_17(
+    trial: FloatArray, x: FloatArray, best: FloatArray, i: int, a: float, k1: float, k2: float
+) -> bool:
+    """Whether some r1, r2, r3, distinct and not i, make this trial."""
+    for r1, r2, r3 in itertools.permutations([r for r in range(len(x)) if r != i], 3):
+        mutant = [
+            a * x[r1][j]
+            + (1 - a) * best[j]
+            + k1 * (1 - a) * (best[j] - x[r1][j])
+            + k2 * a * (x[r2][j] - x[r3][j])
+            for j in range(D)
+        ]
+        clipped = [min(max(v, 0.0), 1.0) for v in mutant]
+        if np.allclose(trial, clipped, rtol=0.0, atol=1e-12):
+            return True
+    return False
+
+
+@settings(max_examples=30)
+@given(
+    seed=st.integers(0, 10**6),
+    a=st.floats(0.0, 1.0),
+    k1=st.floats(0.0, 1.0),
+    k2=st.floats(0.0, 1.0),
+)
+def test_every_mutant_is_equation_17_of_three_other_members(
+    seed: int, a: float, k1: float, k2: float
+) -> None:
+    dice = Dice(seed, a, 1.0)  # Cr = 1: the trial is the mutant
+    fixed = Settings(population=NP, k1=(k1, k1), k2=(k2, k2))
+    de, x, costs = started(dice, fixed, seed=seed)
+    best = x[costs.argmin()]
+    for i, trial in enumerate(de.ask()):
+        assert is_eq_17(trial, x, best, i, a, k1, k2)
+
+
+def test_with_a_of_1_a_mutant_is_that_of_de_rand_1() -> None:
+    de, x, _ = started(Dice(1, 1.0, 1.0), Settings(population=NP, k2=(0.7, 0.7)))
+    for i, trial in enumerate(de.ask()):
+        others = [x[r] for r in range(NP) if r != i]
+        rand_1 = [b + 0.7 * (c - d) for b, c, d in itertools.permutations(others, 3)]
+        assert np.abs(np.array(rand_1) - trial).max(axis=1).min() < 1e-12
+
+
+def test_with_a_of_0_and_no_k1_a_mutant_is_the_best_member() -> None:
+    de, x, costs = started(Dice(1, 0.0, 1.0), Settings(population=NP, k1=(0.0, 0.0)))
+    assert de.ask() == pytest.approx(np.tile(x[costs.argmin()], (NP, 1)))
+
+
+def test_a_beyond_0_and_1_is_clipped() -> None:
+    low, x, costs = started(Dice(1, -0.3, 1.0), Settings(population=NP, k1=(0.0, 0.0)))
+    assert low.ask() == pytest.approx(np.tile(x[costs.argmin()], (NP, 1)))
+    high, x, costs = started(Dice(1, 1.4, 1.0), Settings(population=NP, k2=(0.7, 0.7)))
+    for i, trial in enumerate(high.ask()):
+        assert is_eq_17(trial, x, x[costs.argmin()], i, 1.0, 0.0, 0.7)
+
+
+@pytest.mark.parametrize("generation", [0, 1, 4, 9])
+def test_k1_rises_and_k2_falls_with_the_square_of_the_generation(generation: int) -> None:
+    """Eq. 18: k1 = k1_min + (k1_max - k1_min) (g / N)^2, k2 = k2_max - (k2_max - k2_min) (g / N)^2."""
+    de, x, costs = started(Dice(3, 0.5, 1.0), Settings(population=NP), generations=10)
+    for _ in range(generation):
+        de.ask()
+        de.tell(np.full(NP, np.inf))  # nothing succeeds: the members stay
+    square = (generation / 10.0) ** 2
+    k1, k2 = 0.0 + 0.5 * square, 1.0 - 0.5 * square
+    best = x[costs.argmin()]
+    for i, trial in enumerate(de.ask()):
+        assert is_eq_17(trial, x, best, i, 0.5, k1, k2)
+
+
+@pytest.mark.parametrize("cr", [0.0, 1.0, 0.5])
+def test_a_trial_takes_each_variable_from_the_mutant_with_probability_cr_and_at_least_one(
+    cr: float,
+) -> None:
+    taken = []
+    for seed in range(60):
+        dice = Dice(seed, 0.0, cr)  # a = 0, k1 = 0: the mutant is the best member
+        de, x, costs = started(dice, Settings(population=NP, k1=(0.0, 0.0)), seed=seed)
+        best = int(costs.argmin())
+        others = np.arange(NP) != best
+        trial = de.ask()
+        assert (np.isclose(trial, x) | np.isclose(trial, x[best])).all()
+        taken.append((trial != x)[others])
+    changes = np.concatenate(taken)
+    assert changes.any(axis=1).all()
+    # one of D for certain, the others with Cr; 360 x 3 draws: 5 standard deviations are 0.08
+    assert changes.mean() == pytest.approx(cr + (1 - cr) / D, abs=0.08)
+    assert changes.mean(axis=0) == pytest.approx(np.full(D, cr + (1 - cr) / D), abs=0.13)
+
+
+@given(seed=st.integers(0, 10**6))
+def test_the_better_of_member_and_trial_survives_and_the_trial_if_equal(seed: int) -> None:
+    de, x, costs = started(Dice(seed, 0.6, 0.8), Settings(population=NP), seed=seed)
+    trial = de.ask().copy()
+    told = costs + np.random.default_rng(seed).choice([-0.1, 0.0, 0.1], NP)
+    de.tell(told)
+    for i in range(NP):
+        wins = told[i] <= costs[i]
+        assert (de.population[i] == (trial[i] if wins else x[i])).all()
+        assert de.costs[i] == (told[i] if wins else costs[i])
+
+
+def test_a_starts_about_1_and_cr_about_a_half_with_deviation_a_fifth() -> None:
+    dice = Dice(1, 0.5, 0.5)
+    de, _, _ = started(dice, Settings(population=NP))
+    de.ask()
+    assert dice.asked == [(1.0, 0.2), (0.5, 0.2)]
+
+
+def test_the_means_of_a_and_cr_become_those_of_the_trials_that_succeeded() -> None:
+    a = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
+    cr = np.array([0.9, 0.1, 0.8, 0.2, 0.7, 0.3, 0.6])
+    dice = Dice(1, a, cr)
+    de, _, costs = started(dice, Settings(population=NP))
+    de.ask()
+    succeeded = np.array([True, False, True, False, False, True, False])
+    de.tell(np.where(succeeded, costs - 1.0, costs + 1.0))
+    de.ask()
+    assert dice.asked[2][0] == pytest.approx((0.1 + 0.3 + 0.6) / 3)
+    assert dice.asked[3][0] == pytest.approx((0.9 + 0.8 + 0.3) / 3)
+
+
+def test_the_means_stay_when_no_trial_succeeded() -> None:
+    dice = Dice(1, 0.3, 0.9)
+    de, _, costs = started(dice, Settings(population=NP))
+    de.ask()
+    de.tell(costs + 1.0)
+    de.ask()
+    assert dice.asked[2:] == [(1.0, 0.2), (0.5, 0.2)]
+
+
+def test_seeds_come_first_and_are_clipped_into_the_cube() -> None:
+    rng = np.random.default_rng(1)
+    seeds = np.array([[0.1, 0.2, 0.3], [-1.0, 2.0, 0.5]])
+    asked = ImprovedDE(D, 5, Settings(population=NP), rng, seeds=seeds).ask()
+    assert asked.shape == (NP, D)
+    assert asked[:2].tolist() == [[0.1, 0.2, 0.3], [0.0, 1.0, 0.5]]
+    many = ImprovedDE(D, 5, Settings(population=NP), rng, seeds=np.zeros((50, D))).ask()
+    assert (many == 0.0).all()
+    assert many.shape == (NP, D)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_with_the_papers_settings_a_sphere_is_found_in_3000_evaluations(seed: int) -> None:
+    def sphere(x: FloatArray) -> FloatArray:
+        return ((x - 0.3) ** 2).sum(axis=1)
+
+    de = ImprovedDE(6, 50, Settings(), np.random.default_rng(seed))
+    ranked = minimise(de, sphere, 3_000)
+    by_chance = sphere(np.random.default_rng(seed).random((3_000, 6))).min()
+    assert ranked.costs[0] < by_chance / 100.0
+
+
+def test_the_settings_are_the_papers() -> None:
+    assert Settings() == Settings(population=60, k1=(0.0, 0.5), k2=(1.0, 0.5))
+
+
+@given(size=st.integers(5, 40), count=st.integers(1, 4), seed=st.integers(0, 10**6))
+def test_others_are_distinct_and_never_oneself(size: int, count: int, seed: int) -> None:
+    others = np.array(distinct_others(size, count, np.random.default_rng(seed)))
+    assert others.shape == (count, size)
+    for i in range(size):
+        drawn = set(others[:, i].tolist())
+        assert len(drawn) == count
+        assert drawn <= set(range(size)) - {i}
+
+
+def test_four_members_are_enough_for_three_others() -> None:
+    others = np.array(distinct_others(4, 3, np.random.default_rng(1)))
+    for i in range(4):
+        assert sorted([*others[:, i], i]) == [0, 1, 2, 3]
+
+
+def test_every_ordered_triple_of_others_is_drawn_about_as_often() -> None:
+    rng = np.random.default_rng(1)
+    draws = np.concatenate([np.array(distinct_others(5, 3, rng)).T[:1] for _ in range(24_000)])
+    triples, counts = np.unique(draws, axis=0, return_counts=True)
+    assert len(triples) == 4 * 3 * 2
+    # 1000 expected of each: 6 standard deviations
+    assert abs(counts - 1_000).max() < 6 * np.sqrt(1_000)

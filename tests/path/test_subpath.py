@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+from companion.path.subpath import Subpath
+
+FloatArray = NDArray[np.float64]
+
+seeds = st.integers(0, 10**6)
+sizes = st.sampled_from([4, 5, 6])
+
+
+def a_subpath(seed: int, points: int = 4) -> Subpath:
+    """Like those of the planner: about 20 km long, without cusps."""
+    rng = np.random.default_rng(seed)
+    ahead = np.linspace(0.0, 18_000.0, points)
+    control = np.stack([ahead, *rng.uniform(-4_000, 4_000, (2, points))], axis=-1)
+    return Subpath(control_nea_m=control)
+
+
+def bezier_speed(control: FloatArray, u: float) -> float:
+    """|r'(u)| of the cubic Bezier curve, from the legs of its polygon."""
+    a, b, c = np.diff(control, axis=0)
+    return float(np.linalg.norm(3 * ((1 - u) ** 2 * a + 2 * u * (1 - u) * b + u * u * c)))
+
+
+@given(seed=seeds)
+def test_the_length_is_the_integral_of_the_speed(seed: int) -> None:
+    subpath = a_subpath(seed)
+    length, _ = quad(lambda u: bezier_speed(subpath.control_nea_m, u), 0.0, 1.0, epsrel=1e-10)
+    assert subpath.length_m == pytest.approx(length, rel=1e-6)
+
+
+def test_a_straight_subpath_is_as_long_as_its_ends_are_apart() -> None:
+    control = np.outer([0.0, 0.1, 0.7, 1.0], [3_000.0, 4_000.0, 0.0]) + 100.0
+    assert Subpath(control_nea_m=control).length_m == pytest.approx(5_000.0)
+
+
+@given(seed=seeds, points=sizes, share=st.floats(0.0, 0.99))
+def test_the_pose_moves_at_unit_speed_along_its_tangent(
+    seed: int, points: int, share: float
+) -> None:
+    subpath = a_subpath(seed, points)
+    at, step = share * subpath.length_m, 0.005 * subpath.length_m
+    here, there = subpath.pose(at), subpath.pose(at + step)
+    middle = subpath.pose(at + 0.5 * step)
+    moved = there.position_nea_m - here.position_nea_m
+    # the chord is shorter than the arc by its bend only: (turn^2 / 24) of it
+    turned = np.linalg.norm(there.tangent_nea - here.tangent_nea)
+    assert np.linalg.norm(moved) == pytest.approx(step, rel=0.002 + 0.1 * turned**2)
+    assert np.linalg.norm(middle.tangent_nea) == pytest.approx(1.0)
+    if turned < 0.05:
+        assert moved / step == pytest.approx(middle.tangent_nea, abs=0.005)
+
+
+@given(seed=seeds, points=sizes, beyond=st.floats(0.0, 1e5))
+def test_the_pose_is_clamped_to_the_ends(seed: int, points: int, beyond: float) -> None:
+    subpath = a_subpath(seed, points)
+    control = subpath.control_nea_m
+    assert subpath.pose(-beyond).position_nea_m == pytest.approx(control[0])
+    assert subpath.pose(subpath.length_m + beyond).position_nea_m == pytest.approx(control[-1])
+    last_leg = control[-1] - control[-2]
+    tangent = subpath.pose(subpath.length_m + beyond).tangent_nea
+    assert tangent == pytest.approx(last_leg / np.linalg.norm(last_leg))
+
+
+@pytest.mark.parametrize(
+    ("doubled", "where"), [((0, 0, 1, 2), "start"), ((0, 1, 2, 2), "end")], ids=["start", "end"]
+)
+def test_the_tangent_is_a_direction_even_where_two_control_points_coincide(
+    doubled: tuple[int, ...], where: str
+) -> None:
+    # profile `paper`: r2 may be 0, and f1 drives it there
+    corners = np.array([[0.0, 0.0, 0.0], [4_000.0, 3_000.0, 0.0], [8_000.0, 0.0, 0.0]])
+    subpath = Subpath(control_nea_m=corners[list(doubled)])
+    with np.errstate(all="ignore"):
+        tangent = subpath.pose(0.0 if where == "start" else subpath.length_m).tangent_nea
+    assert tangent == pytest.approx([0.8, 0.6 if where == "start" else -0.6, 0.0], abs=1e-3)
+
+
+@given(seed=seeds, spacing_m=st.floats(5.0, 5_000.0))
+def test_samples_are_evenly_spaced_and_have_both_ends(seed: int, spacing_m: float) -> None:
+    subpath = a_subpath(seed)
+    samples = subpath.sampled(spacing_m)
+    points = samples.points_nea_m
+    assert points[0] == pytest.approx(subpath.control_nea_m[0])
+    assert points[-1] == pytest.approx(subpath.control_nea_m[-1])
+    gaps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+    assert gaps.max() <= spacing_m * 1.01 or len(points) == 3
+    step = subpath.length_m / (len(points) - 1)
+    assert gaps.max() <= step * 1.01
+    assert len(points) - 1 < subpath.length_m / spacing_m + 2
+
+
+@given(seed=seeds)
+def test_samples_carry_the_derivatives_of_the_curve_there(seed: int) -> None:
+    subpath = a_subpath(seed)
+    samples = subpath.sampled(500.0)
+    gaps = np.linspace(0.0, subpath.length_m, len(samples.points_nea_m))
+    for at, point, first in zip(gaps, samples.points_nea_m, samples.first, strict=True):
+        pose = subpath.pose(float(at))
+        assert pose.position_nea_m == pytest.approx(point)
+        assert pose.tangent_nea == pytest.approx(first / np.linalg.norm(first))
+    a, b, c = np.diff(subpath.control_nea_m, axis=0)
+    assert samples.first[0] == pytest.approx(3 * a)
+    assert samples.second[0] == pytest.approx(6 * (b - a))
+    assert samples.second[-1] == pytest.approx(6 * (c - b))

@@ -1,0 +1,203 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
+
+from companion.planner.guidance import tangent_guide_rad
+from companion.world.threats import Radar
+
+Place = tuple[float, float]
+
+S: Place = (0.0, 0.0)
+T: Place = (100_000.0, 0.0)
+
+
+def radar(north: float, east: float, range_m: float) -> Radar:
+    return Radar(name=f"{north:.0f}/{east:.0f}", centre_nea_m=(north, east, 0.0), range_m=range_m)
+
+
+def tangent_bearings(s: Place, r: Radar) -> list[float]:
+    """Bearings of the two tangent points: where the circle meets Thales' circle over S and O."""
+    s_, o = complex(*s), complex(*r.centre_nea_m[:2])
+    d = abs(o - s_)
+    towards_s = (s_ - o) / d
+    along = r.range_m / d
+    aside = math.sqrt(1.0 - along**2)
+    points = [o + r.range_m * towards_s * complex(along, side * aside) for side in (1, -1)]
+    return [math.atan2((p - s_).imag, (p - s_).real) for p in points]
+
+
+def turned(a: float, b: float) -> float:
+    """The angle from b to a, in -pi to pi."""
+    return math.atan2(math.sin(a - b), math.cos(a - b))
+
+
+def guide(*radars: Radar, overlap_m: float = 2_000.0, s: Place = S, t: Place = T) -> float:
+    return tangent_guide_rad(s, t, radars, overlap_m)
+
+
+def brute_force_guide(s: Place, t: Place, radars: list[Radar], overlap_m: float) -> float:
+    """Section 2.6 by sampling S-T, a graph of overlaps and Thales' tangent points."""
+    straight = math.atan2(t[1] - s[1], t[0] - s[0])
+    along = np.linspace(0.0, 1.0, 20_001)
+    n, e = s[0] + along * (t[0] - s[0]), s[1] + along * (t[1] - s[1])
+    centres = np.array([r.centre_nea_m[:2] for r in radars])
+    ranges = np.array([r.range_m for r in radars])
+    inside = np.hypot(n - centres[:, :1], e - centres[:, 1:]) < ranges[:, None]
+    around = np.hypot(*(centres - s).T) > ranges
+    inside &= around[:, None]
+    if not inside.any():
+        return straight
+    first = np.where(inside.any(axis=1), inside.argmax(axis=1), 10**9).argmin()
+    apart = np.hypot(*(centres[:, None] - centres[None]).T)
+    joined = apart < ranges[:, None] + ranges[None, :] - overlap_m
+    joined &= around[:, None] & around[None, :]
+    _, label = connected_components(joined, directed=False)
+    offsets = [
+        turned(bearing, straight)
+        for k in np.flatnonzero(label == label[first])
+        for bearing in tangent_bearings(s, radars[k])
+    ]
+    left, right = min(offsets), max(offsets)
+    return straight + (left if abs(left) < abs(right) else right)
+
+
+# --- case 1
+
+
+@given(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5), st.floats(-1e5, 1e5), st.floats(-1e5, 1e5))
+def test_without_radars_the_guide_points_at_the_target(
+    a: float, b: float, c: float, d: float
+) -> None:
+    assume(math.dist((a, b), (c, d)) > 1.0)
+    found = guide(s=(a, b), t=(c, d))
+    assert complex(c - a, d - b) / complex(math.cos(found), math.sin(found)) == pytest.approx(
+        math.dist((a, b), (c, d)), rel=1e-9, abs=1e-6
+    )
+
+
+@pytest.mark.parametrize("gap_m", [1.0, 0.001])
+def test_a_circle_that_the_line_just_misses_does_not_turn_the_guide(gap_m: float) -> None:
+    assert guide(radar(50_000.0, 10_000.0 + gap_m, 10_000.0)) == 0.0
+    assert guide(radar(50_000.0, 10_000.0 - gap_m, 10_000.0)) != 0.0
+
+
+def test_a_circle_behind_the_scan_or_beyond_the_target_does_not_turn_the_guide() -> None:
+    assert guide(radar(-30_000.0, 0.0, 20_000.0)) == 0.0
+    assert guide(radar(120_100.0, 0.0, 20_000.0)) == 0.0
+    assert guide(radar(119_900.0, 100.0, 20_000.0)) != 0.0
+
+
+def test_a_radar_around_the_scanning_point_is_ignored() -> None:
+    inside = radar(5_000.0, 1_000.0, 9_000.0)
+    assert guide(inside) == 0.0
+    ahead = radar(60_000.0, 2_000.0, 9_000.0)
+    assert guide(inside, ahead) == guide(ahead)
+
+
+# --- case 2
+
+
+@given(north=st.floats(20_000, 90_000), share=st.floats(-0.99, 0.99), range_m=st.floats(1e3, 1.9e4))
+def test_one_circle_is_passed_along_the_tangent_nearer_to_the_target(
+    north: float, share: float, range_m: float
+) -> None:
+    assume(abs(share) > 1e-3)
+    one = radar(north, share * range_m, range_m)
+    found = guide(one)
+    assert found == pytest.approx(min(tangent_bearings(S, one), key=abs), abs=1e-9)
+    # along that direction the ray touches the circle
+    to_centre = complex(north, share * range_m) * complex(math.cos(found), -math.sin(found))
+    assert abs(to_centre.imag) == pytest.approx(range_m, rel=1e-9)
+    assert (found > 0.0) == (share < 0.0)
+
+
+@given(turn=st.floats(-3.1, 3.1), north=st.floats(-1e5, 1e5), east=st.floats(-1e5, 1e5))
+def test_the_guide_turns_with_the_world(turn: float, north: float, east: float) -> None:
+    here = [(40_000.0, 3_000.0, 9_000.0), (52_000.0, -9_000.0, 8_000.0)]
+    rotation = complex(math.cos(turn), math.sin(turn))
+
+    def moved(n: float, e: float) -> Place:
+        p = complex(n, e) * rotation + complex(north, east)
+        return p.real, p.imag
+
+    there = [radar(*moved(n, e), r) for n, e, r in here]
+    found = guide(*there, s=moved(*S), t=moved(*T))
+    assert turned(found, guide(*(radar(*r) for r in here)) + turn) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
+def test_the_nearest_circle_on_the_line_counts_whatever_the_order(order: tuple[int, ...]) -> None:
+    near, far = radar(30_000.0, 1_000.0, 5_000.0), radar(80_000.0, -2_000.0, 6_000.0)
+    aside = radar(30_000.0, 40_000.0, 5_000.0)
+    radars = [(near, far, aside)[k] for k in order]
+    assert guide(*radars) == pytest.approx(min(tangent_bearings(S, near), key=abs))
+
+
+# --- clusters
+
+
+@pytest.mark.parametrize("off_m", [-100.0, -0.01, 0.01, 100.0])
+def test_circles_count_as_one_from_an_overlap_of_more_than_d_overlap_on(off_m: float) -> None:
+    """The paper's Fig. 2: SN round both circles, or SC between them."""
+    o1 = radar(50_000.0, -1_000.0, 10_000.0)
+    apart = 10_000.0 + 12_000.0 - 2_000.0 + off_m
+    o2 = radar(50_000.0, -1_000.0 + apart, 12_000.0)
+    alone = min(tangent_bearings(S, o1), key=abs)
+    outer = min(tangent_bearings(S, o1))
+    assert alone > 0.0 > outer
+    assert guide(o1, o2) == pytest.approx(outer if off_m < 0.0 else alone)
+
+
+def test_overlaps_join_from_circle_to_circle() -> None:
+    chain = [radar(50_000.0, -1_000.0 + 15_000.0 * k, 9_000.0) for k in range(4)]
+    assert guide(chain[0]) > 0.0
+    assert guide(*chain) == pytest.approx(min(tangent_bearings(S, chain[0])))
+    # with a link missing, the rest does not count
+    assert guide(chain[0], *chain[2:]) == guide(chain[0])
+    for order in itertools.permutations(chain):
+        assert guide(*order) == pytest.approx(guide(*chain))
+
+
+def test_a_larger_d_overlap_opens_the_way_between_two_circles() -> None:
+    """Fig. 4: with d_overlap 2 km round both, with 6 km between them."""
+    o1, o2 = radar(50_000.0, -1_000.0, 10_000.0), radar(50_000.0, 16_000.0, 10_000.0)
+    assert guide(o1, o2, overlap_m=2_000.0) < 0.0
+    assert guide(o1, o2, overlap_m=6_000.0) > 0.0
+
+
+@given(seed=st.integers(0, 10**6))
+def test_the_guide_is_that_of_section_2_6_by_brute_force(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    radars = [
+        radar(n, e, r)
+        for n, e, r in zip(
+            rng.uniform(15_000, 95_000, 5),
+            rng.uniform(-30_000, 30_000, 5),
+            rng.uniform(3_000, 12_000, 5),
+            strict=True,
+        )
+    ]
+    s, t = (0.0, float(rng.uniform(-5e3, 5e3))), (100_000.0, float(rng.uniform(-5e3, 5e3)))
+    expected = brute_force_guide(s, t, radars, 2_000.0)
+    assert turned(guide(*radars, s=s, t=t), expected) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_cluster_around_the_scanning_point_turns_the_guide_by_135_degrees_at_most(
+    side: float,
+) -> None:
+    bearings = [0.0, 50.0, 100.0, 150.0, -50.0, -100.0]  # wider on one side than on the other
+    ring = [
+        radar(
+            10_000.0 * math.cos(math.radians(b)), side * 10_000.0 * math.sin(math.radians(b)), 7e3
+        )
+        for b in bearings
+    ]
+    assert abs(guide(*ring)) == pytest.approx(math.radians(135.0))
+    # to the other side the cluster ends before that
+    assert guide(*ring[:3], ring[4]) == pytest.approx(-side * (math.radians(50.0) + math.asin(0.7)))

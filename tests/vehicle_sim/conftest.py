@@ -1,0 +1,317 @@
+"""Things that several of the simulator's tests need: a world, a pilot, a companion on UDP."""
+
+import copy
+import math
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilots import Ack, Command, Reply, Sender, Setpoint, Text
+from vehicle_sim.autopilots.ardupilot import ArduCopter
+from vehicle_sim.autopilots.guided import Tuning
+from vehicle_sim.dynamics import Copter, Limits
+
+ROOT = Path(__file__).parents[2]
+STEP_US = 10_000
+ORIGIN_DEG = (47.0, 8.0)
+METRES_PER_DEG_NORTH = 111_181.0  # of the meridian near 47 N: the tests stay within 1 km of it
+WORLD: dict[str, Any] = {
+    "schema": 1,
+    "name": "test",
+    "origin": {"latitude_deg": ORIGIN_DEG[0], "longitude_deg": ORIGIN_DEG[1]},
+    "terrain": {
+        "combine": "maximum",
+        "ground_amsl_m": 100.0,
+        "peaks": [
+            {
+                "north_m": 3000.0,
+                "east_m": 4000.0,
+                "height_amsl_m": 1200.0,
+                "spread_north_m": 600.0,
+                "spread_east_m": 800.0,
+            }
+        ],
+    },
+    "radars": [
+        {
+            "name": "radar 1",
+            "north_m": 5e3,
+            "east_m": 6e3,
+            "altitude_amsl_m": 0.0,
+            "range_m": 1e3,
+        }
+    ],
+    "vehicle": {
+        "kind": "copter",
+        "autopilot": "ardupilot",
+        "system_id": 1,
+        "north_m": 0.0,
+        "east_m": 0.0,
+        "heading_deg": 45.0,
+        "speed_max_m_s": 170.0,
+        "acceleration_max_m_s2": 10.0,
+        "speed_vertical_max_m_s": 25.0,
+        "acceleration_vertical_max_m_s2": 5.0,
+        "parameters": {"GUID_TIMEOUT": 3.0},
+    },
+    "scanner": {"component_id": 100, "range_m": 5000.0},
+}
+
+
+def as_toml(table: dict[str, Any], path: str = "") -> str:
+    """A table as TOML; its nested tables after its values."""
+    lines, later = [], []
+    for key, value in table.items():
+        name = f"{path}{key}"
+        if isinstance(value, dict):
+            later.append(f"[{name}]\n{as_toml(value, name + '.')}")
+        elif isinstance(value, list):
+            later += [f"[[{name}]]\n{as_toml(item, name + '.')}" for item in value]
+        else:
+            text = f'"{value}"' if isinstance(value, str) else str(value).lower()
+            lines.append(f"{key} = {text}")
+    return "\n".join([*lines, *later]) + "\n"
+
+
+@pytest.fixture
+def world_table() -> dict[str, Any]:
+    """A world as TOML gives it, to be changed at will."""
+    return copy.deepcopy(WORLD)
+
+
+@pytest.fixture
+def world_file(tmp_path: Path) -> Path:
+    path = tmp_path / "world.toml"
+    path.write_text(as_toml(WORLD), encoding="utf-8")
+    return path
+
+
+class Pilot:
+    """An ArduCopter over level ground at 0 m, told what to do by values."""
+
+    def __init__(
+        self,
+        *,
+        timeout_s: float = 3.0,
+        vertical_m_s: float = 25.0,
+        down_m_s: float | None = None,
+        ground_amsl_m: float = 0.0,
+    ) -> None:
+        self.ground_amsl_m = ground_amsl_m
+        self.copter = Copter(
+            latitude_deg=ORIGIN_DEG[0],
+            longitude_deg=ORIGIN_DEG[1],
+            altitude_amsl_m=ground_amsl_m,
+            limits=Limits(
+                speed_m_s=170.0,
+                acceleration_m_s2=10.0,
+                speed_vertical_m_s=vertical_m_s,
+                acceleration_vertical_m_s2=5.0,
+            ),
+        )
+        tuning = Tuning(
+            timeout_s=timeout_s,
+            speed_m_s=10.0,
+            acceleration_m_s2=2.5,
+            jerk_m_s3=5.0,
+            speed_up_m_s=vertical_m_s,
+            speed_down_m_s=down_m_s or vertical_m_s,
+            land_speed_m_s=0.5,
+        )
+        self.autopilot = ArduCopter(self.copter, tuning, heading_rad=0.0)
+        self.now_us = 0
+        self.texts: list[str] = []
+
+    @property
+    def now_s(self) -> float:
+        return self.now_us * 1e-6
+
+    def _note(self, replies: list[Reply]) -> None:
+        self.texts += [reply.text for reply in replies if isinstance(reply, Text)]
+
+    def step(self) -> None:
+        self.now_us += STEP_US
+        self._note(self.autopilot.step(self.now_us, 0.01, self.ground_amsl_m))
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds * 100)):
+            self.step()
+
+    def run_until(self, reached: Callable[[], bool], within_s: float) -> float:
+        """Fly until this is so; returns how long it took, in seconds."""
+        start_us = self.now_us
+        while not reached():
+            assert self.now_us - start_us < within_s * 1e6, "it never came to that"
+            self.step()
+        return (self.now_us - start_us) * 1e-6
+
+    def command(self, number: int, *parameters: float, **fields: Any) -> int:
+        padded = (*parameters, *[0.0] * (7 - len(parameters)))
+        sender = Sender(system=1, component=195)
+        replies = self.autopilot.on_command(
+            Command(
+                sender=sender,
+                target_component=fields.get("target_component", 1),
+                number=number,
+                parameters=padded,  # type: ignore[arg-type]
+                frame=fields.get("frame"),
+            )
+        )
+        self._note(replies)
+        (answer,) = [reply for reply in replies if isinstance(reply, Ack)]
+        assert answer.to == sender
+        assert answer.command == number
+        return answer.result
+
+    def setpoint(
+        self,
+        position: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        velocity_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        *,
+        mask: int = 2496,
+        frame: int = 5,
+        is_global: bool = True,
+        acceleration_ned_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        yaw_rad: float = 0.0,
+    ) -> None:
+        self._note(
+            self.autopilot.on_setpoint(
+                Setpoint(
+                    is_global=is_global,
+                    frame=frame,
+                    type_mask=mask,
+                    position=position,
+                    velocity_ned_m_s=velocity_ned_m_s,
+                    acceleration_ned_m_s2=acceleration_ned_m_s2,
+                    yaw_rad=yaw_rad,
+                )
+            )
+        )
+
+    def north_m(self) -> float:
+        return (self.copter.latitude_deg - ORIGIN_DEG[0]) * METRES_PER_DEG_NORTH
+
+    def airborne(self, height_m: float = 1000.0) -> "Pilot":
+        """Take off in GUIDED and hover."""
+        self.run(42.0)
+        assert [self.command(176, 1, 4), self.command(400, 1)] == [0, 0]
+        assert self.command(22, 0, 0, 0, 0, 0, 0, height_m) == 0
+        self.run_until(lambda: self.autopilot.report().landed_state == 2, within_s=2000.0)
+        self.run(5.0)
+        return self
+
+    def target(self) -> Any:
+        return self.autopilot.report().target
+
+
+@pytest.fixture(scope="session")
+def pilot_class() -> type[Pilot]:
+    return Pilot
+
+
+@pytest.fixture
+def pilot() -> Callable[..., Pilot]:
+    return Pilot
+
+
+class Companion:
+    """The other end of the link: a few frames on a real socket, and nothing of our own code."""
+
+    def __init__(self) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.settimeout(10.0)
+        self.port = self.socket.getsockname()[1]
+        self.mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
+        self.parser = mavlink.MAVLink(None)
+        self.parser.robust_parsing = True
+        self.address: Any = None
+
+    def frame(self, message: Any) -> bytes:
+        packed: bytes = message.pack(self.mav)
+        self.mav.seq = (self.mav.seq + 1) % 256
+        return packed
+
+    def command(self, number: int, *parameters: float) -> bytes:
+        padded = [*parameters, *[0.0] * (7 - len(parameters))]
+        return self.frame(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
+
+    def heartbeat(self, status: int = 4) -> bytes:
+        return self.frame(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, status, 3))
+
+    def send(self, *frames: bytes) -> None:
+        self.socket.sendto(b"".join(frames), self.address)
+
+    def datagram(self) -> bytes:
+        data, self.address = self.socket.recvfrom(65535)
+        return data
+
+    def messages(self) -> list[Any]:
+        return self.parser.parse_buffer(self.datagram()) or []
+
+    def tick(self, *frames: bytes) -> list[Any]:
+        """Take one tick of lockstep and answer it, after these frames."""
+        got: list[Any] = []
+        while not got or got[-1].get_type() != "TIMESYNC":
+            got += self.messages()
+        asked = got[-1].ts1
+        self.send(*frames, self.frame(mavlink.MAVLink_timesync_message(asked, asked)))
+        return got
+
+    def wait_for(self, kind: str, within_s: float = 10.0) -> Any:
+        deadline_s = time.monotonic() + within_s
+        while time.monotonic() < deadline_s:
+            for message in self.messages():
+                if message.get_type() == kind:
+                    return message
+        pytest.fail(f"no {kind} within {within_s} s")
+
+
+@pytest.fixture
+def companion() -> Iterator[Companion]:
+    other = Companion()
+    yield other
+    other.socket.close()
+
+
+Start = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def start() -> Iterator[Start]:
+    """Start vehicle-sim with these arguments; whatever still runs afterwards is killed."""
+    running: list[subprocess.Popen[str]] = []
+
+    def begin(*arguments: object, **keywords: Any) -> "subprocess.Popen[str]":
+        process = subprocess.Popen(
+            [sys.executable, "-m", "vehicle_sim.cli", *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+            **keywords,
+        )
+        running.append(process)
+        return process
+
+    yield begin
+    for process in running:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def rms(values: list[float]) -> float:
+    return math.sqrt(sum(v * v for v in values) / len(values))
+
+
+@pytest.fixture(name="rms")
+def rms_fixture() -> Callable[[list[float]], float]:
+    return rms

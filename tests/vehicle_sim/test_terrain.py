@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vehicle_sim.terrain import Combine, PeakTerrain
+
+
+def random_terrain(rng: np.random.Generator, combine: Combine) -> PeakTerrain:
+    rows = [
+        (
+            float(rng.uniform(-5e3, 5e3)),
+            float(rng.uniform(-5e3, 5e3)),
+            float(rng.uniform(100, 3000)),
+            float(rng.uniform(300, 3000)),
+            float(rng.uniform(300, 3000)),
+        )
+        for _ in range(int(rng.integers(0, 8)))
+    ]
+    return PeakTerrain.of(rows, combine=combine, ground_amsl_m=50.0)
+
+
+def test_a_single_peak_is_equation_1_over_the_ground() -> None:
+    terrain = PeakTerrain.of(
+        [(1000.0, 2000.0, 900.0, 300.0, 500.0)], combine="maximum", ground_amsl_m=100.0
+    )
+    assert terrain.height_at_amsl_m(1000.0, 2000.0) == 900.0
+    assert terrain.height_at_amsl_m(1300.0, 2000.0) == pytest.approx(900.0 / np.e)
+    assert terrain.height_at_amsl_m(1000.0, 2500.0) == pytest.approx(900.0 / np.e)
+    assert terrain.height_at_amsl_m(9000.0, 9000.0) == 100.0
+
+
+@pytest.mark.parametrize("combine", ["maximum", "sum"])
+def test_two_peaks_at_one_place_count_once_or_twice(combine: Combine) -> None:
+    peak = (0.0, 0.0, 400.0, 100.0, 100.0)
+    terrain = PeakTerrain.of([peak, peak], combine=combine, ground_amsl_m=0.0)
+    assert terrain.height_at_amsl_m(0.0, 0.0) == (400.0 if combine == "maximum" else 800.0)
+
+
+def turned_quad(rng: np.random.Generator, size_m: float) -> np.ndarray:
+    centre, angle = rng.uniform(-5e3, 5e3, 2), rng.uniform(-0.3, 0.3)
+    square = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)]) * size_m / 2
+    turn = np.array([(np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))])
+    return centre + square @ turn.T
+
+
+@given(seed=st.integers(0, 10**6), combine=st.sampled_from(["maximum", "sum"]))
+def test_the_highest_point_of_a_quadrilateral_bounds_samples_and_is_attained(
+    seed: int, combine: Combine
+) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_terrain(rng, combine)
+    quads = np.stack([turned_quad(rng, 400.0) for _ in range(20)])
+    highest, place = terrain.highest_in_quads_amsl_m(quads)
+    u, v = np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41))
+    a, b, c, d = (quads[:, k, None, None] for k in range(4))
+    samples = (
+        a * ((1 - u) * (1 - v))[None, ..., None]
+        + b * ((1 - u) * v)[None, ..., None]
+        + c * (u * v)[None, ..., None]
+        + d * (u * (1 - v))[None, ..., None]
+    )
+    brute = terrain.height_amsl_m(samples[..., 0], samples[..., 1]).max(axis=(1, 2))
+    assert np.all(highest >= brute - 1e-9)
+    if combine == "maximum":
+        attained = terrain.height_amsl_m(place[:, 0], place[:, 1])
+        np.testing.assert_allclose(attained, highest, rtol=1e-12)
+        assert np.all(highest <= brute + 30.0)  # 10 m between samples, slopes up to about 3
+
+
+@given(seed=st.integers(0, 10**6), combine=st.sampled_from(["maximum", "sum"]))
+def test_boxes_bound_the_terrain_from_above_and_the_grid_from_below(
+    seed: int, combine: Combine
+) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_terrain(rng, combine)
+    north, east = np.arange(-5e3, 5e3 + 1, 500.0), np.arange(-5e3, 5e3 + 1, 500.0)
+    lowest = terrain.lowest_in_grid_amsl_m(north, east)
+    low_n, low_e = (axis.ravel() for axis in np.meshgrid(north[:-1], east[:-1], indexing="ij"))
+    highest = terrain.highest_in_boxes_amsl_m((low_n, low_n + 500.0), (low_e, low_e + 500.0))
+    u = np.linspace(0, 500, 21)
+    brute = terrain.height_amsl_m(
+        (low_n[:, None] + u)[:, :, None], (low_e[:, None] + u)[:, None, :]
+    )
+    assert np.all(highest >= brute.max(axis=(1, 2)) - 1e-9)
+    assert np.all(lowest.ravel() <= brute.min(axis=(1, 2)) + 1e-9)
+    if combine == "maximum":
+        assert np.all(highest <= brute.max(axis=(1, 2)) + 60.0)

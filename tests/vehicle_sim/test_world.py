@@ -1,0 +1,88 @@
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vehicle_sim.errors import InputError
+from vehicle_sim.world import parse_world, read_world
+
+Table = dict[str, Any]
+
+
+def test_a_world_is_what_its_file_says(world_file: Path) -> None:
+    world = read_world(world_file)
+    assert world.origin.latitude_deg == 47.0
+    assert world.terrain.peaks[0].height_amsl_m == 1200.0
+    assert world.radars[0].name == "radar 1"
+    assert world.vehicle.parameters.GUID_TIMEOUT == 3.0
+    assert world.vehicle.parameters.WPNAV_ACCEL == 250.0
+    assert world.truth().height_at_amsl_m(3000.0, 4000.0) == 1200.0
+
+
+def changed(table: Table, path: str, key: str, value: Any, instead_of: str | None = None) -> Table:
+    table = copy.deepcopy(table)
+    place: Any = table
+    for part in path.split(".") if path else []:
+        place = place[int(part)] if part.isdigit() else place[part]
+    if instead_of is not None:
+        del place[instead_of]
+    place[key] = value
+    return table
+
+
+@pytest.mark.parametrize(
+    ("path", "key", "value", "instead_of", "words"),
+    [
+        (
+            "vehicle",
+            "speed_mx_m_s",
+            1.0,
+            "speed_max_m_s",
+            ["vehicle.speed_mx_m_s", "speed_max_m_s"],
+        ),
+        ("vehicle.parameters", "GUID_TIMOUT", 1.0, None, ["GUID_TIMOUT = 1.0", "GUID_TIMEOUT?"]),
+        ("", "colour", 1, None, ["colour = 1", "Choose from: schema, name"]),
+        ("terrain", "ground_m", 0.0, "ground_amsl_m", ["datum", "Write ground_amsl_m"]),
+        ("terrain.peaks.0", "height_agl_m", 9.0, "height_amsl_m", ["datum", "height_amsl_m"]),
+        ("radars.0", "altitude_m", 0.0, "altitude_amsl_m", ["radars.0", "datum"]),
+        ("vehicle", "speed_max_m_s", -1.0, None, ["speed_max_m_s = -1.0", "greater than 0"]),
+        ("vehicle", "speed_max_m_s", "fast", None, ["speed_max_m_s = 'fast'", "a number"]),
+        ("vehicle", "system_id", 256, None, ["system_id = 256", "255"]),
+        ("vehicle", "kind", "balloon", None, ["kind = 'balloon'", "'copter'"]),
+        ("origin", "latitude_deg", float("nan"), None, ["latitude_deg", "finite"]),
+        ("terrain", "combine", "mean", None, ["combine = 'mean'", "'maximum' or 'sum'"]),
+        ("", "schema", 2, None, ["schema = 2", "1"]),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_remedy(
+    world_table: Table, path: str, key: str, value: Any, instead_of: str | None, words: list[str]
+) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_world(changed(world_table, path, key, value, instead_of))
+    message = str(caught.value)
+    assert "\n" not in message
+    assert all(word in message for word in words), message
+
+
+def test_a_missing_key_is_named(world_table: Table) -> None:
+    del world_table["scanner"]["range_m"]
+    with pytest.raises(InputError, match=r"scanner\.range_m .*missing"):
+        parse_world(world_table)
+
+
+@pytest.mark.parametrize("text", ["not toml [", "[targets]\nx = 1\n", "", "name = 'x'\n"])
+def test_what_is_no_world_file_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "other.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_world(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    for path in (binary, tmp_path / "absent.toml", tmp_path):
+        with pytest.raises(InputError, match="cannot be read"):
+            read_world(path)

@@ -1,0 +1,198 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+
+from companion.world.clearance import Surface, safe_surface, terrain_surface
+from companion.world.known_map import KnownMap, empty_map
+
+FloatArray = NDArray[np.float64]
+
+CELL_M = 100.0
+CELLS = 24
+UNKNOWN_M = 900.0
+MIDDLE = (1_230.0, 1_170.0)
+
+
+def random_map(rng: np.random.Generator, registration_m: float = 0.0) -> KnownMap:
+    """Pillars, plains and holes in what is known."""
+    size = CELLS * CELL_M
+    blank = empty_map(CELL_M, (0.0, size), (0.0, size))
+    upper = rng.uniform(0.0, 600.0, (CELLS, CELLS)) * (rng.random((CELLS, CELLS)) < 0.3)
+    upper[rng.random((CELLS, CELLS)) < 0.05] = np.inf
+    return KnownMap(
+        cell_m=CELL_M,
+        north_min_m=0.0,
+        east_min_m=0.0,
+        upper_m=upper,
+        seen=np.isfinite(upper) & ~blank.seen,
+        registration_m=registration_m,
+    )
+
+
+def tops(known: KnownMap) -> FloatArray:
+    return np.where(np.isfinite(known.upper_m), known.upper_m, UNKNOWN_M)
+
+
+def sideways_m(points_ne_m: FloatArray) -> FloatArray:
+    """Horizontal distance from points to the squares of all cells.  (K, 2) -> (K, CELLS, CELLS)."""
+    low = np.arange(CELLS) * CELL_M
+    gap = [
+        np.maximum(np.maximum(low - p[:, None], p[:, None] - low - CELL_M), 0.0)
+        for p in points_ne_m.T
+    ]
+    return np.hypot(gap[0][:, :, None], gap[1][:, None, :])
+
+
+def distance_to_columns_m(known: KnownMap, points: FloatArray, shifted_m: float) -> FloatArray:
+    """Distance of points to all terrain if each column stood shifted_m nearer.  (K, 3) -> (K,)."""
+    aside = np.maximum(sideways_m(points[:, :2]) - shifted_m, 0.0)
+    below = np.maximum(points[:, 2, None, None] - tops(known), 0.0)
+    return np.hypot(aside, below).min(axis=(1, 2))
+
+
+def near_middle(rng: np.random.Generator, count: int, reach_m: float) -> FloatArray:
+    angle, far = rng.uniform(0, 2 * np.pi, count), reach_m * np.sqrt(rng.random(count))
+    return np.stack([MIDDLE[0] + far * np.cos(angle), MIDDLE[1] + far * np.sin(angle)], axis=-1)
+
+
+seeds = st.integers(0, 10**6)
+clearances = st.floats(5.0, 260.0)
+
+
+@given(seed=seeds, clearance_m=clearances, registration_m=st.sampled_from([0.0, 3.0, 40.0, 130.0]))
+def test_every_point_over_the_safe_surface_keeps_the_clearance_to_columns_of_cells(
+    seed: int, clearance_m: float, registration_m: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    known = random_map(rng, registration_m)
+    surface = safe_surface(
+        known, centre_ne_m=MIDDLE, reach_m=900.0, clearance_m=clearance_m, unknown_m=UNKNOWN_M
+    )
+    ne = near_middle(rng, 200, 500.0)
+    altitude = surface.altitude_m(ne[:, 0], ne[:, 1]) + 1e-6
+    points = np.column_stack([ne, altitude])
+    assert (distance_to_columns_m(known, points, registration_m) >= clearance_m - 1e-6).all()
+
+
+@given(seed=seeds, clearance_m=clearances)
+def test_the_safe_surface_asks_for_at_most_a_diagonal_of_a_cell_too_much(
+    seed: int, clearance_m: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    known = random_map(rng)
+    surface = safe_surface(
+        known, centre_ne_m=MIDDLE, reach_m=900.0, clearance_m=clearance_m, unknown_m=UNKNOWN_M
+    )
+    ne = near_middle(rng, 200, 500.0)
+    # Rounding to the vertices of half-cells: one half-cell for the point, one for the terrain,
+    # along each axis, so each column counts as if it stood sqrt(2) cells nearer than it does.
+    aside = np.maximum(sideways_m(ne) - np.sqrt(2.0) * CELL_M, 0.0)
+    ball = np.sqrt(np.maximum(clearance_m**2 - aside**2, 0.0))
+    strictest = np.where(aside < clearance_m, tops(known) + ball, -np.inf).max(axis=(1, 2))
+    assert (surface.altitude_m(ne[:, 0], ne[:, 1]) <= strictest + 1e-3).all()
+
+
+def test_the_safe_surface_keeps_the_clearance_at_the_limit_of_its_reach_too() -> None:
+    known = empty_map(CELL_M, (0.0, 6_000.0), (0.0, 6_000.0))
+    known.upper_m[:] = 0.0
+    known.upper_m[44] = 1_000.0  # a wall from 4400 m north
+    surface = safe_surface(
+        known, centre_ne_m=(3_050.0, 3_050.0), reach_m=1_000.0, clearance_m=400.0, unknown_m=0.0
+    )
+    within_reach = np.array(4_040.0), np.array(3_050.0)
+    assert surface.altitude_m(*within_reach) >= 1_000.0
+
+
+def test_over_flat_ground_the_safe_surface_is_flat_and_just_the_clearance_up() -> None:
+    known = empty_map(CELL_M, (0.0, 3_000.0), (0.0, 3_000.0))
+    known.upper_m[:] = 250.0
+    surface = safe_surface(
+        known, centre_ne_m=(1_500.0, 1_500.0), reach_m=800.0, clearance_m=75.0, unknown_m=9e3
+    )
+    assert surface.vertex_m == pytest.approx(np.full_like(surface.vertex_m, 325.0))
+
+
+@pytest.mark.parametrize("clearance_m", [30.0, 170.0])
+def test_unknown_ground_and_ground_off_the_map_count_as_terrain_of_the_altitude_given(
+    clearance_m: float,
+) -> None:
+    known = empty_map(CELL_M, (0.0, 1_000.0), (0.0, 1_000.0))
+    known.upper_m[:5] = 0.0
+    surface = safe_surface(
+        known, centre_ne_m=(500.0, 500.0), reach_m=900.0, clearance_m=clearance_m, unknown_m=700.0
+    )
+    north, east = np.array([800.0, -150.0, 300.0]), np.array([500.0, 500.0, 1_200.0])
+    assert surface.altitude_m(north, east) == pytest.approx([700.0 + clearance_m] * 3)
+
+
+def test_a_window_that_lies_off_the_map_is_all_unknown() -> None:
+    known = empty_map(CELL_M, (0.0, 1_000.0), (0.0, 1_000.0))
+    known.upper_m[:] = 0.0
+    surface = safe_surface(
+        known, centre_ne_m=(9e3, -9e3), reach_m=500.0, clearance_m=50.0, unknown_m=700.0
+    )
+    assert (surface.vertex_m == 750.0).all()
+
+
+# --- the surface itself
+
+
+def random_surface(rng: np.random.Generator) -> Surface:
+    return Surface(
+        north_min_m=-200.0,
+        east_min_m=300.0,
+        cell_m=50.0,
+        vertex_m=rng.uniform(0.0, 400.0, (9, 7)),
+    )
+
+
+@given(seed=seeds)
+def test_a_surface_is_bilinear_between_its_vertices(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    surface = random_surface(rng)
+    axes = (-200.0 + 50.0 * np.arange(9), 300.0 + 50.0 * np.arange(7))
+    north, east = rng.uniform(-200.0, 199.0, (4, 5)), rng.uniform(300.0, 599.0, (4, 5))
+    expected = RegularGridInterpolator(axes, surface.vertex_m)(np.stack([north, east], axis=-1))
+    assert surface.altitude_m(north, east) == pytest.approx(expected)
+
+
+@given(seed=seeds)
+def test_the_slope_of_a_surface_is_its_finite_difference(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    surface = random_surface(rng)
+    cell_n, cell_e = rng.integers(0, 8, 30), rng.integers(0, 6, 30)
+    north = -200.0 + 50.0 * (cell_n + rng.uniform(0.01, 0.99, 30))
+    east = 300.0 + 50.0 * (cell_e + rng.uniform(0.01, 0.99, 30))
+    h = 0.1
+    rise_n = surface.altitude_m(north + h, east) - surface.altitude_m(north - h, east)
+    rise_e = surface.altitude_m(north, east + h) - surface.altitude_m(north, east - h)
+    altitude, slope2 = surface.altitude_and_slope(north, east)
+    assert slope2 == pytest.approx((rise_n**2 + rise_e**2) / (2 * h) ** 2, rel=1e-6, abs=1e-9)
+    assert (altitude == surface.altitude_m(north, east)).all()
+
+
+@given(seed=seeds, n=st.floats(-1e4, 1e4), e=st.floats(-1e4, 1e4))
+def test_beyond_its_edges_a_surface_goes_on_as_at_its_edge(seed: int, n: float, e: float) -> None:
+    surface = random_surface(np.random.default_rng(seed))
+    inside = np.array(np.clip(n, -200.0, 200.0)), np.array(np.clip(e, 300.0, 600.0))
+    found = surface.altitude_m(np.array(n), np.array(e))
+    assert found == pytest.approx(surface.altitude_m(*inside), abs=1e-3)
+    assert surface.vertex_m.min() <= found <= surface.vertex_m.max()
+
+
+@settings(max_examples=20)
+@given(seed=seeds)
+def test_the_terrain_surface_is_the_map_at_the_middles_of_cells_and_0_where_unknown(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    known = random_map(rng)
+    surface = terrain_surface(known, centre_ne_m=MIDDLE, reach_m=700.0)
+    index = rng.integers(6, 18, (40, 2))
+    north, east = ((index + 0.5) * CELL_M).T
+    upper = known.upper_m[index[:, 0], index[:, 1]]
+    expected = np.where(np.isfinite(upper), upper, 0.0)
+    assert surface.altitude_m(north, east) == pytest.approx(expected)
