@@ -123,9 +123,9 @@ def fly_command(
             stop_asked=lambda: bool(stop_asked),
         )
         folder.run_json(_run_facts(flown, began, connect))
+    console.print(flight_table(flown))
     if flown.heard:
         draw_flown(flown, folder_path / "flight.png")
-    console.print(flight_table(flown))
     console.print(f"run folder: {folder_path}", soft_wrap=True, highlight=False)
     _exit_as_it_ended(flown, connect)
 

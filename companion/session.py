@@ -27,6 +27,7 @@ from companion.mavlink.translate import (
     setpoint_message,
 )
 from companion.mission import machine
+from companion.mission.decisions import Context
 from companion.mission.events import (
     Arm,
     Command,
@@ -49,7 +50,6 @@ from companion.mission.events import (
     TakeOff,
     Tick,
 )
-from companion.mission.flying import Context
 from companion.mission.mission import Mission
 from companion.mission.state import Flight, Phase, State
 from companion.planner.plan import NotPlanned, Planned, PlanOutcome, PlanRequest

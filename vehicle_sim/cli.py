@@ -28,8 +28,6 @@ With --lockstep both fly as fast as they can and every run is the same; without,
 in real time (or --speedup times that) whatever the companion does.  Ctrl-C ends it.
 """
 
-_UsageError = typer.BadParameter.__bases__[0]  # typer has it, but not by this name
-
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
@@ -143,6 +141,16 @@ def _world_path(name: str) -> Path:
     )
 
 
+def _wrong_options(error: Exception) -> str | None:
+    """What is wrong with the options as such; None if the error is something else.
+
+    Typer raises the parent class of its BadParameter, and has no name for it.
+    """
+    if not isinstance(error, typer.BadParameter.__bases__):
+        return None
+    return str(getattr(error, "format_message", error.__str__)())
+
+
 def main() -> None:
     """Entry of the console script: errors are one line and an exit code."""
     try:
@@ -150,11 +158,14 @@ def main() -> None:
     except SimulatorError as error:
         typer.echo(f"error: {error}", err=True)
         sys.exit(error.exit_code)
-    except _UsageError as error:
-        typer.echo(f"error: {error.format_message().rstrip('.')}. See vehicle-sim --help.", err=True)
-        sys.exit(InputError.exit_code)
     except typer.Abort:
         sys.exit(0)
+    except Exception as error:
+        wrong = _wrong_options(error)
+        if wrong is None:
+            raise
+        typer.echo(f"error: {wrong.rstrip('.')}. See vehicle-sim --help.", err=True)
+        sys.exit(InputError.exit_code)
     sys.exit(code if isinstance(code, int) else 0)
 
 

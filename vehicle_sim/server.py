@@ -36,8 +36,9 @@ class Settings:
     duration_s: float | None = None
     """Vehicle time after which to end; None: when told."""
     first_heartbeat_s: float = FIRST_HEARTBEAT_S
-    """Wall time that lockstep waits for the companion at the start, and later for any answer."""
+    """Wall time that lockstep waits for the companion at the start."""
     silence_s: float = SILENCE_S
+    """Wall time without a word from the companion after which lockstep gives up."""
 
 
 class Stop:

@@ -90,7 +90,8 @@ class Simulation:
         armed = "armed" if autopilot.armed else "disarmed"
         where = "on the ground" if autopilot.landed else "in the air"
         return (
-            f"north {round(north_m):,} m, east {round(east_m):,} m, {round(copter.altitude_amsl_m):,} m AMSL, "
+            f"north {round(north_m):,} m, east {round(east_m):,} m, "
+            f"{round(copter.altitude_amsl_m):,} m AMSL, "
             f"{autopilot.mode_name}, {armed}, {where}"
         )
 

@@ -165,7 +165,8 @@ class PeakTerrain:
         Each peak's minimum over a box factors into a north and an east part, so a grid costs two
         rows of exponentials and one outer product a peak.
         """
-        lowest = np.full((len(north_edges_m) - 1, len(east_edges_m) - 1), self.ground_amsl_m)
+        shape = (len(north_edges_m) - 1, len(east_edges_m) - 1)
+        lowest = np.full(shape, self.ground_amsl_m, dtype=np.float64)
         total = np.zeros_like(lowest)
         near = self._near(
             np.array([north_edges_m[0], east_edges_m[0]]),

@@ -99,6 +99,9 @@ class Parser:
             except mavlink.MAVError:
                 at += 1
                 continue
+            if isinstance(message, mavlink.MAVLink_unknown):
+                at += 1  # its checksum cannot be checked: its length may be anything
+                continue
             yield message
             at = end
 

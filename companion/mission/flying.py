@@ -1,13 +1,14 @@
 """What happens in the phase `flying`: follow a leg, scan, plan, go on to the next (design 6)."""
 
 import math
-from dataclasses import dataclass, replace
-from typing import final
+from dataclasses import replace
 
 import numpy as np
 
+from companion.mission.decisions import AT_M, Context, Step, cannot_fly, fault, give_up, is_gone
 from companion.mission.events import (
     Command,
+    Event,
     Plan,
     PlanLate,
     PlanReady,
@@ -18,7 +19,6 @@ from companion.mission.events import (
     StartScan,
     Vector,
 )
-from companion.mission.mission import Mission
 from companion.mission.state import Flight, Reason, State, Trigger
 from companion.path.subpath import Pose
 from companion.planner.plan import NotPlanned, Planned, PlanRequest
@@ -31,31 +31,44 @@ from companion.planner.procedure import (
     is_at_end,
 )
 
-Step = tuple[State, list[Command], Trigger | None]
+_STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
+_ANSWER_SLACK_S = 60.0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Context:
-    """What stays the same during a mission."""
-
-    mission: Mission
-    seed: int
+def flying(state: State, event: Event, context: Context) -> Step:
+    """Follow the leg, or wait for one; stop for whatever makes that unsafe."""
+    if is_gone(event):
+        return give_up(state, Reason.LINK_LOST)
+    reason = cannot_fly(state, event)
+    if reason is not None:
+        return fault(replace(state, flight=at_rest(state.flight, None)), reason)
+    match event:
+        case Position():
+            return on_position(state, event, context)
+        case ScanDone():
+            return on_scan(state, event, context)
+        case PlanReady():
+            return on_plan(state, event, context)
+        case PlanLate():
+            return on_late_plan(state, event)
+        case _:
+            return state, [], None
 
 
 def on_position(state: State, event: Position, context: Context) -> Step:
     """Move the reference point and send it; scan when its time has come."""
     if state.flight.leg is None:
         return _hover(state, event, context)
-    elapsed_s = event.time_s - state.vehicle.position_at_s
-    flight = _moved_on(state.flight, event, elapsed_s, context)
+    flight = _moved_on(state, event, context)
+    if state.now_s - flight.progress_at_s > _STUCK_S:
+        return give_up(state, Reason.NOT_FOLLOWING)
     leg = flight.leg
     assert leg is not None
     commands: list[Command] = [_setpoint(event.time_s, leg, flight.reference, context)]
     if is_at_end(flight.reference, leg):
         if leg.reaches_target:
             return replace(state, flight=flight), commands, Trigger.TARGET_REACHED
-        flight = at_rest(flight, _vector(leg.subpath.pose(leg.subpath.length_m)))
+        flight = at_rest_at_end(flight)
         return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
     due = flight.reference.length_m >= leg.scan_at_m(context.mission.task)
     if due and not flight.tried and not leg.reaches_target:
@@ -132,45 +145,65 @@ def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
     )
 
 
-def hold_setpoint(state: State, time_s: float, context: Context) -> Setpoint | None:
+def at_rest_at_end(flight: Flight) -> Flight:
+    """The flight at rest at the end of its leg."""
+    leg = flight.leg
+    return at_rest(flight, None if leg is None else _vector(leg.subpath.pose(leg.subpath.length_m)))
+
+
+def hold_setpoint(state: State, time_s: float, context: Context) -> list[Command]:
     """Stay where the flight came to rest: a position and an explicit velocity of zero."""
     here = state.flight.hover_nea_m
     if here is None:
-        return None
+        return []
     target = context.mission.targets_ne_m[state.flight.target]
     yaw = math.atan2(target[1] - here[1], target[0] - here[0])
-    return Setpoint(
-        time_s=time_s, position_nea_m=here, velocity_nea_m_s=(0.0, 0.0, 0.0), yaw_rad=yaw
-    )
+    still = (0.0, 0.0, 0.0)
+    return [Setpoint(time_s=time_s, position_nea_m=here, velocity_nea_m_s=still, yaw_rad=yaw)]
 
 
 def _hover(state: State, event: Position, context: Context) -> Step:
-    """Wait for the first subpath where the vehicle is."""
-    flight = state.flight
+    """Wait for a leg where the vehicle is, or straight above at the height of the take-off."""
+    flight, settings = state.flight, context.mission.task.settings
     if flight.hover_nea_m is None:
-        flight = replace(flight, hover_nea_m=event.position_nea_m)
+        north, east, altitude = event.position_nea_m
+        height = max(altitude, context.mission.take_off_amsl_m)
+        flight = replace(flight, hover_nea_m=(north, east, height))
+    here = flight.hover_nea_m
+    assert here is not None
     commands: list[Command] = []
-    if not flight.tried and flight.hover_nea_m is not None:
-        flight, scan = _start_scan(flight, flight.hover_nea_m)
+    if math.dist(here, event.position_nea_m) > AT_M and not flight.tried:
+        flight = replace(flight, progress_at_s=_later(state, event, flight))
+    elif not flight.tried:
+        flight, scan = _start_scan(replace(flight, progress_at_s=state.now_s), here)
         commands.append(scan)
     state = replace(state, flight=flight)
-    setpoint = hold_setpoint(state, event.time_s, context)
-    return state, [*([setpoint] if setpoint else []), *commands], None
+    waited_s = state.now_s - flight.progress_at_s
+    if waited_s > settings.scan_time_s + settings.planning_time_s + _ANSWER_SLACK_S:
+        return _no_successor(state, Reason.PLAN_LATE)
+    return state, [*hold_setpoint(state, event.time_s, context), *commands], None
 
 
-def _moved_on(flight: Flight, event: Position, elapsed_s: float, context: Context) -> Flight:
+def _later(state: State, event: Position, flight: Flight) -> float:
+    """When the climb to the hover last went on: now, while the vehicle moves."""
+    return state.now_s if abs(event.velocity_nea_m_s[2]) > 0.1 else flight.progress_at_s
+
+
+def _moved_on(state: State, event: Position, context: Context) -> Flight:
     """The reference point one position later; at p_prog it goes over to the next leg."""
-    task = context.mission.task
+    task, flight = context.mission.task, state.flight
     leg = flight.leg
     assert leg is not None
     reference = advance(
         flight.reference,
         leg,
-        elapsed_s,
+        state.vehicle.position_step_s,
         np.asarray(event.position_nea_m),
         task.limits,
         goes_on=flight.next_leg is not None,
     )
+    if reference.length_m > flight.reference.length_m:
+        flight = replace(flight, progress_at_s=state.now_s)
     over = reference.length_m - leg.successor_at_m(task)
     if flight.next_leg is None or over < 0.0:
         return replace(flight, reference=reference)

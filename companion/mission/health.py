@@ -33,6 +33,7 @@ def with_position(vehicle: Vehicle, event: Position, limits: Limits) -> Vehicle:
         position_nea_m=event.position_nea_m,
         velocity_nea_m_s=event.velocity_nea_m_s,
         position_at_s=event.time_s,
+        position_step_s=event.time_s - vehicle.position_at_s if before is not None else 0.0,
         moved_at_s=moved_at,
         jumped_at_s=jumped_at,
     )

@@ -45,8 +45,8 @@ class Trigger(enum.Enum):
     STOP = "a person asked for the end"
 
 
-_ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.ARMING)
-_IN_AIR = (Phase.TAKING_OFF, Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.LANDING)
+ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.ARMING)
+IN_AIR = (Phase.TAKING_OFF, Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.LANDING)
 
 MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.WAITING, Trigger.VEHICLE_FOUND): Phase.PREPARING,
@@ -61,11 +61,11 @@ MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.TAKING_OFF, Trigger.FAULT): Phase.HOLDING,
     (Phase.FLYING, Trigger.FAULT): Phase.HOLDING,
     (Phase.ARRIVED, Trigger.FAULT): Phase.HOLDING,
+    (Phase.LANDING, Trigger.FAULT): Phase.HOLDING,
     (Phase.HOLDING, Trigger.RESUME): Phase.FLYING,
-    (Phase.HOLDING, Trigger.GIVE_UP): Phase.DONE,
-    **{(phase, Trigger.GIVE_UP): Phase.DONE for phase in _ON_GROUND},
-    **{(phase, Trigger.STOP): Phase.DONE for phase in (*_ON_GROUND, *_IN_AIR)},
-    **{(phase, Trigger.DIED): Phase.FAULTED for phase in _IN_AIR},
+    **{(phase, Trigger.GIVE_UP): Phase.DONE for phase in (*ON_GROUND, *IN_AIR)},
+    **{(phase, Trigger.STOP): Phase.DONE for phase in (*ON_GROUND, *IN_AIR)},
+    **{(phase, Trigger.DIED): Phase.FAULTED for phase in (*ON_GROUND, *IN_AIR)},
 }
 """The transition table.  What is absent changes nothing."""
 
@@ -77,6 +77,7 @@ class Reason(enum.Enum):
     NOT_READY = ("the vehicle did not get ready to fly", "See its messages for what it waits for.")
     ALREADY_FLYING = ("the vehicle is already in the air", "Land it, then start again.")
     NOT_ARMED = ("the vehicle would not arm in guided mode", "See its messages for the reason.")
+    HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
     NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
     POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
@@ -86,6 +87,9 @@ class Reason(enum.Enum):
     LINK_LOST = ("the vehicle fell silent", "Check the link and the vehicle.")
     MODE_TAKEN = ("somebody else changed the flight mode", "Select guided mode to go on.")
     DISARMED = ("the vehicle disarmed", "See its messages for the reason.")
+    GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.")
+    NOT_FOLLOWING = ("the vehicle does not follow its setpoints", "Check that it can fly them.")
+    NOT_OBEYING = ("the vehicle did not take the mode asked for", "Take over by hand.")
     RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.")
     NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.")
     PLAN_LATE = ("the next subpath was not ready in time", "Raise planner.planning_time_s.")
@@ -117,11 +121,13 @@ class Vehicle:
     position_nea_m: Vector | None = None
     velocity_nea_m_s: Vector = (0.0, 0.0, 0.0)
     position_at_s: float = -1e9
+    position_step_s: float = 0.0
+    """Time between the last two positions."""
     moved_at_s: float = -1e9
     """When the horizontal position last differed from the one before."""
     jumped_at_s: float = -1e9
     """When the position last changed by more than the vehicle can fly."""
-    bad_at_s: float = -1e9
+    bad_at_s: float = 0.0
     """When the position was last not to be believed, whatever the reason."""
 
 
@@ -148,6 +154,8 @@ class Flight:
     failures: int = 0
     """Attempts in a row, from rest, that gave no leg."""
     legs_flown: int = 0
+    progress_at_s: float = 0.0
+    """When the reference point last moved, or the wait for a leg began."""
 
 
 @final
@@ -161,6 +169,8 @@ class State:
     now_s: float = 0.0
     asked_at_s: float = -1e9
     """When the vehicle was last asked for what this phase waits for."""
+    obeyed: bool = False
+    """Whether the vehicle took the mode that this phase asked for."""
     reason: Reason | None = None
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight

@@ -194,9 +194,7 @@ def _scene(request: PlanRequest) -> Scene:
         clearance = settings.safety_distance_m * settings.profile.margin
         surface = _surface(request, max(clearance, task.required_clearance_m))
     else:
-        surface = terrain_surface(
-            request.known, centre_ne_m=scan_ne, reach_m=1.1 * settings.scan_range_m
-        )
+        surface = terrain_surface(request.known, centre_ne_m=scan_ne, reach_m=settings.scan_range_m)
     return Scene(
         profile=settings.profile,
         weights=settings.weights,
@@ -256,7 +254,7 @@ def _surface(request: PlanRequest, clearance_m: float) -> Surface:
     return safe_surface(
         request.known,
         centre_ne_m=request.scan_nea_m[:2],
-        reach_m=1.1 * request.task.settings.scan_range_m,
+        reach_m=request.task.settings.scan_range_m,
         clearance_m=clearance_m,
         unknown_m=request.task.limits.ceiling_amsl_m,
     )

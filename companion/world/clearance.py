@@ -95,10 +95,10 @@ def safe_surface(
     square, grown by the registration error, and distances are those between the nearest points
     of cells.  Unknown ground counts as terrain of altitude unknown_m.
     """
-    window = _window(known, centre_ne_m, reach_m, unknown_m)
+    radius = clearance_m + known.registration_m
+    window = _window(known, centre_ne_m, reach_m + radius, unknown_m)
     cell = known.cell_m / _REFINE
     heights = np.repeat(np.repeat(window.upper_m, _REFINE, axis=0), _REFINE, axis=1)
-    radius = clearance_m + known.registration_m
     half = math.ceil(radius / cell) + 1
     steps = np.maximum(np.abs(np.arange(-half, half + 1)) - 1, 0) * cell
     gap = np.maximum(np.hypot(steps[:, None], steps[None, :]) - known.registration_m, 0.0)

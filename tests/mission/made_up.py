@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -32,7 +32,7 @@ from companion.mission.events import (
     Vector,
     VehicleStatus,
 )
-from companion.mission.flying import Context
+from companion.mission.decisions import Context
 from companion.mission.mission import EndAction, Mission
 from companion.mission.state import Flight, Phase, State
 from companion.path.check import CheckReport
@@ -66,18 +66,11 @@ def straight(start_nea_m: Sequence[float], end_nea_m: Sequence[float]) -> Subpat
     return Subpath(control_nea_m=np.linspace(start_nea_m, end_nea_m, 4))
 
 
-REPORT = CheckReport(
-    clearance_m=1000.0,
-    above_safe_m=500.0,
-    keep_out_m=math.inf,
-    turn_radius_m=math.inf,
-    climb_angle_rad=0.0,
-    dive_angle_rad=0.0,
-    lowest_amsl_m=3020.0,
-    highest_amsl_m=3020.0,
-    off_map_m=0.0,
-    radar_m=0.0,
-)
+def report() -> CheckReport:
+    """A subpath with nothing near it; whatever else a report holds is 0."""
+    far = {"keep_out_m": math.inf, "turn_radius_m": math.inf, "clearance_m": 1e3}
+    names = [field.name for field in fields(CheckReport)]
+    return CheckReport(**{name: far.get(name, 0.0) for name in names})
 
 
 def planned(request: PlanRequest, length_m: float = LEG_M) -> Planned:
@@ -93,7 +86,7 @@ def planned(request: PlanRequest, length_m: float = LEG_M) -> Planned:
         reaches_target=reaches,
         cost=1.0,
         terms={"f1": 1.0},
-        report=REPORT,
+        report=report(),
         guide_rad=0.0,
         evaluations=60,
         rank=0,
@@ -204,7 +197,7 @@ class Craft:
             if height == self.climb_to_m:
                 self.landed, self.climb_to_m = Landed.IN_AIR, None
         elif self.mode is Mode.LAND and self.landed is not Landed.ON_GROUND:
-            height = max(height - 25.0 * TICK_S, HOME_AMSL_M)
+            height = max(height - 2.5 * TICK_S, HOME_AMSL_M)
             if height == HOME_AMSL_M:
                 self.landed, self.armed = Landed.ON_GROUND, False
         if self.mode is not Mode.GUIDED:
@@ -264,6 +257,13 @@ class Craft:
 def near_target(of: Mission = MISSION) -> Mission:
     """The same mission with a target that one leg reaches."""
     return replace(of, targets_ne_m=((5000.0, 5000.0),))
+
+
+def preparing() -> Craft:
+    """Waiting for a fix on the ground."""
+    craft = Craft()
+    craft.fix = False
+    return craft.fly_to(Phase.PREPARING)
 
 
 def flying(of: Mission = MISSION, **keywords: Any) -> Craft:

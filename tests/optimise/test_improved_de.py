@@ -112,7 +112,7 @@ def test_a_beyond_0_and_1_is_clipped() -> None:
 
 @pytest.mark.parametrize("generation", [0, 1, 4, 9])
 def test_k1_rises_and_k2_falls_with_the_square_of_the_generation(generation: int) -> None:
-    """Eq. 18: k1 = k1_min + (k1_max - k1_min) (g / N)^2, k2 = k2_max - (k2_max - k2_min) (g / N)^2."""
+    """Eq. 18, with the paper's ranges: k1 from 0 to 0.5, k2 from 1 to 0.5."""
     de, x, costs = started(Dice(3, 0.5, 1.0), Settings(population=NP), generations=10)
     for _ in range(generation):
         de.ask()

@@ -112,15 +112,21 @@ class TestEveryOptimiser:
         assert ranked.x[0, 0] >= 0.5
         assert np.isfinite(ranked.costs[0])
 
-    @given(budget=st.integers(1, 7 * NP), seed=st.integers(0, 100))
-    def test_the_budget_is_kept_to_the_evaluation(
+    @given(budget=st.integers(NP, 7 * NP), seed=st.integers(0, 100))
+    def test_the_budget_is_kept_and_less_than_a_generation_of_it_is_left(
         self, make: Maker, budget: int, seed: int
     ) -> None:
         objective = Recorder(bowl)
-        ranked = minimise(make(seed, 3, max(budget // NP, 1)), objective, budget)
+        ranked = minimise(make(seed, 3, budget // NP), objective, budget)
+        assert objective.evaluations == ranked.evaluations
+        assert budget - NP < objective.evaluations <= budget
+
+    @pytest.mark.parametrize("budget", [1, NP - 1])
+    def test_a_budget_of_less_than_a_generation_is_kept_too(self, make: Maker, budget: int) -> None:
+        objective = Recorder(bowl)
+        ranked = minimise(make(1, 3, 1), objective, budget)
         assert objective.evaluations == ranked.evaluations
         assert objective.evaluations <= budget
-        assert budget - objective.evaluations < NP
 
     def test_an_objective_of_one_point_is_found_to_be_that_point(self, make: Maker) -> None:
         # a needle: everything costs 1, but for a cell around the point

@@ -32,6 +32,7 @@ D_S_M = 60.0
 
 GOOD = CheckReport(
     clearance_m=70.0,
+    farthest_m=800.0,
     above_safe_m=0.0,
     keep_out_m=D_S_M,
     turn_radius_m=LIMITS.turn_radius_m,
@@ -227,6 +228,11 @@ def test_a_dip_between_the_papers_ten_samples_is_seen() -> None:
     report = checked(*level(), known=known)
     assert "terrain clearance" in report.violations(LIMITS, D_S_M)
     assert report.clearance_m == 0.0
+
+
+def test_clearances_are_measured_up_to_the_distance_that_is_reported() -> None:
+    report = checked(*level(790.0), known=a_map(-5_000.0))
+    assert report.clearance_m == report.farthest_m == 800.0
 
 
 @settings(max_examples=40)

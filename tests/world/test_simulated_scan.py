@@ -47,6 +47,7 @@ def test_the_true_map_holds_the_highest_terrain_of_each_cell_in_whole_metres(see
         # 21 points a side come within 2.5 m of the highest; no slope is above 1200 x 0.86 / 200
         assert brute <= truth.upper_m[row, column] <= math.ceil(brute + 2 * 2.5 * 5.2)
     assert (truth.upper_m == np.round(truth.upper_m)).all()
+    assert truth.seen.all()
 
 
 @example(north_min_dm=131_182, rows=488, cell_m=256)
@@ -91,7 +92,7 @@ def test_a_wall_hides_just_what_lies_below_the_line_over_its_top(
     truth.upper_m[wall] = top_m
     scan = simulated_scan(truth, (0.5 * CELL_M, 20.5 * CELL_M, radar_m), 3_500.0)
     due_north = scan.heights_m[:, 20 - scan.column]
-    for cell in range(wall + 1, 34):
+    for cell in range(wall + 2, 34):  # the march ends a cell before the one it looks at
         line = radar_m + (top_m - radar_m) / wall * cell
         if abs(line) > 1e-6:
             assert np.isfinite(due_north[cell - scan.row]) == (line <= 0.0)

@@ -137,7 +137,7 @@ class Flight:
         elif self.mode is Mode.LAND:
             height_m = copter.altitude_amsl_m - ground_amsl_m - SLOW_LANDING_M
             climb = climb_m_s(-height_m, tuning, copter.limits.acceleration_vertical_m_s2)
-            climb = min(climb, 0.0) - tuning.land_speed_m_s
+            climb = min(climb, -tuning.land_speed_m_s)
         else:  # nobody holds the sticks: it keeps its course and sinks
             return 0.0, 0.0, KV_1_S * (-copter.limits.speed_vertical_m_s - copter.velocity_up_m_s)
         north, east = self._shaper.towards(

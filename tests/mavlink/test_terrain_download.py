@@ -1,0 +1,330 @@
+"""Against a radar of the test's own, made from the message definition and geodesics alone.
+
+TERRAIN_REQUEST: "SW corner of first grid", "grid spacing in meters", "bitmask of requested 4x4
+grids (row major 8x7 array of grids, 56 bits)".  TERRAIN_DATA: "bit within the terrain request
+mask", "terrain data MSL"; data[x * 4 + y] with x north and y east (ArduPilot's AP_Terrain).
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pyproj
+import pytest
+from pymavlink.dialects.v20 import all as wire
+
+from companion.geodesy import LocalFrame
+from companion.mavlink.terrain_download import TerrainDownload, areas
+from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map
+
+FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
+GEOD = pyproj.Geod(ellps="WGS84")
+CELL_M = 250.0
+RANGE_M = 6000.0
+CORNER = (100_000.0, 100_000.0)
+HERE = (100_000.0, 100_000.0, 3000.0)
+MAP = empty_map(CELL_M, (-5000.0, 105_000.0), (-5000.0, 105_000.0))
+DEADLINE_S = 4.0
+
+
+def local(latitude: float, longitude: float) -> tuple[float, float]:
+    """North, east in the azimuthal equidistant frame, by the geodesic from its origin."""
+    azimuth, _, distance = GEOD.inv(8.0, 47.0, longitude, latitude)
+    return distance * math.cos(math.radians(azimuth)), distance * math.sin(math.radians(azimuth))
+
+
+def place(request: Any, north_m: float, east_m: float) -> tuple[float, float]:
+    """Latitude, longitude of a point true north and true east of the request's corner."""
+    azimuth = math.degrees(math.atan2(east_m, north_m))
+    longitude, latitude, _ = GEOD.fwd(
+        request.lon * 1e-7, request.lat * 1e-7, azimuth, math.hypot(north_m, east_m)
+    )
+    return latitude, longitude
+
+
+def height_m(north_m: float, east_m: float) -> float:
+    """A slope that is steep to the north and less so to the east: no flip leaves it the same."""
+    return 0.1 * (north_m - 100_000.0) + 0.013 * (east_m - 100_000.0) + 1000.0
+
+
+def heights(request: Any, bit: int) -> list[int]:
+    """Of the 16 cells of a block, at their middles: x (north) is the slower index."""
+    s = request.grid_spacing
+    row, column = divmod(bit, 8)
+    return [
+        round(
+            height_m(*local(*place(request, (4 * row + x + 0.5) * s, (4 * column + y + 0.5) * s)))
+        )
+        for x in range(4)
+        for y in range(4)
+    ]
+
+
+def bits(mask: int) -> list[int]:
+    return [bit for bit in range(64) if mask >> bit & 1]
+
+
+def block(request: Any, bit: int, data: list[int], **changes: int) -> Any:
+    values = {"lat": request.lat, "lon": request.lon, "grid_spacing": request.grid_spacing}
+    return wire.MAVLink_terrain_data_message(gridbit=bit, data=data, **{**values, **changes})
+
+
+def report(request: Any, pending: int = 0) -> Any:
+    return wire.MAVLink_terrain_report_message(
+        request.lat, request.lon, request.grid_spacing, 0.0, 0.0, pending, 1
+    )
+
+
+Answer = Callable[[Any], list[Any]]
+
+
+def flat(request: Any) -> list[Any]:
+    return [*(block(request, bit, [500] * 16) for bit in bits(request.mask)), report(request)]
+
+
+def sloping(request: Any) -> list[Any]:
+    return [
+        *(block(request, bit, heights(request, bit)) for bit in bits(request.mask)),
+        report(request),
+    ]
+
+
+def download(
+    known: KnownMap = MAP, centre: tuple[float, float] = CORNER, range_m: float = RANGE_M
+) -> TerrainDownload:
+    return TerrainDownload(
+        known,
+        centre_ne_m=centre,
+        range_m=range_m,
+        deadline_s=DEADLINE_S,
+        drift_m=30.0,
+        frame=FRAME,
+    )
+
+
+def run(task: TerrainDownload, answer: Answer, limit_s: float = DEADLINE_S) -> list[Any]:
+    """All requests; the radar answers within a tenth of a second."""
+    requests = []
+    for tick in range(round(limit_s * 10) + 1):
+        if task.is_over(tick / 10):
+            break
+        request = task.on_time(tick / 10)
+        if request is not None:
+            requests.append(request)
+            for message in answer(request):
+                task.on_message(message, HERE)
+    return requests
+
+
+def on_map(scan: Scan) -> np.ndarray[Any, np.dtype[np.float64]]:
+    whole = np.full(MAP.upper_m.shape, math.nan)
+    rows, columns = scan.heights_m.shape
+    whole[scan.row : scan.row + rows, scan.column : scan.column + columns] = scan.heights_m
+    return whole
+
+
+def middle_of(row: int, column: int) -> tuple[float, float]:
+    return -5000.0 + (row + 0.5) * CELL_M, -5000.0 + (column + 0.5) * CELL_M
+
+
+@pytest.mark.parametrize("centre", [CORNER, (0.0, 0.0), (50_000.0, 100_000.0)])
+def test_every_height_lands_in_the_cell_that_it_belongs_to(centre: tuple[float, float]) -> None:
+    task = download(centre=centre, range_m=3000.0)
+    run(task, sloping)
+    scan = task.scan()
+    rows, columns = np.nonzero(np.isfinite(on_map(scan)))
+    assert rows.size > 400
+    for row, column in zip(rows, columns, strict=True):
+        expected = height_m(*middle_of(row, column))
+        slack = 0.6 + scan.registration_m * math.hypot(0.1, 0.013)
+        assert on_map(scan)[row, column] == pytest.approx(expected, abs=slack)
+        assert slack < 0.1 * CELL_M / 2  # less than a cell's error would be
+
+
+def test_all_that_is_within_range_and_on_the_map_is_asked_for() -> None:
+    task = download()
+    run(task, flat)
+    answered = np.isfinite(on_map(task.scan()))
+    for row in range(MAP.upper_m.shape[0]):
+        for column in range(MAP.upper_m.shape[1]):
+            if math.dist(middle_of(row, column), CORNER) <= RANGE_M:
+                assert answered[row, column], (row, column)
+    assert task.asked == task.answered
+
+
+@pytest.mark.parametrize("centre", [(104_000.0, 104_000.0), (-4000.0, 103_000.0), CORNER])
+def test_registration_bounds_the_offset_of_every_corner_of_every_cell(
+    centre: tuple[float, float],
+) -> None:
+    for area in areas(MAP, centre, 9000.0, FRAME):
+        request = wire.MAVLink_terrain_request_message(
+            area.latitude_e7, area.longitude_e7, round(CELL_M), area.mask
+        )
+        south, west = -5000.0 + area.row * CELL_M, -5000.0 + area.column * CELL_M
+        worst = 0.0
+        for x in range(0, 29, 4):
+            for y in range(0, 33, 4):
+                there = local(*place(request, x * CELL_M, y * CELL_M))
+                worst = max(worst, math.dist(there, (south + x * CELL_M, west + y * CELL_M)))
+        assert worst <= area.registration_m + 1e-3
+        assert area.registration_m <= worst + 1e-3  # and no more than that
+
+
+def test_the_registration_of_a_scan_is_the_worst_of_its_requests() -> None:
+    worst = max(area.registration_m for area in areas(MAP, CORNER, RANGE_M, FRAME))
+    assert download().scan().registration_m == worst
+    assert 10.0 < worst < CELL_M / 2
+
+
+def test_one_request_is_outstanding_until_its_report_or_a_second_without_it() -> None:
+    task = download(range_m=10_000.0)
+    first = task.on_time(0.0)
+    assert first is not None
+    assert task.on_time(0.9) is None
+    for message in flat(first)[:-1]:
+        task.on_message(message, HERE)
+    assert task.on_time(0.95) is None
+    task.on_message(report(first, pending=3), HERE)
+    assert task.on_time(0.96) is None
+    task.on_message(report(first), HERE)
+    second = task.on_time(0.97)
+    assert second is not None
+    assert (second.lat, second.lon) != (first.lat, first.lon)
+
+
+def test_a_lost_block_is_asked_for_again_and_only_it() -> None:
+    lost: list[int] = []
+
+    def once(request: Any) -> list[Any]:
+        answers = flat(request)
+        if lost:
+            return answers
+        lost.append(bits(request.mask)[3])
+        return answers[:3] + answers[4:]
+
+    task = download(range_m=2000.0)
+    requests = run(task, once)
+    assert requests[-1].mask == 1 << lost[0]
+    assert (requests[-1].lat, requests[-1].lon) == (requests[0].lat, requests[0].lon)
+    assert task.answered == task.asked
+
+
+def test_a_block_that_stays_lost_is_unknown_and_never_looks_sheltered() -> None:
+    def without_one(request: Any) -> list[Any]:
+        return [a for a in flat(request) if getattr(a, "gridbit", None) != bits(first_mask)[3]]
+
+    task = download(range_m=2000.0)
+    first_mask = next(areas(MAP, CORNER, 2000.0, FRAME)).mask
+    requests = run(task, without_one)
+    assert task.answered < task.asked
+    scan = task.scan()
+    assert not np.isneginf(scan.heights_m).any()
+    assert np.isnan(scan.heights_m).any()
+    assert max(sum(r.mask == q.mask for r in requests) for q in requests) <= 3  # it gives up
+    after = MAP.with_scan(scan)
+    unknown = np.isnan(on_map(scan))
+    assert np.isinf(after.upper_m[unknown]).all()
+    assert not after.seen[unknown].any()
+
+
+def test_minus_32768_is_not_seen_and_every_other_height_is_a_height() -> None:
+    data = [-32768, -32767, -1, 0, 1, 32767] + [5] * 10
+
+    def odd(request: Any) -> list[Any]:
+        return [*(block(request, bit, data) for bit in bits(request.mask)), report(request)]
+
+    task = download(range_m=2000.0)
+    run(task, odd)
+    heights = task.scan().heights_m
+    assert set(np.unique(heights[~np.isnan(heights)])) == {NOT_SEEN, -32767, -1, 0, 1, 32767, 5}
+
+
+def test_a_silent_radar_ends_with_the_deadline_and_without_answers() -> None:
+    task = download()
+    requests = run(task, lambda _: [])
+    assert task.is_over(DEADLINE_S)
+    assert not task.is_over(DEADLINE_S - 0.1)
+    assert task.on_time(DEADLINE_S) is None
+    assert (task.answered, len(requests)) == (0, 4)
+    assert np.isnan(task.scan().heights_m).all()
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        {"lat": 470_000_000},
+        {"lon": 80_000_000},
+        {"grid_spacing": 100},
+    ],
+    ids=str,
+)
+def test_a_block_of_another_request_is_ignored(spoil: dict[str, int]) -> None:
+    task = download()
+    request = task.on_time(0.0)
+    assert request is not None
+    task.on_message(block(request, bits(request.mask)[0], [9] * 16, **spoil), HERE)
+    assert task.answered == 0
+
+
+def test_blocks_that_were_not_asked_for_and_duplicates_are_ignored() -> None:
+    task = download(range_m=2000.0)
+    request = task.on_time(0.0)
+    assert request is not None
+    wanted = bits(request.mask)
+    for bit in (*(set(range(56)) - set(wanted)), 56, 63, 64, 255):
+        task.on_message(block(request, bit, [9] * 16), HERE)
+    assert task.answered == 0
+    task.on_message(block(request, wanted[0], [100] * 16), HERE)
+    task.on_message(block(request, wanted[0], [200] * 16), HERE)
+    assert task.answered == 1
+    values = task.scan().heights_m
+    assert set(values[~np.isnan(values)]) == {100.0}
+
+
+def test_an_answer_that_comes_when_nothing_is_asked_is_ignored() -> None:
+    task = download(range_m=2000.0)
+    request = task.on_time(0.0)
+    assert request is not None
+    for message in [*flat(request)[:-1], report(request), *flat(request)]:
+        task.on_message(message, HERE)
+    assert task.answered == len(bits(request.mask))
+
+
+def test_what_was_seen_is_not_asked_for_again() -> None:
+    task = download()
+    run(task, flat)
+    seen = MAP.with_scan(task.scan())
+    assert list(areas(seen, CORNER, RANGE_M - 2 * CELL_M, FRAME)) == []
+    again = download(known=seen)
+    assert again.asked == 0
+    assert again.is_over(0.0)
+    assert again.on_time(0.0) is None
+
+
+def test_a_mask_asks_for_no_more_than_56_blocks_in_row_major_order() -> None:
+    for area in areas(MAP, CORNER, 20_000.0, FRAME):
+        assert 0 < area.mask < 1 << 56
+        for bit in bits(area.mask):
+            row, column = area.row + 4 * (bit // 8), area.column + 4 * (bit % 8)
+            gaps = [
+                math.dist(middle_of(row + x, column + y), CORNER)
+                for x in range(4)
+                for y in range(4)
+            ]
+            assert min(gaps) <= 20_000.0
+
+
+def test_the_place_of_the_radar_is_kept_for_every_cell() -> None:
+    task = download(range_m=2000.0)
+    request = task.on_time(0.0)
+    assert request is not None
+    first, *others = flat(request)
+    task.on_message(first, (1.0, 2.0, 3.0))
+    for message in others:
+        task.on_message(message, HERE)
+    scan = task.scan()
+    answered = ~np.isnan(scan.heights_m)
+    places = {tuple(radar) for radar in scan.radar_nea_m[answered]}
+    assert places == {(1.0, 2.0, 3.0), HERE}
+    assert (scan.range_m, scan.drift_m) == (2000.0, 30.0)

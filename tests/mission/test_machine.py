@@ -1,0 +1,830 @@
+"""The mission machine: laws over thousands of random events, then every case by itself."""
+
+import functools
+import math
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from made_up import (
+    HOME_AMSL_M,
+    LAND,
+    MISSION,
+    TAKE_OFF_AMSL_M,
+    TICK_S,
+    Craft,
+    Step,
+    arrived,
+    flying,
+    holding_mode_taken,
+    holding_without_fix,
+    holding_without_plan,
+    landing,
+    near_target,
+    not_planned,
+    planned,
+    position,
+    preparing,
+    scan_done,
+    status,
+    straight,
+)
+
+from companion.mission.events import (
+    Arm,
+    Command,
+    End,
+    Estimator,
+    Event,
+    GpsFix,
+    Home,
+    Landed,
+    LandedState,
+    LinkLost,
+    Mode,
+    Outcome,
+    Plan,
+    PlanLate,
+    PlannerDied,
+    PlanReady,
+    Position,
+    RequestStreams,
+    Say,
+    SetMode,
+    Setpoint,
+    StartScan,
+    StopAsked,
+    TakeOff,
+    Tick,
+    VehicleStatus,
+)
+from companion.mission.health import distrust
+from companion.mission.state import MOVES, Phase, Reason
+from companion.path.subpath import Pose
+from companion.planner.plan import PlanOutcome, PlanRequest
+
+OVER = (Phase.DONE, Phase.FAULTED)
+IN_FLIGHT = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED)
+ORDERS = (SetMode, Arm, TakeOff, Setpoint)  # what moves a vehicle
+FLIGHTS, EVENTS = 40, 800
+
+
+# --- laws over random flights
+
+
+def disturbance(craft: Craft, rng: np.random.Generator) -> list[Event]:
+    """Anything at all, whether it makes sense or not."""
+    now = craft.now_s
+    request = PlanRequest(
+        plan_id=int(rng.integers(0, 4)),
+        seed=1,
+        task=MISSION.task,
+        known=craft.state.flight.known,
+        scan_nea_m=craft.here,
+        start=Pose(position_nea_m=np.array(craft.here), tangent_nea=np.array([1.0, 0.0, 0.0])),
+        from_rest=True,
+        target_ne_m=(1e5, 1e5),
+    )
+    jump = (craft.here[0] + float(rng.normal(0, 2e3)), craft.here[1], craft.here[2])
+    mode, landed = rng.choice(list(Mode)), rng.choice(list(Landed))
+    choices: list[tuple[float, Callable[[], Event]]] = [
+        (4, lambda: status(now, mode, armed=bool(rng.random() < 0.9))),
+        (2, lambda: LandedState(time_s=now, landed=landed)),
+        (2, lambda: GpsFix(time_s=now, good=False)),
+        (2, lambda: Estimator(time_s=now, good=False)),
+        (2, lambda: position(now, jump, craft.velocity)),
+        (2, lambda: position(now - rng.random(), craft.here, craft.velocity)),
+        (2, lambda: scan_done(now, answered=int(rng.integers(0, 2)))),
+        (2, lambda: PlanReady(time_s=now, outcome=planned(request))),
+        (2, lambda: PlanReady(time_s=now, outcome=not_planned(request))),
+        (2, lambda: PlanLate(time_s=now, plan_id=int(rng.integers(0, 4)))),
+        (1, lambda: LinkLost(time_s=now, silent_s=3.0)),
+        (1, lambda: Home(time_s=now, altitude_amsl_m=float(rng.uniform(2000, 3010)))),
+        (2, lambda: Tick(time_s=now + rng.choice([0.0, 0.4, 0.6, 1.1, 2.5]))),
+        (0.3, lambda: PlannerDied(time_s=now, error="made up")),
+        (0.3, lambda: StopAsked(time_s=now)),
+    ]
+    weights = np.array([weight for weight, _ in choices])
+    return [choices[rng.choice(len(choices), p=weights / weights.sum())][1]()]
+
+
+def random_flight(seed: int) -> list[Step]:
+    rng = np.random.default_rng(seed)
+    of = replace(
+        LAND if seed % 2 else MISSION,
+        targets_ne_m=((400.0, 300.0), (800.0, 300.0)),
+    )
+    often = rng.choice([0.0, 0.01, 0.05, 0.3])
+
+    def plan(request: PlanRequest) -> PlanOutcome | None:
+        answer = rng.random()
+        if answer < 0.1:
+            return None
+        return not_planned(request) if answer < 0.3 else planned(request)
+
+    craft = Craft(of, plan=plan)
+    while len(craft.steps) < EVENTS:
+        if rng.random() < often:
+            craft.obey(craft.take(*disturbance(craft, rng)))
+        elif rng.random() < 0.02 and often:
+            for event in craft.events():
+                if rng.random() < 0.5:
+                    craft.obey(craft.take(event))
+        else:
+            craft.tick()
+        craft.obeys_modes = bool(rng.random() < 0.95)
+    return craft.steps
+
+
+@functools.cache
+def random_steps() -> tuple[Step, ...]:
+    return tuple(step for seed in range(FLIGHTS) for step in random_flight(seed))
+
+
+def orders() -> Iterator[tuple[Step, Command]]:
+    for step in random_steps():
+        for command in step[3]:
+            yield step, command
+
+
+def test_the_random_flights_come_to_every_phase_and_every_command() -> None:
+    assert len(random_steps()) >= FLIGHTS * EVENTS
+    reserved = {Phase.RETURNING, Phase.SHADOW}
+    assert {after.phase for _, _, after, _ in random_steps()} == set(Phase) - reserved
+    kinds = {RequestStreams, SetMode, Arm, TakeOff, StartScan, Plan, Setpoint, Say, End}
+    assert {type(command) for _, command in orders()} == kinds
+
+
+def test_a_phase_changes_only_along_the_table() -> None:
+    arrows = {(phase, after) for (phase, _), after in MOVES.items()}
+    for before, _, after, _ in random_steps():
+        if after.phase is not before.phase:
+            assert (before.phase, after.phase) in arrows
+            assert after.since_s == after.now_s
+
+
+def test_time_never_goes_back() -> None:
+    for before, event, after, _ in random_steps():
+        if before.phase not in OVER:
+            assert after.now_s == max(before.now_s, event.time_s)
+
+
+def test_a_setpoint_is_the_one_answer_to_a_position() -> None:
+    for _, event, _, commands in random_steps():
+        setpoints = [command for command in commands if isinstance(command, Setpoint)]
+        assert len(setpoints) <= isinstance(event, Position)
+        assert all(setpoint.time_s == event.time_s for setpoint in setpoints)
+
+
+def test_no_setpoint_outside_flying_holding_and_arrived() -> None:
+    for (before, _, _, _), command in orders():
+        assert not isinstance(command, Setpoint) or before.phase in IN_FLIGHT
+
+
+def test_no_setpoint_unless_the_vehicle_is_armed_and_in_guided_mode() -> None:
+    for (before, _, _, _), command in orders():
+        if isinstance(command, Setpoint):
+            assert before.vehicle.armed
+            assert before.vehicle.mode is Mode.GUIDED
+
+
+def test_no_setpoint_to_a_vehicle_on_the_ground() -> None:
+    for (before, _, _, _), command in orders():
+        assert not isinstance(command, Setpoint) or before.vehicle.landed is not Landed.ON_GROUND
+
+
+def test_no_setpoint_from_a_position_that_is_not_to_be_believed() -> None:
+    for (_, _, after, _), command in orders():
+        if isinstance(command, Setpoint):
+            assert distrust(after.vehicle, after.now_s) is None
+
+
+def test_every_number_of_a_setpoint_is_finite() -> None:
+    for _, command in orders():
+        if isinstance(command, Setpoint):
+            values = (*command.position_nea_m, *command.velocity_nea_m_s, command.yaw_rad)
+            assert all(map(math.isfinite, values))
+
+
+def test_nothing_is_armed_or_made_to_take_off_that_is_in_the_air() -> None:
+    for (before, _, _, _), command in orders():
+        if isinstance(command, Arm | TakeOff):
+            assert before.vehicle.landed is Landed.ON_GROUND
+
+
+def test_no_take_off_without_arming_and_guided_mode() -> None:
+    for (before, _, _, _), command in orders():
+        if isinstance(command, TakeOff):
+            assert before.phase is Phase.TAKING_OFF
+            assert before.vehicle.armed
+            assert before.vehicle.mode is Mode.GUIDED
+
+
+def test_a_vehicle_whose_mode_somebody_else_chose_in_flight_is_told_nothing() -> None:
+    aloft = (Phase.TAKING_OFF, *IN_FLIGHT)
+    for (before, _, _, _), command in orders():
+        if before.phase in aloft and before.vehicle.mode is Mode.OTHER:
+            assert not isinstance(command, ORDERS)
+
+
+def test_what_is_over_stays_over_and_silent() -> None:
+    for before, _, after, commands in random_steps():
+        if before.phase in OVER:
+            assert after is before
+            assert commands == []
+
+
+def test_a_mission_ends_with_one_end_that_says_why() -> None:
+    for before, _, after, commands in random_steps():
+        ends = [command for command in commands if isinstance(command, End)]
+        assert len(ends) == (after.phase in OVER and before.phase not in OVER)
+        for end in ends:
+            assert end.reason
+            assert end.remedy or end.outcome is Outcome.ARRIVED
+
+
+def test_an_answer_to_an_old_question_changes_nothing() -> None:
+    old = 0
+    for before, event, after, commands in random_steps():
+        if isinstance(event, PlanReady) and event.outcome.plan_id != before.flight.plan_id:
+            old += 1
+            assert after.flight == before.flight
+            assert after.phase is before.phase
+            assert not [command for command in commands if not isinstance(command, SetMode)]
+    assert old > 10
+
+
+def test_a_plan_is_due_the_planning_time_after_it_is_asked_for() -> None:
+    for (_, _, after, _), command in orders():
+        if isinstance(command, Plan):
+            assert command.due_s == pytest.approx(after.now_s + 5.0, abs=3.0)
+            assert command.request.plan_id == after.flight.plan_id
+
+
+def test_the_same_events_give_the_same_states_and_commands() -> None:
+    def told(steps: list[Step]) -> str:
+        shown = [(c for c in commands if not isinstance(c, Plan)) for *_, commands in steps]
+        return repr(
+            [(after.phase, after.reason, after.vehicle) for _, _, after, _ in steps]
+        ) + repr([list(commands) for commands in shown])
+
+    assert told(random_flight(7)) == told(random_flight(7))
+
+
+# --- the way it should go, literally
+
+
+def test_a_mission_step_by_step() -> None:
+    craft = Craft(near_target())
+    take = craft.take
+    assert take(Tick(time_s=1.0)) == []
+    commands = take(status(1.0, Mode.OTHER, armed=False))
+    assert craft.phase is Phase.PREPARING
+    assert commands[0] == RequestStreams()
+    on_ground = (0.0, 0.0, HOME_AMSL_M)
+    assert take(position(2.0, on_ground)) == []
+    assert take(GpsFix(time_s=2.0, good=True), Estimator(time_s=2.0, good=True)) == []
+    assert take(Home(time_s=2.0, altitude_amsl_m=HOME_AMSL_M)) == []
+    assert take(LandedState(time_s=2.0, landed=Landed.ON_GROUND)) == []
+    assert take(Tick(time_s=2.1)) == []
+    assert craft.phase is Phase.ARMING
+    assert take(position(2.1, on_ground)) == [SetMode(mode=Mode.GUIDED)]
+    assert take(position(2.2, on_ground)) == []
+    assert take(position(3.2, on_ground)) == [SetMode(mode=Mode.GUIDED)]
+    take(status(3.3, Mode.GUIDED, armed=False))
+    assert take(position(4.2, on_ground)) == [Arm()]
+    assert take(status(4.3, Mode.GUIDED, armed=True)) == []
+    assert craft.phase is Phase.TAKING_OFF
+    climb = TakeOff(above_home_m=TAKE_OFF_AMSL_M - HOME_AMSL_M)
+    assert take(position(4.4, on_ground)) == [climb]
+    assert take(LandedState(time_s=4.5, landed=Landed.TAKING_OFF)) == []
+    assert take(position(4.8, (0.0, 0.0, 3010.0), (0.0, 0.0, 10.0))) == []
+    hover = (0.0, 0.0, TAKE_OFF_AMSL_M)
+    assert take(position(5.2, hover), LandedState(time_s=5.3, landed=Landed.IN_AIR)) == []
+    assert take(position(5.4, hover)) == []
+    assert craft.phase is Phase.FLYING
+    setpoint, scan = take(position(5.5, hover))
+    assert setpoint == Setpoint(
+        time_s=5.5,
+        position_nea_m=hover,
+        velocity_nea_m_s=(0.0, 0.0, 0.0),
+        yaw_rad=pytest.approx(math.pi / 4),
+    )
+    assert scan == StartScan(centre_nea_m=hover)
+    [plan] = take(scan_done(5.6))
+    assert isinstance(plan, Plan)
+    assert plan.due_s == 5.6 + 5.0
+    assert plan.request.from_rest
+    assert plan.request.target_ne_m == (5000.0, 5000.0)
+    times = np.arange(56, 107) / 10
+    assert all(len(take(position(float(time_s), hover))) == 1 for time_s in times)
+    [said] = take(PlanReady(time_s=10.6, outcome=planned(plan.request)))
+    assert isinstance(said, Say)
+    [first] = take(position(10.7, hover))
+    assert isinstance(first, Setpoint)
+    assert math.hypot(*first.velocity_nea_m_s) == pytest.approx(0.5)
+
+
+def after_arrival(of: Craft) -> list[Command]:
+    return [
+        command
+        for before, _, _, commands in of.steps
+        if before.phase in (Phase.ARRIVED, Phase.LANDING)
+        for command in commands
+        if not isinstance(command, Setpoint)
+    ]
+
+
+def test_end_action_hold_leaves_the_vehicle_in_its_hold_mode() -> None:
+    craft = arrived().fly_to(Phase.DONE)
+    assert craft.mode is Mode.HOLD
+    assert craft.end() == End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")
+    assert after_arrival(craft) == [SetMode(mode=Mode.HOLD), craft.end()]
+
+
+def test_end_action_land_ends_on_the_ground_disarmed() -> None:
+    craft = landing().fly_to(Phase.DONE)
+    assert (craft.landed, craft.armed) == (Landed.ON_GROUND, False)
+    assert craft.end().outcome is Outcome.ARRIVED
+    assert after_arrival(craft) == [SetMode(mode=Mode.LAND), craft.end()]
+
+
+def test_targets_are_reached_in_their_order_with_a_stop_at_each() -> None:
+    corners = ((9000.0, 0.0), (9000.0, 9000.0), (0.0, 9000.0))
+    craft = Craft(replace(MISSION, targets_ne_m=corners)).fly_to(Phase.DONE)
+    stops = [
+        after.flight.hover_nea_m[:2]
+        for before, _, after, _ in craft.steps
+        if after.phase is Phase.ARRIVED is not before.phase and after.flight.hover_nea_m
+    ]
+    np.testing.assert_allclose(stops, corners, atol=1e-6)
+
+
+def test_the_vehicle_is_left_alone_from_the_hold_request_on() -> None:
+    craft = arrived()
+    craft.obeys_modes = False
+    craft.run_for(5.0)
+    asked = craft.sent(SetMode)[1:]  # the first asked for guided mode
+    assert asked == [SetMode(mode=Mode.HOLD)] * len(asked)
+    assert 4 <= len(asked) <= 6  # once a second
+
+
+# --- no plan, late plans, a silent radar
+
+
+def test_without_a_plan_at_all_it_hovers_tries_four_times_and_gives_up_in_the_hold_mode() -> None:
+    craft = Craft(plan=not_planned).fly_to(Phase.DONE)
+    assert [plan.request.attempt for plan in craft.sent(Plan)] == [0, 1, 2, 3]
+    assert craft.sent(SetMode)[-1] == SetMode(mode=Mode.HOLD)
+    assert craft.end().outcome is Outcome.FAILED
+    assert craft.end().reason == Reason.NO_PLAN.text
+    assert len({setpoint.position_nea_m for setpoint in craft.sent(Setpoint)}) == 1
+
+
+def only_the_first(request: PlanRequest) -> PlanOutcome:
+    return planned(request) if request.plan_id == 1 else not_planned(request)
+
+
+def test_without_a_successor_a_leg_is_flown_to_its_end_and_then_held_with_zero_velocity() -> None:
+    craft = flying(plan=only_the_first)
+    leg = craft.state.flight.leg
+    assert leg is not None
+    end_nea_m = leg.subpath.pose(leg.subpath.length_m).position_nea_m
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.NO_PLAN
+    held = [s for _ in range(15) for s in craft.tick() if isinstance(s, Setpoint)]
+    assert len(held) == 15
+    for setpoint in held:
+        np.testing.assert_allclose(setpoint.position_nea_m, end_nea_m, atol=1e-6)
+        assert setpoint.velocity_nea_m_s == (0.0, 0.0, 0.0)
+    craft.fly_to(Phase.DONE)
+    assert len(craft.sent(Plan)) == 2 + 4
+    assert craft.end().outcome is Outcome.FAILED
+    assert craft.sent(SetMode)[-1] == SetMode(mode=Mode.HOLD)
+
+
+def test_a_second_try_that_succeeds_flies_on() -> None:
+    def second(request: PlanRequest) -> PlanOutcome:
+        return not_planned(request) if request.plan_id == 2 else planned(request)
+
+    craft = flying(plan=second).fly_to(Phase.HOLDING).fly_to(Phase.FLYING)
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+    assert craft.state.flight.failures == 0
+
+
+def test_a_plan_that_never_comes_is_a_late_plan_at_the_end_of_the_leg() -> None:
+    def first(request: PlanRequest) -> PlanOutcome | None:
+        return planned(request) if request.plan_id == 1 else None
+
+    craft = flying(plan=first).run_until(lambda craft: len(craft.sent(Plan)) == 2)
+    craft.run_for(6.0)
+    assert craft.take(PlanLate(time_s=craft.now_s, plan_id=2)) == []
+    assert craft.phase is Phase.FLYING
+    assert craft.fly_to(Phase.HOLDING).state.reason is Reason.PLAN_LATE
+
+
+def test_news_of_an_old_late_plan_is_ignored() -> None:
+    craft = flying()
+    craft.take(PlanLate(time_s=craft.now_s, plan_id=99))
+    assert craft.state.flight.shortfall is Reason.NO_PLAN
+
+
+def test_a_silent_radar_is_a_hold_with_its_reason_at_the_end_of_what_is_known() -> None:
+    craft = flying()
+    craft.answered = 0
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.RADAR_SILENT
+    assert craft.fly_to(Phase.DONE).end().reason == Reason.RADAR_SILENT.text
+
+
+def test_a_scan_of_what_is_known_already_needs_no_answer() -> None:
+    craft = Craft().fly_to(Phase.FLYING)
+    craft.take(position(craft.now_s, craft.here))
+    known = replace(scan_done(craft.now_s, answered=0), asked=0)
+    assert [type(command) for command in craft.take(known)] == [Plan]
+
+
+def test_a_dead_planner_ends_the_mission_in_the_hold_mode_with_the_same_event() -> None:
+    craft = flying()
+    commands = craft.take(PlannerDied(time_s=craft.now_s, error="ValueError"))
+    assert craft.phase is Phase.FAULTED
+    assert commands == [
+        SetMode(mode=Mode.HOLD),
+        End(
+            outcome=Outcome.FAILED,
+            reason=Reason.PLANNER_DIED.text,
+            remedy=Reason.PLANNER_DIED.remedy,
+        ),
+    ]
+
+
+# --- reasons of the vehicle's
+
+
+def test_each_reason_not_to_believe_the_position_stops_the_stream_and_asks_for_the_hold() -> None:
+    def no_fix(craft: Craft) -> list[Event]:
+        return [GpsFix(time_s=craft.now_s, good=False)]
+
+    def no_estimate(craft: Craft) -> list[Event]:
+        return [Estimator(time_s=craft.now_s, good=False)]
+
+    def silence(craft: Craft) -> list[Event]:
+        return [Tick(time_s=craft.now_s + 0.6)]
+
+    def jump(craft: Craft) -> list[Event]:
+        return [position(craft.now_s, (*np.add(craft.here[:2], 100.0), craft.here[2]))]
+
+    def frozen(craft: Craft) -> list[Event]:
+        return [
+            position(craft.now_s + 0.1 * tick, craft.here, craft.velocity) for tick in range(12)
+        ]
+
+    cases = {
+        Reason.NO_FIX: no_fix,
+        Reason.ESTIMATOR: no_estimate,
+        Reason.POSITION_STALE: silence,
+        Reason.POSITION_JUMPED: jump,
+        Reason.POSITION_FROZEN: frozen,
+    }
+    for reason, events in cases.items():
+        craft = flying()
+        craft.take(*events(craft))
+        commands = craft.take(Tick(time_s=craft.state.now_s + 0.01))
+        assert craft.phase is Phase.HOLDING, reason
+        assert craft.state.reason is reason
+        assert SetMode(mode=Mode.HOLD) in [*commands, *craft.sent(SetMode)]
+        assert not [c for c in craft.tick() if isinstance(c, Setpoint)]
+
+
+def test_a_jump_is_not_answered_by_a_setpoint() -> None:
+    """Neither on a leg nor where the place to hover is taken from the position."""
+    for craft in (flying(), Craft().fly_to(Phase.FLYING)):
+        far = (craft.here[0] + 5000.0, craft.here[1], craft.here[2])
+        commands = craft.take(position(craft.now_s + TICK_S, far))
+        assert not [command for command in commands if isinstance(command, Setpoint)]
+
+
+def test_after_a_lost_fix_it_goes_on_from_where_it_is_when_the_position_was_good_for_2_s() -> None:
+    craft = holding_without_fix()
+    craft.run_for(3.0)
+    craft.fix = True
+    back_s = craft.now_s
+    craft.fly_to(Phase.FLYING)
+    assert 2.0 <= craft.now_s - back_s <= 6.0
+    craft.tick()
+    assert craft.sent(Setpoint)[-1].position_nea_m == craft.here
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+
+
+def orders_of(commands: list[Command]) -> list[Command]:
+    return [command for command in commands if isinstance(command, ORDERS)]
+
+
+def in_phase(phase: Phase) -> Craft:
+    cases: dict[Phase, Callable[[], Craft]] = {
+        Phase.PREPARING: preparing,
+        Phase.ARRIVED: arrived,
+        Phase.HOLDING: holding_without_plan,
+        Phase.LANDING: lambda: landing().run_for(2.0),
+    }
+    return cases[phase]() if phase in cases else Craft(near_target()).fly_to(phase)
+
+
+@pytest.mark.parametrize("taken", [Mode.OTHER, Mode.LAND, Mode.HOLD], ids=lambda m: m.value)
+@pytest.mark.parametrize(
+    "phase", [Phase.TAKING_OFF, Phase.FLYING, Phase.ARRIVED, Phase.HOLDING], ids=lambda p: p.value
+)
+def test_who_changes_the_mode_is_not_fought(phase: Phase, taken: Mode) -> None:
+    craft = in_phase(phase)
+    craft.tick()
+    craft.mode, craft.obeys_modes, count = taken, False, len(craft.steps)
+    craft.run_for(20.0)
+    for before, event, _, commands in craft.steps[count:]:
+        known = isinstance(event, VehicleStatus) or before.vehicle.mode is taken
+        assert not known or orders_of(commands) == []
+    if craft.phase not in OVER:
+        assert craft.state.reason is Reason.MODE_TAKEN
+
+
+def test_who_takes_over_while_it_lands_is_not_fought() -> None:
+    craft = landing().run_for(3.0)
+    craft.mode, craft.obeys_modes = Mode.OTHER, False
+    craft.run_for(1.0)
+    count = len(craft.commands)
+    craft.run_for(20.0)
+    assert orders_of(craft.commands[count:]) == []
+
+
+def test_who_takes_over_while_it_holds_for_a_bad_position_is_not_fought() -> None:
+    craft = holding_without_fix().run_for(2.0)
+    craft.mode, craft.obeys_modes = Mode.OTHER, False
+    craft.run_for(1.0)
+    count = len(craft.commands)
+    craft.fix = True
+    craft.run_for(20.0)
+    assert orders_of(craft.commands[count:]) == []
+
+
+def test_when_guided_mode_is_selected_again_it_plans_from_where_the_vehicle_is() -> None:
+    craft = holding_mode_taken().run_for(5.0)
+    craft.here = (craft.here[0] + 3.0, craft.here[1] + 40.0, craft.here[2])
+    craft.run_for(5.0)
+    craft.mode = Mode.GUIDED
+    craft.fly_to(Phase.FLYING)
+    [setpoint] = [c for c in craft.tick() if isinstance(c, Setpoint)]
+    assert math.dist(setpoint.position_nea_m, craft.here) < 1e-6
+    assert craft.run_for(8.0).sent(Plan)[-1].request.from_rest
+
+
+def test_a_vehicle_taken_from_its_target_and_given_back_is_not_sent_there_without_a_plan() -> None:
+    craft = arrived()
+    craft.mode, craft.obeys_modes, craft.follows = Mode.OTHER, False, False
+    craft.run_for(2.0)
+    for _ in range(600):  # flown away by hand, 6 km at 100 m/s
+        craft.here = (craft.here[0] - 10.0, craft.here[1], craft.here[2])
+        craft.velocity = (-100.0, 0.0, 0.0)
+        craft.tick()
+    craft.velocity = (0.0, 0.0, 0.0)
+    craft.run_for(5.0)
+    count = len(craft.commands)
+    craft.mode = Mode.GUIDED
+    craft.run_for(2.0)
+    setpoints = [c for c in craft.commands[count:] if isinstance(c, Setpoint)]
+    assert setpoints
+    for setpoint in setpoints:
+        assert math.dist(setpoint.position_nea_m, craft.here) < 20.0
+
+
+def test_a_vehicle_that_was_landed_by_hand_is_not_flown_on_from_the_ground() -> None:
+    craft = holding_mode_taken()
+    craft.landed = Landed.ON_GROUND
+    craft.run_for(5.0)
+    craft.mode = Mode.GUIDED
+    count = len(craft.commands)
+    craft.run_for(10.0)
+    assert orders_of(craft.commands[count:]) == []
+
+
+def test_a_fix_lost_on_the_ground_during_take_off_does_not_begin_the_flight_on_the_ground() -> None:
+    craft = Craft().fly_to(Phase.ARMING)
+    craft.take(status(craft.now_s, Mode.GUIDED, armed=True))
+    assert craft.phase is Phase.TAKING_OFF
+    craft.mode, craft.armed, craft.fix = Mode.GUIDED, True, False
+    craft.take(GpsFix(time_s=craft.now_s, good=False), Tick(time_s=craft.now_s))
+    craft.run_for(1.0)
+    craft.fix = True
+    craft.run_for(20.0)
+    assert craft.landed is Landed.ON_GROUND
+    assert not craft.sent(Setpoint)
+
+
+def test_a_vehicle_that_disarms_ends_the_mission() -> None:
+    craft = flying()
+    craft.armed = False
+    end = craft.fly_to(Phase.DONE).end()
+    assert (end.outcome, end.reason) == (Outcome.FAILED, Reason.DISARMED.text)
+
+
+def test_a_vehicle_that_flies_already_is_not_taken_over_nor_told_anything() -> None:
+    craft = Craft()
+    craft.mode, craft.armed, craft.landed = Mode.GUIDED, True, Landed.IN_AIR
+    end = craft.fly_to(Phase.DONE).end()
+    assert (end.outcome, end.reason) == (Outcome.FAILED, Reason.ALREADY_FLYING.text)
+    assert orders_of(craft.commands) == []
+
+
+def test_a_vehicle_that_somebody_takes_into_the_air_during_arming_is_not_armed() -> None:
+    craft = Craft()
+    craft.obeys_modes = False
+    craft.fly_to(Phase.ARMING).run_for(2.0)
+    craft.landed, craft.armed = Landed.IN_AIR, True
+    craft.run_for(1.0)
+    count = len(craft.commands)
+    craft.run_for(5.0)
+    assert orders_of(craft.commands[count:]) == []
+
+
+def test_no_take_off_to_a_height_below_home() -> None:
+    """Home above the floor of the band: an altitude of home that no mission file can know."""
+    craft = Craft().fly_to(Phase.ARMING)
+    craft.take(Home(time_s=craft.now_s, altitude_amsl_m=4000.0))
+    craft.take(status(craft.now_s, Mode.GUIDED, armed=True))
+    now = craft.now_s
+    craft.take(*(position(now + TICK_S * tick) for tick in range(20)))
+    assert not [take_off for take_off in craft.sent(TakeOff) if take_off.above_home_m <= 0.0]
+
+
+# --- stop
+
+
+@pytest.mark.parametrize(
+    "phase",
+    [
+        Phase.WAITING,
+        Phase.PREPARING,
+        Phase.ARMING,
+        Phase.TAKING_OFF,
+        Phase.FLYING,
+        Phase.HOLDING,
+        Phase.ARRIVED,
+        Phase.LANDING,
+    ],
+    ids=lambda phase: phase.value,
+)
+def test_a_person_can_stop_it_and_the_vehicle_is_left_holding_if_it_is_in_the_air(
+    phase: Phase,
+) -> None:
+    craft = in_phase(phase)
+    if phase is not Phase.WAITING:
+        craft.tick()
+    commands = craft.take(StopAsked(time_s=craft.now_s))
+    assert craft.phase is Phase.DONE
+    assert craft.end().outcome is Outcome.STOPPED
+    in_air = phase in (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED)
+    assert orders_of(commands) == ([SetMode(mode=Mode.HOLD)] if in_air else [])
+
+
+def test_a_vehicle_told_to_take_off_is_left_holding_though_it_still_says_it_is_on_the_ground() -> (
+    None
+):
+    craft = Craft().run_until(lambda craft: bool(craft.sent(TakeOff)))
+    assert craft.state.vehicle.landed is Landed.ON_GROUND
+    assert craft.landed is Landed.TAKING_OFF
+    assert SetMode(mode=Mode.HOLD) in craft.take(StopAsked(time_s=craft.now_s))
+
+
+# --- nothing waits for ever
+
+
+def only_ticks(craft: Craft, every_s: float) -> None:
+    start_s = craft.state.now_s
+    for tick in range(1, round(600.0 / every_s) + 1):
+        craft.take(Tick(time_s=start_s + tick * every_s))
+        if craft.phase in OVER:
+            return
+
+
+WAITS: dict[str, Callable[[], Craft]] = {
+    "preparing": preparing,
+    "arming": lambda: Craft().fly_to(Phase.ARMING),
+    "taking off": lambda: Craft().fly_to(Phase.TAKING_OFF),
+    "flying": flying,
+    "holding without a plan": holding_without_plan,
+    "holding without a fix": holding_without_fix,
+    "arrived": arrived,
+    "landing": landing,
+}
+
+
+@pytest.mark.parametrize("every_s", [0.1, 1.0], ids=["10 Hz", "1 Hz"])
+@pytest.mark.parametrize("wait", WAITS)
+def test_every_wait_ends_with_a_reason_when_only_the_clock_goes_on(
+    wait: str, every_s: float
+) -> None:
+    craft = WAITS[wait]()
+    only_ticks(craft, every_s)
+    assert craft.phase in OVER, f"still {craft.phase.value} after ten minutes"
+    assert craft.end().outcome is not Outcome.ARRIVED
+
+
+@pytest.mark.parametrize("wait", ["waiting", *WAITS, "holding for a person"])
+def test_every_wait_ends_when_the_link_is_lost_for_good(wait: str) -> None:
+    made = {"waiting": Craft, "holding for a person": holding_mode_taken, **WAITS}
+    craft = made[wait]()
+    for silent_s in (3.0, 10.0):
+        craft.take(LinkLost(time_s=craft.now_s, silent_s=silent_s))
+    assert craft.phase in OVER, f"still {craft.phase.value}"
+    assert craft.end().outcome is Outcome.FAILED
+
+
+def test_a_link_that_comes_back_before_10_s_goes_on() -> None:
+    craft = flying()
+    craft.take(LinkLost(time_s=craft.now_s, silent_s=3.0))
+    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.LINK_LOST)
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+
+
+def within_ten_minutes(craft: Craft, done: Callable[[Craft], bool]) -> bool:
+    start_s = craft.now_s
+    while not done(craft) and craft.now_s < start_s + 600.0:
+        craft.tick()
+    return done(craft)
+
+
+def over(craft: Craft) -> bool:
+    return craft.phase in OVER
+
+
+def test_a_vehicle_that_will_not_arm_is_given_up() -> None:
+    craft = Craft().fly_to(Phase.ARMING)
+    craft.obey = lambda _: None  # type: ignore[method-assign]
+    assert within_ten_minutes(craft, over)
+    assert craft.end().reason == Reason.NOT_ARMED.text
+
+
+def test_a_vehicle_that_never_gets_ready_is_given_up() -> None:
+    craft = preparing()
+    assert within_ten_minutes(craft, over)
+    assert craft.end().reason == Reason.NOT_READY.text
+
+
+def test_a_vehicle_that_does_not_take_off_is_given_up() -> None:
+    craft = Craft().fly_to(Phase.TAKING_OFF)
+    craft.obey = lambda _: None  # type: ignore[method-assign]
+    assert within_ten_minutes(craft, over)
+    assert craft.end().reason == Reason.NO_TAKE_OFF.text
+
+
+def test_a_hover_without_any_answer_of_the_planner_is_not_for_ever() -> None:
+    craft = Craft(plan=lambda _: None).run_until(lambda craft: bool(craft.sent(Plan)))
+    assert within_ten_minutes(craft, lambda craft: craft.phase is not Phase.FLYING)
+
+
+def test_a_vehicle_that_does_not_follow_its_setpoints_is_not_waited_for_for_ever() -> None:
+    craft = flying()
+    craft.follows, craft.velocity = False, (0.0, 0.0, 0.0)
+    assert within_ten_minutes(craft, lambda craft: craft.phase is not Phase.FLYING)
+
+
+@pytest.mark.parametrize("make", [holding_without_plan, arrived], ids=["holding", "arrived"])
+def test_a_vehicle_that_never_comes_quite_to_rest_is_not_waited_for_for_ever(
+    make: Callable[[], Craft],
+) -> None:
+    craft = make()
+    craft.follows, craft.velocity = False, (0.6, 0.0, 0.0)
+    phase = craft.phase
+
+    def moved(craft: Craft) -> bool:
+        craft.here = (craft.here[0] + 0.001 * (-1) ** round(craft.now_s / TICK_S), *craft.here[1:])
+        return craft.phase is not phase
+
+    assert within_ten_minutes(craft, moved)
+
+
+def test_a_vehicle_as_far_from_its_target_as_its_tracking_error_allows_has_arrived() -> None:
+    craft = arrived()
+    craft.follows, craft.velocity = False, (0.0, 0.0, 0.0)
+    craft.here = (craft.here[0] + 9.0, craft.here[1], craft.here[2])
+    assert within_ten_minutes(craft, over)
+
+
+def test_a_vehicle_that_does_not_take_the_hold_mode_at_the_target_is_not_asked_for_ever() -> None:
+    craft = arrived()
+    craft.obeys_modes = False
+    assert within_ten_minutes(craft, over)
+
+
+def test_a_vehicle_that_never_says_it_has_landed_is_not_waited_for_for_ever() -> None:
+    craft = landing()
+    craft.obeys_modes = False
+    assert within_ten_minutes(craft, over)
+
+
+def test_a_straight_leg_is_straight() -> None:
+    pose = straight((0.0, 0.0, 0.0), (300.0, 400.0, 0.0)).pose(250.0)
+    np.testing.assert_allclose(pose.position_nea_m, [150.0, 200.0, 0.0], atol=1e-9)

@@ -1,0 +1,74 @@
+"""A small world for the planner: hills of 300 to 900 m on 8 km x 8 km, a vehicle of 15 m/s."""
+
+import pytest
+
+from companion.optimise.improved_de import Settings
+from companion.path.limits import Limits
+from companion.planner.settings import PlannerSettings, Task
+from companion.world.known_map import KnownMap, empty_map
+from companion.world.simulated_scan import true_map
+from companion.world.terrain import Peak, PeakTerrain
+from companion.world.threats import CircleKeepOut, PolygonKeepOut, Radar
+
+
+@pytest.fixture(scope="session")
+def task() -> Task:
+    return Task(
+        limits=Limits(
+            speed_m_s=15.0,
+            acceleration_m_s2=3.0,
+            climb_rate_m_s=4.0,
+            turn_radius_m=150.0,
+            climb_angle_rad=0.2,
+            dive_angle_rad=0.2,
+            floor_amsl_m=300.0,
+            ceiling_amsl_m=700.0,
+            north_m=(0.0, 8_000.0),
+            east_m=(0.0, 8_000.0),
+            tracking_error_m=5.0,
+        ),
+        settings=PlannerSettings(
+            scan_range_m=2_000.0,
+            safety_distance_m=60.0,
+            planning_time_s=2.0,
+            scan_time_s=1.0,
+            overlap_m=200.0,
+            evaluations=400,
+            search=Settings(population=40),
+        ),
+        radars=(Radar(name="r", centre_nea_m=(6_500.0, 3_300.0, 0.0), range_m=900.0),),
+        keep_outs=(
+            CircleKeepOut(name="c", north_m=2_300.0, east_m=4_300.0, radius_m=350.0),
+            PolygonKeepOut(
+                name="s",
+                vertices_ne_m=((5e3, 5e3), (5e3, 5.4e3), (5.4e3, 5.4e3), (5.4e3, 5e3)),
+            ),
+        ),
+    )
+
+
+@pytest.fixture(scope="session")
+def terrain() -> PeakTerrain:
+    hills = [
+        (3_000.0, 2_600.0, 900.0, 500.0, 400.0),
+        (4_300.0, 3_900.0, 650.0, 400.0, 700.0),
+        (2_000.0, 6_000.0, 800.0, 500.0, 500.0),
+        (6_000.0, 6_200.0, 500.0, 600.0, 300.0),
+    ]
+    return PeakTerrain(
+        peaks=tuple(
+            Peak(north_m=n, east_m=e, height_amsl_m=h, spread_north_m=sn, spread_east_m=se)
+            for n, e, h, sn, se in hills
+        ),
+        ground_amsl_m=100.0,
+    )
+
+
+@pytest.fixture(scope="session")
+def blank(task: Task) -> KnownMap:
+    return empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
+
+
+@pytest.fixture(scope="session")
+def truth(terrain: PeakTerrain, blank: KnownMap) -> KnownMap:
+    return true_map(terrain, blank)

@@ -1,0 +1,199 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from companion.path.limits import Limits
+from companion.path.subpath import Subpath
+from companion.planner.procedure import (
+    Leg,
+    Reference,
+    advance,
+    allowed_speed_m_s,
+    hover_pose,
+    is_at_end,
+)
+from companion.planner.settings import PlannerSettings, Task
+
+FloatArray = NDArray[np.float64]
+
+V, A, CLIMB_RATE = 15.0, 3.0, 4.0
+LIMITS = Limits(
+    speed_m_s=V,
+    acceleration_m_s2=A,
+    climb_rate_m_s=CLIMB_RATE,
+    turn_radius_m=150.0,
+    climb_angle_rad=0.2,
+    dive_angle_rad=0.2,
+    floor_amsl_m=0.0,
+    ceiling_amsl_m=9_000.0,
+    north_m=(0.0, 8_000.0),
+    east_m=(0.0, 8_000.0),
+    tracking_error_m=5.0,
+)
+TASK = Task(
+    limits=LIMITS,
+    settings=PlannerSettings(
+        scan_range_m=2_000.0, safety_distance_m=60.0, planning_time_s=2.0, scan_time_s=1.0
+    ),
+)
+ticks = st.sampled_from([0.02, 0.05, 0.1, 0.2, 0.5])
+
+
+def leg_to(*end: float) -> Leg:
+    control = np.outer([0.0, 0.2, 0.6, 1.0], end)
+    return Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+
+
+def bent_leg() -> Leg:
+    control = np.array([[0, 0, 500], [600, 0, 500], [900, 700, 560], [1_500, 900, 520.0]])
+    return Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+
+
+def flown(
+    leg: Leg, tick_s: float, *, goes_on: bool = False, most_s: float = 400.0
+) -> list[Reference]:
+    """The reference point of a vehicle that is always on it, tick by tick."""
+    references = [Reference()]
+    while len(references) * tick_s < most_s and references[-1].length_m < leg.subpath.length_m:
+        vehicle = leg.subpath.pose(references[-1].length_m).position_nea_m
+        references.append(advance(references[-1], leg, tick_s, vehicle, LIMITS, goes_on=goes_on))
+    return references
+
+
+# --- the reference point
+
+
+@given(tick_s=ticks)
+def test_a_level_leg_is_flown_in_the_time_of_a_trapezium_and_stops_just_at_its_end(
+    tick_s: float,
+) -> None:
+    leg = leg_to(1_200.0, -900.0, 0.0)
+    references = flown(leg, tick_s)
+    assert references[-1].length_m == pytest.approx(1_500.0, abs=1e-9)
+    trapezium_s = 1_500.0 / V + V / A
+    assert len(references) * tick_s == pytest.approx(trapezium_s, abs=1.5 + 4 * tick_s)
+    assert is_at_end(references[-1], leg)
+    still = advance(
+        references[-1], leg, 10.0, np.array([1_200.0, -900.0, 0.0]), LIMITS, goes_on=False
+    )
+    assert still == Reference(length_m=references[-1].length_m, speed_m_s=0.0)
+
+
+@given(tick_s=ticks, goes_on=st.booleans())
+def test_the_reference_point_is_never_faster_than_v_nor_than_its_acceleration_allows(
+    tick_s: float, goes_on: bool
+) -> None:
+    references = flown(bent_leg(), tick_s, goes_on=goes_on)
+    speeds = np.array([r.speed_m_s for r in references])
+    moved = np.diff([r.length_m for r in references]) / tick_s
+    assert speeds.max() <= V + 1e-9
+    assert moved.max() <= V + 1e-9
+    assert moved.min() >= 0.0
+    assert np.diff(speeds).max() <= A * tick_s + 1e-9
+    assert np.diff(speeds).min() >= -2.0 * A * tick_s - 1e-9
+
+
+@given(tick_s=ticks)
+def test_a_stop_is_braked_for_with_the_acceleration_of_the_mission(tick_s: float) -> None:
+    for reference in flown(leg_to(1_500.0, 0.0, 0.0), tick_s):
+        left = 1_500.0 - reference.length_m
+        # v^2 = 2 a s, of where it was a tick before
+        assert reference.speed_m_s**2 <= 2.0 * A * (left + V * tick_s) + 1e-6
+
+
+def test_a_leg_with_a_successor_is_flown_to_its_end_at_full_speed() -> None:
+    references = flown(leg_to(1_000.0, 0.0, 0.0), 0.1, goes_on=True)
+    assert references[-1].speed_m_s == V
+    assert references[-1].length_m == pytest.approx(1_000.0)
+
+
+@settings(max_examples=25)
+@given(
+    tick_s=ticks.filter(lambda t: t > 0.04),
+    slope=st.floats(0.1, 2.0),
+    way=st.sampled_from([1.0, -1.0]),
+)
+def test_it_climbs_and_dives_no_faster_than_the_climb_rate(
+    tick_s: float, slope: float, way: float
+) -> None:
+    references = flown(leg_to(300.0, 0.0, way * slope * 300.0), tick_s)
+    steepness = slope / math.hypot(1.0, slope)
+    rates = np.diff([r.length_m for r in references]) / tick_s * steepness
+    assert rates.max() <= CLIMB_RATE + 1e-6
+    cruise = min(V, CLIMB_RATE / steepness)
+    assert max(r.speed_m_s for r in references) == pytest.approx(cruise)
+
+
+def test_on_a_level_path_the_climb_rate_allows_full_speed() -> None:
+    assert allowed_speed_m_s(leg_to(100.0, 0.0, 0.0).subpath.pose(50.0), LIMITS) == V
+
+
+@given(tick_s=ticks)
+def test_it_waits_for_a_vehicle_that_does_not_follow_and_goes_on_with_it(tick_s: float) -> None:
+    leg, reference = leg_to(2_000.0, 0.0, 0.0), Reference()
+    bound = max(V * 1.0, 2.0 * LIMITS.tracking_error_m)
+    for _ in range(int(60.0 / tick_s)):
+        reference = advance(reference, leg, tick_s, np.zeros(3), LIMITS, goes_on=False)
+        assert reference.length_m <= bound + V * tick_s
+    waiting_at = reference.length_m
+    assert reference.speed_m_s == 0.0
+    vehicle = np.array([1_000.0, 0.0, 0.0])
+    for _ in range(5):
+        reference = advance(reference, leg, tick_s, vehicle, LIMITS, goes_on=False)
+    assert reference.length_m > waiting_at
+    assert reference.speed_m_s > 0.0
+
+
+def test_a_vehicle_that_is_ahead_does_not_pull_the_reference_point_along() -> None:
+    leg = leg_to(2_000.0, 0.0, 0.0)
+    ahead = advance(
+        Reference(length_m=100.0, speed_m_s=V),
+        leg,
+        0.1,
+        np.array([900.0, 0, 0]),
+        LIMITS,
+        goes_on=False,
+    )
+    assert ahead == Reference(length_m=pytest.approx(100.0 + V * 0.1), speed_m_s=V)
+
+
+@given(left=st.floats(0.0, 2.0))
+def test_the_end_is_reached_within_half_a_metre(left: float) -> None:
+    leg = leg_to(2_000.0, 0.0, 0.0)
+    reference = Reference(length_m=leg.subpath.length_m - left)
+    if abs(left - 0.5) > 1e-6:
+        assert is_at_end(reference, leg) == (left < 0.5)
+
+
+# --- where to scan and where the next leg takes over
+
+
+@given(length_m=st.floats(1.0, 5_000.0), longer_m=st.sampled_from([None, 600.0]))
+def test_p_scan_and_p_prog_lie_in_order_on_the_leg(length_m: float, longer_m: float | None) -> None:
+    task = replace(TASK, settings=replace(TASK.settings, scan_distance_m=longer_m))
+    leg = leg_to(length_m, 0.0, 0.0)
+    scan, prog = leg.scan_at_m(task), leg.successor_at_m(task)
+    assert 0.0 <= scan <= prog <= leg.subpath.length_m
+    if length_m >= task.scan_distance_m:
+        # the paper: L before the end, and (in flight) the tail before the end
+        assert scan == pytest.approx(length_m - task.scan_distance_m)
+        assert prog == pytest.approx(length_m - task.tail_m)
+
+
+@given(length_m=st.floats(345.0, 5_000.0))
+def test_from_p_scan_to_p_prog_there_is_time_to_scan_and_to_plan(length_m: float) -> None:
+    leg = leg_to(length_m, 0.0, 0.0)
+    flown_m = leg.successor_at_m(TASK) - leg.scan_at_m(TASK)
+    seconds = TASK.settings.planning_time_s + TASK.settings.scan_time_s
+    assert flown_m / V >= seconds - 1e-9
+
+
+def test_a_vehicle_at_rest_starts_where_it_is() -> None:
+    pose = hover_pose((1.0, 2.0, 3.0))
+    assert pose.position_nea_m.tolist() == [1.0, 2.0, 3.0]
+    assert np.linalg.norm(pose.tangent_nea) == 1.0

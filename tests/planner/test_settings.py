@@ -1,0 +1,104 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.objective.scene import FLIGHT, PAPER
+from companion.path.limits import Limits
+from companion.planner.settings import PlannerSettings, Task
+from companion.world.clearance import safe_surface
+from companion.world.known_map import empty_map
+
+LIMITS = Limits(
+    speed_m_s=150.0,
+    acceleration_m_s2=5.0,
+    climb_rate_m_s=25.0,
+    turn_radius_m=2_500.0,
+    climb_angle_rad=0.17,
+    dive_angle_rad=0.17,
+    floor_amsl_m=3_000.0,
+    ceiling_amsl_m=5_000.0,
+    north_m=(-5e3, 105e3),
+    east_m=(-5e3, 105e3),
+)
+ENVIRONMENT_1 = Task(
+    limits=LIMITS,
+    settings=PlannerSettings(
+        scan_range_m=20_000.0, safety_distance_m=500.0, planning_time_s=5.0, scan_time_s=4.0
+    ),
+)
+PAPERS = replace(ENVIRONMENT_1, settings=replace(ENVIRONMENT_1.settings, profile=PAPER))
+
+
+def test_the_distances_of_environment_1_are_those_of_the_design() -> None:
+    task = ENVIRONMENT_1
+    assert task.cell_m == 250.0  # R / 80
+    assert task.tail_m == 3_000.0  # 0.15 R; V^2 / 2 a + d_s is 2750 m
+    assert task.shortest_scan_distance_m == 150.0 * 9.0 + 3_000.0
+    assert task.scan_distance_m == task.shortest_scan_distance_m
+    assert task.required_clearance_m == 510.0
+
+
+def test_the_tail_of_the_paper_is_the_safety_distance_and_its_circle_the_scan_range() -> None:
+    assert PAPERS.tail_m == 500.0
+    assert PAPERS.end_radius_m == 20_000.0
+
+
+def test_a_scan_distance_that_is_given_is_taken() -> None:
+    given_m = replace(ENVIRONMENT_1.settings, scan_distance_m=7_000.0)
+    assert replace(ENVIRONMENT_1, settings=given_m).scan_distance_m == 7_000.0
+
+
+@given(
+    speed=st.floats(1.0, 300.0),
+    acceleration=st.floats(0.5, 20.0),
+    range_m=st.floats(100.0, 50_000.0),
+    d_s=st.floats(1.0, 2_000.0),
+    t=st.floats(0.1, 20.0),
+    profile=st.sampled_from([FLIGHT, PAPER]),
+)
+def test_the_scan_distance_keeps_equation_4_and_the_tail_holds_a_stop(
+    speed: float, acceleration: float, range_m: float, d_s: float, t: float, profile: object
+) -> None:
+    task = replace(
+        ENVIRONMENT_1,
+        limits=replace(LIMITS, speed_m_s=speed, acceleration_m_s2=acceleration),
+        settings=replace(
+            ENVIRONMENT_1.settings,
+            scan_range_m=range_m,
+            safety_distance_m=d_s,
+            planning_time_s=t,
+            profile=profile,
+        ),
+    )
+    assert task.scan_distance_m >= speed * t + d_s
+    assert task.tail_m >= d_s
+    assert task.cell_m == int(task.cell_m) >= 1.0
+    assert abs(task.cell_m - range_m / 80.0) <= 0.5 or task.cell_m == 1.0
+    if profile is FLIGHT:
+        stopping_time = speed / acceleration
+        assert task.tail_m >= speed * stopping_time / 2.0 + d_s - 1e-9
+
+
+@pytest.mark.parametrize("d_s", [20.0, 90.0])
+@pytest.mark.parametrize("tracking", [2.0, 40.0])
+@settings(max_examples=8)
+@given(n=st.floats(-13.0, 13.0), e=st.floats(-13.0, 13.0), turn=st.floats(0.0, 1.0))
+def test_at_the_end_of_a_subpath_the_ground_within_the_clearance_has_been_scanned(
+    d_s: float, tracking: float, n: float, e: float, turn: float
+) -> None:
+    planner = PlannerSettings(scan_range_m=2_000.0, safety_distance_m=d_s, planning_time_s=2.0)
+    task = Task(limits=replace(LIMITS, tracking_error_m=tracking), settings=planner)
+    known = empty_map(25.0, (-3_000.0, 3_000.0), (-3_000.0, 3_000.0))
+    north, east = known.middles_m(0, 0, (240, 240))
+    known.upper_m[np.hypot(north - n, east - e) <= 2_000.0] = 0.0  # as the radar answers
+    clearance = max(task.required_clearance_m, d_s * FLIGHT.margin)
+    surface = safe_surface(
+        known, centre_ne_m=(n, e), reach_m=2_200.0, clearance_m=clearance, unknown_m=5_000.0
+    )
+    angle = np.linspace(0.0, 2.0 * math.pi, 50) + turn
+    end_n, end_e = n + task.end_radius_m * np.cos(angle), e + task.end_radius_m * np.sin(angle)
+    assert (surface.altitude_m(end_n, end_e) < 5_000.0).all()

@@ -1,0 +1,247 @@
+"""A vehicle and its terrain radar made of pymavlink messages: bytes in, bytes out, no sockets."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+import pyproj
+from pymavlink.dialects.v20 import all as wire
+
+from companion.config import load_mission
+from companion.path.check import CheckReport
+from companion.path.subpath import Subpath
+from companion.planner.plan import Planned, PlanOutcome, PlanRequest
+from companion.session import Entry, Output, Session
+
+MISSION = replace(load_mission("environment-1"), targets_ne_m=((4000.0, 3000.0),))
+GEOD = pyproj.Geod(ellps="WGS84")
+HOME_AMSL_M = 2990.0
+TICK_MS = 100
+GUIDED, BRAKE, LAND = 4, 17, 9
+
+
+def straight_plan(request: PlanRequest) -> Planned:
+    """A straight and level subpath of 17 km, or to the target."""
+    start = request.start.position_nea_m
+    target = np.array([*request.target_ne_m, start[2]])
+    left_m = float(np.linalg.norm(target - start))
+    share = min(17_000.0 / left_m, 1.0)
+    far = {"keep_out_m": math.inf, "turn_radius_m": math.inf}
+    return Planned(
+        plan_id=request.plan_id,
+        subpath=Subpath(control_nea_m=np.linspace(start, start + share * (target - start), 4)),
+        reaches_target=share == 1.0,
+        cost=1.0,
+        terms={"length": 1.0},
+        report=CheckReport(**{f.name: far.get(f.name, 0.0) for f in fields(CheckReport)}),
+        guide_rad=0.0,
+        evaluations=60,
+        rank=0,
+        tries=1,
+    )
+
+
+class Vehicle:
+    """Does at once what it is told, and says so at the next tick."""
+
+    def __init__(self, *, lockstep: bool = True, deaf_to: tuple[int, ...] = ()) -> None:
+        self.lockstep, self.deaf_to = lockstep, deaf_to
+        self.autopilot = wire.MAVLink(None, srcSystem=1, srcComponent=1)
+        self.radar = wire.MAVLink(None, srcSystem=1, srcComponent=100)
+        self._parser = wire.MAVLink(None)
+        self.time_ms = 0
+        self.mode, self.armed, self.landed = 0, False, 1
+        self.north_m = self.east_m = 0.0
+        self.altitude_m = HOME_AMSL_M
+        self.velocity_ned = (0.0, 0.0, 0.0)
+        self.climb_to_m: float | None = None
+        self.streams_ms: dict[int, int] = {}
+        self.heard: list[Any] = []
+        self.to_scan: list[Any] = []
+        self.sends_synchronisation = lockstep
+
+    # --- what it says
+
+    def tick(self) -> bytes:
+        """A tick later: all telemetry that is due, in one datagram."""
+        self.time_ms += TICK_MS
+        if self.climb_to_m is not None:
+            self.altitude_m = min(self.altitude_m + 2.5, self.climb_to_m)
+            if self.altitude_m == self.climb_to_m:
+                self.landed, self.climb_to_m = 2, None
+        elif self.mode == LAND and self.landed != 1:
+            self.altitude_m = max(self.altitude_m - 2.5, HOME_AMSL_M)
+            if self.altitude_m == HOME_AMSL_M:
+                self.landed, self.armed = 1, False
+        said = [b""]
+        if self.time_ms % 1000 == 0:
+            said += [self.heartbeat(), self.radar_heartbeat()]
+        said += [
+            self.telemetry(message_id)
+            for message_id, every_ms in self.streams_ms.items()
+            if self.time_ms % every_ms == 0
+        ]
+        said += [frame for request in self.to_scan for frame in self.scanned(request)]
+        self.to_scan = []
+        if self.sends_synchronisation:
+            said.append(self.synchronisation())
+        return b"".join(said)
+
+    def pack(self, message: Any, codec: Any = None) -> bytes:
+        codec = codec or self.autopilot
+        frame: bytes = message.pack(codec)
+        codec.seq = (codec.seq + 1) % 256
+        return frame
+
+    def heartbeat(self) -> bytes:
+        base = 1 | (wire.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
+        return self.pack(wire.MAVLink_heartbeat_message(2, 3, base, self.mode, 4, 3))
+
+    def radar_heartbeat(self) -> bytes:
+        return self.pack(wire.MAVLink_heartbeat_message(18, 8, 0, 9, 4, 3), self.radar)
+
+    def synchronisation(self) -> bytes:
+        return self.pack(wire.MAVLink_timesync_message(0, self.time_ms * 1_000_000))
+
+    def position(self) -> bytes:
+        azimuth = math.degrees(math.atan2(self.east_m, self.north_m))
+        longitude, latitude, _ = GEOD.fwd(8.0, 47.0, azimuth, math.hypot(self.north_m, self.east_m))
+        return self.pack(
+            wire.MAVLink_global_position_int_message(
+                self.time_ms,
+                round(latitude * 1e7),
+                round(longitude * 1e7),
+                round(self.altitude_m * 1e3),
+                0,
+                *(round(100.0 * speed) for speed in self.velocity_ned),
+                0,
+            )
+        )
+
+    def telemetry(self, message_id: int) -> bytes:
+        match message_id:
+            case 33:
+                return self.position()
+            case 245:
+                return self.pack(wire.MAVLink_extended_sys_state_message(0, self.landed))
+            case 24:
+                return self.pack(wire.MAVLink_gps_raw_int_message(0, 6, *([0] * 8)))
+            case 193:
+                return self.pack(wire.MAVLink_ekf_status_report_message(0x33F, *([0.0] * 5)))
+            case 242:
+                home = wire.MAVLink_home_position_message(
+                    0, 0, round(HOME_AMSL_M * 1e3), 0, 0, 0, [1, 0, 0, 0], 0, 0, 0
+                )
+                return self.pack(home)
+            case _:
+                return b""
+
+    def scanned(self, request: Any) -> list[bytes]:
+        blocks = [
+            self.pack(
+                wire.MAVLink_terrain_data_message(
+                    request.lat, request.lon, request.grid_spacing, bit, [500] * 16
+                ),
+                self.radar,
+            )
+            for bit in range(56)
+            if request.mask >> bit & 1
+        ]
+        report = wire.MAVLink_terrain_report_message(
+            request.lat, request.lon, request.grid_spacing, 0.0, 0.0, 0, len(blocks)
+        )
+        return [*blocks, self.pack(report, self.radar)]
+
+    # --- what it hears
+
+    def hear(self, data: bytes) -> None:
+        for message in self._parser.parse_buffer(data) or ():
+            self.heard.append(message)
+            match message.get_type():
+                case "COMMAND_LONG":
+                    self._obey(message)
+                case "TERRAIN_REQUEST":
+                    self.to_scan.append(message)
+                case "SET_POSITION_TARGET_GLOBAL_INT" if self.mode == GUIDED:
+                    azimuth, _, distance = GEOD.inv(
+                        8.0, 47.0, message.lon_int * 1e-7, message.lat_int * 1e-7
+                    )
+                    self.north_m = distance * math.cos(math.radians(azimuth))
+                    self.east_m = distance * math.sin(math.radians(azimuth))
+                    self.altitude_m = message.alt
+                    self.velocity_ned = (message.vx, message.vy, message.vz)
+                case _:
+                    pass
+
+    def _obey(self, message: Any) -> None:
+        if message.command in self.deaf_to:
+            return
+        match message.command:
+            case 176:
+                self.mode, self.velocity_ned = int(message.param2), (0.0, 0.0, 0.0)
+            case 400:
+                self.armed = True
+            case 22:
+                self.landed, self.climb_to_m = 3, HOME_AMSL_M + message.param7
+            case 511:
+                rounded = max(round(message.param2 / 1e5) * 100, 100)
+                self.streams_ms[int(message.param1)] = rounded
+            case _:
+                pass
+
+
+@dataclass
+class Pair:
+    """A session and a vehicle face to face."""
+
+    session: Session
+    vehicle: Vehicle
+    planner: Callable[[PlanRequest], PlanOutcome] = straight_plan
+    frames: list[bytes] = field(default_factory=list)
+    journal: list[Entry] = field(default_factory=list)
+    record: list[tuple[float, bytes]] = field(default_factory=list)
+    asked: PlanRequest | None = None
+    out: Output = field(default_factory=Output)
+
+    def take(self, out: Output) -> Output:
+        self.frames += out.frames
+        self.journal += out.journal
+        self.record += out.record
+        self.asked = out.plan or self.asked
+        self.out = out
+        for frame in out.frames:
+            self.vehicle.hear(frame)
+        return out
+
+    def feed(self, data: bytes) -> None:
+        """Bytes in, all answers out; in lockstep a plan that is due is computed."""
+        self.session.receive(data)
+        out = self.take(self.session.run())
+        while out.awaits_plan:
+            assert self.asked is not None
+            self.session.deliver(self.planner(self.asked))
+            out = self.take(self.session.run())
+
+    def tick(self) -> None:
+        self.feed(self.vehicle.tick())
+
+    def run_until(self, done: Callable[["Pair"], bool], limit_s: float = 300.0) -> "Pair":
+        for _ in range(round(limit_s * 10)):
+            if done(self):
+                return self
+            self.tick()
+        raise AssertionError(f"nothing after {limit_s} s: {self.session.state.phase}")
+
+    def sent(self, kind: str) -> list[Any]:
+        return [message for message in messages(self.frames) if message.get_type() == kind]
+
+
+def pair(*, lockstep: bool = True, seed: int = 1, **keywords: Any) -> Pair:
+    session = Session(MISSION, seed=seed, lockstep=lockstep)
+    return Pair(session, Vehicle(lockstep=lockstep, **keywords))
+
+
+def messages(frames: list[bytes]) -> list[Any]:
+    return list(wire.MAVLink(None).parse_buffer(b"".join(frames)) or ())

@@ -1,0 +1,176 @@
+"""Real sockets on the loopback."""
+
+import socket
+from collections.abc import Iterator
+
+import pytest
+
+from companion.errors import InputError
+from companion.runtime.link import UdpLink
+
+PATIENCE_S = 5.0
+
+
+@pytest.fixture
+def other() -> Iterator[socket.socket]:
+    """The vehicle's end: a socket of the test's own."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
+        end.bind(("127.0.0.1", 0))
+        end.settimeout(PATIENCE_S)
+        yield end
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
+        end.bind(("127.0.0.1", 0))
+        port: int = end.getsockname()[1]
+        return port
+
+
+def calling(other: socket.socket) -> UdpLink:
+    return UdpLink(f"udpout:127.0.0.1:{other.getsockname()[1]}")
+
+
+def test_datagrams_arrive_whole_and_in_order_both_ways(other: socket.socket) -> None:
+    port = free_port()
+    with UdpLink(f"udpin:127.0.0.1:{port}") as link:
+        for number in range(100):
+            other.sendto(b"to %d" % number, ("127.0.0.1", port))
+        assert [link.receive(PATIENCE_S) for _ in range(100)] == [b"to %d" % n for n in range(100)]
+        for number in range(100):
+            link.send([b"from %d" % number])
+        assert [other.recv(2000) for _ in range(100)] == [b"from %d" % n for n in range(100)]
+
+
+def test_nothing_heard_is_none_and_not_an_error() -> None:
+    with UdpLink(f"udpin:127.0.0.1:{free_port()}") as link:
+        assert link.receive(0.01) is None
+        assert link.receive(0.0) is None
+
+
+def test_what_is_sent_before_anybody_was_heard_is_dropped(other: socket.socket) -> None:
+    port = free_port()
+    with UdpLink(f"udpin:127.0.0.1:{port}") as link:
+        link.send([b"lost"])
+        other.sendto(b"hello", ("127.0.0.1", port))
+        assert link.receive(PATIENCE_S) == b"hello"
+        link.send([b"heard"])
+        assert other.recv(2000) == b"heard"
+
+
+def test_answers_go_to_whoever_was_heard_last(other: socket.socket) -> None:
+    """The source port of a rebooted vehicle is another one."""
+    port = free_port()
+    with UdpLink(f"udpin:127.0.0.1:{port}") as link:
+        other.sendto(b"before", ("127.0.0.1", port))
+        link.receive(PATIENCE_S)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as rebooted:
+            rebooted.settimeout(PATIENCE_S)
+            rebooted.sendto(b"after", ("127.0.0.1", port))
+            assert link.receive(PATIENCE_S) == b"after"
+            link.send([b"answer"])
+            assert rebooted.recv(2000) == b"answer"
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [[20] * 200, [1400], [1399, 1, 1], [700, 700, 700], [280] * 11, [1, 1400, 1], [2000, 10]],
+    ids=str,
+)
+def test_frames_are_batched_in_order_and_whole_into_datagrams_of_1400_bytes(
+    other: socket.socket, sizes: list[int]
+) -> None:
+    frames = [bytes([number % 256]) * size for number, size in enumerate(sizes)]
+    with calling(other) as link:
+        link.send(frames)
+        datagrams: list[bytes] = []
+        while sum(map(len, datagrams)) < sum(sizes):
+            datagrams.append(other.recv(65536))
+    assert b"".join(datagrams) == b"".join(frames)
+    assert all(len(datagram) <= max(1400, *sizes) for datagram in datagrams)
+    ends = {sum(sizes[: count + 1]) for count in range(len(sizes))}
+    at = 0
+    for datagram, following in zip(datagrams, [*datagrams[1:], b"\0" * 1401], strict=True):
+        at += len(datagram)
+        assert at in ends  # no frame is cut in two
+        first_of_following = sizes[sum(end <= at for end in ends)] if at < sum(sizes) else 1401
+        assert len(datagram) + first_of_following > 1400 or following == b""
+
+
+def test_nothing_to_send_sends_nothing(other: socket.socket) -> None:
+    with calling(other) as link:
+        link.send([])
+        link.send([b"marker"])
+        assert other.recv(2000) == b"marker"
+
+
+def test_a_vehicle_that_is_not_there_yet_is_no_error() -> None:
+    with UdpLink(f"udpout:127.0.0.1:{free_port()}") as link:
+        for _ in range(3):
+            link.send([b"anybody?"])
+            assert link.receive(0.02) is None
+
+
+def test_a_network_that_refuses_a_datagram_loses_it_and_nothing_else() -> None:
+    """In flight nothing unwinds the stack: sending to a broadcast address is not permitted."""
+    with UdpLink("udpout:255.255.255.255:14550") as link:
+        link.send([b"lost"])
+
+
+def test_a_port_in_use_is_an_input_error_with_its_remedy(other: socket.socket) -> None:
+    text = f"udpin:127.0.0.1:{other.getsockname()[1]}"
+    with pytest.raises(InputError) as caught:
+        UdpLink(text)
+    assert caught.value.field == "--connect"
+    message = str(caught.value)
+    assert text in message
+    assert "in use" in message
+    assert "choose another port" in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "udpin",
+        "udpin:127.0.0.1",
+        "udpin::14540",
+        "udpin:127.0.0.1:",
+        "udpin:127.0.0.1:x",
+        "udpin:127.0.0.1:-1",
+        "udpin:127.0.0.1:65536",
+        "udpin:127.0.0.1:14540:1",
+        "udpin:127.0.0.1: 14540",
+        "udpin:127.0.0.1:1e4",
+        "udpout:127.0.0.1:0",
+        "udp:127.0.0.1:14540",
+        "tcp:127.0.0.1:5760",
+        "/dev/ttyACM0,57600",
+        "UDPIN:127.0.0.1:14540",
+        "127.0.0.1:14540",
+        "udpin:[::1]:14540",
+        "udpin:a..b:14540",
+        f"udpin:{'a' * 64}.example:14540",
+        "udpin:127.0.0.1:" + "9" * 5000,
+    ],
+)
+def test_a_bad_connection_string_is_an_input_error_of_one_line_with_a_remedy(text: str) -> None:
+    with pytest.raises(InputError) as caught:
+        UdpLink(text)
+    message = str(caught.value)
+    assert message.startswith(f"--connect = {text!r}: ")
+    assert "\n" not in message
+    assert "udpin:127.0.0.1:14540" in message.removeprefix(f"--connect = {text!r}: ")
+
+
+def test_an_address_of_another_machine_cannot_be_listened_on() -> None:
+    with pytest.raises(InputError, match="cannot be opened"):
+        UdpLink("udpin:192.0.2.1:14540")
+
+
+def test_a_link_gives_its_port_back(other: socket.socket) -> None:
+    port = free_port()
+    for _ in range(2):
+        with UdpLink(f"udpin:127.0.0.1:{port}"):
+            pass

@@ -1,0 +1,410 @@
+import functools
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.config import bundled, load_mission, load_world, mission_text
+from companion.errors import InputError
+from companion.mission.mission import EndAction, Mission
+
+ENVIRONMENTS = Path(__file__).parents[1] / "companion" / "environments"
+TEXT = (ENVIRONMENTS / "environment-1" / "mission.toml").read_text(encoding="utf-8")
+WORLD_TEXT = (ENVIRONMENTS / "environment-1" / "world.toml").read_text(encoding="utf-8")
+OPTIONAL = {"overlap_m"}  # the keys of TEXT that may be left out
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("config") / "mission.toml"
+
+
+def load(file: Path, text: str) -> Mission:
+    file.write_text(text, encoding="utf-8")
+    return load_mission(str(file))
+
+
+def refused(file: Path, text: str) -> str:
+    """The message of the error: one line that ends with a sentence."""
+    with pytest.raises(InputError) as caught:
+        load(file, text)
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    # field = value: rule. Remedy.
+    assert re.fullmatch(r"(?P<field>\S.*?) = .+: .+\. [A-Z].*[.?]", message), message
+    return message
+
+
+def with_value(key: str, value: str) -> str:
+    """The text with the first value of a key replaced."""
+    after, count = re.subn(rf"^{key} = [^#\n]*", f"{key} = {value} ", TEXT, count=1, flags=re.M)
+    assert count == 1, key
+    return after
+
+
+def renamed(key: str, name: str) -> str:
+    after, count = re.subn(rf"^{key} =", f"{name} =", TEXT, count=1, flags=re.M)
+    assert count == 1, key
+    return after
+
+
+# --- what is right
+
+
+@pytest.mark.parametrize("name", bundled())
+def test_bundled_missions_and_worlds_load_as_they_are_written(name: str) -> None:
+    mission = load_mission(name)
+    table = tomllib.loads(mission_text(name))
+    assert mission.name == table["name"] == load_world(name).name
+    assert [list(t) for t in mission.targets_ne_m] == [
+        [t["north_m"], t["east_m"]] for t in table["targets"]
+    ]
+    assert mission.task.limits.speed_m_s == table["vehicle"]["speed_m_s"]
+    assert mission.task.settings.scan_range_m == table["planner"]["scan_range_m"]
+    assert mission.end_action is EndAction(table["end"]["action"])
+    assert len(mission.task.radars) == len(table["radars"])
+
+
+def test_the_bundled_names_are_the_folders() -> None:
+    assert {"environment-1", "environment-2"} <= set(bundled())
+    assert all((ENVIRONMENTS / name / "world.toml").is_file() for name in bundled())
+
+
+def test_a_file_and_a_bundled_name_are_the_same_mission(file: Path) -> None:
+    assert load(file, TEXT) == load_mission("environment-1")
+
+
+def test_a_profile_that_is_asked_for_overrides_the_files(file: Path) -> None:
+    file.write_text(TEXT, encoding="utf-8")
+    assert load_mission(str(file)).task.settings.profile.verified
+    assert not load_mission(str(file), "paper").task.settings.profile.verified
+
+
+def test_the_take_off_ends_above_the_floor_by_twice_the_tracking_error() -> None:
+    assert load_mission("environment-1").take_off_amsl_m == 3020.0
+
+
+# --- files
+
+
+def test_a_name_that_is_no_file_is_told_the_bundled_names() -> None:
+    with pytest.raises(InputError, match=r"'nowhere'.*no such file.*environment-1, environment-2"):
+        load_mission("nowhere")
+
+
+def test_a_folder_is_told_from_a_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"it is a folder\. Give a mission\.toml"):
+        load_mission(str(tmp_path))
+
+
+def test_a_name_that_is_too_long_for_a_file_is_no_such_file() -> None:
+    with pytest.raises(InputError):
+        load_mission("x" * 5000)
+
+
+def test_bytes_that_are_no_text_are_refused(file: Path) -> None:
+    file.write_bytes(b"name = \xff\xfe")
+    with pytest.raises(InputError, match="cannot be read"):
+        load_mission(str(file))
+
+
+@pytest.mark.parametrize("text", ["schema = ", "[origin", "a = 1\na = 2", "{}", '{"schema": 1}'])
+def test_what_is_not_toml_is_told_where(file: Path, text: str) -> None:
+    message = refused(file, text)
+    assert "not TOML" in message
+    assert "line" in message
+    assert str(file) in message
+
+
+def test_an_empty_file_lacks_a_key(file: Path) -> None:
+    assert "it is missing" in refused(file, "")
+
+
+def test_a_world_is_no_mission_and_a_mission_no_world(file: Path) -> None:
+    assert "this is a world, not a mission" in refused(file, WORLD_TEXT)
+    file.write_text(TEXT, encoding="utf-8")
+    with pytest.raises(InputError, match=r"this is a mission, not a world. Give its world.toml"):
+        load_world(str(file))
+
+
+# --- keys
+
+
+@pytest.mark.parametrize(
+    ("key", "name"),
+    [
+        ("speed_m_s", "speed_m_per_s"),
+        ("speed_m_s", "speed"),
+        ("scan_range_m", "scan_range"),
+        ("scan_range_m", "scan_range_km"),
+        ("turn_radius_m", "turning_radius_m"),
+        ("planning_time_s", "planing_time_s"),
+        ("latitude_deg", "latitude"),
+        ("north_min_m", "north_min"),
+        ("action", "acton"),
+        ("range_m", "range_km"),
+        ("schema", "scheme"),
+    ],
+)
+def test_a_wrong_key_is_named_with_its_value_and_the_nearest_known_one(
+    file: Path, key: str, name: str
+) -> None:
+    message = refused(file, renamed(key, name))
+    value = re.search(rf"^{key} = ([^#\n]*)", TEXT, flags=re.M)
+    assert value is not None
+    assert f"{name} = " in message
+    assert value[1].strip().strip('"') in message
+    assert f"Did you mean {key}?" in message
+    assert "Known here: " in message
+
+
+@pytest.mark.parametrize("name", ["floor_m", "floor_agl_m", "floor_amsl_ft", "floor", "floor_ft"])
+def test_an_altitude_without_its_datum_is_told_so(file: Path, name: str) -> None:
+    message = refused(file, renamed("floor_amsl_m", name))
+    assert "an altitude must name its datum" in message
+    assert "Did you mean floor_amsl_m?" in message
+
+
+def test_the_altitude_of_a_radar_needs_its_datum_too(file: Path) -> None:
+    message = refused(file, renamed("altitude_amsl_m", "altitude_m"))
+    assert "radars[0].altitude_m = 0.0" in message
+    assert "datum" in message
+
+
+@pytest.mark.parametrize(
+    ("extra", "field"),
+    [
+        ("[wind]\nspeed_m_s = 3.0\n", "wind"),
+        ("[planner.weights]\nlenght = 1.0\n", "planner.weights.lenght"),
+        ('[[keep_outs]]\nname = "x"\nradius = 3.0\n', "keep_outs[0].radius"),
+    ],
+)
+def test_a_key_is_refused_wherever_it_is(file: Path, extra: str, field: str) -> None:
+    assert f"{field} = " in refused(file, f"{TEXT}\n{extra}")
+
+
+@functools.cache
+def keys() -> tuple[tuple[int, str], ...]:
+    """Line number and key of every key of the mission."""
+    found = [(n, re.match(r"(\w+) = ", line)) for n, line in enumerate(TEXT.splitlines())]
+    return tuple((number, match[1]) for number, match in found if match)
+
+
+@given(which=st.integers(0, len(keys()) - 1), suffix=st.text("abcm_z", min_size=1, max_size=4))
+def test_a_key_that_is_deleted_or_renamed_is_an_input_error_and_nothing_else(
+    file: Path, which: int, suffix: str
+) -> None:
+    number, key = keys()[which]
+    lines = TEXT.splitlines()
+    without = "\n".join(lines[:number] + lines[number + 1 :])
+    if key in OPTIONAL:
+        load(file, without)
+    else:
+        message = refused(file, without)
+        assert key in message
+        assert "it is missing" in message
+    lines[number] = lines[number].replace(f"{key} =", f"{key}{suffix} =", 1)
+    assert f"{key}{suffix}" in refused(file, "\n".join(lines))
+
+
+VALUES = [
+    "nan",
+    "inf",
+    "-inf",
+    "-1.0",
+    "0",
+    "1e300",
+    "9223372036854775807",
+    "true",
+    '"150"',
+    '""',
+    "[]",
+    "[[1.0]]",
+    "{}",
+    "{a = 1}",
+    "1979-05-27",
+]
+
+
+@pytest.mark.parametrize("value", VALUES)
+def test_any_value_of_any_key_is_taken_or_an_input_error(file: Path, value: str) -> None:
+    for number, key in keys():
+        lines = TEXT.splitlines()
+        lines[number] = f"{key} = {value}"
+        file.write_text("\n".join(lines), encoding="utf-8")
+        try:
+            load_mission(str(file))
+        except InputError as error:
+            assert len(str(error).splitlines()) == 1
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+def test_no_number_may_be_infinite_or_none_at_all(file: Path, value: str) -> None:
+    numbers = [number for number, key in keys() if re.search(r"_(m|s|s2|deg)$", key)]
+    assert len(numbers) > 25
+    for number in numbers:
+        lines = TEXT.splitlines()
+        key = lines[number].split()[0]
+        lines[number] = f"{key} = {value}"
+        assert f"{key} = {value}" in refused(file, "\n".join(lines))
+
+
+@pytest.mark.parametrize("weight", ["length", "height", "guide", "crash", "radar", "constraints"])
+@pytest.mark.parametrize("value", ["nan", "inf", "-1.0"])
+def test_no_weight_may_be_infinite_none_at_all_or_negative(
+    file: Path, weight: str, value: str
+) -> None:
+    message = refused(file, f"{TEXT}\n[planner.weights]\n{weight} = {value}\n")
+    assert f"planner.weights.{weight} = {value}" in message
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "rule"),
+    [
+        ("speed_m_s", '"fast"', "valid number"),
+        ("speed_m_s", "0.0", "greater than 0"),
+        ("speed_m_s", "true", "valid number"),
+        ("climb_angle_deg", "90.0", "less than 90"),
+        ("latitude_deg", "86.0", "less than or equal to 85"),
+        ("schema", "2", "must be 1"),
+        ("kind", '"plane"', "'copter'"),
+        ("autopilot", '"px4"', "'ardupilot'"),
+        ("action", '"loiter"', "'hold' or 'land'"),
+        ("name", "7", "valid string"),
+        ("floor_amsl_m", "-501.0", "greater than or equal to -500"),
+    ],
+)
+def test_a_value_of_the_wrong_kind_is_told_what_it_must_be(
+    file: Path, key: str, value: str, rule: str
+) -> None:
+    message = refused(file, with_value(key, value))
+    assert f"{key} = " in message
+    assert value.strip('"').title() in message.title()
+    assert rule in message
+
+
+def test_empty_targets_are_refused(file: Path) -> None:
+    text = re.sub(r"\[\[targets\]\]\nnorth_m.*\neast_m.*\n", "", TEXT)
+    assert "targets" in refused(file, text)
+    head, tail = text.split("[origin]", 1)
+    assert "at least 1 item" in refused(file, f"{head}targets = []\n[origin]{tail}")
+
+
+# --- rules between keys
+
+
+def target(north_m: float, east_m: float) -> str:
+    return re.sub(
+        r"\[\[targets\]\]\nnorth_m.*\neast_m.*\n",
+        f"[[targets]]\nnorth_m = {north_m}\neast_m = {east_m}\n",
+        TEXT,
+    )
+
+
+@pytest.mark.parametrize(
+    ("north_m", "east_m", "axis"),
+    [(105_000.1, 0.0, "north"), (-5000.1, 0.0, "north"), (0.0, 105_001.0, "east")],
+)
+def test_a_target_outside_the_map_is_refused(
+    file: Path, north_m: float, east_m: float, axis: str
+) -> None:
+    message = refused(file, target(north_m, east_m))
+    value = north_m if axis == "north" else east_m
+    assert f"targets[0].{axis}_m = {value}" in message
+    assert "outside the map" in message
+
+
+def test_a_target_on_the_edge_of_the_map_is_taken(file: Path) -> None:
+    assert load(file, target(105_000.0, -5000.0)).targets_ne_m == ((105_000.0, -5000.0),)
+
+
+CIRCLE = '[[keep_outs]]\nname = "zone"\nnorth_m = 50000.0\neast_m = 50000.0\nradius_m = 3000.0\n'
+SQUARE = (
+    '[[keep_outs]]\nname = "zone"\n'
+    "vertices_m = [[40000.0, 40000.0], [60000.0, 40000.0], [60000.0, 60000.0], [40000.0, 60000.0]]\n"
+)
+
+
+@pytest.mark.parametrize("zone", [CIRCLE, SQUARE], ids=["circle", "polygon"])
+def test_a_target_in_or_too_near_a_keep_out_is_refused(file: Path, zone: str) -> None:
+    edge_m = 53_000.0 if zone is CIRCLE else 60_000.0
+    inside = refused(file, f"{target(50_000.0, 51_000.0)}\n{zone}")
+    assert "targets[0] = [50000.0, 51000.0]" in inside
+    assert "inside keep-out 'zone'" in inside
+    near = refused(file, f"{target(edge_m + 499.0, 50_000.0)}\n{zone}")
+    assert "nearer than planner.safety_distance_m to keep-out 'zone'" in near
+    load(file, f"{target(edge_m + 501.0, 50_000.0)}\n{zone}")
+
+
+@pytest.mark.parametrize(
+    "zone",
+    [
+        'name = "x"',
+        'name = "x"\nnorth_m = 1.0\neast_m = 1.0',
+        'name = "x"\nvertices_m = [[0.0, 0.0], [1.0, 1.0]]',
+        'name = "x"\nradius_m = 3.0\nvertices_m = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]',
+    ],
+)
+def test_a_keep_out_is_a_circle_or_a_polygon(file: Path, zone: str) -> None:
+    assert "a circle or a polygon" in refused(file, f"{TEXT}\n[[keep_outs]]\n{zone}\n")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("planning_time_s", "60.0"),
+        ("speed_m_s", "600.0"),
+        ("scan_range_m", "5000.0"),
+        ("safety_distance_m", "9000.0"),
+    ],
+    ids=["T", "V", "R", "d_s"],
+)
+def test_each_quantity_that_breaks_equation_4_is_refused_with_what_helps(
+    file: Path, key: str, value: str
+) -> None:
+    message = refused(file, with_value(key, value))
+    assert "eq. 4" in message
+    for letter in ("V = ", "d_s = ", "L = ", "R = "):
+        assert letter in message
+    assert key in message
+
+
+def test_an_l_that_is_shorter_than_equation_4_is_refused_and_one_as_long_is_taken(
+    file: Path,
+) -> None:
+    least_m = 150.0 * (5.0 + 4.0) + max(0.15 * 20_000.0, 150.0**2 / 10.0 + 500.0)
+
+    def text(length_m: float) -> str:
+        return TEXT.replace("overlap_m", f"scan_distance_m = {length_m}\noverlap_m", 1)
+
+    message = refused(file, text(least_m - 1.0))
+    assert f"planner.scan_distance_m = {least_m - 1.0}" in message
+    assert f"{least_m:g}" in message
+    assert load(file, text(least_m)).task.scan_distance_m == least_m
+
+
+def test_a_map_turned_inside_out_a_band_without_height_and_a_turn_too_wide_are_refused(
+    file: Path,
+) -> None:
+    assert "area.north_max_m = -6000.0" in refused(file, with_value("north_max_m", "-6000.0"))
+    assert "area.east_max_m" in refused(file, with_value("east_max_m", "-5000.0"))
+    assert "ceiling_amsl_m = 3040.0" in refused(file, with_value("ceiling_amsl_m", "3040.0"))
+    load(file, with_value("ceiling_amsl_m", "3041.0"))
+    assert "turn_radius_m = 10001.0" in refused(file, with_value("turn_radius_m", "10001.0"))
+
+
+# --- worlds
+
+
+def test_a_world_starts_where_its_vehicle_stands_and_has_its_peaks(file: Path) -> None:
+    table: dict[str, Any] = tomllib.loads(WORLD_TEXT)
+    world = load_world("environment-1")
+    assert world.start_ne_m == (table["vehicle"]["north_m"], table["vehicle"]["east_m"])
+    assert len(world.terrain.peaks) == len(table["terrain"]["peaks"])
+    file.write_text(WORLD_TEXT.replace("height_amsl_m", "height_m", 1), encoding="utf-8")
+    with pytest.raises(InputError, match=r"terrain\.peaks\[0\]\.height_m = .*height_amsl_m"):
+        load_world(str(file))

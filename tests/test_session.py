@@ -1,0 +1,483 @@
+"""The whole companion as bytes in and bytes out, against a scripted vehicle."""
+
+import sys
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as wire
+
+sys.path.insert(0, str(Path(__file__).parent / "runtime"))
+from scripted_vehicle import BRAKE, GUIDED, MISSION, Pair, Vehicle, messages, pair, straight_plan
+
+from companion.mission.events import Outcome
+from companion.mission.state import Phase, Reason
+from companion.planner.plan import PlanRequest
+from companion.session import Session
+
+
+def ended(it: Pair) -> bool:
+    return it.out.end is not None
+
+
+def flying(**keywords: Any) -> Pair:
+    return pair(**keywords).run_until(lambda it: it.session.state.flight.leg is not None)
+
+
+def kinds(it: Pair) -> list[str]:
+    return [entry["kind"] for entry in it.journal]
+
+
+# --- one whole flight
+
+
+@pytest.fixture(scope="module")
+def flown() -> Pair:
+    return pair().run_until(ended)
+
+
+def test_a_flight_ends_at_its_target_in_the_hold_mode(flown: Pair) -> None:
+    end = flown.out.end
+    assert end is not None
+    assert end.outcome is Outcome.ARRIVED
+    assert (flown.vehicle.north_m, flown.vehicle.east_m) == pytest.approx((4000, 3000), abs=1.0)
+    assert flown.vehicle.mode == BRAKE
+    assert flown.out.settled
+
+
+def test_the_commands_come_in_the_order_of_a_flight(flown: Pair) -> None:
+    commands = [message.command for message in flown.sent("COMMAND_LONG")]
+    assert list(dict.fromkeys(commands)) == [511, 176, 400, 22]
+    modes = [m.param2 for m in flown.sent("COMMAND_LONG") if m.command == 176]
+    assert list(dict.fromkeys(modes)) == [GUIDED, BRAKE]
+
+
+def test_every_frame_is_the_companions_of_the_vehicles_system_and_counts_on(flown: Pair) -> None:
+    sent = messages(flown.frames)
+    assert {(m.get_srcSystem(), m.get_srcComponent()) for m in sent} == {(1, 195)}
+    assert all(frame[0] == 0xFD for frame in flown.frames)
+    numbers = [m.get_seq() for m in sent]
+    assert all((a + 1) % 256 == b for a, b in pairwise(numbers))
+
+
+def test_it_says_once_a_vehicle_second_that_it_is_there(flown: Pair) -> None:
+    beats = [
+        (time_s, m)
+        for time_s, frame in flown.record
+        for m in messages([frame])
+        if m.get_type() == "HEARTBEAT" and m.get_srcComponent() == 195
+    ]
+    gaps = np.diff([time_s for time_s, _ in beats])
+    assert beats[0][0] <= 1.0
+    assert gaps.min() > 0.89
+    assert gaps.max() < 1.11  # a tick is 0.1 s
+    assert {(m.type, m.autopilot) for _, m in beats} == {(18, 8)}
+
+
+def test_its_state_is_standby_on_the_ground_and_active_in_flight(flown: Pair) -> None:
+    states = [m.system_status for m in flown.sent("HEARTBEAT")]
+    assert list(dict.fromkeys(states)) == [wire.MAV_STATE_STANDBY, wire.MAV_STATE_ACTIVE]
+
+
+def test_a_heartbeat_says_farewell(flown: Pair) -> None:
+    [last] = messages(flown.session.farewell().frames)
+    assert (last.get_type(), last.system_status) == ("HEARTBEAT", 7)
+
+
+def test_every_frame_both_ways_is_recorded_in_order_with_times_that_do_not_go_back(
+    flown: Pair,
+) -> None:
+    ours = [frame for _, frame in flown.record if messages([frame])[0].get_srcComponent() == 195]
+    assert ours == flown.frames
+    times = [time_s for time_s, _ in flown.record]
+    assert times == sorted(times)
+    assert len(flown.record) > len(flown.frames) + 100
+
+
+def test_no_setpoint_is_sent_until_the_vehicle_says_that_it_is_in_the_air(flown: Pair) -> None:
+    in_air = False
+    for _, frame in flown.record:
+        [message] = messages([frame])
+        if message.get_type() == "EXTENDED_SYS_STATE":
+            in_air = message.landed_state == 2
+        assert in_air or message.get_type() != "SET_POSITION_TARGET_GLOBAL_INT"
+
+
+def test_every_position_in_flight_is_answered_by_one_setpoint_of_its_time(flown: Pair) -> None:
+    sent = [m.time_boot_ms for m in flown.sent("SET_POSITION_TARGET_GLOBAL_INT")]
+    assert len(sent) > 300
+    assert np.diff(sent).tolist() == [100] * (len(sent) - 1)
+
+
+def test_the_journal_tells_the_phases_in_order(flown: Pair) -> None:
+    phases = [entry["phase"] for entry in flown.journal if entry["kind"] == "phase"]
+    assert phases == ["preparing", "arming", "taking off", "flying", "arrived", "done"]
+    times = [entry["t_s"] for entry in flown.journal]
+    assert times == sorted(times)
+
+
+def test_a_scan_is_answered_block_by_block(flown: Pair) -> None:
+    [done] = [entry for entry in flown.journal if entry["kind"] == "scan done"]
+    assert done["blocks_asked"] == done["blocks_answered"] > 500
+
+
+# --- the same bytes in, the same bytes out
+
+
+def test_two_flights_are_byte_for_byte_the_same(flown: Pair) -> None:
+    again = pair().run_until(ended)
+    assert again.frames == flown.frames
+    assert again.journal == flown.journal
+    assert again.record == flown.record
+
+
+def preflight(limit_s: float = 8.0) -> bytes:
+    """What a vehicle says up to the first scan, in one stretch, to a session that hears it all."""
+    it = pair(lockstep=False)
+    data = b""
+    for _ in range(round(limit_s * 10)):
+        said = it.vehicle.tick()
+        data += said
+        it.feed(said)
+    assert it.session.state.phase is Phase.FLYING
+    return data
+
+
+PREFLIGHT = preflight()
+
+
+def replayed(chunks: list[bytes]) -> tuple[list[bytes], list[Any]]:
+    session = Session(MISSION, seed=1, lockstep=False)
+    frames, journal = [], []
+    for chunk in chunks:
+        session.receive(chunk)
+        out = session.run()
+        frames += out.frames
+        journal += out.journal
+    return frames, journal
+
+
+@given(cuts=st.lists(st.integers(0, len(PREFLIGHT)), max_size=60))
+def test_it_does_not_matter_where_the_bytes_are_cut(cuts: list[int]) -> None:
+    edges = [0, *sorted(cuts), len(PREFLIGHT)]
+    chunks = [PREFLIGHT[a:b] for a, b in pairwise(edges)]
+    assert replayed(chunks) == WHOLE
+
+
+WHOLE = replayed([PREFLIGHT])
+
+
+def test_byte_by_byte_is_as_good_as_all_at_once() -> None:
+    assert replayed([bytes([byte]) for byte in PREFLIGHT]) == WHOLE
+    assert len(WHOLE[0]) > 20
+
+
+# --- lockstep
+
+
+def test_a_timesync_is_answered_after_everything_before_it() -> None:
+    it = flying()
+    count = len(it.frames)
+    it.tick()
+    answer = [m.get_type() for m in messages(it.frames[count:])]
+    assert "SET_POSITION_TARGET_GLOBAL_INT" in answer
+    assert answer[-1] == "TIMESYNC"
+    last = messages(it.frames)[-1]
+    assert last.tc1 == last.ts1 == it.vehicle.time_ms * 1_000_000
+
+
+def test_every_timesync_is_answered_once_and_answers_are_not() -> None:
+    it = pair()
+    for _ in range(50):
+        it.tick()
+    assert [m.ts1 for m in it.sent("TIMESYNC")] == [tick * 100_000_000 for tick in range(1, 51)]
+    count = len(it.frames)
+    it.feed(it.vehicle.pack(wire.MAVLink_timesync_message(77, 88)))
+    assert it.frames[count:] == []
+
+
+def asked(lockstep: bool) -> Pair:
+    it = pair(lockstep=lockstep)
+    return it.run_until(lambda it: it.asked is not None)
+
+
+def times(it: Pair, kind: str) -> list[float]:
+    return [entry["t_s"] for entry in it.journal if entry["kind"] == kind]
+
+
+def test_a_plan_that_is_delivered_at_once_still_counts_at_request_plus_t_and_not_before() -> None:
+    for lockstep in (True, False):
+        it = asked(lockstep)
+        assert it.asked is not None
+        it.session.deliver(straight_plan(it.asked))
+        it.run_until(lambda it: bool(times(it, "plan ready")))
+        due_s = times(it, "plan asked")[0] + MISSION.task.settings.planning_time_s
+        assert due_s - 1e-9 <= times(it, "plan ready")[0] < due_s + 0.1001
+
+
+def test_in_lockstep_run_stops_before_the_position_at_which_the_plan_is_due() -> None:
+    it = asked(lockstep=True)
+    assert it.asked is not None
+    due_s = times(it, "plan asked")[0] + 5.0
+    out = it.out
+    while not out.awaits_plan:
+        it.session.receive(it.vehicle.tick())
+        out = it.take(it.session.run())
+    assert it.vehicle.time_ms * 1e-3 == pytest.approx(due_s, abs=0.1001)
+    assert it.sent("TIMESYNC")[-1].ts1 < it.vehicle.time_ms * 1_000_000
+    assert it.session.run().awaits_plan  # it keeps waiting
+    it.session.deliver(straight_plan(it.asked))
+    out = it.take(it.session.run())
+    assert not out.awaits_plan
+    assert it.sent("TIMESYNC")[-1].ts1 == it.vehicle.time_ms * 1_000_000
+    assert "plan late" not in kinds(it)
+
+
+def test_in_real_time_a_plan_that_is_due_is_late_once_and_taken_when_it_comes() -> None:
+    it = asked(lockstep=False)
+    assert it.asked is not None
+    for _ in range(80):
+        it.tick()
+    assert kinds(it).count("plan late") == 1
+    assert not it.out.awaits_plan
+    it.session.deliver(straight_plan(it.asked))
+    it.tick()
+    assert kinds(it).count("plan ready") == 1
+
+
+def test_a_dead_planner_ends_the_stream_with_the_next_position() -> None:
+    it = flying()
+    it.session.planner_died("ValueError: made up")
+    count = len(it.frames)
+    it.run_until(ended)
+    assert it.out.end is not None
+    assert it.out.end.outcome is Outcome.FAILED
+    after = messages(it.frames[count:])
+    assert "SET_POSITION_TARGET_GLOBAL_INT" not in {m.get_type() for m in after}
+    assert it.vehicle.mode == BRAKE
+    count = len(it.frames)
+    for _ in range(50):
+        it.tick()
+    later = {m.get_type() for m in messages(it.frames[count:])}
+    assert not later & {"HEARTBEAT", "SET_POSITION_TARGET_GLOBAL_INT"}
+
+
+# --- who is listened to
+
+
+def test_heartbeats_of_other_components_and_other_systems_are_not_the_vehicles() -> None:
+    it = flying()
+    strangers = [
+        wire.MAVLink(None, srcSystem=1, srcComponent=190),
+        wire.MAVLink(None, srcSystem=1, srcComponent=100),
+        wire.MAVLink(None, srcSystem=2, srcComponent=1),
+        wire.MAVLink(None, srcSystem=255, srcComponent=190),
+    ]
+    before = it.session.state
+    for codec in strangers:
+        it.feed(wire.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(codec))
+        late = wire.MAVLink_global_position_int_message(99_999_000, 1, 2, 3, 4, 5, 6, 7, 8)
+        it.feed(late.pack(codec))
+        it.feed(wire.MAVLink_timesync_message(0, 99).pack(codec))
+    assert it.session.state is before
+    assert it.sent("TIMESYNC")[-1].ts1 != 99
+
+
+def test_terrain_of_a_ground_station_is_not_believed() -> None:
+    it = pair().run_until(lambda it: bool(it.vehicle.to_scan))
+    [request] = it.vehicle.to_scan
+    liar = wire.MAVLink(None, srcSystem=255, srcComponent=190)
+    bit = next(bit for bit in range(56) if request.mask >> bit & 1)
+    block = wire.MAVLink_terrain_data_message(request.lat, request.lon, 250, bit, [9] * 16)
+    it.feed(block.pack(liar))
+    it.run_until(lambda it: "scan done" in kinds(it))
+    assert 9.0 not in it.session.state.flight.known.upper_m
+
+
+def test_a_vehicle_of_another_system_is_not_flown() -> None:
+    it = pair()
+    it.vehicle.autopilot.srcSystem = 2
+    for _ in range(50):
+        it.tick()
+    assert it.session.state.phase is Phase.WAITING
+    assert it.frames == []
+
+
+# --- garbage
+
+
+@given(
+    places=st.lists(st.integers(0, 200), min_size=1, max_size=20),
+    junk=st.binary(min_size=1, max_size=80).map(
+        lambda data: data.translate(None, bytes([0xFD, 0xFE, 0x55]))
+    ),
+)
+def test_garbage_without_a_start_byte_between_frames_changes_nothing(
+    places: list[int], junk: bytes
+) -> None:
+    frames = [bytes(m.get_msgbuf()) for m in messages([PREFLIGHT])]
+    for place in places:
+        frames.insert(place % len(frames), junk)
+    assert replayed([b"".join(frames)]) == WHOLE
+
+
+@given(junk=st.binary(min_size=1, max_size=300))
+def test_after_any_garbage_it_finds_back_within_two_longest_frames(junk: bytes) -> None:
+    session = Session(MISSION, seed=1, lockstep=True)
+    session.receive(junk)
+    session.run()
+    vehicle = Vehicle()
+    for _ in range(30):
+        session.receive(vehicle.heartbeat() + vehicle.synchronisation())
+    assert session.run().frames
+    assert session.state.phase is Phase.PREPARING
+
+
+def test_every_message_of_the_dialect_full_of_ones_or_zeros_is_survived() -> None:
+    it = flying()
+    codec = it.vehicle.autopilot
+    for identifier, kind in sorted(wire.mavlink_map.items()):
+        if kind.msgname in ("GLOBAL_POSITION_INT", "TIMESYNC"):
+            continue  # these are the vehicle's clock
+        for fill in (b"\x00", b"\xff"):
+            size = kind.unpacker.size
+            message = kind.__new__(kind)
+            wire.MAVLink_message.__init__(message, identifier, kind.msgname)
+            frame = wire.MAVLink_message._pack(message, codec, kind.crc_extra, fill * size)
+            it.session.receive(frame)
+    it.session.run()
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon"), [(2**31 - 1, 2**31 - 1), (900_000_001, 0), (0, 0)], ids=["max", "beyond", "0"]
+)
+def test_an_impossible_position_is_survived_while_hovering(lat: int, lon: int) -> None:
+    it = pair(lockstep=False).run_until(lambda it: it.session.state.phase is Phase.FLYING)
+    now = it.vehicle.time_ms + 10
+    bad = wire.MAVLink_global_position_int_message(now, lat, lon, 3_000_000, 0, 0, 0, 0, 0)
+    it.feed(it.vehicle.pack(bad))
+    it.tick()
+
+
+# --- streams, silence, stop
+
+
+def test_streams_that_do_not_arrive_are_asked_for_again_and_others_are_not() -> None:
+    it = pair()
+    it.vehicle.deaf_to = (511,)
+    for _ in range(60):
+        it.tick()
+    it.vehicle.deaf_to = ()
+    count = len(it.frames)
+    for _ in range(200):
+        it.tick()
+    asked_again = [
+        int(m.param1)
+        for m in messages(it.frames[count:])
+        if m.get_type() == "COMMAND_LONG" and m.command == 511
+    ]
+    assert {33, 245, 24, 193, 242} <= set(asked_again)
+    arriving = [identifier for identifier in asked_again if identifier in (33, 245, 24, 193, 242)]
+    assert len(arriving) == 5  # each once
+    assert len(asked_again) > 15  # those that never arrive, every two seconds
+
+
+def test_the_position_is_asked_for_at_the_rate_of_the_mission() -> None:
+    it = pair()
+    it.run_until(lambda it: bool(it.sent("COMMAND_LONG")))
+    rates = {int(m.param1): m.param2 for m in it.sent("COMMAND_LONG")}
+    assert rates[33] == 1e6 / MISSION.position_rate_hz
+
+
+def test_a_stream_request_that_gets_lost_before_the_clock_runs_is_repeated_in_real_time() -> None:
+    """ArduPilot loses requests in its first 40 ms, and says only HEARTBEAT until it is asked."""
+    it = pair(lockstep=False)
+    it.vehicle.deaf_to = (511,)
+    for second in range(30):
+        it.feed(it.vehicle.heartbeat())
+        for tenth in range(1, 10):
+            it.session.silence(tenth / 10)
+            it.take(it.session.run())
+        if second == 2:
+            it.vehicle.deaf_to = ()
+    assert 33 in it.vehicle.streams_ms
+
+
+def test_heartbeats_go_on_while_the_vehicle_says_nothing_but_heartbeats() -> None:
+    it = pair(lockstep=False)
+    it.vehicle.deaf_to = (511,)
+    for _ in range(20):
+        it.feed(it.vehicle.heartbeat())
+        for tenth in range(1, 10):
+            it.session.silence(tenth / 10)
+            it.take(it.session.run())
+    assert len(it.sent("HEARTBEAT")) >= 10
+
+
+def test_a_reboot_of_the_vehicle_on_the_ground_does_not_stop_the_companions_clock() -> None:
+    it = pair(lockstep=False)
+    it.vehicle.time_ms = 3_600_000
+    for _ in range(30):
+        it.tick()
+    it.vehicle = Vehicle(lockstep=False)  # all intervals are gone, time begins again
+    it.vehicle.autopilot.seq = 17
+    it.vehicle.streams_ms = {33: 100}
+    count = len(it.frames)
+    for _ in range(100):
+        it.tick()
+    again = messages(it.frames[count:])
+    assert [m for m in again if m.get_type() == "HEARTBEAT"]
+    assert [m for m in again if m.get_type() == "COMMAND_LONG"]
+
+
+def test_silence_before_any_vehicle_ends_after_10_s() -> None:
+    session = Session(MISSION, seed=1, lockstep=False)
+    for tenth in range(1, 99):
+        session.silence(tenth / 10)
+    assert session.run().end is None
+    session.silence(10.0)
+    end = session.run().end
+    assert end is not None
+    assert end.reason == Reason.NO_VEHICLE.text
+
+
+def test_silence_in_flight_holds_after_3_s_and_ends_after_10_s() -> None:
+    it = flying()
+    it.session.silence(2.9)
+    assert it.session.state.phase is Phase.FLYING
+    it.session.silence(3.0)
+    assert it.session.state.reason is Reason.LINK_LOST
+    it.session.silence(9.9)
+    assert it.session.run().end is None
+    it.session.silence(10.1)
+    assert it.session.run().end is not None
+
+
+def test_stop_leaves_the_vehicle_holding_and_is_settled_when_it_says_so() -> None:
+    it = flying()
+    it.session.stop()
+    out = it.take(it.session.run())
+    assert out.end is not None
+    assert out.end.outcome is Outcome.STOPPED
+    assert not out.settled
+    assert it.run_until(lambda it: it.out.settled).vehicle.mode == BRAKE
+
+
+def test_a_setpoint_that_is_out_of_range_ends_the_flight_in_the_hold_mode() -> None:
+    def absurd(request: PlanRequest) -> Any:
+        plan = straight_plan(request)
+        control = plan.subpath.control_nea_m * np.array([1.0, 1.0, 1e9])
+        plan.subpath.control_nea_m[:] = control
+        return plan
+
+    it = pair()
+    it.planner = absurd
+    it.run_until(ended)
+    assert "setpoint refused" in kinds(it)
+    assert it.vehicle.mode == BRAKE
+    for message in it.sent("SET_POSITION_TARGET_GLOBAL_INT"):
+        assert message.alt < 50_000.0

@@ -1,0 +1,173 @@
+"""The program as a person or a script starts it."""
+
+import json
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vehicle_sim import cli
+
+Start = Callable[..., "subprocess.Popen[str]"]
+
+
+def result(process: "subprocess.Popen[str]") -> tuple[int, str, str]:
+    out, err = process.communicate(timeout=20)
+    return process.returncode, out, err
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    """main() in this process -> exit code, stdout, stderr."""
+
+    def begin(*arguments: object) -> tuple[Any, str, str]:
+        monkeypatch.setattr("sys.argv", ["vehicle-sim", *map(str, arguments)])
+        with pytest.raises(SystemExit) as exited:
+            cli.main()
+        said = capsys.readouterr()
+        return exited.value.code, said.out, said.err
+
+    return begin
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["atlantis"], ["WORLD = 'atlantis'", "environment-1", "environment-2"]),
+        (["WORLD", "--connect", "tcp:1.2.3.4:5"], ["--connect = 'tcp:1.2.3.4:5'", "udpout:HOST"]),
+        (["WORLD", "--connect", "udpout:host:port"], ["--connect", "udpout:HOST:PORT"]),
+        (["WORLD", "--connect", "udpout:host:70000"], ["--connect", "udpout:HOST:PORT"]),
+        (["WORLD", "--connect", "udpout:no.such.host.invalid:5"], ["no.such.host.invalid"]),
+        (["WORLD", "--lockstep", "--speedup", "2"], ["--speedup = 2.0", "Leave out one"]),
+        (["WORLD", "--speedup", "0"], ["--speedup = 0.0", "0.01"]),
+        (["WORLD", "--speedup", "nan"], ["--speedup = nan"]),
+        (["WORLD", "--speedup", "fast"], ["--speedup"]),
+        (["WORLD", "--duration", "-1"], ["--duration = -1.0"]),
+        (["WORLD", "--seed", "-1"], ["--seed = -1"]),
+        (["WORLD", "--out", "FILE/below"], ["--out", "cannot be written"]),
+        (["WORLD", "--nonsense"], ["--nonsense"]),
+        ([], ["WORLD"]),
+    ],
+)
+def test_what_cannot_be_done_is_one_line_and_exit_code_2(
+    run: Callable[..., Any], world_file: Path, arguments: list[str], words: list[str]
+) -> None:
+    named = [
+        a.replace("WORLD", str(world_file)).replace("FILE", str(world_file)) for a in arguments
+    ]
+    code, out, err = run(*named)
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1
+    assert err.startswith("error: ")
+    assert all(word in err for word in words), err
+
+
+def test_a_misspelt_key_in_the_world_is_named(run: Callable[..., Any], world_file: Path) -> None:
+    text = world_file.read_text(encoding="utf-8").replace("ground_amsl_m", "ground_m")
+    world_file.write_text(text, encoding="utf-8")
+    code, _, err = run(world_file)
+    assert code == 2
+    assert err == (
+        "error: terrain.ground_m = 100.0: an altitude names its datum, and here it is above mean "
+        "sea level (amsl). Write ground_amsl_m.\n"
+    )
+
+
+def test_the_help_page_explains_itself(run: Callable[..., Any]) -> None:
+    code, out, _ = run("--help")
+    assert code == 0
+    for word in ("companion fly", "--lockstep", "--connect", "WORLD", "--out DIR"):
+        assert word in out
+
+
+def test_the_bundled_worlds_are_found_by_name() -> None:
+    worlds = cli.bundled_worlds()
+    assert {"environment-1", "environment-2"} <= set(worlds)
+    assert all(path.is_file() for path in worlds.values())
+
+
+def test_a_run_ends_after_its_duration_with_its_figures_and_its_truth(
+    start: Start, world_file: Path, companion: Any, tmp_path: Path
+) -> None:
+    folder = tmp_path / "new" / "run"
+    code, out, err = result(
+        start(
+            *(world_file, "--connect", f"udpout:127.0.0.1:{companion.port}"),
+            *("--speedup", "50", "--duration", "5", "--out", folder, "--seed", "7"),
+        )
+    )
+    assert (code, err) == (0, "")
+    assert out.splitlines()[0].startswith("test: copter with ardupilot as system 1")
+    assert "5.0 s of vehicle time" in out.splitlines()[-1]
+    assert "STABILIZE, disarmed, on the ground" in out.splitlines()[-1]
+    header, *rows = map(json.loads, (folder / "truth.jsonl").read_text("utf-8").splitlines())
+    assert header["seed"] == 7
+    assert (len(rows), rows[-1]["t_s"]) == (51, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("number", "clock"),
+    [(signal.SIGINT, ["--lockstep"]), (signal.SIGTERM, ["--lockstep"]), (signal.SIGINT, [])],
+)
+def test_a_signal_ends_it_cleanly_even_where_sigint_was_ignored(
+    start: Start,
+    world_file: Path,
+    companion: Any,
+    tmp_path: Path,
+    number: signal.Signals,
+    clock: list[str],
+) -> None:
+    process = start(
+        *(world_file, "--connect", f"udpout:127.0.0.1:{companion.port}"),
+        *("--out", tmp_path, *clock),
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )
+    companion.wait_for("HEARTBEAT")
+    process.send_signal(number)
+    code, out, err = result(process)
+    assert (code, err) == (0, "")
+    assert "x real time" in out.splitlines()[-1]
+    lines = (tmp_path / "truth.jsonl").read_text(encoding="utf-8").splitlines()
+    assert all(json.loads(line) for line in lines)
+    assert len(lines) >= 2
+
+
+def test_a_lockstep_flight_from_boot_to_hover_to_the_end(
+    start: Start, world_file: Path, companion: Any, tmp_path: Path
+) -> None:
+    process = start(
+        *(world_file, "--connect", f"udpout:127.0.0.1:{companion.port}"),
+        *("--lockstep", "--out", tmp_path),
+    )
+    companion.datagram()
+    companion.send(
+        companion.heartbeat(), companion.command(511, 33, 100_000), companion.command(511, 245, 5e5)
+    )
+    position, landed_state, results = None, 0, []
+    for k in range(600):
+        frames = [companion.heartbeat()] if k % 10 == 0 else []
+        if k == 425:
+            frames += [companion.command(176, 1, 4), companion.command(400, 1)]
+            frames += [companion.command(22, 0, 0, 0, 0, 0, 0, 20.0)]
+        for message in companion.tick(*frames):
+            match message.get_type():
+                case "GLOBAL_POSITION_INT":
+                    position = message
+                case "EXTENDED_SYS_STATE":
+                    landed_state = message.landed_state
+                case "COMMAND_ACK":
+                    results.append(message.result)
+    assert results == [0] * 5
+    assert position is not None
+    assert position.relative_alt == pytest.approx(20_000, abs=50)
+    assert landed_state == 2
+    companion.tick(companion.heartbeat(7))
+    code, out, err = result(process)
+    assert (code, err) == (0, "")
+    assert "heard 1/195" in out
+    assert "GUIDED, armed" in out.splitlines()[-1]
+    last = json.loads((tmp_path / "truth.jsonl").read_text("utf-8").splitlines()[-1])
+    assert last["altitude_amsl_m"] == pytest.approx(120.0, abs=0.1)

@@ -1,0 +1,198 @@
+"""The terrain radar against brute force: every sample of a cell, every metre of a line of sight."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from pyproj import Geod
+
+from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.sensors import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
+from vehicle_sim.terrain import PeakTerrain
+
+FloatArray = NDArray[np.float64]
+WGS84 = Geod(ellps="WGS84")
+FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
+ALL_BLOCKS = (1 << 56) - 1
+RANGE_M = 4000.0
+FAR = (9e4, 9e4)
+"""A corner of the map, where true north and the local frame's north differ."""
+
+
+def hills(rng: np.random.Generator, centre_ne_m: tuple[float, float]) -> PeakTerrain:
+    rows = [
+        (
+            float(centre_ne_m[0] + rng.uniform(-4e3, 4e3)),
+            float(centre_ne_m[1] + rng.uniform(-4e3, 4e3)),
+            float(rng.uniform(200, 1500)),
+            float(rng.uniform(200, 1500)),
+            float(rng.uniform(200, 1500)),
+        )
+        for _ in range(int(rng.integers(1, 8)))
+    ]
+    return PeakTerrain.of(rows, combine="maximum", ground_amsl_m=100.0)
+
+
+def viewpoint(centre_ne_m: tuple[float, float], altitude_amsl_m: float) -> Viewpoint:
+    latitude_deg, longitude_deg = FRAME.to_geographic(*centre_ne_m)
+    return Viewpoint(
+        latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_amsl_m=altitude_amsl_m
+    )
+
+
+def request_about(
+    centre_ne_m: tuple[float, float], spacing_m: int, mask: int = ALL_BLOCKS
+) -> ScanRequest:
+    north_m, east_m = centre_ne_m
+    corner = FRAME.to_geographic(north_m - 14 * spacing_m, east_m - 16 * spacing_m)
+    return ScanRequest(
+        latitude_deg=round(corner[0], 7),
+        longitude_deg=round(corner[1], 7),
+        spacing_m=spacing_m,
+        mask=mask,
+    )
+
+
+def to_local(request: ScanRequest, a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, ...]:
+    """Metres true north and east of the corner -> the world's frame, by geodesics."""
+    ones = np.ones_like(a_m)
+    lon, lat, _ = WGS84.fwd(
+        request.longitude_deg * ones,
+        request.latitude_deg * ones,
+        np.degrees(np.arctan2(b_m, a_m)),
+        np.hypot(a_m, b_m),
+    )
+    azimuth, _, distance = WGS84.inv(8.0 * ones, 47.0 * ones, lon, lat)
+    return distance * np.cos(np.radians(azimuth)), distance * np.sin(np.radians(azimuth))
+
+
+def cells(radar: TerrainRadar, request: ScanRequest, view: Viewpoint) -> NDArray[np.int64]:
+    """The answer as an array by cell (28 north, 32 east), put together by the definition."""
+    grid = np.full((28, 32), 99999, dtype=np.int64)
+    for block in radar.answer(request, view):
+        row, column = divmod(block.gridbit, 8)
+        for x in range(4):
+            for y in range(4):
+                grid[4 * row + x, 4 * column + y] = block.heights_amsl_m[4 * x + y]
+    return grid
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10**6), far=st.booleans())
+def test_a_seen_cell_is_its_highest_terrain_rounded_up(seed: int, *, far: bool) -> None:
+    rng = np.random.default_rng(seed)
+    centre = FAR if far else (0.0, 0.0)
+    terrain = hills(rng, centre)
+    radar = TerrainRadar(terrain, FRAME, range_m=RANGE_M)
+    request = request_about(centre, 60)
+    got = cells(radar, request, viewpoint(centre, 9000.0))  # from so high everything is in sight
+    step = np.linspace(0, 60, 13)
+    i, j = np.meshgrid(np.arange(28), np.arange(32), indexing="ij")
+    a = i[..., None, None] * 60 + step[:, None] + 0 * step
+    b = j[..., None, None] * 60 + step[:, None] * 0 + step
+    north, east = to_local(request, a.ravel(), b.ravel())
+    brute = terrain.height_amsl_m(north, east).reshape(28, 32, -1).max(axis=-1)
+    assert not np.any(got == UNSEEN_M)
+    assert np.all(got >= brute - 1e-6)
+    assert np.all(got <= brute + 1.0 + 25.0)  # 5 m between samples, slopes up to about 7
+    assert np.mean(got <= brute + 2.0) > 0.5  # and mostly not more than the rounding
+
+
+def hidden_by_brute_force(
+    terrain: PeakTerrain, eye: tuple[float, float, float], north: FloatArray, east: FloatArray
+) -> FloatArray:
+    """How far the terrain rises above the line of sight to each point; <= 0: free."""
+    top = terrain.height_amsl_m(north, east)
+    share = np.linspace(0, 1, 601)[:, None]
+    line_n = eye[0] + share * (north - eye[0])
+    line_e = eye[1] + share * (east - eye[1])
+    above = terrain.height_amsl_m(line_n, line_e) - (eye[2] + share * (top - eye[2]))
+    return above[:-1].max(axis=0)
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10**6), far=st.booleans(), height_m=st.sampled_from([5.0, 150.0, 600.0]))
+def test_an_unseen_cell_is_hidden_in_truth_or_out_of_range(
+    seed: int, height_m: float, *, far: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    centre = FAR if far else (0.0, 0.0)
+    terrain = hills(rng, centre)
+    eye = (*centre, terrain.height_at_amsl_m(*centre) + height_m)
+    radar = TerrainRadar(terrain, FRAME, range_m=RANGE_M)
+    request = request_about(centre, 250)
+    got = cells(radar, request, viewpoint(centre, eye[2]))
+    i, j = (axis.ravel() for axis in np.meshgrid(np.arange(28), np.arange(32), indexing="ij"))
+    middle_n, middle_e = to_local(request, (i + 0.5) * 250.0, (j + 0.5) * 250.0)
+    distance = np.hypot(middle_n - centre[0], middle_e - centre[1])
+    unseen = got.ravel() == UNSEEN_M
+    assert np.all(unseen[distance > RANGE_M + 1.0])
+    near = distance < RANGE_M - 1.0
+    rises = np.stack(
+        [
+            hidden_by_brute_force(
+                terrain, eye, *to_local(request, (i + a) * 250.0, (j + b) * 250.0)
+            )
+            for a, b in ((0, 0), (0, 1), (1, 0), (1, 1), (0.5, 0.5))
+        ]
+    ).min(axis=0)
+    assert np.all(rises[unseen & near] > -0.5)  # brute force samples, so it may miss a ridge's top
+    clearly_hidden = near & (rises > 60.0)
+    assert np.mean(unseen[clearly_hidden]) >= 0.8 if clearly_hidden.sum() > 20 else True
+
+
+def test_a_wall_of_mountains_hides_what_lies_behind_it() -> None:
+    wall = [(2000.0, float(e), 1000.0, 200.0, 400.0) for e in range(-6000, 6001, 250)]
+    behind = (3200.0, 0.0, 300.0, 100.0, 100.0)
+    terrain = PeakTerrain.of([*wall, behind], combine="maximum", ground_amsl_m=0.0)
+    radar = TerrainRadar(terrain, FRAME, range_m=RANGE_M)
+    got = cells(radar, request_about((0.0, 0.0), 250), viewpoint((0.0, 0.0), 200.0))
+    assert np.all(got[14:20, 8:24] != UNSEEN_M)  # the plain before it
+    assert np.all(got[24:27, 12:20] == UNSEEN_M)  # the hill behind it
+    high = cells(radar, request_about((0.0, 0.0), 250), viewpoint((0.0, 0.0), 4000.0))
+    assert high[26, 16] == 300
+
+
+def test_a_peak_far_out_is_where_the_message_definition_puts_it() -> None:
+    request = ScanRequest(latitude_deg=47.5, longitude_deg=9.0, spacing_m=100, mask=ALL_BLOCKS)
+    i, j = 22, 9  # 2250 m true north and 950 m true east of the corner
+    azimuth = math.degrees(math.atan2(950.0, 2250.0))
+    lon, lat, _ = WGS84.fwd(9.0, 47.5, azimuth, math.hypot(2250.0, 950.0))
+    north, east = FRAME.to_local(lat, lon)
+    terrain = PeakTerrain.of([(north, east, 700.0, 20.0, 20.0)], combine="maximum", ground_amsl_m=0)
+    radar = TerrainRadar(terrain, FRAME, range_m=RANGE_M)
+    view = Viewpoint(latitude_deg=lat, longitude_deg=lon, altitude_amsl_m=3000.0)
+    blocks = {block.gridbit: block.heights_amsl_m for block in radar.answer(request, view)}
+    gridbit, x, y = (i // 4) * 8 + j // 4, i % 4, j % 4
+    assert blocks[gridbit][x * 4 + y] == 700
+    assert max(max(heights) for heights in blocks.values()) == 700
+    assert sum(height == 700 for heights in blocks.values() for height in heights) == 1
+
+
+@given(mask=st.integers(0, ALL_BLOCKS))
+@settings(max_examples=20)
+def test_the_mask_picks_blocks_and_changes_nothing_in_them(mask: int) -> None:
+    terrain = hills(np.random.default_rng(1), (0.0, 0.0))
+    radar, view = TerrainRadar(terrain, FRAME, range_m=RANGE_M), viewpoint((0.0, 0.0), 1000.0)
+    every = {b.gridbit: b for b in radar.answer(request_about((0.0, 0.0), 100), view)}
+    picked = radar.answer(request_about((0.0, 0.0), 100, mask), view)
+    assert [b.gridbit for b in picked] == [bit for bit in range(56) if mask >> bit & 1]
+    assert all(every[b.gridbit] == b for b in picked)
+
+
+@pytest.mark.parametrize(("spacing_m", "latitude_deg"), [(0, 47.0), (100, 91.0), (100, -214.0)])
+def test_nonsense_is_answered_with_nothing(spacing_m: int, latitude_deg: float) -> None:
+    radar = TerrainRadar(hills(np.random.default_rng(2), (0.0, 0.0)), FRAME, range_m=RANGE_M)
+    request = ScanRequest(
+        latitude_deg=latitude_deg, longitude_deg=8.0, spacing_m=spacing_m, mask=ALL_BLOCKS
+    )
+    assert radar.answer(request, viewpoint((0.0, 0.0), 1000.0)) == ()
+
+
+def test_cells_the_size_of_a_country_are_survived() -> None:
+    radar = TerrainRadar(hills(np.random.default_rng(2), (0.0, 0.0)), FRAME, range_m=RANGE_M)
+    got = cells(radar, request_about((0.0, 0.0), 65535), viewpoint((0.0, 0.0), 1000.0))
+    assert np.all((got == UNSEEN_M) | (got >= 100))

@@ -1,0 +1,223 @@
+"""Lockstep and real time over real UDP sockets, with the server in this process."""
+
+import io
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.errors import CompanionSilent, InputError
+from vehicle_sim.server import Link, Server, Settings, Stop
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import parse_world
+
+Table = dict[str, Any]
+
+
+class Running:
+    """A server in a thread of its own, and what became of it."""
+
+    def __init__(self, table: Table, port: int, **settings: Any) -> None:
+        self.simulation = Simulation(parse_world(table), seed=1)
+        self.stop = Stop()
+        self.truth = io.StringIO()
+        self.said: list[str] = []
+        self.error: Exception | None = None
+        self._settings = Settings(host="127.0.0.1", port=port, **settings)
+        self.thread = threading.Thread(target=self._run, daemon=True)
+
+    def _run(self) -> None:
+        with Link(self._settings.host, self._settings.port) as link:
+            server = Server(
+                self.simulation,
+                link,
+                self._settings,
+                self.stop,
+                truth=self.truth,
+                say=self.said.append,
+            )
+            try:
+                server.run()
+            except CompanionSilent as error:
+                self.error = error
+
+    def ended(self, within_s: float = 10.0) -> bool:
+        self.thread.join(within_s)
+        return not self.thread.is_alive()
+
+
+Serve = Callable[..., Any]
+
+
+@pytest.fixture
+def serve(world_table: Table) -> Iterator[Serve]:
+    running: list[Running] = []
+
+    @contextmanager
+    def begin(port: int, **settings: Any) -> Iterator[Running]:
+        run = Running(world_table, port, **settings)
+        running.append(run)
+        run.thread.start()
+        yield run
+
+    yield begin
+    for run in running:
+        run.stop()
+        assert run.ended(), "a server was left behind"
+
+
+def test_lockstep_stands_at_0_until_a_heartbeat_then_advances_tick_by_tick(
+    serve: Serve, companion: Any
+) -> None:
+    with serve(companion.port, lockstep=True) as run:
+        first, second = companion.messages(), companion.messages()
+        assert {m.get_type() for m in first + second} == {"HEARTBEAT"}
+        assert {m.get_srcComponent() for m in first} == {1, 100}
+        assert run.simulation.now_us == 0
+        companion.send(companion.heartbeat(), companion.command(511, 33, 100_000))
+        times = []
+        for _ in range(30):
+            got = [m for m in companion.tick() if m.get_type() != "HEARTBEAT"]
+            times.append(got[-1].ts1)
+        assert times == [100_000_000 * k for k in range(1, 31)]
+        assert [m.get_type() for m in got] == ["GLOBAL_POSITION_INT", "TIMESYNC"]
+
+
+def test_lockstep_waits_for_the_right_answer(serve: Serve, companion: Any) -> None:
+    with serve(companion.port, lockstep=True) as run:
+        companion.datagram()
+        companion.send(companion.heartbeat())
+        companion.wait_for("TIMESYNC")
+        wrong = mavlink.MAVLink_timesync_message(5, 5)
+        companion.send(companion.frame(wrong), b"\xfd garbage \xfd\xff\x00")
+        companion.socket.settimeout(0.3)
+        with pytest.raises(TimeoutError):
+            companion.datagram()
+        assert run.simulation.now_us == 100_000
+        right = mavlink.MAVLink_timesync_message(100_000_000, 100_000_000)
+        companion.send(companion.frame(right))
+        assert companion.wait_for("TIMESYNC").ts1 == 200_000_000
+
+
+def test_a_companion_that_has_ended_ends_the_run(serve: Serve, companion: Any) -> None:
+    with serve(companion.port, lockstep=True) as run:
+        companion.datagram()
+        companion.send(companion.heartbeat())
+        companion.tick()
+        companion.send(companion.heartbeat(7))
+        assert run.ended()
+        assert run.error is None
+        rows = run.truth.getvalue().splitlines()
+        assert json.loads(rows[-1])["t_s"] == pytest.approx(run.simulation.now_us * 1e-6)
+
+
+def test_silence_in_lockstep_is_an_error_that_says_when(serve: Serve, companion: Any) -> None:
+    with serve(companion.port, lockstep=True, silence_s=0.3) as run:
+        companion.datagram()
+        companion.send(companion.heartbeat())
+        companion.tick()
+        companion.tick()
+        assert run.ended()
+        assert "at 0.3 s vehicle time" in str(run.error)
+
+
+def test_no_companion_at_all_is_an_error_too(serve: Serve, companion: Any) -> None:
+    with serve(companion.port, lockstep=True, first_heartbeat_s=0.3) as run:
+        assert run.ended()
+        assert "no heartbeat" in str(run.error)
+
+
+def test_lockstep_lasts_as_long_as_was_asked(serve: Serve, companion: Any) -> None:
+    with serve(companion.port, lockstep=True, duration_s=1.0) as run:
+        companion.datagram()
+        companion.send(companion.heartbeat())
+        for _ in range(10):
+            companion.tick()
+        assert run.ended()
+        assert run.simulation.now_us == 1_000_000
+
+
+@pytest.mark.parametrize("speedup", [1.0, 20.0])
+def test_real_time_keeps_the_pace_whatever_the_companion_does(
+    serve: Serve, companion: Any, speedup: float
+) -> None:
+    with serve(companion.port, speedup=speedup) as run:
+        companion.datagram()  # heard once, never answered
+        start_s, start_us = time.monotonic(), run.simulation.now_us
+        while time.monotonic() - start_s < 0.6:
+            time.sleep(0.01)
+        flown_s = (run.simulation.now_us - start_us) * 1e-6
+        share = flown_s / ((time.monotonic() - start_s) * speedup)
+        assert 0.5 < share < 1.1  # a busy computer may let time slip, but never gains any
+
+
+def test_real_time_does_not_need_anybody_and_finds_who_comes_later(
+    serve: Serve, companion: Any
+) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with serve(port, speedup=10.0) as run:  # nobody listens there: every datagram is refused
+        deadline_s = time.monotonic() + 5.0
+        while run.simulation.now_us < 3_000_000 and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        assert run.simulation.now_us >= 3_000_000
+        companion.socket.close()
+        companion.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        companion.socket.settimeout(10.0)
+        companion.socket.bind(("127.0.0.1", port))
+        companion.wait_for("HEARTBEAT")
+        companion.send(companion.heartbeat(), companion.command(511, 33, 100_000))
+        assert companion.wait_for("COMMAND_ACK").result == 0
+        assert companion.wait_for("GLOBAL_POSITION_INT").time_boot_ms > 3000
+
+
+def test_a_scan_of_56_blocks_comes_whole_in_few_datagrams(serve: Serve, companion: Any) -> None:
+    with serve(companion.port, lockstep=True):
+        companion.datagram()
+        request = mavlink.MAVLink_terrain_request_message(470000000, 80000000, 100, (1 << 56) - 1)
+        companion.send(companion.heartbeat(), companion.frame(request))
+        sizes, got = [], []
+        while not got or got[-1].get_type() != "TIMESYNC":
+            data = companion.datagram()
+            sizes.append(len(data))
+            got += companion.parser.parse_buffer(data) or []
+        assert max(sizes) <= 1400
+        assert len(sizes) <= 4
+        blocks = [m.gridbit for m in got if m.get_type() == "TERRAIN_DATA"]
+        assert blocks == list(range(56))
+
+
+def recorded(serve: Serve, companion: Any) -> list[bytes]:
+    """Every datagram after the first heartbeat of a short lockstep run."""
+    data = []
+    with serve(companion.port, lockstep=True, duration_s=3.0) as run:
+        companion.datagram()
+        companion.mav.seq = 0
+        companion.send(companion.heartbeat(), companion.command(511, 33, 100_000))
+        while not run.ended(0.0):
+            companion.socket.settimeout(0.2)
+            try:
+                data.append(companion.datagram())
+            except TimeoutError:
+                break
+            for message in companion.parser.parse_buffer(data[-1]) or []:
+                if message.get_type() == "TIMESYNC":
+                    answer = mavlink.MAVLink_timesync_message(message.ts1, message.ts1)
+                    companion.send(companion.frame(answer))
+    return [d for d in data if len(d) > 60]  # without hellos that were already on their way
+
+
+def test_the_same_run_sends_the_same_bytes_over_the_socket(serve: Serve, companion: Any) -> None:
+    assert recorded(serve, companion) == recorded(serve, companion)
+
+
+def test_a_host_that_cannot_be_found_is_named() -> None:
+    with pytest.raises(InputError, match=r"--connect = 'udpout:no\.such\.host\.invalid:9'"):
+        Link("no.such.host.invalid", 9)

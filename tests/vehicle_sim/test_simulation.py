@@ -1,0 +1,202 @@
+"""The vehicle without its socket: streams, ticks, scans, and the same bytes every time."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.chance import generator
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import parse_world
+
+Table = dict[str, Any]
+
+
+class Other:
+    """A companion in memory."""
+
+    def __init__(self, table: Table, seed: int = 0) -> None:
+        self.simulation = Simulation(parse_world(table), seed=seed)
+        self.mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
+        self.parser = mavlink.MAVLink(None)
+
+    def send(self, *messages: Any) -> None:
+        self.simulation.receive(b"".join(m.pack(self.mav) for m in messages))
+
+    def command(self, number: int, *parameters: float) -> None:
+        padded = [*parameters, *[0.0] * (7 - len(parameters))]
+        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
+
+    def heartbeat(self, status: int = 4) -> None:
+        self.send(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, status, 3))
+
+    def tick(self) -> list[Any]:
+        while not self.simulation.step():
+            pass
+        return self.messages()
+
+    def messages(self) -> list[Any]:
+        return self.parser.parse_buffer(b"".join(self.simulation.take_frames())) or []
+
+    def run(self, ticks: int) -> list[Any]:
+        return [message for _ in range(ticks) for message in self.tick()]
+
+
+@pytest.fixture
+def other(world_table: Table) -> Other:
+    return Other(world_table)
+
+
+def kinds(messages: list[Any]) -> list[str]:
+    return [message.get_type() for message in messages]
+
+
+def test_unasked_there_are_only_heartbeats_of_both_components(other: Other) -> None:
+    got = other.run(500)  # 50 s, through the whole boot: the origin is sent once by itself
+    beats = [m for m in got if m.get_type() == "HEARTBEAT"]
+    for component in (1, 100):
+        assert sum(m.get_srcComponent() == component for m in beats) == 50
+    assert {m.autopilot for m in beats if m.get_srcComponent() == 100} == {8}
+    assert sorted(set(kinds(got)) - {"HEARTBEAT"}) == ["GPS_GLOBAL_ORIGIN", "HOME_POSITION"]
+
+
+def test_texts_come_once_somebody_was_heard(other: Other) -> None:
+    other.heartbeat()
+    assert "STATUSTEXT" in kinds(other.run(500))
+
+
+@pytest.mark.parametrize("interval_us", [20_000, 50_000, 100_000, 250_000, 333_333])
+def test_a_message_comes_exactly_as_often_as_asked(other: Other, interval_us: int) -> None:
+    other.command(511, 30, interval_us)
+    other.run(10)
+    start_us = other.simulation.now_us
+    got = other.run(400)
+    times = [m.time_boot_ms for m in got if m.get_type() == "ATTITUDE"]
+    flown_us = other.simulation.now_us - start_us
+    assert len(times) == pytest.approx(flown_us / interval_us, abs=1)
+    assert max(abs(d - interval_us / 1000) for d in np.diff(times)) <= 10
+    other.command(511, 30, -1)
+    other.messages()
+    assert "ATTITUDE" not in kinds(other.run(20))
+
+
+def test_a_tick_is_one_position_period(other: Other) -> None:
+    assert other.simulation.now_us == 0
+    other.tick()
+    assert other.simulation.now_us == 100_000
+    other.command(511, 33, 50_000)
+    got = other.tick()
+    assert other.simulation.now_us == 150_000
+    assert kinds(got) == ["COMMAND_ACK", "GLOBAL_POSITION_INT"]
+    assert got[-1].time_boot_ms == 150
+    other.tick()
+    assert other.simulation.now_us == 200_000
+
+
+def test_time_questions_are_answered_and_lockstep_answers_noted(other: Other) -> None:
+    other.tick()
+    asked_ns = other.simulation.ask_for_sync()
+    (question,) = other.messages()
+    assert (question.tc1, question.ts1) == (0, asked_ns) == (0, 100_000_000)
+    other.send(mavlink.MAVLink_timesync_message(0, 77))
+    (answer,) = other.messages()
+    assert (answer.tc1, answer.ts1) == (100_000_000, 77)
+    assert other.simulation.answered_ns != asked_ns
+    other.send(mavlink.MAVLink_timesync_message(asked_ns, asked_ns))
+    assert other.simulation.answered_ns == asked_ns
+
+
+def test_a_scan_is_answered_in_the_next_tick_blocks_first(other: Other) -> None:
+    mask = 0b1011
+    other.tick()
+    other.send(mavlink.MAVLink_terrain_request_message(470000000, 80000000, 100, mask))
+    assert other.messages() == []
+    got = [m for m in other.tick() if m.get_type().startswith("TERRAIN")]
+    assert kinds(got) == ["TERRAIN_DATA"] * 3 + ["TERRAIN_REPORT"]
+    assert {m.get_srcComponent() for m in got} == {100}
+    assert [m.gridbit for m in got[:-1]] == [0, 1, 3]
+    report = got[-1]
+    assert (report.lat, report.lon, report.spacing) == (470000000, 80000000, 100)
+    assert (report.pending, report.loaded) == (0, 3)
+    assert report.terrain_height == 100.0
+    assert [m for m in other.run(20) if m.get_type().startswith("TERRAIN")] == []
+
+
+def test_the_radar_refuses_commands_by_itself(other: Other) -> None:
+    other.send(mavlink.MAVLink_command_long_message(1, 100, 511, 0, 33, 1e5, 0, 0, 0, 0, 0))
+    (answer,) = other.messages()
+    assert (answer.get_srcComponent(), answer.result) == (100, 3)
+
+
+def test_only_the_companion_that_was_heard_first_ends_the_run(other: Other) -> None:
+    other.heartbeat()
+    gcs = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    other.simulation.receive(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 7, 3).pack(gcs))
+    assert not other.simulation.companion_ended
+    other.heartbeat(7)
+    assert other.simulation.companion_ended
+
+
+def flown(table: Table, seed: int) -> tuple[bytes, list[str]]:
+    """45 s of a flight that uses everything, as bytes and as truth."""
+    other, sent = Other(table, seed), b""
+    other.heartbeat()
+    for number, interval_us in ((33, 1e5), (85, 2e5), (30, 5e4), (193, 5e5)):
+        other.command(511, number, interval_us)
+    truth = []
+    for k in range(600):
+        if k == 430:
+            other.command(176, 1, 4)
+            other.command(400, 1)
+            other.command(22, 0, 0, 0, 0, 0, 0, 30)
+            other.command(512, 148)
+        if k >= 520:
+            other.send(
+                mavlink.MAVLink_set_position_target_global_int_message(
+                    *(0, 1, 1, 5, 2496, 470000000 + 40 * k, 80000000, 150.0),
+                    *(4.0, 0.0, 0.0, 0, 0, 0, 0.0, 0),
+                )
+            )
+        if k % 50 == 0:
+            other.send(mavlink.MAVLink_terrain_request_message(470000000, 80000000, 100, 3))
+        while not other.simulation.step():
+            pass
+        sent += b"".join(other.simulation.take_frames())
+        truth += other.simulation.take_truth()
+    return sent, truth
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_another_vehicle(
+    world_table: Table,
+) -> None:
+    assert flown(world_table, 5) == flown(world_table, 5)
+    assert flown(world_table, 5)[0] != flown(world_table, 6)[0]
+
+
+def test_the_truth_is_a_header_and_ten_lines_a_second(world_table: Table) -> None:
+    _, lines = flown(world_table, 3)
+    header, *rows = map(json.loads, lines)
+    assert (header["world"], header["seed"], header["schema"]) == ("test", 3, 1)
+    assert [row["t_s"] for row in rows] == pytest.approx(np.arange(601) / 10)
+    assert set(rows[0]) == {
+        *("t_s", "north_m", "east_m", "altitude_amsl_m", "lat_deg", "lon_deg"),
+        *("velocity_north_m_s", "velocity_east_m_s", "velocity_up_m_s"),
+        *("mode", "armed", "landed"),
+    }
+    assert (rows[0]["mode"], rows[0]["armed"], rows[0]["landed"]) == ("STABILIZE", False, True)
+    assert (rows[-1]["mode"], rows[-1]["armed"], rows[-1]["landed"]) == ("GUIDED", True, False)
+    assert rows[0]["altitude_amsl_m"] == 100.0
+    speeds = np.diff([row["altitude_amsl_m"] for row in rows]) / 0.1
+    assert speeds == pytest.approx([row["velocity_up_m_s"] for row in rows[1:]], abs=0.3)
+
+
+def test_the_purposes_of_chance_do_not_share_numbers() -> None:
+    draws: Callable[[int, str], list[float]] = lambda seed, purpose: list(  # noqa: E731
+        generator(seed, purpose).random(4)
+    )
+    assert draws(1, "gps") == draws(1, "gps")
+    assert draws(1, "gps") != draws(1, "wind")
+    assert draws(1, "gps") != draws(2, "gps")
