@@ -63,6 +63,8 @@ def _position(message: Message, frame: LocalFrame) -> Position | None:
     if message.lat == 0 and message.lon == 0:
         return None
     north_m, east_m = frame.to_local_m(deg(message.lat), deg(message.lon))
+    if not (math.isfinite(north_m) and math.isfinite(east_m)):
+        return None
     turn = -frame.grid_north_rad(north_m, east_m)
     north_m_s, east_m_s = rotate(message.vx * 0.01, message.vy * 0.01, turn)
     return Position(
@@ -93,7 +95,9 @@ def setpoint_message(setpoint: Setpoint, frame: LocalFrame, system_id: int) -> M
     north_m_s, east_m_s = rotate(setpoint.velocity_nea_m_s[0], setpoint.velocity_nea_m_s[1], turn)
     yaw = math.remainder(setpoint.yaw_rad + turn, math.tau)
     sent = (latitude, longitude, north_m_s, east_m_s, yaw)
-    if not all(math.isfinite(value) for value in sent) or latitude == longitude == 0.0:
+    if not all(math.isfinite(value) for value in sent):
+        return None
+    if deg_e7(latitude) == deg_e7(longitude) == 0:
         return None
     return wire.MAVLink_set_position_target_global_int_message(
         round(setpoint.time_s * 1e3),

@@ -1,8 +1,8 @@
 """The mission machine: (state, event) -> (state, commands).  The only way a mission changes.
 
 An event first changes what is known of the vehicle and of the terrain, then the phase's own
-handler decides; a trigger moves the mission on through the table in `state`, and what it enters begins
-with its own commands.  No clock, no I/O: times are those of the events.
+handler decides; a trigger moves the mission on through the table in `state`, and what it enters
+begins with its own commands.  No clock, no I/O: times are those of the events.
 """
 
 from dataclasses import replace

@@ -65,7 +65,7 @@ MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.HOLDING, Trigger.RESUME): Phase.FLYING,
     **{(phase, Trigger.GIVE_UP): Phase.DONE for phase in (*ON_GROUND, *IN_AIR)},
     **{(phase, Trigger.STOP): Phase.DONE for phase in (*ON_GROUND, *IN_AIR)},
-    **{(phase, Trigger.DIED): Phase.FAULTED for phase in (*ON_GROUND, *IN_AIR)},
+    **{(phase, Trigger.DIED): Phase.FAULTED for phase in IN_AIR},
 }
 """The transition table.  What is absent changes nothing."""
 

@@ -40,18 +40,18 @@ class Ranked:
 def minimise(
     optimiser: Optimiser, objective: Callable[[FloatArray], FloatArray], evaluations: int
 ) -> Ranked:
-    """Search until the budget is spent: never more evaluations than asked for.
+    """Search until the budget is spent, to the evaluation.
 
-    A generation that does not fit into what is left is not begun; costs that are not numbers
-    count as infinite.
+    Of the last generation as many candidates are evaluated as the budget allows; the others, and
+    costs that are not numbers, count as infinite.
     """
     spent = 0
-    while True:
+    while spent < evaluations:
         x = optimiser.ask()
-        if spent + len(x) > evaluations and spent > 0:
-            break
-        costs = objective(x)
+        costs = np.full(len(x), np.inf)
+        count = min(len(x), evaluations - spent)
+        costs[:count] = objective(x[:count])
         optimiser.tell(np.where(np.isnan(costs), np.inf, costs))
-        spent += len(x)
+        spent += count
     order = np.argsort(optimiser.costs, kind="stable")
     return Ranked(x=optimiser.population[order], costs=optimiser.costs[order], evaluations=spent)

@@ -8,6 +8,7 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.path.bspline import Basis, basis, uniform_basis
 
+_INWARD = 1.0
 _TABLE = 2000  # chords of the arc-length table: 10 m on a 20 km subpath
 
 
@@ -46,9 +47,14 @@ class Subpath:
         """Where the curve is after a length flown, metres from its start (clamped to its ends)."""
         at = self._basis_at(np.array([length_m]))
         first = (at.first @ self.control_nea_m)[0]
+        speed = float(np.linalg.norm(first))
+        if speed < 1e-6 * self.length_m:  # control points coincide: the direction is a limit
+            inward = _INWARD if 2.0 * length_m < self.length_m else -_INWARD
+            first = inward * (at.second @ self.control_nea_m)[0]
+            speed = float(np.linalg.norm(first))
         return Pose(
             position_nea_m=(at.value @ self.control_nea_m)[0],
-            tangent_nea=first / np.linalg.norm(first),
+            tangent_nea=first / max(speed, 1e-12),
         )
 
     def sampled(self, spacing_m: float) -> "Samples":

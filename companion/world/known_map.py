@@ -73,8 +73,7 @@ class KnownMap:
             seen=self.seen.copy(),
             registration_m=max(self.registration_m, scan.registration_m),
         )
-        rows, columns = scan.heights_m.shape
-        window = np.s_[scan.row : scan.row + rows, scan.column : scan.column + columns]
+        window = _window(scan)
         now_seen = np.isfinite(scan.heights_m)
         after.upper_m[window] = np.where(now_seen, scan.heights_m, after.upper_m[window])
         after.seen[window] |= now_seen
@@ -109,17 +108,25 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
 
     The steepest sight line from the radar over known terrain before the cell: what hides the
     cell is itself seen, so whatever is hidden lies below.  -> (rows, columns) of the scan's
-    window; +inf where the cell was seen, not answered or perhaps out of range.
+    window; +inf where the cell was seen, not answered or perhaps out of range, and
+    where ground that is neither known nor hidden may be what hides it.
     """
     north, east = seen.middles_m(scan.row, scan.column, _shape(scan.heights_m))
     distance = np.hypot(north - scan.radar_nea_m[..., 0], east - scan.radar_nea_m[..., 1])
     slack = 1.5 * seen.cell_m + scan.drift_m + scan.registration_m
-    hidden = np.isneginf(scan.heights_m) & (distance < scan.range_m - slack)
+    not_seen = np.isneginf(scan.heights_m)
+    hidden = not_seen & (distance < scan.range_m - slack)
     result = np.full(hidden.shape, np.inf)
     if hidden.any():
         rows, columns = np.nonzero(hidden)
         middles = np.stack([north[rows, 0], east[0, columns]], axis=-1)
-        bound = sight_line_m(seen, scan.radar_nea_m[hidden], middles, slack)
+        window = _window(scan)
+        obstacles = seen.upper_m.copy()
+        hides_nothing = not_seen & np.isinf(obstacles[window])
+        obstacles[window] = np.where(hides_nothing, -np.inf, obstacles[window])
+        bound = sight_line_m(
+            replace(seen, upper_m=obstacles), scan.radar_nea_m[hidden], middles, slack
+        )
         result[hidden] = np.where(np.isneginf(bound), np.inf, np.ceil(bound))
     return result
 
@@ -133,15 +140,14 @@ def sight_line_m(
 ) -> FloatArray:
     """Altitude of the highest sight line from radars to points over the terrain between.
 
-    radars_nea_m (K, 3), points_ne_m (K, 2) -> (K,), metres AMSL, -inf where nothing known lies
-    between.  Never too low if the terrain, the radar and the point are known to slack_m:
-    the march looks at every cell within the slack of the line.  It ends stop_short_m before the
-    point, so that a cell need not hide itself.
+    radars_nea_m (K, 3), points_ne_m (K, 2) -> (K,), metres AMSL; +inf over unknown ground, -inf
+    where nothing lies between.  Never too low if the terrain, the radar and the point are known
+    to slack_m: the march looks at every cell within the slack of the line.  It ends stop_short_m
+    before the point, so that a cell need not hide itself.
     """
     cell = known.cell_m
-    bounded = np.where(np.isfinite(known.upper_m), known.upper_m, -np.inf)
     size = 2 * math.ceil(slack_m / cell - 0.5) + 1
-    highest = scipy.ndimage.maximum_filter(bounded, size=size, mode="nearest")
+    highest = scipy.ndimage.maximum_filter(known.upper_m, size=size, mode="nearest")
     offset = points_ne_m - radars_nea_m[:, :2]
     distance = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-9)
     heading = offset / distance[:, None]
@@ -156,8 +162,14 @@ def sight_line_m(
         gap = np.where(rise > 0, max(along - slack_m, 0.5 * cell), along + slack_m)
         steepest[before] = np.maximum(steepest[before], rise / gap)
     run = np.where(steepest > 0, distance + slack_m, np.maximum(distance - slack_m, 0.0))
-    blocked = np.isfinite(steepest)
-    return np.where(blocked, radars_nea_m[:, 2] + np.where(blocked, steepest, 0.0) * run, -np.inf)
+    finite = np.isfinite(steepest)
+    bound = radars_nea_m[:, 2] + np.where(finite, steepest, 0.0) * run
+    return np.where(finite, bound, steepest)
+
+
+def _window(scan: Scan) -> tuple[slice, slice]:
+    rows, columns = scan.heights_m.shape
+    return slice(scan.row, scan.row + rows), slice(scan.column, scan.column + columns)
 
 
 def _shape(array: FloatArray) -> tuple[int, int]:

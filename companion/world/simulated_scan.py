@@ -1,10 +1,11 @@
 """A scan of a world that is known: what the radar would show, for planning without a vehicle."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map, sight_line_m
+from companion.world.known_map import NOT_SEEN, KnownMap, Scan, sight_line_m
 from companion.world.terrain import PeakTerrain
 
 
@@ -13,10 +14,7 @@ def true_map(terrain: PeakTerrain, like: KnownMap) -> KnownMap:
     north, east = like.middles_m(0, 0, (like.upper_m.shape[0], like.upper_m.shape[1]))
     half = 0.5 * like.cell_m
     heights = terrain.highest_in_box_m(north - half, north + half, east - half, east + half)
-    blank = empty_map(like.cell_m, _extent(like, 0), _extent(like, 1))
-    blank.upper_m[:] = np.ceil(heights)
-    blank.seen[:] = True
-    return blank
+    return replace(like, upper_m=np.ceil(heights), seen=np.ones(heights.shape, dtype=bool))
 
 
 def simulated_scan(
@@ -45,8 +43,3 @@ def simulated_scan(
         drift_m=0.0,
         registration_m=0.0,
     )
-
-
-def _extent(like: KnownMap, axis: int) -> tuple[float, float]:
-    start = (like.north_min_m, like.east_min_m)[axis]
-    return start, start + like.upper_m.shape[axis] * like.cell_m

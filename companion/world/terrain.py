@@ -45,7 +45,10 @@ class PeakTerrain:
         A peak is highest at the box's nearest point to its centre; exact for the maximum of
         peaks, an upper bound for their sum.
         """
-        result = np.full(np.broadcast_shapes(np.shape(north_min), np.shape(east_min)), 0.0)
+        result = np.full(
+            np.broadcast_shapes(np.shape(north_min), np.shape(east_min)),
+            0.0 if self.sum_of_peaks and self.peaks else -np.inf,
+        )
         for peak in self.peaks:
             north = (
                 np.clip(peak.north_m, north_min, north_max) - peak.north_m

@@ -63,8 +63,8 @@ class PolygonKeepOut:
         ends = self.vertices_ne_m[1:] + self.vertices_ne_m[:1]
         for (an, ae), (bn, be) in zip(self.vertices_ne_m, ends, strict=True):
             dn, de = bn - an, be - ae
-            along = ((north_m - an) * dn + (east_m - ae) * de) / (dn * dn + de * de)
-            along = np.clip(along, 0.0, 1.0)
+            squared = max(dn * dn + de * de, 1e-12)  # a corner may be given twice
+            along = np.clip(((north_m - an) * dn + (east_m - ae) * de) / squared, 0.0, 1.0)
             gap = np.hypot(north_m - an - along * dn, east_m - ae - along * de)
             nearest = np.minimum(nearest, gap)
             if de:

@@ -1,4 +1,4 @@
-"""Thresholds: 0.5 s without a position, 1 s frozen, a jump of more than 1.5 times what can be flown."""
+"""Thresholds: 0.5 s without a position, 1 s frozen, a jump of 1.5 times what can be flown."""
 
 import math
 import sys

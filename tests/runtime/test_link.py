@@ -169,7 +169,7 @@ def test_an_address_of_another_machine_cannot_be_listened_on() -> None:
         UdpLink("udpin:192.0.2.1:14540")
 
 
-def test_a_link_gives_its_port_back(other: socket.socket) -> None:
+def test_a_link_gives_its_port_back() -> None:
     port = free_port()
     for _ in range(2):
         with UdpLink(f"udpin:127.0.0.1:{port}"):
