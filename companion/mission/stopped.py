@@ -30,6 +30,7 @@ LET_GO = (Reason.MODE_TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
 _TRUST_S = 2.0  # a position must have been good for so long before the flight goes on
 _PAUSE_S = 2.0  # between attempts to plan from rest
 _ATTEMPTS = 4
+_THERE_M = 1.0
 _SETTLE_S = 30.0  # for a vehicle that does not come quite to rest
 _HOLD_S = 300.0  # for a position that does not get better
 _OBEY_S = 60.0  # for the end action's mode
@@ -123,11 +124,12 @@ def arrived(state: State, event: Event, context: Context) -> Step:
 
 
 def _stands_at_target(state: State, event: Position, context: Context) -> bool:
+    """At rest there; after a while, as near to it and to rest as the vehicle can be."""
     here = state.flight.hover_nea_m
-    near = max(AT_M, context.mission.task.limits.tracking_error_m)
-    if here is None or math.dist(event.position_nea_m, here) > near:
-        return False
-    return speed_m_s(event) < STOPPED_M_S or in_phase_s(state) > _SETTLE_S
+    off = math.inf if here is None else math.dist(event.position_nea_m, here)
+    if in_phase_s(state) > _SETTLE_S:
+        return off < max(AT_M, context.mission.task.limits.tracking_error_m)
+    return off < _THERE_M and speed_m_s(event) < STOPPED_M_S
 
 
 def landing(state: State, event: Event, context: Context) -> Step:

@@ -9,6 +9,7 @@ import numpy as np
 
 from companion.config import load_mission
 from companion.mission import machine
+from companion.mission.decisions import Context
 from companion.mission.events import (
     Arm,
     Command,
@@ -32,7 +33,6 @@ from companion.mission.events import (
     Vector,
     VehicleStatus,
 )
-from companion.mission.decisions import Context
 from companion.mission.mission import EndAction, Mission
 from companion.mission.state import Flight, Phase, State
 from companion.path.check import CheckReport
@@ -146,6 +146,7 @@ class Craft:
         self.velocity: Vector = (0.0, 0.0, 0.0)
         self.climb_to_m: float | None = None
         self.obeys_modes, self.follows, self.fix, self.answered = True, True, True, 1
+        self.arms, self.takes_off = True, True
         self.scan_asked = False
         self.pending: tuple[float, PlanOutcome] | None = None
 
@@ -175,9 +176,9 @@ class Craft:
             match command:
                 case SetMode(mode=mode) if self.obeys_modes:
                     self.mode = mode
-                case Arm():
+                case Arm() if self.arms:
                     self.armed = True
-                case TakeOff(above_home_m=height):
+                case TakeOff(above_home_m=height) if self.takes_off:
                     self.landed, self.climb_to_m = Landed.TAKING_OFF, HOME_AMSL_M + height
                 case StartScan():
                     self.scan_asked = True

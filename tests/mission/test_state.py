@@ -2,14 +2,14 @@ from companion.mission.state import MOVES, Phase, Reason, Trigger
 
 # Design section 7, written down a second time.
 ARROWS = {
-    "waiting": {"preparing", "done"},
-    "preparing": {"arming", "done"},
-    "arming": {"taking off", "done"},
+    "waiting": {"preparing", "done", "faulted"},
+    "preparing": {"arming", "done", "faulted"},
+    "arming": {"taking off", "done", "faulted"},
     "taking off": {"flying", "holding", "done", "faulted"},
     "flying": {"arrived", "holding", "done", "faulted"},
     "holding": {"flying", "done", "faulted"},
     "arrived": {"flying", "holding", "landing", "done", "faulted"},
-    "landing": {"done", "faulted"},
+    "landing": {"holding", "done", "faulted"},
 }
 
 
