@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from companion.config import load_mission
 from companion.mission import machine
@@ -62,8 +63,8 @@ def fresh(of: Mission = MISSION) -> State:
     return State(flight=Flight(known=empty_map(of.task.cell_m, limits.north_m, limits.east_m)))
 
 
-def straight(start_nea_m: Sequence[float], end_nea_m: Sequence[float]) -> Subpath:
-    return Subpath(control_nea_m=np.linspace(start_nea_m, end_nea_m, 4))
+def straight(start_nea_m: npt.ArrayLike, end_nea_m: npt.ArrayLike) -> Subpath:
+    return Subpath(control_nea_m=np.linspace(np.asarray(start_nea_m), np.asarray(end_nea_m), 4))
 
 
 def report() -> CheckReport:
@@ -267,6 +268,11 @@ def preparing() -> Craft:
     return craft.fly_to(Phase.PREPARING)
 
 
+def two_legs_away(of: Mission = MISSION) -> Mission:
+    """The same mission with a target 28 km away."""
+    return replace(of, targets_ne_m=((20_000.0, 20_000.0),))
+
+
 def flying(of: Mission = MISSION, **keywords: Any) -> Craft:
     """On its first leg, at speed."""
     craft = Craft(of, **keywords).fly_to(Phase.FLYING)
@@ -283,8 +289,8 @@ def holding_mode_taken() -> Craft:
     return craft.fly_to(Phase.HOLDING)
 
 
-def holding_without_fix() -> Craft:
-    craft = flying()
+def holding_without_fix(of: Mission = MISSION) -> Craft:
+    craft = flying(of)
     craft.fix = False
     return craft.fly_to(Phase.HOLDING)
 

@@ -33,6 +33,7 @@ from made_up import (
     scan_done,
     status,
     straight,
+    two_legs_away,
 )
 
 from companion.mission.events import (
@@ -411,7 +412,7 @@ def test_a_second_try_that_succeeds_flies_on() -> None:
     def second(request: PlanRequest) -> PlanOutcome:
         return not_planned(request) if request.plan_id == 2 else planned(request)
 
-    craft = flying(plan=second).fly_to(Phase.HOLDING).fly_to(Phase.FLYING)
+    craft = flying(two_legs_away(), plan=second).fly_to(Phase.HOLDING).fly_to(Phase.FLYING)
     assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
     assert craft.state.flight.failures == 0
 
@@ -509,7 +510,7 @@ def test_a_jump_is_not_answered_by_a_setpoint() -> None:
 
 
 def test_after_a_lost_fix_it_goes_on_from_where_it_is_when_the_position_was_good_for_2_s() -> None:
-    craft = holding_without_fix()
+    craft = holding_without_fix(near_target())
     craft.run_for(3.0)
     craft.fix = True
     back_s = craft.now_s
@@ -742,7 +743,7 @@ def test_every_wait_ends_when_the_link_is_lost_for_good(wait: str) -> None:
 
 
 def test_a_link_that_comes_back_before_10_s_goes_on() -> None:
-    craft = flying()
+    craft = flying(near_target())
     craft.take(LinkLost(time_s=craft.now_s, silent_s=3.0))
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.LINK_LOST)
     assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED

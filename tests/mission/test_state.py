@@ -2,9 +2,9 @@ from companion.mission.state import MOVES, Phase, Reason, Trigger
 
 # Design section 7, written down a second time.
 ARROWS = {
-    "waiting": {"preparing", "done", "faulted"},
-    "preparing": {"arming", "done", "faulted"},
-    "arming": {"taking off", "done", "faulted"},
+    "waiting": {"preparing", "done"},
+    "preparing": {"arming", "done"},
+    "arming": {"taking off", "done"},
     "taking off": {"flying", "holding", "done", "faulted"},
     "flying": {"arrived", "holding", "done", "faulted"},
     "holding": {"flying", "done", "faulted"},

@@ -180,6 +180,25 @@ def test_a_hidden_cells_bound_is_sound_when_part_of_the_scan_was_not_answered(se
     assert (known.upper_m >= truth).all()
 
 
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10**6))
+def test_a_hidden_cells_bound_is_sound_for_a_radar_that_moves_during_the_scan(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_hills(rng)
+    here = random_radar(rng, terrain)
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    there = here + 300.0 * np.array([math.cos(angle), math.sin(angle), 0.0])
+    there[2] = max(there[2], float(terrain(there[:1], there[1:2])[0]) + 20.0)
+    early, truth = brute_force_scan(terrain, here)
+    late, _ = brute_force_scan(terrain, there)
+    moved = np.kron(rng.random((CELLS // 4, CELLS // 4)) < 0.5, np.ones((4, 4))) > 0.0
+    scan = replace(
+        as_scan(np.where(moved, late, early), here),
+        radar_nea_m=np.where(moved[..., None], there, here),
+    )
+    assert (blank().with_scan(scan).upper_m >= truth).all()
+
+
 def test_ground_behind_a_ridge_that_was_not_answered_is_not_believed_to_be_low() -> None:
     radar = np.array([7.5 * CELL_M, 13.5 * CELL_M, 300.0])
     answers = np.full((CELLS, CELLS), 50.0)
@@ -279,8 +298,18 @@ def test_the_sight_line_over_a_wall_is_the_straight_line_loosened_by_the_slack(
     assert found <= loosest + 1e-6
 
 
-def test_there_is_no_sight_line_where_nothing_known_lies_between() -> None:
-    radar, point = np.array([[50.0, 50.0, 100.0]]), np.array([[2_000.0, 50.0]])
+def test_the_sight_line_over_unknown_ground_is_infinitely_high() -> None:
+    known = blank()
+    known.upper_m[:] = 10.0
+    known.upper_m[9, :] = np.inf
+    radars, points = np.array([[50.0, 1_350.0, 100.0]] * 2), np.array([[2e3, 1_350], [500, 1_350]])
+    found = sight_line_m(known, radars, points, 50.0)
+    assert np.isposinf(found[0])
+    assert math.isfinite(found[1])
+
+
+def test_there_is_no_sight_line_where_nothing_lies_between() -> None:
+    radar, point = np.array([[50.0, 50.0, 100.0]]), np.array([[120.0, 50.0]])
     assert np.isneginf(sight_line_m(blank(), radar, point, 150.0)).all()
 
 
