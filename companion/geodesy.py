@@ -85,5 +85,5 @@ def deg(degrees_e7: int) -> float:
 
 
 def wrap_rad(angle_rad: float) -> float:
-    """The same angle in [-pi, pi)."""
+    """The same angle between -pi and pi."""
     return (angle_rad + math.pi) % (2 * math.pi) - math.pi

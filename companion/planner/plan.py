@@ -19,6 +19,7 @@ from companion.planner.settings import Task
 from companion.world.clearance import Surface, safe_surface, terrain_surface
 from companion.world.known_map import KnownMap
 
+_REACH = 1.1  # of R about p_scan: no curve bulges further, whatever its variables
 _STREAM_PLAN = 1  # the planner's random stream among those of one seed
 
 
@@ -194,7 +195,7 @@ def _scene(request: PlanRequest) -> Scene:
         clearance = settings.safety_distance_m * settings.profile.margin
         surface = _surface(request, max(clearance, task.required_clearance_m))
     else:
-        surface = terrain_surface(request.known, centre_ne_m=scan_ne, reach_m=settings.scan_range_m)
+        surface = terrain_surface(request.known, centre_ne_m=scan_ne, reach_m=_REACH * settings.scan_range_m)
     return Scene(
         profile=settings.profile,
         weights=settings.weights,
@@ -254,7 +255,7 @@ def _surface(request: PlanRequest, clearance_m: float) -> Surface:
     return safe_surface(
         request.known,
         centre_ne_m=request.scan_nea_m[:2],
-        reach_m=request.task.settings.scan_range_m,
+        reach_m=_REACH * request.task.settings.scan_range_m,
         clearance_m=clearance_m,
         unknown_m=request.task.limits.ceiling_amsl_m,
     )

@@ -64,7 +64,8 @@ def advance(
 ) -> Reference:
     """Move the reference point: speed up, cruise at V, slow down to stop at the end of the leg.
 
-    It waits for a vehicle that has fallen behind.  goes_on: the next leg is ready, so there
+    It slows down with the mission's acceleration, harder where the path demands a lower speed,
+    and waits for a vehicle that has fallen behind.  goes_on: the next leg is ready, so there
     is no stop at the end of this one.
     """
     pose = leg.subpath.pose(reference.length_m)

@@ -6,36 +6,46 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
+import scipy.spatial
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from companion.geodesy import FloatArray
-from companion.world.threats import KeepOut, Radar
+from companion.geodesy import BoolArray, FloatArray
+from companion.world.threats import CircleKeepOut, KeepOut, Radar
 
 SIZE_IN = (14.0, 10.0)
 DPI = 150
-_SURFACE_CELLS = 110  # cells a side of the terrain in the view from an angle
-_ELEVATION_DEG = 42.0
+_BLOCKS = 110  # a side of the terrain seen at an angle: each block is a polygon
+_RAYS = 800  # points of the path that are tested for being hidden
+_AZIMUTHS_DEG = (-60, -45, -75, -30, -105, -120, -135, -150)  # of the viewer, from the east, left
+_ELEVATION_DEG = 40
+_LIGHT = np.array([-0.64, -0.1, 0.76])  # from the west: east, north, up
 _TINTS = LinearSegmentedColormap.from_list(
-    "heights", ["#fbf8ef", "#e9dfc3", "#cdb78c", "#9f8256", "#6b5433", "#3d2f1d"]
+    "heights", ["#fbf8ef", "#e9dfc3", "#cdb78c", "#a98d60", "#7d6542", "#55432a"]
 )  # darker is higher: readable whatever colours the reader sees
-_PATH, _TRACK, _RADAR, _KEEP_OUT, _UNKNOWN = "#0050b5", "#000000", "#c2389b", "#e8590c", "#c9ccd1"
-_HALO = [withStroke(linewidth=4.5, foreground="white")]
-_SCAN = {"ls": "", "marker": "o", "ms": 5.5, "mfc": "white", "mec": _PATH, "mew": 1.3}
-_START = {"ls": "", "marker": "s", "ms": 9, "mfc": "#00a37a", "mec": "black"}
-_TARGET = {"ls": "", "marker": "*", "ms": 17, "mfc": "#ffd60a", "mec": "black"}
-_FLOOR = {"colors": "#333333", "linewidths": 0.7, "linestyles": "dashed"}
-_CEILING = {"colors": "black", "linewidths": 1.5, "linestyles": "solid"}
+_PATH, _RADAR, _KEEP_OUT, _UNKNOWN = "#0050b5", "#c2389b", "#e8590c", "#c9ccd1"
+_Style = dict[str, Any]
+_HALO = [withStroke(linewidth=4.6, foreground="white")]
+_LINE: _Style = {"color": _PATH, "lw": 2.4, "path_effects": _HALO, "label": "planned path"}
+_FLOWN: _Style = {"color": "black", "lw": 0.9, "label": "flown track"}
+_MARK: _Style = {"ls": "", "mec": "black"}
+_SCAN = _MARK | {"marker": "o", "ms": 5.5, "mfc": "white", "mec": _PATH, "label": "scan (p_scan)"}
+_START = _MARK | {"marker": "s", "ms": 9, "mfc": "#00a37a", "label": "start"}
+_TARGET = _MARK | {"marker": "*", "ms": 17, "mfc": "#ffd60a", "label": "target"}
+_FLOOR: _Style = {"color": "#222222", "lw": 0.8, "ls": "--", "label": "floor of the band"}
+_CEILING: _Style = {"color": "black", "lw": 1.6, "ls": "-", "label": "ceiling of the band"}
+_HATCHED: _Style = {"fc": _UNKNOWN, "hatch": "////", "ec": "#aeb3ba", "lw": 0.0}
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TerrainPicture:
-    """Heights of the cells of a lattice; not finite where the ground is unknown."""
+    """Heights AMSL of the cells of a lattice; not finite where the ground is unknown."""
 
     north_edges_m: FloatArray  # (rows + 1,)
     east_edges_m: FloatArray  # (columns + 1,)
@@ -52,13 +62,13 @@ class TerrainPicture:
 
     def coarser(self) -> "TerrainPicture":
         """The highest known height of each block of cells: few enough to draw one by one."""
-        step = max(math.ceil(max(self.heights_m.shape) / _SURFACE_CELLS), 1)
-        first = [np.arange(0, cells, step) for cells in self.heights_m.shape]
+        step = math.ceil(max(self.heights_m.shape) / _BLOCKS)
+        rows, columns = (np.arange(0, cells, step) for cells in self.heights_m.shape)
         known = np.where(np.isfinite(self.heights_m), self.heights_m, -np.inf)
-        highest = np.maximum.reduceat(np.maximum.reduceat(known, first[0], 0), first[1], 1)
+        highest = np.maximum.reduceat(np.maximum.reduceat(known, rows, 0), columns, 1)
         return TerrainPicture(
-            north_edges_m=self.north_edges_m[[*first[0], -1]],
-            east_edges_m=self.east_edges_m[[*first[1], -1]],
+            north_edges_m=self.north_edges_m[[*rows, -1]],
+            east_edges_m=self.east_edges_m[[*columns, -1]],
             heights_m=np.where(np.isfinite(highest), highest, np.nan),
         )
 
@@ -75,28 +85,28 @@ class FlightFigure:
     start_nea_m: tuple[float, float, float]
     targets_ne_m: tuple[tuple[float, float], ...]
     legs_nea_m: tuple[FloatArray, ...]  # (S, 3) each
-    """The planned path in order as flown; each leg as far as its successor."""
+    """The planned path in order as flown: each leg as far as its successor."""
     scans_nea_m: tuple[tuple[float, float, float], ...] = ()
     """Where scans were taken (p_scan)."""
     radars: tuple[Radar, ...] = ()
     keep_outs: tuple[KeepOut, ...] = ()
     track_nea_m: FloatArray | None = None  # (N, 3)
-    """Where the vehicle really was."""
+    """Where the vehicle was."""
     caption: str = ""
 
     @property
     def path_nea_m(self) -> FloatArray:
         """All legs as one line, or the track if nothing was planned.  -> (S, 3)."""
-        lines = self.legs_nea_m or (() if self.track_nea_m is None else (self.track_nea_m,))
-        return np.concatenate([np.empty((0, 3)), *lines])
+        flown = () if self.track_nea_m is None else (self.track_nea_m,)
+        return np.concatenate([np.empty((0, 3)), *(self.legs_nea_m or flown)])
 
     @property
     def altitudes_m(self) -> tuple[float, float]:
         """Least and greatest altitude to show."""
         ground = self.terrain.heights_m[np.isfinite(self.terrain.heights_m)]
-        shown = [ground, self.path_nea_m[:, 2], [self.start_nea_m[2]]]
-        values = np.concatenate([*shown, [self.floor_amsl_m, self.ceiling_amsl_m]])
-        return float(values.min()), float(values.max() + 0.06 * np.ptp(values) + 1.0)
+        band = [self.floor_amsl_m, self.ceiling_amsl_m, self.start_nea_m[2]]
+        values = np.concatenate([ground, self.path_nea_m[:, 2], band])
+        return float(values.min()), float(values.max() + 0.08 * np.ptp(values))
 
 
 def draw(figure: FlightFigure, path: Path) -> None:
@@ -105,58 +115,130 @@ def draw(figure: FlightFigure, path: Path) -> None:
 
 
 def compose(figure: FlightFigure) -> Figure:
-    """The three views of a flight: axes "oblique", "plan" and "profile"."""
+    """The three views of a flight: axes labelled "oblique", "plan" and "profile"."""
     canvas = Figure(figsize=SIZE_IN)
     FigureCanvasAgg(canvas)
-    canvas.text(0.03, 0.965, figure.title, fontsize=17, weight="bold", parse_math=False)
-    canvas.text(0.03, 0.938, figure.caption, fontsize=11, color="#444444", parse_math=False)
-    _draw_oblique(canvas.add_axes((0.0, 0.33, 0.51, 0.6), projection="3d"), figure)
-    plan = canvas.add_axes((0.565, 0.385, 0.36, 0.53), label="plan")
+    canvas.text(0.03, 0.957, figure.title, fontsize=17, weight="bold", parse_math=False)
+    canvas.text(0.03, 0.931, figure.caption, fontsize=11, color="#444444", parse_math=False)
+    box = (0.0, 0.37, 0.52, 0.55)
+    _draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), figure)
+    plan = canvas.add_axes((0.565, 0.41, 0.36, 0.51), label="plan")
     _draw_plan(plan, figure)
-    profile = canvas.add_axes((0.06, 0.125, 0.905, 0.19), label="profile")
+    profile = canvas.add_axes((0.06, 0.13, 0.905, 0.19), label="profile")
     _draw_profile(profile, figure)
-    shown: dict[str, Any] = {}
+    shown: _Style = {}
     for axes in (plan, profile):
         for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
             shown.setdefault(label, artist)
+    columns = math.ceil(len(shown) / 2)
     canvas.legend(
-        list(shown.values()),
-        list(shown),
-        loc="lower center",
-        bbox_to_anchor=(0.5, 0.008),
-        ncols=math.ceil(len(shown) / 2) if len(shown) > 7 else max(len(shown), 1),
-        frameon=False,
-        fontsize=10,
-        handlelength=2.4,
+        list(shown.values()), list(shown), loc="lower center", ncols=columns, frameon=False
     )
     return canvas
 
 
+def _lines(figure: FlightFigure) -> list[tuple[FloatArray, _Style]]:
+    """The path and the track, where there are any."""
+    path = [(figure.path_nea_m, _LINE)] if figure.legs_nea_m else []
+    return path + ([] if figure.track_nea_m is None else [(figure.track_nea_m, _FLOWN)])
+
+
+def _marks(figure: FlightFigure) -> list[tuple[FloatArray, _Style]]:
+    """Scans, start and targets; a target is as high as the path is next to it."""
+    scans = np.array(figure.scans_nea_m).reshape(-1, 3)
+    targets = np.array([(*point, figure.floor_amsl_m) for point in figure.targets_ne_m])
+    path = figure.path_nea_m
+    if len(path):
+        targets[:, 2] = path[scipy.spatial.KDTree(path[:, :2]).query(targets[:, :2])[1], 2]
+    marks = [(scans, _SCAN), (np.array([figure.start_nea_m]), _START), (targets, _TARGET)]
+    return [(points, style) for points, style in marks if len(points)]
+
+
 def _draw_plan(axes: Axes, figure: FlightFigure) -> None:
-    terrain = figure.terrain
-    north, east = terrain.north_edges_m / 1e3, terrain.east_edges_m / 1e3
-    heights = np.ma.masked_invalid(terrain.heights_m) / 1e3
-    axes.patch.set(facecolor=_UNKNOWN, hatch="////", edgecolor="#b3b7bd", linewidth=0)
-    colours = axes.pcolormesh(east, north, heights, cmap=_TINTS, norm=_tint_norm(figure))
+    north, east = figure.terrain.north_edges_m / 1e3, figure.terrain.east_edges_m / 1e3
+    heights = np.ma.masked_invalid(figure.terrain.heights_m / 1e3)
+    low, high = (altitude / 1e3 for altitude in figure.altitudes_m)
+    colours = axes.pcolormesh(east, north, heights, cmap=_TINTS, vmin=low, vmax=high)
     scale = axes.inset_axes((1.03, 0.0, 0.03, 1.0))
-    bar = axes.get_figure(root=True).colorbar(colours, cax=scale)
-    bar.set_label("terrain, km AMSL")
-    for level_m, name, style in (
-        (figure.floor_amsl_m, "floor of the band", _FLOOR),
-        (figure.ceiling_amsl_m, "ceiling of the band", _CEILING),
-    ):
-        line = {"color": style["colors"], "lw": style["linewidths"], "ls": style["linestyles"]}
-        axes.plot([], [], **line, label=name)
-        scale.axhline(level_m / 1e3, **line)
+    axes.get_figure(root=True).colorbar(colours, cax=scale, label="terrain, km AMSL")
+    for level_m, style in ((figure.floor_amsl_m, _FLOOR), (figure.ceiling_amsl_m, _CEILING)):
+        scale.axhline(level_m / 1e3, **style)
         if heights.count() and heights.min() < level_m / 1e3 < heights.max():
             middles = (east[1:] + east[:-1]) / 2, (north[1:] + north[:-1]) / 2
-            axes.contour(*middles, heights, [level_m / 1e3], **style)
-    _draw_threats(axes, figure)
+            line = {"colors": style["color"], "linewidths": style["lw"], "linestyles": style["ls"]}
+            axes.contour(*middles, heights, [level_m / 1e3], **line)
     if heights.count() < heights.size:
-        label = "unknown ground"
-        axes.add_patch(
-            Patch(facecolor=_UNKNOWN, hatch="////", edgecolor="#b3b7bd", label=label, visible=False)
-        )
-    _draw_places(axes, figure)
-    axes.set(xlim=east[[0, -1]], ylim=north[[0, -1]], aspect="equal", title="Plan")
+        axes.patch.set(**_HATCHED)
+        axes.add_patch(Rectangle((0.0, 0.0), 0.0, 0.0, label="unknown ground", **_HATCHED))
+    for radar in figure.radars:
+        _draw_radar(axes, radar, figure)
+    for keep_out in figure.keep_outs:
+        style = {"fc": to_rgba(_KEEP_OUT, 0.3), "ec": _KEEP_OUT, "hatch": "xx", "lw": 1.5}
+        axes.add_patch(Polygon(_outline_en_m(keep_out) / 1e3, label="keep-out", **style))
+    for points_nea_m, style in _lines(figure) + _marks(figure):
+        axes.plot(points_nea_m[:, 1] / 1e3, points_nea_m[:, 0] / 1e3, **style)
+    axes.set(xlim=east[[0, -1]], ylim=north[[0, -1]], aspect="equal", title="plan")
     axes.set(xlabel="east of the origin, km", ylabel="north of the origin, km")
+
+
+def _draw_radar(axes: Axes, radar: Radar, figure: FlightFigure) -> None:
+    """How far the radar sees within the band, its range, and its name where there is room."""
+    north, east, altitude = radar.centre_nea_m
+    off_m = altitude - min(max(altitude, figure.floor_amsl_m), figure.ceiling_amsl_m)
+    widest_m = math.sqrt(max(radar.range_m**2 - off_m**2, 0.0))
+    centre = (east / 1e3, north / 1e3)
+    fill: _Style = {"fc": to_rgba(_RADAR, 0.28), "ec": _RADAR, "label": "radar, within the band"}
+    axes.add_patch(Circle(centre, widest_m / 1e3, **fill))
+    rim: _Style = {"fill": False, "ec": _RADAR, "ls": ":", "label": "radar, full range"}
+    axes.add_patch(Circle(centre, radar.range_m / 1e3, **rim))
+    if 0.014 * np.ptp(figure.terrain.east_edges_m) * len(radar.name) < 2.0 * widest_m:
+        style: _Style = {"fontsize": 7, "ha": "center", "va": "center", "color": "#5c0f46"}
+        axes.text(*centre, radar.name, clip_on=True, parse_math=False, **style)
+
+
+def _draw_profile(axes: Axes, figure: FlightFigure) -> None:
+    path = figure.path_nea_m
+    low, high = (altitude / 1e3 for altitude in figure.altitudes_m)
+    steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(steps)])[: len(path)] / 1e3
+    under = figure.terrain.under_m(path[:, :2]) / 1e3
+    axes.fill_between(along, low, under, color="#cdb78c", lw=0.0)
+    axes.plot(along, under, color="#6b5433", lw=1.2, label="terrain under the path")
+    if np.isnan(under).any():
+        axes.fill_between(along, low, high, where=np.isnan(under), **_HATCHED)
+    for radar in figure.radars:
+        off_m = np.hypot(path[:, 0] - radar.centre_nea_m[0], path[:, 1] - radar.centre_nea_m[1])
+        half_m = np.sqrt(np.maximum(radar.range_m**2 - off_m**2, 0.0))
+        reach = [np.clip((radar.centre_nea_m[2] + h) / 1e3, low, high) for h in (-half_m, half_m)]
+        axes.fill_between(along, *reach, where=half_m > 0.0, fc=to_rgba(_RADAR, 0.28), lw=0.0)
+    axes.axhline(figure.floor_amsl_m / 1e3, **_FLOOR)
+    axes.axhline(figure.ceiling_amsl_m / 1e3, **_CEILING)
+    if len(path):
+        nearest = scipy.spatial.KDTree(path)
+        for points_nea_m, style in _lines(figure) + _marks(figure):
+            at = along if style is _LINE else along[nearest.query(points_nea_m)[1]]
+            dots = {"ls": "", "marker": ".", "ms": 1.5} if style is _FLOWN else {}
+            axes.plot(at, points_nea_m[:, 2] / 1e3, **(style | dots), clip_on=False)
+        axes.set_xlim(0.0, max(along[-1], 1e-3))
+    axes.set(ylim=(low, high), title="vertical profile along the path")
+    axes.set(xlabel="distance along the path over ground, km", ylabel="altitude, km AMSL")
+
+
+def _draw_oblique(axes: Any, figure: FlightFigure) -> None:
+    """Terrain, radars and keep-outs in one collection, sorted by depth, and the path over it."""
+    terrain = figure.terrain.coarser()
+    east, north = terrain.east_edges_m, terrain.north_edges_m
+    low, high = figure.altitudes_m
+    least, most = np.array([east[0], north[0], low]), np.array([east[-1], north[-1], high])
+    spans = most - least
+    aspect = spans / spans.max()
+    aspect[2] = 0.3
+    quads, colours = _terrain_facets(terrain, low, high, aspect[2] / spans[2] * spans[:2].max())
+    for grid, colour in _threat_grids(figure, low, high):
+        threat = _quads(np.clip(grid, least, most))
+        quads = np.concatenate([quads, threat])
+        colours = np.concatenate([colours, np.tile(to_rgba(colour, 0.3), (len(threat), 1))])
+    facets = Poly3DCollection(quads / 1e3, facecolors=colours, edgecolors=colours, linewidths=0.2)
+    axes.add_collection3d(facets)
+    hidden, azimuth_deg = _best_view(figure, terrain, spans / aspect)
+    ...
