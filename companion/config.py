@@ -5,6 +5,7 @@ The tables are in `schema`; here are the rules that hold between fields.
 
 import math
 import tomllib
+from collections.abc import Callable
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -21,6 +22,8 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.schema import KeepOutTable, MissionTable, WorldTable, validated
 from companion.world.terrain import Peak, PeakTerrain
 from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut, Radar
+
+_MOST_CELLS = 2.5e7
 
 
 @final
@@ -81,8 +84,8 @@ def _read(name_or_path: str, kind: str) -> str:
         return file.read_text(encoding="utf-8")
     path = Path(name_or_path)
     names = ", ".join(bundled())
-    if not path.is_file():
-        rule = "it is a folder" if path.is_dir() else "no such file, and no bundled name"
+    if not _is(path.is_file):
+        rule = "it is a folder" if _is(path.is_dir) else "no such file, and no bundled name"
         remedy = f"Give a {kind}.toml, or one of: {names}."
         raise InputError(kind.upper(), name_or_path, rule, remedy)
     try:
@@ -92,6 +95,14 @@ def _read(name_or_path: str, kind: str) -> str:
         raise InputError(
             kind.upper(), name_or_path, f"it cannot be read ({error})", remedy
         ) from error
+
+
+def _is(question: Callable[[], bool]) -> bool:
+    """The answer, no for a name that the file system does not take."""
+    try:
+        return question()
+    except (OSError, ValueError):
+        return False
 
 
 def _parse(text: str, where: str) -> dict[str, Any]:
@@ -184,6 +195,12 @@ def _check_mission(mission: Mission, where: str) -> None:
     if ceiling - floor <= 4.0 * limits.tracking_error_m:
         rule = f"it must lie above altitude.floor_amsl_m = {floor:g} by more than 4 tracking errors"
         raise InputError(f"{where}: altitude.ceiling_amsl_m", ceiling, rule, "Widen the band.")
+    cells = np.prod([high - low for low, high in (limits.north_m, limits.east_m)])
+    if cells / mission.task.cell_m**2 > _MOST_CELLS:
+        rule = f"the map has more than {_MOST_CELLS:.0e} cells of R / 80"
+        remedy = "Raise it, or make [area] smaller."
+        given = mission.task.settings.scan_range_m
+        raise InputError(f"{where}: planner.scan_range_m", given, rule, remedy)
     for index, target in enumerate(mission.targets_ne_m):
         _check_target(mission, f"{where}: targets[{index}]", target)
     _check_distances(mission.task, where)

@@ -15,8 +15,8 @@ from pydantic_core import ErrorDetails
 from companion.errors import InputError
 from companion.objective.scene import Weights
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 Slope = Annotated[float, Field(gt=0.0, lt=90.0)]
 Horizontal = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Altitude = Annotated[float, Field(ge=-500.0, le=50_000.0, allow_inf_nan=False)]
@@ -97,12 +97,12 @@ class MissionVehicleTable(Table):
 class WeightsTable(Table):
     """a_1 .. a_6 of eq. 5."""
 
-    length: Annotated[float, Field(ge=0.0)] = Weights().length
-    height: Annotated[float, Field(ge=0.0)] = Weights().height
-    guide: Annotated[float, Field(ge=0.0)] = Weights().guide
-    crash: Annotated[float, Field(ge=0.0)] = Weights().crash
-    radar: Annotated[float, Field(ge=0.0)] = Weights().radar
-    constraints: Annotated[float, Field(ge=0.0)] = Weights().constraints
+    length: NotNegative = Weights().length
+    height: NotNegative = Weights().height
+    guide: NotNegative = Weights().guide
+    crash: NotNegative = Weights().crash
+    radar: NotNegative = Weights().radar
+    constraints: NotNegative = Weights().constraints
 
 
 class PlannerTable(Table):
@@ -113,7 +113,7 @@ class PlannerTable(Table):
     planning_time_s: Positive
     scan_time_s: Positive = 4.0
     scan_distance_m: Positive | None = None
-    overlap_m: Annotated[float, Field(ge=0.0)] = 2000.0
+    overlap_m: NotNegative = 2000.0
     evaluations: Annotated[int, Field(ge=60, le=1_000_000)] = 3000
     profile: Literal["flight", "paper"] = "flight"
     weights: WeightsTable = WeightsTable()

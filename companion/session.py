@@ -3,12 +3,13 @@
     session.receive(data)       bytes of the link, in any portions
     session.run() -> Output     handle them: what to send, to record and to compute
     session.deliver(outcome)    the answer to Output.plan, then run() again
-    session.silence(seconds)    nothing has been heard for so long (wall time, told by the runtime)
+    session.silence(seconds)    the autopilot was not heard for so long (wall time of the runtime)
     session.stop()              a person wants the end
 
-Time is the vehicle's: the newest time_boot_ms of any message.  A plan becomes an event
-at the first position at or after request + T, never earlier; in lockstep run() stops before that
-position until the plan is delivered (Output.awaits_plan), otherwise the plan is late.
+Time is the vehicle's: the newest time_boot_ms of its autopilot (in lockstep, TIMESYNC too); until
+it is known, and for what must go on in a silence, the silence itself counts.  A plan becomes an
+event at the first position at or after request + T, never earlier; in lockstep run() stops before
+that position until the plan is delivered (Output.awaits_plan), otherwise the plan is late.
 """
 
 import math
@@ -49,6 +50,7 @@ from companion.mission.events import (
     StopAsked,
     TakeOff,
     Tick,
+    VehicleStatus,
 )
 from companion.mission.mission import Mission
 from companion.mission.state import Flight, Phase, State
@@ -59,6 +61,8 @@ Entry = dict[str, Any]
 
 _HEARTBEAT_S = 1.0
 _STREAM_MISSING_S = 2.0
+_MODE_AGAIN_S = 1.0
+_REBOOT_S = 2.0  # a clock that falls by more has begun again
 _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
 _GONE_S = 10.0
@@ -80,7 +84,7 @@ class Output:
     end: End | None = None
     """Set once the mission is over."""
     settled: bool = False
-    """Whether the vehicle has confirmed the mode in which the mission leaves it."""
+    """Whether the vehicle is in the mode that it was last asked for."""
 
 
 @final
@@ -120,16 +124,24 @@ class Session:
         self._streams_at_s = -math.inf
         self._end: End | None = None
         self._confirming: Mode | None = None
+        self._mode: Mode | None = None
+        self._mode_asked_at_s = -math.inf
         self._silence_told_s = 0.0
+        self._idle_s = 0.0
+        self._clocked = False
 
     # --- what the runtime calls
 
-    def receive(self, data: bytes) -> None:
-        """Bytes of the link; garbage between frames is passed over."""
-        self._silence_told_s = 0.0
+    def receive(self, data: bytes) -> bool:
+        """Bytes of the link, garbage passed over; whether the autopilot was among the speakers."""
+        heard = False
         for message in self._codec.parse_buffer(data) or ():
             if message.get_type() != "BAD_DATA":
                 self._inbox.append(message)
+                heard = heard or self._is_autopilot(message)
+        if heard:
+            self._silence_told_s = 0.0
+        return heard
 
     def deliver(self, outcome: PlanOutcome) -> None:
         """The answer to the last plan request."""
@@ -145,12 +157,18 @@ class Session:
         self._handle(StopAsked(time_s=self.now_s))
 
     def silence(self, silent_s: float) -> None:
-        """Nothing was heard for so long; called again and again while it lasts."""
+        """The autopilot was not heard for so long; called again and again while it lasts."""
+        more_s = max(silent_s - self._silence_told_s, 0.0)
         waiting = self.state.phase is Phase.WAITING
         for limit in (_NO_VEHICLE_S,) if waiting else (_SILENT_S, _GONE_S):
             if self._silence_told_s < limit <= silent_s:
                 self._handle(LinkLost(time_s=self.now_s, silent_s=limit))
         self._silence_told_s = silent_s
+        if self._clocked or waiting:
+            self._idle_s += more_s
+        else:
+            self._advance(self.now_s + more_s)
+        self._housekeeping()
 
     def run(self) -> Output:
         """Handle what was received, as far as it goes."""
@@ -171,11 +189,15 @@ class Session:
 
     # --- messages
 
+    def _is_autopilot(self, message: Message) -> bool:
+        ours = message.get_srcSystem() == self.mission.system_id
+        return ours and message.get_srcComponent() == AUTOPILOT_COMPONENT
+
     def _on_message(self, message: Message) -> None:
         component = message.get_srcComponent()
-        time_ms = getattr(message, "time_boot_ms", None)
         ours = message.get_srcSystem() == self.mission.system_id
-        if ours and component == AUTOPILOT_COMPONENT:
+        if self._is_autopilot(message):
+            time_ms = getattr(message, "time_boot_ms", None)
             if time_ms is not None:
                 self._clock(time_ms * 1e-3)
             elif self._lockstep and message.get_type() == "TIMESYNC" and message.tc1 == 0:
@@ -210,30 +232,54 @@ class Session:
             self._note("acknowledged", command=message.command, result=message.result)
 
     def _clock(self, time_s: float) -> None:
+        """The vehicle's clock says so."""
+        if not self._clocked:  # waits go on by the new clock
+            shift_s = time_s - self.now_s
+            self._clocked, self.now_s = True, time_s
+            self.state = self.state.by_another_clock(shift_s)
+            self._heartbeat_at_s += shift_s
+            self._streams_at_s += shift_s
+        elif time_s < self.now_s - _REBOOT_S:
+            self._begin_again(time_s)
+        self._advance(time_s)
+
+    def _advance(self, time_s: float) -> None:
         if time_s > self.now_s:
-            self.now_s = time_s
+            self.now_s, self._idle_s = time_s, 0.0
             self._handle(Tick(time_s=time_s))
 
+    def _begin_again(self, time_s: float) -> None:
+        """The autopilot has rebooted: prepare again; what is known of the terrain stays known."""
+        self._note("vehicle rebooted", time_s=time_s)
+        self.now_s = time_s
+        self.state = State(
+            now_s=time_s, since_s=time_s, flight=Flight(known=self.state.flight.known)
+        )
+        self._download, self._plan, self._plan_due_s = None, None, math.inf
+        self._heard, self._streams = {}, {}
+        self._heartbeat_at_s = self._streams_at_s = self._mode_asked_at_s = -math.inf
+
     def _housekeeping(self) -> None:
-        """What is sent by the vehicle's clock: heartbeat, missing streams."""
-        if self.now_s - self._heartbeat_at_s >= _HEARTBEAT_S and self._end is None:
-            self._heartbeat_at_s = self.now_s
+        """What goes on whatever happens: heartbeat, streams that are missing, the last mode."""
+        now_s = self.now_s + self._idle_s
+        if now_s - self._heartbeat_at_s >= _HEARTBEAT_S and self._end is None:
+            self._heartbeat_at_s = now_s
             if self.state.phase is not Phase.FAULTED:
-                flying = self.state.phase in (Phase.FLYING, Phase.TAKING_OFF, Phase.ARRIVED)
-                critical = self.state.phase is Phase.HOLDING
-                self._send(
-                    heartbeat_message(
-                        wire.MAV_STATE_CRITICAL
-                        if critical
-                        else (wire.MAV_STATE_ACTIVE if flying else wire.MAV_STATE_STANDBY)
-                    )
-                )
-        if self._streams and self.now_s - self._streams_at_s >= _STREAM_MISSING_S:
+                self._send(heartbeat_message(_system_status(self.state.phase)))
+        if self._streams and now_s - self._streams_at_s >= _STREAM_MISSING_S:
             self._request_streams()
+        left = self._confirming if self._end is not None and not self._settled() else None
+        if left is not None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
+            self._ask_mode(left)
+
+    def _ask_mode(self, mode: Mode) -> None:
+        self._confirming, self._mode_asked_at_s = mode, self.now_s + self._idle_s
+        self._note("set mode", mode=mode.value)
+        self._send(mode_message(self.mission.system_id, mode, self._autopilot))
 
     def _request_streams(self) -> None:
         """Ask for every stream that has not been heard lately (a first request may get lost)."""
-        self._streams_at_s = self.now_s
+        self._streams_at_s = self.now_s + self._idle_s
         for message_id, rate_hz in self._streams.items():
             silent_s = self.now_s - self._heard.get(message_id, -math.inf)
             if silent_s > max(_STREAM_MISSING_S, 3.0 / rate_hz):
@@ -293,6 +339,8 @@ class Session:
 
     def _handle(self, event: Event) -> None:
         before = self.state
+        if isinstance(event, VehicleStatus):
+            self._mode = event.mode
         self.state, commands = machine.step(before, event, self._context)
         self._journal_event(event)
         if self.state.phase is not before.phase:
@@ -321,9 +369,7 @@ class Session:
                 }
                 self._request_streams()
             case SetMode(mode=mode):
-                self._confirming = mode
-                self._note("set mode", mode=mode.value)
-                self._send(mode_message(system, mode, self._autopilot))
+                self._ask_mode(mode)
             case Arm():
                 self._note("arm")
                 self._send(command_long(system, wire.MAV_CMD_COMPONENT_ARM_DISARM, 1.0))
@@ -374,7 +420,7 @@ class Session:
 
     def _settled(self) -> bool:
         """Whether the mission is over and the vehicle is in the mode that it was left in."""
-        return self._confirming is None or self.state.vehicle.mode is self._confirming
+        return self._confirming is None or self._mode is self._confirming
 
     def _send(self, message: Message) -> None:
         frame = message.pack(self._codec)
@@ -418,6 +464,13 @@ class Session:
                 self._note("stop asked")
             case _:
                 pass
+
+
+def _system_status(phase: Phase) -> int:
+    if phase is Phase.HOLDING:
+        return int(wire.MAV_STATE_CRITICAL)
+    flying = phase in (Phase.TAKING_OFF, Phase.FLYING, Phase.ARRIVED, Phase.LANDING)
+    return int(wire.MAV_STATE_ACTIVE if flying else wire.MAV_STATE_STANDBY)
 
 
 def _request_entry(request: PlanRequest, due_s: float) -> Entry:

@@ -146,9 +146,11 @@ def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
 
 
 def at_rest_at_end(flight: Flight) -> Flight:
-    """The flight at rest at the end of its leg."""
+    """The flight at rest at the end of its leg, or where it hovers already."""
     leg = flight.leg
-    return at_rest(flight, None if leg is None else _vector(leg.subpath.pose(leg.subpath.length_m)))
+    if leg is None:
+        return at_rest(flight, flight.hover_nea_m)
+    return at_rest(flight, _vector(leg.subpath.pose(leg.subpath.length_m)))
 
 
 def hold_setpoint(state: State, time_s: float, context: Context) -> list[Command]:
@@ -171,6 +173,8 @@ def _hover(state: State, event: Position, context: Context) -> Step:
         flight = replace(flight, hover_nea_m=(north, east, height))
     here = flight.hover_nea_m
     assert here is not None
+    if math.dist(here[:2], context.mission.targets_ne_m[flight.target]) < AT_M:
+        return replace(state, flight=flight), [], Trigger.TARGET_REACHED
     commands: list[Command] = []
     if math.dist(here, event.position_nea_m) > AT_M and not flight.tried:
         flight = replace(flight, progress_at_s=_later(state, event, flight))

@@ -1,7 +1,7 @@
 """Phases, what moves a mission from one to the next, and everything that it remembers."""
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import final
 
 from companion.mission.events import Landed, Mode, Vector
@@ -174,3 +174,13 @@ class State:
     reason: Reason | None = None
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight
+
+    def by_another_clock(self, shift_s: float) -> "State":
+        """The same state, with its times on a clock that shows shift_s more."""
+        return replace(
+            self,
+            now_s=self.now_s + shift_s,
+            since_s=self.since_s + shift_s,
+            asked_at_s=self.asked_at_s + shift_s,
+            vehicle=replace(self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s),
+        )

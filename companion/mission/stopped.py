@@ -43,7 +43,7 @@ def holding(state: State, event: Event, context: Context) -> Step:
     if is_gone(event):
         return give_up(state, Reason.LINK_LOST)
     if isinstance(event, LinkLost):
-        return replace(state, reason=Reason.LINK_LOST), [], None
+        return state, [], None
     if not vehicle.armed:
         return give_up(state, Reason.DISARMED)
     if vehicle.landed is Landed.ON_GROUND:

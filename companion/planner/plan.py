@@ -195,7 +195,9 @@ def _scene(request: PlanRequest) -> Scene:
         clearance = settings.safety_distance_m * settings.profile.margin
         surface = _surface(request, max(clearance, task.required_clearance_m))
     else:
-        surface = terrain_surface(request.known, centre_ne_m=scan_ne, reach_m=_REACH * settings.scan_range_m)
+        surface = terrain_surface(
+            request.known, centre_ne_m=scan_ne, reach_m=_REACH * settings.scan_range_m
+        )
     return Scene(
         profile=settings.profile,
         weights=settings.weights,

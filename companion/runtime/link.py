@@ -17,11 +17,14 @@ class UdpLink:
 
     def __init__(self, connection: str) -> None:
         kind, host, port = _parsed(connection)
+        try:
+            address = (socket.gethostbyname(host), port)
+        except (OSError, UnicodeError) as error:
+            raise InputError("--connect", connection, "no such host", _REMEDY) from error
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
         self._peer: tuple[str, int] | None = None
         try:
-            address = (socket.gethostbyname(host), port)
             if kind == "udpin":
                 self._socket.bind(address)
             else:
@@ -47,7 +50,7 @@ class UdpLink:
         batch = b""
         for frame in [*frames, b""]:
             if batch and (not frame or len(batch) + len(frame) > _LARGEST_DATAGRAM):
-                with contextlib.suppress(ConnectionRefusedError, BlockingIOError):
+                with contextlib.suppress(OSError):  # a datagram that is lost, like any other
                     self._socket.sendto(batch, self._peer)
                 batch = b""
             batch += frame
@@ -69,14 +72,13 @@ def _parsed(connection: str) -> tuple[str, str, int]:
     if len(parts) != 3 or parts[0] not in ("udpin", "udpout") or not parts[1]:
         raise InputError("--connect", connection, "not a UDP connection string", _REMEDY)
     lowest = 0 if parts[0] == "udpin" else 1
-    if not parts[2].isdecimal() or not lowest <= int(parts[2]) <= 65535:
+    number = parts[2].isdecimal() and len(parts[2]) <= 5
+    if not number or not lowest <= int(parts[2]) <= 65535:
         raise InputError("--connect", connection, "a port is a number up to 65535", _REMEDY)
     return parts[0], parts[1], int(parts[2])
 
 
 def _refused(connection: str, error: OSError) -> InputError:
-    if isinstance(error, socket.gaierror):
-        return InputError("--connect", connection, "no such host", _REMEDY)
     rule = f"it cannot be opened ({error.strerror})"
     remedy = "End the program that uses the port, or choose another port on both sides."
     return InputError("--connect", connection, rule, remedy)

@@ -61,9 +61,7 @@ class _Loop:
         while self._flown.end is None:
             data = self._link.receive(_POLL_S)
             now_s = time.perf_counter()
-            if data is not None:
-                self._on_data(data, now_s)
-            else:
+            if data is None or not self._on_data(data, now_s):
                 self._on_silence(now_s - self._heard_s)
             if stop_asked() and not stopping:
                 stopping = True
@@ -82,11 +80,14 @@ class _Loop:
                 on_progress(self._flown)
         self._carry_out(self._session.farewell())
 
-    def _on_data(self, data: bytes, now_s: float) -> None:
+    def _on_data(self, data: bytes, now_s: float) -> bool:
+        """Take a datagram; whether the autopilot spoke in it."""
+        if not self._session.receive(data):
+            return False
         if not self._flown.heard:
             self._flown.heard, self._began_s = True, now_s
         self._heard_s = now_s
-        self._session.receive(data)
+        return True
 
     def _on_silence(self, silent_s: float) -> None:
         if not self._lockstep or silent_s >= _LOCKSTEP_SILENCE_S:

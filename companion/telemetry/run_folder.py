@@ -12,6 +12,7 @@ TERRAIN_DATA frames of the log, the path in the journal: a restart needs nothing
 """
 
 import json
+import math
 import struct
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -22,6 +23,7 @@ from companion.errors import InputError
 
 JOURNAL_SCHEMA = "companion-journal"
 JOURNAL_VERSION = 1
+_WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json")
 
 
 @final
@@ -34,10 +36,10 @@ class RunFolder:
         self._epoch_us = epoch_us
         try:
             path.mkdir(parents=True, exist_ok=True)
-            if (path / "journal.jsonl").exists():
-                raise InputError(
-                    "--out", str(path), "it holds a flight already", "Give a new folder."
-                )
+            for name in _WRITTEN:
+                if (path / name).exists():
+                    rule = f"it holds a flight already ({name})"
+                    raise InputError("--out", str(path), rule, "Give a new folder.")
             (path / "mission.toml").write_text(mission_toml, encoding="utf-8")
             self._tlog = (path / "flight.tlog").open("wb", buffering=0)
             self._journal = (path / "journal.jsonl").open("wb", buffering=0)
@@ -84,4 +86,16 @@ class RunFolder:
 
 
 def _line(entry: Mapping[str, Any]) -> bytes:
-    return json.dumps(entry, separators=(",", ":"), default=float).encode() + b"\n"
+    text = json.dumps(_plain(entry), separators=(",", ":"), allow_nan=False, default=float)
+    return text.encode() + b"\n"
+
+
+def _plain(value: Any) -> Any:
+    """The value with null for numbers that JSON does not have: infinite, or none at all."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return value

@@ -230,15 +230,105 @@ def _draw_oblique(axes: Any, figure: FlightFigure) -> None:
     east, north = terrain.east_edges_m, terrain.north_edges_m
     low, high = figure.altitudes_m
     least, most = np.array([east[0], north[0], low]), np.array([east[-1], north[-1], high])
-    spans = most - least
-    aspect = spans / spans.max()
-    aspect[2] = 0.3
-    quads, colours = _terrain_facets(terrain, low, high, aspect[2] / spans[2] * spans[:2].max())
-    for grid, colour in _threat_grids(figure, low, high):
+    spans = (most - least) / 1e3
+    aspect = np.array([*spans[:2] / spans[:2].max(), 0.3])
+    quads, colours = _terrain_facets(
+        terrain, (low, high), aspect[2] / aspect[0] * spans[0] / spans[2]
+    )
+    for grid, colour in _threat_grids(figure):
         threat = _quads(np.clip(grid, least, most))
         quads = np.concatenate([quads, threat])
         colours = np.concatenate([colours, np.tile(to_rgba(colour, 0.3), (len(threat), 1))])
-    facets = Poly3DCollection(quads / 1e3, facecolors=colours, edgecolors=colours, linewidths=0.2)
-    axes.add_collection3d(facets)
-    hidden, azimuth_deg = _best_view(figure, terrain, spans / aspect)
-    ...
+    style: _Style = {"facecolors": colours, "edgecolors": colours, "linewidths": 0.2}
+    axes.add_collection3d(Poly3DCollection(quads / 1e3, **style))
+    path = figure.path_nea_m
+    path = path[np.linspace(0, len(path) - 1, min(len(path), _RAYS)).astype(int)]
+    hidden = {deg: _hidden(path, terrain, deg, spans / aspect) for deg in _AZIMUTHS_DEG}
+    azimuth_deg = min(hidden, key=lambda deg: int(hidden[deg].sum()))
+    seen = np.where(hidden[azimuth_deg][:, None], np.nan, path)
+    line = {"color": _PATH, "lw": 1.2, "ls": ":"}
+    for points_nea_m, style in [(path, line), (seen, _LINE), *_marks(figure)]:
+        axes.plot(*(points_nea_m.T[[1, 0, 2]] / 1e3), **(style | {"zorder": 5}))
+    axes.set(xlim=(east[0] / 1e3, east[-1] / 1e3), ylim=(north[0] / 1e3, north[-1] / 1e3))
+    axes.set(zlim=(low / 1e3, high / 1e3), xlabel="east, km", ylabel="north, km")
+    axes.set_zlabel("altitude, km AMSL")
+    axes.set_proj_type("ortho")
+    axes.view_init(_ELEVATION_DEG, azimuth_deg)
+    axes.set_box_aspect(aspect, zoom=1.2)
+
+
+def _hidden(
+    path_nea_m: FloatArray, terrain: TerrainPicture, azimuth_deg: float, scale: FloatArray
+) -> BoolArray:
+    """Which points of a path have terrain between them and the viewer.  (S, 3) -> (S,).
+
+    scale: how much of the world, east, north and up, goes into one unit of the picture.
+    """
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(_ELEVATION_DEG)
+    level = math.cos(elevation)
+    towards = (
+        np.array([math.sin(azimuth) * level, math.cos(azimuth) * level, math.sin(elevation)])
+        * scale[[1, 0, 2]]
+    )
+    towards /= np.hypot(towards[0], towards[1])
+    cell = terrain.east_edges_m[1] - terrain.east_edges_m[0]
+    far = np.ptp(terrain.east_edges_m) + np.ptp(terrain.north_edges_m)
+    rays = path_nea_m[:, None] + np.arange(cell, far, cell)[:, None] * towards  # (S, K, 3)
+    hidden: BoolArray = (terrain.under_m(rays[..., :2]) > rays[..., 2]).any(axis=1)
+    return hidden
+
+
+def _terrain_facets(
+    terrain: TerrainPicture, altitudes_m: tuple[float, float], stretch: float
+) -> tuple[FloatArray, FloatArray]:
+    """The terrain as shaded quadrilaterals: (Q, 4, 3) east, north, up and (Q, 4) colours."""
+    low, high = altitudes_m
+    north, east = (
+        (edges[1:] + edges[:-1]) / 2 for edges in (terrain.north_edges_m, terrain.east_edges_m)
+    )
+    known = np.isfinite(terrain.heights_m)
+    heights = np.where(known, terrain.heights_m, low)
+    quads = _quads(np.stack([*np.meshgrid(east, north), heights], axis=-1))
+    across, along = quads[:, 2] - quads[:, 0], quads[:, 1] - quads[:, 3]
+    normal = np.cross(across, along) / [1.0, 1.0, stretch]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    light = 0.45 + 0.7 * np.clip(normal @ _LIGHT, 0.0, 0.8)
+    colours = _TINTS((quads[..., 2].mean(axis=1) - low) / (high - low))
+    whole = _quads(known[..., None]).all(axis=(1, 2))
+    colours[~whole] = to_rgba(_UNKNOWN)
+    colours[:, :3] *= np.where(whole, light, 1.0)[:, None]
+    return quads, np.clip(colours, 0.0, 1.0)
+
+
+def _threat_grids(figure: FlightFigure) -> list[tuple[FloatArray, str]]:
+    """Spheres of radars and walls of keep-outs: (M, N, 3) east, north, up, and their colours."""
+    low, high = figure.altitudes_m
+    turn = np.linspace(0.0, 2.0 * np.pi, 31)
+    grids = []
+    for radar in figure.radars:
+        north, east, altitude = radar.centre_nea_m
+        ends = np.arcsin(np.clip((np.array([low, high]) - altitude) / radar.range_m, -1.0, 1.0))
+        lift = np.linspace(*ends, 8)[:, None]
+        ball = [np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift) + 0 * turn]
+        grids.append((np.stack(ball, axis=-1) * radar.range_m + [east, north, altitude], _RADAR))
+    for keep_out in figure.keep_outs:
+        outline = _outline_en_m(keep_out)
+        wall = [np.insert(outline, 2, altitude, axis=1) for altitude in (low, high)]
+        grids.append((np.array(wall), _KEEP_OUT))
+    return grids
+
+
+def _outline_en_m(keep_out: KeepOut) -> FloatArray:
+    """The closed outline of a keep-out.  -> (N, 2) east, north."""
+    if isinstance(keep_out, CircleKeepOut):
+        turn = np.linspace(0.0, 2.0 * np.pi, 61)
+        ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        return keep_out.radius_m * ring + [keep_out.east_m, keep_out.north_m]
+    closed = (*keep_out.vertices_ne_m, keep_out.vertices_ne_m[0])
+    return np.array(closed)[:, ::-1]
+
+
+def _quads(grid: FloatArray | BoolArray) -> Any:
+    """The cells of a grid by their corners.  (M, N, k) -> ((M - 1) (N - 1), 4, k)."""
+    corners = [grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]]
+    return np.stack(corners, axis=-2).reshape(-1, 4, grid.shape[-1])
