@@ -84,7 +84,7 @@ class Output:
     end: End | None = None
     """Set once the mission is over."""
     settled: bool = False
-    """Whether the vehicle is in the mode that it was last asked for."""
+    """Whether the vehicle is in the mode that it was last asked for, or gone."""
 
 
 @final
@@ -420,7 +420,8 @@ class Session:
 
     def _settled(self) -> bool:
         """Whether the mission is over and the vehicle is in the mode that it was left in."""
-        return self._confirming is None or self._mode is self._confirming
+        gone = self._silence_told_s >= _GONE_S
+        return gone or self._confirming is None or self._mode is self._confirming
 
     def _send(self, message: Message) -> None:
         frame = message.pack(self._codec)

@@ -44,6 +44,12 @@ class Flight:
         return [json.loads(line) for line in lines]
 
     @property
+    def outcome(self) -> str:
+        """How the journal says that it ended."""
+        [end] = [entry for entry in self.journal if entry.get("kind") == "end"]
+        return str(end["outcome"])
+
+    @property
     def truth(self) -> list[dict[str, Any]]:
         lines = (self.folder / "truth.jsonl").read_text(encoding="utf-8").splitlines()
         return [json.loads(line) for line in lines[1:]]
