@@ -9,10 +9,12 @@ import numpy as np
 import scipy.spatial
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from companion.geodesy import BoolArray, FloatArray
@@ -21,9 +23,10 @@ from companion.world.threats import CircleKeepOut, KeepOut, Radar
 SIZE_IN = (14.0, 10.0)
 DPI = 150
 _BLOCKS = 110  # a side of the terrain seen at an angle: each block is a polygon
-_RAYS = 800  # points of the path that are tested for being hidden
+_POINTS = 800  # of the path in that view
 _AZIMUTHS_DEG = (-60, -45, -75, -30, -105, -120, -135, -150)  # of the viewer, from the east, left
 _ELEVATION_DEG = 40
+_HEIGHT = 0.3  # of the box of that view, in its longest side
 _LIGHT = np.array([-0.64, -0.1, 0.76])  # from the west: east, north, up
 _TINTS = LinearSegmentedColormap.from_list(
     "heights", ["#fbf8ef", "#e9dfc3", "#cdb78c", "#a98d60", "#7d6542", "#55432a"]
@@ -32,6 +35,7 @@ _PATH, _RADAR, _KEEP_OUT, _UNKNOWN = "#0050b5", "#c2389b", "#e8590c", "#c9ccd1"
 _Style = dict[str, Any]
 _HALO = [withStroke(linewidth=4.6, foreground="white")]
 _LINE: _Style = {"color": _PATH, "lw": 2.4, "path_effects": _HALO, "label": "planned path"}
+_BEHIND: _Style = {"color": _PATH, "lw": 1.2, "ls": ":"}
 _FLOWN: _Style = {"color": "black", "lw": 0.9, "label": "flown track"}
 _MARK: _Style = {"ls": "", "mec": "black"}
 _SCAN = _MARK | {"marker": "o", "ms": 5.5, "mfc": "white", "mec": _PATH, "label": "scan (p_scan)"}
@@ -102,11 +106,15 @@ class FlightFigure:
 
     @property
     def altitudes_m(self) -> tuple[float, float]:
-        """Least and greatest altitude to show."""
-        ground = self.terrain.heights_m[np.isfinite(self.terrain.heights_m)]
+        """Least and greatest altitude to show; terrain far above the ceiling is cut off."""
+        known = self.terrain.heights_m[np.isfinite(self.terrain.heights_m)]
+        flown = [line_nea_m[:, 2] for line_nea_m, _ in _lines(self)]
         band = [self.floor_amsl_m, self.ceiling_amsl_m, self.start_nea_m[2]]
-        values = np.concatenate([ground, self.path_nea_m[:, 2], band])
-        return float(values.min()), float(values.max() + 0.08 * np.ptp(values))
+        values = np.concatenate([*flown, band])
+        low = 10.0 * math.floor(min(values.min(), known.min(initial=np.inf)) / 10.0)
+        enough = self.ceiling_amsl_m + 0.4 * (self.ceiling_amsl_m - low)
+        high = max(values.max(), min(known.max(initial=-np.inf), enough))
+        return low, float(high + 0.06 * (high - low))
 
 
 def draw(figure: FlightFigure, path: Path) -> None:
@@ -120,7 +128,7 @@ def compose(figure: FlightFigure) -> Figure:
     FigureCanvasAgg(canvas)
     canvas.text(0.03, 0.957, figure.title, fontsize=17, weight="bold", parse_math=False)
     canvas.text(0.03, 0.931, figure.caption, fontsize=11, color="#444444", parse_math=False)
-    box = (0.0, 0.37, 0.52, 0.55)
+    box = (0.0, 0.37, 0.5, 0.55)
     _draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), figure)
     plan = canvas.add_axes((0.565, 0.41, 0.36, 0.51), label="plan")
     _draw_plan(plan, figure)
@@ -160,7 +168,8 @@ def _draw_plan(axes: Axes, figure: FlightFigure) -> None:
     low, high = (altitude / 1e3 for altitude in figure.altitudes_m)
     colours = axes.pcolormesh(east, north, heights, cmap=_TINTS, vmin=low, vmax=high)
     scale = axes.inset_axes((1.03, 0.0, 0.03, 1.0))
-    axes.get_figure(root=True).colorbar(colours, cax=scale, label="terrain, km AMSL")
+    over = "max" if heights.count() and heights.max() > high else "neither"
+    Colorbar(scale, colours, extend=over, label="terrain, km AMSL")
     for level_m, style in ((figure.floor_amsl_m, _FLOOR), (figure.ceiling_amsl_m, _CEILING)):
         scale.axhline(level_m / 1e3, **style)
         if heights.count() and heights.min() < level_m / 1e3 < heights.max():
@@ -177,7 +186,7 @@ def _draw_plan(axes: Axes, figure: FlightFigure) -> None:
         axes.add_patch(Polygon(_outline_en_m(keep_out) / 1e3, label="keep-out", **style))
     for points_nea_m, style in _lines(figure) + _marks(figure):
         axes.plot(points_nea_m[:, 1] / 1e3, points_nea_m[:, 0] / 1e3, **style)
-    axes.set(xlim=east[[0, -1]], ylim=north[[0, -1]], aspect="equal", title="plan")
+    axes.set(xlim=east[[0, -1]], ylim=north[[0, -1]], aspect="equal", title="Plan")
     axes.set(xlabel="east of the origin, km", ylabel="north of the origin, km")
 
 
@@ -209,8 +218,10 @@ def _draw_profile(axes: Axes, figure: FlightFigure) -> None:
     for radar in figure.radars:
         off_m = np.hypot(path[:, 0] - radar.centre_nea_m[0], path[:, 1] - radar.centre_nea_m[1])
         half_m = np.sqrt(np.maximum(radar.range_m**2 - off_m**2, 0.0))
-        reach = [np.clip((radar.centre_nea_m[2] + h) / 1e3, low, high) for h in (-half_m, half_m)]
-        axes.fill_between(along, *reach, where=half_m > 0.0, fc=to_rgba(_RADAR, 0.28), lw=0.0)
+        least, most = (radar.centre_nea_m[2] + half for half in (-half_m, half_m))
+        seen: _Style = {"where": half_m > 0.0, "fc": to_rgba(_RADAR, 0.28), "lw": 0.0}
+        axes.fill_between(along, least / 1e3, most / 1e3, **seen)
+    axes.axhspan(figure.floor_amsl_m / 1e3, figure.ceiling_amsl_m / 1e3, fc=to_rgba(_PATH, 0.07))
     axes.axhline(figure.floor_amsl_m / 1e3, **_FLOOR)
     axes.axhline(figure.ceiling_amsl_m / 1e3, **_CEILING)
     if len(path):
@@ -220,84 +231,78 @@ def _draw_profile(axes: Axes, figure: FlightFigure) -> None:
             dots = {"ls": "", "marker": ".", "ms": 1.5} if style is _FLOWN else {}
             axes.plot(at, points_nea_m[:, 2] / 1e3, **(style | dots), clip_on=False)
         axes.set_xlim(0.0, max(along[-1], 1e-3))
-    axes.set(ylim=(low, high), title="vertical profile along the path")
+    axes.set(ylim=(low, high), title="Vertical profile along the path")
     axes.set(xlabel="distance along the path over ground, km", ylabel="altitude, km AMSL")
 
 
 def _draw_oblique(axes: Any, figure: FlightFigure) -> None:
     """Terrain, radars and keep-outs in one collection, sorted by depth, and the path over it."""
     terrain = figure.terrain.coarser()
-    east, north = terrain.east_edges_m, terrain.north_edges_m
     low, high = figure.altitudes_m
-    least, most = np.array([east[0], north[0], low]), np.array([east[-1], north[-1], high])
-    spans = (most - least) / 1e3
-    aspect = np.array([*spans[:2] / spans[:2].max(), 0.3])
-    quads, colours = _terrain_facets(
-        terrain, (low, high), aspect[2] / aspect[0] * spans[0] / spans[2]
-    )
+    least = np.array([terrain.east_edges_m[0], terrain.north_edges_m[0], low])
+    most = np.array([terrain.east_edges_m[-1], terrain.north_edges_m[-1], high])
+    spans = most - least
+    aspect = np.array([*spans[:2] / spans[:2].max(), _HEIGHT])
+    stretch = _HEIGHT * spans[:2].max() / spans[2]
+    quads, colours = _terrain_facets(terrain, least, most, stretch)
+    edges = colours
     for grid, colour in _threat_grids(figure):
         threat = _quads(np.clip(grid, least, most))
         quads = np.concatenate([quads, threat])
-        colours = np.concatenate([colours, np.tile(to_rgba(colour, 0.3), (len(threat), 1))])
-    style: _Style = {"facecolors": colours, "edgecolors": colours, "linewidths": 0.2}
-    axes.add_collection3d(Poly3DCollection(quads / 1e3, **style))
+        colours = np.concatenate([colours, np.tile(to_rgba(colour, 0.22), (len(threat), 1))])
+        edges = np.concatenate([edges, np.tile(to_rgba(colour, 0.0), (len(threat), 1))])
+    facets: _Style = {"facecolors": colours, "edgecolors": edges, "linewidths": 0.2}
+    axes.add_collection3d(Poly3DCollection(quads / 1e3, **facets))
     path = figure.path_nea_m
-    path = path[np.linspace(0, len(path) - 1, min(len(path), _RAYS)).astype(int)]
-    hidden = {deg: _hidden(path, terrain, deg, spans / aspect) for deg in _AZIMUTHS_DEG}
-    azimuth_deg = min(hidden, key=lambda deg: int(hidden[deg].sum()))
-    seen = np.where(hidden[azimuth_deg][:, None], np.nan, path)
-    line = {"color": _PATH, "lw": 1.2, "ls": ":"}
-    for points_nea_m, style in [(path, line), (seen, _LINE), *_marks(figure)]:
+    path = path[np.linspace(0, len(path) - 1, min(len(path), _POINTS)).astype(int)]
+    hidden = {azimuth: _is_hidden(path, terrain, azimuth, stretch) for azimuth in _AZIMUTHS_DEG}
+    azimuth = min(hidden, key=lambda it: round(float(hidden[it].sum()) / (len(path) + 1), 1))
+    seen = np.where(hidden[azimuth][:, None], np.nan, path)
+    for points_nea_m, style in [(path, _BEHIND), (seen, _LINE), *_marks(figure)]:
         axes.plot(*(points_nea_m.T[[1, 0, 2]] / 1e3), **(style | {"zorder": 5}))
-    axes.set(xlim=(east[0] / 1e3, east[-1] / 1e3), ylim=(north[0] / 1e3, north[-1] / 1e3))
-    axes.set(zlim=(low / 1e3, high / 1e3), xlabel="east, km", ylabel="north, km")
+    limits = np.stack([least, most], axis=-1) / 1e3
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], xlabel="east, km", ylabel="north, km")
     axes.set_zlabel("altitude, km AMSL")
+    axes.zaxis.set_major_locator(MaxNLocator(4))
     axes.set_proj_type("ortho")
-    axes.view_init(_ELEVATION_DEG, azimuth_deg)
-    axes.set_box_aspect(aspect, zoom=1.2)
+    axes.view_init(_ELEVATION_DEG, azimuth)
+    axes.set_box_aspect(aspect, zoom=1.05)
+    note = f"Seen at an angle; heights stretched {stretch:.1f} times"
+    axes.text2D(0.5, 0.0, note, transform=axes.transAxes, ha="center", fontsize=12)
 
 
-def _hidden(
-    path_nea_m: FloatArray, terrain: TerrainPicture, azimuth_deg: float, scale: FloatArray
+def _is_hidden(
+    path_nea_m: FloatArray, terrain: TerrainPicture, azimuth_deg: float, stretch: float
 ) -> BoolArray:
-    """Which points of a path have terrain between them and the viewer.  (S, 3) -> (S,).
-
-    scale: how much of the world, east, north and up, goes into one unit of the picture.
-    """
-    azimuth, elevation = math.radians(azimuth_deg), math.radians(_ELEVATION_DEG)
-    level = math.cos(elevation)
-    towards = (
-        np.array([math.sin(azimuth) * level, math.cos(azimuth) * level, math.sin(elevation)])
-        * scale[[1, 0, 2]]
-    )
-    towards /= np.hypot(towards[0], towards[1])
-    cell = terrain.east_edges_m[1] - terrain.east_edges_m[0]
-    far = np.ptp(terrain.east_edges_m) + np.ptp(terrain.north_edges_m)
-    rays = path_nea_m[:, None] + np.arange(cell, far, cell)[:, None] * towards  # (S, K, 3)
-    hidden: BoolArray = (terrain.under_m(rays[..., :2]) > rays[..., 2]).any(axis=1)
-    return hidden
+    """Which points of a path have terrain between them and the viewer.  (S, 3) -> (S,)."""
+    azimuth, rise = math.radians(azimuth_deg), math.tan(math.radians(_ELEVATION_DEG))
+    towards = np.array([math.sin(azimuth), math.cos(azimuth), rise / stretch])
+    cell_m = float(np.diff(terrain.east_edges_m).max())
+    far_m = float(np.ptp(terrain.east_edges_m) + np.ptp(terrain.north_edges_m))
+    rays = path_nea_m[:, None] + np.arange(cell_m, far_m, cell_m)[:, None] * towards  # (S, K, 3)
+    return np.any(terrain.under_m(rays[..., :2]) > rays[..., 2], axis=1)
 
 
 def _terrain_facets(
-    terrain: TerrainPicture, altitudes_m: tuple[float, float], stretch: float
+    terrain: TerrainPicture, least: FloatArray, most: FloatArray, stretch: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The terrain as shaded quadrilaterals: (Q, 4, 3) east, north, up and (Q, 4) colours."""
-    low, high = altitudes_m
+    """The terrain and walls around it: quads (Q, 4, 3) east, north, up, and colours (Q, 4)."""
     north, east = (
-        (edges[1:] + edges[:-1]) / 2 for edges in (terrain.north_edges_m, terrain.east_edges_m)
+        np.concatenate([edges[[0, 0]], (edges[1:] + edges[:-1]) / 2, edges[[-1, -1]]])
+        for edges in (terrain.north_edges_m, terrain.east_edges_m)
     )
-    known = np.isfinite(terrain.heights_m)
-    heights = np.where(known, terrain.heights_m, low)
+    known = np.pad(np.isfinite(terrain.heights_m), 2, mode="edge")
+    heights = np.pad(terrain.heights_m, 1, mode="edge")
+    heights = np.pad(heights, 1, constant_values=least[2])
+    heights = np.where(known, heights, least[2]).clip(max=most[2])
     quads = _quads(np.stack([*np.meshgrid(east, north), heights], axis=-1))
-    across, along = quads[:, 2] - quads[:, 0], quads[:, 1] - quads[:, 3]
-    normal = np.cross(across, along) / [1.0, 1.0, stretch]
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    light = 0.45 + 0.7 * np.clip(normal @ _LIGHT, 0.0, 0.8)
-    colours = _TINTS((quads[..., 2].mean(axis=1) - low) / (high - low))
-    whole = _quads(known[..., None]).all(axis=(1, 2))
-    colours[~whole] = to_rgba(_UNKNOWN)
-    colours[:, :3] *= np.where(whole, light, 1.0)[:, None]
-    return quads, np.clip(colours, 0.0, 1.0)
+    upwards = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]) / [1.0, 1.0, stretch]
+    steep = np.maximum(np.linalg.norm(upwards, axis=1), 1e-9)
+    light = 0.5 + 0.6 * np.clip(upwards @ _LIGHT / steep, 0.0, 1.0)
+    colours = _TINTS((quads[..., 2].mean(axis=1) - least[2]) / (most[2] - least[2]))
+    colours[:, :3] *= light[:, None]
+    colours[~_quads(known[..., None]).all(axis=(1, 2))] = to_rgba(_UNKNOWN)
+    return quads, colours.clip(max=1.0)
 
 
 def _threat_grids(figure: FlightFigure) -> list[tuple[FloatArray, str]]:
@@ -307,8 +312,8 @@ def _threat_grids(figure: FlightFigure) -> list[tuple[FloatArray, str]]:
     grids = []
     for radar in figure.radars:
         north, east, altitude = radar.centre_nea_m
-        ends = np.arcsin(np.clip((np.array([low, high]) - altitude) / radar.range_m, -1.0, 1.0))
-        lift = np.linspace(*ends, 8)[:, None]
+        sines = np.clip([(end - altitude) / radar.range_m for end in (low, high)], -1.0, 1.0)
+        lift = np.arcsin(np.linspace(sines[0], sines[1], 12))[:, None]
         ball = [np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift) + 0 * turn]
         grids.append((np.stack(ball, axis=-1) * radar.range_m + [east, north, altitude], _RADAR))
     for keep_out in figure.keep_outs:

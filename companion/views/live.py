@@ -3,9 +3,9 @@
 from types import TracebackType
 from typing import Self, final
 
-from rich.console import Console
+from rich.console import Console, JustifyMethod
 from rich.live import Live
-from rich.text import Text
+from rich.table import Table
 
 from companion.mission.state import Phase
 from companion.telemetry.flown import Flown
@@ -25,7 +25,7 @@ class Progress:
         """Draw the flight as it stands now."""
         state = flown.session.state
         if self._console.is_terminal:
-            self._live.update(Text(progress_line(flown)), refresh=True)
+            self._live.update(progress_table(flown), refresh=True)
         elif self._told != (state.phase, state.flight.legs_flown):
             self._told = (state.phase, state.flight.legs_flown)
             self._console.print(progress_line(flown), highlight=False, soft_wrap=True)
@@ -43,6 +43,28 @@ class Progress:
     ) -> None:
         if self._console.is_terminal:
             self._live.stop()
+
+
+def progress_table(flown: Flown) -> Table:
+    """A heading and a line: fits into 80 columns."""
+    state = flown.session.state
+    table = Table(box=None, padding=(0, 1), pad_edge=False, caption_justify="left")
+    values = {"phase": state.phase.value, "time": f"{flown.session.now_s:.0f} s"}
+    values["to go"] = "" if flown.to_go_m is None else f"{flown.to_go_m / 1000:.1f} km"
+    values |= dict.fromkeys(("subpath", "cost", "clearance", "planned in"), "")
+    if flown.plans:
+        values["subpath"] = f"{state.flight.legs_flown}"
+        values["cost"] = f"{flown.plans[-1].cost:.2f}"
+        values["clearance"] = clearance_words(flown.plans[-1].report)
+        values["planned in"] = f"{flown.plans_s[-1] * 1e3:.0f} ms"
+    values["real time"] = f"{flown.times_real_time:.0f}x"
+    for heading, width in zip(values, (10, 7, 8, 7, 5, 9, 10, 9), strict=True):
+        justify: JustifyMethod = "left" if heading == "phase" else "right"
+        table.add_column(heading, header_style="dim", min_width=width, justify=justify)
+    table.add_row(*values.values())
+    if state.reason is not None:
+        table.caption = state.reason.text
+    return table
 
 
 def progress_line(flown: Flown) -> str:
