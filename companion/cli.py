@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 
 from companion.config import load_mission, load_world, mission_text
-from companion.errors import CompanionError, FlightFailed
+from companion.errors import CompanionError, FlightFailed, InputError
 from companion.mission.events import Outcome
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.runtime.link import UdpLink
@@ -123,10 +123,7 @@ def fly_command(
             stop_asked=lambda: bool(stop_asked),
         )
         folder.run_json(_run_facts(flown, began, connect))
-    console.print(flight_table(flown))
-    if flown.heard:
-        draw_flown(flown, folder_path / "flight.png")
-    console.print(f"run folder: {folder_path}", soft_wrap=True, highlight=False)
+    _show(flown, folder, console)
     _exit_as_it_ended(flown, connect)
 
 
@@ -158,7 +155,10 @@ def plan_command(
     )
     took_s = time.perf_counter() - began_s
     console.print(plans_table(flight.plans))
-    length_m = draw_offline(flight, chosen, truth, out)
+    try:
+        length_m = draw_offline(flight, chosen, truth, out)
+    except (OSError, ValueError) as error:
+        raise InputError("--out", str(out), f"no picture ({error})", "Give a .png file.") from error
     console.print(
         f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s; "
         f"picture: {out}",
@@ -208,6 +208,19 @@ def main() -> None:
 
 
 # --- the end of a command
+
+
+def _show(flown: Flown, folder: RunFolder, console: Console) -> None:
+    """The summary and the picture of a flight."""
+    console.print(flight_table(flown))
+    try:
+        if flown.heard:
+            draw_flown(flown, folder.path / "flight.png")
+    except OSError as error:
+        console.print(f"no picture: {error}", soft_wrap=True, highlight=False)
+    if folder.failure is not None:
+        console.print(f"recording stopped: {folder.failure}", soft_wrap=True, highlight=False)
+    console.print(f"run folder: {folder.path}", soft_wrap=True, highlight=False)
 
 
 def _exit_as_it_ended(flown: Flown, connect: str) -> None:

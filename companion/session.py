@@ -27,7 +27,7 @@ from companion.mavlink.translate import (
     mode_message,
     setpoint_message,
 )
-from companion.mission import machine
+from companion.mission import entries, machine
 from companion.mission.decisions import Context
 from companion.mission.events import (
     Arm,
@@ -54,7 +54,7 @@ from companion.mission.events import (
 )
 from companion.mission.mission import Mission
 from companion.mission.state import Flight, Phase, State
-from companion.planner.plan import NotPlanned, Planned, PlanOutcome, PlanRequest
+from companion.planner.plan import Planned, PlanOutcome, PlanRequest
 from companion.world.known_map import empty_map
 
 Entry = dict[str, Any]
@@ -342,7 +342,8 @@ class Session:
         if isinstance(event, VehicleStatus):
             self._mode = event.mode
         self.state, commands = machine.step(before, event, self._context)
-        self._journal_event(event)
+        if (noted := entries.of_event(event, self.state)) is not None:
+            self._note(**noted)
         if self.state.phase is not before.phase:
             reason = self.state.reason
             self._note(
@@ -381,7 +382,7 @@ class Session:
             case Plan(request=request, due_s=due_s):
                 self._plan, self._plan_due_s, self._late_told = None, due_s, False
                 self._out.plan = request
-                self._note("plan asked", **_request_entry(request, due_s))
+                self._note(**entries.of_request(request, due_s))
             case Say(text=text, warning=warning):
                 self._say(text, warning=warning)
             case End():
@@ -434,72 +435,9 @@ class Session:
     def _note(self, kind: str, **values: Any) -> None:
         self._out.journal.append({"t_s": round(self.now_s, 6), "kind": kind, **values})
 
-    def _journal_event(self, event: Event) -> None:
-        match event:
-            case ScanDone():
-                known = self.state.flight.known
-                self._note(
-                    "scan done",
-                    blocks_asked=event.asked,
-                    blocks_answered=event.answered,
-                    registration_m=event.scan.registration_m,
-                    cells_seen=int(known.seen.sum()),
-                )
-            case PlanReady(outcome=Planned() as planned):
-                self._note("plan ready", **_planned_entry(planned))
-            case PlanReady(outcome=NotPlanned() as refused):
-                self._note(
-                    "plan refused",
-                    plan_id=refused.plan_id,
-                    reason=refused.refusal.name,
-                    broken=list(refused.broken),
-                    evaluations=refused.evaluations,
-                )
-            case PlanLate(plan_id=plan_id):
-                self._note("plan late", plan_id=plan_id)
-            case PlannerDied(error=error):
-                self._note("planner died", error=error)
-            case LinkLost(silent_s=silent_s):
-                self._note("link lost", silent_s=silent_s)
-            case StopAsked():
-                self._note("stop asked")
-            case _:
-                pass
-
 
 def _system_status(phase: Phase) -> int:
     if phase is Phase.HOLDING:
         return int(wire.MAV_STATE_CRITICAL)
     flying = phase in (Phase.TAKING_OFF, Phase.FLYING, Phase.ARRIVED, Phase.LANDING)
     return int(wire.MAV_STATE_ACTIVE if flying else wire.MAV_STATE_STANDBY)
-
-
-def _request_entry(request: PlanRequest, due_s: float) -> Entry:
-    return {
-        "plan_id": request.plan_id,
-        "due_s": due_s,
-        "attempt": request.attempt,
-        "from_rest": request.from_rest,
-        "scan_nea_m": list(request.scan_nea_m),
-        "start_nea_m": request.start.position_nea_m.tolist(),
-        "tangent_nea": request.start.tangent_nea.tolist(),
-        "target_ne_m": list(request.target_ne_m),
-    }
-
-
-def _planned_entry(planned: Planned) -> Entry:
-    report = planned.report
-    return {
-        "plan_id": planned.plan_id,
-        "kernel": "numpy",
-        "evaluations": planned.evaluations,
-        "tries": planned.tries,
-        "rank": planned.rank,
-        "cost": planned.cost,
-        "terms": planned.terms,
-        "guide_rad": planned.guide_rad,
-        "reaches_target": planned.reaches_target,
-        "length_m": planned.subpath.length_m,
-        "control_nea_m": planned.subpath.control_nea_m.tolist(),
-        "check": {name: getattr(report, name) for name in report.__slots__},
-    }

@@ -11,6 +11,7 @@ batch is handed to the operating system as soon as it is there.  The known map i
 TERRAIN_DATA frames of the log, the path in the journal: a restart needs nothing else.
 """
 
+import io
 import json
 import math
 import struct
@@ -33,6 +34,8 @@ class RunFolder:
     def __init__(self, path: Path, *, mission_toml: str, epoch_us: int) -> None:
         """epoch_us: microseconds since 1970 at vehicle time 0, for the log's stamps."""
         self.path = path
+        self.failure: str | None = None
+        """Why recording has stopped; the flight goes on."""
         self._epoch_us = epoch_us
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -50,7 +53,7 @@ class RunFolder:
     def header(self, values: Mapping[str, Any]) -> None:
         """The first line of the journal: schema and version, and what the flight depends on."""
         head = {"schema": JOURNAL_SCHEMA, "version": JOURNAL_VERSION, **values}
-        self._journal.write(_line(head))
+        self._write(self._journal, _line(head))
 
     def frames(self, stamped: Iterable[tuple[float, bytes]]) -> None:
         """Frames with their vehicle times, seconds."""
@@ -58,19 +61,26 @@ class RunFolder:
             struct.pack(">Q", self._epoch_us + round(time_s * 1e6)) + frame
             for time_s, frame in stamped
         )
-        if batch:
-            self._tlog.write(batch)
+        self._write(self._tlog, batch)
 
     def entries(self, entries: Iterable[Mapping[str, Any]]) -> None:
         """Journal entries."""
-        batch = b"".join(_line(entry) for entry in entries)
-        if batch:
-            self._journal.write(batch)
+        self._write(self._journal, b"".join(_line(entry) for entry in entries))
 
     def run_json(self, values: Mapping[str, Any]) -> None:
         """What differs from run to run."""
-        text = json.dumps(values, indent=2) + "\n"
-        (self.path / "run.json").write_text(text, encoding="utf-8")
+        text = json.dumps(_plain(values), indent=2) + "\n"
+        with (self.path / "run.json").open("wb", buffering=0) as file:
+            self._write(file, text.encode())
+
+    def _write(self, file: io.FileIO, batch: bytes) -> None:
+        """Write, unless the disk has failed before: it must not end a flight."""
+        if not batch or self.failure is not None:
+            return
+        try:
+            file.write(batch)
+        except OSError as error:
+            self.failure = str(error)
 
     def __enter__(self) -> Self:
         return self

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Literal, final
 
 import numpy as np
 import scipy.spatial
@@ -128,9 +128,9 @@ def compose(figure: FlightFigure) -> Figure:
     FigureCanvasAgg(canvas)
     canvas.text(0.03, 0.957, figure.title, fontsize=17, weight="bold", parse_math=False)
     canvas.text(0.03, 0.931, figure.caption, fontsize=11, color="#444444", parse_math=False)
-    box = (0.0, 0.37, 0.5, 0.55)
+    box = (0.012, 0.37, 0.5, 0.55)
     _draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), figure)
-    plan = canvas.add_axes((0.565, 0.41, 0.36, 0.51), label="plan")
+    plan = canvas.add_axes((0.572, 0.41, 0.36, 0.51), label="plan")
     _draw_plan(plan, figure)
     profile = canvas.add_axes((0.06, 0.13, 0.905, 0.19), label="profile")
     _draw_profile(profile, figure)
@@ -168,7 +168,9 @@ def _draw_plan(axes: Axes, figure: FlightFigure) -> None:
     low, high = (altitude / 1e3 for altitude in figure.altitudes_m)
     colours = axes.pcolormesh(east, north, heights, cmap=_TINTS, vmin=low, vmax=high)
     scale = axes.inset_axes((1.03, 0.0, 0.03, 1.0))
-    over = "max" if heights.count() and heights.max() > high else "neither"
+    over: Literal["max", "neither"] = (
+        "max" if heights.count() and heights.max() > high else "neither"
+    )
     Colorbar(scale, colours, extend=over, label="terrain, km AMSL")
     for level_m, style in ((figure.floor_amsl_m, _FLOOR), (figure.ceiling_amsl_m, _CEILING)):
         scale.axhline(level_m / 1e3, **style)
@@ -202,6 +204,7 @@ def _draw_radar(axes: Axes, radar: Radar, figure: FlightFigure) -> None:
     axes.add_patch(Circle(centre, radar.range_m / 1e3, **rim))
     if 0.014 * np.ptp(figure.terrain.east_edges_m) * len(radar.name) < 2.0 * widest_m:
         style: _Style = {"fontsize": 7, "ha": "center", "va": "center", "color": "#5c0f46"}
+        style["path_effects"] = [withStroke(linewidth=1.5, foreground="white", alpha=0.6)]
         axes.text(*centre, radar.name, clip_on=True, parse_math=False, **style)
 
 
@@ -229,8 +232,11 @@ def _draw_profile(axes: Axes, figure: FlightFigure) -> None:
         for points_nea_m, style in _lines(figure) + _marks(figure):
             at = along if style is _LINE else along[nearest.query(points_nea_m)[1]]
             dots = {"ls": "", "marker": ".", "ms": 1.5} if style is _FLOWN else {}
-            axes.plot(at, points_nea_m[:, 2] / 1e3, **(style | dots), clip_on=False)
+            axes.plot(at, points_nea_m[:, 2] / 1e3, **(style | dots), clip_on=False, zorder=3)
         axes.set_xlim(0.0, max(along[-1], 1e-3))
+    else:
+        axes.text(0.5, 0.5, "nothing was planned or flown", transform=axes.transAxes, ha="center")
+        axes.set_xticks([])
     axes.set(ylim=(low, high), title="Vertical profile along the path")
     axes.set(xlabel="distance along the path over ground, km", ylabel="altitude, km AMSL")
 
@@ -266,7 +272,7 @@ def _draw_oblique(axes: Any, figure: FlightFigure) -> None:
     axes.zaxis.set_major_locator(MaxNLocator(4))
     axes.set_proj_type("ortho")
     axes.view_init(_ELEVATION_DEG, azimuth)
-    axes.set_box_aspect(aspect, zoom=1.05)
+    axes.set_box_aspect(aspect, zoom=1.0)
     note = f"Seen at an angle; heights stretched {stretch:.1f} times"
     axes.text2D(0.5, 0.0, note, transform=axes.transAxes, ha="center", fontsize=12)
 
@@ -298,7 +304,7 @@ def _terrain_facets(
     quads = _quads(np.stack([*np.meshgrid(east, north), heights], axis=-1))
     upwards = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]) / [1.0, 1.0, stretch]
     steep = np.maximum(np.linalg.norm(upwards, axis=1), 1e-9)
-    light = 0.5 + 0.6 * np.clip(upwards @ _LIGHT / steep, 0.0, 1.0)
+    light = 0.55 + 0.47 * np.clip(upwards @ _LIGHT / steep, 0.0, 1.0)
     colours = _TINTS((quads[..., 2].mean(axis=1) - least[2]) / (most[2] - least[2]))
     colours[:, :3] *= light[:, None]
     colours[~_quads(known[..., None]).all(axis=(1, 2))] = to_rgba(_UNKNOWN)

@@ -1,0 +1,222 @@
+import math
+import struct
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib._pylab_helpers
+import numpy as np
+import pytest
+from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+from companion.geodesy import FloatArray
+from companion.views import figure as views
+from companion.views.figure import DPI, SIZE_IN, FlightFigure, TerrainPicture, compose, draw
+from companion.world.threats import CircleKeepOut, PolygonKeepOut, Radar
+
+CELL_M = 25.0
+
+
+def hill(north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+    return 100.0 + 400.0 * np.exp(-(((north_m - 2500) / 900) ** 2) - ((east_m - 2000) / 600) ** 2)
+
+
+def terrain_of(extent_m: float, cells: int, stretch: float = 1.0) -> TerrainPicture:
+    edges = np.linspace(0.0, extent_m, cells + 1)
+    middles = (edges[1:] + edges[:-1]) / 2 / stretch
+    heights = hill(middles[:, None], middles[None, :])
+    return TerrainPicture(north_edges_m=edges, east_edges_m=edges, heights_m=heights)
+
+
+def a_flight() -> FlightFigure:
+    u = np.linspace(0.0, 1.0, 60)
+    first = np.stack([500 + 2000 * u, 500 + 1500 * u, 520 + 60 * u], axis=-1)
+    second = np.stack([2500 + 1000 * u, 2000 + 2300 * u, 580 - 20 * u], axis=-1)
+    return FlightFigure(
+        title="a flight of $5 worth_of words",
+        caption="one line",
+        terrain=terrain_of(5000.0, 200),
+        floor_amsl_m=450.0,
+        ceiling_amsl_m=700.0,
+        start_nea_m=(500.0, 500.0, 520.0),
+        targets_ne_m=((3500.0, 4300.0),),
+        legs_nea_m=(first, second),
+        scans_nea_m=((500.0, 500.0, 520.0), (1500.0, 1250.0, 550.0)),
+        radars=(Radar(name="r", centre_nea_m=(4000.0, 1000.0, 100.0), range_m=700.0),),
+        keep_outs=(
+            CircleKeepOut(name="c", north_m=800.0, east_m=3500.0, radius_m=400.0),
+            PolygonKeepOut(name="p", vertices_ne_m=((4500, 3000), (4900, 3100), (4700, 3500))),
+        ),
+    )
+
+
+def unknown(flight: FlightFigure, where: Any, value: float = math.nan) -> FlightFigure:
+    heights = flight.terrain.heights_m.copy()
+    heights[where] = value
+    return replace(flight, terrain=replace(flight.terrain, heights_m=heights))
+
+
+def axes_of(flight: FlightFigure) -> dict[str, Any]:
+    return {str(axes.get_label()): axes for axes in compose(flight).axes}
+
+
+def line_of(axes: Any, label: str) -> FloatArray:
+    (line,) = (line for line in axes.lines if line.get_label() == label and len(line.get_xdata()))
+    return np.stack(line.get_data(), axis=-1)
+
+
+def labels_of(axes: Any) -> set[str]:
+    return set(axes.get_legend_handles_labels()[1])
+
+
+def test_the_file_is_a_png_of_the_stated_size_and_no_figure_stays_open(tmp_path: Path) -> None:
+    draw(a_flight(), tmp_path / "flight.png")
+    content = (tmp_path / "flight.png").read_bytes()
+    assert content[:8] == b"\x89PNG\r\n\x1a\n"
+    assert struct.unpack(">II", content[16:24]) == tuple(round(side * DPI) for side in SIZE_IN)
+    assert not matplotlib._pylab_helpers.Gcf.figs
+
+
+def test_the_same_flight_gives_the_same_picture(tmp_path: Path) -> None:
+    for name in ("one.png", "two.png"):
+        draw(a_flight(), tmp_path / name)
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_the_plan_shows_the_path_in_kilometres_with_east_to_the_right() -> None:
+    flight = a_flight()
+    plan = axes_of(flight)["plan"]
+    expected = np.concatenate(flight.legs_nea_m)[:, [1, 0]] / 1000.0
+    np.testing.assert_allclose(line_of(plan, "planned path"), expected)
+    assert plan.get_xlim() == pytest.approx((0.0, 5.0))
+    assert plan.get_ylim() == pytest.approx((0.0, 5.0))
+    assert plan.get_aspect() == 1.0
+
+
+def test_radars_are_as_wide_in_the_plan_as_their_spheres_are_within_the_band() -> None:
+    flight = a_flight()
+    plan = axes_of(flight)["plan"]
+    radii = {p.get_label(): p.get_radius() for p in plan.patches if hasattr(p, "get_radius")}
+    # the band begins 350 m above the radar
+    assert radii["radar, within the band"] == pytest.approx(math.sqrt(0.7**2 - 0.35**2))
+    assert radii["radar, full range"] == pytest.approx(0.7)
+
+
+def test_the_profile_shows_the_terrain_under_the_path_and_the_path_over_it() -> None:
+    flight = a_flight()
+    profile = axes_of(flight)["profile"]
+    path = np.concatenate(flight.legs_nea_m)
+    under = line_of(profile, "terrain under the path")
+    middles = (np.floor(path[:, :2] / CELL_M) + 0.5) * CELL_M  # of the cell that holds the point
+    np.testing.assert_allclose(under[:, 1], hill(middles[:, 0], middles[:, 1]) / 1000.0)
+    over = line_of(profile, "planned path")
+    np.testing.assert_allclose(over[:, 1], path[:, 2] / 1000.0)
+    length_km = (math.hypot(2.0, 1.5), math.hypot(1.0, 2.3))
+    assert over[-1, 0] == pytest.approx(sum(length_km))
+    assert line_of(profile, "scan (p_scan)")[1, 0] == pytest.approx(length_km[0] / 2, abs=0.03)
+
+
+def test_a_radar_shades_the_profile_only_where_the_path_is_within_its_range() -> None:
+    centre = (1500.0, 1250.0, 550.0)  # on the path, halfway along its first leg
+    near = replace(
+        a_flight(), radars=(Radar(name="near", centre_nea_m=centre, range_m=300.0),), keep_outs=()
+    )
+    profile = axes_of(near)["profile"]
+    shade = next(c for c in reversed(profile.collections) if c.get_paths())
+    extent = shade.get_paths()[0].get_extents()
+    assert extent.x0 == pytest.approx(1.25 - 0.3, abs=0.05)
+    assert extent.x1 == pytest.approx(1.25 + 0.3, abs=0.05)
+    assert extent.y1 == pytest.approx(0.85, abs=0.01)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_unknown_ground_is_shown_as_unknown(value: float, tmp_path: Path) -> None:
+    flight = unknown(a_flight(), np.s_[:60, :60], value)
+    axes = axes_of(flight)
+    assert "unknown ground" in labels_of(axes["plan"])
+    under = line_of(axes["profile"], "terrain under the path")
+    path = np.concatenate(flight.legs_nea_m)
+    in_corner = (path[:, :2] < 60 * CELL_M).all(axis=1)
+    assert in_corner.any()
+    np.testing.assert_array_equal(np.isnan(under[:, 1]), in_corner)
+    draw(flight, tmp_path / "flight.png")
+
+
+def test_known_ground_is_not_called_unknown() -> None:
+    assert "unknown ground" not in labels_of(axes_of(a_flight())["plan"])
+
+
+def test_there_is_a_picture_when_nothing_is_known_planned_or_flown(tmp_path: Path) -> None:
+    flight = replace(unknown(a_flight(), np.s_[:], math.inf), legs_nea_m=(), scans_nea_m=())
+    draw(flight, tmp_path / "flight.png")
+    draw(replace(flight, radars=(), keep_outs=(), caption=""), tmp_path / "flight.png")
+
+
+def test_the_flown_track_is_drawn_at_the_nearest_place_of_the_path() -> None:
+    flight = a_flight()
+    track = np.concatenate(flight.legs_nea_m) + np.array([0.0, 0.0, 7.0])
+    profile = axes_of(replace(flight, track_nea_m=track))["profile"]
+    over = line_of(profile, "planned path")
+    np.testing.assert_allclose(line_of(profile, "flown track"), over + np.array([0.0, 0.007]), atol=1e-12)
+
+
+def test_a_track_without_a_plan_is_its_own_path() -> None:
+    flight = a_flight()
+    track = np.concatenate(flight.legs_nea_m)
+    axes = axes_of(replace(flight, legs_nea_m=(), track_nea_m=track))
+    assert "planned path" not in labels_of(axes["plan"])
+    np.testing.assert_allclose(line_of(axes["profile"], "flown track")[:, 1], track[:, 2] / 1000.0)
+
+
+def test_a_high_wall_of_terrain_does_not_flatten_the_band() -> None:
+    flight = unknown(a_flight(), np.s_[-20:, -20:], 15_000.0)
+    low, high = axes_of(flight)["profile"].get_ylim()
+    assert (flight.ceiling_amsl_m - flight.floor_amsl_m) / 1000.0 > 0.2 * (high - low)
+
+
+def test_coarser_terrain_is_nowhere_lower_and_has_the_same_extent() -> None:
+    fine = unknown(replace(a_flight(), terrain=terrain_of(5000.0, 333)), np.s_[:50, 90:]).terrain
+    coarse = fine.coarser()
+    assert max(coarse.heights_m.shape) <= 120
+    assert coarse.north_edges_m[[0, -1]] == pytest.approx(fine.north_edges_m[[0, -1]])
+    middles = (fine.north_edges_m[1:] + fine.north_edges_m[:-1]) / 2
+    points = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1)
+    above = coarse.under_m(points) - fine.heights_m
+    known = np.isfinite(fine.heights_m)
+    assert (above[known] >= 0.0).all()
+    assert np.nanmax(coarse.heights_m) == fine.heights_m[known].max()
+
+
+def test_what_the_view_calls_hidden_is_behind_terrain_in_the_picture() -> None:
+    flight = a_flight()
+    behind = np.linspace([3300.0, 1200.0, 150.0], [3300.0, 2600.0, 150.0], 40)  # north of the hill
+    oblique = axes_of(replace(flight, legs_nea_m=(behind,)))["oblique"]
+    stretch = 0.3 * 5000.0 / (1000.0 * (oblique.get_zlim()[1] - oblique.get_zlim()[0]))
+    hidden = views._is_hidden(behind, flight.terrain.coarser(), oblique.azim, stretch)
+    matrix = oblique.get_proj()
+
+    def on_the_picture(points_nea_m: FloatArray) -> FloatArray:
+        north, east, up = np.moveaxis(points_nea_m, -1, 0) / 1000.0
+        return np.stack(proj_transform(east, north, up, matrix), axis=-1)
+
+    middles = np.arange(12.5, 5000.0, 25.0)
+    ground = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1)
+    ground = np.concatenate([ground, hill(ground[..., :1], ground[..., 1:])], axis=-1)
+    picture = on_the_picture(ground.reshape(-1, 3))
+    for point, says_hidden in zip(on_the_picture(behind), hidden, strict=True):
+        beside = np.hypot(*(picture[:, :2] - point[:2]).T) < 0.004
+        nearer = (picture[beside, 2] < point[2] - 0.01).any()
+        assert says_hidden == nearer
+
+
+@pytest.mark.parametrize("extent_m", [1000.0, 100_000.0])
+def test_worlds_of_any_size_are_drawn_with_their_own_extent(
+    extent_m: float, tmp_path: Path
+) -> None:
+    flight = a_flight()
+    scale = extent_m / 5000.0
+    legs = tuple(leg * [scale, scale, 1.0] for leg in flight.legs_nea_m)
+    terrain = terrain_of(extent_m, 440, stretch=scale)
+    sized = replace(flight, terrain=terrain, legs_nea_m=legs)
+    draw(sized, tmp_path / "flight.png")
+    assert axes_of(sized)["plan"].get_xlim() == pytest.approx((0.0, extent_m / 1000.0))
