@@ -150,7 +150,7 @@ def plan_command(
         blank=blank,
         truth=truth,
         start_nea_m=(*place.start_ne_m, chosen.take_off_amsl_m),
-        target_ne_m=chosen.targets_ne_m[-1],
+        targets_ne_m=chosen.targets_ne_m,
         seed=seed,
     )
     took_s = time.perf_counter() - began_s

@@ -129,7 +129,7 @@ class MissionTable(Table):
     """A mission.toml."""
 
     schema_: Annotated[Literal[1], Field(alias="schema")]
-    name: str
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
     origin: OriginTable
     area: AreaTable
     altitude: BandTable

@@ -33,11 +33,15 @@ def fly_offline(
     blank: KnownMap,
     truth: KnownMap,
     start_nea_m: tuple[float, float, float],
-    target_ne_m: tuple[float, float],
+    targets_ne_m: tuple[tuple[float, float], ...],
     seed: int,
     planner: Callable[[PlanRequest], PlanOutcome] = plan,
 ) -> OfflineFlight:
-    """Scan, plan, go on to p_prog, until a leg reaches the target or nothing can be planned."""
+    """Scan, plan, go on to p_prog, until the last target is reached or nothing can be planned.
+
+    At a target that is not the last the vehicle stops and begins again.
+    """
+    left = list(targets_ne_m)
     known, pose, scan_nea_m, from_rest = blank, hover_pose(start_nea_m), start_nea_m, True
     legs: list[Leg] = []
     plans: list[Planned] = []
@@ -54,14 +58,16 @@ def fly_offline(
                 scan_nea_m=scan_nea_m,
                 start=pose,
                 from_rest=from_rest,
-                target_ne_m=target_ne_m,
+                target_ne_m=left[0],
             )
         )
         failure = outcome if isinstance(outcome, NotPlanned) else None
         if isinstance(outcome, Planned):
             plans.append(outcome)
             legs.append(_leg(outcome, len(legs) + 1))
-        if failure or legs[-1].reaches_target or len(legs) == _MOST_LEGS:
+        if legs and legs[-1].reaches_target and not failure:
+            left.pop(0)
+        if failure or not left or len(legs) == _MOST_LEGS:
             return OfflineFlight(
                 legs=tuple(legs),
                 plans=tuple(plans),
@@ -70,9 +76,13 @@ def fly_offline(
                 failure=failure,
             )
         leg = legs[-1]
-        pose = leg.subpath.pose(leg.successor_at_m(task))
-        scan_nea_m = _point(leg.subpath.pose(leg.scan_at_m(task)))
-        from_rest = False
+        from_rest = leg.reaches_target
+        if from_rest:
+            scan_nea_m = _point(leg.subpath.pose(leg.subpath.length_m))
+            pose = hover_pose(scan_nea_m)
+        else:
+            scan_nea_m = _point(leg.subpath.pose(leg.scan_at_m(task)))
+            pose = leg.subpath.pose(leg.successor_at_m(task))
 
 
 def _leg(planned: Planned, number: int) -> Leg:

@@ -53,7 +53,7 @@ def _flown_lines(legs: tuple[Leg, ...], mission: Mission) -> tuple[FloatArray, .
     """The part of each leg before its successor, every 100 m: (S, 3) each."""
     lines = []
     for leg in legs:
-        last = leg is legs[-1]
+        last = leg is legs[-1] or leg.reaches_target
         end_m = leg.subpath.length_m if last else leg.successor_at_m(mission.task)
         steps = np.linspace(0.0, end_m, max(math.ceil(end_m / _SPACING_M), 1) + 1)
         lines.append(np.array([leg.subpath.pose(step).position_nea_m for step in steps]))

@@ -17,7 +17,7 @@ TARGET = (7_200.0, 7_000.0)
 @pytest.fixture(scope="module")
 def flight(task: Task, blank: KnownMap, truth: KnownMap) -> OfflineFlight:
     return fly_offline(
-        task, blank=blank, truth=truth, start_nea_m=START, target_ne_m=TARGET, seed=3
+        task, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=(TARGET,), seed=3
     )
 
 
@@ -91,7 +91,7 @@ def test_the_same_seed_flies_the_same_path(
     task: Task, blank: KnownMap, truth: KnownMap, flight: OfflineFlight
 ) -> None:
     again = fly_offline(
-        task, blank=blank, truth=truth, start_nea_m=START, target_ne_m=TARGET, seed=3
+        task, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=(TARGET,), seed=3
     )
     for a, b in zip(flight.legs, again.legs, strict=True):
         assert a.subpath.control_nea_m.tobytes() == b.subpath.control_nea_m.tobytes()
@@ -110,7 +110,7 @@ def test_a_flight_without_a_plan_ends_with_the_reason(
         blank=blank,
         truth=truth,
         start_nea_m=START,
-        target_ne_m=TARGET,
+        targets_ne_m=(TARGET,),
         seed=3,
         planner=refuses,
     )
@@ -134,7 +134,18 @@ def test_a_flight_begins_anew_from_where_the_task_changes(
     without = replace(task, radars=())
     near = (START[0] + 900.0, START[1] + 500.0)
     flight = fly_offline(
-        without, blank=blank, truth=truth, start_nea_m=START, target_ne_m=near, seed=3
+        without, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=(near,), seed=3
     )
     assert len(flight.legs) == 1
     assert flight.legs[0].reaches_target
+
+
+def test_targets_are_reached_in_their_order_with_a_stop_at_each(
+    task: Task, blank: KnownMap, truth: KnownMap
+) -> None:
+    targets = (TARGET, (6_000.0, 2_000.0))
+    flight = fly_offline(
+        task, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=targets, seed=3
+    )
+    ends = [leg.subpath.control_nea_m[-1, :2] for leg in flight.legs if leg.reaches_target]
+    np.testing.assert_allclose(ends, targets, atol=1e-6)

@@ -157,7 +157,9 @@ def test_the_flown_track_is_drawn_at_the_nearest_place_of_the_path() -> None:
     track = np.concatenate(flight.legs_nea_m) + np.array([0.0, 0.0, 7.0])
     profile = axes_of(replace(flight, track_nea_m=track))["profile"]
     over = line_of(profile, "planned path")
-    np.testing.assert_allclose(line_of(profile, "flown track"), over + np.array([0.0, 0.007]), atol=1e-12)
+    np.testing.assert_allclose(
+        line_of(profile, "flown track"), over + np.array([0.0, 0.007]), atol=1e-12
+    )
 
 
 def test_a_track_without_a_plan_is_its_own_path() -> None:
