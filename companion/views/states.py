@@ -21,8 +21,8 @@ def mission_states_markdown() -> str:
         if trigger not in shared
     ]
     lines += ["    done --> [*]", "    faulted --> [*]", "```", ""]
-    for trigger, (befores, after) in shared.items():
-        names = ", ".join(before.value for before in befores)
+    for trigger, (origins, after) in shared.items():
+        names = ", ".join(before.value for before in origins)
         lines.append(f"Not drawn: `{trigger.name.lower()}` leads from {names} to {after.value}.")
     unreached = [phase.value for phase in Phase if phase not in _reached()]
     lines += ["", f"Reserved, not entered yet: {', '.join(unreached)}.", "", "## Triggers", ""]
@@ -43,10 +43,10 @@ def _shared_moves() -> dict[Trigger, tuple[list[Phase], Phase]]:
     """Triggers that lead from many phases to one: drawn, they would hide the rest."""
     shared = {}
     for trigger in Trigger:
-        befores = [before for before, on in MOVES if on is trigger]
-        afters = {MOVES[before, trigger] for before in befores}
-        if len(befores) > 3 and len(afters) == 1:
-            shared[trigger] = (befores, afters.pop())
+        origins = [before for before, on in MOVES if on is trigger]
+        afters = {MOVES[before, trigger] for before in origins}
+        if len(origins) > 3 and len(afters) == 1:
+            shared[trigger] = (origins, afters.pop())
     return shared
 
 
