@@ -35,7 +35,8 @@ _PATH, _RADAR, _KEEP_OUT, _UNKNOWN = "#0050b5", "#c2389b", "#e8590c", "#c9ccd1"
 _Style = dict[str, Any]
 _HALO = [withStroke(linewidth=4.6, foreground="white")]
 _LINE: _Style = {"color": _PATH, "lw": 2.4, "path_effects": _HALO, "label": "planned path"}
-_BEHIND: _Style = {"color": _PATH, "lw": 1.2, "ls": ":"}
+_BEHIND: _Style = {"color": _PATH, "lw": 1.6, "ls": ":"}
+_BEHIND["path_effects"] = [withStroke(linewidth=3.0, foreground="white")]
 _FLOWN: _Style = {"color": "black", "lw": 0.9, "label": "flown track"}
 _MARK: _Style = {"ls": "", "mec": "black"}
 _SCAN = _MARK | {"marker": "o", "ms": 5.5, "mfc": "white", "mec": _PATH, "label": "scan (p_scan)"}
