@@ -31,6 +31,9 @@ from companion.views.words import flight_table, mission_words, plans_table
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 
+_INTERRUPTED = 130
+_USAGE_ERROR = typer.BadParameter.__bases__  # typer has no name for the class of all of them
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -141,6 +144,9 @@ def plan_command(
     """
     console = Console()
     chosen, place = load_mission(mission, profile and profile.value), load_world(world)
+    if place.origin_deg != (chosen.frame.latitude_deg, chosen.frame.longitude_deg):
+        rule = f"the mission's origin differs from that of the world, {place.origin_deg}"
+        raise InputError("MISSION", mission, rule, "Give the mission of this world.")
     task, limits = chosen.task, chosen.task.limits
     blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
     truth = true_map(place.terrain, blank)
@@ -164,6 +170,7 @@ def plan_command(
         f"picture: {out}",
         highlight=False,
         soft_wrap=True,
+        markup=False,
     )
     _exit_as_planned(flight)
 
@@ -172,7 +179,9 @@ def plan_command(
 def check_command(mission: MissionArgument, profile: ProfileOption = None) -> None:
     """Check a mission file and say in words what the mission will do."""
     Console(soft_wrap=True).print(
-        mission_words(load_mission(mission, profile and profile.value)), highlight=False
+        mission_words(load_mission(mission, profile and profile.value)),
+        highlight=False,
+        markup=False,
     )
 
 
@@ -201,26 +210,39 @@ def _common(
 def main() -> None:
     """Entry point: every expected failure is one line and an exit code."""
     try:
-        app(standalone_mode=True)
+        code = app(standalone_mode=False)
     except CompanionError as error:
         sys.stderr.write(f"error: {error}\n")
         sys.exit(error.exit_code)
+    except typer.Abort:
+        sys.exit(_INTERRUPTED)
+    except Exception as error:
+        if not isinstance(error, _USAGE_ERROR):
+            raise
+        text = str(getattr(error, "format_message", error.__str__)())
+        sys.stderr.write(f"error: {text.rstrip('.')}. See companion --help.\n")
+        sys.exit(InputError.exit_code)
+    sys.exit(code if isinstance(code, int) else 0)
 
 
 # --- the end of a command
 
 
 def _show(flown: Flown, folder: RunFolder, console: Console) -> None:
-    """The summary and the picture of a flight."""
-    console.print(flight_table(flown))
+    """The summary and the picture of a flight; without a terminal, or on a full disk, less."""
+    lines = [f"run folder: {folder.path}"]
+    if folder.failure is not None:
+        lines.insert(0, f"recording stopped: {folder.failure}")
+    with contextlib.suppress(OSError):
+        console.print(flight_table(flown))
     try:
         if flown.heard:
             draw_flown(flown, folder.path / "flight.png")
     except OSError as error:
-        console.print(f"no picture: {error}", soft_wrap=True, highlight=False)
-    if folder.failure is not None:
-        console.print(f"recording stopped: {folder.failure}", soft_wrap=True, highlight=False)
-    console.print(f"run folder: {folder.path}", soft_wrap=True, highlight=False)
+        lines.insert(0, f"no picture: {error}")
+    with contextlib.suppress(OSError):
+        for line in lines:
+            console.print(line, soft_wrap=True, highlight=False, markup=False)
 
 
 def _exit_as_it_ended(flown: Flown, connect: str) -> None:
@@ -231,9 +253,13 @@ def _exit_as_it_ended(flown: Flown, connect: str) -> None:
         if not flown.heard:
             reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
             remedy = "Start the vehicle, or give the address that it sends to."
+            if others := sorted(flown.session.other_systems):
+                wanted = flown.session.mission.system_id
+                reason = f"vehicle.system_id = {wanted}: only system {others[0]} was heard"
+                remedy = "Write the vehicle's own system id into the mission."
         raise FlightFailed(reason, remedy)
     if end.outcome is Outcome.STOPPED:
-        raise typer.Exit(130)
+        raise typer.Exit(_INTERRUPTED)
 
 
 def _exit_as_planned(flight: OfflineFlight) -> None:
@@ -246,13 +272,15 @@ def _exit_as_planned(flight: OfflineFlight) -> None:
 
 @contextlib.contextmanager
 def _stop_signals() -> Iterator[list[int]]:
-    """Collect SIGINT and SIGTERM instead of being ended by them."""
+    """Collect what would end the program: the vehicle has to be told first."""
     received: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:
         received.append(number)
 
-    before = {each: signal.signal(each, note) for each in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        each: signal.signal(each, note) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
     try:
         yield received
     finally:

@@ -24,6 +24,7 @@ from companion.world.terrain import Peak, PeakTerrain
 from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut, Radar
 
 _MOST_CELLS = 2.5e7
+_MOST_LATERAL_M_S2 = 20.0
 
 
 @final
@@ -33,6 +34,8 @@ class World(NamedTuple):
     name: str
     terrain: PeakTerrain
     start_ne_m: tuple[float, float]
+    origin_deg: tuple[float, float]
+    """Latitude and longitude."""
 
 
 def bundled() -> list[str]:
@@ -54,7 +57,7 @@ def load_mission(name_or_path: str, profile: str | None = None) -> Mission:
             "MISSION", name_or_path, "this is a world, not a mission", "Give its mission.toml."
         )
     model = validated(MissionTable, table, name_or_path)
-    mission = _mission(model, profile)
+    mission = _mission(model, profile, name_or_path)
     _check_mission(mission, name_or_path)
     return mission
 
@@ -72,7 +75,12 @@ def load_world(name_or_path: str) -> World:
         ground_amsl_m=model.terrain.ground_amsl_m,
         sum_of_peaks=model.terrain.combine == "sum",
     )
-    return World(model.name, terrain, (model.vehicle.north_m, model.vehicle.east_m))
+    return World(
+        name=model.name,
+        terrain=terrain,
+        start_ne_m=(model.vehicle.north_m, model.vehicle.east_m),
+        origin_deg=(model.origin.latitude_deg, model.origin.longitude_deg),
+    )
 
 
 # --- files
@@ -116,7 +124,7 @@ def _parse(text: str, where: str) -> dict[str, Any]:
 # --- what the tables mean
 
 
-def _mission(model: MissionTable, profile: str | None) -> Mission:
+def _mission(model: MissionTable, profile: str | None, where: str) -> Mission:
     vehicle, planner, area, band = model.vehicle, model.planner, model.area, model.altitude
     limits = Limits(
         speed_m_s=vehicle.speed_m_s,
@@ -137,7 +145,8 @@ def _mission(model: MissionTable, profile: str | None) -> Mission:
         planning_time_s=planner.planning_time_s,
         scan_time_s=planner.scan_time_s,
         scan_distance_m=planner.scan_distance_m,
-        overlap_m=planner.overlap_m,
+        position_period_s=1.0 / vehicle.position_rate_hz,
+        overlap_m=0.1 * planner.scan_range_m if planner.overlap_m is None else planner.overlap_m,
         evaluations=planner.evaluations,
         profile=PROFILES[profile or planner.profile],
         weights=replace(Weights(), **dict(planner.weights)),
@@ -150,7 +159,10 @@ def _mission(model: MissionTable, profile: str | None) -> Mission:
         )
         for radar in model.radars
     )
-    keep_outs = tuple(_keep_out(zone, index) for index, zone in enumerate(model.keep_outs))
+    keep_outs = tuple(
+        _keep_out(zone, f"{where}: keep_outs[{index}]")
+        for index, zone in enumerate(model.keep_outs)
+    )
     return Mission(
         name=model.name,
         frame=LocalFrame(
@@ -164,7 +176,7 @@ def _mission(model: MissionTable, profile: str | None) -> Mission:
     )
 
 
-def _keep_out(zone: KeepOutTable, index: int) -> KeepOut:
+def _keep_out(zone: KeepOutTable, field: str) -> KeepOut:
     if zone.vertices_m is not None and zone.radius_m is None:
         if len(zone.vertices_m) >= 3:
             vertices = tuple((north, east) for north, east in zone.vertices_m)
@@ -177,7 +189,7 @@ def _keep_out(zone: KeepOutTable, index: int) -> KeepOut:
             name=zone.name, north_m=zone.north_m, east_m=zone.east_m, radius_m=zone.radius_m
         )
     raise InputError(
-        f"keep_outs[{index}]",
+        field,
         zone.name,
         "a keep-out is a circle or a polygon",
         "Give north_m, east_m and radius_m, or vertices_m with three or more [north, east].",
@@ -242,6 +254,16 @@ def _check_distances(task: Task, where: str) -> None:
         raise InputError(
             f"{where}: planner.planning_time_s", settings.planning_time_s, rule, remedy
         )
+    requests, period_s = 33, settings.position_period_s
+    if settings.scan_time_s < requests * period_s:
+        rule = f"a scan takes {requests} requests, one a position ({period_s:g} s)"
+        remedy = f"Raise it to {requests * period_s:g}, or raise vehicle.position_rate_hz."
+        raise InputError(f"{where}: planner.scan_time_s", settings.scan_time_s, rule, remedy)
+    lateral = speed**2 / task.limits.turn_radius_m
+    if lateral > _MOST_LATERAL_M_S2:
+        rule = f"at V = {speed:g} m/s it asks for {lateral:.3g} m/s2 sideways, over 2 g"
+        remedy = "Raise it, or lower vehicle.speed_m_s."
+        raise InputError(f"{where}: vehicle.turn_radius_m", task.limits.turn_radius_m, rule, remedy)
     if task.limits.turn_radius_m > 0.5 * settings.scan_range_m:
         rule = f"a turn must fit into the scan range R = {settings.scan_range_m:g} m twice"
         remedy = "Lower it, or raise planner.scan_range_m."

@@ -113,7 +113,7 @@ class PlannerTable(Table):
     planning_time_s: Positive
     scan_time_s: Positive = 4.0
     scan_distance_m: Positive | None = None
-    overlap_m: NotNegative = 2000.0
+    overlap_m: NotNegative | None = None
     evaluations: Annotated[int, Field(ge=60, le=1_000_000)] = 3000
     profile: Literal["flight", "paper"] = "flight"
     weights: WeightsTable = WeightsTable()

@@ -54,7 +54,7 @@ from companion.mission.events import (
 )
 from companion.mission.mission import Mission
 from companion.mission.state import Flight, Phase, State
-from companion.planner.plan import Planned, PlanOutcome, PlanRequest
+from companion.planner.plan import PlanOutcome, PlanRequest
 from companion.world.known_map import empty_map
 
 Entry = dict[str, Any]
@@ -106,7 +106,8 @@ class Session:
             flight=Flight(known=empty_map(mission.task.cell_m, limits.north_m, limits.east_m))
         )
         self.now_s = 0.0
-        self.last_plan: Planned | None = None
+        self.other_systems: set[int] = set()
+        """System ids of autopilots that were heard and are not the mission's vehicle."""
         self._context = Context(mission=mission, seed=seed)
         self._lockstep = lockstep
         self._autopilot = autopilot
@@ -182,7 +183,10 @@ class Session:
         return out
 
     def farewell(self) -> Output:
-        """The last frames of a companion that ends."""
+        """The last frames of a companion that ends; a vehicle that flies for us is told to hold."""
+        flies = self.state.phase in (Phase.TAKING_OFF, Phase.FLYING, Phase.HOLDING, Phase.ARRIVED)
+        if flies and self._mode is Mode.GUIDED:
+            self._ask_mode(Mode.HOLD)
         self._send(heartbeat_message(wire.MAV_STATE_POWEROFF))
         out, self._out = self._out, Output()
         return out
@@ -204,6 +208,8 @@ class Session:
                 self._clock(message.ts1 * 1e-9)
         self._out.record.append((self.now_s, bytes(message.get_msgbuf())))
         if not ours:
+            if component == AUTOPILOT_COMPONENT and message.get_type() == "HEARTBEAT":
+                self.other_systems.add(message.get_srcSystem())
             return
         if component == AUTOPILOT_COMPONENT:
             self._from_autopilot(message)
@@ -312,8 +318,6 @@ class Session:
         if isinstance(outcome, PlannerDied):
             self._handle(outcome)
         else:
-            if isinstance(outcome, Planned):
-                self.last_plan = outcome
             self._handle(PlanReady(time_s=self.now_s, outcome=outcome))
 
     def _scan_on(self) -> None:
@@ -402,6 +406,7 @@ class Session:
         self._download = TerrainDownload(
             self.state.flight.known,
             centre_ne_m=centre_nea_m[:2],
+            towards_ne_m=self.mission.targets_ne_m[self.state.flight.target],
             range_m=task.settings.scan_range_m,
             deadline_s=self.now_s + task.settings.scan_time_s,
             drift_m=2.0 * tick_s * task.limits.speed_m_s,

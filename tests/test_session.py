@@ -470,7 +470,7 @@ def test_stop_leaves_the_vehicle_holding_and_is_settled_when_it_says_so() -> Non
 def test_a_setpoint_that_is_out_of_range_ends_the_flight_in_the_hold_mode() -> None:
     def absurd(request: PlanRequest) -> Any:
         plan = straight_plan(request)
-        control = plan.subpath.control_nea_m * np.array([1.0, 1.0, 1e9])
+        control = plan.subpath.control_nea_m * np.array([1.0, 1.0, np.nan])
         plan.subpath.control_nea_m[:] = control
         return plan
 

@@ -162,10 +162,14 @@ class Server:
         simulation = self._simulation
         lines = simulation.take_truth()
         if self._truth is not None and lines:
-            self._truth.write("\n".join(lines) + "\n")
-            if simulation.now_us >= self._flush_us:
-                self._truth.flush()
-                self._flush_us = simulation.now_us + _FLUSH_US
+            try:
+                self._truth.write("\n".join(lines) + "\n")
+                if simulation.now_us >= self._flush_us:
+                    self._truth.flush()
+                    self._flush_us = simulation.now_us + _FLUSH_US
+            except OSError as error:
+                self._say(f"truth.jsonl stopped: {error}")
+                self._truth = None
         for notice in simulation.take_notices():
             self._say(notice)
 

@@ -18,9 +18,17 @@ class Autopilot:
     """How one kind of autopilot is told what to do."""
 
     name: str
+    autopilot: int
+    """MAV_AUTOPILOT."""
+    vehicle_types: frozenset[int]
+    """MAV_TYPE of its airframes."""
     mode_numbers: Mapping[Mode, int]
     streams_hz: Mapping[int, float]
     """Message id -> rate, besides the position."""
+
+    def flies(self, autopilot: int, vehicle_type: int) -> bool:
+        """Whether a heartbeat's autopilot and type are of this kind."""
+        return autopilot == self.autopilot and vehicle_type in self.vehicle_types
 
     def mode_of(self, custom_mode: int) -> Mode:
         """The mode that a heartbeat reports."""
@@ -32,6 +40,19 @@ class Autopilot:
 
 ARDUCOPTER = Autopilot(
     name="ArduCopter",
+    autopilot=wire.MAV_AUTOPILOT_ARDUPILOTMEGA,
+    vehicle_types=frozenset(
+        {
+            wire.MAV_TYPE_QUADROTOR,
+            wire.MAV_TYPE_COAXIAL,
+            wire.MAV_TYPE_HELICOPTER,
+            wire.MAV_TYPE_HEXAROTOR,
+            wire.MAV_TYPE_OCTOROTOR,
+            wire.MAV_TYPE_TRICOPTER,
+            wire.MAV_TYPE_DODECAROTOR,
+            wire.MAV_TYPE_DECAROTOR,
+        }
+    ),
     mode_numbers={
         Mode.GUIDED: wire.COPTER_MODE_GUIDED,
         Mode.HOLD: wire.COPTER_MODE_BRAKE,

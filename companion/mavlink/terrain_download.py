@@ -100,6 +100,22 @@ def _placed(known: KnownMap, row: int, column: int, mask: int, frame: LocalFrame
     )
 
 
+def _ahead_ne_m(
+    here_ne_m: tuple[float, float], there_ne_m: tuple[float, float], reach_m: float
+) -> tuple[float, float]:
+    """The point at some distance from here on the way to there, or there if it is nearer."""
+    left = math.dist(here_ne_m, there_ne_m)
+    share = min(reach_m / max(left, 1e-9), 1.0)
+    north, east = (a + share * (b - a) for a, b in zip(here_ne_m, there_ne_m, strict=True))
+    return north, east
+
+
+def _distance_from_m(known: KnownMap, area: Area, point_ne_m: tuple[float, float]) -> float:
+    north = known.north_min_m + (area.row + 0.5 * ROWS) * known.cell_m
+    east = known.east_min_m + (area.column + 0.5 * COLUMNS) * known.cell_m
+    return math.dist((north, east), point_ne_m)
+
+
 @final
 class TerrainDownload:
     """Asks for a scan area by area and collects the answers.  Pure: time is an argument."""
@@ -109,16 +125,22 @@ class TerrainDownload:
         known: KnownMap,
         *,
         centre_ne_m: tuple[float, float],
+        towards_ne_m: tuple[float, float],
         range_m: float,
         deadline_s: float,
         drift_m: float,
         frame: LocalFrame,
     ) -> None:
+        """towards_ne_m: where the vehicle is going: what lies there is asked for first."""
         self._known = known
+        ahead_ne_m = _ahead_ne_m(centre_ne_m, towards_ne_m, 0.5 * range_m)
         self._range_m = range_m
         self._deadline_s = deadline_s
         self._drift_m = drift_m
-        self._waiting = list(areas(known, centre_ne_m, range_m, frame))
+        self._waiting = sorted(
+            areas(known, centre_ne_m, range_m, frame),
+            key=lambda area: _distance_from_m(known, area, ahead_ne_m),
+        )
         self._registration_m = max((area.registration_m for area in self._waiting), default=0.0)
         self._tries: dict[tuple[int, int], int] = {}
         self._area: Area | None = None

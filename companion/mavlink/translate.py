@@ -42,6 +42,7 @@ def event_of(
                 time_s=now_s,
                 mode=autopilot.mode_of(message.custom_mode),
                 armed=bool(message.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED),
+                fits=autopilot.flies(message.autopilot, message.type),
             )
         case "GLOBAL_POSITION_INT":
             return _position(message, frame)

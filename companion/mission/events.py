@@ -49,6 +49,8 @@ class VehicleStatus:
     time_s: float
     mode: Mode
     armed: bool
+    fits: bool = True
+    """Whether it is the kind of vehicle that the mission is for."""
 
 
 @final

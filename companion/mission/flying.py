@@ -20,7 +20,6 @@ from companion.mission.events import (
     Vector,
 )
 from companion.mission.state import Flight, Reason, State, Trigger
-from companion.path.subpath import Pose
 from companion.planner.plan import NotPlanned, Planned, PlanRequest
 from companion.planner.procedure import (
     Leg,
@@ -29,10 +28,15 @@ from companion.planner.procedure import (
     allowed_speed_m_s,
     hover_pose,
     is_at_end,
+    off_path_m,
 )
+from companion.world.known_map import proven_range_m
 
 _STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
+_DEPARTURE = 3.0  # tracking errors off the path
+_DEPARTURES = 3
+_SHORT_SIGHTED = 0.8  # of R
 
 
 def flying(state: State, event: Event, context: Context) -> Step:
@@ -63,6 +67,9 @@ def on_position(state: State, event: Position, context: Context) -> Step:
     if state.now_s - flight.progress_at_s > _STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
     leg = flight.leg
+    off_m = off_path_m(flight.reference, leg, np.asarray(event.position_nea_m)) if leg else 0.0
+    if off_m > _DEPARTURE * context.mission.task.limits.tracking_error_m:
+        return _departed(state)
     assert leg is not None
     commands: list[Command] = [_setpoint(event.time_s, leg, flight.reference, context)]
     if is_at_end(flight.reference, leg):
@@ -72,9 +79,17 @@ def on_position(state: State, event: Position, context: Context) -> Step:
         return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
     due = flight.reference.length_m >= leg.scan_at_m(context.mission.task)
     if due and not flight.tried and not leg.reaches_target:
-        flight, scan = _start_scan(flight, _vector(leg.subpath.pose(flight.reference.length_m)))
+        flight, scan = _start_scan(flight, leg.subpath.pose(flight.reference.length_m).point_nea_m)
         commands.append(scan)
     return replace(state, flight=flight), commands, None
+
+
+def _departed(state: State) -> Step:
+    """The vehicle is not where the path was checked: hold, and plan from where it is."""
+    if state.flight.departures >= _DEPARTURES:
+        return give_up(state, Reason.NOT_FOLLOWING)
+    flight = replace(at_rest(state.flight, None), departures=state.flight.departures + 1)
+    return fault(replace(state, flight=flight), Reason.OFF_PATH)
 
 
 def on_scan(state: State, event: ScanDone, context: Context) -> Step:
@@ -104,7 +119,22 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
     )
     flight = replace(flight, plan_id=request.plan_id, planning=True)
     due_s = event.time_s + task.settings.planning_time_s
-    return replace(state, flight=flight), [Plan(request=request, due_s=due_s)], None
+    says = _scan_warnings(flight, event, context)
+    return replace(state, flight=flight), [*says, Plan(request=request, due_s=due_s)], None
+
+
+def _scan_warnings(flight: Flight, event: ScanDone, context: Context) -> list[Command]:
+    """What a person should know of a scan that was worse than the mission expects."""
+    says: list[Command] = []
+    if event.answered < event.asked:
+        text = f"scan: {event.answered} of {event.asked} blocks answered"
+        says.append(Say(text=text, warning=True))
+    wanted_m = context.mission.task.settings.scan_range_m
+    seen_m = proven_range_m(flight.known, event.scan)
+    if flight.plan_id == 1 and seen_m < _SHORT_SIGHTED * wanted_m:
+        text = f"radar sees {seen_m / 1000:.1f} km of R = {wanted_m / 1000:.1f} km"
+        says.append(Say(text=text, warning=True))
+    return says
 
 
 def on_plan(state: State, event: PlanReady, context: Context) -> Step:
@@ -150,7 +180,7 @@ def at_rest_at_end(flight: Flight) -> Flight:
     leg = flight.leg
     if leg is None:
         return at_rest(flight, flight.hover_nea_m)
-    return at_rest(flight, _vector(leg.subpath.pose(leg.subpath.length_m)))
+    return at_rest(flight, leg.subpath.pose(leg.subpath.length_m).point_nea_m)
 
 
 def hold_setpoint(state: State, time_s: float, context: Context) -> list[Command]:
@@ -223,12 +253,7 @@ def _moved_on(state: State, event: Position, context: Context) -> Flight:
 
 
 def _accepted(flight: Flight, planned: Planned) -> Flight:
-    leg = Leg(
-        number=flight.legs_flown + 1,
-        plan_id=planned.plan_id,
-        subpath=planned.subpath,
-        reaches_target=planned.reaches_target,
-    )
+    leg = Leg.of(planned, flight.legs_flown + 1)
     if flight.leg is not None:
         return replace(flight, next_leg=leg)
     return replace(
@@ -262,12 +287,7 @@ def _setpoint(time_s: float, leg: Leg, reference: Reference, context: Context) -
     velocity = speed * pose.tangent_nea
     return Setpoint(
         time_s=time_s,
-        position_nea_m=_vector(pose),
+        position_nea_m=pose.point_nea_m,
         velocity_nea_m_s=(float(velocity[0]), float(velocity[1]), float(velocity[2])),
         yaw_rad=math.atan2(pose.tangent_nea[1], pose.tangent_nea[0]),
     )
-
-
-def _vector(pose: Pose) -> Vector:
-    north, east, altitude = (float(value) for value in pose.position_nea_m)
-    return north, east, altitude

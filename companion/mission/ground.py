@@ -1,5 +1,7 @@
 """The phases before the flight: waiting, preparing, arming, taking off.  Each wait has an end."""
 
+import numpy as np
+
 from companion.mission.decisions import (
     AT_M,
     STOPPED_M_S,
@@ -35,6 +37,8 @@ _TAKE_OFF_SLACK_S = 60.0
 def waiting(state: State, event: Event) -> Step:
     """For the first heartbeat; the runtime says when it has waited long enough."""
     if isinstance(event, VehicleStatus):
+        if not event.fits:
+            return give_up(state, Reason.WRONG_VEHICLE)
         return state, [], Trigger.VEHICLE_FOUND
     if isinstance(event, LinkLost):
         return give_up(state, Reason.NO_VEHICLE)
@@ -55,6 +59,8 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         return state, [], None
     if _height_m(state, context) <= 0.0:
         return give_up(state, Reason.HOME_TOO_HIGH)
+    if not _may_rise(state, context):
+        return give_up(state, Reason.OUTSIDE)
     return state, [], Trigger.READY
 
 
@@ -99,6 +105,19 @@ def _still_on_ground(state: State, event: Event, context: Context) -> Step:
     if in_phase_s(state) > _longest_climb_s(state, context):
         return give_up(state, Reason.NO_TAKE_OFF)
     return ask(state, TakeOff(above_home_m=height))
+
+
+def _may_rise(state: State, context: Context) -> bool:
+    """Whether the vehicle stands on the map, clear of keep-outs."""
+    task, here = context.mission.task, state.vehicle.position_nea_m
+    if here is None:
+        return False
+    for value, (low, high) in zip(here, (task.limits.north_m, task.limits.east_m), strict=False):
+        if not low <= value <= high:
+            return False
+    north, east = np.asarray(here[0]), np.asarray(here[1])
+    gaps = [float(zone.distance_m(north, east)) for zone in task.keep_outs]
+    return min(gaps, default=np.inf) >= task.required_clearance_m
 
 
 def _height_m(state: State, context: Context) -> float:

@@ -97,7 +97,7 @@ def _decide(state: State, event: Event, context: Context) -> Step:
         case Phase.ARRIVED:
             return stopped.arrived(state, event, context)
         case Phase.LANDING:
-            return stopped.landing(state, event, context)
+            return stopped.landing(state, event)
         case Phase.RETURNING | Phase.SHADOW | Phase.DONE | Phase.FAULTED:
             return state, [], None
     assert_never(state.phase)
@@ -110,7 +110,7 @@ def _enter(
     match state.phase:
         case Phase.PREPARING:
             return state, [*commands, RequestStreams(), Say(text=f"mission {context.mission.name}")]
-        case Phase.FLYING:
+        case Phase.FLYING | Phase.LANDING:
             flight = replace(state.flight, progress_at_s=state.now_s)
             return replace(state, reason=None, flight=flight), commands
         case Phase.HOLDING:

@@ -74,9 +74,11 @@ class Reason(enum.Enum):
     """Why a mission holds or ends, and the one next action to take."""
 
     NO_VEHICLE = ("no vehicle was heard", "Start it, or check --connect.")
+    WRONG_VEHICLE = ("the vehicle is not an ArduPilot copter", "Check --connect and the vehicle.")
     NOT_READY = ("the vehicle did not get ready to fly", "See its messages for what it waits for.")
     ALREADY_FLYING = ("the vehicle is already in the air", "Land it, then start again.")
     NOT_ARMED = ("the vehicle would not arm in guided mode", "See its messages for the reason.")
+    OUTSIDE = ("the vehicle stands off the map or at a keep-out", "Check origin and area.")
     HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
     NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
@@ -88,6 +90,7 @@ class Reason(enum.Enum):
     MODE_TAKEN = ("somebody else changed the flight mode", "Select guided mode to go on.")
     DISARMED = ("the vehicle disarmed", "See its messages for the reason.")
     GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.")
+    OFF_PATH = ("the vehicle left its path", "Raise vehicle.tracking_error_m or fly slower.")
     NOT_FOLLOWING = ("the vehicle does not follow its setpoints", "Check that it can fly them.")
     NOT_OBEYING = ("the vehicle did not take the mode asked for", "Take over by hand.")
     RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.")
@@ -154,6 +157,8 @@ class Flight:
     failures: int = 0
     """Attempts in a row, from rest, that gave no leg."""
     legs_flown: int = 0
+    departures: int = 0
+    """How often the vehicle has left its path."""
     progress_at_s: float = 0.0
     """When the reference point last moved, or the wait for a leg began."""
 

@@ -33,8 +33,8 @@ _ATTEMPTS = 4
 _THERE_M = 1.0
 _SETTLE_S = 30.0  # for a vehicle that does not come quite to rest
 _HOLD_S = 300.0  # for a position that does not get better
-_OBEY_S = 60.0  # for the end action's mode
-_SLOWEST_DESCENT_M_S = 0.75
+_OBEY_S = 60.0  # for the end action's mode, and for a descent that stands still
+_SINKING_M_S = 0.1
 
 
 def holding(state: State, event: Event, context: Context) -> Step:
@@ -80,19 +80,21 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
 
 
 def _hold_in_its_own_mode(state: State) -> Step:
-    """The position is not to be believed: the autopilot holds, until it was good for a while."""
-    mode = state.vehicle.mode
-    if mode is Mode.HOLD:
+    """The autopilot holds, until it stands and its position was good for a while."""
+    vehicle = state.vehicle
+    if vehicle.mode is Mode.HOLD:
         state = replace(state, obeyed=True)
-    elif mode is not Mode.GUIDED:
+    elif vehicle.mode is not Mode.GUIDED:
         return replace(state, reason=Reason.MODE_TAKEN), [], None
     if in_phase_s(state) > _HOLD_S:
         return state, [], Trigger.GIVE_UP
-    if state.now_s - state.vehicle.bad_at_s <= _TRUST_S:
-        if mode is Mode.GUIDED and not state.obeyed:
-            return ask(state, SetMode(mode=Mode.HOLD))
+    if not state.obeyed:
+        return ask(state, SetMode(mode=Mode.HOLD))
+    stands = math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S or in_phase_s(state) > _SETTLE_S
+    trusted = state.now_s - max(vehicle.bad_at_s, state.since_s) > _TRUST_S
+    if not (stands and trusted):
         return state, [], None
-    if mode is Mode.GUIDED:
+    if vehicle.mode is Mode.GUIDED:
         return state, [], Trigger.RESUME
     return ask(state, SetMode(mode=Mode.GUIDED))
 
@@ -132,17 +134,16 @@ def _stands_at_target(state: State, event: Position, context: Context) -> bool:
     return off < _THERE_M and speed_m_s(event) < STOPPED_M_S
 
 
-def landing(state: State, event: Event, context: Context) -> Step:
+def landing(state: State, event: Event) -> Step:
     """Ask for the land mode until it is taken, then wait for the ground."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return state, [], Trigger.LANDED
     if is_gone(event):
         return give_up(state, Reason.LINK_LOST)
-    height = context.mission.take_off_amsl_m
-    if vehicle.position_nea_m is not None:
-        height = max(vehicle.position_nea_m[2] - (vehicle.home_amsl_m or 0.0), 0.0)
-    if in_phase_s(state) > _OBEY_S + height / _SLOWEST_DESCENT_M_S:
+    if isinstance(event, Position) and event.velocity_nea_m_s[2] < -_SINKING_M_S:
+        state = replace(state, flight=replace(state.flight, progress_at_s=state.now_s))
+    if state.now_s - state.flight.progress_at_s > _OBEY_S:
         return give_up(state, Reason.NOT_OBEYING)
     if vehicle.mode is Mode.LAND:
         return replace(state, obeyed=True), [], None

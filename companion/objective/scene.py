@@ -90,8 +90,10 @@ class Scene:
     """The target, when this subpath ends there."""
     safety_distance_m: float
     """d_s."""
+    clearance_m: float
+    """What the search keeps from keep-outs and, in `flight`, from terrain: a little over d_s."""
     surface: Surface
-    """`paper`: the known terrain.  `flight`: the surface that keeps margin * d_s from it."""
+    """`paper`: the known terrain.  `flight`: the surface that keeps clearance_m from it."""
     radars: tuple[Radar, ...]
     keep_outs: tuple[KeepOut, ...]
 
@@ -107,7 +109,7 @@ class Scene:
 
     @property
     def _inset_m(self) -> float:
-        return self.limits.tracking_error_m if self.profile.verified else 0.0
+        return 1.1 * self.limits.tracking_error_m if self.profile.verified else 0.0
 
 
 def control_points(x: FloatArray, scene: Scene) -> FloatArray:

@@ -15,6 +15,7 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.objective.scene import Scene, control_points
 from companion.path.bspline import climb_angle_rad, horizontal_curvature_1_m, uniform_basis
+from companion.world.threats import detection_probability
 
 _PAPER_SAMPLES = 10
 _CRASH_SCALE = 100.0  # per unit of collision probability of one sample
@@ -91,8 +92,7 @@ def radar(paths: Candidates, scene: Scene) -> FloatArray:
     total = np.zeros(len(points))
     for each in scene.radars:
         distance = each.distance_m(points)
-        reach = each.range_m + scene.profile.radar_margin_m
-        seen = np.where(distance <= reach, 1.0 / (1.0 + (distance / each.range_m) ** 4), 0.0)
+        seen = detection_probability(distance, each.range_m, scene.profile.radar_margin_m)
         total += seen.sum(axis=1)
     return total * _per_sample(paths) * _RADAR_SCALE
 
@@ -147,7 +147,7 @@ def _beyond(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:
 
 def _keep_out_excess(paths: Candidates, scene: Scene) -> FloatArray:
     """How far samples are short of d_s from keep-out zones (not in the paper: a hard bound)."""
-    wanted = scene.safety_distance_m * scene.profile.margin
+    wanted = scene.clearance_m
     points = paths.points_nea_m[:, 1:]
     short = np.zeros(len(points))
     for zone in scene.keep_outs:

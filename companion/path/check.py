@@ -42,16 +42,20 @@ class CheckReport:
     radar_m: float
     """Length inside radar ranges (a cost, not a bound)."""
 
-    def violations(self, limits: Limits, safety_distance_m: float) -> tuple[str, ...]:
-        """The bounds that are broken, in words; empty: safe to fly."""
+    def violations(self, limits: Limits, required_clearance_m: float) -> tuple[str, ...]:
+        """The bounds that are broken, in words; empty: safe to fly.
+
+        required_clearance_m: d_s and the tracking error; the band too is kept by the latter.
+        """
+        inset = limits.tracking_error_m
         bounds = (
             ("terrain clearance", self.above_safe_m >= 0.0),
-            ("keep-out zone", self.keep_out_m >= safety_distance_m),
+            ("keep-out zone", self.keep_out_m >= required_clearance_m),
             ("turn radius", self.turn_radius_m >= limits.turn_radius_m),
             ("climb angle", self.climb_angle_rad <= limits.climb_angle_rad),
             ("dive angle", self.dive_angle_rad <= limits.dive_angle_rad),
-            ("floor of the band", self.lowest_amsl_m >= limits.floor_amsl_m),
-            ("ceiling of the band", self.highest_amsl_m <= limits.ceiling_amsl_m),
+            ("floor of the band", self.lowest_amsl_m >= limits.floor_amsl_m + inset),
+            ("ceiling of the band", self.highest_amsl_m <= limits.ceiling_amsl_m - inset),
             ("edge of the map", self.off_map_m <= 0.0),
         )
         return tuple(name for name, kept in bounds if not kept)

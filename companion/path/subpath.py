@@ -20,6 +20,12 @@ class Pose:
     position_nea_m: FloatArray  # (3,)
     tangent_nea: FloatArray  # (3,), unit length
 
+    @property
+    def point_nea_m(self) -> tuple[float, float, float]:
+        """The position as plain numbers."""
+        north, east, altitude = (float(value) for value in self.position_nea_m)
+        return north, east, altitude
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
-from companion.path.subpath import Pose
 from companion.planner.plan import NotPlanned, Planned, PlanOutcome, PlanRequest, plan
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.settings import Task
@@ -64,7 +63,7 @@ def fly_offline(
         failure = outcome if isinstance(outcome, NotPlanned) else None
         if isinstance(outcome, Planned):
             plans.append(outcome)
-            legs.append(_leg(outcome, len(legs) + 1))
+            legs.append(Leg.of(outcome, len(legs) + 1))
         if legs and legs[-1].reaches_target and not failure:
             left.pop(0)
         if failure or not left or len(legs) == _MOST_LEGS:
@@ -78,22 +77,8 @@ def fly_offline(
         leg = legs[-1]
         from_rest = leg.reaches_target
         if from_rest:
-            scan_nea_m = _point(leg.subpath.pose(leg.subpath.length_m))
+            scan_nea_m = leg.subpath.pose(leg.subpath.length_m).point_nea_m
             pose = hover_pose(scan_nea_m)
         else:
-            scan_nea_m = _point(leg.subpath.pose(leg.scan_at_m(task)))
+            scan_nea_m = leg.subpath.pose(leg.scan_at_m(task)).point_nea_m
             pose = leg.subpath.pose(leg.successor_at_m(task))
-
-
-def _leg(planned: Planned, number: int) -> Leg:
-    return Leg(
-        number=number,
-        plan_id=planned.plan_id,
-        subpath=planned.subpath,
-        reaches_target=planned.reaches_target,
-    )
-
-
-def _point(pose: Pose) -> tuple[float, float, float]:
-    north, east, altitude = (float(value) for value in pose.position_nea_m)
-    return north, east, altitude

@@ -2,6 +2,7 @@
 
 import enum
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -103,13 +104,18 @@ _TRIES = (
 )
 
 
-def plan(request: PlanRequest) -> PlanOutcome:
-    """Search for the next subpath until one passes the check (profile `paper`: the first)."""
+def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> PlanOutcome:
+    """Search for the next subpath until one passes the check (profile `paper`: the first).
+
+    stop: asked between tries; in real time it tells that there is no time for another.
+    """
     check_surface = _surface(request, request.task.required_clearance_m)
     base = _scene(request)
     spent = 0
     broken: tuple[str, ...] = ()
     for number, how in enumerate(_TRIES):
+        if number and stop():
+            break
         scene = _vary(base, request, how)
         rng = np.random.default_rng(
             [request.seed, _STREAM_PLAN, request.plan_id, request.attempt, number]
@@ -192,8 +198,7 @@ def _scene(request: PlanRequest) -> Scene:
     if final:
         guide = _bearing_rad(scan_ne, request.target_ne_m)
     if settings.profile.verified:
-        clearance = settings.safety_distance_m * settings.profile.margin
-        surface = _surface(request, max(clearance, task.required_clearance_m))
+        surface = _surface(request, task.search_clearance_m)
     else:
         surface = terrain_surface(
             request.known, centre_ne_m=scan_ne, reach_m=_REACH * settings.scan_range_m
@@ -209,6 +214,7 @@ def _scene(request: PlanRequest) -> Scene:
         guide_rad=guide,
         final_ne_m=request.target_ne_m if final else None,
         safety_distance_m=settings.safety_distance_m,
+        clearance_m=task.search_clearance_m,
         surface=surface,
         radars=task.radars,
         keep_outs=task.keep_outs,
@@ -277,4 +283,4 @@ def _check(subpath: Subpath, safe: Surface, request: PlanRequest) -> CheckReport
 
 
 def _violations(report: CheckReport, task: Task) -> tuple[str, ...]:
-    return report.violations(task.limits, task.settings.safety_distance_m)
+    return report.violations(task.limits, task.required_clearance_m)

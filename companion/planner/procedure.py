@@ -17,6 +17,7 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.path.limits import Limits
 from companion.path.subpath import Pose, Subpath
+from companion.planner.plan import Planned
 from companion.planner.settings import Task
 
 _LEAD_S = 1.0  # the reference point waits when it is this far ahead of the vehicle, at full speed
@@ -33,6 +34,16 @@ class Leg:
     plan_id: int
     subpath: Subpath
     reaches_target: bool
+
+    @staticmethod
+    def of(planned: Planned, number: int) -> "Leg":
+        """The leg that a plan becomes."""
+        return Leg(
+            number=number,
+            plan_id=planned.plan_id,
+            subpath=planned.subpath,
+            reaches_target=planned.reaches_target,
+        )
 
     def scan_at_m(self, task: Task) -> float:
         """Length flown at p_scan: L before the end, or at once on a short leg."""
@@ -80,6 +91,13 @@ def advance(
         return Reference(length_m=reference.length_m, speed_m_s=0.0)
     step = min(0.5 * (reference.speed_m_s + speed) * elapsed_s, left)
     return Reference(length_m=reference.length_m + step, speed_m_s=speed)
+
+
+def off_path_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> float:
+    """Distance of the vehicle from the path, across the tangent at the reference point."""
+    pose = leg.subpath.pose(reference.length_m)
+    offset = vehicle_nea_m - pose.position_nea_m
+    return float(np.linalg.norm(offset - (offset @ pose.tangent_nea) * pose.tangent_nea))
 
 
 def allowed_speed_m_s(pose: Pose, limits: Limits) -> float:

@@ -27,6 +27,8 @@ class PlannerSettings:
     """Longest time that a scan may take; what has not been answered by then stays unknown."""
     scan_distance_m: float | None = None
     """L, the distance of the scan before the end of the subpath; None: as short as eq. 4 allows."""
+    position_period_s: float = 0.1
+    """Time between two positions of the vehicle."""
     overlap_m: float = 2000.0
     """d_overlap."""
     evaluations: int = 3000
@@ -66,11 +68,13 @@ class Task:
 
     @property
     def shortest_scan_distance_m(self) -> float:
-        """The least L: V (T + t_scan) and the tail (eq. 4, with the time that a scan takes)."""
+        """The least L: V (T + t_scan) and the tail (eq. 4, with the time that a scan takes).
+
+        Scan and plan each end with the next position, so a few periods are added.
+        """
         settings = self.settings
-        return (
-            self.limits.speed_m_s * (settings.planning_time_s + settings.scan_time_s) + self.tail_m
-        )
+        time_s = settings.planning_time_s + settings.scan_time_s + 3.0 * settings.position_period_s
+        return self.limits.speed_m_s * time_s + self.tail_m
 
     @property
     def scan_distance_m(self) -> float:
@@ -83,6 +87,15 @@ class Task:
         return self.settings.safety_distance_m + self.limits.tracking_error_m
 
     @property
+    def search_clearance_m(self) -> float:
+        """What the search aims at: more than the check asks for (in `paper`, d_s itself)."""
+        settings = self.settings
+        if not settings.profile.verified:
+            return settings.safety_distance_m
+        least = settings.safety_distance_m + 1.1 * self.limits.tracking_error_m
+        return max(settings.safety_distance_m * settings.profile.margin, least)
+
+    @property
     def end_radius_m(self) -> float:
         """Radius of the circle about p_scan on which subpaths end.
 
@@ -92,7 +105,4 @@ class Task:
         settings = self.settings
         if not settings.profile.verified:
             return settings.scan_range_m
-        clearance = max(
-            settings.safety_distance_m * settings.profile.margin, self.required_clearance_m
-        )
-        return settings.scan_range_m - clearance - 2.0 * math.sqrt(2.0) * self.cell_m
+        return settings.scan_range_m - self.search_clearance_m - 2.0 * math.sqrt(2.0) * self.cell_m

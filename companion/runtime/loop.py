@@ -19,6 +19,10 @@ _TRACK_S = 0.5
 _PROGRESS_S = 0.1
 
 
+Planner = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
+"""Answers a request; the second argument tells it when to stop searching."""
+
+
 def fly(
     session: Session,
     link: UdpLink,
@@ -27,7 +31,7 @@ def fly(
     lockstep: bool,
     on_progress: Callable[[Flown], None],
     stop_asked: Callable[[], bool],
-    planner: Callable[[PlanRequest], PlanOutcome] = plan,
+    planner: Planner = plan,
 ) -> Flown:
     """Run a session until its mission ends; every end is a value, Flown.end."""
     flown = Flown(session=session)
@@ -46,7 +50,7 @@ class _Loop:
         lockstep: bool,
         flown: Flown,
         worker: ThreadPoolExecutor,
-        planner: Callable[[PlanRequest], PlanOutcome],
+        planner: Planner,
     ) -> None:
         self._session, self._link, self._folder = session, link, folder
         self._lockstep, self._flown = lockstep, flown
@@ -57,6 +61,12 @@ class _Loop:
         self._ended_s: float | None = None
 
     def run(self, on_progress: Callable[[Flown], None], stop_asked: Callable[[], bool]) -> None:
+        try:
+            self._run(on_progress, stop_asked)
+        finally:  # whatever happened: the vehicle is not left without a word
+            self._carry_out(self._session.farewell())
+
+    def _run(self, on_progress: Callable[[Flown], None], stop_asked: Callable[[], bool]) -> None:
         shown_s, stopping = -math.inf, False
         while self._flown.end is None:
             data = self._link.receive(_POLL_S)
@@ -78,12 +88,12 @@ class _Loop:
             if now_s - shown_s >= _PROGRESS_S:
                 shown_s = now_s
                 on_progress(self._flown)
-        self._carry_out(self._session.farewell())
 
     def _on_data(self, data: bytes, now_s: float) -> bool:
         """Take a datagram; whether the autopilot spoke in it."""
         if not self._session.receive(data):
             return False
+        self._link.answer_to_sender()
         if not self._flown.heard:
             self._flown.heard, self._began_s = True, now_s
         self._heard_s = now_s
@@ -94,12 +104,14 @@ class _Loop:
             self._session.silence(silent_s)
 
     def _carry_out(self, out: Output) -> None:
+        self._link.send(out.frames)
         self._folder.frames(out.record)
         self._folder.entries(out.journal)
-        self._link.send(out.frames)
         if out.plan is not None:
             self._flown.scans_nea_m.append(out.plan.scan_nea_m)
-            self._pending = self._worker.submit(_timed, self._planner, out.plan)
+            self._pending = self._worker.submit(
+                _timed, self._planner, out.plan, self._deadline(out.plan)
+            )
         if out.end is not None:
             self._ended_s = self._ended_s or time.perf_counter()
             if out.settled or time.perf_counter() - self._ended_s > _SETTLE_S:
@@ -108,6 +120,13 @@ class _Loop:
         if here is not None and now_s - self._track_at_s >= _TRACK_S:
             self._track_at_s = now_s
             self._flown.track_nea_m.append(here)
+
+    def _deadline(self, request: PlanRequest) -> Callable[[], bool]:
+        """Whether to stop searching: never in lockstep, after T in real time, and at the end."""
+        due_s = time.perf_counter() + request.task.settings.planning_time_s
+        return lambda: (
+            self._flown.end is not None or (not self._lockstep and time.perf_counter() > due_s)
+        )
 
     def _collect_plan(self, *, wait: bool) -> None:
         """Hand over a plan that is finished; in lockstep vehicle time stands still meanwhile."""
@@ -128,8 +147,8 @@ class _Loop:
 
 
 def _timed(
-    planner: Callable[[PlanRequest], PlanOutcome], request: PlanRequest
+    planner: Planner, request: PlanRequest, stop: Callable[[], bool]
 ) -> tuple[PlanOutcome, float]:
     began_s = time.perf_counter()
-    outcome = planner(request)
+    outcome = planner(request, stop)
     return outcome, time.perf_counter() - began_s

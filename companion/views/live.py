@@ -1,5 +1,6 @@
 """The progress of a flight, in the terminal: one line that is redrawn, or lines in a log."""
 
+import contextlib
 from types import TracebackType
 from typing import Self, final
 
@@ -18,20 +19,30 @@ class Progress:
 
     def __init__(self, console: Console) -> None:
         self._console = console
+        self._redraws = console.is_terminal and not console.is_dumb_terminal
+        self._broken = False
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._told: tuple[Phase, int] | None = None
 
     def show(self, flown: Flown) -> None:
         """Draw the flight as it stands now."""
+        if self._broken:
+            return
+        try:
+            self._show(flown)
+        except OSError:  # the terminal is gone; the flight goes on
+            self._broken = True
+
+    def _show(self, flown: Flown) -> None:
         state = flown.session.state
-        if self._console.is_terminal:
+        if self._redraws:
             self._live.update(progress_table(flown), refresh=True)
         elif self._told != (state.phase, state.flight.legs_flown):
             self._told = (state.phase, state.flight.legs_flown)
-            self._console.print(progress_line(flown), highlight=False, soft_wrap=True)
+            self._console.print(progress_line(flown), highlight=False, soft_wrap=True, markup=False)
 
     def __enter__(self) -> Self:
-        if self._console.is_terminal:
+        if self._redraws:
             self._live.start()
         return self
 
@@ -41,8 +52,9 @@ class Progress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._console.is_terminal:
-            self._live.stop()
+        if self._redraws and not self._broken:
+            with contextlib.suppress(OSError):
+                self._live.stop()
 
 
 def progress_table(flown: Flown) -> Table:

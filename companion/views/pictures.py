@@ -9,7 +9,6 @@ from companion.geodesy import FloatArray
 from companion.mission.events import Vector
 from companion.mission.mission import Mission
 from companion.planner.offline import OfflineFlight
-from companion.planner.plan import Planned
 from companion.planner.procedure import Leg
 from companion.telemetry.flown import Flown
 from companion.world.known_map import KnownMap
@@ -29,7 +28,7 @@ def draw_offline(flight: OfflineFlight, mission: Mission, truth: KnownMap, path:
 def draw_flown(flown: Flown, path: Path) -> None:
     """Draw a flight over the terrain that it came to know."""
     session = flown.session
-    legs = tuple(_leg(planned, number) for number, planned in enumerate(flown.plans, start=1))
+    legs = tuple(Leg.of(planned, number) for number, planned in enumerate(flown.plans, start=1))
     track = np.array(flown.track_nea_m) if len(flown.track_nea_m) > 1 else None
     start = flown.track_nea_m[0] if flown.track_nea_m else (0.0, 0.0, 0.0)
     end = "in flight" if flown.end is None else f"{flown.end.outcome.value}: {flown.end.reason}"
@@ -38,15 +37,6 @@ def draw_flown(flown: Flown, path: Path) -> None:
     scans = tuple(flown.scans_nea_m)
     known = session.state.flight.known
     _draw(path, session.mission, known, lines, scans, start, caption, track)
-
-
-def _leg(planned: Planned, number: int) -> Leg:
-    return Leg(
-        number=number,
-        plan_id=planned.plan_id,
-        subpath=planned.subpath,
-        reaches_target=planned.reaches_target,
-    )
 
 
 def _flown_lines(legs: tuple[Leg, ...], mission: Mission) -> tuple[FloatArray, ...]:

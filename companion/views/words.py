@@ -5,6 +5,7 @@ import math
 import statistics
 
 from rich.table import Table
+from rich.text import Text
 
 from companion.mission.mission import EndAction, Mission
 from companion.path.check import CheckReport
@@ -64,7 +65,8 @@ def _m(value_m: float) -> str:
 def flight_table(flown: Flown) -> Table:
     """How a flight went."""
     session = flown.session
-    table = Table(title=f"{session.mission.name}: {session.state.phase.value}", show_header=False)
+    title = Text(f"{session.mission.name}: {session.state.phase.value}")
+    table = Table(title=title, show_header=False)
     table.add_column()
     table.add_column(justify="right")
     rows = [("outcome", "none" if flown.end is None else flown.end.outcome.value)]

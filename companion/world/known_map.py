@@ -103,6 +103,17 @@ def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, 
     )
 
 
+def proven_range_m(known: KnownMap, scan: Scan) -> float:
+    """How far the radar did see: what it did not see beyond that may be out of its range."""
+    seen = np.isfinite(scan.heights_m)
+    return float(_distances_m(known, scan)[seen].max(initial=0.0))
+
+
+def _distances_m(known: KnownMap, scan: Scan) -> FloatArray:
+    north, east = known.middles_m(scan.row, scan.column, _shape(scan.heights_m))
+    return np.hypot(north - scan.radar_nea_m[..., 0], east - scan.radar_nea_m[..., 1])
+
+
 def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
     """Upper bound of what the radar could not see although it was within range.
 
@@ -112,10 +123,11 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
     where ground that is neither known nor hidden may be what hides it.
     """
     north, east = seen.middles_m(scan.row, scan.column, _shape(scan.heights_m))
-    distance = np.hypot(north - scan.radar_nea_m[..., 0], east - scan.radar_nea_m[..., 1])
+    distance = _distances_m(seen, scan)
     slack = 1.5 * seen.cell_m + scan.drift_m + scan.registration_m
     not_seen = np.isneginf(scan.heights_m)
-    hidden = not_seen & (distance < scan.range_m - slack)
+    reach = min(scan.range_m - slack, proven_range_m(seen, scan))
+    hidden = not_seen & (distance < reach)
     result = np.full(hidden.shape, np.inf)
     if hidden.any():
         rows, columns = np.nonzero(hidden)

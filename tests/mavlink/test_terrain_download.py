@@ -96,6 +96,7 @@ def download(
     return TerrainDownload(
         known,
         centre_ne_m=centre,
+        towards_ne_m=(centre[0] + 1e5, centre[1]),
         range_m=range_m,
         deadline_s=DEADLINE_S,
         drift_m=30.0,

@@ -16,7 +16,7 @@ from companion.planner.plan import Planned, PlanRequest
 # The distances of environment-1 by hand: V = 150 m/s, a = 5 m/s2, T = 5 s, t_scan = 4 s,
 # d_s = 500 m, R = 20 km: tail = max(0.15 R, V^2 / 2a + d_s), L = V (T + t_scan) + tail.
 TAIL_M = max(3000.0, 150.0**2 / 10.0 + 500.0)
-L_M = 150.0 * 9.0 + TAIL_M
+L_M = 150.0 * (9.0 + 3 * 0.1) + TAIL_M  # T, the scan, and three positions
 NORTH_EAST = math.sqrt(0.5)
 
 
@@ -82,7 +82,7 @@ def test_a_setpoint_lies_on_the_leg_with_its_velocity_and_nose_along_it() -> Non
     for setpoint in flying().run_for(20.0).sent(Setpoint)[100:]:
         north, east, altitude = setpoint.position_nea_m
         assert north == pytest.approx(east, abs=1e-6)
-        assert altitude == pytest.approx(3020.0)
+        assert altitude == pytest.approx(3030.0)
         speed = math.hypot(*setpoint.velocity_nea_m_s)
         expected = [speed * NORTH_EAST, speed * NORTH_EAST, 0.0]
         np.testing.assert_allclose(setpoint.velocity_nea_m_s, expected, atol=1e-6)

@@ -316,7 +316,7 @@ def test_a_mission_step_by_step() -> None:
         yaw_rad=pytest.approx(math.pi / 4),
     )
     assert scan == StartScan(centre_nea_m=hover)
-    [plan] = take(scan_done(5.6))
+    [_, plan] = take(scan_done(5.6))  # after a word on how little it saw
     assert isinstance(plan, Plan)
     assert plan.due_s == 5.6 + 5.0
     assert plan.request.from_rest
@@ -446,7 +446,7 @@ def test_a_scan_of_what_is_known_already_needs_no_answer() -> None:
     craft = Craft().fly_to(Phase.FLYING)
     craft.take(position(craft.now_s + TICK_S, craft.here))
     known = replace(scan_done(craft.now_s, answered=0), asked=0)
-    assert [type(command) for command in craft.take(known)] == [Plan]
+    assert [type(c) for c in craft.take(known) if not isinstance(c, Say)] == [Plan]
 
 
 def test_a_dead_planner_ends_the_mission_in_the_hold_mode_with_the_same_event() -> None:

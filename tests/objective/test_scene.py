@@ -61,6 +61,7 @@ def a_scene(
         guide_rad=0.3,
         final_ne_m=final_ne_m,
         safety_distance_m=60.0,
+        clearance_m=60.0,
         surface=Surface(north_min_m=0.0, east_min_m=0.0, cell_m=100.0, vertex_m=np.zeros((9, 9))),
         radars=(),
         keep_outs=(),
@@ -131,7 +132,7 @@ def test_variables_at_0_and_1_are_the_limits_of_section_2_5(profile: Profile, en
     scene = a_scene(profile)
     points = control_points(np.full((1, VARIABLES), end), scene)[0]
     shortest = profile.shortest_r2
-    inset = 0.0 if profile is PAPER else 5.0
+    inset = 0.0 if profile is PAPER else 5.5  # a tenth more than the check asks for
     r2, r3 = (0.4, 0.8) if end else (shortest, 0.4)
     altitude = 800.0 - inset if end else 300.0 + inset
     quarter = math.pi / 2 if end else -math.pi / 2
@@ -200,5 +201,6 @@ def test_what_is_planned_for_leaves_the_tracking_error_to_the_band_in_flight(
     profile: Profile,
 ) -> None:
     scene = a_scene(profile)
-    inset = 0.0 if profile is PAPER else 5.0
-    assert (scene.floor_amsl_m, scene.ceiling_amsl_m) == (300.0 + inset, 800.0 - inset)
+    inset = 0.0 if profile is PAPER else 5.5  # a tenth more than the check asks for
+    expected = (300.0 + inset, 800.0 - inset)
+    assert (scene.floor_amsl_m, scene.ceiling_amsl_m) == pytest.approx(expected)

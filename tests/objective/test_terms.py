@@ -85,6 +85,7 @@ def a_scene(profile: Profile, seed: int) -> Scene:
         guide_rad=float(rng.uniform(-math.pi, math.pi)),
         final_ne_m=None,
         safety_distance_m=D_S_M,
+        clearance_m=D_S_M * profile.margin,
         surface=SURFACE,
         radars=RADARS,
         keep_outs=(CIRCLE, SQUARE),

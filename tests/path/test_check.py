@@ -38,8 +38,8 @@ GOOD = CheckReport(
     turn_radius_m=LIMITS.turn_radius_m,
     climb_angle_rad=LIMITS.climb_angle_rad,
     dive_angle_rad=LIMITS.dive_angle_rad,
-    lowest_amsl_m=LIMITS.floor_amsl_m,
-    highest_amsl_m=LIMITS.ceiling_amsl_m,
+    lowest_amsl_m=LIMITS.floor_amsl_m + LIMITS.tracking_error_m,
+    highest_amsl_m=LIMITS.ceiling_amsl_m - LIMITS.tracking_error_m,
     off_map_m=0.0,
     radar_m=1e6,
 )
@@ -129,12 +129,14 @@ def test_what_is_not_a_number_is_never_safe(field: str, words: str) -> None:
 
 @pytest.mark.parametrize("off", [-5, -1, 1, 5])
 def test_the_floor_and_the_ceiling_are_seen_to_a_hundredth_of_a_metre(off: int) -> None:
-    low = checked(*level(LIMITS.floor_amsl_m + 0.01 * off))
-    high = checked(*level(LIMITS.ceiling_amsl_m + 0.01 * off))
+    floor = LIMITS.floor_amsl_m + LIMITS.tracking_error_m
+    ceiling = LIMITS.ceiling_amsl_m - LIMITS.tracking_error_m
+    low = checked(*level(floor + 0.01 * off))
+    high = checked(*level(ceiling + 0.01 * off))
     assert ("floor of the band" in low.violations(LIMITS, D_S_M)) == (off < 0)
     assert ("ceiling of the band" in high.violations(LIMITS, D_S_M)) == (off > 0)
-    assert low.lowest_amsl_m == pytest.approx(LIMITS.floor_amsl_m + 0.01 * off)
-    assert high.highest_amsl_m == pytest.approx(LIMITS.ceiling_amsl_m + 0.01 * off)
+    assert low.lowest_amsl_m == pytest.approx(floor + 0.01 * off)
+    assert high.highest_amsl_m == pytest.approx(ceiling + 0.01 * off)
 
 
 @pytest.mark.parametrize("off", [-5, -1, 1, 5])

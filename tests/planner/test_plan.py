@@ -159,7 +159,7 @@ def test_the_end_lies_on_the_circle_about_p_scan(task: Task, truth: KnownMap) ->
     assert outcome.tries == 1
     end = outcome.subpath.control_nea_m[-1]
     # R less the clearance and two diagonals of a cell
-    radius = 2_000.0 - 65.0 - 2.0 * math.sqrt(2.0) * 25.0
+    radius = 2_000.0 - 65.5 - 2.0 * math.sqrt(2.0) * 25.0
     assert math.dist(end[:2], START[:2]) == pytest.approx(radius)
 
 

@@ -37,7 +37,7 @@ def test_the_distances_of_environment_1_are_those_of_the_design() -> None:
     task = ENVIRONMENT_1
     assert task.cell_m == 250.0  # R / 80
     assert task.tail_m == 3_000.0  # 0.15 R; V^2 / 2 a + d_s is 2750 m
-    assert task.shortest_scan_distance_m == 150.0 * 9.0 + 3_000.0
+    assert task.shortest_scan_distance_m == 150.0 * (9.0 + 3 * 0.1) + 3_000.0
     assert task.scan_distance_m == task.shortest_scan_distance_m
     assert task.required_clearance_m == 510.0
 

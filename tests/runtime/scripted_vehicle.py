@@ -22,7 +22,7 @@ TICK_MS = 100
 GUIDED, BRAKE, LAND = 4, 17, 9
 
 
-def straight_plan(request: PlanRequest) -> Planned:
+def straight_plan(request: PlanRequest, _stop: object = None) -> Planned:
     """A straight and level subpath of 17 km, or to the target."""
     start = request.start.position_nea_m
     target = np.array([*request.target_ne_m, start[2]])

@@ -37,6 +37,7 @@ def test_datagrams_arrive_whole_and_in_order_both_ways(other: socket.socket) -> 
         for number in range(100):
             other.sendto(b"to %d" % number, ("127.0.0.1", port))
         assert [link.receive(PATIENCE_S) for _ in range(100)] == [b"to %d" % n for n in range(100)]
+        link.answer_to_sender()
         for number in range(100):
             link.send([b"from %d" % number])
         assert [other.recv(2000) for _ in range(100)] == [b"from %d" % n for n in range(100)]
@@ -54,20 +55,25 @@ def test_what_is_sent_before_anybody_was_heard_is_dropped(other: socket.socket) 
         link.send([b"lost"])
         other.sendto(b"hello", ("127.0.0.1", port))
         assert link.receive(PATIENCE_S) == b"hello"
+        link.answer_to_sender()
         link.send([b"heard"])
         assert other.recv(2000) == b"heard"
 
 
-def test_answers_go_to_whoever_was_heard_last(other: socket.socket) -> None:
-    """The source port of a rebooted vehicle is another one."""
+def test_answers_go_to_the_sender_that_was_chosen_last(other: socket.socket) -> None:
+    """The source port of a rebooted vehicle is another one; a stranger does not take its place."""
     port = free_port()
     with UdpLink(f"udpin:127.0.0.1:{port}") as link:
         other.sendto(b"before", ("127.0.0.1", port))
         link.receive(PATIENCE_S)
+        link.answer_to_sender()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as rebooted:
             rebooted.settimeout(PATIENCE_S)
             rebooted.sendto(b"after", ("127.0.0.1", port))
             assert link.receive(PATIENCE_S) == b"after"
+            link.send([b"to the first"])
+            assert other.recv(2000) == b"to the first"
+            link.answer_to_sender()
             link.send([b"answer"])
             assert rebooted.recv(2000) == b"answer"
 

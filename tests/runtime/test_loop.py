@@ -37,6 +37,9 @@ class ScriptedLink:
         assert self.count < _MOST, "the flight does not end"
         return None if self.silent else self.vehicle.tick() or None
 
+    def answer_to_sender(self) -> None:
+        """There is nobody else."""
+
     def send(self, frames: list[bytes]) -> None:
         for frame in frames:
             self.vehicle.hear(frame)
@@ -83,7 +86,7 @@ def test_the_folder_holds_all_that_was_said_and_decided(folder: RunFolder) -> No
 def test_a_planner_that_raises_puts_the_vehicle_on_hold_and_is_an_end_not_an_exception(
     folder: RunFolder,
 ) -> None:
-    def broken(_: PlanRequest) -> PlanOutcome:
+    def broken(_: PlanRequest, _stop: object) -> PlanOutcome:
         raise ZeroDivisionError("made up")
 
     link = ScriptedLink(Vehicle())
