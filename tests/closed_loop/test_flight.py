@@ -136,3 +136,42 @@ def test_no_vehicle_is_said_within_ten_seconds(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "no vehicle was heard within 10 s" in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+def edited(source: str, target: Path, old: str, new: str) -> str:
+    """A file with one thing changed."""
+    text = Path(source).read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    target.write_text(text.replace(old, new), encoding="utf-8")
+    return str(target)
+
+
+def test_a_mission_that_ends_with_a_landing_ends_on_the_ground(
+    start: Launch, tmp_path: Path
+) -> None:
+    mission = edited(HILLS_MISSION, tmp_path / "land.toml", 'action = "hold"', 'action = "land"')
+    flight = start(HILLS, mission)
+    flight.wait()
+    assert flight.companion.returncode == 0, flight.said["companion"]
+    assert flight.truth[-1]["landed"]
+    assert not flight.truth[-1]["armed"]
+
+
+def test_nothing_is_flown_on_sight_that_the_radar_does_not_have(
+    start: Launch, tmp_path: Path
+) -> None:
+    """What lies beyond the radar's own range is unknown, not sheltered."""
+    world = edited(HILLS, tmp_path / "short.toml", "range_m = 20000.0", "range_m = 8000.0")
+    mission = edited(
+        HILLS_MISSION,
+        tmp_path / "mission.toml",
+        "planning_time_s = 5.0",
+        "planning_time_s = 5.0\nevaluations = 300",
+    )
+    flight = start(world, mission)
+    flight.wait()
+    assert flight.companion.returncode == 1
+    assert "radar sees 8.0 km of R = 20.0 km" in [entry.get("text") for entry in flight.journal]
+    assert flight.truth[-1]["mode"] == "BRAKE"
+    here = (flight.truth[-1]["north_m"], flight.truth[-1]["east_m"])
+    assert max(map(abs, here)) < 1.0  # it did not leave
