@@ -67,17 +67,18 @@ def on_position(state: State, event: Position, context: Context) -> Step:
     if state.now_s - flight.progress_at_s > _STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
     leg = flight.leg
-    off_m = off_path_m(flight.reference, leg, np.asarray(event.position_nea_m)) if leg else 0.0
-    if off_m > _DEPARTURE * context.mission.task.limits.tracking_error_m:
-        return _departed(state)
     assert leg is not None
+    task = context.mission.task
+    off_m = off_path_m(flight.reference, leg, np.asarray(event.position_nea_m))
+    if task.settings.profile.verified and off_m > _DEPARTURE * task.limits.tracking_error_m:
+        return _departed(state)
     commands: list[Command] = [_setpoint(event.time_s, leg, flight.reference, context)]
     if is_at_end(flight.reference, leg):
         if leg.reaches_target:
             return replace(state, flight=flight), commands, Trigger.TARGET_REACHED
         flight = at_rest_at_end(flight)
         return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
-    due = flight.reference.length_m >= leg.scan_at_m(context.mission.task)
+    due = flight.reference.length_m >= leg.scan_at_m(task)
     if due and not flight.tried and not leg.reaches_target:
         flight, scan = _start_scan(flight, leg.subpath.pose(flight.reference.length_m).point_nea_m)
         commands.append(scan)
