@@ -139,7 +139,8 @@ class _Loop:
         except Exception as error:  # noqa: BLE001 - whatever it is, the vehicle must be put on hold
             self._session.planner_died(f"{type(error).__name__}: {error}")
             return
-        self._heard_s = time.perf_counter()
+        if wait:  # the vehicle was not silent: it was made to wait
+            self._heard_s = time.perf_counter()
         self._flown.plans_s.append(took_s)
         if isinstance(outcome, Planned):
             self._flown.plans.append(outcome)
