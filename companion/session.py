@@ -62,6 +62,7 @@ Entry = dict[str, Any]
 _HEARTBEAT_S = 1.0
 _STREAM_MISSING_S = 2.0
 _MODE_AGAIN_S = 1.0
+_LOCKSTEP_TIMESYNCS = 50  # in 10 s; an autopilot's own come every 10 s
 _REBOOT_S = 2.0  # a clock that falls by more has begun again
 _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
@@ -108,6 +109,9 @@ class Session:
         self.now_s = 0.0
         self.other_systems: set[int] = set()
         """System ids of autopilots that were heard and are not the mission's vehicle."""
+        self.warning = ""
+        """What a person was last warned of."""
+        self._timesyncs = 0
         self._context = Context(mission=mission, seed=seed)
         self._lockstep = lockstep
         self._autopilot = autopilot
@@ -231,11 +235,18 @@ class Session:
             self._scan_on()
         self._housekeeping()
         if message.get_type() == "TIMESYNC" and message.tc1 == 0:
-            self._send(wire.MAVLink_timesync_message(message.ts1, message.ts1))
+            self._on_timesync(message)
         elif message.get_type() == "STATUSTEXT":
             self._note("vehicle says", text=message.text)
         elif message.get_type() == "COMMAND_ACK":
             self._note("acknowledged", command=message.command, result=message.result)
+
+    def _on_timesync(self, message: Message) -> None:
+        """Answer; one with every position is a simulator that waits for the answers."""
+        self._send(wire.MAVLink_timesync_message(message.ts1, message.ts1))
+        self._timesyncs += 1
+        if self._timesyncs == _LOCKSTEP_TIMESYNCS and not self._lockstep and self.now_s < 10.0:
+            self._say("simulator in lockstep: use --lockstep here too", warning=True)
 
     def _clock(self, time_s: float) -> None:
         """The vehicle's clock says so."""
@@ -417,6 +428,7 @@ class Session:
 
     def _say(self, text: str, *, warning: bool) -> None:
         self._note("say", text=text, warning=warning)
+        self.warning = text if warning else self.warning
         severity = wire.MAV_SEVERITY_WARNING if warning else wire.MAV_SEVERITY_INFO
         self._send(wire.MAVLink_statustext_message(severity, text.encode()[:50]))
 

@@ -481,3 +481,15 @@ def test_a_setpoint_that_is_out_of_range_ends_the_flight_in_the_hold_mode() -> N
     assert it.vehicle.mode == BRAKE
     for message in it.sent("SET_POSITION_TARGET_GLOBAL_INT"):
         assert message.alt < 50_000.0
+
+
+def test_a_simulator_in_lockstep_is_noticed_by_a_companion_that_is_not() -> None:
+    it = pair(lockstep=False)
+    it.vehicle.lockstep = True
+    for _ in range(80):
+        it.tick()
+    assert "lockstep" in it.session.warning
+    real = pair(lockstep=False)
+    for _ in range(80):
+        real.tick()
+    assert real.session.warning == ""

@@ -7,6 +7,7 @@ from typing import Self, final
 from rich.console import Console, JustifyMethod
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from companion.mission.state import Phase
 from companion.telemetry.flown import Flown
@@ -74,8 +75,8 @@ def progress_table(flown: Flown) -> Table:
         justify: JustifyMethod = "left" if heading == "phase" else "right"
         table.add_column(heading, header_style="dim", min_width=width, justify=justify)
     table.add_row(*values.values())
-    if state.reason is not None:
-        table.caption = state.reason.text
+    if notice := _notice(flown):
+        table.caption = Text(notice)
     return table
 
 
@@ -95,6 +96,12 @@ def progress_line(flown: Flown) -> str:
         parts.append(f"planned in {flown.plans_s[-1] * 1e3:4.0f} ms")
     if session.now_s > 0.0:
         parts.append(f"{flown.times_real_time:4.0f}x real time")
-    if state.reason is not None:
-        parts.append(f"({state.reason.text})")
+    if notice := _notice(flown):
+        parts.append(f"({notice})")
     return "  ".join(parts)
+
+
+def _notice(flown: Flown) -> str:
+    """Why the mission holds, else the last warning."""
+    reason = flown.session.state.reason
+    return flown.session.warning if reason is None else reason.text
