@@ -485,7 +485,7 @@ def test_a_setpoint_that_is_out_of_range_ends_the_flight_in_the_hold_mode() -> N
 
 def test_a_simulator_in_lockstep_is_noticed_by_a_companion_that_is_not() -> None:
     it = pair(lockstep=False)
-    it.vehicle.lockstep = True
+    it.vehicle.lockstep = it.vehicle.sends_synchronisation = True
     for _ in range(80):
         it.tick()
     assert "lockstep" in it.session.warning
