@@ -77,8 +77,9 @@ class KnownMap:
         now_seen = np.isfinite(scan.heights_m)
         after.upper_m[window] = np.where(now_seen, scan.heights_m, after.upper_m[window])
         after.seen[window] |= now_seen
-        hidden_bound = _hidden_bound_m(after, scan)
-        after.upper_m[window] = np.minimum(after.upper_m[window], hidden_bound)
+        upper = after.upper_m[window]
+        bound = np.minimum(upper, _hidden_bound_m(after, scan))
+        after.upper_m[window] = np.where(after.seen[window], upper, bound)
         return after
 
     def middles_m(
