@@ -172,6 +172,7 @@ def _mission(model: MissionTable, profile: str | None, where: str) -> Mission:
         task=Task(limits=limits, settings=settings, radars=radars, keep_outs=keep_outs),
         end_action=EndAction(model.end.action),
         system_id=vehicle.system_id,
+        scanner_component_id=vehicle.scanner_component_id,
         position_rate_hz=vehicle.position_rate_hz,
     )
 

@@ -84,6 +84,7 @@ class MissionVehicleTable(Table):
     kind: Literal["copter"]
     autopilot: Literal["ardupilot"]
     system_id: Annotated[int, Field(ge=1, le=255)] = 1
+    scanner_component_id: Annotated[int, Field(ge=2, le=250)] = 100
     speed_m_s: Positive
     acceleration_m_s2: Positive
     climb_rate_m_s: Positive

@@ -99,7 +99,6 @@ class Session:
         seed: int,
         lockstep: bool,
         autopilot: Autopilot = ARDUCOPTER,
-        scanner_component: int = 100,
     ) -> None:
         limits = mission.task.limits
         self.mission = mission
@@ -115,7 +114,6 @@ class Session:
         self._context = Context(mission=mission, seed=seed)
         self._lockstep = lockstep
         self._autopilot = autopilot
-        self._scanner_component = scanner_component
         self._codec = codec(mission.system_id)
         self._inbox: deque[Message] = deque()
         self._out = Output()
@@ -217,7 +215,7 @@ class Session:
             return
         if component == AUTOPILOT_COMPONENT:
             self._from_autopilot(message)
-        elif component == self._scanner_component and self._download is not None:
+        elif component == self.mission.scanner_component_id and self._download is not None:
             here = self.state.vehicle.position_nea_m
             is_terrain = message.get_type() in ("TERRAIN_DATA", "TERRAIN_REPORT")
             if is_terrain and here is not None:

@@ -86,15 +86,6 @@ class PeakTerrain:
             np.clip(centre_east, *east_m) - centre_east,
         )
 
-    def highest_in_boxes_amsl_m(
-        self, north_m: tuple[FloatArray, FloatArray], east_m: tuple[FloatArray, FloatArray]
-    ) -> FloatArray:
-        """Highest terrain over axis-aligned boxes (low, high): 4 x (C,) -> (C,).
-
-        Exact for "maximum"; for "sum" an upper bound, the sum of the peaks' own maxima.
-        """
-        return self._combined_m(self._peak_bounds_m(north_m, east_m))
-
     def highest_in_quads_amsl_m(self, corners_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Highest terrain over convex quadrilaterals, and where.  (C, 4, 2) -> (C,), (C, 2).
 

@@ -27,6 +27,8 @@ class Mission:
     end_action: EndAction
     system_id: int
     """MAVLink system id of the vehicle."""
+    scanner_component_id: int
+    """MAVLink component id of its terrain radar."""
     position_rate_hz: float
     """Rate at which the vehicle's position is asked for; one setpoint answers each position."""
 

@@ -17,7 +17,7 @@ from companion.mission.decisions import (
     is_gone,
     speed_m_s,
 )
-from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position, SetMode
+from companion.mission.events import Event, Landed, LinkLost, Mode, Position, SetMode
 from companion.mission.mission import EndAction
 from companion.mission.state import Reason, State, Trigger
 
@@ -149,10 +149,4 @@ def landing(state: State, event: Event) -> Step:
         return replace(state, obeyed=True), [], None
     if state.obeyed or vehicle.mode is not Mode.GUIDED:
         return fault(replace(state, flight=flying.at_rest(state.flight, None)), Reason.MODE_TAKEN)
-    return _ask_to_land(state)
-
-
-def _ask_to_land(state: State) -> Step:
-    commands: list[Command]
-    state, commands, _ = ask(state, SetMode(mode=Mode.LAND))
-    return state, commands, None
+    return ask(state, SetMode(mode=Mode.LAND))

@@ -8,7 +8,6 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.path.bspline import Basis, basis, uniform_basis
 
-_INWARD = 1.0
 _TABLE = 2000  # chords of the arc-length table: 10 m on a 20 km subpath
 
 
@@ -55,7 +54,7 @@ class Subpath:
         first = (at.first @ self.control_nea_m)[0]
         speed = float(np.linalg.norm(first))
         if speed < 1e-6 * self.length_m:  # control points coincide: the direction is a limit
-            inward = _INWARD if 2.0 * length_m < self.length_m else -_INWARD
+            inward = 1.0 if 2.0 * length_m < self.length_m else -1.0
             first = inward * (at.second @ self.control_nea_m)[0]
             speed = float(np.linalg.norm(first))
         return Pose(

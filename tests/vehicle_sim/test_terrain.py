@@ -69,20 +69,14 @@ def test_the_highest_point_of_a_quadrilateral_bounds_samples_and_is_attained(
 
 
 @given(seed=st.integers(0, 10**6), combine=st.sampled_from(["maximum", "sum"]))
-def test_boxes_bound_the_terrain_from_above_and_the_grid_from_below(
-    seed: int, combine: Combine
-) -> None:
+def test_the_grid_bounds_the_terrain_from_below(seed: int, combine: Combine) -> None:
     rng = np.random.default_rng(seed)
     terrain = random_terrain(rng, combine)
     north, east = np.arange(-5e3, 5e3 + 1, 500.0), np.arange(-5e3, 5e3 + 1, 500.0)
     lowest = terrain.lowest_in_grid_amsl_m(north, east)
     low_n, low_e = (axis.ravel() for axis in np.meshgrid(north[:-1], east[:-1], indexing="ij"))
-    highest = terrain.highest_in_boxes_amsl_m((low_n, low_n + 500.0), (low_e, low_e + 500.0))
     u = np.linspace(0, 500, 21)
     brute = terrain.height_amsl_m(
         (low_n[:, None] + u)[:, :, None], (low_e[:, None] + u)[:, None, :]
     )
-    assert np.all(highest >= brute.max(axis=(1, 2)) - 1e-9)
     assert np.all(lowest.ravel() <= brute.min(axis=(1, 2)) + 1e-9)
-    if combine == "maximum":
-        assert np.all(highest <= brute.max(axis=(1, 2)) + 60.0)
