@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from enum import StrEnum
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -20,6 +21,8 @@ from companion.config import load_mission, load_world, mission_text
 from companion.errors import CompanionError, FlightFailed, InputError
 from companion.mission.events import Outcome
 from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.plan import plan
+from companion.runtime.compiler import load_kernel
 from companion.runtime.link import UdpLink
 from companion.runtime.loop import fly
 from companion.session import Session
@@ -150,6 +153,7 @@ def plan_command(
     task, limits = chosen.task, chosen.task.limits
     blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
     truth = true_map(place.terrain, blank)
+    kernel = load_kernel()
     began_s = time.perf_counter()
     flight = fly_offline(
         task,
@@ -158,6 +162,7 @@ def plan_command(
         start_nea_m=(*place.start_ne_m, chosen.take_off_amsl_m),
         targets_ne_m=chosen.targets_ne_m,
         seed=seed,
+        planner=partial(plan, kernel=kernel),
     )
     took_s = time.perf_counter() - began_s
     console.print(plans_table(flight.plans))

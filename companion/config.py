@@ -13,14 +13,15 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from companion.elevation import read_terrain
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
 from companion.mission.mission import EndAction, Mission
 from companion.objective.scene import PROFILES, Weights
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
-from companion.schema import KeepOutTable, MissionTable, WorldTable, validated
-from companion.world.terrain import Peak, PeakTerrain
+from companion.schema import FileWorldTable, KeepOutTable, MissionTable, WorldTable, validated
+from companion.world.terrain import Peak, PeakTerrain, Terrain
 from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut, Radar
 
 _MOST_CELLS = 2.5e7
@@ -32,7 +33,7 @@ class World(NamedTuple):
     """A world as `companion plan` needs it."""
 
     name: str
-    terrain: PeakTerrain
+    terrain: Terrain
     start_ne_m: tuple[float, float]
     origin_deg: tuple[float, float]
     """Latitude and longitude."""
@@ -69,21 +70,50 @@ def load_world(name_or_path: str) -> World:
         raise InputError(
             "WORLD", name_or_path, "this is a mission, not a world", "Give its world.toml."
         )
-    model = validated(WorldTable, table, name_or_path)
-    terrain = PeakTerrain(
-        peaks=tuple(Peak(**dict(peak)) for peak in model.terrain.peaks),
-        ground_amsl_m=model.terrain.ground_amsl_m,
-        sum_of_peaks=model.terrain.combine == "sum",
-    )
+    of_file = isinstance(table.get("terrain"), dict) and "file" in table["terrain"]
+    model = validated(FileWorldTable if of_file else WorldTable, table, name_or_path)
     return World(
         name=model.name,
-        terrain=terrain,
+        terrain=_terrain(model, name_or_path),
         start_ne_m=(model.vehicle.north_m, model.vehicle.east_m),
         origin_deg=(model.origin.latitude_deg, model.origin.longitude_deg),
     )
 
 
+def _terrain(model: WorldTable | FileWorldTable, name_or_path: str) -> Terrain:
+    if not isinstance(model, FileWorldTable):
+        return PeakTerrain(
+            peaks=tuple(Peak(**dict(peak)) for peak in model.terrain.peaks),
+            ground_amsl_m=model.terrain.ground_amsl_m,
+            sum_of_peaks=model.terrain.combine == "sum",
+        )
+    origin, area = model.origin, model.area
+    _check_area(area.north_min_m, area.north_max_m, "north", name_or_path)
+    _check_area(area.east_min_m, area.east_max_m, "east", name_or_path)
+    return read_terrain(
+        _folder(name_or_path) / model.terrain.file,
+        LocalFrame(latitude_deg=origin.latitude_deg, longitude_deg=origin.longitude_deg),
+        ((area.north_min_m, area.north_max_m), (area.east_min_m, area.east_max_m)),
+        vertical_datum=model.terrain.vertical_datum,
+        nodata=model.terrain.nodata,
+        field=f"{name_or_path}: terrain.file",
+    )
+
+
+def _check_area(low_m: float, high_m: float, axis: str, where: str) -> None:
+    if low_m >= high_m:
+        rule = f"it must be more than area.{axis}_min_m = {low_m:g}"
+        raise InputError(f"{where}: area.{axis}_max_m", high_m, rule, "Swap or widen them.")
+
+
 # --- files
+
+
+def _folder(name_or_path: str) -> Path:
+    """Where a world's other files are."""
+    if name_or_path in bundled():
+        return Path(str(resources.files("companion"))) / "environments" / name_or_path
+    return Path(name_or_path).parent
 
 
 def _read(name_or_path: str, kind: str) -> str:
@@ -138,6 +168,8 @@ def _mission(model: MissionTable, profile: str | None, where: str) -> Mission:
         north_m=(area.north_min_m, area.north_max_m),
         east_m=(area.east_min_m, area.east_max_m),
         tracking_error_m=vehicle.tracking_error_m,
+        navigation_error_m=vehicle.navigation_error_m,
+        dead_man_s=vehicle.dead_man_s,
     )
     settings = PlannerSettings(
         scan_range_m=planner.scan_range_m,
@@ -149,6 +181,7 @@ def _mission(model: MissionTable, profile: str | None, where: str) -> Mission:
         overlap_m=0.1 * planner.scan_range_m if planner.overlap_m is None else planner.overlap_m,
         evaluations=planner.evaluations,
         profile=PROFILES[profile or planner.profile],
+        optimiser=planner.optimiser,
         weights=replace(Weights(), **dict(planner.weights)),
     )
     radars = tuple(
@@ -200,13 +233,14 @@ def _keep_out(zone: KeepOutTable, field: str) -> KeepOut:
 def _check_mission(mission: Mission, where: str) -> None:
     """The rules that hold between fields."""
     limits = mission.task.limits
-    for axis, (low, high) in (("north", limits.north_m), ("east", limits.east_m)):
-        if low >= high:
-            rule = f"it must be more than area.{axis}_min_m = {low:g}"
-            raise InputError(f"{where}: area.{axis}_max_m", high, rule, "Swap or widen them.")
+    _check_area(*limits.north_m, "north", where)
+    _check_area(*limits.east_m, "east", where)
     floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m
-    if ceiling - floor <= 4.0 * limits.tracking_error_m:
-        rule = f"it must lie above altitude.floor_amsl_m = {floor:g} by more than 4 tracking errors"
+    if ceiling - floor <= 4.0 * mission.task.error_m:
+        rule = (
+            f"it must lie above altitude.floor_amsl_m = {floor:g} by more than 4 times "
+            "vehicle.tracking_error_m + navigation_error_m"
+        )
         raise InputError(f"{where}: altitude.ceiling_amsl_m", ceiling, rule, "Widen the band.")
     cells = np.prod([high - low for low, high in (limits.north_m, limits.east_m)])
     if cells / mission.task.cell_m**2 > _MOST_CELLS:

@@ -46,6 +46,13 @@ class LocalFrame:
         longitude_deg, latitude_deg = self._projection(east_m, north_m, inverse=True)
         return latitude_deg, longitude_deg
 
+    def to_geodetic_many_deg(
+        self, north_m: FloatArray, east_m: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """North, east in metres -> latitude, longitude in degrees.  (...) x2 -> (...) x2."""
+        longitude_deg, latitude_deg = self._projection(east_m, north_m, inverse=True)
+        return np.asarray(latitude_deg), np.asarray(longitude_deg)
+
     def grid_north_rad(self, north_m: float, east_m: float) -> float:
         """True azimuth of the frame's north axis at a point, radians clockwise.
 

@@ -12,8 +12,10 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from companion.elevation import VerticalDatum
 from companion.errors import InputError
 from companion.objective.scene import Weights
+from companion.optimise.registry import OPTIMISERS
 
 Positive = Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
@@ -92,6 +94,8 @@ class MissionVehicleTable(Table):
     climb_angle_deg: Slope
     dive_angle_deg: Slope
     tracking_error_m: Positive = 10.0
+    navigation_error_m: NotNegative = 5.0
+    dead_man_s: NotNegative = 3.5
     position_rate_hz: Annotated[float, Field(ge=2.0, le=50.0)] = 10.0
 
 
@@ -117,6 +121,7 @@ class PlannerTable(Table):
     overlap_m: NotNegative | None = None
     evaluations: Annotated[int, Field(ge=60, le=1_000_000)] = 3000
     profile: Literal["flight", "paper"] = "flight"
+    optimiser: Literal[tuple(OPTIMISERS)] | None = None  # type: ignore[valid-type]
     weights: WeightsTable = WeightsTable()
 
 
@@ -160,6 +165,16 @@ class TerrainTable(Table):
     peaks: list[PeakTable] = []
 
 
+class FileTerrainTable(Table):
+    """The true terrain of a world, from an elevation file."""
+
+    file: Annotated[str, Field(min_length=1)]
+    """Relative to the world file's folder."""
+    vertical_datum: VerticalDatum
+    nodata: Literal["sea"] | Altitude | None = None
+    """What lies where the file has no height: the sea, or ground AMSL.  Left out: an error."""
+
+
 class WorldVehicleTable(BaseModel):
     """Of the simulator's vehicle, only where it stands concerns the companion."""
 
@@ -178,6 +193,13 @@ class WorldTable(Table):
     radars: list[RadarTable] = []
     vehicle: WorldVehicleTable
     scanner: dict[str, Any] = {}
+
+
+class FileWorldTable(WorldTable):
+    """A world.toml whose terrain is an elevation file: it says how much of it is needed."""
+
+    terrain: FileTerrainTable  # type: ignore[assignment]
+    area: AreaTable
 
 
 Model = TypeVar("Model", bound=BaseModel)

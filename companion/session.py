@@ -54,7 +54,7 @@ from companion.mission.events import (
 )
 from companion.mission.mission import Mission
 from companion.mission.state import Flight, Phase, State
-from companion.planner.plan import PlanOutcome, PlanRequest
+from companion.planner.request import PlanOutcome, PlanRequest
 from companion.world.known_map import empty_map
 
 Entry = dict[str, Any]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehicle_sim.geodesy import LocalFrame
-from vehicle_sim.terrain import FloatArray, PeakTerrain
+from vehicle_sim.terrain import FloatArray, Terrain
 
 BLOCK_CELLS = 4
 ROWS, COLUMNS = 7, 8
@@ -81,7 +81,7 @@ class _Grid:
 class TerrainRadar:
     """Answers scan requests.  Keeps the grid of the neighbourhood that it last looked at."""
 
-    def __init__(self, terrain: PeakTerrain, frame: LocalFrame, *, range_m: float) -> None:
+    def __init__(self, terrain: Terrain, frame: LocalFrame, *, range_m: float) -> None:
         self._terrain = terrain
         self._frame = frame
         self._range_m = range_m

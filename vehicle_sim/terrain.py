@@ -7,7 +7,7 @@ to the centre, and its minimum over a box at the farthest corner: both exact.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Self, final
+from typing import Literal, Protocol, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,28 @@ IntArray = NDArray[np.intp]
 Combine = Literal["maximum", "sum"]
 PeakRow = tuple[float, float, float, float, float]
 """North and east of the centre, height AMSL, spread north and east; all in metres."""
+
+
+class Terrain(Protocol):
+    """What the simulator asks of the ground; positions in the local frame, in metres."""
+
+    def height_amsl_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Height of the terrain.  (...), (...) -> (...)."""
+        ...
+
+    def height_at_amsl_m(self, north_m: float, east_m: float) -> float:
+        """Height of the terrain at one point."""
+        ...
+
+    def highest_in_quads_amsl_m(self, corners_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Highest terrain over convex quadrilaterals, and where.  (C, 4, 2) -> (C,), (C, 2)."""
+        ...
+
+    def lowest_in_grid_amsl_m(
+        self, north_edges_m: FloatArray, east_edges_m: FloatArray
+    ) -> FloatArray:
+        """Lower bound of the terrain in every cell of a grid.  (N + 1,), (E + 1,) -> (N, E)."""
+        ...
 
 
 @final

@@ -16,9 +16,10 @@ from typing import Annotated, Any, Literal, final
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from vehicle_sim.elevation import VerticalDatum, read_grid
 from vehicle_sim.errors import InputError
 from vehicle_sim.geodesy import LocalFrame
-from vehicle_sim.terrain import Combine, PeakTerrain
+from vehicle_sim.terrain import Combine, PeakTerrain, Terrain
 
 _REFUSE_UNKNOWN = ConfigDict(extra="forbid")
 _Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -54,11 +55,27 @@ class Peak:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
 class TerrainTable:
-    """What the ground looks like."""
+    """What the ground looks like: peaks over a plain, or an elevation file."""
 
-    combine: Combine
-    ground_amsl_m: _Altitude
+    combine: Combine | None = None
+    ground_amsl_m: _Altitude | None = None
     peaks: tuple[Peak, ...] = ()
+    file: _Name | None = None
+    """Beside the world file."""
+    vertical_datum: VerticalDatum | None = None
+    nodata: Literal["sea"] | _Altitude | None = None
+    """What is where the file has no height."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class AreaTable:
+    """How much of an elevation file is needed."""
+
+    north_min_m: _Local
+    north_max_m: _Local
+    east_min_m: _Local
+    east_max_m: _Local
 
 
 @final
@@ -137,6 +154,7 @@ class World:
     vehicle: Vehicle
     scanner: Scanner
     radars: tuple[Threat, ...] = ()
+    area: AreaTable | None = None
 
     @property
     def frame(self) -> LocalFrame:
@@ -145,9 +163,15 @@ class World:
             latitude_deg=self.origin.latitude_deg, longitude_deg=self.origin.longitude_deg
         )
 
-    def truth(self) -> PeakTerrain:
+    def truth(self) -> Terrain:
         """The terrain itself."""
-        table = self.terrain
+        table, area = self.terrain, self.area
+        if table.file is not None:
+            assert area is not None
+            edges = (area.north_min_m, area.north_max_m, area.east_min_m, area.east_max_m)
+            return read_grid(Path(table.file), self.frame, edges, table.nodata)
+        assert table.combine is not None
+        assert table.ground_amsl_m is not None
         rows = [
             (p.north_m, p.east_m, p.height_amsl_m, p.spread_north_m, p.spread_east_m)
             for p in table.peaks
@@ -172,11 +196,11 @@ def read_world(path: Path) -> World:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError("WORLD", field, f"not TOML ({error})", "Name a world.toml.") from None
-    return parse_world(table)
+    return parse_world(table, path.parent)
 
 
-def parse_world(table: dict[str, Any]) -> World:
-    """The world that this TOML table describes."""
+def parse_world(table: dict[str, Any], folder: Path | None = None) -> World:
+    """The world that this TOML table describes; its elevation file is in the folder."""
     is_mission = bool(table.keys() & {"targets", "planner", "area"})
     if "terrain" not in table and (is_mission or not table.keys() & {"vehicle", "scanner"}):
         what = "a mission" if is_mission else "something else"
@@ -187,12 +211,37 @@ def parse_world(table: dict[str, Any]) -> World:
             "Name a world.toml.",
         )
     try:
-        return _WORLD.validate_python(table)
+        world = _WORLD.validate_python(table)
     except ValidationError as error:
         problems = error.errors()
         # A misspelt key is both unknown and missing: the unknown one tells the user more.
         unknown = [p for p in problems if p["type"] == "unexpected_keyword_argument"]
         raise _explained((unknown or problems)[0]) from None
+    _check_terrain(world)
+    if folder is None or world.terrain.file is None:
+        return world
+    beside = str(folder / world.terrain.file)
+    return dataclasses.replace(world, terrain=dataclasses.replace(world.terrain, file=beside))
+
+
+def _check_terrain(world: World) -> None:
+    """An elevation file with its datum and area, or peaks over a plain."""
+    table, area = world.terrain, world.area
+    needed: dict[str, object] = {
+        "terrain.combine": table.combine,
+        "terrain.ground_amsl_m": table.ground_amsl_m,
+    }
+    if table.file is not None:
+        needed = {"terrain.vertical_datum": table.vertical_datum, "area": area}
+    for field, value in needed.items():
+        if value is None:
+            raise InputError(field, None, "is missing", "Write it into the world file.")
+    if table.file is not None and (table.combine or table.peaks or table.ground_amsl_m):
+        rule = "an elevation file leaves no room for peaks and ground"
+        raise InputError("terrain.file", table.file, rule, "Leave out one of the two.")
+    if area and (area.north_min_m >= area.north_max_m or area.east_min_m >= area.east_max_m):
+        rule = "its least must lie below its most"
+        raise InputError("area", dataclasses.asdict(area), rule, "Swap or widen them.")
 
 
 def _explained(problem: Any) -> InputError:
@@ -230,6 +279,6 @@ def _keys_of(location: Sequence[str | int]) -> list[str]:
     for part in location:
         if isinstance(part, str):
             table = typing.get_type_hints(table)[part]
-            if isinstance(table, types.GenericAlias):
+            if isinstance(table, types.GenericAlias | types.UnionType):
                 table = typing.get_args(table)[0]
     return [f.name for f in dataclasses.fields(table)]

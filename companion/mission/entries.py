@@ -1,6 +1,6 @@
 """What happened and what was decided, as journal entries: plain values, units in their names."""
 
-from dataclasses import fields
+from dataclasses import asdict
 from typing import Any
 
 from companion.mission.events import (
@@ -13,13 +13,9 @@ from companion.mission.events import (
     StopAsked,
 )
 from companion.mission.state import State
-from companion.planner.plan import NotPlanned, Planned, PlanRequest
+from companion.planner.request import NotPlanned, Planned, PlanRequest
 
 Entry = dict[str, Any]
-
-KERNEL = "numpy"
-"""What computed the plans; replay needs to know."""
-
 
 def of_event(event: Event, state: State) -> Entry | None:
     """The entry of an event, None for those that the telemetry log holds; state: after it."""
@@ -65,16 +61,16 @@ def of_request(request: PlanRequest, due_s: float) -> Entry:
         "scan_nea_m": list(request.scan_nea_m),
         "start_nea_m": request.start.position_nea_m.tolist(),
         "tangent_nea": request.start.tangent_nea.tolist(),
+        "curvature_nea_1_m": request.start.curvature_nea_1_m.tolist(),
         "target_ne_m": list(request.target_ne_m),
     }
 
 
 def _of_plan(planned: Planned) -> Entry:
-    report = planned.report
     return {
         "kind": "plan ready",
         "plan_id": planned.plan_id,
-        "kernel": KERNEL,
+        "kernel": planned.kernel,
         "evaluations": planned.evaluations,
         "tries": planned.tries,
         "rank": planned.rank,
@@ -84,5 +80,5 @@ def _of_plan(planned: Planned) -> Entry:
         "reaches_target": planned.reaches_target,
         "length_m": planned.subpath.length_m,
         "control_nea_m": planned.subpath.control_nea_m.tolist(),
-        "check": {field.name: getattr(report, field.name) for field in fields(report)},
+        "certificate": asdict(planned.certificate),
     }

@@ -8,7 +8,7 @@ import enum
 from dataclasses import dataclass
 from typing import final
 
-from companion.planner.plan import PlanOutcome, PlanRequest
+from companion.planner.request import PlanOutcome, PlanRequest
 from companion.world.known_map import Scan
 
 Vector = tuple[float, float, float]

@@ -20,7 +20,7 @@ from companion.mission.events import (
     Vector,
 )
 from companion.mission.state import Flight, Reason, State, Trigger
-from companion.planner.plan import NotPlanned, Planned, PlanRequest
+from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.procedure import (
     Leg,
     Reference,
@@ -116,6 +116,7 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         start=start,
         from_rest=leg is None,
         target_ne_m=context.mission.targets_ne_m[flight.target],
+        route_ne_m=flight.route_ne_m,
         attempt=flight.failures,
     )
     flight = replace(flight, plan_id=request.plan_id, planning=True)
@@ -255,6 +256,7 @@ def _moved_on(state: State, event: Position, context: Context) -> Flight:
 
 def _accepted(flight: Flight, planned: Planned) -> Flight:
     leg = Leg.of(planned, flight.legs_flown + 1)
+    flight = replace(flight, route_ne_m=() if planned.reaches_target else planned.route_ne_m)
     if flight.leg is not None:
         return replace(flight, next_leg=leg)
     return replace(

@@ -149,6 +149,8 @@ class Flight:
     scanning_from_nea_m: Vector | None = None
     plan_id: int = 0
     """Of the newest plan request."""
+    route_ne_m: tuple[tuple[float, float], ...] = ()
+    """The way to the target that the newest plan had in mind."""
     planning: bool = False
     tried: bool = False
     """Whether this leg's successor has been scanned or planned for."""

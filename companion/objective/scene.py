@@ -1,4 +1,4 @@
-"""What one subpath is planned in, and how six variables become control points (paper 2.5)."""
+"""The paper's problem: what one subpath is planned in, and how six variables become it (2.5)."""
 
 import math
 from dataclasses import dataclass
@@ -36,44 +36,25 @@ class Profile:
     name: str
     samples: int
     """Points of the curve at which the terms are computed (the paper: 10)."""
-    shortest_r2: float
-    """Lower limit of r2 as a fraction of R (the paper: 0, which makes a corner at each join)."""
     margin: float
     """Factor on d_s, on the turn radius and on the steepness that the search aims at."""
-    radar_margin_m: float
-    bounds_curvature: bool
-    """Whether curvature and climb count along the whole curve, and not just between samples."""
     verified: bool
-    """Whether a subpath must pass the dense check before it is flown."""
+    """Whether a subpath needs a certificate before it is flown."""
+    optimiser: str
+    """What searches, if the mission does not say."""
 
 
-PAPER = Profile(
-    name="paper",
-    samples=10,
-    shortest_r2=0.0,
-    margin=1.0,
-    radar_margin_m=0.0,
-    bounds_curvature=False,
-    verified=False,
-)
-FLIGHT = Profile(
-    name="flight",
-    samples=40,
-    shortest_r2=0.1,
-    margin=1.06,
-    radar_margin_m=100.0,
-    bounds_curvature=True,
-    verified=True,
-)
+PAPER = Profile(name="paper", samples=10, margin=1.0, verified=False, optimiser="improved-de")
+FLIGHT = Profile(name="flight", samples=40, margin=1.06, verified=True, optimiser="refined-de")
 PROFILES = {profile.name: profile for profile in (FLIGHT, PAPER)}
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Everything that the cost of one subpath depends on."""
+    """Everything that the paper's cost of one subpath depends on."""
 
-    profile: Profile
+    samples: int
     weights: Weights
     limits: Limits
     start: Pose
@@ -82,34 +63,16 @@ class Scene:
     """p_scan: the centre of the circle on which the subpath ends."""
     scan_range_m: float
     """R, the unit of r2 and r3."""
-    end_radius_m: float
-    """Radius of the circle on which the subpath ends: R, or what of it keeps d_s inside."""
     guide_rad: float
     """Bearing of the guide direction."""
     final_ne_m: tuple[float, float] | None
     """The target, when this subpath ends there."""
     safety_distance_m: float
     """d_s."""
-    clearance_m: float
-    """What the search keeps from keep-outs and, in `flight`, from terrain: a little over d_s."""
     surface: Surface
-    """`paper`: the known terrain.  `flight`: the surface that keeps clearance_m from it."""
+    """The known terrain."""
     radars: tuple[Radar, ...]
     keep_outs: tuple[KeepOut, ...]
-
-    @property
-    def floor_amsl_m(self) -> float:
-        """Lowest altitude to plan for: the vehicle on the path stays in the band too."""
-        return self.limits.floor_amsl_m + self._inset_m
-
-    @property
-    def ceiling_amsl_m(self) -> float:
-        """Highest altitude to plan for."""
-        return self.limits.ceiling_amsl_m - self._inset_m
-
-    @property
-    def _inset_m(self) -> float:
-        return 1.1 * self.limits.tracking_error_m if self.profile.verified else 0.0
 
 
 def control_points(x: FloatArray, scene: Scene) -> FloatArray:
@@ -126,23 +89,22 @@ def control_points(x: FloatArray, scene: Scene) -> FloatArray:
     if scene.final_ne_m is not None:
         left = math.hypot(scene.final_ne_m[0] - start[0], scene.final_ne_m[1] - start[1])
         unit = min(unit, left)
-    shortest = scene.profile.shortest_r2
-    r2 = (shortest + (0.4 - shortest) * r2) * unit
+    r2 = 0.4 * r2 * unit
     r3 = (0.4 + 0.4 * r3) * unit
     ahead = math.atan2(scene.start.tangent_nea[1], scene.start.tangent_nea[0])
     phi3 = ahead + (phi3 - 0.5) * math.pi
     phi4 = ahead + (phi4 - 0.5) * math.pi
-    band = scene.ceiling_amsl_m - scene.floor_amsl_m
+    floor, band = scene.limits.floor_amsl_m, scene.limits.ceiling_amsl_m - scene.limits.floor_amsl_m
     points = np.empty((len(x), 4, 3))
     points[:, 0] = start
     points[:, 1] = start + r2[:, None] * scene.start.tangent_nea
     points[:, 2, 0] = start[0] + r3 * np.cos(phi3)
     points[:, 2, 1] = start[1] + r3 * np.sin(phi3)
-    points[:, 2, 2] = scene.floor_amsl_m + z3 * band
+    points[:, 2, 2] = floor + z3 * band
     if scene.final_ne_m is None:
-        points[:, 3, 0] = scene.scan_ne_m[0] + scene.end_radius_m * np.cos(phi4)
-        points[:, 3, 1] = scene.scan_ne_m[1] + scene.end_radius_m * np.sin(phi4)
+        points[:, 3, 0] = scene.scan_ne_m[0] + scene.scan_range_m * np.cos(phi4)
+        points[:, 3, 1] = scene.scan_ne_m[1] + scene.scan_range_m * np.sin(phi4)
     else:
         points[:, 3, :2] = scene.final_ne_m
-    points[:, 3, 2] = scene.floor_amsl_m + z4 * band
+    points[:, 3, 2] = floor + z4 * band
     return points

@@ -1,8 +1,9 @@
-"""The objective of a subpath, f = sum a_i f_i (eq. 5), term by term.
+"""The paper's objective of a subpath, f = sum a_i f_i (eq. 5), term by term.
 
 Where the paper is silent, `planner-numbers` part A decides (its rows are named here): samples at
 u = j / N, j = 1 .. N, uniform in u (row 9); sums over samples are scaled to the paper's ten, so
-that a denser sampling leaves the weights as they are.
+that a denser sampling leaves the weights as they are.  What is flown is searched for by
+`objective.flight`.
 """
 
 import math
@@ -14,14 +15,13 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.objective.scene import Scene, control_points
-from companion.path.bspline import climb_angle_rad, horizontal_curvature_1_m, uniform_basis
+from companion.path.bspline import climb_angle_rad, uniform_basis
 from companion.world.threats import detection_probability
 
 _PAPER_SAMPLES = 10
 _CRASH_SCALE = 100.0  # per unit of collision probability of one sample
 _RADAR_SCALE = 30.0  # per unit of detection probability of one sample
 _ANGLE_SCALE = 100.0  # k_1, k_2 of eq. 11, per radian
-_CURVATURE_SCALE = 100.0  # per unit of curvature in excess, relative to the limit
 _OUTSIDE_SCALE = 100.0  # f_v per R / 20 (1 km at the paper's scale) outside the planning space
 _CHORD_TURN_RAD = math.radians(30.0)  # row 21: between chords of R / 10
 
@@ -35,8 +35,6 @@ class Candidates:
 
     control_nea_m: FloatArray  # (P, 4, 3)
     points_nea_m: FloatArray  # (P, S + 1, 3): the start is sample 0
-    first: FloatArray  # (P, S + 1, 3)
-    second: FloatArray  # (P, S + 1, 3)
 
 
 def candidates(control_nea_m: FloatArray, samples: int) -> Candidates:
@@ -45,8 +43,6 @@ def candidates(control_nea_m: FloatArray, samples: int) -> Candidates:
     return Candidates(
         control_nea_m=control_nea_m,
         points_nea_m=at.value @ control_nea_m,
-        first=at.first @ control_nea_m,
-        second=at.second @ control_nea_m,
     )
 
 
@@ -75,14 +71,12 @@ def crash(paths: Candidates, scene: Scene) -> FloatArray:
     """Eq. 9 with eq. 2: how far samples are short of d_s, by the first-order normal distance.
 
     d = (z - h) / sqrt(1 + |grad h|^2) (row 12), linear below 0 too (row 11).  The terrain is one
-    surface, as the radar shows it, so the sum over peaks has one member.  In profile `flight`
-    the surface already stands off the terrain, and what lies below it is short.
+    surface, as the radar shows it, so the sum over peaks has one member.
     """
     north, east, altitude = np.moveaxis(paths.points_nea_m[:, 1:], -1, 0)  # each (P, S)
     surface, slope2 = scene.surface.altitude_and_slope(north, east)
     distance = (altitude - surface) / np.sqrt(1.0 + slope2)
-    wanted = 0.0 if scene.profile.verified else scene.safety_distance_m
-    short = np.maximum(wanted - distance, 0.0) / scene.safety_distance_m
+    short = np.maximum(scene.safety_distance_m - distance, 0.0) / scene.safety_distance_m
     return short.sum(axis=1) * _per_sample(paths) * _CRASH_SCALE
 
 
@@ -92,18 +86,14 @@ def radar(paths: Candidates, scene: Scene) -> FloatArray:
     total = np.zeros(len(points))
     for each in scene.radars:
         distance = each.distance_m(points)
-        seen = detection_probability(distance, each.range_m, scene.profile.radar_margin_m)
+        seen = detection_probability(distance, each.range_m)
         total += seen.sum(axis=1)
     return total * _per_sample(paths) * _RADAR_SCALE
 
 
 def constraints(paths: Candidates, scene: Scene) -> FloatArray:
     """Eq. 11: turning, climbing and diving beyond the limits, and leaving the planning space."""
-    if scene.profile.bounds_curvature:
-        steering = _curvature_excess(paths, scene)
-    else:
-        steering = _chord_excess(paths, scene)
-    return steering + _outside(paths, scene) + _keep_out_excess(paths, scene)
+    return _chord_excess(paths, scene) + _outside(paths, scene) + _keep_out_excess(paths, scene)
 
 
 def _chord_excess(paths: Candidates, scene: Scene) -> FloatArray:
@@ -112,30 +102,18 @@ def _chord_excess(paths: Candidates, scene: Scene) -> FloatArray:
     heading = np.arctan2(chords[..., 1], chords[..., 0])
     turn = np.abs((np.diff(heading, axis=1) + math.pi) % (2.0 * math.pi) - math.pi)
     alpha = np.maximum(turn - _CHORD_TURN_RAD, 0.0).sum(axis=1)
-    beta = _slope_excess(climb_angle_rad(chords), scene).sum(axis=1)
-    return _ANGLE_SCALE * (alpha + beta)
-
-
-def _curvature_excess(paths: Candidates, scene: Scene) -> FloatArray:
-    """Curvature and slope of the curve itself, the start included, beyond the limits."""
-    limit = 1.0 / (scene.limits.turn_radius_m * scene.profile.margin)
-    curvature = horizontal_curvature_1_m(paths.first, paths.second) / limit
-    turning = np.minimum(np.maximum(curvature - 1.0, 0.0), 10.0).sum(axis=1)
-    climbing = _slope_excess(climb_angle_rad(paths.first), scene).sum(axis=1)
-    return (_CURVATURE_SCALE * turning + _ANGLE_SCALE * climbing) * _per_sample(paths)
-
-
-def _slope_excess(angle_rad: FloatArray, scene: Scene) -> FloatArray:
-    climb = scene.limits.climb_angle_rad / scene.profile.margin
-    dive = scene.limits.dive_angle_rad / scene.profile.margin
-    return np.maximum(angle_rad - climb, 0.0) + np.maximum(-angle_rad - dive, 0.0)
+    slope = climb_angle_rad(chords)
+    limits = scene.limits
+    beta = np.maximum(slope - limits.climb_angle_rad, 0.0)
+    beta = beta + np.maximum(-slope - limits.dive_angle_rad, 0.0)
+    return _ANGLE_SCALE * (alpha + beta.sum(axis=1))
 
 
 def _outside(paths: Candidates, scene: Scene) -> FloatArray:
     """f_v: how far samples lie outside the altitude band or the map."""
     north, east, altitude = np.moveaxis(paths.points_nea_m[:, 1:], -1, 0)
     limits = scene.limits
-    beyond = _beyond(altitude, (scene.floor_amsl_m, scene.ceiling_amsl_m))
+    beyond = _beyond(altitude, (limits.floor_amsl_m, limits.ceiling_amsl_m))
     beyond = beyond + _beyond(north, limits.north_m) + _beyond(east, limits.east_m)
     scale = _OUTSIDE_SCALE / (scene.scan_range_m / 20.0)
     return beyond.sum(axis=1) * _per_sample(paths) * scale
@@ -147,7 +125,7 @@ def _beyond(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:
 
 def _keep_out_excess(paths: Candidates, scene: Scene) -> FloatArray:
     """How far samples are short of d_s from keep-out zones (not in the paper: a hard bound)."""
-    wanted = scene.clearance_m
+    wanted = scene.safety_distance_m
     points = paths.points_nea_m[:, 1:]
     short = np.zeros(len(points))
     for zone in scene.keep_outs:
@@ -172,7 +150,7 @@ TERMS: dict[str, Callable[[Candidates, Scene], FloatArray]] = {
 
 def cost_table(x: FloatArray, scene: Scene) -> CostTable:
     """Every term of the objective by name, unweighted.  (P, 6) in the unit cube -> each (P,)."""
-    paths = candidates(control_points(x, scene), scene.profile.samples)
+    paths = candidates(control_points(x, scene), scene.samples)
     return {name: term(paths, scene) for name, term in TERMS.items()}
 
 

@@ -1,4 +1,4 @@
-"""The one loop that owns the budget."""
+"""The one loop that owns the budget, and what every optimiser begins with."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -55,3 +55,17 @@ def minimise(
         spent += count
     order = np.argsort(optimiser.costs, kind="stable")
     return Ranked(x=optimiser.population[order], costs=optimiser.costs[order], evaluations=spent)
+
+
+def first_members(
+    size: int, dimensions: int, rng: np.random.Generator, seeds: FloatArray | None
+) -> FloatArray:
+    """The seeds, as many as there is room for, and random points.  (K, D) -> (size, D).
+
+    Seeds beyond the unit cube are clipped into it.
+    """
+    members = rng.random((size, dimensions))
+    if seeds is not None:
+        count = min(len(seeds), size)
+        members[:count] = np.clip(seeds[:count], 0.0, 1.0)
+    return members

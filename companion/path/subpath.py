@@ -14,10 +14,12 @@ _TABLE = 2000  # chords of the arc-length table: 10 m on a 20 km subpath
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pose:
-    """A point of a curve and the direction in which the curve leaves it."""
+    """A point of a curve, the direction in which the curve leaves it, and how it bends there."""
 
     position_nea_m: FloatArray  # (3,)
     tangent_nea: FloatArray  # (3,), unit length
+    curvature_nea_1_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """(3,), across the tangent: the derivative of the tangent by the length flown."""
 
     @property
     def point_nea_m(self) -> tuple[float, float, float]:
@@ -51,15 +53,18 @@ class Subpath:
     def pose(self, length_m: float) -> Pose:
         """Where the curve is after a length flown, metres from its start (clamped to its ends)."""
         at = self._basis_at(np.array([length_m]))
-        first = (at.first @ self.control_nea_m)[0]
+        first, second = (at.first @ self.control_nea_m)[0], (at.second @ self.control_nea_m)[0]
         speed = float(np.linalg.norm(first))
         if speed < 1e-6 * self.length_m:  # control points coincide: the direction is a limit
             inward = 1.0 if 2.0 * length_m < self.length_m else -1.0
-            first = inward * (at.second @ self.control_nea_m)[0]
+            first, second = inward * second, np.zeros(3)
             speed = float(np.linalg.norm(first))
+        tangent = first / max(speed, 1e-12)
+        across = second - (second @ tangent) * tangent
         return Pose(
             position_nea_m=(at.value @ self.control_nea_m)[0],
-            tangent_nea=first / max(speed, 1e-12),
+            tangent_nea=tangent,
+            curvature_nea_1_m=across / max(speed, 1e-12) ** 2,
         )
 
     def sampled(self, spacing_m: float) -> "Samples":

@@ -1,6 +1,9 @@
-"""One plan: from what is known at p_scan to the next subpath, or the reason why there is none."""
+"""One plan: from what is known at p_scan to the next subpath, or the reason why there is none.
 
-import enum
+Guidance, search, proof: the best candidate that is proven safe is taken (verify, then commit);
+if none is, the search is repeated with more variables, other directions and a nearer end.
+"""
+
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,87 +12,32 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray, wrap_rad
-from companion.objective.scene import VARIABLES, Scene, control_points
-from companion.objective.terms import cost, cost_table
-from companion.optimise.improved_de import ImprovedDE
-from companion.optimise.loop import Ranked, minimise
-from companion.path.check import CheckReport, check
-from companion.path.subpath import Pose, Subpath
-from companion.planner.guidance import tangent_guide_rad
-from companion.planner.settings import Task
-from companion.world.clearance import Surface, safe_surface, terrain_surface
-from companion.world.known_map import KnownMap
+from companion.objective import flight
+from companion.objective.flight import FlightScene, control_points
+from companion.optimise import refined_de
+from companion.optimise.loop import minimise
+from companion.optimise.registry import OPTIMISERS
+from companion.path.certificate import Surroundings, certify, pack_surroundings
+from companion.path.subpath import Subpath
+from companion.planner.cost_to_go import CostToGo, cost_to_go
+from companion.planner.kernels import NUMPY, Kernel
+from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
+from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
+from companion.world.clearance import Surface, safe_surface
 
-_REACH = 1.1  # of R about p_scan: no curve bulges further, whatever its variables
-_STREAM_PLAN = 1  # the planner's random stream among those of one seed
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlanRequest:
-    """The question: everything that the answer depends on."""
-
-    plan_id: int
-    seed: int
-    task: Task
-    known: KnownMap
-    scan_nea_m: tuple[float, float, float]
-    """p_scan."""
-    start: Pose
-    """p_prog and the tangent there."""
-    from_rest: bool
-    """Whether the vehicle hovers at the start, so that the path may leave in any direction."""
-    target_ne_m: tuple[float, float]
-    attempt: int = 0
-    """How often this question has been asked in vain; each time the search is wider."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Planned:
-    """The next subpath."""
-
-    plan_id: int
-    subpath: Subpath
-    reaches_target: bool
-    cost: float
-    terms: dict[str, float]
-    report: CheckReport
-    guide_rad: float
-    evaluations: int
-    rank: int
-    """Position among the candidates by cost: 0 is the best, more if better ones were unsafe."""
-    tries: int
-
-
-class Refusal(enum.Enum):
-    """Why there is no subpath, and what helps."""
-
-    NOTHING_SAFE = (
-        "no candidate subpath passed the safety check; "
-        "lower planner.safety_distance_m or raise planner.evaluations"
-    )
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NotPlanned:
-    """No subpath: the reason, and which bound the best candidate broke."""
-
-    plan_id: int
-    refusal: Refusal
-    broken: tuple[str, ...]
-    evaluations: int
-
-
-PlanOutcome = Planned | NotPlanned
+_CHUNK = 300  # evaluations between two looks at the clock
+_CERTIFIED = 16  # candidates of a search that are tried
+_GUIDE_SHARE = 0.2  # of a_3 that the angle of eq. 8 keeps: the cost-to-go does the rest
+_RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
+_SEARCH = refined_de.Settings()
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Try:
-    """One way of asking: the guide turned, a nearer end, a larger budget."""
+    """One way of asking: more control points, the guide turned, a nearer end, a larger budget."""
 
+    points: int = 5
     turn_rad: float = 0.0
     reach: float = 1.0
     budget: int = 1
@@ -97,125 +45,166 @@ class _Try:
 
 _TRIES = (
     _Try(),
-    _Try(budget=2),
+    _Try(points=6, budget=2),
     *(_Try(turn_rad=side * turn, budget=2) for turn in (0.35, 0.7, 1.1) for side in (1, -1)),
-    *(_Try(reach=reach, budget=2) for reach in (0.7, 0.45)),
+    *(_Try(points=6, reach=reach, budget=2) for reach in (0.7, 0.45)),
     *(_Try(turn_rad=side * turn, reach=0.6, budget=2) for turn in (0.7, 1.4) for side in (1, -1)),
 )
 
 
-def plan(request: PlanRequest, stop: Callable[[], bool] = lambda: False) -> PlanOutcome:
-    """Search for the next subpath until one passes the check (profile `paper`: the first).
+def plan(
+    request: PlanRequest, stop: Callable[[], bool] = lambda: False, kernel: Kernel = NUMPY
+) -> PlanOutcome:
+    """Search for the next subpath until one is proven safe (profile `paper`: the first).
 
-    stop: asked between tries; in real time it tells that there is no time for another.
+    stop: asked every few hundred evaluations; in real time it tells that time is up, and then the
+    best so far is taken, if it can be proven.
     """
-    check_surface = _surface(request, request.task.required_clearance_m)
-    base = _scene(request)
-    spent = 0
-    broken: tuple[str, ...] = ()
-    for number, how in enumerate(_TRIES):
-        if number and stop():
-            break
-        scene = _vary(base, request, how)
-        rng = np.random.default_rng(
-            [request.seed, _STREAM_PLAN, request.plan_id, request.attempt, number]
+    if not request.task.settings.profile.verified:
+        return plan_as_published(request, kernel.prove)
+    return _Plan(request, stop, kernel).outcome()
+
+
+@final
+class _Plan:
+    """A plan in the making: what all its searches have in common."""
+
+    def __init__(self, request: PlanRequest, stop: Callable[[], bool], kernel: Kernel) -> None:
+        self._request, self._stop, self._kernel = request, stop, kernel
+        self._surroundings = _surroundings(request)
+        self._field = cost_to_go(
+            request.known,
+            request.task,
+            request.scan_nea_m[:2],
+            request.target_ne_m,
+            request.route_ne_m,
         )
-        ranked = _search(scene, request.task, how.budget * (1 + request.attempt), rng)
-        spent += ranked.evaluations
-        for rank, x in enumerate(ranked.x):
+        self._scene = _scene(request, self._field)
+        self._evaluations = 0
+        self._broken: tuple[str, ...] = ()
+
+    def outcome(self) -> PlanOutcome:
+        for number, how in enumerate(_TRIES):
+            if number and self._stop():
+                break
+            scene = _vary(self._scene, self._request, how)
+            planned = self._first_proven(self._search(scene, number, how.budget), scene, number)
+            if planned is not None:
+                return planned
+        return NotPlanned(
+            plan_id=self._request.plan_id,
+            refusal=Refusal.NOTHING_SAFE,
+            broken=self._broken,
+            evaluations=self._evaluations,
+        )
+
+    def _search(self, scene: FlightScene, number: int, budget: int) -> FloatArray:
+        """The candidates of one search, best first.  -> (M, D)."""
+        request, settings = self._request, self._request.task.settings
+        rng = np.random.default_rng(
+            [request.seed, STREAM_PLAN, request.plan_id, request.attempt, number]
+        )
+        evaluations = budget * (1 + request.attempt) * settings.evaluations
+        name, seeds = settings.optimiser or settings.profile.optimiser, _seeds(scene)
+        if name != "refined-de":
+            optimiser = OPTIMISERS[name](scene.variables, evaluations, rng, seeds)
+            ranked = minimise(optimiser, lambda x: self._kernel.costs(x, scene), evaluations)
+            self._evaluations += ranked.evaluations
+            return ranked.x
+        state = refined_de.begin(scene.variables, evaluations, seeds, _SEARCH, rng)
+        for until in range(_CHUNK, evaluations + _CHUNK, _CHUNK):
+            self._kernel.search(state, scene, min(until, evaluations))
+            if self._stop():
+                break
+        self._evaluations += refined_de.spent(state)
+        return refined_de.ranked(state)[0]
+
+    def _first_proven(
+        self, candidates: FloatArray, scene: FlightScene, number: int
+    ) -> Planned | None:
+        """The best candidate with a certificate."""
+        request = self._request
+        for rank, x in enumerate(candidates[:_CERTIFIED]):
             subpath = Subpath(control_nea_m=control_points(x[None], scene)[0])
-            report = _check(subpath, check_surface, request)
-            violations = _violations(report, request.task)
-            if not violations or not scene.profile.verified:
-                return _planned(request, scene, x, subpath, report, spent, rank, number + 1)
-            broken = broken or violations
-    return NotPlanned(
-        plan_id=request.plan_id,
-        refusal=Refusal.NOTHING_SAFE,
-        broken=broken,
-        evaluations=spent,
-    )
+            certificate = certify(
+                subpath,
+                self._surroundings,
+                from_rest=request.from_rest,
+                prover=self._kernel.prove,
+            )
+            if certificate.proven:
+                table = flight.cost_table(x[None], scene)
+                return Planned(
+                    plan_id=request.plan_id,
+                    kernel=self._kernel.name,
+                    subpath=subpath,
+                    reaches_target=scene.final_ne_m is not None,
+                    cost=float(flight.cost(x[None], scene)[0]),
+                    terms={name: float(column[0]) for name, column in table.items()},
+                    certificate=certificate,
+                    guide_rad=scene.guide_rad,
+                    route_ne_m=self._field.route_ne_m,
+                    evaluations=self._evaluations,
+                    rank=rank,
+                    tries=number + 1,
+                )
+            self._broken = self._broken or certificate.broken
+        return None
 
 
-def _planned(
-    request: PlanRequest,
-    scene: Scene,
-    x: FloatArray,
-    subpath: Subpath,
-    report: CheckReport,
-    evaluations: int,
-    rank: int,
-    tries: int,
-) -> Planned:
-    table = cost_table(x[None], scene)
-    return Planned(
-        plan_id=request.plan_id,
-        subpath=subpath,
-        reaches_target=scene.final_ne_m is not None,
-        cost=float(cost(x[None], scene)[0]),
-        terms={name: float(column[0]) for name, column in table.items()},
-        report=report,
-        guide_rad=scene.guide_rad,
-        evaluations=evaluations,
-        rank=rank,
-        tries=tries,
-    )
-
-
-def _search(scene: Scene, task: Task, budget: int, rng: np.random.Generator) -> Ranked:
-    settings = task.settings
-    evaluations = budget * settings.evaluations
-    optimiser = ImprovedDE(
-        VARIABLES,
-        generations=evaluations // settings.search.population,
-        settings=settings.search,
-        rng=rng,
-        seeds=_seeds(scene) if scene.profile.verified else None,
-    )
-    return minimise(optimiser, lambda x: cost(x, scene), evaluations)
-
-
-def _seeds(scene: Scene) -> FloatArray:
-    """Plausible subpaths to begin with: towards the guide, level or rising, and bent aside."""
-    tangent = scene.start.tangent_nea
-    aim = wrap_rad(scene.guide_rad - math.atan2(tangent[1], tangent[0])) / math.pi + 0.5
-    band = scene.ceiling_amsl_m - scene.floor_amsl_m
-    level = (scene.start.position_nea_m[2] - scene.floor_amsl_m) / band
-    bends = [(0.0, 0.0), (0.1, 0.1), (-0.1, -0.1), (0.15, 0.0), (-0.15, 0.0)]
-    rows = [
-        (0.1, 0.4, aim / 2 + 0.25 + at_3, altitude, aim + at_4, altitude)
-        for altitude in (level, 0.0, 0.5)
-        for at_3, at_4 in bends
-    ]
+def _seeds(scene: FlightScene) -> FloatArray:
+    """Plausible subpaths to begin with: towards the guide, straight on, and bent aside.  (K, D)."""
+    aim = wrap_rad(scene.guide_rad - scene.ahead_rad)
+    low, high = scene.band_amsl_m
+    level = (float(scene.start.position_nea_m[2]) - low) / (high - low)
+    rows = []
+    for altitude in (level, 0.0, 0.5):
+        for bearing, bend in ((aim, 0.0), (aim, 0.3), (aim, -0.3), (0.0, 0.0), (0.6 * aim, 0.0)):
+            row = [0.3, 0.3]
+            for k in range(3, scene.points - 1):
+                share = (k - 1) / (scene.points - 1)
+                row += [share, _azimuth(share * bearing + bend), altitude]
+            rows.append([*row, _azimuth(bearing), altitude])
     return np.clip(np.array(rows), 0.0, 1.0)
 
 
-def _scene(request: PlanRequest) -> Scene:
+def _azimuth(bearing_rad: float) -> float:
+    """The variable that stands for a bearing from the tangent."""
+    return 0.5 + 0.5 * bearing_rad / flight.SPREAD_RAD
+
+
+def _scene(request: PlanRequest, field: CostToGo) -> FlightScene:
     task, settings = request.task, request.task.settings
     scan_ne = request.scan_nea_m[:2]
-    guide = tangent_guide_rad(scan_ne, request.target_ne_m, task.radars, settings.overlap_m)
     final, end_radius = _end(request)
-    if final:
-        guide = _bearing_rad(scan_ne, request.target_ne_m)
-    if settings.profile.verified:
-        surface = _surface(request, task.search_clearance_m)
-    else:
-        surface = terrain_surface(
-            request.known, centre_ne_m=scan_ne, reach_m=_REACH * settings.scan_range_m
-        )
-    return Scene(
-        profile=settings.profile,
+    guide = field.leaving_rad(scan_ne, end_radius)
+    return FlightScene(
+        points=5,
+        samples=settings.profile.samples,
+        margin=settings.profile.margin,
         weights=settings.weights,
         limits=task.limits,
-        start=_facing(request.start, guide) if request.from_rest else request.start,
+        start=facing(request.start, guide) if request.from_rest else request.start,
+        from_rest=request.from_rest,
         scan_ne_m=scan_ne,
         scan_range_m=settings.scan_range_m,
         end_radius_m=end_radius,
         guide_rad=guide,
+        guide_share=_GUIDE_SHARE,
+        to_go=Surface(
+            north_min_m=field.north_min_m,
+            east_min_m=field.east_min_m,
+            cell_m=field.cell_m,
+            vertex_m=field.value_m,
+        ),
+        look_ahead_m=task.limits.turn_radius_m,
         final_ne_m=request.target_ne_m if final else None,
         safety_distance_m=settings.safety_distance_m,
         clearance_m=task.search_clearance_m,
-        surface=surface,
+        surface=_surface(request, task.search_clearance_m),
+        contact=_surface(request, task.error_m),
+        radar_margin_m=_RADAR_MARGIN * settings.scan_range_m,
+        band_amsl_m=task.band_amsl_m,
         radars=task.radars,
         keep_outs=task.keep_outs,
     )
@@ -232,55 +221,48 @@ def _end(request: PlanRequest) -> tuple[bool, float]:
     left = math.hypot(request.target_ne_m[0] - north, request.target_ne_m[1] - east)
     if left <= reach and request.known.is_known(*request.target_ne_m):
         return True, reach
-    if request.task.settings.profile.verified:
-        reach = min(reach, max(left - 0.35 * reach, 0.5 * reach))
-    return False, reach
+    return False, min(reach, max(left - 0.35 * reach, 0.5 * reach))
 
 
-def _vary(scene: Scene, request: PlanRequest, how: _Try) -> Scene:
-    """The scene as one try sees it; tries that are not straight do not end at the target."""
+def _vary(scene: FlightScene, request: PlanRequest, how: _Try) -> FlightScene:
+    """The scene as one try sees it; tries that are not straight do not end at the target.
+
+    A turned guide pulls by itself: the cost-to-go would lead back to where nothing was found.
+    """
+    scene = replace(scene, points=how.points)
     if how.turn_rad == 0.0 and how.reach == 1.0:
         return scene
     guide = wrap_rad(scene.guide_rad + how.turn_rad)
+    anywhere = replace(scene.to_go, vertex_m=np.zeros_like(scene.to_go.vertex_m))
     return replace(
         scene,
         guide_rad=guide,
+        guide_share=1.0,
+        to_go=anywhere if how.turn_rad else scene.to_go,
         end_radius_m=scene.end_radius_m * how.reach,
         final_ne_m=None,
-        start=_facing(scene.start, guide) if request.from_rest else scene.start,
+        start=facing(scene.start, guide) if request.from_rest else scene.start,
     )
-
-
-def _facing(pose: Pose, bearing_rad: float) -> Pose:
-    return replace(pose, tangent_nea=np.array([math.cos(bearing_rad), math.sin(bearing_rad), 0.0]))
-
-
-def _bearing_rad(here_ne_m: tuple[float, float], there_ne_m: tuple[float, float]) -> float:
-    return math.atan2(there_ne_m[1] - here_ne_m[1], there_ne_m[0] - here_ne_m[0])
 
 
 def _surface(request: PlanRequest, clearance_m: float) -> Surface:
     return safe_surface(
         request.known,
         centre_ne_m=request.scan_nea_m[:2],
-        reach_m=_REACH * request.task.settings.scan_range_m,
+        reach_m=REACH * request.task.settings.scan_range_m,
         clearance_m=clearance_m,
         unknown_m=request.task.limits.ceiling_amsl_m,
     )
 
 
-def _check(subpath: Subpath, safe: Surface, request: PlanRequest) -> CheckReport:
+def _surroundings(request: PlanRequest) -> Surroundings:
     task = request.task
-    return check(
-        subpath,
-        safe=safe,
-        known=request.known,
-        limits=task.limits,
-        radars=task.radars,
-        keep_outs=task.keep_outs,
-        safety_distance_m=task.settings.safety_distance_m,
+    return pack_surroundings(
+        request.known,
+        task.limits,
+        task.radars,
+        task.keep_outs,
+        task.margins,
+        centre_ne_m=request.scan_nea_m[:2],
+        reach_m=REACH * task.settings.scan_range_m,
     )
-
-
-def _violations(report: CheckReport, task: Task) -> tuple[str, ...]:
-    return report.violations(task.limits, task.required_clearance_m)

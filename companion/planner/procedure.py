@@ -17,7 +17,7 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.path.limits import Limits
 from companion.path.subpath import Pose, Subpath
-from companion.planner.plan import Planned
+from companion.planner.request import Planned
 from companion.planner.settings import Task
 
 _LEAD_S = 1.0  # the reference point waits when it is this far ahead of the vehicle, at full speed

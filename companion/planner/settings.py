@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import final
 
 from companion.objective.scene import FLIGHT, Profile, Weights
-from companion.optimise import improved_de
+from companion.path.certificate import Margins
 from companion.path.limits import Limits
 from companion.world.threats import KeepOut, Radar
 
@@ -35,7 +35,8 @@ class PlannerSettings:
     """Candidates evaluated for one subpath."""
     profile: Profile = FLIGHT
     weights: Weights = field(default_factory=Weights)
-    search: improved_de.Settings = field(default_factory=improved_de.Settings)
+    optimiser: str | None = None
+    """What searches, by its name in `optimise.registry`; None: the profile's."""
 
 
 @final
@@ -57,14 +58,14 @@ class Task:
     def tail_m(self) -> float:
         """Length of a subpath beyond p_prog.
 
-        The paper's d_s; in profile `flight` enough to stop in, and never less than 0.15 R
-        (design section 6: it takes away most of what goes wrong near the end of sight).
+        The paper's d_s; in profile `flight` the dead-man reach, enough to stop in, and never less
+        than 0.15 R (design section 6: it takes away most of what goes wrong near the end of sight).
         """
-        settings = self.settings
+        settings, speed = self.settings, self.limits.speed_m_s
         if not settings.profile.verified:
             return settings.safety_distance_m
-        stopping = self.limits.speed_m_s**2 / (2.0 * self.limits.acceleration_m_s2)
-        return max(0.15 * settings.scan_range_m, stopping + settings.safety_distance_m)
+        stop_m = self.limits.stopping_m(speed) + settings.safety_distance_m
+        return max(0.15 * settings.scan_range_m, stop_m, self.limits.reach_m(speed))
 
     @property
     def shortest_scan_distance_m(self) -> float:
@@ -82,27 +83,50 @@ class Task:
         return self.settings.scan_distance_m or self.shortest_scan_distance_m
 
     @property
+    def error_m(self) -> float:
+        """How far the vehicle may be from where the path has it: tracking and navigation."""
+        return self.limits.tracking_error_m + self.limits.navigation_error_m
+
+    @property
+    def margins(self) -> Margins:
+        """What a certificate asks of the curve, so that the vehicle on it keeps d_s."""
+        return Margins(
+            clearance_m=self.required_clearance_m,
+            contact_m=self.error_m,
+            band_inset_m=self.error_m,
+            dead_man_s=self.limits.dead_man_s,
+        )
+
+    @property
     def required_clearance_m(self) -> float:
-        """What the dense check asks of the curve, so that the vehicle on it keeps d_s."""
-        return self.settings.safety_distance_m + self.limits.tracking_error_m
+        """The distance of the curve from terrain and keep-outs."""
+        return self.settings.safety_distance_m + self.error_m
 
     @property
     def search_clearance_m(self) -> float:
-        """What the search aims at: more than the check asks for (in `paper`, d_s itself)."""
+        """What the search aims at: more than the certificate asks for (in `paper`, d_s itself)."""
         settings = self.settings
         if not settings.profile.verified:
             return settings.safety_distance_m
-        least = settings.safety_distance_m + 1.1 * self.limits.tracking_error_m
+        least = settings.safety_distance_m + 1.1 * self.error_m
         return max(settings.safety_distance_m * settings.profile.margin, least)
+
+    @property
+    def band_amsl_m(self) -> tuple[float, float]:
+        """Floor and ceiling to plan for, so that the vehicle on the path stays in the band."""
+        inset = 1.1 * self.error_m if self.settings.profile.verified else 0.0
+        return self.limits.floor_amsl_m + inset, self.limits.ceiling_amsl_m - inset
 
     @property
     def end_radius_m(self) -> float:
         """Radius of the circle about p_scan on which subpaths end.
 
-        The paper's R; in profile `flight` so much less that the ground within the required
-        clearance of the end has been scanned.
+        The paper's R; in profile `flight` so much less that the ground has been scanned within the
+        required clearance of the end, and where a vehicle comes that is left alone near it.
         """
-        settings = self.settings
+        settings, limits = self.settings, self.limits
         if not settings.profile.verified:
             return settings.scan_range_m
-        return settings.scan_range_m - self.search_clearance_m - 2.0 * math.sqrt(2.0) * self.cell_m
+        beyond = limits.speed_m_s * limits.dead_man_s + self.error_m
+        reserve = max(self.search_clearance_m, beyond) + 2.0 * math.sqrt(2.0) * self.cell_m
+        return settings.scan_range_m - reserve

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import final
 
-from companion.planner.plan import Planned, PlanOutcome, PlanRequest, plan
+from companion.planner.request import Planned, PlanOutcome, PlanRequest
+from companion.runtime.compiler import Planner
 from companion.runtime.link import UdpLink
 from companion.session import Output, Session
 from companion.telemetry.flown import Flown
@@ -17,9 +18,10 @@ _LOCKSTEP_SILENCE_S = 10.0
 _SETTLE_S = 3.0  # for the vehicle to confirm the mode in which it is left
 _TRACK_S = 0.5
 _PROGRESS_S = 0.1
+_SEARCHING = 0.8  # of T: the rest is for the proof
 
 
-Planner = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
+Answer = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
 """Answers a request; the second argument tells it when to stop searching."""
 
 
@@ -31,9 +33,12 @@ def fly(
     lockstep: bool,
     on_progress: Callable[[Flown], None],
     stop_asked: Callable[[], bool],
-    planner: Planner = plan,
+    planner: Answer | None = None,
 ) -> Flown:
-    """Run a session until its mission ends; every end is a value, Flown.end."""
+    """Run a session until its mission ends; every end is a value, Flown.end.
+
+    planner: by default the compiled one, which is loaded once a vehicle is heard.
+    """
     flown = Flown(session=session)
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="planner") as worker:
         _Loop(session, link, folder, lockstep, flown, worker, planner).run(on_progress, stop_asked)
@@ -50,11 +55,13 @@ class _Loop:
         lockstep: bool,
         flown: Flown,
         worker: ThreadPoolExecutor,
-        planner: Planner,
+        planner: Answer | None,
     ) -> None:
         self._session, self._link, self._folder = session, link, folder
         self._lockstep, self._flown = lockstep, flown
-        self._worker, self._planner = worker, planner
+        self._worker = worker
+        self._compiler = Planner(lockstep=lockstep)
+        self._planner = planner or self._compiler
         self._pending: Future[tuple[PlanOutcome, float]] | None = None
         self._began_s = self._heard_s = time.perf_counter()
         self._track_at_s = -math.inf
@@ -96,6 +103,8 @@ class _Loop:
         self._link.answer_to_sender()
         if not self._flown.heard:
             self._flown.heard, self._began_s = True, now_s
+            if self._planner is self._compiler:
+                self._compiler.start()
         self._heard_s = now_s
         return True
 
@@ -122,8 +131,8 @@ class _Loop:
             self._flown.track_nea_m.append(here)
 
     def _deadline(self, request: PlanRequest) -> Callable[[], bool]:
-        """Whether to stop searching: never in lockstep, after T in real time, and at the end."""
-        due_s = time.perf_counter() + request.task.settings.planning_time_s
+        """Whether to stop searching: never in lockstep, before T in real time, and at the end."""
+        due_s = time.perf_counter() + _SEARCHING * request.task.settings.planning_time_s
         return lambda: (
             self._flown.end is not None or (not self._lockstep and time.perf_counter() > due_s)
         )
@@ -148,7 +157,7 @@ class _Loop:
 
 
 def _timed(
-    planner: Planner, request: PlanRequest, stop: Callable[[], bool]
+    planner: Answer, request: PlanRequest, stop: Callable[[], bool]
 ) -> tuple[PlanOutcome, float]:
     began_s = time.perf_counter()
     outcome = planner(request, stop)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import final
 
 from companion.mission.events import End, Vector
-from companion.planner.plan import Planned
+from companion.planner.request import Planned
 from companion.session import Session
 
 

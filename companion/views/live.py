@@ -68,7 +68,7 @@ def progress_table(flown: Flown) -> Table:
     if flown.plans:
         values["subpath"] = f"{state.flight.legs_flown}"
         values["cost"] = f"{flown.plans[-1].cost:.2f}"
-        values["clearance"] = clearance_words(flown.plans[-1].report)
+        values["clearance"] = clearance_words(flown.plans[-1].certificate)
         values["planned in"] = f"{flown.plans_s[-1] * 1e3:.0f} ms"
     values["real time"] = f"{flown.times_real_time:.0f}x"
     for heading, width in zip(values, (10, 7, 8, 7, 5, 9, 10, 9), strict=True):
@@ -91,7 +91,7 @@ def progress_line(flown: Flown) -> str:
         newest = flown.plans[-1]
         parts.append(f"subpath {state.flight.legs_flown:2d}")
         parts.append(f"cost {newest.cost:5.2f}")
-        parts.append(f"clearance {clearance_words(newest.report):>9}")
+        parts.append(f"clearance {clearance_words(newest.certificate):>9}")
     if flown.plans_s:
         parts.append(f"planned in {flown.plans_s[-1] * 1e3:4.0f} ms")
     if session.now_s > 0.0:

@@ -8,8 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.mission.mission import EndAction, Mission
-from companion.path.check import CheckReport
-from companion.planner.plan import Planned
+from companion.path.certificate import Certificate
+from companion.planner.request import Planned
 from companion.telemetry.flown import Flown
 
 
@@ -33,7 +33,7 @@ def mission_words(mission: Mission) -> str:
         f"  Kept from terrain and keep-outs: {_m(settings.safety_distance_m)} (d_s). "
         f"{_threats(mission)}",
         f"  Each subpath: {settings.evaluations} candidates at {profile.samples} points; "
-        + ("checked every 10 m before it is flown." if profile.verified else "flown unchecked."),
+        + ("proven safe before it is flown." if profile.verified else "flown unproven."),
         "  If no safe subpath is found it flies the last one to its end, stops there and tries "
         "again; after four attempts it holds and says why.",
     ]
@@ -78,9 +78,9 @@ def flight_table(flown: Flown) -> Table:
     rows.append(("subpaths flown", f"{session.state.flight.legs_flown}"))
     if flown.plans:
         rows.append(("cost of all subpaths", f"{sum(plan.cost for plan in flown.plans):.1f}"))
-        nearest = min((plan.report for plan in flown.plans), key=lambda each: each.clearance_m)
-        rows.append(("least planned clearance", clearance_words(nearest)))
-        inside = sum(plan.report.radar_m for plan in flown.plans)
+        nearest = min((plan.certificate for plan in flown.plans), key=lambda each: each.clearance_m)
+        rows.append(("least proven clearance", clearance_words(nearest)))
+        inside = sum(plan.certificate.radar_m for plan in flown.plans)
         rows.append(("planned inside radar ranges", f"{inside:,.0f} m"))
     if flown.plans_s:
         median, worst = statistics.median(flown.plans_s), max(flown.plans_s)
@@ -96,20 +96,19 @@ def plans_table(plans: tuple[Planned, ...]) -> Table:
     for heading in ("subpath", "cost", "length", "clearance", "tightest turn", "inside radars"):
         table.add_column(heading, justify="right")
     for number, planned in enumerate(plans, start=1):
-        report = planned.report
-        turn_km = report.turn_radius_m / 1000.0
+        certificate = planned.certificate
+        turn_km = certificate.turn_radius_m / 1000.0
         table.add_row(
             f"{number}",
             f"{planned.cost:.2f}",
             f"{planned.subpath.length_m / 1000:.1f} km",
-            clearance_words(report),
+            clearance_words(certificate),
             f"{turn_km:.1f} km" if turn_km < 100.0 else "straight",
-            f"{report.radar_m / 1000:.1f} km",
+            f"{certificate.radar_m / 1000:.1f} km",
         )
     return table
 
 
-def clearance_words(report: CheckReport) -> str:
-    """The clearance of a subpath; beyond some distance it is not measured."""
-    more = "> " if report.clearance_m >= report.farthest_m else ""
-    return f"{more}{report.clearance_m:,.0f} m"
+def clearance_words(certificate: Certificate) -> str:
+    """The clearance that is proven for a subpath, or which bounds are not."""
+    return f"{certificate.clearance_m:,.0f} m" if certificate.proven else "not proven"

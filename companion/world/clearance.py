@@ -2,6 +2,7 @@
 
 `safe_surface`: the known map dilated by a ball of the required clearance (design 5.3).  Above it a
 point is at least that far from every piece of terrain that the map allows for, in three dimensions.
+The search reads it; what it finds is proven against the map itself (`path.certificate`).
 `terrain_surface`: the known map as it is, for the paper's first-order distance.
 """
 
@@ -10,12 +11,11 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-import scipy.ndimage
 
 from companion.geodesy import FloatArray
 from companion.world.known_map import KnownMap
 
-_REFINE = 2  # sub-cells a side: halves what rounding to whole cells adds to the clearance
+_COARSE_FROM = 4.0  # cells of clearance: from there on half cells are not worth their time
 
 
 @final
@@ -92,25 +92,49 @@ def safe_surface(
 
     A point above it is at least clearance_m from the terrain that the map allows for, whatever
     the terrain does inside a cell: cells count with their highest terrain over their whole
-    square, grown by the registration error, and distances are those between the nearest points
-    of cells.  Unknown ground counts as terrain of altitude unknown_m.
+    square, grown by the registration error.  Unknown ground counts as terrain of altitude
+    unknown_m.  Up to a cell wider than need be: `path.certificate` is exact.
     """
     radius = clearance_m + known.registration_m
     window = _window(known, centre_ne_m, reach_m + radius, unknown_m)
-    cell = known.cell_m / _REFINE
-    heights = np.repeat(np.repeat(window.upper_m, _REFINE, axis=0), _REFINE, axis=1)
-    half = math.ceil(radius / cell) + 1
-    steps = np.maximum(np.abs(np.arange(-half, half + 1)) - 1, 0) * cell
-    gap = np.maximum(np.hypot(steps[:, None], steps[None, :]) - known.registration_m, 0.0)
-    near = gap < clearance_m
-    ball = np.where(near, np.sqrt(np.maximum(clearance_m**2 - gap**2, 0.0)), -1e6)
-    dilated = scipy.ndimage.grey_dilation(heights, footprint=near, structure=ball, mode="nearest")
+    refine = 2 if radius < _COARSE_FROM * known.cell_m else 1
+    half = math.ceil(radius / known.cell_m)
+    rows, columns = window.upper_m.shape
+    padded = np.pad(window.upper_m, half, mode="edge")
+    squares = np.full((rows, refine, columns, refine), -np.inf)
+    for north, east in np.ndindex(refine, refine):
+        gaps_n, gaps_e = (_gaps(half, part / refine, 1.0 / refine) for part in (north, east))
+        apart = np.hypot(gaps_n[:, None], gaps_e[None, :]) * known.cell_m - known.registration_m
+        apart = np.maximum(apart, 0.0)
+        square = squares[:, north, :, east]
+        for i, j in np.argwhere(apart < clearance_m):
+            rise_m = math.sqrt(clearance_m**2 - apart[i, j] ** 2)
+            np.maximum(square, padded[i : i + rows, j : j + columns] + rise_m, out=square)
     return Surface(
         north_min_m=window.north_min_m,
         east_min_m=window.east_min_m,
-        cell_m=cell,
-        vertex_m=_at_vertices(dilated),
+        cell_m=known.cell_m / refine,
+        vertex_m=_at_vertices(squares.reshape(rows * refine, columns * refine)),
     )
+
+
+def _gaps(half: int, start: float, width: float) -> FloatArray:
+    """Gaps between a part of a cell (from start, so wide) and the cells about it, in cells.
+
+    -> (2 half + 1,): to the cells from half before to half after.
+    """
+    offset = np.arange(-half, half + 1)
+    return np.maximum(np.maximum(offset - start - width, start - offset - 1.0), 0.0)
+
+
+def _at_vertices(cells: FloatArray) -> FloatArray:
+    """Highest of the (up to) four cells at each vertex.  (rows, columns) -> (rows+1, columns+1).
+
+    Bilinear interpolation of these is nowhere below the cell that it crosses.
+    """
+    padded = np.pad(cells, 1, mode="edge")
+    by_rows = np.maximum(padded[1:, :], padded[:-1, :])
+    return np.maximum(by_rows[:, 1:], by_rows[:, :-1])
 
 
 def terrain_surface(
@@ -127,13 +151,3 @@ def terrain_surface(
         cell_m=known.cell_m,
         vertex_m=window.upper_m,
     )
-
-
-def _at_vertices(cells: FloatArray) -> FloatArray:
-    """Highest of the (up to) four cells at each vertex.  (rows, columns) -> (rows+1, columns+1).
-
-    Bilinear interpolation of these is nowhere below the cell that it crosses.
-    """
-    padded = np.pad(cells, 1, mode="edge")
-    by_rows = np.maximum(padded[1:, :], padded[:-1, :])
-    return np.maximum(by_rows[:, 1:], by_rows[:, :-1])

@@ -12,11 +12,15 @@ from typing import final
 
 import numpy as np
 import scipy.ndimage
+from numpy.typing import NDArray
 
 from companion.geodesy import BoolArray, FloatArray
 
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
+
+_RAY_CELLS = 0.3  # between neighbouring rays at the farthest point
+_GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1  # radars this close count as one
 
 
 @final
@@ -73,14 +77,22 @@ class KnownMap:
             seen=self.seen.copy(),
             registration_m=max(self.registration_m, scan.registration_m),
         )
-        window = _window(scan)
+        upper, seen = after.upper_m[_window(scan)], after.seen[_window(scan)]  # views
         now_seen = np.isfinite(scan.heights_m)
-        after.upper_m[window] = np.where(now_seen, scan.heights_m, after.upper_m[window])
-        after.seen[window] |= now_seen
-        upper = after.upper_m[window]
-        bound = np.minimum(upper, _hidden_bound_m(after, scan))
-        after.upper_m[window] = np.where(after.seen[window], upper, bound)
+        np.copyto(upper, scan.heights_m, where=now_seen)
+        seen |= now_seen
+        np.copyto(upper, np.minimum(upper, _hidden_bound_m(after, scan)), where=~seen)
         return after
+
+    def part(self, rows: slice, columns: slice) -> "KnownMap":
+        """The map of some of the rows and columns (start and stop on the map); no copy."""
+        return replace(
+            self,
+            north_min_m=self.north_min_m + rows.start * self.cell_m,
+            east_min_m=self.east_min_m + columns.start * self.cell_m,
+            upper_m=self.upper_m[rows, columns],
+            seen=self.seen[rows, columns],
+        )
 
     def middles_m(
         self, row: int, column: int, shape: tuple[int, int]
@@ -106,8 +118,11 @@ def empty_map(cell_m: float, north_m: tuple[float, float], east_m: tuple[float, 
 
 def proven_range_m(known: KnownMap, scan: Scan) -> float:
     """How far the radar did see: what it did not see beyond that may be out of its range."""
-    seen = np.isfinite(scan.heights_m)
-    return float(_distances_m(known, scan)[seen].max(initial=0.0))
+    return _farthest_seen_m(scan, _distances_m(known, scan))
+
+
+def _farthest_seen_m(scan: Scan, distance_m: FloatArray) -> float:
+    return float(distance_m[np.isfinite(scan.heights_m)].max(initial=0.0))
 
 
 def _distances_m(known: KnownMap, scan: Scan) -> FloatArray:
@@ -124,24 +139,41 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
     where ground that is neither known nor hidden may be what hides it.
     """
     north, east = seen.middles_m(scan.row, scan.column, _shape(scan.heights_m))
-    distance = _distances_m(seen, scan)
     slack = 1.5 * seen.cell_m + scan.drift_m + scan.registration_m
     not_seen = np.isneginf(scan.heights_m)
-    reach = min(scan.range_m - slack, proven_range_m(seen, scan))
+    distance = _distances_m(seen, scan)
+    reach = min(scan.range_m - slack, _farthest_seen_m(scan, distance))
     hidden = not_seen & (distance < reach)
     result = np.full(hidden.shape, np.inf)
     if hidden.any():
         rows, columns = np.nonzero(hidden)
         middles = np.stack([north[rows, 0], east[0, columns]], axis=-1)
-        window = _window(scan)
-        obstacles = seen.upper_m.copy()
-        hides_nothing = not_seen & np.isinf(obstacles[window])
-        obstacles[window] = np.where(hides_nothing, -np.inf, obstacles[window])
-        bound = sight_line_m(
-            replace(seen, upper_m=obstacles), scan.radar_nea_m[hidden], middles, slack
-        )
+        radars = scan.radar_nea_m[rows, columns]
+        south, west, around = _around(seen, scan, radars, slack)
+        here = replace(scan, row=scan.row - south, column=scan.column - west)
+        obstacles = around.upper_m[_window(here)]  # a view of a copy
+        obstacles[not_seen & np.isinf(obstacles)] = -np.inf  # it hides nothing
+        bound = sight_line_m(around, radars, middles, slack)
         result[hidden] = np.where(np.isneginf(bound), np.inf, np.ceil(bound))
     return result
+
+
+def _around(
+    known: KnownMap, scan: Scan, radars_nea_m: FloatArray, slack_m: float
+) -> tuple[int, int, KnownMap]:
+    """A copy of what sight lines of a scan may cross, and row and column of where it begins."""
+    margin = math.ceil(slack_m / known.cell_m) + 2
+    rows, columns = _window(scan)
+    low, high = (
+        known.cell_of(*(float(x) for x in bound(radars_nea_m[:, :2], axis=0)))
+        for bound in (np.min, np.max)
+    )
+    limits = known.upper_m.shape
+    south = min(max(min(rows.start, low[0]) - margin, 0), limits[0] - 1)
+    west = min(max(min(columns.start, low[1]) - margin, 0), limits[1] - 1)
+    north, east = max(rows.stop, high[0]) + margin, max(columns.stop, high[1]) + margin
+    part = known.part(slice(south, north), slice(west, east))
+    return south, west, replace(part, upper_m=part.upper_m.copy())
 
 
 def sight_line_m(
@@ -157,27 +189,101 @@ def sight_line_m(
     where nothing lies between.  Never too low if the terrain, the radar and the point are known
     to slack_m: the march looks at every cell within the slack of the line.  It ends stop_short_m
     before the point, so that a cell need not hide itself.
+
+    Radars that are close to each other, as on a flight along, count as one in the middle of
+    them; how far they are from it is added to the slack.
     """
-    cell = known.cell_m
-    size = 2 * math.ceil(slack_m / cell - 0.5) + 1
+    groups = _groups(radars_nea_m, known.cell_m)
+    slack = slack_m + max((spread for _, _, spread, _ in groups), default=0.0)
+    size = 2 * math.ceil(slack / known.cell_m - 0.5) + 1
     highest = scipy.ndimage.maximum_filter(known.upper_m, size=size, mode="nearest")
-    offset = points_ne_m - radars_nea_m[:, :2]
-    distance = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-9)
-    heading = offset / distance[:, None]
-    start = (radars_nea_m[:, :2] - (known.north_min_m, known.east_min_m)) / cell
-    limits = np.asarray(known.upper_m.shape) - 1
-    steepest = np.full(distance.shape, -np.inf)
-    for step in range(1, math.ceil(float(distance.max()) / cell)):
-        along = step * cell
-        before = np.nonzero(along < distance - stop_short_m)[0]
-        index = np.clip((start[before] + heading[before] * step).astype(np.intp), 0, limits)
-        rise = highest[index[:, 0], index[:, 1]] - radars_nea_m[before, 2]
-        gap = np.where(rise > 0, max(along - slack_m, 0.5 * cell), along + slack_m)
-        steepest[before] = np.maximum(steepest[before], rise / gap)
-    run = np.where(steepest > 0, distance + slack_m, np.maximum(distance - slack_m, 0.0))
-    finite = np.isfinite(steepest)
-    bound = radars_nea_m[:, 2] + np.where(finite, steepest, 0.0) * run
-    return np.where(finite, bound, steepest)
+    filtered = replace(known, upper_m=highest)
+    result = np.empty(len(points_ne_m))
+    for radar_nea_m, sink, _, members in groups:
+        points = points_ne_m[members]
+        result[members] = sink + _line_from_one_m(
+            filtered, radar_nea_m, points, slack, stop_short_m
+        )
+    return result
+
+
+_Group = tuple[tuple[float, float, float], float, float, slice | NDArray[np.intp]]
+"""A radar's north, east and altitude; what the highest of the group is above it; how far the
+others are from it; and which they are."""
+
+
+def _groups(radars_nea_m: FloatArray, cell_m: float) -> list[_Group]:
+    """Radars that are within a fraction of a cell of each other."""
+    if len(radars_nea_m) == 0:
+        return []
+    low, high = radars_nea_m.min(axis=0), radars_nea_m.max(axis=0)
+    fine = np.array([_GROUP_CELLS, _GROUP_CELLS, _GROUP_CELLS_UP]) * cell_m
+    key = np.zeros(len(radars_nea_m), dtype=np.intp)
+    for axis in np.flatnonzero(high > low):
+        bins = ((radars_nea_m[:, axis] - low[axis]) / fine[axis]).astype(np.intp)
+        key = key * (int(bins.max()) + 1) + bins
+    if not key.any():
+        return [_group(radars_nea_m, slice(None))]
+    order = np.argsort(key, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+    return [_group(radars_nea_m[part], part) for part in parts]
+
+
+def _group(radars_nea_m: FloatArray, members: slice | NDArray[np.intp]) -> _Group:
+    """The radar in the middle, as low as the lowest: lines over terrain are steepest from there."""
+    low, high = radars_nea_m.min(axis=0), radars_nea_m.max(axis=0)
+    middle = 0.5 * (low + high)
+    spread = 0.5 * math.hypot(high[0] - low[0], high[1] - low[1])
+    radar = (float(middle[0]), float(middle[1]), float(low[2]))
+    return radar, float(high[2] - low[2]), spread, members
+
+
+def _line_from_one_m(
+    highest: KnownMap,
+    radar_nea_m: tuple[float, float, float],
+    points_ne_m: FloatArray,
+    slack_m: float,
+    stop_short_m: float,
+) -> FloatArray:
+    """`sight_line_m` from one radar, over cells that hold the highest within the slack.
+
+    One march along rays whose ends are _RAY_CELLS apart serves all points: each takes the ray
+    nearest to it, half of that beside it at most.  A line to anywhere in a cell (0.71 cells
+    beside its middle) and between two steps (0.5) is then less than a cell from what the march
+    looks at in north and in east, which is what the slack of 1.5 cells of a scan leaves for it.
+    """
+    cell = highest.cell_m
+    away = points_ne_m - radar_nea_m[:2]
+    distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)
+    farthest = max(float(distance.max()), cell)
+    steps = np.arange(1.0, max(math.ceil(farthest / cell), 2))
+    apart_rad = _RAY_CELLS * cell / farthest
+    index = np.rint(np.arctan2(away[:, 1], away[:, 0]) / apart_rad).astype(np.intp)
+    first = int(index.min())
+    used = np.bincount(index - first) > 0
+    ray_of = (np.cumsum(used) - 1)[index - first]
+    azimuth = (np.flatnonzero(used) + first) * apart_rad
+    rows, columns = highest.upper_m.shape
+    row = np.multiply.outer(steps, np.cos(azimuth))  # (steps, rays); in place from here on
+    row += (radar_nea_m[0] - highest.north_min_m) / cell
+    column = np.multiply.outer(steps, np.sin(azimuth))
+    column += (radar_nea_m[1] - highest.east_min_m) / cell
+    flat = np.clip(row, 0, rows - 1, out=row).astype(np.intp)
+    flat *= columns
+    flat += np.clip(column, 0, columns - 1, out=column).astype(np.intp)
+    rise = highest.upper_m.ravel().take(flat)
+    rise -= radar_nea_m[2]
+    nearest = np.maximum(steps * cell - slack_m, 0.5 * cell)
+    steepest = rise / (steps * cell + slack_m)[:, None]
+    rise /= nearest[:, None]
+    np.maximum(steepest, rise, out=steepest)
+    np.maximum.accumulate(steepest, axis=0, out=steepest)
+    before = np.ceil((distance - stop_short_m) / cell).astype(np.intp) - 1
+    slope = steepest[np.clip(before, 1, len(steps)) - 1, ray_of]
+    slope = np.where(before > 0, slope, -np.inf)
+    run = np.where(slope > 0, distance + slack_m, np.maximum(distance - slack_m, 0.0))
+    finite = np.isfinite(slope)
+    return np.where(finite, radar_nea_m[2] + np.where(finite, slope, 0.0) * run, slope)
 
 
 def _window(scan: Scan) -> tuple[slice, slice]:

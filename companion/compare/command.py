@@ -1,0 +1,154 @@
+"""`companion compare`: the paper's table and figures, computed again."""
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from companion.compare import effects, table_1
+from companion.compare.missions import Case, Run
+from companion.compare.pool import fly_all, processors
+from companion.errors import InputError
+
+compare_app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+    help="Compute the paper's Table 1, Fig. 3 and Fig. 4 again, beside what the paper says.",
+)
+
+RunsOption = Annotated[
+    int, typer.Option(min=1, max=1000, help="Missions for each setting, each with a seed.")
+]
+JobsOption = Annotated[
+    int | None,
+    typer.Option(min=1, help="Processes to fly them in; by default one per processor."),
+]
+SeedOption = Annotated[
+    int, typer.Option(min=0, help="Seed of the first mission; the others count on from it.")
+]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers to a JSON file.")
+]
+OutOption = Annotated[
+    Path | None, typer.Option(metavar="PICTURE", help="PNG to write; by default COMMAND.png.")
+]
+
+
+@compare_app.command("table-1")
+def table_1_command(
+    runs: RunsOption = 20,
+    jobs: JobsOption = None,
+    seed: SeedOption = 1,
+    json_file: JsonOption = None,
+    out: OutOption = None,
+    per_second: Annotated[
+        int, typer.Option(min=1, help="Evaluations that stand for a second of T.")
+    ] = table_1.PER_SECOND,
+) -> None:
+    """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
+    picture = _writable("--out", out or Path("table-1.png"))
+    numbers = json_file and _writable("--json", json_file)
+    found = table_1.rows(_flown(table_1.cases(runs, seed, per_second), jobs))
+    remarks = table_1.remarks(found, per_second)
+    _show([table_1.table(found), table_1.violations_table(found)], remarks)
+
+    def draw() -> None:
+        from companion.compare.pictures import draw_table  # slow to import
+
+        draw_table(found, remarks, picture)
+
+    _write("--out", picture, draw)
+    _write_numbers(numbers, table_1.facts(found, per_second), runs, seed)
+
+
+@compare_app.command("figure-3")
+def figure_3_command(
+    runs: RunsOption = 20,
+    jobs: JobsOption = None,
+    seed: SeedOption = 1,
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Fig. 3: climb over a ridge or go round it, by the weights of height and guide."""
+    _figure(effects.figure_3(), runs, jobs, seed, json_file, out)
+
+
+@compare_app.command("figure-4")
+def figure_4_command(
+    runs: RunsOption = 20,
+    jobs: JobsOption = None,
+    seed: SeedOption = 1,
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Fig. 4: fly between two overlapping radars or round both, by d_overlap."""
+    _figure(effects.figure_4(), runs, jobs, seed, json_file, out)
+
+
+def _figure(
+    effect: effects.Effect,
+    runs: int,
+    jobs: int | None,
+    seed: int,
+    json_file: Path | None,
+    out: Path | None,
+) -> None:
+    picture = _writable("--out", out or Path(f"{effect.name}.png"))
+    numbers = json_file and _writable("--json", json_file)
+    found = effects.outcomes(effect, _flown(effects.cases(effect, runs, seed), jobs))
+    remarks = effects.remarks(effect)
+    _show([effects.table(effect, found)], remarks)
+
+    def draw() -> None:
+        from companion.compare.pictures import draw_effect  # slow to import
+
+        draw_effect(effect, found, remarks[-1], picture)
+
+    _write("--out", picture, draw)
+    _write_numbers(numbers, effects.facts(effect, found), runs, seed)
+
+
+def _flown(cases: Sequence[Case], jobs: int | None) -> list[Run]:
+    """Fly them all, with a bar that shows how far it is."""
+    columns = (TextColumn("flying"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        bar = progress.add_task("", total=len(cases))
+        return fly_all(cases, jobs or processors(), lambda: progress.advance(bar))
+
+
+def _show(tables: Sequence[Table], remarks: Sequence[str]) -> None:
+    console = Console()
+    for table in tables:
+        console.print(table)
+    for remark in remarks:
+        console.print(remark, highlight=False, markup=False)
+
+
+def _writable(option: str, path: Path) -> Path:
+    """Refuse a file that cannot be written before minutes are spent on what goes into it."""
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        rule = "it is a folder" if path.is_dir() else "its folder does not exist"
+        raise InputError(option, str(path), rule, "Give a file in a folder that exists.")
+    return path
+
+
+def _write(option: str, path: Path, writer: Callable[[], object]) -> None:
+    try:
+        writer()
+    except OSError as error:
+        remedy = "Give a file that can be written."
+        raise InputError(option, str(path), f"not written ({error})", remedy) from error
+    what = {"--out": "picture", "--json": "numbers"}[option]
+    Console().print(f"{what}: {path}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _write_numbers(path: Path | None, facts: list[dict[str, object]], runs: int, seed: int) -> None:
+    if path is not None:
+        text = json.dumps({"runs": runs, "seed": seed, "results": facts}, indent=1)
+        _write("--json", path, lambda: path.write_text(text + "\n", encoding="utf-8"))

@@ -1,0 +1,124 @@
+"""What a route violates, looked at every 10 m: the paper's ten samples a subpath miss it.
+
+Clearance is the paper's distance to each peak to first order, (z - h) / sqrt(1 + |grad h|^2)
+(planner-numbers A, row 12, and D2), of the true peaks and not of a grid.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from companion.geodesy import BoolArray, FloatArray
+from companion.path.bspline import climb_angle_rad, horizontal_curvature_1_m
+from companion.path.subpath import Subpath
+from companion.planner.settings import Task
+from companion.world.terrain import PeakTerrain
+
+SPACING_M = 10.0
+_TOLERANCE = 1e-6  # relative: what lies on a bound has not crossed it
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Violations:
+    """Metres of a route that break a bound, and the extremes."""
+
+    route_m: float
+    clearance_m: float
+    """Nearer than d_s to a peak or to the ground."""
+    radar_m: float
+    """Within the range of a radar (eq. 3)."""
+    turn_m: float
+    """Turning more tightly than the vehicle can, joins included."""
+    climb_m: float
+    """Climbing or diving more steeply than the vehicle can."""
+    band_m: float
+    """Below the floor or above the ceiling."""
+    least_clearance_m: float
+    tightest_turn_m: float
+
+    @property
+    def any(self) -> bool:
+        """Whether anything at all is violated."""
+        parts = (self.clearance_m, self.radar_m, self.turn_m, self.climb_m, self.band_m)
+        return any(part > 0.0 for part in parts)
+
+
+def violations(
+    flown: Sequence[tuple[Subpath, float]], task: Task, terrain: PeakTerrain
+) -> Violations:
+    """Measure subpaths, each as far as it was flown (metres)."""
+    limits = task.limits
+    pieces = [_measured(subpath, flown_m) for subpath, flown_m in flown]
+    points = np.concatenate([np.empty((0, 3)), *(piece[0] for piece in pieces)])
+    curvature = np.concatenate([np.empty(0), *(piece[1] for piece in pieces)])
+    climb = np.concatenate([np.empty(0), *(piece[2] for piece in pieces)])
+    step_m = np.concatenate([np.empty(0), *(piece[3] for piece in pieces)])
+    clearance = peak_distance_m(points, terrain)
+
+    def metres(broken: BoolArray) -> float:
+        return float(step_m[broken].sum())
+
+    seen = np.zeros(len(points), dtype=bool)
+    for radar in task.radars:
+        seen |= radar.distance_m(points) < radar.range_m * (1.0 - _TOLERANCE)
+    low, high = limits.floor_amsl_m, limits.ceiling_amsl_m
+    slack = _TOLERANCE * (high - low)
+    altitude = points[:, 2]
+    tightest = float(curvature.max(initial=0.0))
+    return Violations(
+        route_m=float(step_m.sum()),
+        clearance_m=metres(clearance < task.settings.safety_distance_m * (1.0 - _TOLERANCE)),
+        radar_m=metres(seen),
+        turn_m=metres(curvature * limits.turn_radius_m > 1.0 + _TOLERANCE),
+        climb_m=metres(
+            (climb > limits.climb_angle_rad + _TOLERANCE)
+            | (climb < -limits.dive_angle_rad - _TOLERANCE)
+        ),
+        band_m=metres((altitude < low - slack) | (altitude > high + slack)),
+        least_clearance_m=float(clearance.min(initial=np.inf)),
+        tightest_turn_m=1.0 / tightest if tightest > 0.0 else np.inf,
+    )
+
+
+def peak_distance_m(points_nea_m: FloatArray, terrain: PeakTerrain) -> FloatArray:
+    """Distance to the nearest peak or the ground, to first order, metres.  (..., 3) -> (...).
+
+    Negative below the surface.
+    """
+    north, east, altitude = np.moveaxis(points_nea_m, -1, 0)
+    nearest = altitude - terrain.ground_amsl_m
+    for peak in terrain.peaks:
+        n, e = (
+            (north - peak.north_m) / peak.spread_north_m,
+            (east - peak.east_m) / peak.spread_east_m,
+        )
+        height = peak.height_amsl_m * np.exp(-(n**2) - e**2)
+        slope2 = (2.0 * height) ** 2 * (
+            (n / peak.spread_north_m) ** 2 + (e / peak.spread_east_m) ** 2
+        )
+        nearest = np.minimum(nearest, (altitude - height) / np.sqrt(1.0 + slope2))
+    return nearest
+
+
+def _measured(
+    subpath: Subpath, flown_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Points (S, 3), horizontal curvature, climb angle and metres that each stands for (S,)."""
+    whole = subpath.length_m
+    samples = subpath.sampled(SPACING_M)
+    at_m = np.linspace(0.0, whole, len(samples.points_nea_m))
+    flown = at_m <= flown_m + 1e-9
+    edges = np.concatenate([[0.0], 0.5 * (at_m[1:] + at_m[:-1]), [whole]]).clip(max=flown_m)
+    speed = np.linalg.norm(samples.first, axis=1)
+    corner = speed < 1e-6 * speed.max()  # r2 = 0: the join is a corner, and has no direction
+    curvature = np.abs(horizontal_curvature_1_m(samples.first, samples.second))
+    climb = climb_angle_rad(samples.first)
+    return (
+        samples.points_nea_m[flown],
+        np.where(corner, np.inf, curvature)[flown],
+        np.where(corner, 0.0, climb)[flown],
+        np.diff(edges)[flown],
+    )

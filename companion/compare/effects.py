@@ -1,0 +1,268 @@
+"""Fig. 3 and Fig. 4: what a parameter of the planner decides (4.1).
+
+In the bundled environments neither effect shows: their mountains on the way rise above the band,
+and their radars are not passed where they overlap.  So each figure has a small world of its own,
+100 km x 100 km, flown from corner to corner as in the paper.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+from rich.table import Table
+
+from companion.compare.missions import Case, Run, bundled_case, planned_with
+from companion.compare.table_1 import violation_facts
+from companion.geodesy import FloatArray
+from companion.objective.scene import Weights
+from companion.world.terrain import Peak, PeakTerrain
+from companion.world.threats import Radar
+
+_DIAGONAL = math.sqrt(0.5)
+_T_S, _EVALUATIONS = 3.0, 3000
+Point = tuple[float, float]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """One panel of a figure."""
+
+    panel: str
+    words: str
+    papers_way: str
+    """Which way the paper's panel goes: `across` or `round` of the effect."""
+    case: Case
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """A figure of the paper: two settings, and a line that routes cross or go round."""
+
+    name: str
+    title: str
+    paper: str
+    """The paper's description."""
+    across: str
+    round: str
+    line_ne_m: tuple[Point, Point]
+    settings: tuple[Setting, Setting]
+
+    def way(self, run: Run) -> str:
+        """Which way a route goes."""
+        return self.across if crosses(run.route_nea_m, *self.line_ne_m) else self.round
+
+
+def figure_3() -> Effect:
+    """Climb over a ridge, or go round it: the weights of height (a2) and guide (a3)."""
+    step = 8000.0
+    ridge = tuple(
+        Peak(
+            north_m=50_000.0 + at * step,
+            east_m=50_000.0 - at * step,
+            height_amsl_m=3900.0,
+            spread_north_m=10_000.0,
+            spread_east_m=10_000.0,
+        )
+        for at in (-1, 0, 1)
+    )
+    base = _world("ridge", ridge, ())
+    both = {"across": "climbs over", "round": "goes round"}
+    weightings = (("a", 0.15, 0.15, both["across"]), ("b", 0.25, 0.05, both["round"]))
+    return Effect(
+        name="figure-3",
+        title="Fig. 3: 3D path and vertical profile for two weightings",
+        paper="“UAV can choose climbing or bypassing the mountain by weighing the relative size "
+        "of a2 and a3”; it “chooses bypassing the mountains when we increase the proportion of a2”",
+        line_ne_m=(
+            (ridge[0].north_m, ridge[0].east_m),
+            (ridge[-1].north_m, ridge[-1].east_m),
+        ),
+        settings=(
+            _weighted(base, *weightings[0]),
+            _weighted(base, *weightings[1]),
+        ),
+        **both,
+    )
+
+
+def figure_4() -> Effect:
+    """Fly between two overlapping radars, or round both: d_overlap."""
+    range_m, overlap_m, aside_m = 16_000.0, 2_500.0, 1_000.0
+    half = range_m - 0.5 * overlap_m
+    radars = tuple(
+        Radar(
+            name=f"radar {number}",
+            centre_nea_m=(50_000.0 - offset * _DIAGONAL, 50_000.0 + offset * _DIAGONAL, 0.0),
+            range_m=range_m,
+        )
+        for number, offset in ((1, aside_m - half), (2, aside_m + half))
+    )
+    hills = tuple(
+        Peak(
+            north_m=north_m,
+            east_m=east_m,
+            height_amsl_m=height_m,
+            spread_north_m=6_000.0,
+            spread_east_m=6_000.0,
+        )
+        for north_m, east_m, height_m in (
+            (88_000.0, 25_000.0, 4_200.0),
+            (22_000.0, 86_000.0, 4_800.0),
+            (66_000.0, 92_000.0, 3_400.0),
+        )
+    )
+    base = _world("two radars", hills, radars)
+    both = {"across": "flies between", "round": "goes round"}
+    one, two = (radar.centre_nea_m for radar in radars)
+    return Effect(
+        name="figure-4",
+        title="Fig. 4: 3D path for two values of d_overlap",
+        paper="“when the value of d_overlap is small UAV will bypass all radars, otherwise it may "
+        "traverse through the intersection of two radars”",
+        line_ne_m=((one[0], one[1]), (two[0], two[1])),
+        settings=(
+            _overlapping(base, "a", 2.0, both["round"]),
+            _overlapping(base, "b", 6.0, both["across"]),
+        ),
+        **both,
+    )
+
+
+def cases(effect: Effect, runs: int, seed: int) -> list[Case]:
+    """Every mission of a figure, setting by setting."""
+    return [
+        replace(setting.case, seed=seed + run) for setting in effect.settings for run in range(runs)
+    ]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outcome:
+    """The runs of one setting."""
+
+    setting: Setting
+    runs: tuple[Run, ...]
+    ways: tuple[str, ...]
+    """Which way each run went."""
+
+    @property
+    def shown(self) -> Run:
+        """The run of median cost: the one in the picture."""
+        return sorted(self.runs, key=lambda run: run.cost)[(len(self.runs) - 1) // 2]
+
+    @property
+    def as_the_paper(self) -> int:
+        """How many runs go the paper's way."""
+        return self.ways.count(self.setting.papers_way)
+
+
+def outcomes(effect: Effect, flown: Sequence[Run]) -> list[Outcome]:
+    """The runs of all cases, in their order, by setting."""
+    each = len(flown) // len(effect.settings)
+    return [
+        Outcome(
+            setting=setting,
+            runs=(runs := tuple(flown[at * each : (at + 1) * each])),
+            ways=tuple(effect.way(run) for run in runs),
+        )
+        for at, setting in enumerate(effect.settings)
+    ]
+
+
+def table(effect: Effect, found: Sequence[Outcome]) -> Table:
+    """What each setting leads to."""
+    result = Table(title=effect.title)
+    result.add_column("")
+    for heading in ("way", "arrived", "cost", "length", "highest", "inside radars"):
+        result.add_column(heading, justify="right")
+    for outcome in found:
+        shown = outcome.shown
+        result.add_row(
+            f"({outcome.setting.panel}) {outcome.setting.words}",
+            f"{outcome.setting.papers_way}: {outcome.as_the_paper} of {len(outcome.runs)}",
+            f"{sum(run.arrived for run in outcome.runs)}/{len(outcome.runs)}",
+            f"{shown.cost:.1f}",
+            f"{shown.length_m / 1000:.1f} km",
+            f"{shown.route_nea_m[:, 2].max() / 1000:.2f} km",
+            f"{shown.violations.radar_m / 1000:.1f} km",
+        )
+    return result
+
+
+def remarks(effect: Effect) -> list[str]:
+    """What the table cannot say by itself."""
+    return [
+        f"The paper: {effect.paper}.",
+        "Cost, length and heights are those of the run of median cost, which the picture shows. "
+        f"Improved DE, {_EVALUATIONS:,} evaluations for T = {_T_S:g} s.",
+    ]
+
+
+def facts(effect: Effect, found: Sequence[Outcome]) -> list[dict[str, object]]:
+    """Everything in the table, and more, for --json."""
+    return [
+        {
+            "figure": effect.name,
+            "panel": outcome.setting.panel,
+            "setting": outcome.setting.words,
+            "papers_way": outcome.setting.papers_way,
+            "ways": list(outcome.ways),
+            "arrived": [run.arrived for run in outcome.runs],
+            "costs": [run.cost for run in outcome.runs],
+            "lengths_m": [run.length_m for run in outcome.runs],
+            "highest_amsl_m": [float(run.route_nea_m[:, 2].max()) for run in outcome.runs],
+            "violations": violation_facts(outcome.runs),
+        }
+        for outcome in found
+    ]
+
+
+def crosses(route_nea_m: FloatArray, one_ne_m: Point, two_ne_m: Point) -> bool:
+    """Whether a route passes between two points, seen from above.  (S, 3)."""
+    one = np.asarray(one_ne_m)
+    along = np.asarray(two_ne_m) - one
+    offset = route_nea_m[:, :2] - one
+    side = offset[:, 0] * along[1] - offset[:, 1] * along[0]
+    before = np.nonzero((side[:-1] < 0.0) != (side[1:] < 0.0))[0]
+    part = (side[before] / (side[before] - side[before + 1]))[:, None]
+    meets = offset[before] + part * (offset[before + 1] - offset[before])
+    at = meets @ along / (along @ along)
+    return bool(np.any((at > 0.0) & (at < 1.0)))
+
+
+def _world(name: str, peaks: tuple[Peak, ...], radars: tuple[Radar, ...]) -> Case:
+    """A world with the vehicle, the band and the planner of environment-1."""
+    base = planned_with(
+        bundled_case("environment-1"),
+        optimiser="improved-de",
+        planning_time_s=_T_S,
+        evaluations=_EVALUATIONS,
+        seed=1,
+    )
+    terrain = PeakTerrain(peaks=peaks, ground_amsl_m=0.0)
+    return replace(base, world=name, terrain=terrain, task=replace(base.task, radars=radars))
+
+
+def _weighted(base: Case, panel: str, height: float, guide: float, papers_way: str) -> Setting:
+    weights = Weights(height=height, guide=guide)
+    settings = replace(base.task.settings, weights=weights)
+    return Setting(
+        panel=panel,
+        words=f"a2 = {height:g}, a3 = {guide:g}",
+        papers_way=papers_way,
+        case=replace(base, task=replace(base.task, settings=settings)),
+    )
+
+
+def _overlapping(base: Case, panel: str, overlap_km: float, papers_way: str) -> Setting:
+    settings = replace(base.task.settings, overlap_m=1000.0 * overlap_km)
+    return Setting(
+        panel=panel,
+        words=f"d_overlap = {overlap_km:g} km",
+        papers_way=papers_way,
+        case=replace(base, task=replace(base.task, settings=settings)),
+    )

@@ -1,0 +1,129 @@
+"""The comparison as pictures, laid out as the paper's figures are."""
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from companion.compare import effects, table_1
+from companion.views import figure as views
+from companion.views.figure import DPI, FlightFigure, TerrainPicture
+
+_CELLS = 440  # a side of the terrain: 250 m in the bundled environments
+_OURS, _PAPERS = "#0050b5", "#8a6d3b"
+_WIDE = 160  # characters in a line of the text under the panels
+
+
+def draw_effect(
+    effect: effects.Effect, found: Sequence[effects.Outcome], remark: str, path: Path
+) -> None:
+    """Fig. 3 or Fig. 4: two panels seen at an angle, under each its profile or plan; a PNG."""
+    canvas = Figure(figsize=(15.0, 12.2))
+    FigureCanvasAgg(canvas)
+    canvas.text(0.03, 0.967, effect.title, fontsize=18, weight="bold", parse_math=False)
+    profiles = not any(outcome.setting.case.task.radars for outcome in found)
+    for at, outcome in enumerate(found):
+        flight, left = _flight(outcome), 0.02 + 0.49 * at
+        letters = ("ab", "cd")[0][at], ("ab", "cd")[1][at]
+        box = (left, 0.525, 0.47, 0.42)
+        views._draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), flight)
+        heading = f"({letters[0]}) {outcome.setting.words}: {_most(outcome)}"
+        canvas.text(left + 0.02, 0.93, heading, fontsize=14, weight="bold", parse_math=False)
+        below = canvas.add_axes(
+            (left + 0.045, 0.175, 0.41, 0.27) if profiles else (left + 0.075, 0.165, 0.30, 0.33),
+            label="below",
+        )
+        if profiles:
+            views._draw_profile(below, flight)
+            below.set_title(f"({letters[1]}) Vertical profile of ({letters[0]})")
+        else:
+            views._draw_plan(below, flight)
+            below.set_title(f"({letters[0]}) from above")
+    shown: dict[str, Any] = {}
+    for axes in canvas.axes:
+        if axes.get_label() == "below":
+            for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                shown.setdefault(label, artist)
+    canvas.legend(
+        list(shown.values()), list(shown), loc="lower center", ncols=8, frameon=False,
+        bbox_to_anchor=(0.5, 0.085),
+    )  # fmt: skip
+    _write_below(canvas, [f"The paper: {effect.paper}.", remark])
+    canvas.savefig(path, format="png", dpi=DPI)
+
+
+def draw_table(found: Sequence[table_1.Row], remarks: Sequence[str], path: Path) -> None:
+    """Table 1: the cost of every run, mean and standard deviation, beside the paper's; a PNG."""
+    canvas = Figure(figsize=(14.0, 10.0))
+    FigureCanvasAgg(canvas)
+    title = "Table 1: cost from start to target"
+    canvas.text(0.03, 0.955, title, fontsize=18, weight="bold", parse_math=False)
+    for at, row in enumerate(found):
+        left, bottom = 0.07 + 0.49 * (at % 2), 0.545 - 0.42 * (at // 2)
+        axes = canvas.add_axes((left, bottom, 0.37, 0.34), label="row")
+        _draw_row(axes, row)
+    handles, labels = canvas.axes[0].get_legend_handles_labels()
+    canvas.legend(handles, labels, loc="upper right", ncols=3, frameon=False)
+    _write_below(canvas, remarks)
+    canvas.savefig(path, format="png", dpi=DPI)
+
+
+def _draw_row(axes: Axes, row: table_1.Row) -> None:
+    first = row.outcomes[0]
+    papers = table_1.PAPERS[first.environment, first.planning_time_s]
+    other = axes.twinx()
+    for at, (outcome, cell) in enumerate(zip(row.outcomes, papers, strict=True)):
+        label: dict[str, Any] = {} if at else {"label": "one run"}
+        spread = np.linspace(-0.08, 0.08, len(outcome.costs))
+        dots: dict[str, Any] = {"ls": "", "marker": "o", "ms": 3, "alpha": 0.45, "color": _OURS}
+        axes.plot(at - 0.2 + spread, outcome.costs, **dots, **label)
+        bars: dict[str, Any] = {"fmt": "_", "ms": 16, "capsize": 5, "lw": 1.6}
+        label = {} if at else {"label": "mean ± standard deviation, here (left scale)"}
+        mean, deviation = outcome.mean_cost, outcome.deviation
+        axes.errorbar(at, mean, np.nan_to_num(deviation), color=_OURS, **bars, **label)
+        label = {} if at else {"label": "the paper's (right scale)"}
+        other.errorbar(at + 0.2, cell.mean, cell.deviation, color=_PAPERS, **bars)
+        axes.errorbar([], [], [], color=_PAPERS, **bars, **label)
+    axes.set_xticks(range(len(row.outcomes)), [each.algorithm for each in row.outcomes])
+    axes.set_title(f"{first.environment}, T = {first.planning_time_s:g} s")
+    axes.set_ylabel("cost, here", color=_OURS)
+    other.set_ylabel("cost, in the paper", color=_PAPERS)
+    axes.tick_params(axis="y", colors=_OURS)
+    other.tick_params(axis="y", colors=_PAPERS)
+
+
+def _most(outcome: effects.Outcome) -> str:
+    """What most runs do, and how many."""
+    way = max(set(outcome.ways), key=outcome.ways.count)
+    return f"{way} ({outcome.ways.count(way)} of {len(outcome.ways)} runs)"
+
+
+def _write_below(canvas: Figure, paragraphs: Sequence[str]) -> None:
+    lines = [line for each in paragraphs for line in textwrap.wrap(each, _WIDE)]
+    style: dict[str, Any] = {"fontsize": 11.5, "va": "bottom", "parse_math": False}
+    canvas.text(0.03, 0.012, "\n".join(lines), color="#333333", **style)
+
+
+def _flight(outcome: effects.Outcome) -> FlightFigure:
+    case, run = outcome.setting.case, outcome.shown
+    limits = case.task.limits
+    north, east = (np.linspace(*ends, _CELLS + 1) for ends in (limits.north_m, limits.east_m))
+    middles = np.meshgrid((north[1:] + north[:-1]) / 2, (east[1:] + east[:-1]) / 2, indexing="ij")
+    return FlightFigure(
+        title="",
+        terrain=TerrainPicture(
+            north_edges_m=north, east_edges_m=east, heights_m=case.terrain.height_m(*middles)
+        ),
+        floor_amsl_m=limits.floor_amsl_m,
+        ceiling_amsl_m=limits.ceiling_amsl_m,
+        start_nea_m=case.start_nea_m,
+        targets_ne_m=(case.target_ne_m,),
+        legs_nea_m=(run.route_nea_m,),
+        scans_nea_m=run.scans_nea_m,
+        radars=case.task.radars,
+    )

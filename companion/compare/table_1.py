@@ -1,0 +1,314 @@
+"""Table 1: four algorithms, two environments, two planning times, twenty runs each (4.2)."""
+
+import itertools
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import final
+
+from rich.table import Table
+
+from companion.compare.missions import Case, Run, bundled_case, planned_with
+
+ALGORITHMS = {
+    "improved DE": "improved-de",
+    "classical DE": "de/rand/1/bin",
+    "PSO": "pso",
+    "GA": "ga",
+}
+ENVIRONMENTS = ("environment-1", "environment-2")
+PLANNING_TIMES_S = (3.0, 5.0)  # T
+PER_SECOND = 1000
+"""Evaluations that stand for a second of T: what interpreted Matlab did in 2011, about."""
+_KINDS = {
+    "clearance_m": "nearer than d_s",
+    "radar_m": "seen by radars",
+    "turn_m": "turn",
+    "climb_m": "climb",
+    "band_m": "altitude",
+}
+_SURE = 0.05  # significance at which costs count as different,
+_LEAST = 0.005  # if their medians differ by this part
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cell:
+    """One cell of the paper's table: mean and standard deviation of the cost."""
+
+    mean: float
+    deviation: float
+
+
+PAPERS: dict[tuple[str, float], tuple[Cell, ...]] = {  # in the order of ALGORITHMS
+    key: tuple(Cell(mean=mean, deviation=deviation) for mean, deviation in row)
+    for key, row in {
+        ("environment-1", 3.0): ((88.3, 4.9), (97.9, 8.2), (94.4, 8.2), (125.4, 27.4)),
+        ("environment-1", 5.0): ((76.6, 3.7), (79.4, 3.7), (84.5, 7.6), (110.7, 16.5)),
+        ("environment-2", 3.0): ((123.2, 9.0), (146.0, 18.3), (157.2, 23.3), (166.7, 22.8)),
+        ("environment-2", 5.0): ((117.5, 8.0), (123.3, 11.1), (146.7, 27.6), (148.5, 16.4)),
+    }.items()
+}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outcome:
+    """The runs of one algorithm in one row of the table."""
+
+    environment: str
+    planning_time_s: float
+    algorithm: str
+    runs: tuple[Run, ...]
+
+    @property
+    def arrived(self) -> tuple[Run, ...]:
+        """The runs that reached the target: only they have a cost from start to target."""
+        return tuple(run for run in self.runs if run.arrived)
+
+    @property
+    def costs(self) -> list[float]:
+        """Of the runs that arrived."""
+        return [run.cost for run in self.arrived]
+
+    @property
+    def mean_cost(self) -> float:
+        """Mean of the costs; not a number when none arrived."""
+        return _mean(self.costs)
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the costs; not a number with fewer than two."""
+        return statistics.stdev(self.costs) if len(self.costs) > 1 else float("nan")
+
+    def share(self, broken: Callable[[Run], bool]) -> float:
+        """Share of all runs of which something is true."""
+        return sum(map(broken, self.runs)) / len(self.runs)
+
+    def mean_of(self, measure: Callable[[Run], float]) -> float:
+        """Mean of a measure over the runs that arrived."""
+        return _mean([measure(run) for run in self.arrived])
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Row:
+    """The four algorithms on one environment with one budget."""
+
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def order(self) -> str:
+        """The algorithms by mean cost, best first; `~` where the next is not surely worse.
+
+        Those that never arrived come last.
+        """
+        ranked = sorted(self.outcomes, key=lambda each: (not each.costs, each.mean_cost))
+        words = ranked[0].algorithm
+        for better, worse in itertools.pairwise(ranked):
+            words += (" < " if surely_less(better, worse) else " ~ ") + worse.algorithm
+        return words
+
+    @property
+    def papers_order(self) -> str:
+        """The paper's order, by its means."""
+        return " < ".join(self._papers())
+
+    def agreement(self) -> tuple[int, list[str]]:
+        """How many of the paper's six pairs are surely as there, and which surely are not."""
+        by_name = {each.algorithm: each for each in self.outcomes}
+        confirmed, contradicted = 0, []
+        for better, worse in itertools.combinations(self._papers(), 2):
+            confirmed += surely_less(by_name[better], by_name[worse])
+            if surely_less(by_name[worse], by_name[better]):
+                contradicted.append(f"{worse} < {better}")
+        return confirmed, contradicted
+
+    def _papers(self) -> list[str]:
+        first = self.outcomes[0]
+        cells = PAPERS[first.environment, first.planning_time_s]
+        ranked = sorted(zip(ALGORITHMS, cells, strict=True), key=lambda pair: pair[1].mean)
+        return [algorithm for algorithm, _ in ranked]
+
+
+def surely_less(one: Outcome, other: Outcome) -> bool:
+    """Whether the costs of one are surely, and noticeably, less than those of the other.
+
+    Mann and Whitney's one-sided test at 5 %, and medians that differ by half a percent.
+    """
+    if not one.costs or not other.costs:
+        return False
+    if statistics.median(one.costs) > (1.0 - _LEAST) * statistics.median(other.costs):
+        return False
+    import scipy.stats  # slow to import
+
+    test = scipy.stats.mannwhitneyu(one.costs, other.costs, alternative="less")
+    return bool(test.pvalue < _SURE)
+
+
+def cases(runs: int, seed: int, per_second: int = PER_SECOND) -> list[Case]:
+    """Every mission of the table, row by row, algorithm by algorithm, run by run."""
+    worlds = {environment: bundled_case(environment) for environment in ENVIRONMENTS}
+    return [
+        planned_with(
+            worlds[environment],
+            optimiser=optimiser,
+            planning_time_s=planning_time_s,
+            evaluations=round(planning_time_s * per_second),
+            seed=seed + run,
+        )
+        for environment in ENVIRONMENTS
+        for planning_time_s in PLANNING_TIMES_S
+        for optimiser in ALGORITHMS.values()
+        for run in range(runs)
+    ]
+
+
+def rows(flown: Sequence[Run]) -> list[Row]:
+    """The table, from the runs of all cases in their order."""
+    each = len(flown) // (len(ENVIRONMENTS) * len(PLANNING_TIMES_S) * len(ALGORITHMS))
+    left = iter(flown)
+    return [
+        Row(
+            outcomes=tuple(
+                Outcome(
+                    environment=environment,
+                    planning_time_s=planning_time_s,
+                    algorithm=algorithm,
+                    runs=tuple(next(left) for _ in range(each)),
+                )
+                for algorithm in ALGORITHMS
+            )
+        )
+        for environment in ENVIRONMENTS
+        for planning_time_s in PLANNING_TIMES_S
+    ]
+
+
+def table(found: Sequence[Row]) -> Table:
+    """Our numbers beside the paper's."""
+    result = Table(title="Table 1: cost from start to target, mean ± standard deviation")
+    result.add_column("environment, T")
+    for heading in ("algorithm", "cost", "paper", "arrived", "length"):
+        left = heading == "algorithm"
+        result.add_column(heading, justify="left" if left else "right", no_wrap=True)
+    for row in found:
+        for outcome, cell in zip(row.outcomes, _papers_cells(row), strict=True):
+            result.add_row(
+                _place(outcome) if outcome is row.outcomes[0] else "",
+                outcome.algorithm,
+                f"{outcome.mean_cost:.2f} ± {outcome.deviation:.2f}",
+                f"{cell.mean:.1f} ± {cell.deviation:.1f}",
+                f"{len(outcome.costs)}/{len(outcome.runs)}",
+                f"{outcome.mean_of(lambda run: run.length_m) / 1000:.1f} km",
+            )
+        result.add_section()
+    return result
+
+
+def violations_table(found: Sequence[Row]) -> Table:
+    """What the routes break when they are looked at every 10 m."""
+    result = Table(title="Missions that break a bound somewhere, and the mean length that does")
+    result.add_column("environment, T")
+    for heading in ("algorithm", *_KINDS.values()):
+        result.add_column(heading, justify="left" if heading == "algorithm" else "right")
+    for row in found:
+        for outcome in row.outcomes:
+            found_here = violation_facts(outcome.runs)
+            result.add_row(
+                _place(outcome) if outcome is row.outcomes[0] else "",
+                outcome.algorithm,
+                *(
+                    f"{kind['missions']:.0%}, {kind['mean_m']:,.0f} m"
+                    for kind in found_here.values()
+                ),
+            )
+        result.add_section()
+    return result
+
+
+def budget_words(per_second: int) -> str:
+    """What stands for the paper's planning times."""
+    budgets = ", ".join(
+        f"T = {planning_time_s:g} s is {round(planning_time_s * per_second):,} evaluations"
+        for planning_time_s in PLANNING_TIMES_S
+    )
+    why = ", about what interpreted Matlab did in 2011" if per_second == PER_SECOND else ""
+    return (
+        f"{budgets}: {per_second:,} a second{why}. T also sets L = V T + d_s (eq. 4). "
+        "No result depends on the speed of this machine."
+    )
+
+
+def remarks(found: Sequence[Row], per_second: int = PER_SECOND) -> list[str]:
+    """What the table cannot say by itself: the budget, and whose order it is."""
+    lines = [
+        budget_words(per_second),
+        "<: surely less (Mann-Whitney, 5 %, medians half a percent apart); ~: not surely.",
+    ]
+    for row in found:
+        confirmed, contradicted = row.agreement()
+        against = f"; against it: {', '.join(contradicted)}" if contradicted else ""
+        lines.append(
+            f"{_place(row.outcomes[0])}: {row.order}. The paper: {row.papers_order}. "
+            f"{confirmed} of its 6 pairs are surely so here{against}."
+        )
+    return lines
+
+
+def facts(found: Sequence[Row], per_second: int = PER_SECOND) -> list[dict[str, object]]:
+    """Everything in the table, and more, for --json."""
+    return [
+        {
+            "environment": outcome.environment,
+            "planning_time_s": outcome.planning_time_s,
+            "evaluations": round(outcome.planning_time_s * per_second),
+            "algorithm": outcome.algorithm,
+            "optimiser": ALGORITHMS[outcome.algorithm],
+            "runs": len(outcome.runs),
+            "arrived": len(outcome.costs),
+            "mean_cost": _finite(outcome.mean_cost),
+            "st_dev_cost": _finite(outcome.deviation),
+            "paper_mean_cost": cell.mean,
+            "paper_st_dev_cost": cell.deviation,
+            "improved_de_is_surely_less": surely_less(row.outcomes[0], outcome),
+            "is_surely_less_than_improved_de": surely_less(outcome, row.outcomes[0]),
+            "costs": [run.cost if run.arrived else None for run in outcome.runs],
+            "length_m": _finite(outcome.mean_of(lambda run: run.length_m)),
+            "subpaths": _finite(outcome.mean_of(lambda run: run.legs)),
+            "violating_missions": outcome.share(lambda run: run.violations.any),
+            "violations": violation_facts(outcome.runs),
+        }
+        for row in found
+        for outcome, cell in zip(row.outcomes, _papers_cells(row), strict=True)
+    ]
+
+
+def violation_facts(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
+    """Of each kind of violation the share of missions and the mean metres of route."""
+    metres = {kind: [getattr(run.violations, kind) for run in runs] for kind in _KINDS}
+    return {
+        kind.removesuffix("_m"): {
+            "missions": sum(value > 0.0 for value in values) / len(values),
+            "mean_m": _mean(values),
+        }
+        for kind, values in metres.items()
+    }
+
+
+def _place(outcome: Outcome) -> str:
+    return f"{outcome.environment}, {outcome.planning_time_s:g} s"
+
+
+def _papers_cells(row: Row) -> tuple[Cell, ...]:
+    return PAPERS[row.outcomes[0].environment, row.outcomes[0].planning_time_s]
+
+
+def _mean(values: Sequence[float]) -> float:
+    return statistics.fmean(values) if values else float("nan")
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no word for what is not a number."""
+    return value if math.isfinite(value) else None

@@ -1,0 +1,86 @@
+"""Particle swarm optimisation with a global best: one of the paper's rivals (4.2).
+
+The paper gives no parameters.  These are the standard ones: constriction chi = 0.7298 with
+c1 = c2 = 2.05 chi (Clerc and Kennedy, IEEE Trans. Evolutionary Computation 6 (2002)), speeds
+limited to half the range (Eberhart and Shi, CEC 2000), from rest (Engelbrecht, CEC 2012); at a
+bound a particle stops in that variable (Robinson and Rahmat-Samii, IEEE Trans. Antennas and
+Propagation 52 (2004)).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from companion.geodesy import FloatArray
+from companion.optimise.differential_evolution import check_population, survivors
+from companion.optimise.loop import first_members
+
+_PHI = 2.05
+_CHI = 2.0 / (2.0 * _PHI - 2.0 + math.sqrt(4.0 * _PHI**2 - 8.0 * _PHI))  # 0.7298
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """The swarm's parameters."""
+
+    population: int = 60
+    """As many as the paper gives its improved DE."""
+    inertia: float = _CHI
+    own: float = _PHI * _CHI
+    """Pull towards the best place of the particle itself, c1."""
+    swarm: float = _PHI * _CHI
+    """Pull towards the best place of all, c2."""
+    fastest: float = 0.5
+    """Greatest step in one variable, in the unit cube."""
+
+    def __post_init__(self) -> None:
+        check_population(self.population, 0)
+
+
+@final
+class ParticleSwarm:
+    """Particles that remember where each, and where all together, found the least cost.
+
+    `population` and `costs` are the best places of the particles, not where they are now.
+    """
+
+    def __init__(
+        self,
+        dimensions: int,
+        settings: Settings,
+        rng: np.random.Generator,
+        seeds: FloatArray | None = None,
+    ) -> None:
+        """seeds: candidates to start from, (K, D) in the unit cube."""
+        self._settings = settings
+        self._rng = rng
+        self._x = first_members(settings.population, dimensions, rng, seeds)
+        self._velocity = np.zeros_like(self._x)
+        self.population: FloatArray = np.empty((0, dimensions))
+        self.costs: FloatArray = np.empty(0)
+
+    def ask(self) -> FloatArray:
+        """Where the particles go next.  -> (NP, D) in the unit cube."""
+        if len(self.population):
+            settings, shape = self._settings, self._x.shape
+            best = self.population[np.argmin(self.costs)]
+            velocity = (
+                settings.inertia * self._velocity
+                + settings.own * self._rng.random(shape) * (self.population - self._x)
+                + settings.swarm * self._rng.random(shape) * (best - self._x)
+            )
+            velocity = np.clip(velocity, -settings.fastest, settings.fastest)
+            free = self._x + velocity
+            self._x = np.clip(free, 0.0, 1.0)
+            self._velocity = np.where(self._x == free, velocity, 0.0)
+        return self._x
+
+    def tell(self, costs: FloatArray) -> None:
+        """Remember what is better.  costs of the last ask(): (NP,)."""
+        if len(self.population):
+            self.population, self.costs, _ = survivors(self.population, self.costs, self._x, costs)
+        else:
+            self.population, self.costs = self._x.copy(), costs.copy()

@@ -1,0 +1,246 @@
+"""The certificate: the proof that a subpath is safe to fly, along all of it (design 5.2, 5.3).
+
+Nothing is sampled.  Bounds hold for every point of the curve and, by the dead-man reach, for every
+straight stretch that the vehicle covers if the companion dies on the way.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import final
+
+import numpy as np
+
+from companion.geodesy import FloatArray
+from companion.path.bspline import basis
+from companion.path.limits import Limits
+from companion.path.proof import RESULTS, ROUNDING, ROUNDING_M, prove
+from companion.path.proof_distance import Surroundings
+from companion.path.subpath import Subpath
+from companion.world.known_map import KnownMap
+from companion.world.threats import CircleKeepOut, KeepOut, Radar
+
+Prover = Callable[[FloatArray, Surroundings, bool], FloatArray]
+"""`proof.prove`, or the same compiled."""
+
+_SANE_M = 1e8
+"""No control point is farther out than this: the arithmetic of the proof stays finite."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Margins:
+    """What a subpath keeps from the known world, metres."""
+
+    clearance_m: float
+    """The curve keeps this from terrain and keep-outs: d_s, tracking and navigation error."""
+    contact_m: float
+    """The dead-man stretches keep this: tracking and navigation error."""
+    band_inset_m: float
+    """The curve keeps this from the floor and the ceiling of the altitude band."""
+    dead_man_s: float
+    """How long the vehicle flies on after the last setpoint, before it brakes, seconds."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Certificate:
+    """What is guaranteed along a whole subpath, and what is not.
+
+    Distances are lower bounds, and refined only as far as they matter: `clearance_m` and
+    `keep_out_m` up to twice the required clearance and to 1 % of it (`keep_out_m` is inf without
+    zones), `dead_man_m` up to the contact margin and a quarter of the clearance, to 2 % of it.  Of
+    a bound that is broken the number says how far it is known to hold.
+    """
+
+    clearance_m: float
+    """Least distance to the known terrain: columns as high as their cells, in three dimensions."""
+    keep_out_m: float
+    """Least horizontal distance to keep-outs, negative inside."""
+    dead_man_m: float
+    """Least distance of the dead-man stretches to terrain and keep-outs."""
+    turn_radius_m: float
+    """The ground track is nowhere tighter."""
+    climb_angle_rad: float
+    """The curve is nowhere steeper upwards."""
+    dive_angle_rad: float
+    lowest_amsl_m: float
+    highest_amsl_m: float
+    off_map_m: float
+    """How far it leaves the map at most; 0: never."""
+    radar_m: float
+    """At most so much of the curve lies within radar ranges (a cost, not a bound)."""
+    detection: float
+    """At most this probability of detection (eq. 3), anywhere."""
+    pieces: int
+    """How many pieces the proof took."""
+    broken: tuple[str, ...]
+    """The bounds that could not be proven, in words."""
+
+    @property
+    def proven(self) -> bool:
+        """Whether the subpath is safe to fly."""
+        return not self.broken
+
+
+def certify(
+    subpath: Subpath, surroundings: Surroundings, *, from_rest: bool, prover: Prover = prove
+) -> Certificate:
+    """Prove a subpath, its tail included, against its surroundings.
+
+    from_rest: the vehicle hovers at its start, and is the slower there.  A curve that is not
+    finite is never proven, and no error.
+    """
+    control = subpath.control_nea_m
+    if np.all(np.abs(control) < _SANE_M):
+        values = prover(_cubics(control), surroundings, from_rest).tolist()
+    else:
+        values = [math.nan] * (RESULTS - 1) + [0.0]
+    clearance, keep_out, dead_man, curvature, climb, dive = values[:6]
+    lowest, highest, off_map, radar, detection, pieces = values[6:]
+    here = surroundings
+    bounds = (
+        ("terrain clearance", clearance >= here.clearance_m - ROUNDING_M),
+        ("keep-out zone", keep_out >= here.clearance_m - ROUNDING_M),
+        ("dead-man reach", dead_man >= here.contact_m - ROUNDING_M),
+        ("turn radius", curvature <= here.curvature_1_m * (1.0 + 2.0 * ROUNDING)),
+        ("climb angle", climb <= here.climb * (1.0 + 2.0 * ROUNDING)),
+        ("dive angle", dive <= here.dive * (1.0 + 2.0 * ROUNDING)),
+        ("floor of the band", lowest >= here.floor_m - ROUNDING_M),
+        ("ceiling of the band", highest <= here.ceiling_m + ROUNDING_M),
+        ("edge of the map", off_map <= ROUNDING_M),
+    )
+    return Certificate(
+        clearance_m=clearance,
+        keep_out_m=keep_out,
+        dead_man_m=dead_man,
+        turn_radius_m=1.0 / curvature if curvature != 0.0 else math.inf,
+        climb_angle_rad=math.atan(climb),
+        dive_angle_rad=math.atan(dive),
+        lowest_amsl_m=lowest,
+        highest_amsl_m=highest,
+        off_map_m=off_map,
+        radar_m=radar,
+        detection=detection,
+        pieces=int(pieces),
+        broken=tuple(name for name, kept in bounds if not kept),
+    )
+
+
+def pack_surroundings(
+    known: KnownMap,
+    limits: Limits,
+    radars: tuple[Radar, ...],
+    keep_outs: tuple[KeepOut, ...],
+    margins: Margins,
+    *,
+    centre_ne_m: tuple[float, float],
+    reach_m: float,
+) -> Surroundings:
+    """What certificates are about, as plain arrays; made once per plan.
+
+    centre_ne_m, reach_m: the curves stay within this of there (their straight dead-man stretches
+    may leave it).  What lies farther out counts as terrain without a top.
+    """
+    brakes_m = limits.speed_m_s**2 / (2.0 * limits.acceleration_m_s2)
+    farther_m = limits.speed_m_s * margins.dead_man_s + brakes_m + 3.0 * margins.clearance_m
+    south_west, heights = _window(known, centre_ne_m, reach_m + farther_m + known.registration_m)
+    block = max(2, min(16, round(0.75 * margins.clearance_m / known.cell_m)))
+    edges, polygons = _edges(keep_outs)
+    return Surroundings(
+        heights_m=heights,
+        blocks_m=_block_maxima(heights, block),
+        block=block,
+        south_m=south_west[0],
+        west_m=south_west[1],
+        cell_m=known.cell_m,
+        registration_m=known.registration_m,
+        circles=_table(
+            [(z.north_m, z.east_m, z.radius_m) for z in keep_outs if isinstance(z, CircleKeepOut)],
+            3,
+        ),
+        edges=edges,
+        polygons=polygons,
+        radars=_table([(*radar.centre_nea_m, radar.range_m) for radar in radars], 4),
+        clearance_m=float(margins.clearance_m),
+        contact_m=float(margins.contact_m),
+        dead_man_s=float(margins.dead_man_s),
+        speed_m_s=float(limits.speed_m_s),
+        acceleration_m_s2=float(limits.acceleration_m_s2),
+        curvature_1_m=1.0 / limits.turn_radius_m,
+        climb=math.tan(limits.climb_angle_rad),
+        dive=math.tan(limits.dive_angle_rad),
+        floor_m=float(limits.floor_amsl_m + margins.band_inset_m),
+        ceiling_m=float(limits.ceiling_amsl_m - margins.band_inset_m),
+        map_south_m=float(limits.north_m[0]),
+        map_north_m=float(limits.north_m[1]),
+        map_west_m=float(limits.east_m[0]),
+        map_east_m=float(limits.east_m[1]),
+    )
+
+
+@lru_cache(maxsize=8)
+def _span_coefficients(points: int) -> tuple[FloatArray, FloatArray]:
+    """From control points to the spans' coefficients: of 1, and of t, t^2, t^3.
+
+    -> (spans, points) by the control points, (spans * 3, points - 1) by the legs between them, so
+    that control points that coincide give a speed of exactly 0.
+    """
+    spans = points - 3
+    start = basis(np.arange(spans) / spans, points)
+    end = basis(np.arange(1, spans + 1) / spans, points)
+    first, second = start.first / spans, start.second / spans**2
+    third = end.second / spans**2 - second
+    by_points = np.stack([first, second / 2.0, third / 6.0], axis=1)  # (spans, 3, points)
+    by_legs = -np.cumsum(by_points, axis=-1)[..., :-1].reshape(3 * spans, points - 1)
+    by_legs[np.abs(by_legs) < 1e-12] = 0.0
+    return start.value, by_legs
+
+
+def _cubics(control_nea_m: FloatArray) -> FloatArray:
+    """Coefficients of 1, t, t^2, t^3 of a B-spline's spans.  (points, 3) -> (spans, 4, 3)."""
+    value, by_legs = _span_coefficients(len(control_nea_m))
+    result = np.empty((len(value), 4, 3))
+    result[:, 0] = value @ control_nea_m
+    result[:, 1:] = (by_legs @ np.diff(control_nea_m, axis=0)).reshape(-1, 3, 3)
+    return result
+
+
+def _window(
+    known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float
+) -> tuple[tuple[float, float], FloatArray]:
+    """The part of the map within reach: its south-west corner and its heights, inf if unknown."""
+    rows, columns = known.upper_m.shape
+    row, column = known.cell_of(*centre_ne_m)
+    half = math.ceil(reach_m / known.cell_m) + 1
+    south, north = min(max(row - half, 0), rows), max(min(row + half + 1, rows), 0)
+    west, east = min(max(column - half, 0), columns), max(min(column + half + 1, columns), 0)
+    heights = np.array(known.upper_m[south:north, west:east], dtype=np.float64, order="C")
+    heights[np.isnan(heights)] = np.inf
+    corner = known.north_min_m + south * known.cell_m, known.east_min_m + west * known.cell_m
+    return (float(corner[0]), float(corner[1])), heights
+
+
+def _block_maxima(heights_m: FloatArray, block: int) -> FloatArray:
+    """Highest of each block x block cells.  (rows, columns) -> (rows / block, columns / block)."""
+    rows, columns = heights_m.shape
+    tall, wide = -(-rows // block), -(-columns // block)
+    padded = np.full((tall * block, wide * block), -np.inf)
+    padded[:rows, :columns] = heights_m
+    return np.ascontiguousarray(padded.reshape(tall, block, wide, block).max(axis=(1, 3)))
+
+
+def _edges(keep_outs: tuple[KeepOut, ...]) -> tuple[FloatArray, np.ndarray]:
+    edges: list[tuple[float, ...]] = []
+    polygons = [0]
+    for zone in keep_outs:
+        if not isinstance(zone, CircleKeepOut):
+            ends = zone.vertices_ne_m[1:] + zone.vertices_ne_m[:1]
+            edges += [(*a, *b) for a, b in zip(zone.vertices_ne_m, ends, strict=True)]
+            polygons.append(len(edges))
+    return _table(edges, 4), np.array(polygons, dtype=np.int64)
+
+
+def _table(rows: list[tuple[float, ...]], width: int) -> FloatArray:
+    return np.array(rows, dtype=np.float64).reshape(-1, width)

@@ -1,0 +1,347 @@
+"""The proof behind the certificate: bounds over whole pieces of a curve, in plain scalar code.
+
+A piece of a cubic lies near its chord: its points within `sag` of the segment between its ends (a
+bound that falls to a quarter with each halving), its tangents within a cone about the chord.  The
+distance of that segment from terrain and zones is exact (`path.proof_distance`).  Branch and bound
+over the pieces does the rest: a piece is done when its lower bound suffices, and halved when not.
+
+Everything runs as plain Python, and compiles with numba as it is (`ENTRY`, `HELPERS`).
+"""
+
+import math
+
+import numpy as np
+
+from companion.geodesy import FloatArray
+from companion.path import proof_distance, proof_shape
+from companion.path.proof_distance import (
+    Segment,
+    Surroundings,
+    terrain_distance,
+    zone_distance,
+)
+from companion.path.proof_shape import extremes, largest
+
+ROUNDING = 1e-9
+"""A bound missed by no more than this, relative, is missed by arithmetic and not by the curve."""
+ROUNDING_M = 1e-6
+RESULTS = 12
+"""Clearance, keep-outs, dead man, curvature, climb, dive, lowest, highest, off map, radar length,
+detection, pieces."""
+_PIECES = 24  # that a curve is cut into at first, about
+_BUDGET = 3_000  # pieces for each bound; what is not proven by then is not
+_STACK = 64
+_FINEST = 2.0**-24
+_NEVER = 1e12
+_TERRAIN, _ZONES, _DEAD_MAN = 0, 1, 2
+
+Piece = tuple[Segment, float, float, float]
+"""Its chord; sag, how far it may be from the chord; turn, the cosine of the half-angle of the cone
+about the chord that holds its tangents; its length at most, metres."""
+
+
+def part_of(
+    cubics: FloatArray, span: int, axis: int, start: float, step: float
+) -> tuple[float, float, float, float]:
+    """Coefficients by 0 <= s <= 1 of a coordinate over a piece of a span."""
+    c0, c1 = float(cubics[span, 0, axis]), float(cubics[span, 1, axis])
+    c2, c3 = float(cubics[span, 2, axis]), float(cubics[span, 3, axis])
+    return (
+        c0 + (c1 + (c2 + c3 * start) * start) * start,
+        (c1 + (2.0 * c2 + 3.0 * c3 * start) * start) * step,
+        (c2 + 3.0 * c3 * start) * step * step,
+        c3 * step * step * step,
+    )
+
+
+def across(x: float, y: float, z: float, dx: float, dy: float, dz: float, squared: float) -> float:
+    """Length of the part of a vector that is across a direction of squared length `squared`."""
+    along = (x * dx + y * dy + z * dz) / squared if squared > 0.0 else 0.0
+    x, y, z = x - along * dx, y - along * dy, z - along * dz
+    return math.sqrt(x * x + y * y + z * z)
+
+
+def piece_of(cubics: FloatArray, span: int, start: float, end: float) -> Piece:
+    """A piece of one span, start <= t <= end, as its chord and what surrounds it.
+
+    p = p0 + a s + b s^2 + c s^3 over 0 <= s <= 1 is off its chord, at the same s, by
+    s (1 - s) |(b + c) (1 - s) + (b + 2c) s|: by a quarter of the longer of the two at most.  While
+    it never runs backwards only the part across counts, as it cannot overshoot the chord's ends.
+    """
+    x, ax, bx, cx = part_of(cubics, span, 0, start, end - start)
+    y, ay, by, cy = part_of(cubics, span, 1, start, end - start)
+    z, az, bz, cz = part_of(cubics, span, 2, start, end - start)
+    dx, dy, dz = ax + bx + cx, ay + by + cy, az + bz + cz
+    squared = dx * dx + dy * dy + dz * dz
+    chord = math.sqrt(squared)
+    least, length = 1.0, 0.0
+    for i in range(3):  # the legs of the control polygon, three times as long: a Bernstein basis
+        u, v = (0.0, 0.0) if i == 0 else ((1.0, 0.0) if i == 1 else (2.0, 3.0))
+        px, py, pz = ax + u * bx + v * cx, ay + u * by + v * cy, az + u * bz + v * cz
+        leg = math.sqrt(px * px + py * py + pz * pz)
+        length += leg / 3.0
+        if leg > 0.0:
+            along = px * dx + py * dy + pz * dz
+            least = min(least, along / (leg * chord)) if chord > 0.0 else -1.0
+    if least < 0.0:
+        squared = 0.0
+    one = across(bx + cx, by + cy, bz + cz, dx, dy, dz, squared)
+    two = across(bx + 2.0 * cx, by + 2.0 * cy, bz + 2.0 * cz, dx, dy, dz, squared)
+    return (x, y, z, dx, dy, dz), 0.25 * max(one, two), least, length
+
+
+def reach(here: Surroundings, speed: float) -> float:
+    """How far the vehicle comes straight on when the companion dies, metres."""
+    return speed * here.dead_man_s + speed * speed / (2.0 * here.acceleration_m_s2)
+
+
+def stretch_of(
+    here: Surroundings, piece: Piece, flown: float, left: float
+) -> tuple[Segment, float]:
+    """A segment near all straight stretches that leave a piece, and how near.
+
+    The stretch of length tau from a point is within sag + tau |tangent - chord's direction| of the
+    chord drawn on.  flown, left: length of the curve up to the end of the piece, and from its start
+    on, at most: the speed is bounded by both, and its reach by the speed.
+    """
+    segment, sag, cosine, length = piece
+    x, y, z, dx, dy, dz = segment
+    twice, speed = 2.0 * here.acceleration_m_s2, here.speed_m_s
+    brakes = min(max(left - speed * speed / twice, 0.0), length)  # where it begins to slow down
+    fastest = min(speed, math.sqrt(twice * left))
+    rising = min(speed, math.sqrt(twice * flown))
+    farthest = reach(here, min(fastest, rising))
+    chord = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if cosine <= 0.0 or chord <= 0.0:
+        return segment, sag + (farthest if cosine < 1.0 or chord > 0.0 else 0.0)
+    ahead = min(brakes + reach(here, fastest), length + reach(here, rising))
+    grow = max(ahead, chord) / chord
+    slack = sag + farthest * math.sqrt(max(2.0 - 2.0 * cosine, 0.0))
+    return (x, y, z, dx * grow, dy * grow, dz * grow), slack
+
+
+def piece_distance(
+    here: Surroundings,
+    what: int,
+    piece: Piece,
+    flown: float,
+    left: float,
+    limit: float,
+    found: FloatArray,
+) -> tuple[float, float, float]:
+    """Lower and upper bound of a distance over a piece, both at most `limit`, and the slack."""
+    segment, slack = piece[0], piece[1]
+    if what == _DEAD_MAN:
+        segment, slack = stretch_of(here, piece, flown, left)
+    if slack > max(limit, 0.0) + 2.0 * here.clearance_m:
+        return (0.0 if what == _TERRAIN else -_NEVER), limit, slack  # too coarse to be worth it
+    tolerance = 1e-3 * here.clearance_m
+    lower, upper = limit, limit
+    if what != _ZONES:
+        far = terrain_distance(here, segment, limit + slack, tolerance, found)
+        lower, upper = max(far - slack, 0.0), far + tolerance + slack
+    if what != _TERRAIN:
+        low, high = zone_distance(here, segment)
+        lower, upper = min(lower, low - slack), min(upper, high + slack)
+    return min(lower, limit), min(upper, limit), slack
+
+
+def first_pieces(cubics: FloatArray) -> FloatArray:
+    """The pieces to begin with: span, start, end, length flown before and left after, at most."""
+    spans = cubics.shape[0]
+    each = (_PIECES + spans - 1) // spans
+    table = np.zeros((spans * each, 5))
+    flown = 0.0
+    for k in range(spans * each):
+        table[k, 0], table[k, 1] = k // each, (k % each) / each
+        table[k, 2], table[k, 3] = (k % each + 1) / each, flown
+        flown += piece_of(cubics, k // each, float(table[k, 1]), float(table[k, 2]))[3]
+    left = 0.0
+    for k in range(spans * each - 1, -1, -1):
+        table[k, 4] = left
+        left += piece_of(cubics, int(table[k, 0]), float(table[k, 1]), float(table[k, 2]))[3]
+    return table
+
+
+def part_distance(
+    cubics: FloatArray,
+    here: Surroundings,
+    what: int,
+    row: FloatArray,
+    start: float,
+    end: float,
+    from_rest: bool,
+    limit: float,
+    found: FloatArray,
+) -> tuple[float, float, float]:
+    """`piece_distance` of a part, start <= t <= end, of one of the first pieces (a row)."""
+    span = int(row[0])
+    piece = piece_of(cubics, span, start, end)
+    flown, left = math.inf, 0.0
+    if what == _DEAD_MAN:
+        left = row[4] + piece_of(cubics, span, start, float(row[2]))[3]
+        if from_rest:
+            flown = row[3] + piece_of(cubics, span, float(row[1]), end)[3]
+    return piece_distance(here, what, piece, flown, left, limit, found)
+
+
+def least_distance(
+    cubics: FloatArray,
+    here: Surroundings,
+    what: int,
+    table: FloatArray,
+    from_rest: bool,
+    cap: float,
+    found: FloatArray,
+) -> tuple[float, int]:
+    """Lower bound of a distance over the whole curve, at most `cap`, and the pieces it took.
+
+    A piece is done when its bound is within 1 % of d_s (2 % for the dead man) of what the curve is
+    known to come to, and suffices; or when nothing is left that halving it would bring.
+    """
+    need = here.contact_m if what == _DEAD_MAN else here.clearance_m
+    tolerance = (0.02 if what == _DEAD_MAN else 0.01) * here.clearance_m
+    smallest = min(0.004 * here.clearance_m, 0.25 * here.cell_m)
+    rows = table.shape[0]
+    lowers, slacks = np.empty(rows), np.empty(rows)
+    upper, result, count = cap, cap, rows
+    for k in range(rows):
+        lowers[k], high, slacks[k] = part_distance(
+            cubics,
+            here,
+            what,
+            table[k],
+            float(table[k, 1]),
+            float(table[k, 2]),
+            from_rest,
+            upper,
+            found,
+        )
+        upper = min(upper, high)
+    stack = np.empty((_STACK, 2))
+    for k in range(rows):
+        lower, slack, depth = float(lowers[k]), float(slacks[k]), 0
+        start, end = float(table[k, 1]), float(table[k, 2])
+        while True:
+            enough = upper - tolerance
+            if upper >= need - ROUNDING_M:
+                enough = max(enough, need - ROUNDING_M)
+            small = slack <= smallest or end - start < _FINEST
+            if lower >= enough or small or count >= _BUDGET:
+                result = min(result, lower)
+                if depth == 0:
+                    break
+                depth -= 1
+                start, end = float(stack[depth, 0]), float(stack[depth, 1])
+            else:
+                stack[depth, 0], stack[depth, 1] = 0.5 * (start + end), end
+                depth, end = depth + 1, 0.5 * (start + end)
+            lower, high, slack = part_distance(
+                cubics, here, what, table[k], start, end, from_rest, upper, found
+            )
+            upper, count = min(upper, high), count + 1
+    return result, count
+
+
+def under_radars(here: Surroundings, piece: Piece) -> tuple[bool, bool, float]:
+    """Whether a piece is inside a radar's range for certain, perhaps; detection (eq. 3) at most."""
+    (x, y, z, dx, dy, dz), sag, _, _ = piece
+    inside, perhaps, detection = False, False, 0.0
+    squared = dx * dx + dy * dy + dz * dz
+    for k in range(here.radars.shape[0]):
+        px, py, pz = here.radars[k, 0] - x, here.radars[k, 1] - y, here.radars[k, 2] - z
+        at = 0.0
+        if squared > 0.0:
+            at = min(max((px * dx + py * dy + pz * dz) / squared, 0.0), 1.0)
+        qx, qy, qz = px - at * dx, py - at * dy, pz - at * dz
+        nearest = max(math.sqrt(qx * qx + qy * qy + qz * qz) - sag, 0.0)
+        span = here.radars[k, 3]
+        if nearest <= span:
+            detection = max(detection, 1.0 / (1.0 + (nearest / span) ** 4))
+            qx, qy, qz = px - dx, py - dy, pz - dz
+            one, two = px * px + py * py + pz * pz, qx * qx + qy * qy + qz * qz
+            if math.sqrt(max(one, two)) + sag <= span:
+                inside = True
+            else:
+                perhaps = True
+    return inside, perhaps, detection
+
+
+def exposure(cubics: FloatArray, here: Surroundings, table: FloatArray) -> tuple[float, float, int]:
+    """Length within radar ranges at most (a stretch in two counts once); detection; pieces."""
+    rows = table.shape[0]
+    if here.radars.shape[0] == 0:
+        return 0.0, 0.0, 0
+    short = 1e-3 * (table[rows - 1, 3] + 1e-9)
+    within, detection, count = 0.0, 0.0, 0
+    stack = np.empty((_STACK, 2))
+    for k in range(rows):
+        span = int(table[k, 0])
+        stack[0, 0], stack[0, 1], depth = table[k, 1], table[k, 2], 1
+        while depth > 0:
+            depth -= 1
+            start, end = float(stack[depth, 0]), float(stack[depth, 1])
+            piece = piece_of(cubics, span, start, end)
+            inside, perhaps, most = under_radars(here, piece)
+            count += 1
+            if perhaps and piece[3] > short and count < _BUDGET:
+                middle = 0.5 * (start + end)
+                stack[depth, 0], stack[depth, 1] = middle, end
+                stack[depth + 1, 0], stack[depth + 1, 1] = start, middle
+                depth += 2
+            elif inside or perhaps:
+                within, detection = within + piece[3], max(detection, most)
+    return within, detection, count
+
+
+def prove(cubics: FloatArray, here: Surroundings, from_rest: bool) -> FloatArray:
+    """Every bound over the whole curve.  -> (RESULTS,); finite input is the caller's duty.
+
+    cubics (spans, 4, 3): coefficients of 1, t, t^2, t^3 over 0 <= t <= 1, span after span.
+    from_rest: the vehicle hovers at the curve's start, and is the slower for it.
+    """
+    table = first_pieces(cubics)
+    found = np.empty((here.blocks_m.size, 3))
+    result = np.empty(RESULTS)
+    result[1], pieces = math.inf, 0
+    for what in range(3):  # terrain, zones, dead man; in a loop, so that it is compiled once
+        cap = 2.0 * here.clearance_m
+        if what == _DEAD_MAN:
+            cap = here.contact_m + 0.25 * here.clearance_m
+        if what != _ZONES or here.circles.shape[0] > 0 or here.polygons.shape[0] > 1:
+            result[what], more = least_distance(cubics, here, what, table, from_rest, cap, found)
+            pieces += more
+    for what in range(3):  # squared curvature, climb, dive
+        limit = (here.curvature_1_m**2, here.climb, here.dive)[what] * (1.0 + ROUNDING)
+        bound, more = largest(cubics, (0, 1, -1)[what], limit, 0.004)
+        result[3 + what] = math.sqrt(bound) if what == 0 else bound
+        pieces += more
+    south, north = extremes(cubics, 0)
+    west, east = extremes(cubics, 1)
+    result[6], result[7] = extremes(cubics, 2)
+    off_n = max(here.map_south_m - south, north - here.map_north_m)
+    off_e = max(here.map_west_m - west, east - here.map_east_m)
+    result[8] = max(0.0, max(off_n, off_e))
+    result[9], result[10], more = exposure(cubics, here, table)
+    result[11] = pieces + more
+    return result
+
+
+ENTRY = prove
+"""What to compile."""
+HELPERS = (
+    *proof_distance.HELPERS,
+    *proof_shape.HELPERS,
+    part_of,
+    across,
+    piece_of,
+    reach,
+    stretch_of,
+    piece_distance,
+    first_pieces,
+    part_distance,
+    least_distance,
+    under_radars,
+    exposure,
+)
+"""What numba must know (`numba.extending.register_jitable`) before it compiles `ENTRY`."""

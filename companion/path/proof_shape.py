@@ -1,0 +1,234 @@
+"""Bounds of curvature, climb and position of a cubic over whole pieces, for the proof.
+
+With all numerators and denominators as Bernstein coefficients of one degree, a quotient lies
+between the least and the largest quotient of coefficients (mediants), and meets them at the ends.
+Plain scalar code that numba can compile as it is (see `path.proof`).
+"""
+
+import math
+
+import numpy as np
+
+from companion.geodesy import FloatArray
+
+_GOOD = 1e-3
+"""A bound this near (relative) to a value that the curve does take is tight."""
+_FINEST = 2.0**-20
+_NOTHING = 1e-14  # rounding of sums, relative
+_STRAIGHT = 1e-12
+"""A span whose curvature is this small, relative to what it could be, is straight."""
+_STACK = 64
+_BUDGET = 3_000
+_CHOOSE_8 = (1.0, 8.0, 28.0, 56.0, 70.0, 56.0, 28.0, 8.0, 1.0)
+
+
+def times(one: FloatArray, m: int, other: FloatArray, n: int, product: FloatArray) -> None:
+    """Product of polynomials of degree m - 1 and n - 1, by their scaled coefficients."""
+    for k in range(m + n - 1):
+        product[k] = 0.0
+    for i in range(m):
+        for j in range(n):
+            product[i + j] += one[i] * other[j]
+
+
+def hodograph(
+    cubics: FloatArray, span: int, axis: int, start: float, end: float
+) -> tuple[float, float, float]:
+    """Scaled Bernstein coefficients of a coordinate's derivative over start <= t <= end."""
+    c1, c2 = float(cubics[span, 1, axis]), 2.0 * float(cubics[span, 2, axis])
+    c3 = 3.0 * float(cubics[span, 3, axis])
+    first = c1 + (c2 + c3 * start) * start
+    middle = c1 + 0.5 * c2 * (start + end) + c3 * start * end
+    last = c1 + (c2 + c3 * end) * end
+    nothing = _NOTHING * (abs(c1) + abs(c2) + abs(c3))
+    return (
+        first if abs(first) > nothing else 0.0,
+        2.0 * middle if abs(middle) > nothing else 0.0,
+        last if abs(last) > nothing else 0.0,
+    )
+
+
+def speed_squared(cubics: FloatArray, span: int, start: float, end: float) -> FloatArray:
+    """Scaled Bernstein coefficients of x'^2 + y'^2 over a piece; (5,)."""
+    x0, x1, x2 = hodograph(cubics, span, 0, start, end)
+    y0, y1, y2 = hodograph(cubics, span, 1, start, end)
+    result = np.empty(5)
+    result[0] = x0 * x0 + y0 * y0
+    result[1] = 2.0 * (x0 * x1 + y0 * y1)
+    result[2] = 2.0 * (x0 * x2 + y0 * y2) + x1 * x1 + y1 * y1
+    result[3] = 2.0 * (x1 * x2 + y1 * y2)
+    result[4] = x2 * x2 + y2 * y2
+    return result
+
+
+def quotient(above: FloatArray, below: FloatArray, count: int) -> tuple[float, float]:
+    """Least and largest quotient of coefficients; (0, inf) where a denominator is not positive.
+
+    Where both are 0, at the end of a curve that starts or stops there, they say nothing.
+    """
+    least, most = math.inf, 0.0
+    for k in range(count):
+        if below[k] > 0.0:
+            least = min(least, above[k] / below[k])
+            most = max(most, above[k] / below[k])
+        elif below[k] < 0.0 or above[k] > 0.0:
+            return 0.0, math.inf
+        else:
+            least = 0.0
+    return max(least, 0.0), most
+
+
+def size_of(cubics: FloatArray, span: int) -> float:
+    """Upper bound of the derivative's coordinates over a span."""
+    size = 0.0
+    for axis in range(3):
+        size += abs(float(cubics[span, 1, axis])) + 2.0 * abs(float(cubics[span, 2, axis]))
+        size += 3.0 * abs(float(cubics[span, 3, axis]))
+    return size
+
+
+def curvature_squared(
+    cubics: FloatArray, span: int, start: float, end: float, forward: bool, scratch: FloatArray
+) -> tuple[float, float]:
+    """Upper bound of the squared horizontal curvature over a piece, and its value at an end.
+
+    (x'y'' - y'x'')^2, of degree 4, over (x'^2 + y'^2)^3, of degree 12.
+    """
+    x1, y1 = float(cubics[span, 1, 0]), float(cubics[span, 1, 1])
+    x2, y2 = float(cubics[span, 2, 0]), float(cubics[span, 2, 1])
+    x3, y3 = float(cubics[span, 3, 0]), float(cubics[span, 3, 1])
+    k0, k1 = 2.0 * (x1 * y2 - y1 * x2), 6.0 * (x1 * y3 - y1 * x3)
+    k2 = 6.0 * (x2 * y3 - y2 * x3)
+    cross, speed = scratch[0], speed_squared(cubics, span, start, end)
+    slowest = min(min(speed[0], speed[1]), min(min(speed[2], speed[3]), speed[4]))
+    if max(abs(k0), max(abs(k1), abs(k2))) <= _STRAIGHT * size_of(cubics, span) ** 2:
+        return (0.0 if forward or slowest > 0.0 else math.inf), 0.0  # it may stop and turn back
+    cross[0] = k0 + (k1 + k2 * start) * start
+    cross[1] = 2.0 * k0 + k1 * (start + end) + 2.0 * k2 * start * end
+    cross[2] = k0 + (k1 + k2 * end) * end
+    times(cross, 3, cross, 3, scratch[1])
+    for k in range(9):
+        scratch[2, k] = _CHOOSE_8[k]
+    times(scratch[1], 5, scratch[2], 9, scratch[3])
+    times(speed, 5, speed, 5, scratch[1])
+    times(scratch[1], 9, speed, 5, scratch[2])
+    _, most = quotient(scratch[3], scratch[2], 13)
+    value = 0.0
+    for at in (0, 12):
+        if scratch[2, at] > 0.0:
+            value = max(value, scratch[3, at] / scratch[2, at])
+    return most, value
+
+
+def climb_tangent(
+    cubics: FloatArray, span: int, start: float, end: float, sign: float, scratch: FloatArray
+) -> tuple[float, float]:
+    """Upper bound of the climb (sign 1) or dive (-1), as a tangent, over a piece; value at an end.
+
+    From z'^2 over x'^2 + y'^2, both of degree 4.
+    """
+    z0, z1, z2 = hodograph(cubics, span, 2, start, end)
+    z0, z1, z2 = sign * z0, sign * z1, sign * z2
+    speed = speed_squared(cubics, span, start, end)
+    squared = scratch[0]
+    squared[0], squared[1], squared[2] = z0 * z0, 2.0 * z0 * z1, 2.0 * z0 * z2 + z1 * z1
+    squared[3], squared[4] = 2.0 * z1 * z2, z2 * z2
+    least, most = quotient(squared, speed, 5)
+    bound = math.sqrt(most)
+    if max(z0, max(z1, z2)) <= 0.0:
+        bound = -math.sqrt(least) if least < math.inf else 0.0
+    value = -math.inf
+    if speed[0] > 0.0:
+        value = z0 / math.sqrt(speed[0])
+    if speed[4] > 0.0:
+        value = max(value, z2 / math.sqrt(speed[4]))
+    return bound, value
+
+
+def runs_forward(cubics: FloatArray) -> bool:
+    """Whether the ground track never runs against the direction from its start to its end."""
+    spans = cubics.shape[0]
+    dn, de, moves = 0.0, 0.0, False
+    for span in range(spans):
+        for k in range(1, 4):
+            dn += float(cubics[span, k, 0])
+            de += float(cubics[span, k, 1])
+    for span in range(spans):
+        x0, x1, x2 = hodograph(cubics, span, 0, 0.0, 1.0)
+        y0, y1, y2 = hodograph(cubics, span, 1, 0.0, 1.0)
+        moves = moves or max(max(abs(x0), abs(x1)), abs(x2)) > 0.0
+        moves = moves or max(max(abs(y0), abs(y1)), abs(y2)) > 0.0
+        along = min(min(x0 * dn + y0 * de, x1 * dn + y1 * de), x2 * dn + y2 * de)
+        if along < -_STRAIGHT * size_of(cubics, span) ** 2:
+            return False
+    return not moves or dn != 0.0 or de != 0.0
+
+
+def largest(cubics: FloatArray, what: int, limit: float, accuracy: float) -> tuple[float, int]:
+    """Upper bound of a quantity over the whole curve, and the pieces that it took.
+
+    what: 0 squared curvature, 1 climb, -1 dive (as tangents).  Refined until it is within
+    `limit`, and until it is good to `accuracy` (absolute), unless a value beyond the limit is met.
+    """
+    scratch = np.empty((4, 13))
+    stack = np.empty((_STACK, 2))
+    forward = runs_forward(cubics)
+    bound, value, count = -math.inf, -math.inf, 0
+    for span in range(cubics.shape[0]):
+        stack[0, 0], stack[0, 1] = 0.0, 1.0
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            start, end = float(stack[depth, 0]), float(stack[depth, 1])
+            if what == 0:
+                most, here = curvature_squared(cubics, span, start, end, forward, scratch)
+            else:
+                most, here = climb_tangent(cubics, span, start, end, float(what), scratch)
+            count += 1
+            value = max(value, here)
+            enough = max(value, 0.0) * (1.0 + 2.0 * accuracy) + accuracy * 0.1 * limit
+            if value <= limit:
+                enough = min(enough, limit)
+            tight = most <= here + _GOOD * max(abs(here), 0.1 * limit)
+            if most <= enough or tight or end - start < _FINEST or count >= _BUDGET:
+                bound = max(bound, most)
+            else:
+                middle = 0.5 * (start + end)
+                stack[depth, 0], stack[depth, 1] = middle, end
+                stack[depth + 1, 0], stack[depth + 1, 1] = start, middle
+                depth += 2
+    return bound, count
+
+
+def extremes(cubics: FloatArray, axis: int) -> tuple[float, float]:
+    """Least and largest value of a coordinate over the whole curve, at the roots of its slope."""
+    low, high = math.inf, -math.inf
+    for span in range(cubics.shape[0]):
+        c0, c1 = float(cubics[span, 0, axis]), float(cubics[span, 1, axis])
+        c2, c3 = float(cubics[span, 2, axis]), float(cubics[span, 3, axis])
+        root_a, root_b = 0.0, 1.0
+        inner = c2 * c2 - 3.0 * c3 * c1
+        if inner > 0.0:
+            q = -(c2 + math.copysign(math.sqrt(inner), c2))
+            root_a = q / (3.0 * c3) if abs(q) < abs(3.0 * c3) else 0.0
+            root_b = c1 / q if abs(c1) < abs(q) else 1.0
+        for t in (0.0, 1.0, root_a, root_b):
+            if 0.0 <= t <= 1.0:
+                value = c0 + (c1 + (c2 + c3 * t) * t) * t
+                low, high = min(low, value), max(high, value)
+    return low, high
+
+
+HELPERS = (
+    times,
+    hodograph,
+    speed_squared,
+    quotient,
+    size_of,
+    curvature_squared,
+    climb_tangent,
+    runs_forward,
+    largest,
+    extremes,
+)
+"""What numba must know before it compiles what calls them."""

@@ -1,0 +1,231 @@
+"""What flying costs, sampled over a lattice of the map, for the cost-to-go (`cost_to_go`).
+
+Costs are those of the objective (`companion.objective.terms`) in metres of level flight at the
+floor of the band, so that they add to the cost of a subpath.  Per metre of way:
+
+- 1 for the length (f1: a_1 100 / 2.4 R);
+- the height that the known terrain asks for (f2: a_2 100 / R from floor to ceiling), and where
+  it rises faster than the vehicle climbs, the height of the ramp before and behind it;
+- radars (f5: a_5 300 / R per unit of eq. 3, at that height);
+- 300 in a keep-out or where terrain reaches above the ceiling: finite, so that there is always a
+  way out, and it is the short one.
+
+Ground that no scan has seen counts as free (design 5.2), also where a sight line bounds it: that
+bound grows with distance and would make a wall of every shadow.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+import numpy.typing as npt
+import scipy.ndimage
+
+from companion.geodesy import BoolArray, FloatArray
+from companion.planner.settings import Task
+from companion.world.known_map import KnownMap
+from companion.world.threats import detection_probability
+
+Place = tuple[float, float]
+IndexArray = npt.NDArray[np.int32]
+
+MOST_CELLS = 160  # across; a larger map is coarse beyond a window of this size
+_BLOCKED = 300.0  # cost per metre where nothing may fly
+_REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
+_MOST_PIECES = 400  # of a straight line
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lattice:
+    """Costs at the lattice points and halfway between them: (2 rows - 1, 2 columns - 1)."""
+
+    north_min_m: float
+    east_min_m: float
+    step_m: float
+    """Distance between samples: half a cell of the lattice."""
+    cost: FloatArray
+    """Per metre of way."""
+    height: FloatArray
+    """The part of `cost` that is due to height."""
+    ramp_m: FloatArray
+    """What the height of the steepest climb from the floor to here costs."""
+    costly: BoolArray
+    """Blocked, or seen by a radar."""
+    covers_map: bool
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of lattice points."""
+        return (self.cost.shape[0] + 1) // 2, (self.cost.shape[1] + 1) // 2
+
+    @property
+    def samples_m(self) -> tuple[FloatArray, FloatArray]:
+        """North (2 rows - 1, 1) and east (1, 2 columns - 1) of the samples."""
+        north = self.north_min_m + self.step_m * np.arange(float(self.cost.shape[0]))
+        east = self.east_min_m + self.step_m * np.arange(float(self.cost.shape[1]))
+        return north[:, None], east[None, :]
+
+    def holds(self, place: Place) -> bool:
+        """Whether a place lies within the lattice."""
+        u, v = self.sample_of(np.array([place]))[0]
+        return bool(0 <= u <= self.cost.shape[0] - 1 and 0 <= v <= self.cost.shape[1] - 1)
+
+    def sample_of(self, points_ne_m: FloatArray) -> FloatArray:
+        """Row and column among the samples, not rounded.  (..., 2) -> (..., 2)."""
+        return (points_ne_m - (self.north_min_m, self.east_min_m)) / self.step_m
+
+    def points_m(self, index: IndexArray) -> FloatArray:
+        """North, east of lattice points.  (K,) -> (K, 2)."""
+        rows, columns = np.divmod(index, self.shape[1])
+        corner = np.array([self.north_min_m, self.east_min_m])
+        return corner + 2.0 * self.step_m * np.stack([rows, columns], axis=-1)
+
+    def around(self, place: Place) -> IndexArray:
+        """The lattice points about a place, or the nearest ones if it lies outside."""
+        middle = np.rint(self.sample_of(np.array(place)) / 2.0)
+        near = [
+            np.arange(
+                np.clip(middle[axis] - _REACH_CELLS, 0, self.shape[axis] - 1),
+                np.clip(middle[axis] + _REACH_CELLS, 0, self.shape[axis] - 1) + 1,
+            )
+            for axis in (0, 1)
+        ]
+        return np.add.outer(near[0] * self.shape[1], near[1]).ravel().astype(np.int32)
+
+
+def line_cost_m(lattice: Lattice, from_ne_m: FloatArray, to_ne_m: FloatArray) -> FloatArray:
+    """Costs of straight lines.  (K, 2) or (2,), (K, 2) -> (K,)."""
+    offset = to_ne_m - from_ne_m
+    length = np.hypot(offset[:, 0], offset[:, 1])
+    most = float(length.max(initial=0.0)) / lattice.step_m
+    pieces = min(max(math.ceil(most), 1), _MOST_PIECES)
+    along = np.linspace(0.0, 1.0, pieces + 1)[:, None, None]
+    place = np.moveaxis(lattice.sample_of(from_ne_m + along * offset), -1, 0)  # (2, S, K)
+    piece_m = length / pieces
+    cost = _sampled(lattice.cost, place)
+    total = 0.5 * (cost[1:] + cost[:-1]).sum(axis=0) * piece_m
+    if lattice.ramp_m.any():
+        ramp, height = _sampled(lattice.ramp_m, place), _sampled(lattice.height, place)
+        level = 0.5 * (height[1:] + height[:-1]) * piece_m
+        total += np.maximum(np.abs(np.diff(ramp, axis=0)) - level, 0.0).sum(axis=0)
+    return total
+
+
+def _sampled(field: FloatArray, place: FloatArray) -> FloatArray:
+    return scipy.ndimage.map_coordinates(field, place, order=1, mode="nearest")
+
+
+def lattice_of(known: KnownMap, task: Task, here_ne_m: Place, cells: int) -> Lattice:
+    """Costs on a lattice of samples `cells` cells of the map apart, aligned with the map.
+
+    The whole map, or a window about here if that is more than 160 cells across.
+    """
+    first, count, whole = [], [], True
+    for axis, here in enumerate(known.cell_of(*here_ne_m)):
+        across = max(known.upper_m.shape[axis] // (2 * cells), 1)
+        size = min(across, MOST_CELLS)
+        middle = round(here / (2 * cells)) - size // 2
+        first.append(2 * cells * min(max(middle, 0), across - size))
+        count.append(2 * size + 1)
+        whole &= size == across
+    lowest = _lowest_m(known, task, first, count, cells)
+    step = cells * known.cell_m
+    north_min = known.north_min_m + first[0] * known.cell_m
+    east_min = known.east_min_m + first[1] * known.cell_m
+    north = north_min + step * np.arange(count[0])[:, None]
+    east = east_min + step * np.arange(count[1])[None, :]
+    limits, weights = task.limits, task.settings.weights
+    per_length = max(weights.length, 1e-3) / 2.4  # a_1 / 2.4 R, per metre; times R
+    per_height = weights.height / per_length
+    band = limits.ceiling_amsl_m - limits.floor_amsl_m
+    inset = task.search_clearance_m - task.settings.safety_distance_m  # as from the terrain
+    above = np.maximum(lowest - (limits.ceiling_amsl_m - inset), 0.0) / band
+    altitude = np.clip(lowest, limits.floor_amsl_m, limits.ceiling_amsl_m)
+    fraction = (altitude - limits.floor_amsl_m) / band
+    seen = _detection(task, north, east, altitude, step)
+    blocked = (above > 0.0) | _in_keep_out(task, north, east)
+    cost = 1.0 + per_height * fraction + 3.0 * weights.radar / per_length * seen
+    return Lattice(
+        north_min_m=north_min,
+        east_min_m=east_min,
+        step_m=step,
+        cost=cost + _BLOCKED * (blocked + above),
+        height=per_height * fraction,
+        ramp_m=0.5 * per_height * fraction**2 * band / math.tan(limits.climb_angle_rad),
+        costly=blocked | (seen > 0.0),
+        covers_map=whole,
+    )
+
+
+def _lowest_m(
+    known: KnownMap, task: Task, first: list[int], count: list[int], cells: int
+) -> FloatArray:
+    """The lowest altitude that keeps the clearance from terrain that has been seen, AMSL.
+
+    At vertices of the map's cells, every `cells` of them from `first`; cells count with their
+    highest terrain over their whole square.  -> count; -inf where nothing is near.
+    On the wide lattice, whose samples are far apart, only the four cells at a vertex count.
+    """
+    clearance = task.search_clearance_m
+    reach = math.ceil((clearance + known.registration_m) / known.cell_m) + 1
+    stride = cells
+    if cells > 2 * reach:
+        reach, stride = 1, 2
+    window = np.ix_(
+        *(
+            _cells_about(first[axis], count[axis], cells, reach, known.upper_m.shape[axis])
+            for axis in (0, 1)
+        )
+    )
+    upper = np.where(known.seen[window], known.upper_m[window], -np.inf).astype(np.float32)
+    lowest, part = np.full((2, count[0], count[1]), -np.inf, dtype=np.float32)
+    if not (upper > task.limits.floor_amsl_m - clearance).any():
+        return lowest.astype(np.float64)
+    for down in range(2 * reach):
+        for left in range(2 * reach):
+            gaps = (max(at - reach, reach - 1 - at) * known.cell_m for at in (down, left))
+            gap = max(math.hypot(*gaps) - known.registration_m, 0.0)
+            if gap < clearance:
+                near = upper[down::stride, left::stride][: count[0], : count[1]]
+                np.add(near, math.sqrt(clearance**2 - gap**2), out=part)
+                np.maximum(lowest, part, out=lowest)
+    return lowest.astype(np.float64)
+
+
+def _cells_about(first: int, count: int, cells: int, reach: int, size: int) -> IndexArray:
+    """Indices of the cells within reach of `count` vertices; beyond the map, its last cell."""
+    if cells <= 2 * reach:  # neighbouring vertices share cells
+        index = np.arange(first - reach, first + cells * (count - 1) + reach)
+    else:
+        index = np.add.outer(first + cells * np.arange(count), np.arange(-reach, reach)).ravel()
+    return np.clip(index, 0, size - 1).astype(np.int32)
+
+
+def _detection(
+    task: Task, north: FloatArray, east: FloatArray, altitude_m: FloatArray, step_m: float
+) -> FloatArray:
+    """Eq. 3, summed over the radars.  North (rows, 1), east (1, columns) -> (rows, columns).
+
+    Half a step of margin: straight lines between samples outside stay out.
+    """
+    margin = 0.5 * step_m
+    total = np.zeros(altitude_m.shape)
+    for radar in task.radars:
+        centre, reach = radar.centre_nea_m, radar.range_m + margin
+        rows = slice(*np.searchsorted(north[:, 0], (centre[0] - reach, centre[0] + reach)))
+        columns = slice(*np.searchsorted(east[0], (centre[1] - reach, centre[1] + reach)))
+        if rows.start < rows.stop and columns.start < columns.stop:
+            squared = (altitude_m[rows, columns] - centre[2]) ** 2
+            squared += (north[rows] - centre[0]) ** 2 + (east[:, columns] - centre[1]) ** 2
+            total[rows, columns] += detection_probability(np.sqrt(squared), radar.range_m, margin)
+    return total
+
+
+def _in_keep_out(task: Task, north: FloatArray, east: FloatArray) -> BoolArray:
+    inside = np.zeros((north.shape[0], east.shape[1]), dtype=bool)
+    for zone in task.keep_outs:
+        gap = zone.distance_m(*np.broadcast_arrays(north, east))
+        inside |= gap < task.search_clearance_m
+    return inside

@@ -1,0 +1,87 @@
+"""What computes a plan: compiled by numba, or plain Python and numpy where that is absent.
+
+Both make the same search with the same random numbers and the same proof; costs agree to 1e-9.
+numba is imported by `compiled()` and nowhere else: it takes half a second, and a vehicle can be
+flown before that.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from companion.geodesy import FloatArray
+from companion.objective import flight, kernel
+from companion.objective.flight import FlightScene
+from companion.optimise import refined_de
+from companion.optimise.refined_de import State
+from companion.path import proof, proof_distance, proof_shape
+from companion.path.certificate import Prover
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kernel:
+    """The two parts of a plan that take the time."""
+
+    name: str
+    """As the journal names it."""
+    search: Callable[[State, FlightScene, int], None]
+    """Goes on with a search until so many evaluations are spent."""
+    costs: Callable[[FloatArray, FlightScene], FloatArray]
+    """Costs of a population, (P, D) -> (P,): for optimisers that ask and tell."""
+    prove: Prover
+    """Proves a subpath (`path.certificate`)."""
+
+
+def _search(state: State, scene: FlightScene, until: int) -> None:
+    while refined_de.spent(state) < until:
+        n = refined_de.ask(state)
+        state.trial_costs[:n] = flight.cost(state.trial[:n], scene)
+        refined_de.tell(state, n)
+
+
+NUMPY = Kernel(name="numpy", search=_search, costs=flight.cost, prove=proof.prove)
+
+
+def compiled(*, cached: bool) -> Kernel:
+    """The numba kernel, compiled, or loaded from numba's cache on disk.
+
+    cached: whether that cache can be used.  Raises ImportError where numba is not installed.
+    """
+    import numba
+    from numba.extending import register_jitable
+
+    for helper in (*kernel.HELPERS, kernel.cost, *refined_de.HELPERS, *proof.HELPERS):
+        register_jitable(helper)
+    jit: Any = numba.njit(cache=cached, nogil=True)
+    search, costs, prove = jit(_run), jit(_costs), jit(proof.prove)
+
+    def search_scene(state: State, scene: FlightScene, until: int) -> None:
+        search(state, kernel.pack(scene), until)
+
+    def costs_of(x: FloatArray, scene: FlightScene) -> FloatArray:
+        return np.asarray(costs(x, kernel.pack(scene)))
+
+    return Kernel(name="numba", search=search_scene, costs=costs_of, prove=prove)
+
+
+SOURCES = (flight, kernel, refined_de, proof, proof_distance, proof_shape)
+"""The modules whose code is compiled: a cache made from others is stale."""
+
+
+def _run(state: State, pack: kernel.Pack, until: int) -> None:
+    """`_search`, one candidate after the other."""
+    while refined_de.spent(state) < until:
+        n = refined_de.ask(state)
+        for i in range(n):
+            state.trial_costs[i] = kernel.cost(state.trial[i], state.trial_bounds[i], pack)
+        refined_de.tell(state, n)
+
+
+def _costs(x: FloatArray, pack: kernel.Pack) -> FloatArray:
+    result = np.empty(len(x))
+    for i in range(len(x)):
+        result[i] = kernel.cost(x[i], np.inf, pack)
+    return result

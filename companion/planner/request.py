@@ -1,0 +1,104 @@
+"""The question that a plan answers, and the answers that there are."""
+
+import enum
+from dataclasses import dataclass
+from typing import final
+
+from companion.path.certificate import Certificate
+from companion.path.subpath import Pose, Subpath
+from companion.planner.settings import Task
+from companion.world.known_map import KnownMap
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlanRequest:
+    """The question: everything that the answer depends on."""
+
+    plan_id: int
+    seed: int
+    task: Task
+    known: KnownMap
+    scan_nea_m: tuple[float, float, float]
+    """p_scan."""
+    start: Pose
+    """p_prog, the tangent and the curvature there."""
+    from_rest: bool
+    """Whether the vehicle hovers at the start, so that the path may leave in any direction."""
+    target_ne_m: tuple[float, float]
+    route_ne_m: tuple[tuple[float, float], ...] = ()
+    """The way to the target that the last plan had in mind: not left for a trifle."""
+    attempt: int = 0
+    """How often this question has been asked in vain; each time the search is wider."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Planned:
+    """The next subpath."""
+
+    plan_id: int
+    kernel: str
+    """What computed it: replay needs to know."""
+    subpath: Subpath
+    reaches_target: bool
+    cost: float
+    terms: dict[str, float]
+    certificate: Certificate
+    guide_rad: float
+    route_ne_m: tuple[tuple[float, float], ...]
+    evaluations: int
+    rank: int
+    """Position among the candidates by cost: 0 is the best, more if better ones were unproven."""
+    tries: int
+
+
+class Refusal(enum.Enum):
+    """Why there is no subpath, and what helps."""
+
+    NOTHING_SAFE = (
+        "no candidate subpath could be proven safe; "
+        "lower planner.safety_distance_m or raise planner.evaluations"
+    )
+    START_IN_KEEP_OUT = (
+        "the vehicle is inside a keep-out zone, or too near to it, and no way out could be proven; "
+        "fly it out by hand, or remove the zone"
+    )
+    START_NEAR_TERRAIN = (
+        "the vehicle is too near to the terrain, and no way out could be proven; "
+        "climb by hand, or lower planner.safety_distance_m"
+    )
+    START_OUTSIDE = (
+        "the vehicle is outside the map or the altitude band; fly it back by hand, or widen [area] "
+        "or [altitude]"
+    )
+    TARGET_IN_TERRAIN = (
+        "the terrain at the target leaves no room below the ceiling; "
+        "move the target, or raise altitude.ceiling_amsl_m"
+    )
+    TARGET_IN_KEEP_OUT = (
+        "the target is inside a keep-out zone, or too near to it; move the target, "
+        "or remove the zone"
+    )
+    NOTHING_SEEN = (
+        "nothing around the vehicle has been seen; check that the radar answers, "
+        "or climb to where it sees"
+    )
+    NO_ROOM_TO_TURN = (
+        "a turn of vehicle.turn_radius_m does not fit into planner.scan_range_m; "
+        "lower the one or raise the other"
+    )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NotPlanned:
+    """No subpath: the reason, and which bounds the best candidate broke."""
+
+    plan_id: int
+    refusal: Refusal
+    broken: tuple[str, ...] = ()
+    evaluations: int = 0
+
+
+PlanOutcome = Planned | NotPlanned

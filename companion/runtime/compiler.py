@@ -1,0 +1,123 @@
+"""Where the planner's compiled kernel comes from, without ever waiting for a compiler in flight."""
+
+import hashlib
+import os
+import tempfile
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import final
+
+import numpy as np
+from platformdirs import user_cache_dir
+
+from companion.path.limits import Limits
+from companion.planner import kernels
+from companion.planner.kernels import NUMPY, Kernel
+from companion.planner.plan import plan
+from companion.planner.procedure import hover_pose
+from companion.planner.request import PlanOutcome, PlanRequest
+from companion.planner.settings import PlannerSettings, Task
+from companion.world.known_map import empty_map
+
+
+def load_kernel() -> Kernel:
+    """The fastest kernel that there is: numba's, or numpy's where numba is not installed.
+
+    The first time it takes some ten seconds to compile; then it is loaded from a cache on disk.
+    Where no such cache can be written it is compiled each time.
+    """
+    cached = _prepare_cache()
+    try:
+        kernel = kernels.compiled(cached=cached)
+    except ImportError:
+        return NUMPY
+    _warm_up(kernel)
+    return kernel
+
+
+def _prepare_cache() -> bool:
+    """Point numba at a folder of this very code's own; whether that can be written to.
+
+    numba looks at the entry function's file alone to see whether its cache is stale, so the
+    folder's name holds a digest of all that is compiled.  The environment's NUMBA_CACHE_DIR wins.
+    """
+    digest = hashlib.sha256()
+    for module in (*kernels.SOURCES, kernels):
+        digest.update(Path(str(module.__file__)).read_bytes())
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(given or user_cache_dir("companion")) / f"kernel-{digest.hexdigest()[:16]}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError:
+        return False
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    return True
+
+
+def _warm_up(kernel: Kernel) -> None:
+    """One small plan over flat ground: whatever is compiled late is compiled now."""
+    side_m, range_m = (-2_000.0, 2_000.0), 1_000.0
+    limits = Limits(
+        speed_m_s=10.0,
+        acceleration_m_s2=2.0,
+        climb_rate_m_s=2.0,
+        turn_radius_m=50.0,
+        climb_angle_rad=0.2,
+        dive_angle_rad=0.2,
+        floor_amsl_m=100.0,
+        ceiling_amsl_m=300.0,
+        north_m=side_m,
+        east_m=side_m,
+    )
+    settings = PlannerSettings(
+        scan_range_m=range_m, safety_distance_m=20.0, planning_time_s=1.0, evaluations=200
+    )
+    task = Task(limits=limits, settings=settings)
+    blank = empty_map(task.cell_m, side_m, side_m)
+    flat = replace(blank, upper_m=np.zeros_like(blank.upper_m))
+    start = hover_pose((0.0, 0.0, 150.0))
+    plan(
+        PlanRequest(
+            plan_id=1,
+            seed=1,
+            task=task,
+            known=flat,
+            scan_nea_m=start.point_nea_m,
+            start=start,
+            from_rest=True,
+            target_ne_m=(1_500.0, 0.0),
+        ),
+        kernel=kernel,
+    )
+
+
+@final
+class Planner:
+    """Plans with the compiled kernel as soon as there is one, until then with numpy.
+
+    In lockstep vehicle time stands still meanwhile, so it waits: the same seed, the same flight.
+    """
+
+    def __init__(self, *, lockstep: bool, load: Callable[[], Kernel] = load_kernel) -> None:
+        self._lockstep, self._load = lockstep, load
+        self._kernel = NUMPY
+        self._thread = threading.Thread(target=self._run, name="compiler", daemon=True)
+
+    def start(self) -> None:
+        """Begin to load the kernel."""
+        if self._thread.ident is None:
+            self._thread.start()
+
+    def _run(self) -> None:
+        self._kernel = self._load()
+
+    def __call__(self, request: PlanRequest, stop: Callable[[], bool]) -> PlanOutcome:
+        """One plan."""
+        self.start()
+        if self._lockstep:
+            self._thread.join()
+        return plan(request, stop, self._kernel)

@@ -1,0 +1,297 @@
+"""The certificate against brute force: never optimistic, and how tight; what it costs.
+
+python scripts/benchmarks/certificate.py [--cases 10000] [--seed 1] [--json FILE]
+"""
+
+import argparse
+import json
+import math
+import sys
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "path"))
+from brute_force import (
+    Case,
+    FloatArray,
+    Truth,
+    column_distance_m,
+    curve,
+    random_case,
+    stretches_nea_m,
+    surface_distance_m,
+    surface_truth_m,
+    truth,
+)
+
+from companion.path import proof
+from companion.path.certificate import (
+    Certificate,
+    Margins,
+    Prover,
+    certify,
+    pack_surroundings,
+)
+from companion.path.limits import Limits
+from companion.path.proof_distance import Surroundings
+from companion.path.subpath import Subpath
+from companion.world.known_map import empty_map
+from companion.world.simulated_scan import true_map
+from companion.world.terrain import Peak, PeakTerrain
+from companion.world.threats import CircleKeepOut, PolygonKeepOut, Radar
+
+_AT_MOST = ("climb_angle_rad", "dive_angle_rad", "highest_amsl_m", "off_map_m", "detection")
+_AT_LEAST = ("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "lowest_amsl_m")
+
+
+@dataclass
+class Tally:
+    cases: int = 0
+    proven: int = 0
+    optimistic: list[str] = field(default_factory=list)
+    safe: int = 0
+    safe_rejected: list[str] = field(default_factory=list)
+    safe_at_all: int = 0
+    """By the same truth that the proof is about (columns), without any allowance."""
+    safe_at_all_rejected: int = 0
+    pieces: list[int] = field(default_factory=list)
+
+
+def compiled() -> Prover | None:
+    """The prover in machine code, or None without numba."""
+    try:
+        import numba
+    except ImportError:
+        return None
+    for helper in proof.HELPERS:
+        numba.extending.register_jitable(helper)
+    return numba.njit(nogil=True)(proof.ENTRY)  # type: ignore[no-any-return]
+
+
+def optimistic(case: Case, told: Certificate, real: Truth) -> list[str]:
+    """The numbers of a certificate that the truth breaks."""
+    wrong = [
+        name for name in _AT_LEAST if getattr(told, name) > getattr(real, name) * (1 + 1e-9) + 2e-6
+    ]
+    wrong += [name for name in _AT_MOST if getattr(told, name) < getattr(real, name) - 2e-6]
+    if told.radar_m < real.radar_m - 0.002 * real.length_m:
+        wrong.append("radar_m")
+    if told.proven and not keeps(case, real, 0.0, 0.0, -2e-6):
+        wrong.append("proven")
+    if case.peaks is not None and told.proven:
+        near = 1.5 * case.margins.clearance_m
+        if surface_distance_m(case.peaks, real.nearest_nea_m, near) < told.clearance_m - 1e-3:
+            wrong.append("true surface")
+    return wrong
+
+
+def keeps(case: Case, real: Truth, terrain_m: float, dead_man_m: float, zone_m: float) -> bool:
+    """Whether the truth keeps all bounds, by the margins given (and 1 % of turn and angles)."""
+    limits, margins = case.limits, case.margins
+    part = 0.0 if zone_m < 0.0 else 0.01
+    return (
+        real.clearance_m >= margins.clearance_m + terrain_m - 2e-6
+        and real.keep_out_m >= margins.clearance_m + zone_m
+        and real.dead_man_m >= margins.contact_m + dead_man_m - 2e-6
+        and real.turn_radius_m >= limits.turn_radius_m * (1.0 + part - 1e-6)
+        and real.climb_angle_rad <= limits.climb_angle_rad * (1.0 - part + 1e-6)
+        and real.dive_angle_rad <= limits.dive_angle_rad * (1.0 - part + 1e-6)
+        and real.lowest_amsl_m >= limits.floor_amsl_m + margins.band_inset_m - 2e-6
+        and real.highest_amsl_m <= limits.ceiling_amsl_m - margins.band_inset_m + 2e-6
+        and real.off_map_m <= 2e-6
+    )
+
+
+def local_slope(case: Case, at_nea_m: FloatArray) -> float:
+    """Steepest slope of the true surface within the clearance of a point, horizontally."""
+    assert case.peaks is not None
+    reach = case.margins.clearance_m
+    steps = np.linspace(-reach, reach, 25)
+    heights = case.peaks.height_m(at_nea_m[0] + steps[:, None], at_nea_m[1] + steps[None, :])
+    slope_n, slope_e = np.gradient(heights, steps[1] - steps[0])
+    return float(np.hypot(slope_n, slope_e).max())
+
+
+def safe_by_far(case: Case, told: Certificate, real: Truth) -> bool:
+    """Whether a curve is safe by more than 2 % of d_s, or a cell times the local slope of peaks.
+
+    Against the surface of the peaks where that may make a difference, else against the columns.
+    """
+    margin = 0.02 * (case.margins.clearance_m - case.margins.contact_m)
+    if case.peaks is None or told.proven:
+        return keeps(case, real, margin, margin, margin)
+    if not set(told.broken) <= {"terrain clearance", "dead-man reach"}:
+        return keeps(case, real, -1e9, -1e9, margin)
+    curve_m = max(margin, case.known.cell_m * local_slope(case, real.nearest_nea_m))
+    ahead_m = max(margin, case.known.cell_m * local_slope(case, real.dead_man_nea_m))
+    # Of two points a cell apart (diagonally) on the surface one may be nearer than its column.
+    apart = 1.5 * math.hypot(case.known.cell_m, curve_m) + case.known.registration_m
+    if real.clearance_m < case.margins.clearance_m + curve_m - apart:
+        return False
+    points = curve(case.control_nea_m)(np.linspace(0.0, 1.0, 200))
+    clearance_m = min(surface_truth_m(case, points), _unknown_m(case, points))
+    if clearance_m < case.margins.clearance_m + curve_m:
+        return False
+    ahead = stretches_nea_m(case)
+    dead_man_m = min(surface_truth_m(case, ahead), _unknown_m(case, ahead), _zones_m(case))
+    surface = replace(real, clearance_m=clearance_m, dead_man_m=dead_man_m)
+    return keeps(case, surface, curve_m, ahead_m, margin)
+
+
+def _unknown_m(case: Case, points: FloatArray) -> float:
+    """Distance of points from what is not known, which has no surface."""
+    if np.isfinite(case.known.upper_m).all():
+        return np.inf
+    heights = np.where(np.isinf(case.known.upper_m), np.inf, -1e9)
+    return float(column_distance_m(replace(case.known, upper_m=heights), points).min())
+
+
+def _zones_m(case: Case) -> float:
+    n, e, _ = stretches_nea_m(case).T
+    return min((float(zone.distance_m(n, e).min()) for zone in case.keep_outs), default=np.inf)
+
+
+def measure(case: Case, prover: Prover, tally: Tally) -> None:
+    """One more case."""
+    told = certify(
+        Subpath(control_nea_m=case.control_nea_m),
+        case.surroundings(),
+        from_rest=case.from_rest,
+        prover=prover,
+    )
+    real = truth(case, samples=120)
+    tally.cases += 1
+    tally.proven += told.proven
+    tally.pieces.append(told.pieces)
+    tally.optimistic += optimistic(case, told, real)
+    if keeps(case, real, 0.0, 0.0, 0.0):
+        tally.safe_at_all += 1
+        tally.safe_at_all_rejected += not told.proven
+    if safe_by_far(case, told, real):
+        tally.safe += 1
+        if not told.proven:
+            tally.safe_rejected.append(", ".join(told.broken))
+
+
+def seconds_each(prover: Prover, rounds: int) -> list[float]:
+    """Time of certificates of a typical subpath scene: 20 km, 250 m cells, 3 zones, 10 radars."""
+    rng = np.random.default_rng(5)
+    here = typical_surroundings(rng)
+    subpaths = [Subpath(control_nea_m=typical_control(rng)) for _ in range(50)]
+    taken = []
+    for subpath in subpaths:
+        best = np.inf
+        for _ in range(rounds):
+            start = time.perf_counter()
+            certify(subpath, here, from_rest=False, prover=prover)
+            best = min(best, time.perf_counter() - start)
+        taken.append(best)
+    return taken
+
+
+def typical_surroundings(rng: np.random.Generator) -> Surroundings:
+    """Mountains about a scan circle of 20 km, as dense as in environment-2."""
+    size = 5e4
+    peaks = tuple(
+        Peak(
+            north_m=rng.uniform(0, size),
+            east_m=rng.uniform(0, size),
+            height_amsl_m=rng.uniform(500, 2_500),
+            spread_north_m=rng.uniform(2_000, 6_000),
+            spread_east_m=rng.uniform(2_000, 6_000),
+        )
+        for _ in range(25)
+    )
+    like = empty_map(250.0, (0.0, size), (0.0, size))
+    square = tuple((2.5e4 + n, 2.5e4 + e) for n, e in ((0, 0), (0, 2e3), (2e3, 2e3), (2e3, 0)))
+    return pack_surroundings(
+        true_map(PeakTerrain(peaks=peaks, ground_amsl_m=0.0), like),
+        Limits(
+            speed_m_s=150.0,
+            acceleration_m_s2=5.0,
+            climb_rate_m_s=20.0,
+            turn_radius_m=2_500.0,
+            climb_angle_rad=0.17,
+            dive_angle_rad=0.17,
+            floor_amsl_m=0.0,
+            ceiling_amsl_m=4_000.0,
+            north_m=(0.0, size),
+            east_m=(0.0, size),
+        ),
+        tuple(
+            Radar(name="r", centre_nea_m=(*rng.uniform(0, size, 2), 0.0), range_m=5_000.0)
+            for _ in range(10)
+        ),
+        (
+            CircleKeepOut(name="a", north_m=1.8e4, east_m=3e4, radius_m=1e3),
+            CircleKeepOut(name="b", north_m=3.2e4, east_m=2.2e4, radius_m=1e3),
+            PolygonKeepOut(name="c", vertices_ne_m=square),
+        ),
+        Margins(clearance_m=515.0, contact_m=15.0, band_inset_m=15.0, dead_man_s=3.5),
+        centre_ne_m=(2.5e4, 1.5e4),
+        reach_m=22e3,
+    )
+
+
+def typical_control(rng: np.random.Generator) -> FloatArray:
+    """Five control points of a gently turning subpath of about 20 km."""
+    heading = rng.uniform(-0.5, 0.5)
+    control = [np.array([2.5e4, 1.5e4, rng.uniform(1_500, 2_800)])]
+    for _ in range(4):
+        step = np.array([np.sin(heading), np.cos(heading), rng.uniform(-0.06, 0.06)])
+        control.append(control[-1] + 5_000.0 * step)
+        heading += rng.uniform(-0.5, 0.5)
+    return np.array(control)
+
+
+def rows(tally: Tally, times: dict[str, list[float]]) -> dict[str, Any]:
+    """The record."""
+    reasons: dict[str, int] = {}
+    for reason in tally.safe_rejected:
+        reasons[reason] = reasons.get(reason, 0) + 1
+    result: dict[str, Any] = {
+        "cases": tally.cases,
+        "proven": tally.proven,
+        "optimistic": len(tally.optimistic),
+        "safe by more than the allowance": tally.safe,
+        "of these rejected, %": 100.0 * len(tally.safe_rejected) / max(tally.safe, 1),
+        "rejected for": reasons,
+        "safe at all (columns)": tally.safe_at_all,
+        "of those rejected, %": 100.0 * tally.safe_at_all_rejected / max(tally.safe_at_all, 1),
+        "pieces, median": float(np.median(tally.pieces)),
+        "pieces, 95 %": float(np.percentile(tally.pieces, 95)),
+    }
+    for name, taken in times.items():
+        result[f"{name}, ms, median"] = 1e3 * float(np.median(taken))
+        result[f"{name}, ms, 95 %"] = 1e3 * float(np.percentile(taken, 95))
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    fast = compiled()
+    tally = Tally()
+    for k in range(asked.cases):
+        measure(random_case(np.random.default_rng([asked.seed, k])), fast or proof.prove, tally)
+        if tally.cases % 1_000 == 0:
+            print(f"{tally.cases} cases: {rows(tally, {})}", flush=True)
+    times = {"plain": seconds_each(proof.prove, 1)}
+    if fast is not None:
+        times["compiled"] = seconds_each(fast, 20)
+    table = rows(tally, times)
+    for name, value in table.items():
+        print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")
+    if asked.json is not None:
+        asked.json.write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

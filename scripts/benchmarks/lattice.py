@@ -1,0 +1,191 @@
+"""What a metre of a route costs, and the cheapest ways over a grid when everything is known.
+
+J = integral of [a1 100 / (2.4 R) + a2 100 (z - floor) / (ceiling - floor) / R + a5 300 p / R] ds:
+the objective of subpaths (eq. 5-7, 10, scaled as in planner-numbers A) per metre of route.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+import truth
+import worlds
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from worlds import BenchmarkWorld
+
+FloatArray = NDArray[np.float64]
+
+GRID_M = 500.0
+SURFACE_M = 125.0
+_REACH = 4  # lattice offsets: all coprime pairs up to this, 48 directions
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rates:
+    """Cost per metre, in metres of level flight at the floor; `unit`: J per such metre."""
+
+    unit: float
+    height: float
+    """At the ceiling."""
+    radar: float
+    """Per unit of detection probability."""
+
+    @staticmethod
+    def of(world: BenchmarkWorld) -> "Rates":
+        settings = world.task.settings
+        unit = settings.weights.length * 100.0 / (2.4 * settings.scan_range_m)
+        return Rates(
+            unit=unit,
+            height=settings.weights.height * 100.0 / settings.scan_range_m / unit,
+            radar=settings.weights.radar * 300.0 / settings.scan_range_m / unit,
+        )
+
+
+def cost_rate(points_nea_m: FloatArray, world: BenchmarkWorld) -> FloatArray:
+    """J per metre at points.  (S, 3) -> (S,)."""
+    rates = Rates.of(world)
+    band = world.ceiling_amsl_m - world.floor_amsl_m
+    total = 1.0 + rates.height * (points_nea_m[:, 2] - world.floor_amsl_m) / band
+    for radar in world.task.radars:
+        distance = np.linalg.norm(points_nea_m - np.asarray(radar.centre_nea_m), axis=-1)
+        seen = 1.0 / (1.0 + (distance / radar.range_m) ** 4)
+        total = total + rates.radar * np.where(distance <= radar.range_m, seen, 0.0)
+    return total * rates.unit
+
+
+def curve_cost(curve: truth.Curve, world: BenchmarkWorld, until_m: float = math.inf) -> float:
+    """J of a sampled curve, from its start as far as until_m along it."""
+    until = min(until_m, float(curve.length_m[-1]))
+    middle = 0.5 * (curve.points_nea_m[1:] + curve.points_nea_m[:-1])
+    pieces = np.clip(until - curve.length_m[:-1], 0.0, np.diff(curve.length_m))
+    return float(cost_rate(middle, world) @ pieces)
+
+
+# --- ways over the grid
+
+
+@final
+class Lattice:
+    """The world on a lattice of points, and the cheapest ways over it."""
+
+    def __init__(self, world: BenchmarkWorld, cell_m: float = GRID_M) -> None:
+        self.world, self.cell_m = world, cell_m
+        self.north_m, self.east_m = worlds.axes_m(world, cell_m)
+        fine = 0.5 * cell_m
+        north, east = worlds.axes_m(world, fine)
+        self.fine_shape = (2 * len(self.north_m) - 1, 2 * len(self.east_m) - 1)
+        surface = worlds.lowest_safe_m(world, SURFACE_M, world.task.required_clearance_m)
+        every = round(fine / SURFACE_M)
+        self.need_m = surface[::every, ::every][: self.fine_shape[0], : self.fine_shape[1]]
+        self._fine_ne = (north[: self.fine_shape[0], None], east[None, : self.fine_shape[1]])
+
+    def rate(self, *, over: bool, radar_free: bool, height: bool = True) -> FloatArray:
+        """Cost per metre at the points of a lattice twice as fine; infinite: closed."""
+        world, rates = self.world, Rates.of(self.world)
+        band = world.ceiling_amsl_m - world.floor_amsl_m
+        altitude = np.clip(self.need_m, world.floor_amsl_m, world.ceiling_amsl_m)
+        result = np.ones(self.fine_shape)
+        if height:
+            result += rates.height * (altitude - world.floor_amsl_m) / band
+        top = world.ceiling_amsl_m if over else world.floor_amsl_m + 15.0
+        result[self.need_m > top] = np.inf
+        north, east = self._fine_ne
+        for radar in world.task.radars:
+            n, e, z = radar.centre_nea_m
+            ratio2 = ((north - n) ** 2 + (east - e) ** 2 + (altitude - z) ** 2) / radar.range_m**2
+            inside = np.inf if radar_free else rates.radar / (1.0 + ratio2**2)
+            result += np.where(ratio2 <= 1.0, inside, 0.0)
+        for zone in world.task.keep_outs:
+            away = zone.distance_m(*np.broadcast_arrays(north, east))
+            result[away < world.task.required_clearance_m] = np.inf
+        return result
+
+    def ways(
+        self, rate: FloatArray, count: int, ends_ne_m: tuple[tuple[float, float], ...]
+    ) -> list[tuple[float, FloatArray]]:
+        """The cheapest way and others that differ: cost in metres, (N, 2) points."""
+        found: list[tuple[float, FloatArray]] = []
+        dearer = rate
+        for _ in range(count):
+            way = self._cheapest(dearer, ends_ne_m)
+            if way is None:
+                break
+            cost = self._along(rate, way)
+            route = np.stack([self.north_m[way[:, 0]], self.east_m[way[:, 1]]], axis=-1)
+            route[0], route[-1] = ends_ne_m
+            found.append((cost, route))
+            dearer = dearer * self._near(way, ends_ne_m)
+        return found
+
+    def _cheapest(
+        self, rate: FloatArray, ends_ne_m: tuple[tuple[float, float], ...]
+    ) -> NDArray[np.intp] | None:
+        graph = self._graph(rate)
+        columns = len(self.east_m)
+        begin, end = (
+            round((n - self.north_m[0]) / self.cell_m) * columns
+            + round((e - self.east_m[0]) / self.cell_m)
+            for n, e in ends_ne_m
+        )
+        costs, before = dijkstra(graph, indices=begin, return_predecessors=True)
+        if not np.isfinite(costs[end]):
+            return None
+        way = [end]
+        while way[-1] != begin:
+            way.append(int(before[way[-1]]))
+        cells = np.array(way[::-1])
+        return np.stack([cells // columns, cells % columns], axis=-1)
+
+    def _graph(self, rate: FloatArray) -> csr_array:
+        """Edges to all coprime offsets, each with its mean rate at quarters of the edge."""
+        rows, columns = len(self.north_m), len(self.east_m)
+        cell = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+        parts: list[tuple[FloatArray, NDArray[np.int32], NDArray[np.int32]]] = []
+        for i, j in _offsets():
+            a = cell[max(0, -i) : rows - max(0, i), max(0, -j) : columns - max(0, j)]
+            r, c = 2 * (a // columns), 2 * (a % columns)
+            mean = np.zeros(a.shape)
+            for t, weight in ((0.0, 0.5), (1.0, 0.5), *((k / 4, 1.0) for k in (1, 2, 3))):
+                mean += weight * rate[r + round(2 * i * t), c + round(2 * j * t)]
+            length = self.cell_m * math.hypot(i, j)
+            ok = np.isfinite(mean)
+            parts.append((mean[ok] * (0.25 * length), a[ok], a[ok] + i * columns + j))
+        costs, starts, ends = (np.concatenate(p) for p in zip(*parts, strict=True))
+        size = rows * columns
+        return csr_array((costs, (starts, ends)), shape=(size, size))
+
+    def _along(self, rate: FloatArray, way: NDArray[np.intp]) -> float:
+        total = 0.0
+        for (r, c), (s, d) in zip(way[:-1].tolist(), way[1:].tolist(), strict=True):
+            i, j = s - r, d - c
+            quarters = [
+                rate[2 * r + round(2 * i * k / 4), 2 * c + round(2 * j * k / 4)] for k in range(5)
+            ]
+            mean = 0.25 * (0.5 * quarters[0] + sum(quarters[1:4]) + 0.5 * quarters[4])
+            total += float(mean) * self.cell_m * math.hypot(i, j)
+        return total
+
+    def _near(
+        self, way: NDArray[np.intp], ends_ne_m: tuple[tuple[float, float], ...]
+    ) -> FloatArray:
+        """1.25 within 3 km of a way except near the ends, else 1."""
+        north, east = self._fine_ne
+        result = np.ones(self.fine_shape)
+        reach = 3_000.0
+        half = math.ceil(2.0 * reach / self.cell_m)
+        for r, c in (2 * way[:: max(round(1_000.0 / self.cell_m), 1)]).tolist():
+            at = float(north[r, 0]), float(east[0, c])
+            if min(math.dist(at, end) for end in ends_ne_m) > 8_000.0:
+                box = (slice(max(r - half, 0), r + half), slice(max(c - half, 0), c + half))
+                near = np.hypot(north[box[0]] - at[0], east[:, box[1]] - at[1]) <= reach
+                result[box][near] = 1.25
+        return result
+
+
+def _offsets() -> list[tuple[int, int]]:
+    span = range(-_REACH, _REACH + 1)
+    return [(i, j) for i in span for j in span if math.gcd(i, j) == 1]

@@ -1,0 +1,371 @@
+"""The best route of a mission when everything is known, by a method that is not companion's.
+
+1. `lattice`: Dijkstra over a 500 m grid with 48 directions, with the cost of the route (its length,
+   its height where only height keeps the clearance, radar exposure). Routes found are made dearer
+   and the search is run again, so that other ways round the obstacles come up too; with going
+   over obstacles allowed (the climb limit left out) and forbidden.
+2. `descent`: from each of these a clamped cubic B-spline with a free start heading, improved under
+   the rules that the planner must keep: true clearance, band, radars, turn radius, climb,
+   keep-outs. The best are refined with more control points.
+3. What comes out is checked densely with `truth`; where it breaks a bound by a little, the bound is
+   drawn in by as much and step 2 goes on. Only a feasible route counts, so the cost found is an
+   upper bound of the optimum's. How close: `--refine` (finer curves, more starts) and the grid's
+   cost, which leaves turn radius and climb limit out.
+
+    python scripts/benchmarks/optimum.py [--worlds 100] [--jobs 1] [--refine 3] [--again]
+"""
+
+import argparse
+import json
+import math
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import final
+
+import numpy as np
+import truth
+import worlds
+from descent import Margins, Problem, Smooth
+from lattice import GRID_M, SURFACE_M, Lattice, Rates, curve_cost
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from worlds import BenchmarkWorld
+
+from companion.world.threats import Radar
+
+FloatArray = NDArray[np.float64]
+
+OPTIMA = Path(__file__).with_name("optima.json")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Optimum:
+    """The best feasible route that was found."""
+
+    fingerprint: str
+    cost: float
+    """J."""
+    length_m: float
+    shortest_m: float
+    """Length of the shortest radar-free way over the grid at the floor of the band."""
+    grid_cost: float
+    """J of the best way over the grid, without turn radius and climb limit."""
+    radar_m: float
+    starts: int
+    """Curves that were tried."""
+    control_nea_m: tuple[tuple[float, float, float], ...]
+
+
+# --- from a way over the grid to a feasible curve
+
+
+@final
+class Solver:
+    """Everything about one world that its curves share."""
+
+    def __init__(self, world: BenchmarkWorld) -> None:
+        if len(world.targets_ne_m) != 1:
+            raise ValueError("the optimum is that of one start and one target")
+        self.world = world
+        self.ends_ne_m = (world.start_nea_m[:2], world.targets_ne_m[0])
+        self.lattice = Lattice(world)
+        north, east = worlds.axes_m(world, SURFACE_M)
+        need = worlds.lowest_safe_m(world, SURFACE_M, world.task.required_clearance_m)
+        self.surface = Smooth(north, east, need)
+        self.tried = 0
+
+    def candidates(self, each: int, most: int, worst: float) -> list[tuple[float, FloatArray]]:
+        """Ways over the grid that differ, the cheapest first, none dearer than worst times it.
+
+        -> cost in metres of level flight, (N, 2) points.
+        """
+        found: list[tuple[float, FloatArray]] = []
+        for over, radar_free in ((False, True), (True, True), (True, False)):
+            rate = self.lattice.rate(over=over, radar_free=radar_free)
+            found += self.lattice.ways(rate, each, self.ends_ne_m)
+        found.sort(key=lambda way: way[0])
+        chosen: list[tuple[float, FloatArray]] = []
+        for cost, route in found:
+            shape = _evenly(route, 120)
+            near_any = any(_apart_m(shape, _evenly(other, 120)) < 1_500.0 for _, other in chosen)
+            if cost <= worst * found[0][0] and not near_any and len(chosen) < most:
+                chosen.append((cost, route))
+        return chosen
+
+    def curve(self, route_ne_m: FloatArray, points: int) -> FloatArray:
+        """A first curve along a way: control points evenly along it, high enough for the ground.
+
+        Where a way goes over an obstacle the climb begins early enough.
+        """
+        at = _evenly(route_ne_m, points)
+        fine = _evenly(route_ne_m, 8 * points)
+        need = self.surface.at(fine)[0]
+        along = np.linspace(0.0, _length_m(fine), len(fine))
+        slope = 0.9 * math.tan(self.world.task.limits.climb_angle_rad)
+        away = np.abs(along[None, :] - np.linspace(0.0, along[-1], points)[:, None])
+        altitude = (need[None, :] - slope * away).max(axis=1)
+        altitude = np.clip(altitude, self.world.floor_amsl_m, self.world.ceiling_amsl_m)
+        altitude[0] = self.world.start_nea_m[2]
+        return np.column_stack([at, altitude])
+
+    def entered(self, route_ne_m: FloatArray) -> tuple[Radar, ...]:
+        """The radars that a way over the grid goes through."""
+        points = self.curve(route_ne_m, 400)
+        return tuple(
+            radar
+            for radar in self.world.task.radars
+            if np.linalg.norm(points - np.asarray(radar.centre_nea_m), axis=-1).min()
+            < radar.range_m - 0.5 * GRID_M
+        )
+
+    def improved(
+        self, control: FloatArray, soft: tuple[Radar, ...], rounds: int, iterations: int
+    ) -> FloatArray:
+        """The curve after the augmented Lagrangian."""
+        self.tried += 1
+        problem = Problem(self.world, self.surface, len(control), soft, Margins())
+        return problem.improve(control, rounds, iterations)
+
+    def mended(
+        self, control: FloatArray, soft: tuple[Radar, ...], iterations: int
+    ) -> tuple[float, FloatArray]:
+        """Cost of a feasible curve near this one, infinite if none was found; the curve."""
+        margins = Margins()
+        for _ in range(5):
+            curve = truth.sampled(control, 2.0)
+            measures = self.measured(curve)
+            broken = self.violations(measures)
+            if not broken and radar_intrusion_m(curve, self.world, soft) <= 0.0:
+                return curve_cost(curve, self.world), control
+            margins = self._drawn_in(margins, measures, curve, soft)
+            problem = Problem(self.world, self.surface, len(control), soft, margins)
+            control = problem.improve(control, 3, iterations)
+        return math.inf, control
+
+    @property
+    def required_m(self) -> float:
+        """Distance of the curve from the terrain."""
+        return self.world.task.required_clearance_m
+
+    def violations(self, measures: truth.Measures) -> tuple[str, ...]:
+        """The bounds that are broken."""
+        task = self.world.task
+        return measures.violations(task.limits, task.required_clearance_m, task.error_m)
+
+    def measured(self, curve: truth.Curve) -> truth.Measures:
+        """Everything about one sampled curve."""
+        task = self.world.task
+        return truth.measure(
+            curve,
+            terrain=self.world.terrain,
+            limits=task.limits,
+            radars=task.radars,
+            keep_outs=task.keep_outs,
+            required_clearance_m=task.required_clearance_m,
+        )
+
+    def _drawn_in(
+        self,
+        margins: Margins,
+        measures: truth.Measures,
+        curve: truth.Curve,
+        soft: tuple[Radar, ...],
+    ) -> Margins:
+        limits = self.world.task.limits
+        short = max(self.required_m - measures.clearance_m, 0.0)
+        steepest = max(
+            math.tan(measures.climb_rad) / math.tan(limits.climb_angle_rad),
+            math.tan(measures.dive_rad) / math.tan(limits.dive_angle_rad),
+        )
+        into = max(
+            radar_intrusion_m(curve, self.world, soft), self.required_m - measures.keep_out_m, 0.0
+        )
+        return replace(
+            margins,
+            clearance_m=margins.clearance_m + 1.6 * short,
+            radar_m=margins.radar_m + 1.2 * into,
+            turn=margins.turn + 1.2 * max(limits.turn_radius_m / measures.turn_radius_m - 1.0, 0.0),
+            climb=margins.climb + 1.2 * max(steepest - 1.0, 0.0),
+        )
+
+
+def radar_intrusion_m(
+    curve: truth.Curve, world: BenchmarkWorld, soft: tuple[Radar, ...] = ()
+) -> float:
+    """How deep a curve goes into radar ranges, soft ones left out; negative: outside all."""
+    depths = [
+        radar.range_m
+        - float(np.linalg.norm(curve.points_nea_m - np.asarray(radar.centre_nea_m), axis=-1).min())
+        for radar in world.task.radars
+        if radar not in soft
+    ]
+    return max(depths, default=-math.inf)
+
+
+def refined(control: FloatArray, points: int) -> FloatArray:
+    """The same curve, nearly, with another number of control points."""
+    u = np.linspace(0.0, 1.0, 20 * points)
+    target, basis = truth.spline(control)(u), truth.spline(np.eye(points))(u)
+    inner = target - np.outer(basis[:, 0], control[0]) - np.outer(basis[:, -1], control[-1])
+    middle = np.linalg.lstsq(basis[:, 1:-1], inner, rcond=None)[0]
+    return np.concatenate([control[:1], middle, control[-1:]])
+
+
+def optimum(world: BenchmarkWorld, *, effort: int = 1) -> Optimum:
+    """The best route; effort 2 and more: more starts and finer curves.
+
+    A way's cost over the grid is within 0.4 % of what its curve costs, or below it where the curve
+    cannot follow: ways that are dearer than that need no curve.
+    """
+    solver, unit = Solver(world), Rates.of(world).unit
+    best, best_control = math.inf, np.empty((0, 3))
+    for grid_m, route in solver.candidates(3 * effort, 6 * effort, 1.0 + 0.12 * effort):
+        if unit * grid_m * (1.0 - 0.004 * effort) > best:
+            break
+        for soft in {(), solver.entered(route)}:
+            control = solver.improved(solver.curve(route, 30), soft, 5, 100)
+            finer = solver.improved(refined(control, 60 * effort), soft, 5, 120 * effort)
+            rough = curve_cost(truth.sampled(finer, 50.0), world)
+            if rough > 1.01 * best:
+                continue
+            cost, mended = solver.mended(finer, soft, 100 * effort)
+            if cost < best:
+                best, best_control = cost, mended
+    return _described(solver, best, best_control)
+
+
+def _described(solver: Solver, cost: float, control: FloatArray) -> Optimum:
+    world, lattice = solver.world, solver.lattice
+    if not math.isfinite(cost):
+        raise ValueError(f"{world.name}: no feasible route was found")
+    shortest = lattice.ways(
+        lattice.rate(over=False, radar_free=True, height=False), 1, solver.ends_ne_m
+    )
+    cheapest = lattice.ways(lattice.rate(over=True, radar_free=False), 1, solver.ends_ne_m)
+    measures = solver.measured(truth.sampled(control, 1.0))
+    return Optimum(
+        fingerprint=world.fingerprint,
+        cost=cost,
+        length_m=measures.length_m,
+        shortest_m=shortest[0][0] if shortest else math.inf,
+        grid_cost=cheapest[0][0] * Rates.of(world).unit,
+        radar_m=measures.radar_m,
+        starts=solver.tried,
+        control_nea_m=tuple(tuple(round(v, 6) for v in row) for row in control.tolist()),
+    )
+
+
+def _evenly(route: FloatArray, count: int) -> FloatArray:
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=-1))])
+    at = np.linspace(0.0, along[-1], count)
+    return np.stack([np.interp(at, along, column) for column in route.T], axis=-1)
+
+
+def _length_m(route: FloatArray) -> float:
+    return float(np.linalg.norm(np.diff(route, axis=0), axis=-1).sum())
+
+
+def _apart_m(a: FloatArray, b: FloatArray) -> float:
+    """The greatest distance from a point of one route to the other."""
+    between = np.linalg.norm(a[:, None] - b[None, :], axis=-1)
+    return float(max(between.min(axis=0).max(), between.min(axis=1).max()))
+
+
+# --- the file of optima
+
+
+def load() -> dict[str, Optimum]:
+    """What has been computed before, by fingerprint of the world."""
+    if not OPTIMA.is_file():
+        return {}
+    rows = json.loads(OPTIMA.read_text(encoding="utf-8"))
+    return {
+        row["fingerprint"]: Optimum(
+            **{**row, "control_nea_m": tuple(tuple(p) for p in row["control_nea_m"])}
+        )
+        for row in rows.values()
+    }
+
+
+def store(name: str, found: Optimum) -> None:
+    """Add one optimum to the file, by the world's name."""
+    rows = json.loads(OPTIMA.read_text(encoding="utf-8")) if OPTIMA.is_file() else {}
+    rows[name] = {key: getattr(found, key) for key in Optimum.__slots__}
+    ordered = {key: rows[key] for key in sorted(rows, key=_in_order)}
+    lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(row)}" for key, row in ordered.items())
+    OPTIMA.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
+
+
+def _in_order(name: str) -> tuple[str, int]:
+    kind, _, number = name.rpartition("-")
+    return kind, int(number)
+
+
+def _job(name: str, effort: int) -> tuple[str, Optimum | str, float]:
+    began_s = time.perf_counter()
+    try:
+        found: Optimum | str = optimum(worlds.by_name(name), effort=effort)
+    except ValueError as error:
+        found = str(error)
+    return name, found, time.perf_counter() - began_s
+
+
+def compute(names: list[str], jobs: int, effort: int, console: Console) -> dict[str, Optimum]:
+    """Find and store the optima of worlds; a better one that is stored already stays."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # the matrices are small: threads only get in the way
+    results: dict[str, Optimum] = {}
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        for future in [pool.submit(_job, name, effort) for name in names]:
+            name, found, took_s = future.result()
+            if isinstance(found, str):
+                console.print(f"[red]{found}[/red]")
+                continue
+            known = load().get(found.fingerprint)
+            if known is None or found.cost < known.cost:
+                store(name, found)
+            results[name] = found
+            console.print(
+                f"{name}: J* = {found.cost:.4f} ({found.length_m / 1000:.2f} km, "
+                f"grid {found.grid_cost:.4f}, {found.starts} curves, {took_s:.0f} s)"
+            )
+    return results
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--worlds", type=int, default=100, help="dense worlds")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--refine", type=int, default=0, metavar="N",
+                        help="search N worlds again, harder, and compare")  # fmt: skip
+    parser.add_argument("--again", action="store_true", help="search again what is stored")
+    options = parser.parse_args()
+    console = Console(highlight=False)
+    names = ["environment-1", "environment-2", *(f"dense-{k}" for k in range(options.worlds))]
+    known = load()
+    todo = [n for n in names if options.again or worlds.by_name(n).fingerprint not in known]
+    compute(todo, options.jobs, 1, console)
+    if options.refine:
+        first = load()
+        harder = compute(names[1 : 1 + options.refine], options.jobs, 2, console)
+        table = Table("world", "J*", "J*, harder", "by which it was too high", "over the grid")
+        for name, found in harder.items():
+            before = first[found.fingerprint].cost
+            table.add_row(
+                name,
+                f"{before:.4f}",
+                f"{found.cost:.4f}",
+                f"{100.0 * (before / found.cost - 1.0):.3f} %",
+                f"{100.0 * (before / found.grid_cost - 1.0):+.2f} %",
+            )
+        console.print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,276 @@
+"""What a curve truly is, measured without a line of companion's code for curves or clearance.
+
+Curves are evaluated by scipy's BSpline. The distance to the terrain is the true Euclidean one: the
+solid is the union of what lies under each mountain (eq. 1, the highest counts) and under the
+plain, so the distance to it is the least of the distances to each. For one mountain the nearest
+point is found by Newton's method from the point below, at every sample for which a bound that
+needs no search does not show it to be far; the worst samples are searched again by brute force.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from companion.path.limits import Limits
+from companion.world.terrain import Peak, PeakTerrain
+from companion.world.threats import CircleKeepOut, KeepOut, Radar
+
+FloatArray = NDArray[np.float64]
+
+_STEEPEST = math.sqrt(2.0) * math.exp(-0.5)  # of exp(-x^2), times height over spread: 0.858
+_NEWTON_STEPS = 25
+_CONVERGED_M = 1e-3
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Curve:
+    """Samples of a curve: parameter and length (S,), the rest (S, 3)."""
+
+    u: FloatArray
+    length_m: FloatArray
+    points_nea_m: FloatArray
+    first: FloatArray
+    second: FloatArray
+
+    @property
+    def curvature_1_m(self) -> FloatArray:
+        """Horizontal, signed: positive turns from north to east."""
+        (n1, e1), (n2, e2) = self.first[:, :2].T, self.second[:, :2].T
+        return (n1 * e2 - e1 * n2) / np.maximum(np.hypot(n1, e1), 1e-12) ** 3
+
+    @property
+    def climb_rad(self) -> FloatArray:
+        return np.arctan2(self.first[:, 2], np.hypot(self.first[:, 0], self.first[:, 1]))
+
+
+def spline(control_nea_m: FloatArray) -> BSpline:
+    """The clamped cubic B-spline over 0 <= u <= 1 with uniform inner knots."""
+    inner = np.linspace(0.0, 1.0, len(control_nea_m) - 2)
+    return BSpline(np.concatenate([np.zeros(3), inner, np.ones(3)]), control_nea_m, 3)
+
+
+def sampled(control_nea_m: FloatArray, spacing_m: float) -> Curve:
+    """The curve at about equal spacing, ends included."""
+    curve = spline(control_nea_m)
+    table = np.linspace(0.0, 1.0, 4001)
+    speed = np.linalg.norm(curve.derivative()(table), axis=-1)
+    middle = np.linalg.norm(curve.derivative()(table[:-1] + 0.5 / 4000.0), axis=-1)
+    steps = (speed[:-1] + 4.0 * middle + speed[1:]) / 24000.0  # Simpson
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    count = max(math.ceil(along[-1] / spacing_m), 2)
+    length = np.linspace(0.0, along[-1], count + 1)
+    u = np.interp(length, along, table)
+    return Curve(
+        u=u,
+        length_m=length,
+        points_nea_m=curve(u),
+        first=curve.derivative()(u),
+        second=curve.derivative(2)(u),
+    )
+
+
+# --- terrain
+
+
+def height_m(terrain: PeakTerrain, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+    """Eq. 1, the highest of all peaks and the plain.  (...) x2 -> (...)."""
+    if terrain.sum_of_peaks:
+        raise ValueError("the benchmark's worlds take the highest of the peaks, not their sum")
+    result = np.full(np.broadcast_shapes(north_m.shape, east_m.shape), terrain.ground_amsl_m)
+    for peak in terrain.peaks:
+        x = (north_m - peak.north_m) / peak.spread_north_m
+        y = (east_m - peak.east_m) / peak.spread_east_m
+        np.maximum(result, peak.height_amsl_m * np.exp(-x * x - y * y), out=result)
+    return result
+
+
+def terrain_distance_m(
+    points_nea_m: FloatArray, terrain: PeakTerrain, up_to_m: float
+) -> FloatArray:
+    """Distance of points to the ground, at most up_to_m; negative inside.  (S, 3) -> (S,)."""
+    result = np.minimum(points_nea_m[:, 2] - terrain.ground_amsl_m, up_to_m)
+    low = float(points_nea_m[:, 2].min())
+    for peak in terrain.peaks:
+        if peak.height_amsl_m < low - up_to_m:
+            continue
+        steepest = _STEEPEST * peak.height_amsl_m / min(peak.spread_north_m, peak.spread_east_m)
+        above = points_nea_m[:, 2] - _peak_height_m(peak, points_nea_m[:, :2])
+        inside = above <= 0.0
+        result[inside] = np.minimum(result[inside], above[inside])
+        near = ~inside & (above / math.hypot(1.0, steepest) < result)
+        if near.any():
+            found = _peak_distance_m(peak, points_nea_m[near])
+            result[near] = np.minimum(result[near], found)
+    return result
+
+
+def _peak_height_m(peak: Peak, at_ne_m: FloatArray) -> FloatArray:
+    x = (at_ne_m[:, 0] - peak.north_m) / peak.spread_north_m
+    y = (at_ne_m[:, 1] - peak.east_m) / peak.spread_east_m
+    return peak.height_amsl_m * np.exp(-x * x - y * y)
+
+
+def _peak_distance_m(peak: Peak, points_nea_m: FloatArray) -> FloatArray:
+    """Distance of points above one mountain to its surface.  (S, 3) -> (S,)."""
+    at, foot = points_nea_m[:, :2], points_nea_m[:, :2].copy()
+    centre = np.array([peak.north_m, peak.east_m])
+    spread2 = np.array([peak.spread_north_m, peak.spread_east_m]) ** 2
+    limit_m = 0.25 * math.sqrt(float(spread2.min()))  # a trust region
+    residual = np.full(len(at), np.inf)
+    for _ in range(_NEWTON_STEPS):
+        height = _peak_height_m(peak, foot)
+        above = points_nea_m[:, 2] - height
+        scaled = (foot - centre) / spread2
+        slope = -2.0 * height[:, None] * scaled
+        gradient = foot - at - above[:, None] * slope
+        residual = np.hypot(gradient[:, 0], gradient[:, 1])
+        if residual.max() < _CONVERGED_M:
+            break
+        curved_n = height * (4.0 * scaled[:, 0] ** 2 - 2.0 / spread2[0])
+        curved_e = height * (4.0 * scaled[:, 1] ** 2 - 2.0 / spread2[1])
+        curved_ne = 4.0 * height * scaled[:, 0] * scaled[:, 1]
+        nn = 1.0 + slope[:, 0] ** 2 - above * curved_n
+        ee = 1.0 + slope[:, 1] ** 2 - above * curved_e
+        ne = slope[:, 0] * slope[:, 1] - above * curved_ne
+        bent = (nn <= 0.05) | (nn * ee - ne * ne <= 0.05 * nn)  # not convex there: Gauss-Newton
+        nn = np.where(bent, 1.0 + slope[:, 0] ** 2, nn)
+        ee = np.where(bent, 1.0 + slope[:, 1] ** 2, ee)
+        ne = np.where(bent, slope[:, 0] * slope[:, 1], ne)
+        det = nn * ee - ne * ne
+        step = np.stack(
+            [
+                (ee * gradient[:, 0] - ne * gradient[:, 1]) / det,
+                (nn * gradient[:, 1] - ne * gradient[:, 0]) / det,
+            ],
+            axis=-1,
+        )
+        size = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-12)
+        foot = foot - step * np.minimum(1.0, limit_m / size)[:, None]
+    result = _to_foot_m(peak, points_nea_m, foot)
+    again = set(np.nonzero(residual >= 1.0)[0][:50].tolist()) | {int(np.argmin(result))}
+    for index in again:
+        result[index] = min(result[index], brute_distance_m(peak, points_nea_m[index]))
+    return result
+
+
+def _to_foot_m(peak: Peak, points_nea_m: FloatArray, foot_ne_m: FloatArray) -> FloatArray:
+    above = np.maximum(points_nea_m[:, 2] - _peak_height_m(peak, foot_ne_m), 0.0)
+    aside = points_nea_m[:, :2] - foot_ne_m
+    return np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2 + above**2)
+
+
+def brute_distance_m(peak: Peak, point_nea_m: FloatArray) -> float:
+    """Distance of one point to one mountain by ever finer grids about it, to centimetres."""
+    centre = point_nea_m[:2]
+    half = float(point_nea_m[2] - _peak_height_m(peak, point_nea_m[None, :2])[0])
+    nearest = half
+    while half > 0.05:
+        axis = np.linspace(-half, half, 61)
+        north, east = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
+        feet = centre + np.stack([north, east], axis=-1)
+        distance = _to_foot_m(peak, np.broadcast_to(point_nea_m, (len(feet), 3)), feet)
+        best = int(np.argmin(distance))
+        nearest = min(nearest, float(distance[best]))
+        centre, half = feet[best], half / 10.0
+    return nearest
+
+
+# --- bounds
+
+
+def keep_out_distance_m(points_nea_m: FloatArray, zone: KeepOut) -> FloatArray:
+    """Horizontal distance to the edge of a zone, negative inside.  (S, 3) -> (S,)."""
+    at = points_nea_m[:, :2]
+    if isinstance(zone, CircleKeepOut):
+        return np.linalg.norm(at - (zone.north_m, zone.east_m), axis=-1) - zone.radius_m
+    corners = np.asarray(zone.vertices_ne_m)
+    nearest = np.full(len(at), np.inf)
+    winding = np.zeros(len(at))
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        side = b - a
+        along = np.clip((at - a) @ side / max(float(side @ side), 1e-12), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(at - a - along[:, None] * side, axis=-1))
+        p, q = a - at, b - at
+        winding += np.arctan2(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0], np.sum(p * q, axis=-1))
+    return np.where(np.abs(winding) > math.pi, -nearest, nearest)
+
+
+def radar_m(points_nea_m: FloatArray, radars: tuple[Radar, ...], length_m: float) -> float:
+    """Length of a curve inside radar ranges."""
+    inside = np.zeros(len(points_nea_m), dtype=bool)
+    for radar in radars:
+        offset = points_nea_m - np.asarray(radar.centre_nea_m)
+        inside |= np.einsum("sk,sk->s", offset, offset) < radar.range_m**2
+    return float(inside.mean()) * length_m
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measures:
+    """The worst of everything over one curve."""
+
+    length_m: float
+    clearance_m: float
+    """True distance to the terrain; at most twice what is required."""
+    keep_out_m: float
+    turn_radius_m: float
+    climb_rad: float
+    dive_rad: float
+    lowest_amsl_m: float
+    highest_amsl_m: float
+    off_map_m: float
+    radar_m: float
+
+    def violations(
+        self, limits: Limits, required_clearance_m: float, band_inset_m: float
+    ) -> tuple[str, ...]:
+        """The bounds that are broken by more than rounding."""
+        inset, little = band_inset_m, 1e-6
+        bounds = (
+            ("terrain clearance", self.clearance_m >= required_clearance_m - 0.01),
+            ("keep-out zone", self.keep_out_m >= required_clearance_m - 0.01),
+            ("turn radius", self.turn_radius_m >= limits.turn_radius_m * (1.0 - little)),
+            ("climb angle", self.climb_rad <= limits.climb_angle_rad + little),
+            ("dive angle", self.dive_rad <= limits.dive_angle_rad + little),
+            ("floor of the band", self.lowest_amsl_m >= limits.floor_amsl_m + inset - 0.01),
+            ("ceiling of the band", self.highest_amsl_m <= limits.ceiling_amsl_m - inset + 0.01),
+            ("edge of the map", self.off_map_m <= 0.01),
+        )
+        return tuple(name for name, kept in bounds if not kept)
+
+
+def measure(
+    curve: Curve,
+    *,
+    terrain: PeakTerrain,
+    limits: Limits,
+    radars: tuple[Radar, ...],
+    keep_outs: tuple[KeepOut, ...],
+    required_clearance_m: float,
+) -> Measures:
+    """Everything about one sampled curve."""
+    points = curve.points_nea_m
+    clearance = terrain_distance_m(points, terrain, 2.0 * required_clearance_m)
+    zones = [float(keep_out_distance_m(points, zone).min()) for zone in keep_outs]
+    beyond = [
+        max(edges[0] - float(points[:, axis].min()), float(points[:, axis].max()) - edges[1])
+        for axis, edges in enumerate((limits.north_m, limits.east_m))
+    ]
+    climb = curve.climb_rad
+    return Measures(
+        length_m=float(curve.length_m[-1]),
+        clearance_m=float(clearance.min()),
+        keep_out_m=min(zones, default=math.inf),
+        turn_radius_m=float(1.0 / max(np.abs(curve.curvature_1_m).max(), 1e-9)),
+        climb_rad=float(climb.max()),
+        dive_rad=float(-climb.min()),
+        lowest_amsl_m=float(points[:, 2].min()),
+        highest_amsl_m=float(points[:, 2].max()),
+        off_map_m=max(*beyond, 0.0),
+        radar_m=radar_m(points, radars, float(curve.length_m[-1])),
+    )

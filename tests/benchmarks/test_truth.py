@@ -1,0 +1,156 @@
+import math
+
+import numpy as np
+import pytest
+import truth
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from companion.path.limits import Limits
+from companion.world.terrain import Peak, PeakTerrain
+from companion.world.threats import CircleKeepOut, PolygonKeepOut, Radar
+
+FloatArray = NDArray[np.float64]
+
+TERRAIN = PeakTerrain(
+    peaks=(
+        Peak(north_m=0.0, east_m=0.0, height_amsl_m=5_000.0, spread_north_m=4e3, spread_east_m=3e3),
+        Peak(north_m=7e3, east_m=2e3, height_amsl_m=3_800.0, spread_north_m=3e3, spread_east_m=5e3),
+    ),
+    ground_amsl_m=0.0,
+)
+LIMITS = Limits(
+    speed_m_s=150.0,
+    acceleration_m_s2=5.0,
+    climb_rate_m_s=25.0,
+    turn_radius_m=2_500.0,
+    climb_angle_rad=0.17,
+    dive_angle_rad=0.17,
+    floor_amsl_m=3_000.0,
+    ceiling_amsl_m=5_000.0,
+    north_m=(-20e3, 20e3),
+    east_m=(-20e3, 20e3),
+    tracking_error_m=15.0,
+)
+
+
+def surface_samples(terrain: PeakTerrain, spacing_m: float) -> FloatArray:
+    axis = np.arange(-12e3, 12e3, spacing_m)
+    north, east = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
+    height = np.full(north.shape, terrain.ground_amsl_m)
+    for p in terrain.peaks:
+        bell = ((north - p.north_m) / p.spread_north_m) ** 2
+        bell += ((east - p.east_m) / p.spread_east_m) ** 2
+        height = np.maximum(height, p.height_amsl_m * np.exp(-bell))
+    return np.stack([north, east, height], axis=-1)
+
+
+def test_distance_to_the_terrain_is_that_to_the_nearest_of_many_surface_points() -> None:
+    spacing_m = 50.0
+    samples = surface_samples(TERRAIN, spacing_m)
+    rng = np.random.default_rng(1)
+    points = np.column_stack([rng.uniform(-8e3, 10e3, (1_500, 2)), rng.uniform(3e3, 5e3, 1_500)])
+    points = points[points[:, 2] > truth.height_m(TERRAIN, points[:, 0], points[:, 1])]
+    found = truth.terrain_distance_m(points, TERRAIN, 1_500.0)
+    brute = np.minimum(cKDTree(samples).query(points)[0], 1_500.0)
+    assert np.all(found <= brute + 1e-3)  # every surface sample is at least as far as the nearest
+    too_far = np.sqrt(found**2 + spacing_m**2)  # a sample lies within half a diagonal of the foot
+    assert np.all(brute <= too_far + 3.0)
+    assert np.sum(found < 1_000.0) > 100
+
+
+def test_a_finer_search_about_the_worst_point_finds_nothing_nearer() -> None:
+    rng = np.random.default_rng(2)
+    peak = TERRAIN.peaks[0]
+    for _ in range(20):
+        point = np.array([*rng.uniform(-4e3, 4e3, 2), 5_200.0])
+        found = truth.terrain_distance_m(point[None], TERRAIN, 9e3)[0]
+        assert found <= truth.brute_distance_m(peak, point) + 1e-2
+
+
+def test_distance_is_negative_inside_a_mountain() -> None:
+    inside = np.array([[0.0, 0.0, 4_900.0]])
+    assert truth.terrain_distance_m(inside, TERRAIN, 500.0)[0] < 0.0
+
+
+def test_four_control_points_are_a_bezier_curve() -> None:
+    p = np.random.default_rng(3).normal(size=(4, 3))
+    u = 0.3
+    bernstein = [math.comb(3, k) * u**k * (1 - u) ** (3 - k) for k in range(4)]
+    np.testing.assert_allclose(truth.spline(p)(u), bernstein @ p, rtol=1e-12)
+
+
+def test_samples_are_evenly_spaced_and_give_the_length_of_a_straight_line() -> None:
+    control = np.array([[0.0, 0, 0], [100, 0, 0], [2_000, 0, 0], [2_100, 0, 0], [9_000, 0, 0]])
+    curve = truth.sampled(control, 1.0)
+    assert curve.length_m[-1] == pytest.approx(9_000.0, rel=1e-9)
+    steps = np.linalg.norm(np.diff(curve.points_nea_m, axis=0), axis=-1)
+    np.testing.assert_allclose(steps, 1.0, atol=0.01)
+
+
+def test_curvature_at_the_start_is_that_of_the_control_polygon() -> None:
+    h, r2 = 700.0, 2_000.0  # (2 / 3) h / r2^2: planner-numbers E
+    control = np.array([[0.0, 0, 0], [r2, 0, 0], [5_000, h, 0], [9_000, 4_000, 0]])
+    curve = truth.sampled(control, 10.0)
+    assert curve.curvature_1_m[0] == pytest.approx(2.0 / 3.0 * h / r2**2, rel=1e-9)
+
+
+def test_keep_out_distances_are_those_to_many_points_of_the_edge() -> None:
+    corners = ((0.0, 0.0), (4e3, 0.0), (4e3, 3e3), (2e3, 1e3), (0.0, 3e3))
+    zone = PolygonKeepOut(name="p", vertices_ne_m=corners)
+    edge = np.concatenate(
+        [
+            np.linspace(a, b, 2_000)
+            for a, b in zip(np.array(corners), np.roll(np.array(corners), -1, axis=0), strict=True)
+        ]
+    )
+    points = np.column_stack([np.random.default_rng(4).uniform(-2e3, 6e3, (500, 2)), np.zeros(500)])
+    found = truth.keep_out_distance_m(points, zone)
+    np.testing.assert_allclose(np.abs(found), cKDTree(edge).query(points[:, :2])[0], atol=3.0)
+    assert truth.keep_out_distance_m(np.array([[2e3, 500.0, 0.0]]), zone)[0] < 0.0
+    assert truth.keep_out_distance_m(np.array([[2e3, 2.5e3, 0.0]]), zone)[0] > 0.0
+    circle = CircleKeepOut(name="c", north_m=0.0, east_m=0.0, radius_m=5.0)
+    assert truth.keep_out_distance_m(np.array([[3.0, 4.0, 99.0]]), circle)[0] == 0.0
+
+
+def test_radar_metres_are_the_chord_through_the_sphere() -> None:
+    control = np.array([[x, 600.0, 800.0] for x in np.linspace(-5_000.0, 5_000.0, 4)])
+    curve = truth.sampled(control, 1.0)
+    radar = Radar(name="r", centre_nea_m=(0.0, 0.0, 0.0), range_m=2_000.0)
+    chord = 2.0 * math.sqrt(2_000.0**2 - 1_000.0**2)
+    assert truth.radar_m(curve.points_nea_m, (radar,), 10_000.0) == pytest.approx(chord, abs=3.0)
+
+
+def level(altitude_m: float, *, bend_m: float = 0.0, climb_m: float = 0.0) -> FloatArray:
+    return np.array(
+        [
+            [-15e3, -12e3, altitude_m],
+            [-12e3, -12e3, altitude_m],
+            [-9e3, -12e3 + bend_m, altitude_m + climb_m],
+            [-6e3, -12e3, altitude_m],
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("control", "names"),
+    [
+        (level(3_100.0), ()),
+        (level(3_010.0), ("floor of the band",)),
+        (level(4_990.0), ("ceiling of the band",)),
+        (level(3_500.0, bend_m=9_000.0), ("turn radius",)),
+        (level(3_500.0, climb_m=2_000.0), ("climb angle", "dive angle")),
+        (level(3_100.0) - np.array([0.0, 9e3, 0.0]), ("edge of the map",)),
+        (level(3_100.0) + np.array([10e3, 9_800.0, 0.0]), ("terrain clearance",)),
+    ],
+)
+def test_each_broken_bound_is_named(control: FloatArray, names: tuple[str, ...]) -> None:
+    found = truth.measure(
+        truth.sampled(control, 1.0),
+        terrain=TERRAIN,
+        limits=LIMITS,
+        radars=(),
+        keep_outs=(),
+        required_clearance_m=515.0,
+    )
+    assert found.violations(LIMITS, 515.0, 15.0) == names

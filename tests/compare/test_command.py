@@ -1,0 +1,69 @@
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from companion.compare import table_1
+from companion.compare.command import compare_app
+from companion.errors import InputError
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def called(*words: str) -> str:
+    """What a command prints."""
+    result = CliRunner(env={"COLUMNS": "120"}).invoke(
+        compare_app, list(words), standalone_mode=False
+    )
+    if result.exception is not None:
+        raise result.exception
+    return result.stdout
+
+
+def test_figure_4_prints_a_table_and_writes_a_picture_and_numbers(tmp_path: Path) -> None:
+    picture, numbers = tmp_path / "figure.png", tmp_path / "figure.json"
+    words = ["figure-4", "--runs", "1", "--jobs", "1", "--seed", "3"]
+    shown = called(*words, "--out", str(picture), "--json", str(numbers))
+    assert "flies between: 1 of 1" in shown
+    assert "otherwise it may traverse" in shown
+    assert picture.read_bytes().startswith(PNG)
+    written = json.loads(numbers.read_text())
+    assert (written["runs"], written["seed"]) == (1, 3)
+    assert [each["ways"] for each in written["results"]] == [["goes round"], ["flies between"]]
+
+
+def test_table_1_prints_our_numbers_beside_the_papers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the whole way, but for one row and with so few evaluations that it is quick
+    monkeypatch.setattr(table_1, "ENVIRONMENTS", ("environment-1",))
+    monkeypatch.setattr(table_1, "PLANNING_TIMES_S", (3.0,))
+    picture, numbers = tmp_path / "table.png", tmp_path / "table.json"
+    words = ["table-1", "--runs", "1", "--jobs", "1", "--per-second", "200"]
+    shown = called(*words, "--out", str(picture), "--json", str(numbers))
+    assert "88.3 ± 4.9" in shown
+    assert "classical DE" in shown
+    assert "T = 3 s is 600 evaluations" in shown
+    assert "seen by radars" in shown
+    assert picture.read_bytes().startswith(PNG)
+    results = json.loads(numbers.read_text())["results"]
+    assert [each["evaluations"] for each in results] == [600] * 4
+
+
+@pytest.mark.parametrize("command", ["table-1", "figure-3", "figure-4"])
+@pytest.mark.parametrize("option", ["--out", "--json"])
+def test_a_file_that_cannot_be_written_is_refused_before_anything_is_flown(
+    command: str, option: str, tmp_path: Path
+) -> None:
+    for path in (tmp_path, tmp_path / "nowhere" / "file"):
+        with pytest.raises(InputError, match=f"{option} = .*{path.name}"):
+            called(command, option, str(path))
+
+
+@pytest.mark.parametrize(
+    "words", [["--runs", "0"], ["--jobs", "0"], ["--seed", "-1"], ["--runs", "many"], ["--nothing"]]
+)
+def test_a_bad_option_is_a_usage_error(words: list[str]) -> None:
+    result = CliRunner().invoke(compare_app, ["figure-4", *words])
+    assert result.exit_code == 2

@@ -1,0 +1,78 @@
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.compare import effects
+from companion.compare.missions import fly
+
+coordinate = st.floats(-100.0, 100.0)
+Point = tuple[float, float]
+
+
+@given(ends=st.tuples(*[st.tuples(coordinate, coordinate)] * 4))
+def test_a_straight_route_crosses_a_line_when_each_separates_the_ends_of_the_other(
+    ends: tuple[Point, Point, Point, Point],
+) -> None:
+    a, b, c, d = ends
+
+    def left_of(p: Point, q: Point, r: Point) -> float:
+        return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+
+    turns = [left_of(c, d, a), left_of(c, d, b), left_of(a, b, c), left_of(a, b, d)]
+    if min(abs(turn) for turn in turns) < 1e-6:
+        return  # they touch: either answer is right
+    expected = turns[0] * turns[1] < 0.0 and turns[2] * turns[3] < 0.0
+    route = np.array([(*a, 0.0), (*b, 0.0)])
+    assert effects.crosses(route, c, d) == expected
+    middle = np.array([(*a, 0.0), ((a[0] + b[0]) / 2, (a[1] + b[1]) / 2, 9.0), (*b, 0.0)])
+    assert effects.crosses(middle, c, d) == expected
+
+
+def test_a_route_that_crosses_beyond_the_ends_goes_round() -> None:
+    route = np.array([(0.0, 0.0, 0.0), (10.0, 20.0, 0.0), (20.0, 0.0, 0.0)])
+    assert not effects.crosses(route, (10.0, -5.0), (10.0, 5.0))
+    assert effects.crosses(route, (10.0, -5.0), (10.0, 25.0))
+
+
+def test_the_weights_of_figure_3_are_the_papers() -> None:
+    weights = [each.case.task.settings.weights for each in effects.figure_3().settings]
+    assert [(w.height, w.guide) for w in weights] == [(0.15, 0.15), (0.25, 0.05)]
+    assert all((w.length, w.crash, w.radar, w.constraints) == (0.1, 0.3, 0.3, 1) for w in weights)
+
+
+def test_the_radars_of_figure_4_overlap_by_more_than_one_d_overlap_and_less_than_the_other() -> (
+    None
+):
+    small, large = (each.case.task for each in effects.figure_4().settings)
+    one, two = small.radars
+    apart = math.dist(one.centre_nea_m, two.centre_nea_m)
+    overlap = one.range_m + two.range_m - apart
+    assert small.settings.overlap_m == 2_000.0 < overlap < large.settings.overlap_m == 6_000.0
+
+
+@pytest.mark.parametrize("effect", [effects.figure_3(), effects.figure_4()], ids=lambda e: e.name)
+def test_the_paper_s_way_is_flown_in_both_settings(effect: effects.Effect) -> None:
+    flown = [fly(case) for case in effects.cases(effect, 1, 1)]
+    found = effects.outcomes(effect, flown)
+    assert [outcome.as_the_paper for outcome in found] == [1, 1]
+    assert {outcome.setting.papers_way for outcome in found} == {effect.across, effect.round}
+    assert all(run.arrived for run in flown)
+    facts = json.loads(json.dumps(effects.facts(effect, found), allow_nan=False))
+    assert [each["ways"] for each in facts] == [[s.papers_way] for s in effect.settings]
+    if effect.name == "figure-3":  # over: higher and shorter
+        (over,), (past,) = (outcome.runs for outcome in found)
+        assert over.route_nea_m[:, 2].max() > past.route_nea_m[:, 2].max() + 300.0
+        assert over.length_m < past.length_m
+    else:  # between: through what both radars see
+        (past,), (between,) = (outcome.runs for outcome in found)
+        assert past.violations.radar_m == 0.0
+        assert between.violations.radar_m > 5_000.0
+
+
+def test_runs_have_seeds_of_their_own() -> None:
+    cases = effects.cases(effects.figure_4(), 3, 7)
+    assert [case.seed for case in cases] == [7, 8, 9] * 2

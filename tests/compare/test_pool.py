@@ -1,0 +1,85 @@
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+from companion.compare.missions import Case, bundled_case, planned_with
+from companion.compare.pool import fly_all
+
+
+def cases(count: int, evaluations: int) -> list[Case]:
+    return [
+        planned_with(
+            bundled_case("environment-1"),
+            optimiser="improved-de",
+            planning_time_s=3.0,
+            evaluations=evaluations,
+            seed=seed,
+        )
+        for seed in range(1, count + 1)
+    ]
+
+
+def test_the_results_do_not_depend_on_the_number_of_processes() -> None:
+    told: list[int] = []
+    alone = fly_all(cases(2, 120), 1, lambda: told.append(1))
+    together = fly_all(cases(2, 120), 2, lambda: told.append(2))
+    assert [run.cost for run in alone] == [run.cost for run in together]
+    for one, other in zip(alone, together, strict=True):
+        assert one.route_nea_m.tobytes() == other.route_nea_m.tobytes()
+    assert told == [1] * 2 + [2] * 2
+    assert not multiprocessing.active_children()
+
+
+def test_a_polite_kill_interrupts_too_and_afterwards_means_what_it_did() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt):
+        fly_all(cases(2, 120), 1, lambda: os.kill(os.getpid(), signal.SIGTERM))
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_ctrl_c_ends_it_with_its_processes() -> None:
+    code = """
+        import multiprocessing, sys
+        from companion.compare.pool import fly_all
+        from companion.compare.missions import bundled_case
+        if __name__ == "__main__":
+            def told():
+                print(*(each.pid for each in multiprocessing.active_children()), flush=True)
+            try:
+                fly_all([bundled_case("environment-1")] * 99, 2, told)
+            except KeyboardInterrupt:
+                sys.exit(130)
+    """
+    with subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    ) as program:
+        assert program.stdout is not None
+        workers = [int(word) for word in program.stdout.readline().split()]
+        assert len(workers) == 2
+        # as from a terminal: to all processes of the session
+        os.killpg(program.pid, signal.SIGINT)
+        _, errors = program.communicate(timeout=20)
+    assert program.returncode == 130
+    assert "Traceback" not in errors
+    until = time.monotonic() + 5.0
+    while any(is_alive(pid) for pid in workers) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not any(is_alive(pid) for pid in workers)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True

@@ -1,0 +1,421 @@
+"""What a certificate is measured by: random scenes, and the truth about a curve by search.
+
+Shares nothing with the proof: the curve is scipy's, columns are compared one by one, minima are
+refined by scipy's minimisers from dense samples.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.optimize import minimize, minimize_scalar
+from scipy.spatial import cKDTree
+
+from companion.path.certificate import Margins, pack_surroundings
+from companion.path.limits import Limits
+from companion.path.proof_distance import Surroundings
+from companion.world.known_map import KnownMap, empty_map
+from companion.world.simulated_scan import true_map
+from companion.world.terrain import Peak, PeakTerrain
+from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut, Radar
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    control_nea_m: FloatArray
+    from_rest: bool
+    known: KnownMap
+    peaks: PeakTerrain | None
+    limits: Limits
+    margins: Margins
+    radars: tuple[Radar, ...]
+    keep_outs: tuple[KeepOut, ...]
+
+    def surroundings(self) -> Surroundings:
+        centre = self.control_nea_m.mean(axis=0)[:2]
+        far = np.linalg.norm(self.control_nea_m[:, :2] - centre, axis=-1).max()
+        return pack_surroundings(
+            self.known,
+            self.limits,
+            self.radars,
+            self.keep_outs,
+            self.margins,
+            centre_ne_m=(float(centre[0]), float(centre[1])),
+            reach_m=float(far),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    cell_m: float
+    cells: int
+    distance_m: float
+    error_m: float
+    speed_m_s: float
+    acceleration_m_s2: float
+    turn_radius_m: float
+    relief_m: float
+
+
+SCALES = (
+    Scale(cell_m=250.0, cells=44, distance_m=500.0, error_m=15.0, speed_m_s=150.0,
+          acceleration_m_s2=5.0, turn_radius_m=1_200.0, relief_m=1_500.0),
+    Scale(cell_m=19.0, cells=40, distance_m=40.0, error_m=6.0, speed_m_s=8.0,
+          acceleration_m_s2=2.5, turn_radius_m=40.0, relief_m=150.0),
+    Scale(cell_m=25.0, cells=56, distance_m=200.0, error_m=10.0, speed_m_s=30.0,
+          acceleration_m_s2=4.0, turn_radius_m=150.0, relief_m=300.0),
+)  # fmt: skip
+
+
+def random_case(rng: np.random.Generator) -> Case:
+    """A curve over random terrain, near what is just safe."""
+    scale = SCALES[rng.integers(len(SCALES))]
+    size = scale.cell_m * scale.cells
+    known, peaks = _terrain(rng, scale, size)
+    if rng.random() < 0.4:
+        known.upper_m[rng.random(known.upper_m.shape) < 0.003] = np.inf
+    limits = Limits(
+        speed_m_s=scale.speed_m_s,
+        acceleration_m_s2=scale.acceleration_m_s2,
+        climb_rate_m_s=5.0,
+        turn_radius_m=scale.turn_radius_m,
+        climb_angle_rad=0.25,
+        dive_angle_rad=0.3,
+        floor_amsl_m=-scale.relief_m,
+        ceiling_amsl_m=4.0 * scale.relief_m,
+        north_m=(0.0, size),
+        east_m=(0.0, size),
+    )
+    margins = Margins(
+        clearance_m=scale.distance_m + scale.error_m,
+        contact_m=scale.error_m,
+        band_inset_m=scale.error_m,
+        dead_man_s=3.5,
+    )
+    return Case(
+        control_nea_m=_control(rng, size, margins.clearance_m, known),
+        from_rest=bool(rng.random() < 0.3),
+        known=known,
+        peaks=peaks,
+        limits=limits,
+        margins=margins,
+        radars=tuple(
+            Radar(name="r", centre_nea_m=(*rng.uniform(0, size, 2), 0.0), range_m=0.15 * size)
+            for _ in range(rng.integers(0, 3))
+        ),
+        keep_outs=_keep_outs(rng, size),
+    )
+
+
+def _terrain(
+    rng: np.random.Generator, scale: Scale, size: float
+) -> tuple[KnownMap, PeakTerrain | None]:
+    like = empty_map(scale.cell_m, (0.0, size), (0.0, size))
+    registration = float(rng.choice([0.0, 0.0, 0.1, 0.35])) * scale.cell_m
+    kind = rng.integers(3)
+    if kind == 0:
+        peaks = PeakTerrain(
+            peaks=tuple(
+                Peak(
+                    north_m=rng.uniform(0, size),
+                    east_m=rng.uniform(0, size),
+                    height_amsl_m=scale.relief_m * rng.uniform(0.3, 1.0),
+                    spread_north_m=size * rng.uniform(0.08, 0.3),
+                    spread_east_m=size * rng.uniform(0.08, 0.3),
+                )
+                for _ in range(rng.integers(1, 7))
+            ),
+            ground_amsl_m=0.0,
+        )
+        return true_map(peaks, like), peaks
+    heights = rng.uniform(0.0, 0.15 * scale.relief_m, like.upper_m.shape)
+    if kind == 1:  # pillars
+        heights += scale.relief_m * (rng.random(heights.shape) < 0.003)
+    else:  # a rough slope
+        heights += np.linspace(0.0, rng.uniform(0.0, scale.relief_m), scale.cells)[:, None]
+    seen = np.ones(heights.shape, dtype=bool)
+    return (
+        KnownMap(
+            cell_m=scale.cell_m,
+            north_min_m=0.0,
+            east_min_m=0.0,
+            upper_m=heights,
+            seen=seen,
+            registration_m=registration,
+        ),
+        None,
+    )
+
+
+def _control(
+    rng: np.random.Generator, size: float, clearance_m: float, known: KnownMap
+) -> FloatArray:
+    points = int(rng.integers(4, 8))
+    leg = rng.uniform(0.25, 0.55) * size / (points - 1)
+    heading, climb = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-0.1, 0.1)
+    control = [np.zeros(3)]
+    for _ in range(points - 1):
+        heading, climb = heading + rng.normal(0.0, 0.3), 0.6 * climb + rng.normal(0.0, 0.05)
+        step = leg * rng.uniform(0.6, 1.4)
+        control.append(
+            control[-1] + step * np.array([np.cos(heading), np.sin(heading), np.tan(climb)])
+        )
+    result = np.array(control)
+    result += np.array([*rng.uniform(0.46 * size, 0.54 * size, 2), 0.0]) - result.mean(axis=0)
+    track = curve(result)(np.linspace(0.0, 1.0, 60))
+    cells = np.clip((track[:, :2] / known.cell_m).astype(int), 0, len(known.upper_m) - 1)
+    under = known.upper_m[cells[:, 0], cells[:, 1]]
+    above = (track[:, 2] - np.where(np.isfinite(under), under, -np.inf)).min()
+    if not np.isfinite(above):
+        above = 0.0
+    result[:, 2] += clearance_m * rng.uniform(0.9, 1.9) - above
+    if rng.random() < 0.05:
+        result[1] = result[0]
+    return result
+
+
+def _keep_outs(rng: np.random.Generator, size: float) -> tuple[KeepOut, ...]:
+    zones: list[KeepOut] = []
+    for _ in range(rng.integers(0, 3)):
+        n, e = rng.uniform(0.0, size, 2)
+        if rng.random() < 0.5:
+            zones.append(CircleKeepOut(name="c", north_m=n, east_m=e, radius_m=0.05 * size))
+        else:
+            corners = rng.uniform(-0.08 * size, 0.08 * size, (rng.integers(3, 6), 2))
+            corners += np.array([n, e])
+            zones.append(
+                PolygonKeepOut(name="p", vertices_ne_m=tuple((a, b) for a, b in corners.tolist()))
+            )
+    return tuple(zones)
+
+
+def curve(control_nea_m: FloatArray) -> Any:
+    """The clamped cubic B-spline with uniform inner knots, by scipy."""
+    spans = len(control_nea_m) - 3
+    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
+    return BSpline(knots, control_nea_m, 3)
+
+
+def column_distance_m(
+    known: KnownMap, points_nea_m: FloatArray, within_m: float = np.inf
+) -> FloatArray:
+    """Distance of points from every column of the map, the nearest of them.  (S, 3) -> (S,).
+
+    within_m: columns farther than this from all points may be left out.
+    """
+    n, e, z = points_nea_m.T
+    low_n = known.north_min_m + np.arange(known.upper_m.shape[0]) * known.cell_m
+    low_e = known.east_min_m + np.arange(known.upper_m.shape[1]) * known.cell_m
+    edge_n = np.minimum(n - low_n[0], low_n[-1] + known.cell_m - n)
+    edge_e = np.minimum(e - low_e[0], low_e[-1] + known.cell_m - e)
+    edge = np.maximum(np.minimum(edge_n, edge_e) - known.registration_m, 0.0)
+    far = within_m + known.cell_m + known.registration_m
+    rows = (low_n >= n.min() - far) & (low_n <= n.max() + far)
+    columns = (low_e >= e.min() - far) & (low_e <= e.max() + far)
+    if not rows.any() or not columns.any():
+        return edge
+    low_n, low_e, upper_m = low_n[rows], low_e[columns], known.upper_m[np.ix_(rows, columns)]
+    gap_n = np.maximum(np.maximum(low_n - n[:, None], n[:, None] - low_n - known.cell_m), 0.0)
+    gap_e = np.maximum(np.maximum(low_e - e[:, None], e[:, None] - low_e - known.cell_m), 0.0)
+    flat = gap_n[:, :, None] ** 2 + gap_e[:, None, :] ** 2
+    if known.registration_m > 0.0:
+        flat = np.maximum(np.sqrt(flat) - known.registration_m, 0.0) ** 2
+    flat += np.maximum(z[:, None, None] - upper_m, 0.0) ** 2
+    nearest = np.sqrt(flat.min(axis=(1, 2)))
+    return np.minimum(nearest, edge)
+
+
+def surface_distance_m(terrain: PeakTerrain, point_nea_m: FloatArray, near_m: float) -> float:
+    """Distance of one point from the true surface, 0 below it: search and scipy's refinement."""
+    n, e, z = (float(value) for value in point_nea_m)
+
+    def height(at: FloatArray) -> float:
+        return float(terrain.height_m(np.array([at[0]]), np.array([at[1]]))[0])
+
+    if z <= height(np.array([n, e])):
+        return 0.0
+    steps = np.linspace(-near_m, near_m, 41)
+    grid_n, grid_e = (n + steps)[:, None], (e + steps)[None, :]
+    far = np.hypot(
+        np.hypot(grid_n - n, grid_e - e), np.maximum(z - terrain.height_m(grid_n, grid_e), 0.0)
+    )
+    i, j = np.unravel_index(int(far.argmin()), far.shape)
+    best = minimize(
+        lambda at: np.hypot(np.hypot(at[0] - n, at[1] - e), max(z - height(at), 0.0)),
+        np.array([n + steps[i], e + steps[j]]),
+        method="Nelder-Mead",
+        options={"xatol": 1e-4, "fatol": 1e-4, "maxfev": 150},
+    )
+    return float(min(best.fun, far.min()))
+
+
+def surface_truth_m(case: Case, where_nea_m: FloatArray) -> float:
+    """Least distance of points from the true surface of a scene of peaks.  (S, 3) -> metres.
+
+    A tree of the surface's points finds where, scipy how near.
+    """
+    assert case.peaks is not None
+    size = case.limits.north_m[1]
+    steps = np.linspace(-0.2 * size, 1.2 * size, 200)
+    n, e = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
+    tree = cKDTree(np.stack([n, e, case.peaks.height_m(n, e)], axis=-1))
+    under = where_nea_m[:, 2] <= case.peaks.height_m(where_nea_m[:, 0], where_nea_m[:, 1])
+    if under.any():
+        return 0.0
+    far, _ = tree.query(where_nea_m)
+    nearest = where_nea_m[np.argsort(far)[:3]]
+    near_m = 2.0 * float(far.min()) + 2.0 * (steps[1] - steps[0])
+    return min(surface_distance_m(case.peaks, point, near_m) for point in nearest)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """What a curve comes to: minima and maxima that were met, so never beyond the real ones."""
+
+    clearance_m: float
+    keep_out_m: float
+    dead_man_m: float
+    turn_radius_m: float
+    climb_angle_rad: float
+    dive_angle_rad: float
+    lowest_amsl_m: float
+    highest_amsl_m: float
+    off_map_m: float
+    radar_m: float
+    length_m: float
+    detection: float
+    nearest_nea_m: FloatArray
+    """Where the clearance is least; `dead_man_nea_m` likewise."""
+    dead_man_nea_m: FloatArray
+
+
+def _least(of: Callable[..., FloatArray], u: FloatArray) -> tuple[float, float]:
+    """Least value over 0 <= u <= 1 and where: samples, then refined near the three lowest."""
+    values = of(u)
+    best, where = float(values.min()), float(u[values.argmin()])
+    inner = np.pad(values, 1, constant_values=np.inf)
+    dips = np.nonzero((inner[1:-1] <= inner[:-2]) & (inner[1:-1] <= inner[2:]))[0]
+    for k in dips[np.argsort(values[dips])][:3]:
+        bounds = float(u[max(k - 1, 0)]), float(u[min(k + 1, len(u) - 1)])
+        found = minimize_scalar(
+            lambda at: float(of(np.array([at]), 2.0 * float(values[k]))[0]),  # noqa: B023
+            bounds=bounds,
+            method="bounded",
+            options={"xatol": 1e-7, "maxiter": 30},
+        )
+        if found.fun < best:
+            best, where = float(found.fun), float(found.x)
+    return best, where
+
+
+def truth(case: Case, samples: int = 200) -> Truth:
+    """Everything about a curve, by search."""
+    spline = curve(case.control_nea_m)
+    u = np.linspace(0.0, 1.0, samples + 1)
+    clearance, where = _least(
+        lambda at, far=np.inf: column_distance_m(case.known, spline(at), far), u
+    )
+    keep_out = np.inf
+    for zone in case.keep_outs:
+        keep_out = min(
+            keep_out, _least(lambda at, _=0.0, z=zone: z.distance_m(*spline(at).T[:2]), u)[0]
+        )  # type: ignore[misc]
+    fine = np.linspace(0.0, 1.0, 3_001)
+    points = spline(fine)
+    ends = np.logspace(-9.0, -4.0, 20)
+    close = np.concatenate([fine, ends, 1.0 - ends])
+    first, second = spline(close, 1), spline(close, 2)
+    speed = np.hypot(first[:, 0], first[:, 1])
+    moving = speed > 1e-7 * speed.max()
+    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    slope = first[moving, 2] / speed[moving]
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=-1))])
+    n, e, z = points.T
+    limits = case.limits
+    off = np.maximum(np.maximum(limits.north_m[0] - n, n - limits.north_m[1]),
+                     np.maximum(limits.east_m[0] - e, e - limits.east_m[1]))  # fmt: skip
+    inside = np.zeros(len(points), dtype=bool)
+    detection = 0.0
+    for radar in case.radars:
+        ratio = radar.distance_m(points) / radar.range_m
+        inside |= ratio <= 1.0
+        detection = max(detection, float(np.where(ratio <= 1, 1 / (1 + ratio**4), 0.0).max()))
+    both = 0.5 * (inside[1:].astype(float) + inside[:-1])
+    dead_man, at_nea = _dead_man(case, spline, fine, lengths)
+    return Truth(
+        clearance_m=clearance,
+        keep_out_m=keep_out,
+        dead_man_m=dead_man,
+        turn_radius_m=float(1.0 / np.abs(cross[moving] / speed[moving] ** 3).max()),
+        climb_angle_rad=float(np.arctan(slope.max())),
+        dive_angle_rad=float(np.arctan(-slope.min())),
+        lowest_amsl_m=float(z.min()),
+        highest_amsl_m=float(z.max()),
+        off_map_m=float(max(off.max(), 0.0)),
+        radar_m=float((both * np.diff(lengths)).sum()),
+        length_m=float(lengths[-1]),
+        detection=detection,
+        nearest_nea_m=spline(where),
+        dead_man_nea_m=at_nea,
+    )
+
+
+def stretch_points_nea_m(
+    case: Case, spline: Any, fine: FloatArray, lengths: FloatArray, u: FloatArray, share: FloatArray
+) -> FloatArray:
+    """Points of the straight stretches that leave the curve at u.  (S,) x2 -> (S, 3)."""
+    limits, twice = case.limits, 2.0 * case.limits.acceleration_m_s2
+    flown = np.interp(u, fine, lengths)
+    speed = np.minimum(limits.speed_m_s, np.sqrt(twice * np.maximum(lengths[-1] - flown, 0.0)))
+    if case.from_rest:
+        speed = np.minimum(speed, np.sqrt(twice * flown))
+    reach = speed * case.margins.dead_man_s + speed**2 / twice
+    velocity = spline(u, 1)
+    size = np.linalg.norm(velocity, axis=-1)
+    tangent = velocity / np.maximum(size, 1e-9)[..., None]
+    return spline(u) + (share * reach)[..., None] * tangent
+
+
+def stretches_nea_m(case: Case, along: int = 80, ahead: int = 20) -> FloatArray:
+    """Points of the curve and of all its stretches, dense.  -> (along * ahead, 3)."""
+    spline, fine = curve(case.control_nea_m), np.linspace(0.0, 1.0, 3_001)
+    chords = np.linalg.norm(np.diff(spline(fine), axis=0), axis=-1)
+    lengths = np.concatenate([[0.0], np.cumsum(chords)])
+    u, share = np.meshgrid(np.linspace(0, 1, along), np.linspace(0, 1, ahead))
+    return stretch_points_nea_m(case, spline, fine, lengths, u.ravel(), share.ravel())
+
+
+def _dead_man(
+    case: Case, spline: Any, fine: FloatArray, lengths: FloatArray
+) -> tuple[float, FloatArray]:
+    """Least distance over all straight stretches, and where."""
+
+    def at(u: FloatArray, share: FloatArray) -> FloatArray:
+        return stretch_points_nea_m(case, spline, fine, lengths, u, share)
+
+    def distance(points: FloatArray, far: float = np.inf) -> FloatArray:
+        result = column_distance_m(case.known, points, far)
+        for zone in case.keep_outs:
+            result = np.minimum(result, zone.distance_m(points[:, 0], points[:, 1]))
+        return result
+
+    u, share = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, 50), np.linspace(0, 1, 14)))
+    values = distance(at(u, share))
+    k = int(values.argmin())
+    best, where = float(values[k]), np.array([u[k], share[k]])
+    if best > 0.0:
+        found = minimize(
+            lambda x: float(distance(at(np.clip(x[:1], 0, 1), np.clip(x[1:], 0, 1)), 2 * best)[0]),
+            where,
+            method="Nelder-Mead",
+            options={"maxfev": 60, "xatol": 1e-6, "fatol": 1e-4,
+                     "initial_simplex": where + np.array([[0, 0], [0.01, 0], [0, 0.04]])},
+        )  # fmt: skip
+        if found.fun < best:
+            best, where = float(found.fun), np.clip(found.x, 0, 1)
+    return best, at(where[:1], where[1:])[0]

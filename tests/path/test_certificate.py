@@ -1,0 +1,394 @@
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.path.certificate import Certificate, Margins, certify, pack_surroundings
+from companion.path.limits import Limits
+from companion.path.subpath import Subpath
+from companion.world.known_map import KnownMap
+from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut, Radar
+
+sys.path.insert(0, str(Path(__file__).parent))
+from brute_force import FloatArray, random_case, truth
+
+LIMITS = Limits(
+    speed_m_s=15.0,
+    acceleration_m_s2=3.0,
+    climb_rate_m_s=4.0,
+    turn_radius_m=200.0,
+    climb_angle_rad=0.2,
+    dive_angle_rad=0.25,
+    floor_amsl_m=300.0,
+    ceiling_amsl_m=800.0,
+    north_m=(0.0, 4_000.0),
+    east_m=(0.0, 4_000.0),
+)
+MARGINS = Margins(clearance_m=60.0, contact_m=12.0, band_inset_m=10.0, dead_man_s=3.5)
+CASES = 80
+
+
+def a_map(upper: FloatArray | float = 0.0, cell_m: float = 100.0) -> KnownMap:
+    cells = np.broadcast_to(np.asarray(upper, dtype=float), (40, 40)).copy()
+    return KnownMap(
+        cell_m=cell_m, north_min_m=0.0, east_min_m=0.0, upper_m=cells, seen=np.isfinite(cells)
+    )
+
+
+def certified(
+    *corners: tuple[float, float, float],
+    known: KnownMap | None = None,
+    radars: tuple[Radar, ...] = (),
+    keep_outs: tuple[KeepOut, ...] = (),
+    from_rest: bool = False,
+    limits: Limits = LIMITS,
+    margins: Margins = MARGINS,
+    reach_m: float = 3_000.0,
+) -> Certificate:
+    surroundings = pack_surroundings(
+        known or a_map(),
+        limits,
+        radars,
+        keep_outs,
+        margins,
+        centre_ne_m=(2_000.0, 2_000.0),
+        reach_m=reach_m,
+    )
+    subpath = Subpath(control_nea_m=np.array(corners, dtype=float))
+    return certify(subpath, surroundings, from_rest=from_rest)
+
+
+def level(altitude_m: float = 400.0, east_m: float = 2_000.0) -> list[tuple[float, float, float]]:
+    """A straight subpath due north at constant speed, 3 km."""
+    return [(500.0 + 1_000.0 * k, east_m, altitude_m) for k in range(4)]
+
+
+def arc(radius_m: float) -> list[tuple[float, float, float]]:
+    """A quarter circle, to 0.03 % (the usual Bezier approximation)."""
+    k = 4.0 / 3.0 * math.tan(math.pi / 8.0) * radius_m
+    r = radius_m
+    flat = [(0.0, 0.0), (k, 0.0), (r, r - k), (r, r)]
+    return [(1_500.0 + n, 1_500.0 + e, 400.0) for n, e in flat]
+
+
+def test_level_flight_over_a_plain_is_proven_with_its_exact_numbers() -> None:
+    told = certified(*level(400.0), known=a_map(330.0))
+    assert told.proven
+    assert told.broken == ()
+    assert told.clearance_m == pytest.approx(70.0, abs=0.1)
+    assert told.keep_out_m == math.inf
+    assert told.turn_radius_m == math.inf
+    assert told.climb_angle_rad == told.dive_angle_rad == told.off_map_m == told.radar_m == 0.0
+    assert told.lowest_amsl_m == told.highest_amsl_m == pytest.approx(400.0)
+    assert told.pieces > 0
+
+
+@pytest.mark.parametrize("points", [4, 5, 6, 9])
+def test_any_number_of_control_points_will_do(points: int) -> None:
+    corners = [(500.0 + 3_000.0 * k / (points - 1), 2_000.0, 400.0) for k in range(points)]
+    assert certified(*corners).proven
+
+
+@pytest.mark.parametrize("off", [-5, -1, 1, 5])
+def test_the_floor_and_the_ceiling_are_proven_to_a_hundredth_of_a_metre(off: int) -> None:
+    floor = LIMITS.floor_amsl_m + MARGINS.band_inset_m
+    ceiling = LIMITS.ceiling_amsl_m - MARGINS.band_inset_m
+    low = certified(*level(floor + 0.01 * off))
+    high = certified(*level(ceiling + 0.01 * off))
+    assert low.broken == (("floor of the band",) if off < 0 else ())
+    assert high.broken == (("ceiling of the band",) if off > 0 else ())
+
+
+def test_the_ends_of_the_altitude_range_are_those_of_the_curve_and_not_of_its_polygon() -> None:
+    told = certified(
+        (500, 2_000, 400), (1_500, 2_000, 500), (2_500, 2_000, 300), (3_500, 2_000, 400)
+    )
+    t = np.linspace(0.0, 1.0, 100_001)
+    z = 400.0 + 300.0 * t * (1 - t) ** 2 - 300.0 * t**2 * (1 - t)
+    assert told.highest_amsl_m == pytest.approx(z.max(), abs=1e-6)
+    assert told.lowest_amsl_m == pytest.approx(z.min(), abs=1e-6)
+
+
+@pytest.mark.parametrize("off", [-5, -1, 1, 5])
+@pytest.mark.parametrize("registration_m", [0.0, 30.0])
+def test_clearance_above_is_proven_to_a_hundredth_of_a_metre(
+    off: int, registration_m: float
+) -> None:
+    known = replace(a_map(400.0 - MARGINS.clearance_m), registration_m=registration_m)
+    told = certified(*level(400.0 + 0.01 * off), known=known)
+    assert told.broken == (("terrain clearance",) if off < 0 else ())
+    assert told.clearance_m == pytest.approx(MARGINS.clearance_m + 0.01 * off, abs=1e-5)
+
+
+@pytest.mark.parametrize("off", [-1.0, -0.01, 0.01, 1.0])
+@pytest.mark.parametrize("registration_m", [0.0, 30.0])
+def test_clearance_beside_a_pillar_is_proven_to_a_hundredth_of_a_metre(
+    off: float, registration_m: float
+) -> None:
+    known = replace(a_map(), registration_m=registration_m)
+    known.upper_m[20, 20] = 700.0
+    east = 2_000.0 - registration_m - MARGINS.clearance_m - off
+    assert certified(*level(400.0, east), known=known).broken == (
+        ("terrain clearance",) if off < 0 else ()
+    )
+
+
+def test_over_the_edge_of_a_column_the_distance_is_that_in_three_dimensions() -> None:
+    known = a_map()
+    known.upper_m[:, 20:] = 364.0  # a step 30 m to the east and 36 m below the track
+    told = certified(*level(400.0, 1_952.0), known=known)
+    assert told.clearance_m == pytest.approx(60.0, abs=0.1)
+    assert told.broken == ()
+
+
+@pytest.mark.parametrize("what", [math.inf, math.nan])
+def test_unknown_ground_has_no_top(what: float) -> None:
+    known = a_map()
+    known.upper_m[20, 20] = what
+    told = certified(*level(780.0), known=known)
+    assert "terrain clearance" in told.broken
+    assert told.clearance_m == 0.0
+
+
+def test_beyond_the_reach_that_was_packed_nothing_is_proven() -> None:
+    assert certified(*level()).proven
+    assert "terrain clearance" in certified(*level(), reach_m=500.0).broken
+
+
+@pytest.mark.parametrize("share", [0.95, 0.99, 1.01, 1.05])
+def test_an_arc_is_too_tight_just_below_the_turn_radius(share: float) -> None:
+    told = certified(*arc(share * LIMITS.turn_radius_m))
+    assert told.turn_radius_m == pytest.approx(share * LIMITS.turn_radius_m, rel=0.01)
+    assert ("turn radius" in told.broken) == (share < 1.0)
+
+
+@pytest.mark.parametrize("off", [-0.01, -1e-6, 1e-6, 0.01])
+def test_climb_and_dive_are_too_steep_just_beyond_their_angles(off: float) -> None:
+    for angle, sign, words in (
+        (LIMITS.climb_angle_rad, 1.0, "climb angle"),
+        (LIMITS.dive_angle_rad, -1.0, "dive angle"),
+    ):
+        rise = sign * math.tan(angle + off) * 200.0
+        told = certified(*[(500.0 + 200.0 * k, 2_000.0, 550.0 + k * rise) for k in range(4)])
+        measured = told.climb_angle_rad if sign > 0.0 else told.dive_angle_rad
+        assert measured == pytest.approx(angle + off)
+        assert told.broken == ((words,) if off > 0.0 else ())
+
+
+@pytest.mark.parametrize("off", [-0.05, -0.01, 0.01, 0.05])
+def test_a_keep_out_is_too_near_just_within_the_clearance(off: float) -> None:
+    aside = 2_000.0 + 300.0 + MARGINS.clearance_m + off
+    circle = CircleKeepOut(name="c", north_m=2_005.0, east_m=aside, radius_m=300.0)
+    corners = ((1_900.0, aside), (1_900.0, aside - 300.0), (2_100.0, aside - 300.0))
+    triangle = PolygonKeepOut(name="t", vertices_ne_m=corners)
+    far = CircleKeepOut(name="f", north_m=0.0, east_m=9_000.0, radius_m=10.0)
+    for zone in (circle, triangle):
+        told = certified(*level(), keep_outs=(far, zone))
+        assert told.keep_out_m == pytest.approx(MARGINS.clearance_m + off, abs=1e-6)
+        assert told.broken == (("keep-out zone",) if off < 0 else ())
+
+
+@pytest.mark.parametrize("order", [1, -1], ids=["closed polygon first", "closed polygon last"])
+def test_a_path_through_a_polygon_that_repeats_its_first_corner_is_not_safe(order: int) -> None:
+    corners = ((1_900.0, 1_900.0), (1_900.0, 2_100.0), (2_100.0, 2_000.0), (1_900.0, 1_900.0))
+    zones = (
+        PolygonKeepOut(name="t", vertices_ne_m=corners),
+        CircleKeepOut(name="f", north_m=0.0, east_m=9_000.0, radius_m=10.0),
+    )
+    told = certified(*level(), keep_outs=zones[::order])
+    assert "keep-out zone" in told.broken
+    assert told.keep_out_m < 0.0
+
+
+def test_a_path_wholly_inside_a_polygon_is_not_safe() -> None:
+    square = ((0.0, 0.0), (0.0, 4e3), (4e3, 4e3), (4e3, 0.0))
+    told = certified(*level(), keep_outs=(PolygonKeepOut(name="s", vertices_ne_m=square),))
+    assert {"keep-out zone", "dead-man reach"} <= set(told.broken)
+    assert -2_100.0 <= told.keep_out_m <= -2_000.0
+
+
+@pytest.mark.parametrize("off", [-5.0, -0.01, 0.01, 5.0])
+def test_the_map_ends_at_its_edge(off: float) -> None:
+    for turn in range(4):
+        near = [(a, 4_000.0 + off) if turn < 2 else (a, -off) for a in (1e3, 1.5e3, 2e3, 2.5e3)]
+        corners = [(a, b, 400.0) if turn % 2 else (b, a, 400.0) for a, b in near]
+        told = certified(*corners)
+        assert told.off_map_m == pytest.approx(max(off, 0.0))
+        assert ("edge of the map" in told.broken) == (off > 0.0)
+        assert "terrain clearance" in told.broken  # off the map nothing is known
+
+
+@pytest.mark.parametrize("miss_m", [0.0, 300.0, 799.0, 801.0])
+def test_the_length_under_a_radar_is_that_of_the_chord(miss_m: float) -> None:
+    radar = Radar(name="r", centre_nea_m=(2_000.0, 2_000.0 + miss_m, 400.0), range_m=800.0)
+    chord = 2.0 * math.sqrt(max(800.0**2 - miss_m**2, 0.0))
+    told = certified(*level(), radars=(radar,))
+    assert chord <= told.radar_m <= chord + 12.0
+    nearest = 1.0 / (1.0 + (miss_m / 800.0) ** 4)
+    assert told.detection == pytest.approx(nearest if chord else 0.0)
+    assert told.proven
+
+
+def test_a_stretch_under_two_radars_counts_once() -> None:
+    one, two = (
+        Radar(name="r", centre_nea_m=(north, 2_000.0, 400.0), range_m=500.0)
+        for north in (1_800.0, 2_200.0)
+    )
+    assert certified(*level(), radars=(one, two)).radar_m == pytest.approx(1_403.0, abs=3.0)
+
+
+# A straight subpath of 3 km ends at 3,500 m north.  The vehicle would brake from there on: dying
+# before it does, it comes V * dead_man_s beyond the end.
+BEYOND_M = LIMITS.speed_m_s * MARGINS.dead_man_s
+
+
+@pytest.mark.parametrize("off", [-1.0, -0.01, 0.01, 1.0])
+def test_a_wall_ahead_is_too_near_just_within_the_dead_man_reach(off: float) -> None:
+    wall = 3_500.0 + BEYOND_M + MARGINS.contact_m + off
+    margins = replace(MARGINS, clearance_m=20.0)
+    zone = CircleKeepOut(name="w", north_m=wall + 50.0, east_m=2_000.0, radius_m=50.0)
+    told = certified(*level(), keep_outs=(zone,), margins=margins)
+    assert told.broken == (("dead-man reach",) if off < 0 else ())
+    assert told.dead_man_m == pytest.approx(MARGINS.contact_m + off, abs=0.5)
+
+
+def test_terrain_ahead_is_too_near_within_the_dead_man_reach() -> None:
+    known = a_map()
+    known.upper_m[36] = 600.0  # from 3,600 m north on
+    margins = replace(MARGINS, clearance_m=30.0)
+    wall = 3_600.0
+    for off in (-0.5, 0.5):
+        start = wall - BEYOND_M - MARGINS.contact_m - off - 3_000.0
+        corners = [(start + 1_000.0 * k, 2_000.0, 400.0) for k in range(4)]
+        told = certified(*corners, known=known, margins=margins)
+        assert told.broken == (("dead-man reach",) if off < 0 else ())
+
+
+def test_a_vehicle_that_starts_from_rest_is_slower_and_reaches_less_far() -> None:
+    # 40 m long: from rest the speed is at most sqrt(a * 40), reached half way.
+    corners = [(2_000.0 + 40.0 * k / 3, 2_000.0, 400.0) for k in range(4)]
+    a = LIMITS.acceleration_m_s2
+    flying = max(s + v * 3.5 + v * v / 2 / a for s in np.linspace(0, 40, 4_001)
+                 for v in [min(15.0, math.sqrt(2 * a * (40 - s)))])  # fmt: skip
+    resting = max(s + v * 3.5 + v * v / 2 / a for s in np.linspace(0, 40, 4_001)
+                  for v in [min(15.0, math.sqrt(2 * a * min(s, 40 - s)))])  # fmt: skip
+    assert resting < flying - 10.0
+    margins = replace(MARGINS, clearance_m=20.0)
+    for from_rest, farthest in ((False, flying), (True, resting)):
+        for off in (-2.0, 2.0):
+            wall = 2_000.0 + farthest + MARGINS.contact_m + off
+            zone = CircleKeepOut(name="w", north_m=wall + 50.0, east_m=2_000.0, radius_m=50.0)
+            told = certified(*corners, keep_outs=(zone,), margins=margins, from_rest=from_rest)
+            assert told.broken == (("dead-man reach",) if off < 0 else ())
+
+
+def test_a_turn_away_from_a_wall_is_refused_if_going_straight_on_would_hit_it() -> None:
+    # From a circle of radius 200 m the tangents of 90 m (15 m/s) come 19 m out of it.
+    out = (200.0 + 25.0 + 40.0) / math.sqrt(2.0)
+    zone = CircleKeepOut(name="w", north_m=1_500.0 + out, east_m=1_700.0 - out, radius_m=40.0)
+    limits, margins = replace(LIMITS, turn_radius_m=150.0), replace(MARGINS, clearance_m=14.0)
+    fast = certified(*arc(200.0), keep_outs=(zone,), limits=limits, margins=margins)
+    assert fast.broken == ("dead-man reach",)
+    assert fast.dead_man_m == pytest.approx(25.0 - 19.3, abs=1.0)
+    slow = replace(limits, speed_m_s=5.0)
+    assert certified(*arc(200.0), keep_outs=(zone,), limits=slow, margins=margins).proven
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e12])
+@pytest.mark.parametrize("where", [(0, 0), (1, 1), (3, 2)])
+def test_a_curve_that_is_not_finite_is_never_proven_and_no_error(
+    value: float, where: tuple[int, int]
+) -> None:
+    control = np.array(level())
+    told_before = certified(*level())
+    control[where] = value
+    with np.errstate(all="ignore"):
+        subpath = Subpath(control_nea_m=control)
+    surroundings = pack_surroundings(
+        a_map(), LIMITS, (), (), MARGINS, centre_ne_m=(2_000.0, 2_000.0), reach_m=3_000.0
+    )
+    told = certify(subpath, surroundings, from_rest=False)
+    assert told_before.proven
+    assert not told.proven
+    assert len(told.broken) == 9
+
+
+def test_a_curve_that_turns_back_on_itself_is_too_tight() -> None:
+    there_and_back = [(1_000.0, 2_000.0, 400.0), (2_000.0, 2_000.0, 400.0)] * 2
+    assert "turn radius" in certified(*there_and_back).broken
+    cusp = [(1_000.0, 1_000.0, 400.0), (2_000.0, 2_000.0, 400.0),
+            (1_000.0, 2_000.0, 400.0), (2_000.0, 1_000.0, 400.0)]  # fmt: skip
+    assert "turn radius" in certified(*cusp).broken
+
+
+def test_a_straight_curve_may_start_and_stop_where_control_points_coincide() -> None:
+    ends = [(500.0, 1_000.0), (500.0, 1_000.0), (1_300.0, 1_600.0), (2_100.0, 2_200.0)]
+    for corners in (ends, [*ends, ends[-1]]):
+        assert certified(*[(n, e, 400.0 + 0.1 * n) for n, e in corners]).proven
+
+
+def test_a_curved_start_out_of_coinciding_control_points_is_infinitely_tight() -> None:
+    corners = [(500.0, 1_000.0), (500.0, 1_000.0), (1_300.0, 1_600.0), (2_100.0, 1_600.0)]
+    told = certified(*[(n, e, 400.0) for n, e in corners])
+    assert told.broken == ("turn radius",)
+    assert told.turn_radius_m < 0.01
+
+
+def test_a_vertical_curve_is_too_steep() -> None:
+    told = certified(*[(2_000.0, 2_000.0, 400.0 + 50.0 * k) for k in range(4)])
+    assert "climb angle" in told.broken
+    assert told.climb_angle_rad == pytest.approx(math.pi / 2)
+
+
+def test_a_curve_of_no_length_hovers() -> None:
+    assert certified(*[(2_000.0, 2_000.0, 400.0)] * 4).proven
+    assert "terrain clearance" in certified(*[(2_000.0, 2_000.0, 50.0)] * 4).broken
+
+
+def test_random_curves_keep_at_least_what_their_certificates_promise() -> None:
+    for seed in range(CASES):
+        case = random_case(np.random.default_rng([9, seed]))
+        told = certify(
+            Subpath(control_nea_m=case.control_nea_m),
+            case.surroundings(),
+            from_rest=case.from_rest,
+        )
+        real = truth(case, samples=100)
+        tiny = 2e-6
+        assert told.clearance_m <= real.clearance_m + tiny, seed
+        assert told.keep_out_m <= real.keep_out_m + tiny, seed
+        assert told.dead_man_m <= real.dead_man_m + tiny, seed
+        assert told.turn_radius_m <= real.turn_radius_m * (1.0 + 1e-9), seed
+        assert told.climb_angle_rad >= real.climb_angle_rad - tiny, seed
+        assert told.dive_angle_rad >= real.dive_angle_rad - tiny, seed
+        assert told.lowest_amsl_m <= real.lowest_amsl_m + tiny, seed
+        assert told.highest_amsl_m >= real.highest_amsl_m - tiny, seed
+        assert told.off_map_m >= real.off_map_m - tiny, seed
+        assert told.radar_m >= real.radar_m - 0.002 * real.length_m, seed
+        assert told.detection >= real.detection - tiny, seed
+
+
+def test_random_curves_that_are_safe_by_two_percent_of_the_clearance_are_proven() -> None:
+    safe = 0
+    for seed in range(CASES):
+        case = random_case(np.random.default_rng([10, seed]))
+        spare = 0.02 * (case.margins.clearance_m - case.margins.contact_m)
+        told = certify(
+            Subpath(control_nea_m=case.control_nea_m),
+            case.surroundings(),
+            from_rest=case.from_rest,
+        )
+        hopeless = {"keep-out zone", "turn radius"} & set(told.broken)
+        if hopeless or told.clearance_m < 0.5 * case.margins.clearance_m:
+            continue  # spares the search for the truth; what is wrongly hopeless fails above
+        real = truth(case, samples=100)
+        if (
+            real.clearance_m >= case.margins.clearance_m + spare
+            and real.dead_man_m >= case.margins.contact_m + spare
+        ):
+            safe += 1
+            assert not {"terrain clearance", "dead-man reach"} & set(told.broken), seed
+    assert safe >= 20

@@ -1,0 +1,299 @@
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.path import proof
+from companion.path.certificate import _cubics
+from companion.path.proof import exposure, first_pieces, piece_of, reach, stretch_of
+from companion.path.proof_distance import (
+    column_distance,
+    edge_distance,
+    polygon_at,
+    terrain_distance,
+    zone_distance,
+)
+from companion.path.proof_shape import extremes, largest, runs_forward, times
+from companion.world.threats import CircleKeepOut, PolygonKeepOut
+
+sys.path.insert(0, str(Path(__file__).parent))
+from brute_force import Case, FloatArray, column_distance_m, curve, random_case
+
+seeds = st.integers(0, 10**6)
+T = np.linspace(0.0, 1.0, 801)
+
+
+def a_case(seed: int) -> Case:
+    return random_case(np.random.default_rng([11, seed]))
+
+
+def a_curve(seed: int) -> FloatArray:
+    """Control points that bend, climb and bunch up more than a path would."""
+    rng = np.random.default_rng([12, seed])
+    steps = rng.normal((300.0, 0.0, 0.0), (150.0, 250.0, 60.0), (int(rng.integers(3, 8)), 3))
+    return np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+
+
+def along(segment: tuple[float, ...]) -> FloatArray:
+    return np.array(segment[:3]) + T[:, None] * np.array(segment[3:])
+
+
+@given(seed=seeds)
+def test_the_cubics_are_the_spline(seed: int) -> None:
+    control = a_curve(seed)
+    cubics = _cubics(control)
+    t = np.linspace(0.0, 1.0, 7)
+    for span, cubic in enumerate(cubics):
+        mine = np.vander(t, 4, increasing=True) @ cubic
+        np.testing.assert_allclose(mine, curve(control)((span + t) / len(cubics)), atol=1e-8)
+
+
+@given(seed=seeds, start=st.floats(0, 0.9), share=st.floats(0.05, 1.0))
+def test_a_piece_lies_within_its_sag_and_its_tangents_within_their_cone(
+    seed: int, start: float, share: float
+) -> None:
+    control = a_curve(seed)
+    cubics = _cubics(control)
+    span = seed % len(cubics)
+    end = start + share * (1.0 - start)
+    segment, sag, cosine, length = piece_of(cubics, span, start, end)
+    u = (span + start + T * (end - start)) / len(cubics)
+    points, velocity = curve(control)(u), curve(control)(u, 1)
+    chord = np.array(segment[3:])
+    at = np.clip((points - segment[:3]) @ chord / (chord @ chord), 0.0, 1.0)
+    off = np.linalg.norm(points - segment[:3] - at[:, None] * chord, axis=-1)
+    assert off.max() <= sag + 1e-8
+    tangent = velocity / np.linalg.norm(velocity, axis=-1)[:, None]
+    assert (tangent @ chord).min() / np.linalg.norm(chord) >= cosine - 1e-9
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=-1).sum()
+    assert chords <= length + 1e-8
+
+
+def test_the_sag_of_a_piece_falls_to_a_quarter_with_each_halving() -> None:
+    cubics = _cubics(a_curve(3))
+    sags = [piece_of(cubics, 0, 0.5, 0.5 + 0.25 / 2**k)[1] for k in range(6)]
+    orders = np.log2(np.array(sags[:-1]) / np.array(sags[1:]))
+    np.testing.assert_allclose(orders[2:], 2.0, atol=0.15)
+
+
+@given(seed=seeds)
+def test_the_distance_from_a_column_is_that_of_the_nearest_point_of_the_segment(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    segment = (*rng.uniform(-300, 300, 3).tolist(), *rng.normal(0, 300, 3).tolist())
+    south, west = rng.uniform(-100, 0, 2).tolist()
+    top, registration = float(rng.uniform(-200, 200)), float(rng.choice([0.0, 30.0]))
+    box = (south, south + 100.0, west, west + 100.0, top, registration)
+    n, e, z = along(segment).T
+    gap = np.hypot(np.maximum(np.maximum(south - n, n - south - 100.0), 0.0),
+                   np.maximum(np.maximum(west - e, e - west - 100.0), 0.0))  # fmt: skip
+    brute = np.hypot(np.maximum(gap - registration, 0.0), np.maximum(z - top, 0.0)).min()
+    told = column_distance(segment, box, 1e9, 0.1)
+    assert told <= brute + 1e-9
+    assert told >= brute - 0.1 - 1.0  # a step of the samples is at most about 2 m
+    if brute > 20.0:
+        assert column_distance(segment, box, 10.0, 0.1) >= 10.0
+
+
+@given(seed=seeds, block=st.sampled_from([1, 2, 3, 7, 16]), limit=st.floats(0.3, 3.0))
+def test_the_distance_from_the_terrain_is_that_of_the_nearest_column(
+    seed: int, block: int, limit: float
+) -> None:
+    case = a_case(seed)
+    here = case.surroundings()
+    rows, columns = here.heights_m.shape
+    tall, wide = -(-rows // block), -(-columns // block)
+    maxima = np.full((tall, wide), -np.inf)
+    for i in range(tall):
+        for j in range(wide):
+            maxima[i, j] = here.heights_m[
+                i * block : (i + 1) * block, j * block : (j + 1) * block
+            ].max()
+    here = here._replace(block=block, blocks_m=maxima)
+    segment, _, _, length = piece_of(_cubics(case.control_nea_m), 0, 0.2, 0.7)
+    limit *= here.clearance_m
+    told = terrain_distance(here, segment, limit, 0.1, np.empty((maxima.size, 3)))
+    points = np.array(segment[:3]) + np.linspace(0, 1, 200)[:, None] * np.array(segment[3:])
+    brute = min(float(column_distance_m(case.known, points).min()), limit)
+    assert told <= brute + 1e-6
+    assert told >= brute - 0.1 - length / 200.0
+
+
+@given(seed=seeds)
+def test_edges_are_as_far_apart_as_their_nearest_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n0, e0, n1, e1, an, ae, bn, be = rng.uniform(-10, 10, 8).tolist()
+    t = np.linspace(0.0, 1.0, 301)
+    one = np.stack([n0 + t * (n1 - n0), e0 + t * (e1 - e0)], axis=-1)
+    two = np.stack([an + t * (bn - an), ae + t * (be - ae)], axis=-1)
+    brute = np.linalg.norm(one[:, None] - two[None], axis=-1).min()
+    told = edge_distance(n0, e0, n1, e1, an, ae, bn, be)
+    assert told <= brute + 1e-9
+    assert told >= brute - 0.1
+
+
+@given(seed=seeds)
+def test_zones_are_as_far_as_their_own_distance_says_along_the_segment(seed: int) -> None:
+    case = a_case(seed)
+    zones = (*case.keep_outs, CircleKeepOut(name="c", north_m=0.0, east_m=0.0, radius_m=10.0))
+    here = Case(**{**{f: getattr(case, f) for f in case.__dataclass_fields__}, "keep_outs": zones})
+    segment, _, _, length = piece_of(_cubics(case.control_nea_m), 0, 0.0, 1.0)
+    n, e, _ = along(segment).T
+    brute = min(float(zone.distance_m(n, e).min()) for zone in zones)
+    lower, upper = zone_distance(here.surroundings(), segment)
+    assert lower <= brute + 1e-6
+    assert upper >= lower
+    if brute > 0.0:
+        assert lower >= brute - length / 800.0
+
+
+@given(seed=seeds)
+def test_a_point_is_inside_a_polygon_where_the_zone_says_so(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    corners = tuple((a, b) for a, b in rng.uniform(-10, 10, (int(rng.integers(3, 8)), 2)).tolist())
+    zone = PolygonKeepOut(name="p", vertices_ne_m=corners)
+    edges = np.array([(*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)])
+    for n, e in rng.uniform(-12, 12, (20, 2)).tolist():
+        told = polygon_at(edges, 0, len(edges), n, e)
+        assert told == pytest.approx(float(zone.distance_m(np.array(n), np.array(e))))
+
+
+@given(seed=seeds, flown=st.floats(0, 500), left=st.floats(0, 500))
+def test_all_stretches_of_a_piece_are_within_the_slack_of_the_segment(
+    seed: int, flown: float, left: float
+) -> None:
+    here = a_case(seed).surroundings()
+    control = a_curve(seed)
+    cubics = _cubics(control)
+    piece = piece_of(cubics, 0, 0.2, 0.6)
+    left += piece[3]
+    segment, slack = stretch_of(here, piece, flown + piece[3], left)
+    u = (0.2 + 0.4 * np.linspace(0, 1, 200)) / len(cubics)
+    points, velocity = curve(control)(u), curve(control)(u, 1)
+    tangent = velocity / np.linalg.norm(velocity, axis=-1)[:, None]
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+    at = np.concatenate([[0.0], np.cumsum(chords)])
+    twice = 2.0 * here.acceleration_m_s2
+    speed = np.minimum(here.speed_m_s, np.sqrt(twice * np.minimum(flown + at, left - at)))
+    far = speed * here.dead_man_s + speed**2 / twice
+    base, chord = np.array(segment[:3]), np.array(segment[3:])
+    for share in (0.0, 0.5, 1.0):
+        ends = points + (share * far)[:, None] * tangent
+        foot = np.clip((ends - base) @ chord / (chord @ chord), 0.0, 1.0)
+        assert np.linalg.norm(ends - base - foot[:, None] * chord, axis=-1).max() <= slack + 1e-6
+
+
+def test_the_reach_is_the_flight_after_the_last_setpoint_and_the_braking_distance() -> None:
+    here = a_case(0).surroundings()._replace(dead_man_s=3.5, acceleration_m_s2=5.0)
+    assert reach(here, 150.0) == pytest.approx(525.0 + 2_250.0)
+
+
+def exact(control: FloatArray) -> tuple[float, float, float]:
+    """Largest curvature, climb and dive (tangents) of a curve, by dense samples."""
+    u = np.linspace(0.0, 1.0, 4_001)
+    first, second = curve(control)(u, 1), curve(control)(u, 2)
+    speed = np.hypot(first[:, 0], first[:, 1])
+    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    slope = first[:, 2] / speed
+    return float(np.abs(cross / speed**3).max()), float(slope.max()), float(-slope.min())
+
+
+@given(seed=seeds)
+def test_curvature_climb_and_dive_are_bounded_from_above_and_to_about_one_percent(
+    seed: int,
+) -> None:
+    control = a_curve(seed)
+    cubics = _cubics(control)
+    curvature, climb, dive = exact(control)
+    squared, _ = largest(cubics, 0, 1e-6, 0.004)
+    assert squared >= curvature**2 * (1.0 - 1e-9)
+    if curvature < 0.05:  # tighter than 20 m the samples are too far apart to be the truth
+        assert math.sqrt(squared) <= curvature * 1.02 + 2e-5
+    for sign, real in ((1, climb), (-1, dive)):
+        bound, _ = largest(cubics, sign, 0.2, 0.004)
+        assert bound >= real - 1e-9
+        assert bound <= real + 0.02 * abs(real) + 0.01 or curvature > 0.05
+
+
+@given(seed=seeds)
+def test_a_limit_just_above_what_the_curve_comes_to_is_proven(seed: int) -> None:
+    control = a_curve(seed)
+    cubics = _cubics(control)
+    curvature, climb, dive = exact(control)
+    if curvature < 0.02:
+        limit = (curvature * 1.005) ** 2
+        assert largest(cubics, 0, limit, 0.004)[0] <= limit
+    for sign, real in ((1, climb), (-1, dive)):
+        if real > 0.01 and curvature < 0.02:
+            assert largest(cubics, sign, real * 1.005, 0.004)[0] <= real * 1.005
+
+
+@pytest.mark.parametrize("radius_m", [40.0, 2_500.0, 1e5])
+def test_a_parabola_is_tightest_at_its_vertex(radius_m: float) -> None:
+    # y = x^2 / 2r has the radius r at the vertex, where both control legs are level with it.
+    x = radius_m * np.array([-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0])
+    y = radius_m * np.array([0.5, -1.0 / 6.0, -1.0 / 6.0, 0.5])
+    bound, _ = largest(_cubics(np.stack([x, y, 0 * x], axis=-1)), 0, 1e-12, 0.004)
+    assert 1.0 - 1e-9 <= math.sqrt(bound) * radius_m <= 1.01
+
+
+@given(seed=seeds)
+def test_extremes_are_those_of_the_curve(seed: int) -> None:
+    control = a_curve(seed)
+    points = curve(control)(np.linspace(0.0, 1.0, 4_001))
+    size = np.abs(control).max()
+    for axis in range(3):
+        low, high = extremes(_cubics(control), axis)
+        assert low <= points[:, axis].min() + 1e-8
+        assert high >= points[:, axis].max() - 1e-8
+        assert low >= points[:, axis].min() - 1e-5 * size
+        assert high <= points[:, axis].max() + 1e-5 * size
+
+
+def test_a_track_that_turns_back_does_not_run_forward() -> None:
+    line = np.array([[0.0, 0, 0], [300, 400, 5], [600, 800, 9], [900, 1_200, 0]])
+    assert runs_forward(_cubics(line))
+    assert runs_forward(_cubics(np.zeros((4, 3))))
+    assert not runs_forward(
+        _cubics(line[[0, 2, 1, 3]] * [1, 1, 0] + [[0, 0, 0], [9, 9, 0], [0, 0, 0], [0, 0, 0]])
+    )
+    assert not runs_forward(_cubics(line[[0, 3, 3, 0]]))
+
+
+@given(seed=seeds)
+def test_polynomials_multiply_like_numpys(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    one, other = rng.normal(size=5), rng.normal(size=4)
+    product = np.full(13, np.nan)
+    times(one, 5, other, 4, product)
+    np.testing.assert_allclose(product[:8], np.convolve(one, other))
+
+
+@pytest.mark.parametrize("miss", [0.0, 0.5, 0.9])
+def test_exposure_is_the_chord_and_the_detection_that_of_the_nearest_point(miss: float) -> None:
+    cubics = _cubics(np.array([[1_000.0 * k, 0.0, 0.0] for k in range(4)]))
+    radars = np.array([[1_500.0, 500.0 * miss, 0.0, 500.0]])
+    here = a_case(0).surroundings()._replace(radars=radars)
+    within, detection, _ = exposure(cubics, here, first_pieces(cubics))
+    chord = 1_000.0 * math.sqrt(1.0 - miss**2)
+    assert chord <= within <= chord + 2 * 0.002 * 3_000.0
+    assert detection == pytest.approx(1.0 / (1.0 + miss**4))
+
+
+def test_compiled_and_plain_agree_to_1e_9() -> None:
+    numba = pytest.importorskip("numba")
+    for helper in proof.HELPERS:
+        numba.extending.register_jitable(helper)
+    fast = numba.njit(proof.ENTRY)
+    for seed in range(30):
+        case = a_case(seed)
+        cubics, here = _cubics(case.control_nea_m), case.surroundings()
+        np.testing.assert_allclose(
+            fast(cubics, here, case.from_rest),
+            proof.prove(cubics, here, case.from_rest),
+            rtol=1e-9,
+            atol=1e-9,
+        )

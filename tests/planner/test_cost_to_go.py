@@ -1,0 +1,516 @@
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.path.limits import Limits
+from companion.planner.cost_to_go import CostToGo, cost_to_go
+from companion.planner.settings import PlannerSettings, Task
+from companion.world.known_map import KnownMap, empty_map
+from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut, Radar
+
+Place = tuple[float, float]
+
+R = 20_000.0
+CELL = R / 20.0
+FLOOR, CEILING = 3_000.0, 5_000.0
+CLIMB = math.radians(10.0)
+HEIGHT = 2.4 * 0.15 / 0.1  # cost per metre at the ceiling: f2 over f1 with the paper's weights
+RADAR = 7.2 * 0.3 / 0.1  # and per unit of detection probability: f5 over f1
+
+
+def a_task(
+    *, radars: tuple[Radar, ...] = (), keep_outs: tuple[KeepOut, ...] = (), size_m: float = 60e3
+) -> Task:
+    return Task(
+        limits=Limits(
+            speed_m_s=150.0,
+            acceleration_m_s2=5.0,
+            climb_rate_m_s=25.0,
+            turn_radius_m=2_500.0,
+            climb_angle_rad=CLIMB,
+            dive_angle_rad=CLIMB,
+            floor_amsl_m=FLOOR,
+            ceiling_amsl_m=CEILING,
+            north_m=(0.0, size_m),
+            east_m=(0.0, size_m),
+        ),
+        settings=PlannerSettings(
+            scan_range_m=R, safety_distance_m=500.0, planning_time_s=5.0, evaluations=100
+        ),
+        radars=radars,
+        keep_outs=keep_outs,
+    )
+
+
+def a_map(task: Task) -> KnownMap:
+    return empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
+
+
+def seen(task: Task, height_m: np.ndarray | float, where: np.ndarray | bool = True) -> KnownMap:
+    blank = a_map(task)
+    everywhere = np.broadcast_to(np.asarray(where), blank.seen.shape)
+    return replace(blank, upper_m=np.where(everywhere, height_m, np.inf), seen=everywhere.copy())
+
+
+def middles(task: Task) -> tuple[np.ndarray, np.ndarray]:
+    blank = a_map(task)
+    return blank.middles_m(0, 0, (blank.upper_m.shape[0], blank.upper_m.shape[1]))
+
+
+def radar(north: float, east: float, range_m: float) -> Radar:
+    return Radar(name="radar", centre_nea_m=(north, east, 0.0), range_m=range_m)
+
+
+def value(field: CostToGo, place: Place) -> float:
+    return float(field.at_m(np.array(place[0]), np.array(place[1])))
+
+
+def length(route: tuple[Place, ...]) -> float:
+    return sum(math.dist(a, b) for a, b in pairwise(route))
+
+
+def along(route: tuple[Place, ...], step_m: float = 100.0) -> np.ndarray:
+    pieces = [
+        np.linspace(a, b, max(math.ceil(math.dist(a, b) / step_m), 1), endpoint=False)
+        for a, b in pairwise(route)
+    ]
+    return np.concatenate([*pieces, np.array(route[-1:])])
+
+
+def detour_m(
+    here: Place, there: Place, centre: Place, radius_m: float, far_side: bool = False
+) -> float:
+    """Tangent, arc, tangent about a circle that the straight line crosses."""
+    a = np.subtract(here, centre)
+    b = np.subtract(there, centre)
+    da, db = np.hypot(*a), np.hypot(*b)
+    between = math.acos(np.dot(a, b) / (da * db))
+    between = 2.0 * math.pi - between if far_side else between
+    arc = between - math.acos(radius_m / da) - math.acos(radius_m / db)
+    return math.sqrt(da**2 - radius_m**2) + math.sqrt(db**2 - radius_m**2) + radius_m * arc
+
+
+places = st.tuples(st.floats(1e3, 59e3), st.floats(1e3, 59e3))
+
+
+@given(here=places, target=places)
+def test_over_a_free_plane_the_cost_is_the_distance(here: Place, target: Place) -> None:
+    task = a_task()
+    field = cost_to_go(a_map(task), task, here, target)
+    apart = math.dist(here, target)
+    assert value(field, here) == pytest.approx(apart, rel=0.01, abs=0.75 * CELL)
+    assert field.route_ne_m == (here, target)
+
+
+def test_the_error_of_the_metric_is_under_one_per_cent_in_every_direction() -> None:
+    task, target = a_task(), (30_000.0, 30_000.0)
+    field = cost_to_go(a_map(task), task, (0.0, 0.0), target)
+    bearing = np.linspace(0.0, 2.0 * math.pi, 721)
+    for far in (5e3, 12e3, 29e3):
+        got = field.at_m(target[0] + far * np.cos(bearing), target[1] + far * np.sin(bearing))
+        assert got.min() >= 0.9999 * far
+        assert got.max() <= 1.009 * far
+
+
+@pytest.mark.parametrize("height_m", [2_800.0, 3_500.0, 4_200.0])
+def test_a_plateau_costs_its_height(height_m: float) -> None:
+    task = a_task()
+    field = cost_to_go(seen(task, height_m), task, (5e3, 7e3), (50e3, 40e3))
+    need = height_m + task.search_clearance_m
+    expected = math.dist((5e3, 7e3), (50e3, 40e3)) * (1 + HEIGHT * (need - FLOOR) / 2e3)
+    assert value(field, (5e3, 7e3)) == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("rise_m", [400.0, 900.0, 1_500.0])
+def test_a_cliff_costs_the_ramp_that_leads_up_to_it(rise_m: float) -> None:
+    task = a_task()
+    north, _ = middles(task)
+    terrain = np.where(north > 30e3, FLOOR + rise_m - task.search_clearance_m, 0.0)
+    here, target = (5e3, 30e3), (55e3, 30e3)
+    field = cost_to_go(seen(task, terrain), task, here, target)
+    level = 50e3 + HEIGHT * rise_m / 2e3 * 25e3
+    ramp = HEIGHT / 2e3 * rise_m**2 / (2.0 * math.tan(CLIMB))
+    assert value(field, here) == pytest.approx(level + ramp, rel=0.03)
+
+
+def test_a_slope_that_the_vehicle_can_climb_costs_its_height_only() -> None:
+    task = a_task()
+    north, _ = middles(task)
+    terrain = np.clip(2_500.0 + 0.1 * (north - 20e3), 2_500.0, 3_500.0) + 0.0 * north.T
+    here, target = (5e3, 30e3), (55e3, 30e3)
+    field = cost_to_go(seen(task, terrain), task, here, target)
+    points = np.arange(5e3, 55e3, 10.0)
+    need = np.clip(2_500.0 + 0.1 * (points - 20e3), 2_500.0, 3_500.0) + task.search_clearance_m
+    expected = 10.0 * (1.0 + HEIGHT * (need - FLOOR) / 2e3).sum()
+    assert value(field, here) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("off_m", [300.0, 3_000.0, 6_000.0])
+@pytest.mark.parametrize("range_m", [7_000.0, 11_000.0])
+def test_round_a_radar_the_way_is_tangent_arc_tangent(off_m: float, range_m: float) -> None:
+    centre = (30e3 + off_m, 30e3 - off_m)
+    task = a_task(radars=(radar(*centre, range_m),))
+    here, target = (6e3, 7e3), (55e3, 52e3)
+    field = cost_to_go(a_map(task), task, here, target)
+    outside = math.sqrt(range_m**2 - FLOOR**2)  # the radar stands at 0 m
+    expected = detour_m(here, target, centre, outside)
+    assert expected > 1.002 * math.dist(here, target) or off_m > 5e3
+    assert value(field, here) == pytest.approx(expected, rel=0.02)
+    assert length(field.route_ne_m) == pytest.approx(expected, rel=0.02)
+    points = along(field.route_ne_m)
+    assert np.hypot(*(points - centre).T).min() >= outside
+
+
+def test_the_guide_is_the_tangent_of_the_radar_that_is_passed() -> None:
+    centre, range_m = (30e3, 29e3), 10_000.0
+    task = a_task(radars=(radar(*centre, range_m),))
+    here, target = (5e3, 30e3), (58e3, 30e3)
+    field = cost_to_go(a_map(task), task, here, target)
+    a = np.subtract(centre, here)
+    outside = math.sqrt(range_m**2 - FLOOR**2)
+    tangent = math.atan2(a[1], a[0]) + math.asin(outside / np.hypot(*a))
+    assert field.leaving_rad(here, 19e3) == pytest.approx(tangent, abs=0.05)
+
+
+@pytest.mark.parametrize("bearing_deg", [0.0, 11.0, 27.0, 45.0])
+@pytest.mark.parametrize("shift", [0.0, 0.3, 0.6, 0.85])
+def test_a_gap_of_one_and_a_half_cells_stays_open(bearing_deg: float, shift: float) -> None:
+    task = a_task()
+    north, east = middles(task)
+    turn = math.radians(bearing_deg)
+    n, e = north - 30e3 - shift * CELL, east - 30e3 - 0.7 * shift * CELL
+    across, aside = n * math.cos(turn) + e * math.sin(turn), e * math.cos(turn) - n * math.sin(turn)
+    free = 0.75 * CELL + task.search_clearance_m + 0.5 * task.cell_m
+    wall = np.where((np.abs(across) < 2e3) & (np.abs(aside) > free), 9e3, 0.0)
+    ahead = np.array([math.cos(turn), math.sin(turn)])
+    gap = np.array([30e3, 30e3]) + shift * CELL * np.array([1.0, 0.7])
+    here, target = tuple(gap - 20e3 * ahead), tuple(gap + 20e3 * ahead)
+    field = cost_to_go(seen(task, wall), task, here, target)
+    assert length(field.route_ne_m) == pytest.approx(40e3, rel=0.02)
+    assert value(field, here) == pytest.approx(40e3, rel=0.03)
+
+
+def test_a_wall_without_a_gap_is_gone_round() -> None:
+    task = a_task()
+    north, east = middles(task)
+    wall = np.where((np.abs(north - 30e3) < 2e3) & (east > 20e3), 9e3, 0.0)
+    here, target = (10e3, 40e3), (50e3, 40e3)
+    field = cost_to_go(seen(task, wall), task, here, target)
+    near, far = (28e3, 20e3), (32e3, 20e3)
+    out = task.search_clearance_m
+    expected = math.dist(here, near) + math.dist(near, far) + math.dist(far, target)
+    assert length(field.route_ne_m) == pytest.approx(expected + 2.0 * out, rel=0.03)
+
+
+def eikonal(slowness: np.ndarray, step_m: float, target: tuple[int, int]) -> np.ndarray:
+    """Godunov's upwind scheme, iterated until nothing changes."""
+    time = np.full(slowness.shape, 1e9)
+    rows, columns = np.indices(slowness.shape)
+    apart = np.hypot(rows - target[0], columns - target[1])
+    fixed = apart <= 8  # exact about the target, where the scheme is worst
+    time[fixed] = (apart * step_m)[fixed]
+    f = slowness * step_m
+    for _ in range(2_000):
+        pad = np.pad(time, 1, constant_values=1e9)
+        a = np.minimum(pad[:-2, 1:-1], pad[2:, 1:-1])
+        b = np.minimum(pad[1:-1, :-2], pad[1:-1, 2:])
+        low, gap = np.minimum(a, b), np.abs(a - b)
+        root = np.sqrt(np.maximum(2.0 * f**2 - gap**2, 0.0))
+        after = np.minimum(time, np.where(gap >= f, low + f, 0.5 * (a + b + root)))
+        if np.array_equal(after, time):
+            return after
+        time = after
+    raise AssertionError
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_values_are_those_of_a_fine_eikonal_solver(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    radars = tuple(
+        radar(*rng.uniform(12e3, 48e3, 2), float(rng.uniform(5e3, 9e3))) for _ in range(4)
+    )
+    task = a_task(radars=radars)
+    n, e = middles(task)
+    hills = rng.uniform((10e3, 10e3, 6e3, 1e3), (50e3, 50e3, 12e3, 3e3), (3, 4))
+    terrain = np.max(
+        [h + 700.0 - 700.0 * ((n - a) ** 2 + (e - b) ** 2) / s**2 for a, b, s, h in hills], axis=0
+    )
+    target = (57e3, 55e3)
+    field = cost_to_go(seen(task, terrain), task, (2e3, 2e3), target)
+    step = 250.0
+    north, east = np.arange(0.0, 60e3 + 1, step)[:, None], np.arange(0.0, 60e3 + 1, step)[None, :]
+    high = np.max(
+        [h + 700.0 - 700.0 * ((north - a) ** 2 + (east - b) ** 2) / s**2 for a, b, s, h in hills],
+        axis=0,
+    )
+    need = np.clip(high + task.search_clearance_m, FLOOR, CEILING)
+    slowness = 1.0 + HEIGHT * (need - FLOOR) / 2e3
+    inside = np.zeros(slowness.shape, dtype=bool)
+    for each in radars:
+        a, b, _ = each.centre_nea_m
+        d = np.sqrt((north - a) ** 2 + (east - b) ** 2 + need**2)
+        slowness += RADAR * np.where(d <= each.range_m, 1.0 / (1.0 + (d / each.range_m) ** 4), 0.0)
+        inside |= d <= each.range_m + CELL
+    oracle = eikonal(slowness, step, (round(target[0] / step), round(target[1] / step)))
+    got = field.at_m(*np.broadcast_arrays(north, east))
+    compared = ~inside & (oracle > 8e3)
+    ratio = got[compared] / oracle[compared]
+    assert ratio.min() > 0.97
+    assert ratio.max() < 1.05
+    assert abs(np.median(ratio) - 1.0) < 0.01
+
+
+def a_scene(seed: int) -> tuple[Task, KnownMap]:
+    """Radars, keep-outs and hills, some above the ceiling, some in ground that was not seen."""
+    rng = np.random.default_rng(seed)
+    radars = tuple(
+        radar(*rng.uniform(12e3, 48e3, 2), float(rng.uniform(5e3, 9e3))) for _ in range(3)
+    )
+    north, east = (float(x) for x in rng.uniform(15e3, 45e3, 2))
+    keep_outs: tuple[KeepOut, ...] = (
+        CircleKeepOut(name="circle", north_m=north, east_m=east, radius_m=2_500.0),
+    )
+    task = a_task(radars=radars, keep_outs=keep_outs)
+    n, e = middles(task)
+    hills = rng.uniform((8e3, 8e3, 2e3, 2e3), (52e3, 52e3, 6e3, 6e3), (6, 4))
+    terrain = np.max(
+        [h * np.exp(-((n - a) ** 2 + (e - b) ** 2) / s**2) for a, b, s, h in hills], axis=0
+    )
+    return task, seen(task, terrain, where=np.hypot(n - 20e3, e - 20e3) < 30e3)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_along_the_route_the_cost_falls_all_the_way(seed: int) -> None:
+    task, known = a_scene(seed)
+    field = cost_to_go(known, task, (2e3, 2e3), (58e3, 57e3))
+    points = along(field.route_ne_m, 250.0)
+    values = field.at_m(points[:, 0], points[:, 1])
+    assert values[0] > 70e3
+    assert np.diff(values).max() <= 0.1 * CELL  # interpolation beside threats is not exact
+    later = np.minimum.accumulate(values)
+    assert (values[4:] < later[:-4]).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_mirrored_world_has_a_mirrored_field(seed: int) -> None:
+    task, known = a_scene(seed)
+    here, target = (3e3, 2e3), (58e3, 55e3)
+    field = cost_to_go(known, task, here, target)
+
+    def turned(place: Place) -> Place:
+        return 60e3 - place[0], place[1]
+
+    other = a_task(
+        radars=tuple(radar(*turned(r.centre_nea_m[:2]), r.range_m) for r in task.radars),
+        keep_outs=tuple(
+            replace(zone, north_m=60e3 - zone.north_m)
+            for zone in task.keep_outs
+            if isinstance(zone, CircleKeepOut)
+        ),
+    )
+    flipped = replace(known, upper_m=known.upper_m[::-1], seen=known.seen[::-1])
+    mirrored = cost_to_go(flipped, other, turned(here), turned(target))
+    np.testing.assert_allclose(mirrored.value_m, field.value_m[::-1], rtol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_same_question_has_the_same_answer(seed: int) -> None:
+    task, known = a_scene(seed)
+    first = cost_to_go(known, task, (2e3, 2e3), (58e3, 57e3))
+    again = cost_to_go(known, task, (2e3, 2e3), (58e3, 57e3))
+    assert first.value_m.tobytes() == again.value_m.tobytes()
+    assert first.route_ne_m == again.route_ne_m
+
+
+def test_ground_that_has_not_been_seen_is_free() -> None:
+    task = a_task()
+    known = seen(task, 9e3)
+    unseen = replace(known, seen=np.zeros_like(known.seen))
+    free = cost_to_go(a_map(task), task, (5e3, 5e3), (50e3, 40e3))
+    assert cost_to_go(unseen, task, (5e3, 5e3), (50e3, 40e3)).value_m == pytest.approx(free.value_m)
+    assert value(cost_to_go(known, task, (5e3, 5e3), (50e3, 40e3)), (5e3, 5e3)) > 1e6
+
+
+HERE, TARGET = (30e3, 5e3), (30e3, 55e3)
+
+
+def passing(off_m: float, previous: tuple[Place, ...] = ()) -> CostToGo:
+    """A radar between HERE and TARGET, its centre off_m north of the line between them."""
+    task = a_task(radars=(radar(30e3 + off_m, 30e3, 12e3),))
+    return cost_to_go(a_map(task), task, HERE, TARGET, previous)
+
+
+def side(field: CostToGo) -> float:
+    """Positive if the route passes north of the radar."""
+    return float(np.interp(30e3, *np.array(field.route_ne_m)[:, ::-1].T)) - 30e3
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_small_gain_does_not_make_the_route_change_sides(sign: float) -> None:
+    before = passing(-600.0 * sign)
+    now = passing(500.0 * sign)
+    assert side(before) * sign > 5e3
+    assert side(now) * sign < -5e3
+    centre, outside = (30e3 + 500.0 * sign, 30e3), math.sqrt(12e3**2 - FLOOR**2)
+    short = detour_m(HERE, TARGET, centre, outside)
+    long = detour_m(HERE, TARGET, centre, outside, far_side=True)
+    assert 0.005 < 1.0 - short / long < 0.02
+    kept = passing(500.0 * sign, before.route_ne_m)
+    assert side(kept) * sign > 5e3
+    ends = (
+        30e3 + 19e3 * np.sin(np.linspace(-1.2, 1.2, 97)),
+        5e3 + 19e3 * np.cos(np.linspace(-1.2, 1.2, 97)),
+    )
+    start = 19e3 + kept.at_m(*ends)
+    assert (ends[0][np.argmin(start)] - 30e3) * sign > 0.0  # and ends of subpaths agree
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_large_gain_makes_the_route_change_sides(sign: float) -> None:
+    before = passing(-600.0 * sign)
+    assert side(passing(3_000.0 * sign, before.route_ne_m)) * sign < -5e3
+
+
+def test_a_route_that_becomes_impassable_is_given_up() -> None:
+    before = passing(-300.0)
+    task = a_task(
+        radars=(radar(29.7e3, 30e3, 12e3),),
+        keep_outs=(CircleKeepOut(name="new", north_m=45e3, east_m=30e3, radius_m=9e3),),
+    )
+    assert side(cost_to_go(a_map(task), task, HERE, TARGET, before.route_ne_m)) < -5e3
+
+
+def test_a_route_that_nothing_disputes_leaves_the_values_as_they_are() -> None:
+    before = passing(-300.0)
+    again = passing(-900.0, before.route_ne_m)
+    free = passing(-900.0)
+    assert again.value_m.tobytes() == free.value_m.tobytes()
+    assert again.route_ne_m == free.route_ne_m
+
+
+def test_the_route_to_another_target_does_not_count() -> None:
+    task = a_task()
+    free = cost_to_go(a_map(task), task, HERE, TARGET)
+    other = cost_to_go(a_map(task), task, HERE, TARGET, (HERE, (5e3, 40e3)))
+    assert free.value_m.tobytes() == other.value_m.tobytes()
+
+
+@given(
+    bearing=st.floats(-math.pi, math.pi),
+    depth=st.floats(1_500.0, 7_000.0),
+    zone=st.sampled_from(["radar", "circle", "hill"]),
+)
+def test_from_inside_a_threat_the_route_takes_the_short_way_out(
+    bearing: float, depth: float, zone: str
+) -> None:
+    centre, out = np.array([30e3, 30e3]), 9e3
+    task = a_task()
+    known = a_map(task)
+    if zone == "radar":
+        task = a_task(radars=(radar(30e3, 30e3, math.hypot(out, FLOOR)),))
+    elif zone == "circle":
+        keep_out = CircleKeepOut(name="zone", north_m=30e3, east_m=30e3, radius_m=out - 530.0)
+        task = a_task(keep_outs=(keep_out,))
+    else:
+        north, east = middles(task)
+        known = seen(task, np.where(np.hypot(north - 30e3, east - 30e3) < out - 530.0, 9e3, 0.0))
+    here = centre + (out - depth) * np.array([math.cos(bearing), math.sin(bearing)])
+    field = cost_to_go(known, task, (float(here[0]), float(here[1])), (57e3, 30e3))
+    points = along(field.route_ne_m)
+    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    inside = np.hypot(*(points - centre).T) < out
+    assert way[np.argmin(inside)] < 1.15 * depth + 1.0 * CELL
+
+
+def test_a_target_inside_a_threat_is_reached_by_the_short_way_in() -> None:
+    corners = ((25e3, 20e3), (35e3, 20e3), (35e3, 40e3), (25e3, 40e3))
+    task = a_task(keep_outs=(PolygonKeepOut(name="box", vertices_ne_m=corners),))
+    field = cost_to_go(a_map(task), task, (30e3, 5e3), (33e3, 30e3))
+    points = along(field.route_ne_m)
+    inside = task.keep_outs[0].distance_m(points[:, 0], points[:, 1]) < 0.0
+    assert 100.0 * inside.sum() < 1.2 * 2e3 + CELL
+    assert np.isfinite(field.value_m).all()
+
+
+anywhere = st.tuples(st.floats(-80e3, 140e3), st.floats(-80e3, 140e3))
+
+
+@given(
+    here=anywhere,
+    target=anywhere,
+    seed=st.integers(0, 3),
+    previous=st.lists(anywhere, max_size=3),
+    same=st.booleans(),
+)
+def test_everything_is_finite_wherever_it_is_asked_from(
+    here: Place, target: Place, seed: int, previous: list[Place], same: bool
+) -> None:
+    task, known = a_scene(seed)
+    target = here if same else target
+    field = cost_to_go(known, task, here, target, (*previous, target))
+    assert np.isfinite(field.value_m).all()
+    assert (field.value_m >= 0.0).all()
+    assert (field.route_ne_m[0], field.route_ne_m[-1]) == (here, target)
+    assert np.isfinite(field.route_ne_m).all()
+    assert math.isfinite(field.leaving_rad(here, 19e3))
+    assert math.isfinite(value(field, here))
+
+
+@pytest.mark.parametrize(
+    ("range_m", "size_m"),
+    [(range_m, size * range_m) for range_m in (30.0, 1e3, 2e4) for size in (0.02, 0.1, 1.02, 9.7)],
+)
+def test_a_map_of_any_size_has_a_field(range_m: float, size_m: float) -> None:
+    task = a_task(radars=(radar(0.4 * size_m, 0.6 * size_m, 0.2 * size_m),), size_m=size_m)
+    task = replace(
+        task,
+        settings=replace(task.settings, scan_range_m=range_m, safety_distance_m=0.02 * range_m),
+    )
+    target = (0.9 * size_m, 0.8 * size_m)
+    field = cost_to_go(seen(task, 500.0), task, (0.0, 0.0), target)
+    assert np.isfinite(field.value_m).all()
+    assert max(field.value_m.shape) <= 161
+    apart = math.hypot(*target)
+    assert value(field, (0.0, 0.0)) == pytest.approx(apart, rel=0.05, abs=2.0 * field.cell_m)
+
+
+def test_on_a_large_map_the_route_goes_round_what_is_beyond_the_window() -> None:
+    task = a_task(radars=(radar(300e3, 300e3, 90e3),), size_m=600e3)
+    here, target = (20e3, 20e3), (580e3, 575e3)
+    field = cost_to_go(a_map(task), task, here, target)
+    assert max(field.value_m.shape) <= 161
+    expected = detour_m(here, target, (300e3, 300e3), 90e3)
+    assert value(field, here) == pytest.approx(expected, rel=0.02)
+    assert length(field.route_ne_m) == pytest.approx(expected, rel=0.02)
+    a = np.subtract((300e3, 300e3), here)
+    tangent = math.asin(90e3 / np.hypot(*a))
+    guide = field.leaving_rad(here, 19e3) - math.atan2(a[1], a[0])
+    assert abs(guide) == pytest.approx(tangent, abs=0.06)
+
+
+def test_on_a_large_map_terrain_near_here_counts_in_full() -> None:
+    task = a_task(size_m=400e3)
+    north, east = middles(task)
+    wall = np.where((np.abs(north - 210e3) < 1e3) & (np.abs(east - 200e3) < 20e3), 9e3, 0.0)
+    here, target = (190e3, 201e3), (390e3, 201e3)
+    field = cost_to_go(seen(task, wall), task, here, target)
+    edge = (210e3, 220e3 + task.search_clearance_m)
+    expected = math.dist(here, edge) + math.dist(edge, target)
+    assert value(field, here) == pytest.approx(expected, rel=0.015)
+
+
+def test_the_route_leaves_a_circle_where_it_crosses_it_outwards_first() -> None:
+    route = ((0.0, 0.0), (0.0, 8.0), (8.0, 8.0), (8.0, 30.0))
+    field = CostToGo(
+        north_min_m=0.0, east_min_m=0.0, cell_m=1.0, value_m=np.zeros((2, 2)), route_ne_m=route
+    )
+    assert field.leaving_rad((0.0, 0.0), 5.0) == pytest.approx(math.pi / 2)
+    assert field.leaving_rad((0.0, 0.0), 10.0) == pytest.approx(math.atan2(8.0, 6.0))
+    assert field.leaving_rad((0.0, 0.0), 17.0) == pytest.approx(math.atan2(15.0, 8.0))
+    assert field.leaving_rad((0.0, 0.0), 50.0) == pytest.approx(math.atan2(30.0, 8.0))
+    assert field.leaving_rad((1.0, 0.0), 0.5) == pytest.approx(math.atan2(30.0, 7.0))

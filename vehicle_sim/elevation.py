@@ -1,0 +1,116 @@
+"""Elevation files of the world: GeoTIFF and SRTM .hgt, opened by rasterio only if one is named."""
+
+import importlib
+import math
+import re
+import warnings
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vehicle_sim.errors import InputError
+from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.grid import Area, GridTerrain
+
+VerticalDatum = Literal["AMSL", "EGM84", "EGM96", "EGM2008", "NAVD88", "NGVD29", "EVRF"]
+_FIELD = "terrain.file"
+_MOST_POINTS = 2.5e8
+_COARSEST_DEG = 1 / 240
+_ELLIPSOID = re.compile(r'(?:SPHEROID|ELLIPSOID)\["[^"]*",[\d.]+,([\d.]+)')
+_FLATTENINGS = (298.257222, 298.257224)
+"""Of the ellipsoids of WGS84, NAD83 and ETRS89, which agree to 0.1 mm."""
+
+
+def read_grid(
+    path: Path, frame: LocalFrame, area_m: Area, nodata: Literal["sea"] | float | None
+) -> GridTerrain:
+    """The terrain of an area; InputError says what is wrong with the file."""
+    if not path.is_file():
+        raise _refusal(path, "there is no such file", "Name a GeoTIFF or an SRTM .hgt")
+    try:
+        rasterio = importlib.import_module("rasterio")
+    except ImportError:
+        raise _refusal(path, "rasterio is not installed", "Install it") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            is_hgt = path.suffix.lower() == ".hgt"
+            dataset = rasterio.open(path, driver="SRTMHGT" if is_hgt else "GTiff")
+        with dataset:
+            _check(dataset, path)
+            top, left, bottom, right = _needed(dataset, frame, area_m, path)
+            raw = dataset.read(1, window=((top, bottom), (left, right)), masked=True)
+            north_deg, west_deg = dataset.xy(top, left)[::-1]
+            step_deg = (abs(dataset.res[0]), abs(dataset.res[1]))
+    except rasterio.errors.RasterioError as error:
+        reason = " ".join(str(error).split())
+        raise _refusal(path, f"cannot be read ({reason})", "Name a GeoTIFF") from None
+    return GridTerrain.of(
+        _without_holes(raw, nodata, path),
+        north_deg=north_deg,
+        west_deg=west_deg,
+        step_deg=step_deg,
+        frame=frame,
+        area_m=area_m,
+    )
+
+
+def _refusal(path: Path, rule: str, remedy: str) -> InputError:
+    return InputError(_FIELD, str(path), rule, f"{remedy}.")
+
+
+def _check(dataset: Any, path: Path) -> None:
+    """Latitude and longitude, north up, metres, one band."""
+    to_degrees = "Warp it to EPSG:4326"
+    crs = dataset.crs
+    if crs is None or not crs.is_geographic:
+        kind = "no coordinate system" if crs is None else "projected coordinates"
+        raise _refusal(path, f"has {kind}, not latitude and longitude", to_degrees)
+    ellipsoid = _ELLIPSOID.search(crs.to_wkt())
+    if not ellipsoid or not _FLATTENINGS[0] < float(ellipsoid[1]) < _FLATTENINGS[1]:
+        raise _refusal(path, "is not on the ellipsoid of WGS84", to_degrees)
+    a, b, _, d, e = dataset.transform[:5]
+    if b != 0.0 or d != 0.0 or not (a > 0.0 > e):
+        raise _refusal(path, "is turned: north must be up", to_degrees)
+    if max(a, -e) > _COARSEST_DEG:
+        raise _refusal(path, "has cells of more than 15 arc seconds", "Name a finer file")
+    if dataset.count != 1 or dataset.dtypes[0][0] not in "iuf":
+        raise _refusal(path, "is not one band of heights", "Name a file of elevations")
+    if dataset.scales != (1.0,) or dataset.offsets != (0.0,):
+        raise _refusal(path, "has scaled heights", "Unscale it")
+    if dataset.units[0] and not dataset.units[0].lower().startswith("m"):
+        raise _refusal(path, f"has heights in {dataset.units[0]}", "Convert them to metres")
+
+
+def _needed(dataset: Any, frame: LocalFrame, area_m: Area, path: Path) -> tuple[int, int, int, int]:
+    """The part of the file around the area: first row and column, and those after the last."""
+    north, east = np.meshgrid(np.linspace(*area_m[:2], 33), np.linspace(*area_m[2:], 33))
+    latitude, longitude = frame.to_geographic_many(north.ravel(), east.ravel())
+    centre = 0.5 * (dataset.bounds.left + dataset.bounds.right)
+    longitude = (longitude - centre + 180.0) % 360.0 - 180.0 + centre
+    column, row = ~dataset.transform * (longitude, latitude)
+    spare = 0.02  # of a cell: the border bends between the places looked at
+    top, bottom = math.floor(row.min() - 0.5 - spare), math.ceil(row.max() - 0.5 + spare) + 1
+    left, right = math.floor(column.min() - 0.5 - spare), math.ceil(column.max() - 0.5 + spare) + 1
+    if min(top, left) < 0 or bottom > dataset.height or right > dataset.width:
+        raise _refusal(path, "does not cover [area]", "Make [area] smaller")
+    if (bottom - top) * (right - left) > _MOST_POINTS:
+        raise _refusal(path, f"has over {_MOST_POINTS:.0e} points in [area]", "Make [area] smaller")
+    return top, left, bottom, right
+
+
+def _without_holes(raw: Any, nodata: Literal["sea"] | float | None, path: Path) -> NDArray[Any]:
+    """Heights everywhere, and only such as there are on earth."""
+    holes = np.ma.getmaskarray(raw) | ~np.isfinite(raw.data)
+    heights: NDArray[Any] = raw.data
+    if holes.any():
+        if nodata is None:
+            remedy = 'Say what is there: nodata = "sea", or a height AMSL'
+            raise _refusal(path, f"has {int(holes.sum())} points without height in [area]", remedy)
+        heights = heights.astype(np.float32)
+        heights[holes] = 0.0 if nodata == "sea" else nodata
+    if heights.min() < -500 or heights.max() > 9000:
+        raise _refusal(path, "has heights that are not of this earth", "Name another file")
+    return heights
