@@ -1,4 +1,4 @@
-"""The command line: fly, plan, check."""
+"""The command line: fly, plan, check, compare."""
 
 import contextlib
 import platform
@@ -17,6 +17,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from companion.compare.command import compare_app
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import CompanionError, FlightFailed, InputError
 from companion.mission.events import Outcome
@@ -50,6 +51,9 @@ app = typer.Typer(
         "**companion fly environment-1 --lockstep** in another."
     ),
 )
+
+
+app.add_typer(compare_app, name="compare")
 
 
 class ProfileName(StrEnum):

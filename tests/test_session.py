@@ -16,7 +16,7 @@ from scripted_vehicle import BRAKE, GUIDED, MISSION, Pair, Vehicle, messages, pa
 
 from companion.mission.events import Outcome
 from companion.mission.state import Phase, Reason
-from companion.planner.plan import PlanRequest
+from companion.planner.request import PlanRequest
 from companion.session import Session
 
 

@@ -42,8 +42,8 @@ def read_grid(
             _check(dataset, path)
             top, left, bottom, right = _needed(dataset, frame, area_m, path)
             raw = dataset.read(1, window=((top, bottom), (left, right)), masked=True)
-            north_deg, west_deg = dataset.xy(top, left)[::-1]
-            step_deg = (abs(dataset.res[0]), abs(dataset.res[1]))
+            a, _, c, _, e, f = dataset.transform[:6]
+            north_deg, west_deg = f + (top + 0.5) * e, c + (left + 0.5) * a
     except rasterio.errors.RasterioError as error:
         reason = " ".join(str(error).split())
         raise _refusal(path, f"cannot be read ({reason})", "Name a GeoTIFF") from None
@@ -51,7 +51,7 @@ def read_grid(
         _without_holes(raw, nodata, path),
         north_deg=north_deg,
         west_deg=west_deg,
-        step_deg=step_deg,
+        step_deg=(-e, a),
         frame=frame,
         area_m=area_m,
     )
@@ -88,9 +88,9 @@ def _needed(dataset: Any, frame: LocalFrame, area_m: Area, path: Path) -> tuple[
     """The part of the file around the area: first row and column, and those after the last."""
     north, east = np.meshgrid(np.linspace(*area_m[:2], 33), np.linspace(*area_m[2:], 33))
     latitude, longitude = frame.to_geographic_many(north.ravel(), east.ravel())
-    centre = 0.5 * (dataset.bounds.left + dataset.bounds.right)
-    longitude = (longitude - centre + 180.0) % 360.0 - 180.0 + centre
-    column, row = ~dataset.transform * (longitude, latitude)
+    a, _, c, _, e, f = dataset.transform[:6]
+    east_of_middle = (longitude - c - 0.5 * dataset.width * a + 180.0) % 360.0 - 180.0
+    row, column = (latitude - f) / e, east_of_middle / a + 0.5 * dataset.width
     spare = 0.02  # of a cell: the border bends between the places looked at
     top, bottom = math.floor(row.min() - 0.5 - spare), math.ceil(row.max() - 0.5 + spare) + 1
     left, right = math.floor(column.min() - 0.5 - spare), math.ceil(column.max() - 0.5 + spare) + 1

@@ -16,13 +16,24 @@ from companion.views.figure import DPI, FlightFigure, TerrainPicture
 
 _CELLS = 440  # a side of the terrain: 250 m in the bundled environments
 _OURS, _PAPERS = "#0050b5", "#8a6d3b"
+_WIDELY = 3.0  # spread of costs from which on their scale is logarithmic
 _WIDE = 160  # characters in a line of the text under the panels
 
 
 def draw_effect(
     effect: effects.Effect, found: Sequence[effects.Outcome], remark: str, path: Path
 ) -> None:
-    """Fig. 3 or Fig. 4: two panels seen at an angle, under each its profile or plan; a PNG."""
+    """Write Fig. 3 or Fig. 4 to a PNG file."""
+    compose_effect(effect, found, remark).savefig(path, format="png", dpi=DPI)
+
+
+def draw_table(found: Sequence[table_1.Row], remarks: Sequence[str], path: Path) -> None:
+    """Write Table 1 as a picture to a PNG file."""
+    compose_table(found, remarks).savefig(path, format="png", dpi=DPI)
+
+
+def compose_effect(effect: effects.Effect, found: Sequence[effects.Outcome], remark: str) -> Figure:
+    """Fig. 3 or Fig. 4: two panels seen at an angle, under each its profile or plan."""
     canvas = Figure(figsize=(15.0, 12.2))
     FigureCanvasAgg(canvas)
     canvas.text(0.03, 0.967, effect.title, fontsize=18, weight="bold", parse_math=False)
@@ -54,23 +65,23 @@ def draw_effect(
         bbox_to_anchor=(0.5, 0.085),
     )  # fmt: skip
     _write_below(canvas, [f"The paper: {effect.paper}.", remark])
-    canvas.savefig(path, format="png", dpi=DPI)
+    return canvas
 
 
-def draw_table(found: Sequence[table_1.Row], remarks: Sequence[str], path: Path) -> None:
-    """Table 1: the cost of every run, mean and standard deviation, beside the paper's; a PNG."""
-    canvas = Figure(figsize=(14.0, 10.0))
+def compose_table(found: Sequence[table_1.Row], remarks: Sequence[str]) -> Figure:
+    """Table 1: the cost of every run, mean and standard deviation, beside the paper's."""
+    canvas = Figure(figsize=(14.0, 11.5))
     FigureCanvasAgg(canvas)
     title = "Table 1: cost from start to target"
     canvas.text(0.03, 0.955, title, fontsize=18, weight="bold", parse_math=False)
     for at, row in enumerate(found):
-        left, bottom = 0.07 + 0.49 * (at % 2), 0.545 - 0.42 * (at // 2)
-        axes = canvas.add_axes((left, bottom, 0.37, 0.34), label="row")
+        left, bottom = 0.07 + 0.49 * (at % 2), 0.61 - 0.365 * (at // 2)
+        axes = canvas.add_axes((left, bottom, 0.37, 0.29), label="row")
         _draw_row(axes, row)
     handles, labels = canvas.axes[0].get_legend_handles_labels()
-    canvas.legend(handles, labels, loc="upper right", ncols=3, frameon=False)
+    canvas.legend(handles, labels, loc="upper right", ncols=3, frameon=False, fontsize=11)
     _write_below(canvas, remarks)
-    canvas.savefig(path, format="png", dpi=DPI)
+    return canvas
 
 
 def _draw_row(axes: Axes, row: table_1.Row) -> None:
@@ -85,15 +96,20 @@ def _draw_row(axes: Axes, row: table_1.Row) -> None:
         bars: dict[str, Any] = {"fmt": "_", "ms": 16, "capsize": 5, "lw": 1.6}
         label = {} if at else {"label": "mean ± standard deviation, here (left scale)"}
         mean, deviation = outcome.mean_cost, outcome.deviation
-        axes.errorbar(at, mean, np.nan_to_num(deviation), color=_OURS, **bars, **label)
+        below = min(deviation, mean - min(outcome.costs, default=mean))  # none lies below that
+        ends = np.nan_to_num([[below], [deviation]])
+        axes.errorbar(at, mean, ends, color=_OURS, **bars, **label)
         label = {} if at else {"label": "the paper's (right scale)"}
         other.errorbar(at + 0.2, cell.mean, cell.deviation, color=_PAPERS, **bars)
         axes.errorbar([], [], [], color=_PAPERS, **bars, **label)
     axes.set_xticks(range(len(row.outcomes)), [each.algorithm for each in row.outcomes])
     axes.set_title(f"{first.environment}, T = {first.planning_time_s:g} s")
-    axes.set_ylabel("cost, here", color=_OURS)
+    costs = [cost for outcome in row.outcomes for cost in outcome.costs]
+    scale = "log" if max(costs, default=1.0) > _WIDELY * min(costs, default=1.0) else "linear"
+    axes.set_yscale(scale)
+    axes.set_ylabel(f"cost, here{' (logarithmic)' if scale == 'log' else ''}", color=_OURS)
     other.set_ylabel("cost, in the paper", color=_PAPERS)
-    axes.tick_params(axis="y", colors=_OURS)
+    axes.tick_params(axis="y", which="both", colors=_OURS)
     other.tick_params(axis="y", colors=_PAPERS)
 
 

@@ -17,6 +17,7 @@ from companion.planner.request import NotPlanned, Planned, PlanRequest
 
 Entry = dict[str, Any]
 
+
 def of_event(event: Event, state: State) -> Entry | None:
     """The entry of an event, None for those that the telemetry log holds; state: after it."""
     match event:

@@ -20,7 +20,6 @@ from companion.mission.events import (
     Vector,
 )
 from companion.mission.state import Flight, Reason, State, Trigger
-from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.procedure import (
     Leg,
     Reference,
@@ -30,6 +29,7 @@ from companion.planner.procedure import (
     is_at_end,
     off_path_m,
 )
+from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.world.known_map import proven_range_m
 
 _STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow

@@ -34,6 +34,10 @@ class Mission:
 
     @property
     def take_off_amsl_m(self) -> float:
-        """Where the climb-out ends: the floor of the band, plus what the vehicle may sink below."""
+        """Where the climb-out ends: the floor of the band, plus what the vehicle may sink below.
+
+        Never lower than paths are planned: the first begins here.
+        """
         limits = self.task.limits
-        return limits.floor_amsl_m + 2.0 * limits.tracking_error_m
+        lowest_m, _ = self.task.band_amsl_m
+        return max(limits.floor_amsl_m + 2.0 * limits.tracking_error_m, lowest_m)

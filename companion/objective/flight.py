@@ -30,7 +30,7 @@ from companion.world.threats import KeepOut, Radar, detection_probability
 
 SPREAD_RAD = math.radians(110.0)  # azimuths of control points, to each side of the tangent
 LONGEST_R2, LONGEST_S, LONGEST_R = 0.3, 0.6, 1.0  # upper limits of r2, s and r, in units of R
-SHORTEST_R2, SHORTEST_S, SHORTEST_R = 0.03, 0.1, 0.3
+SHORTEST_R2, SHORTEST_S, SHORTEST_R = 0.02, 0.02, 0.15
 PER_SAMPLE = 10.0  # sums over samples are scaled to the paper's ten
 CRASH_SCALE = 100.0  # per d_s below the surface, one sample
 RADAR_SCALE = 30.0  # per unit of detection probability of one sample
@@ -43,7 +43,8 @@ MOST_EXCESS = 10.0  # of curvature over its limit that counts
 DEAD_MAN_EVERY = 2  # samples
 BETWEEN = 3  # points a chord at which terrain and keep-outs count: they are met at their corners
 
-TERMS = ("length", "height", "guide", "crash", "radar", "constraints")
+TERMS = ("length", "height", "guide", "crash", "radar", "constraints", "to_go")
+"""f1 .. f6, and what is left to fly after the end: it weighs as much as length does."""
 
 
 @final
@@ -99,9 +100,9 @@ class FlightScene:
 
     @property
     def unit_m(self) -> float:
-        """R, or the distance to the target on the last subpath."""
+        """R, or less where the end is nearer than that."""
         if self.final_ne_m is None:
-            return self.scan_range_m
+            return min(self.scan_range_m, 1.1 * self.end_radius_m)
         start = self.start.position_nea_m
         left = math.hypot(self.final_ne_m[0] - start[0], self.final_ne_m[1] - start[1])
         return min(self.scan_range_m, max(left, 1e-3 * self.scan_range_m))
@@ -153,20 +154,26 @@ def cost_table(x: FloatArray, scene: FlightScene) -> dict[str, FloatArray]:
     points, first, second = (each @ control for each in (at.value, at.first, at.second))
     each = PER_SAMPLE / scene.samples
     terms = (
-        _length(points, scene) + _to_go_m(control, scene) * _per_metre(scene),
+        _length(points, scene),
         _height(points, scene),
         _guide(control, scene),
         _crash(points, first, scene) * each,
         _radar(points, scene) * each,
         (_steering(first, second, scene) + _outside(points, scene)) * each,
+        _to_go_m(control, scene) * _per_metre(scene),
     )
     return dict(zip(TERMS, terms, strict=True))
 
 
 def cost(x: FloatArray, scene: FlightScene) -> FloatArray:
-    """Eq. 5.  (P, D) in the unit cube -> (P,)."""
+    """Eq. 5, and what is left to fly.  (P, D) in the unit cube -> (P,)."""
     table = cost_table(x, scene)
-    return np.asarray(sum(getattr(scene.weights, name) * table[name] for name in TERMS))
+    return np.asarray(sum(weight(name, scene) * table[name] for name in TERMS))
+
+
+def weight(term: str, scene: FlightScene) -> float:
+    """The weight of a term: a_1 .. a_6 of eq. 5."""
+    return float(getattr(scene.weights, "length" if term == "to_go" else term))
 
 
 def _per_metre(scene: FlightScene) -> float:

@@ -26,7 +26,7 @@ class Pack(NamedTuple):
     basis: FloatArray  # (3, S + 1, points): values, first and second derivatives
     start: FloatArray  # (3, 3): position, tangent, curvature
     numbers: FloatArray  # by the names below
-    weights: FloatArray  # (6,)
+    weights: FloatArray  # (7,), by flight.TERMS
     surface: FloatArray  # vertices of the lattices; where they lie is among the numbers
     contact: FloatArray
     to_go: FloatArray
@@ -61,7 +61,7 @@ def pack(scene: FlightScene) -> Pack:
         basis=np.stack([at.value, at.first, at.second]),
         start=np.stack([start.position_nea_m, start.tangent_nea, start.curvature_nea_1_m]),
         numbers=_numbers(scene),
-        weights=np.array([getattr(scene.weights, name) for name in flight.TERMS]),
+        weights=np.array([flight.weight(name, scene) for name in flight.TERMS]),
         surface=np.ascontiguousarray(scene.surface.vertex_m),
         contact=np.ascontiguousarray(scene.contact.vertex_m),
         to_go=np.ascontiguousarray(scene.to_go.vertex_m),
@@ -122,7 +122,8 @@ def cost(x: FloatArray, bound: float, pack: Pack) -> float:
     place_control_points(x, control, pack.start, numbers)
     sample(points, control, pack.basis)
     to_go_m = remaining_m(control, pack.to_go, numbers)
-    total = weights[0] * (points[-1, 3] + to_go_m) * 100.0 / (2.4 * numbers[RANGE])
+    per_metre = 100.0 / (2.4 * numbers[RANGE])
+    total = weights[0] * points[-1, 3] * per_metre + weights[6] * to_go_m * per_metre
     total += weights[1] * height(points, numbers) + weights[2] * guide(control, numbers)
     if total > bound:
         return math.inf
@@ -137,7 +138,8 @@ def cost(x: FloatArray, bound: float, pack: Pack) -> float:
         return math.inf
     low_m = too_low_m(points, pack.surface, numbers)
     low_m += dead_man_m(points, pack.ahead, pack.contact, numbers)
-    return float(total + weights[3] * each * flight.CRASH_SCALE / numbers[SAFETY] * low_m)
+    total += weights[3] * each * flight.CRASH_SCALE / numbers[SAFETY] * low_m
+    return math.inf if total > bound else float(total)
 
 
 def place_control_points(

@@ -51,7 +51,7 @@ class Certificate:
     Distances are lower bounds, and refined only as far as they matter: `clearance_m` and
     `keep_out_m` up to twice the required clearance and to 1 % of it (`keep_out_m` is inf without
     zones), `dead_man_m` up to the contact margin and a quarter of the clearance, to 2 % of it.  Of
-    a bound that is broken the number says how far it is known to hold.
+    a bound that is broken the number says how far it is known to hold, less finely.
     """
 
     clearance_m: float
@@ -59,7 +59,7 @@ class Certificate:
     keep_out_m: float
     """Least horizontal distance to keep-outs, negative inside."""
     dead_man_m: float
-    """Least distance of the dead-man stretches to terrain and keep-outs."""
+    """Least distance of the dead-man stretches to terrain and keep-outs; not above 0 inside."""
     turn_radius_m: float
     """The ground track is nowhere tighter."""
     climb_angle_rad: float
@@ -94,7 +94,7 @@ def certify(
     """
     control = subpath.control_nea_m
     if np.all(np.abs(control) < _SANE_M):
-        values = prover(_cubics(control), surroundings, from_rest).tolist()
+        values = prover(cubics_of(control), surroundings, from_rest).tolist()
     else:
         values = [math.nan] * (RESULTS - 1) + [0.0]
     clearance, keep_out, dead_man, curvature, climb, dive = values[:6]
@@ -198,7 +198,7 @@ def _span_coefficients(points: int) -> tuple[FloatArray, FloatArray]:
     return start.value, by_legs
 
 
-def _cubics(control_nea_m: FloatArray) -> FloatArray:
+def cubics_of(control_nea_m: FloatArray) -> FloatArray:
     """Coefficients of 1, t, t^2, t^3 of a B-spline's spans.  (points, 3) -> (spans, 4, 3)."""
     value, by_legs = _span_coefficients(len(control_nea_m))
     result = np.empty((len(value), 4, 3))

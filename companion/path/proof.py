@@ -33,6 +33,7 @@ _BUDGET = 3_000  # pieces for each bound; what is not proven by then is not
 _STACK = 64
 _FINEST = 2.0**-24
 _NEVER = 1e12
+_INSIDE_M = 1.0  # how deep in a zone a dead-man stretch ends is not looked into
 _TERRAIN, _ZONES, _DEAD_MAN = 0, 1, 2
 
 Piece = tuple[Segment, float, float, float]
@@ -142,6 +143,8 @@ def piece_distance(
         lower, upper = max(far - slack, 0.0), far + tolerance + slack
     if what != _TERRAIN:
         low, high = zone_distance(here, segment)
+        if what == _DEAD_MAN:
+            low, high = max(low, -_INSIDE_M), max(high, -_INSIDE_M)
         lower, upper = min(lower, low - slack), min(upper, high + slack)
     return min(lower, limit), min(upper, limit), slack
 
@@ -197,11 +200,12 @@ def least_distance(
     """Lower bound of a distance over the whole curve, at most `cap`, and the pieces it took.
 
     A piece is done when its bound is within 1 % of d_s (2 % for the dead man) of what the curve is
-    known to come to, and suffices; or when nothing is left that halving it would bring.
+    known to come to (five times that if the bound is broken), and suffices; or when nothing is
+    left that halving it would bring.
     """
     need = here.contact_m if what == _DEAD_MAN else here.clearance_m
     tolerance = (0.02 if what == _DEAD_MAN else 0.01) * here.clearance_m
-    smallest = min(0.004 * here.clearance_m, 0.25 * here.cell_m)
+    smallest = min(0.0015 * here.clearance_m, 0.1 * here.cell_m)
     rows = table.shape[0]
     lowers, slacks = np.empty(rows), np.empty(rows)
     upper, result, count = cap, cap, rows
@@ -223,9 +227,9 @@ def least_distance(
         lower, slack, depth = float(lowers[k]), float(slacks[k]), 0
         start, end = float(table[k, 1]), float(table[k, 2])
         while True:
-            enough = upper - tolerance
+            enough = upper - 5.0 * tolerance  # broken: by how much need not be known well
             if upper >= need - ROUNDING_M:
-                enough = max(enough, need - ROUNDING_M)
+                enough = max(upper - tolerance, need - ROUNDING_M)
             small = slack <= smallest or end - start < _FINEST
             if lower >= enough or small or count >= _BUDGET:
                 result = min(result, lower)

@@ -147,8 +147,8 @@ def nearest_column(
     south_m, west_m, side, registration = lattice
     lowest = min(z0, z0 + dz)
     flat = math.sqrt(dn * dn + de * de)
-    un, ue = (dn / flat, de / flat) if flat > 0.0 else (0.0, 0.0)
-    half = 0.5 * side * (abs(un) + abs(ue))
+    along_n, along_e = (dn / flat, de / flat) if flat > 0.0 else (0.0, 0.0)
+    half = 0.5 * side * (abs(along_n) + abs(along_e))
     best, count = limit, 0
     for row in range(part[0], part[1]):
         south = south_m + row * side
@@ -161,7 +161,7 @@ def nearest_column(
             if lowest - top >= best:
                 continue
             west = west_m + column * side
-            aside = (south + 0.5 * side - n0) * ue - (west + 0.5 * side - e0) * un
+            aside = (south + 0.5 * side - n0) * along_e - (west + 0.5 * side - e0) * along_n
             if abs(aside) - half >= best + registration:
                 continue
             box = (south, south + side, west, west + side, top, registration)

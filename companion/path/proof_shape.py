@@ -17,6 +17,8 @@ _FINEST = 2.0**-20
 _NOTHING = 1e-14  # rounding of sums, relative
 _STRAIGHT = 1e-12
 """A span whose curvature is this small, relative to what it could be, is straight."""
+_LOOKS_BACK = 1e-9
+"""A leg against the track's direction, or a whole track, this short, relative, is rounding."""
 _STACK = 64
 _BUDGET = 3_000
 _CHOOSE_8 = (1.0, 8.0, 28.0, 56.0, 70.0, 56.0, 28.0, 8.0, 1.0)
@@ -148,20 +150,22 @@ def climb_tangent(
 def runs_forward(cubics: FloatArray) -> bool:
     """Whether the ground track never runs against the direction from its start to its end."""
     spans = cubics.shape[0]
-    dn, de, moves = 0.0, 0.0, False
+    dn, de, size = 0.0, 0.0, 0.0
     for span in range(spans):
+        size = max(size, size_of(cubics, span))
         for k in range(1, 4):
             dn += float(cubics[span, k, 0])
             de += float(cubics[span, k, 1])
+    chord, moves = math.sqrt(dn * dn + de * de), False
     for span in range(spans):
         x0, x1, x2 = hodograph(cubics, span, 0, 0.0, 1.0)
         y0, y1, y2 = hodograph(cubics, span, 1, 0.0, 1.0)
         moves = moves or max(max(abs(x0), abs(x1)), abs(x2)) > 0.0
         moves = moves or max(max(abs(y0), abs(y1)), abs(y2)) > 0.0
         along = min(min(x0 * dn + y0 * de, x1 * dn + y1 * de), x2 * dn + y2 * de)
-        if along < -_STRAIGHT * size_of(cubics, span) ** 2:
+        if along < -_LOOKS_BACK * size * chord:
             return False
-    return not moves or dn != 0.0 or de != 0.0
+    return not moves or chord > _LOOKS_BACK * size
 
 
 def largest(cubics: FloatArray, what: int, limit: float, accuracy: float) -> tuple[float, int]:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import final
 
 from companion.planner.plan import plan
-from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest
 from companion.planner.procedure import Leg, hover_pose
+from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.simulated_scan import simulated_scan

@@ -29,6 +29,7 @@ _CHUNK = 300  # evaluations between two looks at the clock
 _CERTIFIED = 16  # candidates of a search that are tried
 _GUIDE_SHARE = 0.2  # of a_3 that the angle of eq. 8 keeps: the cost-to-go does the rest
 _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
+_DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
 _SEARCH = refined_de.Settings()
 
 
@@ -43,8 +44,10 @@ class _Try:
     budget: int = 1
 
 
-_TRIES = (
-    _Try(),
+_FIRST = _Try()
+_OTHER_WAYS = (_Try(points=6), _Try(reach=0.7), _Try(reach=0.45))
+"""What is tried as well when the first answer is dearer than the cost-to-go had promised."""
+_MORE = (
     _Try(points=6, budget=2),
     *(_Try(turn_rad=side * turn, budget=2) for turn in (0.35, 0.7, 1.1) for side in (1, -1)),
     *(_Try(points=6, reach=reach, budget=2) for reach in (0.7, 0.45)),
@@ -80,29 +83,45 @@ class _Plan:
             request.route_ne_m,
         )
         self._scene = _scene(request, self._field)
-        self._evaluations = 0
+        self._evaluations = self._tries = 0
         self._broken: tuple[str, ...] = ()
 
     def outcome(self) -> PlanOutcome:
-        for number, how in enumerate(_TRIES):
-            if number and self._stop():
+        best = self._attempt(_FIRST)
+        if best is None or self._excess(best) > _DEARER:
+            others = [self._attempt(how) for how in _OTHER_WAYS if not self._stop()]
+            proven = [each for each in (best, *others) if each is not None]
+            best = min(proven, key=_total, default=None)
+        for how in _MORE:
+            if best is not None or self._stop():
                 break
-            scene = _vary(self._scene, self._request, how)
-            planned = self._first_proven(self._search(scene, number, how.budget), scene, number)
-            if planned is not None:
-                return planned
-        return NotPlanned(
+            best = self._attempt(how)
+        return best or NotPlanned(
             plan_id=self._request.plan_id,
             refusal=Refusal.NOTHING_SAFE,
             broken=self._broken,
             evaluations=self._evaluations,
         )
 
-    def _search(self, scene: FlightScene, number: int, budget: int) -> FloatArray:
+    def _excess(self, planned: Planned) -> float:
+        """How much dearer a subpath and what follows are than promised, in costs of R."""
+        settings = self._request.task.settings
+        north, east, _ = self._request.start.point_nea_m
+        promised_m = float(self._field.at_m(np.asarray(north), np.asarray(east)))
+        cost_of_r = settings.weights.length * 100.0 / 2.4
+        return _total(planned) / max(cost_of_r, 1e-9) - promised_m / settings.scan_range_m
+
+    def _attempt(self, how: _Try) -> Planned | None:
+        """One search, and the best of its candidates that has a certificate."""
+        self._tries += 1
+        scene = _vary(self._scene, self._request, how)
+        return self._first_proven(self._search(scene, how.budget), scene)
+
+    def _search(self, scene: FlightScene, budget: int) -> FloatArray:
         """The candidates of one search, best first.  -> (M, D)."""
         request, settings = self._request, self._request.task.settings
         rng = np.random.default_rng(
-            [request.seed, STREAM_PLAN, request.plan_id, request.attempt, number]
+            [request.seed, STREAM_PLAN, request.plan_id, request.attempt, self._tries]
         )
         evaluations = budget * (1 + request.attempt) * settings.evaluations
         name, seeds = settings.optimiser or settings.profile.optimiser, _seeds(scene)
@@ -119,9 +138,7 @@ class _Plan:
         self._evaluations += refined_de.spent(state)
         return refined_de.ranked(state)[0]
 
-    def _first_proven(
-        self, candidates: FloatArray, scene: FlightScene, number: int
-    ) -> Planned | None:
+    def _first_proven(self, candidates: FloatArray, scene: FlightScene) -> Planned | None:
         """The best candidate with a certificate."""
         request = self._request
         for rank, x in enumerate(candidates[:_CERTIFIED]):
@@ -133,23 +150,29 @@ class _Plan:
                 prover=self._kernel.prove,
             )
             if certificate.proven:
-                table = flight.cost_table(x[None], scene)
+                table = {name: float(v[0]) for name, v in flight.cost_table(x[None], scene).items()}
+                costs = {name: flight.weight(name, scene) * value for name, value in table.items()}
                 return Planned(
                     plan_id=request.plan_id,
                     kernel=self._kernel.name,
                     subpath=subpath,
                     reaches_target=scene.final_ne_m is not None,
-                    cost=float(flight.cost(x[None], scene)[0]),
-                    terms={name: float(column[0]) for name, column in table.items()},
+                    cost=sum(costs.values()) - costs["to_go"],
+                    to_go=costs["to_go"],
+                    terms=table,
                     certificate=certificate,
                     guide_rad=scene.guide_rad,
                     route_ne_m=self._field.route_ne_m,
                     evaluations=self._evaluations,
                     rank=rank,
-                    tries=number + 1,
+                    tries=self._tries,
                 )
             self._broken = self._broken or certificate.broken
         return None
+
+
+def _total(planned: Planned) -> float:
+    return planned.cost + planned.to_go
 
 
 def _seeds(scene: FlightScene) -> FloatArray:

@@ -48,6 +48,7 @@ def plan_as_published(request: PlanRequest, prove: Prover) -> Planned:
         subpath=subpath,
         reaches_target=scene.final_ne_m is not None,
         cost=float(ranked.costs[0]),
+        to_go=0.0,
         terms={name: float(column[0]) for name, column in terms.cost_table(best, scene).items()},
         certificate=certify(subpath, surroundings, from_rest=request.from_rest, prover=prove),
         guide_rad=scene.guide_rad,

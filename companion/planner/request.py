@@ -43,6 +43,9 @@ class Planned:
     subpath: Subpath
     reaches_target: bool
     cost: float
+    """Eq. 5."""
+    to_go: float
+    """What is left to fly from the end, in the same currency."""
     terms: dict[str, float]
     certificate: Certificate
     guide_rad: float

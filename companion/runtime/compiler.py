@@ -46,8 +46,10 @@ def _prepare_cache() -> bool:
     digest = hashlib.sha256()
     for module in (*kernels.SOURCES, kernels):
         digest.update(Path(str(module.__file__)).read_bytes())
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(given or user_cache_dir("companion")) / f"kernel-{digest.hexdigest()[:16]}"
+    name = f"kernel-{digest.hexdigest()[:16]}"
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or user_cache_dir("companion"))
+    if folder.name != name:  # it is when this process, or the one that started it, has been here
+        folder /= name
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

@@ -188,7 +188,8 @@ def sight_line_m(
     radars_nea_m (K, 3), points_ne_m (K, 2) -> (K,), metres AMSL; +inf over unknown ground, -inf
     where nothing lies between.  Never too low if the terrain, the radar and the point are known
     to slack_m: the march looks at every cell within the slack of the line.  It ends stop_short_m
-    before the point, so that a cell need not hide itself.
+    before the point, so that a cell need not hide itself.  What rises above a radar is taken to be
+    half a cell away from it at least (the safety distance sees to that).
 
     Radars that are close to each other, as on a flight along, count as one in the middle of
     them; how far they are from it is added to the slack.

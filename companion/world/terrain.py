@@ -15,7 +15,7 @@ from companion.geodesy import FloatArray, LocalFrame
 
 IntArray = npt.NDArray[np.intp]
 
-_NEGLIGIBLE_M = 1e-3
+_NEGLIGIBLE_M = 1e-9
 _FEW = 400
 """Points that are projected one by one; more of them on a lattice are interpolated."""
 _NODES = 12
@@ -74,7 +74,7 @@ class PeakTerrain:
         object.__setattr__(self, "_columns", columns)
 
     def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
-        """Terrain height, metres AMSL, to a millimetre.  (...) x2 -> (...)."""
+        """Terrain height, metres AMSL.  (...) x2 -> (...)."""
         return self.highest_in_box_m(north_m, north_m, east_m, east_m)
 
     def highest_in_box_m(
@@ -88,7 +88,7 @@ class PeakTerrain:
 
         A peak is highest at the box's nearest point to its centre; exact for the maximum of
         peaks, an upper bound for their sum.  Time depends on the peaks that matter somewhere in
-        the boxes: the others are left out together (of a sum, up to a millimetre that is added).
+        the boxes: the others are left out together (of a sum, up to a nanometre that is added).
         """
         shape = np.broadcast_shapes(np.shape(north_min), np.shape(east_min))
         if 0 in shape:

@@ -34,6 +34,7 @@ from companion.path.certificate import (
     Margins,
     Prover,
     certify,
+    cubics_of,
     pack_surroundings,
 )
 from companion.path.limits import Limits
@@ -248,6 +249,19 @@ def typical_control(rng: np.random.Generator) -> FloatArray:
     return np.array(control)
 
 
+def largest_difference(one: Prover, other: Prover, cases: int) -> float:
+    """Between the numbers of two provers, relative (absolute below 1)."""
+    worst = 0.0
+    for k in range(cases):
+        case = random_case(np.random.default_rng([3, k]))
+        cubics, here = cubics_of(case.control_nea_m), case.surroundings()
+        a, b = one(cubics, here, case.from_rest), other(cubics, here, case.from_rest)
+        known = np.isfinite(a) | np.isfinite(b)
+        apart = np.abs(a[known] - b[known]) / np.maximum(np.abs(a[known]), 1.0)
+        worst = max(worst, float(apart.max()))
+    return worst
+
+
 def rows(tally: Tally, times: dict[str, list[float]]) -> dict[str, Any]:
     """The record."""
     reasons: dict[str, int] = {}
@@ -287,6 +301,8 @@ def main() -> None:
     if fast is not None:
         times["compiled"] = seconds_each(fast, 20)
     table = rows(tally, times)
+    if fast is not None:
+        table["compiled and plain apart by"] = largest_difference(fast, proof.prove, 200)
     for name, value in table.items():
         print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")
     if asked.json is not None:

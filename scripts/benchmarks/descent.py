@@ -62,7 +62,7 @@ class Smooth:
 class Margins:
     """How far the bounds are drawn in, so that what the samples miss is kept too."""
 
-    clearance_m: float = 2.0
+    clearance_m: float = 5.0
     radar_m: float = 2.0
     turn: float = 0.002
     climb: float = 0.001
@@ -117,7 +117,7 @@ class Problem:
             slope = -seen * seen * 4.0 * ratio4 / distance * edge - seen * edge * (1 - edge) / 30.0
             by_r += (self.rates.radar * slope / distance)[:, None] * offset
         q = self.quadrature / 1000.0
-        uneven = 1e-3 * (speed / length - 1.0)  # keeps the parameter even along the curve
+        uneven = 0.2 * (speed / length - 1.0)  # keeps the parameter even along the curve
         total = float(q @ (rate * speed)) + float(q @ (0.5 * uneven * (speed - length)))
         by_v = (q * (rate + uneven) / speed)[:, None] * v
         return total, by_r * (q * speed)[:, None], by_v

@@ -15,6 +15,7 @@ the known map), `scan` (taking it into the known map), `guidance` (`cost_to_go`)
 import argparse
 import json
 import math
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -282,7 +283,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=5)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
     kernel = load_kernel()
     smallest = worlds.spread_out(10)
     measured(smallest, near(smallest), kernel, seed=1)  # compiles

@@ -119,7 +119,7 @@ def spread_out(count: int, variant: int = 0) -> BenchmarkWorld:
     57 km apart about the middle; the task's map covers everything.  No way through is promised.
     """
     base, half = bundled("environment-2"), 20_000.0
-    room = [(-half, -half, 12_000.0), (half, half, 12_000.0)]
+    room = [(-half, -half, 6_000.0), (half, half, 6_000.0)]
     peaks: list[Peak] = []
     radars: list[Radar] = []
     inner_m, size = 0.0, 10

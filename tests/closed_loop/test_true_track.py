@@ -5,10 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 import true_track
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from pyproj import Geod
 from scipy.optimize import minimize
 
 FloatArray = NDArray[np.float64]
@@ -86,6 +88,38 @@ def test_a_helix_climbs_at_its_angle_up_to_chord_over_arc(climb_deg: float) -> N
 def test_turns_and_slopes_are_not_judged_at_low_speed() -> None:
     times, _, _ = true_track.turns_and_slopes(*a_helix(30.0, 15.0, 20.0))
     assert len(times) == 0
+
+
+def test_a_slow_vehicle_is_judged_from_half_its_speed_on() -> None:
+    slow = a_mission(vehicle=a_mission()["vehicle"] | {"speed_m_s": 8.0, "turn_radius_m": 25.0})
+    for radius_m, ok in ((25.0, True), (22.0, False)):
+        track = true_track.judge(a_world(), slow, *a_helix(radius_m, 8.0, 0.0))
+        assert track.turn_radius_m == pytest.approx(radius_m, rel=0.01)
+        assert verdict(track, "turn radius") is ok
+
+
+def test_an_elevation_file_has_its_heights_where_geodesics_find_its_points(tmp_path: Path) -> None:
+    """An own file, of which every pixel's middle is known; in between, the mean of neighbours."""
+    heights = np.arange(60.0).reshape(6, 10)
+    place = rasterio.Affine(0.002, 0.0, 7.99, 0.0, -0.004, 47.01)
+    with rasterio.open(
+        tmp_path / "terrain.tif", "w", driver="GTiff", dtype="float32", count=1,
+        height=6, width=10, crs="EPSG:4326", transform=place,
+    ) as file:  # fmt: skip
+        file.write(heights.astype("float32"), 1)
+    world = a_world() | {"terrain": {"file": "terrain.tif"}}
+    surface = true_track.surface_of(world, tmp_path)
+    row, column = (each.ravel() for each in np.mgrid[0:6, 0:10])
+    latitude, longitude = 47.01 - 0.004 * (row + 0.5), 7.99 + 0.002 * (column + 0.5)
+    aside = np.full(60, 8.0), np.full(60, 47.0)
+    azimuth, _, away = Geod(ellps="WGS84").inv(*aside, longitude, latitude)
+    north, east = away * np.cos(np.radians(azimuth)), away * np.sin(np.radians(azimuth))
+    inner = (row > 0) & (row < 5) & (column > 0) & (column < 9)
+    found = surface.height_m(north[inner], east[inner])
+    np.testing.assert_allclose(found, heights.ravel()[inner], atol=1e-4)
+    between = surface.height_m((north[11] + north[22]) / 2, (east[11] + east[22]) / 2)
+    assert between == pytest.approx(heights[1:3, 1:3].mean(), abs=0.01)
+    assert np.isnan(surface.height_m(np.array(9_000.0), np.array(0.0)))
 
 
 @pytest.mark.parametrize("altitude_m", [3100.0, 4000.0, 5500.0, 7000.0])
@@ -194,15 +228,20 @@ def test_a_track_through_a_radar_is_a_violation_and_one_above_it_is_not() -> Non
     assert true_track.judge(below, a_mission(), *a_straight_track()).ok
 
 
-def test_a_keep_out_is_entered_as_deep_as_its_middle_is_away_from_its_edge() -> None:
+def test_a_keep_out_is_as_far_as_its_edge_or_entered_as_deep_as_that_is_away() -> None:
     circle = {"north_m": 10_000.0, "east_m": 300.0, "radius_m": 1_000.0}
     square = {"vertices_m": [[9_000, -400], [11_000, -400], [11_000, 9_000], [9_000, 9_000]]}
     beside = {"vertices_m": [[9_000, 10], [11_000, 10], [11_000, 9_000], [9_000, 9_000]]}
-    for zone, depth in ((circle, 700.0), (square, 400.0), (beside, 0.0)):
+    clear = {"vertices_m": [[9_000, 510], [11_000, 510], [11_000, 9_000], [9_000, 9_000]]}
+    aside = circle | {"east_m": -1_520.0}
+    for zone, away_m in (
+        (circle, -700.0), (square, -400.0), (beside, 10.0), (clear, 510.0), (aside, 520.0)
+    ):  # fmt: skip
         mission = a_mission(keep_outs=[zone])
         track = true_track.judge(a_world(), mission, *a_straight_track())
-        assert track.keep_out_intrusion_m == pytest.approx(depth, abs=0.1)
-        assert track.ok == (depth == 0.0)
+        assert track.keep_out_m == pytest.approx(away_m, abs=0.1)
+        assert track.ok == (away_m >= 500.0)
+    assert true_track.judge(a_world(), a_mission(), *a_straight_track()).keep_out_m == math.inf
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ that wanders off below the band is judged too. It goes on to the end of the file
   decimetres. For the points that come out worst the whole disc in which a nearer place could lie is
   searched again with 20 m samples, so that a second mountainside cannot hide behind the first.
 - Radars: the exact part of every straight piece of the track that lies within the sphere.
-- Turns: between the chords of two consecutive windows of 1 s; exact for a circle.
-- Climbs and dives: the slope of the chord of 1 s.
+- Turns: between the chords of two consecutive windows of 1 s; exact for a circle.  Climbs and
+  dives: the slope of the chord of 1 s.
 """
 
 import argparse
@@ -30,11 +30,14 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
+import rasterio
 from numpy.typing import NDArray
+from pyproj import Geod
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 FloatArray = NDArray[np.float64]
@@ -46,7 +49,7 @@ ARRIVED_M = 50.0
 RESAMPLE_M = 10.0
 WINDOW_S = 1.0
 SLOWEST_M_S = 20.0
-"""Turns and slopes are judged above this ground speed only."""
+"""Turns and slopes are judged above this ground speed only, or half of V if that is less."""
 
 
 @final
@@ -85,8 +88,8 @@ class TrueTrack:
     """Seconds within the sphere of each radar, by its name."""
     radar_total_s: float
     """Sum over the radars: two at once count twice."""
-    keep_out_intrusion_m: float
-    """Greatest depth inside a keep-out zone; 0 outside all of them."""
+    keep_out_m: float
+    """Least horizontal distance to a keep-out zone; negative inside, infinite without any."""
     turn_radius_m: float
     """Smallest; infinite for a track without a turn."""
     climb_deg: float
@@ -134,9 +137,37 @@ class Surface:
         return surface
 
 
-def surface_of(world: dict[str, Any]) -> Surface:
-    """Read the terrain of a parsed world.toml."""
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Elevations:
+    """The true terrain: points of an elevation file, bilinear between them."""
+
+    heights_amsl_m: FloatArray
+    """(rows, columns), the first row in the north."""
+    north_west_deg: tuple[float, float]
+    """Latitude and longitude of the first."""
+    step_deg: tuple[float, float]
+    """From row to row, to the south, and from column to column."""
+    origin_deg: tuple[float, float]
+
+    def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Height AMSL of the surface; NaN beyond the file. (...), (...) -> (...)."""
+        shape = np.broadcast(north_m, east_m).shape
+        north, east = (np.ravel(each) for each in np.broadcast_arrays(north_m, east_m))
+        latitude, longitude = (np.full(north.shape, each) for each in self.origin_deg)
+        azimuth, distance = np.degrees(np.arctan2(east, north)), np.hypot(north, east)
+        longitude, latitude, _ = Geod(ellps="WGS84").fwd(longitude, latitude, azimuth, distance)
+        row = (self.north_west_deg[0] - latitude) / self.step_deg[0]
+        column = (longitude - self.north_west_deg[1]) / self.step_deg[1]
+        heights = map_coordinates(self.heights_amsl_m, [row, column], order=1, cval=np.nan)
+        return np.reshape(heights, shape)
+
+
+def surface_of(world: dict[str, Any], folder: Path = Path()) -> Surface | Elevations:
+    """Read the terrain of a parsed world.toml, which names files as seen from its folder."""
     terrain = world["terrain"]
+    if "file" in terrain:
+        return _elevations(folder / terrain["file"], world)
     keys = ("north_m", "east_m", "height_amsl_m", "spread_north_m", "spread_east_m")
     rows = [[float(peak[key]) for key in keys] for peak in terrain.get("peaks", [])]
     if terrain["combine"] not in ("maximum", "sum"):
@@ -148,7 +179,21 @@ def surface_of(world: dict[str, Any]) -> Surface:
     )
 
 
-def clearances_m(points_nea_m: FloatArray, surface: Surface) -> FloatArray:
+def _elevations(path: Path, world: dict[str, Any]) -> Elevations:
+    nodata = world["terrain"].get("nodata", math.nan)
+    with rasterio.open(path) as file:
+        heights = file.read(1, masked=True).astype(np.float64)
+        north, west = file.transform.f, file.transform.c
+        down, right = -file.transform.e, file.transform.a
+    return Elevations(
+        heights_amsl_m=heights.filled(0.0 if nodata == "sea" else nodata),
+        north_west_deg=(north - down / 2, west + right / 2),  # of the middle of the pixel
+        step_deg=(down, right),
+        origin_deg=(world["origin"]["latitude_deg"], world["origin"]["longitude_deg"]),
+    )
+
+
+def clearances_m(points_nea_m: FloatArray, surface: Surface | Elevations) -> FloatArray:
     """Euclidean distance of points to the surface, negative below it. (P, 3) -> (P,)."""
     north, east, altitude = points_nea_m.T
     above = altitude - surface.height_m(north, east)
@@ -172,7 +217,7 @@ def clearances_m(points_nea_m: FloatArray, surface: Surface) -> FloatArray:
 
 
 def _refined_m(
-    points_nea_m: FloatArray, feet_ne_m: FloatArray, half_m: float, surface: Surface
+    points_nea_m: FloatArray, feet_ne_m: FloatArray, half_m: float, surface: Surface | Elevations
 ) -> FloatArray:
     """Distance to the surface near given feet, by ever finer grids. (P, 3), (P, 2) -> (P,)."""
     grid = np.linspace(-1.0, 1.0, 7)
@@ -220,13 +265,13 @@ def seconds_inside(
     return inside_s
 
 
-def intrusions_m(points_nea_m: FloatArray, keep_out: dict[str, Any]) -> FloatArray:
-    """Depth inside a circle or polygon, 0 outside. (P, 3) -> (P,)."""
+def keep_out_distances_m(points_nea_m: FloatArray, keep_out: dict[str, Any]) -> FloatArray:
+    """Horizontal distance to a circle or polygon, negative inside. (P, 3) -> (P,)."""
     north, east = points_nea_m[:, 0], points_nea_m[:, 1]
     if "radius_m" in keep_out:
         away = np.hypot(north - keep_out["north_m"], east - keep_out["east_m"])
-        depth: FloatArray = np.maximum(keep_out["radius_m"] - away, 0.0)
-        return depth
+        distance: FloatArray = away - keep_out["radius_m"]
+        return distance
     corners = np.array(keep_out["vertices_m"], dtype=np.float64)
     inside = np.zeros(len(north), dtype=bool)
     edge = np.full(len(north), np.inf)
@@ -238,7 +283,7 @@ def intrusions_m(points_nea_m: FloatArray, keep_out: dict[str, Any]) -> FloatArr
         along = ((north - n0) * dn + (east - e0) * de) / max(dn**2 + de**2, 1e-12)
         along = np.clip(along, 0.0, 1.0)
         edge = np.minimum(edge, np.hypot(north - n0 - along * dn, east - e0 - along * de))
-    return np.where(inside, edge, 0.0)
+    return np.where(inside, -edge, edge)
 
 
 def resampled(t_s: FloatArray, track_nea_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -253,12 +298,12 @@ def resampled(t_s: FloatArray, track_nea_m: FloatArray) -> tuple[FloatArray, Flo
 
 
 def turns_and_slopes(
-    t_s: FloatArray, track_nea_m: FloatArray
+    t_s: FloatArray, track_nea_m: FloatArray, slowest_m_s: float = SLOWEST_M_S
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Turn radius and slope about each sample. (N,), (N, 3) -> times, radii_m, slopes_rad (M,).
 
     The radius of the circle through two consecutive chords of 1 s whose headings differ by D is
-    their mean length / (2 sin(D / 2)). Samples with a chord at 20 m/s or less are left out.
+    their mean length / (2 sin(D / 2)). Samples with a chord no faster than that are left out.
     """
     middle = t_s[(t_s >= t_s[0] + WINDOW_S) & (t_s <= t_s[-1] - WINDOW_S)]
     before, here, after = (
@@ -268,7 +313,7 @@ def turns_and_slopes(
     first, second = here - before, after - here
     ground_1 = np.hypot(first[:, 0], first[:, 1])
     ground_2 = np.hypot(second[:, 0], second[:, 1])
-    fast = np.minimum(ground_1, ground_2) > SLOWEST_M_S * WINDOW_S
+    fast = np.minimum(ground_1, ground_2) > slowest_m_s * WINDOW_S
     cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     dot = first[:, 0] * second[:, 0] + first[:, 1] * second[:, 1]
     turn = np.abs(np.arctan2(cross, dot))[fast]
@@ -302,13 +347,18 @@ def first_judged(t_s: FloatArray, track_nea_m: FloatArray, lowest_amsl_m: float)
 
 
 def judge(
-    world: dict[str, Any], mission: dict[str, Any], t_s: FloatArray, track_nea_m: FloatArray
+    world: dict[str, Any],
+    mission: dict[str, Any],
+    t_s: FloatArray,
+    track_nea_m: FloatArray,
+    folder: Path = Path(),
 ) -> TrueTrack:
     """Judge a track against the true world and the mission's bounds.
 
     world, mission : the parsed world.toml and mission.toml
     t_s : vehicle times (N,)
     track_nea_m : positions in the local frame, altitude AMSL (N, 3)
+    folder : where the files are that the world names
     """
     if world["origin"] != mission["origin"]:
         raise ValueError("the world and the mission have different origins")
@@ -337,7 +387,7 @@ def judge(
         return value
 
     low, high = 1 - TOLERANCE, 1 + TOLERANCE
-    clearances = clearances_m(points, surface_of(world))
+    clearances = clearances_m(points, surface_of(world, folder))
     clearance = check("distance to terrain", clearances, point_t_s, "m", ">=", safety, low * safety)
     radar_s: dict[str, float] = {}
     for radar in world.get("radars", []):
@@ -349,10 +399,12 @@ def judge(
         check(name, spent.sum(keepdims=True), when, "s", "<=", 0.0, 0.0)
     radar_total = float(sum(radar_s.values()))
     check("time inside radars", np.array([radar_total]), np.empty(0), "s", "<=", 0.0, 0.0)
-    zones = [intrusions_m(points, zone) for zone in mission.get("keep_outs", [])]
-    deepest = np.max(zones, axis=0) if zones else np.empty(0)
-    intrusion = check("keep-out intrusion", deepest, point_t_s, "m", "<=", 0.0, 0.0)
-    middle_s, radii, slopes = turns_and_slopes(t_s, track_nea_m)
+    zones = [keep_out_distances_m(points, zone) for zone in mission.get("keep_outs", [])]
+    nearest = np.min(zones, axis=0) if zones else np.empty(0)
+    name = "distance to keep-outs"
+    keep_out = check(name, nearest, point_t_s, "m", ">=", safety, low * safety)
+    slowest_m_s = min(SLOWEST_M_S, 0.5 * float(vehicle.get("speed_m_s", math.inf)))
+    middle_s, radii, slopes = turns_and_slopes(t_s, track_nea_m, slowest_m_s)
     turn = float(vehicle["turn_radius_m"])
     radius = check("turn radius", radii, middle_s, "m", ">=", turn, low * turn)
     bounds = (float(vehicle["climb_angle_deg"]), float(vehicle["dive_angle_deg"]))
@@ -368,14 +420,13 @@ def judge(
     miss_m = check("end to target", np.array([miss]), t_s[-1:], "m", "<=", ARRIVED_M, ARRIVED_M)
     flown = np.linalg.norm(np.diff(track_nea_m, axis=0), axis=-1).sum(keepdims=True)
     took = np.array([t_s[-1] - t_s[0]])
-    nothing = np.empty(0)
-    length = check("length flown", flown, nothing, "m", "", math.nan, math.nan)
-    duration = check("duration", took, nothing, "s", "", math.nan, math.nan)
+    length = check("length flown", flown, np.empty(0), "m", "", math.nan, math.nan)
+    duration = check("duration", took, np.empty(0), "s", "", math.nan, math.nan)
     return TrueTrack(
         clearance_m=clearance,
         radar_s=radar_s,
         radar_total_s=radar_total,
-        keep_out_intrusion_m=intrusion,
+        keep_out_m=keep_out,
         turn_radius_m=radius,
         climb_deg=climb,
         dive_deg=dive,
@@ -393,7 +444,7 @@ def judge_files(world_toml: Path, mission_toml: Path, truth_jsonl: Path) -> True
     """Judge a flight by its three files."""
     world = tomllib.loads(world_toml.read_text(encoding="utf-8"))
     mission = tomllib.loads(mission_toml.read_text(encoding="utf-8"))
-    return judge(world, mission, *read_truth(truth_jsonl))
+    return judge(world, mission, *read_truth(truth_jsonl), world_toml.parent)
 
 
 def as_json(track: TrueTrack) -> str:

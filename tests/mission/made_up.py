@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -36,9 +36,9 @@ from companion.mission.events import (
 )
 from companion.mission.mission import EndAction, Mission
 from companion.mission.state import Flight, Phase, State
-from companion.path.check import CheckReport
+from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
-from companion.planner.plan import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.world.known_map import NO_ANSWER, Scan, empty_map
 
 MISSION = load_mission("environment-1")
@@ -67,11 +67,23 @@ def straight(start_nea_m: npt.ArrayLike, end_nea_m: npt.ArrayLike) -> Subpath:
     return Subpath(control_nea_m=np.linspace(np.asarray(start_nea_m), np.asarray(end_nea_m), 4))
 
 
-def report() -> CheckReport:
-    """A subpath with nothing near it; whatever else a report holds is 0."""
-    far = {"keep_out_m": math.inf, "turn_radius_m": math.inf, "clearance_m": 1e3}
-    names = [field.name for field in fields(CheckReport)]
-    return CheckReport(**{name: far.get(name, 0.0) for name in names})
+def certificate() -> Certificate:
+    """A straight and level subpath at the height of the take-off, with nothing near it."""
+    return Certificate(
+        clearance_m=1e3,
+        keep_out_m=math.inf,
+        dead_man_m=150.0,
+        turn_radius_m=math.inf,
+        climb_angle_rad=0.0,
+        dive_angle_rad=0.0,
+        lowest_amsl_m=TAKE_OFF_AMSL_M,
+        highest_amsl_m=TAKE_OFF_AMSL_M,
+        off_map_m=0.0,
+        radar_m=0.0,
+        detection=0.0,
+        pieces=1,
+        broken=(),
+    )
 
 
 def planned(request: PlanRequest, length_m: float = LEG_M) -> Planned:
@@ -83,12 +95,14 @@ def planned(request: PlanRequest, length_m: float = LEG_M) -> Planned:
     end = target if reaches else start + (target - start) / left_m * length_m
     return Planned(
         plan_id=request.plan_id,
+        kernel="made up",
         subpath=straight(start, end),
         reaches_target=reaches,
         cost=1.0,
         terms={"f1": 1.0},
-        report=report(),
+        certificate=certificate(),
         guide_rad=0.0,
+        route_ne_m=(request.target_ne_m,),
         evaluations=60,
         rank=0,
         tries=1,

@@ -11,7 +11,7 @@ from made_up import LEG_M, SPEED_M_S, TICK_S, Craft, flying, planned, position, 
 
 from companion.mission.events import Plan, PlanReady, Position, Setpoint, StartScan
 from companion.mission.state import Phase, Reason
-from companion.planner.plan import Planned, PlanRequest
+from companion.planner.request import Planned, PlanRequest
 
 # The distances of environment-1 by hand: V = 150 m/s, a = 5 m/s2, T = 5 s, t_scan = 4 s,
 # d_s = 500 m, R = 20 km: tail = max(0.15 R, V^2 / 2a + d_s), L = V (T + t_scan) + tail.

@@ -67,7 +67,7 @@ from companion.mission.events import (
 from companion.mission.health import distrust
 from companion.mission.state import MOVES, Phase, Reason
 from companion.path.subpath import Pose
-from companion.planner.plan import PlanOutcome, PlanRequest
+from companion.planner.request import PlanOutcome, PlanRequest
 
 OVER = (Phase.DONE, Phase.FAULTED)
 IN_FLIGHT = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED)

@@ -350,7 +350,7 @@ def truth(case: Case, samples: int = 200) -> Truth:
     return Truth(
         clearance_m=clearance,
         keep_out_m=keep_out,
-        dead_man_m=dead_man,
+        dead_man_m=max(dead_man, -1.0),  # how deep inside of a zone is not told
         turn_radius_m=float(1.0 / np.abs(cross[moving] / speed[moving] ** 3).max()),
         climb_angle_rad=float(np.arctan(slope.max())),
         dive_angle_rad=float(np.arctan(-slope.min())),

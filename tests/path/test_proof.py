@@ -1,4 +1,5 @@
 import math
+import os
 import sys
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.path import proof
-from companion.path.certificate import _cubics
+from companion.path.certificate import cubics_of
 from companion.path.proof import exposure, first_pieces, piece_of, reach, stretch_of
 from companion.path.proof_distance import (
     column_distance,
@@ -45,7 +46,7 @@ def along(segment: tuple[float, ...]) -> FloatArray:
 @given(seed=seeds)
 def test_the_cubics_are_the_spline(seed: int) -> None:
     control = a_curve(seed)
-    cubics = _cubics(control)
+    cubics = cubics_of(control)
     t = np.linspace(0.0, 1.0, 7)
     for span, cubic in enumerate(cubics):
         mine = np.vander(t, 4, increasing=True) @ cubic
@@ -57,7 +58,7 @@ def test_a_piece_lies_within_its_sag_and_its_tangents_within_their_cone(
     seed: int, start: float, share: float
 ) -> None:
     control = a_curve(seed)
-    cubics = _cubics(control)
+    cubics = cubics_of(control)
     span = seed % len(cubics)
     end = start + share * (1.0 - start)
     segment, sag, cosine, length = piece_of(cubics, span, start, end)
@@ -74,10 +75,10 @@ def test_a_piece_lies_within_its_sag_and_its_tangents_within_their_cone(
 
 
 def test_the_sag_of_a_piece_falls_to_a_quarter_with_each_halving() -> None:
-    cubics = _cubics(a_curve(3))
-    sags = [piece_of(cubics, 0, 0.5, 0.5 + 0.25 / 2**k)[1] for k in range(6)]
+    cubics = cubics_of(a_curve(3))
+    sags = [piece_of(cubics, 0, 0.5, 0.5 + 0.25 / 2**k)[1] for k in range(9)]
     orders = np.log2(np.array(sags[:-1]) / np.array(sags[1:]))
-    np.testing.assert_allclose(orders[2:], 2.0, atol=0.15)
+    np.testing.assert_allclose(orders[-3:], 2.0, atol=0.05)
 
 
 @given(seed=seeds)
@@ -113,7 +114,7 @@ def test_the_distance_from_the_terrain_is_that_of_the_nearest_column(
                 i * block : (i + 1) * block, j * block : (j + 1) * block
             ].max()
     here = here._replace(block=block, blocks_m=maxima)
-    segment, _, _, length = piece_of(_cubics(case.control_nea_m), 0, 0.2, 0.7)
+    segment, _, _, length = piece_of(cubics_of(case.control_nea_m), 0, 0.2, 0.7)
     limit *= here.clearance_m
     told = terrain_distance(here, segment, limit, 0.1, np.empty((maxima.size, 3)))
     points = np.array(segment[:3]) + np.linspace(0, 1, 200)[:, None] * np.array(segment[3:])
@@ -140,7 +141,7 @@ def test_zones_are_as_far_as_their_own_distance_says_along_the_segment(seed: int
     case = a_case(seed)
     zones = (*case.keep_outs, CircleKeepOut(name="c", north_m=0.0, east_m=0.0, radius_m=10.0))
     here = Case(**{**{f: getattr(case, f) for f in case.__dataclass_fields__}, "keep_outs": zones})
-    segment, _, _, length = piece_of(_cubics(case.control_nea_m), 0, 0.0, 1.0)
+    segment, _, _, length = piece_of(cubics_of(case.control_nea_m), 0, 0.0, 1.0)
     n, e, _ = along(segment).T
     brute = min(float(zone.distance_m(n, e).min()) for zone in zones)
     lower, upper = zone_distance(here.surroundings(), segment)
@@ -167,7 +168,7 @@ def test_all_stretches_of_a_piece_are_within_the_slack_of_the_segment(
 ) -> None:
     here = a_case(seed).surroundings()
     control = a_curve(seed)
-    cubics = _cubics(control)
+    cubics = cubics_of(control)
     piece = piece_of(cubics, 0, 0.2, 0.6)
     left += piece[3]
     segment, slack = stretch_of(here, piece, flown + piece[3], left)
@@ -206,7 +207,7 @@ def test_curvature_climb_and_dive_are_bounded_from_above_and_to_about_one_percen
     seed: int,
 ) -> None:
     control = a_curve(seed)
-    cubics = _cubics(control)
+    cubics = cubics_of(control)
     curvature, climb, dive = exact(control)
     squared, _ = largest(cubics, 0, 1e-6, 0.004)
     assert squared >= curvature**2 * (1.0 - 1e-9)
@@ -215,13 +216,13 @@ def test_curvature_climb_and_dive_are_bounded_from_above_and_to_about_one_percen
     for sign, real in ((1, climb), (-1, dive)):
         bound, _ = largest(cubics, sign, 0.2, 0.004)
         assert bound >= real - 1e-9
-        assert bound <= real + 0.02 * abs(real) + 0.01 or curvature > 0.05
+        assert bound <= 1.02 * max(real, 0.0) + 0.001 or curvature > 0.05
 
 
 @given(seed=seeds)
 def test_a_limit_just_above_what_the_curve_comes_to_is_proven(seed: int) -> None:
     control = a_curve(seed)
-    cubics = _cubics(control)
+    cubics = cubics_of(control)
     curvature, climb, dive = exact(control)
     if curvature < 0.02:
         limit = (curvature * 1.005) ** 2
@@ -236,7 +237,7 @@ def test_a_parabola_is_tightest_at_its_vertex(radius_m: float) -> None:
     # y = x^2 / 2r has the radius r at the vertex, where both control legs are level with it.
     x = radius_m * np.array([-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0])
     y = radius_m * np.array([0.5, -1.0 / 6.0, -1.0 / 6.0, 0.5])
-    bound, _ = largest(_cubics(np.stack([x, y, 0 * x], axis=-1)), 0, 1e-12, 0.004)
+    bound, _ = largest(cubics_of(np.stack([x, y, 0 * x], axis=-1)), 0, 1e-12, 0.004)
     assert 1.0 - 1e-9 <= math.sqrt(bound) * radius_m <= 1.01
 
 
@@ -246,7 +247,7 @@ def test_extremes_are_those_of_the_curve(seed: int) -> None:
     points = curve(control)(np.linspace(0.0, 1.0, 4_001))
     size = np.abs(control).max()
     for axis in range(3):
-        low, high = extremes(_cubics(control), axis)
+        low, high = extremes(cubics_of(control), axis)
         assert low <= points[:, axis].min() + 1e-8
         assert high >= points[:, axis].max() - 1e-8
         assert low >= points[:, axis].min() - 1e-5 * size
@@ -255,12 +256,10 @@ def test_extremes_are_those_of_the_curve(seed: int) -> None:
 
 def test_a_track_that_turns_back_does_not_run_forward() -> None:
     line = np.array([[0.0, 0, 0], [300, 400, 5], [600, 800, 9], [900, 1_200, 0]])
-    assert runs_forward(_cubics(line))
-    assert runs_forward(_cubics(np.zeros((4, 3))))
-    assert not runs_forward(
-        _cubics(line[[0, 2, 1, 3]] * [1, 1, 0] + [[0, 0, 0], [9, 9, 0], [0, 0, 0], [0, 0, 0]])
-    )
-    assert not runs_forward(_cubics(line[[0, 3, 3, 0]]))
+    assert runs_forward(cubics_of(line))
+    assert runs_forward(cubics_of(np.zeros((4, 3))))
+    assert not runs_forward(cubics_of(np.array([line[0], 1.5 * line[3], -line[1], line[3]])))
+    assert not runs_forward(cubics_of(line[[0, 3, 3, 0]]))
 
 
 @given(seed=seeds)
@@ -274,7 +273,7 @@ def test_polynomials_multiply_like_numpys(seed: int) -> None:
 
 @pytest.mark.parametrize("miss", [0.0, 0.5, 0.9])
 def test_exposure_is_the_chord_and_the_detection_that_of_the_nearest_point(miss: float) -> None:
-    cubics = _cubics(np.array([[1_000.0 * k, 0.0, 0.0] for k in range(4)]))
+    cubics = cubics_of(np.array([[1_000.0 * k, 0.0, 0.0] for k in range(4)]))
     radars = np.array([[1_500.0, 500.0 * miss, 0.0, 500.0]])
     here = a_case(0).surroundings()._replace(radars=radars)
     within, detection, _ = exposure(cubics, here, first_pieces(cubics))
@@ -283,6 +282,7 @@ def test_exposure_is_the_chord_and_the_detection_that_of_the_nearest_point(miss:
     assert detection == pytest.approx(1.0 / (1.0 + miss**4))
 
 
+@pytest.mark.skipif("COMPANION_DEEP" not in os.environ, reason="compiles for 10 s")
 def test_compiled_and_plain_agree_to_1e_9() -> None:
     numba = pytest.importorskip("numba")
     for helper in proof.HELPERS:
@@ -290,7 +290,7 @@ def test_compiled_and_plain_agree_to_1e_9() -> None:
     fast = numba.njit(proof.ENTRY)
     for seed in range(30):
         case = a_case(seed)
-        cubics, here = _cubics(case.control_nea_m), case.surroundings()
+        cubics, here = cubics_of(case.control_nea_m), case.surroundings()
         np.testing.assert_allclose(
             fast(cubics, here, case.from_rest),
             proof.prove(cubics, here, case.from_rest),

@@ -2,7 +2,6 @@
 
 import pytest
 
-from companion.optimise.improved_de import Settings
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
@@ -34,7 +33,6 @@ def task() -> Task:
             scan_time_s=1.0,
             overlap_m=200.0,
             evaluations=400,
-            search=Settings(population=40),
         ),
         radars=(Radar(name="r", centre_nea_m=(6_500.0, 3_300.0, 0.0), range_m=900.0),),
         keep_outs=(

@@ -321,3 +321,79 @@ def test_the_sight_line_does_not_depend_on_what_lies_behind_the_point() -> None:
     known.upper_m[13:] = 5_000.0
     assert sight_line_m(known, radar, point, 50.0) == before
     assert math.isfinite(before[0])
+
+
+def brute_force_line_m(
+    known: KnownMap, radar: FloatArray, centre: FloatArray, reach_m: float
+) -> float:
+    """The steepest line to points of a cell (centre, half its side) by marching every 2 m.
+
+    From half a cell on: vehicles keep that far from what rises above them.
+    """
+    steepest = -math.inf
+    for offset in ((0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1), (0, 1), (1, 0), (0, -1), (-1, 0)):
+        point = centre + np.asarray(offset) * reach_m
+        far = float(np.hypot(*(point - radar[:2])))
+        along = np.arange(0.5 * CELL_M, far - CELL_M, 2.0)[:, None]
+        places = radar[:2] + along * (point - radar[:2]) / far
+        index = (places / CELL_M).astype(int)
+        rise = known.upper_m[index[:, 0], index[:, 1]] - radar[2]
+        if len(rise):
+            steepest = max(steepest, radar[2] + float((rise / along[:, 0]).max()) * far)
+    return steepest
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10**6))
+def test_the_sight_line_is_above_that_of_a_brute_force_march_to_any_point_of_the_cell(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    known = blank()
+    known.upper_m[:] = rng.choice([0.0, 100.0, 300.0, 900.0], size=(CELLS, CELLS))
+    radar = np.array([*rng.uniform(0.3, 0.7, 2) * CELLS * CELL_M, rng.uniform(50.0, 1_000.0)])
+    cells = rng.integers(0, CELLS, (30, 2))
+    middles = (cells + 0.5) * CELL_M
+    radars = np.broadcast_to(radar, (30, 3))
+    found = sight_line_m(known, radars, middles, 1.5 * CELL_M)
+    brute = [brute_force_line_m(known, radar, middle, 0.5 * CELL_M) for middle in middles]
+    bounded = ~np.isneginf(found)  # beside the radar there is nothing to look over
+    assert (found[bounded] >= np.array(brute)[bounded] - 1e-6).all()
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10**6), apart_m=st.floats(0.0, 200.0))
+def test_the_sight_lines_of_radars_near_each_other_are_not_below_those_of_each(
+    seed: int, apart_m: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    known = blank()
+    known.upper_m[:] = rng.choice([0.0, 100.0, 300.0, 900.0], size=(CELLS, CELLS))
+    first = np.array([*rng.uniform(0.3, 0.7, 2) * CELLS * CELL_M, rng.uniform(50.0, 1_000.0)])
+    radars = first + rng.uniform(-apart_m, apart_m, (30, 3)) * (1.0, 1.0, 0.3)
+    middles = (rng.integers(0, CELLS, (30, 2)) + 0.5) * CELL_M
+    found = sight_line_m(known, radars, middles, 1.5 * CELL_M)
+    brute = [
+        brute_force_line_m(known, radar, middle, 0.5 * CELL_M)
+        for radar, middle in zip(radars, middles, strict=True)
+    ]
+    bounded = ~np.isneginf(found)  # beside the radar there is nothing to look over
+    assert (found[bounded] >= np.array(brute)[bounded] - 1e-6).all()
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10**6), row=st.integers(0, 40), column=st.integers(0, 40))
+def test_a_scan_means_the_same_on_a_bigger_map(seed: int, row: int, column: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_hills(rng)
+    radar = random_radar(rng, terrain)
+    answers, _ = brute_force_scan(terrain, radar)
+    alone = blank().with_scan(as_scan(answers, radar))
+    low_n, low_e = -row * CELL_M, -column * CELL_M
+    size = (CELLS + 45) * CELL_M
+    big = empty_map(CELL_M, (low_n, low_n + size), (low_e, low_e + size))
+    after = big.with_scan(as_scan(answers, radar, row=row, column=column))
+    part = after.part(slice(row, row + CELLS), slice(column, column + CELLS))
+    assert (part.upper_m == alone.upper_m).all()
+    assert (part.north_min_m, part.east_min_m) == (0.0, 0.0)
+    assert np.isfinite(after.upper_m).sum() == np.isfinite(alone.upper_m).sum()

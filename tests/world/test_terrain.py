@@ -2,11 +2,15 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from pyproj import Geod
+from scipy.ndimage import map_coordinates
 
-from companion.world.terrain import Peak, PeakTerrain
+from companion.geodesy import FloatArray, LocalFrame
+from companion.world.terrain import GridTerrain, Peak, PeakTerrain
 
+FIELDS = ("north_m", "east_m", "height_amsl_m", "spread_north_m", "spread_east_m")
 peaks = st.builds(
     Peak,
     north_m=st.floats(-2_000, 2_000),
@@ -40,7 +44,7 @@ def test_the_height_is_equation_1_over_the_ground(
     terrain: PeakTerrain, north: float, east: float
 ) -> None:
     height = terrain.height_m(np.array(north), np.array(east))
-    assert height == pytest.approx(eq_1(terrain, north, east), rel=1e-12)
+    assert height == pytest.approx(eq_1(terrain, north, east), rel=1e-12, abs=2e-9)
 
 
 @given(terrain=terrains)
@@ -49,7 +53,7 @@ def test_heights_come_in_the_shape_of_the_points(terrain: PeakTerrain) -> None:
     heights = terrain.height_m(north, east)
     assert heights.shape == (2, 3)
     for index in np.ndindex(2, 3):
-        assert heights[index] == pytest.approx(eq_1(terrain, north[index], east[index]))
+        assert heights[index] == pytest.approx(eq_1(terrain, north[index], east[index]), abs=2e-9)
 
 
 @given(terrain=terrains, n=places, e=places, dn=st.floats(1, 2_000), de=st.floats(1, 2_000))
@@ -95,3 +99,138 @@ def test_boxes_broadcast_rows_against_columns() -> None:
 def test_without_peaks_the_terrain_is_the_ground_everywhere(ground_amsl_m: float) -> None:
     terrain = PeakTerrain(peaks=(), ground_amsl_m=ground_amsl_m)
     assert terrain.height_m(np.array(5.0), np.array(7.0)) == ground_amsl_m
+
+
+# --- many peaks
+
+
+@given(seed=st.integers(0, 10**6), sum_of_peaks=st.booleans())
+def test_peaks_far_away_do_not_change_what_is_near(seed: int, *, sum_of_peaks: bool) -> None:
+    rng = np.random.default_rng(seed)
+    columns = rng.uniform((-2e5, -2e5, 50, 200, 200), (2e5, 2e5, 900, 3e3, 3e3), (300, 5))
+    peaks = tuple(Peak(**dict(zip(FIELDS, row, strict=True))) for row in columns.tolist())
+    terrain = PeakTerrain(peaks=peaks, ground_amsl_m=20.0, sum_of_peaks=sum_of_peaks)
+    north, east = rng.uniform(-1e4, 1e4, (2, 40))
+    x = (north[:, None] - columns[:, 0]) / columns[:, 3]
+    y = (east[:, None] - columns[:, 1]) / columns[:, 4]
+    each = columns[:, 2] * np.exp(-x * x - y * y)
+    together = each.sum(axis=1) if sum_of_peaks else each.max(axis=1)
+    np.testing.assert_allclose(
+        terrain.height_m(north, east), np.maximum(together, 20.0), rtol=0, atol=2e-9
+    )
+    assert (terrain.height_m(north, east) >= np.maximum(together, 20.0) - 1e-9).all()
+
+
+# --- height grids
+
+
+def random_grid(
+    rng: np.random.Generator, latitude_deg: float, longitude_deg: float, step_deg: float
+) -> GridTerrain:
+    rows, columns = rng.integers(60, 90, 2).tolist()
+    return GridTerrain(
+        frame=LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg),
+        heights_m=rng.integers(-50, 900, (rows, columns)).astype(np.int16),
+        south_deg=latitude_deg - 0.5 * rows * step_deg,
+        west_deg=longitude_deg - 0.5 * columns * step_deg,
+        step_north_deg=step_deg,
+        step_east_deg=step_deg,
+    )
+
+
+PLACES = st.sampled_from([(0.0, 0.0), (36.5, -84.3), (-47.0, 179.99), (68.0, -180.0)])
+STEPS = st.sampled_from([1 / 3600, 1 / 1200])
+
+
+def by_geodesics(terrain: GridTerrain, north: FloatArray, east: FloatArray) -> FloatArray:
+    """The same surface by other libraries: geodesics, and scipy's interpolation."""
+    lat_0, lon_0 = terrain.frame.latitude_deg, terrain.frame.longitude_deg
+    ones = np.ones_like(north)
+    azimuth = np.degrees(np.arctan2(east, north))
+    lon, lat, _ = Geod(ellps="WGS84").fwd(
+        lon_0 * ones, lat_0 * ones, azimuth, np.hypot(north, east)
+    )
+    rows, columns = terrain.heights_m.shape
+    step = terrain.step_north_deg
+    row = (lat - lat_0) / step + 0.5 * rows
+    column = ((lon - lon_0 + 180.0) % 360.0 - 180.0) / step + 0.5 * columns
+    return np.asarray(map_coordinates(terrain.heights_m.astype(float), [row, column], order=1))
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 10**6), place=PLACES, step=STEPS)
+def test_a_height_grid_is_bilinear_in_latitude_and_longitude(
+    seed: int, place: tuple[float, float], step: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_grid(rng, *place, step)
+    far = 25.0 * step * 111_000.0 * math.cos(math.radians(place[0]))
+    north, east = rng.uniform(-far, far, (2, 200))
+    expected = by_geodesics(terrain, north, east)
+    np.testing.assert_allclose(terrain.height_m(north, east), expected, rtol=0, atol=1e-3)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 10**6), place=PLACES)
+def test_a_lattice_of_points_has_the_heights_of_its_points(
+    seed: int, place: tuple[float, float]
+) -> None:
+    terrain = random_grid(np.random.default_rng(seed), *place, 1 / 1200)
+    axis = np.linspace(-700.0, 700.0, 60)
+    lattice = terrain.height_m(axis[:, None], axis[None, :])
+    north, east = (x.ravel() for x in np.meshgrid(axis, axis, indexing="ij"))
+    np.testing.assert_allclose(lattice.ravel(), terrain.height_m(north, east), rtol=0, atol=1e-4)
+
+
+def test_a_lattice_of_200_km_at_a_high_latitude_is_projected_to_a_millimetre() -> None:
+    rng = np.random.default_rng(1)
+    terrain = random_grid(rng, 68.0, 20.0, 0.1)
+    axis = np.linspace(-1e5, 1e5, 40)
+    north, east = axis[:, None], axis[None, :]
+    fast, exact = terrain._nodes(north, east), terrain._projected(*np.broadcast_arrays(north, east))
+    for found, expected in zip(fast, exact, strict=True):
+        assert np.abs(found - expected).max() * 0.1 * 111_320.0 < 1e-3
+
+
+@settings(max_examples=40)
+@given(
+    seed=st.integers(0, 10**6),
+    place=PLACES,
+    size_m=st.sampled_from([5.0, 19.0, 60.0, 150.0, 400.0, 1_500.0]),
+)
+def test_no_point_of_a_height_grid_is_higher_than_the_bound_of_its_box(
+    seed: int, place: tuple[float, float], size_m: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = random_grid(rng, *place, 1 / 1200)
+    far = 20.0 / 1200 * 111_000.0 * math.cos(math.radians(place[0])) - size_m
+    north, east = rng.uniform(-far, far, (2, 30)) if far > 0 else np.zeros((2, 30))
+    bound = terrain.highest_in_box_m(north, north + size_m, east, east + size_m)
+    inside = np.linspace(0.0, size_m, 25)
+    points_n = north[:, None, None] + inside[:, None] + 0.0 * inside
+    points_e = east[:, None, None] + inside + 0.0 * inside[:, None]
+    brute = terrain.height_m(points_n, points_e).max(axis=(1, 2))
+    assert (bound >= brute - 1e-6).all()
+    assert (bound <= terrain.heights_m.max()).all()
+
+
+def test_the_bound_of_a_small_box_is_tight() -> None:
+    terrain = random_grid(np.random.default_rng(5), 36.5, -84.3, 1 / 1200)
+    axis = np.arange(-1_000.0, 1_000.0, 19.0)
+    north, east = axis[:, None], axis[None, :]
+    bound = terrain.highest_in_box_m(north, north + 19.0, east, east + 19.0)
+    inside = np.linspace(0.0, 19.0, 8)
+    brute = np.max(
+        [terrain.height_m(north + a, east + b) for a in inside for b in inside],
+        axis=0,
+    )
+    assert np.quantile(bound - brute, 0.99) < 10.0  # 1.4 m between samples, slopes up to 12
+    assert np.median(bound - brute) < 0.3
+
+
+def test_beyond_its_edge_a_height_grid_goes_on_as_at_the_edge() -> None:
+    terrain = random_grid(np.random.default_rng(2), 10.0, 10.0, 1 / 1200)
+    far = np.array([-2e4, 2e4])
+    corners = terrain.height_m(far, far)
+    assert corners.tolist() == [terrain.heights_m[0, 0], terrain.heights_m[-1, -1]]
+    assert terrain.highest_in_box_m(far, far + 19.0, far, far + 19.0).tolist() == corners.tolist()

@@ -1,0 +1,128 @@
+"""Random scenes of profile `flight`, with everything in them that its objective knows."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.objective.flight import FlightScene
+from companion.objective.scene import Weights
+from companion.path.limits import Limits
+from companion.path.subpath import Pose, Subpath
+from companion.world.clearance import Surface
+from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut, Radar
+
+FloatArray = NDArray[np.float64]
+
+R_M = 2_000.0
+LIMITS = Limits(
+    speed_m_s=15.0,
+    acceleration_m_s2=3.0,
+    climb_rate_m_s=4.0,
+    turn_radius_m=400.0,
+    climb_angle_rad=0.1,
+    dive_angle_rad=0.15,
+    floor_amsl_m=300.0,
+    ceiling_amsl_m=800.0,
+    north_m=(1_500.0, 5_500.0),
+    east_m=(1_500.0, 5_500.0),
+    tracking_error_m=5.0,
+)
+
+
+def random_pose(rng: np.random.Generator) -> Pose:
+    """A place on a random subpath of four to six control points."""
+    points = int(rng.integers(4, 7))
+    ahead = np.linspace(0.0, 1_800.0, points)
+    control = np.stack([ahead, *rng.uniform(-400.0, 400.0, (2, points))], axis=-1)
+    control[:, 2] *= 0.2
+    turn = rng.uniform(-math.pi, math.pi)
+    c, s = math.cos(turn), math.sin(turn)
+    control = control @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    subpath = Subpath(control_nea_m=control)
+    share = rng.uniform(0.05, 0.95) * subpath.length_m
+    offset = np.append(rng.uniform(3_000.0, 4_000.0, 2), 500.0) - subpath.pose(share).position_nea_m
+    return Subpath(control_nea_m=control + offset).pose(share)
+
+
+def random_scene(
+    rng: np.random.Generator,
+    *,
+    points: int | None = None,
+    from_rest: bool | None = None,
+    is_final: bool | None = None,
+    samples: int | None = None,
+) -> FlightScene:
+    """A scene in which random candidates break every bound now and then."""
+    from_rest = bool(rng.random() < 0.5) if from_rest is None else from_rest
+    is_final = bool(rng.random() < 0.3) if is_final is None else is_final
+    start = random_pose(rng)
+    if from_rest:
+        heading = rng.uniform(-math.pi, math.pi)
+        level = np.array([math.cos(heading), math.sin(heading), 0.0])
+        start = Pose(position_nea_m=start.position_nea_m, tangent_nea=level)
+    north, east, _ = start.point_nea_m
+    weights = rng.uniform(0.05, 1.0, 6).tolist()
+    names = ("length", "height", "guide", "crash", "radar", "constraints")
+    return FlightScene(
+        points=points or int(rng.integers(5, 7)),
+        samples=samples or int(rng.choice([12, 13, 40])),
+        margin=1.06,
+        weights=Weights(**dict(zip(names, weights, strict=True))),
+        limits=LIMITS,
+        start=start,
+        from_rest=from_rest,
+        scan_ne_m=(north + rng.uniform(-300.0, 300.0), east + rng.uniform(-300.0, 300.0)),
+        scan_range_m=R_M,
+        end_radius_m=1_700.0,
+        guide_rad=rng.uniform(-math.pi, math.pi),
+        guide_share=rng.choice([0.2, 1.0]),
+        to_go=lattice(rng, 100.0, 4_000.0),
+        look_ahead_m=400.0,
+        final_ne_m=(north + rng.uniform(-1e3, 1e3), east + 400.0) if is_final else None,
+        safety_distance_m=60.0,
+        clearance_m=75.0,
+        surface=lattice(rng, 40.0, 500.0),
+        contact=lattice(rng, 40.0, 450.0),
+        radar_margin_m=2.5,
+        band_amsl_m=(315.0, 785.0),
+        radars=tuple(
+            Radar(name="r", centre_nea_m=(*rng.uniform(2e3, 5e3, 2), 100.0), range_m=1_200.0)
+            for _ in range(rng.integers(0, 4))
+        ),
+        keep_outs=random_keep_outs(rng),
+    )
+
+
+def lattice(rng: np.random.Generator, cell_m: float, most_m: float) -> Surface:
+    """A rough surface over most of where candidates come."""
+    count = math.ceil(6_000.0 / cell_m)
+    south, west = rng.uniform(-100.0, 1_500.0, 2)
+    return Surface(
+        north_min_m=south,
+        east_min_m=west,
+        cell_m=cell_m,
+        vertex_m=rng.uniform(0.0, most_m, (count, count + 3)),
+    )
+
+
+def random_keep_outs(rng: np.random.Generator) -> tuple[KeepOut, ...]:
+    """Circles and star-shaped polygons, in any order."""
+    zones: list[KeepOut] = []
+    for _ in range(rng.integers(0, 5)):
+        n, e = rng.uniform(2_000.0, 5_000.0, 2)
+        if rng.random() < 0.5:
+            zones.append(CircleKeepOut(name="c", north_m=n, east_m=e, radius_m=300.0))
+            continue
+        turns = np.sort(rng.uniform(0.0, 2.0 * math.pi, rng.integers(3, 8)))
+        far = rng.uniform(50.0, 500.0, len(turns))
+        corners = zip(n + far * np.cos(turns), e + far * np.sin(turns), strict=True)
+        zones.append(
+            PolygonKeepOut(name="p", vertices_ne_m=tuple((float(a), float(b)) for a, b in corners))
+        )
+    return tuple(zones)
+
+
+def cube(rng: np.random.Generator, scene: FlightScene, count: int) -> FloatArray:
+    """Candidates, some of them on faces and corners of the cube."""
+    return np.clip(rng.uniform(-0.15, 1.15, (count, scene.variables)), 0.0, 1.0)

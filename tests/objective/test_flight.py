@@ -1,0 +1,392 @@
+"""Joins and costs of profile `flight` against scipy's splines and a scalar implementation."""
+
+import math
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.interpolate import BSpline, RegularGridInterpolator
+from scipy.optimize import brentq
+
+from companion.objective.flight import (
+    LONGEST_R2,
+    SHORTEST_R,
+    SPREAD_RAD,
+    TERMS,
+    FlightScene,
+    control_points,
+    cost,
+    cost_table,
+    weight,
+)
+from companion.objective.scene import Weights
+from companion.path.subpath import Subpath
+from companion.world.clearance import Surface
+from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut
+
+sys.path.insert(0, str(Path(__file__).parent))
+from scenes import LIMITS, R_M, cube, random_pose, random_scene
+
+FloatArray = NDArray[np.float64]
+
+seeds = st.integers(0, 10**6)
+
+
+def spline(control_nea_m: FloatArray) -> Any:
+    spans = len(control_nea_m) - 3
+    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
+    return BSpline(knots, control_nea_m, 3)
+
+
+def curvature_1_m(curve: Any, u: float) -> FloatArray:
+    """The curvature vector: |r' x r''| / |r'|^3, across r' in the plane of r' and r''."""
+    first, second = curve(u, 1), curve(u, 2)
+    cross = np.cross(first, second)
+    normal = np.cross(cross, first)
+    size = np.linalg.norm(cross) / np.linalg.norm(first) ** 3
+    return np.asarray(size * normal / max(np.linalg.norm(normal), 1e-300))
+
+
+def parameter_of(curve: Any, point_nea_m: FloatArray) -> float:
+    """Where a curve passes through a point of it."""
+    fine = np.linspace(0.0, 1.0, 2_001)
+    k = int(np.linalg.norm(curve(fine) - point_nea_m, axis=-1).argmin())
+    bracket = fine[max(k - 1, 0)], fine[min(k + 1, 2_000)]
+    u: float = brentq(lambda at: (curve(at) - point_nea_m) @ curve(at, 1), *bracket, xtol=1e-15)
+    return u
+
+
+# --- joins
+
+
+@settings(max_examples=150)
+@given(
+    seed=seeds,
+    before=st.sampled_from([4, 5, 6]),
+    after=st.sampled_from([5, 6]),
+    is_final=st.booleans(),
+)
+def test_position_tangent_and_curvature_go_on_across_a_join(
+    seed: int, before: int, after: int, is_final: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    ahead = np.linspace(0.0, 1_800.0, before)
+    control = np.stack([ahead, *rng.uniform(-500.0, 500.0, (2, before))], axis=-1)
+    control += np.array([3_000.0, 3_000.0, 500.0])
+    previous = Subpath(control_nea_m=control)
+    start = previous.pose(rng.uniform(0.05, 0.95) * previous.length_m)
+    scene = random_scene(rng, points=after, from_rest=False, is_final=is_final)
+    scene = replace(scene, start=start)
+    old = spline(control)
+    u = parameter_of(old, start.position_nea_m)
+    tangent = old(u, 1) / np.linalg.norm(old(u, 1))
+    bend = curvature_1_m(old, u)
+    for points in control_points(cube(rng, scene, 4), scene):
+        new = spline(points)
+        assert np.linalg.norm(new(0.0) - old(u)) <= 1e-6 * R_M
+        assert np.linalg.norm(new(0.0, 1) / np.linalg.norm(new(0.0, 1)) - tangent) <= 1e-6
+        assert np.linalg.norm(curvature_1_m(new, 0.0) - bend) <= 1e-6 * np.linalg.norm(bend) + 1e-12
+
+
+@given(seed=seeds, points=st.sampled_from([5, 6]))
+def test_from_rest_a_subpath_leaves_along_the_tangent_without_a_bend(
+    seed: int, points: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, points=points, from_rest=True)
+    for control in control_points(cube(rng, scene, 4), scene):
+        curve = spline(control)
+        assert curve(0.0) == pytest.approx(scene.start.position_nea_m)
+        leaving = curve(0.0, 1) / np.linalg.norm(curve(0.0, 1))
+        assert leaving == pytest.approx(scene.start.tangent_nea, abs=1e-9)
+        assert np.linalg.norm(curvature_1_m(curve, 0.0)) <= 1e-12
+
+
+# --- where control points may lie
+
+
+def azimuth_from_tangent(scene: FlightScene, offset: FloatArray) -> float:
+    t = scene.start.tangent_nea
+    turned = complex(offset[0], offset[1]) / complex(t[0], t[1])
+    return math.atan2(turned.imag, turned.real)
+
+
+@given(seed=seeds, points=st.sampled_from([5, 6]))
+def test_the_end_lies_on_its_circle_about_p_scan_and_free_points_in_their_ring(
+    seed: int, points: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, points=points, is_final=False)
+    low, high = scene.band_amsl_m
+    for control in control_points(cube(rng, scene, 10), scene):
+        offset = control[-1, :2] - scene.scan_ne_m
+        assert np.hypot(*offset) == pytest.approx(scene.end_radius_m)
+        assert abs(azimuth_from_tangent(scene, offset)) <= SPREAD_RAD + 1e-9
+        for k in range(3, points - 1):
+            offset = control[k, :2] - control[0, :2]
+            assert SHORTEST_R * scene.unit_m - 1e-6 <= np.hypot(*offset) <= scene.unit_m + 1e-6
+            assert abs(azimuth_from_tangent(scene, offset)) <= SPREAD_RAD + 1e-9
+        assert low - 1e-9 <= control[3:, 2].min()
+        assert control[3:, 2].max() <= high + 1e-9
+
+
+@given(seed=seeds, points=st.sampled_from([5, 6]))
+def test_the_last_subpath_ends_at_the_target_and_is_no_larger_than_the_way_there(
+    seed: int, points: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, points=points, from_rest=True)
+    start = scene.start.position_nea_m
+    scene = replace(scene, final_ne_m=(float(start[0] + 300.0), float(start[1] - 400.0)))
+    for control in control_points(cube(rng, scene, 10), scene):
+        assert control[-1, :2] == pytest.approx(scene.final_ne_m)
+        assert np.linalg.norm(control[1] - start) <= LONGEST_R2 * 500.0 + 1e-6
+        assert np.hypot(*(control[3:-1, :2] - start[:2]).T).max() <= 500.0 + 1e-6
+
+
+def test_variables_at_their_middles_lead_straight_on() -> None:
+    scene = random_scene(np.random.default_rng(4), points=6, from_rest=True, is_final=False)
+    control = control_points(np.full((1, scene.variables), 0.5), scene)[0]
+    for k in (1, 2, 3, 4):
+        assert azimuth_from_tangent(scene, control[k] - control[0]) == pytest.approx(0.0, abs=1e-9)
+    about_scan = control[5, :2] - scene.scan_ne_m
+    assert azimuth_from_tangent(scene, about_scan) == pytest.approx(0.0, abs=1e-9)
+
+
+@given(seed=seeds)
+def test_one_candidate_gives_the_same_points_and_cost_alone_and_among_others(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, samples=12)
+    x = cube(rng, scene, 6)
+    together, costs = control_points(x, scene), cost(x, scene)
+    for k in range(len(x)):
+        assert (control_points(x[k : k + 1], scene)[0] == together[k]).all()
+        assert float(cost(x[k : k + 1], scene)[0]) == pytest.approx(costs[k], rel=1e-12)
+
+
+# --- every term, slowly
+
+
+def bilinear_m(surface: Surface, north: float, east: float) -> float:
+    rows, columns = surface.vertex_m.shape
+    axes = (
+        surface.north_min_m + surface.cell_m * np.arange(rows),
+        surface.east_min_m + surface.cell_m * np.arange(columns),
+    )
+    inside = np.clip(north, axes[0][0], axes[0][-1]), np.clip(east, axes[1][0], axes[1][-1])
+    return float(RegularGridInterpolator(axes, surface.vertex_m)([inside])[0])
+
+
+def gap_m(zone: KeepOut, north: float, east: float) -> float:
+    """Distance to the edge, negative inside: inside is where the edge winds round the point."""
+    if isinstance(zone, CircleKeepOut):
+        return math.dist((north, east), (zone.north_m, zone.east_m)) - zone.radius_m
+    assert isinstance(zone, PolygonKeepOut)
+    here = complex(north, east)
+    corners = [complex(*corner) - here for corner in zone.vertices_ne_m]
+    turns, nearest = 0.0, math.inf
+    for a, b in pairwise([*corners, corners[0]]):
+        turns += math.atan2((b / a).imag, (b / a).real)
+        foot = ((0 - a) / (b - a)).real  # the share of the edge that is nearest to the point
+        nearest = min(nearest, abs(a + min(max(foot, 0.0), 1.0) * (b - a)))
+    return -nearest if abs(turns) > math.pi else nearest
+
+
+def expected(control: FloatArray, scene: FlightScene) -> dict[str, float]:
+    """All terms of one candidate."""
+    curve, count = spline(control), scene.samples
+    u = [j / count for j in range(count + 1)]
+    points = [curve(at) for at in u]
+    each = 10.0 / count
+    chords = [math.dist(a, b) for a, b in pairwise(points)]
+    per_metre = 100.0 / (2.4 * scene.scan_range_m)
+    low, high = scene.band_amsl_m
+    heights = [max(float(p[2]) - low, 0.0) for p in points[1:]]
+    return {
+        "length": sum(chords) * per_metre,
+        "height": 100.0 * sum(heights) / count / (high - low),
+        "guide": expected_guide(control, scene),
+        "crash": each * expected_crash(curve, u, points, chords, scene),
+        "radar": each * 30.0 * sum(expected_detection(p, scene) for p in points[1:]),
+        "constraints": each
+        * (expected_steering(curve, u[1:], scene) + expected_outside(points, scene)),
+        "to_go": expected_to_go_m(control, scene) * per_metre,
+    }
+
+
+def expected_guide(control: FloatArray, scene: FlightScene) -> float:
+    if scene.final_ne_m is not None:
+        return 0.0
+    offset = complex(*(control[-1, :2] - scene.scan_ne_m))
+    turned = offset / complex(math.cos(scene.guide_rad), math.sin(scene.guide_rad))
+    return 100.0 * abs(math.atan2(turned.imag, turned.real)) / math.pi * scene.guide_share
+
+
+def expected_to_go_m(control: FloatArray, scene: FlightScene) -> float:
+    if scene.final_ne_m is not None:
+        return 0.0
+    heading = math.atan2(*(control[-1, :2] - control[-2, :2])[::-1])
+    ahead = scene.look_ahead_m
+    there = control[-1, 0] + ahead * math.cos(heading), control[-1, 1] + ahead * math.sin(heading)
+    return ahead + bilinear_m(scene.to_go, *there)
+
+
+def expected_crash(
+    curve: Any,
+    u: list[float],
+    points: list[FloatArray],
+    chords: list[float],
+    scene: FlightScene,
+) -> float:
+    total = 0.0
+    for a, b in pairwise(points):
+        for share in (1 / 3, 2 / 3, 1.0):
+            n, e, z = a + share * (b - a)
+            total += max(bilinear_m(scene.surface, n, e) - z, 0.0) / 3.0
+    for j in range(1, len(points), 2):
+        left, flown = sum(chords[j:]), sum(chords[:j])
+        room = min(left, flown) if scene.from_rest else left
+        speed = min(LIMITS.speed_m_s, math.sqrt(2.0 * LIMITS.acceleration_m_s2 * room))
+        reach = speed * LIMITS.dead_man_s + speed**2 / 2.0 / LIMITS.acceleration_m_s2
+        tangent = curve(u[j], 1) / np.linalg.norm(curve(u[j], 1))
+        for share in (0.5, 1.0):
+            n, e, z = points[j] + share * reach * tangent
+            total += 2.0 * max(bilinear_m(scene.contact, n, e) - z, 0.0)
+    return 100.0 * total / scene.safety_distance_m
+
+
+def expected_detection(point: FloatArray, scene: FlightScene) -> float:
+    """Eq. 3."""
+    total = 0.0
+    for radar in scene.radars:
+        d = math.dist(point, radar.centre_nea_m)
+        if d <= radar.range_m + scene.radar_margin_m:
+            total += radar.range_m**4 / (radar.range_m**4 + d**4)
+    return total
+
+
+def expected_steering(curve: Any, u: list[float], scene: FlightScene) -> float:
+    climb, dive = (
+        angle / scene.margin for angle in (LIMITS.climb_angle_rad, LIMITS.dive_angle_rad)
+    )
+    total = 0.0
+    for k, at in enumerate(u):
+        v, a = curve(at, 1), curve(at, 2)
+        ground = math.hypot(v[0], v[1])
+        bend = abs(v[0] * a[1] - v[1] * a[0]) / ground**3 * LIMITS.turn_radius_m
+        total += 100.0 * min(max(bend * scene.margin - 1.0, 0.0), 10.0)
+        slope = math.atan(v[2] / ground)
+        total += 100.0 * (max(slope - climb, 0.0) + max(-slope - dive, 0.0))
+        if k >= len(u) - round(len(u) / 4):
+            total += 2.0 * min(bend, 1.0) ** 2
+    return total
+
+
+def expected_outside(points: list[FloatArray], scene: FlightScene) -> float:
+    low, high = scene.band_amsl_m
+    beyond = near = 0.0
+    for n, e, z in points[1:]:
+        beyond += max(low - z, 0.0, z - high)
+        beyond += max(1_500.0 - n, 0.0, n - 5_500.0) + max(1_500.0 - e, 0.0, e - 5_500.0)
+    for a, b in pairwise(points):
+        for share in (1 / 3, 2 / 3, 1.0):
+            n, e, _ = a + share * (b - a)
+            gaps = [gap_m(zone, n, e) for zone in scene.keep_outs]
+            near += sum(max(scene.clearance_m - gap, 0.0) for gap in gaps) / 3.0
+    return 100.0 * (beyond / (R_M / 20.0) + near / scene.clearance_m)
+
+
+@settings(max_examples=40)
+@given(seed=seeds)
+def test_each_term_is_what_a_scalar_implementation_makes_of_the_curve(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, samples=12)
+    x = cube(rng, scene, 2)
+    table = cost_table(x, scene)
+    assert tuple(table) == TERMS
+    for row, control in enumerate(control_points(x, scene)):
+        slowly = expected(control, scene)
+        for name, value in slowly.items():
+            assert table[name][row] == pytest.approx(value, rel=1e-6, abs=1e-5), name
+        by_hand = sum(weight(name, scene) * value for name, value in slowly.items())
+        assert cost(x, scene)[row] == pytest.approx(by_hand, rel=1e-6)
+
+
+def test_the_weights_are_those_of_equation_5_and_what_is_left_to_fly_counts_as_length() -> None:
+    scene = replace(random_scene(np.random.default_rng(1)), weights=Weights())
+    found = [weight(name, scene) for name in TERMS]
+    assert found == [0.1, 0.15, 0.15, 0.3, 0.3, 1.0, 0.1]
+
+
+@given(seed=seeds)
+def test_f1_is_the_length_of_the_curve_in_units_of_2_4_r(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, samples=40)
+    x = 0.25 + 0.5 * cube(rng, scene, 1)
+    curve = spline(control_points(x, scene)[0])
+    length_m, _ = quad(lambda u: float(np.linalg.norm(curve(u, 1))), 0.0, 1.0, limit=200)
+    assert cost_table(x, scene)["length"][0] == pytest.approx(
+        100.0 * length_m / (2.4 * R_M), rel=0.005
+    )
+
+
+@given(seed=seeds)
+def test_no_term_is_negative_or_anything_but_a_number(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng)
+    for name, column in cost_table(cube(rng, scene, 20), scene).items():
+        assert np.isfinite(column).all(), name
+        assert column.min() >= 0.0, name
+
+
+def test_a_candidate_between_what_it_must_keep_costs_only_its_way() -> None:
+    rng = np.random.default_rng(2)
+    flat = Surface(north_min_m=0.0, east_min_m=0.0, cell_m=1e3, vertex_m=np.full((9, 9), 315.0))
+    scene = random_scene(rng, points=5, from_rest=True, is_final=False, samples=40)
+    position = np.array([3_500.0, 3_500.0, 316.0])
+    scene = replace(
+        scene,
+        start=replace(scene.start, position_nea_m=position, tangent_nea=np.array([1.0, 0.0, 0.0])),
+        scan_ne_m=(3_500.0, 3_500.0),
+        surface=flat,
+        contact=flat,
+        radars=(),
+        keep_outs=(),
+    )
+    level = (316.0 - 315.0) / (785.0 - 315.0)
+    x = np.array([[0.5, 0.5, 0.7, 0.5, level, 0.5, level]])
+    table = cost_table(x, scene)
+    for name in ("crash", "radar", "constraints"):
+        assert table[name] == pytest.approx([0.0]), name
+    assert table["length"] == pytest.approx([100.0 * 1_700.0 / (2.4 * R_M)])
+
+
+def test_what_stands_between_two_samples_is_met_at_the_points_of_the_chords() -> None:
+    scene = random_scene(
+        np.random.default_rng(3), points=5, from_rest=True, is_final=False, samples=40
+    )
+    x = np.full((1, 7), 0.5)
+    points = spline(control_points(x, scene)[0])(np.linspace(0.0, 1.0, 41))
+    n, e, _ = points[20] + (points[21] - points[20]) / 3.0
+    flat = Surface(north_min_m=n - 4.0, east_min_m=e - 4.0, cell_m=4.0, vertex_m=np.zeros((3, 3)))
+    mast = replace(flat, vertex_m=flat.vertex_m.copy())
+    mast.vertex_m[1, 1] = 5_000.0
+    assert np.linalg.norm(points - points[20], axis=-1)[21] > 6.0 * 4.0
+    without, with_it = (
+        cost_table(x, replace(scene, surface=each))["crash"][0] for each in (flat, mast)
+    )
+    assert with_it > without + 100.0
+
+
+def test_the_poses_that_these_scenes_start_from_are_bent() -> None:
+    rng = np.random.default_rng(6)
+    bends = [np.linalg.norm(random_pose(rng).curvature_nea_1_m) for _ in range(20)]
+    assert np.median(bends) > 1.0 / (10.0 * R_M)

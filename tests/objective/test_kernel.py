@@ -1,0 +1,76 @@
+"""The scalar objective, as plain Python, against the numpy one."""
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.objective import flight, kernel
+
+sys.path.insert(0, str(Path(__file__).parent))
+from scenes import cube, random_scene
+
+seeds = st.integers(0, 10**6)
+
+
+@settings(max_examples=100)
+@given(seed=seeds)
+def test_the_scalar_cost_is_the_numpy_cost(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng)
+    x = cube(rng, scene, 3)
+    pack = kernel.pack(scene)
+    found = [kernel.cost(each, math.inf, pack) for each in x]
+    assert found == pytest.approx(flight.cost(x, scene), rel=1e-9)
+
+
+@given(seed=seeds)
+def test_control_points_are_those_of_the_numpy_form(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng)
+    x = cube(rng, scene, 1)
+    pack = kernel.pack(scene)
+    kernel.place_control_points(x[0], pack.control, pack.start, pack.numbers)
+    np.testing.assert_allclose(
+        pack.control, flight.control_points(x, scene)[0], rtol=1e-12, atol=1e-9
+    )
+
+
+@settings(max_examples=60)
+@given(seed=seeds, share=st.sampled_from([0.0, 0.1, 0.4, 0.8, 0.97, 0.999999, 1.000001, 1.5]))
+def test_beyond_a_bound_the_cost_is_infinite_and_below_it_the_cost(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, samples=12)
+    x, pack = cube(rng, scene, 1)[0], kernel.pack(scene)
+    cost = kernel.cost(x, math.inf, pack)
+    assert kernel.cost(x, share * cost, pack) == (math.inf if share < 1.0 else cost)
+    assert kernel.cost(x, cost, pack) == cost
+
+
+@settings(max_examples=15)
+@given(seed=seeds)
+def test_stopping_early_never_changes_which_candidate_is_taken(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, samples=12)
+    pack = kernel.pack(scene)
+    best, best_early = math.inf, math.inf
+    for x in cube(rng, scene, 15):
+        best = min(best, kernel.cost(x, math.inf, pack))
+        best_early = min(best_early, kernel.cost(x, best_early, pack))
+        assert best_early == best
+
+
+@settings(max_examples=15)
+@given(seed=seeds)
+def test_a_pack_is_good_for_many_candidates_in_any_order(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, samples=12)
+    x, pack = cube(rng, scene, 4), kernel.pack(scene)
+    there = [kernel.cost(each, math.inf, pack) for each in x]
+    back = [kernel.cost(each, math.inf, pack) for each in x[::-1]]
+    assert there == back[::-1]
+    assert there == [kernel.cost(each, math.inf, kernel.pack(scene)) for each in x]

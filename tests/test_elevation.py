@@ -1,0 +1,308 @@
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rasterio.transform import Affine
+from scipy.interpolate import RegularGridInterpolator
+
+from companion.config import load_world
+from companion.elevation import read_terrain
+from companion.errors import InputError
+from companion.geodesy import LocalFrame
+from companion.world.terrain import GridTerrain
+from vehicle_sim.world import read_world
+
+VALLEY = Path(__file__).parents[1] / "companion" / "environments" / "valley"
+FRAME = LocalFrame(latitude_deg=46.5, longitude_deg=8.5)
+AREA = ((-2_000.0, 3_000.0), (-4_000.0, 1_500.0))
+STEP = 1 / 1200
+Make = Callable[..., Path]
+
+
+def from_origin(west: float, north: float, width: float, height: float) -> Affine:
+    return Affine(width, 0.0, west, 0.0, -height, north)
+
+
+def heights(rows: int = 120, columns: int = 150) -> NDArray[np.int16]:
+    return np.random.default_rng(3).integers(300, 2_000, (rows, columns)).astype(np.int16)
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """A GeoTIFF whose middle is FRAME's origin, with the changes wanted."""
+
+    def made(
+        data: NDArray[Any] | None = None,
+        *,
+        units: str = "",
+        scale: float = 1.0,
+        **changes: Any,
+    ) -> Path:
+        data = heights() if data is None else data
+        rows, columns = data.shape
+        west, north = 8.5 - 0.5 * columns * STEP, 46.5 + 0.5 * rows * STEP
+        profile: dict[str, Any] = {
+            "driver": "GTiff",
+            "crs": "EPSG:4326",
+            "transform": from_origin(west, north, STEP, STEP),
+            "dtype": data.dtype,
+            "count": 1,
+        }
+        path = tmp_path / "terrain.tif"
+        with rasterio.open(path, "w", height=rows, width=columns, **(profile | changes)) as file:
+            for band in range(file.count):
+                file.write(data, band + 1)
+            file.units = [units] * file.count
+            file.scales = [scale] * file.count
+        return path
+
+    return made
+
+
+def read(path: Path, **changes: Any) -> GridTerrain:
+    given_: dict[str, Any] = {"vertical_datum": "EGM96", "nodata": None, "field": "terrain.file"}
+    area = changes.pop("area", AREA)
+    return read_terrain(path, FRAME, area, **(given_ | changes))
+
+
+def refused(path: Path, **changes: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        read(path, **changes)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith("terrain.file = ")
+    return message
+
+
+# --- what is read
+
+
+@pytest.mark.parametrize("dtype", ["int16", "float32", "uint16"])
+def test_the_terrain_is_bilinear_between_the_middles_of_the_files_cells(
+    make: Make, dtype: str
+) -> None:
+    data = heights().astype(dtype)
+    terrain = read(make(data))
+    rows, columns = data.shape
+    latitudes = 46.5 + (0.5 * rows - 0.5 - np.arange(rows)) * STEP
+    longitudes = 8.5 + (np.arange(columns) + 0.5 - 0.5 * columns) * STEP
+    surface = RegularGridInterpolator((latitudes[::-1], longitudes), data[::-1].astype(float))
+    rng = np.random.default_rng(1)
+    north, east = (rng.uniform(low, high, 300) for low, high in AREA)
+    places = [FRAME.to_geodetic_deg(n, e) for n, e in zip(north, east, strict=True)]
+    np.testing.assert_allclose(terrain.height_m(north, east), surface(places), rtol=0, atol=1e-4)
+
+
+def test_only_the_window_of_the_area_is_read_of_a_file_of_100_million_cells(make: Make) -> None:
+    path = make(np.zeros((1, 1), dtype=np.int16))
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        crs="EPSG:4326",
+        transform=from_origin(8.0, 47.0, 1 / 10_000, 1 / 10_000),
+        dtype="int16",
+        count=1,
+        height=10_000,
+        width=10_000,
+        tiled=True,
+        sparse_ok=True,
+    ):
+        pass
+    terrain = read(path)
+    assert terrain.heights_m.size < 600 * 900
+    assert terrain.height_m(np.zeros(1), np.zeros(1)).tolist() == [0.0]
+
+
+def test_an_srtm_tile_is_read_by_its_name(tmp_path: Path) -> None:
+    data = np.random.default_rng(5).integers(100, 3_000, (1201, 1201)).astype(">i2")
+    path = tmp_path / "N46E008.hgt"
+    path.write_bytes(data.tobytes())
+    terrain = read(path)
+    frame = LocalFrame(latitude_deg=46.5, longitude_deg=8.5)
+    for row, column in ((590, 570), (600, 600), (615, 580)):  # points of the grid, row 0 at 47 N
+        north, east = frame.to_local_m(47.0 - row / 1200, 8.0 + column / 1200)
+        height = terrain.height_m(np.array([north]), np.array([east]))[0]
+        assert height == pytest.approx(data[row, column], abs=0.05)
+
+
+def test_a_world_of_a_file_loads_from_beside_the_world_file(tmp_path: Path) -> None:
+    for name in ("world.toml", "terrain.tif"):
+        (tmp_path / name).write_bytes((VALLEY / name).read_bytes())
+    world, bundled = load_world(str(tmp_path / "world.toml")), load_world("valley")
+    north, east = np.linspace(-5_000, 5_000, 50), np.linspace(3_500, -6_500, 50)
+    found = world.terrain.height_m(north, east)
+    assert (found == bundled.terrain.height_m(north, east)).all()
+    assert 300.0 < found.min() < found.max() < 1_100.0
+
+
+def test_a_world_of_peaks_does_not_load_rasterio() -> None:
+    program = (
+        "import sys; from companion.config import load_world; load_world('environment-1'); "
+        "sys.exit('rasterio' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+# --- holes
+
+
+@pytest.mark.parametrize(("nodata", "filled"), [("sea", 0.0), (123.0, 123.0), (0.5, 0.5)])
+def test_holes_are_an_error_unless_the_world_says_what_lies_there(
+    make: Make, nodata: Any, filled: float
+) -> None:
+    data = heights()
+    data[60:62, 70:72] = -9999
+    path = make(data, nodata=-9999)
+    message = refused(path)
+    assert "4 of its cells in [area] have no height" in message
+    assert 'terrain.nodata = "sea"' in message
+    terrain = read(path, nodata=nodata)
+    assert (terrain.heights_m == filled).sum() == 4
+    assert terrain.heights_m.min() == filled
+
+
+def test_holes_outside_the_area_do_not_matter(make: Make) -> None:
+    data = heights()
+    data[0, 0] = -9999
+    assert read(make(data, nodata=-9999)).heights_m.min() >= 300
+
+
+def test_what_is_no_number_is_a_hole(make: Make) -> None:
+    data = heights().astype(np.float32)
+    data[60, 70] = np.nan
+    path = make(data)
+    assert "1 of its cells" in refused(path)
+    assert (read(path, nodata="sea").heights_m == 0.0).sum() == 1
+
+
+# --- what is refused
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"crs": "EPSG:32632"}, ["UTM zone 32N", "EPSG:4326"]),
+        ({"crs": "EPSG:4267"}, ["NAD27", "not latitude and longitude of WGS84"]),
+        ({"crs": "EPSG:4979"}, ["above the ellipsoid"]),
+        ({"crs": "EPSG:9707"}, ["EGM96", "not NAVD88", "terrain.vertical_datum"]),
+        ({"crs": None}, ["does not say which coordinates"]),
+        ({"transform": Affine(STEP, 1e-5, 8.4, 0, -STEP, 46.6)}, ["from north to south"]),
+        ({"transform": Affine(STEP, 0, 8.4, 0, STEP, 46.4)}, ["from north to south"]),
+        ({"transform": from_origin(8.0, 47.0, 0.01, 0.01)}, ["1113 m are coarser than 500 m"]),
+        ({"transform": from_origin(8.49, 46.55, STEP, STEP)}, ["[area] reaches", "smaller"]),
+        ({"count": 3}, ["not one band"]),
+        ({"units": "ft"}, ["in ft"]),
+        ({"scale": 0.1}, ["scaled"]),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_flown_over_is_refused_in_one_line(
+    make: Make, changes: dict[str, Any], words: list[str]
+) -> None:
+    message = refused(make(**changes), vertical_datum="NAVD88")
+    assert all(word in message for word in words), message
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:4269", "EPSG:4258", "EPSG:9707"])
+def test_datums_that_agree_with_wgs84_to_a_metre_or_two_are_taken(make: Make, crs: str) -> None:
+    assert read(make(crs=crs)).heights_m.shape == read(make()).heights_m.shape
+
+
+def test_heights_that_are_not_of_this_earth_are_refused(make: Make) -> None:
+    assert "not this earth" in refused(make(heights() * np.int16(10)))
+
+
+def test_a_file_that_is_no_elevation_file_or_not_there_is_refused(tmp_path: Path) -> None:
+    other = tmp_path / "terrain.tif"
+    other.write_text("not a picture")
+    assert "cannot be read" in refused(other)
+    assert "no such file" in refused(tmp_path / "absent.tif")
+    assert "no such file" in refused(Path("/vsicurl/http://127.0.0.1/terrain.tif"))
+    short = tmp_path / "N46E008.hgt"
+    short.write_bytes(b"\0" * 100)
+    assert "cannot be read" in refused(short)
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "words"),
+    [
+        ('vertical_datum = "AMSL"', 'vertical_datum = "WGS84"', ["vertical_datum", "'NAVD88'"]),
+        ('vertical_datum = "AMSL"', "", ["vertical_datum", "missing"]),
+        ('file = "terrain.tif"', 'file = "absent.tif"', ["terrain.file", "no such file"]),
+        ("[terrain]", "[terrain]\nground_amsl_m = 1.0", ["ground_amsl_m", "no such key"]),
+        ("north_max_m = 5500.0", "north_max_m = -6000.0", ["area.north_max_m", "Swap"]),
+        ("north_max_m = 5500.0", "north_max_m = 55000.0", ["terrain.file", "[area] reaches"]),
+        ("[area]", "[region]", ["region", "no such key"]),
+    ],
+)
+def test_a_world_file_that_leaves_things_open_is_refused(
+    tmp_path: Path, was: str, becomes: str, words: list[str]
+) -> None:
+    text = (VALLEY / "world.toml").read_text(encoding="utf-8")
+    assert was in text
+    (tmp_path / "world.toml").write_text(text.replace(was, becomes, 1), encoding="utf-8")
+    (tmp_path / "terrain.tif").write_bytes((VALLEY / "terrain.tif").read_bytes())
+    with pytest.raises(InputError) as caught:
+        load_world(str(tmp_path / "world.toml"))
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+# --- the two programs
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 10**6))
+def test_both_programs_read_the_same_heights_to_a_centimetre(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    north, east = rng.uniform(-5_500, 5_500, 500), rng.uniform(-6_900, 4_000, 500)
+    ours = load_valley().height_m(north, east)
+    theirs = simulated_valley().height_amsl_m(north, east)
+    assert np.abs(ours - theirs).max() < 0.01
+
+
+def load_valley() -> Any:
+    if "companion" not in _CACHE:
+        _CACHE["companion"] = load_world("valley").terrain
+    return _CACHE["companion"]
+
+
+def simulated_valley() -> Any:
+    if "simulator" not in _CACHE:
+        _CACHE["simulator"] = read_world(VALLEY / "world.toml").truth()
+    return _CACHE["simulator"]
+
+
+_CACHE: dict[str, Any] = {}
+
+
+def test_the_bundled_elevations_are_matplotlibs_sample_the_right_way_up() -> None:
+    from matplotlib import cbook
+
+    sample = cbook.get_sample_data("jacksboro_fault_dem.npz")["elevation"]
+    with rasterio.open(VALLEY / "terrain.tif") as file:
+        assert (file.read(1) == sample).all()
+        assert file.nodata == -32768
+        assert "matplotlib" in file.tags()["TIFFTAG_IMAGEDESCRIPTION"]
+        bounds = file.bounds
+    assert (VALLEY / "terrain.tif").stat().st_size < 250_000
+    assert math.isclose(bounds.top, 36.73291667, abs_tol=1e-7)
+    assert math.isclose(bounds.bottom, 36.44625, abs_tol=1e-7)
+    # Row 0 is the north: the Clinch valley, the lowest, is in the south-east, and Cumberland
+    # Mountain runs from the fault in the middle to the north-east, as ridges do there.
+    row, column = np.unravel_index(sample.argmin(), sample.shape)
+    assert row > 172
+    assert column > 201
+    columns = np.arange(225, 396)
+    ridge = np.rint(147 - (columns - 222) * 0.66).astype(int)
+    crest = np.max([sample[ridge + off, columns] for off in range(-6, 7)], axis=0)
+    assert (crest - sample[ridge + 14, columns]).mean() > 150
