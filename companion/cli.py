@@ -229,7 +229,8 @@ def main() -> None:
         if not isinstance(error, _USAGE_ERROR):
             raise
         text = str(getattr(error, "format_message", error.__str__)())
-        sys.stderr.write(f"error: {text.rstrip('.')}. See companion --help.\n")
+        if text:  # without: the help has been shown
+            sys.stderr.write(f"error: {text.rstrip('.')}. See companion --help.\n")
         sys.exit(InputError.exit_code)
     sys.exit(code if isinstance(code, int) else 0)
 

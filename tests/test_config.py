@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from companion.config import bundled, load_mission, load_world, mission_text
 from companion.errors import InputError
 from companion.mission.mission import EndAction, Mission
+from companion.optimise.registry import OPTIMISERS
 
 ENVIRONMENTS = Path(__file__).parents[1] / "companion" / "environments"
 TEXT = (ENVIRONMENTS / "environment-1" / "mission.toml").read_text(encoding="utf-8")
@@ -85,8 +86,69 @@ def test_a_profile_that_is_asked_for_overrides_the_files(file: Path) -> None:
     assert not load_mission(str(file), "paper").task.settings.profile.verified
 
 
+def vehicle(text: str) -> str:
+    """The mission with more keys of its vehicle."""
+    return TEXT.replace("tracking_error_m", f"{text}\ntracking_error_m", 1)
+
+
 def test_the_take_off_ends_above_the_floor_by_twice_the_tracking_error() -> None:
     assert load_mission("environment-1").take_off_amsl_m == 3030.0
+
+
+@given(tracking_m=st.floats(0.1, 40.0), navigation_m=st.floats(0.0, 40.0))
+def test_the_take_off_ends_where_paths_may_begin(
+    file: Path, tracking_m: float, navigation_m: float
+) -> None:
+    """However the errors compare: a vehicle hovering there is within the band of a certificate."""
+    text = with_value("tracking_error_m", f"{tracking_m}")
+    text = text.replace(
+        "tracking_error_m", f"navigation_error_m = {navigation_m}\ntracking_error_m"
+    )
+    mission = load(file, text)
+    error_m = tracking_m + navigation_m
+    assert mission.task.margins.band_inset_m == pytest.approx(error_m)
+    low, high = mission.task.band_amsl_m
+    assert 3000.0 + error_m <= low <= mission.take_off_amsl_m < high <= 5000.0 - error_m
+
+
+def test_errors_and_the_dead_man_time_of_the_vehicle_are_taken_as_they_are_written(
+    file: Path,
+) -> None:
+    limits = load(file, vehicle("navigation_error_m = 7.5\ndead_man_s = 2.0")).task.limits
+    assert (limits.tracking_error_m, limits.navigation_error_m) == (15.0, 7.5)
+    assert limits.dead_man_s == 2.0
+    assert limits.reach_m(100.0) == pytest.approx(2.0 * 100.0 + 100.0**2 / (2.0 * 5.0))
+    unsaid = load(file, TEXT).task.limits
+    assert (unsaid.navigation_error_m, unsaid.dead_man_s) == (5.0, 3.5)
+
+
+@pytest.mark.parametrize("key", ["navigation_error_m", "dead_man_s"])
+def test_an_error_or_a_dead_man_time_may_be_0_and_not_negative(file: Path, key: str) -> None:
+    load(file, vehicle(f"{key} = 0.0"))
+    message = refused(file, vehicle(f"{key} = -0.1"))
+    assert f"vehicle.{key} = -0.1" in message
+    assert "greater than or equal to 0" in message
+
+
+def test_a_dead_man_reach_that_sight_cannot_hold_is_refused_before_take_off(file: Path) -> None:
+    """V times 30 s, and to brake, is 6.75 km: with the rest of L more than half of R = 20 km."""
+    tail_m = 150.0 * 30.0 + 150.0**2 / (2.0 * 5.0)
+    message = refused(file, vehicle("dead_man_s = 30.0"))
+    assert "eq. 4" in message
+    assert f"L = {150.0 * (5.0 + 4.0 + 0.3) + tail_m:g} m" in message
+
+
+@pytest.mark.parametrize("name", sorted(OPTIMISERS))
+def test_the_optimiser_is_the_profiles_unless_the_mission_names_one(file: Path, name: str) -> None:
+    named = TEXT.replace("overlap_m", f'optimiser = "{name}"\noverlap_m', 1)
+    assert load(file, named).task.settings.optimiser == name
+    assert load(file, TEXT).task.settings.optimiser is None
+
+
+def test_an_unknown_optimiser_is_told_the_known_ones(file: Path) -> None:
+    message = refused(file, TEXT.replace("overlap_m", 'optimiser = "magic"\noverlap_m', 1))
+    assert "planner.optimiser = 'magic'" in message
+    assert all(f"'{name}'" in message for name in OPTIMISERS)
 
 
 # --- files
@@ -392,8 +454,10 @@ def test_a_map_turned_inside_out_a_band_without_height_and_a_turn_too_wide_are_r
 ) -> None:
     assert "area.north_max_m = -6000.0" in refused(file, with_value("north_max_m", "-6000.0"))
     assert "area.east_max_m" in refused(file, with_value("east_max_m", "-5000.0"))
-    assert "ceiling_amsl_m = 3060.0" in refused(file, with_value("ceiling_amsl_m", "3060.0"))
-    load(file, with_value("ceiling_amsl_m", "3061.0"))
+    band_m = 4.0 * (15.0 + 5.0)  # tracking and navigation error above the floor, and below
+    low, enough = f"{3000.0 + band_m}", f"{3001.0 + band_m}"
+    assert f"ceiling_amsl_m = {low}" in refused(file, with_value("ceiling_amsl_m", low))
+    load(file, with_value("ceiling_amsl_m", enough))
     assert "turn_radius_m = 10001.0" in refused(file, with_value("turn_radius_m", "10001.0"))
 
 

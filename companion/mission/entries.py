@@ -76,6 +76,7 @@ def _of_plan(planned: Planned) -> Entry:
         "tries": planned.tries,
         "rank": planned.rank,
         "cost": planned.cost,
+        "to_go": planned.to_go,
         "terms": planned.terms,
         "guide_rad": planned.guide_rad,
         "reaches_target": planned.reaches_target,

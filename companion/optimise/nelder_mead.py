@@ -1,13 +1,14 @@
 """The simplex that ends a refined search: it polishes the best member (Nelder and Mead 1965).
 
-Factors for the number of variables D as in Gao and Han, Computational Optimization and Applications
-51 (2012), eq. 4.1: expansion 1 + 2 / D, contraction 3 / 4 - 1 / (2 D), shrinking 1 - 1 / D.  Vertices
-are clipped into the unit cube; a simplex that has collapsed is begun anew about its best vertex.
+Factors for the number of variables D as Gao and Han choose them (Comput. Optim. Appl. 51, 2012):
+expansion 1 + 2 / D, contraction 3 / 4 - 1 / (2 D), shrinking 1 - 1 / D.  Vertices are clipped into
+the unit cube; a simplex that has collapsed is begun anew about its best vertex.
 Single source: see `refined_de`.
 """
 
 import math
 
+from companion.geodesy import FloatArray
 from companion.optimise.refined_state import (
     BUILD,
     EDGE,
@@ -45,60 +46,59 @@ def propose_vertices(state: State, phase: int) -> int:
     variables = float(max(worst, 2))
     factor, bound = 1.0, float(state.simplex_costs[worst])
     if phase == REFLECT:
-        _find_centre(state)
+        _find_centre(state.simplex, state.centre)
     elif phase == EXPAND:
         factor, bound = 1.0 + 2.0 / variables, float(state.numbers[REFLECTED_COST])
     elif phase == OUTSIDE:
         factor, bound = 0.75 - 0.5 / variables, float(state.numbers[REFLECTED_COST])
     else:
         factor = 0.5 / variables - 0.75
+    simplex, centre, trial = state.simplex, state.centre, state.trial
     for j in range(worst):
-        at = state.centre[j] + factor * (state.centre[j] - state.simplex[worst, j])
-        state.trial[0, j] = min(max(at, 0.0), 1.0)
+        at = centre[j] + factor * (centre[j] - simplex[worst, j])
+        trial[0, j] = min(max(at, 0.0), 1.0)
     state.trial_bounds[0] = bound
     return 1
 
 
 def transform(state: State, n: int, phase: int) -> None:
     """Decide by the costs of the trials what the simplex becomes and what it tries next."""
-    worst = state.simplex.shape[1]
-    costs = state.simplex_costs
+    simplex, costs = state.simplex, state.simplex_costs
+    worst = simplex.shape[1]
     cost = float(state.trial_costs[0])
     following = REFLECT
     if phase in (BUILD, SHRINK):
         for k in range(n):
-            _replace(state, k + 1, k)
-        _sort(state)
+            _put(state.trial, k, simplex, k + 1)
+            costs[k + 1] = state.trial_costs[k]
+        _sort(simplex, costs)
     elif phase == REFLECT:
         following = _after_reflection(state, cost)
     elif phase == EXPAND:
-        if not cost < state.numbers[REFLECTED_COST]:
-            for j in range(worst):
-                state.trial[0, j] = state.reflected[j]
-            state.trial_costs[0] = state.numbers[REFLECTED_COST]
-        _insert(state)
+        if cost < state.numbers[REFLECTED_COST]:
+            _insert(simplex, costs, state.trial, cost)
+        else:
+            _insert(simplex, costs, state.reflected, float(state.numbers[REFLECTED_COST]))
     elif (phase == OUTSIDE and cost <= state.numbers[REFLECTED_COST]) or (
         phase == INSIDE and cost < costs[worst]
     ):
-        _insert(state)
+        _insert(simplex, costs, state.trial, cost)
     else:
         following = SHRINK
-    if following == REFLECT and _has_collapsed(state):
+    if following == REFLECT and _has_collapsed(simplex):
         following = BUILD
     state.counters[PHASE] = following
 
 
 def _after_reflection(state: State, cost: float) -> int:
     """Take the reflected vertex, or keep it in mind.  -> what to try next."""
-    worst = state.simplex.shape[1]
-    costs = state.simplex_costs
+    costs, worst = state.simplex_costs, state.simplex.shape[1]
     if cost >= costs[worst]:
         return INSIDE
     if costs[0] <= cost < costs[worst - 1]:
-        _insert(state)
+        _insert(state.simplex, costs, state.trial, cost)
         return REFLECT
-    for j in range(worst):
-        state.reflected[j] = state.trial[0, j]
+    _put(state.trial, 0, state.reflected, 0)
     state.numbers[REFLECTED_COST] = cost
     return EXPAND if cost < costs[0] else OUTSIDE
 
@@ -125,31 +125,31 @@ def _propose_smaller(state: State) -> None:
         state.trial_bounds[k] = math.inf
 
 
-def _find_centre(state: State) -> None:
-    dimensions = state.simplex.shape[1]
+def _find_centre(simplex: FloatArray, centre: FloatArray) -> None:
+    """Of all vertices but the worst."""
+    dimensions = len(centre)
     for j in range(dimensions):
         total = 0.0
         for k in range(dimensions):
-            total += state.simplex[k, j]
-        state.centre[j] = total / dimensions
+            total += simplex[k, j]
+        centre[j] = total / dimensions
 
 
-def _insert(state: State) -> None:
-    """The first trial takes the worst vertex's place."""
-    _replace(state, state.simplex.shape[1], 0)
-    _sort(state)
+def _put(source: FloatArray, row: int, target: FloatArray, at: int) -> None:
+    for j in range(target.shape[1]):
+        target[at, j] = source[row, j]
 
 
-def _replace(state: State, vertex: int, trial: int) -> None:
-    for j in range(state.simplex.shape[1]):
-        state.simplex[vertex, j] = state.trial[trial, j]
-    state.simplex_costs[vertex] = state.trial_costs[trial]
+def _insert(simplex: FloatArray, costs: FloatArray, found: FloatArray, cost: float) -> None:
+    """The first row of what was found takes the worst vertex's place."""
+    _put(found, 0, simplex, simplex.shape[1])
+    costs[simplex.shape[1]] = cost
+    _sort(simplex, costs)
 
 
-def _sort(state: State) -> None:
+def _sort(simplex: FloatArray, costs: FloatArray) -> None:
     """Vertices by cost, by insertion."""
-    simplex, costs = state.simplex, state.simplex_costs
-    for k in range(1, simplex.shape[0]):
+    for k in range(1, len(costs)):
         at = k
         while at > 0 and costs[at - 1] > costs[at]:
             costs[at - 1], costs[at] = costs[at], costs[at - 1]
@@ -158,13 +158,13 @@ def _sort(state: State) -> None:
             at -= 1
 
 
-def _has_collapsed(state: State) -> bool:
+def _has_collapsed(simplex: FloatArray) -> bool:
     """Whether all vertices are as good as one."""
-    widest = 0.0
-    for k in range(1, state.simplex.shape[0]):
-        for j in range(state.simplex.shape[1]):
-            widest = max(widest, abs(state.simplex[k, j] - state.simplex[0, j]))
-    return widest < _COLLAPSED
+    for k in range(1, simplex.shape[0]):
+        for j in range(simplex.shape[1]):
+            if abs(simplex[k, j] - simplex[0, j]) >= _COLLAPSED:
+                return False
+    return True
 
 
 HELPERS = (
@@ -173,7 +173,7 @@ HELPERS = (
     _propose_smaller,
     _find_centre,
     propose_vertices,
-    _replace,
+    _put,
     _sort,
     _insert,
     _has_collapsed,

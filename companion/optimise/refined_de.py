@@ -127,8 +127,7 @@ def ask(state: State) -> int:
         return min(int(counters[SIZE]), left)
     if phase == EVOLVE:
         n = min(int(counters[SIZE]), int(counters[POLISH_AT] - counters[SPENT]))
-        for i in range(n):
-            _propose(state, i)
+        _propose(state, n)
         return n
     return min(propose_vertices(state, phase), left)
 
@@ -164,35 +163,38 @@ def _populate(state: State, n: int) -> None:
     state.counters[PHASE] = EVOLVE
 
 
-def _propose(state: State, i: int) -> None:
-    """The trial of member i: eq. 17 with k1 and k2 of eq. 18, and eq. 13."""
-    counters, numbers = state.counters, state.numbers
-    size, row = int(counters[SIZE]), int(counters[SPENT]) + i
-    uniforms, parent, trial = state.uniforms[row], state.population[i], state.trial[i]
-    slot = int(uniforms[U_SLOT] * state.memory.shape[0])
-    pull = state.memory[slot, 0] + numbers[SPREAD] * state.deviates[row, 0]
-    pull = min(max(pull, 0.0), 1.0)  # 1 - a
-    cr = state.memory[slot, 1] + numbers[SPREAD] * state.deviates[row, 1]
-    state.pull[i], state.cr[i] = pull, cr
-    progress = (counters[SPENT] / counters[POLISH_AT]) ** 2
-    k1 = (numbers[K1_FROM] + (numbers[K1_TO] - numbers[K1_FROM]) * progress) * pull
-    k2 = (numbers[K2_FROM] + (numbers[K2_TO] - numbers[K2_FROM]) * progress) * pull
+def _propose(state: State, n: int) -> None:
+    """The trials of the first n members: eq. 17 with k1 and k2 of eq. 18, and eq. 13."""
+    counters, numbers, memory = state.counters, state.numbers, state.memory
+    population, archive, trial = state.population, state.archive, state.trial
+    size, total = int(counters[SIZE]), int(counters[SIZE] + counters[ARCHIVED])
     among = min(max(int(numbers[P_BEST] * size + 0.5), 2), size)
-    x_best = state.population[state.order[int(uniforms[U_P_BEST] * among)]]
-    r1, r2, r3 = others(
-        i, size, size + int(counters[ARCHIVED]), uniforms[U_R1], uniforms[U_R2], uniforms[U_R3]
-    )
-    x_1, x_2 = state.population[r1], state.population[r2]
-    x_3 = state.population[r3] if r3 < size else state.archive[r3 - size]
-    of_1, of_best = 1.0 - pull - k1, pull + k1
-    kept = int(uniforms[U_KEPT] * len(trial))
-    for j in range(len(trial)):
-        if uniforms[U_CROSS + j] <= cr or j == kept:
-            mutant = of_1 * x_1[j] + of_best * x_best[j] + k2 * (x_2[j] - x_3[j])
-            trial[j] = min(max(mutant, 0.0), 1.0)
-        else:
-            trial[j] = parent[j]
-    state.trial_bounds[i] = state.costs[i]
+    progress = (counters[SPENT] / counters[POLISH_AT]) ** 2
+    k1 = numbers[K1_FROM] + (numbers[K1_TO] - numbers[K1_FROM]) * progress
+    k2 = numbers[K2_FROM] + (numbers[K2_TO] - numbers[K2_FROM]) * progress
+    spread, memories, dimensions = numbers[SPREAD], memory.shape[0], trial.shape[1]
+    uniforms, deviates = state.uniforms, state.deviates
+    for i in range(n):
+        row = int(counters[SPENT]) + i
+        slot = int(uniforms[row, U_SLOT] * memories)
+        pull = min(max(memory[slot, 0] + spread * deviates[row, 0], 0.0), 1.0)  # 1 - a
+        cr = memory[slot, 1] + spread * deviates[row, 1]
+        state.pull[i], state.cr[i] = pull, min(max(cr, 0.0), 1.0)
+        best = state.order[int(uniforms[row, U_P_BEST] * among)]
+        r1, r2, r3 = others(
+            i, size, total, uniforms[row, U_R1], uniforms[row, U_R2], uniforms[row, U_R3]
+        )
+        of_1, of_best, of_pair = 1.0 - pull - k1 * pull, pull + k1 * pull, k2 * pull
+        kept = int(uniforms[row, U_KEPT] * dimensions)
+        for j in range(dimensions):
+            if uniforms[row, U_CROSS + j] <= cr or j == kept:
+                x_3 = population[r3, j] if r3 < size else archive[r3 - size, j]
+                mutant = of_1 * population[r1, j] + of_best * population[best, j]
+                mutant += of_pair * (population[r2, j] - x_3)
+                trial[i, j] = min(max(mutant, 0.0), 1.0)
+            else:
+                trial[i, j] = population[i, j]
+        state.trial_bounds[i] = state.costs[i]
 
 
 def others(i: int, size: int, total: int, u1: float, u2: float, u3: float) -> tuple[int, int, int]:

@@ -89,7 +89,7 @@ class State(NamedTuple):
     simplex: FloatArray  # (D + 1, D): vertices, best first
     simplex_costs: FloatArray  # (D + 1,)
     centre: FloatArray  # (D,): of all vertices but the worst
-    reflected: FloatArray  # (D,): the worst vertex reflected at the centre
+    reflected: FloatArray  # (1, D): the worst vertex reflected at the centre
     uniforms: FloatArray  # (E, U_CROSS + D): row e is for evaluation e of the evolution
     deviates: FloatArray  # (E, 2): Cauchy's for a, normal ones for Cr
     numbers: FloatArray  # settings and scalars, by the names below
@@ -143,7 +143,7 @@ def begin(
         simplex=np.zeros((dimensions + 1, dimensions)),
         simplex_costs=np.full(dimensions + 1, math.inf),
         centre=np.zeros(dimensions),
-        reflected=np.zeros(dimensions),
+        reflected=np.zeros((1, dimensions)),
         uniforms=rng.random((polish_at, U_CROSS + dimensions)),
         deviates=deviates,
         numbers=numbers,

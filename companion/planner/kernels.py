@@ -14,7 +14,7 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.objective import flight, kernel
 from companion.objective.flight import FlightScene
-from companion.optimise import refined_de
+from companion.optimise import nelder_mead, refined_de, refined_state
 from companion.optimise.refined_de import State
 from companion.path import proof, proof_distance, proof_shape
 from companion.path.certificate import Prover
@@ -67,7 +67,16 @@ def compiled(*, cached: bool) -> Kernel:
     return Kernel(name="numba", search=search_scene, costs=costs_of, prove=prove)
 
 
-SOURCES = (flight, kernel, refined_de, proof, proof_distance, proof_shape)
+SOURCES = (
+    flight,
+    kernel,
+    nelder_mead,
+    refined_de,
+    refined_state,
+    proof,
+    proof_distance,
+    proof_shape,
+)
 """The modules whose code is compiled: a cache made from others is stale."""
 
 

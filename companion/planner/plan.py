@@ -20,10 +20,11 @@ from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import Surroundings, certify, pack_surroundings
 from companion.path.subpath import Subpath
 from companion.planner.cost_to_go import CostToGo, cost_to_go
+from companion.planner.escape import Trouble, trouble, way_out
 from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
-from companion.world.clearance import Surface, safe_surface
+from companion.world.clearance import Surface, distance_to_terrain_m, safe_surface
 
 _CHUNK = 300  # evaluations between two looks at the clock
 _CERTIFIED = 16  # candidates of a search that are tried
@@ -65,7 +66,63 @@ def plan(
     """
     if not request.task.settings.profile.verified:
         return plan_as_published(request, kernel.prove)
+    refusal = _impossible(request)
+    if refusal is not None:
+        return NotPlanned(plan_id=request.plan_id, refusal=refusal)
+    found = trouble(request)
+    if found is not None:
+        return _escape(request, found, kernel)
     return _Plan(request, stop, kernel).outcome()
+
+
+def _impossible(request: PlanRequest) -> Refusal | None:
+    """What is wrong with the question itself."""
+    task, limits, known = request.task, request.task.limits, request.known
+    if 2.0 * limits.turn_radius_m > task.settings.scan_range_m:
+        return Refusal.NO_ROOM_TO_TURN
+    north, east, altitude = request.start.point_nea_m
+    inside = limits.north_m[0] <= north <= limits.north_m[1]
+    inside = inside and limits.east_m[0] <= east <= limits.east_m[1]
+    inset_m = task.margins.band_inset_m
+    low, high = limits.floor_amsl_m + inset_m, limits.ceiling_amsl_m - inset_m
+    if not inside or not low <= altitude <= high:
+        return Refusal.START_OUTSIDE
+    target = np.array(request.target_ne_m)
+    for zone in task.keep_outs:
+        if float(zone.distance_m(target[0], target[1])) < task.required_clearance_m:
+            return Refusal.TARGET_IN_KEEP_OUT
+    highest = np.array([*request.target_ne_m, task.band_amsl_m[1]])
+    required_m = task.required_clearance_m
+    if distance_to_terrain_m(known, highest, required_m, seen_only=True) < required_m:
+        return Refusal.TARGET_IN_TERRAIN
+    if not np.isfinite(known.upper_m).any():
+        return Refusal.NOTHING_SEEN
+    return None
+
+
+def _escape(request: PlanRequest, found: Trouble, kernel: Kernel) -> PlanOutcome:
+    """The shortest way out of a place where no certificate can begin."""
+    escape = way_out(request, found, kernel.prove) if request.from_rest else None
+    if escape is None:
+        refusal = Refusal.START_IN_KEEP_OUT if found.inside else Refusal.START_NEAR_TERRAIN
+        return NotPlanned(plan_id=request.plan_id, refusal=refusal)
+    subpath, certificate = escape
+    tangent = subpath.pose(0.0).tangent_nea
+    return Planned(
+        plan_id=request.plan_id,
+        kernel=kernel.name,
+        subpath=subpath,
+        reaches_target=False,
+        cost=0.0,
+        to_go=0.0,
+        terms={},
+        certificate=certificate,
+        guide_rad=math.atan2(tangent[1], tangent[0]),
+        route_ne_m=request.route_ne_m,
+        evaluations=0,
+        rank=0,
+        tries=0,
+    )
 
 
 @final

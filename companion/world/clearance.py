@@ -7,7 +7,7 @@ The search reads it; what it finds is proven against the map itself (`path.certi
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -101,12 +101,12 @@ def safe_surface(
     half = math.ceil(radius / known.cell_m)
     rows, columns = window.upper_m.shape
     padded = np.pad(window.upper_m, half, mode="edge")
-    squares = np.full((rows, refine, columns, refine), -np.inf)
+    squares = np.full((refine, refine, rows, columns), -np.inf)
     for north, east in np.ndindex(refine, refine):
         gaps_n, gaps_e = (_gaps(half, part / refine, 1.0 / refine) for part in (north, east))
         apart = np.hypot(gaps_n[:, None], gaps_e[None, :]) * known.cell_m - known.registration_m
         apart = np.maximum(apart, 0.0)
-        square = squares[:, north, :, east]
+        square = squares[north, east]
         for i, j in np.argwhere(apart < clearance_m):
             rise_m = math.sqrt(clearance_m**2 - apart[i, j] ** 2)
             np.maximum(square, padded[i : i + rows, j : j + columns] + rise_m, out=square)
@@ -114,7 +114,9 @@ def safe_surface(
         north_min_m=window.north_min_m,
         east_min_m=window.east_min_m,
         cell_m=known.cell_m / refine,
-        vertex_m=_at_vertices(squares.reshape(rows * refine, columns * refine)),
+        vertex_m=_at_vertices(
+            squares.transpose(2, 0, 3, 1).reshape(rows * refine, columns * refine)
+        ),
     )
 
 
@@ -151,3 +153,41 @@ def terrain_surface(
         cell_m=known.cell_m,
         vertex_m=window.upper_m,
     )
+
+
+def _seen(known: KnownMap, window: _Window) -> KnownMap:
+    """The part of the map under a window, without what was not seen."""
+    row, column = known.cell_of(window.north_min_m + 0.5, window.east_min_m + 0.5)
+    rows, columns = (
+        slice(max(first, 0), max(min(first + len(window.upper_m), size), 0))
+        for first, size in zip((row, column), known.upper_m.shape, strict=True)
+    )
+    part = known.part(rows, columns)
+    return replace(part, upper_m=np.where(part.seen, part.upper_m, np.inf))
+
+
+def distance_to_terrain_m(
+    known: KnownMap, point_nea_m: FloatArray, most_m: float, *, seen_only: bool = False
+) -> float:
+    """Distance of a point to the columns of the known map, metres; most_m if it is farther.
+
+    Cells count with their highest terrain over their whole square, grown by the registration
+    error; unknown ones, and those off the map, as if they had no top.  seen_only: only what a
+    scan has seen counts, not what may be there.
+    """
+    centre = float(point_nea_m[0]), float(point_nea_m[1])
+    reach_m = most_m + known.registration_m
+    window = _window(known, centre, reach_m, math.inf)
+    if seen_only:
+        window = _window(_seen(known, window), centre, reach_m, -math.inf)
+    index = np.arange(window.upper_m.shape[0])
+    gap_n, gap_e = (
+        np.maximum(np.maximum(first - at, at - first - known.cell_m), 0.0)
+        for first, at in (
+            (window.north_min_m + index * known.cell_m, centre[0]),
+            (window.east_min_m + index * known.cell_m, centre[1]),
+        )
+    )
+    apart = np.maximum(np.hypot(gap_n[:, None], gap_e[None, :]) - known.registration_m, 0.0)
+    above = np.maximum(float(point_nea_m[2]) - window.upper_m, 0.0)
+    return min(float(np.hypot(apart, above).min()), most_m)

@@ -1,6 +1,8 @@
 """Real flights: two processes, real UDP, everything that they leave behind."""
 
+import functools
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -13,6 +15,8 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent
 _PATIENCE_S = 120.0
+_ENVIRONMENT = dict(os.environ)
+"""As it was before any test: a kernel that is loaded within the tests moves numba's cache."""
 
 
 @dataclass(kw_only=True)
@@ -73,6 +77,7 @@ def launch(
     simulator_options: tuple[str, ...] = (),
 ) -> Flight:
     """Start both programs on a free port of loopback."""
+    warm_up()
     port = free_port()
     companion_clock = [option for option in clock if option == "--lockstep"]
     common: dict[str, Any] = {
@@ -80,6 +85,7 @@ def launch(
         "stderr": subprocess.STDOUT,
         "text": True,
         "cwd": ROOT,
+        "env": _ENVIRONMENT,
     }
     companion = subprocess.Popen(
         [
@@ -96,6 +102,13 @@ def launch(
         **common,
     )
     return Flight(folder=folder, companion=companion, simulator=simulator)
+
+
+@functools.cache
+def warm_up() -> None:
+    """Fill the cache of compiled code: a simulator in lockstep has little patience."""
+    load = "from companion.runtime.compiler import load_kernel; load_kernel()"
+    subprocess.run([sys.executable, "-c", load], check=True, env=_ENVIRONMENT, timeout=600)
 
 
 def interrupt(process: subprocess.Popen[str]) -> None:

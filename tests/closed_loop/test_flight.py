@@ -24,7 +24,13 @@ def wait_for(flight: Flight, text: str) -> None:
     pytest.fail(f"the companion ended without saying {text!r}")
 
 
-@pytest.mark.parametrize("name", ["environment-1", "environment-2"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(each, marks=pytest.mark.xdist_group(each))
+        for each in ("environment-1", "environment-2", "valley")
+    ],
+)
 def test_a_flight_arrives_and_its_true_track_keeps_every_bound(flown: Launch, name: str) -> None:
     flight = flown(name, name)
     assert flight.companion.returncode == 0, flight.said["companion"]

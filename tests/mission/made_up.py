@@ -99,6 +99,7 @@ def planned(request: PlanRequest, length_m: float = LEG_M) -> Planned:
         subpath=straight(start, end),
         reaches_target=reaches,
         cost=1.0,
+        to_go=0.0,
         terms={"f1": 1.0},
         certificate=certificate(),
         guide_rad=0.0,

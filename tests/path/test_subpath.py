@@ -1,9 +1,13 @@
+from typing import Any
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import quad
+from scipy.interpolate import BSpline
+from scipy.optimize import brentq
 
 from companion.path.subpath import Subpath
 
@@ -54,6 +58,61 @@ def test_the_pose_moves_at_unit_speed_along_its_tangent(
     assert np.linalg.norm(middle.tangent_nea) == pytest.approx(1.0)
     if turned < 0.05:
         assert moved / step == pytest.approx(middle.tangent_nea, abs=0.005)
+
+
+def spline(control: FloatArray) -> Any:
+    spans = len(control) - 3
+    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
+    return BSpline(knots, control, 3)
+
+
+def parameter(subpath: Subpath, point_nea_m: FloatArray) -> float:
+    """Where the curve passes through a point of it."""
+    curve = spline(subpath.control_nea_m)
+    k = int(np.linalg.norm(curve(np.linspace(0.0, 1.0, 401)) - point_nea_m, axis=-1).argmin())
+    bracket = max(k - 1, 0) / 400.0, min(k + 1, 400) / 400.0
+    return float(brentq(lambda at: (curve(at) - point_nea_m) @ curve(at, 1), *bracket, xtol=1e-15))
+
+
+@settings(max_examples=20)
+@given(seed=seeds, points=sizes, share=st.floats(0.01, 0.99))
+def test_the_pose_is_where_the_curve_is_after_that_length(
+    seed: int, points: int, share: float
+) -> None:
+    subpath = a_subpath(seed, points)
+    curve = spline(subpath.control_nea_m)
+    pose = subpath.pose(share * subpath.length_m)
+    u = parameter(subpath, pose.position_nea_m)
+    knots = [n / (points - 3) for n in range(1, points - 3) if n / (points - 3) < u]
+    flown, _ = quad(lambda at: np.linalg.norm(curve(at, 1)), 0.0, u, points=knots, limit=100)
+    assert flown == pytest.approx(share * subpath.length_m, rel=1e-6, abs=1e-3)
+    assert np.linalg.norm(curve(u) - pose.position_nea_m) <= 1e-6 * subpath.length_m
+
+
+@given(seed=seeds, points=sizes, share=st.floats(0.01, 0.99))
+def test_the_curvature_is_the_change_of_the_tangent_with_the_length_flown(
+    seed: int, points: int, share: float
+) -> None:
+    subpath = a_subpath(seed, points)
+    at = share * subpath.length_m
+    here = subpath.pose(at)
+    u = parameter(subpath, here.position_nea_m)
+    first, second = (spline(subpath.control_nea_m)(u, order) for order in (1, 2))
+    cross = np.cross(first, second)
+    assert here.curvature_nea_1_m @ here.tangent_nea == pytest.approx(0.0, abs=1e-12)
+    bend = np.cross(here.tangent_nea, here.curvature_nea_1_m)
+    expected = cross / np.linalg.norm(first) ** 3
+    assert np.linalg.norm(bend - expected) <= 1e-6 * np.linalg.norm(expected) + 1e-12
+
+
+def test_on_a_circle_the_curvature_points_to_its_middle_and_is_one_over_its_radius() -> None:
+    k = 4.0 / 3.0 * np.tan(np.pi / 8.0)
+    quarter = 500.0 * np.array([[0.0, 0.0, 0.0], [k, 0.0, 0.0], [1.0, 1.0 - k, 0.0], [1, 1, 0]])
+    subpath = Subpath(control_nea_m=quarter)
+    for share in (0.2, 0.5, 0.8):
+        pose = subpath.pose(share * subpath.length_m)
+        to_middle = np.array([0.0, 500.0, 0.0]) - pose.position_nea_m
+        assert pose.curvature_nea_1_m == pytest.approx(to_middle / 500.0**2, abs=0.02 / 500.0)
 
 
 @given(seed=seeds, points=sizes, beyond=st.floats(0.0, 1e5))

@@ -1,28 +1,29 @@
-"""One plan, and an independent look at what it promises.
-
-`assert_safe` shares no code with the product: a Bernstein sum, circles through three points, the
-true terrain of eq. 1 on a lattice of points.
-"""
-
 import math
+import sys
 from dataclasses import replace
+from itertools import count
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.objective.scene import PAPER
-from companion.path.subpath import Pose, Subpath
-from companion.planner.plan import NotPlanned, Planned, PlanRequest, Refusal, plan
+from companion.optimise.registry import OPTIMISERS
+from companion.path.subpath import Pose
+from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
+from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.terrain import PeakTerrain
+
+sys.path.insert(0, str(Path(__file__).parent))
+from dense_check import column_distance_m, keep_out_distance_m, spline, violations
 
 FloatArray = NDArray[np.float64]
 
 START = (1_000.0, 1_000.0, 450.0)
 FAR_TARGET = (7_500.0, 7_500.0)
+RANDOM_STARTS = 16
 
 
 def ask(task: Task, known: KnownMap, **changes: object) -> PlanRequest:
@@ -45,55 +46,22 @@ def planned(request: PlanRequest) -> Planned:
     return outcome
 
 
-def curve(subpath: Subpath, count: int = 4_000) -> FloatArray:
-    u = np.linspace(0.0, 1.0, count + 1)[:, None]
-    shares = np.hstack([(1 - u) ** 3, 3 * u * (1 - u) ** 2, 3 * u * u * (1 - u), u**3])
-    return shares @ subpath.control_nea_m
+def with_budget(task: Task, evaluations: int, **changes: object) -> Task:
+    settings = replace(task.settings, evaluations=evaluations, **changes)  # type: ignore[arg-type]
+    return replace(task, settings=settings)
 
 
-def distance_to_terrain_m(terrain: PeakTerrain, points: FloatArray, reach_m: float) -> FloatArray:
-    """To the true terrain at points 8 m apart: never less than the true distance."""
-    around = np.arange(-reach_m, reach_m + 1.0, 8.0)
-    n = points[:, 0, None, None] + around[:, None]
-    e = points[:, 1, None, None] + around[None, :]
-    height = np.full(np.broadcast(n, e).shape, terrain.ground_amsl_m)
-    for p in terrain.peaks:
-        x, y = (n - p.north_m) / p.spread_north_m, (e - p.east_m) / p.spread_east_m
-        height = np.maximum(height, p.height_amsl_m * np.exp(-x * x - y * y))
-    down = np.maximum(points[:, 2, None, None] - height, 0.0)
-    aside = around[:, None] ** 2 + around[None, :] ** 2
-    return np.asarray(np.sqrt((aside + down**2).min(axis=(1, 2))))
+def heading_to(degrees: float, climb: float = 0.0, bend_1_m: float = 0.0) -> dict[str, FloatArray]:
+    """Tangent and curvature of a pose: level bends to the right."""
+    north, east = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    level = math.hypot(1.0, climb)
+    return {
+        "tangent_nea": np.array([north, east, climb]) / level,
+        "curvature_nea_1_m": bend_1_m * np.array([-east, north, 0.0]),
+    }
 
 
-def turn_radii_m(points: FloatArray) -> FloatArray:
-    """Of the circles through three successive points of the ground track."""
-    a, b, c = (points[k : len(points) - 2 + k, :2] for k in range(3))
-    sides = [np.hypot(*(q - p).T) for p, q in ((a, b), (b, c), (a, c))]
-    (p, q) = (b - a).T, (c - a).T
-    area2 = np.abs(p[0] * q[1] - p[1] * q[0])
-    return np.asarray(sides[0] * sides[1] * sides[2] / np.maximum(2.0 * area2, 1e-12))
-
-
-def assert_safe(subpath: Subpath, task: Task, terrain: PeakTerrain) -> None:
-    limits, d_s = task.limits, task.settings.safety_distance_m
-    points = curve(subpath)
-    wanted = d_s + limits.tracking_error_m
-    assert distance_to_terrain_m(terrain, points[::8], wanted + 8.0).min() >= wanted
-    assert turn_radii_m(points[::4]).min() >= limits.turn_radius_m * 0.99
-    steps = np.diff(points, axis=0)
-    angles = np.arctan2(steps[:, 2], np.hypot(steps[:, 0], steps[:, 1]))
-    assert angles.max() <= limits.climb_angle_rad + 1e-3
-    assert angles.min() >= -limits.dive_angle_rad - 1e-3
-    assert points[:, 2].min() >= limits.floor_amsl_m
-    assert points[:, 2].max() <= limits.ceiling_amsl_m
-    for axis, (low, high) in enumerate((limits.north_m, limits.east_m)):
-        assert low <= points[:, axis].min()
-        assert points[:, axis].max() <= high
-    n, e = points[:, 0], points[:, 1]
-    assert (np.hypot(n - 2_300.0, e - 4_300.0) - 350.0).min() >= d_s - 0.01  # of the fixture
-    square = np.maximum(np.abs(n - 5_200.0), np.abs(e - 5_200.0)) - 200.0
-    corner = np.hypot(*(np.maximum(np.abs(v - 5_200.0) - 200.0, 0.0) for v in (n, e)))
-    assert np.where(square > 0.0, corner, square).min() >= d_s - 0.01
+# --- what is promised is kept
 
 
 STARTS = [
@@ -108,71 +76,93 @@ STARTS = [
 
 @pytest.mark.parametrize(("start", "heading_deg"), STARTS)
 @pytest.mark.parametrize("from_rest", [True, False], ids=["from rest", "in flight"])
-def test_a_subpath_that_is_planned_in_flight_passes_an_independent_dense_check(
+def test_a_plan_is_proven_and_passes_an_independent_check_of_every_metre(
     task: Task,
     truth: KnownMap,
-    terrain: PeakTerrain,
     start: tuple[float, float, float],
     heading_deg: float,
     from_rest: bool,
 ) -> None:
-    heading = math.radians(heading_deg)
-    tangent = np.array([math.cos(heading), math.sin(heading), 0.0])
-    pose = Pose(position_nea_m=np.array(start), tangent_nea=tangent)
-    outcome = plan(ask(task, truth, start=pose, scan_nea_m=start, from_rest=from_rest))
+    pose = Pose(position_nea_m=np.array(start), **heading_to(heading_deg, 0.03, 1.0 / 900.0))
+    outcome = planned(ask(task, truth, start=pose, scan_nea_m=start, from_rest=from_rest))
+    assert outcome.certificate.proven
+    control = outcome.subpath.control_nea_m
+    assert violations(control, task, truth, from_rest=from_rest) == []
+
+
+@pytest.mark.parametrize("seed", range(RANDOM_STARTS))
+def test_from_anywhere_a_plan_is_safe_or_there_is_none_and_a_reason(
+    task: Task, truth: KnownMap, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    start = tuple(float(v) for v in rng.uniform((500, 500, 315), (7_500, 7_500, 680)))
+    pose = Pose(
+        position_nea_m=np.array(start),
+        **heading_to(*rng.uniform((-180, -0.15, -1 / 300.0), (180, 0.15, 1 / 300.0))),
+    )
+    hurried = with_budget(task, 100)
+    from_rest = seed % 2 == 0
+    target = tuple(float(v) for v in rng.uniform(500.0, 7_500.0, 2))
+    outcome = plan(
+        ask(hurried, truth, start=pose, scan_nea_m=start, from_rest=from_rest, target_ne_m=target)
+    )
     if isinstance(outcome, NotPlanned):
-        assert outcome.broken  # it may find nothing, but it says what was in the way
+        assert outcome.broken or outcome.refusal is not Refusal.NOTHING_SAFE
         return
-    assert_safe(outcome.subpath, task, terrain)
-    leaves = outcome.subpath.pose(0.0)
-    assert leaves.position_nea_m == pytest.approx(start)
-    if not from_rest:
-        assert leaves.tangent_nea == pytest.approx(tangent, abs=1e-9)
+    assert outcome.certificate.proven
+    control = outcome.subpath.control_nea_m
+    assert control[0] == pytest.approx(start)
+    if outcome.evaluations:  # else it is the way out of where no certificate can begin
+        assert violations(control, task, truth, from_rest=from_rest) == []
 
 
-def test_most_of_these_starts_have_a_subpath(task: Task, truth: KnownMap) -> None:
-    outcomes = [
-        plan(ask(task, truth, start=hover_pose(start), scan_nea_m=start)) for start, _ in STARTS
-    ]
-    assert sum(isinstance(outcome, Planned) for outcome in outcomes) >= 5
+def test_in_flight_a_plan_goes_on_with_position_tangent_and_curvature(
+    task: Task, truth: KnownMap
+) -> None:
+    pose = Pose(position_nea_m=np.array(START), **heading_to(40.0, 0.1, 1.0 / 700.0))
+    outcome = planned(ask(task, truth, start=pose, from_rest=False))
+    curve = spline(outcome.subpath.control_nea_m)
+    first, second = curve(0.0, 1), curve(0.0, 2)
+    assert curve(0.0) == pytest.approx(START)
+    assert first / np.linalg.norm(first) == pytest.approx(pose.tangent_nea, abs=1e-9)
+    bend = np.cross(np.cross(first, second), first) / np.linalg.norm(first) ** 4
+    across = pose.curvature_nea_1_m
+    across = across - (across @ pose.tangent_nea) * pose.tangent_nea
+    assert np.linalg.norm(bend - across) <= 1e-6 * np.linalg.norm(across)
 
 
-def test_from_rest_the_subpath_leaves_level_along_the_guide_direction(
+def test_from_rest_a_plan_leaves_level_towards_the_guide(task: Task, truth: KnownMap) -> None:
+    outcome = planned(ask(task, truth))
+    pose = outcome.subpath.pose(0.0)
+    guide = [math.cos(outcome.guide_rad), math.sin(outcome.guide_rad), 0.0]
+    assert pose.tangent_nea == pytest.approx(guide)
+    assert np.linalg.norm(pose.curvature_nea_1_m) <= 1e-9
+
+
+# --- where it ends
+
+
+def test_the_end_is_within_the_circle_about_p_scan_and_mostly_on_it(
     task: Task, truth: KnownMap
 ) -> None:
     outcome = planned(ask(task, truth))
-    guide = [math.cos(outcome.guide_rad), math.sin(outcome.guide_rad), 0.0]
-    assert outcome.subpath.pose(0.0).tangent_nea == pytest.approx(guide)
-
-
-def test_a_climbing_tangent_at_p_prog_is_kept(task: Task, truth: KnownMap) -> None:
-    tangent = np.array([math.cos(0.7), math.sin(0.7), 0.1])
-    tangent /= np.linalg.norm(tangent)
-    pose = Pose(position_nea_m=np.array(START), tangent_nea=tangent)
-    outcome = planned(ask(task, truth, start=pose, from_rest=False))
-    assert outcome.subpath.pose(0.0).tangent_nea == pytest.approx(tangent)
-
-
-def test_the_end_lies_on_the_circle_about_p_scan(task: Task, truth: KnownMap) -> None:
-    outcome = planned(ask(task, truth))
     assert not outcome.reaches_target
-    assert outcome.tries == 1
     end = outcome.subpath.control_nea_m[-1]
-    # R less the clearance and two diagonals of a cell
-    radius = 2_000.0 - 65.5 - 2.0 * math.sqrt(2.0) * 25.0
-    assert math.dist(end[:2], START[:2]) == pytest.approx(radius)
+    assert math.dist(end[:2], START[:2]) == pytest.approx(task.end_radius_m)
+    assert math.dist(end[:2], FAR_TARGET) < math.dist(START[:2], FAR_TARGET) - 1_000.0
 
 
-@pytest.mark.parametrize("left_m", [400.0, 1_200.0, 1_850.0])
+@pytest.mark.parametrize("left_m", [400.0, 1_200.0, 1_600.0])
 def test_a_target_within_reach_is_the_end(task: Task, truth: KnownMap, left_m: float) -> None:
     target = (START[0] + left_m * math.cos(1.2), START[1] + left_m * math.sin(1.2))
     outcome = planned(ask(task, truth, target_ne_m=target))
     assert outcome.reaches_target
     assert outcome.subpath.control_nea_m[-1, :2] == pytest.approx(target)
-    assert outcome.guide_rad == pytest.approx(1.2)
+    assert outcome.guide_rad == pytest.approx(1.2, abs=0.05)
+    assert outcome.to_go == 0.0
 
 
-@pytest.mark.parametrize("left_m", [1_900.0, 2_100.0, 2_400.0])
+@pytest.mark.parametrize("left_m", [1_950.0, 2_100.0, 2_400.0])
 def test_a_target_just_beyond_reach_is_left_with_room_for_the_last_subpath(
     task: Task, truth: KnownMap, left_m: float
 ) -> None:
@@ -180,22 +170,39 @@ def test_a_target_just_beyond_reach_is_left_with_room_for_the_last_subpath(
     outcome = planned(ask(task, truth, target_ne_m=target))
     assert not outcome.reaches_target
     room = math.dist(outcome.subpath.control_nea_m[-1, :2], target)
-    assert room >= 0.35 * task.end_radius_m - 1e-6
     assert room >= 2.0 * task.limits.turn_radius_m
 
 
 def test_a_target_on_unknown_ground_is_not_an_end(task: Task, truth: KnownMap) -> None:
     target = (START[0] + 1_000.0, START[1] + 1_000.0)
-    known = replace(truth, upper_m=truth.upper_m.copy())
+    known = replace(truth, upper_m=truth.upper_m.copy(), seen=truth.seen.copy())
     known.upper_m[known.cell_of(*target)] = np.inf
+    known.seen[known.cell_of(*target)] = False
     outcome = plan(ask(task, known, target_ne_m=target))
     assert isinstance(outcome, NotPlanned) or not outcome.reaches_target
+
+
+def test_it_goes_round_a_hill_that_the_straight_way_cannot_cross(
+    task: Task, blank: KnownMap
+) -> None:
+    known = replace(blank, upper_m=np.zeros_like(blank.upper_m), seen=~blank.seen)
+    low, high = known.cell_of(2_000.0, 2_000.0)[0], known.cell_of(2_400.0, 2_400.0)[0]
+    known.upper_m[low:high, low:high] = 5_000.0  # ahead, above the ceiling
+    free = replace(task, keep_outs=(), radars=())
+    outcome = planned(ask(free, known, target_ne_m=(3_600.0, 3_600.0)))
+    control = outcome.subpath.control_nea_m
+    assert violations(control, free, known, from_rest=True) == []
+    assert outcome.subpath.length_m < 1.5 * math.dist(control[0, :2], control[-1, :2])
+
+
+# --- the same and another question
 
 
 def test_the_same_question_has_the_same_answer(task: Task, truth: KnownMap) -> None:
     a, b = planned(ask(task, truth)), planned(ask(task, truth))
     assert a.subpath.control_nea_m.tobytes() == b.subpath.control_nea_m.tobytes()
-    assert (a.cost, a.terms, a.report, a.evaluations) == (b.cost, b.terms, b.report, b.evaluations)
+    assert (a.cost, a.terms, a.certificate) == (b.cost, b.terms, b.certificate)
+    assert (a.evaluations, a.rank, a.tries) == (b.evaluations, b.rank, b.tries)
 
 
 @pytest.mark.parametrize("changes", [{"seed": 8}, {"plan_id": 2}, {"attempt": 1}], ids=str)
@@ -203,22 +210,16 @@ def test_another_seed_plan_or_attempt_is_another_search(
     task: Task, truth: KnownMap, changes: dict[str, int]
 ) -> None:
     beside_a_hill = (3_500.0, 3_100.0, 500.0)  # where no warm start is the best answer
-    tangent = np.array([math.cos(0.35), math.sin(0.35), 0.0])
-    request = ask(
-        task,
-        truth,
-        scan_nea_m=beside_a_hill,
-        start=Pose(position_nea_m=np.array(beside_a_hill), tangent_nea=tangent),
-        from_rest=False,
-    )
+    pose = Pose(position_nea_m=np.array(beside_a_hill), **heading_to(20.0))
+    request = ask(task, truth, scan_nea_m=beside_a_hill, start=pose, from_rest=False)
     a, b = planned(request), planned(replace(request, **changes))  # type: ignore[arg-type]
     assert not np.array_equal(a.subpath.control_nea_m, b.subpath.control_nea_m)
 
 
 def test_each_attempt_searches_wider(task: Task, truth: KnownMap) -> None:
     first, third = planned(ask(task, truth)), planned(ask(task, truth, attempt=2))
-    assert first.tries == third.tries == 1
-    assert (first.evaluations, third.evaluations) == (400, 1_200)
+    assert first.tries == third.tries
+    assert third.evaluations == 3 * first.evaluations
 
 
 def test_the_cost_is_the_weighted_sum_of_the_terms_that_are_reported(
@@ -228,46 +229,107 @@ def test_the_cost_is_the_weighted_sum_of_the_terms_that_are_reported(
     weights = {"length": 0.1, "height": 0.15, "guide": 0.15, "crash": 0.3, "radar": 0.3}
     weights["constraints"] = 1.0
     assert outcome.cost == pytest.approx(sum(a * outcome.terms[f] for f, a in weights.items()))
-    assert outcome.report.violations(task.limits, task.settings.safety_distance_m) == ()
+    assert outcome.to_go == pytest.approx(0.1 * outcome.terms["to_go"])
+    assert outcome.to_go > 0.0
 
 
-@pytest.fixture(scope="module")
-def quick(task: Task) -> Task:
-    """For questions without an answer: all sixteen tries are made."""
-    settings = replace(
-        task.settings, evaluations=60, search=replace(task.settings.search, population=10)
-    )
-    return replace(task, settings=settings)
-
-
-def test_boxed_in_by_what_is_unknown_there_is_no_plan_but_a_reason(
-    quick: Task, blank: KnownMap
+@pytest.mark.parametrize("name", ["improved-de", "pso", "de/rand/1/bin", "refined-de"])
+def test_the_optimiser_that_the_settings_name_searches(
+    task: Task, truth: KnownMap, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    known = empty_map(blank.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
-    known.upper_m[32:48, 32:48] = 100.0  # 200 m around the start
-    outcome = plan(ask(quick, known))
+    beside_a_hill = (3_500.0, 3_100.0, 500.0)
+    pose = Pose(position_nea_m=np.array(beside_a_hill), **heading_to(20.0))
+    request = ask(task, truth, scan_nea_m=beside_a_hill, start=pose, from_rest=False)
+    default = planned(request)
+    asked: list[str] = []
+    for each, make in OPTIMISERS.items():
+
+        def noted(*arguments: object, each: str = each, make: object = make) -> object:
+            asked.append(each)
+            return make(*arguments)  # type: ignore[operator]
+
+        monkeypatch.setitem(OPTIMISERS, each, noted)
+    chosen = planned(replace(request, task=with_budget(task, 400, optimiser=name)))
+    same = np.array_equal(chosen.subpath.control_nea_m, default.subpath.control_nea_m)
+    assert same == (name == "refined-de")  # the default of profile `flight`
+    assert set(asked) == (set() if name == "refined-de" else {name})
+    assert violations(chosen.subpath.control_nea_m, task, truth, from_rest=False) == []
+
+
+# --- time
+
+
+@pytest.mark.parametrize("start", [START, (3_500.0, 3_100.0, 500.0)])
+def test_with_no_time_at_all_it_still_gives_a_proven_plan_or_none(
+    task: Task, truth: KnownMap, start: tuple[float, float, float]
+) -> None:
+    request = ask(with_budget(task, 30_000), truth, scan_nea_m=start, start=hover_pose(start))
+    outcome = plan(request, stop=lambda: True)
+    assert outcome.evaluations <= 600
+    if isinstance(outcome, Planned):
+        assert outcome.certificate.proven
+        assert violations(outcome.subpath.control_nea_m, task, truth, from_rest=True) == []
+
+
+@pytest.mark.parametrize("looks", [1, 2, 4])
+def test_the_search_ends_with_the_first_look_at_the_clock_after_time_is_up(
+    task: Task, truth: KnownMap, looks: int
+) -> None:
+    asked = count(1)
+    request = ask(with_budget(task, 6_000), truth)
+    outcome = plan(request, stop=lambda: next(asked) >= looks)
+    assert 300 * (looks - 1) < outcome.evaluations <= 300 * (looks + 1)
+    assert next(asked) - looks <= 5  # it does not go on with other ways
+
+
+def test_the_longer_it_may_search_the_better_the_plan(task: Task, truth: KnownMap) -> None:
+    beside_a_hill = (3_500.0, 3_100.0, 500.0)
+    pose = Pose(position_nea_m=np.array(beside_a_hill), **heading_to(20.0))
+    costs = []
+    for looks in (1, 10):
+        asked = count(1)
+        request = ask(
+            with_budget(task, 3_000), truth, scan_nea_m=beside_a_hill, start=pose, from_rest=False
+        )
+        outcome = plan(request, stop=lambda: next(asked) >= looks)  # noqa: B023
+        assert isinstance(outcome, Planned)
+        costs.append(outcome.cost + outcome.to_go)
+    assert costs[1] < costs[0]
+
+
+# --- no answer
+
+
+def test_walls_all_around_leave_no_plan_but_a_reason(task: Task, blank: KnownMap) -> None:
+    known = replace(blank, upper_m=np.zeros_like(blank.upper_m), seen=~blank.seen)
+    north, east = known.middles_m(0, 0, (known.upper_m.shape[0], known.upper_m.shape[1]))
+    far = np.hypot(north - START[0], east - START[1])
+    known.upper_m[(far > 400.0) & (far < 600.0)] = 5_000.0
+    outcome = plan(ask(with_budget(task, 60), known))
     assert isinstance(outcome, NotPlanned)
     assert outcome.refusal is Refusal.NOTHING_SAFE
     assert "terrain clearance" in outcome.broken
-    assert outcome.evaluations > 16 * 60
+    assert outcome.evaluations > 10 * 60
 
 
-def test_boxed_in_by_a_keep_out_there_is_no_plan_but_a_reason(quick: Task, truth: KnownMap) -> None:
-    circle = quick.keep_outs[0]
-    inside = (2_300.0, 4_300.0, 500.0)
-    outcome = plan(
-        ask(replace(quick, keep_outs=(circle,)), truth, scan_nea_m=inside, start=hover_pose(inside))
-    )
+def test_boxed_in_by_what_is_unknown_there_is_no_plan_but_a_reason(
+    task: Task, blank: KnownMap
+) -> None:
+    known = empty_map(blank.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
+    known.upper_m[32:48, 32:48] = 100.0  # 200 m around the start
+    outcome = plan(ask(with_budget(task, 60), known))
     assert isinstance(outcome, NotPlanned)
-    assert "keep-out zone" in outcome.broken
+    assert outcome.refusal is Refusal.NOTHING_SAFE
+    assert "terrain clearance" in outcome.broken
 
 
 @pytest.mark.parametrize("off_m", [0.0, 0.5, 30.0])
 def test_a_target_where_the_vehicle_is_gives_a_path_of_numbers_or_no_path(
-    quick: Task, truth: KnownMap, off_m: float
+    task: Task, truth: KnownMap, off_m: float
 ) -> None:
     with np.errstate(all="ignore"):
-        outcome = plan(ask(quick, truth, target_ne_m=(START[0] + off_m, START[1])))
+        target = (START[0] + off_m, START[1])
+        outcome = plan(ask(with_budget(task, 60), truth, target_ne_m=target))
         if isinstance(outcome, Planned):
             pose = outcome.subpath.pose(0.0)
             assert np.isfinite(pose.position_nea_m).all()
@@ -275,20 +337,21 @@ def test_a_target_where_the_vehicle_is_gives_a_path_of_numbers_or_no_path(
             assert math.isfinite(outcome.cost)
 
 
-def test_the_paper_profile_takes_the_best_candidate_as_it_is(task: Task, truth: KnownMap) -> None:
-    papers = replace(task, settings=replace(task.settings, profile=PAPER))
-    outcome = planned(ask(papers, truth))
-    assert (outcome.tries, outcome.rank, outcome.evaluations) == (1, 0, 400)
-    end = outcome.subpath.control_nea_m[-1]
-    assert math.dist(end[:2], START[:2]) == pytest.approx(2_000.0)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_subpath_of_the_paper_profile_has_a_direction_everywhere(
-    task: Task, truth: KnownMap, seed: int
-) -> None:
-    papers = replace(task, settings=replace(task.settings, profile=PAPER, evaluations=2_000))
-    with np.errstate(all="ignore"):
-        subpath = planned(ask(papers, truth, seed=seed)).subpath
-        tangents = [subpath.pose(share * subpath.length_m).tangent_nea for share in (0, 0.5, 1)]
-    assert np.linalg.norm(tangents, axis=-1) == pytest.approx([1.0, 1.0, 1.0])
+def test_the_check_of_every_metre_finds_what_is_wrong(task: Task, truth: KnownMap) -> None:
+    control = planned(ask(task, truth)).subpath.control_nea_m
+    assert "floor" in violations(control - [0, 0, 30.0], task, truth, from_rest=True)
+    assert "ceiling" in violations(control + [0, 0, 380.0], task, truth, from_rest=True)
+    hill = np.array([3_000.0, 2_600.0, 0.0]) - control[-1]
+    assert "clearance" in violations(control + 0.97 * hill, task, truth, from_rest=True)
+    shaken, steep = control.copy(), control.copy()
+    shaken[2:4, 1] += [900.0, -900.0]
+    steep[-2, 2] += 800.0
+    assert "turn" in violations(shaken, task, truth, from_rest=True)
+    assert {"climb", "dive"} <= set(violations(steep, task, truth, from_rest=True))
+    assert "map" in violations(control - [1_500.0, 0, 0], task, truth, from_rest=True)
+    points = np.array([[2_300.0, 4_700.0, 400.0], [5_200.0, 5_450.0, 400.0]])
+    gaps = [keep_out_distance_m(zone, points) for zone in task.keep_outs]
+    assert gaps[0][0] == pytest.approx(50.0)
+    assert gaps[1][1] == pytest.approx(50.0)
+    over = column_distance_m(truth, np.array([[6_000.0, 6_200.0, 540.0]]), 100.0)
+    assert over[0] == pytest.approx(40.0, abs=5.0)

@@ -10,9 +10,9 @@ import pyproj
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
-from companion.path.check import CheckReport
+from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
-from companion.planner.plan import Planned, PlanOutcome, PlanRequest
+from companion.planner.request import Planned, PlanOutcome, PlanRequest
 from companion.session import Entry, Output, Session
 
 MISSION = replace(load_mission("environment-1"), targets_ne_m=((4000.0, 3000.0),))
@@ -28,15 +28,18 @@ def straight_plan(request: PlanRequest, _stop: object = None) -> Planned:
     target = np.array([*request.target_ne_m, start[2]])
     left_m = float(np.linalg.norm(target - start))
     share = min(17_000.0 / left_m, 1.0)
-    far = {"keep_out_m": math.inf, "turn_radius_m": math.inf}
+    far = {"keep_out_m": math.inf, "turn_radius_m": math.inf, "broken": ()}
     return Planned(
         plan_id=request.plan_id,
+        kernel="none",
         subpath=Subpath(control_nea_m=np.linspace(start, start + share * (target - start), 4)),
         reaches_target=share == 1.0,
         cost=1.0,
+        to_go=0.0,
         terms={"length": 1.0},
-        report=CheckReport(**{f.name: far.get(f.name, 0.0) for f in fields(CheckReport)}),
+        certificate=Certificate(**{f.name: far.get(f.name, 0.0) for f in fields(Certificate)}),
         guide_rad=0.0,
+        route_ne_m=(),
         evaluations=60,
         rank=0,
         tries=1,

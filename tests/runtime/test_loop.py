@@ -14,7 +14,7 @@ from scripted_vehicle import BRAKE, MISSION, Vehicle, straight_plan
 
 from companion.mission.events import Outcome
 from companion.mission.state import Reason
-from companion.planner.plan import PlanOutcome, PlanRequest
+from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime import loop
 from companion.runtime.link import UdpLink
 from companion.session import Session

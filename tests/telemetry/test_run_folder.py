@@ -101,8 +101,8 @@ def test_the_journal_is_a_header_and_a_line_for_each_entry(folder: RunFolder) ->
 def test_a_number_that_is_not_finite_is_written_as_json_all_the_same(
     folder: RunFolder, value: float
 ) -> None:
-    """The check of a plan has an infinite distance to keep-outs where there are none."""
-    folder.entries([{"t_s": 0.1, "kind": "plan ready", "check": {"keep_out_m": value}}])
+    """A certificate has an infinite distance to keep-outs where there are none."""
+    folder.entries([{"t_s": 0.1, "kind": "plan ready", "certificate": {"keep_out_m": value}}])
     close(folder)
     [line] = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
     assert strict(line)["kind"] == "plan ready"

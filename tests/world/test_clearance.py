@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -36,19 +38,21 @@ def tops(known: KnownMap) -> FloatArray:
     return np.where(np.isfinite(known.upper_m), known.upper_m, UNKNOWN_M)
 
 
-def sideways_m(points_ne_m: FloatArray) -> FloatArray:
-    """Horizontal distance from points to the squares of all cells.  (K, 2) -> (K, CELLS, CELLS)."""
-    low = np.arange(CELLS) * CELL_M
-    gap = [
-        np.maximum(np.maximum(low - p[:, None], p[:, None] - low - CELL_M), 0.0)
-        for p in points_ne_m.T
-    ]
-    return np.hypot(gap[0][:, :, None], gap[1][:, None, :])
+def gaps_m(known: KnownMap, points_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Gaps along north and east from points to all cells.  (K, 2) -> (K, rows), (K, columns)."""
+    gaps = []
+    for axis, least in enumerate((known.north_min_m, known.east_min_m)):
+        low = least + np.arange(known.upper_m.shape[axis]) * known.cell_m
+        p = points_ne_m[:, axis, None]
+        gaps.append(np.maximum(np.maximum(low - p, p - low - known.cell_m), 0.0))
+    return gaps[0], gaps[1]
 
 
-def distance_to_columns_m(known: KnownMap, points: FloatArray, shifted_m: float) -> FloatArray:
-    """Distance of points to all terrain if each column stood shifted_m nearer.  (K, 3) -> (K,)."""
-    aside = np.maximum(sideways_m(points[:, :2]) - shifted_m, 0.0)
+def distance_to_columns_m(known: KnownMap, points: FloatArray) -> FloatArray:
+    """Distance of points to all terrain wherever its registration lets it be.  (K, 3) -> (K,)."""
+    north, east = gaps_m(known, points[:, :2])
+    aside = np.hypot(north[:, :, None], east[:, None, :])
+    aside = np.maximum(aside - known.registration_m, 0.0)
     below = np.maximum(points[:, 2, None, None] - tops(known), 0.0)
     return np.hypot(aside, below).min(axis=(1, 2))
 
@@ -62,37 +66,59 @@ seeds = st.integers(0, 10**6)
 clearances = st.floats(5.0, 260.0)
 
 
-@given(seed=seeds, clearance_m=clearances, registration_m=st.sampled_from([0.0, 3.0, 40.0, 130.0]))
+def finer(known: KnownMap, parts: float) -> KnownMap:
+    """The same cells, smaller: the clearance is so many more of them."""
+    return replace(known, cell_m=known.cell_m / parts)
+
+
+@given(
+    seed=seeds,
+    clearance_m=clearances,
+    registration_m=st.sampled_from([0.0, 3.0, 40.0, 130.0]),
+    parts=st.sampled_from([1.0, 1.7, 4.0]),
+)
 def test_every_point_over_the_safe_surface_keeps_the_clearance_to_columns_of_cells(
-    seed: int, clearance_m: float, registration_m: float
+    seed: int, clearance_m: float, registration_m: float, parts: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    known = random_map(rng, registration_m)
+    known = finer(random_map(rng, registration_m), parts)
+    centre = MIDDLE[0] / parts, MIDDLE[1] / parts
     surface = safe_surface(
-        known, centre_ne_m=MIDDLE, reach_m=900.0, clearance_m=clearance_m, unknown_m=UNKNOWN_M
+        known,
+        centre_ne_m=centre,
+        reach_m=900.0 / parts,
+        clearance_m=clearance_m,
+        unknown_m=UNKNOWN_M,
     )
-    ne = near_middle(rng, 200, 500.0)
-    altitude = surface.altitude_m(ne[:, 0], ne[:, 1]) + 1e-6
+    ne = near_middle(rng, 200, 500.0) / parts
+    altitude = surface.altitude_m(ne[:, 0], ne[:, 1]) + 1e-6 + rng.exponential(5.0, 200)
     points = np.column_stack([ne, altitude])
-    assert (distance_to_columns_m(known, points, registration_m) >= clearance_m - 1e-6).all()
+    assert (distance_to_columns_m(known, points) >= clearance_m - 1e-6).all()
 
 
-@given(seed=seeds, clearance_m=clearances)
-def test_the_safe_surface_asks_for_at_most_a_diagonal_of_a_cell_too_much(
-    seed: int, clearance_m: float
+@pytest.mark.parametrize("parts", [1.0, 4.0], ids=["half cells", "whole cells"])
+@given(seed=seeds, share=st.floats(0.02, 1.0))
+def test_the_safe_surface_counts_terrain_as_at_most_two_of_its_cells_nearer_than_it_is(
+    parts: float, seed: int, share: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    known = random_map(rng)
+    known = finer(random_map(rng), parts)
+    # up to there half cells are worth their time; the rest of the map is within reach of no point
+    clearance_m = share * (260.0 if parts == 1.0 else 1_000.0 / parts)
     surface = safe_surface(
-        known, centre_ne_m=MIDDLE, reach_m=900.0, clearance_m=clearance_m, unknown_m=UNKNOWN_M
+        known,
+        centre_ne_m=(MIDDLE[0] / parts, MIDDLE[1] / parts),
+        reach_m=900.0 / parts,
+        clearance_m=clearance_m,
+        unknown_m=UNKNOWN_M,
     )
-    ne = near_middle(rng, 200, 500.0)
-    # Rounding to the vertices of half-cells: one half-cell for the point, one for the terrain,
-    # along each axis, so each column counts as if it stood sqrt(2) cells nearer than it does.
-    aside = np.maximum(sideways_m(ne) - np.sqrt(2.0) * CELL_M, 0.0)
+    ne = near_middle(rng, 200, 100.0) / parts
+    north, east = (np.maximum(gap - 2.0 * surface.cell_m, 0.0) for gap in gaps_m(known, ne))
+    aside = np.hypot(north[:, :, None], east[:, None, :])
     ball = np.sqrt(np.maximum(clearance_m**2 - aside**2, 0.0))
     strictest = np.where(aside < clearance_m, tops(known) + ball, -np.inf).max(axis=(1, 2))
     assert (surface.altitude_m(ne[:, 0], ne[:, 1]) <= strictest + 1e-3).all()
+    assert surface.cell_m in (known.cell_m, known.cell_m / 2.0)
 
 
 def test_the_safe_surface_keeps_the_clearance_at_the_limit_of_its_reach_too() -> None:

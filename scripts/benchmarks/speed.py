@@ -1,0 +1,210 @@
+"""How long a plan takes: compiled, against its numpy twin in the same run.
+
+A plan here is one search of 3,000 evaluations at 40 samples with 20 obstacles in range, and the
+certificate of what it finds.  What comes before it once per scan is timed beside it.
+usage: python scripts/benchmarks/speed.py [--scenes 60] [--repeats 5] [--json FILE]
+"""
+
+import argparse
+import json
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from companion.config import load_mission
+from companion.path.subpath import Pose
+from companion.planner import plan as planning
+from companion.planner.cost_to_go import cost_to_go
+from companion.planner.kernels import NUMPY, Kernel
+from companion.planner.request import Planned, PlanRequest
+from companion.runtime.compiler import load_kernel
+from companion.world.known_map import empty_map
+from companion.world.simulated_scan import simulated_scan, true_map
+from companion.world.terrain import Peak, PeakTerrain
+from companion.world.threats import CircleKeepOut, Radar
+
+_SIDE_M = 60_000.0
+_PEAKS, _RADARS, _KEEP_OUTS = 10, 7, 3
+_BARS_MS = (10.0, 20.0)  # median, 99th percentile
+_BAR_RATIO = 5.0
+_FIRST_PLAN_BAR_S = 1.0
+_FIRST_PLAN = """
+import time
+began = time.perf_counter()
+from companion.runtime.compiler import load_kernel
+kernel = load_kernel()  # plans once
+print(kernel.name, time.perf_counter() - began)
+"""
+
+
+def request(number: int) -> PlanRequest:
+    """A vehicle at V amid 20 obstacles, all within its scan range."""
+    rng = np.random.default_rng([number, 20])
+    task = load_mission("environment-2").task
+    limits = replace(task.limits, north_m=(0.0, _SIDE_M), east_m=(0.0, _SIDE_M))
+    here = 0.5 * _SIDE_M
+    places = [_around(rng, here) for _ in range(_PEAKS + _RADARS + _KEEP_OUTS)]
+    peaks = tuple(
+        Peak(
+            north_m=north,
+            east_m=east,
+            height_amsl_m=float(rng.uniform(2_500.0, 5_500.0)),
+            spread_north_m=float(rng.uniform(1_000.0, 2_500.0)),
+            spread_east_m=float(rng.uniform(1_000.0, 2_500.0)),
+        )
+        for north, east in places[:_PEAKS]
+    )
+    radars = tuple(
+        Radar(
+            name=f"{k}",
+            centre_nea_m=(north, east, 0.0),
+            range_m=float(rng.uniform(3_100.0, 4_500.0)),
+        )
+        for k, (north, east) in enumerate(places[_PEAKS : _PEAKS + _RADARS])
+    )
+    zones = tuple(
+        CircleKeepOut(
+            name=f"{k}", north_m=north, east_m=east, radius_m=float(rng.uniform(300.0, 1_500.0))
+        )
+        for k, (north, east) in enumerate(places[-_KEEP_OUTS:])
+    )
+    task = replace(task, limits=limits, radars=radars, keep_outs=zones)
+    terrain = PeakTerrain(peaks=peaks, ground_amsl_m=0.0)
+    blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
+    scan_nea_m = (here, here, 3_100.0)
+    heading = float(rng.uniform(-math.pi, math.pi))
+    tangent = np.array([math.cos(heading), math.sin(heading), 0.0])
+    bend = float(rng.uniform(-1.0, 1.0)) / 8_000.0
+    start = Pose(
+        position_nea_m=np.array(scan_nea_m) + 1_500.0 * tangent,
+        tangent_nea=tangent,
+        curvature_nea_1_m=bend * np.array([-tangent[1], tangent[0], 0.0]),
+    )
+    far = 0.45 * _SIDE_M
+    return PlanRequest(
+        plan_id=1,
+        seed=number,
+        task=task,
+        known=blank.with_scan(simulated_scan(true_map(terrain, blank), scan_nea_m, 20_000.0)),
+        scan_nea_m=scan_nea_m,
+        start=start,
+        from_rest=False,
+        target_ne_m=(here + far * math.cos(heading), here + far * math.sin(heading)),
+    )
+
+
+def _around(rng: np.random.Generator, here: float) -> tuple[float, float]:
+    """A place in range, but not on top of the vehicle."""
+    bearing, distance = rng.uniform(-math.pi, math.pi), rng.uniform(7_000.0, 19_000.0)
+    return here + float(distance * math.cos(bearing)), here + float(distance * math.sin(bearing))
+
+
+def timed(what: Callable[[], Any], repeats: int) -> tuple[list[tuple[float, float]], Any]:
+    """Milliseconds of the processor, and by the wall, of each repetition; and the last result."""
+    times, result = [], None
+    for _ in range(repeats):
+        began, clock = time.thread_time(), time.perf_counter()
+        result = what()
+        times.append(((time.thread_time() - began) * 1e3, (time.perf_counter() - clock) * 1e3))
+    return times, result
+
+
+def measure(scenes: int, repeats: int) -> dict[str, Any]:
+    """All times, by what they are of."""
+    kernel = load_kernel()
+    times: dict[str, list[tuple[float, float]]] = {}
+    proven = 0
+
+    def note(name: str, what: Callable[[], Any], count: int = repeats) -> Any:
+        some, result = timed(what, count)
+        times.setdefault(name, []).extend(some)
+        return result
+
+    for number in range(scenes):
+        asked = request(number)
+        here = asked.scan_nea_m[:2]
+        field = note(
+            "guidance", lambda a=asked, h=here: cost_to_go(a.known, a.task, h, a.target_ne_m)
+        )
+        note("surfaces", lambda a=asked, f=field: planning._scene(a, f))
+        note(
+            "surface to prove against",
+            lambda a=asked: planning._surroundings(a),
+        )
+        planner = planning._Plan(asked, lambda: False, kernel)
+        found = note(f"plan, {kernel.name}", lambda p=planner: _one(p))
+        proven += isinstance(found, Planned)
+        if number % 6 == 0:
+            slow = planning._Plan(asked, lambda: False, NUMPY)
+            note("plan, numpy", lambda p=slow: _one(p), 1)
+            note("certificate alone", lambda p=planner, f=found: _certified(p, f, kernel))
+        note("whole answer", lambda a=asked: planning.plan(a, kernel=kernel), 1)
+    first = _first_plan_s()
+    return {"kernel": kernel.name, "times_ms": times, "proven": proven, "scenes": scenes} | first
+
+
+def _one(planner: Any) -> Planned | None:
+    planner._tries = 0
+    return planner._attempt(planning._FIRST)
+
+
+def _certified(planner: Any, found: Planned | None, kernel: Kernel) -> None:
+    if found is not None:
+        planning.certify(found.subpath, planner._surroundings, from_rest=False, prover=kernel.prove)
+
+
+def _first_plan_s() -> dict[str, Any]:
+    """A process of its own: from nothing to the end of the first plan, with a warm cache."""
+    result = subprocess.run(
+        [sys.executable, "-c", _FIRST_PLAN], capture_output=True, text=True, check=True
+    )
+    name, seconds = result.stdout.split()
+    return {"first_plan_kernel": name, "first_plan_s": float(seconds)}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--scenes", type=int, default=60)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    found = measure(given.scenes, given.repeats)
+    table = Table(
+        title="time of a plan, ms",
+        caption="The bars are for the processor's time: other loads do not count.",
+    )
+    for heading in ("", "median", "99 %", "wall, median", "wall, 99 %", "runs", "bar"):
+        table.add_column(heading, justify="left" if not heading else "right")
+    compiled = f"plan, {found['kernel']}"
+    for name, times in found["times_ms"].items():
+        medians, slowest = np.median(times, axis=0), np.quantile(times, 0.99, axis=0)
+        figures = (medians[0], slowest[0], medians[1], slowest[1])
+        bar = f"{_BARS_MS[0]:g}, {_BARS_MS[1]:g}" if name == compiled else ""
+        table.add_row(name, *(f"{each:.2f}" for each in figures), f"{len(times)}", bar)
+    console = Console()
+    console.print(table)
+    fast, slowest = (np.quantile(found["times_ms"][compiled], q, axis=0)[0] for q in (0.5, 0.99))
+    ratio = np.median(found["times_ms"]["plan, numpy"], axis=0)[0] / fast
+    console.print(f"{found['kernel']} against numpy: {ratio:.1f}x (bar: {_BAR_RATIO:g}x)")
+    console.print(
+        f"from the start of a process to its first plan, {found['first_plan_kernel']}: "
+        f"{found['first_plan_s']:.2f} s (bar: {_FIRST_PLAN_BAR_S:g} s)"
+    )
+    console.print(f"first search proven in {found['proven']} of {found['scenes']} scenes")
+    if given.json:
+        given.json.write_text(json.dumps(found, indent=1))
+    kept = fast <= _BARS_MS[0] and slowest <= _BARS_MS[1] and ratio >= _BAR_RATIO
+    return 0 if kept and found["first_plan_s"] <= _FIRST_PLAN_BAR_S else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,160 @@
+"""The journal's entries: what replay and a reader of a flight are told of each event."""
+
+import json
+import math
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from made_up import MISSION, certificate, fresh, not_planned, planned, position, scan_done, status
+
+from companion.mission import entries
+from companion.mission.events import (
+    Event,
+    LinkLost,
+    PlanLate,
+    PlannerDied,
+    PlanReady,
+    StopAsked,
+    Tick,
+)
+from companion.path.certificate import Certificate, certify, pack_surroundings
+from companion.path.subpath import Pose, Subpath
+from companion.planner.request import PlanRequest
+from companion.world.known_map import KnownMap
+
+STATE = fresh()
+WALL_EAST_M = 1_300.0
+
+
+def walled() -> KnownMap:
+    """Flat ground at 0 m, known everywhere, and a wall of 4 km along a meridian."""
+    blank = STATE.flight.known
+    heights = np.zeros_like(blank.upper_m)
+    heights[:, blank.cell_of(0.0, WALL_EAST_M)[1]] = 4_000.0
+    return replace(blank, upper_m=heights)
+
+
+def request(**changes: Any) -> PlanRequest:
+    """From above the origin to the north-east, in a bend."""
+    start = Pose(
+        position_nea_m=np.array([0.0, 0.0, 3030.0]),
+        tangent_nea=np.array([0.6, 0.8, 0.0]),
+        curvature_nea_1_m=np.array([-8e-5, 6e-5, 0.0]),
+    )
+    asked = PlanRequest(
+        plan_id=7,
+        seed=1,
+        task=MISSION.task,
+        known=walled(),
+        scan_nea_m=(-1_000.0, 0.0, 3030.0),
+        start=start,
+        from_rest=False,
+        target_ne_m=(5_000.0, 5_000.0),
+    )
+    return replace(asked, **changes)
+
+
+def proof(asked: PlanRequest, subpath: Subpath) -> Certificate:
+    surroundings = pack_surroundings(
+        asked.known,
+        asked.task.limits,
+        asked.task.radars,
+        asked.task.keep_outs,
+        asked.task.margins,
+        centre_ne_m=asked.scan_nea_m[:2],
+        reach_m=25_000.0,
+    )
+    return certify(subpath, surroundings, from_rest=False)
+
+
+def told(event: Event) -> dict[str, Any]:
+    """The entry, as it comes back from a file."""
+    entry = entries.of_event(event, STATE)
+    assert entry is not None
+    back: dict[str, Any] = json.loads(json.dumps(entry))
+    return back
+
+
+def test_a_plan_is_told_with_its_kernel_and_its_certificate_number_by_number() -> None:
+    outcome = replace(planned(request()), kernel="numba", certificate=certificate())
+    entry = told(PlanReady(time_s=1.0, outcome=outcome))
+    assert (entry["kind"], entry["plan_id"], entry["kernel"]) == ("plan ready", 7, "numba")
+    names = {field.name for field in fields(Certificate)}
+    assert set(entry["certificate"]) == names
+    back = Certificate(**entry["certificate"] | {"broken": tuple(entry["certificate"]["broken"])})
+    assert back == certificate()
+    assert back.proven
+
+
+@pytest.mark.parametrize(("end_east_m", "safe"), [(400.0, True), (3_000.0, False)])
+def test_the_certificate_can_be_made_again_from_the_control_points_that_are_told(
+    end_east_m: float, safe: bool
+) -> None:
+    """Beside the wall, or across it: the proof and its failure are both told as they were."""
+    asked = request()
+    control = [[0.0, 0.0, 3030.0], [2e3, 0.0, 3040.0], [5e3, 300.0, 3050.0]]
+    subpath = Subpath(control_nea_m=np.array([*control, [8e3, end_east_m, 3060.0]]))
+    made = proof(asked, subpath)
+    assert made.proven is safe
+    outcome = replace(planned(asked), subpath=subpath, certificate=made)
+    entry = told(PlanReady(time_s=1.0, outcome=outcome))
+    again = proof(asked, Subpath(control_nea_m=np.array(entry["control_nea_m"])))
+    for name, value in entry["certificate"].items():
+        expected = getattr(again, name)
+        assert value == (list(expected) if name == "broken" else expected), name
+    assert ("terrain clearance" in entry["certificate"]["broken"]) is not safe
+
+
+def test_a_request_is_told_with_all_of_the_pose_that_the_next_leg_joins() -> None:
+    asked = request(attempt=2)
+    entry = json.loads(json.dumps(entries.of_request(asked, due_s=12.5)))
+    start = asked.start
+    assert (entry["kind"], entry["plan_id"], entry["attempt"]) == ("plan asked", 7, 2)
+    assert (entry["due_s"], entry["from_rest"]) == (12.5, False)
+    assert entry["start_nea_m"] == start.position_nea_m.tolist()
+    assert entry["tangent_nea"] == start.tangent_nea.tolist()
+    assert entry["curvature_nea_1_m"] == start.curvature_nea_1_m.tolist()
+    assert entry["scan_nea_m"] == list(asked.scan_nea_m)
+
+
+def test_a_refusal_is_told_with_its_reason_and_the_bounds_that_were_broken() -> None:
+    entry = told(PlanReady(time_s=1.0, outcome=not_planned(request())))
+    assert entry == {
+        "kind": "plan refused",
+        "plan_id": 7,
+        "reason": "NOTHING_SAFE",
+        "broken": ["floor"],
+        "evaluations": 60,
+    }
+
+
+@pytest.mark.parametrize(
+    ("event", "kind"),
+    [
+        (scan_done(1.0), "scan done"),
+        (PlanLate(time_s=1.0, plan_id=3), "plan late"),
+        (PlannerDied(time_s=1.0, error="ValueError"), "planner died"),
+        (LinkLost(time_s=1.0, silent_s=3.0), "link lost"),
+        (StopAsked(time_s=1.0), "stop asked"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_every_event_that_is_not_in_the_telemetry_log_is_told(event: Event, kind: str) -> None:
+    assert told(event)["kind"] == kind
+
+
+@pytest.mark.parametrize("event", [Tick(time_s=1.0), status(1.0), position(1.0)], ids=repr)
+def test_what_the_telemetry_log_holds_is_not_told_twice(event: Event) -> None:
+    assert entries.of_event(event, STATE) is None
+
+
+def test_a_distance_to_keep_outs_without_keep_outs_is_infinite_and_not_lost() -> None:
+    subpath = Subpath(control_nea_m=np.linspace([0.0, 0.0, 3030.0], [5e3, 0.0, 3030.0], 4))
+    outcome = replace(planned(request()), certificate=proof(request(), subpath))
+    assert told(PlanReady(time_s=1.0, outcome=outcome))["certificate"]["keep_out_m"] == math.inf

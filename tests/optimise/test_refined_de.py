@@ -1,0 +1,476 @@
+"""The refined search, operator by operator; the contract of all optimisers is in tests/contracts.
+
+The state is open, so a test sets what was drawn and what is remembered, and compares the trials
+with eq. 17 for every choice of members that could have been made.
+"""
+
+import itertools
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from companion.errors import InputError
+from companion.optimise import refined_state as names
+from companion.optimise.refined_de import (
+    HELPERS,
+    Settings,
+    State,
+    ask,
+    begin,
+    others,
+    ranked,
+    spent,
+    tell,
+)
+
+FloatArray = NDArray[np.float64]
+Cost = Callable[[FloatArray], float]
+
+D = 3
+NO_SEEDS = np.empty((0, D))
+SMALL = Settings(population=7, smallest=7, spread=0.0)
+few = settings(max_examples=20)
+
+
+def bowl(x: FloatArray) -> float:
+    return float(((x - 0.3) ** 2).sum())
+
+
+def rugged(x: FloatArray) -> float:
+    """Many basins, a kink at a bound and a step: like a subpath's cost."""
+    waves = np.sin(9.0 * x + 3.0 * x[::-1]).sum()
+    return float(waves + 4.0 * np.abs(x - 0.1).sum() + (2.0 if x[0] + x[1] > 1.2 else 0.0))
+
+
+def search(
+    cost: Cost,
+    evaluations: int,
+    *,
+    seed: int = 0,
+    dimensions: int = D,
+    how: Settings | None = None,
+    stops_early: bool = False,
+) -> State:
+    """A whole search; stops_early: costs above the bounds are told as infinite."""
+    rng = np.random.default_rng(seed)
+    state = begin(dimensions, evaluations, np.empty((0, dimensions)), how or Settings(), rng)
+    while n := ask(state):
+        for i in range(n):
+            value = cost(state.trial[i])
+            over = stops_early and value > state.trial_bounds[i]
+            state.trial_costs[i] = math.inf if over else value
+        tell(state, n)
+    return state
+
+
+def started(
+    how: Settings = SMALL,
+    seed: int = 0,
+    evaluations: int = 700,
+    a: float = 0.5,
+    cr: float = 1.0,
+) -> State:
+    """A search whose population has random costs, and so far from the bounds that none clips."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0.45, 0.55, (how.members(evaluations), D))
+    state = begin(D, evaluations, x, how, rng)
+    n = ask(state)
+    assert (state.trial[:n] == x).all()
+    state.trial_costs[:n] = rng.random(n)
+    tell(state, n)
+    state.memory[:] = 1.0 - a, cr
+    return state
+
+
+def members(state: State) -> FloatArray:
+    return state.population[: state.counters[names.SIZE]].copy()
+
+
+def mutants(
+    state: State, i: int, a: float, k1: float, k2: float, best: list[FloatArray]
+) -> FloatArray:
+    """Every mutant that member i can have: eq. 17 with (1 - a) for the factor of k2."""
+    x = members(state)
+    rest = [r for r in range(len(x)) if r != i]
+    kept = state.archive[: state.counters[names.ARCHIVED]]
+    found = []
+    for b in best:
+        for r1, r2 in itertools.permutations(rest, 2):
+            thirds = [x[r] for r in rest if r not in (r1, r2)] + list(kept)
+            for third in thirds:
+                pulled = a * x[r1] + (1 - a) * b + k1 * (1 - a) * (b - x[r1])
+                found.append(pulled + k2 * (1 - a) * (x[r2] - third))
+    return np.array(found)
+
+
+def nearest(trial: FloatArray, candidates: FloatArray) -> float:
+    return float(np.abs(candidates - trial).max(axis=1).min())
+
+
+@few
+@given(
+    seed=st.integers(0, 10**6),
+    a=st.floats(0.0, 1.0),
+    k1=st.floats(0.0, 1.0),
+    k2=st.floats(0.0, 1.0),
+)
+def test_every_mutant_is_equation_17_of_one_of_the_p_best_and_three_others(
+    seed: int, a: float, k1: float, k2: float
+) -> None:
+    how = Settings(
+        population=7, smallest=7, spread=0.0, k1=(k1, k1), k2=(k2, k2), p_best=0.43, archive=1.0
+    )
+    state = started(how, seed, a=a)
+    kept = np.random.default_rng(seed + 1).uniform(0.45, 0.55, (4, D))
+    state.archive[:4], state.counters[names.ARCHIVED] = kept, 4
+    best = [members(state)[k] for k in np.argsort(state.costs)[:3]]
+    n = ask(state)
+    assert n == 7
+    for i in range(n):
+        assert nearest(state.trial[i], mutants(state, i, a, k1, k2, best)) < 1e-12
+
+
+def test_members_of_the_archive_and_each_of_the_p_best_come_into_use() -> None:
+    x_best, x_3 = set(), set()
+    for seed in range(60):
+        state = started(seed=seed, a=0.5)
+        state.archive[0], state.counters[names.ARCHIVED] = 0.9, 1
+        order = np.argsort(state.costs)
+        ask(state)
+        for i in range(7):
+            for k, b in enumerate(order[:2]):
+                if nearest(state.trial[i], mutants(state, i, 0.5, 0.0, 1.0, [members(state)[b]])):
+                    continue
+                x_best.add(k)
+            x_3.add(bool((state.trial[i] < 0.4).any()))
+    assert x_3 == {True, False}
+
+
+@pytest.mark.parametrize("rounds", [0, 1, 40, 80])
+def test_k1_rises_and_k2_falls_with_the_square_of_the_budget_spent(rounds: int) -> None:
+    """Eq. 18, with the paper's ranges: k1 from 0 to 0.5, k2 from 1 to 0.5."""
+    state = started(evaluations=700)
+    for _ in range(rounds):
+        n = ask(state)
+        state.trial_costs[:n] = math.inf  # nothing succeeds: the members stay
+        tell(state, n)
+    square = (7.0 * (rounds + 1) / 595.0) ** 2  # 85 % of the budget
+    best = [members(state)[k] for k in np.argsort(state.costs)[:2]]
+    ask(state)
+    for i in range(7):
+        can_be = mutants(state, i, 0.5, 0.5 * square, 1.0 - 0.5 * square, best)
+        assert nearest(state.trial[i], can_be) < 1e-12
+
+
+@pytest.mark.parametrize("cr", [0.0, 0.5, 1.0])
+def test_a_trial_takes_each_variable_from_the_mutant_with_probability_cr_and_at_least_one(
+    cr: float,
+) -> None:
+    changes = []
+    for seed in range(100):
+        state = started(seed=seed, cr=cr)
+        n = ask(state)
+        changes.append(state.trial[:n] != state.population[:n])
+    changed = np.concatenate(changes)
+    assert changed.any(axis=1).all()
+    # one of D for certain, the others with Cr; 700 x 3 draws: 5 standard deviations are 0.06
+    assert changed.mean() == pytest.approx(cr + (1 - cr) / D, abs=0.06)
+    assert changed.mean(axis=0) == pytest.approx(np.full(D, cr + (1 - cr) / D), abs=0.1)
+
+
+def test_mutants_beyond_the_cube_are_clipped_to_its_faces() -> None:
+    state = started()
+    state.population[:] = np.where(np.random.default_rng(0).random((7, D)) < 0.5, 0.0, 1.0)
+    n = ask(state)
+    assert state.trial[:n].min() == 0.0
+    assert state.trial[:n].max() == 1.0
+
+
+@few
+@given(seed=st.integers(0, 10**6))
+def test_the_better_survives_and_the_trial_if_equal_and_beaten_parents_are_kept(seed: int) -> None:
+    state = started(seed=seed)
+    before, costs = members(state), state.costs.copy()
+    n = ask(state)
+    trial, bounds = state.trial[:n].copy(), state.trial_bounds[:n].copy()
+    change = np.random.default_rng(seed).choice([-0.1, 0.0, 0.1], n)
+    state.trial_costs[:n] = costs + change
+    tell(state, n)
+    assert (bounds == costs).all()
+    assert (state.population == np.where((change <= 0.0)[:, None], trial, before)).all()
+    assert (state.costs == np.minimum(costs, costs + change)).all()
+    assert state.archive[: state.counters[names.ARCHIVED]].tolist() == before[change < 0].tolist()
+    assert (state.costs[state.order] == np.sort(state.costs)).all()
+
+
+def test_the_memory_takes_the_lehmer_mean_of_1_minus_a_and_the_mean_of_cr_weighted_by_gains() -> (
+    None
+):
+    state = started(Settings(population=7, smallest=7, memory=3))
+    n = ask(state)
+    pull, cr, costs = state.pull[:n].copy(), state.cr[:n].copy(), state.costs[:n].copy()
+    gain = np.array([0.3, 0.0, 0.1, -0.2, 0.05, -0.1, 0.0])
+    state.trial_costs[:n] = costs - gain
+    tell(state, n)
+    won = costs - (costs - gain)  # as rounded
+    won[gain <= 0.0] = 0.0
+    lehmer = (won * pull**2).sum() / (won * pull).sum()
+    assert state.memory[0] == pytest.approx([lehmer, (won * cr).sum() / won.sum()], rel=1e-12)
+    assert (state.memory[1:] == [0.5, 1.0]).all()
+    ask(state)
+    state.trial_costs[:n] = math.inf
+    tell(state, n)
+    assert (state.memory[1:] == [0.5, 1.0]).all()  # nothing succeeded, nothing is learnt
+    ask(state)
+    state.trial_costs[:n] = state.costs - 1.0
+    tell(state, n)
+    assert (state.memory[1] != [0.5, 1.0]).all()
+
+
+def test_a_follows_cauchy_and_cr_a_normal_distribution_about_the_memory() -> None:
+    state = started(Settings(population=4_000, smallest=4_000), evaluations=12_000, a=0.4, cr=0.5)
+    n = ask(state)
+    assert n == 4_000
+    pull, cr = state.pull[:n], state.cr[:n]
+    # a quarter of Cauchy's deviates lie beyond one spread to each side; 5 deviations are 0.034
+    assert np.mean(pull > 0.7) == pytest.approx(0.25, abs=0.035)
+    assert np.mean(pull < 0.5) == pytest.approx(0.25, abs=0.035)
+    assert pull.min() >= 0.0
+    assert pull.max() == 1.0
+    assert np.mean(np.abs(cr - 0.5) < 0.1) == pytest.approx(0.683, abs=0.037)
+
+
+@given(size=st.integers(4, 9), more=st.integers(0, 3), i=st.integers(0, 8))
+def test_every_triple_of_others_is_equally_likely(size: int, more: int, i: int) -> None:
+    i, total = i % size, size + more
+    sides = [(np.arange(m) + 0.5) / m for m in (size - 1, size - 2, total - 3)]
+    triples = [others(i, size, total, *u) for u in itertools.product(*sides)]
+    possible = [
+        (r1, r2, r3)
+        for r1, r2 in itertools.permutations(range(size), 2)
+        for r3 in range(total)
+        if i not in (r1, r2, r3) and r3 not in (r1, r2)
+    ]
+    assert sorted(triples) == possible
+
+
+def test_the_population_falls_linearly_and_its_worst_go() -> None:
+    state = begin(D, 2_000, NO_SEEDS, Settings(population=60, smallest=6), np.random.default_rng(1))
+    while state.counters[names.PHASE] in (names.START, names.EVOLVE):
+        before = np.sort(state.costs[: state.counters[names.SIZE]])
+        n = ask(state)
+        told = [bowl(x) for x in state.trial[:n]]
+        state.trial_costs[:n] = told
+        tell(state, n)
+        size = int(state.counters[names.SIZE])
+        assert size == pytest.approx(60.0 - 54.0 * spent(state) / 1_700.0, abs=0.5)
+        now = np.sort(state.costs[:size])
+        assert now[0] == min(min(told), before[0])
+        assert (now <= before[:size]).all()
+        assert (state.costs[state.order[:size]] == now).all()
+        assert all(bowl(state.population[k]) == state.costs[k] for k in range(size))
+        assert state.counters[names.ARCHIVED] <= size
+    assert size == 6
+    assert spent(state) == 1_700
+
+
+@pytest.mark.parametrize(
+    ("evaluations", "expected"), [(10, 20), (600, 27), (3_000, 60), (10**6, 150)]
+)
+def test_the_population_begins_as_large_as_the_budget_allows(
+    evaluations: int, expected: int
+) -> None:
+    assert Settings().members(evaluations) == expected
+    state = begin(D, evaluations, NO_SEEDS, Settings(), np.random.default_rng(0))
+    assert ask(state) == min(expected, evaluations - int(0.15 * evaluations))
+
+
+@few
+@given(seed=st.integers(0, 10**6), evaluations=st.integers(30, 500))
+def test_a_search_told_infinity_above_its_bounds_is_the_same_search(
+    seed: int, evaluations: int
+) -> None:
+    whole = search(rugged, evaluations, seed=seed)
+    short = search(rugged, evaluations, seed=seed, stops_early=True)
+    for a, b in zip(ranked(whole), ranked(short), strict=True):
+        assert a.tobytes() == b.tobytes()
+    assert (whole.population == short.population).all()
+    assert (whole.simplex == short.simplex).all()
+
+
+def test_most_rejected_trials_may_stop_early() -> None:
+    told = []
+    state = begin(D, 900, NO_SEEDS, Settings(), np.random.default_rng(0))
+    while n := ask(state):
+        for i in range(n):
+            state.trial_costs[i] = rugged(state.trial[i])
+            told.append(state.trial_costs[i] > state.trial_bounds[i])
+        tell(state, n)
+    assert np.mean(told) > 0.4
+
+
+@few
+@given(seed=st.integers(0, 10**6), evaluations=st.integers(0, 400))
+def test_at_every_moment_the_best_so_far_is_known_and_the_budget_is_kept(
+    seed: int, evaluations: int
+) -> None:
+    state = begin(D, evaluations, NO_SEEDS, Settings(), np.random.default_rng(seed))
+    told: list[float] = []
+    while n := ask(state):
+        assert state.trial[:n].min() >= 0.0
+        assert state.trial[:n].max() <= 1.0
+        state.trial_costs[:n] = [rugged(x) for x in state.trial[:n]]
+        told += state.trial_costs[:n].tolist()
+        tell(state, n)
+        x, costs = ranked(state)
+        assert spent(state) == len(told)
+        assert costs[0] == min(told)
+        assert (np.diff(costs) >= 0.0).all()
+        assert [rugged(row) for row in x] == costs.tolist()
+        assert len(np.unique(x, axis=0)) == len(x)
+    assert len(told) == evaluations
+    assert ask(state) == 0
+
+
+def test_before_the_first_costs_nothing_is_ranked() -> None:
+    x, costs = ranked(begin(D, 100, NO_SEEDS, Settings(), np.random.default_rng(0)))
+    assert x.shape == (0, D)
+    assert costs.shape == (0,)
+
+
+def rosenbrock(x: FloatArray) -> float:
+    y = 2.0 * x - 0.2
+    return float((100.0 * (y[1:] - y[:-1] ** 2) ** 2 + (1.0 - y[:-1]) ** 2).sum())
+
+
+@pytest.mark.parametrize("dimensions", [2, 3, 7])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_simplex_makes_the_moves_of_another_implementation(dimensions: int, seed: int) -> None:
+    """scipy's, with the same factors, from the same simplex, as long as no vertex is clipped."""
+    how = Settings(population=8, polish=0.95, edge=0.02)
+    start = np.full((1, dimensions), 0.45)
+    state = begin(dimensions, 400, start, how, np.random.default_rng(seed))
+    moves: list[FloatArray] = []
+    simplex = np.empty(0)
+    while n := ask(state):
+        phase = int(state.counters[names.PHASE])
+        if phase not in (names.START, names.EVOLVE, names.BUILD):
+            simplex = simplex if len(simplex) else state.simplex.copy()
+            moves += list(state.trial[:n].copy())
+        state.trial_costs[:n] = [rosenbrock(x) for x in state.trial[:n]]
+        tell(state, n)
+        if len(simplex) and state.counters[names.PHASE] == names.BUILD:
+            break  # it has converged
+    theirs: list[FloatArray] = []
+
+    def recorded(x: FloatArray) -> float:
+        theirs.append(x.copy())
+        return rosenbrock(x)
+
+    minimize(
+        recorded,
+        simplex[0],
+        method="Nelder-Mead",
+        options={"adaptive": True, "initial_simplex": simplex, "maxfev": 380, "fatol": 0.0},
+    )
+    after = theirs[dimensions + 1 :]
+    compared = min(len(moves), len(after), 60)
+    assert compared == 60
+    assert np.max(moves[:compared]) < 1.0
+    assert np.min(moves[:compared]) > 0.0
+    assert np.array(moves[:compared]) == pytest.approx(np.array(after[:compared]), abs=1e-9)
+
+
+def test_a_simplex_that_has_collapsed_is_begun_anew_and_its_best_vertex_kept() -> None:
+    state = begin(2, 2_000, np.empty((0, 2)), Settings(polish=0.9), np.random.default_rng(0))
+    best, begun = [], 0
+    while n := ask(state):
+        begun += state.counters[names.PHASE] == names.BUILD
+        state.trial_costs[:n] = [abs(x[0] - 0.25) + abs(x[1] - 0.5) for x in state.trial[:n]]
+        tell(state, n)
+        best.append(ranked(state)[1][0])
+    assert begun > 3
+    assert (np.diff(best) <= 0.0).all()
+    assert best[-1] < 1e-6
+
+
+def test_an_optimum_on_the_bounds_is_hit_exactly() -> None:
+    outside = np.array([1.2, -0.3, 0.4, 1.0])
+    state = search(lambda x: float(np.abs(x - outside).sum()), 1_500, dimensions=4)
+    best = ranked(state)[0][0]
+    assert best[[0, 1, 3]].tolist() == [1.0, 0.0, 1.0]
+    assert best[2] == pytest.approx(0.4, abs=1e-3)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_costs_that_are_no_finite_numbers_are_survived(value: float) -> None:
+    state = search(lambda x: value if x[0] < 0.6 else bowl(x), 600)
+    x, costs = ranked(state)
+    assert np.isfinite(x).all()
+    assert not np.isnan(costs).any()
+    assert costs[0] == -math.inf if value == -math.inf else costs[0] == bowl(x[0])
+    assert np.isfinite(state.memory).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_most_of_a_rugged_landscape_ends_at_its_bottom(seed: int) -> None:
+    lattice = np.linspace(0.0, 1.0, 41)
+    grid = np.stack(np.meshgrid(lattice, lattice, lattice), axis=-1).reshape(-1, D)
+    bottom = min(rugged(x) for x in grid[:: 1 if seed == 0 else 7])
+    assert ranked(search(rugged, 1_500, seed=seed))[1][0] <= bottom + 1e-9
+
+
+def test_a_compiled_search_is_the_same_search() -> None:
+    numba = pytest.importorskip("numba")
+    from numba.extending import register_jitable
+
+    for helper in HELPERS:
+        register_jitable(helper)
+
+    def run(state: State, until: int) -> None:
+        while spent(state) < until:
+            n = ask(state)
+            for i in range(n):
+                total = 0.0
+                for j in range(state.trial.shape[1]):
+                    total += abs(state.trial[i, j] - 0.1) + (
+                        0.3 if state.trial[i, j] > 0.7 else 0.0
+                    )
+                state.trial_costs[i] = total if total <= state.trial_bounds[i] else math.inf
+            tell(state, n)
+
+    compiled = numba.njit(run)
+    for dimensions in (1, 7):
+        both = []
+        for each in (run, compiled):
+            rng = np.random.default_rng(5)
+            state = begin(dimensions, 800, np.empty((0, dimensions)), Settings(), rng)
+            for until in (300, 600, 800):
+                each(state, until)
+            both.append(state)
+        for field, a, b in zip(State._fields, *both, strict=True):
+            assert a.tobytes() == b.tobytes(), field
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"smallest": 3},
+        {"population": 5},
+        {"p_best": -0.1},
+        {"p_best": math.nan},
+        {"polish": 1.0},
+        {"edge": 1.0},
+        {"memory": 0},
+        {"archive": -1.0},
+    ],
+)
+def test_settings_that_cannot_work_are_refused_by_name(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        Settings(**wrong)  # type: ignore[arg-type]

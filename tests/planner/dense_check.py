@@ -1,0 +1,118 @@
+"""An independent look at what a certificate promises, every metre of a curve.
+
+Shares no code with the product: the curve is scipy's, columns are compared one by one, the
+dead-man stretches are flown point by point.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from companion.planner.settings import Task
+from companion.world.known_map import KnownMap
+from companion.world.threats import CircleKeepOut, KeepOut
+
+FloatArray = NDArray[np.float64]
+
+_SLACK_M = 1e-3
+_CHUNK = 50
+
+
+def spline(control_nea_m: FloatArray) -> Any:
+    spans = len(control_nea_m) - 3
+    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
+    return BSpline(knots, control_nea_m, 3)
+
+
+def column_distance_m(known: KnownMap, points: FloatArray, within_m: float) -> FloatArray:
+    """Distance of points to columns as high as their cells, unknown ones endless.  (K, 3) -> (K,).
+
+    Columns farther than within_m count as that far.
+    """
+    result = np.full(len(points), within_m)
+    low_n = known.north_min_m + np.arange(known.upper_m.shape[0]) * known.cell_m
+    low_e = known.east_min_m + np.arange(known.upper_m.shape[1]) * known.cell_m
+    far = within_m + known.cell_m
+    for k in range(0, len(points), _CHUNK):
+        n, e, z = points[k : k + _CHUNK].T
+        rows = (low_n > n.min() - far) & (low_n < n.max() + far)
+        columns = (low_e > e.min() - far) & (low_e < e.max() + far)
+        if not rows.any() or not columns.any():
+            continue
+        north, east = low_n[rows], low_e[columns]
+        upper = known.upper_m[np.ix_(rows, columns)]
+        n, e = n[:, None], e[:, None]
+        gap_n = np.maximum(np.maximum(north - n, n - north - known.cell_m), 0.0)
+        gap_e = np.maximum(np.maximum(east - e, e - east - known.cell_m), 0.0)
+        down = np.maximum(z[:, None, None] - upper, 0.0)
+        aside = np.hypot(gap_n[:, :, None], gap_e[:, None, :]) - known.registration_m
+        nearest = np.hypot(np.maximum(aside, 0.0), down).min(axis=(1, 2))
+        result[k : k + _CHUNK] = np.minimum(nearest, within_m)
+    return result
+
+
+def keep_out_distance_m(zone: KeepOut, points: FloatArray) -> FloatArray:
+    """Of circles, and of squares along the axes: negative or zero inside."""
+    n, e = points[:, 0], points[:, 1]
+    if isinstance(zone, CircleKeepOut):
+        return np.asarray(np.hypot(n - zone.north_m, e - zone.east_m) - zone.radius_m)
+    (south, west), (north, east) = np.min(zone.vertices_ne_m, 0), np.max(zone.vertices_ne_m, 0)
+    gap_n = np.maximum(np.maximum(south - n, n - north), 0.0)
+    gap_e = np.maximum(np.maximum(west - e, e - east), 0.0)
+    return np.asarray(np.hypot(gap_n, gap_e))
+
+
+def nearest_m(task: Task, known: KnownMap, points: FloatArray, within_m: float) -> float:
+    """Least distance of points to terrain and keep-outs."""
+    gaps = [float(keep_out_distance_m(zone, points).min()) for zone in task.keep_outs]
+    return min(float(column_distance_m(known, points, within_m).min()), *gaps, within_m)
+
+
+def stretches_nea_m(curve: Any, task: Task, *, from_rest: bool) -> FloatArray:
+    """Where the vehicle comes if the companion dies: every 20 m along, every 4 m ahead."""
+    limits = task.limits
+    fine = np.linspace(0.0, 1.0, 3_001)
+    chords = np.linalg.norm(np.diff(curve(fine), axis=0), axis=-1)
+    flown = np.concatenate([[0.0], np.cumsum(chords)])
+    points = []
+    for at in np.arange(0.0, flown[-1], 20.0):
+        u = float(np.interp(at, flown, fine))
+        room = min(flown[-1] - at, at) if from_rest else flown[-1] - at
+        speed = min(limits.speed_m_s, math.sqrt(2.0 * limits.acceleration_m_s2 * room))
+        reach = speed * limits.dead_man_s + speed**2 / (2.0 * limits.acceleration_m_s2)
+        tangent = curve(u, 1) / np.linalg.norm(curve(u, 1))
+        points += [curve(u) + ahead * tangent for ahead in np.append(np.arange(0, reach, 4), reach)]
+    return np.array(points)
+
+
+def violations(
+    control_nea_m: FloatArray, task: Task, known: KnownMap, *, from_rest: bool
+) -> list[str]:
+    """The bounds that a curve breaks somewhere, in words; empty: none was found."""
+    limits, curve = task.limits, spline(control_nea_m)
+    wanted = task.settings.safety_distance_m
+    wanted += limits.tracking_error_m + limits.navigation_error_m
+    error = limits.tracking_error_m + limits.navigation_error_m
+    legs = np.linalg.norm(np.diff(control_nea_m, axis=0), axis=-1).sum()
+    u = np.linspace(0.0, 1.0, math.ceil(1.5 * legs) + 1)  # metres, or less where it is fast
+    points, first, second = curve(u), curve(u, 1), curve(u, 2)
+    ground = np.hypot(first[:, 0], first[:, 1])
+    bend = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / ground**3
+    slope = np.arctan2(first[:, 2], ground)
+    n, e, z = points.T
+    stretches = stretches_nea_m(curve, task, from_rest=from_rest)
+    found = {
+        "clearance": nearest_m(task, known, points, 2.0 * wanted) < wanted - _SLACK_M,
+        "dead man": nearest_m(task, known, stretches, 2.0 * error) < error - _SLACK_M,
+        "turn": bend.max() > (1.0 + 1e-6) / limits.turn_radius_m,
+        "climb": slope.max() > limits.climb_angle_rad + 1e-6,
+        "dive": slope.min() < -limits.dive_angle_rad - 1e-6,
+        "floor": z.min() < limits.floor_amsl_m + error - _SLACK_M,
+        "ceiling": z.max() > limits.ceiling_amsl_m - error + _SLACK_M,
+        "map": min(n.min() - limits.north_m[0], e.min() - limits.east_m[0]) < -_SLACK_M
+        or max(n.max() - limits.north_m[1], e.max() - limits.east_m[1]) > _SLACK_M,
+    }
+    return [name for name, broken in found.items() if broken]
