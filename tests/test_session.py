@@ -1,6 +1,7 @@
 """The whole companion as bytes in and bytes out, against a scripted vehicle."""
 
 import sys
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -118,6 +119,15 @@ def test_the_journal_tells_the_phases_in_order(flown: Pair) -> None:
     assert phases == ["preparing", "arming", "taking off", "flying", "arrived", "done"]
     times = [entry["t_s"] for entry in flown.journal]
     assert times == sorted(times)
+
+
+def test_the_journal_tells_what_found_each_plan_and_what_is_proven_of_it(flown: Pair) -> None:
+    [entry] = [entry for entry in flown.journal if entry["kind"] == "plan ready"]
+    assert flown.asked is not None
+    answer = straight_plan(flown.asked)
+    assert entry["kernel"] == answer.kernel
+    assert entry["certificate"] == asdict(answer.certificate)
+    assert entry["control_nea_m"] == answer.subpath.control_nea_m.tolist()
 
 
 def test_a_scan_is_answered_block_by_block(flown: Pair) -> None:

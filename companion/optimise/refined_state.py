@@ -156,10 +156,20 @@ def ranked(state: State) -> tuple[FloatArray, FloatArray]:
 
     -> (M, D) in the unit cube, and their costs (M,); nothing before the first tell().
     """
-    size = int(state.counters[SIZE]) if state.counters[PHASE] != START else 0
+    phase = int(state.counters[PHASE])
+    size = int(state.counters[SIZE]) if phase != START else 0
     vertices = state.simplex_costs < math.inf  # the others have not been evaluated
-    x = np.concatenate([state.simplex[vertices], state.population[:size]])
-    costs = np.concatenate([state.simplex_costs[vertices], state.costs[:size]])
+    pending = int(phase in (EXPAND, OUTSIDE))  # a reflected vertex may be the best so far
+    x = np.concatenate(
+        [state.simplex[vertices], state.reflected[:pending], state.population[:size]]
+    )
+    costs = np.concatenate(
+        [
+            state.simplex_costs[vertices],
+            state.numbers[REFLECTED_COST : REFLECTED_COST + pending],
+            state.costs[:size],
+        ]
+    )
     order = np.argsort(costs, kind="stable")
     x, costs = x[order], costs[order]
     first = np.sort(np.unique(x, axis=0, return_index=True)[1])

@@ -354,7 +354,7 @@ def rosenbrock(x: FloatArray) -> float:
 def test_the_simplex_makes_the_moves_of_another_implementation(dimensions: int, seed: int) -> None:
     """scipy's, with the same factors, from the same simplex, as long as no vertex is clipped."""
     how = Settings(population=8, polish=0.95, edge=0.02)
-    start = np.full((1, dimensions), 0.45)
+    start = 0.4 + 0.1 * np.random.default_rng(seed + 7).random((1, dimensions))
     state = begin(dimensions, 400, start, how, np.random.default_rng(seed))
     moves: list[FloatArray] = []
     simplex = np.empty(0)
@@ -397,7 +397,7 @@ def test_a_simplex_that_has_collapsed_is_begun_anew_and_its_best_vertex_kept() -
         best.append(ranked(state)[1][0])
     assert begun > 3
     assert (np.diff(best) <= 0.0).all()
-    assert best[-1] < 1e-6
+    assert best[-1] < 1e-5
 
 
 def test_an_optimum_on_the_bounds_is_hit_exactly() -> None:

@@ -1,9 +1,14 @@
 """A small world for the planner: hills of 300 to 900 m on 8 km x 8 km, a vehicle of 15 m/s."""
 
+import os
+from collections.abc import Iterator
+
 import pytest
 
 from companion.path.limits import Limits
+from companion.planner.kernels import Kernel
 from companion.planner.settings import PlannerSettings, Task
+from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
@@ -32,7 +37,7 @@ def task() -> Task:
             planning_time_s=2.0,
             scan_time_s=1.0,
             overlap_m=200.0,
-            evaluations=400,
+            evaluations=250,
         ),
         radars=(Radar(name="r", centre_nea_m=(6_500.0, 3_300.0, 0.0), range_m=900.0),),
         keep_outs=(
@@ -70,3 +75,12 @@ def blank(task: Task) -> KnownMap:
 @pytest.fixture(scope="session")
 def truth(terrain: PeakTerrain, blank: KnownMap) -> KnownMap:
     return true_map(terrain, blank)
+
+
+@pytest.fixture(scope="session")
+def compiled() -> Iterator[Kernel]:
+    """numba's kernel: compiled in half a minute, or loaded from its cache on disk."""
+    pytest.importorskip("numba")
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("NUMBA_CACHE_DIR", os.environ.get("NUMBA_CACHE_DIR", ""))
+        yield load_kernel()

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from companion.planner.offline import OfflineFlight, fly_offline
-from companion.planner.plan import NotPlanned, PlanRequest, Refusal
+from companion.planner.plan import plan
+from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.terrain import PeakTerrain

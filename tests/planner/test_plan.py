@@ -249,7 +249,7 @@ def test_the_optimiser_that_the_settings_name_searches(
             return make(*arguments)  # type: ignore[operator]
 
         monkeypatch.setitem(OPTIMISERS, each, noted)
-    chosen = planned(replace(request, task=with_budget(task, 400, optimiser=name)))
+    chosen = planned(replace(request, task=with_budget(task, 250, optimiser=name)))
     same = np.array_equal(chosen.subpath.control_nea_m, default.subpath.control_nea_m)
     assert same == (name == "refined-de")  # the default of profile `flight`
     assert set(asked) == (set() if name == "refined-de" else {name})
@@ -339,8 +339,8 @@ def test_a_target_where_the_vehicle_is_gives_a_path_of_numbers_or_no_path(
 
 def test_the_check_of_every_metre_finds_what_is_wrong(task: Task, truth: KnownMap) -> None:
     control = planned(ask(task, truth)).subpath.control_nea_m
-    assert "floor" in violations(control - [0, 0, 30.0], task, truth, from_rest=True)
-    assert "ceiling" in violations(control + [0, 0, 380.0], task, truth, from_rest=True)
+    assert "floor" in violations(control - np.array([0, 0, 30.0]), task, truth, from_rest=True)
+    assert "ceiling" in violations(control + np.array([0, 0, 380.0]), task, truth, from_rest=True)
     hill = np.array([3_000.0, 2_600.0, 0.0]) - control[-1]
     assert "clearance" in violations(control + 0.97 * hill, task, truth, from_rest=True)
     shaken, steep = control.copy(), control.copy()
@@ -348,7 +348,7 @@ def test_the_check_of_every_metre_finds_what_is_wrong(task: Task, truth: KnownMa
     steep[-2, 2] += 800.0
     assert "turn" in violations(shaken, task, truth, from_rest=True)
     assert {"climb", "dive"} <= set(violations(steep, task, truth, from_rest=True))
-    assert "map" in violations(control - [1_500.0, 0, 0], task, truth, from_rest=True)
+    assert "map" in violations(control - np.array([1_500.0, 0, 0]), task, truth, from_rest=True)
     points = np.array([[2_300.0, 4_700.0, 400.0], [5_200.0, 5_450.0, 400.0]])
     gaps = [keep_out_distance_m(zone, points) for zone in task.keep_outs]
     assert gaps[0][0] == pytest.approx(50.0)

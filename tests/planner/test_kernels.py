@@ -1,0 +1,138 @@
+import ast
+import inspect
+import math
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from companion.objective import kernel
+from companion.optimise import refined_de
+from companion.path import proof
+from companion.planner import kernels
+from companion.planner.kernels import NUMPY, Kernel
+from companion.planner.plan import plan
+from companion.planner.procedure import hover_pose
+from companion.planner.request import Planned, PlanRequest
+from companion.planner.settings import Task
+from companion.world.known_map import KnownMap
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "objective"))
+from scenes import cube, random_scene
+
+once = pytest.mark.xdist_group("compiled")  # one worker compiles it, for all of these
+seeds = pytest.mark.parametrize("seed", range(8))
+
+
+@once
+def test_compiled_costs_are_those_of_numpy(compiled: Kernel) -> None:
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        scene = random_scene(rng)
+        x = cube(rng, scene, 20)
+        np.testing.assert_allclose(compiled.costs(x, scene), NUMPY.costs(x, scene), rtol=1e-9)
+
+
+def searched(which: Kernel, seed: int, evaluations: int = 1_200) -> refined_de.State:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, samples=12)
+    state = refined_de.begin(
+        scene.variables, evaluations, cube(rng, scene, 5), refined_de.Settings(), rng
+    )
+    for until in range(400, evaluations + 1, 400):
+        which.search(state, scene, until)
+    return state
+
+
+@once
+@seeds
+def test_the_compiled_search_is_the_same_search(compiled: Kernel, seed: int) -> None:
+    fast, slow = searched(compiled, seed), searched(NUMPY, seed)
+    assert refined_de.spent(fast) == refined_de.spent(slow)
+    (x, costs), (x_slow, costs_slow) = refined_de.ranked(fast), refined_de.ranked(slow)
+    assert costs[0] == pytest.approx(costs_slow[0], rel=1e-9)
+    assert x[0] == pytest.approx(x_slow[0], abs=1e-6)
+
+
+@seeds
+def test_the_source_of_the_compiled_search_makes_the_same_search_as_plain_python(seed: int) -> None:
+    def plainly(state: refined_de.State, scene: object, until: int) -> None:
+        kernels._run(state, kernel.pack(scene), until)  # type: ignore[arg-type]
+
+    plain = Kernel(name="plain", search=plainly, costs=NUMPY.costs, prove=NUMPY.prove)
+    one, other = searched(plain, seed, 400), searched(NUMPY, seed, 400)
+    (x, costs), (x_numpy, costs_numpy) = refined_de.ranked(one), refined_de.ranked(other)
+    assert costs == pytest.approx(costs_numpy, rel=1e-9)
+    assert x == pytest.approx(x_numpy, abs=1e-6)
+
+
+@once
+@pytest.mark.parametrize("start", [(1_000.0, 1_000.0, 450.0), (3_500.0, 3_100.0, 500.0)], ids=str)
+@pytest.mark.parametrize("from_rest", [True, False], ids=["from rest", "in flight"])
+def test_both_kernels_make_the_same_plan(
+    compiled: Kernel,
+    task: Task,
+    truth: KnownMap,
+    start: tuple[float, float, float],
+    from_rest: bool,
+) -> None:
+    request = PlanRequest(
+        plan_id=1,
+        seed=7,
+        task=task,
+        known=truth,
+        scan_nea_m=start,
+        start=hover_pose(start),
+        from_rest=from_rest,
+        target_ne_m=(7_500.0, 7_500.0),
+    )
+    slow, fast = plan(request), plan(request, kernel=compiled)
+    assert isinstance(slow, Planned)
+    assert isinstance(fast, Planned)
+    assert (slow.kernel, fast.kernel) == ("numpy", "numba")
+    np.testing.assert_allclose(
+        fast.subpath.control_nea_m, slow.subpath.control_nea_m, rtol=1e-6, atol=1e-6
+    )
+    assert fast.cost == pytest.approx(slow.cost, rel=1e-9)
+    assert (fast.rank, fast.tries, fast.evaluations) == (slow.rank, slow.tries, slow.evaluations)
+    assert fast.certificate.proven
+    for name in ("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "climb_angle_rad"):
+        one, other = getattr(fast.certificate, name), getattr(slow.certificate, name)
+        assert one == pytest.approx(other, rel=1e-6), name
+
+
+def test_a_search_ends_with_the_generation_in_which_its_evaluations_are_spent() -> None:
+    rng = np.random.default_rng(1)
+    scene = random_scene(rng, samples=12)
+    state = refined_de.begin(scene.variables, 900, cube(rng, scene, 5), refined_de.Settings(), rng)
+    generation = len(state.population)
+    for until in (300, 600, 900):
+        NUMPY.search(state, scene, until)
+        assert until <= refined_de.spent(state) <= min(until + generation, 900)
+    assert math.isfinite(float(refined_de.ranked(state)[1][0]))
+
+
+# --- what the cache on disk depends on
+
+
+COMPILED = (*kernel.HELPERS, kernel.cost, *refined_de.HELPERS, *proof.HELPERS, proof.prove)
+
+
+def test_all_that_is_compiled_comes_from_the_sources_that_the_cache_knows() -> None:
+    for function in COMPILED:
+        module = inspect.getmodule(function)
+        assert module in kernels.SOURCES or module is kernels, function
+
+
+@pytest.mark.parametrize("module", kernels.SOURCES, ids=lambda m: m.__name__)
+def test_a_constant_that_compiled_code_imports_comes_from_such_a_source_too(
+    module: ModuleType,
+) -> None:
+    """numba freezes constants into the machine code."""
+    known = {each.__name__ for each in kernels.SOURCES}
+    for node in ast.walk(ast.parse(Path(str(module.__file__)).read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("companion"):
+            constants = [each.name for each in node.names if each.name.lstrip("_").isupper()]
+            assert not constants or node.module in known, constants
