@@ -146,7 +146,10 @@ def lattice_of(known: KnownMap, task: Task, here_ne_m: Place, cells: int) -> Lat
     fraction = (altitude - limits.floor_amsl_m) / band
     seen = _detection(task, north, east, altitude, step)
     blocked = (above > 0.0) | _in_keep_out(task, north, east)
-    cost = 1.0 + per_height * fraction + 3.0 * weights.radar / per_length * seen
+    rows_, cols_ = (np.clip(first[a] + cells * np.arange(count[a]), 0, known.seen.shape[a] - 1) for a in (0, 1))
+    import os
+    shadow = float(os.environ.get("PREM", "0")) * ~known.seen[np.ix_(rows_, cols_)]
+    cost = 1.0 + shadow + per_height * fraction + 3.0 * weights.radar / per_length * seen
     return Lattice(
         north_min_m=north_min,
         east_min_m=east_min,

@@ -2,8 +2,10 @@
 
 import hashlib
 import os
+import shutil
 import tempfile
 import threading
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,22 +25,37 @@ from companion.world.known_map import empty_map
 
 
 def load_kernel() -> Kernel:
-    """The fastest kernel that there is: numba's, or numpy's where numba is not installed.
+    """The fastest kernel that there is: numba's, or numpy's where numba is absent or broken.
 
     The first time it takes some ten seconds to compile; then it is loaded from a cache on disk.
-    Where no such cache can be written it is compiled each time.
+    Where no such cache can be written it is compiled each time; one that cannot be read (a power
+    cut may have torn it) is made anew.
     """
-    cached = _prepare_cache()
+    cache = _prepare_cache()
+    if cache is None:
+        return _compiled(cached=False) or NUMPY
+    kernel = _compiled(cached=True)
+    if kernel is None and any(cache.iterdir()):
+        shutil.rmtree(cache, ignore_errors=True)
+        kernel = _compiled(cached=True)
+    return kernel or NUMPY
+
+
+def _compiled(*, cached: bool) -> Kernel | None:
     try:
         kernel = kernels.compiled(cached=cached)
+        _warm_up(kernel)
     except ImportError:
-        return NUMPY
-    _warm_up(kernel)
+        return None
+    except Exception as error:  # noqa: BLE001 - whatever is wrong with it, numpy can fly
+        text = f"the compiled kernel cannot be used: {type(error).__name__}: {error}"
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
+        return None
     return kernel
 
 
-def _prepare_cache() -> bool:
-    """Point numba at a folder of this very code's own; whether that can be written to.
+def _prepare_cache() -> Path | None:
+    """Point numba at a folder of this very code's own; None if that cannot be written to.
 
     numba looks at the entry function's file alone to see whether its cache is stale, so the
     folder's name holds a digest of all that is compiled.  The environment's NUMBA_CACHE_DIR wins.
@@ -55,9 +72,9 @@ def _prepare_cache() -> bool:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError:
-        return False
+        return None
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    return True
+    return folder
 
 
 def _warm_up(kernel: Kernel) -> None:

@@ -42,7 +42,11 @@ def mission_words(mission: Mission) -> str:
 
 def _targets(mission: Mission) -> str:
     last = "hold there" if mission.end_action is EndAction.HOLD else "land there"
-    places = [f"{_m(north)} north, {_m(east)} east" for north, east in mission.targets_ne_m]
+    places = [
+        f"{_m(abs(north))} {'south' if north < 0.0 else 'north'}, "
+        f"{_m(abs(east))} {'west' if east < 0.0 else 'east'}"
+        for north, east in mission.targets_ne_m
+    ]
     route = " then ".join(places)
     ends = [(0.0, 0.0), *mission.targets_ne_m]
     straight = sum(math.dist(a, b) for a, b in itertools.pairwise(ends))
@@ -59,7 +63,7 @@ def _threats(mission: Mission) -> str:
 
 
 def _m(value_m: float) -> str:
-    return f"{value_m / 1000:g} km" if abs(value_m) >= 1000.0 else f"{value_m:g} m"
+    return f"{value_m / 1000:.4g} km" if abs(value_m) >= 1000.0 else f"{value_m:g} m"
 
 
 def flight_table(flown: Flown) -> Table:

@@ -83,4 +83,6 @@ def compiled() -> Iterator[Kernel]:
     pytest.importorskip("numba")
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("NUMBA_CACHE_DIR", os.environ.get("NUMBA_CACHE_DIR", ""))
-        yield load_kernel()
+        kernel = load_kernel()
+        assert kernel.name == "numba"
+        yield kernel

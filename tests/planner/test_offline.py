@@ -1,8 +1,12 @@
 import math
+import sys
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
@@ -11,23 +15,66 @@ from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.terrain import PeakTerrain
 
+sys.path.insert(0, str(Path(__file__).parent))
+from dense_check import spline, violations
+
 START = (800.0, 800.0, 450.0)
 TARGET = (7_200.0, 7_000.0)
 
 
-@pytest.fixture(scope="module")
-def flight(task: Task, blank: KnownMap, truth: KnownMap) -> OfflineFlight:
+class Refusing:
+    """The planner itself, but for some of the requests; remembers them all."""
+
+    def __init__(self, *numbers: int) -> None:
+        self.numbers = numbers
+        self.requests: list[PlanRequest] = []
+        self.outcomes: list[PlanOutcome] = []
+
+    def __call__(self, request: PlanRequest) -> PlanOutcome:
+        self.requests.append(request)
+        if len(self.requests) in self.numbers:
+            outcome: PlanOutcome = NotPlanned(
+                plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE, broken=("x",)
+            )
+        else:
+            outcome = plan(request)
+        self.outcomes.append(outcome)
+        return outcome
+
+
+def fly(
+    task: Task,
+    blank: KnownMap,
+    truth: KnownMap,
+    planner: Refusing,
+    targets: tuple[tuple[float, float], ...] = (TARGET,),
+) -> OfflineFlight:
     return fly_offline(
-        task, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=(TARGET,), seed=3
+        task,
+        blank=blank,
+        truth=truth,
+        start_nea_m=START,
+        targets_ne_m=targets,
+        seed=3,
+        planner=planner,
     )
 
 
-def flown(flight: OfflineFlight, task: Task) -> np.ndarray:
-    """Points of the whole path, 5 m apart, each leg up to where the next one takes over."""
+@pytest.fixture(scope="module")
+def planner() -> Refusing:
+    return Refusing()
+
+
+@pytest.fixture(scope="module")
+def flight(task: Task, blank: KnownMap, truth: KnownMap, planner: Refusing) -> OfflineFlight:
+    return fly(task, blank, truth, planner)
+
+
+def flown(flight: OfflineFlight) -> np.ndarray:
+    """Points of the whole path, 5 m apart, each leg as far as it was flown."""
     points = []
-    for leg in flight.legs:
-        last = leg.subpath.length_m if leg is flight.legs[-1] else leg.successor_at_m(task)
-        points += [leg.subpath.pose(at).position_nea_m for at in np.arange(0.0, last, 5.0)]
+    for leg, flown_m in zip(flight.legs, flight.flown_m, strict=True):
+        points += [leg.subpath.pose(at).position_nea_m for at in np.arange(0.0, flown_m, 5.0)]
     return np.array(points)
 
 
@@ -40,13 +87,50 @@ def test_the_flight_arrives_at_the_target(flight: OfflineFlight) -> None:
     assert len(flight.plans) == len(flight.scans_nea_m) == len(flight.legs) >= 4
 
 
-def test_position_and_tangent_go_on_from_leg_to_leg(flight: OfflineFlight, task: Task) -> None:
+def curvature_1_m(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.asarray(np.cross(np.cross(first, second), first) / np.linalg.norm(first) ** 4)
+
+
+def test_position_tangent_and_curvature_go_on_from_leg_to_leg(
+    flight: OfflineFlight, task: Task
+) -> None:
     assert flight.legs[0].subpath.pose(0.0).position_nea_m == pytest.approx(START)
-    for leg, after in zip(flight.legs, flight.legs[1:], strict=False):
-        here = leg.subpath.pose(leg.successor_at_m(task))
-        there = after.subpath.pose(0.0)
-        assert there.position_nea_m == pytest.approx(here.position_nea_m)
-        assert there.tangent_nea == pytest.approx(here.tangent_nea, abs=1e-9)
+    for leg, after in pairwise(flight.legs):
+        old, new = spline(leg.subpath.control_nea_m), spline(after.subpath.control_nea_m)
+        joint = new(0.0)
+        k = int(np.linalg.norm(old(np.linspace(0.0, 1.0, 401)) - joint, axis=-1).argmin())
+        u = brentq(lambda at: (old(at) - joint) @ old(at, 1), (k - 1) / 400, (k + 1) / 400)  # noqa: B023
+        assert np.linalg.norm(old(u) - joint) <= 1e-6 * task.settings.scan_range_m
+        (a, a2), (b, b2) = ((curve(at, 1), curve(at, 2)) for curve, at in ((old, u), (new, 0.0)))
+        assert np.linalg.norm(a / np.linalg.norm(a) - b / np.linalg.norm(b)) <= 1e-6
+        bend = curvature_1_m(a, a2)
+        assert np.linalg.norm(curvature_1_m(b, b2) - bend) <= 1e-6 * np.linalg.norm(bend) + 1e-12
+
+
+def test_each_leg_is_flown_to_where_the_next_one_begins(flight: OfflineFlight, task: Task) -> None:
+    assert len(flight.flown_m) == len(flight.legs)
+    for leg, flown_m, after in zip(flight.legs, flight.flown_m, flight.legs[1:], strict=False):
+        there = leg.subpath.pose(flown_m).position_nea_m
+        assert there == pytest.approx(after.subpath.control_nea_m[0])
+        assert leg.subpath.length_m - flown_m == pytest.approx(task.tail_m)
+    assert flight.flown_m[-1] == flight.legs[-1].subpath.length_m
+
+
+def test_every_leg_is_proven_and_passes_a_check_of_every_metre_against_the_truth(
+    flight: OfflineFlight, task: Task, truth: KnownMap
+) -> None:
+    for number, (leg, planned) in enumerate(zip(flight.legs, flight.plans, strict=True)):
+        assert planned.certificate.proven
+        control = leg.subpath.control_nea_m
+        assert violations(control, task, truth, from_rest=number == 0) == []
+
+
+def test_each_plan_knows_the_route_that_the_last_one_had_in_mind(planner: Refusing) -> None:
+    assert planner.requests[0].route_ne_m == ()
+    for outcome, request in zip(planner.outcomes, planner.requests[1:], strict=False):
+        assert isinstance(outcome, Planned)
+        assert request.route_ne_m == outcome.route_ne_m
+        assert request.plan_id == outcome.plan_id + 1
 
 
 def test_scans_are_made_at_p_scan_of_each_leg(flight: OfflineFlight, task: Task) -> None:
@@ -60,7 +144,7 @@ def test_scans_are_made_at_p_scan_of_each_leg(flight: OfflineFlight, task: Task)
 def test_the_whole_flight_keeps_the_safety_distance_to_the_true_terrain(
     flight: OfflineFlight, task: Task, terrain: PeakTerrain
 ) -> None:
-    points = flown(flight, task)
+    points = flown(flight)
     around = np.arange(-72.0, 73.0, 8.0)
     n = points[:, 0, None, None] + around[:, None]
     e = points[:, 1, None, None] + around[None, :]
@@ -98,30 +182,69 @@ def test_the_same_seed_flies_the_same_path(
         assert a.subpath.control_nea_m.tobytes() == b.subpath.control_nea_m.tobytes()
 
 
-def test_a_flight_without_a_plan_ends_with_the_reason(
+# --- when there is no plan
+
+
+def test_a_flight_that_finds_no_way_gives_up_after_four_attempts_each_wider(
     task: Task, blank: KnownMap, truth: KnownMap
 ) -> None:
-    def refuses(request: PlanRequest) -> NotPlanned:
-        return NotPlanned(
-            plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE, broken=("x",), evaluations=1
-        )
+    planner = Refusing(*range(1, 100))
+    flight = fly(task, blank, truth, planner)
+    assert flight.failure is planner.outcomes[-1]
+    assert flight.legs == flight.plans == flight.flown_m == ()
+    assert flight.scans_nea_m == (START,) * 4
+    assert [request.attempt for request in planner.requests] == [0, 1, 2, 3]
+    assert len({request.plan_id for request in planner.requests}) == 4
 
-    flight = fly_offline(
-        task,
-        blank=blank,
-        truth=truth,
-        start_nea_m=START,
-        targets_ne_m=(TARGET,),
-        seed=3,
-        planner=refuses,
-    )
-    assert flight.failure is not None
-    assert flight.legs == flight.plans == ()
-    assert flight.scans_nea_m == (START,)
+
+def test_a_leg_without_a_successor_is_flown_to_its_end_and_the_flight_goes_on_from_there(
+    task: Task, blank: KnownMap, truth: KnownMap
+) -> None:
+    planner = Refusing(3)
+    flight = fly(task, blank, truth, planner)
+    assert flight.failure is None
+    assert flight.legs[-1].reaches_target
+    assert flight.holds == 1
+    held = flight.legs[1].subpath
+    assert flight.flown_m[1] == held.length_m
+    assert flight.flown_m[0] < flight.legs[0].subpath.length_m
+    end = held.pose(held.length_m).position_nea_m
+    assert flight.legs[2].subpath.control_nea_m[0] == pytest.approx(end)
+    anew = planner.requests[3]
+    assert anew.from_rest
+    assert anew.attempt == 0
+    assert anew.scan_nea_m == pytest.approx(tuple(end))
+    assert not planner.requests[2].from_rest
+    assert not planner.requests[4].from_rest
+
+
+def test_attempts_are_counted_anew_once_a_plan_is_found(
+    task: Task, blank: KnownMap, truth: KnownMap
+) -> None:
+    planner = Refusing(1, 2, 4, 5, 6)
+    flight = fly(task, blank, truth, planner)
+    assert flight.legs[-1].reaches_target
+    # twice from the start; in flight, which ends it in a hover; twice from there
+    assert [request.attempt for request in planner.requests[:7]] == [0, 1, 2, 0, 0, 1, 2]
+    assert [request.from_rest for request in planner.requests[:7]] == [True] * 3 + [False] + [
+        True
+    ] * 3
+    assert flight.holds == 1
+
+
+def test_a_flight_that_is_stuck_on_its_way_keeps_what_it_has_flown(
+    task: Task, blank: KnownMap, truth: KnownMap
+) -> None:
+    planner = Refusing(*range(3, 100))
+    flight = fly(task, blank, truth, planner)
+    assert isinstance(flight.failure, NotPlanned)
+    assert len(flight.legs) == 2
+    assert flight.flown_m[1] == flight.legs[1].subpath.length_m
+    assert len(planner.requests) == 2 + 1 + 4
 
 
 def test_the_flight_goes_round_the_radar(flight: OfflineFlight, task: Task) -> None:
-    points, radar = flown(flight, task), task.radars[0]
+    points, radar = flown(flight), task.radars[0]
     straight = np.linspace(START[:2], TARGET, 500)
     crossed = np.hypot(*(straight - radar.centre_nea_m[:2]).T) < radar.range_m
     assert math.dist(START[:2], TARGET) < 5.0 * len(points) < 1.3 * math.dist(START[:2], TARGET)
@@ -144,9 +267,20 @@ def test_a_flight_begins_anew_from_where_the_task_changes(
 def test_targets_are_reached_in_their_order_with_a_stop_at_each(
     task: Task, blank: KnownMap, truth: KnownMap
 ) -> None:
-    targets = (TARGET, (6_000.0, 2_000.0))
-    flight = fly_offline(
-        task, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=targets, seed=3
-    )
+    targets, planner = ((2_500.0, 2_000.0), (1_000.0, 3_500.0), (1_000.0, 3_400.0)), Refusing()
+    flight = fly(task, blank, truth, planner, targets)
     ends = [leg.subpath.control_nea_m[-1, :2] for leg in flight.legs if leg.reaches_target]
     np.testing.assert_allclose(ends, targets, atol=1e-6)
+    reached = 0
+    for request, leg in zip(planner.requests, flight.legs, strict=True):
+        assert request.target_ne_m == targets[reached]
+        reached += leg.reaches_target
+    from_rest = [request.from_rest for request in planner.requests]
+    assert from_rest == [True, *(leg.reaches_target for leg in flight.legs[:-1])]
+    for (leg, flown_m), after in zip(
+        zip(flight.legs, flight.flown_m, strict=True), flight.legs[1:], strict=False
+    ):
+        if leg.reaches_target:
+            assert flown_m == leg.subpath.length_m
+            end = leg.subpath.pose(flown_m).position_nea_m
+            assert after.subpath.control_nea_m[0] == pytest.approx(end)

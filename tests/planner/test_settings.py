@@ -39,12 +39,43 @@ def test_the_distances_of_environment_1_are_those_of_the_design() -> None:
     assert task.tail_m == 3_000.0  # 0.15 R; V^2 / 2 a + d_s is 2750 m
     assert task.shortest_scan_distance_m == 150.0 * (9.0 + 3 * 0.1) + 3_000.0
     assert task.scan_distance_m == task.shortest_scan_distance_m
-    assert task.required_clearance_m == 510.0
+    assert task.error_m == 15.0  # tracking 10 m, navigation 5 m
+    assert task.required_clearance_m == 515.0  # d_s, and both
 
 
 def test_the_tail_of_the_paper_is_the_safety_distance_and_its_circle_the_scan_range() -> None:
     assert PAPERS.tail_m == 500.0
     assert PAPERS.end_radius_m == 20_000.0
+
+
+def test_a_certificate_is_asked_for_what_keeps_the_vehicle_on_the_curve_safe() -> None:
+    margins = ENVIRONMENT_1.margins
+    assert margins.clearance_m == 515.0
+    assert margins.contact_m == margins.band_inset_m == 15.0
+    assert margins.dead_man_s == LIMITS.dead_man_s == 3.5
+
+
+def test_the_paper_aims_at_the_safety_distance_and_at_the_whole_band() -> None:
+    assert PAPERS.search_clearance_m == 500.0
+    assert PAPERS.band_amsl_m == (3_000.0, 5_000.0)
+
+
+errors = st.floats(0.0, 60.0)
+
+
+@given(d_s=st.floats(1.0, 600.0), tracking=errors, navigation=errors)
+def test_the_search_aims_at_more_than_the_certificate_asks_for(
+    d_s: float, tracking: float, navigation: float
+) -> None:
+    task = replace(
+        ENVIRONMENT_1,
+        limits=replace(LIMITS, tracking_error_m=tracking, navigation_error_m=navigation),
+        settings=replace(ENVIRONMENT_1.settings, safety_distance_m=d_s),
+    )
+    assert task.search_clearance_m >= task.required_clearance_m >= d_s
+    low, high = task.band_amsl_m
+    assert low >= 3_000.0 + tracking + navigation
+    assert high <= 5_000.0 - tracking - navigation
 
 
 def test_a_scan_distance_that_is_given_is_taken() -> None:
@@ -81,6 +112,8 @@ def test_the_scan_distance_keeps_equation_4_and_the_tail_holds_a_stop(
     if profile is FLIGHT:
         stopping_time = speed / acceleration
         assert task.tail_m >= speed * stopping_time / 2.0 + d_s - 1e-9
+        # flying on for the dead man's time, and then braking
+        assert task.tail_m >= speed * 3.5 + speed * stopping_time / 2.0 - 1e-9
 
 
 @pytest.mark.parametrize("d_s", [20.0, 90.0])
@@ -102,3 +135,32 @@ def test_at_the_end_of_a_subpath_the_ground_within_the_clearance_has_been_scanne
     angle = np.linspace(0.0, 2.0 * math.pi, 50) + turn
     end_n, end_e = n + task.end_radius_m * np.cos(angle), e + task.end_radius_m * np.sin(angle)
     assert (surface.altitude_m(end_n, end_e) < 5_000.0).all()
+
+
+@given(
+    speed=st.floats(1.0, 200.0),
+    acceleration=st.floats(0.5, 20.0),
+    flies_on_s=st.floats(0.0, 10.0),
+    d_s=st.floats(1.0, 600.0),
+    error=errors,
+)
+def test_a_vehicle_that_is_left_alone_near_the_end_of_sight_stays_over_ground_that_was_scanned(
+    speed: float, acceleration: float, flies_on_s: float, d_s: float, error: float
+) -> None:
+    limits = replace(
+        LIMITS,
+        speed_m_s=speed,
+        acceleration_m_s2=acceleration,
+        dead_man_s=flies_on_s,
+        tracking_error_m=error,
+        navigation_error_m=0.5 * error,
+    )
+    planner = replace(ENVIRONMENT_1.settings, safety_distance_m=d_s)
+    task = replace(ENVIRONMENT_1, limits=limits, settings=planner)
+    before_end_m = np.linspace(0.0, speed**2 / acceleration, 400)
+    slowing = np.minimum(np.sqrt(2.0 * acceleration * before_end_m), speed)  # to stop at the end
+    beyond_m = slowing * flies_on_s + slowing**2 / (2.0 * acceleration) - before_end_m
+    farthest_m = task.end_radius_m + beyond_m.max() + 1.5 * error
+    cell_diagonal_m = math.hypot(task.cell_m, task.cell_m)  # a cell is seen by its middle
+    assert farthest_m <= task.settings.scan_range_m - cell_diagonal_m
+    assert task.end_radius_m + task.required_clearance_m <= 20_000.0 - cell_diagonal_m

@@ -34,11 +34,11 @@ UNPROVEN = replace(PROVEN, broken=("turn radius",))
 
 
 def planned(certificate: Certificate, cost: float) -> Planned:
-    ends = np.array([[0.0, 0.0, 3030.0], [9_000.0, 12_000.0, 3030.0]])
+    start, end = np.array([0.0, 0.0, 3030.0]), np.array([9_000.0, 12_000.0, 3030.0])
     return Planned(
         plan_id=1,
         kernel="numpy",
-        subpath=Subpath(control_nea_m=np.linspace(*ends, 4)),
+        subpath=Subpath(control_nea_m=np.linspace(start, end, 4)),
         reaches_target=False,
         cost=cost,
         to_go=20.0,
@@ -64,6 +64,13 @@ def flown(*plans: Planned) -> Flown:
     flight.plans += plans
     flight.end = End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")
     return flight
+
+
+def test_targets_are_told_by_their_distances_from_the_origin_to_a_metre_in_10_km() -> None:
+    mission = replace(load_mission("environment-1"), targets_ne_m=((-3_000.0, -2_000.0),))
+    words = mission_words(mission)
+    assert "3 km south, 2 km west of the origin (3.606 km straight from there)" in words
+    assert "100 km north, 100 km east" in mission_words(load_mission("environment-1"))
 
 
 def test_a_clearance_is_told_only_of_what_is_proven() -> None:

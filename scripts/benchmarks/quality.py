@@ -1,0 +1,328 @@
+"""How good the search is, against every rival, on problems drawn from complete missions.
+
+    python scripts/benchmarks/quality.py [--seeds 10] [--slow-seeds 2] [--all] [--json FILE]
+                                         [--only NAME ...] [--record] [--best-known RUNS]
+
+Gap: (f - f*) / max(f*, 2), f* the best known (best_known.json; every run may lower it). Success:
+a gap of at most 1 %. Every search gets the same warm starts (its first members; CMA-ES begins at
+the best of them), the unit cube as bounds, and the budget to the evaluation; populations are what
+its authors recommend, or (`-60`) 60. Intervals: 95 %, by resampling problems and seeds.
+"""
+
+import argparse
+import contextlib
+import json
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+import subpaths
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from subpaths import Problem
+
+from companion.optimise import refined_de
+from companion.optimise.loop import minimise
+from companion.optimise.registry import OPTIMISERS
+from companion.planner import kernels
+from companion.planner.kernels import Kernel
+
+FloatArray = NDArray[np.float64]
+BUDGETS = (600, 1_500, 3_000, 6_000)
+SUCCESS = 0.01
+_BARS = {3_000: 0.95, 6_000: 0.97}
+_SAMPLES = 1_000  # of the bootstrap
+_NEEDLE = 0.3  # a problem that nobody solves in this share of runs with the largest budget
+
+
+class _Spent(Exception):
+    """The budget is: the way out of a rival's loop."""
+
+
+class Counted:
+    """An objective with a budget; keeps the best."""
+
+    def __init__(self, problem: Problem, kernel: Kernel, budget: int) -> None:
+        self._problem, self._kernel = problem, kernel
+        self.left = budget
+        self.best, self.best_x = math.inf, np.zeros(problem.dimensions)
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """(P, D) -> (P,); candidates beyond the budget are infinite, and it ends when it is 0."""
+        if self.left == 0:
+            raise _Spent
+        x = np.clip(np.asarray(x, dtype=float), 0.0, 1.0)
+        count = min(len(x), self.left)
+        costs = np.full(len(x), math.inf)
+        costs[:count] = self._kernel.costs(np.ascontiguousarray(x[:count]), self._problem.scene)
+        self.left -= count
+        if costs.min() < self.best:
+            self.best, self.best_x = float(costs.min()), x[costs.argmin()].copy()
+        return costs
+
+
+Search = Callable[[Counted, Problem, int, int], None]
+"""Spends the budget (the first number) from a seed (the second)."""
+
+
+def _minion(algorithm: str, population: int | None) -> Search:
+    def search(cost: Counted, problem: Problem, budget: int, seed: int) -> None:
+        import minionpy
+
+        options = {"population_size": population} if population else None
+        minionpy.Minimizer(
+            lambda x: cost(np.array(x)).tolist() if cost.left else [1e9] * len(x),
+            [(0.0, 1.0)] * problem.dimensions,
+            x0=problem.seeds.tolist(),
+            algo=algorithm,
+            maxevals=budget,
+            seed=seed,
+            options=options,
+        ).optimize()
+
+    return search
+
+
+def _scipy_de(cost: Counted, problem: Problem, budget: int, seed: int) -> None:
+    from scipy.optimize import differential_evolution
+
+    rng = np.random.default_rng(seed)
+    members = rng.random((15 * problem.dimensions, problem.dimensions))  # its default size
+    members[: len(problem.seeds)] = problem.seeds
+    differential_evolution(
+        lambda x: cost(np.atleast_2d(x.T)),
+        [(0.0, 1.0)] * problem.dimensions,
+        init=members,
+        maxiter=budget,
+        tol=0.0,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        rng=rng,
+    )
+
+
+def _cma(cost: Counted, problem: Problem, budget: int, seed: int) -> None:
+    import cma
+
+    start = problem.seeds[cost(problem.seeds).argmin()]
+    options = {"bounds": [0.0, 1.0], "seed": seed + 1, "verbose": -9, "maxfevals": budget}
+    cma.fmin2(
+        None,
+        start,
+        0.25,
+        options,
+        parallel_objective=lambda x: cost(np.array(x)).tolist(),
+        restarts=9,
+        bipop=True,
+    )
+
+
+def _own(name: str) -> Search:
+    def search(cost: Counted, problem: Problem, budget: int, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        minimise(OPTIMISERS[name](problem.dimensions, budget, rng, problem.seeds), cost, budget)
+
+    return search
+
+
+RIVALS: dict[str, Search] = {
+    "L-SHADE": _minion("LSHADE", None),
+    "L-SHADE-60": _minion("LSHADE", 60),
+    "jSO": _minion("jSO", None),
+    "jSO-60": _minion("jSO", 60),
+    "ARRDE": _minion("ARRDE", None),
+    "CMA-ES": _cma,
+    "scipy DE": _scipy_de,
+    "improved-de": _own("improved-de"),
+    "pso": _own("pso"),
+    "ga": _own("ga"),
+}
+_SLOW = ("CMA-ES", "scipy DE")
+OURS = "refined-de"
+
+
+def solve(
+    name: str, problem: Problem, kernel: Kernel, budget: int, seed: int
+) -> tuple[float, FloatArray]:
+    """The best cost that a search finds, and where."""
+    if name == OURS:
+        rng = np.random.default_rng(seed)
+        how = refined_de.Settings()
+        state = refined_de.begin(problem.dimensions, budget, problem.seeds, how, rng)
+        kernel.search(state, problem.scene, budget)
+        x, costs = refined_de.ranked(state)
+        return float(costs[0]), x[0]
+    cost = Counted(problem, kernel, budget)
+    with contextlib.suppress(_Spent):
+        RIVALS[name](cost, problem, budget, seed)
+    return cost.best, cost.best_x
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figures:
+    """One search at one budget."""
+
+    gaps: FloatArray  # (problems, seeds)
+
+    @property
+    def success(self) -> float:
+        """Share of runs within 1 % of the best known."""
+        return float((self.gaps <= SUCCESS).mean())
+
+    def interval(self) -> tuple[float, float]:
+        """95 % of the success, by resampling problems and seeds."""
+        return _interval(_resampled(self.gaps <= SUCCESS))
+
+    def ahead_of(self, rival: "Figures") -> tuple[float, float]:
+        """95 % of the difference in success on the same problems."""
+        mine = _resampled(self.gaps <= SUCCESS)
+        return _interval(mine - _resampled(rival.gaps <= SUCCESS))
+
+
+def _resampled(hits: NDArray[np.bool_]) -> FloatArray:
+    """Shares of bootstrap samples; every set of figures draws the same problems.  -> (samples,)."""
+    problems, seeds = hits.shape
+    which = np.random.default_rng(1).integers(problems, size=(_SAMPLES, problems))
+    again = np.random.default_rng([2, seeds]).integers(seeds, size=(_SAMPLES, problems, seeds))
+    return np.asarray(hits[which[:, :, None], again].mean(axis=(1, 2)))
+
+
+def _interval(values: FloatArray) -> tuple[float, float]:
+    low, high = np.percentile(values, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def compare(
+    names: Sequence[str],
+    problems: Sequence[Problem],
+    kernel: Kernel,
+    data: dict[str, Any],
+    seeds: Callable[[str], int],
+    console: Console,
+) -> dict[tuple[str, int], Figures]:
+    """Run everything; what is found anew lowers the best known before gaps are taken."""
+    found: dict[tuple[str, int], FloatArray] = {}
+    jobs = [(name, budget) for name in names for budget in BUDGETS]
+    for name, budget in track(jobs, "searches", console=console, transient=True):
+        costs = np.empty((len(problems), seeds(name)))
+        for i, problem in enumerate(problems):
+            for seed in range(seeds(name)):
+                costs[i, seed], x = solve(name, problem, kernel, budget, seed)
+                subpaths.keep_best(data, problem, kernel, costs[i, seed], x)
+        found[name, budget] = costs
+    best = np.array([subpaths.best_known(data, each, kernel) for each in problems])[:, None]
+    return {k: Figures(gaps=(v - best) / np.maximum(best, 2.0)) for k, v in found.items()}
+
+
+def needles(figures: dict[tuple[str, int], Figures]) -> NDArray[np.bool_]:
+    """Problems whose best basin nobody finds in 30 % of runs with the largest budget."""
+    hits = [f.gaps <= SUCCESS for (_, budget), f in figures.items() if budget == BUDGETS[-1]]
+    return np.asarray(np.max([each.mean(axis=1) for each in hits], axis=0) < _NEEDLE)
+
+
+def without(
+    figures: dict[tuple[str, int], Figures], dropped: NDArray[np.bool_]
+) -> dict[tuple[str, int], Figures]:
+    """The figures without some problems."""
+    return {k: Figures(gaps=f.gaps[~dropped]) for k, f in figures.items()}
+
+
+def table(title: str, figures: dict[tuple[str, int], Figures]) -> Table:
+    """Mean gap, success with its interval, and how far the refined DE is ahead."""
+    result = Table("search", *(f"{budget:,}" for budget in BUDGETS), title=title)
+    for name in dict.fromkeys(name for name, _ in figures):
+        cells = []
+        for budget in BUDGETS:
+            each = figures[name, budget]
+            low, high = each.interval()
+            text = f"{100 * each.gaps.mean():5.2f} %  [bold]{100 * each.success:5.1f}[/] "
+            text += f"({100 * low:.1f}-{100 * high:.1f})"
+            if name != OURS and (OURS, budget) in figures:
+                low, high = figures[OURS, budget].ahead_of(each)
+                text += f"\n{'ours +':>9} {100 * low:.1f} .. {100 * high:.1f}"
+            cells.append(text)
+        result.add_row(name, *cells)
+    return result
+
+
+def rows(figures: dict[tuple[str, int], Figures]) -> list[dict[str, Any]]:
+    """The same for --json."""
+    result = []
+    for (name, budget), each in figures.items():
+        row = {"search": name, "evaluations": budget, "mean_gap": float(each.gaps.mean())}
+        row |= {"success": each.success, "interval": each.interval(), "runs": each.gaps.size}
+        result.append(row)
+    return result
+
+
+def search_long(
+    problems: Sequence[Problem], kernel: Kernel, data: dict[str, Any], runs: int, console: Console
+) -> None:
+    """Best known values by long searches with large populations, half without warm starts."""
+    for problem in track(problems, "best known", console=console, transient=True):
+        for run in range(runs):
+            how = refined_de.Settings(population=(120, 200, 300)[run % 3], smallest=8, memory=20)
+            seeds = problem.seeds if run % 2 else problem.seeds[:0]
+            rng = np.random.default_rng([run, 1])
+            state = refined_de.begin(problem.dimensions, 30_000, seeds, how, rng)
+            kernel.search(state, problem.scene, 30_000)
+            x, costs = refined_de.ranked(state)
+            subpaths.keep_best(data, problem, kernel, float(costs[0]), x[0])
+
+
+def main() -> int:
+    """Run the comparison, print the tables; 1 if a bar is missed."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--slow-seeds", type=int, default=2, help=f"for {' and '.join(_SLOW)}")
+    parser.add_argument("--only", nargs="*", default=[OURS, *RIVALS], choices=[OURS, *RIVALS])
+    parser.add_argument("--all", action="store_true", help="with the problems used for tuning")
+    parser.add_argument("--record", action="store_true", help="fly the missions anew")
+    parser.add_argument("--best-known", type=int, default=0, metavar="RUNS", help="long searches")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 150)
+    kernel = kernels.compiled(cached=False)
+    data = subpaths.record(kernel) if options.record else subpaths.load()
+    problems = subpaths.problems(data)
+    if options.best_known:
+        search_long(problems, kernel, data, options.best_known, console)
+        subpaths.store(data)
+    problems = [p for p in problems if options.all or not p.for_tuning]
+    stale = [p.name for p in problems if math.isinf(subpaths.best_known(data, p, kernel))]
+    if stale:
+        console.print(f"{len(stale)} objectives are not those on file: add --best-known 12")
+
+    def seeds(name: str) -> int:
+        return options.slow_seeds if name in _SLOW else options.seeds
+
+    figures = compare(options.only, problems, kernel, data, seeds, console)
+    subpaths.store(data)
+    hard = needles(figures)
+    easier = without(figures, hard)
+    console.print(table(f"{len(problems)} problems: mean gap, % of runs within 1 %", figures))
+    if hard.any():
+        names = ", ".join(p.name for p, drop in zip(problems, hard, strict=True) if drop)
+        console.print(table(f"without {hard.sum()} needles ({names})", easier))
+    if options.json:
+        text = json.dumps({"all": rows(figures), "without_needles": rows(easier)}, indent=1)
+        options.json.write_text(text + "\n", encoding="utf-8")
+    passed = all(
+        easier[OURS, budget].success >= bar
+        for budget, bar in _BARS.items()
+        if (OURS, budget) in easier
+    )
+    console.print("all bars kept" if passed else "a bar is missed", style="bold")
+    return 0 if passed else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

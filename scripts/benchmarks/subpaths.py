@@ -1,0 +1,204 @@
+"""Subpath problems for the search: what the planner had to solve in complete missions.
+
+Missions are flown once (`record`), and of each some plans are kept in best_known.json, as what
+they were asked: where was scanned, where the subpath begins, the target. The scenes are made from
+that again, by the planner's own code, so a fingerprint of each objective stands beside its best
+known value: a value found for another objective is not used.
+"""
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+import worlds
+from numpy.typing import NDArray
+
+from companion.objective.flight import FlightScene
+from companion.path.subpath import Pose
+from companion.planner import plan
+from companion.planner.cost_to_go import cost_to_go
+from companion.planner.kernels import Kernel
+from companion.planner.offline import fly_offline
+from companion.planner.request import PlanOutcome, PlanRequest
+from companion.world.known_map import empty_map
+from companion.world.simulated_scan import simulated_scan, true_map
+
+FloatArray = NDArray[np.float64]
+
+FILE = Path(__file__).with_name("best_known.json")
+WORLDS = (
+    "environment-1",
+    "environment-2",
+    *(f"dense-{k}" for k in range(1, 21)),
+    *(f"sparse-{k}" for k in range(1, 7)),
+)
+_EACH = 5  # plans of a mission
+_SEED = 7
+_PROBES = 16
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Problem:
+    """One search that the planner makes."""
+
+    name: str
+    scene: FlightScene
+    seeds: FloatArray  # (K, D): its warm starts
+    for_tuning: bool
+    """Whether the settings of the search were chosen by it: every other mission."""
+
+    @property
+    def dimensions(self) -> int:
+        """D."""
+        return self.scene.variables
+
+    def fingerprint(self, kernel: Kernel) -> str:
+        """A hash of the objective: of its values at random points, to six digits."""
+        x = np.random.default_rng(0).random((_PROBES, self.dimensions))
+        values = " ".join(f"{value:.6g}" for value in kernel.costs(x, self.scene))
+        return hashlib.sha256(values.encode()).hexdigest()[:16]
+
+
+def load() -> dict[str, Any]:
+    """The file: `missions`, as recorded, and `best`, by problem."""
+    return dict(json.loads(FILE.read_text(encoding="utf-8")))
+
+
+def store(data: dict[str, Any]) -> None:
+    """Write the file: a line for each mission's plan and each best value."""
+    parts = (
+        ("scans", "{}", [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in data["scans"].items()]),
+        ("plans", "[]", [json.dumps(each) for each in data["plans"]]),
+        ("best", "{}", [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in data["best"].items()]),
+    )
+    text = ",\n".join(
+        f'"{name}": {braces[0]}\n ' + ",\n ".join(lines) + f"\n{braces[1]}"
+        for name, braces, lines in parts
+    )
+    FILE.write_text("{" + text + "}\n", encoding="utf-8")
+
+
+def record(kernel: Kernel) -> dict[str, Any]:
+    """Fly every mission and keep what some of its plans were asked; no best values yet."""
+    scans, plans = {}, []
+    for name in WORLDS:
+        world = worlds.by_name(name)
+        asked: list[PlanRequest] = []
+
+        def ask(request: PlanRequest, asked: list[PlanRequest] = asked) -> PlanOutcome:
+            asked.append(request)
+            return plan.plan(request, kernel=kernel)
+
+        limits = world.task.limits
+        blank = empty_map(world.task.cell_m, limits.north_m, limits.east_m)
+        fly_offline(
+            world.task,
+            blank=blank,
+            truth=true_map(world.terrain, blank),
+            start_nea_m=world.start_nea_m,
+            targets_ne_m=world.targets_ne_m,
+            seed=_SEED,
+            planner=ask,
+        )
+        scans[name] = [list(request.scan_nea_m) for request in asked]
+        chosen = np.unique(np.linspace(0, len(asked) - 1, _EACH).round().astype(int)).tolist()
+        for k in chosen:
+            six = [6] if k == chosen[1] else []  # the planner's second try has six points
+            plans += [_asked(name, k, asked[k], points) for points in (5, *six)]
+    return {"scans": scans, "plans": plans, "best": {}}
+
+
+def _asked(world: str, number: int, request: PlanRequest, points: int) -> dict[str, Any]:
+    start = request.start
+    return {
+        "world": world,
+        "scan": number,
+        "points": points,
+        "start": [
+            start.position_nea_m.tolist(),
+            start.tangent_nea.tolist(),
+            start.curvature_nea_1_m.tolist(),
+        ],
+        "from_rest": request.from_rest,
+        "target_ne_m": list(request.target_ne_m),
+        "route_ne_m": [list(place) for place in request.route_ne_m],
+    }
+
+
+def problems(data: dict[str, Any]) -> list[Problem]:
+    """The problems of the file, as the planner poses them today."""
+    result = []
+    for number, (name, scans) in enumerate(data["scans"].items()):
+        world = worlds.by_name(name)
+        limits = world.task.limits
+        known = empty_map(world.task.cell_m, limits.north_m, limits.east_m)
+        truth = true_map(world.terrain, known)
+        asked = [each for each in data["plans"] if each["world"] == name]
+        for scan, at in enumerate(scans):
+            scan_nea_m = (float(at[0]), float(at[1]), float(at[2]))
+            seen = simulated_scan(truth, scan_nea_m, world.task.settings.scan_range_m)
+            known = known.with_scan(seen)
+            for each in asked:
+                if each["scan"] != scan:
+                    continue
+                position, tangent, curvature = (np.array(v) for v in each["start"])
+                request = PlanRequest(
+                    plan_id=scan + 1,
+                    seed=_SEED,
+                    task=world.task,
+                    known=known,
+                    scan_nea_m=scan_nea_m,
+                    start=Pose(
+                        position_nea_m=position, tangent_nea=tangent, curvature_nea_1_m=curvature
+                    ),
+                    from_rest=each["from_rest"],
+                    target_ne_m=(each["target_ne_m"][0], each["target_ne_m"][1]),
+                    route_ne_m=tuple((place[0], place[1]) for place in each["route_ne_m"]),
+                )
+                scene = replace(_scene(request), points=each["points"])
+                result.append(
+                    Problem(
+                        name=f"{name}/{scan + 1}" + "+" * (each["points"] - 5),
+                        scene=scene,
+                        seeds=plan._seeds(scene),
+                        for_tuning=number % 2 == 1,
+                    )
+                )
+    return result
+
+
+def _scene(request: PlanRequest) -> FlightScene:
+    """What the planner's first try searches."""
+    field = cost_to_go(
+        request.known,
+        request.task,
+        request.scan_nea_m[:2],
+        request.target_ne_m,
+        request.route_ne_m,
+    )
+    return plan._scene(request, field)
+
+
+def best_known(data: dict[str, Any], problem: Problem, kernel: Kernel) -> float:
+    """The lowest cost that was ever found for this objective; infinite if none is on file."""
+    kept = data["best"].get(problem.name)
+    if kept is None or kept["objective"] != problem.fingerprint(kernel):
+        return math.inf
+    return float(kept["cost"])
+
+
+def keep_best(
+    data: dict[str, Any], problem: Problem, kernel: Kernel, cost: float, x: FloatArray
+) -> None:
+    """Put a cost on file if none is as low."""
+    if cost < best_known(data, problem, kernel):
+        data["best"][problem.name] = {
+            "cost": cost,
+            "objective": problem.fingerprint(kernel),
+            "x": np.round(x, 9).tolist(),
+        }

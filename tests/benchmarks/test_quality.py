@@ -1,0 +1,116 @@
+"""The comparison of searches counts fairly."""
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import quality
+import subpaths
+from numpy.typing import NDArray
+from quality import BUDGETS, OURS, RIVALS, Counted, Figures
+
+from companion.planner.kernels import NUMPY
+
+FloatArray = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def problem() -> subpaths.Problem:
+    data = subpaths.load()
+    world = "sparse-1"
+    plans = [each for each in data["plans"] if each["world"] == world and each["scan"] == 0]
+    few = {"scans": {world: data["scans"][world][:1]}, "plans": plans[:1], "best": data["best"]}
+    return subpaths.problems(few)[0]
+
+
+@pytest.mark.parametrize("name", [OURS, *RIVALS])
+def test_every_search_spends_the_budget_and_no_more(
+    name: str, problem: subpaths.Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name in ("L-SHADE", "L-SHADE-60", "jSO", "jSO-60", "ARRDE", "CMA-ES"):
+        pytest.importorskip("cma" if name == "CMA-ES" else "minionpy")
+    asked: list[FloatArray] = []
+    told: list[FloatArray] = []
+
+    class Watched(Counted):
+        def __call__(self, x: FloatArray) -> FloatArray:
+            left = self.left
+            costs = super().__call__(x)
+            asked.append(np.array(x)[: left - self.left])
+            told.append(costs[: left - self.left])
+            return costs
+
+    monkeypatch.setattr(quality, "Counted", Watched)
+    cost, x = quality.solve(name, problem, NUMPY, 300, 1)
+    assert NUMPY.costs(x[None], problem.scene)[0] == pytest.approx(cost, rel=1e-12)
+    if name == OURS:
+        return  # spends by `ask`: tests/optimise
+    assert sum(len(each) for each in asked) == 300
+    assert cost == min(each.min() for each in told)
+    # the warm starts are among the first that it asks for
+    first = np.concatenate(asked)[: 15 * problem.dimensions + len(problem.seeds)]
+    for seed in problem.seeds:
+        assert np.abs(first - seed).max(axis=1).min() < 1e-9
+
+
+def test_the_file_holds_a_hundred_problems_half_of_them_not_used_for_tuning() -> None:
+    data = subpaths.load()
+    tuning = {world: k % 2 == 1 for k, world in enumerate(data["scans"])}
+    tuned = sum(tuning[each["world"]] for each in data["plans"])
+    assert len(data["plans"]) >= 100
+    assert 0.4 < tuned / len(data["plans"]) < 0.6
+
+
+def test_a_best_value_counts_for_its_own_objective_alone(problem: subpaths.Problem) -> None:
+    data: dict[str, Any] = {"best": {}}
+    x = np.full(problem.dimensions, 0.5)
+    assert subpaths.best_known(data, problem, NUMPY) == math.inf
+    for cost in (5.0, 4.0, 4.5):
+        subpaths.keep_best(data, problem, NUMPY, cost, x)
+    assert subpaths.best_known(data, problem, NUMPY) == 4.0
+    data["best"][problem.name]["objective"] = "another"
+    assert subpaths.best_known(data, problem, NUMPY) == math.inf
+
+
+def test_writing_the_file_and_reading_it_changes_nothing(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = subpaths.load()
+    monkeypatch.setattr(subpaths, "FILE", tmp_path / "copy.json")
+    subpaths.store(data)
+    assert subpaths.load() == data
+    assert json.loads((tmp_path / "copy.json").read_text(encoding="utf-8")) == data
+
+
+def figures(success: float, problems: int = 100, seeds: int = 10) -> Figures:
+    hits = np.random.default_rng(3).random((problems, seeds)) < success
+    return Figures(gaps=np.where(hits, 0.0, 0.5))
+
+
+def test_the_interval_of_independent_runs_is_that_of_the_binomial_distribution() -> None:
+    each = figures(0.9)
+    low, high = each.interval()
+    deviation = math.sqrt(0.9 * 0.1 / 1_000)
+    # resampled seeds add as much again as the problems do
+    assert low < each.success < high
+    assert 2 * 1.96 * deviation < high - low < 2 * 1.96 * deviation * 1.8
+
+
+def test_a_search_is_not_ahead_of_itself() -> None:
+    assert figures(0.7).ahead_of(figures(0.7)) == (0.0, 0.0)
+    low, _ = figures(0.9).ahead_of(figures(0.6))
+    assert low > 0.2
+
+
+def test_a_needle_is_a_problem_that_no_search_solves_in_a_third_of_runs() -> None:
+    last = BUDGETS[-1]
+    found = {
+        ("a", last): Figures(gaps=np.array([[0.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])),
+        ("b", last): Figures(gaps=np.array([[0.0, 0.0, 1.0, 1.0], [0.0, 1.0, 1.0, 1.0]])),
+        ("b", 600): Figures(gaps=np.zeros((2, 4))),
+    }
+    dropped = quality.needles(found)
+    assert dropped.tolist() == [False, True]
+    assert quality.without(found, dropped)["b", last].success == 0.5

@@ -1,0 +1,112 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from companion.objective.scene import PAPER
+from companion.planner.guidance import tangent_guide_rad
+from companion.planner.plan import plan
+from companion.planner.procedure import hover_pose
+from companion.planner.published import facing
+from companion.planner.request import Planned, PlanRequest
+from companion.planner.settings import Task
+from companion.world.known_map import KnownMap
+
+START = (1_000.0, 1_000.0, 450.0)
+
+
+@pytest.fixture(scope="module")
+def papers(task: Task) -> Task:
+    return replace(task, settings=replace(task.settings, profile=PAPER, evaluations=400))
+
+
+def planned(task: Task, known: KnownMap, **changes: object) -> Planned:
+    request = PlanRequest(
+        plan_id=1,
+        seed=7,
+        task=task,
+        known=known,
+        scan_nea_m=START,
+        start=hover_pose(START),
+        from_rest=True,
+        target_ne_m=(7_500.0, 7_500.0),
+    )
+    outcome = plan(replace(request, **changes))  # type: ignore[arg-type]
+    assert isinstance(outcome, Planned)
+    return outcome
+
+
+def test_the_best_of_one_search_is_taken_as_it_is(papers: Task, truth: KnownMap) -> None:
+    outcome = planned(papers, truth)
+    assert (outcome.tries, outcome.rank, outcome.evaluations) == (1, 0, 400)
+    assert outcome.subpath.control_nea_m.shape == (4, 3)
+    weights = {"length": 0.1, "height": 0.15, "guide": 0.15, "crash": 0.3, "radar": 0.3}
+    weights["constraints"] = 1.0
+    assert outcome.terms.keys() == weights.keys()
+    assert outcome.cost == pytest.approx(sum(a * outcome.terms[f] for f, a in weights.items()))
+
+
+def test_it_ends_at_the_range_of_the_scan_or_at_a_target_within_it(
+    papers: Task, truth: KnownMap
+) -> None:
+    far = planned(papers, truth)
+    assert not far.reaches_target
+    assert math.dist(far.subpath.control_nea_m[-1, :2], START[:2]) == pytest.approx(2_000.0)
+    target = (START[0] + 1_100.0, START[1] + 1_600.0)
+    near = planned(papers, truth, target_ne_m=target)
+    assert near.reaches_target
+    assert near.subpath.control_nea_m[-1, :2] == pytest.approx(target)
+    assert near.guide_rad == pytest.approx(math.atan2(1_600.0, 1_100.0))
+
+
+def test_it_follows_the_papers_tangents(papers: Task, truth: KnownMap) -> None:
+    scan, target = (5_000.0, 2_000.0, 450.0), (7_500.0, 4_000.0)
+    outcome = planned(papers, truth, scan_nea_m=scan, start=hover_pose(scan), target_ne_m=target)
+    guide = tangent_guide_rad(scan[:2], target, papers.radars, papers.settings.overlap_m)
+    assert outcome.guide_rad == guide != math.atan2(2_000.0, 2_500.0)  # a radar is in the way
+    leaving = outcome.subpath.control_nea_m[1] - outcome.subpath.control_nea_m[0]
+    assert math.atan2(leaving[1], leaving[0]) == pytest.approx(guide)
+
+
+def test_what_is_not_safe_is_reported_and_flown_all_the_same(papers: Task, blank: KnownMap) -> None:
+    wall = replace(blank, upper_m=np.zeros_like(blank.upper_m))
+    wall.upper_m[80:] = 5_000.0  # from 2 km north on
+    outcome = planned(papers, wall, target_ne_m=(2_900.0, 1_100.0))
+    assert outcome.reaches_target
+    assert not outcome.certificate.proven
+    assert "terrain clearance" in outcome.certificate.broken
+
+
+def test_the_same_question_has_the_same_answer_and_another_seed_another(
+    papers: Task, truth: KnownMap
+) -> None:
+    a, b, c = (planned(papers, truth, seed=seed).subpath.control_nea_m for seed in (1, 1, 2))
+    assert a.tobytes() == b.tobytes() != c.tobytes()
+
+
+@pytest.mark.parametrize("name", ["de/rand/1/bin", "pso", "ga"])
+def test_the_rivals_search_where_they_are_asked_to(
+    papers: Task, truth: KnownMap, name: str
+) -> None:
+    rivals = replace(papers, settings=replace(papers.settings, optimiser=name))
+    ours, theirs = planned(papers, truth), planned(rivals, truth)
+    assert theirs.evaluations == 400
+    assert not np.array_equal(ours.subpath.control_nea_m, theirs.subpath.control_nea_m)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_subpath_has_a_direction_everywhere(papers: Task, truth: KnownMap, seed: int) -> None:
+    long = replace(papers, settings=replace(papers.settings, evaluations=2_000))
+    with np.errstate(all="ignore"):
+        subpath = planned(long, truth, seed=seed).subpath
+        tangents = [subpath.pose(share * subpath.length_m).tangent_nea for share in (0, 0.5, 1)]
+    assert np.linalg.norm(tangents, axis=-1) == pytest.approx([1.0, 1.0, 1.0])
+
+
+def test_a_pose_at_rest_turns_level_and_without_a_bend() -> None:
+    pose = replace(hover_pose(START), curvature_nea_1_m=np.array([0.0, 0.01, 0.0]))
+    turned = facing(pose, 2.0)
+    assert turned.position_nea_m is pose.position_nea_m
+    assert turned.tangent_nea == pytest.approx([math.cos(2.0), math.sin(2.0), 0.0])
+    assert not turned.curvature_nea_1_m.any()
