@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 R_M = 2_000.0
 LIMITS = Limits(
-    speed_m_s=15.0,
+    speed_m_s=60.0,
     acceleration_m_s2=3.0,
     climb_rate_m_s=4.0,
     turn_radius_m=400.0,

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.objective import flight, kernel
+from companion.world.threats import Radar
 
 sys.path.insert(0, str(Path(__file__).parent))
 from scenes import cube, random_scene
@@ -26,6 +28,25 @@ def test_the_scalar_cost_is_the_numpy_cost(seed: int) -> None:
     pack = kernel.pack(scene)
     found = [kernel.cost(each, math.inf, pack) for each in x]
     assert found == pytest.approx(flight.cost(x, scene), rel=1e-9)
+
+
+@given(seed=seeds, margins=st.sampled_from([-0.01, 0.01, 0.5, 0.99, 1.01, 1.5]))
+def test_a_radar_ends_at_its_range_and_margin_in_both_forms(seed: int, margins: float) -> None:
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, samples=12)
+    x = cube(rng, scene, 1)
+    pack = kernel.pack(scene)
+    kernel.cost(x[0], math.inf, pack)
+    centre = (2_000.0, 2_000.0, 0.0)
+    nearest_m = float(np.linalg.norm(pack.points[1:, :3] - centre, axis=-1).min())
+    radar = Radar(name="r", centre_nea_m=centre, range_m=nearest_m - margins * scene.radar_margin_m)
+    scene = replace(scene, radars=(radar,))
+    expected = 1.0 / (1.0 + (nearest_m / radar.range_m) ** 4) if margins < 1.0 else 0.0
+    found = kernel.detection(pack.points, kernel.pack(scene).radars)
+    assert found >= expected * (1.0 - 1e-12)
+    assert (found > 0.0) == (margins < 1.0)
+    each = flight.PER_SAMPLE / 12 * flight.RADAR_SCALE
+    assert flight.cost_table(x, scene)["radar"][0] == pytest.approx(each * found, rel=1e-9)
 
 
 @given(seed=seeds)

@@ -323,6 +323,48 @@ def test_boxed_in_by_what_is_unknown_there_is_no_plan_but_a_reason(
     assert "terrain clearance" in outcome.broken
 
 
+def hover(north: float, east: float, altitude: float) -> dict[str, object]:
+    place = (north, east, altitude)
+    return {"start": hover_pose(place), "scan_nea_m": place}
+
+
+@pytest.mark.parametrize(
+    ("changes", "refusal"),
+    [
+        (hover(-10.0, 1_000.0, 450.0), Refusal.START_OUTSIDE),
+        (hover(1_000.0, 8_010.0, 450.0), Refusal.START_OUTSIDE),
+        (hover(1_000.0, 1_000.0, 305.0), Refusal.START_OUTSIDE),
+        (hover(1_000.0, 1_000.0, 695.0), Refusal.START_OUTSIDE),
+        ({"target_ne_m": (2_300.0, 4_300.0)}, Refusal.TARGET_IN_KEEP_OUT),
+        ({"target_ne_m": (2_300.0, 4_300.0 + 350.0 + 69.0)}, Refusal.TARGET_IN_KEEP_OUT),
+        ({"target_ne_m": (3_000.0, 2_600.0)}, Refusal.TARGET_IN_TERRAIN),
+        (hover(2_300.0, 4_600.0, 450.0) | {"from_rest": False}, Refusal.START_IN_KEEP_OUT),
+        (hover(3_000.0, 3_000.0, 320.0) | {"from_rest": False}, Refusal.START_NEAR_TERRAIN),
+    ],
+    ids=str,
+)
+def test_a_question_without_an_answer_is_refused_at_once_with_its_reason(
+    task: Task, truth: KnownMap, changes: dict[str, object], refusal: Refusal
+) -> None:
+    outcome = plan(ask(task, truth, **changes))
+    assert isinstance(outcome, NotPlanned)
+    assert (outcome.refusal, outcome.evaluations) == (refusal, 0)
+    assert "; " in refusal.value  # the reason, and what helps
+
+
+def test_before_anything_is_seen_the_reason_is_that(task: Task, blank: KnownMap) -> None:
+    outcome = plan(ask(task, blank))
+    assert isinstance(outcome, NotPlanned)
+    assert outcome.refusal is Refusal.NOTHING_SEEN
+
+
+def test_a_range_that_holds_no_turn_is_refused(task: Task, truth: KnownMap) -> None:
+    wide = replace(task, limits=replace(task.limits, turn_radius_m=1_001.0))
+    outcome = plan(ask(wide, truth))
+    assert isinstance(outcome, NotPlanned)
+    assert outcome.refusal is Refusal.NO_ROOM_TO_TURN
+
+
 @pytest.mark.parametrize("off_m", [0.0, 0.5, 30.0])
 def test_a_target_where_the_vehicle_is_gives_a_path_of_numbers_or_no_path(
     task: Task, truth: KnownMap, off_m: float

@@ -7,7 +7,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from companion.world.clearance import Surface, safe_surface, terrain_surface
+from companion.world.clearance import (
+    Surface,
+    distance_to_terrain_m,
+    safe_surface,
+    terrain_surface,
+)
 from companion.world.known_map import KnownMap, empty_map
 
 FloatArray = NDArray[np.float64]
@@ -161,6 +166,53 @@ def test_a_window_that_lies_off_the_map_is_all_unknown() -> None:
         known, centre_ne_m=(9e3, -9e3), reach_m=500.0, clearance_m=50.0, unknown_m=700.0
     )
     assert (surface.vertex_m == 750.0).all()
+
+
+# --- the distance of one point
+
+
+def endless(known: KnownMap) -> KnownMap:
+    """The map with so much unknown ground about it that the points of a test see no end of it."""
+    return replace(
+        known,
+        north_min_m=known.north_min_m - 10 * known.cell_m,
+        east_min_m=known.east_min_m - 10 * known.cell_m,
+        upper_m=np.pad(known.upper_m, 10, constant_values=np.inf),
+        seen=np.pad(known.seen, 10),
+    )
+
+
+@given(
+    seed=seeds,
+    most_m=st.floats(10.0, 400.0),
+    registration_m=st.sampled_from([0.0, 12.0, 130.0]),
+)
+def test_the_distance_of_a_point_is_that_to_the_nearest_column_and_unknown_ground_has_no_top(
+    seed: int, most_m: float, registration_m: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    known = random_map(rng, registration_m)
+    about = endless(known)
+    about = replace(about, upper_m=np.where(np.isfinite(about.upper_m), about.upper_m, 1e9))
+    points = rng.uniform((-300.0, -300.0, 0.0), (2_700.0, 2_700.0, 900.0), (10, 3))
+    north, east = gaps_m(about, points[:, :2])
+    aside = np.hypot(north[:, :, None], east[:, None, :])
+    below = np.maximum(points[:, 2, None, None] - about.upper_m, 0.0)
+    away = np.hypot(np.maximum(aside - registration_m, 0.0), below).min(axis=(1, 2))
+    found = [distance_to_terrain_m(known, point, most_m) for point in points]
+    assert found == pytest.approx(np.minimum(away, most_m))
+
+
+def test_what_no_scan_has_seen_need_not_count() -> None:
+    known = empty_map(CELL_M, (0.0, 2_000.0), (0.0, 2_000.0))
+    known.upper_m[:] = 500.0
+    known.upper_m[:, 12:] = np.inf
+    known.upper_m[2, 10], known.seen[2, 10] = 100.0, True
+    point = np.array([1_050.0, 1_050.0, 350.0])
+    assert distance_to_terrain_m(known, point, 900.0) == 0.0
+    expected = np.hypot(1_050.0 - 300.0, 350.0 - 100.0)
+    assert distance_to_terrain_m(known, point, 900.0, seen_only=True) == pytest.approx(expected)
+    assert distance_to_terrain_m(known, point, 700.0, seen_only=True) == 700.0
 
 
 # --- the surface itself
