@@ -23,7 +23,7 @@ from companion.errors import CompanionError, FlightFailed, InputError
 from companion.mission.events import Outcome
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
-from companion.runtime.compiler import load_kernel
+from companion.runtime.compiler import Planner, load_kernel
 from companion.runtime.link import UdpLink
 from companion.runtime.loop import fly
 from companion.session import Session
@@ -36,6 +36,7 @@ from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 
 _INTERRUPTED = 130
+_LOADING = "loading the planner (compiled the first time, in some fifteen seconds)"
 _USAGE_ERROR = typer.BadParameter.__bases__  # typer has no name for the class of all of them
 
 app = typer.Typer(
@@ -66,7 +67,8 @@ class ProfileName(StrEnum):
 MissionArgument = Annotated[
     str,
     typer.Argument(
-        metavar="MISSION", help="A mission.toml, or a bundled name: environment-1, environment-2."
+        metavar="MISSION",
+        help="A mission.toml, or a bundled name: environment-1, environment-2, valley.",
     ),
 ]
 ProfileOption = Annotated[
@@ -112,6 +114,10 @@ def fly_command(
     began = datetime.now(UTC)
     folder_path = out or Path("runs") / f"{began:%Y%m%d-%H%M%S}-{chosen.name}"
     session = Session(chosen, seed=seed, lockstep=lockstep)
+    planner = Planner(lockstep=lockstep)
+    if lockstep:  # in real time nothing waits for a compiler
+        with console.status(_LOADING):
+            planner.wait()
     with (
         UdpLink(connect) as link,
         RunFolder(
@@ -131,6 +137,7 @@ def fly_command(
             lockstep=lockstep,
             on_progress=progress.show,
             stop_asked=lambda: bool(stop_asked),
+            planner=planner,
         )
         folder.run_json(_run_facts(flown, began, connect))
     _show(flown, folder, console)
@@ -157,7 +164,8 @@ def plan_command(
     task, limits = chosen.task, chosen.task.limits
     blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
     truth = true_map(place.terrain, blank)
-    kernel = load_kernel()
+    with console.status(_LOADING):
+        kernel = load_kernel()
     began_s = time.perf_counter()
     flight = fly_offline(
         task,

@@ -263,8 +263,9 @@ def _check_target(mission: Mission, field: str, target: tuple[float, float]) -> 
             raise InputError(f"{field}.{axis}_m", value, rule, "Move it, or widen [area].")
     for zone in task.keep_outs:
         gap = float(zone.distance_m(*_as_arrays(target)))
-        if gap < task.settings.safety_distance_m:
-            inside = "inside" if gap < 0.0 else "nearer than planner.safety_distance_m to"
+        if gap < task.required_clearance_m:
+            least = f"{task.required_clearance_m:g} m (d_s and the vehicle's errors)"
+            inside = "inside" if gap < 0.0 else f"nearer than {least} to"
             rule = f"it lies {inside} keep-out {zone.name!r}"
             raise InputError(field, list(target), rule, "Move the target, or remove the zone.")
 

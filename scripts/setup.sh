@@ -17,7 +17,8 @@ if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
     echo "setting up $venv (once, about a minute) ..."
     "$python" -m venv "$venv" &&
         "$venv/bin/pip" install -q --disable-pip-version-check --require-hashes -r "$1" &&
-        "$venv/bin/pip" install -q --disable-pip-version-check --no-deps --no-build-isolation -e . ||
+        "$venv/bin/pip" install -q --disable-pip-version-check --no-deps --no-build-isolation -e . &&
+        "$venv/bin/python" -c 'from companion.runtime.compiler import load_kernel; load_kernel()' ||
         exit 1
     echo "$wanted" >"$stamp"
 fi

@@ -64,6 +64,7 @@ def of_request(request: PlanRequest, due_s: float) -> Entry:
         "tangent_nea": request.start.tangent_nea.tolist(),
         "curvature_nea_1_m": request.start.curvature_nea_1_m.tolist(),
         "target_ne_m": list(request.target_ne_m),
+        "route_ne_m": [list(place) for place in request.route_ne_m],
     }
 
 

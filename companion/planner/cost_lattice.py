@@ -11,7 +11,8 @@ floor of the band, so that they add to the cost of a subpath.  Per metre of way:
   way out, and it is the short one.
 
 Ground that no scan has seen counts as free (design 5.2), also where a sight line bounds it: that
-bound grows with distance and would make a wall of every shadow.
+bound grows with distance and would make a wall of every shadow.  But next to terrain that has been
+seen it is thought to fall away from there no faster than mountains do.
 """
 
 import math
@@ -32,6 +33,8 @@ IndexArray = npt.NDArray[np.int32]
 
 MOST_CELLS = 160  # across; a larger map is coarse beyond a window of this size
 _BLOCKED = 300.0  # cost per metre where nothing may fly
+_SLOPE = 0.5  # at which terrain that is not seen is thought to fall behind terrain that is
+_MOST_STEPS = 40
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
 _MOST_PIECES = 400  # of a straight line
 
@@ -130,8 +133,9 @@ def lattice_of(known: KnownMap, task: Task, here_ne_m: Place, cells: int) -> Lat
         first.append(2 * cells * min(max(middle, 0), across - size))
         count.append(2 * size + 1)
         whole &= size == across
-    lowest = _lowest_m(known, task, first, count, cells)
     step = cells * known.cell_m
+    lowest = _lowest_m(known, task, first, count, cells)
+    lowest = _continued(lowest, _seen(known, first, count, cells), step, task.limits.floor_amsl_m)
     north_min = known.north_min_m + first[0] * known.cell_m
     east_min = known.east_min_m + first[1] * known.cell_m
     north = north_min + step * np.arange(count[0])[:, None]
@@ -146,10 +150,7 @@ def lattice_of(known: KnownMap, task: Task, here_ne_m: Place, cells: int) -> Lat
     fraction = (altitude - limits.floor_amsl_m) / band
     seen = _detection(task, north, east, altitude, step)
     blocked = (above > 0.0) | _in_keep_out(task, north, east)
-    rows_, cols_ = (np.clip(first[a] + cells * np.arange(count[a]), 0, known.seen.shape[a] - 1) for a in (0, 1))
-    import os
-    shadow = float(os.environ.get("PREM", "0")) * ~known.seen[np.ix_(rows_, cols_)]
-    cost = 1.0 + shadow + per_height * fraction + 3.0 * weights.radar / per_length * seen
+    cost = 1.0 + per_height * fraction + 3.0 * weights.radar / per_length * seen
     return Lattice(
         north_min_m=north_min,
         east_min_m=east_min,
@@ -160,6 +161,37 @@ def lattice_of(known: KnownMap, task: Task, here_ne_m: Place, cells: int) -> Lat
         costly=blocked | (seen > 0.0),
         covers_map=whole,
     )
+
+
+def _seen(known: KnownMap, first: list[int], count: list[int], cells: int) -> BoolArray:
+    """Whether a scan has seen the ground at the samples.  -> count."""
+    index = (
+        np.clip(first[axis] + cells * np.arange(count[axis]), 0, known.seen.shape[axis] - 1)
+        for axis in (0, 1)
+    )
+    return np.asarray(known.seen[np.ix_(*index)])
+
+
+def _continued(
+    lowest_m: FloatArray, seen: BoolArray, step_m: float, floor_amsl_m: float
+) -> FloatArray:
+    """Let mountains go on behind what has been seen of them, falling by _SLOPE from there.
+
+    Else the way would always seem to lead right behind the ridge that hides it (decision 0010).
+    """
+    highest = float(lowest_m.max(initial=-np.inf))
+    if seen.all() or highest <= floor_amsl_m:
+        return lowest_m
+    fall = _SLOPE * step_m * np.hypot(*np.ogrid[-1:2, -1:2])
+    result = np.maximum(lowest_m, -1e6)  # -inf less a fall would be no number
+    for _ in range(min(math.ceil((highest - floor_amsl_m) / (_SLOPE * step_m)), _MOST_STEPS)):
+        around = np.pad(result, 1, mode="edge")
+        rows, columns = result.shape
+        parts = [
+            around[i : i + rows, j : j + columns] - fall[i, j] for i in range(3) for j in range(3)
+        ]
+        result = np.where(seen, result, np.maximum.reduce(parts))
+    return result
 
 
 def _lowest_m(

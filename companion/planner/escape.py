@@ -23,6 +23,7 @@ _LENGTHS = 24
 _FARTHEST = 0.4  # of R
 _CERTIFIED = 200  # candidates that are tried, shortest first
 _SLACK_M = 0.5
+_ROUNDING_M = 1e-3  # a subpath may begin where another just keeps its distance
 
 
 @final
@@ -38,7 +39,7 @@ class Trouble:
 
 def trouble(request: PlanRequest) -> Trouble | None:
     """What is wrong with the place where a subpath is to start, None if nothing."""
-    required_m = request.task.required_clearance_m
+    required_m = request.task.required_clearance_m - _ROUNDING_M
     start = request.start.position_nea_m
     terrain_m = distance_to_terrain_m(request.known, start, required_m)
     inside = tuple(

@@ -17,7 +17,8 @@ from companion.objective.flight import FlightScene, control_points
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
-from companion.path.certificate import Surroundings, certify, pack_surroundings
+from companion.path.certificate import certify, pack_surroundings
+from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner.cost_to_go import CostToGo, cost_to_go
 from companion.planner.escape import Trouble, trouble, way_out
@@ -25,11 +26,15 @@ from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.world.clearance import Surface, distance_to_terrain_m, safe_surface
+from companion.world.threats import Radar
 
 _CHUNK = 300  # evaluations between two looks at the clock
 _CERTIFIED = 16  # candidates of a search that are tried
 _GUIDE_SHARE = 0.2  # of a_3 that the angle of eq. 8 keeps: the cost-to-go does the rest
 _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
+_MUCH_DEARER = 0.5  # then every other way is tried
+_STOP = 1.2  # then the vehicle rather stops at the end of its leg, where it can leave any way
+_NEAR_END = 0.5  # cost: near ends look too cheap, as the cost-to-go knows nothing of turns
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
 _SEARCH = refined_de.Settings()
 
@@ -43,17 +48,23 @@ class _Try:
     turn_rad: float = 0.0
     reach: float = 1.0
     budget: int = 1
+    handicap: float = 0.0
+    """What its answer must be cheaper by than another way's."""
 
 
 _FIRST = _Try()
-_OTHER_WAYS = (_Try(points=6), _Try(reach=0.7), _Try(reach=0.45))
+_OTHER_WAYS = (
+    _Try(points=6),
+    *(_Try(reach=reach, handicap=_NEAR_END) for reach in (0.7, 0.45)),
+)
 """What is tried as well when the first answer is dearer than the cost-to-go had promised."""
-_MORE = (
+_ANY_WAY = (
     _Try(points=6, budget=2),
     *(_Try(turn_rad=side * turn, budget=2) for turn in (0.35, 0.7, 1.1) for side in (1, -1)),
     *(_Try(points=6, reach=reach, budget=2) for reach in (0.7, 0.45)),
     *(_Try(turn_rad=side * turn, reach=0.6, budget=2) for turn in (0.7, 1.4) for side in (1, -1)),
 )
+_ALL_ROUND = tuple(_Try(turn_rad=turn, budget=2) for turn in (2.2, -2.2, math.pi))
 
 
 def plan(
@@ -146,21 +157,31 @@ class _Plan:
     def outcome(self) -> PlanOutcome:
         best = self._attempt(_FIRST)
         if best is None or self._excess(best) > _DEARER:
-            others = [self._attempt(how) for how in _OTHER_WAYS if not self._stop()]
-            proven = [each for each in (best, *others) if each is not None]
-            import os
-            M = float(os.environ.get("MARG", "0"))
-            best = min(proven, key=lambda p: _total(p) + M * (p is not best and p.tries > 2), default=None)
-        for how in _MORE:
-            if best is not None or self._stop():
-                break
-            best = self._attempt(how)
-        return best or NotPlanned(
+            best = self._best(best, _OTHER_WAYS)
+        if best is None or self._excess(best) > _MUCH_DEARER:
+            best = self._best(best, _ANY_WAY + (_ALL_ROUND if self._request.from_rest else ()))
+        if best is not None and not self._request.from_rest and self._excess(best) > _STOP:
+            return self._refused(Refusal.BETTER_TO_STOP)
+        return best or self._refused(Refusal.NOTHING_SAFE)
+
+    def _refused(self, refusal: Refusal) -> NotPlanned:
+        return NotPlanned(
             plan_id=self._request.plan_id,
-            refusal=Refusal.NOTHING_SAFE,
-            broken=self._broken,
+            refusal=refusal,
+            broken=self._broken if refusal is Refusal.NOTHING_SAFE else (),
             evaluations=self._evaluations,
         )
+
+    def _best(self, best: Planned | None, ways: tuple[_Try, ...]) -> Planned | None:
+        """The cheapest of what is at hand and what other ways of asking give."""
+        least = math.inf if best is None else _total(best)
+        for how in ways:
+            if self._stop():
+                break
+            planned = self._attempt(how)
+            if planned is not None and _total(planned) + how.handicap < least:
+                best, least = planned, _total(planned) + how.handicap
+        return best
 
     def _excess(self, planned: Planned) -> float:
         """How much dearer a subpath and what follows are than promised, in costs of R."""
@@ -209,7 +230,7 @@ class _Plan:
                 prover=self._kernel.prove,
             )
             if certificate.proven:
-                table = {name: float(v[0]) for name, v in flight.cost_table(x[None], scene).items()}
+                table = self._table(x, scene)
                 costs = {name: flight.weight(name, scene) * value for name, value in table.items()}
                 return Planned(
                     plan_id=request.plan_id,
@@ -228,6 +249,16 @@ class _Plan:
                 )
             self._broken = self._broken or certificate.broken
         return None
+
+    def _table(self, x: FloatArray, scene: FlightScene) -> dict[str, float]:
+        """The terms of a candidate, whatever it was searched for, by the guidance of this plan."""
+        guided = replace(
+            scene,
+            to_go=self._scene.to_go,
+            guide_rad=self._scene.guide_rad,
+            guide_share=self._scene.guide_share,
+        )
+        return {name: float(value[0]) for name, value in flight.cost_table(x[None], guided).items()}
 
 
 def _total(planned: Planned) -> float:
@@ -287,9 +318,16 @@ def _scene(request: PlanRequest, field: CostToGo) -> FlightScene:
         contact=_surface(request, task.error_m),
         radar_margin_m=_RADAR_MARGIN * settings.scan_range_m,
         band_amsl_m=task.band_amsl_m,
-        radars=task.radars,
+        radars=tuple(radar for radar in task.radars if _is_near(radar, request)),
         keep_outs=task.keep_outs,
     )
+
+
+def _is_near(radar: Radar, request: PlanRequest) -> bool:
+    """Whether a subpath may come into a radar's range."""
+    north, east, _ = request.scan_nea_m
+    apart_m = math.hypot(radar.centre_nea_m[0] - north, radar.centre_nea_m[1] - east)
+    return apart_m <= radar.range_m + 1.5 * request.task.settings.scan_range_m
 
 
 def _end(request: PlanRequest) -> tuple[bool, float]:

@@ -63,6 +63,10 @@ class Refusal(enum.Enum):
         "no candidate subpath could be proven safe; "
         "lower planner.safety_distance_m or raise planner.evaluations"
     )
+    BETTER_TO_STOP = (
+        "every subpath that goes on from here costs more than to stop at the end of this one, "
+        "look again, and leave in any direction; nothing needs to be done"
+    )
     START_IN_KEEP_OUT = (
         "the vehicle is inside a keep-out zone, or too near to it, and no way out could be proven; "
         "fly it out by hand, or remove the zone"

@@ -21,7 +21,7 @@ from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planner.settings import PlannerSettings, Task
-from companion.world.known_map import empty_map
+from companion.world.known_map import KnownMap, empty_map
 
 
 def load_kernel() -> Kernel:
@@ -98,19 +98,24 @@ def _warm_up(kernel: Kernel) -> None:
     task = Task(limits=limits, settings=settings)
     blank = empty_map(task.cell_m, side_m, side_m)
     flat = replace(blank, upper_m=np.zeros_like(blank.upper_m))
+    for optimiser in (None, "pso"):  # the compiled search, and compiled costs
+        plan(
+            _question(replace(task, settings=replace(settings, optimiser=optimiser)), flat),
+            kernel=kernel,
+        )
+
+
+def _question(task: Task, known: KnownMap) -> PlanRequest:
     start = hover_pose((0.0, 0.0, 150.0))
-    plan(
-        PlanRequest(
-            plan_id=1,
-            seed=1,
-            task=task,
-            known=flat,
-            scan_nea_m=start.point_nea_m,
-            start=start,
-            from_rest=True,
-            target_ne_m=(1_500.0, 0.0),
-        ),
-        kernel=kernel,
+    return PlanRequest(
+        plan_id=1,
+        seed=1,
+        task=task,
+        known=known,
+        scan_nea_m=start.point_nea_m,
+        start=start,
+        from_rest=True,
+        target_ne_m=(1_500.0, 0.0),
     )
 
 
@@ -131,12 +136,17 @@ class Planner:
         if self._thread.ident is None:
             self._thread.start()
 
+    def wait(self) -> None:
+        """Load the kernel, and come back when that is done."""
+        self.start()
+        self._thread.join()
+
     def _run(self) -> None:
         self._kernel = self._load()
 
     def __call__(self, request: PlanRequest, stop: Callable[[], bool]) -> PlanOutcome:
         """One plan."""
-        self.start()
         if self._lockstep:
-            self._thread.join()
+            self.wait()
+        self.start()
         return plan(request, stop, self._kernel)

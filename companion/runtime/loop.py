@@ -60,8 +60,7 @@ class _Loop:
         self._session, self._link, self._folder = session, link, folder
         self._lockstep, self._flown = lockstep, flown
         self._worker = worker
-        self._compiler = Planner(lockstep=lockstep)
-        self._planner = planner or self._compiler
+        self._planner = planner or Planner(lockstep=lockstep)
         self._pending: Future[tuple[PlanOutcome, float]] | None = None
         self._began_s = self._heard_s = time.perf_counter()
         self._track_at_s = -math.inf
@@ -103,8 +102,8 @@ class _Loop:
         self._link.answer_to_sender()
         if not self._flown.heard:
             self._flown.heard, self._began_s = True, now_s
-            if self._planner is self._compiler:
-                self._compiler.start()
+            if isinstance(self._planner, Planner):
+                self._planner.start()
         self._heard_s = now_s
         return True
 

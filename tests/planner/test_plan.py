@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 START = (1_000.0, 1_000.0, 450.0)
 FAR_TARGET = (7_500.0, 7_500.0)
-RANDOM_STARTS = 16
+RANDOM_STARTS = 12
 
 
 def ask(task: Task, known: KnownMap, **changes: object) -> PlanRequest:
@@ -305,11 +305,11 @@ def test_walls_all_around_leave_no_plan_but_a_reason(task: Task, blank: KnownMap
     north, east = known.middles_m(0, 0, (known.upper_m.shape[0], known.upper_m.shape[1]))
     far = np.hypot(north - START[0], east - START[1])
     known.upper_m[(far > 400.0) & (far < 600.0)] = 5_000.0
-    outcome = plan(ask(with_budget(task, 60), known))
+    outcome = plan(ask(with_budget(task, 40), known))
     assert isinstance(outcome, NotPlanned)
     assert outcome.refusal is Refusal.NOTHING_SAFE
     assert "terrain clearance" in outcome.broken
-    assert outcome.evaluations > 10 * 60
+    assert outcome.evaluations > 10 * 40
 
 
 def test_boxed_in_by_what_is_unknown_there_is_no_plan_but_a_reason(
@@ -317,7 +317,7 @@ def test_boxed_in_by_what_is_unknown_there_is_no_plan_but_a_reason(
 ) -> None:
     known = empty_map(blank.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
     known.upper_m[32:48, 32:48] = 100.0  # 200 m around the start
-    outcome = plan(ask(with_budget(task, 60), known))
+    outcome = plan(ask(with_budget(task, 40), known))
     assert isinstance(outcome, NotPlanned)
     assert outcome.refusal is Refusal.NOTHING_SAFE
     assert "terrain clearance" in outcome.broken
