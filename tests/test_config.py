@@ -397,9 +397,9 @@ def test_a_target_in_or_too_near_a_keep_out_is_refused(file: Path, zone: str) ->
     inside = refused(file, f"{target(50_000.0, 51_000.0)}\n{zone}")
     assert "targets[0] = [50000.0, 51000.0]" in inside
     assert "inside keep-out 'zone'" in inside
-    near = refused(file, f"{target(edge_m + 499.0, 50_000.0)}\n{zone}")
-    assert "nearer than planner.safety_distance_m to keep-out 'zone'" in near
-    load(file, f"{target(edge_m + 501.0, 50_000.0)}\n{zone}")
+    near = refused(file, f"{target(edge_m + 519.0, 50_000.0)}\n{zone}")
+    assert "nearer than 520 m (d_s and the vehicle's errors) to keep-out 'zone'" in near
+    load(file, f"{target(edge_m + 521.0, 50_000.0)}\n{zone}")
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,11 @@
 What differs from `improved_de`, each part measured (planner-numbers, part C;
 scripts/benchmarks/quality.py):
 
-- x_best of eq. 17 is one of the p best, and x_r3 may come from an archive of beaten parents (as in
-  JADE: Zhang and Sanderson, IEEE Trans. Evol. Comp. 13, 2009);
+- x_best of eq. 17 is one of the p best, x_r1 half the time the member itself, and x_r3 may come
+  from an archive of beaten parents (as in JADE: Zhang and Sanderson, IEEE Trans. Evol. Comp. 13,
+  2009);
 - the factor of x_r2 - x_r3 is k2 (1 - a), not k2 a: the paper's takes no differences when it goes
-  towards the best, and the population collapses;
+  towards the best, and the population collapses; k1 and k2 (eq. 18) stay at 0 and 1 by default;
 - a and Cr are drawn about a memory of what succeeded, 1 - a by its Lehmer mean and from Cauchy's
   distribution (as F in L-SHADE: Tanabe and Fukunaga, CEC 2014, sec. II);
 - the population shrinks linearly (the same), and begins as large as the budget allows;
@@ -42,6 +43,7 @@ from companion.optimise.refined_state import (
     K1_TO,
     K2_FROM,
     K2_TO,
+    OWN,
     P_BEST,
     PHASE,
     POLISH_AT,
@@ -172,7 +174,8 @@ def _propose(state: State, n: int) -> None:
     progress = (counters[SPENT] / counters[POLISH_AT]) ** 2
     k1 = numbers[K1_FROM] + (numbers[K1_TO] - numbers[K1_FROM]) * progress
     k2 = numbers[K2_FROM] + (numbers[K2_TO] - numbers[K2_FROM]) * progress
-    spread, memories, dimensions = numbers[SPREAD], memory.shape[0], trial.shape[1]
+    spread, own = numbers[SPREAD], numbers[OWN]
+    memories, dimensions = memory.shape[0], trial.shape[1]
     uniforms, deviates = state.uniforms, state.deviates
     for i in range(n):
         row = int(counters[SPENT]) + i
@@ -181,9 +184,12 @@ def _propose(state: State, n: int) -> None:
         cr = memory[slot, 1] + spread * deviates[row, 1]
         state.pull[i], state.cr[i] = pull, min(max(cr, 0.0), 1.0)
         best = state.order[int(uniforms[row, U_P_BEST] * among)]
+        drawn = (uniforms[row, U_R1] - own) / (1.0 - own)
         r1, r2, r3 = others(
-            i, size, total, uniforms[row, U_R1], uniforms[row, U_R2], uniforms[row, U_R3]
+            i, size, total, max(drawn, 0.0), uniforms[row, U_R2], uniforms[row, U_R3]
         )
+        if drawn < 0.0:
+            r1 = i
         of_1, of_best, of_pair = 1.0 - pull - k1 * pull, pull + k1 * pull, k2 * pull
         kept = int(uniforms[row, U_KEPT] * dimensions)
         for j in range(dimensions):

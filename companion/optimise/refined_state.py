@@ -34,16 +34,18 @@ class Settings:
     """Members at the end of the linear reduction."""
     p_best: float = 0.2
     """Share of the population among which x_best of eq. 17 is drawn."""
+    own: float = 0.5
+    """Share of trials whose x_r1 of eq. 17 is the member itself: it keeps basins apart."""
     archive: float = 1.0
     """Beaten parents that are kept, per member."""
     memory: int = 5
     """Pairs of a and Cr that are remembered."""
     spread: float = 0.1
     """Of a and Cr about what is remembered."""
-    k1: tuple[float, float] = (0.0, 0.5)
-    """k1 goes from the first to the second value (eq. 18)."""
-    k2: tuple[float, float] = (1.0, 0.5)
-    """k2 goes from the first to the second value (eq. 18)."""
+    k1: tuple[float, float] = (0.0, 0.0)
+    """k1 goes from the first to the second value (eq. 18; in the paper from 0 to 0.5)."""
+    k2: tuple[float, float] = (1.0, 1.0)
+    """k2 goes from the first to the second value (eq. 18; in the paper from 1 to 0.5)."""
     polish: float = 0.15
     """Share of the budget that goes to the simplex, at the end."""
     edge: float = 0.05
@@ -56,10 +58,10 @@ class Settings:
         if self.population is not None and self.population < self.smallest:
             rule = "the population cannot be smaller than at its end"
             raise InputError("population", self.population, rule, f"Set {self.smallest} or more.")
-        for name in ("p_best", "spread", "polish", "edge"):
+        for name in ("p_best", "own", "spread", "polish", "edge"):
             value = getattr(self, name)
             if not 0.0 <= value < 1.0:
-                raise InputError(name, value, "a share of one", "Set 0 or more, and less than 1.")
+                raise InputError(name, value, "not a share", "Set 0 or more, and less than 1.")
         if self.memory < 1:
             raise InputError("memory", self.memory, "nothing could be remembered", "Set 1 or more.")
         if self.archive < 0.0:
@@ -99,7 +101,7 @@ class State(NamedTuple):
 # State.counters
 SPENT, BUDGET, POLISH_AT, SIZE, FIRST, SMALLEST, ARCHIVED, SLOT, PHASE = range(9)
 # State.numbers
-P_BEST, ARCHIVE, SPREAD, K1_FROM, K1_TO, K2_FROM, K2_TO, EDGE, REFLECTED_COST = range(9)
+P_BEST, OWN, ARCHIVE, SPREAD, K1_FROM, K1_TO, K2_FROM, K2_TO, EDGE, REFLECTED_COST = range(10)
 # State.counters[PHASE]: what the trials under way are
 START, EVOLVE, BUILD, REFLECT, EXPAND, OUTSIDE, INSIDE, SHRINK = range(8)
 # columns of State.uniforms; the crossover of the variables follows
@@ -123,9 +125,9 @@ def begin(
     rows = max(size, dimensions)
     trial = np.zeros((rows, dimensions))
     trial[:size] = first_members(size, dimensions, rng, seeds)
-    numbers = np.zeros(9)
-    numbers[:EDGE] = settings.p_best, settings.archive, settings.spread, *settings.k1, *settings.k2
-    numbers[EDGE] = settings.edge
+    numbers = np.zeros(REFLECTED_COST + 1)
+    numbers[:K1_FROM] = settings.p_best, settings.own, settings.archive, settings.spread
+    numbers[K1_FROM:REFLECTED_COST] = *settings.k1, *settings.k2, settings.edge
     counters = np.zeros(9, dtype=np.int64)
     counters[:ARCHIVED] = 0, evaluations, polish_at, size, size, min(settings.smallest, size)
     deviates = np.stack([rng.standard_cauchy(polish_at), rng.standard_normal(polish_at)], axis=1)

@@ -163,13 +163,25 @@ def lattice_of(known: KnownMap, task: Task, here_ne_m: Place, cells: int) -> Lat
     )
 
 
+def descent_m(altitude_m: float, task: Task) -> float:
+    """What it costs to come down to the floor: the height on the way, in metres of level flight."""
+    weights, limits = task.settings.weights, task.limits
+    per_height = weights.height * 2.4 / max(weights.length, 1e-3)
+    band = limits.ceiling_amsl_m - limits.floor_amsl_m
+    fraction = min(max((altitude_m - limits.floor_amsl_m) / band, 0.0), 1.0)
+    return 0.5 * per_height * fraction**2 * band / math.tan(limits.dive_angle_rad)
+
+
 def _seen(known: KnownMap, first: list[int], count: list[int], cells: int) -> BoolArray:
-    """Whether a scan has seen the ground at the samples.  -> count."""
-    index = (
-        np.clip(first[axis] + cells * np.arange(count[axis]), 0, known.seen.shape[axis] - 1)
-        for axis in (0, 1)
-    )
-    return np.asarray(known.seen[np.ix_(*index)])
+    """Whether scans have seen the four cells at each sample.  -> count."""
+    result = np.ones((count[0], count[1]), dtype=bool)
+    for south, west in np.ndindex(2, 2):
+        index = (
+            np.clip(first[axis] + cells * np.arange(count[axis]) - before, 0, size - 1)
+            for axis, (before, size) in enumerate(zip((south, west), known.seen.shape, strict=True))
+        )
+        result &= known.seen[np.ix_(*index)]
+    return result
 
 
 def _continued(

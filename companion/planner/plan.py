@@ -20,6 +20,7 @@ from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import certify, pack_surroundings
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
+from companion.planner.cost_lattice import descent_m
 from companion.planner.cost_to_go import CostToGo, cost_to_go
 from companion.planner.escape import Trouble, trouble, way_out
 from companion.planner.kernels import NUMPY, Kernel
@@ -186,8 +187,9 @@ class _Plan:
     def _excess(self, planned: Planned) -> float:
         """How much dearer a subpath and what follows are than promised, in costs of R."""
         settings = self._request.task.settings
-        north, east, _ = self._request.start.point_nea_m
+        north, east, altitude = self._request.start.point_nea_m
         promised_m = float(self._field.at_m(np.asarray(north), np.asarray(east)))
+        promised_m += descent_m(altitude, self._request.task)
         cost_of_r = settings.weights.length * 100.0 / 2.4
         return _total(planned) / max(cost_of_r, 1e-9) - promised_m / settings.scan_range_m
 

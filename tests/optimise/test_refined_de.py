@@ -34,7 +34,8 @@ Cost = Callable[[FloatArray], float]
 
 D = 3
 NO_SEEDS = np.empty((0, D))
-SMALL = Settings(population=7, smallest=7, spread=0.0)
+SMALL = Settings(population=7, smallest=7, spread=0.0, own=0.0)
+PAPER_K = Settings(population=7, smallest=7, spread=0.0, own=0.0, k1=(0.0, 0.5), k2=(1.0, 0.5))
 few = settings(max_examples=20)
 
 
@@ -124,7 +125,7 @@ def test_every_mutant_is_equation_17_of_one_of_the_p_best_and_three_others(
     seed: int, a: float, k1: float, k2: float
 ) -> None:
     how = Settings(
-        population=7, smallest=7, spread=0.0, k1=(k1, k1), k2=(k2, k2), p_best=0.43, archive=1.0
+        population=7, smallest=7, spread=0.0, own=0.0, k1=(k1, k1), k2=(k2, k2), p_best=0.43
     )
     state = started(how, seed, a=a)
     kept = np.random.default_rng(seed + 1).uniform(0.45, 0.55, (4, D))
@@ -146,17 +147,32 @@ def test_members_of_the_archive_and_each_of_the_p_best_come_into_use() -> None:
         for i in range(7):
             for k, b in enumerate(order[:2]):
                 can_be = mutants(state, i, 0.5, 0.0, 1.0, [members(state)[b]])
-                if nearest(state.trial[i], can_be) < 1e-3:  # k2 has fallen a little
+                if nearest(state.trial[i], can_be) < 1e-12:
                     x_best.add(k)
             x_3.add(bool((state.trial[i] < 0.4).any()))
     assert x_3 == {True, False}
     assert x_best == {0, 1}
 
 
+@pytest.mark.parametrize("own", [0.0, 0.3, 0.9])
+def test_a_share_of_mutants_starts_from_the_member_itself(own: float) -> None:
+    how = Settings(population=7, smallest=7, spread=0.0, own=own, k2=(0.0, 0.0))
+    from_itself = []
+    for seed in range(150):
+        state = started(how, seed)  # without differences a mutant lies half way to a best one
+        best = [members(state)[k] for k in np.argsort(state.costs)[:2]]
+        n = ask(state)
+        for i, x in enumerate(members(state)[:n]):
+            half_way = np.array([0.5 * (x + b) for b in best])
+            from_itself.append(nearest(state.trial[i], half_way) < 1e-12)
+    # 1050 draws, 5 standard deviations; of two that are best, the other's pull makes the same
+    assert np.mean(from_itself) == pytest.approx(own + (1.0 - own) / 42.0, abs=0.08)
+
+
 @pytest.mark.parametrize("rounds", [0, 1, 40, 80])
 def test_k1_rises_and_k2_falls_with_the_square_of_the_budget_spent(rounds: int) -> None:
     """Eq. 18, with the paper's ranges: k1 from 0 to 0.5, k2 from 1 to 0.5."""
-    state = started(evaluations=700)
+    state = started(PAPER_K, evaluations=700)
     for _ in range(rounds):
         n = ask(state)
         state.trial_costs[:n] = math.inf  # nothing succeeds: the members stay
@@ -507,6 +523,7 @@ def test_a_compiled_search_is_the_same_search() -> None:
         {"population": 5},
         {"p_best": -0.1},
         {"p_best": math.nan},
+        {"own": 1.0},
         {"polish": 1.0},
         {"edge": 1.0},
         {"memory": 0},
