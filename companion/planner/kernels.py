@@ -45,17 +45,21 @@ def _search(state: State, scene: FlightScene, until: int) -> None:
 NUMPY = Kernel(name="numpy", search=_search, costs=flight.cost, prove=proof.prove)
 
 
-def compiled(*, cached: bool) -> Kernel:
+def compiled(*, cache: str | None) -> Kernel:
     """The numba kernel, compiled, or loaded from numba's cache on disk.
 
-    cached: whether that cache can be used.  Raises ImportError where numba is not installed.
+    cache: the folder of that cache; None: there is none.  Raises ImportError where numba is not
+    installed.
     """
     import numba
     from numba.extending import register_jitable
 
+    if cache is not None:
+        numba.config.CACHE_DIR = cache  # it may have been imported with another one
+
     for helper in (*kernel.HELPERS, kernel.cost, *refined_de.HELPERS, *proof.HELPERS):
         register_jitable(helper)
-    jit: Any = numba.njit(cache=cached, nogil=True)
+    jit: Any = numba.njit(cache=cache is not None, nogil=True)
     search, costs, prove = jit(_run), jit(_costs), jit(proof.prove)
 
     def search_scene(state: State, scene: FlightScene, until: int) -> None:

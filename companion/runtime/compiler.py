@@ -33,17 +33,17 @@ def load_kernel() -> Kernel:
     """
     cache = _prepare_cache()
     if cache is None:
-        return _compiled(cached=False) or NUMPY
-    kernel = _compiled(cached=True)
+        return _compiled(None) or NUMPY
+    kernel = _compiled(cache)
     if kernel is None and any(cache.iterdir()):
         shutil.rmtree(cache, ignore_errors=True)
-        kernel = _compiled(cached=True)
+        kernel = _compiled(cache)
     return kernel or NUMPY
 
 
-def _compiled(*, cached: bool) -> Kernel | None:
+def _compiled(cache: Path | None) -> Kernel | None:
     try:
-        kernel = kernels.compiled(cached=cached)
+        kernel = kernels.compiled(cache=None if cache is None else str(cache))
         _warm_up(kernel)
     except ImportError:
         return None

@@ -290,7 +290,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 150)
-    kernel = kernels.compiled(cached=False)
+    kernel = kernels.compiled(cache=None)
     data = subpaths.record(kernel) if options.record else subpaths.load()
     problems = subpaths.problems(data)
     if options.best_known:

@@ -151,8 +151,8 @@ def breaks(monkeypatch: pytest.MonkeyPatch, home: Path, *errors: type[Exception]
     """Loading the kernel fails so often; -> whether each attempt was with a cache."""
     attempts: list[bool] = []
 
-    def broken(*, cached: bool) -> Kernel:
-        attempts.append(cached)
+    def broken(*, cache: str | None) -> Kernel:
+        attempts.append(cache is not None)
         if len(attempts) <= len(errors):
             raise errors[len(attempts) - 1]("made up")
         return LOADED
@@ -267,7 +267,7 @@ if whole:
     print(compiler.load_kernel().name)
 else:
     assert compiler._prepare_cache() is None
-    print(kernels.compiled(cached=False).name)
+    print(kernels.compiled(cache=None).name)
 """
 
 
