@@ -282,8 +282,9 @@ def _exit_as_it_ended(flown: Flown, connect: str) -> None:
 
 def _exit_as_planned(flight: OfflineFlight) -> None:
     if flight.failure is not None:
-        broken = ", ".join(flight.failure.broken)
-        raise FlightFailed(f"{flight.failure.refusal.value} (broken: {broken})", "")
+        failure = flight.failure
+        broken = f" (broken: {', '.join(failure.broken)})" if failure.broken else ""
+        raise FlightFailed(f"{failure.refusal.value}{broken}", "")
     if not flight.legs[-1].reaches_target:
         raise FlightFailed("the target was not reached", "Look at the picture for a trap.")
 

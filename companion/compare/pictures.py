@@ -42,7 +42,7 @@ def compose_effect(effect: effects.Effect, found: Sequence[effects.Outcome], rem
         flight, left = _flight(outcome), 0.02 + 0.49 * at
         letters = ("ab", "cd")[0][at], ("ab", "cd")[1][at]
         box = (left, 0.525, 0.47, 0.42)
-        views._draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), flight)
+        views.draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), flight)
         heading = f"({letters[0]}) {outcome.setting.words}: {_most(outcome)}"
         canvas.text(left + 0.02, 0.93, heading, fontsize=14, weight="bold", parse_math=False)
         below = canvas.add_axes(
@@ -50,10 +50,10 @@ def compose_effect(effect: effects.Effect, found: Sequence[effects.Outcome], rem
             label="below",
         )
         if profiles:
-            views._draw_profile(below, flight)
+            views.draw_profile(below, flight)
             below.set_title(f"({letters[1]}) Vertical profile of ({letters[0]})")
         else:
-            views._draw_plan(below, flight)
+            views.draw_plan(below, flight)
             below.set_title(f"({letters[0]}) from above")
     shown: dict[str, Any] = {}
     for axes in canvas.axes:

@@ -189,7 +189,7 @@ def _continued(
 ) -> FloatArray:
     """Let mountains go on behind what has been seen of them, falling by _SLOPE from there.
 
-    Else the way would always seem to lead right behind the ridge that hides it (decision 0010).
+    Else the way would always seem to lead right behind the ridge that hides it (decision 0009).
     """
     highest = float(lowest_m.max(initial=-np.inf))
     if seen.all() or highest <= floor_amsl_m:

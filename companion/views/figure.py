@@ -130,11 +130,11 @@ def compose(figure: FlightFigure) -> Figure:
     canvas.text(0.03, 0.957, figure.title, fontsize=17, weight="bold", parse_math=False)
     canvas.text(0.03, 0.931, figure.caption, fontsize=11, color="#444444", parse_math=False)
     box = (0.012, 0.37, 0.5, 0.55)
-    _draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), figure)
+    draw_oblique(canvas.add_axes(box, projection="3d", label="oblique"), figure)
     plan = canvas.add_axes((0.572, 0.41, 0.36, 0.51), label="plan")
-    _draw_plan(plan, figure)
+    draw_plan(plan, figure)
     profile = canvas.add_axes((0.06, 0.13, 0.905, 0.19), label="profile")
-    _draw_profile(profile, figure)
+    draw_profile(profile, figure)
     shown: _Style = {}
     for axes in (plan, profile):
         for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -163,7 +163,8 @@ def _marks(figure: FlightFigure) -> list[tuple[FloatArray, _Style]]:
     return [(points, style) for points, style in marks if len(points)]
 
 
-def _draw_plan(axes: Axes, figure: FlightFigure) -> None:
+def draw_plan(axes: Axes, figure: FlightFigure) -> None:
+    """From above: terrain, radars, keep-outs and the path."""
     north, east = figure.terrain.north_edges_m / 1e3, figure.terrain.east_edges_m / 1e3
     heights = np.ma.masked_invalid(figure.terrain.heights_m / 1e3)
     low, high = (altitude / 1e3 for altitude in figure.altitudes_m)
@@ -209,7 +210,8 @@ def _draw_radar(axes: Axes, radar: Radar, figure: FlightFigure) -> None:
         axes.text(*centre, radar.name, clip_on=True, parse_math=False, **style)
 
 
-def _draw_profile(axes: Axes, figure: FlightFigure) -> None:
+def draw_profile(axes: Axes, figure: FlightFigure) -> None:
+    """Along the path: the terrain under it, the radars it passes, and its altitude."""
     path = figure.path_nea_m
     low, high = (altitude / 1e3 for altitude in figure.altitudes_m)
     steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
@@ -242,7 +244,7 @@ def _draw_profile(axes: Axes, figure: FlightFigure) -> None:
     axes.set(xlabel="distance along the path over ground, km", ylabel="altitude, km AMSL")
 
 
-def _draw_oblique(axes: Any, figure: FlightFigure) -> None:
+def draw_oblique(axes: Any, figure: FlightFigure) -> None:
     """Terrain, radars and keep-outs in one collection, sorted by depth, and the path over it."""
     terrain = figure.terrain.coarser()
     low, high = figure.altitudes_m
