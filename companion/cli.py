@@ -298,7 +298,9 @@ def _stop_signals() -> Iterator[list[int]]:
         received.append(number)
 
     before = {
-        each: signal.signal(each, note) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        each: signal.signal(each, note)
+        for name in ("SIGINT", "SIGTERM", "SIGHUP")
+        if (each := getattr(signal, name, None)) is not None
     }
     try:
         yield received

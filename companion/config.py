@@ -248,9 +248,9 @@ def _check_mission(mission: Mission, where: str) -> None:
         remedy = "Raise it, or make [area] smaller."
         given = mission.task.settings.scan_range_m
         raise InputError(f"{where}: planner.scan_range_m", given, rule, remedy)
+    _check_distances(mission.task, where)
     for index, target in enumerate(mission.targets_ne_m):
         _check_target(mission, f"{where}: targets[{index}]", target)
-    _check_distances(mission.task, where)
 
 
 def _check_target(mission: Mission, field: str, target: tuple[float, float]) -> None:
@@ -258,13 +258,16 @@ def _check_target(mission: Mission, field: str, target: tuple[float, float]) -> 
     for value, (low, high), axis in zip(
         target, (limits.north_m, limits.east_m), ("north", "east"), strict=True
     ):
-        if not low <= value <= high:
+        inset = task.search_clearance_m if task.settings.profile.verified else 0.0
+        if not low + inset <= value <= high - inset:
             rule = f"it lies outside the map, {low:g} to {high:g} m"
+            if low <= value <= high:
+                rule = f"it lies nearer than {inset:g} m (d_s and errors) to the edge of the map"
             raise InputError(f"{field}.{axis}_m", value, rule, "Move it, or widen [area].")
     for zone in task.keep_outs:
         gap = float(zone.distance_m(*_as_arrays(target)))
-        if gap < task.required_clearance_m:
-            least = f"{task.required_clearance_m:g} m (d_s and the vehicle's errors)"
+        if gap < task.search_clearance_m:
+            least = f"{task.search_clearance_m:g} m (d_s and the vehicle's errors)"
             inside = "inside" if gap < 0.0 else f"nearer than {least} to"
             rule = f"it lies {inside} keep-out {zone.name!r}"
             raise InputError(field, list(target), rule, "Move the target, or remove the zone.")

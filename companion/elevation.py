@@ -58,7 +58,7 @@ def read_terrain(
             _check_coordinates(source, field, path, vertical_datum)
             rows, columns = _window(source, frame, area_m, field, path)
             heights = source.read(1, window=(rows, columns))
-            empty = _holes(heights, source.nodata)
+            empty = _holes(heights, source.read_masks(1, window=(rows, columns)))
             transform = source.transform
     except rasterio.errors.RasterioError as error:
         rule = f"it cannot be read ({' '.join(str(error).split())})"
@@ -161,9 +161,9 @@ def _reach(south: float, north: float, west: float, east: float) -> str:
     return f"{south:.5f} to {north:.5f} N, {west:.5f} to {east:.5f} E"
 
 
-def _holes(heights: npt.NDArray[Any], nodata: float | None) -> npt.NDArray[np.bool_]:
-    """Where there is no height: the file's own mark, or what is no number."""
-    empty = np.zeros(heights.shape, dtype=bool) if nodata is None else heights == nodata
+def _holes(heights: npt.NDArray[Any], mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+    """Where there is no height: the file's own mark or mask, or what is no number."""
+    empty: npt.NDArray[np.bool_] = mask == 0
     return empty | ~np.isfinite(heights) if heights.dtype.kind == "f" else empty
 
 
@@ -181,9 +181,12 @@ def _filled(
             remedy = 'Write terrain.nodata = "sea" or a height AMSL, or name another file.'
             raise InputError(field, str(path), rule, remedy)
         fill = 0.0 if nodata == "sea" else float(nodata)
-        heights = np.where(empty, fill, heights).astype(
-            heights.dtype if fill.is_integer() else np.float32
-        )
+        kind = heights.dtype
+        if kind.kind in "iu" and not (
+            fill.is_integer() and np.iinfo(kind).min <= fill <= np.iinfo(kind).max
+        ):
+            kind = np.dtype(np.float32)
+        heights = np.where(empty, fill, heights).astype(kind)
     low, high = float(heights.min()), float(heights.max())
     if low < _LOWEST_M or high > _HIGHEST_M:
         rule = f"its heights run from {low:g} to {high:g} m, which is not this earth"

@@ -119,7 +119,7 @@ class PlannerTable(Table):
     scan_time_s: Positive = 4.0
     scan_distance_m: Positive | None = None
     overlap_m: NotNegative | None = None
-    evaluations: Annotated[int, Field(ge=60, le=1_000_000)] = 3000
+    evaluations: Annotated[int, Field(ge=60, le=200_000)] = 3000
     profile: Literal["flight", "paper"] = "flight"
     optimiser: Literal[tuple(OPTIMISERS)] | None = None  # type: ignore[valid-type]
     weights: WeightsTable = WeightsTable()

@@ -381,8 +381,9 @@ def test_a_target_outside_the_map_is_refused(
     assert "outside the map" in message
 
 
-def test_a_target_on_the_edge_of_the_map_is_taken(file: Path) -> None:
-    assert load(file, target(105_000.0, -5000.0)).targets_ne_m == ((105_000.0, -5000.0),)
+def test_a_target_keeps_the_required_clearance_from_the_edge_of_the_map(file: Path) -> None:
+    assert load(file, target(104_470.0, -4470.0)).targets_ne_m == ((104_470.0, -4470.0),)
+    assert "nearer than 530 m" in refused(file, target(104_471.0, 0.0))
 
 
 CIRCLE = '[[keep_outs]]\nname = "zone"\nnorth_m = 50000.0\neast_m = 50000.0\nradius_m = 3000.0\n'
@@ -397,9 +398,9 @@ def test_a_target_in_or_too_near_a_keep_out_is_refused(file: Path, zone: str) ->
     inside = refused(file, f"{target(50_000.0, 51_000.0)}\n{zone}")
     assert "targets[0] = [50000.0, 51000.0]" in inside
     assert "inside keep-out 'zone'" in inside
-    near = refused(file, f"{target(edge_m + 519.0, 50_000.0)}\n{zone}")
-    assert "nearer than 520 m (d_s and the vehicle's errors) to keep-out 'zone'" in near
-    load(file, f"{target(edge_m + 521.0, 50_000.0)}\n{zone}")
+    near = refused(file, f"{target(edge_m + 529.0, 50_000.0)}\n{zone}")
+    assert "nearer than 530 m (d_s and the vehicle's errors) to keep-out 'zone'" in near
+    load(file, f"{target(edge_m + 531.0, 50_000.0)}\n{zone}")
 
 
 @pytest.mark.parametrize(

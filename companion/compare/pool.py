@@ -98,7 +98,10 @@ def _signals_interrupt() -> Iterator[None]:
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    before = {each: signal.signal(each, interrupt) for each in (signal.SIGTERM, signal.SIGHUP)}
+    names = (name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+    before = {
+        each: signal.signal(each, interrupt) for each in map(signal.Signals.__getitem__, names)
+    }
     try:
         yield
     finally:

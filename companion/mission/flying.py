@@ -36,6 +36,7 @@ _STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does n
 _ANSWER_SLACK_S = 60.0
 _DEPARTURE = 3.0  # tracking errors off the path
 _DEPARTURES = 3
+_MOST_STOPS = 12  # on the way to one target, for want of a successor
 _SHORT_SIGHTED = 0.8  # of R
 
 
@@ -76,9 +77,11 @@ def on_position(state: State, event: Position, context: Context) -> Step:
     if is_at_end(flight.reference, leg):
         if leg.reaches_target:
             return replace(state, flight=flight), commands, Trigger.TARGET_REACHED
-        flight = at_rest_at_end(flight)
+        flight = replace(at_rest_at_end(flight), stops=flight.stops + 1)
+        if flight.stops > _MOST_STOPS:
+            return give_up(replace(state, flight=flight), Reason.NO_PLAN)
         return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
-    due = flight.reference.length_m >= leg.scan_at_m(task)
+    due = flight.reference.length_m >= leg.scan_at_m(task) and leg.can_be_left(task)
     if due and not flight.tried and not leg.reaches_target:
         flight, scan = _start_scan(flight, leg.subpath.pose(flight.reference.length_m).point_nea_m)
         commands.append(scan)
@@ -145,7 +148,8 @@ def on_plan(state: State, event: PlanReady, context: Context) -> Step:
     if outcome.plan_id != flight.plan_id or not flight.planning:
         return state, [], None  # the answer to a question that is no longer asked
     state = replace(state, flight=replace(flight, planning=False))
-    if isinstance(outcome, NotPlanned):
+    verified = context.mission.task.settings.profile.verified
+    if isinstance(outcome, NotPlanned) or (verified and not outcome.certificate.proven):
         return _no_successor(state, Reason.NO_PLAN)
     leg = flight.leg
     late = leg is not None and flight.reference.length_m > leg.successor_at_m(context.mission.task)

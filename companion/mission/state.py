@@ -159,6 +159,8 @@ class Flight:
     failures: int = 0
     """Attempts in a row, from rest, that gave no leg."""
     legs_flown: int = 0
+    stops: int = 0
+    """How often the vehicle has stopped at the end of a leg that was not the last."""
     departures: int = 0
     """How often the vehicle has left its path."""
     progress_at_s: float = 0.0

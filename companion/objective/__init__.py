@@ -1,1 +1,1 @@
-"""What is good: the six terms of the paper's objective (2.6) and their weighted sum."""
+"""What is good: the paper's six terms (2.6), as published and as flown, and their sum."""

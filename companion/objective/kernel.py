@@ -17,7 +17,6 @@ from companion.path.bspline import uniform_basis
 from companion.world.threats import CircleKeepOut, PolygonKeepOut
 
 _SPREAD = flight.SPREAD_RAD
-_CHECK_EVERY = 4  # samples between two looks at the bound
 
 
 class Pack(NamedTuple):

@@ -38,7 +38,10 @@ class Ranked:
 
 
 def minimise(
-    optimiser: Optimiser, objective: Callable[[FloatArray], FloatArray], evaluations: int
+    optimiser: Optimiser,
+    objective: Callable[[FloatArray], FloatArray],
+    evaluations: int,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Ranked:
     """Search until the budget is spent, to the evaluation.
 
@@ -46,7 +49,7 @@ def minimise(
     costs that are not numbers, count as infinite.
     """
     spent = 0
-    while spent < evaluations:
+    while spent < evaluations and not (spent and stop()):
         x = optimiser.ask()
         costs = np.full(len(x), np.inf)
         count = min(len(x), evaluations - spent)

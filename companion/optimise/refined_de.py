@@ -311,5 +311,3 @@ HELPERS = (
     tell,
 )
 """Every function that a compiled search needs, callees first."""
-ENTRIES = (ask, tell)
-"""What is worth compiling by itself."""

@@ -1,1 +1,1 @@
-"""What a path is: B-spline subpaths, and the dense check that a subpath must pass."""
+"""What a path is: B-spline subpaths, and the certificate that a subpath needs to be flown."""

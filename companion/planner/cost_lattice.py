@@ -259,7 +259,9 @@ def _detection(
     """
     margin = 0.5 * step_m
     total = np.zeros(altitude_m.shape)
-    for radar in task.radars:
+    middle = 0.5 * (north[0, 0] + north[-1, 0]), 0.5 * (east[0, 0] + east[0, -1])
+    across = math.hypot(north[-1, 0] - north[0, 0], east[0, -1] - east[0, 0])
+    for radar in task.radars_near(middle, 0.5 * across + margin):
         centre, reach = radar.centre_nea_m, radar.range_m + margin
         rows = slice(*np.searchsorted(north[:, 0], (centre[0] - reach, centre[0] + reach)))
         columns = slice(*np.searchsorted(east[0], (centre[1] - reach, centre[1] + reach)))

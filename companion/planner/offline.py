@@ -119,6 +119,9 @@ class _Flight:
             self._left.pop(0)
             self._route = ()
             self._stop_at_end()
+        elif not leg.can_be_left(self._task):
+            self._holds += 1
+            self._stop_at_end()
         else:
             self._scan_nea_m = leg.subpath.pose(leg.scan_at_m(self._task)).point_nea_m
             self._pose = leg.subpath.pose(leg.successor_at_m(self._task))

@@ -27,7 +27,6 @@ from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.world.clearance import Surface, distance_to_terrain_m, safe_surface
-from companion.world.threats import Radar
 
 _CHUNK = 300  # evaluations between two looks at the clock
 _CERTIFIED = 16  # candidates of a search that are tried
@@ -37,6 +36,7 @@ _MUCH_DEARER = 0.5  # then every other way is tried
 _STOP = 1.2  # then the vehicle rather stops at the end of its leg, where it can leave any way
 _NEAR_END = 0.5  # cost: near ends look too cheap, as the cost-to-go knows nothing of turns
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
+_IN_REACH = 1.5  # of R: threats farther away concern no subpath
 _SEARCH = refined_de.Settings()
 
 
@@ -90,6 +90,8 @@ def plan(
 def _impossible(request: PlanRequest) -> Refusal | None:
     """What is wrong with the question itself."""
     task, limits, known = request.task, request.task.limits, request.known
+    if not _is_sane(request):
+        return Refusal.NO_QUESTION
     if 2.0 * limits.turn_radius_m > task.settings.scan_range_m:
         return Refusal.NO_ROOM_TO_TURN
     north, east, altitude = request.start.point_nea_m
@@ -100,8 +102,11 @@ def _impossible(request: PlanRequest) -> Refusal | None:
     if not inside or not low <= altitude <= high:
         return Refusal.START_OUTSIDE
     target = np.array(request.target_ne_m)
+    edges = zip(target, (limits.north_m, limits.east_m), strict=True)
+    if min(min(at - low, high - at) for at, (low, high) in edges) < task.search_clearance_m:
+        return Refusal.TARGET_AT_EDGE
     for zone in task.keep_outs:
-        if float(zone.distance_m(target[0], target[1])) < task.required_clearance_m:
+        if float(zone.distance_m(target[0], target[1])) < task.search_clearance_m:
             return Refusal.TARGET_IN_KEEP_OUT
     highest = np.array([*request.target_ne_m, task.band_amsl_m[1]])
     required_m = task.required_clearance_m
@@ -112,11 +117,37 @@ def _impossible(request: PlanRequest) -> Refusal | None:
     return None
 
 
+def _is_sane(request: PlanRequest) -> bool:
+    """Whether all numbers are numbers, and limits leave something to plan."""
+    limits, task, start = request.task.limits, request.task, request.start
+    numbers = (
+        *request.scan_nea_m,
+        *request.target_ne_m,
+        *start.position_nea_m,
+        *start.tangent_nea,
+        *start.curvature_nea_1_m,
+    )
+    low, high = task.band_amsl_m
+    positive = (
+        high - low,
+        limits.climb_angle_rad,
+        limits.dive_angle_rad,
+        limits.speed_m_s,
+        limits.acceleration_m_s2,
+        limits.turn_radius_m,
+        task.settings.safety_distance_m,
+        task.settings.scan_range_m,
+    )
+    return bool(np.isfinite(numbers).all() and np.isfinite(positive).all() and min(positive) > 0.0)
+
+
 def _escape(request: PlanRequest, found: Trouble, kernel: Kernel) -> PlanOutcome:
     """The shortest way out of a place where no certificate can begin."""
     escape = way_out(request, found, kernel.prove) if request.from_rest else None
     if escape is None:
-        refusal = Refusal.START_IN_KEEP_OUT if found.inside else Refusal.START_NEAR_TERRAIN
+        refusal = Refusal.START_IN_KEEP_OUT if found.zones else Refusal.START_NEAR_TERRAIN
+        if found.unknown and not found.zones:
+            refusal = Refusal.START_NEAR_UNKNOWN
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
     subpath, certificate = escape
     tangent = subpath.pose(0.0).tangent_nea
@@ -152,6 +183,8 @@ class _Plan:
             request.route_ne_m,
         )
         self._scene = _scene(request, self._field)
+        limits = request.task.limits
+        self._shortest_m = limits.stopping_m(limits.speed_m_s)
         self._evaluations = self._tries = 0
         self._broken: tuple[str, ...] = ()
 
@@ -209,7 +242,9 @@ class _Plan:
         name, seeds = settings.optimiser or settings.profile.optimiser, _seeds(scene)
         if name != "refined-de":
             optimiser = OPTIMISERS[name](scene.variables, evaluations, rng, seeds)
-            ranked = minimise(optimiser, lambda x: self._kernel.costs(x, scene), evaluations)
+            ranked = minimise(
+                optimiser, lambda x: self._kernel.costs(x, scene), evaluations, self._stop
+            )
             self._evaluations += ranked.evaluations
             return ranked.x
         state = refined_de.begin(scene.variables, evaluations, seeds, _SEARCH, rng)
@@ -225,6 +260,8 @@ class _Plan:
         request = self._request
         for rank, x in enumerate(candidates[:_CERTIFIED]):
             subpath = Subpath(control_nea_m=control_points(x[None], scene)[0])
+            if not request.from_rest and subpath.length_m < self._shortest_m:
+                continue  # the certificate is about a vehicle that can stop at the end
             certificate = certify(
                 subpath,
                 self._surroundings,
@@ -320,16 +357,9 @@ def _scene(request: PlanRequest, field: CostToGo) -> FlightScene:
         contact=_surface(request, task.error_m),
         radar_margin_m=_RADAR_MARGIN * settings.scan_range_m,
         band_amsl_m=task.band_amsl_m,
-        radars=tuple(radar for radar in task.radars if _is_near(radar, request)),
+        radars=task.radars_near(scan_ne, _IN_REACH * settings.scan_range_m),
         keep_outs=task.keep_outs,
     )
-
-
-def _is_near(radar: Radar, request: PlanRequest) -> bool:
-    """Whether a subpath may come into a radar's range."""
-    north, east, _ = request.scan_nea_m
-    apart_m = math.hypot(radar.centre_nea_m[0] - north, radar.centre_nea_m[1] - east)
-    return apart_m <= radar.range_m + 1.5 * request.task.settings.scan_range_m
 
 
 def _end(request: PlanRequest) -> tuple[bool, float]:
@@ -382,7 +412,7 @@ def _surroundings(request: PlanRequest) -> Surroundings:
     return pack_surroundings(
         request.known,
         task.limits,
-        task.radars,
+        task.radars_near(request.scan_nea_m[:2], _IN_REACH * task.settings.scan_range_m),
         task.keep_outs,
         task.margins,
         centre_ne_m=request.scan_nea_m[:2],

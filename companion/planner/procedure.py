@@ -54,6 +54,17 @@ class Leg:
         earliest = self.scan_at_m(task) + task.shortest_scan_distance_m - task.tail_m
         return min(max(self.subpath.length_m - task.tail_m, earliest), self.subpath.length_m)
 
+    def can_be_left(self, task: Task) -> bool:
+        """Whether a successor may take over in flight.
+
+        The certificate is about a vehicle that can always stop at the end; from a p_prog too near
+        to the end it could not.  Such a leg is flown to its end, and the next begins at rest.
+        """
+        if not task.settings.profile.verified:
+            return True
+        left_m = self.subpath.length_m - self.successor_at_m(task)
+        return left_m >= task.limits.stopping_m(task.limits.speed_m_s)
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,7 +19,7 @@ from companion.planner.guidance import tangent_guide_rad
 from companion.planner.request import Planned, PlanRequest
 from companion.world.clearance import terrain_surface
 
-REACH = 1.1  # of R about p_scan: no curve bulges further, whatever its variables
+REACH = 1.1  # of R about p_scan: what lies farther out counts as unknown
 STREAM_PLAN = 1  # the planner's random stream among those of one seed
 
 

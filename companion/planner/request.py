@@ -87,6 +87,18 @@ class Refusal(enum.Enum):
         "the target is inside a keep-out zone, or too near to it; move the target, "
         "or remove the zone"
     )
+    START_NEAR_UNKNOWN = (
+        "the ground near the vehicle is unknown, or the map ends there; "
+        "fly it to where its radar sees, or widen [area]"
+    )
+    TARGET_AT_EDGE = (
+        "the target is off the map, or nearer to its edge than the required clearance; "
+        "move the target, or widen [area]"
+    )
+    NO_QUESTION = (
+        "the request holds a number that is not finite, or a limit that leaves nothing to plan; "
+        "check the mission's limits and the vehicle's position"
+    )
     NOTHING_SEEN = (
         "nothing around the vehicle has been seen; check that the radar answers, "
         "or climb to where it sees"

@@ -4,6 +4,9 @@ import math
 from dataclasses import dataclass, field
 from typing import final
 
+import numpy as np
+
+from companion.geodesy import FloatArray
 from companion.objective.scene import FLIGHT, Profile, Weights
 from companion.path.certificate import Margins
 from companion.path.limits import Limits
@@ -48,6 +51,18 @@ class Task:
     settings: PlannerSettings
     radars: tuple[Radar, ...] = ()
     keep_outs: tuple[KeepOut, ...] = ()
+    _circles: FloatArray = field(init=False, repr=False, compare=False)
+    """(radars, 3): north, east, range of each, so that looking for the near ones is one scan."""
+
+    def __post_init__(self) -> None:
+        rows = [(*radar.centre_nea_m[:2], radar.range_m) for radar in self.radars]
+        object.__setattr__(self, "_circles", np.array(rows, dtype=np.float64).reshape(-1, 3))
+
+    def radars_near(self, place_ne_m: tuple[float, float], reach_m: float) -> tuple[Radar, ...]:
+        """The radars whose range comes within reach of a place."""
+        north, east, range_m = self._circles.T
+        apart = np.hypot(north - place_ne_m[0], east - place_ne_m[1])
+        return tuple(self.radars[k] for k in np.nonzero(apart <= range_m + reach_m)[0])
 
     @property
     def cell_m(self) -> float:

@@ -61,8 +61,11 @@ def _prepare_cache() -> Path | None:
     folder's name holds a digest of all that is compiled.  The environment's NUMBA_CACHE_DIR wins.
     """
     digest = hashlib.sha256()
-    for module in (*kernels.SOURCES, kernels):
-        digest.update(Path(str(module.__file__)).read_bytes())
+    try:
+        for module in (*kernels.SOURCES, kernels):
+            digest.update(Path(str(module.__file__)).read_bytes())
+    except OSError:
+        return None  # installed without sources
     name = f"kernel-{digest.hexdigest()[:16]}"
     folder = Path(os.environ.get("NUMBA_CACHE_DIR") or user_cache_dir("companion"))
     if folder.name != name:  # it is when this process, or the one that started it, has been here
@@ -129,12 +132,14 @@ class Planner:
     def __init__(self, *, lockstep: bool, load: Callable[[], Kernel] = load_kernel) -> None:
         self._lockstep, self._load = lockstep, load
         self._kernel = NUMPY
+        self._starting = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="compiler", daemon=True)
 
     def start(self) -> None:
         """Begin to load the kernel."""
-        if self._thread.ident is None:
-            self._thread.start()
+        with self._starting:
+            if self._thread.ident is None:
+                self._thread.start()
 
     def wait(self) -> None:
         """Load the kernel, and come back when that is done."""
