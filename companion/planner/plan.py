@@ -26,7 +26,12 @@ from companion.planner.escape import Trouble, trouble, way_out
 from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
-from companion.world.clearance import Surface, distance_to_terrain_m, safe_surface
+from companion.world.clearance import (
+    Surface,
+    distance_to_terrain_m,
+    safe_surface,
+    sees_anything,
+)
 
 _CHUNK = 300  # evaluations between two looks at the clock
 _CERTIFIED = 16  # candidates of a search that are tried
@@ -112,7 +117,7 @@ def _impossible(request: PlanRequest) -> Refusal | None:
     required_m = task.required_clearance_m
     if distance_to_terrain_m(known, highest, required_m, seen_only=True) < required_m:
         return Refusal.TARGET_IN_TERRAIN
-    if not np.isfinite(known.upper_m).any():
+    if not sees_anything(known, request.scan_nea_m[:2], task.settings.scan_range_m):
         return Refusal.NOTHING_SEEN
     return None
 

@@ -155,6 +155,11 @@ def terrain_surface(
     )
 
 
+def sees_anything(known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float) -> bool:
+    """Whether any ground within reach of a point is known."""
+    return bool(np.isfinite(_window(known, centre_ne_m, reach_m, math.inf).upper_m).any())
+
+
 def _seen(known: KnownMap, window: _Window) -> KnownMap:
     """The part of the map under a window, without what was not seen."""
     row, column = known.cell_of(window.north_min_m + 0.5, window.east_min_m + 0.5)
