@@ -120,6 +120,7 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         from_rest=leg is None,
         target_ne_m=context.mission.targets_ne_m[flight.target],
         route_ne_m=flight.route_ne_m,
+        stops=flight.stops,
         attempt=flight.failures,
     )
     flight = replace(flight, plan_id=request.plan_id, planning=True)

@@ -117,7 +117,7 @@ def arrived(state: State, event: Event, context: Context) -> Step:
     if not _stands_at_target(state, event, context):
         return state, commands, None
     if state.flight.target + 1 < len(context.mission.targets_ne_m):
-        flight = replace(state.flight, target=state.flight.target + 1)
+        flight = replace(state.flight, target=state.flight.target + 1, stops=0)
         return replace(state, flight=flight), commands, Trigger.NEXT_TARGET
     if context.mission.end_action is EndAction.LAND:
         return state, commands, Trigger.END_LAND

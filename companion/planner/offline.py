@@ -68,7 +68,7 @@ class _Flight:
         self._task, self._known, self._left = task, blank, list(targets_ne_m)
         self._pose, self._scan_nea_m, self._from_rest = hover_pose(start_nea_m), start_nea_m, True
         self._route: tuple[tuple[float, float], ...] = ()
-        self._attempt = self._holds = self._requests = 0
+        self._attempt = self._holds = self._stops = self._requests = 0
         self._failure: NotPlanned | None = None
         self._legs: list[Leg] = []
         self._flown_m: list[float] = []
@@ -96,6 +96,7 @@ class _Flight:
             from_rest=self._from_rest,
             target_ne_m=self._left[0],
             route_ne_m=self._route,
+            stops=self._stops,
             attempt=self._attempt,
         )
 
@@ -105,8 +106,7 @@ class _Flight:
             if self._from_rest:
                 self._attempt += 1
             else:
-                self._holds += 1
-                self._stop_at_end()
+                self._hold_at_end()
             return
         self._failure, self._attempt, self._route = None, 0, outcome.route_ne_m
         if self._legs and not self._from_rest:
@@ -117,15 +117,20 @@ class _Flight:
         self._flown_m.append(leg.subpath.length_m)
         if leg.reaches_target:
             self._left.pop(0)
+            self._stops = 0
             self._route = ()
             self._stop_at_end()
         elif not leg.can_be_left(self._task):
-            self._holds += 1
-            self._stop_at_end()
+            self._hold_at_end()
         else:
             self._scan_nea_m = leg.subpath.pose(leg.scan_at_m(self._task)).point_nea_m
             self._pose = leg.subpath.pose(leg.successor_at_m(self._task))
             self._from_rest = False
+
+    def _hold_at_end(self) -> None:
+        self._holds += 1
+        self._stops += 1
+        self._stop_at_end()
 
     def _stop_at_end(self) -> None:
         end = self._legs[-1].subpath

@@ -41,6 +41,7 @@ _MUCH_DEARER = 0.5  # then every other way is tried
 _STOP = 1.2  # then the vehicle rather stops at the end of its leg, where it can leave any way
 _NEAR_END = 0.5  # cost: near ends look too cheap, as the cost-to-go knows nothing of turns
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
+_MOST_STOPS = 4  # on the way to one target: more would be going to and fro
 _IN_REACH = 1.5  # of R: threats farther away concern no subpath
 _SEARCH = refined_de.Settings()
 
@@ -199,7 +200,8 @@ class _Plan:
             best = self._best(best, _OTHER_WAYS)
         if best is None or self._excess(best) > _MUCH_DEARER:
             best = self._best(best, _ANY_WAY + (_ALL_ROUND if self._request.from_rest else ()))
-        if best is not None and not self._request.from_rest and self._excess(best) > _STOP:
+        may_stop = not self._request.from_rest and self._request.stops < _MOST_STOPS
+        if best is not None and may_stop and self._excess(best) > _STOP:
             return self._refused(Refusal.BETTER_TO_STOP)
         return best or self._refused(Refusal.NOTHING_SAFE)
 

@@ -28,6 +28,8 @@ class PlanRequest:
     target_ne_m: tuple[float, float]
     route_ne_m: tuple[tuple[float, float], ...] = ()
     """The way to the target that the last plan had in mind: not left for a trifle."""
+    stops: int = 0
+    """How often the vehicle has stopped on the way to this target, to leave another way."""
     attempt: int = 0
     """How often this question has been asked in vain; each time the search is wider."""
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from companion.optimise.registry import OPTIMISERS
 from companion.path.subpath import Pose
+from companion.planner import plan as planning
 from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
@@ -397,3 +398,15 @@ def test_the_check_of_every_metre_finds_what_is_wrong(task: Task, truth: KnownMa
     assert gaps[1][1] == pytest.approx(50.0)
     over = column_distance_m(truth, np.array([[6_000.0, 6_200.0, 540.0]]), 100.0)
     assert over[0] == pytest.approx(40.0, abs=5.0)
+
+
+def test_a_vehicle_stops_rather_than_take_a_dear_way_but_not_for_ever(
+    task: Task, truth: KnownMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planning, "_STOP", -math.inf)  # every way is too dear
+    pose = Pose(position_nea_m=np.array(START), **heading_to(45.0))
+    first = plan(ask(task, truth, start=pose, from_rest=False))
+    assert isinstance(first, NotPlanned)
+    assert first.refusal is Refusal.BETTER_TO_STOP
+    planned(ask(task, truth, start=pose, from_rest=False, stops=4))
+    planned(ask(task, truth, start=pose, from_rest=True))  # it has stopped: there it goes on
