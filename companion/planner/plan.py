@@ -41,7 +41,7 @@ _MUCH_DEARER = 0.5  # then every other way is tried
 _STOP = 1.2  # then the vehicle rather stops at the end of its leg, where it can leave any way
 _NEAR_END = 0.5  # cost: near ends look too cheap, as the cost-to-go knows nothing of turns
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
-_MOST_STOPS = 4  # on the way to one target: more would be going to and fro
+_MOST_STOPS = 4  # on the way to one target: more would be going back and forth
 _IN_REACH = 1.5  # of R: threats farther away concern no subpath
 _SEARCH = refined_de.Settings()
 
