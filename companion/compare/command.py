@@ -52,8 +52,7 @@ def table_1_command(
     ] = table_1.PER_SECOND,
 ) -> None:
     """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
-    picture = _writable("--out", out or Path("table-1.png"))
-    numbers = json_file and _writable("--json", json_file)
+    picture, numbers = _files(out or Path("table-1.png"), json_file)
     found = table_1.rows(_flown(table_1.cases(runs, seed, per_second), jobs))
     remarks = table_1.remarks(found, per_second)
     _show([table_1.table(found), table_1.violations_table(found)], remarks)
@@ -99,8 +98,7 @@ def _figure(
     json_file: Path | None,
     out: Path | None,
 ) -> None:
-    picture = _writable("--out", out or Path(f"{effect.name}.png"))
-    numbers = json_file and _writable("--json", json_file)
+    picture, numbers = _files(out or Path(f"{effect.name}.png"), json_file)
     found = effects.outcomes(effect, _flown(effects.cases(effect, runs, seed), jobs))
     remarks = effects.remarks(effect)
     _show([effects.table(effect, found)], remarks)
@@ -128,6 +126,14 @@ def _show(tables: Sequence[Table], remarks: Sequence[str]) -> None:
         console.print(table)
     for remark in remarks:
         console.print(remark, highlight=False, markup=False)
+
+
+def _files(out: Path, json_file: Path | None) -> tuple[Path, Path | None]:
+    """The picture's file and that of the numbers: both can be written, and they are two."""
+    if json_file is not None and json_file.absolute() == out.absolute():
+        rule = "the picture goes there (--out)"
+        raise InputError("--json", str(json_file), rule, "Name another file.")
+    return _writable("--out", out), json_file and _writable("--json", json_file)
 
 
 def _writable(option: str, path: Path) -> Path:

@@ -67,3 +67,10 @@ def test_a_file_that_cannot_be_written_is_refused_before_anything_is_flown(
 def test_a_bad_option_is_a_usage_error(words: list[str]) -> None:
     result = CliRunner().invoke(compare_app, ["figure-4", *words])
     assert result.exit_code == 2
+
+
+def test_numbers_and_picture_do_not_go_into_one_file(tmp_path: Path) -> None:
+    same = str(tmp_path / "figure.png")
+    with pytest.raises(InputError, match=r"--json = .*the picture goes there"):
+        called("figure-4", "--runs", "1", "--out", same, "--json", same)
+    assert list(tmp_path.iterdir()) == []

@@ -1,5 +1,4 @@
 import math
-import os
 import sys
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from companion.path.proof_distance import (
     zone_distance,
 )
 from companion.path.proof_shape import extremes, largest, runs_forward, times
+from companion.runtime.compiler import load_kernel
 from companion.world.threats import CircleKeepOut, PolygonKeepOut
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -282,17 +282,16 @@ def test_exposure_is_the_chord_and_the_detection_that_of_the_nearest_point(miss:
     assert detection == pytest.approx(1.0 / (1.0 + miss**4))
 
 
-@pytest.mark.skipif("COMPANION_DEEP" not in os.environ, reason="compiles for 10 s")
+@pytest.mark.xdist_group("compiled")  # one worker compiles it, for all tests that need it
 def test_compiled_and_plain_agree_to_1e_9() -> None:
-    numba = pytest.importorskip("numba")
-    for helper in proof.HELPERS:
-        numba.extending.register_jitable(helper)
-    fast = numba.njit(proof.ENTRY)
+    pytest.importorskip("numba")
+    kernel = load_kernel()
+    assert kernel.name == "numba"
     for seed in range(30):
         case = a_case(seed)
         cubics, here = cubics_of(case.control_nea_m), case.surroundings()
         np.testing.assert_allclose(
-            fast(cubics, here, case.from_rest),
+            kernel.prove(cubics, here, case.from_rest),
             proof.prove(cubics, here, case.from_rest),
             rtol=1e-9,
             atol=1e-9,
