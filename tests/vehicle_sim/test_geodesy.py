@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Geod, Transformer
 
-from vehicle_sim.dynamics import Copter, Limits
+from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.geodesy import LocalFrame, metres_per_degree
 
 WGS84 = Geod(ellps="WGS84")

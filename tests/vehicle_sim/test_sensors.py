@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pyproj import Geod
 
 from vehicle_sim.geodesy import LocalFrame
-from vehicle_sim.sensors import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
+from vehicle_sim.sensors.terrain_radar import UNSEEN_M, ScanRequest, TerrainRadar, Viewpoint
 from vehicle_sim.terrain import PeakTerrain
 
 FloatArray = NDArray[np.float64]

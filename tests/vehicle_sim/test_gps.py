@@ -1,0 +1,318 @@
+"""The receiver against the recorded flights and against what its parameters say."""
+
+import bisect
+import dataclasses
+import itertools
+import math
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import all as mavlink
+from pyproj import Geod
+
+from vehicle_sim.dynamics.copter import Copter, Limits
+from vehicle_sim.sensors.gps import ARDUCOPTER, ARDUPLANE, PX4, Fix, Gps, GpsConditions, Receiver
+
+TELEMETRY = Path(__file__).parents[3] / "shared" / "telemetry"
+FloatArray = NDArray[np.float64]
+WGS84 = Geod(ellps="WGS84")
+HOME = (-35.3632621, 149.1652374, 584.09)
+FREE = Limits(
+    speed_m_s=50.0,
+    acceleration_m_s2=9.0,
+    speed_vertical_m_s=5.0,
+    acceleration_vertical_m_s2=5.0,
+)
+FINE = GpsConditions()
+PROMPT = GpsConditions(lag_s=0.0)
+STEP_US = 10_000
+S = 1_000_000
+
+
+def standing() -> Copter:
+    return Copter(latitude_deg=HOME[0], longitude_deg=HOME[1], altitude_amsl_m=HOME[2], limits=FREE)
+
+
+def fixes(
+    receiver: Receiver,
+    until_s: float,
+    conditions: GpsConditions = FINE,
+    *,
+    copter: Copter | None = None,
+    seed: int = 1,
+) -> list[Fix]:
+    """Every solution up to then, of a vehicle that keeps its velocity."""
+    gps, vehicle = Gps(receiver, np.random.default_rng(seed)), copter or standing()
+    found, last = [], None
+    for now_us in range(STEP_US, round(until_s * S) + 1, STEP_US):
+        vehicle.advance(0.0, 0.0, 0.0, STEP_US * 1e-6)
+        fix = gps.step(now_us, vehicle, conditions)
+        if fix is not last:
+            found.append(fix)
+        last = fix
+    return found
+
+
+def offsets_m(found: list[Fix]) -> FloatArray:
+    """North, east, up of home.  -> (K, 3)."""
+    rows = []
+    for fix in found:
+        azimuth, _, away = WGS84.inv(HOME[1], HOME[0], fix.longitude_deg, fix.latitude_deg)
+        angle = math.radians(azimuth)
+        rows.append((away * math.cos(angle), away * math.sin(angle), fix.altitude_amsl_m - HOME[2]))
+    return np.array(rows)
+
+
+# --- the recorded flights -------------------------------------------------------------------------
+
+
+def recorded(name: str, numbers: set[int]) -> Iterator[tuple[float, Any]]:
+    """Seconds of the log and message, of these numbers only."""
+    data, at, first = (TELEMETRY / name).read_bytes(), 0, None
+    decoder = mavlink.MAVLink(None)
+    while at < len(data):
+        (time_us,) = struct.unpack_from(">Q", data, at)
+        size = 12 + data[at + 9] + (13 if data[at + 10] & 1 else 0)
+        first = time_us if first is None else first
+        if int.from_bytes(data[at + 15 : at + 18], "little") in numbers:
+            frame = data[at + 8 : at + 8 + size]
+            yield (time_us - first) * 1e-6, decoder.decode(bytearray(frame))
+        at += 8 + size
+
+
+def replayed(
+    receiver: Receiver, changes: list[tuple[float, GpsConditions]], asked_s: list[float]
+) -> list[Fix]:
+    """The newest solution at each of these times; conditions from their times on."""
+    gps, copter, told, now_us = Gps(receiver, np.random.default_rng(1)), standing(), [], 0
+    starts = [start for start, _ in changes]
+    for time_s in asked_s:
+        fix = Fix()
+        while now_us <= time_s * S:
+            conditions = changes[bisect.bisect_right(starts, now_us / S) - 1][1]
+            fix = gps.step(now_us, copter, conditions)
+            now_us += STEP_US
+        told.append(fix)
+    return told
+
+
+def test_fixes_come_and_go_as_arducopters_did() -> None:
+    """Type, satellites, dilution and time of each GPS_RAW_INT of arducopter-gps-loss.tlog."""
+    asked: list[tuple[float, Any]] = []
+    changes: list[tuple[float, GpsConditions]] = [(0.0, FINE)]
+    late_s = 0.0
+    for time_s, message in recorded("arducopter-gps-loss.tlog", {2, 23, 24}):
+        kind = message.get_type()
+        if kind == "SYSTEM_TIME":
+            late_s = time_s - message.time_boot_ms * 1e-3  # of the log behind the vehicle
+        elif kind == "GPS_RAW_INT":
+            asked.append((time_s - late_s, message))
+        elif message.param_id == "SIM_GPS1_ENABLE":
+            now = dataclasses.replace(FINE, enabled=message.param_value != 0.0)
+            changes.append((time_s - late_s, now))
+    assert [round(time_s) for time_s, _ in changes] == [0, 163, 188]
+    told = replayed(ARDUCOPTER, changes, [time_s for time_s, _ in asked])
+    wrong = [
+        (time_s, fix.fix_type, real.fix_type, fix.time_us, real.time_usec)
+        for (time_s, real), fix in zip(asked, told, strict=True)
+        if (fix.fix_type, fix.satellites, fix.time_us)
+        != (real.fix_type, real.satellites_visible, real.time_usec)
+        or (fix.fix_type and fix.horizontal_dilution != real.eph / 100.0)
+        or fix.horizontal_accuracy_m != pytest.approx(real.h_acc * 1e-3)
+    ]
+    assert len(asked) == 1626
+    assert len(wrong) <= 3, wrong[:10]  # that came within a step of a new solution
+
+
+def test_fixes_come_and_go_as_px4s_did() -> None:
+    """px4-gps-loss.tlog, from 76.3 to 106.6 s; time stamps there are those of the vehicle."""
+    asked = [message for _, message in recorded("px4-gps-loss.tlog", {24})]
+    lost = [real.time_usec / S for real in asked if real.fix_type == 0]
+    off = dataclasses.replace(PROMPT, enabled=False, satellites=0)
+    changes = [(0.0, PROMPT), (lost[0] - 0.1, off), (lost[-1] + 0.03, PROMPT)]
+    told = replayed(PX4, changes, [real.time_usec / S + 0.02 for real in asked])
+    for real, fix in zip(asked, told, strict=True):
+        assert fix.fix_type == real.fix_type
+        assert fix.satellites == real.satellites_visible
+        assert fix.horizontal_dilution == real.eph / 100.0
+        assert fix.vertical_accuracy_m == pytest.approx(real.v_acc * 1e-3)
+
+
+def test_px4s_noise_is_that_of_the_recorded_receiver() -> None:
+    """px4-gps-loss.tlog against LOCAL_POSITION_NED of the same moment, 20 to 75 s."""
+    local, real = [], []
+    for _, message in recorded("px4-gps-loss.tlog", {24, 32}):
+        if message.get_type() == "LOCAL_POSITION_NED":
+            local.append((message.time_boot_ms * 1e-3, message.x, message.y))
+        elif 25.0 < message.time_usec / S < 80.0:
+            real.append((message.time_usec / S, message.lat / 1e7, message.lon / 1e7))
+    track, seen = np.array(local), np.array(real)
+    north = np.interp(seen[:, 0], track[:, 0], track[:, 1])
+    measured = seen[:, 1] * 111_200.0 - north
+    step_real = np.diff(measured)  # the difference of two solutions: slow errors cancel
+    found = offsets_m(fixes(PX4, 200.0, PROMPT)[1:])
+    step_own = np.diff(found[:, 0])
+    assert step_own.std() == pytest.approx(step_real.std(), rel=0.15)
+    white = (
+        np.corrcoef(step_own[1:], step_own[:-1])[0, 1],
+        np.corrcoef(step_real[1:], step_real[:-1])[0, 1],
+    )
+    assert white == pytest.approx((-0.5, -0.5), abs=0.1)  # what differences of white noise have
+
+
+# --- what the receiver does -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("receiver", "beginning"),
+    [
+        (ARDUCOPTER, [(0, 0), (0, 1), (9_973_000, 6), (10_173_000, 6)]),
+        (ARDUPLANE, [(0, 0), (0, 1), (9_228_000, 6), (9_428_000, 6)]),
+        (PX4, [(0, 0), (125_000, 3), (250_000, 3), (375_000, 3)]),
+    ],
+)
+def test_the_first_fixes_come_when_the_recorded_ones_came(
+    receiver: Receiver, beginning: list[tuple[int, int]]
+) -> None:
+    found = fixes(receiver, 11.0)
+    assert [(fix.time_us, fix.fix_type) for fix in found[:4]] == beginning
+
+
+def test_arducopters_first_position_is_between_nothing_and_home() -> None:
+    """arducopter-guided-10mps.tlog at 9.84 s: -35.002, 147.64, 578.1 m, fix_type 1."""
+    first = fixes(ARDUCOPTER, 9.9)[1]
+    assert first.latitude_deg == pytest.approx(-35.0020078, abs=1e-3)
+    assert first.longitude_deg == pytest.approx(147.6414364, abs=3e-3)
+    assert first.altitude_amsl_m == pytest.approx(578.12, abs=0.02)
+
+
+def test_between_solutions_the_same_fix_is_handed_out() -> None:
+    gps, copter = Gps(ARDUCOPTER, np.random.default_rng(1)), standing()
+    handed = [gps.step(now_us, copter, FINE) for now_us in range(0, 12 * S, STEP_US)]
+    runs = [len(list(run)) for _, run in itertools.groupby(handed, key=id)]
+    assert runs[2:-1] == [20] * (len(runs) - 3)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.1, 0.25, 1.0])
+def test_the_position_is_as_old_as_the_lag_says(lag_s: float) -> None:
+    copter = standing()
+    copter.velocity_north_m_s = 10.0
+    found = fixes(ARDUCOPTER, 30.0, GpsConditions(lag_s=lag_s), copter=copter)[15:]
+    north_m = offsets_m(found)[:, 0]
+    expected = [10.0 * (fix.time_us * 1e-6 - lag_s) for fix in found]
+    assert north_m == pytest.approx(np.array(expected), abs=0.005)
+    assert {round(fix.velocity_north_m_s, 6) for fix in found} == {10.0}
+
+
+def test_a_lag_beyond_its_memory_is_as_long_as_that() -> None:
+    found = fixes(ARDUCOPTER, 60.0, GpsConditions(lag_s=10_000.0))
+    assert all(math.isfinite(fix.latitude_deg) for fix in found)
+
+
+def test_arducopters_receiver_is_exact_otherwise() -> None:
+    found = fixes(ARDUCOPTER, 30.0)[3:]
+    assert np.abs(offsets_m(found)).max() < 1e-6
+
+
+def test_a_glitch_moves_the_position_at_once_and_back() -> None:
+    gps, copter = Gps(ARDUCOPTER, np.random.default_rng(1)), standing()
+    moved = GpsConditions(glitch_latitude_deg=0.00045, glitch_up_m=-7.0)
+    told = {}
+    for now_us in range(0, 20 * S, STEP_US):
+        glitched = 12 * S <= now_us < 15 * S
+        told[now_us] = gps.step(now_us, copter, moved if glitched else FINE)
+    away = offsets_m([told[t] for t in (12 * S - STEP_US, 12_180_000, 15_180_000)])
+    assert away[0] == pytest.approx([0, 0, 0], abs=1e-6)
+    assert away[1] == pytest.approx([50.0, 0, -7.0], abs=0.1)
+    assert away[2] == pytest.approx([0, 0, 0], abs=1e-6)
+    assert told[12_180_000].fix_type == 6
+
+
+def test_a_drift_goes_on_at_its_speed_and_is_forgotten() -> None:
+    drift = GpsConditions(drift_east_m_s=0.5, drift_up_m_s=0.1)
+    found = fixes(ARDUCOPTER, 60.0, drift)[3:]
+    away = offsets_m(found)
+    lasted_s = (found[-1].time_us - found[0].time_us) * 1e-6
+    assert away[-1] - away[0] == pytest.approx(
+        [0, 0.5 * lasted_s, 0.1 * lasted_s], rel=2e-3, abs=1e-3
+    )
+    assert found[-1].velocity_east_m_s == pytest.approx(0.5)
+    gps, copter = Gps(ARDUCOPTER, np.random.default_rng(1)), standing()
+    for now_us in range(0, 30 * S, STEP_US):
+        fix = gps.step(now_us, copter, drift if now_us < 20 * S else FINE)
+    assert offsets_m([fix])[0] == pytest.approx([0, 0, 0], abs=1e-6)
+
+
+def test_waves_have_their_size_and_period() -> None:
+    wavy = GpsConditions(wave_m=3.0, circle_m=2.0, swell_m=1.0, offset_up_m=10.0)
+    found = fixes(ARDUCOPTER, 400.0, wavy)[3:]
+    away = offsets_m(found)
+    assert np.hypot(away[:, 0], away[:, 1]) == pytest.approx(2.0, rel=0.01)
+    assert away[:, 2].max() == pytest.approx(14.0, abs=0.1)
+    assert away[:, 2].min() == pytest.approx(6.0, abs=0.1)
+    crossings = np.flatnonzero((away[1:, 0] >= 0.0) & (away[:-1, 0] < 0.0))
+    assert np.diff(crossings).mean() * 0.2 == pytest.approx(4.0 * math.pi, rel=0.02)
+
+
+def test_noise_has_the_standard_deviation_that_is_asked_for() -> None:
+    found = fixes(ARDUCOPTER, 4000.0, GpsConditions(sigma_m=3.0))[3:]
+    away = offsets_m(found)
+    assert away.std(axis=0) == pytest.approx([3.0, 3.0, 4.5], rel=0.15)
+    lag = round(5.0 / 0.2)
+    for axis in range(3):
+        x = away[:, axis]
+        assert np.corrcoef(x[lag:], x[:-lag])[0, 1] == pytest.approx(math.exp(-1.0), abs=0.12)
+
+
+def test_velocity_errors_are_even_within_their_bounds() -> None:
+    conditions = GpsConditions(lag_s=0.0, velocity_error_north_m_s=0.6)
+    found = fixes(ARDUCOPTER, 400.0, conditions)[3:]
+    north = np.array([fix.velocity_north_m_s for fix in found])
+    assert np.abs(north).max() <= 0.6
+    assert north.std() == pytest.approx(0.6 / math.sqrt(3.0), rel=0.1)
+    assert {fix.velocity_east_m_s for fix in found} == {0.0}
+
+
+def test_a_jammed_receiver_first_loses_its_fix_and_then_says_wild_things() -> None:
+    jammed = GpsConditions(jammed=True)
+    gps, copter, found = Gps(ARDUCOPTER, np.random.default_rng(3)), standing(), list[Fix]()
+    for now_us in range(0, 140 * S, 200_000):
+        found.append(gps.step(now_us, copter, jammed if now_us >= 20 * S else FINE))
+    lost, wild = found[102:107], found[140:]
+    assert found[99].fix_type == 6
+    assert {(fix.fix_type, fix.satellites) for fix in lost} == {(1, 3)}
+    assert {fix.fix_type for fix in wild} == {1, 6}
+    away = np.hypot(*offsets_m(wild)[:, :2].T)
+    assert 20.0 < away.max() < 20_000.0
+    assert 50.0 < max(abs(fix.velocity_north_m_s) for fix in wild) <= 400.0
+    assert len({fix.satellites for fix in wild}) > 5
+
+
+def test_no_fix_before_the_time_that_is_set_and_no_better_one() -> None:
+    found = fixes(ARDUCOPTER, 40.0, GpsConditions(lock_s=30.0, fix_type=3))
+    first = next(fix for fix in found if fix.usable)
+    assert 30.0 <= first.time_us / S <= 30.6
+    assert first.fix_type == 3
+
+
+@pytest.mark.parametrize("receiver", [ARDUCOPTER, PX4])
+def test_the_same_seed_says_the_same(receiver: Receiver) -> None:
+    bad = GpsConditions(sigma_m=2.0, jammed=True, velocity_error_up_m_s=0.3)
+    runs = [fixes(receiver, 30.0, bad, seed=seed) for seed in (1, 1, 2)]
+    assert runs[0] == runs[1] != runs[2]
+
+
+def test_across_the_date_line_it_does_not_jump() -> None:
+    copter = Copter(latitude_deg=-17.0, longitude_deg=179.9999, altitude_amsl_m=0.0, limits=FREE)
+    copter.velocity_east_m_s = 10.0
+    found = fixes(PX4, 10.0, GpsConditions(lag_s=0.3), copter=copter)[8:]
+    for before, after in itertools.pairwise(found):
+        _, _, moved = WGS84.inv(
+            before.longitude_deg, before.latitude_deg, after.longitude_deg, after.latitude_deg
+        )
+        assert moved < 4.0

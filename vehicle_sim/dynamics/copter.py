@@ -1,0 +1,201 @@
+"""A copter as a point mass whose thrust accelerates it as it is told, within its limits.
+
+Commanded is what the thrust does: drag and wind come on top, and the autopilot has to make up for
+them as a real one does.  Without drag, and with no limit on the tilt, the vehicle does what it is
+told.
+
+Mutable, with plain floats, on purpose: this is the inner loop, a hundred steps for each second of
+flight, and no arrays are involved.  Position is geographic (geodesy.py says why).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+from vehicle_sim.geodesy import metres_per_degree
+
+GRAVITY_M_S2 = 9.80665
+HOVER_THROTTLE = 0.39
+"""MOT_THST_HOVER, as ArduCopter learns it in the recorded flights."""
+_UPRIGHT_RAD = math.radians(89.9)
+RESPONSE_S = 0.04
+"""Time constant from commanded to actual acceleration: a copter has to tilt first."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What the airframe can do."""
+
+    speed_m_s: float
+    """Horizontal, as the next one."""
+    acceleration_m_s2: float
+    speed_vertical_m_s: float
+    acceleration_vertical_m_s2: float
+
+
+@final
+class Copter:
+    """Where the vehicle is and how it moves: true north, true east, up."""
+
+    __slots__ = (
+        "_thrust_east_m_s2",
+        "_thrust_most_m_s2",
+        "_thrust_north_m_s2",
+        "_tilt_max_rad",
+        "acceleration_east_m_s2",
+        "acceleration_north_m_s2",
+        "acceleration_up_m_s2",
+        "airspeed_m_s",
+        "altitude_amsl_m",
+        "drag_1_m",
+        "drag_1_s",
+        "heading_rad",
+        "hover_throttle",
+        "latitude_deg",
+        "limits",
+        "longitude_deg",
+        "pitch_rad",
+        "response_s",
+        "roll_rad",
+        "throttle",
+        "velocity_east_m_s",
+        "velocity_north_m_s",
+        "velocity_up_m_s",
+        "wind_east_m_s",
+        "wind_north_m_s",
+        "wind_up_m_s",
+    )
+
+    def __init__(
+        self,
+        *,
+        latitude_deg: float,
+        longitude_deg: float,
+        altitude_amsl_m: float,
+        limits: Limits,
+        drag_1_s: float = 0.0,
+        drag_1_m: float = 0.0,
+        tilt_max_rad: float | None = None,
+        hover_throttle: float = HOVER_THROTTLE,
+    ) -> None:
+        self.limits = limits
+        self.response_s = RESPONSE_S
+        """Time constant from commanded to actual acceleration."""
+        self.drag_1_s = drag_1_s
+        """Deceleration for each m/s through the air, linear as PX4's SIH has it (SIH_KDV)."""
+        self.drag_1_m = drag_1_m
+        """The same for each square of m/s, which ArduPilot's simulation has besides."""
+        self.hover_throttle = hover_throttle
+        self.tilt_max_rad = tilt_max_rad
+        self.wind_north_m_s = self.wind_east_m_s = self.wind_up_m_s = 0.0
+        self.heading_rad = 0.0
+        """True; the autopilot turns it, at once, for it has no part in how a point mass moves."""
+        self.latitude_deg = latitude_deg
+        self.longitude_deg = longitude_deg
+        self.altitude_amsl_m = altitude_amsl_m
+        self.stand(altitude_amsl_m)
+
+    def stand(self, altitude_amsl_m: float) -> None:
+        """Come to rest at this height."""
+        self.altitude_amsl_m = altitude_amsl_m
+        self.velocity_north_m_s = self.velocity_east_m_s = self.velocity_up_m_s = 0.0
+        self.acceleration_north_m_s2 = self.acceleration_east_m_s2 = 0.0
+        self.acceleration_up_m_s2 = 0.0
+        self._thrust_north_m_s2 = self._thrust_east_m_s2 = 0.0
+        self.roll_rad = self.pitch_rad = self.throttle = 0.0
+        self.airspeed_m_s = 0.0
+
+    @property
+    def tilt_max_rad(self) -> float | None:
+        """The steepest lean: no more level thrust than holds the height at it.  None: any."""
+        return self._tilt_max_rad
+
+    @tilt_max_rad.setter
+    def tilt_max_rad(self, tilt_max_rad: float | None) -> None:
+        self._tilt_max_rad = tilt_max_rad
+        if tilt_max_rad is None or tilt_max_rad >= _UPRIGHT_RAD:
+            self._thrust_most_m_s2 = math.inf
+        else:
+            self._thrust_most_m_s2 = GRAVITY_M_S2 * math.tan(max(tilt_max_rad, 0.0))
+
+    def advance(self, north_m_s2: float, east_m_s2: float, up_m_s2: float, dt_s: float) -> None:
+        """One step under a commanded acceleration of the thrust, gravity made up for."""
+        limits = self.limits
+        response = dt_s / (self.response_s + dt_s)
+        before_n, before_e = self.velocity_north_m_s, self.velocity_east_m_s
+        before_u = self.velocity_up_m_s
+
+        a_n = self._thrust_north_m_s2
+        a_e = self._thrust_east_m_s2
+        a_n += (north_m_s2 - a_n) * response
+        a_e += (east_m_s2 - a_e) * response
+        size = math.hypot(a_n, a_e)
+        most = limits.acceleration_m_s2
+        if self._thrust_most_m_s2 < most:
+            most = self._thrust_most_m_s2
+        if size > most:
+            a_n *= most / size
+            a_e *= most / size
+        self._thrust_north_m_s2, self._thrust_east_m_s2 = a_n, a_e
+
+        a_u = self.acceleration_up_m_s2
+        a_u += (up_m_s2 - a_u) * response
+        most = limits.acceleration_vertical_m_s2
+        a_u = min(max(a_u, -most), most)
+        self._lean(a_n, a_e, a_u)
+
+        lift_m_s2 = a_u
+        if self.drag_1_s or self.drag_1_m:
+            past_n, past_e = before_n - self.wind_north_m_s, before_e - self.wind_east_m_s
+            drag_1_s = self.drag_1_s + self.drag_1_m * math.hypot(past_n, past_e)
+            a_n -= drag_1_s * past_n
+            a_e -= drag_1_s * past_e
+            # Going up and down the thrust has enough in hand; only moving air is felt.
+            lift_m_s2 += self.drag_1_s * self.wind_up_m_s
+        v_n, v_e = before_n + a_n * dt_s, before_e + a_e * dt_s
+        speed = math.hypot(v_n, v_e)
+        if speed > limits.speed_m_s:
+            v_n *= limits.speed_m_s / speed
+            v_e *= limits.speed_m_s / speed
+
+        fastest = limits.speed_vertical_m_s
+        v_u = min(max(before_u + lift_m_s2 * dt_s, -fastest), fastest)
+
+        self._move(before_n + v_n, before_e + v_e, before_u + v_u, 0.5 * dt_s)
+        self.velocity_north_m_s, self.velocity_east_m_s, self.velocity_up_m_s = v_n, v_e, v_u
+        self.acceleration_north_m_s2, self.acceleration_east_m_s2 = a_n, a_e
+        self.acceleration_up_m_s2 = a_u
+        self.airspeed_m_s = math.hypot(v_n - self.wind_north_m_s, v_e - self.wind_east_m_s)
+
+    def _lean(self, north_m_s2: float, east_m_s2: float, up_m_s2: float) -> None:
+        """Attitude and throttle that this thrust takes, gravity made up for."""
+        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        forward = north_m_s2 * cosine + east_m_s2 * sine
+        right = east_m_s2 * cosine - north_m_s2 * sine
+        lift = GRAVITY_M_S2 + up_m_s2
+        self.pitch_rad = -math.atan2(forward, lift)
+        self.roll_rad = math.atan2(right, math.hypot(forward, lift))
+        thrust = math.sqrt(forward * forward + right * right + lift * lift)
+        self.throttle = min(self.hover_throttle * thrust / GRAVITY_M_S2, 1.0)
+
+    def fall(self, dt_s: float) -> None:
+        """One step without motors."""
+        before_u = self.velocity_up_m_s
+        self.velocity_up_m_s = before_u - GRAVITY_M_S2 * dt_s
+        self._move(
+            2.0 * self.velocity_north_m_s,
+            2.0 * self.velocity_east_m_s,
+            before_u + self.velocity_up_m_s,
+            0.5 * dt_s,
+        )
+
+    def _move(self, north: float, east: float, up: float, half_dt_s: float) -> None:
+        """Advance the position; north, east, up: velocity before plus velocity after, in m/s."""
+        metres_north, metres_east = metres_per_degree(self.latitude_deg)
+        self.latitude_deg += north * half_dt_s / metres_north
+        longitude_deg = self.longitude_deg + east * half_dt_s / metres_east
+        if not -180.0 <= longitude_deg < 180.0:
+            longitude_deg = (longitude_deg + 180.0) % 360.0 - 180.0
+        self.longitude_deg = longitude_deg
+        self.altitude_amsl_m += up * half_dt_s

@@ -1,0 +1,88 @@
+"""An autopilot's parameters: a fixed table of names, types and defaults, and what is set now."""
+
+import difflib
+import enum
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import final
+
+from vehicle_sim.errors import InputError
+
+
+class Kind(enum.IntEnum):
+    """MAV_PARAM_TYPE, as far as autopilots use it."""
+
+    INT8 = 2
+    INT16 = 4
+    INT32 = 6
+    REAL32 = 9
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameter:
+    """One row of the table.  The name is the autopilot's own, at most 16 characters."""
+
+    name: str
+    default: float
+    kind: Kind = Kind.REAL32
+    least: float = -math.inf
+    most: float = math.inf
+
+
+@final
+class Parameters:
+    """The table as it stands; the order of the rows is the order of the wire's indices.
+
+    InputError, with the nearest known name, for an override that is not in the table.
+    """
+
+    def __init__(self, table: Iterable[Parameter], overrides: Mapping[str, float]) -> None:
+        self._rows = {row.name: row for row in table}
+        self._values = {name: row.default for name, row in self._rows.items()}
+        self.version = 0
+        """Rises with every change: whoever derives something from parameters compares it."""
+        for name, value in overrides.items():
+            if name not in self._rows:
+                raise self._unknown(name, value)
+            self[name] = value
+
+    def _unknown(self, name: str, value: float) -> InputError:
+        nearest = self.nearest(name)
+        remedy = f"Did you mean {nearest}?" if nearest else "Leave it out."
+        return InputError(f"parameter {name}", value, "this autopilot has no such one", remedy)
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def __setitem__(self, name: str, value: float) -> None:
+        """Set within the row's limits, rounded to its type.  KeyError for a name not in it."""
+        row = self._rows[name]
+        value = min(max(value, row.least), row.most)
+        self._values[name] = value if row.kind is Kind.REAL32 else float(round(value))
+        self.version += 1
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._rows
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def rows(self) -> tuple[Parameter, ...]:
+        """All rows, in order."""
+        return tuple(self._rows.values())
+
+    def row(self, name: str) -> Parameter:
+        """The row of this name; KeyError if there is none."""
+        return self._rows[name]
+
+    def nearest(self, name: str) -> str | None:
+        """The known name that is most like this one."""
+        found = difflib.get_close_matches(name, self._rows, n=1, cutoff=0.5)
+        return found[0] if found else None
+
+    def values(self) -> dict[str, float]:
+        """A copy, by name: what a reboot keeps."""
+        return dict(self._values)
