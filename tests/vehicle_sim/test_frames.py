@@ -1,0 +1,255 @@
+"""Bytes and messages, against pymavlink's own parser and packer."""
+
+import itertools
+import math
+import random
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.wire import frames
+from vehicle_sim.wire.frames import Dropped, Packer, StreamParser
+
+TELEMETRY = Path(__file__).parents[2].parent / "shared" / "telemetry"
+ARM = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 7.5)
+BEAT = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+TEXT = mavlink.MAVLink_statustext_message(4, b"a text that is long enough for all of its 50 bytes")
+MESSAGES = (ARM, BEAT, TEXT)
+
+
+def packed(message: Any, *, old: bool = False, sequence: int = 0) -> bytes:
+    mav = mavlink.MAVLink(None, srcSystem=7, srcComponent=195)
+    mav.seq = sequence
+    return bytes(message.pack(mav, force_mavlink1=old))
+
+
+def decoded(frame: bytes) -> Any:
+    return mavlink.MAVLink(None).decode(bytearray(frame))
+
+
+def same(got: Any, wanted: Any) -> bool:
+    return repr(got.to_dict()) == repr(wanted.to_dict()) and str(got.get_header().pack()) == str(
+        wanted.get_header().pack()
+    )
+
+
+def filled(kind: Any, rng: random.Random) -> Any:
+    """Any message of the dialect, with random fields."""
+    payload = rng.randbytes(rng.randint(0, kind.unpacker.size)).ljust(kind.unpacker.size, b"\0")
+    frame = bytearray([253, len(payload), 0, 0, 9, 7, 195, *kind.id.to_bytes(3, "little")])
+    frame += payload
+    frame += struct.pack("<H", mavlink.x25crc(frame[1:] + bytes([kind.crc_extra])).crc)
+    return decoded(bytes(frame)), bytes(frame)
+
+
+def test_every_message_of_the_dialect_is_read_as_pymavlink_reads_it() -> None:
+    rng = random.Random(1)
+    for kind in mavlink.mavlink_map.values():
+        message, frame = filled(kind, rng)
+        ((raw, got),) = StreamParser(datagrams=True).feed(frame)
+        assert raw == frame
+        assert same(got, message), kind
+
+
+def test_every_message_of_the_dialect_is_packed_as_pymavlink_packs_it() -> None:
+    rng = random.Random(2)
+    mav = mavlink.MAVLink(None, srcSystem=3, srcComponent=4)
+    packer = Packer(3, 4)
+    # a lone zero character is more than pymavlink can pack
+    kinds = set(mavlink.mavlink_map.values()) - {mavlink.MAVLink_test_types_message}
+    for number, kind in enumerate(sorted(kinds, key=lambda kind: kind.id)):
+        message, _ = filled(kind, rng)
+        mav.seq = number % 256
+        assert packer.frame(message) == message.pack(mav), kind
+
+
+@pytest.mark.parametrize("name", ["arducopter-gps-loss.tlog", "px4-offboard-short.tlog"])
+def test_a_recorded_flight_is_read_as_pymavlink_reads_it(name: str) -> None:
+    data, at, known = (TELEMETRY / name).read_bytes(), 0, 0
+    parser, reader = StreamParser(datagrams=False), mavlink.MAVLink(None)
+    while at < min(len(data), 400_000):
+        size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
+        frame, at = data[at + 8 : at + 8 + size], at + 8 + size
+        wanted = reader.decode(bytearray(frame))
+        if isinstance(wanted, mavlink.MAVLink_unknown):
+            assert parser.feed(frame) == []
+            continue
+        ((_, got),) = parser.feed(frame)
+        assert same(got, wanted)
+        known += 1
+    assert known > 1000
+    assert set(parser.dropped) <= {Dropped.UNKNOWN}
+
+
+def test_an_unsigned_frame_comes_back_bit_for_bit() -> None:
+    packer = Packer(7, 195)
+    for message in MESSAGES:
+        ((raw, got),) = StreamParser(datagrams=True).feed(packer.frame(message))
+        assert packed(got, sequence=got.get_seq()) == raw
+
+
+@given(
+    old=st.booleans(),
+    cuts=st.lists(st.integers(0, 400), max_size=12),
+    noise=st.binary(max_size=9).filter(lambda raw: not set(raw) & {0xFD, 0xFE}),
+)
+def test_a_stream_may_be_cut_anywhere(old: bool, cuts: list[int], noise: bytes) -> None:
+    stream = noise.join([b"", *(packed(message, old=old) for message in MESSAGES * 2)])
+    edges = sorted({0, len(stream), *(cut for cut in cuts if cut < len(stream))})
+    parser = StreamParser(datagrams=False)
+    got = [message for a, b in itertools.pairwise(edges) for _, message in parser.feed(stream[a:b])]
+    assert [message.id for message in got] == [message.id for message in MESSAGES * 2]
+    assert parser.dropped[Dropped.GARBAGE] == len(noise) * 6
+
+
+@given(stream=st.binary(max_size=600), step=st.integers(1, 40))
+@example(stream=b"\xfd" * 600, step=7)
+@example(stream=b"\xfe\x09" * 300, step=1)
+@example(stream=b"\xfd\xff\x00" * 200, step=1)
+def test_anything_at_all_may_come_and_good_frames_still_arrive(stream: bytes, step: int) -> None:
+    parser = StreamParser(datagrams=False)
+    for at in range(0, len(stream), step):
+        parser.feed(stream[at : at + step])
+        assert len(parser._rest) < 300
+    seen = [got for _ in range(40) for _, got in parser.feed(packed(ARM))]
+    assert len(seen) >= 30  # what a false beginning can swallow is less than ten of them
+    assert seen[-1].command == 400
+
+
+@given(rubbish=st.binary(max_size=300), cut=st.integers(0, 44), flip=st.integers(0, 44))
+def test_a_broken_datagram_cannot_hide_the_next_one(rubbish: bytes, cut: int, flip: int) -> None:
+    good = packed(ARM)
+    broken = bytearray(good)
+    broken[flip % len(good)] ^= 0x55
+    parser = StreamParser(datagrams=True)
+    for datagram in (rubbish, good[:cut], bytes(broken)):
+        parser.feed(datagram)
+        assert parser.feed(good)[0][0] == good
+    assert (good, 400) in [(raw, got.command) for raw, got in parser.feed(rubbish + good)[-1:]]
+
+
+def test_a_frame_inside_a_broken_one_is_found() -> None:
+    broken = b"\xfd\xff\x00\x00\x00\x01\x01\x00\x00\x00"
+    parser = StreamParser(datagrams=True)
+    assert [got.id for _, got in parser.feed(broken + packed(BEAT) + bytes(300))] == [0]
+
+
+def test_what_is_dropped_is_counted_by_its_reason() -> None:
+    parser = StreamParser(datagrams=True)
+    wrong = bytearray(packed(ARM))
+    wrong[-1] ^= 1
+    flags = bytearray(packed(ARM))
+    flags[2] = 2
+    unknown = bytes([253, 1, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0xFF, 0, 0, 0])
+    for datagram in (b"abc", bytes(wrong), unknown, packed(ARM)[:-1], bytes(flags)):
+        assert parser.feed(datagram) == []
+    dropped = parser.dropped
+    assert dropped[Dropped.CHECKSUM] == dropped[Dropped.UNKNOWN] == dropped[Dropped.FLAGS] == 1
+    assert dropped[Dropped.CUT] == 1
+    assert dropped[Dropped.GARBAGE] >= 3
+    assert parser.received == 0
+
+
+def test_an_unknown_message_keeps_nothing_and_costs_only_itself() -> None:
+    parser = StreamParser(datagrams=False)
+    known = len(frames._kinds)
+    for number in range(100_000, 101_000):
+        head = bytes([253, 9, 0, 0, 0, 1, 1, *number.to_bytes(3, "little")])
+        assert len(parser.feed(head + b"\xfd\xff\x00" * 3 + b"\0\0" + packed(BEAT))) == 1
+    assert len(frames._kinds) <= known + 1
+
+
+def test_the_work_is_linear_in_the_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    summed = 0
+    checksum = frames.mcrf4xx
+
+    def counted(data: bytes) -> int:
+        nonlocal summed
+        summed += len(data)
+        return int(checksum(data))
+
+    monkeypatch.setattr(frames, "mcrf4xx", counted)
+    longest = 280  # of a frame: the most that one marker can have summed up
+    command = b"\xfd\xff\0\0\0\x01\x01\x4c\0\0"
+    for worst in (b"\xfe\xff\x00\x01\x01\x4c", command, b"x\xfd" * 3, b"\xfd" * 6):
+        summed = 0
+        data = worst * 4_000
+        assert StreamParser(datagrams=False).feed(data) == []
+        assert summed <= longest * len(data), worst
+        assert summed > len(data) or b"\x4c" not in worst
+
+
+def test_mavlink_1_and_2_are_both_spoken() -> None:
+    parser = StreamParser(datagrams=True)
+    got = [message for _, message in parser.feed(packed(ARM, old=True) + packed(ARM))]
+    assert [message.to_dict() for message in got] == [ARM.to_dict()] * 2
+    assert [message.get_srcComponent() for message in got] == [195, 195]
+
+
+def test_sequence_numbers_go_round_and_begin_again() -> None:
+    packer = Packer(1, 100)
+    got = [decoded(packer.frame(BEAT)).get_seq() for _ in range(257)]
+    assert got == [*range(256), 0]
+    packer.restart()
+    assert decoded(packer.frame(BEAT)).get_seq() == 0
+
+
+def test_a_value_that_does_not_fit_is_sent_as_the_nearest_that_does() -> None:
+    wild = mavlink.MAVLink_home_position_message(
+        2**40, -(2**40), 10**12, 1e300, -1e300, math.nan, [1e300, 1, 2, 3], 0, 0, math.inf
+    )
+    got = decoded(Packer(1, 1).frame(wild))
+    assert (got.latitude, got.longitude, got.altitude) == (2**31 - 1, -(2**31), 2**31 - 1)
+    assert (got.x, got.y) == pytest.approx((3.4028234663852886e38, -3.4028234663852886e38))
+    assert math.isnan(got.z)
+    assert got.q == pytest.approx([3.4028234663852886e38, 1, 2, 3])
+    assert got.approach_z == math.inf
+    numbers = mavlink.MAVLink_distance_sensor_message(1.5, -3, 70_000, 0, 300, -1, math.nan, 0)
+    got = decoded(Packer(1, 1).frame(numbers))
+    assert (got.time_boot_ms, got.min_distance, got.max_distance) == (1, 0, 65535)
+    assert (got.current_distance, got.type, got.id, got.orientation) == (0, 255, 0, 0)
+
+
+@given(angle_deg=st.floats())
+def test_degrees_go_into_their_field(angle_deg: float) -> None:
+    assert abs(frames.degrees_e7(angle_deg)) < 2**31
+    if abs(angle_deg) <= 180:
+        assert frames.degrees_e7(angle_deg) / 1e7 == pytest.approx(angle_deg, abs=6e-8)
+
+
+class Foreign:
+    """A message that the dialect lacks, which packs itself."""
+
+    def get_msgId(self) -> int:
+        return 410
+
+    def pack(self, mav: Any) -> bytes:
+        return bytes([mav.srcSystem, mav.srcComponent, mav.seq])
+
+
+def test_a_message_that_packs_itself_is_numbered_with_the_others() -> None:
+    packer = Packer(3, 4)
+    packer.frame(BEAT)
+    assert packer.frame(Foreign()) == bytes([3, 4, 1])
+    assert decoded(packer.frame(BEAT)).get_seq() == 2
+
+
+@given(sizes=st.lists(st.integers(12, 300), max_size=80))
+def test_datagrams_keep_order_and_size(sizes: list[int]) -> None:
+    wanted = [bytes([k % 256]) * size for k, size in enumerate(sizes)]
+    got = frames.datagrams(wanted)
+    assert b"".join(got) == b"".join(wanted)
+    assert all(0 < len(datagram) <= 1400 for datagram in got)
+    assert all(len(a) + len(b) > 1100 for a, b in itertools.pairwise(got))
+
+
+@given(value=st.floats(), most=st.integers(1, 2**31))
+def test_what_goes_into_an_integer_field_fits(value: float, most: int) -> None:
+    assert -most <= frames.bounded(value, most) <= most
+    if abs(value) <= most:
+        assert abs(frames.bounded(value, most) - value) <= 0.5

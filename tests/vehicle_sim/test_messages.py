@@ -1,0 +1,135 @@
+"""Messages to the values of autopilots, and answers back, against pymavlink's definitions."""
+
+import math
+import struct
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Sticks, Text
+from vehicle_sim.sensors.terrain_radar import ScanBlock, ScanRequest
+from vehicle_sim.wire import messages
+from vehicle_sim.wire.frames import Packer, StreamParser
+
+ANYBODY = Sender(system=255, component=190, link=2)
+FLOATS = st.floats(width=32)
+
+
+def sent(message: Any) -> Any:
+    """As it arrives at the other end."""
+    ((_, got),) = StreamParser(datagrams=True).feed(Packer(255, 190).frame(message))
+    return got
+
+
+def test_the_sender_is_who_and_where() -> None:
+    assert messages.sender(sent(messages.radar_heartbeat()), 2) == ANYBODY
+
+
+def test_a_command_long_is_taken_as_it_is() -> None:
+    message = mavlink.MAVLink_command_long_message(1, 50, 400, 0, 1, 2, 3, 4, 5, 6, 7)
+    assert messages.command(sent(message), ANYBODY) == Command(
+        sender=ANYBODY, target_component=50, number=400, parameters=(1, 2, 3, 4, 5, 6, 7)
+    )
+
+
+@pytest.mark.parametrize(
+    ("frame", "x", "y", "place"),
+    [
+        (3, 470000000, -80000000, (47.0, -8.0)),
+        (1, 12345, -5000, (1.2345, -0.5)),
+        (5, 0x7FFFFFFF, 0, (math.nan, 0.0)),
+    ],
+)
+def test_the_place_of_a_command_int_is_in_degrees_or_metres(
+    frame: int, x: int, y: int, place: tuple[float, float]
+) -> None:
+    message = mavlink.MAVLink_command_int_message(1, 1, frame, 192, 0, 0, 9, 1, 2, 3, x, y, 30)
+    got = messages.command(sent(message), ANYBODY)
+    assert got.frame == frame
+    assert got.parameters == pytest.approx((9, 1, 2, 3, *place, 30), nan_ok=True)
+
+
+@given(values=st.lists(FLOATS, min_size=11, max_size=11))
+def test_whatever_is_not_a_number_reaches_the_autopilot_as_it_is(values: list[float]) -> None:
+    message = mavlink.MAVLink_set_position_target_local_ned_message(5, 1, 1, 1, 0xABC, *values)
+    got = messages.setpoint(sent(message))
+    flat = (
+        *got.position,
+        *got.velocity_ned_m_s,
+        *got.acceleration_ned_m_s2,
+        got.yaw_rad,
+        got.yaw_rate_rad_s,
+    )
+    assert flat == pytest.approx(tuple(values), nan_ok=True, abs=0, rel=0)
+    assert (got.is_global, got.frame, got.type_mask) == (False, 1, 0xABC)
+    command = mavlink.MAVLink_command_long_message(1, 1, 22, 0, *values[:7])
+    parameters = messages.command(sent(command), ANYBODY).parameters
+    assert parameters == pytest.approx(tuple(values[:7]), nan_ok=True, abs=0, rel=0)
+
+
+def test_a_global_setpoint_is_in_degrees() -> None:
+    message = mavlink.MAVLink_set_position_target_global_int_message(
+        5, 1, 1, 5, 2496, 471234567, 87654321, 3000.5, 1.5, -2.5, 0.5, 0, 0, 0, 0.25, 0.5
+    )
+    assert messages.setpoint(sent(message)) == Setpoint(
+        is_global=True,
+        frame=5,
+        type_mask=2496,
+        position=(47.1234567, 8.7654321, 3000.5),
+        velocity_ned_m_s=(1.5, -2.5, 0.5),
+        acceleration_ned_m_s2=(0, 0, 0),
+        yaw_rad=0.25,
+        yaw_rate_rad_s=0.5,
+    )
+
+
+def test_set_mode_means_do_set_mode_in_either_firmware() -> None:
+    ardupilot = mavlink.MAVLink_set_mode_message(1, 1, 4)
+    got = messages.mode_command(sent(ardupilot), ANYBODY, "ardupilot")
+    assert (got.number, got.parameters[:3]) == (176, (1, 4, 0))
+    px4 = mavlink.MAVLink_set_mode_message(1, 209, 4 << 16 | 3 << 24)
+    assert messages.mode_command(sent(px4), ANYBODY, "px4").parameters[:3] == (209, 4, 3)
+
+
+def test_sticks_are_fractions_of_full_deflection() -> None:
+    message = mavlink.MAVLink_manual_control_message(1, 1000, -500, 500, 0x7FFF, 0)
+    assert messages.sticks(sent(message), ANYBODY) == Sticks(
+        sender=ANYBODY, pitch=1.0, roll=-0.5, throttle=0.5, yaw=0.0
+    )
+    wild = mavlink.MAVLink_manual_control_message(1, -32768, 30000, -1000, 0, 0)
+    assert messages.sticks(sent(wild), ANYBODY) == Sticks(
+        sender=ANYBODY, pitch=-1.0, roll=1.0, throttle=0.0, yaw=0.0
+    )
+
+
+def test_a_scan_request_is_in_degrees() -> None:
+    message = mavlink.MAVLink_terrain_request_message(470000001, 80000002, 250, (1 << 55) | 1)
+    assert messages.scan_request(sent(message)) == ScanRequest(
+        latitude_deg=47.0000001, longitude_deg=8.0000002, spacing_m=250, mask=(1 << 55) | 1
+    )
+
+
+def test_answers_carry_whom_they_are_for() -> None:
+    answer = sent(messages.ack(Ack(to=ANYBODY, command=22, result=5, progress=40)))
+    assert (answer.command, answer.result, answer.progress) == (22, 5, 40)
+    assert (answer.target_system, answer.target_component) == (255, 190)
+    sync = sent(messages.time_sync(7, 8, ANYBODY))
+    assert (sync.tc1, sync.ts1) == (7, 8)
+    assert bytes(sync.get_msgbuf())[10:-2] == struct.pack("<qqBB", 7, 8, 255, 190)
+    question = Packer(1, 1).frame(messages.time_sync(0, 8))
+    assert question[1] <= 16  # no target
+
+
+def test_a_text_that_is_too_long_or_foreign_still_goes_out() -> None:
+    assert sent(messages.text(Text(severity=4, text="å" + "x" * 80))).text == "?" + "x" * 49
+
+
+def test_a_terrain_block_keeps_corner_bit_and_order() -> None:
+    request = ScanRequest(latitude_deg=-33.1234567, longitude_deg=-70.5, spacing_m=250, mask=1 << 9)
+    block = ScanBlock(gridbit=9, heights_amsl_m=tuple(range(-8, 8)))
+    got = sent(messages.terrain_data(request, block))
+    assert (got.lat, got.lon) == (-331234567, -705000000)
+    assert (got.grid_spacing, got.gridbit, got.data) == (250, 9, list(range(-8, 8)))

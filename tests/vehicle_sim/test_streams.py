@@ -1,0 +1,284 @@
+"""Which message goes out when: ardupilot.md 1 and px4.md 2, row by row, and schedules by count."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilots import Ack, Command, Result, Send, Sender, Style, Text
+from vehicle_sim.wire.answers import Deliver
+from vehicle_sim.wire.streams import NEVER_US, Streams
+
+STEP_US = 10_000
+BOOTED_US = 1_000_000
+HERE = Sender(system=1, component=191, link=0)
+THERE = Sender(system=255, component=190, link=1)
+POSITION, ATTITUDE, LOCAL, HEARTBEAT = 33, 30, 32, 0
+NOBODY_KNOWS = 230
+
+
+def style(firmware: Literal["ardupilot", "px4"], **rates_hz: float) -> Style:
+    is_px4 = firmware == "px4"
+    known = frozenset({POSITION, ATTITUDE, LOCAL, 74, 148})
+    return Style(
+        firmware=firmware,
+        vehicle_type=2,
+        autopilot=12 if is_px4 else 3,
+        capabilities=0,
+        software_version=0,
+        rates_hz={HEARTBEAT: 1.0, **{int(name[1:]): rate for name, rate in rates_hz.items()}},
+        streamable=known if is_px4 else known | {HEARTBEAT},
+        requestable=known | {49},
+        not_streamable=Result.FAILED if is_px4 else Result.DENIED,
+        text_when_not_streamable=None if is_px4 else "No ap_message for mavlink id ({number})",
+        bytewise_parameters=is_px4,
+        requests_mission_int=is_px4,
+        texts_need="anybody",
+        signs=not is_px4,
+        data_streams={} if is_px4 else {6: (POSITION, LOCAL), 10: (ATTITUDE,)},
+    )
+
+
+def fresh(of: Style, links: int = 2) -> Streams:
+    streams = Streams(of)
+    for link in range(links):
+        streams.open(link, 0)
+    return streams
+
+
+def ask(streams: Streams, number: int, *parameters: float, by: Sender = HERE) -> Sequence[Any]:
+    p1, p2, p3, p4, p5, p6, p7 = (*parameters, *[0.0] * (7 - len(parameters)))
+    command = Command(
+        sender=by, target_component=1, number=number, parameters=(p1, p2, p3, p4, p5, p6, p7)
+    )
+    return streams.on_command(command, BOOTED_US)
+
+
+def result(answers: Sequence[Any]) -> int:
+    (ack,) = (answer for answer in answers if isinstance(answer, Ack))
+    assert ack.to in (HERE, THERE)
+    return ack.result
+
+
+def counts(streams: Streams, seconds: float, begin_us: int = BOOTED_US) -> Counter[Any]:
+    seen = Counter[Any]()
+    for now_us in range(begin_us, begin_us + round(seconds * 1e6), STEP_US):
+        if now_us >= streams.soonest_us:
+            seen.update(streams.due(now_us))
+    return seen
+
+
+@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+@pytest.mark.parametrize("rate_hz", [1, 3, 4, 10, 29.5, 30, 50, 100])
+def test_a_rate_is_met_exactly_and_only_on_the_link_that_asked(
+    firmware: Literal["ardupilot", "px4"], rate_hz: float
+) -> None:
+    streams = fresh(style(firmware))
+    interval_us = round(1e6 / rate_hz)
+    assert result(ask(streams, 511, POSITION, interval_us)) == Result.ACCEPTED
+    if firmware == "ardupilot":
+        interval_us = interval_us // 1000 * 1000
+    seen = counts(streams, 20.0)
+    assert seen[0, POSITION] == pytest.approx(20e6 / interval_us, abs=1.5)
+    assert seen[1, POSITION] == 0
+    assert seen[0, HEARTBEAT] == seen[1, HEARTBEAT] == 20
+
+
+@given(
+    intervals=st.lists(st.integers(1_000, 3_000_000), min_size=1, max_size=5),
+    seconds=st.floats(0.1, 5.0),
+)
+def test_the_count_of_each_message_is_time_over_interval(
+    intervals: list[int], seconds: float
+) -> None:
+    numbers = [POSITION, ATTITUDE, LOCAL, 74, 148]
+    streams = fresh(style("px4"))
+    for number, interval_us in zip(numbers, intervals, strict=False):
+        ask(streams, 511, number, interval_us)
+    seen = counts(streams, seconds)
+    for number, interval_us in zip(numbers, intervals, strict=False):
+        wanted = seconds * 1e6 / max(interval_us, STEP_US)  # at most once a step
+        assert abs(seen[0, number] - wanted) <= 2.5
+
+
+def test_nothing_is_due_before_it_is_said_to_be() -> None:
+    streams = fresh(style("px4", _30=100.0), links=1)
+    for now_us in range(0, 3_000_000, 1_000):
+        before = streams.soonest_us
+        assert bool(streams.due(now_us)) == (now_us >= before)
+
+
+def test_after_a_pause_each_message_comes_once_and_then_in_its_old_beat() -> None:
+    streams = fresh(style("px4", _30=50.0), links=1)
+    streams.due(10_000_000)
+    assert streams.due(10_000_001) == []
+    assert streams.due(10_020_000) == [(0, ATTITUDE)]
+
+
+def test_minus_one_stops_and_zero_restores_the_default() -> None:
+    for firmware in ("ardupilot", "px4"):
+        streams = fresh(style(firmware, _33=5.0))  # type: ignore[arg-type]
+        ask(streams, 511, POSITION, -1)
+        ask(streams, 511, ATTITUDE, 100_000)
+        assert counts(streams, 2.0)[0, POSITION] == 0
+        ask(streams, 511, POSITION, 0)
+        ask(streams, 511, ATTITUDE, 0)
+        assert counts(streams, 2.0, 9_000_000)[0, POSITION] == pytest.approx(10, abs=1)
+        assert streams.interval_us(0, ATTITUDE) is None
+
+
+def test_what_ardupilot_does_not_stream_is_denied_with_a_text() -> None:
+    text, ack = ask(fresh(style("ardupilot")), 511, NOBODY_KNOWS, 1e5)
+    assert text == Text(severity=6, text="No ap_message for mavlink id (230)")
+    assert ack.result == Result.DENIED
+
+
+@pytest.mark.parametrize("number", [HEARTBEAT, 42, 12345, math.nan, -1.0, 1e30])
+def test_what_px4_does_not_stream_fails(number: float) -> None:
+    assert [ack.result for ack in ask(fresh(style("px4")), 511, number, 1e5)] == [Result.FAILED]
+
+
+@pytest.mark.parametrize(
+    ("firmware", "parameters", "wanted"),
+    [
+        ("ardupilot", (0, 0, 0, 0, 0), Result.ACCEPTED),
+        ("ardupilot", (1, 0, 0, 0, 0), Result.DENIED),
+        ("ardupilot", (math.nan, 0, 0, 0, 0), Result.DENIED),
+        ("ardupilot", (0, 1, 0, 0, 1), Result.ACCEPTED),
+        ("px4", (0, 0, 0, 0, 0), Result.ACCEPTED),
+        ("px4", (math.nan, math.nan, 9, 9, math.nan), Result.ACCEPTED),
+        ("px4", (1, 0, 0, 0, 0), Result.FAILED),
+        ("px4", (0, 1, 0, 0, 0), Result.FAILED),
+        ("px4", (0, 0, 0, 0, 1), Result.FAILED),
+    ],
+)
+def test_reserved_parameters_must_be_zero(
+    firmware: Literal["ardupilot", "px4"], parameters: tuple[float, ...], wanted: Result
+) -> None:
+    assert result(ask(fresh(style(firmware)), 511, POSITION, 1e5, *parameters)) == wanted
+
+
+@given(interval_us=st.floats(width=32), number=st.floats(width=32))
+def test_no_interval_and_no_number_breaks_the_table(interval_us: float, number: float) -> None:
+    for firmware in ("ardupilot", "px4"):
+        streams = fresh(style(firmware))  # type: ignore[arg-type]
+        for asked in (510, 511, 512):
+            ask(streams, asked, POSITION, interval_us)
+            ask(streams, asked, number, interval_us)
+        every = streams.interval_us(0, POSITION)
+        assert every is None or every >= 1
+        streams.due(10**9)
+
+
+def test_ardupilots_intervals_are_whole_milliseconds_up_to_a_minute() -> None:
+    streams = fresh(style("ardupilot"))
+    for asked, kept in ((10_900, 10_000), (5, 1_000), (-7, 1_000), (2e9, 60_000_000)):
+        ask(streams, 511, POSITION, asked)
+        assert streams.interval_us(0, POSITION) == kept
+
+
+def test_the_interval_can_be_asked_for() -> None:
+    streams = fresh(style("ardupilot"))
+    ask(streams, 511, POSITION, 250_000)
+    for number, told, accepted in (
+        (POSITION, 250_000, Result.ACCEPTED),
+        (ATTITUDE, -1, Result.ACCEPTED),
+        (NOBODY_KNOWS, 0, Result.FAILED),
+    ):
+        answer, ack = ask(streams, 510, number)
+        assert isinstance(answer, Deliver)
+        assert (answer.to, answer.message.message_id) == (HERE, number)
+        assert (answer.message.interval_us, ack.result) == (told, accepted)
+    answer, _ = ask(streams, 510, POSITION, by=THERE)
+    assert answer.message.interval_us == -1  # of the link that asks
+
+
+def test_a_message_is_sent_once_after_ardupilots_answer_and_before_px4s() -> None:
+    send = Send(message=148, to=HERE)
+    ack = Ack(to=HERE, command=512, result=Result.ACCEPTED)
+    assert ask(fresh(style("ardupilot")), 512, 148) == [ack, send]
+    assert ask(fresh(style("px4")), 512, 148) == [send, ack]
+    assert result(ask(fresh(style("ardupilot")), 512, NOBODY_KNOWS)) == Result.FAILED
+    assert result(ask(fresh(style("px4")), 512, NOBODY_KNOWS)) == Result.DENIED
+
+
+def stream_request(group: int, rate_hz: int, *, start: int = 1) -> Any:
+    return mavlink.MAVLink_request_data_stream_message(1, 1, group, rate_hz, start)
+
+
+def test_a_data_stream_sets_its_whole_group_and_overrides_single_intervals() -> None:
+    streams = fresh(style("ardupilot"))
+    ask(streams, 511, POSITION, 20_000)
+    streams.on_data_stream(stream_request(6, 4), 0, BOOTED_US)
+    seen = counts(streams, 10.0)
+    assert [seen[0, number] for number in (POSITION, LOCAL, ATTITUDE)] == pytest.approx(
+        [40, 40, 0], abs=1
+    )
+    streams.on_data_stream(stream_request(0, 2), 0, BOOTED_US)
+    assert counts(streams, 10.0, 20_000_000)[0, ATTITUDE] == pytest.approx(20, abs=1)
+    streams.on_data_stream(stream_request(0, 2, start=0), 0, BOOTED_US)
+    assert set(counts(streams, 3.0, 40_000_000)) == {(0, HEARTBEAT), (1, HEARTBEAT)}
+
+
+def test_the_same_request_again_and_again_does_not_hold_up_a_slow_message() -> None:
+    streams = fresh(style("ardupilot"), links=1)
+    seen = Counter[Any]()
+    for now_us in range(BOOTED_US, BOOTED_US + 20_000_000, STEP_US):
+        if now_us % 500_000 == 0:  # faster than the message itself
+            streams.on_data_stream(stream_request(6, 1), 0, now_us)
+            command = (LOCAL, 1_000_000)
+            ask(streams, 511, *command)
+        seen.update(streams.due(now_us))
+    assert seen[0, POSITION] == pytest.approx(20, abs=1)
+    assert len(streams._due) == 3
+
+
+def test_a_stream_or_a_group_that_there_is_not_is_passed_over() -> None:
+    for firmware in ("ardupilot", "px4"):
+        streams = fresh(style(firmware))  # type: ignore[arg-type]
+        for request in (stream_request(77, 4), stream_request(6, 4, start=9)):
+            streams.on_data_stream(request, 0, BOOTED_US)
+        assert set(counts(streams, 2.0)) == {(0, HEARTBEAT), (1, HEARTBEAT)}
+
+
+@pytest.mark.parametrize(
+    ("firmware", "now_us", "kept"),
+    [("ardupilot", 40_000, False), ("ardupilot", 80_000, True), ("px4", 10_000, True)],
+)
+def test_ardupilot_loses_what_is_asked_in_its_first_moment_but_says_yes(
+    firmware: Literal["ardupilot", "px4"], now_us: int, *, kept: bool
+) -> None:
+    booted_us = 77_000_000
+    streams = Streams(style(firmware))
+    streams.open(0, booted_us)
+    command = Command(
+        sender=HERE,
+        target_component=1,
+        number=511,
+        parameters=(POSITION, 1e5, 0, 0, 0, 0, 0),
+    )
+    assert result(streams.on_command(command, booted_us + now_us)) == Result.ACCEPTED
+    assert (streams.interval_us(0, POSITION) is not None) is kept
+
+
+def test_a_reboot_forgets_what_was_asked_on_every_link() -> None:
+    streams = fresh(style("ardupilot", _30=2.0))
+    ask(streams, 511, POSITION, 1e5)
+    ask(streams, 511, ATTITUDE, -1, by=THERE)
+    streams.restart(0)
+    assert set(counts(streams, 3.0)) == {
+        (link, number) for link in (0, 1) for number in (HEARTBEAT, ATTITUDE)
+    }
+
+
+def test_a_closed_link_gets_nothing() -> None:
+    streams = fresh(style("ardupilot"), links=1)
+    ask(streams, 511, POSITION, 1e5)
+    streams.close(0)
+    assert streams.soonest_us == NEVER_US
+    assert streams.due(10**9) == []

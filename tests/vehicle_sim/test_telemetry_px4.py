@@ -1,0 +1,153 @@
+"""PX4's telemetry: messages that the dialect lacks, byte for byte, and every message packed."""
+
+import math
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+from tracking_px4 import Rig
+
+from vehicle_sim.autopilots import Battery, Event, Report
+from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ
+from vehicle_sim.wire.px4_messages import (
+    CurrentEventSequence,
+    EventMessage,
+    Events,
+    TimeEstimateToTarget,
+)
+from vehicle_sim.wire.telemetry_px4 import MESSAGES
+
+_LOG = Path(__file__).parents[2].parent / "shared" / "telemetry" / "px4-offboard-short.tlog"
+
+
+def _recorded() -> Iterator[tuple[int, bytes]]:
+    """Number and frame of what the vehicle sent."""
+    assert _LOG.is_file(), f"the recorded flights belong beside the repository: {_LOG}"
+    data, offset = _LOG.read_bytes(), 0
+    while offset < len(data):
+        frame = data[offset + 8 : offset + 20 + data[offset + 9]]
+        offset += 8 + len(frame)
+        if frame[5:7] == b"\1\1":
+            yield struct.unpack("<I", frame[7:10] + b"\0")[0], frame
+
+
+def _packed(message: Any, like: bytes) -> bytes:
+    packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    packer.seq = like[4]
+    return bytes(message.pack(packer))
+
+
+def test_lacking_messages_are_the_recorded_bytes() -> None:
+    """CRC_EXTRA, order and truncation: what is read out of a frame packs to the same frame."""
+    seen = dict.fromkeys((380, 410, 411), 0)
+    for number, frame in _recorded():
+        if number not in seen:
+            continue
+        payload = frame[10:-2].ljust(60, b"\0")
+        message: Any
+        if number == 410:
+            event_id, boot_ms, sequence, _, _, levels = struct.unpack_from("<IIHBBB", payload)
+            arguments = frame[10:-2][13:]
+            event = Event(number=event_id, log_levels=levels, arguments=arguments)
+            message = EventMessage(event, sequence, boot_ms)
+        elif number == 411:
+            message = CurrentEventSequence(*struct.unpack_from("<HB", payload))
+        else:
+            message = TimeEstimateToTarget(struct.unpack_from("<i", payload)[0])
+        assert _packed(message, frame) == frame
+        seen[number] += 1
+    assert min(seen.values()) > 10
+
+
+def test_events_are_numbered_over_the_end_of_16_bits() -> None:
+    events = Events()
+    event = Event(number=1, log_levels=0x66)
+    for _ in range(12):
+        events.message(event, 0)
+    assert events.sequence == (65525 + 12) % 65536
+
+
+def _report(rig: Rig) -> Report:
+    px4 = rig.px4
+    return Report(
+        time_us=rig.now_us,
+        unix_us=0,
+        vehicle=rig.copter,
+        estimate=px4.estimate,
+        fix=rig.fix,
+        battery=Battery(),
+        status=px4.status(),
+        style=px4.style,
+    )
+
+
+@pytest.fixture(scope="module")
+def flying() -> Rig:
+    rig = Rig()
+    rig.take_off(12.0)
+    rig.stream(3.0, velocity=(5.0, 3.0, 0.0))
+    return rig
+
+
+def test_everything_it_streams_can_be_made_and_packed(flying: Rig) -> None:
+    """Also before there is anything to say."""
+    fresh = Rig()
+    fresh.step()
+    for rig in (fresh, flying):
+        report = _report(rig)
+        for number in (*FIXED_WING_RATES_HZ, 49, 148, 300):
+            message = MESSAGES[number](report)
+            if message is not None:
+                frame = message.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))
+                assert struct.unpack("<I", frame[7:10] + b"\0")[0] == number
+                assert message.get_msgId() == number
+
+
+def test_the_sensors_are_those_of_the_recording(flying: Rig) -> None:
+    """px4-offboard-8mps.tlog in flight."""
+    status = MESSAGES[1](_report(flying))
+    assert status is not None
+    assert status.onboard_control_sensors_present == 33570863
+    assert status.onboard_control_sensors_enabled == 33636399
+    assert status.onboard_control_sensors_health == 320915519
+
+
+def test_the_echo_is_what_the_controller_wants(flying: Rig) -> None:
+    """POSITION_TARGET_LOCAL_NED: position not given: NaN and its bits; motors idle: mask 63."""
+    echo = MESSAGES[85](_report(flying))
+    assert echo is not None
+    assert echo.type_mask == 7
+    assert math.isnan(echo.x)
+    assert echo.vx == pytest.approx(5.0)
+    fresh = Rig()
+    fresh.run(5.0)
+    idle = MESSAGES[85](_report(fresh))
+    assert idle is not None
+    assert (idle.type_mask, idle.afz) == (63, 100.0)
+    assert math.isnan(idle.vx)
+
+
+def test_the_accelerometer_feels_gravity_and_the_tilt(flying: Rig) -> None:
+    """Standing: 1 g up; flying steadily against drag: still 1 g in all, but leaning."""
+    fresh = Rig()
+    fresh.run(5.0)
+    still = MESSAGES[105](_report(fresh))
+    moving = MESSAGES[105](_report(flying))
+    assert still is not None
+    assert moving is not None
+    assert (still.xacc, still.yacc, still.zacc) == pytest.approx((0.0, 0.0, -9.80665), abs=0.05)
+    assert moving.zacc == pytest.approx(-9.8, abs=0.6)
+
+
+def test_global_targets_are_told_in_auto_modes_only(flying: Rig) -> None:
+    assert MESSAGES[87](_report(flying)) is None
+    rig = Rig()
+    rig.take_off(8.0)
+    rig.command(21)
+    rig.run(2.0)
+    landing = MESSAGES[87](_report(rig))
+    assert landing is not None
+    assert (landing.coordinate_frame, landing.alt) == (5, 0.0)

@@ -1,0 +1,1 @@
+"""Bytes and messages: what MAVLink needs between sockets and values.  No sockets, no clock."""

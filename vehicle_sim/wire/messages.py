@@ -1,0 +1,194 @@
+"""Messages to values and back: the only place that knows MAVLink's units, scales and numbers.
+
+Telemetry is made in telemetry.py; here is what clients send, and the answers.  What is not a finite
+number passes through unharmed: the autopilots decide what to make of it.
+"""
+
+import math
+from typing import Any, Literal
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Sticks, Text
+from vehicle_sim.sensors.radar_component import RadarReport, TerrainCheck
+from vehicle_sim.sensors.terrain_radar import ScanBlock, ScanRequest
+from vehicle_sim.wire.extensions import extended
+from vehicle_sim.wire.frames import degrees_e7
+
+AUTOPILOT_COMPONENT = 1
+DO_SET_MODE = 176
+_NOWHERE = 0x7FFFFFFF
+"""x or y of a COMMAND_INT that gives no place."""
+_LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
+"""MAV_FRAME in which x and y are 1e-4 metres."""
+_TimeSync: Any = extended(mavlink.MAVLink_timesync_message, target_system="B", target_component="B")
+_DEFLECTION = 1000.0
+_NO_DEFLECTION = 0x7FFF
+
+
+# --- in -------------------------------------------------------------------------------------------
+
+
+def sender(message: Any, link: int) -> Sender:
+    """Who sent this message that came by this link."""
+    header = message.get_header()
+    return Sender(system=header.srcSystem, component=header.srcComponent, link=link)
+
+
+def command(message: Any, origin: Sender) -> Command:
+    """A COMMAND_LONG or COMMAND_INT."""
+    if message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+        place, frame = (message.param5, message.param6, message.param7), None
+    else:
+        frame = message.frame
+        scale = 1e4 if frame in _LOCAL_FRAMES else 1e7
+        x = math.nan if message.x == _NOWHERE else message.x / scale
+        y = math.nan if message.y == _NOWHERE else message.y / scale
+        place = (x, y, message.z)
+    return Command(
+        sender=origin,
+        target_component=message.target_component,
+        number=message.command,
+        parameters=(message.param1, message.param2, message.param3, message.param4, *place),
+        frame=frame,
+    )
+
+
+def mode_command(message: Any, origin: Sender, firmware: Literal["ardupilot", "px4"]) -> Command:
+    """A SET_MODE, as the DO_SET_MODE that means the same.
+
+    PX4 takes its custom_mode apart into main and sub mode; ArduPilot answers with a COMMAND_ACK
+    whose command is 11, the number of SET_MODE itself (the answer to a Command knows 176).
+    """
+    mode = message.custom_mode
+    p2, p3 = (mode >> 16 & 0xFF, mode >> 24 & 0xFF) if firmware == "px4" else (mode, 0)
+    return Command(
+        sender=origin,
+        target_component=0,
+        number=DO_SET_MODE,
+        parameters=(float(message.base_mode), float(p2), float(p3), 0.0, 0.0, 0.0, 0.0),
+    )
+
+
+def setpoint(message: Any) -> Setpoint:
+    """A SET_POSITION_TARGET_GLOBAL_INT or _LOCAL_NED."""
+    is_global = message.get_msgId() == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
+    return Setpoint(
+        is_global=is_global,
+        frame=message.coordinate_frame,
+        type_mask=message.type_mask,
+        position=(message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
+        if is_global
+        else (message.x, message.y, message.z),
+        velocity_ned_m_s=(message.vx, message.vy, message.vz),
+        acceleration_ned_m_s2=(message.afx, message.afy, message.afz),
+        yaw_rad=message.yaw,
+        yaw_rate_rad_s=message.yaw_rate,
+    )
+
+
+def sticks(message: Any, origin: Sender) -> Sticks:
+    """A MANUAL_CONTROL; an axis that the pilot does not have is in the middle."""
+
+    def deflection(raw: int) -> float:
+        return 0.0 if raw == _NO_DEFLECTION else max(-1.0, min(raw / _DEFLECTION, 1.0))
+
+    return Sticks(
+        sender=origin,
+        pitch=deflection(message.x),
+        roll=deflection(message.y),
+        throttle=max(0.0, deflection(message.z)),
+        yaw=deflection(message.r),
+    )
+
+
+def scan_request(message: Any) -> ScanRequest:
+    """A TERRAIN_REQUEST."""
+    return ScanRequest(
+        latitude_deg=message.lat / 1e7,
+        longitude_deg=message.lon / 1e7,
+        spacing_m=message.grid_spacing,
+        mask=message.mask,
+    )
+
+
+def terrain_check(message: Any) -> TerrainCheck:
+    """A TERRAIN_CHECK."""
+    return TerrainCheck(latitude_deg=message.lat / 1e7, longitude_deg=message.lon / 1e7)
+
+
+# --- out ------------------------------------------------------------------------------------------
+
+
+def ack(value: Ack) -> Any:
+    """COMMAND_ACK, addressed to the asker."""
+    return mavlink.MAVLink_command_ack_message(
+        command=value.command,
+        result=value.result,
+        progress=value.progress,
+        target_system=value.to.system,
+        target_component=value.to.component,
+    )
+
+
+def text(value: Text) -> Any:
+    """STATUSTEXT; what does not fit is cut off."""
+    return mavlink.MAVLink_statustext_message(
+        severity=value.severity, text=value.text.encode("ascii", "replace")[:50]
+    )
+
+
+def time_sync(tc1_ns: int, ts1_ns: int, to: Sender | None = None) -> Any:
+    """TIMESYNC: a question with tc1 = 0, else an answer, to whoever asked."""
+    return _TimeSync(
+        tc1=tc1_ns,
+        ts1=ts1_ns,
+        target_system=to.system if to else 0,
+        target_component=to.component if to else 0,
+    )
+
+
+def pong(question: Any, to: Sender) -> Any:
+    """The answer to a PING."""
+    return mavlink.MAVLink_ping_message(
+        time_usec=question.time_usec,
+        seq=question.seq,
+        target_system=to.system,
+        target_component=to.component,
+    )
+
+
+def radar_heartbeat() -> Any:
+    """HEARTBEAT of the terrain radar: there, active, and not an autopilot."""
+    return mavlink.MAVLink_heartbeat_message(
+        type=mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+        autopilot=mavlink.MAV_AUTOPILOT_INVALID,
+        base_mode=0,
+        custom_mode=0,
+        system_status=mavlink.MAV_STATE_ACTIVE,
+        mavlink_version=3,
+    )
+
+
+def terrain_data(request: ScanRequest, block: ScanBlock) -> Any:
+    """TERRAIN_DATA: one block; corner and spacing are the request's."""
+    return mavlink.MAVLink_terrain_data_message(
+        lat=degrees_e7(request.latitude_deg),
+        lon=degrees_e7(request.longitude_deg),
+        grid_spacing=request.spacing_m,
+        gridbit=block.gridbit,
+        data=list(block.heights_amsl_m),
+    )
+
+
+def terrain_report(report: RadarReport) -> Any:
+    """TERRAIN_REPORT: the request is answered, and nothing is pending."""
+    return mavlink.MAVLink_terrain_report_message(
+        lat=degrees_e7(report.latitude_deg),
+        lon=degrees_e7(report.longitude_deg),
+        spacing=report.spacing_m,
+        terrain_height=report.ground_amsl_m,
+        current_height=report.above_ground_m,
+        pending=0,
+        loaded=report.blocks,
+    )

@@ -1,0 +1,193 @@
+"""Items of missions, fences and rally lists, between the wire and plans; MISSION_* numbers."""
+
+import enum
+import math
+from dataclasses import dataclass, field
+from typing import Any, Final, final
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilots import Command, Sender
+from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.wire.answers import Unacknowledged
+from vehicle_sim.wire.extensions import extended
+
+WRITE_PARTIAL_LIST: Final = 38
+ITEM: Final = 39
+REQUEST: Final = 40
+SET_CURRENT: Final = 41
+REQUEST_LIST: Final = 43
+COUNT: Final = 44
+CLEAR_ALL: Final = 45
+ACK: Final = 47
+REQUEST_INT: Final = 51
+ITEM_INT: Final = 73
+MESSAGES: Final = frozenset(
+    {
+        *(WRITE_PARTIAL_LIST, ITEM, REQUEST, SET_CURRENT, REQUEST_LIST),
+        *(COUNT, CLEAR_ALL, ACK, REQUEST_INT, ITEM_INT),
+    }
+)
+"""What a mission protocol answers."""
+MISSION_CURRENT: Final = 42
+DO_SET_MISSION_CURRENT: Final = 224
+GLOBAL_FRAMES: Final = frozenset({0, 3, 5, 6, 10, 11})
+_INT32 = 2**31
+
+
+class MissionResult(enum.IntEnum):
+    """MAV_MISSION_RESULT."""
+
+    ACCEPTED = 0
+    ERROR = 1
+    UNSUPPORTED_FRAME = 2
+    UNSUPPORTED = 3
+    NO_SPACE = 4
+    INVALID = 5
+    INVALID_PARAM1 = 6
+    INVALID_PARAM2 = 7
+    INVALID_PARAM3 = 8
+    INVALID_PARAM4 = 9
+    INVALID_PARAM5_X = 10
+    INVALID_PARAM6_Y = 11
+    INVALID_PARAM7 = 12
+    INVALID_SEQUENCE = 13
+    DENIED = 14
+    OPERATION_CANCELLED = 15
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Upload:
+    """A list on its way from a client; the stored one stays until this one is complete."""
+
+    sender: Sender
+    kind: PlanKind
+    last: int
+    """Number of the last item that is asked for."""
+    heard_us: int
+    asked_us: int
+    next: int = 0
+    items: list[PlanItem] = field(default_factory=list)
+
+    def is_from(self, sender: Sender) -> bool:
+        """Whether this is who uploads; on which link does not matter."""
+        return (sender.system, sender.component) == (self.sender.system, self.sender.component)
+
+    def put(self, item: PlanItem) -> None:
+        """The item that was asked for has come."""
+        if self.next < len(self.items):
+            self.items[self.next] = item
+        else:
+            self.items.append(item)
+        self.next += 1
+
+
+def kind_of(message: Any) -> PlanKind | None:
+    """Which list a message is about; None if there is no such list."""
+    number = message.mission_type
+    return PlanKind(number) if number in PlanKind.__members__.values() else None
+
+
+def read_item(message: Any) -> PlanItem | MissionResult:
+    """A MISSION_ITEM_INT, or a MISSION_ITEM with its place in degrees."""
+    x, y = message.x, message.y
+    if message.get_msgId() == ITEM:
+        scaled = [value * 1e7 if math.isfinite(value) else math.inf for value in (x, y)]
+        for value, wrong in zip(
+            scaled, (MissionResult.INVALID_PARAM5_X, MissionResult.INVALID_PARAM6_Y), strict=True
+        ):
+            if abs(value) >= _INT32:
+                return wrong
+        x, y = (round(value) for value in scaled)
+    return PlanItem(
+        frame=message.frame,
+        command=message.command,
+        parameters=(message.param1, message.param2, message.param3, message.param4),
+        x=x,
+        y=y,
+        z_m=message.z,
+        autocontinue=bool(message.autocontinue),
+    )
+
+
+def item_message(
+    item: PlanItem, kind: PlanKind, seq: int, to: Sender, *, whole: bool, current: bool = False
+) -> Any:
+    """The item as a MISSION_ITEM_INT (whole), or as a MISSION_ITEM."""
+    p1, p2, p3, p4 = item.parameters
+    make: Any = mavlink.MAVLink_mission_item_int_message
+    x: float = item.x
+    y: float = item.y
+    if not whole:
+        make, x, y = mavlink.MAVLink_mission_item_message, item.x * 1e-7, item.y * 1e-7
+    return make(
+        target_system=to.system,
+        target_component=to.component,
+        seq=seq,
+        frame=item.frame,
+        command=item.command,
+        current=int(current),
+        autocontinue=int(item.autocontinue),
+        param1=p1,
+        param2=p2,
+        param3=p3,
+        param4=p4,
+        x=x,
+        y=y,
+        z=item.z_m,
+        mission_type=int(kind),
+    )
+
+
+def request_message(upload: Upload, *, whole: bool) -> Any:
+    """Ask for the next item: MISSION_REQUEST_INT (whole) or MISSION_REQUEST."""
+    make = (
+        mavlink.MAVLink_mission_request_int_message
+        if whole
+        else mavlink.MAVLink_mission_request_message
+    )
+    return make(
+        target_system=upload.sender.system,
+        target_component=upload.sender.component,
+        seq=upload.next,
+        mission_type=int(upload.kind),
+    )
+
+
+_Count: Any = extended(mavlink.MAVLink_mission_count_message, opaque_id="I")
+_Ack: Any = extended(mavlink.MAVLink_mission_ack_message, opaque_id="I")
+
+
+def count_message(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> Any:
+    """MISSION_COUNT: so many items are there to be asked for."""
+    return _Count(
+        target_system=to.system,
+        target_component=to.component,
+        count=count,
+        mission_type=int(kind),
+        opaque_id=opaque_id,
+    )
+
+
+def ack_message(result: MissionResult, kind: int, to: Sender, opaque_id: int = 0) -> Any:
+    """MISSION_ACK: how it ended; the kind may be one that there is not."""
+    return _Ack(
+        target_system=to.system,
+        target_component=to.component,
+        type=int(result),
+        mission_type=kind,
+        opaque_id=opaque_id,
+    )
+
+
+def make_current(seq: int, sender: Sender) -> Unacknowledged:
+    """MISSION_SET_CURRENT as the command that means the same."""
+    return Unacknowledged(
+        command=Command(
+            sender=sender,
+            target_component=0,
+            number=DO_SET_MISSION_CURRENT,
+            parameters=(float(seq), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        )
+    )

@@ -1,0 +1,192 @@
+"""The parameter protocol: list, read and set, in ArduPilot's and in PX4's way.
+
+Sources: ardupilot.md 1, px4.md 2, the recorded flights, GCS_Param.cpp and mavlink_parameters.cpp.
+"""
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import Any, final
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilots import Sender, Style
+from vehicle_sim.parameters import Kind, Parameters
+from vehicle_sim.wire.answers import Answer, Deliver, ParameterSet
+
+REQUEST_READ, REQUEST_LIST, SET = 20, 21, 23
+MESSAGES = frozenset({REQUEST_READ, REQUEST_LIST, SET})
+VALUES_PER_S = 1348 / 1.5
+"""ArduPilot's 1,348 values take 1.5 s on loopback (ardupilot.md 1); PX4's are sent as fast."""
+_MOST_AT_ONCE = 20
+"""Values in one step, however late it is: no burst that a socket cannot take."""
+_UNASKED = 65535
+"""param_index of a value that ArduPilot sends by itself, after a PARAM_SET or read by name."""
+_HASH = "_HASH_CHECK"
+_UINT32 = 5
+"""MAV_PARAM_TYPE of the hash."""
+_WHOLE_RANGE = {Kind.INT8: 2**7, Kind.INT16: 2**15, Kind.INT32: 2**31}
+_LARGEST_FLOAT = 3.4028234663852886e38
+
+
+@final
+@dataclass(slots=True)
+class _Listing:
+    """A list on its way to one client."""
+
+    to: Sender
+    begun_us: int
+    sent: int = 0
+    hash_first: bool = False
+
+
+@final
+class ParameterProtocol:
+    """Serves one autopilot's parameters to all links; one listing at a time on each link."""
+
+    def __init__(self, parameters: Parameters, style: Style) -> None:
+        self._parameters = parameters
+        self._bytewise = style.bytewise_parameters
+        self._is_px4 = style.firmware == "px4"
+        self._listings: dict[int, _Listing] = {}
+        self._rows = parameters.rows
+        self._indices = {row.name: index for index, row in enumerate(self._rows)}
+
+    @property
+    def busy(self) -> bool:
+        """Whether step() has anything to do."""
+        return bool(self._listings)
+
+    # --- in -----------------------------------------------------------------------------------
+
+    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Answer]:
+        """Answer a message of MESSAGES that is for the autopilot."""
+        if message.get_msgId() == REQUEST_LIST:
+            # PX4 leaves the hash out when a listing is begun again
+            hash_first = self._is_px4 and sender.link not in self._listings
+            self._listings[sender.link] = _Listing(sender, now_us, hash_first=hash_first)
+            return []
+        if message.get_msgId() == REQUEST_READ:
+            return self._on_read(message, sender)
+        return self._on_set(message, sender)
+
+    def step(self, now_us: int) -> list[Answer]:
+        """The next values of each listing that is due; cheap if there is none."""
+        answers = list[Answer]()
+        for link, listing in list(self._listings.items()):
+            due = int((now_us - listing.begun_us) * 1e-6 * VALUES_PER_S)
+            last = min(due, listing.sent + _MOST_AT_ONCE, len(self._rows))
+            if listing.hash_first and last > listing.sent:
+                listing.hash_first = False
+                answers.append(Deliver(message=self._hash_value(), to=listing.to))
+            for index in range(listing.sent, last):
+                value = self.value(self._rows[index].name, index)
+                answers.append(Deliver(message=value, to=listing.to))
+            listing.sent = max(listing.sent, last)
+            if listing.sent >= len(self._rows):
+                del self._listings[link]
+        return answers
+
+    def close(self, link: int) -> None:
+        """The link is gone."""
+        self._listings.pop(link, None)
+
+    # --- out ----------------------------------------------------------------------------------
+
+    def value(self, name: str, index: int | None = None) -> Any:
+        """The PARAM_VALUE of this parameter.
+
+        Without an index it is one that is sent unasked, as SayParameter wants it.  KeyError for a
+        name that is not in the table.
+        """
+        if index is None:
+            index = self._indices[name] if self._is_px4 else _UNASKED
+        row, value = self._parameters.row(name), self._parameters[name]
+        if self._bytewise and row.kind is not Kind.REAL32:
+            (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
+        elif math.isfinite(value):
+            value = min(max(value, -_LARGEST_FLOAT), _LARGEST_FLOAT)
+        return self._message(name, value, row.kind, index)
+
+    def _message(self, name: str, value: float, kind: int, index: int) -> Any:
+        return mavlink.MAVLink_param_value_message(
+            param_id=name.encode("ascii"),
+            param_value=value,
+            param_type=int(kind),
+            param_count=len(self._rows),
+            param_index=index,
+        )
+
+    def _hash_value(self) -> Any:
+        """PX4's hash of names and values, by which ground stations know their cached copy."""
+        crc = 0
+        for row in self._rows:
+            value = self._parameters[row.name]
+            raw = (
+                struct.pack("<f", value)
+                if row.kind is Kind.REAL32
+                else struct.pack("<i", int(value))
+            )
+            for part in (row.name.encode("ascii"), raw):  # a plain CRC-32 begun at zero
+                crc = zlib.crc32(part, crc ^ 0xFFFFFFFF) ^ 0xFFFFFFFF
+        (as_float,) = struct.unpack("<f", struct.pack("<I", crc))
+        return self._message(_HASH, as_float, _UINT32, _UNASKED)
+
+    # --- reading and setting ------------------------------------------------------------------
+
+    def _on_read(self, message: Any, sender: Sender) -> list[Answer]:
+        """Nobody answers a request for what there is not."""
+        index, name = message.param_index, message.param_id
+        if index >= 0:
+            if index >= len(self._rows):
+                return []
+            return [Deliver(message=self.value(self._rows[index].name, index), to=sender)]
+        if self._is_px4 and name == _HASH:
+            return [Deliver(message=self._hash_value(), to=sender)]
+        if name not in self._parameters:
+            return []
+        return [Deliver(message=self.value(name), to=sender)]
+
+    def _on_set(self, message: Any, sender: Sender) -> list[Answer]:
+        name = message.param_id
+        if self._is_px4 and name == _HASH:
+            self._listings.pop(sender.link, None)  # the client has a copy: stop
+            return []
+        if name not in self._parameters:
+            return []
+        value = self._asked(message, self._parameters.row(name).kind)
+        if value is None:
+            return []
+        if not math.isfinite(value):
+            # ArduPilot ignores it; PX4 compares it with the old value, which is never different
+            return [Deliver(message=self.value(name), to=sender)] if self._is_px4 else []
+        self._parameters[name] = value
+        return [Deliver(message=self.value(name)), ParameterSet(name=name)]
+
+    def _asked(self, message: Any, kind: Kind) -> float | None:
+        """The value that a PARAM_SET means; None for one of the wrong type (PX4 only)."""
+        value: float = message.param_value
+        if not self._bytewise:
+            return _as_ardupilot_rounds(value, kind)
+        if message.param_type != kind:
+            return None
+        if kind is Kind.REAL32:
+            return value
+        (whole,) = struct.unpack("<i", _float_bytes(message))
+        return float(whole)
+
+
+def _float_bytes(message: Any) -> bytes:
+    """The four bytes of param_value as they came: as a float some of them would be changed."""
+    frame = bytes(message.get_msgbuf())
+    head = 10 if frame[0] == 0xFD else 6
+    return frame[head : head + min(4, frame[1])].ljust(4, b"\0")
+
+
+def _as_ardupilot_rounds(value: float, kind: Kind) -> float:
+    """To the type: cut off after adding 0.01 (AP_Param::set_float), and within its range."""
+    if kind is Kind.REAL32 or not math.isfinite(value):
+        return value
+    most = _WHOLE_RANGE[kind]
+    return float(math.trunc(min(max(value + math.copysign(0.01, value), -most), most - 1)))

@@ -1,0 +1,201 @@
+"""Who gets what: which frames go on to other links, and which are for this vehicle.
+
+ArduPilot does it as measured in ardupilot.md 3 ("Who may send") and 5, and as MAVLink_routing.cpp
+says; PX4 as px4.md 2 says, and passes frames on as its mavlink_main.cpp does on links that were
+started with forwarding, as those of its simulator are.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final, Literal, final
+
+from pymavlink.dialects.v20 import all as mavlink
+
+Target = tuple[int | None, int | None]
+Firmware = Literal["ardupilot", "px4"]
+
+_HEARTBEAT: Final = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+_NEVER_FORWARDED: Final = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_RADIO,
+        mavlink.MAVLINK_MSG_ID_RADIO_STATUS,
+        mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
+        mavlink.MAVLINK_MSG_ID_SETUP_SIGNING,
+    }
+)
+"""Handled by the vehicle and kept off its other links."""
+_MANUAL_CONTROL: Final = mavlink.MAVLINK_MSG_ID_MANUAL_CONTROL
+_COMMANDS: Final = frozenset(
+    {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
+)
+_MISSION: Final = frozenset({37, 38, 39, 40, 41, 43, 44, 45, 47, 51, 73})
+_PARAMETERS: Final = frozenset({20, 21, 23})
+_ADDRESSED: Final = _COMMANDS | _MISSION | _PARAMETERS
+"""PX4 takes these only if they name its system: to 0 is to nobody."""
+_FOR_EVERY_COMPONENT: Final = frozenset({512, 519})
+"""Commands that PX4 takes whatever component they name: requests for messages and versions."""
+_MISSION_PLANNER: Final = 190
+"""PX4 takes missions that are addressed to this component too."""
+_MOST_ROUTES: Final = 20
+"""MAVLINK_MAX_ROUTES of ArduPilot: who comes later is not learnt."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Route:
+    """What becomes of one frame."""
+
+    links: tuple[int, ...] = ()
+    """It goes on, unchanged, to these links."""
+    to_autopilot: bool = False
+    to_radar: bool = False
+
+
+_NOWHERE: Final = Route()
+_AUTOPILOT: Final = Route(to_autopilot=True)
+
+
+def targets(message: Any) -> Target:
+    """Target system and component of a message; None where it has no such field."""
+    return getattr(message, "target_system", None), getattr(message, "target_component", None)
+
+
+@final
+class Router:
+    """Learns who lives where.
+
+    The radar is a component of its own, on a link inside the vehicle that never needs learning.
+    """
+
+    def __init__(
+        self, *, system: int, component: int = 1, radar: int | None = None, firmware: Firmware
+    ) -> None:
+        self.enforce = False
+        """MAV_OPTIONS bit 0: only the own system and the ground station may command."""
+        self.ground_system = 255
+        """MAV_GCS_SYSID."""
+        self._system, self._component, self._radar = system, component, radar
+        self._firmware = firmware
+        self._routes = set[tuple[int, int, int]]()
+        self._links: list[int] = []
+
+    def restart(self) -> None:
+        """The autopilot boots: what it has learnt is gone."""
+        self._routes.clear()
+        self._links.clear()
+
+    def close(self, link: int) -> None:
+        """The link is gone, and with it the way to whoever lived there."""
+        self._routes = {route for route in self._routes if route[2] != link}
+        self._links = [each for each in self._links if each != link]
+
+    def heard(self, link: int) -> bool:
+        """Whether somebody has spoken on this link since the boot."""
+        return link in self._links
+
+    def route(self, message: Any, link: int) -> Route:
+        """Where this message goes that came by this link."""
+        header = message.get_header()
+        source = (header.srcSystem, header.srcComponent)
+        is_px4 = self._firmware == "px4"
+        if source[0] == self._system and (
+            source[1] == self._radar or (source[1] == self._component and not is_px4)
+        ):
+            return _NOWHERE  # our own, come back: ardupilot.md 3, "Who may send"
+        if link not in self._links:
+            self._links = sorted([*self._links, link])
+        if source[0] and len(self._routes) < _MOST_ROUTES:
+            self._routes.add((*source, link))
+        return self._px4(message, link) if is_px4 else self._ardupilot(message, source, link)
+
+    def _hears(self, system: int | None, component: int | None) -> bool:
+        """Whether the radar is meant."""
+        return (
+            self._radar is not None
+            and (not system or system == self._system)
+            and component in (None, 0, self._radar)
+        )
+
+    # --- ArduPilot ----------------------------------------------------------------------------
+
+    def _ardupilot(self, message: Any, source: tuple[int, int], link: int) -> Route:
+        number = message.get_msgId()
+        if number == _HEARTBEAT:
+            known = {at for system, component, at in self._routes if (system, component) == source}
+            others = tuple(at for at in self._links if at != link and at not in known)
+            return Route(links=others, to_autopilot=True, to_radar=True)
+        system, component = targets(message)
+        if number in _NEVER_FORWARDED:
+            return _AUTOPILOT if not system or system == self._system else _NOWHERE
+        if system == self._system and component == self._component:
+            return Route(to_autopilot=self._accepts(source))
+        ours = not system or system == self._system
+        links = self._matching(system, component, link)
+        to_radar = self._hears(system, component)
+        only_radar = to_radar and component == self._radar
+        # what is for a component that lives nowhere else, ArduPilot takes for its own
+        local = ours and (component in (None, 0, self._component) or not (links or only_radar))
+        if number == _MANUAL_CONTROL:
+            local = message.target == self._system
+        return Route(links=links, to_autopilot=local and self._accepts(source), to_radar=to_radar)
+
+    def _matching(
+        self, target_system: int | None, target_component: int | None, link: int
+    ) -> tuple[int, ...]:
+        """The links, other than the one it came by, where one lives whom it is for."""
+        everybody = not target_system
+        anybody = not target_component or target_system != self._system
+        return tuple(
+            sorted(
+                {
+                    at
+                    for system, component, at in self._routes
+                    if at != link
+                    and (
+                        everybody
+                        or (system == target_system and (anybody or component == target_component))
+                    )
+                }
+            )
+        )
+
+    def _accepts(self, source: tuple[int, int]) -> bool:
+        return not self.enforce or source[0] in (self._system, self.ground_system)
+
+    # --- PX4 ----------------------------------------------------------------------------------
+
+    def _px4(self, message: Any, link: int) -> Route:
+        system, component = targets(message)
+        return Route(
+            links=self._px4_links(system, component, link),
+            to_autopilot=self._px4_takes(message, system, component),
+            to_radar=self._hears(system, component),
+        )
+
+    def _px4_takes(self, message: Any, system: int | None, component: int | None) -> bool:
+        number = message.get_msgId()
+        if number in _COMMANDS and message.command in _FOR_EVERY_COMPONENT:
+            return system in (0, self._system)
+        if number == _MANUAL_CONTROL:
+            return message.target in (0, self._system)
+        mine = (None, 0, self._component)
+        return (
+            system == self._system if number in _ADDRESSED else system in (None, 0, self._system)
+        ) and (component in mine or (number in _MISSION and component == _MISSION_PLANNER))
+
+    def _px4_links(self, system: int | None, component: int | None, link: int) -> tuple[int, ...]:
+        """The other links on which the target has been seen; nothing that is for PX4 alone."""
+        if system == self._system and component == self._component:
+            return ()
+        return tuple(
+            sorted(
+                {
+                    at
+                    for its_system, its_component, at in self._routes
+                    if at != link
+                    and (
+                        not system
+                        or (system == its_system and (not component or component == its_component))
+                    )
+                }
+            )
+        )

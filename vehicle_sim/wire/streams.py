@@ -1,0 +1,213 @@
+"""Which message goes out when, on each link: default rates, and what clients ask for.
+
+Sources: ardupilot.md 1, px4.md 2, and the handlers of SET_MESSAGE_INTERVAL in the two firmwares.
+Intervals run on the vehicle's clock.
+"""
+
+import heapq
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, final
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilots import Ack, Command, Result, Send, Style, Text
+from vehicle_sim.wire.answers import Answer, Deliver
+
+GET_MESSAGE_INTERVAL = 510
+SET_MESSAGE_INTERVAL = 511
+REQUEST_MESSAGE = 512
+COMMANDS = frozenset({GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE})
+"""These are answered here and never reach the autopilot."""
+FORGOTTEN_US = 60_000
+"""Since boot: ArduPilot sets up its streams at its first chance to send and wipes what an earlier
+request, acknowledged all the same, has set (ardupilot.md 0, fact 10: 40 ms after the first byte,
+which comes 20 ms after the start)."""
+NEVER_US = 1 << 62
+_LONGEST_US, _SHORTEST_US = 60_000_000, 1_000
+"""Of an interval on ArduPilot (GCS_Common.cpp: kept in 16 bits of milliseconds)."""
+
+
+@final
+class Streams:
+    """The table of intervals of every link of one autopilot."""
+
+    def __init__(self, style: Style) -> None:
+        self.soonest_us = NEVER_US
+        """Nothing is due before."""
+        self._style = style
+        self._is_px4 = style.firmware == "px4"
+        self._intervals_us: dict[tuple[int, int], int] = {}
+        """By link and message number; what is not in it is not sent."""
+        self._due: list[tuple[int, int, int]] = []
+        """A heap of time, message number and link.  Entries that were changed are built anew."""
+        self._links: set[int] = set()
+        self._booted_us = 0
+
+    # --- time ---------------------------------------------------------------------------------
+
+    def open(self, link: int, now_us: int) -> None:
+        """A fresh link: it gets what it has not asked for, at the default rates.
+
+        The first one is opened when the autopilot boots.
+        """
+        if not self._links:
+            self._booted_us = now_us
+        self._links.add(link)
+        for key in [key for key in self._intervals_us if key[0] == link]:
+            del self._intervals_us[key]
+        for number in self._style.rates_hz:
+            if interval_us := self._default_us(number):
+                self._intervals_us[link, number] = interval_us
+        self._rebuild(link, now_us)
+
+    def close(self, link: int) -> None:
+        """The link is gone."""
+        self._links.discard(link)
+        for key in [key for key in self._intervals_us if key[0] == link]:
+            del self._intervals_us[key]
+        self._rebuild(link, 0)
+
+    def restart(self, now_us: int) -> None:
+        """The autopilot boots: every interval that was asked for is gone."""
+        self._booted_us = now_us
+        for link in sorted(self._links):
+            self.open(link, now_us)
+
+    def due(self, now_us: int) -> list[tuple[int, int]]:
+        """Link and message number of what is due, oldest first; each at most once."""
+        found = list[tuple[int, int]]()
+        heap, intervals_us = self._due, self._intervals_us
+        while heap and heap[0][0] <= now_us:
+            due_us, number, link = heap[0]
+            interval_us = intervals_us[link, number]
+            found.append((link, number))
+            missed = (now_us - due_us) // interval_us
+            heapq.heapreplace(heap, (due_us + (missed + 1) * interval_us, number, link))
+        self.soonest_us = heap[0][0] if heap else NEVER_US
+        return found
+
+    def interval_us(self, link: int, number: int) -> int | None:
+        """Of this message on this link; None if it is not streamed."""
+        return self._intervals_us.get((link, number))
+
+    # --- what clients ask for -----------------------------------------------------------------
+
+    def on_command(self, command: Command, now_us: int) -> list[Answer]:
+        """Answer a command of COMMANDS."""
+        if command.number == SET_MESSAGE_INTERVAL:
+            return self._on_set(command, now_us)
+        if command.number == GET_MESSAGE_INTERVAL:
+            return self._on_get(command)
+        return self._on_request(command)
+
+    def on_data_stream(self, message: Any, link: int, now_us: int) -> None:
+        """REQUEST_DATA_STREAM: a rate for a whole group.  It is not acknowledged."""
+        groups = self._style.data_streams
+        if message.start_stop > 1 or not groups:
+            return
+        rate_hz = message.req_message_rate if message.start_stop else 0
+        asked = message.req_stream_id
+        members = groups.get(asked, ()) if asked else {n for g in groups.values() for n in g}
+        if members:
+            self._set(link, members, round(1e6 / rate_hz) if rate_hz else 0, now_us)
+
+    def _on_set(self, command: Command, now_us: int) -> list[Answer]:
+        number, interval_us, *rest = command.parameters
+        answers = list[Answer]()
+        known = _whole(number)
+        if self._uses_reserved(rest):
+            result = Result.FAILED if self._is_px4 else Result.DENIED
+        elif known not in self._style.streamable:
+            result = self._style.not_streamable
+            if words := self._style.text_when_not_streamable:
+                answers.append(Text(severity=6, text=words.format(number=known)))
+        else:
+            wanted_us = self._wanted_us(known, interval_us)
+            result = Result.FAILED if wanted_us is None else Result.ACCEPTED
+            lost = not self._is_px4 and now_us - self._booted_us < FORGOTTEN_US
+            if wanted_us is not None and not lost:
+                self._set(command.sender.link, [known], wanted_us, now_us)
+        answers.append(_ack(command, result))
+        return answers
+
+    def _uses_reserved(self, rest: Sequence[float]) -> bool:
+        """Whether one of p3 to p7 is used that must be zero; to PX4, NaN is zero."""
+        if not self._is_px4:
+            return rest[0] != 0
+        return any(not math.isnan(value) and abs(value) >= 0.5 for value in (*rest[:2], rest[4]))
+
+    def _wanted_us(self, number: int, interval_us: float) -> int | None:
+        """The interval that is meant; 0 is none at all, None is an error."""
+        if not math.isfinite(interval_us):
+            return None
+        if self._is_px4:
+            if abs(interval_us) < 1e-5:
+                return self._default_us(number)
+            return max(1, round(interval_us)) if interval_us > 0 else 0
+        whole_us = int(interval_us)
+        if whole_us == 0:
+            return self._default_us(number)
+        if whole_us == -1:
+            return 0
+        return min(max(whole_us // 1000 * 1000, _SHORTEST_US), _LONGEST_US)
+
+    def _on_get(self, command: Command) -> list[Answer]:
+        number = _whole(command.parameters[0])
+        interval_us = self.interval_us(command.sender.link, number)
+        known = number in self._style.streamable
+        if interval_us is None:
+            interval_us = -1 if known and not self._is_px4 else 0
+        shown = number & 0xFFFF  # the field has 16 bits
+        message = mavlink.MAVLink_message_interval_message(shown, interval_us)
+        result = Result.ACCEPTED if known or self._is_px4 else Result.FAILED
+        return [Deliver(message=message, to=command.sender), _ack(command, result)]
+
+    def _on_request(self, command: Command) -> list[Answer]:
+        number = _whole(command.parameters[0])
+        if number not in self._style.requestable:
+            return [_ack(command, Result.DENIED if self._is_px4 else Result.FAILED)]
+        send, ack = Send(message=number, to=command.sender), _ack(command, Result.ACCEPTED)
+        return [send, ack] if self._is_px4 else [ack, send]  # as in the recorded flights
+
+    # --- the table ----------------------------------------------------------------------------
+
+    def _default_us(self, number: int) -> int:
+        rate_hz = self._style.rates_hz.get(number, 0.0)
+        return round(1e6 / rate_hz) if rate_hz else 0
+
+    def _set(self, link: int, numbers: Iterable[int], interval_us: int, now_us: int) -> None:
+        """What stays as it is keeps its phase: clients ask for the same again and again."""
+        changed = {n for n in numbers if self._intervals_us.get((link, n), 0) != interval_us}
+        for number in changed:
+            if interval_us:
+                self._intervals_us[link, number] = interval_us
+            else:
+                del self._intervals_us[link, number]
+        if changed:
+            self._rebuild(link, now_us, changed)
+
+    def _rebuild(self, link: int, now_us: int, numbers: set[int] | None = None) -> None:
+        """Build the heap anew: these messages of this link are first due one interval from now."""
+        kept = [
+            entry
+            for entry in self._due
+            if entry[2] != link or (numbers is not None and entry[1] not in numbers)
+        ]
+        fresh = [
+            (now_us + interval_us, number, on)
+            for (on, number), interval_us in self._intervals_us.items()
+            if on == link and (numbers is None or number in numbers)
+        ]
+        self._due = kept + fresh
+        heapq.heapify(self._due)
+        self.soonest_us = self._due[0][0] if self._due else NEVER_US
+
+
+def _ack(command: Command, result: int) -> Ack:
+    return Ack(to=command.sender, command=command.number, result=result)
+
+
+def _whole(value: float) -> int:
+    """A message number that came as a float; -1 for what cannot be one."""
+    return round(value) if 0 <= value < 1 << 24 else -1
