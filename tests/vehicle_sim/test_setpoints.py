@@ -42,6 +42,7 @@ def echoed(it: Any) -> tuple[Any, Any]:
         (0xC38, False, False),
         (0xFFF, False, False),
         (0xDE7, False, False),
+        (0xC3F, False, False),
         (0xE00, False, False),
         (0xFC0, True, True),
         (0xFF8, True, False),
@@ -79,8 +80,7 @@ def test_above_home_is_not_above_sea(pilot: Make) -> None:
     [
         (1, 0xDF8, "Unknown mavlink coordinate frame 1"),
         (8, 0xDF8, "Unknown mavlink coordinate frame 8"),
-        (1, 2496, None),
-        (10, 0xDF8, None),
+        (1, 2496, "Unknown mavlink coordinate frame 1"),
         (10, 2496, None),
         (11, 2496, None),
     ],
@@ -113,8 +113,7 @@ def test_offset_frames_count_from_the_vehicle_and_body_frames_from_its_nose(pilo
     [
         ((47.0, 8.0, math.nan), (0.0, 0.0, 0.0), 2496),
         ((47.0, 8.0, 1e9), (0.0, 0.0, 0.0), 2496),
-        ((47.0, 8.0, 100.0), (math.nan, 0.0, 0.0), 2496),
-        ((47.0, 8.0, 100.0), (0.0, math.inf, 0.0), 0xDC7),
+        ((math.inf, 8.0, 100.0), (0.0, 0.0, 0.0), 2496),
     ],
 )
 def test_what_is_not_finite_or_absurd_stops_the_vehicle_and_is_said_once(
@@ -126,7 +125,66 @@ def test_what_is_not_finite_or_absurd_stops_the_vehicle_and_is_said_once(
         hovering.setpoint(position, velocity, mask=mask)
         assert echoed(hovering) == STOPPED
     assert len(hovering.texts[before:]) == 1
+    assert hovering.texts[-1].startswith("SIM: ")
     assert "refused" in hovering.texts[-1]
+
+
+@pytest.mark.parametrize("velocity", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0)])
+def test_a_velocity_that_is_not_finite_stops_in_silence_as_measured(
+    hovering: Any, velocity: tuple[float, ...]
+) -> None:
+    hovering.setpoint(NORTH, (1.0, 0.0, 0.0))
+    before = len(hovering.texts)
+    hovering.setpoint(HERE, velocity)
+    assert echoed(hovering) == STOPPED
+    assert hovering.texts[before:] == []
+
+
+@pytest.mark.parametrize(("frame", "mask"), [(1, 0xC00), (1, 0xC07), (1, 0xC3F)])
+def test_an_acceleration_that_is_not_finite_is_refused(
+    hovering: Any, frame: int, mask: int
+) -> None:
+    hovering.setpoint(NORTH, (1.0, 0.0, 0.0))
+    before = len(hovering.texts)
+    hovering.setpoint(
+        (0.0, 0.0, -100.0),
+        mask=mask,
+        frame=frame,
+        is_global=False,
+        acceleration_ned_m_s2=(math.nan, 0.0, 0.0),
+    )
+    assert echoed(hovering) == STOPPED
+    assert len(hovering.texts[before:]) == 1
+
+
+def test_an_acceleration_alone_is_flown_until_the_time_out(pilot: Make) -> None:
+    it = pilot().airborne(100.0)
+    for _ in range(30):
+        it.setpoint(mask=0xC3F, frame=1, is_global=False, acceleration_ned_m_s2=(1.0, 0.0, 0.0))
+        it.run(0.1)
+    assert it.copter.velocity_north_m_s == pytest.approx(2.9, abs=0.4)
+    assert it.target().type_mask == 0xC3F
+    it.run(12.0)
+    assert it.copter.velocity_north_m_s == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_height_above_terrain_is_taken_for_one_above_the_sea_and_flown_into_the_ground(
+    pilot: Make,
+) -> None:
+    it = pilot(down_m_s=1.5, vertical_m_s=2.5, ground_amsl_m=400.0).airborne(30.0)
+    it.setpoint((47.001, 8.0, 30.0), mask=0xDF8, frame=10)
+    it.run(10.0)
+    assert it.copter.velocity_up_m_s == pytest.approx(-1.5, abs=0.05)
+    assert it.north_m() < 8.0  # hardly any horizontal motion
+    it.run_until(lambda: it.autopilot.landed, within_s=60.0)
+
+
+@pytest.mark.parametrize(
+    ("mask", "echo"), [(0xDF8, 0xDF8), (0xDC0, 0xC00), (0xDC7, 0xC07), (0xFFF, 0xC07)]
+)
+def test_the_echo_says_which_groups_it_steers_for(hovering: Any, mask: int, echo: int) -> None:
+    hovering.setpoint(HERE, (1.0, 0.0, 0.0), mask=mask)
+    assert hovering.target().type_mask == echo
 
 
 def test_nan_in_what_is_ignored_is_harmless(hovering: Any) -> None:

@@ -1,25 +1,83 @@
 """What goes into an autopilot and what comes out: values in SI units, no bytes, no clock.
 
-wire.py turns frames into these and these into frames; ardupilot.py is the one personality so far.
+wire/ turns frames into these and these into frames.  One module a personality:
+ardupilot/arducopter.py, ardupilot/arduplane.py, px4/multicopter.py, px4/fixed_wing.py; what two of
+them share, and their parts, are beside them.
 """
 
-from dataclasses import dataclass
-from typing import Protocol, final
+import enum
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, final
+
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.dynamics.battery import Battery
+from vehicle_sim.parameters import Parameters
+from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.sensors.gps import Fix
+
+HIGHEST_HOME_M = 1e5
+"""A home that is put higher, or lower, is refused: HOME_POSITION could not tell of it."""
+
+
+class Result(enum.IntEnum):
+    """MAV_RESULT."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+    IN_PROGRESS = 5
+    CANCELLED = 6
+    COMMAND_LONG_ONLY = 7
+    COMMAND_INT_ONLY = 8
+    UNSUPPORTED_FRAME = 9
+
+
+class Landed(enum.IntEnum):
+    """MAV_LANDED_STATE."""
+
+    UNDEFINED = 0
+    ON_GROUND = 1
+    IN_AIR = 2
+    TAKEOFF = 3
+    LANDING = 4
+
+
+class State(enum.IntEnum):
+    """MAV_STATE: system_status of the heartbeat."""
+
+    UNINIT = 0
+    BOOT = 1
+    CALIBRATING = 2
+    STANDBY = 3
+    ACTIVE = 4
+    CRITICAL = 5
+    EMERGENCY = 6
+    POWEROFF = 7
+
+
+# --- in -------------------------------------------------------------------------------------------
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sender:
-    """Who sent a message."""
+    """Who sent a message, and the link that it came by."""
 
     system: int
     component: int
+    link: int = 0
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
-    """A COMMAND_LONG or COMMAND_INT."""
+    """A COMMAND_LONG or COMMAND_INT that is for the autopilot.
+
+    Message intervals and message requests (510, 511, 512) never come here: wire/streams.py.
+    """
 
     sender: Sender
     target_component: int
@@ -27,13 +85,16 @@ class Command:
     parameters: tuple[float, float, float, float, float, float, float]
     """p1 to p7; of a COMMAND_INT x and y in degrees."""
     frame: int | None = None
-    """Of a COMMAND_INT."""
+    """MAV_FRAME of a COMMAND_INT; None: a COMMAND_LONG."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setpoint:
-    """A SET_POSITION_TARGET_GLOBAL_INT or _LOCAL_NED, as sent: nothing is checked yet."""
+    """A SET_POSITION_TARGET_GLOBAL_INT or _LOCAL_NED, as sent: nothing is checked yet.
+
+    One that is not addressed to the autopilot never comes here: wire/routing.py.
+    """
 
     is_global: bool
     frame: int
@@ -43,45 +104,90 @@ class Setpoint:
     velocity_ned_m_s: tuple[float, float, float]
     acceleration_ned_m_s2: tuple[float, float, float]
     yaw_rad: float
+    yaw_rate_rad_s: float = 0.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sticks:
+    """A MANUAL_CONTROL: deflections from -1 to 1, throttle from 0 to 1."""
+
+    sender: Sender
+    pitch: float
+    roll: float
+    throttle: float
+    yaw: float
+
+
+# --- out ------------------------------------------------------------------------------------------
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ack:
-    """The answer to a command."""
+    """The answer to a command, to the asker on the link that the command came by."""
 
     to: Sender
     command: int
     result: int
+    progress: int = 0
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Text:
-    """A STATUSTEXT."""
+    """A STATUSTEXT, to every link that gets texts (Style.texts_need)."""
 
     severity: int
+    """MAV_SEVERITY."""
     text: str
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Interval:
-    """Send this message every interval_us on the link that asked; 0 stops it."""
+class Event:
+    """An EVENT (410) of PX4, to every link."""
 
-    message: int
-    interval_us: int
+    number: int
+    log_levels: int
+    """External in the low half byte, internal in the high one."""
+    arguments: bytes = b""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Send:
-    """Send this message once."""
+    """Send the stream message of this number once; to everybody if nobody is named."""
 
     message: int
+    to: Sender | None = None
 
 
-Reply = Ack | Text | Interval | Send
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Say:
+    """Send this very message (of the pymavlink dialect `all`) to every link."""
+
+    message: Any
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SayParameter:
+    """Broadcast the PARAM_VALUE of this name: the autopilot has changed it by itself."""
+
+    name: str
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reboot:
+    """Start again: intervals are gone, the UDP source port changes, time_boot_ms begins at 0."""
+
+
+Reply = Ack | Text | Event | Send | Say | SayParameter | Reboot
+
+# --- to tell --------------------------------------------------------------------------------------
 
 
 @final
@@ -95,52 +201,203 @@ class Place:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
-    """All that telemetry is made of, at one time."""
+@dataclass(slots=True, kw_only=True)
+class Estimate:
+    """Where the autopilot believes to be: what it steers by and what it tells.  Mutable."""
 
-    time_us: int
-    place: Place
-    """What the GPS says: here the truth."""
-    velocity_ned_m_s: tuple[float, float, float]
-    roll_rad: float
-    pitch_rad: float
-    heading_rad: float
-    mode: int
-    base_mode: int
-    system_status: int
-    landed_state: int
-    health_ok: bool
-    """The PREARM_CHECK bit."""
-    gps_fix: bool
-    ekf_flags: int
-    position_ok: bool
-    """The estimator has a horizontal position."""
-    home: Place | None
-    origin: Place | None
-    """Of the estimator; its local frame is ArduPilot's flat earth about this point."""
-    local_ned_m: tuple[float, float, float] | None
-    target: "TargetEcho | None"
-    hardware_id: int
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+    velocity_north_m_s: float = 0.0
+    velocity_east_m_s: float = 0.0
+    velocity_up_m_s: float = 0.0
+    position_ok: bool = False
+    """There is a horizontal position to fly by."""
+    flags: int = 0
+    """EKF_STATUS_REPORT.flags or ESTIMATOR_STATUS.flags, whichever the autopilot sends."""
+    velocity_variance: float = 0.0
+    """These five are the ratios of the two status messages."""
+    horizontal_variance: float = 0.0
+    vertical_variance: float = 0.0
+    compass_variance: float = 0.0
+    terrain_variance: float = 0.0
+    frozen_altitude_amsl_m: float | None = None
+    """What is said of the height above the sea while the position is lost; None: the truth."""
+    roll_rate_rad_s: float = 0.0
+    """These three are what the attitude messages say."""
+    pitch_rate_rad_s: float = 0.0
+    yaw_rate_rad_s: float = 0.0
+    horizontal_accuracy_m: float = 0.0
+    vertical_accuracy_m: float = 0.0
+
+    @property
+    def place(self) -> Place:
+        """A copy of the position."""
+        return Place(
+            latitude_deg=self.latitude_deg,
+            longitude_deg=self.longitude_deg,
+            altitude_amsl_m=self.altitude_amsl_m,
+        )
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetEcho:
-    """What the autopilot steers for, in the estimator's local frame."""
+    """What the autopilot steers for, in the estimator's local frame: POSITION_TARGET_LOCAL_NED."""
 
     position_ned_m: tuple[float, float, float] | None
-    velocity_ned_m_s: tuple[float, float, float]
-    acceleration_ned_m_s2: tuple[float, float, float]
+    velocity_ned_m_s: tuple[float, float, float] | None
+    acceleration_ned_m_s2: tuple[float, float, float] | None
     yaw_rad: float
+    yaw_rate_rad_s: float = 0.0
+    type_mask: int | None = None
+    """As the real one fills it in; None: made from what is there."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Waypoint:
+    """The place that it flies to: POSITION_TARGET_GLOBAL_INT and NAV_CONTROLLER_OUTPUT."""
+
+    place: Place
+    distance_m: float = 0.0
+    bearing_rad: float = 0.0
+    altitude_error_m: float = 0.0
+    cross_track_m: float = 0.0
+    radius_m: float = 0.0
+    """Of the circle about it, clockwise positive; 0: none."""
+    airspeed_error_m_s: float = 0.0
+    """Wanted less measured."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Status:
+    """What an autopilot says of itself, at one time."""
+
+    mode: int
+    """custom_mode of the heartbeat."""
+    base_mode: int
+    system_status: int
+    landed_state: int
+    prearm_ok: bool
+    """The PREARM_CHECK bit of SYS_STATUS."""
+    home: Place | None = None
+    origin: Place | None = None
+    """Of the estimator; its local frame is the autopilot's own flat earth about this point."""
+    local_ned_m: tuple[float, float, float] | None = None
+    """Position in that frame; None while LOCAL_POSITION_NED is not sent."""
+    target: TargetEcho | None = None
+    waypoint: Waypoint | None = None
+    intended_mode: int | None = None
+    """CURRENT_MODE of PX4; None: the mode itself."""
+    mission_current: int = 0
+    mission_state: int = 0
+    mission_total: int = 65535
+    """Items of the mission, as MISSION_CURRENT of PX4 says it; 65535: there is none."""
+    above_ground_m: float | None = None
+    """By a distance sensor; None: there is none."""
+    rates_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of roll, pitch and heading."""
+    fusing: bool = True
+    """The estimator uses GPS, as of the last report of the arming checks (PX4)."""
+    logs_always: bool = False
+    """It writes a log from boot on (PX4)."""
+    position_reported: bool = True
+    """There is a position to fly by, as of that report."""
+    fence_breached: bool = False
+    fence_breaches: int = 0
+    logging: bool = False
+    """ArduPilot: it has been armed since it was started."""
+    fence_present: bool = False
+    """There is something that FENCE_STATUS could tell of."""
+    fence_breach_type: int = 0
+    """FENCE_BREACH of the last one, and when it was, in milliseconds since boot."""
+    fence_breach_ms: int = 0
+    failsafe: bool = False
+    airspeed_m_s: float | None = None
+    """Indicated, as a pitot tube measures it; None: there is none."""
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Report:
+    """All that telemetry is made of; refers to live objects, to be read at once."""
+
+    time_us: int
+    """Since boot."""
+    unix_us: int
+    """GPS time; 0 while there is none."""
+    vehicle: Vehicle
+    """For attitude and airspeed only: position and velocity are the estimate's."""
+    estimate: Estimate
+    fix: Fix
+    battery: Battery
+    status: Status
+    style: "Style"
+    hardware_id: int = 1
+    event_sequence: int = 65525
+    """Of the newest EVENT (PX4)."""
+
+
+# --- how it speaks --------------------------------------------------------------------------------
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Style:
+    """How a firmware speaks: what wire/ needs to know of it.  Fixed for a personality."""
+
+    firmware: Literal["ardupilot", "px4"]
+    vehicle_type: int
+    """MAV_TYPE."""
+    autopilot: int
+    """MAV_AUTOPILOT."""
+    capabilities: int
+    software_version: int
+    custom_version: bytes = bytes(8)
+    rates_hz: Mapping[int, float]
+    """What a fresh link gets unasked, by message number."""
+    streamable: frozenset[int]
+    """What SET_MESSAGE_INTERVAL accepts."""
+    requestable: frozenset[int]
+    """What REQUEST_MESSAGE accepts."""
+    not_streamable: Result
+    """The answer for the others."""
+    text_when_not_streamable: str | None = None
+    """With {number}."""
+    bytewise_parameters: bool
+    """Integers are bit-cast into the float field (PX4), or converted (ArduPilot)."""
+    requests_mission_int: bool
+    """Asks for items by MISSION_REQUEST_INT (PX4) or MISSION_REQUEST (ArduPilot)."""
+    texts_need: Literal["anybody", "ground station"]
+    """Who must have been heard on a link before STATUSTEXT goes there."""
+    signs: bool
+    """Knows MAVLink 2 signing."""
+    data_streams: Mapping[int, Sequence[int]] = field(default_factory=dict)
+    """REQUEST_DATA_STREAM: group -> message numbers."""
 
 
 class Autopilot(Protocol):
-    """One personality."""
+    """One personality.
+
+    Steers the vehicle that it is given, and never reads where that really is but through the fix:
+    it flies by its estimate.
+    """
+
+    style: Style
+    parameters: Parameters
+    plans: Plans
+    estimate: Estimate
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """What it steers."""
+        ...
 
     @property
     def mode_name(self) -> str:
-        """The mode it flies in."""
+        """The mode it flies in, as its users call it."""
         ...
 
     @property
@@ -153,18 +410,46 @@ class Autopilot(Protocol):
         """Whether it stands on the ground."""
         ...
 
-    def step(self, now_us: int, dt_s: float, ground_amsl_m: float) -> list[Reply]:
-        """Fly on to now_us, over ground of this height."""
+    def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
+        """Fly on to now_us (since boot), over ground of this height, with the newest GPS fix."""
         ...
 
-    def on_command(self, command: Command) -> list[Reply]:
+    def on_command(self, command: Command) -> Sequence[Reply]:
         """Do what is asked, or say why not."""
         ...
 
-    def on_setpoint(self, setpoint: Setpoint) -> list[Reply]:
+    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
         """Steer for this from now on."""
         ...
 
-    def report(self) -> Report:
+    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
+        """Somebody else is there: MAV_TYPE of the heartbeat (6 is a ground station)."""
+        ...
+
+    def on_sticks(self, sticks: Sticks) -> Sequence[Reply]:
+        """The pilot moves the sticks."""
+        ...
+
+    def on_parameter(self, name: str) -> Sequence[Reply]:
+        """A parameter has been set from outside."""
+        ...
+
+    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
+        """A mission, fence or rally list has been replaced from outside."""
+        ...
+
+    def pilot_takes(self) -> Sequence[Reply]:
+        """Fault: the pilot changes to the mode that pilots of this firmware hold the vehicle in."""
+        ...
+
+    def reset_estimate(self, north_m: float, east_m: float) -> Sequence[Reply]:
+        """Fault: the estimator resets and its position jumps by this much."""
+        ...
+
+    def move_origin(self, north_m: float, east_m: float, up_m: float) -> Sequence[Reply]:
+        """Fault: the estimator's origin moves by this much."""
+        ...
+
+    def status(self) -> Status:
         """What there is to tell."""
         ...

@@ -1,0 +1,608 @@
+import math
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+from tracking_plane import (
+    CHANGE_ALTITUDE,
+    CHANGE_HEADING,
+    CHANGE_SPEED,
+    GROUND_M,
+    GUIDED,
+    REPOSITION,
+    STEP_S,
+    TABLE,
+    TAKEOFF,
+    Rig,
+    off_path_m,
+)
+
+from vehicle_sim.autopilots import Landed, Result, Sender, Setpoint
+from vehicle_sim.autopilots.ardupilot.plane_heights import (
+    eas_to_tas,
+    indicated_airspeed_m_s,
+    true_airspeed_m_s,
+)
+from vehicle_sim.autopilots.ardupilot.plane_modes import Mode
+from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.sensors.gps import GpsConditions
+
+LOG = Path(__file__).parents[3] / "shared" / "telemetry" / "arduplane-guided-reposition.tlog"
+
+
+def flying(parameters: dict[str, float] | None = None, *, settle_s: float = 30.0) -> Rig:
+    rig = Rig(parameters)
+    rig.into_the_air()
+    rig.fly(settle_s)
+    return rig
+
+
+def course_deg(rig: Rig) -> float:
+    plane = rig.plane
+    return math.degrees(math.atan2(plane.velocity_east_m_s, plane.velocity_north_m_s)) % 360.0
+
+
+# --- boot, arming, take-off ----------------------------------------
+
+
+def test_it_boots_as_the_recorded_one() -> None:
+    rig = Rig()
+    status = rig.autopilot.status
+    rig.fly(1.0)
+    assert (status().mode, status().base_mode, status().system_status) == (16, 0x11, 2)
+    rig.fly(1.0)
+    assert (status().mode, status().base_mode, status().system_status) == (0, 0x51, 3)
+    rig.fly(7.5)
+    assert status().home is None
+    assert rig.command(400, 1.0) is Result.FAILED
+    rig.fly(1.0)
+    assert status().home is not None
+    assert status().origin is None
+    assert status().local_ned_m is not None  # plane tells one before its EKF flies
+    rig.fly(10.0)
+    assert rig.command(400, 1.0) is Result.FAILED
+    rig.fly(2.6)
+    assert status().prearm_ok
+    assert rig.command(400, 1.0) is Result.ACCEPTED
+    texts = rig.texts()
+    for text in ("ArduPilot Ready", "Field Elevation Set: 584m", "Throttle armed"):
+        assert text in texts
+    assert texts.index("EKF3 IMU0 origin set") < texts.index("AHRS: EKF3 active")
+
+
+def test_take_off_takes_as_long_and_says_the_same_as_the_recorded_one() -> None:
+    rig = Rig()
+    rig.fly(24.0)
+    assert rig.set_mode(TAKEOFF) is Result.ACCEPTED
+    rig.command(400, 1.0)
+    began_s, states = rig.time_s, list[Landed]()
+
+    def watch() -> None:
+        state = rig.autopilot.landed_state()
+        if not states or states[-1] is not state:
+            states.append(state)
+
+    assert rig.fly_until(lambda: rig.height_m > 1.0) == pytest.approx(3.7, abs=0.4)
+    rig.fly_until(lambda: rig.height_m > 48.0)
+    assert rig.time_s - began_s == pytest.approx(8.7, abs=0.5)  # ardupilot.md 7
+    rig.fly(60.0, watch)
+    assert states[-1] is Landed.IN_AIR
+    assert rig.height_m == pytest.approx(50.0, abs=2.0)
+    distance_m = math.dist(rig.ne_m, (200.0, 0.0))
+    assert distance_m == pytest.approx(96.0, abs=5.0)  # circles the point 200 m ahead
+    for text in (
+        "Armed AUTO, xaccel = 0.0 m/s/s, waiting 0.2 sec",
+        "Triggered AUTO. GPS speed = 0.0",
+        "Takeoff to 50m for 200.0m heading 0.0 deg",
+        "Takeoff level-off starting at 19m",
+    ):
+        assert rig.texts().count(text) == 1
+
+
+def test_nothing_but_take_off_and_auto_leaves_the_ground() -> None:
+    rig = Rig()
+    rig.fly(24.0)
+    assert rig.command(400, 1.0) is Result.ACCEPTED
+    for mode in (Mode.MANUAL, Mode.FBWA, Mode.LOITER, Mode.RTL, Mode.GUIDED):
+        assert rig.set_mode(mode) is Result.ACCEPTED
+        assert rig.command(22, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 30.0) is Result.FAILED
+        rig.fly(5.0)
+    assert rig.reposition(500.0, 0.0, 50.0) is Result.ACCEPTED
+    rig.fly(10.0)
+    assert rig.speed_m_s == 0.0
+    assert rig.autopilot.landed
+
+
+@pytest.mark.parametrize("mode", [17, 19, 21])
+def test_quadplane_modes_are_refused(mode: int) -> None:
+    rig = Rig()
+    rig.fly(24.0)
+    assert rig.set_mode(mode) is Result.FAILED
+    assert rig.texts()[-1] == "Q_ENABLE 0"
+    assert rig.set_mode(99) is Result.FAILED
+    assert rig.texts()[-1] == "No such mode 99"
+
+
+def test_it_disarms_in_flight_only_by_force() -> None:
+    rig = flying()
+    assert rig.command(400, 0.0) is Result.FAILED
+    assert rig.command(400, 0.0, 21196.0) is Result.ACCEPTED
+    assert not rig.autopilot.armed
+    rig.fly_until(lambda: rig.autopilot.landed)
+    rig.fly(20.0)
+    assert rig.speed_m_s == 0.0
+    assert rig.height_m == 0.0
+
+
+# --- GUIDED: points ----------------------------------------
+
+
+@pytest.mark.parametrize(("asked_m", "flown_m"), [(40.0, 60.0), (80.0, 97.0), (150.0, 167.0)])
+@pytest.mark.parametrize("ccw", [0.0, 1.0])
+def test_circles_are_as_much_wider_as_measured(asked_m: float, flown_m: float, ccw: float) -> None:
+    rig = flying()
+    assert rig.reposition(0.0, 0.0, 80.0, asked_m, ccw) is Result.ACCEPTED
+    rig.fly(90.0)
+    bearings = []
+    for _ in range(10):
+        rig.fly(1.0)
+        assert math.hypot(*rig.ne_m) == pytest.approx(flown_m, abs=2.0)
+        bearings.append(math.atan2(rig.ne_m[1], rig.ne_m[0]))
+    turned = math.remainder(bearings[1] - bearings[0], math.tau)
+    assert (turned < 0.0) == bool(ccw)
+
+
+def test_a_radius_of_nought_less_or_nan_keeps_the_one_before() -> None:
+    rig = flying()
+    rig.reposition(0.0, 0.0, 80.0, 150.0)
+    for radius_m in (0.0, -40.0, math.nan):
+        assert rig.reposition(0.0, 0.0, 80.0, radius_m) is Result.ACCEPTED
+    rig.fly(90.0)
+    assert math.hypot(*rig.ne_m) == pytest.approx(167.0, abs=2.0)
+
+
+def test_reposition_is_a_command_int_with_a_place() -> None:
+    rig = flying()
+    latitude_deg, longitude_deg = rig.frame.to_geographic(300.0, 0.0)
+    place = (latitude_deg, longitude_deg, 90.0)
+    assert rig.command(REPOSITION, -1.0, 1.0, 0.0, 0.0, *place) is Result.UNSUPPORTED
+    for frame in (0, 3, 5, 6, 10, 11):
+        assert rig.command(REPOSITION, 5.0, 0.0, 0.0, 0.0, *place, frame=frame) is Result.ACCEPTED
+    assert rig.command(REPOSITION, 5.0, 0.0, 0.0, 0.0, *place, frame=1) is Result.DENIED
+    for bad in ((95.0, 0.0, 90.0), (0.0, 190.0, 90.0), (0.0, 0.0, 90.0)):
+        assert rig.command(REPOSITION, -1.0, 1.0, 0.0, 0.0, *bad, frame=3) is Result.DENIED
+    assert rig.set_mode(Mode.LOITER) is Result.ACCEPTED
+    assert rig.command(REPOSITION, -1.0, 0.0, 0.0, 0.0, *place, frame=3) is Result.FAILED
+    assert rig.autopilot.mode == Mode.LOITER
+    assert rig.command(REPOSITION, -1.0, 1.0, 0.0, 0.0, *place, frame=3) is Result.ACCEPTED
+    assert rig.autopilot.mode == Mode.GUIDED
+
+
+def test_a_nan_height_is_refused_loudly() -> None:
+    rig = flying()
+    assert rig.reposition(300.0, 0.0, math.nan) is Result.DENIED
+    assert rig.texts()[-1].startswith("SIM:")
+
+
+def test_it_circles_where_guided_was_entered_and_tells_the_point() -> None:
+    rig = flying()
+    rig.set_mode(Mode.LOITER)
+    rig.fly(5.0)
+    centre, height_m = rig.ne_m, rig.height_m
+    rig.set_mode(GUIDED)
+    rig.fly(80.0)
+    assert math.dist(rig.ne_m, centre) == pytest.approx(97.0, abs=3.0)
+    assert rig.height_m == pytest.approx(height_m, abs=1.0)
+    waypoint = rig.autopilot.status().waypoint
+    assert waypoint is not None
+    told = rig.frame.to_local(waypoint.place.latitude_deg, waypoint.place.longitude_deg)
+    assert told == pytest.approx(centre, abs=0.5)
+    assert waypoint.distance_m == pytest.approx(math.dist(rig.ne_m, centre), abs=3.0)
+
+
+def test_a_point_that_is_reached_is_told_once() -> None:
+    rig = flying()
+    rig.reposition(0.0, 0.0, 80.0, 80.0)
+    before = len(rig.reached())
+    rig.fly(60.0)
+    assert len(rig.reached()) == before + 1
+
+
+@cache
+def flown_off_path_m(row: int) -> tuple[float, float]:
+    _, law, lateral_m_s2, hz, _ = TABLE[row]
+    return off_path_m(law, lateral_m_s2, hz=hz)
+
+
+@pytest.mark.parametrize(
+    "row", range(len(TABLE)), ids=lambda k: f"{TABLE[k][0]}, {TABLE[k][2]} m/s2, {TABLE[k][3]} Hz"
+)
+def test_it_follows_a_weaving_route_as_well_as_the_real_one(row: int) -> None:
+    """Within 40 % or 2 m of what was measured, rms and most."""
+    rms_m, most_m = TABLE[row][4]
+    rms, most = flown_off_path_m(row)
+    assert rms == pytest.approx(rms_m, rel=0.4, abs=2.0)
+    assert most == pytest.approx(most_m, rel=0.4, abs=2.0)
+
+
+def test_the_best_look_ahead_is_the_measured_one_and_curvature_matters_more_than_rate() -> None:
+    found = {(TABLE[k][0], TABLE[k][3]): flown_off_path_m(k)[0] for k in (1, 2, 3, 4, 6, 7, 8, 9)}
+    ahead = {int(name.split()[1]): rms for (name, hz), rms in found.items() if hz == 4.0}
+    assert min(ahead, key=lambda metres: ahead[metres]) == 115
+    assert ahead[60] > ahead[80] > ahead[100] > ahead[115] < ahead[130] < ahead[160]
+    at_1_hz = found["reposition 160 m ahead, radius 10 m", 1.0]
+    assert abs(at_1_hz - ahead[160]) < 0.5 * (ahead[160] - ahead[115])
+
+
+# --- GUIDED: speed, height, heading ----------------------------------------
+
+
+@pytest.mark.parametrize(("asked_m_s", "flown_m_s"), [(18.0, 18.9), (20.0, 21.0), (25.0, 27.7)])
+def test_a_speed_is_flown_as_measured(asked_m_s: float, flown_m_s: float) -> None:
+    rig = flying()
+    assert rig.command(CHANGE_SPEED, 0.0, asked_m_s) is Result.ACCEPTED
+    rig.fly(30.0)
+    assert rig.speed_m_s == pytest.approx(flown_m_s, abs=0.3)
+    assert rig.autopilot.status().airspeed_m_s == pytest.approx(asked_m_s, abs=0.1)
+    assert rig.command(178, 0.0, 22.0) is Result.ACCEPTED  # does not change that
+    rig.fly(20.0)
+    assert rig.speed_m_s == pytest.approx(flown_m_s, abs=0.3)
+    rig.set_mode(Mode.LOITER)
+    rig.fly(30.0)
+    assert rig.speed_m_s == pytest.approx(23.45, abs=0.3)
+
+
+def test_speeds_out_of_range_or_over_ground_are_denied() -> None:
+    rig = flying()
+    assert rig.command(CHANGE_SPEED, 1.0, 20.0) is Result.DENIED
+    assert rig.command(CHANGE_SPEED, 0.0, 9.0) is Result.DENIED
+    assert rig.command(CHANGE_SPEED, 0.0, 31.0) is Result.DENIED
+    assert rig.command(CHANGE_SPEED, 0.0, math.nan) is Result.DENIED
+    rig.set_mode(Mode.RTL)
+    assert rig.command(CHANGE_SPEED, 0.0, 20.0) is Result.FAILED
+    assert rig.command(178, 0.0, 20.0) is Result.FAILED
+
+
+def test_change_speed_alone_changes_the_speed_in_guided() -> None:
+    rig = flying()
+    assert rig.command(178, 0.0, 18.0) is Result.ACCEPTED
+    rig.fly(30.0)
+    assert rig.speed_m_s == pytest.approx(18.9, abs=0.3)
+
+
+def test_change_altitude_crawls() -> None:
+    rig = flying()
+    before_m = rig.height_m
+    place = (0.0, 0.0, 3.0, 0.0, 0.0, 0.0)
+    assert rig.command(CHANGE_ALTITUDE, *place, 120.0, frame=3) is Result.ACCEPTED
+    rig.fly(15.0)
+    assert rig.height_m - before_m == pytest.approx(1.4, abs=0.3)  # ardupilot.md 7
+    assert rig.command(CHANGE_ALTITUDE, *place, 0.0, frame=3) is Result.DENIED
+    assert rig.command(CHANGE_ALTITUDE, *place, 50.0, frame=8) is Result.DENIED
+
+
+def setpoint(frame: int, z: float, mask: int = 0xDF8, *, is_global: bool = True) -> Setpoint:
+    return Setpoint(
+        is_global=is_global,
+        frame=frame,
+        type_mask=mask,
+        position=(10.0, 10.0, z),
+        velocity_ned_m_s=(0.0, 0.0, 0.0),
+        acceleration_ned_m_s2=(0.0, 0.0, 0.0),
+        yaw_rad=0.0,
+    )
+
+
+def test_of_a_global_setpoint_only_the_height_is_taken() -> None:
+    rig = flying()
+    rig.fly(60.0)
+    rig.take(rig.autopilot.on_setpoint(setpoint(6, 90.0)))
+    rig.fly(40.0)
+    assert rig.height_m == pytest.approx(90.0, abs=1.0)
+    assert math.hypot(*rig.ne_m) < 150.0
+    rig.take(rig.autopilot.on_setpoint(setpoint(6, 50.0, mask=0xDFC)))  # z ignored
+    rig.take(rig.autopilot.on_setpoint(setpoint(7, 50.0)))
+    assert rig.texts()[-1] == "Invalid coord frame in SET_POSTION_TARGET_GLOBAL_INT"
+    rig.take(rig.autopilot.on_setpoint(setpoint(5, math.nan)))
+    assert rig.texts()[-1].startswith("SIM:")
+    rig.fly(20.0)
+    assert rig.height_m == pytest.approx(90.0, abs=1.0)
+
+
+def test_local_offsets_add_up_and_other_frames_do_nothing() -> None:
+    rig = flying()
+    rig.fly(30.0)
+    for _ in range(5):
+        rig.take(rig.autopilot.on_setpoint(setpoint(7, -1.0, is_global=False)))
+    rig.take(rig.autopilot.on_setpoint(setpoint(1, -50.0, is_global=False)))
+    assert rig.texts()[-1] == "Change alt to 85.0"
+    rig.fly(40.0)
+    assert rig.height_m == pytest.approx(85.0, abs=1.0)
+
+
+@pytest.mark.parametrize("kind", [0.0, 1.0])
+def test_a_heading_is_followed_for_ever(kind: float) -> None:
+    rig = flying()
+    rig.reposition(3000.0, 0.0, 80.0)
+    rig.fly(30.0)
+    wanted_deg = (course_deg(rig) + 90.0) % 360.0
+    assert rig.command(CHANGE_HEADING, kind, wanted_deg, 3.0) is Result.ACCEPTED
+
+    def off_deg() -> float:
+        return abs(math.remainder(course_deg(rig) - wanted_deg, 360.0))
+
+    took_s = rig.fly_until(lambda: off_deg() < 45.0)
+    # at the bank of 3 m/s2 and what the airframe makes of it: 0.745 * 3 m/s2 sideways
+    assert took_s == pytest.approx(math.radians(45.0) * 23.45 / (0.745 * 3.0), rel=0.15)
+    rig.fly(60.0)
+    assert off_deg() < 0.5
+    assert rig.command(CHANGE_HEADING, 2.0, 0.0) is Result.ACCEPTED
+    rig.fly(120.0)
+    assert math.dist(rig.ne_m, (3000.0, 0.0)) < 1500.0  # on its way back to the point
+
+
+def test_headings_out_of_range_are_denied() -> None:
+    rig = flying()
+    assert rig.command(CHANGE_HEADING, 0.0, 360.0, 3.0) is Result.DENIED
+    assert rig.command(CHANGE_HEADING, 3.0, 90.0, 3.0) is Result.DENIED
+    assert rig.command(CHANGE_HEADING, 0.0, math.nan, 3.0) is Result.DENIED
+    rig.set_mode(Mode.LOITER)
+    assert rig.command(CHANGE_HEADING, 0.0, 90.0, 3.0) is Result.FAILED
+
+
+# --- other modes ----------------------------------------
+
+
+def test_it_returns_climbing_and_circles_home() -> None:
+    rig = flying()
+    rig.reposition(1500.0, 0.0, 60.0)
+    rig.fly(60.0)
+    assert rig.set_mode(Mode.RTL) is Result.ACCEPTED
+    rig.fly(120.0)
+    assert math.hypot(*rig.ne_m) == pytest.approx(97.4, abs=3.0)  # recorded flight, 298 s
+    assert rig.height_m == pytest.approx(100.0, abs=1.0)
+
+
+def test_without_a_pilot_it_glides_down_in_fbwa_and_holds_height_in_cruise() -> None:
+    rig = flying()
+    rig.set_mode(Mode.CRUISE)
+    rig.fly(20.0)
+    assert rig.height_m == pytest.approx(80.0, abs=5.0)
+    rig.set_mode(Mode.FBWA)
+    rig.fly(10.0)
+    assert rig.height_m < 75.0
+    rig.fly_until(lambda: rig.autopilot.landed)
+    rig.fly(20.0)
+    assert rig.speed_m_s == 0.0
+
+
+def test_circle_banks_a_third_of_the_limit() -> None:
+    rig = flying()
+    rig.set_mode(Mode.CIRCLE)
+    rig.fly(10.0)
+    assert math.degrees(rig.plane.roll_rad) == pytest.approx(65.0 / 3.0, abs=0.5)
+
+
+@pytest.fixture
+def mission_rig() -> Rig:
+    rig = Rig()
+
+    def item(
+        command: int,
+        north_m: float = 0.0,
+        east_m: float = 0.0,
+        up_m: float = 0.0,
+        parameters: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+    ) -> PlanItem:
+        latitude_deg, longitude_deg = rig.frame.to_geographic(north_m, east_m)
+        return PlanItem(
+            frame=3,
+            command=command,
+            parameters=parameters,
+            x=round(latitude_deg * 1e7),
+            y=round(longitude_deg * 1e7),
+            z_m=up_m,
+        )
+
+    rig.plans[PlanKind.MISSION] = (
+        item(16),
+        item(22, up_m=50.0, parameters=(15.0, 0.0, 0.0, 0.0)),
+        item(178, parameters=(0.0, 20.0, -1.0, 0.0)),
+        item(16, 600.0, 0.0, 80.0),
+        item(16, 600.0, 600.0, 100.0),
+        item(18, 0.0, 600.0, 80.0, (1.0, 0.0, 80.0, 0.0)),
+        item(16, -800.0, 0.0, 60.0),
+        item(16, -500.0, 0.0, 40.0),
+        item(21),
+    )
+    rig.autopilot.on_plan(PlanKind.MISSION)
+    rig.fly(24.0)
+    return rig
+
+
+def test_auto_flies_the_mission_from_take_off_to_landing(mission_rig: Rig) -> None:
+    rig = mission_rig
+    assert rig.set_mode(Mode.AUTO) is Result.ACCEPTED
+    assert rig.command(400, 1.0) is Result.ACCEPTED
+    nearest_m = {(600.0, 0.0): math.inf, (600.0, 600.0): math.inf, (-800.0, 0.0): math.inf}
+
+    def watch() -> None:
+        for place in nearest_m:
+            nearest_m[place] = min(nearest_m[place], math.dist(rig.ne_m, place))
+
+    rig.fly(60.0, watch)
+    assert rig.autopilot.status().mission_state == 3
+    assert rig.speed_m_s == pytest.approx(21.0, abs=0.5)  # DO_CHANGE_SPEED of the mission
+    while rig.autopilot.armed:
+        rig.fly(0.5, watch)
+        assert rig.time_s < 400.0
+    assert max(nearest_m.values()) < 60.0  # WP_RADIUS 50 m and thin air
+    north, east = rig.ne_m
+    assert abs(north) < 150.0
+    assert abs(east) < 5.0
+    numbers = [int(t.split("#")[1].split()[0]) for t in rig.texts() if " waypoint #" in t]
+    assert numbers == [3, 4, 6, 7]
+    assert rig.texts()[-1] == "Auto disarmed"
+
+
+def test_after_the_mission_it_returns(mission_rig: Rig) -> None:
+    rig = mission_rig
+    rig.plans[PlanKind.MISSION] = rig.plans[PlanKind.MISSION][:4]
+    rig.autopilot.on_plan(PlanKind.MISSION)
+    rig.set_mode(Mode.AUTO)
+    rig.command(400, 1.0)
+    rig.fly_until(lambda: rig.autopilot.mode == Mode.RTL)
+    assert "Mission complete, changing mode to RTL" in rig.texts()
+    assert rig.autopilot.status().mission_state == 5
+
+
+def test_set_current_skips_ahead(mission_rig: Rig) -> None:
+    rig = mission_rig
+    rig.set_mode(Mode.AUTO)
+    rig.command(400, 1.0)
+    rig.fly(25.0)
+    assert rig.command(224, 6.0) is Result.ACCEPTED
+    assert rig.autopilot.mission_current == 6
+    assert rig.command(224, 20.0) is Result.FAILED
+    rig.fly_until(lambda: math.dist(rig.ne_m, (-800.0, 0.0)) < 60.0)
+
+
+# --- failsafes ----------------------------------------
+
+
+def test_a_breached_fence_sends_it_home_and_a_point_outside_is_denied() -> None:
+    rig = flying({"FENCE_ENABLE": 1.0, "FENCE_TYPE": 2.0, "FENCE_RADIUS": 400.0})
+    assert rig.reposition(900.0, 0.0, 80.0) is Result.DENIED
+    assert rig.command(CHANGE_HEADING, 0.0, 0.0, 3.0) is Result.ACCEPTED
+    rig.fly_until(lambda: rig.autopilot.mode == Mode.RTL)
+    assert math.hypot(*rig.ne_m) == pytest.approx(400.0, abs=5.0)
+    assert "Circle fence breached" in rig.texts()
+
+
+def test_the_lost_ground_station_sends_it_home() -> None:
+    rig = flying({"FS_GCS_ENABL": 1.0})
+    rig.take(rig.autopilot.on_heartbeat(Sender(system=255, component=190), 6))
+    took_s = rig.fly_until(lambda: rig.autopilot.mode == Mode.RTL)
+    assert took_s == pytest.approx(4.9, abs=0.2)
+    rig.take(rig.autopilot.on_heartbeat(Sender(system=255, component=190), 6))
+    assert rig.texts()[-1] == "GCS Failsafe Cleared"
+    assert rig.autopilot.mode == Mode.RTL
+
+
+def test_without_gps_it_levels_its_wings_and_stays_in_its_mode() -> None:
+    rig = flying()
+    rig.conditions = GpsConditions(enabled=False)
+    rig.fly(30.0)
+    assert rig.autopilot.mode == Mode.GUIDED
+    assert not rig.autopilot.estimate.position_ok
+    assert abs(rig.plane.roll_rad) < 0.01
+    assert rig.height_m == pytest.approx(80.0, abs=3.0)
+    rig.conditions = GpsConditions()
+    rig.fly(60.0)
+    assert math.hypot(*rig.ne_m) < 1000.0
+    assert rig.autopilot.estimate.position_ok
+
+
+# --- speeds and heights ----------------------------------------
+
+
+def test_thin_air_is_that_of_the_standard_atmosphere() -> None:
+    for altitude_m, density_ratio in ((0.0, 1.0), (1000.0, 0.9075), (3000.0, 0.7423)):
+        assert eas_to_tas(altitude_m) == pytest.approx(1.0 / math.sqrt(density_ratio), rel=1e-3)
+
+
+@pytest.mark.parametrize("altitude_m", [0.0, 600.0, 3000.0])
+def test_indicated_is_the_inverse_of_true_airspeed(altitude_m: float) -> None:
+    for speed in np.arange(1.0, 40.0, 0.7):
+        held = true_airspeed_m_s(float(speed), altitude_m)
+        assert indicated_airspeed_m_s(held, altitude_m) == pytest.approx(speed)
+
+
+def test_wind_carries_it_but_not_its_circle() -> None:
+    rig = flying()
+    rig.reposition(0.0, 0.0, 80.0, 100.0)
+    rig.plane.wind_east_m_s = 6.0
+    rig.fly(60.0)
+    distances_m, speeds_m_s = list[float](), list[float]()
+
+    def watch() -> None:
+        distances_m.append(math.hypot(*rig.ne_m))
+        speeds_m_s.append(rig.speed_m_s)
+
+    rig.fly(60.0, watch)
+    assert min(distances_m) > 75.0
+    assert max(distances_m) < 150.0
+    assert max(speeds_m_s) - min(speeds_m_s) == pytest.approx(12.0, abs=0.5)
+
+
+# --- the recorded flight ----------------------------------------
+
+
+def recorded() -> Iterator[tuple[Any, tuple[int, int]]]:
+    """Messages and who sent them, in order."""
+    data, at, link = LOG.read_bytes(), 0, mavlink.MAVLink(None)
+    while at < len(data):
+        size = 12 + data[at + 9]
+        frame = bytearray(data[at + 8 : at + 8 + size])
+        at += 8 + size
+        if int.from_bytes(frame[7:10], "little") in (33, 75, 76, 2):
+            message = link.decode(frame)
+            yield message, (message.get_srcSystem(), message.get_srcComponent())
+
+
+def replayed() -> list[tuple[float, float, float]]:
+    """Time, and how far the simulated plane is from the recorded one: level, and in height."""
+    rig, apart = Rig(), list[tuple[float, float, float]]()
+    for message, sender in recorded():
+        kind = message.get_type()
+        if kind == "GLOBAL_POSITION_INT" and sender == (1, 1):
+            while rig.now_us < message.time_boot_ms * 1000:
+                rig.step()
+            there = rig.frame.to_local(message.lat * 1e-7, message.lon * 1e-7)
+            up_m = rig.plane.altitude_amsl_m - message.alt * 1e-3
+            apart.append((rig.time_s, math.dist(rig.ne_m, there), up_m))
+        elif kind == "COMMAND_INT":
+            p = (message.param1, message.param2, message.param3, message.param4)
+            place = (message.x * 1e-7, message.y * 1e-7, message.z)
+            assert rig.command(message.command, *p, *place, frame=message.frame) is Result.ACCEPTED
+        elif kind == "COMMAND_LONG" and message.command in (176, 400):
+            rig.command(message.command, message.param1, message.param2)
+    return apart
+
+
+def test_it_flies_the_recorded_flight() -> None:
+    """Five minutes on the client's side of the recording alone: within 8 m, and 5 m in height."""
+    apart = [row for row in replayed() if row[0] > 26.0]
+    level_m, up_m = np.array([r[1] for r in apart]), np.array([r[2] for r in apart])
+    assert len(apart) > 2700
+    assert level_m.max() < 8.0
+    assert np.sqrt(np.mean(level_m**2)) < 4.5
+    assert np.abs(up_m).max() < 5.0
+    assert np.sqrt(np.mean(up_m**2)) < 1.2
+
+
+def test_a_step_is_cheap(benchmark_us: Callable[[Rig], float]) -> None:
+    assert benchmark_us(flying()) < 60.0
+
+
+@pytest.fixture
+def benchmark_us() -> Callable[[Rig], float]:
+    """Microseconds of the processor for a step in flight."""
+    import time
+
+    def measure(rig: Rig) -> float:
+        began = time.process_time()
+        rig.fly(20.0)
+        return (time.process_time() - began) / (20.0 / STEP_S) * 1e6
+
+    return measure
+
+
+def test_the_ground_is_where_it_stands() -> None:
+    rig = Rig()
+    rig.fly(5.0)
+    assert rig.plane.altitude_amsl_m == GROUND_M

@@ -1,0 +1,439 @@
+"""PX4 flying an aeroplane, against px4.md 10 and the recorded flight."""
+
+import itertools
+import math
+from pathlib import Path
+
+import pytest
+from tracking_px4_fixed_wing import (
+    ALL_THREE,
+    GROUND_AMSL_M,
+    NAN,
+    POSITION_ONLY,
+    POSITION_VELOCITY,
+    ROWS,
+    VELOCITY_ONLY,
+    Curve,
+    Flown,
+    Rig,
+    Row,
+    fly,
+)
+
+from vehicle_sim.autopilots import Event, Landed
+from vehicle_sim.conformance.log import read_recording
+from vehicle_sim.conformance.messages import decoded
+from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.sensors.gps import GpsConditions
+
+LOG = Path(__file__).parents[3] / "shared/telemetry/px4-fixedwing-offboard.tlog"
+OFFBOARD, HOLD, LAND, RETURN = 0x00060000, 0x03040000, 0x06040000, 0x05040000
+
+
+@pytest.fixture(scope="module")
+def flights() -> dict[str, Flown]:
+    """The table of px4.md 10, flown."""
+    return {row.name: fly(row) for row in ROWS}
+
+
+def events(rig: Rig) -> dict[int, float]:
+    """Number -> time in seconds of the last event of that number."""
+    return {reply.number: time for time, reply in rig.said if isinstance(reply, Event)}
+
+
+def until(rig: Rig, mode: int, most_s: float = 5.0) -> float:
+    """Run until it is in this mode; for how long."""
+    begin_s = rig.now_s
+    while rig.px4.status().mode != mode:
+        rig.step()
+        assert rig.now_s - begin_s < most_s
+    return rig.now_s - begin_s
+
+
+def radii(rig: Rig, north_m: float, east_m: float, seconds: float) -> list[float]:
+    """Distances from a place, every tenth of a second."""
+    found = list[float]()
+    for _ in range(round(seconds * 10.0)):
+        rig.run(0.1)
+        here_n, here_e, _ = rig.px4.local_m
+        found.append(math.hypot(here_n - north_m, here_e - east_m))
+    return found
+
+
+def streaming(rig: Rig, north_m: float, east_m: float, *, mask: int = POSITION_ONLY) -> None:
+    """In OFFBOARD, with a point sent at 10 Hz for a second."""
+    for _ in range(10):
+        rig.send(mask, (north_m, east_m, -70.0), (14.0, 0.0, 0.0))
+        rig.run(0.1)
+    assert rig.mode(6) == 0
+    until(rig, OFFBOARD)
+
+
+# --- the table ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_curve_is_followed_as_measured(row: Row, flights: dict[str, Flown]) -> None:
+    flown = flights[row.name]
+    assert flown.rms_m == pytest.approx(row.rms_m, abs=row.within_m)
+    assert flown.most_m < row.most_m + max(0.2 * row.most_m, 1.5)
+    assert flown.ground_speed_m_s == pytest.approx(13.9, abs=0.25)
+
+
+def test_kinds_of_setpoints_are_as_good_and_as_bad_in_the_order_measured(
+    flights: dict[str, Flown],
+) -> None:
+    worse = (
+        "pos + vel - acc (negated)",
+        "pos + vel, nearest point",
+        "pos + vel + acc",
+        "pos only, lead 100 m",
+        "DO_REPOSITION at 1 Hz, lead 130 m",
+    )
+    figures = [flights[name].rms_m for name in worse]
+    assert all(2.0 * good < bad for good, bad in itertools.pairwise(figures))
+    nearest, led = flights["pos + vel, nearest point"], flights["pos + vel, lead 20 m"]
+    assert 2.0 * led.rms_m < nearest.rms_m
+
+
+# --- OFFBOARD -------------------------------------------------------------------------------------
+
+
+def test_point_is_flown_at_and_then_circled_tightly_without_end() -> None:
+    rig = Rig()
+    rig.put(0.0, 0.0, 68.0, 0.0)
+    streaming(rig, 300.0, 100.0)
+    closest = math.inf
+    for i in range(9000):
+        if i % 10 == 0:
+            rig.send(POSITION_ONLY, (300.0, 100.0, -70.0))
+        rig.step()
+        away_m = math.hypot(rig.px4.local_m[0] - 300.0, rig.px4.local_m[1] - 100.0)
+        closest = min(closest, away_m)
+        if i > 4500:
+            assert away_m < 35.0
+    assert closest < 10.0
+    assert rig.px4.status().mode == OFFBOARD
+
+
+def test_point_at_another_height_is_loitered_about_until_that_is_reached() -> None:
+    rig = Rig()
+    rig.put(-150.0, 0.0, 68.0, 0.0)
+    streaming(rig, 200.0, 0.0)
+    away, closest = list[float](), math.inf
+    for i in range(14000):
+        if i % 10 == 0:
+            rig.send(POSITION_ONLY, (200.0, 0.0, -250.0))
+        rig.step()
+        off_m = math.hypot(rig.px4.local_m[0] - 200.0, rig.px4.local_m[1])
+        if i > 5000 and rig.height_m < 235.0:
+            away.append(off_m)
+        elif rig.height_m > 240.5:
+            closest = min(closest, off_m)
+    assert max(abs(off_m - 80.0) for off_m in away) < 1.0
+    assert closest < 35.0  # at its height, it flies at the point again
+
+
+def test_size_of_the_velocity_is_ignored() -> None:
+    ends = []
+    for speed_m_s in (3.0, 20.0):
+        rig = Rig()
+        rig.put(0.0, 20.0, 68.0, 0.0)
+        streaming(rig, 0.0, 0.0, mask=POSITION_VELOCITY)
+        for _ in range(150):
+            rig.send(POSITION_VELOCITY, (0.0, 0.0, -70.0), (speed_m_s, 0.0, 0.0))
+            rig.run(0.1)
+        ends.append((*rig.px4.local_m, rig.speed_m_s))
+    assert ends[0] == ends[1]
+    assert abs(ends[0][1]) < 1.0
+
+
+@pytest.mark.parametrize(("mask", "name"), [(VELOCITY_ONLY, "velocity"), (0xC3F, "acceleration")])
+def test_without_a_position_the_last_commands_stay(mask: int, name: str) -> None:
+    rig, curve, index = Rig(), Curve(), 2186  # the last commands are those of a straight stretch
+    rig.put(float(curve.north[index]), float(curve.east[index]), 68.0, float(curve.heading[index]))
+    streaming(rig, 0.0, 0.0)
+    off_m = 0.0
+    for i in range(300):
+        index, off_m = curve.nearest(*rig.px4.local_m[:2], index)
+        heading = float(curve.heading[index])
+        place = (float(curve.north[index]), float(curve.east[index]), -70.0)
+        along = (14.0 * math.cos(heading), 14.0 * math.sin(heading), 0.0)
+        rig.send(POSITION_VELOCITY if i < 150 else mask, place, along, (0.1, 0.1, 0.0))
+        if i == 150:
+            assert abs(off_m) < 6.0
+            bank_rad = rig.plane.roll_rad
+        if i > 200:
+            assert rig.plane.roll_rad == pytest.approx(bank_rad, abs=0.03)
+        rig.run(0.1)
+    assert 50.0 < abs(off_m) < 100.0  # px4.md 10: 83 m after 15 s
+    assert rig.px4.status().mode == OFFBOARD, name
+
+
+def test_acceleration_bends_the_path_to_the_wrong_side() -> None:
+    ends = []
+    for lateral in (-2.0, 0.0, 2.0):
+        rig = Rig()
+        rig.put(0.0, 0.0, 68.0, 0.0)
+        streaming(rig, 0.0, 0.0, mask=POSITION_VELOCITY)
+        for _ in range(100):
+            rig.send(ALL_THREE, (0.0, 0.0, -70.0), (14.0, 0.0, 0.0), (0.0, lateral, 0.0))
+            rig.run(0.1)
+        ends.append(rig.px4.local_m[1])
+    assert ends[0] > 2.0 > ends[1] > -2.0 > ends[2]
+
+
+def test_speed_is_the_parameter_whatever_is_commanded() -> None:
+    rig = Rig(FW_AIRSPD_TRIM=12.0)
+    rig.put(0.0, 0.0, 68.0, 0.0)
+    streaming(rig, 5000.0, 0.0)
+    assert rig.command(178, 0.0, 20.0, -1.0) == 0
+    for _ in range(200):
+        rig.send(POSITION_ONLY, (5000.0, 0.0, -70.0))
+        rig.run(0.1)
+    assert rig.plane.airspeed_m_s == pytest.approx(12.0 * 1.027, abs=0.1)
+
+
+def test_height_stands_two_metres_low_where_the_airspeed_is_not_reached() -> None:
+    rig = Rig()
+    rig.put(0.0, 0.0, 70.0, 0.0)
+    rig.command(192, -1.0, 1.0, 0.0, NAN, *rig.place(0.0, 0.0, 70.0), frame=5)
+    rig.run(90.0)
+    assert rig.plane.airspeed_m_s == pytest.approx(13.95, abs=0.05)
+    assert 70.0 - rig.height_m == pytest.approx(2.2, abs=0.6)
+
+
+def test_path_is_held_in_wind() -> None:
+    rig = Rig()
+    rig.put(0.0, 40.0, 68.0, 0.0)
+    rig.plane.wind_east_m_s = 5.0
+    streaming(rig, 0.0, 0.0, mask=POSITION_VELOCITY)
+    for _ in range(500):
+        rig.send(POSITION_VELOCITY, (rig.px4.local_m[0], 0.0, -70.0), (14.0, 0.0, 0.0))
+        rig.run(0.1)
+    assert abs(rig.px4.local_m[1]) < 1.5
+    assert rig.speed_m_s == pytest.approx(math.sqrt(13.95**2 - 25.0), abs=0.3)
+
+
+# --- holding, loss of the stream ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("radius_m", [80.0, 150.0, -60.0])
+def test_loiter_radius_is_held(radius_m: float) -> None:
+    rig = Rig(NAV_LOITER_RAD=radius_m)
+    rig.put(0.0, 0.0, 68.0, 0.0)
+    asked_m = 200.0  # px4.md 10: ignored
+    place = rig.place(200.0, 100.0, 70.0)
+    assert rig.command(192, -1.0, 1.0, asked_m, NAN, *place, frame=5) == 0
+    rig.run(60.0)
+    held = radii(rig, 200.0, 100.0, 60.0)
+    assert max(abs(away - abs(radius_m)) for away in held) < 0.6
+    north_m, east_m, _ = rig.px4.local_m
+    v_n, v_e = rig.plane.velocity_north_m_s, rig.plane.velocity_east_m_s
+    assert ((north_m - 200.0) * v_e - (east_m - 100.0) * v_n) * radius_m > 0.0
+
+
+def test_stream_that_stops_ends_in_a_circle_and_comes_back_by_itself() -> None:
+    rig = Rig()
+    rig.put(0.0, 0.0, 68.0, 0.0)
+    streaming(rig, 5000.0, 0.0)
+    rig.send(POSITION_ONLY, (5000.0, 0.0, -70.0))
+    assert until(rig, HOLD) == pytest.approx(1.1, abs=0.12)
+    assert rig.px4.status().intended_mode == OFFBOARD
+    assert rig.px4.status().system_status == 5
+    north_m, east_m, down_m = rig.px4.local_m
+    rig.run(60.0)
+    assert max(abs(away - 80.0) for away in radii(rig, north_m, east_m, 30.0)) < 0.5
+    assert -rig.px4.local_m[2] == pytest.approx(-down_m - 2.2, abs=1.0)
+    rig.send(POSITION_ONLY, (5000.0, 0.0, -70.0))
+    assert until(rig, OFFBOARD) < 0.2
+    assert rig.px4.status().system_status == 4
+
+
+def test_without_pilot_position_mode_flies_straight_on() -> None:
+    rig = Rig(COM_OBL_RC_ACT=0.0)
+    rig.put(0.0, 0.0, 68.0, 0.5)
+    streaming(rig, 5000.0, 5000.0)
+    until(rig, 0x00030000)
+    heading_rad, height_m = rig.plane.heading_rad, rig.height_m
+    rig.run(20.0)
+    assert rig.plane.heading_rad == pytest.approx(heading_rad, abs=0.05)
+    assert rig.height_m == pytest.approx(height_m, abs=3.5)
+
+
+def test_lost_gps_flies_a_bank_then_descends() -> None:
+    rig = Rig(NAV_GPSF_LT=10.0)
+    rig.put(0.0, 0.0, 68.0, 0.0)
+    streaming(rig, 5000.0, 0.0)
+    rig.gps_conditions = GpsConditions(enabled=False)
+    heights = []
+    for i in range(300):
+        rig.send(POSITION_ONLY, (5000.0, 0.0, -70.0))
+        rig.run(0.1)
+        if i == 40:
+            assert rig.px4.status().mode == OFFBOARD
+        heights.append(rig.height_m)
+    assert rig.px4.mode_name == "Descend"
+    assert rig.px4.status().mode == LAND
+    assert math.degrees(rig.plane.roll_rad) == pytest.approx(15.0, abs=0.5)
+    assert heights[120] == pytest.approx(heights[60], abs=1.0)
+    assert (heights[200] - heights[280]) / 8.0 == pytest.approx(0.5, abs=0.05)
+
+
+# --- take-off, landing, return, mission -----------------------------------------------------------
+
+
+def test_take_off_is_that_of_the_recording() -> None:
+    rig = Rig()
+    rig.run(6.0)
+    assert rig.px4.status().mode == HOLD
+    place = rig.place(300.0, 0.0, 50.0)
+    assert rig.command(22, 0.0, 0.0, NAN, NAN, *place, frame=5) == 0
+    assert rig.command(400, 1.0) == 0
+    armed_s = rig.now_s
+    rig.run(1.0)
+    assert rig.speed_m_s == pytest.approx(2.86, abs=0.3)
+    while rig.height_m < 20.0:
+        rig.step()
+    assert rig.now_s - armed_s == pytest.approx(10.5, abs=0.5)
+    assert rig.px4.status().landed_state == Landed.TAKEOFF
+    until(rig, HOLD, 20.0)
+    told = {number: time - armed_s for number, time in events(rig).items()}
+    assert told[21054825] == pytest.approx(1.61, abs=0.1)  # takeoff detected
+    assert told[27229571] == pytest.approx(2.06, abs=0.1)  # climbout
+    assert told[26123793] == pytest.approx(22.06, abs=0.6)  # clearance altitude
+    assert rig.px4.local_m[0] == pytest.approx(256.9, abs=8.0)
+    assert rig.px4.status().landed_state == Landed.IN_AIR
+    rig.run(60.0)
+    assert max(abs(away - 80.0) for away in radii(rig, 300.0, 0.0, 30.0)) < 0.5
+
+
+def test_take_off_without_a_place_never_ends() -> None:
+    rig = Rig()
+    rig.run(6.0)
+    assert rig.command(22, 0.0, 0.0, NAN, NAN, NAN, NAN, NAN) == 0
+    assert rig.command(400, 1.0) == 0
+    rig.run(100.0)
+    assert rig.px4.mode_name == "Takeoff"
+    assert rig.height_m == pytest.approx(30.0 + 10.0 - 2.2, abs=1.5)
+
+
+def test_landing_circles_down_where_it_was_commanded_and_disarms() -> None:
+    rig = Rig()
+    rig.put(0.0, 0.0, 67.2, 0.0)
+    streaming(rig, 5000.0, 0.0)
+    rig.plane.altitude_amsl_m = GROUND_AMSL_M + 67.2
+    rig.run(0.02)
+    north_m, east_m, _ = rig.px4.local_m
+    assert rig.command(21, 0.0, 0.0, 0.0, NAN, *rig.place(900.0, 0.0, 0.0), frame=5) == 0
+    begin_s = rig.now_s
+    rig.run(30.0)
+    assert rig.px4.status().landed_state == Landed.LANDING
+    assert rig.plane.velocity_up_m_s == pytest.approx(-0.87, abs=0.02)
+    assert rig.speed_m_s == pytest.approx(10.8, abs=0.2)
+    assert max(abs(away - 80.0) for away in radii(rig, north_m, east_m, 30.0)) < 0.5
+    while rig.px4.armed:
+        rig.step()
+    told = {number: time - begin_s for number, time in events(rig).items()}
+    assert told[33124855] == pytest.approx(77.6, abs=2.5)  # flaring
+    assert told[26622124] - told[33124855] == pytest.approx(3.8, abs=1.0)  # landing detected
+    assert told[32794487] - told[26622124] == pytest.approx(2.0, abs=0.1)  # disarmed
+    assert rig.height_m == 0.0
+    assert rig.px4.status().mode == OFFBOARD  # the one last commanded for flight
+
+
+def test_aeroplane_armed_without_take_off_stays_armed_where_it_is() -> None:
+    rig = Rig()
+    rig.run(6.0)
+    assert rig.command(400, 1.0) == 0
+    rig.run(20.0)
+    assert rig.px4.armed
+    assert rig.px4.landed
+    assert rig.speed_m_s == 0.0
+
+
+def test_return_circles_over_home_at_its_height() -> None:
+    rig = Rig(RTL_RETURN_ALT=90.0, RTL_DESCEND_ALT=60.0)
+    rig.put(600.0, -200.0, 68.0, 0.0)
+    assert rig.command(20) == 0
+    until(rig, RETURN)
+    rig.run(45.0)
+    assert rig.height_m > 80.0
+    rig.run(60.0)
+    assert max(abs(away - 80.0) for away in radii(rig, 0.0, 0.0, 30.0)) < 0.6
+    assert rig.height_m == pytest.approx(60.0 - 2.2, abs=1.0)
+
+
+def item(rig: Rig, command: int, north_m: float, east_m: float, height_m: float) -> PlanItem:
+    """A mission item in frame 6, relative to home."""
+    latitude_deg, longitude_deg, _ = rig.place(north_m, east_m, 0.0)
+    return PlanItem(
+        frame=6,
+        command=command,
+        x=round(latitude_deg * 1e7),
+        y=round(longitude_deg * 1e7),
+        z_m=height_m,
+    )
+
+
+def test_mission_from_take_off_to_landing() -> None:
+    rig = Rig()
+    rig.run(6.0)
+    corners = ((500.0, 0.0), (500.0, 400.0), (100.0, 400.0))
+    rig.plans[PlanKind.MISSION] = (
+        item(rig, 22, 300.0, 0.0, 40.0),
+        *(item(rig, 16, north_m, east_m, 60.0) for north_m, east_m in corners),
+        item(rig, 21, 0.0, 0.0, 0.0),
+    )
+    rig.px4.on_plan(PlanKind.MISSION)
+    assert rig.command(300) == 0
+    nearest = dict.fromkeys(corners, math.inf)
+    for _ in range(30000):
+        rig.step()
+        for corner in corners:
+            away_m = math.hypot(rig.px4.local_m[0] - corner[0], rig.px4.local_m[1] - corner[1])
+            nearest[corner] = min(nearest[corner], away_m)
+        if not rig.px4.armed:
+            break
+    assert max(nearest.values()) < 32.0  # NPFG's switch distance
+    assert not rig.px4.armed
+    assert rig.px4.landed
+    assert math.hypot(rig.px4.local_m[0], rig.px4.local_m[1]) < 110.0
+
+
+# --- the recorded flight --------------------------------------------------------------------------
+
+
+def test_offboard_part_of_the_recorded_flight() -> None:
+    """170 to 355 s of the log: what it was sent, at the same times, from the same place."""
+    recording = read_recording(LOG)
+    sent = [(h.time_s, decoded(h)) for h in recording.sent if h.number == 84]
+    truth = [(h.time_s, decoded(h)) for h in recording.said if h.number == 32 and h.time_s > 173.5]
+    start = truth[0][1]
+    rig = Rig()
+    heading_rad = math.atan2(start.vy, start.vx)
+    rig.put(start.x, start.y, -start.z, heading_rad, math.hypot(start.vx, start.vy))
+    offset_s = truth[0][0] - rig.now_s
+    modes, off_m = list[tuple[float, int]](), list[float]()
+    sending, telling = iter(sent), iter(truth)
+    message, position = next(sending), next(telling)
+    while rig.now_s + offset_s < 355.0:
+        now_s = rig.now_s + offset_s
+        while message[0] <= now_s:
+            m = message[1]
+            rig.send(m.type_mask, (m.x, m.y, m.z), (m.vx, m.vy, m.vz))
+            message = next(sending)
+            if now_s < 175.0 and rig.px4.status().mode != OFFBOARD:
+                rig.mode(6)  # until the health checks have seen the stream
+        rig.step()
+        mode = rig.px4.status().mode
+        if not modes or mode != modes[-1][1]:
+            modes.append((now_s, mode))
+        while position[0] <= now_s:
+            p, here = position[1], rig.px4.local_m
+            off_m.append(math.hypot(here[0] - p.x, here[1] - p.y))
+            position = next(telling)
+    assert [mode for _, mode in modes if mode != 0][-3:] == [OFFBOARD, HOLD, OFFBOARD]
+    assert modes[-2][0] == pytest.approx(310.08, abs=0.15)  # EVENT 31382480 at 310.076
+    assert modes[-1][0] == pytest.approx(325.38, abs=0.15)
+    assert max(off_m) < 15.0

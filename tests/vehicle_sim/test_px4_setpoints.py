@@ -1,0 +1,269 @@
+"""Masks and frames of SET_POSITION_TARGET on PX4: every row of px4.md 4, read and flown."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tracking_px4 import Rig, Vector
+
+from vehicle_sim.autopilots import Place, Setpoint
+from vehicle_sim.autopilots.px4.modes import Mode
+from vehicle_sim.autopilots.px4.projection import Projection
+from vehicle_sim.autopilots.px4.setpoints import Bearings, Target, flyable, read_setpoint
+
+_BEARINGS = Bearings(
+    projection=Projection(47.4, 8.5),
+    origin_amsl_m=488.0,
+    home_amsl_m=493.0,
+    ground_amsl_m=480.0,
+    heading_rad=math.pi / 2.0,
+)
+_P, _V, _A = (10.0, 20.0, -30.0), (1.0, 2.0, -0.5), (0.1, 0.2, -0.3)
+_POSITION, _VELOCITY, _ACCELERATION = 0xFF8, 0xFC7, 0xE3F
+"""Masks that leave only one of them (FORCE apart)."""
+
+
+def _read(
+    mask: int,
+    *,
+    frame: int = 1,
+    is_global: bool = False,
+    position: Vector = _P,
+    velocity: Vector = _V,
+    acceleration: Vector = _A,
+) -> Target | None:
+    return read_setpoint(
+        Setpoint(
+            is_global=is_global,
+            frame=frame,
+            type_mask=mask & ~0x200 if mask != 0xFFF else mask,
+            position=position,
+            velocity_ned_m_s=velocity,
+            acceleration_ned_m_s2=acceleration,
+            yaw_rad=0.3,
+            yaw_rate_rad_s=0.1,
+        ),
+        _BEARINGS,
+    )
+
+
+def _same(one: Vector, other: Vector) -> bool:
+    """NaN equals NaN."""
+    return all(
+        a == pytest.approx(b, abs=1e-6) or (math.isnan(a) and math.isnan(b))
+        for a, b in zip(one, other, strict=True)
+    )
+
+
+_NONE = (math.nan,) * 3
+
+
+@pytest.mark.parametrize(
+    ("mask", "position", "velocity", "acceleration"),
+    [
+        (_POSITION, _P, _NONE, _NONE),
+        (0xFC0, _P, _V, _NONE),
+        (0xE00, _P, _V, _A),
+        (_VELOCITY, _NONE, _V, _NONE),
+        (_ACCELERATION, _NONE, _NONE, _A),
+        (0xFE3, (math.nan, math.nan, -30.0), (1.0, 2.0, math.nan), _NONE),
+        (0xFDC, (10.0, 20.0, math.nan), (math.nan, math.nan, -0.5), _NONE),
+    ],
+)
+def test_local_ned_takes_any_mixture(
+    mask: int, position: Vector, velocity: Vector, acceleration: Vector
+) -> None:
+    target = _read(mask)
+    assert target is not None
+    assert flyable(target)
+    assert _same(target.position_m, position)
+    assert _same(target.velocity_m_s, velocity)
+    assert _same(target.acceleration_m_s2, acceleration)
+    assert math.isnan(target.yaw_rad)
+
+
+def test_mask_0_uses_every_field() -> None:
+    target = _read(0)
+    assert target is not None
+    assert (target.position_m, target.yaw_rad, target.yaw_rate_rad_s) == (_P, 0.3, 0.1)
+
+
+def test_body_frame_velocity_turns_with_the_heading() -> None:
+    """Heading east: ahead is east, to the right is south."""
+    target = _read(_VELOCITY, frame=8)
+    assert target is not None
+    assert _same(target.velocity_m_s, (-2.0, 1.0, -0.5))
+
+
+@pytest.mark.parametrize(
+    ("mask", "frame", "is_global"),
+    [
+        (_POSITION, 8, False),
+        (_VELOCITY, 7, False),
+        (_POSITION, 9, False),
+        (_VELOCITY, 12, False),
+        (_POSITION, 0, False),
+        (0xDFF, 1, False),
+        (0x9FF, 1, False),
+        (_POSITION, 0, True),
+        (_POSITION, 3, True),
+        (_POSITION, 10, True),
+        (0xFFF, 5, True),
+    ],
+)
+def test_what_counts_as_no_setpoint(mask: int, frame: int, is_global: bool) -> None:
+    place = (47.4, 8.5, 500.0) if is_global else _P
+    assert _read(mask, frame=frame, is_global=is_global, position=place) is None
+
+
+def test_a_force_is_refused_only_with_an_acceleration() -> None:
+    def forced(mask: int) -> Target | None:
+        setpoint = Setpoint(
+            is_global=False,
+            frame=1,
+            type_mask=mask | 0x200,
+            position=_P,
+            velocity_ned_m_s=_V,
+            acceleration_ned_m_s2=_A,
+            yaw_rad=0.0,
+        )
+        return read_setpoint(setpoint, _BEARINGS)
+
+    assert forced(0xC00) is None
+    assert forced(0xDC0) is not None
+
+
+@pytest.mark.parametrize("mask", [0xFFE, 0xFFC])
+def test_half_a_position_is_taken_but_cannot_be_flown(mask: int) -> None:
+    target = _read(mask)
+    assert target is not None
+    assert not flyable(target)
+
+
+def test_numbers_that_are_not_finite_count_as_not_given() -> None:
+    nothing = (math.nan, math.inf, -math.inf)
+    assert _read(_POSITION, position=nothing) is None
+    target = _read(0xFC0, velocity=nothing)
+    assert target is not None
+    assert _same(target.velocity_m_s, _NONE)
+    assert flyable(target)
+
+
+@pytest.mark.parametrize(
+    ("frame", "above_origin_m"),
+    [
+        (5, 10.0),  # 498 m AMSL, origin at 488 m
+        (6, 493.0),  # 498 m above home, 5 m above the origin: with the wrong sign, 493 m
+        (11, 490.0),  # 498 m above ground at 480 m
+    ],
+)
+def test_frames_of_global_int(frame: int, above_origin_m: float) -> None:
+    target = _read(_POSITION, frame=frame, is_global=True, position=(47.4, 8.5, 498.0))
+    assert target is not None
+    assert -target.position_m[2] == pytest.approx(above_origin_m)
+    assert math.hypot(*target.position_m[:2]) < 1e-6
+
+
+def test_relative_altitude_has_the_sign_error() -> None:
+    """px4.md 1, item 6: home 5 m above the origin, asked 10 m above home, flew to home's height."""
+    target = _read(_POSITION, frame=6, is_global=True, position=(47.4, 8.5, 10.0))
+    assert target is not None
+    flown_above_home_m = -target.position_m[2] + 488.0 - 493.0
+    assert flown_above_home_m == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("mask", [0xFC4, 0xFC3])
+def test_a_global_position_needs_all_three_axes(mask: int) -> None:
+    target = _read(mask, frame=5, is_global=True, position=(47.4, 8.5, 498.0))
+    assert target is None or _same(target.position_m, _NONE)
+
+
+@given(
+    mask=st.integers(0, 0xFFFF),
+    frame=st.integers(0, 255),
+    is_global=st.booleans(),
+    numbers=st.lists(st.floats(width=32), min_size=9, max_size=9),
+)
+def test_nothing_that_is_sent_breaks_it(
+    mask: int, frame: int, is_global: bool, numbers: list[float]
+) -> None:
+    """What comes out is finite or NaN, never infinite."""
+    a, b, c, d, e, f, g, h, i = numbers
+    target = _read(
+        mask,
+        frame=frame,
+        is_global=is_global,
+        position=(a, b, c),
+        velocity=(d, e, f),
+        acceleration=(g, h, i),
+    )
+    if target is not None:
+        flat = (*target.position_m, *target.velocity_m_s, *target.acceleration_m_s2)
+        assert not any(map(math.isinf, flat))
+
+
+# --- flown ----------------------------------------------------------------------------------------
+
+
+def _hover() -> Rig:
+    rig = Rig()
+    rig.take_off(12.0)
+    return rig
+
+
+@pytest.mark.parametrize("frame", [7, 9, 12])
+def test_unknown_frames_lose_offboard_after_a_second(frame: int) -> None:
+    rig = _hover()
+    for _ in range(30):
+        rig.send(None, (1.0, 0.0, 0.0), frame=frame)
+        for _ in range(5):
+            rig.step()
+    assert rig.px4.mode is Mode.LOITER
+
+
+def test_half_a_position_brakes_and_hovers_in_offboard() -> None:
+    """px4.md 4: stays in OFFBOARD, "Failsafe: stop and wait"."""
+    rig = _hover()
+    rig.stream(4.0, velocity=(6.0, 0.0, 0.0))
+    assert rig.speed_m_s > 5.0
+    height_m = rig.height_m
+    for _ in range(120):
+        rig.send((500.0, 0.0, -12.0), mask=0xFFE & ~0x200)
+        for _ in range(5):
+            rig.step()
+    assert rig.px4.mode is Mode.OFFBOARD
+    assert rig.speed_m_s < 0.5
+    assert rig.height_m == pytest.approx(height_m, abs=1.0)
+
+
+def test_a_setpoint_before_offboard_is_a_sign_of_life_only() -> None:
+    """px4.md 3: its value is dropped."""
+    rig = _hover()
+    rig.command(176, 1.0, 4.0, 3.0)
+    rig.run(3.0)
+    rig.send((300.0, 0.0, -12.0))
+    rig.run(0.2)
+    rig.command(176, 1.0, 6.0)
+    rig.run(0.6)
+    assert rig.px4.mode is Mode.OFFBOARD
+    assert rig.px4.target is None
+    assert rig.speed_m_s < 0.6
+
+
+def test_a_global_setpoint_is_flown_to() -> None:
+    rig = _hover()
+    goal = Place(latitude_deg=47.398, longitude_deg=8.5458, altitude_amsl_m=505.0)
+    for _ in range(400):
+        rig.send(
+            (goal.latitude_deg, goal.longitude_deg, goal.altitude_amsl_m),
+            frame=5,
+            is_global=True,
+            mask=0xFF8 & ~0x200,
+        )
+        for _ in range(5):
+            rig.step()
+    estimate = rig.px4.estimate
+    assert estimate.latitude_deg == pytest.approx(goal.latitude_deg, abs=5e-6)
+    assert estimate.longitude_deg == pytest.approx(goal.longitude_deg, abs=5e-6)
+    assert estimate.altitude_amsl_m == pytest.approx(505.0, abs=0.4)

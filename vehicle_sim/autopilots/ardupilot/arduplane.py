@@ -1,0 +1,494 @@
+"""ArduPlane 4.7: boot, modes, arming, and what it answers; plane_flight.py flies it.
+
+Times are vehicle time since boot.  Sources: ardupilot.md 1, 5, 7 and the recorded flight
+arduplane-guided-reposition.tlog.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import ClassVar, final
+
+import numpy as np
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilots import (
+    Command,
+    Landed,
+    Place,
+    Reply,
+    Result,
+    Say,
+    SayParameter,
+    Setpoint,
+    State,
+    Status,
+    Text,
+    Waypoint,
+)
+from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
+from vehicle_sim.autopilots.ardupilot.firmware import ArduPilot, Due
+from vehicle_sim.autopilots.ardupilot.plane_flight import Flight
+from vehicle_sim.autopilots.ardupilot.plane_modes import (
+    AUTONOMOUS,
+    BY_ITSELF,
+    NAMES,
+    Mode,
+)
+from vehicle_sim.autopilots.ardupilot.plane_parameters import TABLE
+from vehicle_sim.autopilots.ardupilot.style import (
+    GPS_GLOBAL_ORIGIN,
+    HEARTBEAT,
+    HOME_POSITION,
+    style,
+)
+from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.faults import SIM_PARAMETERS
+from vehicle_sim.parameters import Parameters
+from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.sensors.gps import Fix
+
+CAPABILITIES = 62319
+READY_US = 1_727_000
+ORIGIN_SAID_US = 2_261_000
+"""From setting the origin to saying it and home."""
+HOME_SET_US = 850_000
+"""From the first fix to home."""
+TIMING = Timing(
+    initialised_us=11_100_000,
+    attitude_us=12_300_000,
+    origin_after_fix_us=10_220_000,
+    using_after_fix_us=11_240_000,
+    origin_texts=((1, "EKF3 IMU1 origin set"),),
+)
+_STREAMED = """
+0 1 2 24 27 29 30 32 33 36 42 62 65 74 87 116 125 129 133 136 137 147 152 162 163 164 168 241 295
+11020 11030
+"""
+_RATES_HZ = dict.fromkeys(map(int, _STREAMED.split()), 1.0) | {111: 0.1}
+"""What a fresh link gets unasked."""
+
+
+def _boot() -> list[Due]:
+    """What is said by itself after power-up, as in the recorded flight."""
+
+    def parameters(at_us: int, *values: tuple[str, float]) -> list[Due]:
+        return [(at_us, value) for value in values]
+
+    def texts(at_us: int, severity: int, *lines: str) -> list[Due]:
+        return [(at_us, Text(severity=severity, text=line)) for line in lines]
+
+    return [
+        *[
+            (133_000, SayParameter(name=name))
+            for name in ("CAM1_TYPE", "CAM2_TYPE", "INS_GYR_ID", "INS_ACC_ID", "INS_GYR2_ID")
+        ],
+        (134_000, SayParameter(name="INS_ACC2_ID")),
+        (134_000, SayParameter(name="BARO_ALT_OFFSET")),
+        *texts(139_000, 6, "Ground start"),
+        *texts(139_000, 1, "Skipping INS calibration"),
+        *texts(139_000, 6, "Calibrating barometer"),
+        *texts(203_000, 7, "RCInput: decoding UDP (Pulses)"),
+        *texts(
+            READY_US,
+            6,
+            "Barometer 1 calibration complete",
+            "Barometer 2 calibration complete",
+            "Airspeed 1 calibration started",
+            "ArduPilot Ready",
+            "AHRS: DCM active",
+        ),
+        *parameters(READY_US, ("BARO1_GND_PRESS", 94501.734375), ("BARO2_GND_PRESS", 94503.234375)),
+        *texts(1_746_000, 4, "Throttle failsafe off"),
+        (2_745_000, SayParameter(name="EK3_SRC1_POSXY")),
+        *texts(3_408_000, 6, "Airspeed 1 calibrated"),
+        *parameters(3_408_000, ("ARSPD_OFFSET", 2013.9466552734375)),
+        *texts(9_055_000, 6, "GPS 1: probing for u-blox at 230400 baud", "GPS 1: detected u-blox"),
+        *texts(9_506_000, 6, *(f"EKF2 IMU{k} MAG0 initial yaw alignment complete" for k in (0, 1))),
+        *texts(10_266_000, 6, *(f"EKF3 IMU{k} initialised" for k in (0, 1))),
+        *texts(12_148_000, 6, *(f"EKF3 IMU{k} tilt alignment complete" for k in (0, 1))),
+        *texts(
+            12_226_000, 6, *(f"EKF3 IMU{k} MAG0 initial yaw alignment complete" for k in (0, 1))
+        ),
+        *texts(14_750_000, 6, *(f"EKF2 IMU{k} tilt alignment complete" for k in (0, 1))),
+        *parameters(15_710_000, ("BARO1_GND_PRESS", 94504.5625), ("BARO2_GND_PRESS", 94505.0625)),
+        *texts(44_559_000, 6, *(f"EKF2 IMU{k} is using GPS" for k in (0, 1))),
+    ]
+
+
+@final
+class ArduPlane(ArduPilot):
+    """One vehicle's autopilot; steers the plane that it is given."""
+
+    style = style(vehicle_type=1, capabilities=CAPABILITIES, rates_hz=_RATES_HZ)
+    MODES: ClassVar[Mapping[int, str]] = NAMES
+    PREARM_US: ClassVar[int] = 22_800_000
+
+    def __init__(
+        self,
+        plane: Plane,
+        parameters: Mapping[str, float],
+        plans: Plans,
+        *,
+        hardware_id: int,
+        rng: np.random.Generator,
+    ) -> None:
+        super().__init__(
+            plane,
+            Parameters((*TABLE, *SIM_PARAMETERS), parameters),
+            plans,
+            timing=TIMING,
+            boot=_boot(),
+            hardware_id=hardware_id,
+            rng=rng,
+        )
+        self.mode = Mode.INITIALISING
+        self._plane = plane
+        self._first_fix_us: int | None = None
+        self._origin_due_us: int | None = None
+        self._flight = Flight(self, plane)
+
+    # --- each step ----------------------------------------------------------------------------
+
+    def fly(self, dt_s: float, ground_amsl_m: float) -> None:
+        """Control and move the plane for one step, by the estimate."""
+        if self.mode == Mode.INITIALISING and self.now_us >= READY_US:
+            self.mode = Mode.MANUAL
+            self.send(HEARTBEAT)
+        if self.ekf.began_aiding:
+            self.say(6, "AHRS: EKF3 active")
+        self._flight.step(dt_s, ground_amsl_m)
+
+    def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
+        """Fly on to now_us, over ground of this height, with the newest GPS fix."""
+        if self.home is None:
+            self._watch_fix(now_us, fix)
+        replies = super().step(now_us, dt_s, ground_amsl_m, fix)
+        if self.home is None:  # until then heights are above where it started
+            self.estimate.altitude_amsl_m = 0.0
+        return replies
+
+    def _watch_fix(self, now_us: int, fix: Fix) -> None:
+        """Home is where the first fix was, a moment later: plane does not wait for the EKF."""
+        if not fix.usable:
+            return
+        if self._first_fix_us is None:
+            self._first_fix_us = now_us
+        elif now_us - self._first_fix_us >= HOME_SET_US:
+            self.home = Place(
+                latitude_deg=fix.latitude_deg,
+                longitude_deg=fix.longitude_deg,
+                altitude_amsl_m=fix.altitude_amsl_m,
+            )
+            self.send(HOME_POSITION)
+            self.change_parameter("MIS_TOTAL", max(len(self.plans[PlanKind.MISSION]), 1))
+
+    def _on_origin(self) -> None:
+        """The estimator's origin is set; it is told two seconds later."""
+        for core in ("EKF2 IMU0", "EKF2 IMU1", "EKF3 IMU0"):
+            self.say(6, f"{core} origin set")
+        origin = self.ekf.origin
+        if origin is not None:
+            height_m = round(origin.altitude_amsl_m)
+            self.later(42_000, Text(severity=6, text=f"Field Elevation Set: {height_m}m"))
+        self._origin_due_us = self.now_us + ORIGIN_SAID_US
+
+    def slow(self) -> None:
+        """Ten times a second: failsafes, fence, statistics, navigation."""
+        super().slow()
+        if self._origin_due_us is not None and self.now_us >= self._origin_due_us:
+            self._origin_due_us = None
+            self.send(GPS_GLOBAL_ORIGIN)
+            self.send(HOME_POSITION)
+        self._flight.navigate()
+
+    def read_parameters(self) -> None:
+        """Some parameter has changed."""
+        self._flight.read_parameters()
+
+    @property
+    def flying(self) -> bool:
+        """Whether flight time counts."""
+        return self._flight.flying
+
+    # --- failsafes ----------------------------------------------------------------------------
+
+    @property
+    def gcs_failsafe_enabled(self) -> bool:
+        """Whether a lost ground station matters."""
+        return bool(self.parameters["FS_GCS_ENABL"])
+
+    @property
+    def gcs_timeout_s(self) -> float:
+        """How long it may be silent."""
+        return self.parameters["FS_LONG_TIMEOUT"] - 0.1
+
+    def on_gcs_failsafe(self) -> None:
+        """FS_LONG_ACTN: 0 goes on in AUTO and returns otherwise, 1 returns."""
+        goes_on = self.mode == Mode.AUTO and self.parameters["FS_LONG_ACTN"] == 0.0
+        if not goes_on and self.flying:
+            self.set_mode(Mode.RTL)
+        self.say(4, f"GCS Failsafe On: {self.mode_name}")
+
+    def on_battery_failsafe(self, action: int) -> None:
+        """1 returns, 2 lands where the mission does, or returns."""
+        landing = self.mode == Mode.AUTO and self._flight.mission.lands
+        if action in (1, 2) and not landing:
+            self.set_mode(Mode.RTL)
+
+    def on_fence_breach(self, action: int) -> None:
+        """FENCE_ACTION 0 only says it; all others fly home."""
+        if action != 0 and self.mode not in (Mode.MANUAL, Mode.RTL):
+            self.set_mode(Mode.RTL)
+
+    # --- modes ----------------------------------------------------------------------------------
+
+    def set_mode(self, mode: int) -> bool:
+        """Fly in this mode from now on, if it can be."""
+        if 17 <= mode <= 25 and mode not in NAMES:
+            self.say(6, "Q_ENABLE 0")
+            return False
+        return super().set_mode(mode)
+
+    def enter_mode(self, mode: int) -> str | None:
+        """Begin to fly in this mode; plane refuses only those that nobody may choose."""
+        if mode == Mode.INITIALISING:
+            return "cannot be chosen"
+        self._flight.enter(Mode(mode))
+        return None
+
+    def pilot_takes(self) -> Sequence[Reply]:
+        """Fault: a pilot flies by FBWA."""
+        self.set_mode(Mode.FBWA)
+        return self._taken()
+
+    # --- commands -------------------------------------------------------------------------------
+
+    def handlers(self) -> dict[int, Callable[[Command], Result]]:
+        """What answers which MAV_CMD."""
+        return super().handlers() | {
+            17: lambda _: self._change_to(Mode.LOITER),
+            20: lambda _: self._change_to(Mode.RTL),
+            22: lambda _: Result.FAILED,
+            178: self._do_change_speed,
+            186: self._do_change_altitude,
+            189: lambda _: Result.FAILED,
+            192: self._do_reposition,
+            300: self._mission_start,
+            43000: self._guided_change_speed,
+            43001: self._guided_change_altitude,
+            43002: self._guided_change_heading,
+        }
+
+    def _change_to(self, mode: Mode) -> Result:
+        self.set_mode(mode)
+        return Result.ACCEPTED
+
+    def _mission_start(self, command: Command) -> Result:
+        if command.parameters[0] != 0.0 or command.parameters[1] != 0.0:
+            return Result.DENIED
+        return self._change_to(Mode.AUTO)
+
+    def set_mission_current(self, number: int) -> Result:
+        """MISSION_SET_CURRENT and its command: AUTO goes there at once."""
+        result = super().set_mission_current(number)
+        if result is Result.ACCEPTED and self.mode == Mode.AUTO:
+            self._flight.mission.begin(number)
+        return result
+
+    def _do_reposition(self, command: Command) -> Result:
+        p = command.parameters
+        if command.frame is None:
+            return Result.UNSUPPORTED
+        if not math.isfinite(p[6]):
+            self.say(2, "SIM: NaN height in DO_REPOSITION stops the real autopilot")
+            return Result.DENIED
+        place = self.place_of(command)
+        if isinstance(place, Result):
+            return Result.DENIED
+        if p[4] == 0.0 and p[5] == 0.0:
+            return Result.DENIED
+        if self.fence.outside(place, self.home):
+            return Result.DENIED
+        switches = math.isfinite(p[1]) and int(p[1]) & 1
+        if self.mode != Mode.GUIDED and not switches:
+            return Result.FAILED
+        self.set_mode(Mode.GUIDED)
+        counter_clockwise = math.isfinite(p[3]) and p[3] != 0.0
+        radius_m = p[2] if math.isfinite(p[2]) and p[2] > 0.0 else None
+        self._flight.reposition(place, radius_m, counter_clockwise=counter_clockwise)
+        return Result.ACCEPTED
+
+    def _do_change_speed(self, command: Command) -> Result:
+        if self.mode not in (Mode.GUIDED, Mode.AUTO):
+            return Result.FAILED
+        p = command.parameters
+        return Result.ACCEPTED if self._flight.change_speed(p[0], p[1]) else Result.FAILED
+
+    def _do_change_altitude(self, command: Command) -> Result:
+        frame = command.parameters[1]
+        altitude_m = self.altitude_amsl_m(command.parameters[0], frame)
+        if altitude_m is None:
+            return Result.DENIED
+        self._flight.navigation.set_altitude(altitude_m)
+        return Result.ACCEPTED
+
+    def altitude_amsl_m(self, altitude_m: float, frame: float) -> float | None:
+        """A height in a MAV_FRAME; None where that has none."""
+        if not math.isfinite(altitude_m):
+            return None
+        if frame in (0, 5):
+            return altitude_m
+        home = self.home
+        if frame in (3, 6, 10, 11) and home is not None:  # no terrain data: above home
+            return altitude_m + home.altitude_amsl_m
+        return None
+
+    def _guided_change_speed(self, command: Command) -> Result:
+        kind, speed_m_s, acceleration = command.parameters[:3]
+        if self.mode != Mode.GUIDED:
+            return Result.FAILED
+        least, most = self.parameters["AIRSPEED_MIN"], self.parameters["AIRSPEED_MAX"]
+        if kind != 0.0 or not least <= speed_m_s <= most:
+            return Result.DENIED
+        finite = math.isfinite(acceleration)
+        self._flight.guided.set_speed(speed_m_s, acceleration if finite else 0.0)
+        return Result.ACCEPTED
+
+    def _guided_change_altitude(self, command: Command) -> Result:
+        rate_m_s, z_m = command.parameters[2], command.parameters[6]
+        if self.mode != Mode.GUIDED:
+            return Result.FAILED
+        frame = 3 if command.frame is None else command.frame
+        altitude_m = self.altitude_amsl_m(z_m, frame)
+        if altitude_m is None or z_m in (0.0, -1.0):
+            return Result.DENIED
+        rate_m_s = rate_m_s if math.isfinite(rate_m_s) else 0.0
+        self._flight.guided.set_altitude(altitude_m, rate_m_s)
+        return Result.ACCEPTED
+
+    def _guided_change_heading(self, command: Command) -> Result:
+        kind, heading_deg, acceleration = command.parameters[:3]
+        if self.mode != Mode.GUIDED:
+            return Result.FAILED
+        if not 0.0 <= heading_deg < 360.0 or kind not in (0.0, 1.0, 2.0):
+            return Result.DENIED
+        if kind == 2.0:
+            self._flight.guided.holds_heading = False
+            return Result.ACCEPTED
+        limit = acceleration if math.isfinite(acceleration) else 0.0
+        guided = self._flight.guided
+        guided.set_heading(math.radians(heading_deg), limit, course=kind == 0.0)
+        return Result.ACCEPTED
+
+    # --- setpoints ----------------------------------------------------------------------------
+
+    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
+        """Only heights are taken, and only in GUIDED."""
+        if self.mode != Mode.GUIDED:
+            return ()
+        navigation = self._flight.navigation
+        if not setpoint.is_global:
+            if setpoint.frame == 7 and navigation.next is not None:
+                self._add_height(-setpoint.position[2])
+            return self._taken()
+        if setpoint.frame not in (0, 3, 5, 6, 10, 11):
+            self.say(4, "Invalid coord frame in SET_POSTION_TARGET_GLOBAL_INT")
+        elif not setpoint.type_mask & 4:
+            altitude_m = self.altitude_amsl_m(setpoint.position[2], setpoint.frame)
+            if altitude_m is not None:
+                navigation.set_altitude(altitude_m)
+            elif not math.isfinite(setpoint.position[2]):
+                self.say(2, "SIM: NaN height in a setpoint stops the real autopilot")
+        return self._taken()
+
+    def _add_height(self, climb_m: float) -> None:
+        navigation, home = self._flight.navigation, self.home
+        if not math.isfinite(climb_m):
+            self.say(2, "SIM: NaN height in a setpoint stops the real autopilot")
+        elif navigation.next is not None:
+            altitude_m = navigation.next.altitude_amsl_m + climb_m
+            navigation.set_altitude(altitude_m)
+            above_m = altitude_m - (home.altitude_amsl_m if home else 0.0)
+            self.say(6, f"Change alt to {above_m:.1f}")
+
+    # --- arming -------------------------------------------------------------------------------
+
+    @property
+    def may_disarm(self) -> bool:
+        """Without force: not while it flies."""
+        return not self.flying
+
+    def arming_refusal(self) -> str | None:
+        """Why it may not be armed now."""
+        if not self.landed:
+            return None
+        if self._first_fix_us is None:
+            return "GPS 1: Bad fix"
+        if not self.ekf.position_ok:
+            return "AHRS: not using configured AHRS type"
+        return self.common_refusal()
+
+    def on_armed(self) -> None:
+        """The motor may turn."""
+        self.change_parameter("BARO1_GND_PRESS", 101324.0234375)
+        self.change_parameter("BARO2_GND_PRESS", 101324.609375)
+        self.say(6, "Throttle armed")
+        if self.mode == Mode.AUTO:
+            self._flight.mission.begin(1)
+
+    def disarm(self) -> None:
+        """Stop the motor, wherever it is."""
+        super().disarm()
+        self._flight.takeoff.abandon()
+        self.say(6, "Throttle disarmed")
+
+    def reached(self, number: int) -> None:
+        """MISSION_ITEM_REACHED, to everybody."""
+        self.reply(Say(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
+
+    # --- telling --------------------------------------------------------------------------------
+
+    def base_mode(self) -> int:
+        """Stabilised, with manual override except while it starts; guided where it navigates."""
+        if self.mode == Mode.INITIALISING:
+            return 0x11
+        guided = 0x08 if self.mode in AUTONOMOUS else 0
+        return 0x51 | guided | (0x80 if self.armed else 0)
+
+    def system_status(self) -> State:
+        """system_status of the heartbeat."""
+        if self.mode == Mode.INITIALISING:
+            return State.CALIBRATING
+        if self.failsafe or self._gcs_lost or self._battery_acted:
+            return State.CRITICAL
+        if self._flight.crashed:
+            return State.EMERGENCY
+        return State.ACTIVE if self.flying else State.STANDBY
+
+    def landed_state(self) -> Landed:
+        """What EXTENDED_SYS_STATE says."""
+        return self._flight.landed_state()
+
+    def waypoint(self) -> Waypoint | None:
+        """Where it goes; MANUAL says nothing."""
+        return None if self.mode not in BY_ITSELF else self._flight.waypoint()
+
+    def status(self) -> Status:
+        """What there is to tell."""
+        return replace(super().status(), airspeed_m_s=self._flight.indicated_m_s)
+
+    def local_ned_m(self) -> tuple[float, float, float] | None:
+        """Also before the EKF flies: then the simpler estimator's, about home."""
+        local = super().local_ned_m()
+        if local is None and self.home is not None and not self._flight.ever_aided:
+            return 0.0, 0.0, self.home.altitude_amsl_m - self.estimate.altitude_amsl_m
+        return local
+
+    def mission_state(self) -> int:
+        """MISSION_STATE: 1 no mission, 2 not started, 3 active, 5 complete."""
+        if len(self.plans[PlanKind.MISSION]) < 2:
+            return 1
+        if self.mode == Mode.AUTO and self._flight.mission.runs:
+            return 3
+        return 5 if self._flight.mission_over else 2

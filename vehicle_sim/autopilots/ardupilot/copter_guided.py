@@ -1,0 +1,237 @@
+"""GUIDED: the target that runs on between setpoints, its time-out, and how it is steered for.
+
+Source: ardupilot.md 3 and the recorded flights; submodes and their changes as mode_guided.cpp.
+"""
+
+import enum
+import math
+from typing import final
+
+from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl
+from vehicle_sim.autopilots.ardupilot.copter_setpoints import Target
+from vehicle_sim.autopilots.ardupilot.copter_tracker import Tracker
+from vehicle_sim.autopilots.ardupilot.flat_earth import Vector
+from vehicle_sim.geodesy import metres_per_degree
+
+LEAST_TIMEOUT_S = 0.1
+NOTHING: Vector = (0.0, 0.0, 0.0)
+
+
+class Submode(enum.Enum):
+    """What GUIDED steers for."""
+
+    TAKEOFF = enum.auto()
+    POSITION = enum.auto()
+    POSITION_VELOCITY = enum.auto()
+    VELOCITY = enum.auto()
+    """Also standing still: what every setpoint that is not liked leads to."""
+    ACCELERATION = enum.auto()
+
+
+@final
+class Guided:
+    """The target, and what it makes the position controller do."""
+
+    __slots__ = (
+        "_was_tracking",
+        "acceleration",
+        "altitude_amsl_m",
+        "control",
+        "latitude_deg",
+        "longitude_deg",
+        "paused",
+        "received_us",
+        "submode",
+        "timeout_us",
+        "tracker",
+        "velocity",
+    )
+
+    def __init__(self, control: PositionControl, timeout_s: float) -> None:
+        self.control = control
+        copter = control.copter
+        self.tracker = None if copter.drag_1_s else Tracker(copter.limits)
+        self.latitude_deg = self.longitude_deg = self.altitude_amsl_m = 0.0
+        self.received_us = 0
+        self.paused = False
+        self.submode = Submode.VELOCITY
+        self.velocity: Vector = NOTHING
+        self.acceleration: Vector = NOTHING
+        self._was_tracking = False
+        self.set_timeout(timeout_s)
+
+    def set_timeout(self, timeout_s: float) -> None:
+        """GUID_TIMEOUT."""
+        self.timeout_us = max(timeout_s, LEAST_TIMEOUT_S) * 1e6
+
+    def stop(self) -> None:
+        """Begin anew, with a velocity of nothing: mode_guided.init."""
+        self._begin(Submode.VELOCITY)
+        self.velocity = self.acceleration = NOTHING
+
+    def _begin(self, submode: Submode) -> None:
+        self.submode = submode
+        control = self.control
+        control.start()
+        if self.tracker is not None:
+            self.tracker.forget()
+            copter = control.copter
+            control.follow(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
+        self._was_tracking = False
+
+    def take_off(self, place: Place) -> None:
+        """Climb straight up to there."""
+        self._begin(Submode.TAKEOFF)
+        self.velocity = self.acceleration = NOTHING
+        self.hold(place)
+
+    def hold(self, place: Place) -> None:
+        """Put the target here."""
+        self.latitude_deg, self.longitude_deg = place.latitude_deg, place.longitude_deg
+        self.altitude_amsl_m = place.altitude_amsl_m
+
+    @property
+    def place(self) -> Place:
+        """Where the target is."""
+        return Place(
+            latitude_deg=self.latitude_deg,
+            longitude_deg=self.longitude_deg,
+            altitude_amsl_m=self.altitude_amsl_m,
+        )
+
+    def take(self, target: Target, now_us: int) -> None:
+        """Steer for this from now on."""
+        submode = _submode(target)
+        velocity = target.velocity_neu_m_s or NOTHING
+        if self.tracker is not None:
+            streams = submode is self.submode is Submode.POSITION_VELOCITY
+            streams = streams and not any(target.acceleration_neu_m_s2)
+            self.tracker.learn(self.velocity, velocity, now_us, streams=streams)
+        if submode is not self.submode:
+            received_us = now_us if self.tracker is None else self.tracker.received_us
+            self._begin(submode)
+            if self.tracker is not None:
+                self.tracker.received_us = received_us
+        if target.place is not None:
+            self.hold(target.place)
+        self.velocity, self.acceleration = velocity, target.acceleration_neu_m_s2
+        self.received_us = now_us
+
+    def lapsed(self, now_us: int) -> bool:
+        """Whether the stream has ended: nothing for GUID_TIMEOUT."""
+        return now_us - self.received_us > self.timeout_us
+
+    def run(self, now_us: int, dt_s: float) -> None:
+        """Let the target run on with its velocity."""
+        submode = self.submode
+        if submode in (Submode.TAKEOFF, Submode.POSITION):
+            return
+        if self.lapsed(now_us):
+            self.velocity = self.acceleration = NOTHING
+            if submode is Submode.ACCELERATION:
+                self.submode = Submode.VELOCITY
+            return
+        north, east, up = self.velocity
+        a_n, a_e, a_u = self.acceleration
+        if submode is Submode.POSITION_VELOCITY:
+            metres_north, metres_east = metres_per_degree(self.latitude_deg)
+            half = 0.5 * dt_s * dt_s
+            self.latitude_deg += (north * dt_s + a_n * half) / metres_north
+            self.longitude_deg += (east * dt_s + a_e * half) / metres_east
+            self.altitude_amsl_m += up * dt_s + a_u * half
+        if submode is not Submode.ACCELERATION:
+            self.velocity = (north + a_n * dt_s, east + a_e * dt_s, up + a_u * dt_s)
+
+    def wanted(self, now_us: int, dt_s: float) -> Vector:
+        """Acceleration north, east and up, in m/s^2."""
+        control, submode = self.control, self.submode
+        if self.tracker is not None:
+            tracking = submode is Submode.POSITION_VELOCITY and not self.lapsed(now_us)
+            if tracking and not self.paused:
+                self._was_tracking = True
+                return self._track(self.tracker, now_us)
+            if self._was_tracking:
+                self._was_tracking = False
+                copter = control.copter
+                control.start_vertical()
+                control.follow(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
+        control.moved(dt_s)
+        if self.paused or submode is Submode.VELOCITY:
+            north, east, up = NOTHING if self.paused else self.velocity
+            a_n, a_e, a_u = NOTHING if self.paused else self.acceleration
+            control.towards_velocity(north, east, a_n, a_e, dt_s)
+            control.towards_climb(up, a_u, dt_s)
+        elif submode is Submode.ACCELERATION:
+            self._accelerate(dt_s)
+        elif submode is Submode.POSITION_VELOCITY:
+            north, east, up = self.velocity
+            a_n, a_e, a_u = self.acceleration
+            control.towards_place(
+                self.latitude_deg,
+                self.longitude_deg,
+                (north, east),
+                (a_n, a_e),
+                control.speed_m_s,
+                dt_s,
+            )
+            control.towards_altitude(self.altitude_amsl_m, up, a_u, dt_s)
+        else:
+            fly_to(control, self.latitude_deg, self.longitude_deg, self.altitude_amsl_m, dt_s)
+        north, east = control.wanted_level(dt_s)
+        return north, east, control.wanted_up()
+
+    def _track(self, tracker: Tracker, now_us: int) -> Vector:
+        control = self.control
+        return tracker.wanted(
+            control.estimate,
+            (self.latitude_deg, self.longitude_deg, self.altitude_amsl_m),
+            self.velocity,
+            self.acceleration,
+            (control.tuning.speed_m_s, control.tuning.speed_up_m_s),
+            now_us,
+        )
+
+    def _accelerate(self, dt_s: float) -> None:
+        control = self.control
+        a_n, a_e, a_u = self.acceleration
+        jerk = control.tuning.jerk_m_s3 * dt_s
+        step_n, step_e = a_n - control.acceleration_north, a_e - control.acceleration_east
+        size = math.hypot(step_n, step_e)
+        share = 1.0 if size <= jerk else jerk / size
+        control.acceleration_north += step_n * share
+        control.acceleration_east += step_e * share
+        control.towards_climb(control.velocity_up, a_u, dt_s)
+
+
+def _submode(target: Target) -> Submode:
+    if target.place is None:
+        return Submode.ACCELERATION if target.velocity_neu_m_s is None else Submode.VELOCITY
+    return Submode.POSITION if target.velocity_neu_m_s is None else Submode.POSITION_VELOCITY
+
+
+def fly_to(
+    control: PositionControl,
+    latitude_deg: float,
+    longitude_deg: float,
+    altitude_amsl_m: float,
+    dt_s: float,
+) -> None:
+    """Steer for a place that does not move: the climb and the way there in proportion."""
+    north_m, east_m = control.distance_m(latitude_deg, longitude_deg)
+    level_m = math.sqrt(north_m * north_m + east_m * east_m)
+    up_m = altitude_amsl_m - control.altitude_amsl_m
+    speed_m_s, most_up = control.speed_m_s, control.speed_up_m_s
+    if up_m < 0.0:
+        most_up = control.speed_down_m_s
+    up_m = abs(up_m)
+    # the slower of the two sets the pace, as kinematic_limit does
+    if level_m * most_up < up_m * speed_m_s:
+        speed_m_s = level_m * most_up / up_m
+    elif level_m > 1e-6:
+        most_up = max(up_m * speed_m_s / level_m, 1e-3)
+    control.towards_place(latitude_deg, longitude_deg, (0.0, 0.0), (0.0, 0.0), speed_m_s, dt_s)
+    up, down = control.speed_up_m_s, control.speed_down_m_s
+    control.speed_up_m_s, control.speed_down_m_s = min(up, most_up), min(down, most_up)
+    control.towards_altitude(altitude_amsl_m, 0.0, 0.0, dt_s)
+    control.speed_up_m_s, control.speed_down_m_s = up, down

@@ -1,0 +1,82 @@
+"""What ArduPlane's GUIDED was told besides a point: speed, height by rate, heading.
+
+All of it is forgotten when the mode changes.  Source: ardupilot.md 7.
+"""
+
+import math
+from typing import final
+
+from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+
+HEADING_GAIN = math.radians(50.0)
+"""Bank for each radian of heading error: GUIDED_P 5000 hundredths of a degree."""
+ERROR_FILTER_S = 1.0 / (math.tau * 5.0)
+_AT_ONCE = 1000.0
+_LATERAL_LEAST_M_S2 = 0.05
+
+
+@final
+class Guided:
+    """GUIDED_CHANGE_SPEED, _ALTITUDE and _HEADING."""
+
+    def __init__(self) -> None:
+        self.holds_heading = False
+        """For ever: there is no time-out."""
+        self.of_course = True
+        """The heading is that of the way over the ground."""
+        self._heading_rad = 0.0
+        self._bank_most_rad = 0.0
+        self._error_rad = 0.0
+        self._airspeed_m_s: float | None = None
+        self._acceleration_m_s2 = _AT_ONCE
+        self._altitude_amsl_m: float | None = None
+        self._rate_m_s = _AT_ONCE
+
+    def forget(self) -> None:
+        """The mode has changed."""
+        self.holds_heading = False
+        self._airspeed_m_s = self._altitude_amsl_m = None
+
+    # --- what it is told ----------------------------------------------------------------------
+
+    def set_speed(self, airspeed_m_s: float, acceleration_m_s2: float) -> None:
+        """GUIDED_CHANGE_SPEED; 0: as fast as it can."""
+        self._airspeed_m_s = airspeed_m_s
+        self._acceleration_m_s2 = abs(acceleration_m_s2) or _AT_ONCE
+
+    def set_altitude(self, altitude_amsl_m: float, rate_m_s: float) -> None:
+        """GUIDED_CHANGE_ALTITUDE; 0: as fast as it can."""
+        self._altitude_amsl_m = altitude_amsl_m
+        self._rate_m_s = abs(rate_m_s) or _AT_ONCE
+
+    def set_heading(self, heading_rad: float, lateral_m_s2: float, *, course: bool) -> None:
+        """GUIDED_CHANGE_HEADING."""
+        if not self.holds_heading:
+            self._error_rad = 0.0
+        self.holds_heading, self.of_course = True, course
+        self._heading_rad = heading_rad
+        self._bank_most_rad = math.atan(max(lateral_m_s2, _LATERAL_LEAST_M_S2) / GRAVITY_M_S2)
+
+    # --- what comes of it -----------------------------------------------------------------------
+
+    def airspeed_m_s(self, before_m_s: float, dt_s: float) -> float | None:
+        """The airspeed to hold now; None: the usual one."""
+        if self._airspeed_m_s is None:
+            return None
+        most = self._acceleration_m_s2 * dt_s
+        return before_m_s + min(max(self._airspeed_m_s - before_m_s, -most), most)
+
+    def altitude_amsl_m(self, present_m: float, dt_s: float) -> float | None:
+        """The height to be at now; based anew on the present one each time, so that it crawls."""
+        if self._altitude_amsl_m is None:
+            return None
+        most_m = self._rate_m_s * dt_s
+        return min(max(self._altitude_amsl_m, present_m - most_m), present_m + most_m)
+
+    def bank_rad(self, actual_rad: float, dt_s: float) -> float:
+        """Proportional to the error, up to the bank of the lateral acceleration given."""
+        error_rad = math.remainder(self._heading_rad - actual_rad, math.tau)
+        change = math.remainder(error_rad - self._error_rad, math.tau)
+        self._error_rad += change * dt_s / (ERROR_FILTER_S + dt_s)
+        bank, most = HEADING_GAIN * self._error_rad, self._bank_most_rad
+        return -most if bank < -most else most if bank > most else bank

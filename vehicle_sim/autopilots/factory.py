@@ -1,0 +1,158 @@
+"""Which personality a world asks for, and the vehicle that it flies."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from vehicle_sim.autopilots import Autopilot
+from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
+from vehicle_sim.autopilots.ardupilot.arduplane import ArduPlane
+from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
+from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
+from vehicle_sim.dynamics.battery import Battery, Model
+from vehicle_sim.dynamics.copter import Copter, Limits
+from vehicle_sim.dynamics.plane import Plane, PlaneLimits
+from vehicle_sim.errors import InputError
+from vehicle_sim.plans import Plans
+from vehicle_sim.sensors import gps
+from vehicle_sim.sensors.gps import Receiver
+from vehicle_sim.world import Vehicle
+
+_COPTER = Limits(
+    speed_m_s=40.0,
+    acceleration_m_s2=30.0,
+    speed_vertical_m_s=10.0,
+    acceleration_vertical_m_s2=5.0,
+)
+"""A simulated quadcopter that has no other limits than its tilt and its drag."""
+_COPTER_DRAG_1_S, _COPTER_DRAG_1_M = 0.340, 0.0193
+"""10.05 m/s at 28.7 degrees of tilt and 15.4 m/s at 45, as in the recorded flights."""
+_STEEPEST_CDEG = 8000.0
+
+
+def make_vehicle(
+    vehicle: Vehicle, latitude_deg: float, longitude_deg: float, ground_amsl_m: float
+) -> Copter | Plane:
+    """The airframe, standing on the ground here."""
+    if vehicle.kind == "plane":
+        return Plane(
+            latitude_deg=latitude_deg,
+            longitude_deg=longitude_deg,
+            altitude_amsl_m=ground_amsl_m,
+            heading_rad=math.radians(vehicle.heading_deg),
+            limits=_plane_limits(vehicle),
+        )
+    copter = Copter(
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        altitude_amsl_m=ground_amsl_m,
+        limits=_copter_limits(vehicle),
+        drag_1_s=_drag_1_s(vehicle),
+        drag_1_m=_COPTER_DRAG_1_M if _only_drag_limits(vehicle) else 0.0,
+    )
+    copter.heading_rad = math.radians(vehicle.heading_deg)
+    return copter
+
+
+def receiver_of(vehicle: Vehicle) -> Receiver:
+    """The GPS receiver of the autopilot's own simulation."""
+    if vehicle.autopilot == "px4":
+        return gps.PX4
+    return gps.ARDUCOPTER if vehicle.kind == "copter" else gps.ARDUPLANE
+
+
+def battery_model(vehicle: Vehicle) -> Model:
+    """The battery of the autopilot's own simulation."""
+    if vehicle.autopilot == "px4":
+        return "px4"
+    return "ardupilot copter" if vehicle.kind == "copter" else "ardupilot plane"
+
+
+def _copter_limits(vehicle: Vehicle) -> Limits:
+    return Limits(
+        speed_m_s=vehicle.speed_max_m_s or _COPTER.speed_m_s,
+        acceleration_m_s2=vehicle.acceleration_max_m_s2 or _COPTER.acceleration_m_s2,
+        speed_vertical_m_s=vehicle.speed_vertical_max_m_s or _COPTER.speed_vertical_m_s,
+        acceleration_vertical_m_s2=vehicle.acceleration_vertical_max_m_s2
+        or _COPTER.acceleration_vertical_m_s2,
+    )
+
+
+def _drag_1_s(vehicle: Vehicle) -> float:
+    """A vehicle whose speed is given is limited by that; any other by its drag."""
+    if vehicle.drag_1_s is not None:
+        return vehicle.drag_1_s
+    return _COPTER_DRAG_1_S if _only_drag_limits(vehicle) else 0.0
+
+
+def _only_drag_limits(vehicle: Vehicle) -> bool:
+    """An ArduPilot as its own simulation has it; PX4 brings its drag as a parameter (SIH_KDV)."""
+    given = vehicle.speed_max_m_s is not None or vehicle.drag_1_s is not None
+    return vehicle.autopilot == "ardupilot" and not given
+
+
+def _plane_limits(vehicle: Vehicle) -> PlaneLimits:
+    usual = PlaneLimits() if vehicle.autopilot == "ardupilot" else SIH_AIRPLANE
+    bank_deg = vehicle.bank_max_deg
+    limits = dataclasses.replace(
+        usual,
+        airspeed_min_m_s=vehicle.airspeed_min_m_s or usual.airspeed_min_m_s,
+        airspeed_max_m_s=vehicle.airspeed_max_m_s or usual.airspeed_max_m_s,
+        bank_max_rad=usual.bank_max_rad if bank_deg is None else math.radians(bank_deg),
+        climb_max_m_s=vehicle.climb_max_m_s or usual.climb_max_m_s,
+        sink_max_m_s=vehicle.sink_max_m_s or usual.sink_max_m_s,
+    )
+    if limits.airspeed_min_m_s >= limits.airspeed_max_m_s:
+        value, most = limits.airspeed_min_m_s, limits.airspeed_max_m_s
+        rule = f"must be less than airspeed_max_m_s, which is {most:g}"
+        raise InputError("vehicle.airspeed_min_m_s", value, rule, "Give both.")
+    return limits
+
+
+def overrides_of(vehicle: Vehicle) -> dict[str, float]:
+    """The parameters of the world file, and those that follow from the limits that it gives.
+
+    An ArduCopter's climb, descent and tilt follow the vehicle's limits and not its own defaults: a
+    vehicle for 3 km of height would otherwise climb for twenty minutes.  PX4 has the drag of its
+    simulated quadcopter as a parameter.
+    """
+    name = "MAV_SYSID" if vehicle.autopilot == "ardupilot" else "MAV_SYS_ID"
+    overrides: dict[str, float] = {name: vehicle.system_id}
+    if vehicle.kind == "copter" and vehicle.autopilot == "ardupilot":
+        vertical_m_s = vehicle.speed_vertical_max_m_s
+        if vertical_m_s is not None:
+            overrides |= dict.fromkeys(("WPNAV_SPEED_UP", "WPNAV_SPEED_DN"), vertical_m_s * 100.0)
+        if vehicle.acceleration_max_m_s2 is not None:
+            overrides["ANGLE_MAX"] = _STEEPEST_CDEG
+        if vehicle.acceleration_vertical_max_m_s2 is not None:
+            overrides["WPNAV_ACCEL_Z"] = vehicle.acceleration_vertical_max_m_s2 * 100.0
+    if vehicle.kind == "copter" and vehicle.autopilot == "px4":
+        given = vehicle.drag_1_s is not None or vehicle.speed_max_m_s is not None
+        if given:
+            overrides["SIH_KDV"] = _drag_1_s(vehicle)
+    return overrides | vehicle.parameters
+
+
+def make_autopilot(
+    vehicle: Vehicle,
+    airframe: Copter | Plane,
+    overrides: Mapping[str, float],
+    plans: Plans,
+    battery: Battery,
+    *,
+    hardware_id: int,
+    rng: np.random.Generator,
+) -> Autopilot:
+    """The personality, just booting.  InputError names a parameter that it does not have."""
+    autopilot: ArduPlane | Px4FixedWing | ArduCopter | Px4Multicopter
+    is_px4 = vehicle.autopilot == "px4"
+    if isinstance(airframe, Plane):
+        plane = Px4FixedWing if is_px4 else ArduPlane
+        autopilot = plane(airframe, overrides, plans, hardware_id=hardware_id, rng=rng)
+    else:
+        copter = Px4Multicopter if is_px4 else ArduCopter
+        autopilot = copter(airframe, overrides, plans, hardware_id=hardware_id, rng=rng)
+    autopilot.battery = battery
+    return autopilot

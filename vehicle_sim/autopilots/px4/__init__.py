@@ -1,0 +1,4 @@
+"""PX4 1.17 as measured: multicopter.py, fixed_wing.py, and what they share.
+
+For both: firmware.py over commander.py, ekf2.py, failsafe.py, mission.py, fence.py.
+"""

@@ -1,0 +1,486 @@
+"""The commander of a simulated PX4: modes, arming, arming checks, failsafes.
+
+What px4.md 3 and 6 to 8 and the recorded flights say; what flies the modes is elsewhere.
+"""
+
+import abc
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from vehicle_sim.autopilots import (
+    Event,
+    Landed,
+    Place,
+    Reply,
+    Result,
+    Send,
+    State,
+    Style,
+)
+from vehicle_sim.autopilots.px4 import health
+from vehicle_sim.autopilots.px4.diary import Diary
+from vehicle_sim.autopilots.px4.ekf2 import Ekf2
+from vehicle_sim.autopilots.px4.failsafe import (
+    FENCE,
+    LINK_LOSS,
+    MODES,
+    OFFBOARD_LOSS,
+    Action,
+    Cause,
+    Incidents,
+    battery_action,
+    can_run,
+    instead_of,
+)
+from vehicle_sim.autopilots.px4.fence import Fence
+from vehicle_sim.autopilots.px4.gimbal import Gimbal
+from vehicle_sim.autopilots.px4.health import text
+from vehicle_sim.autopilots.px4.mission import Mission
+from vehicle_sim.autopilots.px4.modes import (
+    CUSTOM_MODES,
+    MANUAL_MODES,
+    Mode,
+)
+from vehicle_sim.autopilots.px4.pilot import Pilot
+from vehicle_sim.autopilots.px4.projection import Projection
+from vehicle_sim.autopilots.px4.setpoints import (
+    Target,
+    Vector,
+)
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.dynamics.battery import Battery
+from vehicle_sim.parameters import Parameter, Parameters
+from vehicle_sim.plans import Plans
+
+ARMABLE_US: Final = 3_500_000
+"""Boot to the first time that it can be armed: heartbeat 0 at 2.6 s, 3 at 3.6 s of the log."""
+LANDED_US: Final = 1_800_000
+"""Contact to "landing detected": 54.6 to 56.4 s of px4-offboard-short.tlog."""
+_CHECK_PHASE_US: Final = 60_000
+"""The checks run ten times a second: events at x.06 s in the logs."""
+_FIRST_REPORT_US: Final = 2_060_000
+"""The arming checks are told for the first time."""
+_STILL_US: Final = 2_000_000
+"""Disarmed to the estimator's constant-position mode."""
+_LOW_M: Final = 1.2
+"""Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
+
+
+class Commander(abc.ABC):
+    """Which mode is wanted and which is flown, and whether the motors may turn.
+
+    A kind of vehicle implements _begin, and calls _took_off() once in the air and _contact() on
+    the ground.
+    """
+
+    learns = False
+    """Calibrates its accelerometer in flight."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        parameters: Mapping[str, float],
+        plans: Plans,
+        *,
+        table: tuple[Parameter, ...],
+        style: Style,
+        hardware_id: int,
+        rng: np.random.Generator,
+        airspeed_sensor: bool = False,
+    ) -> None:
+        self.vehicle = vehicle
+        self.parameters = Parameters(table, parameters)
+        self.plans = plans
+        self.style = style
+        self.hardware_id = hardware_id
+        self.rng = rng
+        self.ekf = Ekf2(vehicle, rng)
+        self.estimate = self.ekf.estimate
+        self.battery = Battery()
+        """The simulation may put its own here: the battery failsafe reads it."""
+        self.mode = self.intended = Mode.LOITER
+        """The mode that is flown, and the one that is wanted."""
+        self.action = Action.NONE
+        self.armed = False
+        self.landed = True
+        self.now_us = 0
+        self.ground_amsl_m = vehicle.altitude_amsl_m
+        self.origin: Place | None = None
+        self.home: Place | None = None
+        self.projection = Projection(vehicle.latitude_deg, vehicle.longitude_deg)
+        self.local_m: Vector = (0.0, 0.0, 0.0)
+        """The estimate in the local frame: north, east, down."""
+        self.target: Target | None = None
+        """The newest setpoint that OFFBOARD flies; None: none since OFFBOARD was entered."""
+        self.takeoff_place: tuple[float, float, float] | None = None
+        """NAV_TAKEOFF's latitude, longitude (NaN: not given) and altitude AMSL."""
+        self.reposition: tuple[float, float, float, float] | None = None
+        """DO_REPOSITION's latitude, longitude, altitude AMSL and yaw in radians; NaN: keep."""
+        self.land_place: tuple[float, float] | None = None
+        """NAV_LAND's latitude and longitude."""
+        self.speed_m_s: float | None = None
+        """DO_CHANGE_SPEED, in AUTO modes."""
+        self.mission = Mission(self)
+        self.fence = Fence(plans)
+        self.pilot = Pilot()
+        self.gimbal = Gimbal()
+        self.offboard_signal = False
+        """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
+        self._checks = health.Checks(airspeed=airspeed_sensor)
+        self._diary = Diary(self.parameters, rng)
+        self._at_boot()
+
+    def _at_boot(self) -> None:
+        """What the commander remembers from one check to the next."""
+        self._incidents = Incidents()
+        self._signal_us: int | None = None
+        self._after_disarming = Mode.LOITER
+        self._armed_us = 0
+        self._flown = False
+        self._contact_us: int | None = None
+        self._landed_us: int | None = None
+        self._fusing = False
+        self._pending: list[Reply] = []
+        self._said: list[Reply] = []
+        self._select_due = False
+        self._still, self._low = True, False
+        self._disarmed_us = -_STILL_US
+        self._attitude_rad = (0.0, 0.0, self.vehicle.heading_rad)
+        self._turning_rad, self._turning_s = (0.0, 0.0, 0.0), 0.01
+        self._next_check_us = _CHECK_PHASE_US
+
+    @abc.abstractmethod
+    def _above_ground_m(self) -> float | None:
+        """What a distance sensor says."""
+
+    @abc.abstractmethod
+    def _begin(self, mode: Mode, before: Mode) -> None:
+        """The flown mode has changed (also: was armed in it; also: the same one, commanded)."""
+
+    # --- what it tells them -------------------------------------------------------------------
+
+    def say(self, *replies: Reply) -> None:
+        """Send these at the end of the step."""
+        self._said.extend(replies)
+
+    def _took_off(self) -> None:
+        """The land detector sees it in the air."""
+        if self.landed:
+            self.landed = False
+            self._flown = True
+            self._contact_us = self._landed_us = None
+            self.say(
+                Event(number=health.TAKEOFF_DETECTED, log_levels=health.INFO),
+                text(6, "Takeoff detected"),
+            )
+
+    def _contact(self, *, pressed: bool) -> None:
+        """Stands on the ground, and does not want up (pressed) or does."""
+        if self.landed or not pressed:
+            self._contact_us = None
+            return
+        if self._contact_us is None:
+            self._contact_us = self.now_us
+        elif self.now_us - self._contact_us >= LANDED_US:
+            self.landed = True
+            self._landed_us = self.now_us
+            self.say(
+                Event(number=health.LANDING_DETECTED, log_levels=health.INFO),
+                text(6, "Landing detected"),
+            )
+
+    def finish_takeoff(self) -> None:
+        """The take-off has reached its height: Hold (COM_TAKEOFF_ACT 0)."""
+        self._intend(Mode.LOITER)
+
+    # --- checks -------------------------------------------------------------------------------
+
+    def _check(self) -> None:
+        """Ten times a second: arming checks, incidents; what follows is done in the next step."""
+        now_us, parameters, estimate = self.now_us, self.parameters, self.estimate
+        self._said += self._diary.due(now_us)
+        if self.pilot.misses_companion(now_us, parameters["COM_OBC_LOSS_T"]):
+            self.say(text(2, "Connection to mission computer lost"))
+        self._checks.logs_always = self._diary.logs_always
+        self._still = not self.armed and now_us - self._disarmed_us >= _STILL_US
+        above_m = self._above_ground_m()
+        near = above_m is not None and above_m < _LOW_M
+        self._low = near and not self.landed and self.mode is not Mode.TAKEOFF
+        self.ekf.lag_s = parameters["EKF2_GPS_DELAY"] * 1e-3
+        signal_us = self._signal_us
+        lost_us = parameters["COM_OF_LOSS_T"] * 1e6
+        self.offboard_signal = signal_us is not None and now_us - signal_us <= lost_us
+        if self.ekf.fusing != self._fusing:
+            self._tell_fusion()
+        if now_us >= _FIRST_REPORT_US:
+            armable = estimate.position_ok and now_us >= ARMABLE_US
+            events = self._checks.report(
+                now_us,
+                position_ok=armable,
+                offboard_signal=self.offboard_signal,
+                fusing=self._fusing,
+            )
+            self._said.extend(events)
+        if self.armed:
+            self._watch_pilot()
+            self._watch_fence()
+            self._watch_battery()
+        self._select_due = True
+
+    def _tell_fusion(self) -> None:
+        self._fusing = self.ekf.fusing
+        if not self._flown:
+            return
+        number = health.FUSION_STARTED if self._fusing else health.FUSION_STOPPED
+        words = "started" if self._fusing else "stopped"
+        self.say(
+            Event(number=number, log_levels=health.INFO),
+            text(6, f"GNSS data fusion {words}"),
+        )
+
+    def _watch_pilot(self) -> None:
+        """Manual control, if there was any at arming; ground station, if NAV_DLL_ACT says so."""
+        now_us, parameters, pilot = self.now_us, self.parameters, self.pilot
+        action = Action.NONE
+        loss_s = parameters["COM_RC_LOSS_T"]
+        if pilot.at_arming and not pilot.present(now_us, loss_s) and not self._excepted():
+            silent_s = (now_us - (pilot.heard_us or 0)) * 1e-6 - loss_s
+            action = LINK_LOSS.get(int(parameters["NAV_RCL_ACT"]), Action.NONE)
+            if silent_s < parameters["COM_FAIL_ACT_T"] and action > Action.HOLD:
+                action = Action.HOLD
+        self._incidents.note(Cause.PILOT_LOST, action)
+        chosen = LINK_LOSS.get(int(parameters["NAV_DLL_ACT"]), Action.NONE)
+        lost = pilot.ground_station_lost(now_us, parameters["COM_DL_LOSS_T"])
+        self._incidents.note(Cause.GROUND_STATION_LOST, chosen if lost else Action.NONE)
+
+    def _excepted(self) -> bool:
+        """COM_RCL_EXCEPT: modes that do without manual control."""
+        bit = {Mode.MISSION: 1, Mode.LOITER: 2, Mode.OFFBOARD: 4}.get(self.intended, 0)
+        return bool(int(self.parameters["COM_RCL_EXCEPT"]) & bit)
+
+    def _watch_fence(self) -> None:
+        home, parameters = self.home, self.parameters
+        if home is None or not self.estimate.position_ok:
+            return
+        north_m, east_m, _ = self.local_m
+        home_n, home_e = self.projection.to_local(home.latitude_deg, home.longitude_deg)
+        away_m = math.hypot(north_m - home_n, east_m - home_e)
+        breached = self.fence.check(
+            self.projection,
+            north_m,
+            east_m,
+            home=(away_m, self.estimate.altitude_amsl_m - home.altitude_amsl_m),
+            limits=(parameters["GF_MAX_HOR_DIST"], parameters["GF_MAX_VER_DIST"]),
+        )
+        action = FENCE.get(int(parameters["GF_ACTION"]), Action.WARN) if breached else Action.NONE
+        if self._incidents.note(Cause.FENCE, action):
+            self.say(text(4, "Geofence: approaching or outside geofence"))
+
+    def _watch_battery(self) -> None:
+        parameters = self.parameters
+        thresholds = (parameters["BAT_CRIT_THR"], parameters["BAT_EMERGEN_THR"])
+        choice = int(parameters["COM_LOW_BAT_ACT"])
+        action = battery_action(self.battery.remaining, thresholds, choice)
+        if self._incidents.note(Cause.BATTERY, action):
+            self.say(text(2, "Critical battery level, land now"))
+
+    def _select(self) -> None:
+        """Which mode is flown now."""
+        intended, position_ok = self.intended, self.estimate.position_ok
+        action = Action.NONE
+        if self.armed:
+            action = instead_of(
+                intended,
+                self._incidents.worst(),
+                offboard_loss=OFFBOARD_LOSS.get(
+                    int(self.parameters["COM_OBL_RC_ACT"]), Action.POSITION
+                ),
+                offboard_signal=self.offboard_signal,
+                position_ok=position_ok,
+                precise=self.ekf.precise(self.now_us),
+            )
+        if action is not self.action:
+            worse = action > self.action
+            self.action = action
+            if worse and action > Action.WARN:
+                self._tell_failsafe(action)
+        if action in (Action.DISARM, Action.TERMINATE):
+            self.disarm(health.DISARMED_BY_COMMAND)
+            return
+        mode = MODES.get(action, intended)
+        if mode is not self.mode:
+            self._change(mode)
+
+    def _tell_failsafe(self, action: Action) -> None:
+        arguments = CUSTOM_MODES[self.intended].to_bytes(4, "little") + bytes((action,))
+        number = health.DISENGAGED if action is Action.DESCEND else health.FAILSAFE
+        self.say(
+            Event(number=number, log_levels=health.CRITICAL, arguments=arguments),
+            text(2, "Failsafe activated"),
+        )
+        by_hand = MODES.get(action) in MANUAL_MODES
+        if by_hand and not self.pilot.present(self.now_us, self.parameters["COM_RC_LOSS_T"]):
+            self.say(text(4, "Matching flight task was not able to run"))
+
+    # --- modes and arming ---------------------------------------------------------------------
+
+    def _change(self, mode: Mode) -> None:
+        """Fly this from now on."""
+        before, self.mode = self.mode, mode
+        if mode is Mode.OFFBOARD and before is not Mode.OFFBOARD:
+            self.target = None
+        if not self.landed and mode is Mode.LAND:
+            self.gimbal.straighten(self.now_us)
+        if before is Mode.MISSION:
+            self.mission.pause()
+        if mode is Mode.MISSION:
+            self.mission.begin()
+        self._begin(mode, before)
+
+    def _intend(self, mode: Mode) -> None:
+        """Want this mode from now on; if nothing forbids it, it is flown at once."""
+        self.intended = mode
+        self._incidents.forgive()
+        if mode not in (Mode.LAND, Mode.RTL, Mode.TAKEOFF):
+            self._after_disarming = mode
+        if mode is self.mode:
+            self._begin(mode, mode)
+        self._select()
+
+    def command_mode(
+        self,
+        mode: Mode,
+        *,
+        takeoff: tuple[float, float, float] | None = None,
+        reposition: tuple[float, float, float, float] | None = None,
+        land: tuple[float, float] | None = None,
+    ) -> Result:
+        """Somebody wants this mode.  On the ground, disarmed, every mode is accepted."""
+        if self.armed and not self._can_run(mode):
+            return Result.TEMPORARILY_REJECTED
+        self.takeoff_place, self.reposition, self.land_place = takeoff, reposition, land
+        self._intend(mode)
+        return Result.ACCEPTED
+
+    def _can_run(self, mode: Mode) -> bool:
+        """Whether it has what the mode needs."""
+        precise = self.ekf.precise(self.now_us)
+        return can_run(mode, position_ok=precise, offboard_ok=self.offboard_signal and precise)
+
+    def _can_arm(self, position_ok: bool, signal: bool) -> bool:
+        """Whether the mode now flown can be armed in."""
+        if self.mode in MANUAL_MODES:
+            return self.pilot.present(self.now_us, self.parameters["COM_RC_LOSS_T"])
+        if self.mode is Mode.MISSION and not self.mission.items:
+            return False
+        return self.mode is Mode.DESCEND or (
+            position_ok and (signal or self.mode is not Mode.OFFBOARD)
+        )
+
+    @property
+    def armable(self) -> bool:
+        """Whether it could be armed now."""
+        return self.now_us >= ARMABLE_US and self._can_arm(
+            self.estimate.position_ok, self.offboard_signal
+        )
+
+    def arm(self, *, forced: bool) -> Result:
+        """Start the motors, or say why not."""
+        if self.armed:
+            return Result.ACCEPTED
+        if not forced and not self.armable:
+            self.say(text(2, "Arming denied: Resolve system health failures first"))
+            return Result.TEMPORARILY_REJECTED
+        now_us = self.now_us
+        self.armed = True
+        self._still = False
+        self._armed_us, self._landed_us, self._contact_us = now_us, None, None
+        if self.estimate.position_ok:
+            self.set_home(self.estimate.place)
+        self.pilot.at_arming = self.pilot.present(now_us, self.parameters["COM_RC_LOSS_T"])
+        arguments = bytes((health.ARMED_BY_COMMAND,))
+        self.say(
+            Event(number=health.ARMED, log_levels=health.INFO, arguments=arguments),
+            text(6, "Armed by external command"),
+        )
+        self._said += self._diary.arm(now_us)
+        self._begin(self.mode, self.mode)
+        return Result.ACCEPTED
+
+    def disarm(self, reason: int) -> None:
+        """Stop the motors.  The mode returns to the one last commanded for flight."""
+        if not self.armed:
+            return
+        self.armed = False
+        self._disarmed_us = self.now_us
+        if reason == health.DISARMED_BY_LANDING:
+            calm = self.learns and self.ekf.resets == 0
+            self._said += self._diary.book(self.now_us - self._armed_us, calm=calm)
+        self.landed = self.landed or self._contact_us is not None
+        self._incidents.forget()
+        self.intended = self._after_disarming
+        self.say(
+            Event(number=health.DISARMED, log_levels=health.INFO, arguments=bytes((reason,))),
+            text(6, f"Disarmed by {health.REASONS.get(reason, 'landing')}"),
+        )
+        self.action = Action.NONE
+        if self.intended is not self.mode:
+            self._change(self.intended)
+
+    def _disarm_by_itself(self) -> None:
+        """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
+        now_us = self.now_us
+        if self._landed_us is not None:
+            wait_s = self.parameters["COM_DISARM_LAND"]
+            if wait_s > 0.0 and now_us - self._landed_us >= wait_s * 1e6:
+                self.disarm(health.DISARMED_BY_LANDING)
+        elif self.landed:
+            wait_s = self.parameters["COM_DISARM_PRFLT"]
+            if wait_s > 0.0 and now_us - self._armed_us >= wait_s * 1e6:
+                self.disarm(health.DISARMED_UNFLOWN)
+
+    def _overrides(self) -> bool:
+        """COM_RC_OVERRIDE: 1 the sticks take over from AUTO modes, 2 from OFFBOARD."""
+        if not self.armed or self.mode in MANUAL_MODES:
+            return False
+        bit = 2 if self.mode is Mode.OFFBOARD else 1
+        if not int(self.parameters["COM_RC_OVERRIDE"]) & bit:
+            return False
+        return self.pilot.moves(self.parameters["COM_RC_STICK_OV"] * 0.01)
+
+    def _system_status(self) -> int:
+        if self.armed:
+            return State.CRITICAL if self.action > Action.WARN else State.ACTIVE
+        return State.STANDBY if self.armable else State.UNINIT
+
+    def _landed_state(self) -> int:
+        if self.landed:
+            return Landed.ON_GROUND
+        if self.mode is Mode.TAKEOFF:
+            return Landed.TAKEOFF
+        return Landed.LANDING if self.mode is Mode.LAND else Landed.IN_AIR
+
+    # --- boot ---------------------------------------------------------------------------------
+
+    @property
+    def _reference(self) -> Place:
+        """The origin, or where it is before there is one."""
+        return self.origin or self.estimate.place
+
+    def _find_origin(self) -> None:
+        """With the first GPS that is fused: origin and home, and the origin is told once."""
+        if self.estimate.position_ok:
+            self._set_origin(self.estimate.place)
+            self.set_home(self.estimate.place)
+
+    def _set_origin(self, place: Place) -> None:
+        self.origin = place
+        self.projection = Projection(place.latitude_deg, place.longitude_deg)
+        self.say(Send(message=49))
+
+    def set_home(self, place: Place) -> None:
+        """Home is here."""
+        self.home = place

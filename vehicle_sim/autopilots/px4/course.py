@@ -1,0 +1,329 @@
+"""What a fixed wing of PX4 flies at the moment, and the commands that fly it.
+
+Modes put in where to go (Course.loiter, follow, aim_at, ...) and how high; Course.steer turns that
+into a bank, a climb and an airspeed, by the guidance (guidance.py) and the energy control
+(energy.py).  What it knows of itself is the estimate, its heading and its airspeed.
+"""
+
+import enum
+import math
+from typing import NamedTuple, final
+
+from vehicle_sim.autopilots import Estimate
+from vehicle_sim.autopilots.px4 import guidance
+from vehicle_sim.autopilots.px4.energy import Energy, true_airspeed_m_s
+from vehicle_sim.autopilots.px4.setpoints import Vector
+from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.parameters import Parameters
+
+_WIND_S = 5.0
+"""Time constant of the wind estimate."""
+_LEVEL_THROTTLE_S_M, _CLIMB_THROTTLE_S_M = 0.0875, 0.1
+"""Throttle for each m/s of airspeed and of climb: 86 % at 12.3 m/s, 100 % at 13.9, 64 % at 10.7
+and 0.85 m/s of sink (px4-fixedwing-offboard.tlog)."""
+_ON_CIRCLE_M = 15.0
+
+
+@final
+class Limits(NamedTuple):
+    """Parameters, in SI units and within sense."""
+
+    gains: guidance.Gains
+    bank_most_rad: float
+    bank_rate_rad_s: float
+    altitude_response_s: float
+    climb_most_m_s: float
+    sink_most_m_s: float
+    altitude_reached_m: float
+
+    @classmethod
+    def of(cls, parameters: Parameters) -> "Limits":
+        """As they are set now."""
+        rate = parameters["FW_PN_R_SLEW_MAX"]
+        return cls(
+            gains=guidance.gains_of(
+                parameters["NPFG_PERIOD"],
+                parameters["NPFG_DAMPING"],
+                parameters["NPFG_ROLL_TC"] if parameters["NPFG_LB_PERIOD"] else 0.0,
+            ),
+            bank_most_rad=math.radians(parameters["FW_R_LIM"]),
+            bank_rate_rad_s=math.radians(rate) if rate > 0.0 else math.inf,
+            altitude_response_s=parameters["FW_T_ALT_TC"],
+            climb_most_m_s=min(parameters["FW_T_CLMB_R_SP"], parameters["FW_T_CLMB_MAX"]),
+            sink_most_m_s=min(parameters["FW_T_SINK_R_SP"], parameters["FW_T_SINK_MAX"]),
+            altitude_reached_m=parameters["NAV_FW_ALT_RAD"],
+        )
+
+
+class _Kind(enum.Enum):
+    STAY = enum.auto()
+    BLIND = enum.auto()
+    LINE = enum.auto()
+    CIRCLE = enum.auto()
+    POINT = enum.auto()
+    LEG = enum.auto()
+    PATH = enum.auto()
+
+
+@final
+class Course:
+    """Where to, how high, how fast; and the commands of the moment.  Mutable."""
+
+    __slots__ = (
+        "_a",
+        "_altitude_m",
+        "_at_once",
+        "_b",
+        "_bank_wanted_rad",
+        "_energy",
+        "_kind",
+        "_plane",
+        "_settling",
+        "_wind_east_m_s",
+        "_wind_north_m_s",
+        "airspeed_m_s",
+        "bank_most_rad",
+        "bank_rad",
+        "climb_rate_m_s",
+        "curvature_1_m",
+        "landing",
+        "limits",
+        "nearest",
+        "radius_m",
+        "throttle",
+    )
+
+    def __init__(self, plane: Plane, limits: Limits) -> None:
+        self._plane = plane
+        self.limits = limits
+        self._energy = Energy()
+        self._kind = _Kind.STAY
+        self._a = self._b = (0.0, 0.0)
+        """Centre, target or end of the leg; tangent, direction or start of the leg."""
+        self._altitude_m = 0.0
+        self._bank_wanted_rad = 0.0
+        self._settling = False
+        """At its point but not at its height: circles until it is."""
+        self._wind_north_m_s = self._wind_east_m_s = 0.0
+        self._at_once = False
+        self.climb_rate_m_s = math.nan
+        """What to climb; NaN: what leads to the altitude."""
+        self.curvature_1_m = 0.0
+        self.radius_m = 80.0
+        self.airspeed_m_s = 0.0
+        """True airspeed to aim at."""
+        self.bank_most_rad = math.pi
+        """Near the ground."""
+        self.bank_rad = 0.0
+        self.throttle = 0.0
+        self.nearest = (0.0, 0.0)
+        """Of the path, in the local frame."""
+        self.landing = False
+
+    # --- where to -----------------------------------------------------------------------------
+
+    def stay(self) -> None:
+        """Keep the last commands."""
+        self._kind = _Kind.STAY
+
+    def circle_blindly(self, bank_rad: float) -> None:
+        """At this bank, wherever that leads."""
+        self._kind, self._bank_wanted_rad = _Kind.BLIND, bank_rad
+
+    def bank_by_hand(self, share: float) -> None:
+        """A share of FW_R_LIM, from -1 to 1."""
+        self.circle_blindly(min(max(share, -1.0), 1.0) * self.limits.bank_most_rad)
+
+    def straight(self, from_m: Vector, way_rad: float) -> None:
+        """Along the line through a point."""
+        self._kind = _Kind.LINE
+        self._a, self._b = (from_m[0], from_m[1]), (math.cos(way_rad), math.sin(way_rad))
+
+    def loiter(self, north_m: float, east_m: float, radius_m: float) -> None:
+        """About a place; a negative radius: to the left."""
+        self._kind, self.landing = _Kind.CIRCLE, False
+        self._a, self.radius_m = (north_m, east_m), radius_m
+
+    def aim_at(self, north_m: float, east_m: float, radius_m: float) -> None:
+        """Straight at a point; about it if there but not at its height."""
+        if self._kind is not _Kind.POINT:
+            self._settling = False
+        self._kind = _Kind.POINT
+        self._a, self.radius_m = (north_m, east_m), radius_m
+
+    def fly_leg(
+        self,
+        start_north_m: float,
+        start_east_m: float,
+        north_m: float,
+        east_m: float,
+        radius_m: float,
+    ) -> None:
+        """From one waypoint to the next; about that if there but not at its height."""
+        self._kind, self._settling = _Kind.LEG, False
+        self._a, self._b = (north_m, east_m), (start_north_m, start_east_m)
+        self.radius_m = radius_m
+
+    def follow(
+        self, north_m: float, east_m: float, v_north: float, v_east: float, curvature_1_m: float
+    ) -> None:
+        """A path: a point of it, its tangent there and its curvature."""
+        self._kind = _Kind.PATH
+        self._a, self._b, self.curvature_1_m = (north_m, east_m), (v_north, v_east), curvature_1_m
+
+    # --- how high -----------------------------------------------------------------------------
+
+    def hold_altitude(self, altitude_amsl_m: float) -> None:
+        """Climb or sink to this height."""
+        self._altitude_m, self.climb_rate_m_s = altitude_amsl_m, math.nan
+        self._at_once = False
+
+    def climb(self, rate_m_s: float) -> None:
+        """At this rate, whatever the height; negative: sink."""
+        self.climb_rate_m_s, self._at_once = rate_m_s, False
+
+    def climb_out(self, rate_m_s: float) -> None:
+        """At this rate and full throttle after take-off, or without any in the flare."""
+        self.climb_rate_m_s, self._at_once = rate_m_s, True
+
+    # --- what of it is told -------------------------------------------------------------------
+
+    @property
+    def circling(self) -> bool:
+        """It flies about a place."""
+        return self._kind is _Kind.CIRCLE
+
+    @property
+    def blind(self) -> bool:
+        """It flies a bank and no path."""
+        return self._kind is _Kind.BLIND
+
+    @property
+    def holds_altitude(self) -> bool:
+        """And not a climb rate."""
+        return self.climb_rate_m_s != self.climb_rate_m_s
+
+    @property
+    def told_altitude_m(self) -> float:
+        """The navigator's altitude; 0 in a landing, as recorded."""
+        return self._altitude_m if self.holds_altitude or not self.circling else 0.0
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Of the circle, or the place to fly to."""
+        return self._a
+
+    @property
+    def climb_m_s(self) -> float:
+        """To command."""
+        return self._energy.climb_m_s
+
+    @property
+    def commanded_m_s(self) -> float:
+        """Airspeed to command."""
+        return self._energy.airspeed_m_s
+
+    def distance_m(self, local_m: Vector) -> float:
+        """To the place."""
+        return math.hypot(self._a[0] - local_m[0], self._a[1] - local_m[1])
+
+    def on_circle(self, local_m: Vector) -> bool:
+        """It circles, and is where the circle is."""
+        off_m = abs(self.distance_m(local_m) - abs(self.radius_m))
+        return self.circling and off_m < _ON_CIRCLE_M
+
+    def switch_m(self, estimate: Estimate) -> float:
+        """Distance at which a waypoint is reached."""
+        return self.limits.gains.switch_m(
+            math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
+        )
+
+    @staticmethod
+    def true_airspeed_m_s(equivalent_m_s: float, altitude_amsl_m: float) -> float:
+        """What an airspeed parameter means up here."""
+        return true_airspeed_m_s(equivalent_m_s, altitude_amsl_m)
+
+    # --- commands -----------------------------------------------------------------------------
+
+    def start(self, airspeed_m_s: float) -> None:
+        """It has left the ground at this airspeed."""
+        self._energy.airspeed_m_s = airspeed_m_s
+        self.bank_rad = self._bank_wanted_rad = 0.0
+        self._wind_north_m_s = self._wind_east_m_s = 0.0
+
+    def steer(self, local_m: Vector, estimate: Estimate, dt_s: float) -> None:
+        """New commands."""
+        plane, limits = self._plane, self.limits
+        airspeed = max(plane.airspeed_m_s, 1.0)
+        heading_n, heading_e = math.cos(plane.heading_rad), math.sin(plane.heading_rad)
+        v_n, v_e = estimate.velocity_north_m_s, estimate.velocity_east_m_s
+        share = dt_s / _WIND_S
+        self._wind_north_m_s += (v_n - airspeed * heading_n - self._wind_north_m_s) * share
+        self._wind_east_m_s += (v_e - airspeed * heading_e - self._wind_east_m_s) * share
+        wind_n, wind_e = self._wind_north_m_s, self._wind_east_m_s
+
+        path = self._path(local_m, v_n, v_e, estimate.altitude_amsl_m)
+        if path is not None:
+            self.nearest = (path.north_m, path.east_m)
+            course_n, course_e, lateral = guidance.bearing(
+                path, local_m[0], local_m[1], v_n, v_e, wind_n, wind_e, limits.gains
+            )
+            nose_n, nose_e = guidance.heading_for(course_n, course_e, wind_n, wind_e, airspeed)
+            gain = limits.gains.turn_1_s
+            lateral += guidance.turn_m_s2(heading_n, heading_e, nose_n, nose_e, airspeed, gain)
+            self._bank_wanted_rad = guidance.bank_rad(lateral, limits.bank_most_rad)
+        most = self.bank_most_rad
+        wanted = min(max(self._bank_wanted_rad, -most), most)
+        step = limits.bank_rate_rad_s * dt_s
+        self.bank_rad += min(max(wanted - self.bank_rad, -step), step)
+        if self._kind is not _Kind.STAY:
+            self._balance(estimate.altitude_amsl_m, airspeed, dt_s)
+
+    def _balance(self, altitude_m: float, airspeed: float, dt_s: float) -> None:
+        """Climb, airspeed and throttle."""
+        energy, limits, airframe = self._energy, self.limits, self._plane.limits
+        level_m_s = airframe.airspeed_max_m_s
+        if self.climb_rate_m_s == self.climb_rate_m_s:
+            energy.climb_m_s = self.climb_rate_m_s
+        else:
+            energy.climb_to(
+                self._altitude_m,
+                altitude_m,
+                wanted_m_s=self.airspeed_m_s,
+                airspeed_m_s=airspeed,
+                response_s=limits.altitude_response_s,
+                climb_most_m_s=min(limits.climb_most_m_s, airframe.climb_max_m_s),
+                sink_most_m_s=limits.sink_most_m_s,
+            )
+        energy.speed_up(self.airspeed_m_s, level_m_s, airspeed, dt_s, at_once=self._at_once)
+        effort = (airspeed - level_m_s) * _LEVEL_THROTTLE_S_M
+        effort += 1.0 + energy.climb_m_s * _CLIMB_THROTTLE_S_M
+        self.throttle = min(max(effort, 0.0), 1.0)
+
+    def _path(
+        self, local_m: Vector, v_n: float, v_e: float, altitude_m: float
+    ) -> guidance.Path | None:
+        """The path at this place; None: keep the bank."""
+        kind, north_m, east_m = self._kind, local_m[0], local_m[1]
+        (a_n, a_e), (b_n, b_e) = self._a, self._b
+        if kind is _Kind.PATH:
+            return guidance.along(a_n, a_e, b_n, b_e, self.curvature_1_m)
+        if kind is _Kind.LINE:
+            return guidance.line(north_m, east_m, a_n, a_e, b_n, b_e)
+        if kind in (_Kind.STAY, _Kind.BLIND):
+            return None
+        if kind is not _Kind.CIRCLE and not self._settles(local_m, v_n, v_e, altitude_m):
+            if kind is _Kind.POINT:
+                return guidance.towards(north_m, east_m, a_n, a_e)
+            switch_m = self.limits.gains.switch_m(math.hypot(v_n, v_e))
+            return guidance.leg(north_m, east_m, b_n, b_e, a_n, a_e, switch_m)
+        return guidance.circle(north_m, east_m, a_n, a_e, self.radius_m, v_n, v_e)
+
+    def _settles(self, local_m: Vector, v_n: float, v_e: float, altitude_m: float) -> bool:
+        """At its point but off its height by more than NAV_FW_ALT_RAD: circle until it is not."""
+        off_m = abs(altitude_m - self._altitude_m) if self.holds_altitude else 0.0
+        near_m = self.limits.gains.switch_m(math.hypot(v_n, v_e))
+        self._settling = off_m > self.limits.altitude_reached_m and (
+            self._settling or self.distance_m(local_m) < near_m
+        )
+        return self._settling

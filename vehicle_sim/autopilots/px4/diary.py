@@ -1,0 +1,67 @@
+"""What PX4 says and writes down on its own: its log, parameters it has changed, its flights.
+
+Times and lists are those of the recorded flights.
+"""
+
+from typing import Final, final
+
+import numpy as np
+
+from vehicle_sim.autopilots import Reply, SayParameter
+from vehicle_sim.autopilots.px4 import health
+from vehicle_sim.autopilots.px4.parameters import AFTER_FLIGHT, LEARNT, LEARNT_M_S2, UNASKED
+from vehicle_sim.parameters import Parameters
+
+_LOG_US: Final = 700_000
+"""Boot to the first line of a log that begins there: 0.77 s in px4-offboard-short.tlog."""
+_CALIBRATED_US: Final = 240_000_000
+"""A flight that long (SENS_IMU_AUTOCAL): after 254 s in px4-offboard-8mps.tlog, not after 195 s."""
+
+
+@final
+class Diary:
+    """One boot's.  Mutable."""
+
+    __slots__ = ("_log_due", "_parameters", "_rng", "_unasked")
+
+    def __init__(self, parameters: Parameters, rng: np.random.Generator) -> None:
+        self._parameters = parameters
+        self._rng = rng
+        self._unasked: tuple[tuple[int, tuple[str, ...]], ...] = UNASKED
+        self._log_due = True
+
+    @property
+    def logs_always(self) -> bool:
+        """SDLOG_MODE: -1 never, 0 from arming on, 1 and 2 from boot on."""
+        return int(self._parameters["SDLOG_MODE"]) >= 1
+
+    def due(self, now_us: int) -> list[Reply]:
+        """What is to be said now without being asked."""
+        said: list[Reply] = []
+        if self._unasked and now_us >= self._unasked[0][0]:
+            names, self._unasked = self._unasked[0][1], self._unasked[1:]
+            said += [SayParameter(name=name) for name in names if name in self._parameters]
+        if self._log_due and now_us >= _LOG_US:
+            self._log_due = False
+            if self.logs_always:
+                said.append(health.log_started(now_us))
+        return said
+
+    def arm(self, now_us: int) -> list[Reply]:
+        """The motors start."""
+        starts = int(self._parameters["SDLOG_MODE"]) == 0
+        return [health.log_started(now_us)] if starts else []
+
+    def book(self, flown_us: int, *, calm: bool) -> list[Reply]:
+        """Count a flight; a long calm one calibrates the accelerometer, and all of it is told."""
+        parameters = self._parameters
+        parameters["COM_FLIGHT_UUID"] += 1.0
+        total_us = int(parameters["LND_FLIGHT_T_HI"]) << 31 | int(parameters["LND_FLIGHT_T_LO"])
+        total_us += flown_us
+        parameters["LND_FLIGHT_T_HI"] = float(total_us >> 31)
+        parameters["LND_FLIGHT_T_LO"] = float(total_us & 0x7FFFFFFF)
+        if not calm or flown_us < _CALIBRATED_US:
+            return []
+        for name in LEARNT:
+            parameters[name] = float(self._rng.normal(0.0, LEARNT_M_S2))
+        return [SayParameter(name=name) for name in AFTER_FLIGHT]

@@ -1,0 +1,489 @@
+"""PX4 flying a fixed wing: what each mode makes it fly (px4.md 10).
+
+OFFBOARD takes from SET_POSITION_TARGET what FixedWingModeManager takes: a position alone is flown
+at, straight, and circled tightly when there; a position with a velocity is a point of a path and
+its direction there; an acceleration with them bends that path, to the wrong side; without a
+position nothing is steered and the last commands stay.  The speed is FW_AIRSPD_TRIM whatever is
+asked.
+
+The recorded aeroplane sank to the ground after its take-off (px4-fixedwing-offboard.tlog, 25 to
+150 s).  This one does not.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Final, final
+
+import numpy as np
+
+from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
+from vehicle_sim.autopilots.px4 import mission
+from vehicle_sim.autopilots.px4.course import Course, Limits
+from vehicle_sim.autopilots.px4.firmware import Px4
+from vehicle_sim.autopilots.px4.fixed_wing_mission import MissionFlight
+from vehicle_sim.autopilots.px4.fixed_wing_parameters import FIXED_WING_PARAMETERS
+from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
+from vehicle_sim.autopilots.px4.parameters import COMMON, table
+from vehicle_sim.autopilots.px4.runway import (
+    CLEARED,
+    CLIMB_OUT_M_S,
+    FLARE_BRAKES_M_S,
+    FLARE_SINKS_M_S,
+    FLARING,
+    LANDING_SEEN_M_S,
+    LANDS_FASTER_M_S,
+    LIFTS_OFF_AT,
+    ON_RUNWAY,
+    ROTATES_AT,
+    ROTATING,
+    SINKS_FASTER_1_S,
+    SLOPE_FLOWN,
+    TAKEOFF_SEEN_M_S,
+    bank_near_ground_rad,
+    flare_sink_m_s,
+    roll_out_m_s2,
+    take_off_m_s2,
+)
+from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
+from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ, style
+from vehicle_sim.dynamics.plane import Plane, PlaneLimits
+from vehicle_sim.faults import SIM_PARAMETERS_PX4
+from vehicle_sim.plans import Plans
+
+SIH_AIRPLANE: Final = PlaneLimits(
+    airspeed_min_m_s=5.0,
+    airspeed_cruise_m_s=13.95,
+    airspeed_max_m_s=13.95,
+    bank_max_rad=math.radians(60.0),
+    roll_rate_rad_s=math.radians(60.0),
+    climb_max_m_s=2.9,
+    sink_max_m_s=5.0,
+    acceleration_m_s2=4.0,
+)
+"""PX4's simulated aeroplane: 13.9 m/s at full throttle, climbs 2.5 to 3.0 m/s (the log)."""
+
+_AEROPLANE: Final = 1
+_NAN: Final = math.nan
+_STEER_EVERY = 2
+"""Steps: the guidance runs at 50 Hz."""
+_GLIDE_M_S = 1.6
+"""Sink without throttle."""
+_DESCEND_M_S = 0.5
+"""Failsafe without a position (FixedWingModeManager::control_auto_descend)."""
+_CLEARED_M = 10.0
+"""A take-off climbs on by this much beyond its height (kClearanceAltitudeBuffer)."""
+_RUNWAY_US = 20_000
+"""Arming to "takeoff on runway" in the log."""
+_STICK = 0.06
+_ECHO_MASK = 3576
+
+
+@final
+class Px4FixedWing(Px4):
+    """The aeroplane of PX4's SIH simulator, or one with other limits."""
+
+    vehicle: Plane
+
+    def __init__(
+        self,
+        plane: Plane,
+        parameters: Mapping[str, float],
+        plans: Plans,
+        *,
+        hardware_id: int,
+        rng: np.random.Generator,
+    ) -> None:
+        super().__init__(
+            plane,
+            parameters,
+            plans,
+            table=(*table(COMMON, FIXED_WING_PARAMETERS), *SIM_PARAMETERS_PX4),
+            style=style(vehicle_type=_AEROPLANE, rates_hz=FIXED_WING_RATES_HZ),
+            hardware_id=hardware_id,
+            rng=rng,
+            airspeed_sensor=True,
+        )
+        self.course = Course(plane, Limits.of(self.parameters))
+        self._version = self.parameters.version
+        self._wheels = True
+        """Stands or rolls on the ground."""
+        self._steps = 0
+        self._seen: Target | None = None
+        """The setpoint that the course was made of."""
+        self._legs = MissionFlight(self)
+        self._began_us = 0
+        """When the mode began."""
+        self._runway_said = self._rotated = False
+        self._flare_us: int | None = None
+        self._flare_from_m_s = 0.0
+        self._follows_path = False
+        """OFFBOARD with position and velocity, which is not echoed."""
+
+    # --- modes --------------------------------------------------------------------------------
+
+    def _begin(self, mode: Mode, before: Mode) -> None:
+        """What the mode makes it fly; in the air, and for a take-off on the ground."""
+        self._began_us = self.now_us
+        self._seen = self._flare_us = None
+        self._follows_path = self._runway_said = self._rotated = False
+        self._legs.forget()
+        course = self.course
+        if mode is Mode.OFFBOARD:
+            return  # the last commands stay until a setpoint comes
+        course.airspeed_m_s = self.cruise_m_s(mode)
+        if mode is Mode.TAKEOFF:
+            self._start_climb(self._takeoff_altitude_m())
+        elif mode is Mode.LOITER:
+            self.start_hold(before)
+        elif mode is Mode.RTL:
+            self.start_return()
+        elif mode is Mode.LAND:
+            north_m, east_m, _ = self.local_m
+            self.start_landing(north_m, east_m)
+        elif mode in MANUAL_MODES:
+            course.straight(self.local_m, self.vehicle.heading_rad)
+            course.hold_altitude(self.estimate.altitude_amsl_m)
+        elif mode is Mode.DESCEND:
+            course.circle_blindly(math.radians(self.parameters["NAV_GPSF_R"]))
+            course.climb(0.0)
+
+    def cruise_m_s(self, mode: Mode) -> float:
+        """True airspeed: FW_AIRSPD_TRIM, or DO_CHANGE_SPEED's in the modes that know it."""
+        parameters = self.parameters
+        wanted = parameters["FW_AIRSPD_TRIM"]
+        if self.speed_m_s is not None and mode in (Mode.LOITER, Mode.MISSION, Mode.RTL):
+            wanted = self.speed_m_s
+        least, most = parameters["FW_AIRSPD_MIN"], parameters["FW_AIRSPD_MAX"]
+        return self._true(min(max(wanted, least), max(most, least)))
+
+    def _true(self, equivalent_m_s: float) -> float:
+        return self.course.true_airspeed_m_s(equivalent_m_s, self.estimate.altitude_amsl_m)
+
+    def _takeoff_altitude_m(self) -> float:
+        """AMSL: NAV_TAKEOFF's, or MIS_TAKEOFF_ALT above home."""
+        place, home = self.takeoff_place, self.home or self._reference
+        if place is not None and math.isfinite(place[2]):
+            return place[2]
+        return home.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
+
+    def _start_climb(self, altitude_amsl_m: float) -> None:
+        """Straight on where the nose points, and up; from the ground after the roll."""
+        course = self.course
+        course.straight(self.local_m, self.vehicle.heading_rad)
+        course.hold_altitude(altitude_amsl_m)
+        course.airspeed_m_s = self._takeoff_airspeed_m_s()
+
+    def _takeoff_airspeed_m_s(self) -> float:
+        chosen = self.parameters["FW_TKO_AIRSPD"]
+        return self._true(chosen if chosen > 0.0 else self.parameters["FW_AIRSPD_MIN"])
+
+    def start_hold(self, before: Mode) -> None:
+        """A circle: about DO_REPOSITION's place, the take-off's, or here at this height."""
+        north_m, east_m, _ = self.local_m
+        altitude_m = self.estimate.altitude_amsl_m
+        place: tuple[float, float, float] | None = None
+        if self.reposition is not None:
+            place = self.reposition[:3]
+        elif before is Mode.TAKEOFF and self.takeoff_place is not None:
+            place = self.takeoff_place
+        if place is not None:
+            latitude_deg, longitude_deg, wanted_m = place
+            if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
+                north_m, east_m = self.projection.to_local(latitude_deg, longitude_deg)
+            altitude_m = wanted_m if math.isfinite(wanted_m) else altitude_m
+        self.course.loiter(north_m, east_m, self.loiter_radius_m)
+        self.course.hold_altitude(altitude_m)
+
+    @property
+    def loiter_radius_m(self) -> float:
+        """NAV_LOITER_RAD; a negative one turns left."""
+        radius_m = self.parameters["NAV_LOITER_RAD"]
+        return radius_m if abs(radius_m) > 1.0 else math.copysign(1.0, radius_m)
+
+    def start_return(self) -> None:
+        """Home, at RTL_RETURN_ALT or above; there it circles."""
+        home = self.home or self._reference
+        north_m, east_m = self.projection.to_local(home.latitude_deg, home.longitude_deg)
+        height_m = home.altitude_amsl_m + self.parameters["RTL_RETURN_ALT"]
+        self.course.loiter(north_m, east_m, self.loiter_radius_m)
+        self.course.hold_altitude(max(height_m, self.estimate.altitude_amsl_m))
+
+    def start_landing(self, centre_north_m: float, centre_east_m: float) -> None:
+        """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
+        course = self.course
+        course.airspeed_m_s = self._true(self._landing_airspeed_m_s()) + LANDS_FASTER_M_S
+        course.loiter(centre_north_m, centre_east_m, self.loiter_radius_m)
+        self._glide()
+
+    def _landing_airspeed_m_s(self) -> float:
+        """Equivalent airspeed."""
+        chosen = self.parameters["FW_LND_AIRSPD"]
+        return chosen if chosen > 0.0 else self.parameters["FW_AIRSPD_MIN"]
+
+    # --- one step -----------------------------------------------------------------------------
+
+    def _fly(self, dt_s: float) -> None:
+        if self.parameters.version != self._version:
+            self._version = self.parameters.version
+            self.course.limits = Limits.of(self.parameters)
+            if self.course.circling:
+                self.course.radius_m = self.loiter_radius_m
+            if self.mode is not Mode.LAND and self.mode is not Mode.TAKEOFF:
+                self.course.airspeed_m_s = self.cruise_m_s(self.mode)
+        if self._wheels:
+            self._roll(dt_s)
+            return
+        plane, course = self.vehicle, self.course
+        if not self.armed:
+            plane.fall(dt_s)
+        else:
+            self._steps += 1
+            if self._steps % _STEER_EVERY == 0:
+                self._steer(_STEER_EVERY * dt_s)
+            plane.advance(course.bank_rad, course.climb_m_s, course.commanded_m_s, dt_s)
+            plane.throttle = course.throttle
+        if plane.altitude_amsl_m < self.ground_amsl_m:
+            self._wheels = True
+            plane.touch_down(self.ground_amsl_m)
+
+    def _steer(self, dt_s: float) -> None:
+        """Commands for the next steps, fifty times a second."""
+        mode, course = self.mode, self.course
+        if mode is Mode.OFFBOARD:
+            if self.target is not self._seen and self.target is not None:
+                self._take(self.target)
+        elif mode is Mode.TAKEOFF:
+            self._climb_out()
+        elif mode is Mode.MISSION:
+            self._legs.follow()
+        elif mode is Mode.LAND:
+            self.land()
+        elif mode is Mode.RTL:
+            self.return_home()
+        elif mode in MANUAL_MODES:
+            self._by_hand()
+        elif mode is Mode.DESCEND and self._since_s > self.parameters["NAV_GPSF_LT"]:
+            course.climb(-_DESCEND_M_S)
+        course.bank_most_rad = math.pi
+        if mode in (Mode.TAKEOFF, Mode.LAND):
+            height_m = self.estimate.altitude_amsl_m - self.ground_amsl_m
+            parameters = self.parameters
+            course.bank_most_rad = bank_near_ground_rad(
+                height_m, parameters["FW_WING_HEIGHT"], parameters["FW_WING_SPAN"]
+            )
+        course.steer(self.local_m, self.estimate, dt_s)
+
+    @property
+    def _since_s(self) -> float:
+        return (self.now_us - self._began_us) * 1e-6
+
+    def _take(self, target: Target) -> None:
+        """A setpoint of OFFBOARD (px4.md 10)."""
+        course = self.course
+        self._seen = target
+        north_m, east_m, down_m = target.position_m
+        v_n, v_e, v_d = target.velocity_m_s
+        place = north_m == north_m and east_m == east_m
+        moves = v_n == v_n and v_e == v_e
+        if not place:
+            course.stay()
+            self._follows_path = False
+            return
+        self._follows_path = moves
+        if moves:
+            course.follow(north_m, east_m, v_n, v_e, _bend(target))
+        else:
+            course.aim_at(north_m, east_m, self.loiter_radius_m)
+        course.airspeed_m_s = self.cruise_m_s(Mode.OFFBOARD)
+        if down_m == down_m:
+            course.hold_altitude(self._reference.altitude_amsl_m - down_m)
+        elif v_d == v_d:
+            course.climb(0.0)
+        else:
+            course.climb(-_GLIDE_M_S)
+
+    def _climb_out(self) -> None:
+        """Up to the take-off's height, then Hold; for good if it was not told where to."""
+        course, goal_m = self.course, self._takeoff_altitude_m()
+        if self.estimate.altitude_amsl_m < goal_m:
+            course.climb_out(CLIMB_OUT_M_S)
+            course.airspeed_m_s = self.cruise_m_s(Mode.TAKEOFF)
+            return
+        if not course.holds_altitude:
+            self.say(CLEARED)
+        course.hold_altitude(goal_m + _CLEARED_M)
+        place = self.takeoff_place
+        if place is not None and math.isfinite(place[0]) and math.isfinite(place[1]):
+            self.finish_takeoff()
+
+    def return_home(self) -> None:
+        """Circling at home: down to RTL_DESCEND_ALT, and land after RTL_LAND_DELAY if not < 0."""
+        course, parameters = self.course, self.parameters
+        if course.landing or not course.on_circle(self.local_m):
+            if course.landing:
+                self.land()
+            return
+        home = self.home or self._reference
+        height_m = home.altitude_amsl_m + parameters["RTL_DESCEND_ALT"]
+        course.hold_altitude(height_m)
+        low = abs(self.estimate.altitude_amsl_m - height_m) < parameters["NAV_FW_ALT_RAD"]
+        delay_s = parameters["RTL_LAND_DELAY"]
+        if low and delay_s >= 0.0 and self._since_s > delay_s:
+            north_m, east_m = self.projection.to_local(home.latitude_deg, home.longitude_deg)
+            self.start_landing(north_m, east_m)
+            course.landing = True
+
+    def land(self) -> None:
+        """Flare near the ground."""
+        parameters, course = self.parameters, self.course
+        if self._flare_us is None:
+            height_m = self.estimate.altitude_amsl_m - self.ground_amsl_m
+            sink_m_s = max(-self.estimate.velocity_up_m_s, 0.0)
+            flare_s = parameters["FW_LND_FL_TIME"]
+            if height_m > max(flare_s * sink_m_s, parameters["FW_LND_FLALT"]):
+                self._glide()
+                return
+            self._flare_us, self._flare_from_m_s = self.now_us, sink_m_s
+            self.say(FLARING)
+        since_s = (self.now_us - self._flare_us) * 1e-6
+        course.airspeed_m_s = FLARE_BRAKES_M_S
+        course.climb_out(
+            -flare_sink_m_s(
+                since_s,
+                parameters["FW_LND_FL_TIME"],
+                self._flare_from_m_s,
+                max(parameters["FW_LND_FL_SINK"], FLARE_SINKS_M_S),
+            )
+        )
+
+    def _glide(self) -> None:
+        """Down the slope of FW_LND_ANG, steeper while it is too fast."""
+        glide = SLOPE_FLOWN * math.sin(math.radians(self.parameters["FW_LND_ANG"]))
+        too_fast_m_s = max(self.vehicle.airspeed_m_s - self.course.airspeed_m_s, 0.0)
+        sink_m_s = self._landing_airspeed_m_s() * glide + SINKS_FASTER_1_S * too_fast_m_s
+        self.course.climb(-sink_m_s)
+
+    def _by_hand(self) -> None:
+        """Position and Altitude mode: without a pilot straight on at this height."""
+        sticks, course, parameters = self.pilot.sticks, self.course, self.parameters
+        if sticks is None or not self.pilot.present(self.now_us, parameters["COM_RC_LOSS_T"]):
+            return
+        if abs(sticks.roll) > _STICK or self.mode is not Mode.POSCTL:
+            course.bank_by_hand(sticks.roll)
+        elif course.blind:
+            course.straight(self.local_m, self.vehicle.heading_rad)
+        if abs(sticks.pitch) > _STICK:
+            rate = "FW_T_SINK_R_SP" if sticks.pitch > 0.0 else "FW_T_CLMB_R_SP"
+            course.climb(-sticks.pitch * parameters[rate])
+        elif not course.holds_altitude:
+            course.hold_altitude(self.estimate.altitude_amsl_m)
+
+    # --- on the wheels ------------------------------------------------------------------------
+
+    def _roll(self, dt_s: float) -> None:
+        """On the runway: up to speed, or to a halt."""
+        plane = self.vehicle
+        plane.altitude_amsl_m = self.ground_amsl_m
+        speed_m_s = math.hypot(plane.velocity_north_m_s, plane.velocity_east_m_s)
+        if self.armed and self._wants_up():
+            since_s = (self.now_us - max(self._armed_us, self._began_us)) * 1e-6
+            ramp_s = self.parameters["RWTO_RAMP_TIME"]
+            plane.roll_on_ground(take_off_m_s2(since_s, ramp_s), dt_s)
+            plane.throttle = min(since_s / max(ramp_s, 0.1), 1.0)
+            self._run_up(plane.airspeed_m_s)
+            return
+        plane.throttle = 0.0
+        if speed_m_s > 0.0:
+            plane.roll_on_ground(roll_out_m_s2(speed_m_s), dt_s)
+        if self.armed:
+            self._contact(pressed=speed_m_s < LANDING_SEEN_M_S)
+        elif speed_m_s == 0.0:
+            self.landed = True
+
+    def _wants_up(self) -> bool:
+        """Take-off, by mode or by a mission that begins with one."""
+        if self.mode is Mode.TAKEOFF:
+            return self.landed or self._runway_said
+        if self.mode is not Mode.MISSION:
+            return False
+        leg = self._legs.aim()
+        return leg is not None and leg.command == mission.TAKEOFF
+
+    def _run_up(self, airspeed_m_s: float) -> None:
+        """Tell of the take-off, and leave the ground at its airspeed."""
+        if not self._runway_said and self.now_us - self._armed_us >= _RUNWAY_US:
+            self._runway_said = True
+            self.say(ON_RUNWAY)
+        if airspeed_m_s >= TAKEOFF_SEEN_M_S:
+            self._took_off()
+        takeoff_m_s = self._takeoff_airspeed_m_s()
+        if airspeed_m_s >= ROTATES_AT * takeoff_m_s and not self._rotated:
+            self._rotated = True
+            self.say(ROTATING)
+        if airspeed_m_s >= LIFTS_OFF_AT * takeoff_m_s:
+            self._took_off()
+            self._wheels = False
+            self.course.start(airspeed_m_s)
+
+    # --- to tell ------------------------------------------------------------------------------
+
+    def _echo(self) -> TargetEcho | None:
+        """The nearest point of the path, as PX4 publishes it; nothing while it follows one."""
+        mode = self.mode
+        if mode in MANUAL_MODES or mode is Mode.DESCEND:
+            return None
+        if mode is Mode.OFFBOARD and (self._follows_path or self._seen is None):
+            return None
+        course = self.course
+        north_m = east_m = altitude_m = 0.0
+        if self.armed:
+            north_m, east_m = course.nearest
+            altitude_m = course.told_altitude_m
+        down_m = self._reference.altitude_amsl_m - altitude_m
+        return TargetEcho(
+            position_ned_m=(north_m, east_m, down_m),
+            velocity_ned_m_s=NOTHING,
+            acceleration_ned_m_s2=NOTHING,
+            yaw_rad=_NAN,
+            yaw_rate_rad_s=_NAN,
+            type_mask=_ECHO_MASK,
+        )
+
+    def _waypoint(self) -> Waypoint | None:
+        """The place flown to; the middle of a circle."""
+        if not self.armed:
+            return None
+        course = self.course
+        north_m, east_m = course.centre
+        altitude_m = course.told_altitude_m
+        place = self.takeoff_place
+        if self.mode is Mode.TAKEOFF and place is not None and math.isfinite(place[0]):
+            north_m, east_m = self.projection.to_local(place[0], place[1])
+        latitude_deg, longitude_deg = self.projection.to_geographic(north_m, east_m)
+        return Waypoint(
+            place=Place(
+                latitude_deg=latitude_deg,
+                longitude_deg=longitude_deg,
+                altitude_amsl_m=altitude_m,
+            ),
+            distance_m=math.hypot(north_m - self.local_m[0], east_m - self.local_m[1]),
+            bearing_rad=math.atan2(east_m - self.local_m[1], north_m - self.local_m[0]),
+            radius_m=course.radius_m if course.circling else 0.0,
+        )
+
+    def _above_ground_m(self) -> float | None:
+        """SIH's distance sensor."""
+        return max(self.vehicle.altitude_amsl_m - self.ground_amsl_m, 0.0)
+
+
+def _bend(target: Target) -> float:
+    """Curvature that an acceleration asks for, 1/m, with the sign that PX4 gives it: the wrong one.
+
+    FixedWingModeManager.cpp:2074 against :2641-2644 (px4.md 1, item 7).
+    """
+    v_n, v_e, _ = target.velocity_m_s
+    a_n, a_e, a_d = target.acceleration_m_s2
+    speed_squared = v_n * v_n + v_e * v_e
+    if not (a_n == a_n and a_e == a_e and a_d == a_d) or speed_squared < 1e-6:
+        return 0.0
+    return -(v_n * a_e - v_e * a_n) / (speed_squared * math.sqrt(speed_squared))

@@ -1,0 +1,141 @@
+"""How PX4 reads SET_POSITION_TARGET: masks and frames, each axis by itself (px4.md 4).
+
+What is not given is NaN, as inside PX4.  Nothing is answered: a message that is not understood
+counts as no setpoint, and OFFBOARD ends when that has lasted for a second.
+"""
+
+import math
+from typing import Final, NamedTuple, final
+
+from vehicle_sim.autopilots import Place, Setpoint
+from vehicle_sim.autopilots.px4.projection import Projection
+
+Vector = tuple[float, float, float]
+
+_NAN: Final = math.nan
+NOTHING: Final = (_NAN, _NAN, _NAN)
+_FORCE, _IGNORE_YAW, _IGNORE_YAW_RATE = 0x200, 0x400, 0x800
+_POSITION_BITS = 0x007
+_LOCAL_NED, _BODY_NED = 1, 8
+_AMSL, _ABOVE_HOME, _ABOVE_TERRAIN = 5, 6, 11
+
+
+@final
+class Target(NamedTuple):
+    """A setpoint that was understood, in the local frame (north, east, down); NaN: not given."""
+
+    position_m: Vector = NOTHING
+    velocity_m_s: Vector = NOTHING
+    acceleration_m_s2: Vector = NOTHING
+    yaw_rad: float = _NAN
+    yaw_rate_rad_s: float = _NAN
+
+
+@final
+class Bearings(NamedTuple):
+    """What setpoints are measured from."""
+
+    projection: Projection
+    origin_amsl_m: float
+    home_amsl_m: float
+    ground_amsl_m: float
+    heading_rad: float
+
+
+def read_setpoint(setpoint: Setpoint, bearings: Bearings) -> Target | None:
+    """What PX4 makes of a setpoint; None: it is dropped and does not count."""
+    mask = setpoint.type_mask
+    if not setpoint.is_global and setpoint.frame not in (_LOCAL_NED, _BODY_NED):
+        return None
+    acceleration = _given(setpoint.acceleration_ned_m_s2, mask >> 6)
+    if mask & _FORCE and any(map(math.isfinite, acceleration)):
+        return None
+    velocity = _given(setpoint.velocity_ned_m_s, mask >> 3)
+    position: Vector | None
+    if setpoint.is_global:
+        position = _global_position(setpoint, bearings)
+    else:
+        position = _given(setpoint.position, mask)
+        if setpoint.frame == _BODY_NED:
+            if any(map(math.isfinite, position)):
+                return None
+            velocity = _turned(velocity, bearings.heading_rad)
+            acceleration = _turned(acceleration, bearings.heading_rad)
+    if position is None or not any(map(math.isfinite, position + velocity + acceleration)):
+        return None
+    return Target(
+        position_m=position,
+        velocity_m_s=velocity,
+        acceleration_m_s2=acceleration,
+        yaw_rad=_finite(setpoint.yaw_rad) if not mask & _IGNORE_YAW else _NAN,
+        yaw_rate_rad_s=_finite(setpoint.yaw_rate_rad_s) if not mask & _IGNORE_YAW_RATE else _NAN,
+    )
+
+
+def flyable(target: Target) -> bool:
+    """Whether the position controller can fly it: all axes have something, north and east alike.
+
+    Otherwise it stays in OFFBOARD, brakes to a standstill and says "Failsafe: stop and wait".
+    """
+    position, velocity, acceleration = target[:3]
+    for part in (position, velocity, acceleration):
+        if math.isfinite(part[0]) != math.isfinite(part[1]):
+            return False
+    return all(
+        math.isfinite(position[axis])
+        or math.isfinite(velocity[axis])
+        or math.isfinite(acceleration[axis])
+        for axis in range(3)
+    )
+
+
+def height_of(frame: int, altitude_m: float, home: Place, ground_amsl_m: float) -> float | None:
+    """Altitude above sea level of a command's or mission item's z; None: unknown frame."""
+    if frame in (0, _AMSL):
+        return altitude_m
+    if frame in (3, _ABOVE_HOME):
+        return altitude_m + home.altitude_amsl_m
+    if frame in (10, _ABOVE_TERRAIN):
+        return altitude_m + ground_amsl_m
+    return None
+
+
+def _global_position(setpoint: Setpoint, bearings: Bearings) -> Vector | None:
+    """In the local frame; NOTHING if any axis is masked; None: unknown frame."""
+    if setpoint.type_mask & _POSITION_BITS:
+        return NOTHING
+    latitude_deg, longitude_deg, altitude_m = setpoint.position
+    if setpoint.frame == _AMSL:
+        above_origin_m = altitude_m - bearings.origin_amsl_m
+    elif setpoint.frame == _ABOVE_HOME:
+        # The sign of the difference is wrong in PX4 (px4.md 1, item 6), and so it is here.
+        above_origin_m = altitude_m - (bearings.home_amsl_m - bearings.origin_amsl_m)
+    elif setpoint.frame == _ABOVE_TERRAIN:
+        above_origin_m = altitude_m + bearings.ground_amsl_m - bearings.origin_amsl_m
+    else:
+        return None
+    if not (math.isfinite(latitude_deg) and math.isfinite(longitude_deg)):
+        return NOTHING
+    north_m, east_m = bearings.projection.to_local(latitude_deg, longitude_deg)
+    return north_m, east_m, _finite(-above_origin_m)
+
+
+def _given(vector: Vector, ignored: int) -> Vector:
+    """NaN for the axes whose bit is set, and for those that are not finite."""
+    x, y, z = vector
+    return (
+        _NAN if ignored & 1 else _finite(x),
+        _NAN if ignored & 2 else _finite(y),
+        _NAN if ignored & 4 else _finite(z),
+    )
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else _NAN
+
+
+def _turned(vector: Vector, heading_rad: float) -> Vector:
+    """From the body's heading to north and east; one masked axis leaves neither."""
+    x, y, z = vector
+    sine, cosine = math.sin(heading_rad), math.cos(heading_rad)
+    return x * cosine - y * sine, x * sine + y * cosine, z
