@@ -1,0 +1,44 @@
+"""The recorded flights, read once."""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from vehicle_sim.conformance.log import Recording, read_recording
+
+TELEMETRY = Path(__file__).parents[4] / "shared" / "telemetry"
+FILES = (
+    "arducopter-gps-loss.tlog",
+    "arducopter-guided-10mps.tlog",
+    "arducopter-guided-global-stream-faults.tlog",
+    "arduplane-guided-reposition.tlog",
+    "px4-fixedwing-offboard.tlog",
+    "px4-gps-loss.tlog",
+    "px4-offboard-8mps.tlog",
+    "px4-offboard-short.tlog",
+)
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "name" in metafunc.fixturenames:
+        metafunc.parametrize(
+            "name", [pytest.param(f, marks=pytest.mark.xdist_group(f)) for f in FILES]
+        )
+
+
+@functools.cache
+def _read(name: str) -> Recording:
+    path = TELEMETRY / name
+    assert path.is_file(), (
+        f"{path} is not there: the recorded flights belong into ../shared/telemetry beside the "
+        "checkout, and without them nothing says how the real autopilots behave"
+    )
+    return read_recording(path)
+
+
+@pytest.fixture(scope="session")
+def recorded() -> Callable[[str], Recording]:
+    """The flight in the file of this name."""
+    return _read

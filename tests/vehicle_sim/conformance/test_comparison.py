@@ -1,0 +1,215 @@
+"""A flight agrees with itself, not with another one, and each kind of row can fail."""
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.conformance.compare import compare
+from vehicle_sim.conformance.flights import Flight, flight_of
+from vehicle_sim.conformance.log import Recording
+from vehicle_sim.conformance.messages import Heard, Side, decoded
+from vehicle_sim.conformance.report import Summary
+from vehicle_sim.conformance.rows import Row
+
+Recorded = Callable[[str], Recording]
+Change = Callable[[Heard], Iterable[Heard]]
+COPTER, PX4, PLANE = (
+    "arducopter-gps-loss.tlog",
+    "px4-gps-loss.tlog",
+    "arduplane-guided-reposition.tlog",
+)
+TARGET_FIELDS = ("x", "y", "z")
+
+
+def rows_of(recording: Recording, said: Iterable[Heard]) -> list[Row]:
+    return compare(recording, flight_of(recording), Side(said))
+
+
+def failing(rows: Iterable[Row]) -> set[str]:
+    return {row.kind for row in rows if not row.agrees}
+
+
+def test_a_flight_agrees_with_itself_in_every_row(recorded: Recorded, name: str) -> None:
+    flight = recorded(name)
+    rows = rows_of(flight, flight.said)
+    assert [row for row in rows if not row.agrees] == []
+    assert max(row.difference for row in rows) == 0.0
+    assert len(rows) > 200
+
+
+def test_a_flight_does_not_agree_with_another_one(recorded: Recorded, name: str) -> None:
+    flight = recorded(name)
+    other = recorded(COPTER if name != COPTER else "arducopter-guided-10mps.tlog")
+    assert Summary.of(rows_of(flight, other.said)).share < 0.75
+
+
+def test_silence_agrees_with_nothing(recorded: Recorded, name: str) -> None:
+    flight = recorded(name)
+    assert {row.kind for row in rows_of(flight, ()) if row.agrees} == set()
+
+
+# --- each kind of row can fail --------------------------------------------------------------------
+
+
+def with_fields(h: Heard, **fields: Any) -> Heard:
+    """The same frame but for these fields."""
+    message = decoded(h)
+    for name, value in fields.items():
+        setattr(message, name, value)
+    mav = mavlink.MAVLink(None, srcSystem=h.system, srcComponent=h.component)
+    return h._replace(frame=bytes(message.pack(mav)))
+
+
+def at(number: int, begin_s: float, end_s: float, change: Change) -> Change:
+    """The change to messages of this number between these times."""
+
+    def changed(h: Heard) -> Iterable[Heard]:
+        return change(h) if h.number == number and begin_s <= h.time_s < end_s else (h,)
+
+    return changed
+
+
+def setting(**fields: Any) -> Change:
+    return lambda h: (with_fields(h, **fields),)
+
+
+def adding(**steps: Any) -> Change:
+    return lambda h: (with_fields(h, **{n: getattr(decoded(h), n) + s for n, s in steps.items()}),)
+
+
+def lost(h: Heard) -> Iterable[Heard]:  # noqa: ARG001
+    return ()
+
+
+def later(seconds: float) -> Change:
+    return lambda h: (h._replace(time_s=h.time_s + seconds),)
+
+
+def of_component(component: int) -> Change:
+    def changed(h: Heard) -> Iterable[Heard]:
+        return (h, h._replace(component=component))
+
+    return changed
+
+
+def text_digit(h: Heard) -> Iterable[Heard]:
+    return (with_fields(h, _text_raw=re.sub("584", "600", decoded(h).text).encode()),)
+
+
+def event_argument(h: Heard) -> Iterable[Heard]:
+    frame = bytearray(h.frame)
+    frame[10 + 13] ^= 0xFF  # the first argument, behind the 13 bytes of the other fields
+    return (h._replace(frame=bytes(frame)),)
+
+
+ALL = (-math.inf, math.inf)
+CHANGES: list[tuple[str, str, Change, set[str]]] = [
+    # kind of row, recording, what is done to what it said, what else may then fail
+    ("ack", COPTER, at(77, 200, 204, setting(result=1)), set()),
+    ("ack", COPTER, at(77, 200, 204, later(0.5)), set()),
+    ("ack", PLANE, at(77, 100, 100.3, lost), set()),
+    ("parameter", COPTER, at(22, 42, 43, setting(param_value=3000.0)), set()),
+    ("parameter", COPTER, at(22, 42, 43, setting(param_type=9)), set()),
+    ("parameter", COPTER, at(22, 42, 43, setting(param_index=7)), set()),
+    ("parameter", COPTER, at(22, 42, 43, later(2.0)), set()),
+    ("exchange", PX4, at(47, *ALL, setting(type=13)), set()),
+    ("exchange", PX4, at(51, *ALL, lost), {"count"}),
+    ("said once", PX4, at(148, *ALL, setting(capabilities=1)), set()),
+    ("said once", COPTER, at(242, *ALL, adding(altitude=5000)), set()),
+    ("mode", COPTER, at(0, 150, 160, setting(custom_mode=5)), set()),
+    ("armed", COPTER, at(0, 150, 160, setting(base_mode=89)), set()),
+    ("base mode", COPTER, at(0, 150, 160, setting(base_mode=145)), set()),
+    ("system status", COPTER, at(0, 150, 160, setting(system_status=5)), set()),
+    ("vehicle", COPTER, at(0, *ALL, setting(type=13)), set()),
+    ("landed", COPTER, at(245, 60, 70, setting(landed_state=3)), set()),
+    ("vtol", COPTER, at(245, *ALL, setting(vtol_state=4)), {"filling"}),
+    ("fix", COPTER, at(24, 160, 190, setting(fix_type=6)), set()),
+    ("estimator", COPTER, at(193, 170, 176, setting(flags=831)), set()),
+    ("estimator", PX4, at(230, 80, 110, setting(flags=0x37F)), set()),
+    ("sensors", COPTER, at(1, 0, 42, setting(onboard_control_sensors_health=0)), set()),
+    ("current mode", PX4, at(436, 80, 100, setting(custom_mode=0x03040000)), set()),
+    ("intended mode", PX4, at(436, 80, 100, setting(intended_custom_mode=0)), set()),
+    ("standard mode", PX4, at(436, 80, 100, setting(standard_mode=7)), set()),
+    ("mission", PX4, at(42, 80, 100, setting(mission_mode=1)), set()),
+    ("echo", COPTER, at(85, 100, 110, setting(type_mask=0)), set()),
+    ("text", COPTER, at(253, 114, 115, lost), set()),
+    ("text", COPTER, at(253, 114, 115, later(2.0)), set()),
+    ("text", COPTER, at(253, 114, 115, setting(severity=3)), set()),
+    ("text", COPTER, at(253, 20, 20.1, text_digit), set()),
+    ("event", PX4, at(410, 85, 88, lost), {"count", "event arguments"}),
+    ("event arguments", PX4, at(410, 85, 88, event_argument), set()),
+    ("order", PX4, at(76, 109, 115, later(3.0)), set()),
+    ("speakers", COPTER, at(0, *ALL, of_component(100)), set()),
+    ("count", COPTER, at(30, 100, 110, lost), {"longest silence", "motion"}),
+    ("count", COPTER, at(111, *ALL, lost), set()),
+    ("first", COPTER, at(32, 0, 45, lost), {"track"}),
+    ("longest silence", COPTER, at(24, 200, 203, lost), set()),
+    ("filling", COPTER, at(24, *ALL, setting(satellites_visible=11)), set()),
+    ("filling", COPTER, at(74, *ALL, setting(climb=0.0)), set()),
+    ("track", COPTER, at(33, 90, 92, adding(lat=300)), set()),
+    ("track", COPTER, at(32, 90, 92, adding(z=3.0)), set()),
+    ("motion", COPTER, at(33, 70, 110, adding(vz=100)), set()),
+    ("motion", COPTER, at(33, 90, 100, setting(hdg=0)), set()),
+    ("motion", COPTER, at(30, 90, 100, setting(roll=0.0, pitch=0.0)), set()),
+    ("target", COPTER, at(85, 90, 100, adding(vx=2.0)), set()),
+    ("target", PLANE, at(87, 90, 100, adding(alt=20.0)), set()),
+    ("battery", COPTER, at(147, 150, 200, setting(battery_remaining=99)), set()),
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name_of", "change", "others"),
+    CHANGES,
+    ids=[f"{c[0]}-{i}" for i, c in enumerate(CHANGES)],
+)
+def test_a_kind_of_row_fails_when_what_it_looks_at_is_changed(
+    recorded: Recorded, kind: str, name_of: str, change: Change, others: set[str]
+) -> None:
+    flight = recorded(name_of)
+    said = sorted((x for h in flight.said for x in change(h)), key=lambda h: h.time_s)
+    found = failing(rows_of(flight, said))
+    assert kind in found
+    assert found <= {kind} | others
+
+
+def test_every_kind_of_row_has_been_made_to_fail(recorded: Recorded) -> None:
+    kinds = {
+        row.kind
+        for name in (COPTER, PX4, PLANE)
+        for row in rows_of(recorded(name), recorded(name).said)
+    }
+    assert kinds == {kind for kind, *_ in CHANGES}
+
+
+@pytest.mark.parametrize("shift_s", [0.05, -0.05])
+def test_a_twentieth_of_a_second_is_within_every_tolerance(
+    recorded: Recorded, shift_s: float
+) -> None:
+    flight = recorded("arducopter-guided-10mps.tlog")
+    moved = [h._replace(time_s=h.time_s + shift_s) for h in flight.said]
+    summary = Summary.of(rows_of(flight, moved))
+    assert summary.agree >= summary.rows - (
+        20 if shift_s < 0 else 0
+    )  # an answer before its question
+
+
+def test_nothing_of_a_stretch_that_is_left_out_is_compared(recorded: Recorded) -> None:
+    flight = recorded("px4-fixedwing-offboard.tlog")
+    known = flight_of(flight)
+    (stretch,) = known.left_out
+    lost_there = [
+        h
+        for h in flight.said
+        if h.number not in (30, 32, 33, 0)
+        or not stretch.begin_s + 12 < flight.clock.log_s(h.time_s) < stretch.end_s - 12
+    ]
+    rows = compare(flight, known, Side(lost_there))
+    assert failing(rows) == {"count", "longest silence"}  # which are of the whole flight
+    whole = compare(flight, dataclasses.replace(known, left_out=()), Side(lost_there))
+    assert {"track", "motion"} <= failing(whole)
+    assert isinstance(known, Flight)

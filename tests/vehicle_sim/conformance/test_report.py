@@ -1,0 +1,131 @@
+"""What the table and the file say, for rows that are made up."""
+
+import io
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from vehicle_sim.conformance.known import REASONS
+from vehicle_sim.conformance.log import Recording
+from vehicle_sim.conformance.reasons import Reason
+from vehicle_sim.conformance.report import (
+    Summary,
+    as_json,
+    as_table,
+    markdown_reasons,
+    markdown_row,
+    with_tables,
+)
+from vehicle_sim.conformance.rows import Row
+
+Recorded = Callable[[str], Recording]
+
+
+def row(kind: str, difference: float, reason: str | None = None, *, name: str = "x") -> Row:
+    return Row(
+        kind=kind,
+        name=name,
+        at_s=50.0,
+        real="1",
+        simulated="2",
+        tolerance="1 s",
+        difference=difference,
+        reason=reason,
+    )
+
+
+ROWS = [
+    row("mode", 0.0),
+    row("mode", 0.7, name="y"),
+    row("text", math.inf, "because", name="known"),
+    row("text", 2.0, name="unknown"),
+]
+
+
+def printed(recording: Recording, *, everything: bool) -> str:
+    console = Console(file=io.StringIO(), width=160)
+    console.print(as_table(recording, ROWS, everything=everything))
+    return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_the_summary_counts() -> None:
+    summary = Summary.of(ROWS)
+    assert (summary.rows, summary.agree, summary.unexplained) == (4, 2, 1)
+    assert summary.share == 0.5
+    assert Summary.of([]).share == 1.0
+
+
+def test_the_table_shows_what_does_not_agree_with_its_reason(recorded: Recorded) -> None:
+    text = printed(recorded("px4-offboard-short.tlog"), everything=False)
+    assert "2 of 4 rows agree (50.0 %), 1 without a reason" in text
+    assert "because" in text
+    assert "none is known" in text
+    assert text.count("│ y") == 1  # only as the worst of its kind
+    assert printed(recorded("px4-offboard-short.tlog"), everything=True).count("│ y") == 2
+
+
+def test_the_file_has_every_row_and_is_plain_json(recorded: Recorded) -> None:
+    text = json.dumps(as_json(recorded("px4-offboard-short.tlog"), ROWS), allow_nan=False)
+    told = json.loads(text)
+    assert (told["rows"], told["agree"], told["unexplained"]) == (4, 2, 1)
+    assert [r["difference"] for r in told["compared"]] == [0.0, 0.7, None, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("reason", "explains"),
+    [
+        (Reason(recordings="px4-*", kind="text", names="known", why=""), True),
+        (Reason(recordings="px4-x", kind="text", names="known", why=""), False),
+        (Reason(recordings="px4-*", kind="mode", names="known", why=""), False),
+        (Reason(recordings="px4-*", kind="text", names="know", why=""), False),
+        (Reason(recordings="px4-*", kind="text", names="known", shown="3", why=""), False),
+    ],
+)
+def test_a_reason_must_match_as_a_whole(reason: Reason, explains: bool) -> None:
+    assert reason.explains("px4-short", ROWS[2]) is explains
+
+
+def test_reasons_are_narrow_and_say_something() -> None:
+    for reason in REASONS:
+        assert len(reason.why) > 20
+        assert not (reason.names == ".*" and reason.shown == ".*")
+        assert reason.recordings != "*"
+
+
+def test_the_page_gets_its_tables_and_keeps_the_rest(recorded: Recorded) -> None:
+    line = markdown_row(recorded("px4-offboard-short.tlog"), ROWS)
+    assert line.startswith("| px4-offboard-short.tlog | 4 | 2 | 50.0 % | 0.70 of the tolerance")
+    page = "before\n<!-- measured: begin -->\nold\n<!-- measured: end -->\nafter\n"
+    because = markdown_reasons(recorded("px4-offboard-short.tlog"), ROWS)
+    assert because.splitlines() == [
+        "| px4-offboard-short.tlog | 1 | text (known) | because |",
+        "| px4-offboard-short.tlog | 1 | text (unknown) | none is known |",
+    ]
+    new = with_tables(page, [line], [because])
+    assert line in new
+    assert because in new
+    assert "old" not in new
+    assert new.startswith("before\n")
+    assert new.endswith("after\n")
+    assert with_tables(new, [line], [because]) == new
+    with pytest.raises(ValueError, match="no place"):
+        with_tables("a page", [line], [])
+
+
+def test_the_documentation_has_a_place_for_the_tables() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "conformance.md").read_text(encoding="utf-8")
+    assert with_tables(page, ["| x |\n"], []) != page
+
+
+def test_a_file_that_is_none_ends_with_a_line_and_not_a_traceback(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "vehicle_sim.conformance", str(tmp_path / "none.tlog")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: LOG = ")
+    assert done.stderr.count("\n") == 1

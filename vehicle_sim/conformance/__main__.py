@@ -1,0 +1,101 @@
+"""python -m vehicle_sim.conformance LOG: how like the recorded autopilot the simulated one is."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from vehicle_sim.conformance.compare import compare
+from vehicle_sim.conformance.flights import flight_of
+from vehicle_sim.conformance.log import Recording, read_recording
+from vehicle_sim.conformance.messages import Side
+from vehicle_sim.conformance.report import (
+    Summary,
+    as_json,
+    as_table,
+    markdown_reasons,
+    markdown_row,
+    with_tables,
+)
+from vehicle_sim.conformance.rows import Row
+from vehicle_sim.conformance.simulated import play
+from vehicle_sim.errors import InputError, SimulatorError
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+_WIDE = 200
+
+
+@app.command()
+def conformance(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="A .tlog of a flight.")],
+    table: Annotated[  # noqa: ARG001
+        bool, typer.Option("--table", help="Print a table.  This is what happens unasked.")
+    ] = True,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write every row; - to print.")
+    ] = None,
+    markdown: Annotated[
+        Path | None,
+        typer.Option(
+            "--markdown", metavar="FILE", help="Bring the tables in this page up to date."
+        ),
+    ] = None,
+    every: Annotated[bool, typer.Option("--all", help="Show rows that agree too.")] = False,
+    seed: Annotated[int, typer.Option(help="Of all that is random.", metavar="S")] = 0,
+) -> None:
+    """Play the client of a recorded flight into the simulator and compare what comes back.
+
+    Ends with 1 if a row does not agree and no reason for that is known.
+    """
+    flights = [_flown(log, seed) for log in logs]
+    if json_file is not None:
+        _write(json_file, json.dumps([as_json(*flight) for flight in flights], indent=1) + "\n")
+    elif markdown is not None:
+        page = markdown.read_text(encoding="utf-8")
+        summaries = [markdown_row(*flight) for flight in flights]
+        reasons = [markdown_reasons(*flight) for flight in flights]
+        _write(markdown, with_tables(page, summaries, reasons))
+    else:
+        console = Console()
+        console = console if console.is_terminal else Console(width=_WIDE)
+        for flight in flights:
+            console.print(as_table(*flight, everything=every))
+    if any(Summary.of(rows).unexplained for _, rows in flights):
+        raise typer.Exit(1)
+
+
+def _flown(log: Path, seed: int) -> tuple[Recording, list[Row]]:
+    recording = read_recording(log)
+    flight = flight_of(recording)
+    return recording, compare(recording, flight, Side(play(recording, flight, seed=seed)))
+
+
+def _write(path: Path, text: str) -> None:
+    if str(path) == "-":
+        typer.echo(text, nl=False)
+    else:
+        path.write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    """Errors are one line and an exit code."""
+    try:
+        code = app(standalone_mode=False)
+    except SimulatorError as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(error.exit_code)
+    except typer.Abort:
+        sys.exit(1)
+    except Exception as error:
+        if not isinstance(error, typer.BadParameter.__bases__):
+            raise
+        typer.echo(f"error: {error}. See --help.", err=True)
+        sys.exit(InputError.exit_code)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,36 @@
+"""All rows of a flight."""
+
+import dataclasses
+import itertools
+
+from vehicle_sim.conformance import answers, states, track, traffic
+from vehicle_sim.conformance.flights import Flight
+from vehicle_sim.conformance.known import reason_for
+from vehicle_sim.conformance.log import Recording
+from vehicle_sim.conformance.messages import Side
+from vehicle_sim.conformance.rows import Comparison, Row
+
+_ALL = (
+    answers.ack_rows,
+    answers.parameter_rows,
+    answers.exchange_rows,
+    answers.once_rows,
+    states.state_rows,
+    states.text_rows,
+    states.event_rows,
+    states.order_rows,
+    traffic.traffic_rows,
+    track.track_rows,
+    track.battery_rows,
+)
+
+
+def compare(recording: Recording, flight: Flight, simulated: Side) -> list[Row]:
+    """Every row that is compared, each disagreement with its reason if that is known."""
+    comparison = Comparison.of(recording, flight, simulated)
+    rows = itertools.chain.from_iterable(make(comparison) for make in _ALL)
+    return [
+        row if row.agrees else dataclasses.replace(row, reason=reason_for(recording.name, row))
+        for row in rows
+        if not comparison.is_left_out(row.at_s)
+    ]

@@ -1,0 +1,171 @@
+"""A recorded flight: who said what, at which vehicle time.
+
+A .tlog is a sequence of records: 8 bytes of big-endian microseconds since 1970, then one raw
+MAVLink frame; both directions, in time order (shared/telemetry/README.md).
+"""
+
+import itertools
+import math
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO, Literal, NamedTuple, final
+
+from vehicle_sim.conformance.clock import Clock
+from vehicle_sim.conformance.messages import Heard, decoded
+from vehicle_sim.errors import InputError
+
+_V1, _V2 = 0xFE, 0xFD
+_SIGNED = 0x01
+_HEARTBEAT, _GPS_RAW, _ATTITUDE, _ORIGIN, _HOME = 0, 24, 30, 49, 242
+_STAMPED = {30, 32, 33}
+"""ATTITUDE, LOCAL_POSITION_NED and GLOBAL_POSITION_INT begin with time_boot_ms."""
+_ARDUPILOT, _PX4 = 3, 12
+_FIXED_WING = 1
+_ARMED = 0x80
+_FIX_3D = 3
+
+
+class Record(NamedTuple):
+    """One record as it is in the file."""
+
+    time_us: int
+    """Since 1970."""
+    frame: bytes
+
+
+def records(stream: BinaryIO, name: str) -> Iterator[Record]:
+    """All records of a .tlog, one after the other.  InputError if it is not one."""
+    for number in itertools.count():
+        head = stream.read(8)
+        if not head:
+            return
+        start = stream.read(3)
+        if len(head) < 8 or len(start) < 3:
+            return  # the recorder was cut off: what is complete counts
+        if start[0] not in (_V1, _V2):
+            rule = f"record {number} does not begin with a MAVLink frame"
+            raise InputError("LOG", name, rule, "Name a .tlog of MAVLink 1 or 2.")
+        rest = start[1] + (5 if start[0] == _V1 else 9)
+        if start[0] == _V2 and start[2] & _SIGNED:
+            rest += 13
+        tail = stream.read(rest)
+        if len(tail) < rest:
+            return
+        yield Record(struct.unpack(">Q", head)[0], start + tail)
+
+
+def heard(time_s: float, frame: bytes) -> Heard:
+    """A frame with its identity read from its head."""
+    if frame[0] == _V1:
+        return Heard(time_s, frame[5], frame[3], frame[4], frame)
+    number = frame[7] | frame[8] << 8 | frame[9] << 16
+    return Heard(time_s, number, frame[5], frame[6], frame)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """Where the vehicle stood before the flight."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+    heading_deg: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """One flight.  All times are seconds since the autopilot's boot."""
+
+    name: str
+    """Of the file, without folder."""
+    firmware: Literal["ardupilot", "px4"]
+    kind: Literal["copter", "plane"]
+    system: int
+    home: Place
+    sent: tuple[Heard, ...]
+    """By the clients: everything that does not come from the autopilot."""
+    said: tuple[Heard, ...]
+    """By the autopilot."""
+    begin_s: float
+    end_s: float
+    clock: Clock = field(repr=False)
+
+
+def read_recording(path: Path) -> Recording:
+    """The flight in this file.  InputError if there is none."""
+    try:
+        with path.open("rb") as stream:
+            return recording(path.name, records(stream, str(path)))
+    except OSError as error:
+        rule = f"cannot be read ({error.strerror})"
+        raise InputError("LOG", str(path), rule, "Name a .tlog.") from None
+
+
+def recording(name: str, of: Iterable[Record]) -> Recording:
+    """The flight that these records tell of."""
+    raw, epoch_us = list[Heard](), None
+    for time_us, frame in of:
+        epoch_us = time_us if epoch_us is None else epoch_us
+        raw.append(heard((time_us - epoch_us) * 1e-6, frame))
+    heartbeat = _first_of_autopilot(raw)
+    if heartbeat is None:
+        rule = "no autopilot of ArduPilot or PX4 speaks in it"
+        raise InputError("LOG", name, rule, "Name the recording of a flight.")
+    identity = (heartbeat.system, heartbeat.component)
+    clock = Clock(_stamps(raw, identity))
+    timed = [h._replace(time_s=clock.vehicle_s(h.time_s)) for h in raw]
+    said = tuple(h for h in timed if (h.system, h.component) == identity)
+    message = decoded(heartbeat)
+    return Recording(
+        name=name,
+        firmware="ardupilot" if message.autopilot == _ARDUPILOT else "px4",
+        kind="plane" if message.type == _FIXED_WING else "copter",
+        system=heartbeat.system,
+        home=_home(said),
+        sent=tuple(h for h in timed if (h.system, h.component) != identity),
+        said=said,
+        begin_s=timed[0].time_s,
+        end_s=timed[-1].time_s,
+        clock=clock,
+    )
+
+
+def _first_of_autopilot(raw: Iterable[Heard]) -> Heard | None:
+    beats = (h for h in raw if h.number == _HEARTBEAT)
+    return next((h for h in beats if decoded(h).autopilot in (_ARDUPILOT, _PX4)), None)
+
+
+def _stamps(raw: Iterable[Heard], identity: tuple[int, int]) -> Iterator[tuple[float, float]]:
+    for h in raw:
+        if h.number in _STAMPED and (h.system, h.component) == identity:
+            at = 6 if h.frame[0] == _V1 else 10
+            end = at + min(4, h.frame[1])  # MAVLink 2 leaves out zeros at the end
+            yield h.time_s, int.from_bytes(h.frame[at:end], "little") * 1e-3
+
+
+def _home(said: Iterable[Heard]) -> Place:
+    """From HOME_POSITION, or else the estimator's origin, or else the first fix."""
+    found = dict[int, tuple[float, float, float]]()
+    yaw_rad = 0.0
+    for h in said:
+        if h.number == _HEARTBEAT and decoded(h).base_mode & _ARMED:
+            break  # it has stood still until now
+        if h.number == _ATTITUDE:
+            yaw_rad = decoded(h).yaw
+        elif h.number in (_HOME, _ORIGIN) and h.number not in found:
+            m = decoded(h)
+            found[h.number] = (m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3)
+        elif h.number == _GPS_RAW and h.number not in found and decoded(h).fix_type >= _FIX_3D:
+            m = decoded(h)
+            found[h.number] = (m.lat / 1e7, m.lon / 1e7, m.alt / 1e3)
+    place = found.get(_HOME) or found.get(_ORIGIN) or found.get(_GPS_RAW) or (0.0, 0.0, 0.0)
+    return Place(
+        latitude_deg=place[0],
+        longitude_deg=place[1],
+        altitude_amsl_m=place[2],
+        heading_deg=math.degrees(yaw_rad) % 360.0,
+    )

@@ -1,0 +1,282 @@
+"""Rows of the flight itself, one for each 10 s: where, how fast, how inclined, aimed at what."""
+
+import bisect
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple, final
+
+from vehicle_sim.conformance.messages import Heard, decoded, message_name
+from vehicle_sim.conformance.phases import Nearness, Phases, nearness
+from vehicle_sim.conformance.rows import NOTHING, Comparison, Row
+from vehicle_sim.geodesy import metres_per_degree
+
+BIN_S = 10.0
+_STEP_S = 1.0
+_BESIDE_S = 0.35
+"""A sample further from the second than this does not count as one."""
+_ATTITUDE, _LOCAL, _GLOBAL, _LOCAL_TARGET, _GLOBAL_TARGET, _BATTERY = 30, 32, 33, 85, 87, 147
+_UNKNOWN_HEADING = 65535
+_SILENT_S = 2
+_DATUM_M = 1.5
+"""How far apart home and the sea may be believed to be: the height of PX4's home follows each GPS
+solution for two minutes after boot (HOME_POSITION of px4-offboard-8mps.tlog)."""
+_VOLTS, _PER_CENT, _AMPERES = 0.5, 8.0, 10.0
+_ECHO = {  # tolerance of each field of POSITION_TARGET_LOCAL_NED
+    **dict.fromkeys(("vx", "vy", "vz"), 1.0),
+    **dict.fromkeys(("afx", "afy", "afz"), 1.5),
+    **dict.fromkeys(("yaw", "yaw_rate"), 0.4),
+}
+
+
+class _Apart(NamedTuple):
+    """A difference between two messages of the same time."""
+
+    difference: float
+    """In tolerances."""
+    shown: str
+
+
+Measure = Callable[[Any, Any, Nearness], _Apart]
+
+
+class _Look(NamedTuple):
+    """One comparison at each second."""
+
+    message: int
+    measure: Measure
+    is_worst: bool
+    """The worst second but one of the bin counts, or else the middle one."""
+
+
+def track_rows(comparison: Comparison) -> Iterator[Row]:
+    """All rows of the flight itself."""
+    phases = Phases(comparison)
+    earth = metres_per_degree(comparison.flight.home.latitude_deg)
+
+    def away_m(lat_1: int, lon_1: int, lat_2: int, lon_2: int) -> float:
+        return math.hypot((lat_1 - lat_2) * 1e-7 * earth[0], (lon_1 - lon_2) * 1e-7 * earth[1])
+
+    def horizontally(a: Any, b: Any, near: Nearness) -> _Apart:
+        return _apart(away_m(a.lat, a.lon, b.lat, b.lon), near.horizontal_m, "m")
+
+    def aimed(a: Any, b: Any, near: Nearness) -> _Apart:
+        apart_m = away_m(a.lat_int, a.lon_int, b.lat_int, b.lon_int)
+        return max(
+            _apart(apart_m, near.horizontal_m, "m"),
+            _apart(a.alt - b.alt, near.vertical_m, "m of height"),
+        )
+
+    kinds = {
+        "track": (
+            _Look(_GLOBAL, horizontally, True),
+            _Look(_LOCAL, _local_track, True),
+            _Look(_GLOBAL, _global_height, True),
+            _Look(_LOCAL, _local_height, True),
+        ),
+        "motion": (
+            _Look(_GLOBAL, _speed, False),
+            _Look(_GLOBAL, _climb, False),
+            _Look(_GLOBAL, _heading, False),
+            _Look(_ATTITUDE, _tilt, False),
+        ),
+        "target": (_Look(_LOCAL_TARGET, _echo, False), _Look(_GLOBAL_TARGET, aimed, False)),
+    }
+    for kind, looks in kinds.items():
+        yield from _binned(comparison, phases, kind, looks)
+
+
+def _binned(
+    comparison: Comparison, phases: Phases, kind: str, looks: Sequence[_Look]
+) -> Iterator[Row]:
+    recording = comparison.recording
+    sides = (comparison.real, comparison.simulated)
+    samplers = {
+        look.message: [_Sampler(side.heard(look.message)) for side in sides] for look in looks
+    }
+    first = math.floor(recording.begin_s / BIN_S)
+    for number in range(first, math.ceil(recording.end_s / BIN_S)):
+        at_s = number * BIN_S
+        if comparison.is_left_out(at_s) or comparison.is_left_out(at_s + BIN_S):
+            continue
+        seconds = [at_s + k * _STEP_S for k in range(int(BIN_S / _STEP_S))]
+        found = [(k, _bin(samplers[k.message], k, seconds, phases, recording.kind)) for k in looks]
+        there = [(k, x) for k, x in found if x is not None]
+        if there:
+            yield _bin_row(kind, at_s, there, _tolerance(kind, recording.kind, phases, seconds))
+
+
+def _bin(
+    samplers: "Sequence[_Sampler]", look: _Look, seconds: Sequence[float], phases: Phases, kind: str
+) -> _Apart | None:
+    """The difference in this bin; None if neither side says anything."""
+    apart, only_real, only_simulated = list[_Apart](), 0, 0
+    for second in seconds:
+        real, simulated = (s.at(second) for s in samplers)
+        if real is not None and simulated is not None:
+            apart.append(look.measure(real, simulated, nearness(kind, phases.at(second))))
+        else:
+            only_real += real is not None
+            only_simulated += simulated is not None
+    if max(only_real, only_simulated) > _SILENT_S:
+        return _Apart(
+            math.inf,
+            f"silent for {only_real} s" if only_real > only_simulated else "the real one is silent",
+        )
+    if not apart:
+        return None
+    apart.sort()
+    if look.is_worst:
+        # A step of one side may come a moment later on the other: that is a matter of times.
+        return apart[-2] if len(apart) > 1 else apart[-1]
+    return apart[len(apart) // 2]
+
+
+def _bin_row(kind: str, at_s: float, found: Sequence[tuple[_Look, _Apart]], tolerance: str) -> Row:
+    look, apart = max(found, key=lambda x: x[1])
+    what = "worst second but one" if look.is_worst else "middle of the seconds"
+    return Row(
+        kind=kind,
+        name=f"{at_s:.0f} s to {at_s + BIN_S:.0f} s",
+        at_s=at_s,
+        real=f"{message_name(look.message)}, {what}",
+        simulated=apart.shown,
+        tolerance=tolerance,
+        difference=apart.difference,
+    )
+
+
+def _tolerance(kind: str, vehicle: str, phases: Phases, seconds: Sequence[float]) -> str:
+    parts = []
+    for phase in sorted({phases.at(s) for s in seconds}, key=lambda p: p.value):
+        near = nearness(vehicle, phase)
+        limits = {
+            "track": f"{near.horizontal_m:g} m, height {near.vertical_m:g} m",
+            "motion": f"{near.speed_m_s:g} m/s, climb {near.climb_m_s:g} m/s, "
+            f"heading {near.heading_deg:g} deg, tilt {near.tilt_deg:g} deg",
+            "target": f"{near.horizontal_m:g} m, 1 m/s, 1.5 m/s2, 0.4 rad",
+        }
+        parts.append(f"{phase.value}: {limits[kind]}")
+    return "; ".join(parts)
+
+
+@final
+class _Sampler:
+    """The message nearest to a time."""
+
+    def __init__(self, heard: Sequence[Heard]) -> None:
+        self._heard = heard
+        self._times = [h.time_s for h in heard]
+
+    def at(self, time_s: float) -> Any | None:
+        """None if there is none beside it."""
+        place = bisect.bisect_left(self._times, time_s)
+        near = [i for i in (place - 1, place) if 0 <= i < len(self._times)]
+        best = min(near, key=lambda i: abs(self._times[i] - time_s), default=None)
+        if best is None or abs(self._times[best] - time_s) > _BESIDE_S:
+            return None
+        return decoded(self._heard[best])
+
+
+# --- measures -------------------------------------------------------------------------------------
+
+
+def _apart(difference: float, tolerance: float, unit: str) -> _Apart:
+    return _Apart(abs(difference) / tolerance, f"{abs(difference):.2f} {unit} apart")
+
+
+def _local_track(a: Any, b: Any, near: Nearness) -> _Apart:
+    return _apart(math.hypot(a.x - b.x, a.y - b.y), near.horizontal_m, "m")
+
+
+def _global_height(a: Any, b: Any, near: Nearness) -> _Apart:
+    """Above home and above mean sea level: the receiver's error is in both."""
+    return max(
+        _apart(
+            (a.relative_alt - b.relative_alt) * 1e-3, near.vertical_m + _DATUM_M, "m above home"
+        ),
+        _apart((a.alt - b.alt) * 1e-3, near.vertical_m + _DATUM_M, "m AMSL"),
+    )
+
+
+def _local_height(a: Any, b: Any, near: Nearness) -> _Apart:
+    return _apart(a.z - b.z, near.vertical_m, "m of height")
+
+
+def _speed(a: Any, b: Any, near: Nearness) -> _Apart:
+    ours, theirs = (math.hypot(m.vx, m.vy) / 100.0 for m in (a, b))
+    return _apart(ours - theirs, near.speed_m_s, "m/s")
+
+
+def _climb(a: Any, b: Any, near: Nearness) -> _Apart:
+    return _apart((a.vz - b.vz) / 100.0, near.climb_m_s, "m/s of climb")
+
+
+def _heading(a: Any, b: Any, near: Nearness) -> _Apart:
+    if _UNKNOWN_HEADING in (a.hdg, b.hdg):
+        same = a.hdg == b.hdg
+        return _Apart(0.0 if same else math.inf, "no heading")
+    apart_deg = math.remainder((a.hdg - b.hdg) / 100.0, 360.0)
+    return _apart(apart_deg, near.heading_deg, "deg of heading")
+
+
+def _tilt(a: Any, b: Any, near: Nearness) -> _Apart:
+    ours, theirs = (math.degrees(math.acos(math.cos(m.roll) * math.cos(m.pitch))) for m in (a, b))
+    return _apart(ours - theirs, near.tilt_deg, "deg of tilt")
+
+
+def _echo(a: Any, b: Any, near: Nearness) -> _Apart:
+    places = {"x": near.horizontal_m, "y": near.horizontal_m, "z": near.vertical_m}
+    return max(
+        _field(name, getattr(a, name), getattr(b, name), tolerance)
+        for name, tolerance in {**places, **_ECHO}.items()
+    )
+
+
+def _field(name: str, one: float, other: float, tolerance: float) -> _Apart:
+    """NaN is equal to NaN only."""
+    if math.isnan(one) or math.isnan(other):
+        same = math.isnan(one) and math.isnan(other)
+        return _Apart(0.0 if same else math.inf, f"{name}: {one:.2f} and {other:.2f}")
+    difference = math.remainder(one - other, math.tau) if name == "yaw" else one - other
+    return _apart(difference, tolerance, f"of {name}")
+
+
+# --- battery --------------------------------------------------------------------------------------
+
+
+def battery_rows(comparison: Comparison) -> Iterator[Row]:
+    """Voltage and charge near the beginning, in the middle and before the end of the flight."""
+    recording = comparison.recording
+    sides = [s.of(_BATTERY) for s in (comparison.real, comparison.simulated)]
+    length_s = recording.end_s - recording.begin_s
+    for name, part in (("begin", 0.1), ("middle", 0.5), ("end", 0.9)):
+        at_s = recording.begin_s + part * length_s
+        real, simulated = (_nearest(side, at_s) for side in sides)
+        if real is not None:
+            yield _battery_row(name, at_s, real, simulated)
+
+
+def _battery_row(name: str, at_s: float, real: Any, simulated: Any | None) -> Row:
+    difference = math.inf
+    if simulated is not None:
+        volts = abs(real.voltages[0] - simulated.voltages[0]) / 1000.0
+        percent = abs(real.battery_remaining - simulated.battery_remaining)
+        amperes = abs(real.current_battery - simulated.current_battery) / 100.0
+        difference = max(volts / _VOLTS, percent / _PER_CENT, amperes / _AMPERES)
+    return Row(
+        kind="battery",
+        name=name,
+        at_s=at_s,
+        real=_charge(real),
+        simulated=NOTHING if simulated is None else _charge(simulated),
+        tolerance=f"{_VOLTS} V, {_PER_CENT:g} %, {_AMPERES:g} A",
+        difference=difference,
+    )
+
+
+def _nearest(messages: Sequence[tuple[float, Any]], at_s: float) -> Any | None:
+    return min(messages, key=lambda x: abs(x[0] - at_s))[1] if messages else None
+
+
+def _charge(m: Any) -> str:
+    return f"{m.voltages[0] / 1000:.2f} V, {m.battery_remaining} %, {m.current_battery / 100:.1f} A"

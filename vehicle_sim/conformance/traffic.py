@@ -1,0 +1,174 @@
+"""Rows of the traffic: which messages, how many, from when, how long silent, and how filled."""
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from vehicle_sim.conformance.messages import EVENT, Heard, message_name
+from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, interval_s
+
+COUNT_PART = 0.02
+"""Counts may differ by this part, or by COUNT_LEAST."""
+COUNT_LEAST = 2.0
+COMING_AND_GOING_S = 3.0
+"""A stream that is not always there may be there this much longer or shorter."""
+FIRST_S = 1.1
+SILENCE_S = 0.5
+_STREAM = 20
+"""A message said less often than this is no stream."""
+_SAMPLES = 400
+_EXACT_PART = 1e-3
+_BY_OTHER_ROWS = {0, 22, 49, 76, 77, 148, 242, 253, EVENT}
+"""Messages whose fields are compared by other rows."""
+_AS_IT_HAPPENS = {22, 40, 44, 47, 51, 73, 76, 77, 253, EVENT}
+"""Messages without a rate, whose times are compared by other rows."""
+_VARYING = 5
+"""A field with at least so many values is one that varies."""
+
+
+def traffic_rows(comparison: Comparison) -> Iterator[Row]:
+    """Rows for every message that either side says."""
+    yield _speakers_row(comparison)
+    numbers = comparison.real.numbers | comparison.simulated.numbers
+    for number in sorted(numbers):
+        real, simulated = (s.heard(number) for s in (comparison.real, comparison.simulated))
+        yield _count_row(number, real, simulated)
+        if number not in _AS_IT_HAPPENS and len(real) >= _STREAM and simulated:
+            yield _first_row(number, real, simulated)
+            yield _silence_row(number, real, simulated)
+            if number not in _BY_OTHER_ROWS:
+                yield _filling_row(comparison, number)
+
+
+def _speakers_row(comparison: Comparison) -> Row:
+    sides = [
+        ", ".join(f"{s}/{c}" for s, c in sorted(side.speakers))
+        for side in (comparison.real, comparison.simulated)
+    ]
+    return Row(
+        kind="speakers",
+        name="system/component",
+        at_s=None,
+        real=sides[0],
+        simulated=sides[1],
+        tolerance="equal",
+        difference=0.0 if sides[0] == sides[1] else math.inf,
+    )
+
+
+def _count_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard]) -> Row:
+    allowed = max(COUNT_LEAST, COUNT_PART * len(real))
+    times = [h.time_s for h in real]
+    usual_s = interval_s(times)
+    streams = number not in _AS_IT_HAPPENS and len(real) >= _STREAM
+    if streams and usual_s * len(real) < 0.95 * (times[-1] - times[0]):
+        allowed = max(allowed, COMING_AND_GOING_S / usual_s)
+    return Row(
+        kind="count",
+        name=message_name(number),
+        at_s=None,
+        real=str(len(real)),
+        simulated=str(len(simulated)),
+        tolerance=f"{allowed:.0f}",
+        difference=math.inf
+        if bool(real) != bool(simulated)
+        else abs(len(real) - len(simulated)) / allowed,
+    )
+
+
+def _first_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard]) -> Row:
+    ours, theirs = real[0].time_s, simulated[0].time_s
+    tolerance_s = max(FIRST_S, interval_s([h.time_s for h in real]))
+    return Row(
+        kind="first",
+        name=message_name(number),
+        at_s=ours,
+        real=f"{ours:.2f} s",
+        simulated=f"{theirs:.2f} s",
+        tolerance=f"{tolerance_s:.1f} s",
+        difference=abs(ours - theirs) / tolerance_s,
+    )
+
+
+def _silence_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard]) -> Row:
+    (at_s, ours), (_, theirs) = _longest(real), _longest(simulated)
+    usual_s = interval_s([h.time_s for h in real])
+    allowed_s = max(SILENCE_S, 1.1 * usual_s, 0.05 * ours)
+    return Row(
+        kind="longest silence",
+        name=message_name(number),
+        at_s=at_s,
+        real=f"{ours:.2f} s",
+        simulated=f"{theirs:.2f} s",
+        tolerance=f"{allowed_s:.1f} s",
+        difference=abs(ours - theirs) / allowed_s,
+    )
+
+
+def _longest(heard: Sequence[Heard]) -> tuple[float, float]:
+    """When the longest gap between two of them began, and its length."""
+    gaps = [(b.time_s - a.time_s, a.time_s) for a, b in itertools.pairwise(heard)]
+    gap_s, at_s = max(gaps, default=(0.0, heard[0].time_s))
+    return at_s, gap_s
+
+
+# --- filling --------------------------------------------------------------------------------------
+
+
+def _filling_row(comparison: Comparison, number: int) -> Row:
+    """A field that has one value or few must have the same, or the same most of the time.
+
+    One that varies must vary.
+    """
+    samples = [s.some(number, _SAMPLES) for s in (comparison.real, comparison.simulated)]
+    names = getattr(samples[0][0][1], "fieldnames", ())
+    wrong = list[tuple[str, str, str]]()
+    for name in names:
+        real, simulated = (_values([getattr(m, name) for _, m in side]) for side in samples)
+        shown = _unlike(real, simulated)
+        if shown is not None:
+            wrong.append((name, *shown))
+    return Row(
+        kind="filling",
+        name=message_name(number),
+        at_s=None,
+        real=", ".join(f"{n} {a}" for n, a, _ in wrong) or f"{len(names)} fields",
+        simulated=", ".join(f"{n} {b}" for n, _, b in wrong) or f"{len(names)} fields",
+        tolerance="constants equal to 0.1 %, others vary",
+        difference=math.inf if wrong else 0.0,
+    )
+
+
+def _values(values: Sequence[Any]) -> list[Any]:
+    """The distinct ones, the commonest first; NaN is one value, and a list is what it shows."""
+    return [value for value, _ in Counter(_plain(v) for v in values).most_common()]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float) and math.isnan(value):
+        return "nan"
+    if isinstance(value, list):
+        return str(value)
+    return value
+
+
+def _unlike(real: Sequence[Any], simulated: Sequence[Any]) -> tuple[str, str] | None:
+    """What to show of a field that is not filled alike; None if it is."""
+    if len(real) >= _VARYING:
+        return ("varies", _shown(simulated)) if len(simulated) == 1 else None
+    if len(real) == 1 and len(simulated) > 1:
+        return _shown(real), f"{len(simulated)} values"
+    return None if _same(real[0], simulated[0]) else (_shown(real), _shown(simulated))
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, int | float) and isinstance(other, int | float):
+        return math.isclose(one, other, rel_tol=_EXACT_PART, abs_tol=1e-6)
+    return bool(one == other)
+
+
+def _shown(values: Sequence[Any]) -> str:
+    text = str(values[0]) if values else NOTHING
+    return text if len(text) <= 24 else text[:21] + "..."
