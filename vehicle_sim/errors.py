@@ -2,7 +2,8 @@
 
 SimulatorError
 ├── InputError        what was asked for cannot be done as asked: exit code 2
-└── CompanionSilent   the other side of a lockstep fell silent: exit code 1
+├── CompanionSilent   the other side of a lockstep fell silent: exit code 1
+└── NotSurvived       --strict: the real autopilot would not have survived this: exit code 1
 """
 
 from typing import final
@@ -28,3 +29,8 @@ class InputError(SimulatorError):
 @final
 class CompanionSilent(SimulatorError):
     """Nothing came from the companion for longer than lockstep allows."""
+
+
+@final
+class NotSurvived(SimulatorError):
+    """Something came in that the real autopilot does not survive, and --strict was asked for."""

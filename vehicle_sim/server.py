@@ -1,27 +1,34 @@
-"""The touching half: the only socket, the only clock, the truth file and the signals."""
+"""The touching half: the only clock, the links' sockets, the truth file and the signals."""
 
+import itertools
+import select
 import signal
-import socket
 import time
-import types
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO, final
 
-from vehicle_sim.errors import CompanionSilent, InputError
+from vehicle_sim.errors import CompanionSilent, InputError, NotSurvived
+from vehicle_sim.links import Link
 from vehicle_sim.simulation import STEP_US, Simulation
-from vehicle_sim.wire import datagrams
+from vehicle_sim.wire.frames import StreamParser
+from vehicle_sim.wire.routing import targets
 
 FIRST_HEARTBEAT_S = 60.0
 SILENCE_S = 30.0
 _HELLO_S = 0.2
 _PATIENCE_S = 0.1
 """How long a wait may last before it looks whether it shall stop."""
-_LARGEST_DATAGRAM_BYTES = 65535
 _SLIP_S = 0.25
-_FLUSH_US = 1_000_000
+_FLUSH_S = 0.1
+"""Wall time: who follows the truth file sees what was."""
+_AGAIN_S = 1.0
+_STEPS_DEAF = 10
+"""Steps at most before sockets are read again: a client's stream has no gaps of our making."""
+_MOST_DATAGRAMS = 1000
+"""Handled in one go: a flood does not stop the clock."""
 
 
 @final
@@ -29,16 +36,16 @@ _FLUSH_US = 1_000_000
 class Settings:
     """How to run."""
 
-    host: str
-    port: int
     lockstep: bool = False
     speedup: float = 1.0
     duration_s: float | None = None
-    """Vehicle time after which to end; None: when told."""
+    """Simulated time after which to end; None: when told."""
+    strict: bool = False
+    """End with an error when something came in that the real autopilot does not survive."""
     first_heartbeat_s: float = FIRST_HEARTBEAT_S
-    """Wall time that lockstep waits for the companion at the start."""
+    """Wall time that lockstep waits for the companions at the start."""
     silence_s: float = SILENCE_S
-    """Wall time without a word from the companion after which lockstep gives up."""
+    """Wall time without a word from a companion after which lockstep gives up."""
 
 
 class Stop:
@@ -64,84 +71,42 @@ def stopping_on_signals() -> Iterator[Stop]:
 
 
 @final
-class Link:
-    """A UDP socket that sends to one address and hears only that."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Station:
+    """One vehicle, the links that it is on, in its own order, and where its truth is written."""
 
-    def __init__(self, host: str, port: int) -> None:
-        try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
-            family, kind, protocol, _, address = found[0]
-            self._socket = socket.socket(family, kind, protocol)
-            self._socket.connect(address)
-        except OSError as error:
-            rule = f"cannot be reached ({error.strerror})"
-            remedy = "Name the host and port that the companion listens on."
-            raise InputError("--connect", f"udpout:{host}:{port}", rule, remedy) from None
-        self._timeout_s: float | None = None
-
-    def __enter__(self) -> "Link":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: types.TracebackType | None,
-    ) -> None:
-        self._socket.close()
-
-    def send(self, frames: list[bytes]) -> None:
-        """Send these frames; nobody listening yet is no error."""
-        for datagram in datagrams(frames):
-            try:
-                self._socket.send(datagram)
-            except ConnectionRefusedError:
-                self._resend(datagram)
-            except OSError:
-                return  # no route for the moment: as good as a lost datagram
-
-    def _resend(self, datagram: bytes) -> None:
-        """The refusal was about an earlier datagram and kept this one from being sent."""
-        try:
-            self._socket.send(datagram)
-        except OSError:
-            return
-
-    def receive(self, timeout_s: float) -> bytes | None:
-        """The next datagram, None if there is none in time."""
-        if timeout_s != self._timeout_s:
-            self._socket.settimeout(timeout_s)
-            self._timeout_s = timeout_s
-        try:
-            return self._socket.recv(_LARGEST_DATAGRAM_BYTES)
-        except (TimeoutError, BlockingIOError):
-            return None
-        except OSError:  # the refusal of an earlier datagram
-            time.sleep(min(timeout_s, 0.01))
-            return None
+    simulation: Simulation
+    links: Sequence[Link]
+    truth: TextIO | None = None
 
 
 @final
 class Server:
-    """Runs a simulation against a link until it is over."""
+    """Runs one simulation or several against their links until it is over."""
 
     def __init__(
         self,
-        simulation: Simulation,
-        link: Link,
+        stations: Sequence[Station],
         settings: Settings,
         stop: Stop,
         *,
-        truth: TextIO | None,
         say: Callable[[str], None],
     ) -> None:
-        self._simulation = simulation
-        self._link = link
         self._settings = settings
         self._stop = stop
-        self._truth = truth
         self._say = say
-        self._flush_us = 0
+        self._stations = stations
+        self._simulations = [station.simulation for station in stations]
+        self._truths = [station.truth for station in stations]
+        self._flush_s = 0.0
+        self._heard: dict[Link, list[tuple[Simulation, int]]] = {}
+        """Who hears what comes in by a link, and as which of its own links."""
+        for station in stations:
+            for number, link in enumerate(station.links):
+                self._heard.setdefault(link, []).append((station.simulation, number))
+        self._sorters = {
+            link: StreamParser(datagrams=link.endpoint.kind != "tcpin") for link in self._heard
+        }
 
     def run(self) -> float:
         """Fly; returns the wall time that the flying took, in seconds."""
@@ -152,124 +117,202 @@ class Server:
         finally:
             self._write()
 
+    @property
+    def _now_us(self) -> int:
+        return self._simulations[0].now_us
+
     def _over(self) -> bool:
         duration_s = self._settings.duration_s
-        timed_out = duration_s is not None and self._simulation.now_us >= duration_s * 1e6
+        timed_out = duration_s is not None and self._now_us >= duration_s * 1e6
         return self._stop.requested or timed_out
 
+    # --- out ----------------------------------------------------------------------------------
+
+    def _send(self) -> None:
+        for station in self._stations:
+            if station.simulation.take_port_change():
+                for link in station.links:
+                    if len(self._heard[link]) == 1:  # others of its port have not rebooted
+                        link.move()
+            by_link: dict[int, list[bytes]] = {}
+            for number, frame in station.simulation.take_frames():
+                by_link.setdefault(number, []).append(frame)
+            for number, frames in by_link.items():
+                station.links[number].send(frames)
+
     def _write(self) -> None:
-        """Truth to its file, notices to the terminal."""
-        simulation = self._simulation
-        lines = simulation.take_truth()
-        if self._truth is not None and lines:
-            try:
-                self._truth.write("\n".join(lines) + "\n")
-                if simulation.now_us >= self._flush_us:
-                    self._truth.flush()
-                    self._flush_us = simulation.now_us + _FLUSH_US
-            except OSError as error:
-                self._say(f"truth.jsonl stopped: {error}")
-                self._truth = None
-        for notice in simulation.take_notices():
-            self._say(notice)
+        """Truth to its files, notices to the terminal."""
+        now_s = time.monotonic()
+        flush = now_s >= self._flush_s
+        if flush:
+            self._flush_s = now_s + _FLUSH_S
+        for number, simulation in enumerate(self._simulations):
+            self._write_truth(number, simulation.take_truth(), flush=flush)
+            for notice in simulation.take_notices():
+                self._say(notice)
+            if self._settings.strict and simulation.not_survived is not None:
+                raise NotSurvived(simulation.not_survived)
+
+    def _write_truth(self, number: int, lines: list[str], *, flush: bool) -> None:
+        file = self._truths[number]
+        if file is None:
+            return
+        try:
+            if lines:
+                file.write("\n".join(lines) + "\n")
+            if flush:
+                file.flush()
+        except OSError as error:
+            self._say(f"{file.name} stopped: {error}")
+            self._truths[number] = None
+
+    # --- in -----------------------------------------------------------------------------------
+
+    def _listen(self, wait_s: float) -> bool:
+        """Handle what is there, waiting so long for the first; tell whether anything was."""
+        if self._receive():
+            return True
+        sockets = [each for link in self._heard for each in link.sockets]
+        ready, _, _ = select.select(sockets, [], [], max(wait_s, 0.0))
+        return bool(ready) and self._receive()
+
+    def _receive(self) -> bool:
+        any_came = False
+        for link, hearers in self._heard.items():
+            for _ in range(_MOST_DATAGRAMS):
+                datagram = link.receive()
+                if link.take_reopened():
+                    for simulation, number in hearers:
+                        simulation.reopen(number)
+                if datagram is None:
+                    break
+                any_came = True
+                if len(hearers) == 1:
+                    ((simulation, number),) = hearers
+                    simulation.receive(number, datagram)
+                else:
+                    self._sort(link, hearers, datagram)
+        return any_came
+
+    def _sort(self, link: Link, hearers: list[tuple[Simulation, int]], datagram: bytes) -> None:
+        """Of a shared link: each vehicle gets what is for it, or for all."""
+        for frame, message in self._sorters[link].feed(datagram):
+            system, _ = targets(message)
+            for simulation, number in hearers:
+                if not system or system == simulation.system_id:
+                    simulation.receive(number, frame)
 
     # --- lockstep -----------------------------------------------------------------------------
 
     def _lockstep(self) -> float:
-        simulation, link = self._simulation, self._link
-        self._await_companion()
-        simulation.begin()
+        self._await_companions()
+        for simulation in self._simulations:
+            simulation.begin()
         start_s = time.monotonic()
-        while not (self._over() or simulation.companion_ended):
-            while not simulation.step():
-                pass
-            question_ns = simulation.ask_for_sync()
-            link.send(simulation.take_frames())
+        while not self._over():
+            asked: dict[Simulation, int] = {}
+            flying = [each for each in self._simulations if not each.companion_ended]
+            if not flying:
+                break
+            while not asked:
+                for number, simulation in enumerate(flying):
+                    if simulation.step():
+                        asked[simulation] = simulation.ask_for_sync(number)
+            self._send()
             self._write()
-            self._await_answer(question_ns)
+            self._await_answers(asked)
         return time.monotonic() - start_s
 
-    def _await_companion(self) -> None:
+    def _await_companions(self) -> None:
         """Say hello until somebody says hello; vehicle time stands still."""
-        simulation, link = self._simulation, self._link
         give_up_s = time.monotonic() + self._settings.first_heartbeat_s
         hello_s = 0.0
-        while simulation.companion is None and not self._stop.requested:
+        while not self._stop.requested:
+            alone = [each for each in self._simulations if each.companion is None]
+            if not alone:
+                return
             now_s = time.monotonic()
             if now_s >= give_up_s:
                 waited_s = self._settings.first_heartbeat_s
                 raise CompanionSilent(f"no heartbeat from a companion within {waited_s:.0f} s")
             if now_s >= hello_s:
-                simulation.say_hello()
-                link.send(simulation.take_frames())
+                for simulation in alone:
+                    simulation.say_hello()
+                self._send()
                 hello_s = now_s + _HELLO_S
-            datagram = link.receive(_PATIENCE_S)
-            if datagram is not None:
-                simulation.receive(datagram)
+            self._listen(_PATIENCE_S)
 
-    def _await_answer(self, question_ns: int) -> None:
-        """Handle what comes until the answer to this question has come."""
-        simulation, link, silence_s = self._simulation, self._link, self._settings.silence_s
-        heard_s: float | None = None
-        while simulation.answered_ns != question_ns:
-            if self._stop.requested or simulation.companion_ended:
+    def _await_answers(self, asked: dict[Simulation, int]) -> None:
+        """Handle what comes until all these questions are answered."""
+        asked_s = again_s = time.monotonic()
+        while True:
+            waiting = [
+                (each, question_ns)
+                for each, question_ns in asked.items()
+                if each.answered_ns != question_ns and not each.companion_ended
+            ]
+            if not waiting or self._stop.requested:
                 return
-            datagram = link.receive(_PATIENCE_S)
-            if datagram is not None:
-                simulation.receive(datagram)
-                heard_s = None
+            if self._listen(_PATIENCE_S):
                 continue
             now_s = time.monotonic()
-            heard_s = now_s - _PATIENCE_S if heard_s is None else heard_s
-            if now_s - heard_s >= silence_s:
-                at_s = simulation.now_us * 1e-6
-                what = (
-                    f"the companion was silent for {silence_s:.0f} s at {at_s:.1f} s vehicle time"
-                )
-                raise CompanionSilent(what)
+            if now_s - asked_s >= self._settings.silence_s:
+                raise self._silent(*waiting[0])
+            if now_s - again_s >= _AGAIN_S:  # it may have been lost, or its client has changed
+                again_s = now_s
+                for each, _ in waiting:
+                    each.ask_again()
+                self._send()
+
+    def _silent(self, simulation: Simulation, question_ns: int) -> CompanionSilent:
+        silence_s, at_s = self._settings.silence_s, self._now_us * 1e-6
+        what = f"the companion was silent for {silence_s:.0f} s at {at_s:.1f} s vehicle time"
+        if simulation.mistaken_ns == question_ns:
+            what += "; it answered TIMESYNC with a time of its own: in lockstep tc1 must echo ts1"
+        return CompanionSilent(what)
 
     # --- real time ----------------------------------------------------------------------------
 
     def _real_time(self) -> float:
-        simulation, link, speedup = self._simulation, self._link, self._settings.speedup
-        simulation.say_hello()
+        speedup = self._settings.speedup
+        for simulation in self._simulations:
+            simulation.say_hello()
+        self._send()
         start_s = origin_s = time.monotonic()  # origin: wall time of vehicle time 0, kept to
         while not self._over():
-            behind_us = (time.monotonic() - origin_s) * speedup * 1e6 - simulation.now_us
+            behind_us = (time.monotonic() - origin_s) * speedup * 1e6 - self._now_us
             if behind_us > _SLIP_S * speedup * 1e6:  # too slow a computer: let time slip
                 origin_s += (behind_us - STEP_US) / (speedup * 1e6)
                 behind_us = STEP_US
-            while behind_us >= STEP_US and not self._over():
-                simulation.step()
+            for k in itertools.count(1):
+                if behind_us < STEP_US or self._over():
+                    break
+                for simulation in self._simulations:
+                    simulation.step()
                 behind_us -= STEP_US
-                link.send(simulation.take_frames())
+                self._send()
+                if k % _STEPS_DEAF == 0:
+                    self._receive()
             self._write()
             self._listen((STEP_US - behind_us) / (speedup * 1e6))
-            link.send(simulation.take_frames())
+            self._send()
         return time.monotonic() - start_s
-
-    def _listen(self, for_s: float) -> None:
-        """Handle what comes in this time, and what is already there."""
-        end_s = time.monotonic() + for_s
-        wait_s = for_s
-        while (datagram := self._link.receive(max(wait_s, 0.0))) is not None:
-            self._simulation.receive(datagram)
-            wait_s = end_s - time.monotonic()
-            if wait_s < -_SLIP_S:  # a flood does not stop the clock
-                return
 
 
 @contextmanager
-def truth_file(folder: Path | None) -> Iterator[TextIO | None]:
-    """FOLDER/truth.jsonl, opened for writing; None without a folder."""
+def truth_files(folder: Path | None, names: Sequence[str]) -> Iterator[list[TextIO | None]]:
+    """FOLDER/NAME for each name, opened for writing; None for each without a folder."""
     if folder is None:
-        yield None
+        yield [None] * len(names)
         return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        file = (folder / "truth.jsonl").open("w", encoding="utf-8", newline="\n")
-    except OSError as error:
-        rule = f"cannot be written to ({error.strerror})"
-        raise InputError("--out", str(folder), rule, "Name another folder.") from None
-    with file:
-        yield file
+    with ExitStack() as stack:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            files: list[TextIO | None] = [
+                stack.enter_context((folder / name).open("w", encoding="utf-8", newline="\n"))
+                for name in names
+            ]
+        except OSError as error:
+            rule = f"cannot be written to ({error.strerror})"
+            raise InputError("--out", str(folder), rule, "Name another folder.") from None
+        yield files

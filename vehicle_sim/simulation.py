@@ -1,77 +1,219 @@
-"""The whole vehicle without sockets or clock: datagrams in, steps of vehicle time, frames out."""
+"""One vehicle without sockets or clock: bytes in, steps of vehicle time, frames out.
 
-import math
-from typing import assert_never, final
+Here its parts meet: the world and its faults, the vehicle, its sensors, the flight controller, the
+terrain radar and the radio.
+"""
 
-from vehicle_sim import telemetry, truth, wire
-from vehicle_sim.autopilots import Ack, Command, Interval, Reply, Report, Sender, Setpoint, Text
-from vehicle_sim.autopilots.ardupilot import ArduCopter
-from vehicle_sim.autopilots.guided import Tuning
+from collections.abc import Callable, Container, Mapping
+from typing import final
+
+from vehicle_sim import truth
+from vehicle_sim.autopilots import Autopilot, SayParameter, Sender, Text
+from vehicle_sim.autopilots.factory import (
+    battery_model,
+    make_autopilot,
+    make_vehicle,
+    overrides_of,
+    receiver_of,
+)
 from vehicle_sim.chance import generator
-from vehicle_sim.dynamics import Copter, Limits
-from vehicle_sim.sensors import ScanRequest, TerrainRadar, Viewpoint
-from vehicle_sim.world import Vehicle, World
+from vehicle_sim.dynamics.battery import Battery, PowerModule
+from vehicle_sim.dynamics.copter import Copter
+from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.dynamics.wind import Wind
+from vehicle_sim.faults import (
+    EstimatorReset,
+    Happening,
+    OriginMove,
+    PilotTakes,
+    Reboot,
+    Timeline,
+    conditions_of,
+    take_happenings,
+)
+from vehicle_sim.flight_controller import FlightController
+from vehicle_sim.parameters import Parameters
+from vehicle_sim.plans import Plans
+from vehicle_sim.sensors.gps import Gps
+from vehicle_sim.sensors.radar_component import RadarComponent
+from vehicle_sim.sensors.terrain_radar import TerrainRadar
+from vehicle_sim.wire import messages
+from vehicle_sim.wire.radar_node import RadarNode
+from vehicle_sim.wire.radio import Radio, Received
+from vehicle_sim.world import Scanner, World
 
 STEP_US = 10_000
 _STEP_S = STEP_US * 1e-6
-_HEARTBEAT, _POSITION = 0, 33
-_HEARTBEAT_US = 1_000_000
+_LOOK_US = 100_000
+"""Between looks at the ground below; also of a lockstep tick without positions."""
+_POSITION = 33
 _POWEROFF = 7
-_UNSUPPORTED = 3
 _WORTH_SHOWING = 4
 """MAV_SEVERITY_WARNING: texts at least this severe go to the terminal too."""
+_NOT_SURVIVED = "SIM:"
+"""So begins a text about something that the real autopilot does not survive."""
+_DOWN_US = 1_100_000
+"""Without power: until the first heartbeat after it there is a gap of 2.1 s (ardupilot.md 5)."""
 
 
 @final
 class Simulation:
-    """One vehicle, its autopilot, its radar and its link."""
+    """One vehicle, its autopilot, its radar and its links.
 
-    def __init__(self, world: World, *, seed: int = 0) -> None:
+    What comes in by a link of `byte_streams` may be cut anywhere, as TCP does; a datagram may not.
+    Of several vehicles on the same links one `forwards_all` between them, the others only what is
+    for their own system.
+    ``faults`` is the text of a timeline.  InputError for a parameter that the autopilot does not
+    have, and for a fault that does not exist.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        seed: int = 0,
+        links: int = 1,
+        byte_streams: Container[int] = (),
+        forwards_all: bool = True,
+        faults: str = "",
+    ) -> None:
         vehicle = world.vehicle
         self.now_us = 0
+        """Since the start; the autopilot counts from its own boot."""
         self.companion: Sender | None = None
-        """The first one whose heartbeat was heard."""
+        """The first one on link 0 whose heartbeat was heard."""
         self.companion_ended = False
+        self._question_ns = -1
         self.answered_ns = -1
-        """Vehicle time of the newest lockstep question that was answered."""
-        self._frame = world.frame
+        """Time of the newest lockstep question that was answered."""
+        self.mistaken_ns = -1
+        """The same, of the newest one that was answered with another tc1 than ts1."""
+        self.not_survived: str | None = None
+        """What came in that the real autopilot does not survive: the first of it."""
+        self.on_message: Callable[[str], None] | None = None
+        """Told the name of each message that comes in for the autopilot."""
+        self._world, self._frame, self._seed = world, world.frame, seed
         self._terrain = world.truth()
         self._ground_amsl_m = self._terrain.height_at_amsl_m(vehicle.north_m, vehicle.east_m)
-        latitude_deg, longitude_deg = self._frame.to_geographic(vehicle.north_m, vehicle.east_m)
-        self._copter = Copter(
-            latitude_deg=latitude_deg,
-            longitude_deg=longitude_deg,
-            altitude_amsl_m=self._ground_amsl_m,
-            limits=_limits(vehicle),
-        )
-        self._autopilot = ArduCopter(
-            self._copter,
-            _tuning(vehicle),
-            heading_rad=math.radians(vehicle.heading_deg),
-            hardware_id=int(generator(seed, "hardware id").integers(1, 2**63)),
-        )
-        self._radar_component = world.scanner.component_id
-        self._radar = TerrainRadar(self._terrain, self._frame, range_m=world.scanner.range_m)
-        self._scan: ScanRequest | None = None
-        self._parser = wire.Parser(vehicle.system_id, world.scanner.component_id)
-        self._autopilot_packer = wire.Packer(vehicle.system_id, wire.AUTOPILOT_COMPONENT)
-        self._radar_packer = wire.Packer(vehicle.system_id, world.scanner.component_id)
-        self._streams: dict[int, tuple[int, int]] = {_HEARTBEAT: (_HEARTBEAT_US, _HEARTBEAT_US)}
-        """Of this link: interval and next time, by message number, both in microseconds."""
-        self._radar_beat_us = _HEARTBEAT_US
-        self._soonest_us = _HEARTBEAT_US
-        self._outbox: list[bytes] = []
+        place = self._frame.to_geographic(vehicle.north_m, vehicle.east_m)
+        self._vehicle = make_vehicle(vehicle, *place, self._ground_amsl_m)
+        self._plans = Plans()
+        self._battery = Battery()
+        self._power = PowerModule(self._battery, battery_model(vehicle))
+        self._wind = Wind(generator(seed, "wind"))
         self._notices: list[str] = []
-        self._shown = (self._autopilot.mode_name, False)
         self._truth: list[str] = [truth.header(world, seed)]
+        self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
+        self._boots = 0
+        autopilot = self._make_autopilot(overrides_of(vehicle))
+        self._radio = Radio(
+            system=vehicle.system_id,
+            radar_component=None if world.scanner is None else world.scanner.component_id,
+            style=autopilot.style,
+            links=links,
+            byte_streams=byte_streams,
+            forwards_all=forwards_all,
+            rng=generator(seed, "links"),
+        )
+        self._scanner = None if world.scanner is None else self._make_scanner(world.scanner)
+        self._timeline = Timeline.parse(
+            faults,
+            name="faults",
+            firmware=vehicle.autopilot,
+            latitude_deg=world.origin.latitude_deg,
+        )
+        self._down_until_us = 0
+        self._port_change = False
+        self._boot(autopilot)
+        self._shown = (self.mode_name, False)
         self._look_down()
+
+    def _make_scanner(self, scanner: Scanner) -> RadarNode:
+        radar = TerrainRadar(self._terrain, self._frame, range_m=scanner.range_m)
+        component = RadarComponent(radar, generator(self._seed, "radar"))
+        return RadarNode(component, self._radio, scanner.component_id)
+
+    def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
+        self._boots += 1
+        return make_autopilot(
+            self._world.vehicle,
+            self._vehicle,
+            overrides,
+            self._plans,
+            self._battery,
+            hardware_id=self._hardware_id,
+            rng=generator(self._seed, f"autopilot {self._boots}"),
+        )
+
+    def _boot(self, autopilot: Autopilot) -> None:
+        """The flight controller and its receiver start, now."""
+        self._controller = FlightController(
+            autopilot,
+            self._radio,
+            self._vehicle,
+            self._battery,
+            boot_us=self.now_us,
+            hardware_id=self._hardware_id,
+            on_text=self._on_text,
+        )
+        receiver = receiver_of(self._world.vehicle)
+        self._gps = Gps(receiver, generator(self._seed, f"gps {self._boots}"))
+        self._parameters = autopilot.parameters
+        self._refresh()
+
+    # --- to look at ---------------------------------------------------------------------------
+
+    @property
+    def ground_amsl_m(self) -> float:
+        """Height of the ground below, as of the last look."""
+        return self._ground_amsl_m
+
+    @property
+    def vehicle(self) -> Copter | Plane:
+        """The truth: where it really is, and how it moves."""
+        return self._vehicle
+
+    @property
+    def parameters(self) -> Parameters:
+        """The autopilot's; a reboot makes new ones."""
+        return self._parameters
+
+    @property
+    def mode_name(self) -> str:
+        """The autopilot's mode."""
+        return self._controller.autopilot.mode_name
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors may turn."""
+        return self._controller.autopilot.armed
+
+    @property
+    def landed(self) -> bool:
+        """Whether it stands on the ground."""
+        return self._controller.autopilot.landed
+
+    @property
+    def armable(self) -> bool:
+        """Whether the autopilot is healthy and has a position to fly by."""
+        autopilot = self._controller.autopilot
+        return autopilot.status().prearm_ok and autopilot.estimate.position_ok
+
+    def outcome(self) -> str:
+        """Where it is and what it does, in a few words."""
+        north_m, east_m = self._local_m
+        armed = "armed" if self.armed else "disarmed"
+        where = "on the ground" if self.landed else "in the air"
+        return (
+            f"{round(north_m)} m north, {round(east_m)} m east, "
+            f"{self._vehicle.altitude_amsl_m:.0f} m AMSL, {self.mode_name}, {armed}, {where}"
+        )
 
     # --- out ----------------------------------------------------------------------------------
 
-    def take_frames(self) -> list[bytes]:
-        """What is to be sent now, in order."""
-        frames, self._outbox = self._outbox, []
-        return frames
+    def take_frames(self) -> list[tuple[int, bytes]]:
+        """What is to be sent now: link and frame, in order."""
+        return self._radio.take(self.now_us)
 
     def take_truth(self) -> list[str]:
         """New lines of the truth file."""
@@ -83,57 +225,121 @@ class Simulation:
         notices, self._notices = self._notices, []
         return notices
 
-    def outcome(self) -> str:
-        """Where it is and what it does, in a few words."""
-        north_m, east_m = self._local_m
-        copter, autopilot = self._copter, self._autopilot
-        armed = "armed" if autopilot.armed else "disarmed"
-        where = "on the ground" if autopilot.landed else "in the air"
-        return (
-            f"north {round(north_m):,} m, east {round(east_m):,} m, "
-            f"{round(copter.altitude_amsl_m):,} m AMSL, "
-            f"{autopilot.mode_name}, {armed}, {where}"
-        )
-
-    # --- time ---------------------------------------------------------------------------------
+    def take_port_change(self) -> bool:
+        """Whether the autopilot has rebooted, so that it sends from another port now."""
+        changed, self._port_change = self._port_change, False
+        return changed
 
     def say_hello(self) -> None:
         """Both heartbeats, out of turn."""
-        report = self._autopilot.report()
-        self._outbox.append(self._autopilot_packer.frame(telemetry.heartbeat(report)))
-        self._outbox.append(self._radar_packer.frame(wire.radar_heartbeat()))
+        self._controller.say_hello()
+        if self._scanner is not None:
+            self._scanner.say_hello()
 
     def begin(self) -> None:
         """Count frames from here: how often hello was said depends on wall time."""
-        self._autopilot_packer.restart()
-        self._radar_packer.restart()
+        self._radio.begin()
+
+    def ask_for_sync(self, number: int = 0) -> int:
+        """Queue the question that ends a lockstep tick; the answer carries this time (ns).
+
+        Of vehicles on the same link each has its own number, so that their questions differ.
+        """
+        question_ns = self.now_us * 1000 + number
+        self._question_ns = question_ns
+        self._radio.send_last(messages.time_sync(0, question_ns), 0)
+        return question_ns
+
+    def ask_again(self) -> None:
+        """Queue the last question once more, to the byte."""
+        self._radio.send_last_again()
+
+    def reopen(self, link: int) -> None:
+        """Another client has connected to this link."""
+        self._radio.reopen(link)
+
+    @property
+    def system_id(self) -> int:
+        """Of the vehicle."""
+        return self._world.vehicle.system_id
+
+    # --- what may go wrong --------------------------------------------------------------------
+
+    def add_fault(self, line: str) -> None:
+        """A fault from now on: a line of the timeline without its time ("for 3 s: gps_off")."""
+        self._timeline.add(line, self.now_us)
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """As PARAM_SET does it; KeyError if the autopilot has no such parameter."""
+        self._parameters[name] = value
+        if self.now_us < self._down_until_us:
+            return
+        if self._world.vehicle.autopilot == "px4":  # tells of every change, whoever made it
+            self._controller.answer([SayParameter(name=name)])
+        self._controller.answer(self._controller.autopilot.on_parameter(name))
+
+    def _refresh(self) -> None:
+        """A parameter has changed: so may the weather have, and the links."""
+        parameters = self._parameters
+        happenings = take_happenings(parameters)
+        self._conditions = conditions_of(parameters)
+        self._seen_version = parameters.version
+        self._controller.setpoints_ignored = self._conditions.setpoints_ignored
+        self._radio.impair(self._conditions.link)
+        if "MAV_OPTIONS" in parameters:
+            self._radio.router.enforce = bool(int(parameters["MAV_OPTIONS"]) & 1)
+            self._radio.router.ground_system = int(parameters["MAV_GCS_SYSID"])
+        for happening in happenings:
+            self._happen(happening)
+
+    def _happen(self, happening: Happening) -> None:
+        controller = self._controller
+        match happening:
+            case EstimatorReset(north_m=north_m, east_m=east_m):
+                controller.answer(controller.autopilot.reset_estimate(north_m, east_m))
+            case OriginMove(north_m=north_m, east_m=east_m, up_m=up_m):
+                controller.answer(controller.autopilot.move_origin(north_m, east_m, up_m))
+            case PilotTakes():
+                controller.answer(controller.autopilot.pilot_takes())
+            case Reboot():
+                self._go_down()
+
+    # --- time ---------------------------------------------------------------------------------
 
     def step(self) -> bool:
-        """Fly for one step, queue what is due, and tell whether a tick is complete."""
+        """Fly for one step, queue what is due, and tell whether a lockstep tick is complete."""
         self.now_us = now_us = self.now_us + STEP_US
-        for reply in self._autopilot.step(now_us, _STEP_S, self._ground_amsl_m):
-            self._reply(reply)
-        if now_us % truth.INTERVAL_US == 0:
+        for name, value in self._timeline.step(now_us, self._parameters):
+            self.set_parameter(name, value)
+        if self._parameters.version != self._seen_version:
+            self._refresh()
+        for received in self._radio.late(now_us):
+            self._receive(received)
+        if now_us % _LOOK_US == 0:
             self._look_down()
-        positioned = self._stream() if now_us >= self._soonest_us else False
-        complete = positioned if _POSITION in self._streams else now_us % truth.INTERVAL_US == 0
-        if complete and self._scan is not None:
-            self._answer_scan(self._scan)
+        if now_us < self._down_until_us:
+            return self._stay_down()
+        controller, conditions, vehicle = self._controller, self._conditions, self._vehicle
+        self._wind.step(_STEP_S, vehicle, conditions.wind, self._ground_amsl_m)
+        fix = self._gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
+        controller.step(now_us, _STEP_S, self._ground_amsl_m, fix)
+        self._power.step(_STEP_S, vehicle, controller.autopilot.armed, conditions.battery)
+        if controller.wants_reboot:
+            self._go_down()
+        positioned = controller.stream(now_us)
+        ticks = controller.streams.interval_us(0, _POSITION) is not None
+        complete = positioned if ticks else now_us % _LOOK_US == 0
+        if self._scanner is not None:
+            self._scanner.step(now_us, vehicle, conditions.radar, tick=complete)
         return complete
-
-    def ask_for_sync(self) -> int:
-        """Queue the question that ends a tick; the answer carries this time in nanoseconds."""
-        now_ns = self.now_us * 1000
-        self._outbox.append(self._autopilot_packer.frame(wire.time_sync(0, now_ns)))
-        return now_ns
 
     def _look_down(self) -> None:
         """Where it is in the world, how high the ground is there; one line of truth."""
-        copter = self._copter
-        self._local_m = self._frame.to_local(copter.latitude_deg, copter.longitude_deg)
+        vehicle, autopilot = self._vehicle, self._controller.autopilot
+        self._local_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
         self._ground_amsl_m = self._terrain.height_at_amsl_m(*self._local_m)
-        self._truth.append(truth.line(self.now_us, self._local_m, copter, self._autopilot))
-        shown = (self._autopilot.mode_name, self._autopilot.armed)
+        self._truth.append(truth.line(self.now_us, self._local_m, vehicle, autopilot))
+        shown = (autopilot.mode_name, autopilot.armed)
         if shown != self._shown:
             self._shown = shown
             self._notice(f"{shown[0]}, {'armed' if shown[1] else 'disarmed'}")
@@ -141,135 +347,60 @@ class Simulation:
     def _notice(self, what: str) -> None:
         self._notices.append(f"{self.now_us * 1e-6:9.1f} s  {what}")
 
-    def _stream(self) -> bool:
-        """Queue all telemetry that is due; tell whether a position was."""
-        now_us, report, positioned = self.now_us, self._autopilot.report(), False
-        for number, (interval_us, due_us) in self._streams.items():
-            if due_us > now_us:
-                continue
-            self._send(number, report)
-            positioned = positioned or number == _POSITION
-            missed = (now_us - due_us) // interval_us
-            self._streams[number] = (interval_us, due_us + (missed + 1) * interval_us)
-        if self._radar_beat_us <= now_us:
-            self._outbox.append(self._radar_packer.frame(wire.radar_heartbeat()))
-            self._radar_beat_us += _HEARTBEAT_US
-        self._find_soonest()
-        return positioned
+    def _on_text(self, text: Text) -> None:
+        if text.severity <= _WORTH_SHOWING:
+            self._notice(text.text)
+        if text.text.startswith(_NOT_SURVIVED) and self.not_survived is None:
+            self.not_survived = text.text
 
-    def _find_soonest(self) -> None:
-        due = [due_us for _, due_us in self._streams.values()]
-        self._soonest_us = min([self._radar_beat_us, *due])
+    def _go_down(self) -> None:
+        """The flight controller loses power."""
+        self._notice("the autopilot reboots")
+        self._down_until_us = self.now_us + _DOWN_US
+        self._radio.restart()
 
-    def _send(self, number: int, report: Report) -> None:
-        message = telemetry.MESSAGES[number](report)
-        if message is not None:
-            self._outbox.append(self._autopilot_packer.frame(message))
-
-    def _answer_scan(self, request: ScanRequest) -> None:
-        """All blocks, then the report that says that this was all."""
-        self._scan = None
-        copter, radar = self._copter, self._radar
-        view = Viewpoint(
-            latitude_deg=copter.latitude_deg,
-            longitude_deg=copter.longitude_deg,
-            altitude_amsl_m=copter.altitude_amsl_m,
-        )
-        blocks = radar.answer(request, view)
-        pack = self._radar_packer.frame
-        self._outbox += [pack(wire.terrain_data(request, block)) for block in blocks]
-        ground_amsl_m = radar.height_amsl_m(request.latitude_deg, request.longitude_deg)
-        report = wire.terrain_report(
-            request,
-            ground_amsl_m=ground_amsl_m,
-            above_ground_m=copter.altitude_amsl_m - ground_amsl_m,
-            blocks=len(blocks),
-        )
-        self._outbox.append(pack(report))
+    def _stay_down(self) -> bool:
+        """One step without an autopilot: in the air it falls, and is back when it lies."""
+        vehicle = self._vehicle
+        if vehicle.altitude_amsl_m > self._ground_amsl_m:
+            vehicle.fall(_STEP_S)
+            self._down_until_us = max(self._down_until_us, self.now_us + 2 * STEP_US)
+        else:
+            vehicle.stand(self._ground_amsl_m)
+        if self.now_us + STEP_US >= self._down_until_us:
+            self._boot(self._make_autopilot(self._parameters.values()))
+            self._port_change = True
+        return self.now_us % _LOOK_US == 0
 
     # --- in -----------------------------------------------------------------------------------
 
-    def receive(self, datagram: bytes) -> None:
-        """Handle everything in this datagram, at the present vehicle time."""
-        for item in self._parser.parse(datagram):
-            match item:
-                case Setpoint():
-                    self._reply_all(self._autopilot.on_setpoint(item))
-                case wire.TimeSync():
-                    self._on_time_sync(item)
-                case wire.Heartbeat():
-                    self._on_heartbeat(item)
-                case Command():
-                    self._on_command(item)
-                case ScanRequest():
-                    self._scan = item
-                case _:
-                    assert_never(item)
+    def receive(self, link: int, data: bytes) -> None:
+        """Handle everything in this datagram or piece of stream, at the present vehicle time."""
+        for received in self._radio.receive(self.now_us, link, data):
+            self._receive(received)
 
-    def _on_time_sync(self, item: wire.TimeSync) -> None:
-        if item.tc1_ns == 0:
-            answer = wire.time_sync(self.now_us * 1000, item.ts1_ns)
-            self._outbox.append(self._autopilot_packer.frame(answer))
-        elif item.tc1_ns == item.ts1_ns:
-            self.answered_ns = item.ts1_ns
+    def _receive(self, received: Received) -> None:
+        message = received.message
+        sender = messages.sender(message, received.link)
+        if received.to_radar and self._scanner is not None:
+            self._scanner.receive(message, sender)
+        kind = message.get_type()
+        if kind == "TIMESYNC" and message.ts1 == self._question_ns and sender.link == 0:
+            if message.tc1 == message.ts1:
+                self.answered_ns = message.ts1
+            elif message.tc1 != 0:
+                self.mistaken_ns = message.ts1
+        if not received.to_autopilot or self.now_us < self._down_until_us:
+            return
+        if kind == "HEARTBEAT" and sender.link == 0:
+            self._meet(sender, message.system_status)
+        self._controller.receive(message, sender, self.now_us)
+        if self.on_message is not None:
+            self.on_message(kind)
 
-    def _on_heartbeat(self, item: wire.Heartbeat) -> None:
+    def _meet(self, sender: Sender, system_status: int) -> None:
         if self.companion is None:
-            self.companion = item.sender
-            self._notice(f"heard {item.sender.system}/{item.sender.component}")
-        if item.sender == self.companion and item.system_status == _POWEROFF:
+            self.companion = sender
+            self._notice(f"heard {sender.system}/{sender.component}")
+        if sender == self.companion and system_status == _POWEROFF:
             self.companion_ended = True
-
-    def _on_command(self, item: Command) -> None:
-        if item.target_component == self._radar_component:
-            refusal = Ack(to=item.sender, command=item.number, result=_UNSUPPORTED)
-            self._outbox.append(self._radar_packer.frame(wire.ack(refusal)))
-        else:
-            self._reply_all(self._autopilot.on_command(item))
-
-    def _reply_all(self, replies: list[Reply]) -> None:
-        for reply in replies:
-            self._reply(reply)
-
-    def _reply(self, reply: Reply) -> None:
-        match reply:
-            case Ack():
-                self._outbox.append(self._autopilot_packer.frame(wire.ack(reply)))
-            case Text():
-                if self.companion is not None:  # ArduPilot is silent until somebody was heard
-                    self._outbox.append(self._autopilot_packer.frame(wire.text(reply)))
-                if reply.severity <= _WORTH_SHOWING:
-                    self._notice(reply.text)
-            case Interval(message=number, interval_us=0):
-                self._streams.pop(number, None)
-                self._find_soonest()
-            case Interval(message=number, interval_us=interval_us):
-                self._streams[number] = (interval_us, self.now_us + interval_us)
-                self._streams = dict(sorted(self._streams.items()))
-                self._find_soonest()
-            case _:
-                self._send(reply.message, self._autopilot.report())
-
-
-def _limits(vehicle: Vehicle) -> Limits:
-    return Limits(
-        speed_m_s=vehicle.speed_max_m_s,
-        acceleration_m_s2=vehicle.acceleration_max_m_s2,
-        speed_vertical_m_s=vehicle.speed_vertical_max_m_s,
-        acceleration_vertical_m_s2=vehicle.acceleration_vertical_max_m_s2,
-    )
-
-
-def _tuning(vehicle: Vehicle) -> Tuning:
-    """ArduPilot's parameters in SI units."""
-    parameters, fastest_m_s = vehicle.parameters, vehicle.speed_vertical_max_m_s
-    up_cm_s, down_cm_s = parameters.WPNAV_SPEED_UP, parameters.WPNAV_SPEED_DN
-    return Tuning(
-        timeout_s=parameters.GUID_TIMEOUT,
-        speed_m_s=parameters.WPNAV_SPEED / 100.0,
-        acceleration_m_s2=parameters.WPNAV_ACCEL / 100.0,
-        jerk_m_s3=parameters.PSC_JERK_XY,
-        speed_up_m_s=fastest_m_s if up_cm_s is None else min(up_cm_s / 100.0, fastest_m_s),
-        speed_down_m_s=fastest_m_s if down_cm_s is None else min(down_cm_s / 100.0, fastest_m_s),
-        land_speed_m_s=parameters.LAND_SPEED / 100.0,
-    )

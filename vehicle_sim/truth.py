@@ -3,7 +3,7 @@
 import json
 
 from vehicle_sim.autopilots import Autopilot
-from vehicle_sim.dynamics import Copter
+from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.world import World
 
 INTERVAL_US = 100_000
@@ -26,16 +26,16 @@ def header(world: World, seed: int) -> str:
     )
 
 
-def line(now_us: int, local_m: tuple[float, float], copter: Copter, autopilot: Autopilot) -> str:
+def line(now_us: int, local_m: tuple[float, float], vehicle: Vehicle, autopilot: Autopilot) -> str:
     """One moment.  Written by hand: json.dumps would take longer than the flying."""
     north_m, east_m = local_m
     return (
         f'{{"t_s": {now_us * 1e-6:.2f}, "north_m": {north_m:.4f}, "east_m": {east_m:.4f}, '
-        f'"altitude_amsl_m": {copter.altitude_amsl_m:.4f}, '
-        f'"lat_deg": {copter.latitude_deg:.10f}, "lon_deg": {copter.longitude_deg:.10f}, '
-        f'"velocity_north_m_s": {copter.velocity_north_m_s:.4f}, '
-        f'"velocity_east_m_s": {copter.velocity_east_m_s:.4f}, '
-        f'"velocity_up_m_s": {copter.velocity_up_m_s:.4f}, '
+        f'"altitude_amsl_m": {vehicle.altitude_amsl_m:.4f}, '
+        f'"lat_deg": {vehicle.latitude_deg:.10f}, "lon_deg": {vehicle.longitude_deg:.10f}, '
+        f'"velocity_north_m_s": {vehicle.velocity_north_m_s:.4f}, '
+        f'"velocity_east_m_s": {vehicle.velocity_east_m_s:.4f}, '
+        f'"velocity_up_m_s": {vehicle.velocity_up_m_s:.4f}, '
         f'"mode": "{autopilot.mode_name}", "armed": {str(autopilot.armed).lower()}, '
         f'"landed": {str(autopilot.landed).lower()}}}'
     )

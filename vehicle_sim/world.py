@@ -10,6 +10,7 @@ import tomllib
 import types
 import typing
 from collections.abc import Sequence
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Literal, final
 
@@ -90,47 +91,40 @@ class Threat:
     range_m: _Positive
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
-class Parameters:
-    """The autopilot's parameters under their ArduPilot names, in ArduPilot's units.
-
-    Climb and descent that the file leaves out follow the vehicle's limits, not ArduPilot's 250 and
-    150 cm/s: a vehicle for 3 km of height would otherwise climb for twenty minutes.
-    """
-
-    GUID_TIMEOUT: Annotated[_Real, Field(ge=0, le=60)] = 3.0
-    """Seconds that GUIDED flies on after the last setpoint with a velocity."""
-    WPNAV_SPEED: Annotated[_Real, Field(ge=10, le=30000)] = 1000.0
-    """cm/s, horizontal: towards positions, and for getting back to a position with a velocity."""
-    WPNAV_ACCEL: Annotated[_Real, Field(ge=10, le=5000)] = 250.0
-    """cm/s/s, horizontal: stopping, and flying to positions."""
-    PSC_JERK_XY: Annotated[_Real, Field(ge=1, le=100)] = 5.0
-    """m/s/s/s: how fast the above sets in."""
-    WPNAV_SPEED_UP: Annotated[_Real, Field(ge=10, le=30000)] | None = None
-    """cm/s: taking off, and climbing to positions.  Left out: the vehicle's vertical limit."""
-    WPNAV_SPEED_DN: Annotated[_Real, Field(ge=10, le=30000)] | None = None
-    """cm/s: landing from a height, and descending to positions.  Left out: as above."""
-    LAND_SPEED: Annotated[_Real, Field(ge=20, le=500)] = 50.0
-    """cm/s: the last 10 m of a landing."""
+Firmware = Literal["ardupilot", "px4"]
+VehicleKind = Literal["copter", "plane"]
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
 class Vehicle:
-    """What flies, and where it stands at the start: on the terrain."""
+    """What flies, and where it stands at the start: on the terrain.
 
-    kind: Literal["copter"]
-    autopilot: Literal["ardupilot"]
-    system_id: Annotated[int, Field(strict=True, ge=1, le=255)]
-    north_m: _Local
-    east_m: _Local
-    heading_deg: Annotated[_Real, Field(ge=-360, le=360)]
-    speed_max_m_s: _Speed
-    acceleration_max_m_s2: _Acceleration
-    speed_vertical_max_m_s: _Speed
-    acceleration_vertical_max_m_s2: _Acceleration
-    parameters: Parameters = Parameters()
+    What a file leaves out of a copter's limits is what the real autopilots' simulated quadcopters
+    can do (autopilots/factory.py), and of a plane's likewise.
+    """
+
+    kind: VehicleKind
+    autopilot: Firmware
+    system_id: Annotated[int, Field(strict=True, ge=1, le=255)] = 1
+    north_m: _Local = 0.0
+    east_m: _Local = 0.0
+    heading_deg: Annotated[_Real, Field(ge=-360, le=360)] = 0.0
+    speed_max_m_s: _Speed | None = None
+    """Of copters, horizontal, as the next one."""
+    acceleration_max_m_s2: _Acceleration | None = None
+    speed_vertical_max_m_s: _Speed | None = None
+    acceleration_vertical_max_m_s2: _Acceleration | None = None
+    drag_1_s: Annotated[_Real, Field(ge=0, le=10)] | None = None
+    """Of copters: deceleration for each metre a second through the air."""
+    airspeed_min_m_s: _Speed | None = None
+    """Of planes, as the next four; the cruising speed is a parameter of the autopilot."""
+    airspeed_max_m_s: _Speed | None = None
+    bank_max_deg: Annotated[_Real, Field(gt=0, le=80)] | None = None
+    climb_max_m_s: _Speed | None = None
+    sink_max_m_s: _Speed | None = None
+    parameters: dict[str, Annotated[_Real, Field()]] = field(default_factory=dict)
+    """The autopilot's own, by their names and in their units."""
 
 
 @final
@@ -152,7 +146,8 @@ class World:
     origin: Origin
     terrain: TerrainTable
     vehicle: Vehicle
-    scanner: Scanner
+    scanner: Scanner | None = None
+    """Left out: the vehicle has none."""
     radars: tuple[Threat, ...] = ()
     area: AreaTable | None = None
 
@@ -218,6 +213,7 @@ def parse_world(table: dict[str, Any], folder: Path | None = None) -> World:
         unknown = [p for p in problems if p["type"] == "unexpected_keyword_argument"]
         raise _explained((unknown or problems)[0]) from None
     _check_terrain(world)
+    _check_vehicle(world.vehicle)
     if folder is None or world.terrain.file is None:
         return world
     beside = str(folder / world.terrain.file)
@@ -233,15 +229,69 @@ def _check_terrain(world: World) -> None:
     }
     if table.file is not None:
         needed = {"terrain.vertical_datum": table.vertical_datum, "area": area}
-    for field, value in needed.items():
+    for key, value in needed.items():
         if value is None:
-            raise InputError(field, None, "is missing", "Write it into the world file.")
+            raise InputError(key, None, "is missing", "Write it into the world file.")
     if table.file is not None and (table.combine or table.peaks or table.ground_amsl_m):
         rule = "an elevation file leaves no room for peaks and ground"
         raise InputError("terrain.file", table.file, rule, "Leave out one of the two.")
     if area and (area.north_min_m >= area.north_max_m or area.east_min_m >= area.east_max_m):
         rule = "its least must lie below its most"
         raise InputError("area", dataclasses.asdict(area), rule, "Swap or widen them.")
+
+
+_OF_COPTERS = (
+    "speed_max_m_s",
+    "acceleration_max_m_s2",
+    "speed_vertical_max_m_s",
+    "acceleration_vertical_max_m_s2",
+    "drag_1_s",
+)
+_OF_PLANES = (
+    "airspeed_min_m_s",
+    "airspeed_max_m_s",
+    "bank_max_deg",
+    "climb_max_m_s",
+    "sink_max_m_s",
+)
+
+
+def _check_vehicle(vehicle: Vehicle) -> None:
+    """No limits of another kind of vehicle."""
+    others = _OF_PLANES if vehicle.kind == "copter" else _OF_COPTERS
+    for key in others:
+        value = getattr(vehicle, key)
+        if value is not None:
+            rule = f"a {vehicle.kind} has no such limit"
+            raise InputError(f"vehicle.{key}", value, rule, "Leave it out.")
+    slowest, fastest = vehicle.airspeed_min_m_s, vehicle.airspeed_max_m_s
+    if slowest is not None and fastest is not None and slowest >= fastest:
+        rule = "must be less than airspeed_max_m_s"
+        raise InputError("vehicle.airspeed_min_m_s", slowest, rule, "Swap or widen them.")
+
+
+def flat_world(
+    kind: VehicleKind,
+    autopilot: Firmware,
+    *,
+    latitude_deg: float,
+    longitude_deg: float,
+    altitude_amsl_m: float,
+    heading_deg: float,
+    system_id: int = 1,
+    scan_range_m: float | None = None,
+) -> World:
+    """Level ground at the height of home, for as far as one can fly."""
+    return World(
+        schema=1,
+        name="flat",
+        origin=Origin(latitude_deg=latitude_deg, longitude_deg=longitude_deg),
+        terrain=TerrainTable(combine="maximum", ground_amsl_m=altitude_amsl_m),
+        vehicle=Vehicle(
+            kind=kind, autopilot=autopilot, heading_deg=heading_deg, system_id=system_id
+        ),
+        scanner=None if scan_range_m is None else Scanner(component_id=100, range_m=scan_range_m),
+    )
 
 
 def _explained(problem: Any) -> InputError:

@@ -1,22 +1,32 @@
 """Things that several of the simulator's tests need: a world, a pilot, a companion on UDP."""
 
 import copy
+import io
 import math
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Command, Reply, Sender, Setpoint, Text
-from vehicle_sim.autopilots.ardupilot import ArduCopter
-from vehicle_sim.autopilots.guided import Tuning
-from vehicle_sim.dynamics import Copter, Limits
+from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
+from vehicle_sim.dynamics.copter import Copter, Limits
+from vehicle_sim.errors import SimulatorError
+from vehicle_sim.links import Endpoint, open_link
+from vehicle_sim.plans import Plans
+from vehicle_sim.sensors.gps import ARDUCOPTER, Gps, GpsConditions
+from vehicle_sim.server import Server, Settings, Station, Stop
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import parse_world
 
 ROOT = Path(__file__).parents[2]
 STEP_US = 10_000
@@ -116,16 +126,19 @@ class Pilot:
                 acceleration_vertical_m_s2=5.0,
             ),
         )
-        tuning = Tuning(
-            timeout_s=timeout_s,
-            speed_m_s=10.0,
-            acceleration_m_s2=2.5,
-            jerk_m_s3=5.0,
-            speed_up_m_s=vertical_m_s,
-            speed_down_m_s=down_m_s or vertical_m_s,
-            land_speed_m_s=0.5,
-        )
-        self.autopilot = ArduCopter(self.copter, tuning, heading_rad=0.0)
+        parameters = {
+            "GUID_TIMEOUT": timeout_s,
+            "WPNAV_SPEED": 1000.0,
+            "WPNAV_ACCEL": 250.0,
+            "WPNAV_SPEED_UP": vertical_m_s * 100.0,
+            "WPNAV_SPEED_DN": (down_m_s or vertical_m_s) * 100.0,
+            "LAND_SPEED": 50.0,
+            "ANGLE_MAX": 8000.0,
+        }
+        rng = np.random.default_rng(1)
+        self.autopilot = ArduCopter(self.copter, parameters, Plans(), hardware_id=1, rng=rng)
+        self._gps = Gps(ARDUCOPTER, rng)
+        self._clear = GpsConditions()
         self.now_us = 0
         self.texts: list[str] = []
 
@@ -133,12 +146,13 @@ class Pilot:
     def now_s(self) -> float:
         return self.now_us * 1e-6
 
-    def _note(self, replies: list[Reply]) -> None:
+    def _note(self, replies: Sequence[Reply]) -> None:
         self.texts += [reply.text for reply in replies if isinstance(reply, Text)]
 
     def step(self) -> None:
         self.now_us += STEP_US
-        self._note(self.autopilot.step(self.now_us, 0.01, self.ground_amsl_m))
+        fix = self._gps.step(self.now_us, self.copter, self._clear)
+        self._note(self.autopilot.step(self.now_us, 0.01, self.ground_amsl_m, fix))
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds * 100)):
@@ -203,12 +217,12 @@ class Pilot:
         self.run(42.0)
         assert [self.command(176, 1, 4), self.command(400, 1)] == [0, 0]
         assert self.command(22, 0, 0, 0, 0, 0, 0, height_m) == 0
-        self.run_until(lambda: self.autopilot.report().landed_state == 2, within_s=2000.0)
+        self.run_until(lambda: self.autopilot.status().landed_state == 2, within_s=2000.0)
         self.run(5.0)
         return self
 
     def target(self) -> Any:
-        return self.autopilot.report().target
+        return self.autopilot.status().target
 
 
 @pytest.fixture(scope="session")
@@ -315,3 +329,51 @@ def rms(values: list[float]) -> float:
 @pytest.fixture(name="rms")
 def rms_fixture() -> Callable[[list[float]], float]:
     return rms
+
+
+class Running:
+    """A server in a thread of its own, and what became of it."""
+
+    def __init__(self, table: dict[str, Any], port: int, **settings: Any) -> None:
+        self.simulation = Simulation(parse_world(table), seed=1)
+        self.stop = Stop()
+        self.truth = io.StringIO()
+        self.said: list[str] = []
+        self.error: Exception | None = None
+        self._endpoint = Endpoint(kind="udpout", host="127.0.0.1", port=port)
+        self._settings = Settings(**settings)
+        self.thread = threading.Thread(target=self._run, daemon=True)
+
+    def _run(self) -> None:
+        link = open_link(self._endpoint)
+        station = Station(simulation=self.simulation, links=[link], truth=self.truth)
+        try:
+            Server([station], self._settings, self.stop, say=self.said.append).run()
+        except SimulatorError as error:
+            self.error = error
+        finally:
+            link.close()
+
+    def ended(self, within_s: float = 10.0) -> bool:
+        self.thread.join(within_s)
+        return not self.thread.is_alive()
+
+
+Serve = Callable[..., Any]
+
+
+@pytest.fixture
+def serve(world_table: dict[str, Any]) -> Iterator[Serve]:
+    running: list[Running] = []
+
+    @contextmanager
+    def begin(port: int, **settings: Any) -> Iterator[Running]:
+        run = Running(world_table, port, **settings)
+        running.append(run)
+        run.thread.start()
+        yield run
+
+    yield begin
+    for run in running:
+        run.stop()
+        assert run.ended(), "a server was left behind"

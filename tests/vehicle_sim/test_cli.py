@@ -49,7 +49,21 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         (["WORLD", "--seed", "-1"], ["--seed = -1"]),
         (["WORLD", "--out", "FILE/below"], ["--out", "cannot be written"]),
         (["WORLD", "--nonsense"], ["--nonsense"]),
-        ([], ["WORLD"]),
+        (["WORLD", "--connect", "udpout:host:0"], ["--connect", "udpout:HOST:PORT"]),
+        (["WORLD", "--autopilot", "px4"], ["--autopilot = 'px4'", "Leave out one"]),
+        (["--autopilot", "betaflight"], ["--autopilot = 'betaflight'", "px4"]),
+        (["--vehicle", "boat"], ["--vehicle = 'boat'", "plane"]),
+        (["--home", "47,8"], ["--home = '47,8'", "LAT,LON,ALT,HEADING"]),
+        (["--home", "97,8,0,0"], ["--home = '97,8,0,0'", "85 deg"]),
+        (["--home", "47,8,nan,0"], ["--home = '47,8,nan,0'"]),
+        (["--param", "GUID_TIMEOUT"], ["--param = 'GUID_TIMEOUT'", "NAME=VALUE"]),
+        (["--param", "GUID_TIMEOUTS=1"], ["GUID_TIMEOUTS = 1.0", "Did you mean GUID_TIMEOUT?"]),
+        (["--autopilot", "px4", "--param", "GUID_TIMEOUT=1"], ["GUID_TIMEOUT = 1.0"]),
+        (["--count", "0"], ["--count = 0"]),
+        (["--count", "251"], ["--count = 251"]),
+        (["--port-step", "-1"], ["--port-step = -1"]),
+        (["--faults", "no-such-file"], ["--faults = 'no-such-file'", "cannot be read"]),
+        (["--faults", "WORLD"], ["world.toml:1", "Write for example"]),
     ],
 )
 def test_what_cannot_be_done_is_one_line_and_exit_code_2(
@@ -143,9 +157,8 @@ def test_a_lockstep_flight_from_boot_to_hover_to_the_end(
         *("--lockstep", "--out", tmp_path),
     )
     companion.datagram()
-    companion.send(
-        companion.heartbeat(), companion.command(511, 33, 100_000), companion.command(511, 245, 5e5)
-    )
+    companion.send(companion.heartbeat())
+    companion.tick(companion.command(511, 33, 100_000), companion.command(511, 245, 5e5))
     position, landed_state, results = None, 0, []
     for k in range(600):
         frames = [companion.heartbeat()] if k % 10 == 0 else []

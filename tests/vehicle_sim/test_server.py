@@ -1,75 +1,18 @@
 """Lockstep and real time over real UDP sockets, with the server in this process."""
 
-import io
 import json
 import socket
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.errors import CompanionSilent, InputError
-from vehicle_sim.server import Link, Server, Settings, Stop
-from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import parse_world
-
-Table = dict[str, Any]
-
-
-class Running:
-    """A server in a thread of its own, and what became of it."""
-
-    def __init__(self, table: Table, port: int, **settings: Any) -> None:
-        self.simulation = Simulation(parse_world(table), seed=1)
-        self.stop = Stop()
-        self.truth = io.StringIO()
-        self.said: list[str] = []
-        self.error: Exception | None = None
-        self._settings = Settings(host="127.0.0.1", port=port, **settings)
-        self.thread = threading.Thread(target=self._run, daemon=True)
-
-    def _run(self) -> None:
-        with Link(self._settings.host, self._settings.port) as link:
-            server = Server(
-                self.simulation,
-                link,
-                self._settings,
-                self.stop,
-                truth=self.truth,
-                say=self.said.append,
-            )
-            try:
-                server.run()
-            except CompanionSilent as error:
-                self.error = error
-
-    def ended(self, within_s: float = 10.0) -> bool:
-        self.thread.join(within_s)
-        return not self.thread.is_alive()
-
+from vehicle_sim.errors import InputError
+from vehicle_sim.links import Endpoint, open_link
 
 Serve = Callable[..., Any]
-
-
-@pytest.fixture
-def serve(world_table: Table) -> Iterator[Serve]:
-    running: list[Running] = []
-
-    @contextmanager
-    def begin(port: int, **settings: Any) -> Iterator[Running]:
-        run = Running(world_table, port, **settings)
-        running.append(run)
-        run.thread.start()
-        yield run
-
-    yield begin
-    for run in running:
-        run.stop()
-        assert run.ended(), "a server was left behind"
 
 
 def test_lockstep_stands_at_0_until_a_heartbeat_then_advances_tick_by_tick(
@@ -80,9 +23,9 @@ def test_lockstep_stands_at_0_until_a_heartbeat_then_advances_tick_by_tick(
         assert {m.get_type() for m in first + second} == {"HEARTBEAT"}
         assert {m.get_srcComponent() for m in first} == {1, 100}
         assert run.simulation.now_us == 0
-        companion.send(companion.heartbeat(), companion.command(511, 33, 100_000))
-        times = []
-        for _ in range(30):
+        companion.send(companion.heartbeat())
+        times = [companion.tick(companion.command(511, 33, 100_000))[-1].ts1]
+        for _ in range(29):
             got = [m for m in companion.tick() if m.get_type() != "HEARTBEAT"]
             times.append(got[-1].ts1)
         assert times == [100_000_000 * k for k in range(1, 31)]
@@ -220,4 +163,4 @@ def test_the_same_run_sends_the_same_bytes_over_the_socket(serve: Serve, compani
 
 def test_a_host_that_cannot_be_found_is_named() -> None:
     with pytest.raises(InputError, match=r"--connect = 'udpout:no\.such\.host\.invalid:9'"):
-        Link("no.such.host.invalid", 9)
+        open_link(Endpoint(kind="udpout", host="no.such.host.invalid", port=9))

@@ -4,7 +4,9 @@ from typing import Any
 
 import pytest
 
+from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.errors import InputError
+from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import parse_world, read_world
 
 Table = dict[str, Any]
@@ -15,8 +17,7 @@ def test_a_world_is_what_its_file_says(world_file: Path) -> None:
     assert world.origin.latitude_deg == 47.0
     assert world.terrain.peaks[0].height_amsl_m == 1200.0
     assert world.radars[0].name == "radar 1"
-    assert world.vehicle.parameters.GUID_TIMEOUT == 3.0
-    assert world.vehicle.parameters.WPNAV_ACCEL == 250.0
+    assert world.vehicle.parameters == {"GUID_TIMEOUT": 3.0}
     assert world.truth().height_at_amsl_m(3000.0, 4000.0) == 1200.0
 
 
@@ -41,7 +42,8 @@ def changed(table: Table, path: str, key: str, value: Any, instead_of: str | Non
             "speed_max_m_s",
             ["vehicle.speed_mx_m_s", "speed_max_m_s"],
         ),
-        ("vehicle.parameters", "GUID_TIMOUT", 1.0, None, ["GUID_TIMOUT = 1.0", "GUID_TIMEOUT?"]),
+        ("vehicle.parameters", "GUID_TIMEOUT", "3", None, ["GUID_TIMEOUT = '3'", "a number"]),
+        ("vehicle", "bank_max_deg", 30.0, None, ["bank_max_deg = 30.0", "no such limit"]),
         ("", "colour", 1, None, ["colour = 1", "Choose from: schema, name"]),
         ("terrain", "ground_m", 0.0, "ground_amsl_m", ["datum", "Write ground_amsl_m"]),
         ("terrain.peaks.0", "height_agl_m", 9.0, "height_amsl_m", ["datum", "height_amsl_m"]),
@@ -86,3 +88,36 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     for path in (binary, tmp_path / "absent.toml", tmp_path):
         with pytest.raises(InputError, match="cannot be read"):
             read_world(path)
+
+
+def test_a_parameter_that_the_autopilot_does_not_have_is_named(world_table: Table) -> None:
+    table = changed(world_table, "vehicle.parameters", "GUID_TIMOUT", 1.0)
+    with pytest.raises(InputError, match=r"GUID_TIMOUT = 1\.0.*Did you mean GUID_TIMEOUT\?"):
+        Simulation(parse_world(table))
+
+
+def test_limits_that_a_file_gives_become_the_autopilots(world_table: Table) -> None:
+    parameters = Simulation(parse_world(world_table)).parameters
+    assert parameters["WPNAV_SPEED_UP"] == parameters["WPNAV_SPEED_DN"] == 2500.0
+    assert parameters["ANGLE_MAX"] == 8000.0
+    world_table["vehicle"]["parameters"] = {"WPNAV_SPEED_UP": 300.0}
+    assert Simulation(parse_world(world_table)).parameters["WPNAV_SPEED_UP"] == 300.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "drag_1_s"),
+    [({}, 0.0), ({"drag_1_s": 0.3}, 0.3), ({"drag_1_s": 0.3, "speed_max_m_s": None}, 0.3)],
+)
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_the_drag_that_a_file_gives_is_flown(
+    world_table: Table, autopilot: str, changes: Table, drag_1_s: float
+) -> None:
+    vehicle = world_table["vehicle"] | {"autopilot": autopilot} | changes
+    del vehicle["parameters"]
+    world_table["vehicle"] = {key: value for key, value in vehicle.items() if value is not None}
+    simulation = Simulation(parse_world(world_table))
+    for _ in range(10):
+        simulation.step()
+    copter = simulation.vehicle
+    assert isinstance(copter, Copter)
+    assert (copter.drag_1_s, copter.drag_1_m) == (drag_1_s, 0.0)

@@ -1,0 +1,128 @@
+"""The three kinds of endpoint, on real sockets."""
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from vehicle_sim.errors import InputError
+from vehicle_sim.links import Link, open_link, parse_endpoint
+
+Open = Callable[[str], Link]
+
+
+@pytest.fixture
+def opened() -> Iterator[Open]:
+    links: list[Link] = []
+
+    def begin(text: str) -> Link:
+        links.append(open_link(parse_endpoint(text)))
+        return links[-1]
+
+    yield begin
+    for link in links:
+        link.close()
+
+
+def received(link: Link) -> bytes:
+    """What comes next, within a deadline."""
+    for _ in range(200):
+        data = link.receive()
+        if data is not None:
+            return data
+        threading.Event().wait(0.01)
+    pytest.fail("nothing came")
+
+
+def udp_client() -> socket.socket:
+    client = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    client.settimeout(5.0)
+    return client
+
+
+@pytest.mark.parametrize("text", ["", "udp:1:2", "udpin:host", "tcpin:h:99999", "udpout:h:0", "x"])
+def test_what_is_not_an_endpoint_is_said_to_be_none(text: str) -> None:
+    with pytest.raises(InputError, match="udpin:HOST:PORT"):
+        parse_endpoint(text)
+
+
+def test_a_port_in_use_is_named(opened: Open) -> None:
+    taken = opened("udpin:127.0.0.1:0").endpoint
+    with pytest.raises(InputError, match=f"udpin:127.0.0.1:{taken.port}"):
+        opened(str(taken))
+
+
+def test_udpin_finds_a_port_and_answers_everybody_who_was_heard(opened: Open) -> None:
+    link = opened("udpin:127.0.0.1:0")
+    assert link.endpoint.port > 0
+    link.send([b"nobody hears this"])
+    with udp_client() as one, udp_client() as two:
+        for client, words in ((one, b"one"), (two, b"two")):
+            client.sendto(words, ("127.0.0.1", link.endpoint.port))
+            assert received(link) == words
+        link.send([b"for ", b"both"])
+        assert one.recv(100) == two.recv(100) == b"for both"
+
+
+def test_of_a_crowd_the_newest_sixteen_are_answered(opened: Open) -> None:
+    link = opened("udpin:127.0.0.1:0")
+    clients = [udp_client() for _ in range(20)]
+    for client in clients:
+        client.sendto(b"x", ("127.0.0.1", link.endpoint.port))
+        received(link)
+    link.send([b"hello"])
+    assert [client.recv(100) for client in clients[4:]] == [b"hello"] * 16
+    for client in clients[:4]:
+        client.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            client.recv(100)
+    for client in clients:
+        client.close()
+
+
+def test_udpout_sends_from_another_port_after_it_has_moved(opened: Open) -> None:
+    with udp_client() as client:
+        client.bind(("127.0.0.1", 0))
+        link = opened(f"udpout:127.0.0.1:{client.getsockname()[1]}")
+        link.send([b"before"])
+        data, before = client.recvfrom(100)
+        link.move()
+        link.send([b"after"])
+        data, after = client.recvfrom(100)
+        assert data == b"after"
+        assert after != before
+        client.sendto(b"answer", after)
+        assert received(link) == b"answer"
+
+
+def test_tcpin_serves_one_client_after_the_other(opened: Open) -> None:
+    link = opened("tcpin:127.0.0.1:0")
+    address = ("127.0.0.1", link.endpoint.port)
+    for words in (b"first", b"second"):
+        with socket.create_connection(address, timeout=5.0) as client:
+            client.sendall(words)
+            assert received(link) == words
+            link.send([words, b"!"])
+            assert client.recv(100) == words + b"!"
+        while link.receive() is not None:
+            pass
+    link.send([b"nobody is there"])
+
+
+def test_a_tcp_client_that_does_not_read_costs_bounded_memory_and_gets_whole_frames(
+    opened: Open,
+) -> None:
+    link = opened("tcpin:127.0.0.1:0")
+    frame = bytes(range(200)) * 5
+    with socket.create_connection(("127.0.0.1", link.endpoint.port), timeout=5.0) as client:
+        client.sendall(b"x")
+        received(link)
+        for _ in range(20_000):
+            link.send([frame])
+        assert len(link._pending) < 1_000_000  # type: ignore[attr-defined]
+        client.settimeout(0.5)
+        got = bytearray()
+        while len(got) < 1_000_000:
+            got += client.recv(65536)
+        assert bytes(got[:1_000_000]) == frame * 1000

@@ -1,0 +1,322 @@
+"""The autopilot with its protocols: messages in, what it does about them, messages out.
+
+Between the radio, which knows frames, and the personality, which knows flying.  A reboot makes a
+new one on the same radio.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from typing import Any, final
+
+from vehicle_sim.autopilots import (
+    Ack,
+    Autopilot,
+    Event,
+    Reboot,
+    Report,
+    Say,
+    SayParameter,
+    Send,
+    Sender,
+    Text,
+)
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.dynamics.battery import Battery
+from vehicle_sim.sensors.gps import Fix
+from vehicle_sim.wire import ftp, messages, telemetry_ardupilot, telemetry_px4
+from vehicle_sim.wire.answers import (
+    Answer,
+    Deliver,
+    ParameterSet,
+    PlanReplaced,
+    Unacknowledged,
+)
+from vehicle_sim.wire.mission_protocol import mission_protocol
+from vehicle_sim.wire.parameter_protocol import ParameterProtocol
+from vehicle_sim.wire.px4_messages import Events
+from vehicle_sim.wire.radio import Radio
+from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
+from vehicle_sim.wire.streams import Streams
+
+_HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
+_CURRENT_MODE_US = 500_000
+_GROUND_STATION = 6
+_SET_MODE = 11
+_EPOCH_US = 1_795_000_000_000_000
+"""UTC at the start of every run: the same seed gives the same bytes."""
+_STREAM_PARAMETERS = {
+    1: "RAW_SENS",
+    2: "EXT_STAT",
+    3: "RC_CHAN",
+    4: "RAW_CTRL",
+    6: "POSITION",
+    10: "EXTRA1",
+    11: "EXTRA2",
+    12: "EXTRA3",
+}
+_TELEMETRY = {"ardupilot": telemetry_ardupilot.MESSAGES, "px4": telemetry_px4.MESSAGES}
+
+
+@final
+class FlightController:
+    """One autopilot from its boot on.  Times that come in are of the simulation."""
+
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        radio: Radio,
+        vehicle: Vehicle,
+        battery: Battery,
+        *,
+        boot_us: int,
+        hardware_id: int,
+        on_text: Callable[[Text], None],
+    ) -> None:
+        style = autopilot.style
+        self.autopilot = autopilot
+        self.parameters = autopilot.parameters
+        self.boot_us = boot_us
+        self.wants_reboot = False
+        self.setpoints_ignored = False
+        self._radio, self._on_text = radio, on_text
+        self._now_us = boot_us
+        self._messages = _TELEMETRY[style.firmware]
+        self._parameter_protocol = ParameterProtocol(self.parameters, style)
+        self._mission_protocol = mission_protocol(autopilot)
+        self._events = Events()
+        self._ground_stations = set[int]()
+        self._told: dict[int, tuple[int, int | None, int]] = {}
+        """Newest CURRENT_MODE of each link: mode, intended mode and when."""
+        self.streams = Streams(style)
+        for link in radio.links:
+            self.streams.open(link, boot_us)
+        self._report = Report(
+            time_us=0,
+            unix_us=0,
+            vehicle=vehicle,
+            estimate=autopilot.estimate,
+            fix=Fix(),
+            battery=battery,
+            status=autopilot.status(),
+            style=style,
+            hardware_id=hardware_id,
+        )
+
+    # --- time ---------------------------------------------------------------------------------
+
+    def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> None:
+        """Fly on, and let the protocols go on."""
+        self._now_us = now_us
+        self._report.fix = fix
+        self.answer(self.autopilot.step(now_us - self.boot_us, dt_s, ground_amsl_m, fix))
+        if self._parameter_protocol.busy:
+            self.answer(self._parameter_protocol.step(now_us))
+        if self._mission_protocol.busy:
+            self.answer(self._mission_protocol.step(now_us))
+
+    def stream(self, now_us: int) -> bool:
+        """Queue all telemetry that is due; tell whether a position on link 0 was."""
+        if now_us < self.streams.soonest_us:
+            return False
+        self._renew_report()
+        positioned, built = False, dict[int, Any]()
+        for link, number in self.streams.due(now_us):
+            if number not in built:
+                build = self._messages.get(number)
+                built[number] = build(self._report) if build else None
+            if built[number] is not None and not (
+                number == _CURRENT_MODE and self._told_already(link, now_us)
+            ):
+                self._radio.send(built[number], link)
+            positioned = positioned or (number == _POSITION and link == 0)
+        return positioned
+
+    def _told_already(self, link: int, now_us: int) -> bool:
+        """CURRENT_MODE is sent at 2 Hz and at once on a change, however often it is asked for."""
+        status = self._report.status
+        mode, intended, told_us = self._told.get(link, (-1, None, 0))
+        if (mode, intended) == (status.mode, status.intended_mode) and (
+            now_us - told_us < _CURRENT_MODE_US
+        ):
+            return True
+        self._told[link] = (status.mode, status.intended_mode, now_us)
+        return False
+
+    def say_hello(self) -> None:
+        """A heartbeat, out of turn."""
+        self._send(_HEARTBEAT, None)
+
+    def _renew_report(self) -> None:
+        report = self._report
+        report.time_us = self._now_us - self.boot_us
+        report.unix_us = _EPOCH_US + self._now_us if report.fix.usable else 0
+        report.event_sequence = self._events.sequence
+        report.status = self.autopilot.status()
+
+    # --- out ----------------------------------------------------------------------------------
+
+    def answer(self, replies: Iterable[Answer]) -> None:
+        """Do what the autopilot and the protocols want to be done."""
+        for reply in replies:
+            match reply:
+                case Ack():
+                    self._radio.send(messages.ack(reply), reply.to.link)
+                case Text():
+                    self._say(reply)
+                case Send():
+                    self._send(reply.message, reply.to)
+                case Deliver():
+                    self._deliver(reply.message, reply.to)
+                case Say():
+                    self._radio.broadcast(reply.message)
+                case SayParameter():
+                    self._say_parameter(reply.name)
+                case Event():
+                    boot_ms = (self._now_us - self.boot_us) // 1000
+                    self._radio.broadcast(self._events.message(reply, boot_ms))
+                case ParameterSet():
+                    self.answer(self.autopilot.on_parameter(reply.name))
+                case PlanReplaced():
+                    self.answer(self.autopilot.on_plan(reply.kind))
+                case Unacknowledged():
+                    done = self.autopilot.on_command(reply.command)
+                    self.answer(each for each in done if not isinstance(each, Ack))
+                case Reboot():
+                    self.wants_reboot = True
+
+    def _send(self, number: int, to: Sender | None) -> None:
+        """The message of this number, if there is anything to say."""
+        build = self._messages.get(number)
+        if build is None:
+            return
+        self._renew_report()
+        message = build(self._report)
+        if message is not None:
+            self._deliver(message, to)
+
+    def _deliver(self, message: Any, to: Sender | None) -> None:
+        if to is None:
+            self._radio.broadcast(message)
+        else:
+            self._radio.send(message, to.link)
+
+    def _say_parameter(self, name: str) -> None:
+        """ArduPilot tells those links of it where somebody was heard."""
+        to_all = self.autopilot.style.firmware == "px4"
+        for link in self._radio.links:
+            if to_all or self._radio.router.heard(link):
+                self._radio.send(self._parameter_protocol.value(name), link)
+
+    def _say(self, text: Text) -> None:
+        needs_ground_station = self.autopilot.style.texts_need == "ground station"
+        for link in self._radio.links:
+            heard = self._radio.router.heard(link)
+            if link in self._ground_stations if needs_ground_station else heard:
+                self._radio.send(messages.text(text), link)
+        self._on_text(text)
+
+    # --- in -----------------------------------------------------------------------------------
+
+    def receive(self, message: Any, sender: Sender, now_us: int) -> None:
+        """Handle a message that is for the autopilot."""
+        self._now_us = now_us
+        handle = _HANDLERS.get(message.get_type())
+        if handle is not None:
+            handle(self, message, sender)
+
+    def _on_heartbeat(self, message: Any, sender: Sender) -> None:
+        if message.type == _GROUND_STATION:
+            self._ground_stations.add(sender.link)
+        self.answer(self.autopilot.on_heartbeat(sender, message.type))
+
+    def _on_time_sync(self, message: Any, sender: Sender) -> None:
+        if message.tc1 == 0:
+            boot_ns = (self._now_us - self.boot_us) * 1000
+            answer = messages.time_sync(boot_ns, message.ts1, sender)
+            self._radio.send(answer, sender.link)
+
+    def _on_setpoint(self, message: Any, _: Sender) -> None:
+        if not self.setpoints_ignored:
+            self.answer(self.autopilot.on_setpoint(messages.setpoint(message)))
+
+    def _on_command(self, message: Any, sender: Sender) -> None:
+        command = messages.command(message, sender)
+        if command.number in STREAM_COMMANDS:
+            self.answer(self.streams.on_command(command, self._now_us))
+        else:
+            self.answer(self.autopilot.on_command(command))
+
+    def _on_set_mode(self, message: Any, sender: Sender) -> None:
+        firmware = self.autopilot.style.firmware
+        command = messages.mode_command(message, sender, firmware)
+        replies = self.autopilot.on_command(command)
+        if firmware == "ardupilot":
+            replies = [
+                dataclasses.replace(each, command=_SET_MODE) if isinstance(each, Ack) else each
+                for each in replies
+            ]
+        self.answer(replies)
+
+    def _on_data_stream(self, message: Any, sender: Sender) -> None:
+        self.streams.on_data_stream(message, sender.link, self._now_us)
+        rate_hz = message.req_message_rate if message.start_stop else 0
+        for group, part in _STREAM_PARAMETERS.items():  # ArduPilot keeps it as a parameter
+            name = f"MAV{sender.link + 1}_{part}"
+            if message.req_stream_id in (0, group) and name in self.parameters:
+                self.parameters[name] = rate_hz
+
+    def _on_parameter(self, message: Any, sender: Sender) -> None:
+        self.answer(self._parameter_protocol.on_message(message, sender, self._now_us))
+
+    def _on_mission(self, message: Any, sender: Sender) -> None:
+        self.answer(self._mission_protocol.on_message(message, sender, self._now_us))
+
+    def _on_sticks(self, message: Any, sender: Sender) -> None:
+        self.answer(self.autopilot.on_sticks(messages.sticks(message, sender)))
+
+    def _on_ping(self, message: Any, sender: Sender) -> None:
+        if self.autopilot.style.firmware == "px4" and message.target_system == 0:
+            self._radio.send(messages.pong(message, sender), sender.link)
+
+    def _on_setup_signing(self, message: Any, _: Sender) -> None:
+        if self._radio.signing is not None:
+            refused = self._radio.signing.setup(message, armed=self.autopilot.armed)
+            self.answer([] if refused is None else [refused])
+
+    def _on_file_transfer(self, message: Any, sender: Sender) -> None:
+        answer = ftp.answer(message, sender)
+        self.answer([] if answer is None else [answer])
+
+
+_Handler = Callable[[FlightController, Any, Sender], None]
+_MISSION_MESSAGES = (
+    "MISSION_COUNT",
+    "MISSION_ITEM",
+    "MISSION_ITEM_INT",
+    "MISSION_REQUEST",
+    "MISSION_REQUEST_INT",
+    "MISSION_REQUEST_LIST",
+    "MISSION_REQUEST_PARTIAL_LIST",
+    "MISSION_WRITE_PARTIAL_LIST",
+    "MISSION_SET_CURRENT",
+    "MISSION_CLEAR_ALL",
+    "MISSION_ACK",
+)
+_HANDLERS: dict[str, _Handler] = {
+    "HEARTBEAT": FlightController._on_heartbeat,
+    "TIMESYNC": FlightController._on_time_sync,
+    "SET_POSITION_TARGET_GLOBAL_INT": FlightController._on_setpoint,
+    "SET_POSITION_TARGET_LOCAL_NED": FlightController._on_setpoint,
+    "COMMAND_LONG": FlightController._on_command,
+    "COMMAND_INT": FlightController._on_command,
+    "SET_MODE": FlightController._on_set_mode,
+    "REQUEST_DATA_STREAM": FlightController._on_data_stream,
+    "PARAM_REQUEST_READ": FlightController._on_parameter,
+    "PARAM_REQUEST_LIST": FlightController._on_parameter,
+    "PARAM_SET": FlightController._on_parameter,
+    "MANUAL_CONTROL": FlightController._on_sticks,
+    "PING": FlightController._on_ping,
+    "SETUP_SIGNING": FlightController._on_setup_signing,
+    "FILE_TRANSFER_PROTOCOL": FlightController._on_file_transfer,
+    **dict.fromkeys(_MISSION_MESSAGES, FlightController._on_mission),
+}

@@ -1,0 +1,314 @@
+"""Sockets: where MAVLink goes out and comes in.  Nothing here knows a message.
+
+A link is an address as pymavlink writes it: udpout:HOST:PORT sends there and hears what comes back,
+udpin:HOST:PORT listens and answers whoever was heard, tcpin:HOST:PORT serves one client at a time.
+None of them ever waits: what cannot be sent now is lost, as on a radio.
+"""
+
+import contextlib
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, final
+
+from vehicle_sim.errors import InputError
+from vehicle_sim.wire.frames import datagrams
+
+_LARGEST_DATAGRAM_BYTES = 65535
+_LAST_PORT = 65535
+_MOST_PEERS = 16
+_PENDING_BYTES = 262_144
+"""What a TCP client may leave unread before frames for it are dropped."""
+_SOCKET_BYTES = 4 * 1024 * 1024
+
+Address = tuple[str, int] | tuple[str, int, int, int]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Endpoint:
+    """One --connect."""
+
+    kind: Literal["udpout", "udpin", "tcpin"]
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.kind}:{host}:{self.port}"
+
+    def shifted(self, by: int) -> "Endpoint":
+        """The same on another port; one that is to be found (0) stays so.
+
+        InputError if there is no such port.
+        """
+        port = self.port + by
+        if port > _LAST_PORT:
+            rule = f"with --count and --port-step the last vehicle would need port {port}"
+            raise InputError("--connect", str(self), rule, "Begin at a lower port.")
+        return self.at(port) if self.port else self
+
+    def at(self, port: int) -> "Endpoint":
+        """The same with this port."""
+        return Endpoint(kind=self.kind, host=self.host, port=port)
+
+
+def parse_endpoint(text: str) -> Endpoint:
+    """KIND:HOST:PORT; InputError says what is wrong with it."""
+    kind, _, address = text.partition(":")
+    host, _, port = address.rpartition(":")
+    well_formed = host and port.isdecimal() and 0 <= int(port) < 65536
+    listens = kind in ("udpin", "tcpin")
+    if kind not in ("udpout", "udpin", "tcpin") or not well_formed or not (listens or int(port)):
+        rule = "must be udpout:HOST:PORT, udpin:HOST:PORT or tcpin:HOST:PORT"
+        raise InputError("--connect", text, rule, "Try udpout:127.0.0.1:14540.")
+    return Endpoint(kind=kind, host=host.strip("[]"), port=int(port))  # type: ignore[arg-type]
+
+
+class Link(Protocol):
+    """One open endpoint."""
+
+    @property
+    def sockets(self) -> Sequence[socket.socket]:
+        """What to wait for."""
+        ...
+
+    @property
+    def endpoint(self) -> Endpoint:
+        """What was opened, with the port that was found for 0."""
+        ...
+
+    def send(self, frames: Sequence[bytes]) -> None:
+        """Send these frames, or lose them."""
+        ...
+
+    def receive(self) -> bytes | None:
+        """The next datagram or piece of stream, None if there is none now."""
+        ...
+
+    def move(self) -> None:
+        """Send from another port from now on: what a rebooted ArduPilot does."""
+        ...
+
+    def take_reopened(self) -> bool:
+        """Whether another client has connected."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the sockets."""
+        ...
+
+
+def open_link(endpoint: Endpoint) -> Link:
+    """InputError if the address cannot be used."""
+    try:
+        if endpoint.kind == "udpout":
+            return _UdpOut(endpoint)
+        return _UdpIn(endpoint) if endpoint.kind == "udpin" else _TcpIn(endpoint)
+    except (OSError, UnicodeError) as error:
+        reason = (getattr(error, "strerror", None) or str(error)).lower()
+        remedy = (
+            "Name the host and port that the companion listens on."
+            if endpoint.kind == "udpout"
+            else "Choose a free port of this machine."
+        )
+        rule = f"cannot be used ({reason})"
+        raise InputError("--connect", str(endpoint), rule, remedy) from None
+
+
+def _resolved(endpoint: Endpoint, kind: socket.SocketKind) -> tuple[socket.socket, Address]:
+    found = socket.getaddrinfo(endpoint.host, endpoint.port, type=kind)
+    family, kind, protocol, _, address = found[0]
+    opened = socket.socket(family, kind, protocol)
+    opened.setblocking(False)
+    return opened, address  # type: ignore[return-value]
+
+
+@final
+class _UdpOut:
+    """Sends to one address and hears only that."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self._open()
+
+    def _open(self) -> None:
+        self._socket, address = _resolved(self._endpoint, socket.SOCK_DGRAM)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
+            self._socket.connect(address)
+        except OSError:
+            self._socket.close()
+            raise
+
+    @property
+    def sockets(self) -> Sequence[socket.socket]:
+        return (self._socket,)
+
+    @property
+    def endpoint(self) -> Endpoint:
+        return self._endpoint
+
+    def send(self, frames: Sequence[bytes]) -> None:
+        for datagram in datagrams(frames):
+            try:
+                self._socket.send(datagram)
+            except ConnectionRefusedError:  # about an earlier one, but it kept this one back
+                with contextlib.suppress(OSError):
+                    self._socket.send(datagram)
+            except OSError:
+                return  # no route or no room for the moment: as good as a lost datagram
+
+    def receive(self) -> bytes | None:
+        while True:
+            try:
+                return self._socket.recv(_LARGEST_DATAGRAM_BYTES)
+            except ConnectionRefusedError:
+                continue
+            except OSError:
+                return None
+
+    def move(self) -> None:
+        self._socket.close()
+        self._open()
+
+    def take_reopened(self) -> bool:
+        return False
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@final
+class _UdpIn:
+    """Listens, and answers everybody who was heard: the newest sixteen."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self._socket, address = _resolved(endpoint, socket.SOCK_DGRAM)
+        self._peers: dict[Address, None] = {}
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
+            self._socket.bind(address)
+        except OSError:
+            self._socket.close()
+            raise
+
+    @property
+    def sockets(self) -> Sequence[socket.socket]:
+        return (self._socket,)
+
+    @property
+    def endpoint(self) -> Endpoint:
+        return self._endpoint.at(int(self._socket.getsockname()[1]))
+
+    def send(self, frames: Sequence[bytes]) -> None:
+        for datagram in datagrams(frames):
+            for peer in self._peers:
+                with contextlib.suppress(OSError):
+                    self._socket.sendto(datagram, peer)
+
+    def receive(self) -> bytes | None:
+        while True:
+            try:
+                datagram, peer = self._socket.recvfrom(_LARGEST_DATAGRAM_BYTES)
+            except ConnectionRefusedError:
+                continue
+            except OSError:
+                return None
+            if peer not in self._peers:
+                self._peers[peer] = None
+                while len(self._peers) > _MOST_PEERS:
+                    del self._peers[next(iter(self._peers))]
+            return datagram
+
+    def move(self) -> None:
+        """A port that others were told of stays."""
+
+    def take_reopened(self) -> bool:
+        return False
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@final
+class _TcpIn:
+    """Serves one client at a time, as ArduPilot's serial ports over TCP do."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self._listener, address = _resolved(endpoint, socket.SOCK_STREAM)
+        self._client: socket.socket | None = None
+        self._pending = b""
+        self._reopened = False
+        try:
+            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._listener.bind(address)
+            self._listener.listen(1)
+        except OSError:
+            self._listener.close()
+            raise
+
+    @property
+    def sockets(self) -> Sequence[socket.socket]:
+        return (self._listener,) if self._client is None else (self._client,)
+
+    @property
+    def endpoint(self) -> Endpoint:
+        return self._endpoint.at(int(self._listener.getsockname()[1]))
+
+    def send(self, frames: Sequence[bytes]) -> None:
+        if self._client is None:
+            return
+        if len(self._pending) < _PENDING_BYTES:  # a client that does not read loses whole frames
+            self._pending += b"".join(frames)
+        try:
+            sent = self._client.send(self._pending) if self._pending else 0
+            self._pending = self._pending[sent:]
+        except BlockingIOError:
+            return
+        except OSError:
+            self._drop()
+
+    def receive(self) -> bytes | None:
+        if self._client is None:
+            self._accept()
+        if self._client is None:
+            return None
+        try:
+            data = self._client.recv(_LARGEST_DATAGRAM_BYTES)
+        except BlockingIOError:
+            return None
+        except OSError:
+            data = b""
+        if not data:
+            self._drop()
+            return None
+        return data
+
+    def _accept(self) -> None:
+        try:
+            self._client, _ = self._listener.accept()
+        except OSError:
+            return
+        self._client.setblocking(False)
+        self._reopened = True
+        self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def _drop(self) -> None:
+        if self._client is not None:
+            self._client.close()
+        self._client, self._pending = None, b""
+
+    def move(self) -> None:
+        """The client sees the connection end."""
+        self._drop()
+
+    def take_reopened(self) -> bool:
+        reopened, self._reopened = self._reopened, False
+        return reopened
+
+    def close(self) -> None:
+        self._drop()
+        self._listener.close()

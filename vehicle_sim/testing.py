@@ -1,0 +1,375 @@
+"""For pytest users: a running simulator on a free port, a clock to step, and assertions.
+
+    pytest_plugins = ["vehicle_sim.testing"]      # in conftest.py
+
+    def test_my_companion_arrives(vehicle_sim):
+        sim = vehicle_sim(autopilot="ardupilot", ready=True)
+        mine = MyCompanion(sim.connection)          # "udpout:127.0.0.1:PORT", as pymavlink takes it
+        sim.advance_until(lambda: sim.armed, within_s=10.0, meanwhile=mine.work)
+        ...
+
+docs/simulator.md has the whole example.  The simulator runs in the test's own process and only
+while the test advances it: between two calls vehicle time stands still.
+"""
+
+import json
+import math
+import select
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, final
+
+import pytest
+
+from vehicle_sim.geodesy import WGS84
+from vehicle_sim.links import Endpoint, open_link
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import Firmware, VehicleKind, World, flat_world
+
+_TICK_STEPS = 5
+_POLL_S, _AGAIN_S = 0.01, 1.0
+_CRASH_M_S = 3.0
+"""Who touches the ground faster than this has not landed."""
+_PATIENCE_S = 30.0
+"""Wall time that a lockstep tick waits for its answer."""
+_READY_S = 60.0
+_MOST_DATAGRAMS = 1000
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """Where the vehicle really was: ten a second, from the truth file."""
+
+    t_s: float
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+    speed_m_s: float
+    """Over ground."""
+    above_ground_m: float
+    lowest_m: float
+    """Least height above the ground since the moment before, of all steps."""
+    mode: str
+    armed: bool
+    landed: bool
+
+
+@final
+class Simulator:
+    """A vehicle on a free UDP port of this machine.
+
+    `autopilot` is "ardupilot" or "px4", `vehicle` "copter" or "plane"; or give a `world` (as
+    vehicle_sim.world.read_world returns it).  `scan_range_m` adds a terrain radar.  `ready` flies
+    through the boot, until the autopilot would let itself be armed.  `faults` are lines of the
+    timeline of faults.  With `lockstep`, once a client has sent a HEARTBEAT, each tick of 50 ms
+    waits until it has answered the simulator's TIMESYNC (tc1 echoes ts1).  Unless `strict` is
+    switched off, what the real autopilot does not survive is an AssertionError.
+    """
+
+    def __init__(
+        self,
+        *,
+        autopilot: Firmware = "ardupilot",
+        vehicle: VehicleKind = "copter",
+        home: tuple[float, float, float] = (47.397742, 8.545594, 488.0),
+        heading_deg: float = 0.0,
+        scan_range_m: float | None = None,
+        world: World | None = None,
+        faults: str = "",
+        seed: int = 0,
+        ready: bool = False,
+        lockstep: bool = False,
+        strict: bool = True,
+    ) -> None:
+        self._world = world or flat_world(
+            vehicle,
+            autopilot,
+            latitude_deg=home[0],
+            longitude_deg=home[1],
+            altitude_amsl_m=home[2],
+            heading_deg=heading_deg,
+            scan_range_m=scan_range_m,
+        )
+        self.simulation = Simulation(self._world, seed=seed, faults=faults)
+        self.simulation.on_message = self._note
+        self._lockstep, self._strict = lockstep, strict
+        self._crashes: list[tuple[float, float]] = []
+        self._lowest_m = math.inf
+        self._link = open_link(Endpoint(kind="udpin", host="127.0.0.1", port=0))
+        self._terrain = self._world.truth()
+        self.moments: list[Moment] = []
+        """The whole flight so far."""
+        self.heard_s: dict[str, list[float]] = {}
+        """When each kind of message came in, in vehicle time, by its MAVLink name."""
+        if ready:
+            while not self.simulation.armable and self.now_s < _READY_S:
+                self._step()
+            assert self.simulation.armable, f"not ready after {_READY_S:.0f} s of vehicle time"
+        self.simulation.take_frames()  # of the boot: nobody was there yet
+
+    # --- where it is --------------------------------------------------------------------------
+
+    @property
+    def port(self) -> int:
+        """The UDP port that it listens on, at 127.0.0.1."""
+        return self._link.endpoint.port
+
+    @property
+    def connection(self) -> str:
+        """What a client connects to, as pymavlink writes it."""
+        return f"udpout:127.0.0.1:{self.port}"
+
+    @property
+    def now_s(self) -> float:
+        """Vehicle time."""
+        return self.simulation.now_us * 1e-6
+
+    @property
+    def moment(self) -> Moment:
+        """Where it is."""
+        return self.moments[-1]
+
+    @property
+    def mode(self) -> str:
+        """The autopilot's mode."""
+        return self.simulation.mode_name
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors may turn."""
+        return self.simulation.armed
+
+    @property
+    def landed(self) -> bool:
+        """Whether it stands on the ground."""
+        return self.simulation.landed
+
+    # --- time ---------------------------------------------------------------------------------
+
+    def advance(
+        self,
+        seconds: float,
+        *,
+        meanwhile: Callable[[], object] | None = None,
+        pace: float | None = None,
+    ) -> None:
+        """Let so much vehicle time pass, in ticks of 50 ms.
+
+        After each tick what was sent is on the wire and `meanwhile` is called: let your client read
+        and answer there.  `pace`: times real time, for clients that run by themselves; None: as
+        fast as it goes.
+        """
+        self.advance_until(None, within_s=seconds, meanwhile=meanwhile, pace=pace)
+
+    def advance_until(
+        self,
+        reached: Callable[[], bool] | None,
+        *,
+        within_s: float,
+        meanwhile: Callable[[], object] | None = None,
+        pace: float | None = None,
+    ) -> None:
+        """The same, until this is so; an AssertionError if it is not in time."""
+        start_us, start_s = self.simulation.now_us, time.monotonic()
+        while self.simulation.now_us - start_us < within_s * 1e6 - 0.5:
+            if reached is not None and reached():
+                return
+            for _ in range(_TICK_STEPS):
+                self._step()
+            self._exchange(meanwhile)
+            if pace is not None:
+                flown_s = (self.simulation.now_us - start_us) * 1e-6
+                self._wait_until(start_s + flown_s / pace)
+        if reached is not None and not reached():
+            raise AssertionError(f"it never came to that within {within_s:g} s; {self._where()}")
+
+    def _step(self) -> None:
+        simulation = self.simulation
+        flown, sank_m_s = simulation.vehicle, -simulation.vehicle.velocity_up_m_s
+        was_up_m = flown.altitude_amsl_m - simulation.ground_amsl_m
+        simulation.step()
+        simulation.take_notices()
+        up_m = flown.altitude_amsl_m - simulation.ground_amsl_m
+        if was_up_m > 0.0:
+            self._lowest_m = min(self._lowest_m, max(up_m, 0.0))
+            if up_m <= 0.0 and sank_m_s > _CRASH_M_S:
+                self._crashes.append((self.now_s, sank_m_s))
+        for line in simulation.take_truth():
+            self._remember(json.loads(line))
+        if self._strict and simulation.not_survived is not None:
+            raise AssertionError(f"at {self.now_s:.2f} s: {simulation.not_survived}")
+
+    def _exchange(self, meanwhile: Callable[[], object] | None) -> None:
+        """What is to go out goes out; what has come in is handled; in lockstep, wait for it."""
+        simulation = self.simulation
+        waits = self._lockstep and simulation.companion is not None
+        question_ns = simulation.ask_for_sync() if waits else -1
+        self._send_and_receive()
+        if meanwhile is not None:
+            meanwhile()
+            self._send_and_receive()
+        start_s = again_s = time.monotonic()
+        while waits and simulation.answered_ns != question_ns:
+            select.select(self._link.sockets, [], [], _POLL_S)
+            self._send_and_receive()
+            if meanwhile is not None:
+                meanwhile()
+            now_s = time.monotonic()
+            if now_s - start_s > _PATIENCE_S:
+                raise AssertionError(
+                    f"no answer to TIMESYNC within {_PATIENCE_S:.0f} s; {self._where()}"
+                )
+            if now_s - again_s > _AGAIN_S:
+                again_s = now_s
+                simulation.ask_again()
+
+    def _wait_until(self, due_s: float) -> None:
+        while (left_s := due_s - time.monotonic()) > 0.0:
+            select.select(self._link.sockets, [], [], left_s)
+            self._send_and_receive()
+
+    def _send_and_receive(self) -> None:
+        self._link.send([frame for _, frame in self.simulation.take_frames()])
+        if self._receive():
+            self._link.send([frame for _, frame in self.simulation.take_frames()])
+
+    def _receive(self) -> bool:
+        heard = False
+        for _ in range(_MOST_DATAGRAMS):
+            datagram = self._link.receive()
+            if datagram is None:
+                break
+            heard = True
+            self.simulation.receive(0, datagram)
+        return heard
+
+    def _note(self, kind: str) -> None:
+        self.heard_s.setdefault(kind, []).append(self.now_s)
+
+    def _remember(self, row: dict[str, Any]) -> None:
+        if "t_s" not in row:
+            return
+        ground_amsl_m = self._terrain.height_at_amsl_m(row["north_m"], row["east_m"])
+        above_m = row["altitude_amsl_m"] - ground_amsl_m
+        lowest_m = min(self._lowest_m, above_m) if math.isfinite(self._lowest_m) else above_m
+        self._lowest_m = math.inf
+        self.moments.append(
+            Moment(
+                t_s=row["t_s"],
+                latitude_deg=row["lat_deg"],
+                longitude_deg=row["lon_deg"],
+                altitude_amsl_m=row["altitude_amsl_m"],
+                speed_m_s=math.hypot(row["velocity_north_m_s"], row["velocity_east_m_s"]),
+                above_ground_m=above_m,
+                lowest_m=lowest_m,
+                mode=row["mode"],
+                armed=row["armed"],
+                landed=row["landed"],
+            )
+        )
+
+    # --- what may go wrong --------------------------------------------------------------------
+
+    def fault(self, line: str) -> None:
+        """A fault from now on: a line of the timeline without its time, as "for 30 s: gps_off"."""
+        self.simulation.add_fault(line)
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """As PARAM_SET does it; KeyError if the autopilot has no such parameter."""
+        self.simulation.set_parameter(name, value)
+
+    # --- assertions ---------------------------------------------------------------------------
+
+    def assert_never_inside(
+        self,
+        latitude_deg: float,
+        longitude_deg: float,
+        radius_m: float,
+        *,
+        below_amsl_m: float = math.inf,
+    ) -> None:
+        """It has never been within this radius of this point (below this height)."""
+        for moment in self.moments:
+            away_m = _distance_m(moment, latitude_deg, longitude_deg)
+            if away_m < radius_m and moment.altitude_amsl_m < below_amsl_m:
+                raise AssertionError(
+                    f"inside at {moment.t_s:.1f} s: {away_m:.1f} m from the middle, "
+                    f"not {radius_m:g} m"
+                )
+
+    def assert_clear_of_ground(self, metres: float, *, after_s: float = 0.0) -> None:
+        """Whenever it was in the air, it was so high above the ground; a crash is not."""
+        self.assert_not_crashed()
+        flying = [m for m in self.moments if m.t_s >= after_s and not m.landed]
+        lowest = min(flying, key=lambda moment: moment.lowest_m, default=None)
+        if lowest is not None and lowest.lowest_m < metres:
+            raise AssertionError(
+                f"only {lowest.lowest_m:.1f} m above ground at {lowest.t_s:.1f} s, not {metres:g} m"
+            )
+
+    def assert_not_crashed(self) -> None:
+        """It has never touched the ground at more than 3 m/s."""
+        if self._crashes:
+            at_s, speed_m_s = self._crashes[0]
+            raise AssertionError(f"hit the ground at {speed_m_s:.1f} m/s at {at_s:.2f} s")
+
+    def assert_stream_gap(
+        self, at_most_s: float, *, message: str, after_s: float = 0.0, before_s: float | None = None
+    ) -> None:
+        """From its first message (after after_s) on, the client never paused for longer."""
+        until_s = self.now_s if before_s is None else before_s
+        times = [t for t in self.heard_s.get(message, []) if after_s <= t <= until_s]
+        if not times:
+            raise AssertionError(f"no {message} came in at all")
+        gaps = zip(times, [*times[1:], until_s], strict=True)
+        start_s, end_s = max(gaps, key=lambda gap: gap[1] - gap[0])
+        if end_s - start_s > at_most_s:
+            raise AssertionError(
+                f"{end_s - start_s:.2f} s without {message} from {start_s:.2f} s on, "
+                f"not {at_most_s:g} s"
+            )
+
+    def assert_arrived(
+        self, latitude_deg: float, longitude_deg: float, *, within_m: float, within_s: float
+    ) -> None:
+        """It has been within this distance of this point by this vehicle time."""
+        nearest_m = math.inf
+        for moment in self.moments:
+            if moment.t_s > within_s:
+                break
+            nearest_m = min(nearest_m, _distance_m(moment, latitude_deg, longitude_deg))
+        if nearest_m > within_m:
+            raise AssertionError(
+                f"not nearer than {nearest_m:.1f} m by {within_s:g} s, not {within_m:g} m; "
+                f"{self._where()}"
+            )
+
+    def _where(self) -> str:
+        return f"at {self.now_s:.1f} s: {self.simulation.outcome()}"
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._link.close()
+
+
+def _distance_m(moment: Moment, latitude_deg: float, longitude_deg: float) -> float:
+    _, _, distance_m = WGS84.inv(
+        moment.longitude_deg, moment.latitude_deg, longitude_deg, latitude_deg
+    )
+    return float(distance_m)
+
+
+@pytest.fixture
+def vehicle_sim() -> Iterator[Callable[..., Simulator]]:
+    """Start simulators: call it with the arguments of Simulator; they end with the test."""
+    started: list[Simulator] = []
+
+    def start(**arguments: Any) -> Simulator:
+        started.append(Simulator(**arguments))
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.close()
