@@ -1,0 +1,19 @@
+# Sourced by scripts/test: other people's programs, pinned, each in an environment of its own
+# (two of them exclude each other).  Adds about half a minute to the first run.
+# usage: . scripts/setup-interop.sh
+cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
+interop=${INTEROP_VENVS:-.venv-interop}
+mkdir -p "$interop" && echo '*' >"$interop/.gitignore" || exit 1
+for wanted in tests/interop/requirements/*.txt; do
+    name=$(basename "$wanted" .txt)
+    stamp="$interop/$name/.installed"
+    if [ "$(cat "$stamp" 2>/dev/null)" != "$(cksum <"$wanted")" ]; then
+        echo "setting up $interop/$name (once) ..."
+        rm -rf "${interop:?}/$name"
+        "${PYTHON:-python3}" -m venv "$interop/$name" &&
+            "$interop/$name/bin/pip" install -q --disable-pip-version-check --no-deps \
+                --require-hashes -r "$wanted" || exit 1
+        cksum <"$wanted" >"$stamp"
+    fi
+done
+export INTEROP_VENVS=$interop
