@@ -1,0 +1,412 @@
+"""A vehicle of which nothing is seen but its frames: what goes in and what comes out, by link.
+
+Vehicles that have booted or fly already are made once and handed out as copies.
+"""
+
+import copy
+import copyreg
+import dataclasses
+import functools
+import math
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Self
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import VehicleKind, flat_world
+
+copyreg.pickle(struct.Struct, lambda made: (struct.Struct, (made.format,)))  # to copy simulations
+
+Ids = tuple[int, int]
+Vector = tuple[float, float, float]
+HOME_DEG, HOME_M = (-35.363262, 149.165237), 584.0
+METRES_PER_DEG_NORTH = 110_955.0
+"""Of the meridian there; ArduPilot's own flat earth has 111,318.8."""
+VEHICLE, GCS, COMPANION = (1, 1), (255, 190), (1, 191)
+ZERO: Vector = (0.0, 0.0, 0.0)
+POSITION, POSITION_VELOCITY, ALL, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
+GUIDED, LAND, BRAKE = 4, 9, 17
+PLANE_GUIDED, PLANE_TAKEOFF = 15, 13
+LOCAL_POSITION, ECHO, ATTITUDE = 32, 85, 30
+_STEPS_PER_S = 100
+_WHERE = ("LOCAL_POSITION_NED", "ATTITUDE")
+_reader = mavlink.MAVLink(None)
+_NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
+
+
+class Heard:
+    """One frame that came out of the vehicle's end of a link; read when its message is wanted."""
+
+    __slots__ = ("_message", "at_s", "frame", "kind", "link", "source")
+
+    def __init__(self, at_s: float, link: int, frame: bytes) -> None:
+        assert frame[0] == mavlink.PROTOCOL_MARKER_V2
+        self.at_s, self.link, self.frame = at_s, link, frame
+        """Vehicle time since the start."""
+        self.source: Ids = (frame[5], frame[6])
+        self.kind: str = _NAMES[int.from_bytes(frame[7:10], "little")]
+        self._message: Any = None
+
+    @property
+    def message(self) -> Any:
+        """As pymavlink reads it."""
+        if self._message is None:
+            self._message = _reader.decode(bytearray(self.frame))
+        return self._message
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Key:
+    """With what a client signs."""
+
+    secret: bytes
+    link: int
+    timestamp: int
+
+
+def local(
+    ned: Vector,
+    velocity: Vector = ZERO,
+    acceleration: Vector = ZERO,
+    *,
+    mask: int = POSITION,
+    frame: int = 1,
+    target: Ids = VEHICLE,
+    yaw_rad: float = 0.0,
+) -> Any:
+    """SET_POSITION_TARGET_LOCAL_NED."""
+    return mavlink.MAVLink_set_position_target_local_ned_message(
+        0, *target, frame, mask, *ned, *velocity, *acceleration, yaw_rad, 0.0
+    )
+
+
+def place_e7(north_m: float, east_m: float) -> tuple[int, int]:
+    """On ArduPilot's flat earth about home."""
+    scale = 111_318.845
+    latitude_deg = HOME_DEG[0] + north_m / scale
+    longitude_deg = HOME_DEG[1] + east_m / (scale * math.cos(math.radians(HOME_DEG[0])))
+    return round(latitude_deg * 1e7), round(longitude_deg * 1e7)
+
+
+def over_ground(
+    north_m: float,
+    east_m: float,
+    altitude_m: float,
+    velocity: Vector = ZERO,
+    acceleration: Vector = ZERO,
+    *,
+    mask: int = POSITION,
+    frame: int = 6,
+) -> Any:
+    """SET_POSITION_TARGET_GLOBAL_INT of a place so far from home."""
+    return mavlink.MAVLink_set_position_target_global_int_message(
+        0,
+        *VEHICLE,
+        frame,
+        mask,
+        *place_e7(north_m, east_m),
+        altitude_m,
+        *velocity,
+        *acceleration,
+        0.0,
+        0.0,
+    )
+
+
+def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Any:
+    """Of a client."""
+    return mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3)
+
+
+class Wire:
+    """The three links of one vehicle."""
+
+    def __init__(self, kind: VehicleKind = "copter", **parameters: float) -> None:
+        world = flat_world(
+            kind,
+            "ardupilot",
+            latitude_deg=HOME_DEG[0],
+            longitude_deg=HOME_DEG[1],
+            altitude_amsl_m=HOME_M,
+            heading_deg=0.0,
+        )
+        vehicle = dataclasses.replace(world.vehicle, parameters=parameters)
+        self._simulation = Simulation(dataclasses.replace(world, vehicle=vehicle), links=3)
+        self.heard: list[Heard] = []
+        self._sequence: dict[Ids, int] = {}
+
+    def copy(self) -> Self:
+        """Another one of which all is the same, but with nothing heard but where it is."""
+        where = {each.kind: each for each in self.heard if each.kind in _WHERE and each.link == 0}
+        heard, self.heard = self.heard, list(where.values())
+        other = copy.deepcopy(self)
+        self.heard = heard
+        return other
+
+    @property
+    def now_s(self) -> float:
+        """Vehicle time since the start."""
+        return self._simulation.now_us * 1e-6
+
+    @property
+    def not_survived(self) -> str | None:
+        """What came in that the real autopilot does not survive."""
+        return self._simulation.not_survived
+
+    def takes_new_port(self) -> bool:
+        """Whether it sends from another UDP port since the last call."""
+        return self._simulation.take_port_change()
+
+    # --- in -----------------------------------------------------------------------------------
+
+    def send(
+        self, *messages: Any, source: Ids = COMPANION, link: int = 0, key: Key | None = None
+    ) -> None:
+        """One datagram with these messages."""
+        mav = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
+        mav.seq = self._sequence.get(source, 0)
+        if key is not None:
+            mav.signing.secret_key = key.secret
+            mav.signing.link_id = key.link
+            mav.signing.timestamp = key.timestamp
+            mav.signing.sign_outgoing = True
+        self.put(b"".join(bytes(message.pack(mav)) for message in messages), link=link)
+        self._sequence[source] = mav.seq
+
+    def put(self, data: bytes, link: int = 0) -> None:
+        """Raw bytes; what is answered at once is heard at once."""
+        self._simulation.receive(link, data)
+        self._listen()
+
+    def command(
+        self,
+        number: int,
+        *parameters: float,
+        frame: int | None = None,
+        target: Ids = VEHICLE,
+        source: Ids = COMPANION,
+        link: int = 0,
+    ) -> int | None:
+        """COMMAND_LONG, or COMMAND_INT in this frame; the result of its answer within 20 ms."""
+        p = (*parameters, *[0.0] * (7 - len(parameters)))
+        message: Any
+        if frame is None:
+            message = mavlink.MAVLink_command_long_message(*target, number, 0, *p)
+        else:
+            x, y = round(p[4]), round(p[5])
+            message = mavlink.MAVLink_command_int_message(
+                *target, frame, number, 0, 0, *p[:4], x, y, p[6]
+            )
+        begun = len(self.heard)
+        self.send(message, source=source, link=link)
+        self.run(0.02)
+        for each in self.heard[begun:]:
+            if each.kind == "COMMAND_ACK" and each.source == VEHICLE and each.link == link:
+                answer = each.message
+                assert answer.command == number
+                assert (answer.target_system, answer.target_component) == source
+                return int(answer.result)
+        return None
+
+    def interval(
+        self, number: int, hz: float, link: int = 0, source: Ids = COMPANION
+    ) -> int | None:
+        """SET_MESSAGE_INTERVAL."""
+        return self.command(511, number, 1e6 / hz if hz > 0 else hz, link=link, source=source)
+
+    def parameter(self, name: str, value: float | None = None) -> float:
+        """The value that PARAM_VALUE tells, after it has been set if one is given."""
+        message: Any
+        if value is None:
+            message = mavlink.MAVLink_param_request_read_message(1, 1, name.encode(), -1)
+        else:
+            message = mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, 9)
+        begun = len(self.heard)
+        self.send(message)
+        self.run(0.02)
+        (told,) = [
+            each.message.param_value
+            for each in self.heard[begun:]
+            if each.kind == "PARAM_VALUE" and each.link == 0 and each.message.param_id == name
+        ]
+        return float(told)
+
+    # --- out ----------------------------------------------------------------------------------
+
+    def run(self, seconds: float, meanwhile: Callable[[], object] | None = None) -> None:
+        """Let vehicle time pass; meanwhile: what to do ten times a second."""
+        for k in range(round(seconds * _STEPS_PER_S)):
+            if meanwhile is not None and k % 10 == 0:
+                meanwhile()
+            self._simulation.step()
+            self._listen()
+
+    def run_until(self, reached: Callable[[], bool], within_s: float) -> float:
+        """Until this is so; how long that took."""
+        begun_s = self.now_s
+        while not reached():
+            assert self.now_s - begun_s < within_s, "it never came to that"
+            self.run(0.05)
+        return self.now_s - begun_s
+
+    def _listen(self) -> None:
+        now_s = self.now_s
+        self.heard += [Heard(now_s, link, frame) for link, frame in self._simulation.take_frames()]
+
+    def all(self, kind: str, *, link: int | None = 0, since_s: float = 0.0) -> list[Heard]:
+        """Every one of this kind that came by this link."""
+        return [
+            each
+            for each in self.heard
+            if each.kind == kind and link in (None, each.link) and each.at_s >= since_s
+        ]
+
+    def last(self, kind: str) -> Any:
+        """The newest of this kind on link 0; it must have come."""
+        for each in reversed(self.heard):
+            if each.kind == kind and each.link == 0:
+                return each.message
+        raise AssertionError(f"no {kind} has come")
+
+    def texts(self, since_s: float = 0.0) -> list[str]:
+        """Every STATUSTEXT."""
+        return [each.message.text for each in self.all("STATUSTEXT", since_s=since_s)]
+
+    def said_s(self, text: str) -> list[float]:
+        """When a text with this in it was said."""
+        return [each.at_s for each in self.all("STATUSTEXT") if text in each.message.text]
+
+    @property
+    def ned_m(self) -> Vector:
+        """The newest LOCAL_POSITION_NED."""
+        m = self.last("LOCAL_POSITION_NED")
+        return m.x, m.y, m.z
+
+    @property
+    def level_m_s(self) -> float:
+        """The horizontal speed in it."""
+        m = self.last("LOCAL_POSITION_NED")
+        return math.hypot(m.vx, m.vy)
+
+    @property
+    def mode(self) -> int:
+        """Of the newest heartbeat."""
+        return int(self.last("HEARTBEAT").custom_mode)
+
+    def echo_of(self, setpoint: Any, **how: Any) -> Any:
+        """Send it; the POSITION_TARGET_LOCAL_NED that a ground station then asks for."""
+        self.send(setpoint, **how)
+        self.run(0.02)
+        return self.echo()
+
+    def echo(self) -> Any:
+        """POSITION_TARGET_LOCAL_NED, asked for by a ground station."""
+        assert self.command(512, ECHO, source=GCS) == 0
+        return self.last("POSITION_TARGET_LOCAL_NED")
+
+
+# --- vehicles that are ready made -----------------------------------------------------------------
+
+
+@functools.cache
+def _booted(kind: VehicleKind) -> Wire:
+    wire = Wire(kind)
+    wire.run(45.0 if kind == "copter" else 25.0)
+    return wire
+
+
+def booted(kind: VehicleKind = "copter") -> Wire:
+    """One that may be armed, and that has heard nobody yet."""
+    return _booted(kind).copy()
+
+
+@functools.cache
+def _hovering(lean_deg: int) -> Wire:
+    wire = booted()
+    wire.parameter("ANGLE_MAX", lean_deg * 100.0)
+    for number, hz in ((LOCAL_POSITION, 20), (33, 10), (245, 5), (ATTITUDE, 20)):
+        assert wire.interval(number, hz) == 0
+    assert [wire.command(176, 1, GUIDED), wire.command(400, 1)] == [0, 0]
+    assert wire.command(22, 0, 0, 0, 0, 0, 0, 30) == 0
+    wire.run(22.0)
+    assert wire.ned_m[2] < -29.5
+    return wire
+
+
+def hovering(lean_deg: int = 30) -> Wire:
+    """A copter in GUIDED, 30 m above home, with its telemetry on link 0."""
+    return _hovering(lean_deg).copy()
+
+
+@functools.cache
+def _cruising(speed_m_s: float, mask: int) -> Wire:
+    wire = hovering(45)
+    route = straight(speed_m_s)
+    for _ in range(round(2.5 * speed_m_s + (10.0 if mask == POSITION else 2.0)) * 10):
+        wire.send(next(route)(mask))
+        wire.run(0.1)
+    return wire
+
+
+def straight(speed_m_s: float) -> Iterator[Callable[[int], Any]]:
+    """Northwards from above home, ten setpoints a second, by the mask that they are to have."""
+    north_m = t = 0.0
+    ramp_s = 1.5 * speed_m_s
+    while True:
+        ramp = min(t / ramp_s, 1.0)
+        v = speed_m_s * ramp * ramp * (3.0 - 2.0 * ramp)
+        yield functools.partial(_ahead, north_m, v)
+        for k in range(10):  # as fine as the vehicle's own steps
+            ramp = min((t + 0.01 * k) / ramp_s, 1.0)
+            north_m += speed_m_s * ramp * ramp * (3.0 - 2.0 * ramp) * 0.01
+        t += 0.1
+
+
+def _ahead(north_m: float, v: float, mask: int) -> Any:
+    return local((north_m, 0.0, -30.0), (v, 0.0, 0.0), mask=mask)
+
+
+def cruising(speed_m_s: float, mask: int) -> tuple[Wire, float]:
+    """A copter in mid-stream, northwards, and how far north its next setpoint would lie."""
+    wire = _cruising(speed_m_s, mask).copy()
+    route = straight(speed_m_s)
+    for _ in range(round(2.5 * speed_m_s + (10.0 if mask == POSITION else 2.0)) * 10):
+        next(route)
+    return wire, float(next(route)(mask).x)
+
+
+@functools.cache
+def _circling() -> Wire:
+    wire = booted("plane")
+    for number, hz in ((LOCAL_POSITION, 10), (33, 10), (87, 5)):
+        assert wire.interval(number, hz) == 0
+    assert [wire.command(176, 1, PLANE_TAKEOFF), wire.command(400, 1)] == [0, 0]
+    wire.run(14.0)
+    assert reposition(wire, 0.0, 0.0, 80.0) == 0
+    wire.run(40.0)
+    return wire
+
+
+def circling() -> Wire:
+    """A plane in GUIDED about home, 80 m up."""
+    return _circling().copy()
+
+
+def reposition(
+    wire: Wire,
+    north_m: float,
+    east_m: float,
+    up_m: float,
+    *,
+    radius_m: float = 0.0,
+    ccw: float = 0.0,
+    frame: int = 3,
+    flags: float = 1.0,
+) -> int | None:
+    """COMMAND_INT DO_REPOSITION."""
+    height_m = up_m if frame in (3, 6, 10, 11) else up_m + HOME_M
+    place = place_e7(north_m, east_m)
+    return wire.command(192, -1.0, flags, radius_m, ccw, *place, height_m, frame=frame)

@@ -1,0 +1,348 @@
+"""Experiments with a simulated PX4 in OFFBOARD: setpoints, and their end (px4.md 4, 6)."""
+
+import functools
+import math
+from typing import Any, Literal, NamedTuple
+
+from px4_flights import GROUND_STATION, cruise, disarmed, ground, hover, north, positions, refreshed
+from px4_wire import GROUND_AMSL_M, HOLD, NAN, OFFBOARD, Companion, Vector, local, worldwide
+
+# --- 4: masks, frames, steps ----------------------------------------------------------------------
+
+
+def velocity_after(setpoint: Any) -> Vector | None:
+    """North, east and up, 4 s after 5 m/s to the north; None: it has left OFFBOARD."""
+    flight = cruise()
+    flight.aim = lambda _: setpoint
+    flight.run(4.0)
+    x, y, z = flight.velocity
+    return (x, y, -z) if flight.mode == OFFBOARD else None
+
+
+def ends_up(setpoint: Any) -> Vector | None:
+    """North, east and up of the origin, 15 s later; None: it has left OFFBOARD."""
+    flight = hover()
+    flight.aim = lambda _: setpoint
+    flight.run(15.0)
+    x, y, z = flight.position
+    return (x, y, -z) if flight.mode == OFFBOARD else None
+
+
+def keeps_offboard(setpoint: Any) -> bool:
+    return velocity_after(setpoint) is not None
+
+
+def heading_after(setpoint: Any) -> float:
+    """Degrees, 6 s later; it looked to the north before."""
+    flight = hover()
+    flight.aim = lambda _: setpoint
+    flight.run(6.0)
+    return math.degrees(flight.last("ATTITUDE").yaw)
+
+
+def turned_body_velocity() -> tuple[float, float]:
+    """North and east velocity of 3 m/s ahead, with the nose to the east."""
+    flight = hover()
+    flight.aim = lambda _: local((0.0, 0.0, -15.0), yaw=math.pi / 2)
+    flight.run(6.0)
+    flight.aim = lambda _: local(velocity=(3.0, 0.0, 0.0), frame=8)
+    flight.run(4.0)
+    return flight.velocity[:2]
+
+
+@functools.cache
+def with_home_above(frame: int) -> float:
+    """Metres above home where a setpoint 10 m above it ends, home 5 m above the origin."""
+    flight = hover()
+    height_m = 10.0 if frame == 6 else GROUND_AMSL_M + 15.0
+    origin_m = flight.simulation.vehicle.altitude_amsl_m + flight.position[2]
+    flight.command_at(179, (0.0, 0.0, origin_m + 5.0), frame=5)
+    flight.aim = lambda _: worldwide(0.0, 0.0, height_m, frame=frame)
+    flight.run(20.0)
+    assert flight.mode == OFFBOARD
+    return -flight.position[2] - 5.0
+
+
+class Stop(NamedTuple):
+    """From full speed."""
+
+    metres: float
+    seconds: float
+    """Until slower than 0.3 m/s."""
+    again_m_s: float
+    """Fastest after that."""
+    farthest_m: float
+
+
+def _stop(flight: Companion, seconds: float = 14.0) -> Stop:
+    start_s, start_m = flight.now_s, flight.position[0]
+    flight.run(seconds)
+    track = [
+        (h.t_s - start_s, h.message.x - start_m, h.message) for h in positions(flight, start_s)
+    ]
+    speeds = [(t, math.hypot(m.vx, m.vy)) for t, _, m in track]
+    seconds = min((t for t, speed in speeds if speed < 0.3), default=NAN)
+    again_m_s = max((speed for t, speed in speeds if t > seconds), default=NAN)
+    return Stop(track[-1][1], seconds, again_m_s, max(along for _, along, _ in track))
+
+
+@functools.cache
+def stop(how: Literal["position", "velocity", "hold"]) -> Stop:
+    """12 m/s to the north, and then this."""
+    flight = hover()
+    flight.aim = north(12.0)
+    flight.run(9.0)
+    assert flight.speed > 11.5
+    here = flight.position
+    if how == "hold":
+        flight.set_mode(HOLD)
+    elif how == "position":
+        flight.aim = lambda _: local((here[0], here[1], -15.0), yaw=0.0)
+    else:
+        flight.aim = north(0.0)
+    return _stop(flight)
+
+
+@functools.cache
+def frozen() -> float:
+    """Metres in all, after a stream of position and velocity at 10 m/s has stopped."""
+    flight = hover()
+    began_s = flight.now_s
+    flight.aim = lambda t: local((10.0 * (t - began_s), 0.0, -15.0), (10.0, 0.0, 0.0), yaw=0.0)
+    flight.run(12.0)
+    flight.aim = None
+    return _stop(flight).metres
+
+
+class Jump(NamedTuple):
+    """A position setpoint far away, with the stock drag."""
+
+    tilt_deg: float
+    fastest_m_s: float
+    at_last_m_s: float
+    to_29_m_s: float
+    farthest_m: float
+    offboard: bool
+
+
+@functools.cache
+def jump(metres: float, seconds: float) -> Jump:
+    flight = hover(drag=1.0)
+    flight.command(511, 30, 20_000)
+    start_s, start_m = flight.now_s, flight.position[0]
+    flight.aim = lambda _: local((start_m + metres, 0.0, -15.0), yaw=0.0)
+    flight.run(seconds)
+    track = [
+        (h.t_s - start_s, h.message.x - start_m, h.message) for h in positions(flight, start_s)
+    ]
+    tilts = (
+        math.acos(math.cos(m.roll) * math.cos(m.pitch)) for m in flight.of("ATTITUDE", start_s)
+    )
+    return Jump(
+        math.degrees(max(tilts)),
+        max(math.hypot(m.vx, m.vy) for *_, m in track),
+        sum(math.hypot(m.vx, m.vy) for *_, m in track[-60:]) / 60.0,
+        min((t for t, along_m, _ in track if along_m > 29.0), default=NAN),
+        max(along_m for _, along_m, _ in track),
+        flight.mode == OFFBOARD,
+    )
+
+
+@functools.cache
+def reached(north_m_s: float, down_m_s: float) -> tuple[float, float]:
+    """Speeds north and down that asking for these ends in."""
+    flight = hover(30.0)
+    flight.aim = north(north_m_s, down_m_s)
+    flight.run(6.0)
+    since_s = flight.now_s
+    flight.run(2.0)
+    track = [h.message for h in positions(flight, since_s)]
+    return sum(m.vx for m in track) / len(track), sum(m.vz for m in track) / len(track)
+
+
+# --- 6: loss of the stream ------------------------------------------------------------------------
+
+
+class Loss(NamedTuple):
+    """The stream stops at 5 m/s, and comes back 8 s later; times after the last setpoint."""
+
+    mode: int
+    mode_s: float
+    intended: int
+    heartbeat_s: float
+    status: int
+    events: dict[int, float]
+    texts: list[str]
+    sinks_m_s: float
+    """Between 2 and 5 s after the new mode."""
+    climbs_to_m: float
+    metres: float
+    """Flown to the north, from the new mode on."""
+    speed_m_s: float
+    """At the end."""
+    back_s: float
+    """To OFFBOARD, when the stream is back."""
+
+
+@functools.cache
+def loss(action: int, drag: float = 0.25) -> Loss:
+    flight = cruise(loss_action=action, drag=drag)
+    flight.heartbeats = (GROUND_STATION,)
+    flight.run(1.5)
+    flight.aim = None
+    last_s = flight.aimed_s
+    flight.until(lambda: flight.mode != OFFBOARD, 3.0)
+    new_s, new_m, mode = flight.now_s, flight.position[0], flight.mode
+    current = flight.last("CURRENT_MODE")
+    flight.run(8.0)
+    beats = [h for h in flight.times("HEARTBEAT", last_s) if h.message.custom_mode == mode]
+    heights = {round((h.t_s - new_s) * 10): -h.message.z for h in positions(flight, new_s)}
+    metres, speed_m_s, status = flight.position[0] - new_m, flight.speed, flight.status
+    flight.aim = north(5.0)
+    return Loss(
+        mode,
+        new_s - last_s,
+        current.intended_custom_mode,
+        beats[0].t_s - last_s,
+        status,
+        {number: t_s - last_s for number, t_s in flight.events(last_s).items()},
+        flight.texts(last_s),
+        (heights[20] - heights[50]) / 3.0,
+        max(heights.values()),
+        metres,
+        speed_m_s,
+        flight.until(lambda: flight.mode == OFFBOARD, 2.0),
+    )
+
+
+def sinks_low() -> float:
+    """m/s between 4.5 and 2 m above the ground, after a loss with COM_OBL_RC_ACT 4."""
+    flight = cruise(loss_action=4)
+    flight.aim = None
+    flight.run(20.0)
+    low = [h for h in positions(flight) if 2.0 < -h.message.z < 4.5]
+    sunk_m: float = low[-1].message.z - low[0].message.z
+    return sunk_m / (low[-1].t_s - low[0].t_s)
+
+
+@functools.cache
+def returned() -> tuple[float, float]:
+    """How far from home a lost stream at 60 m brings it with COM_OBL_RC_ACT 3, and how high."""
+    flight = cruise(loss_action=3)
+    flight.run(4.0)
+    flight.aim = None
+    heights = list[float]()
+    for _ in range(60):
+        flight.run(1.0)
+        heights.append(-flight.position[2])
+    return math.hypot(*flight.position[:2]), max(heights)
+
+
+def modes_with_gap(gap_s: float) -> set[int]:
+    flight = cruise()
+    aim, flight.aim = flight.aim, None
+    since_s = flight.aimed_s
+    flight.run(gap_s - (flight.now_s - since_s))
+    flight.aim = aim
+    flight.run(1.0)
+    return {mode for _, mode in flight.modes(since_s)}
+
+
+def modes_at_rate(rate_hz: float, seconds: float = 12.0) -> list[int]:
+    flight = cruise()
+    flight.rate_hz = rate_hz
+    flight.run(1.0)
+    since_s = flight.now_s
+    flight.run(seconds)
+    return [mode for _, mode in flight.modes(since_s)]
+
+
+@functools.cache
+def loss_on_the_ground() -> tuple[float, int, bool]:
+    """Seconds to another mode, that mode, and whether it is still armed 5 s later."""
+    flight = ground()
+    flight.aim = lambda _: local((0.0, 0.0, 0.0))
+    flight.run(0.5)
+    flight.set_mode(OFFBOARD)
+    flight.command(400, 1)
+    flight.run(1.0)
+    flight.aim = None
+    last_s = flight.aimed_s
+    flight.until(lambda: flight.mode != OFFBOARD, 3.0)
+    seconds = flight.now_s - last_s
+    flight.run(5.0)
+    return seconds, flight.mode, not disarmed(flight)
+
+
+def commanded(custom: int) -> int:
+    """The mode 6 s after it was commanded, with the stream going on."""
+    flight = cruise()
+    flight.set_mode(custom)
+    flight.run(6.0)
+    return flight.mode
+
+
+# --- 6: with a pilot ------------------------------------------------------------------------------
+
+
+@functools.cache
+def _piloted(loss_action: int, drag: float) -> Companion:
+    flight = ground(drag, loss_action)
+    flight.stick = 0.0
+    flight.run(1.0)
+    return flight.flying(15.0)
+
+
+def piloted(loss_action: int = 5, drag: float = 0.25, **parameters: float) -> Companion:
+    """In OFFBOARD north at 5 m/s, with hands at the sticks."""
+    flight = refreshed(_piloted(loss_action, drag))
+    for name, value in parameters.items():
+        flight.set_parameter(name, value)
+    flight.aim = north(5.0)
+    flight.run(8.0)
+    return flight
+
+
+def first_sticks() -> int:
+    vehicle = ground()
+    vehicle.stick = 0.0
+    vehicle.run(0.5)
+    return vehicle.mode
+
+
+@functools.cache
+def loss_with_pilot(drag: float = 0.25) -> tuple[int, float, float, float, int]:
+    """Mode, metres north after it, speed and loss of height; mode when the stream is back."""
+    flight = piloted(loss_action=0, drag=drag)
+    flight.aim = None
+    flight.until(lambda: flight.mode != OFFBOARD, 3.0)
+    mode, before = flight.mode, flight.position
+    flight.run(8.0)
+    after, speed_m_s = flight.position, flight.speed
+    flight.aim = north(5.0)
+    flight.run(1.0)
+    return mode, after[0] - before[0], speed_m_s, after[2] - before[2], flight.mode
+
+
+@functools.cache
+def takeover(override: int) -> tuple[float, int, int | None, int]:
+    """Seconds to another mode, the mode 3 s later, the result of OFFBOARD, and the mode then."""
+    flight = piloted(COM_RC_OVERRIDE=override)
+    flight.stick = 0.6
+    seconds = flight.until(lambda: flight.mode != OFFBOARD, 1.0)
+    flight.stick = 0.0
+    flight.run(3.0)
+    mode = flight.mode
+    result = flight.set_mode(OFFBOARD)
+    flight.run(1.0)
+    return seconds, mode, result, flight.mode
+
+
+@functools.cache
+def pilot_lost(exception: int = 0) -> list[tuple[float, int]]:
+    """Modes and their times after the last sticks, the stream going on."""
+    flight = piloted(COM_RCL_EXCEPT=exception)
+    since_s = flight.now_s
+    flight.stick = None
+    flight.run(9.0)
+    return [(t_s - since_s, mode) for t_s, mode in flight.modes(since_s)]
