@@ -1,0 +1,193 @@
+"""How fast the simulator is, beside a bare pair of sockets in the same run, and its memory.
+
+python scripts/benchmarks/simulator.py [--seconds 300] [--hours 10] [--json FILE]
+"""
+
+import argparse
+import json
+import multiprocessing
+import resource
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import flat_world
+
+TICK_HZ = 20
+HOME = {"latitude_deg": 47.397742, "longitude_deg": 8.545594, "altitude_amsl_m": 488.0}
+MARKER, TIMESYNC, HEARTBEAT_EVERY = 0xFD, 111, TICK_HZ
+
+
+def frame(mav: Any, message: Any) -> bytes:
+    packed: bytes = message.pack(mav)
+    mav.seq = (mav.seq + 1) % 256
+    return packed
+
+
+def time_syncs(datagram: bytes) -> int | None:
+    """ts1 of a TIMESYNC question in this datagram."""
+    at, found = 0, None
+    while at + 12 <= len(datagram) and datagram[at] == MARKER:
+        size = datagram[at + 1]
+        if int.from_bytes(datagram[at + 7 : at + 10], "little") == TIMESYNC:
+            payload = datagram[at + 10 : at + 10 + size].ljust(16, b"\0")
+            tc1, ts1 = struct.unpack("<qq", payload[:16])
+            found = ts1 if tc1 == 0 else found
+        at += size + 12
+    return found
+
+
+def trivial_client(port: int, takeoff: bool) -> None:
+    """Answers every TIMESYNC, and says what makes a copter fly in a circle: nothing more."""
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    link.bind(("127.0.0.1", port))
+    mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
+    ticks = 0
+    while True:
+        datagram, address = link.recvfrom(65535)
+        asked = time_syncs(datagram)
+        if asked is None:
+            if ticks == 0:
+                link.sendto(
+                    frame(mav, mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)), address
+                )
+            continue
+        out = []
+        if ticks == 0:
+            interval = mavlink.MAVLink_command_long_message(
+                1, 1, 511, 0, 33, 1e6 / TICK_HZ, 0, 0, 0, 0, 0
+            )
+            out.append(frame(mav, interval))
+        if ticks % HEARTBEAT_EVERY == 0:
+            out.append(frame(mav, mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)))
+        if takeoff and ticks in (900, 902, 904):
+            number, p1, p2, p7 = {900: (176, 1, 4, 0), 902: (400, 1, 0, 0), 904: (22, 0, 0, 30)}[
+                ticks
+            ]
+            command = mavlink.MAVLink_command_long_message(1, 1, number, 0, p1, p2, 0, 0, 0, 0, p7)
+            out.append(frame(mav, command))
+        out.append(frame(mav, mavlink.MAVLink_timesync_message(asked, asked)))
+        link.sendto(b"".join(out), address)
+        ticks += 1
+
+
+def bare_server(port: int, seconds: float) -> float:
+    """The same without a vehicle: a position and a TIMESYNC each tick.  -> x real time."""
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    link.connect(("127.0.0.1", port))
+    mav, parser = mavlink.MAVLink(None, srcSystem=1, srcComponent=1), mavlink.MAVLink(None)
+    start_s = time.perf_counter()
+    for tick in range(1, round(seconds * TICK_HZ) + 1):
+        asked = tick * 50_000_000
+        position = mavlink.MAVLink_global_position_int_message(tick, 1, 2, 3, 4, 5, 6, 7, 8)
+        question = mavlink.MAVLink_timesync_message(0, asked)
+        link.send(frame(mav, position) + frame(mav, question))
+        answered = False
+        while not answered:
+            for message in parser.parse_buffer(link.recv(65535)) or []:
+                answered = answered or (message.get_type() == "TIMESYNC" and message.ts1 == asked)
+    return seconds / (time.perf_counter() - start_s)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def with_client(run: Callable[[int], float], *, takeoff: bool) -> float:
+    port = free_port()
+    client = multiprocessing.Process(target=trivial_client, args=(port, takeoff), daemon=True)
+    client.start()
+    time.sleep(0.5)  # its socket is bound by then; a benchmark may wait
+    try:
+        return run(port)
+    finally:
+        client.kill()
+        client.join()
+
+
+def lockstep(port: int, seconds: float) -> float:
+    """vehicle-sim itself, as a process.  -> x real time, as it says"""
+    command = [sys.executable, "-m", "vehicle_sim", "--lockstep", "--duration", str(seconds)]
+    command += ["--connect", f"udpout:127.0.0.1:{port}"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return float(said.split("(")[-1].split(" x real time")[0])
+
+
+def many(count: int, seconds: float, autopilot: str) -> float:
+    """So many vehicles in this process, streaming what they stream unasked.  -> x real time"""
+    vehicles = [
+        Simulation(
+            flat_world("copter", autopilot, heading_deg=0.0, system_id=k + 1, **HOME), seed=k
+        )  # type: ignore[arg-type]
+        for k in range(count)
+    ]
+    start_s = time.perf_counter()
+    for _ in range(round(seconds * 100)):
+        for vehicle in vehicles:
+            vehicle.step()
+            vehicle.take_frames()
+    for vehicle in vehicles:
+        vehicle.take_truth()
+    return seconds / (time.perf_counter() - start_s)
+
+
+def memory_mb(hours: float) -> list[tuple[float, float]]:
+    """Resident memory of one vehicle that flies and streams, by simulated hours."""
+    vehicle = Simulation(flat_world("copter", "px4", heading_deg=0.0, **HOME))
+    mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
+    rows = []
+    for tenth in range(11):
+        rows.append((hours * tenth / 10, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
+        for _ in range(round(hours * 360)):
+            vehicle.receive(0, frame(mav, mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)))
+            vehicle.receive(
+                0, frame(mav, mavlink.MAVLink_param_request_read_message(1, 1, b"X", 0))
+            )
+            for _ in range(100):
+                vehicle.step()
+            vehicle.take_frames()
+            vehicle.take_truth()
+            vehicle.take_notices()
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--seconds", type=float, default=300.0, help="of vehicle time for each speed"
+    )
+    parser.add_argument("--hours", type=float, default=10.0, help="of vehicle time for the memory")
+    parser.add_argument("--json", type=Path)
+    wanted = parser.parse_args()
+    seconds = wanted.seconds
+    bare = with_client(lambda port: bare_server(port, seconds), takeoff=False)
+    ground = with_client(lambda port: lockstep(port, seconds), takeoff=False)
+    flying = with_client(lambda port: lockstep(port, seconds), takeoff=True)
+    print(f"bare pair of position and TIMESYNC, 20 Hz        {bare:6.0f} x real time")
+    print(f"vehicle-sim in lockstep, on the ground           {ground:6.0f} x real time")
+    print(f"vehicle-sim in lockstep, flying after 45 s       {flying:6.0f} x real time   (bar 150)")
+    fleets = {name: many(50, 60.0, name) for name in ("ardupilot", "px4")}
+    for name, times in fleets.items():
+        print(f"50 vehicles in one process, {name:9}            {times:6.1f} x real time   (bar 1)")
+    memory = memory_mb(wanted.hours)
+    for hours, size in memory:
+        print(f"resident after {hours:4.1f} simulated hours           {size:6.1f} MB")
+    if wanted.json:
+        figures = {"bare": bare, "ground": ground, "flying": flying, "fleets": fleets}
+        wanted.json.write_text(
+            json.dumps({**figures, "memory": memory}, indent=1), encoding="utf-8"
+        )
+
+
+if __name__ == "__main__":
+    main()
