@@ -11,11 +11,12 @@ from typing import Annotated
 
 import typer
 
-from vehicle_sim.errors import InputError, SimulatorError
+from vehicle_sim.errors import InputError
 from vehicle_sim.faults import Timeline
 from vehicle_sim.links import Endpoint, Link, open_link, parse_endpoint
 from vehicle_sim.server import Server, Settings, Station, stopping_on_signals, truth_files
 from vehicle_sim.simulation import Simulation
+from vehicle_sim.terminal import run
 from vehicle_sim.world import World, flat_world, read_world
 
 HELP = """A simulated drone to test a companion computer with.
@@ -366,32 +367,9 @@ def _world_path(name: str) -> Path:
     )
 
 
-def _wrong_options(error: Exception) -> str | None:
-    """What is wrong with the options as such; None if the error is something else.
-
-    Typer raises the parent class of its BadParameter, and has no name for it.
-    """
-    if not isinstance(error, typer.BadParameter.__bases__):
-        return None
-    return str(getattr(error, "format_message", error.__str__)())
-
-
 def main() -> None:
-    """Entry of the console script: errors are one line and an exit code."""
-    try:
-        code = app(standalone_mode=False)
-    except SimulatorError as error:
-        typer.echo(f"error: {error}", err=True)
-        sys.exit(error.exit_code)
-    except typer.Abort:
-        sys.exit(0)
-    except Exception as error:
-        wrong = _wrong_options(error)
-        if wrong is None:
-            raise
-        typer.echo(f"error: {wrong.rstrip('.')}. See vehicle-sim --help.", err=True)
-        sys.exit(InputError.exit_code)
-    sys.exit(code if isinstance(code, int) else 0)
+    """Entry of the console script."""
+    run(app, "vehicle-sim")
 
 
 if __name__ == "__main__":

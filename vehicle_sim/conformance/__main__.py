@@ -1,7 +1,6 @@
 """python -m vehicle_sim.conformance LOG: how like the recorded autopilot the simulated one is."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -22,7 +21,7 @@ from vehicle_sim.conformance.report import (
 )
 from vehicle_sim.conformance.rows import Row
 from vehicle_sim.conformance.simulated import play
-from vehicle_sim.errors import InputError, SimulatorError
+from vehicle_sim.terminal import run
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 _WIDE = 200
@@ -81,20 +80,8 @@ def _write(path: Path, text: str) -> None:
 
 
 def main() -> None:
-    """Errors are one line and an exit code."""
-    try:
-        code = app(standalone_mode=False)
-    except SimulatorError as error:
-        typer.echo(f"error: {error}", err=True)
-        sys.exit(error.exit_code)
-    except typer.Abort:
-        sys.exit(1)
-    except Exception as error:
-        if not isinstance(error, typer.BadParameter.__bases__):
-            raise
-        typer.echo(f"error: {error}. See --help.", err=True)
-        sys.exit(InputError.exit_code)
-    sys.exit(code if isinstance(code, int) else 0)
+    """Entry of python -m vehicle_sim.conformance."""
+    run(app, "python -m vehicle_sim.conformance")
 
 
 if __name__ == "__main__":
