@@ -48,27 +48,8 @@ def _system_time(report: Report) -> Any:
     )
 
 
-def gps_raw(report: Report) -> Any:
-    """GPS_RAW_INT: what the receiver says."""
-    fix = report.fix
-    known = fix.fix_type >= 2
-    speed_cm_s = math.hypot(fix.velocity_north_m_s, fix.velocity_east_m_s) * 100.0
-    course_deg = math.degrees(math.atan2(fix.velocity_east_m_s, fix.velocity_north_m_s))
-    return mavlink.MAVLink_gps_raw_int_message(
-        time_usec=fix.time_us,
-        fix_type=fix.fix_type,
-        lat=degrees_e7(fix.latitude_deg) if known else 0,
-        lon=degrees_e7(fix.longitude_deg) if known else 0,
-        alt=bounded(fix.altitude_amsl_m * 1e3, INT32) if known else 0,
-        eph=min(round(fix.horizontal_dilution * 100.0), UINT16),
-        epv=min(round(fix.vertical_dilution * 100.0), UINT16),
-        vel=bounded(speed_cm_s, UINT16 - 1) if known else UINT16,
-        cog=round(course_deg * 100.0) % 36000 if known else UINT16,
-        satellites_visible=fix.satellites,
-    )
-
-
-def _attitude(report: Report) -> Any:
+def attitude(report: Report) -> Any:
+    """ATTITUDE, without rates of turning."""
     vehicle = report.vehicle
     return mavlink.MAVLink_attitude_message(
         time_boot_ms=boot_ms(report),
@@ -96,7 +77,8 @@ def quaternion(report: Report) -> tuple[float, float, float, float]:
     )
 
 
-def _attitude_quaternion(report: Report) -> Any:
+def attitude_quaternion(report: Report) -> Any:
+    """ATTITUDE_QUATERNION, likewise."""
     q1, q2, q3, q4 = quaternion(report)
     return mavlink.MAVLink_attitude_quaternion_message(
         time_boot_ms=boot_ms(report),
@@ -126,7 +108,8 @@ def _local_position(report: Report) -> Any | None:
     )
 
 
-def _global_position(report: Report) -> Any:
+def global_position(report: Report) -> Any:
+    """GLOBAL_POSITION_INT: the estimate."""
     estimate, home = report.estimate, report.status.home
     above_home_m = 0.0 if home is None else estimate.altitude_amsl_m - home.altitude_amsl_m
     return mavlink.MAVLink_global_position_int_message(
@@ -154,7 +137,8 @@ def _gps_global_origin(report: Report) -> Any | None:
     )
 
 
-def _vfr_hud(report: Report) -> Any:
+def vfr_hud(report: Report) -> Any:
+    """VFR_HUD."""
     estimate, vehicle = report.estimate, report.vehicle
     return mavlink.MAVLink_vfr_hud_message(
         airspeed=vehicle.airspeed_m_s,
@@ -223,36 +207,12 @@ def _extended_sys_state(report: Report) -> Any:
     )
 
 
-def _autopilot_version(report: Report) -> Any:
-    style, nothing = report.style, [0] * 8
-    return mavlink.MAVLink_autopilot_version_message(
-        capabilities=style.capabilities,
-        flight_sw_version=style.software_version,
-        middleware_sw_version=0,
-        os_sw_version=0,
-        board_version=0,
-        flight_custom_version=list(style.custom_version),
-        middleware_custom_version=nothing,
-        os_custom_version=nothing,
-        vendor_id=0,
-        product_id=0,
-        uid=report.hardware_id,
-    )
-
-
 MESSAGES: dict[int, Builder] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: gps_raw,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude_quaternion,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _gps_global_origin,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: _vfr_hud,
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _position_target,
-    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _autopilot_version,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: home_position,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _extended_sys_state,
 }
-"""What can be said, by message number; None while there is nothing to say."""
+"""What both say in the same way, by message number; None while there is nothing to say."""

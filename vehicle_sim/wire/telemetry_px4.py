@@ -118,7 +118,7 @@ def _gps_raw(report: Report) -> Any:
 def _global_position(report: Report) -> Any | None:
     if report.status.origin is None:
         return None
-    return telemetry.MESSAGES[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT](report)
+    return telemetry.global_position(report)
 
 
 def _mission_current(report: Report) -> Any:
@@ -135,7 +135,7 @@ def _mission_current(report: Report) -> Any:
 
 
 def _vfr_hud(report: Report) -> Any:
-    message = telemetry.MESSAGES[mavlink.MAVLINK_MSG_ID_VFR_HUD](report)
+    message = telemetry.vfr_hud(report)
     if not is_plane(report) and message is not None:
         message.airspeed = _NAN
     return message

@@ -124,13 +124,11 @@ def _distance_sensor(report: Report) -> Any | None:
 
 
 def _attitude(report: Report) -> Any:
-    message = telemetry.MESSAGES[mavlink.MAVLINK_MSG_ID_ATTITUDE](report)
-    return _turning(report, message)
+    return _turning(report, telemetry.attitude(report))
 
 
 def _attitude_quaternion(report: Report) -> Any:
-    message = telemetry.MESSAGES[mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION](report)
-    return _turning(report, message)
+    return _turning(report, telemetry.attitude_quaternion(report))
 
 
 def _turning(report: Report, message: Any) -> Any:
