@@ -45,10 +45,8 @@ def time_syncs(datagram: bytes) -> int | None:
     return found
 
 
-def trivial_client(port: int, takeoff: bool) -> None:
-    """Answers every TIMESYNC, and says what makes a copter fly in a circle: nothing more."""
-    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    link.bind(("127.0.0.1", port))
+def trivial_client(link: socket.socket, takeoff: bool) -> None:
+    """Answers every TIMESYNC, and says what makes a copter take off: nothing more."""
     mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
     ticks = 0
     while True:
@@ -97,22 +95,16 @@ def bare_server(port: int, seconds: float) -> float:
     return seconds / (time.perf_counter() - start_s)
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def with_client(run: Callable[[int], float], *, takeoff: bool) -> float:
-    port = free_port()
-    client = multiprocessing.Process(target=trivial_client, args=(port, takeoff), daemon=True)
-    client.start()
-    time.sleep(0.5)  # its socket is bound by then; a benchmark may wait
-    try:
-        return run(port)
-    finally:
-        client.kill()
-        client.join()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))  # bound before the client runs: nothing can come too early
+        client = multiprocessing.Process(target=trivial_client, args=(link, takeoff), daemon=True)
+        client.start()
+        try:
+            return run(link.getsockname()[1])
+        finally:
+            client.kill()
+            client.join()
 
 
 def lockstep(port: int, seconds: float) -> float:
