@@ -8,7 +8,8 @@ What differs from `terms` (the paper as printed), and why, is in design 5.2:
   left to fly is the cost-to-go at its end, in the same currency;
 - f3 pulls towards where the best way to the target leaves the circle;
 - f4 counts what lies below a surface that already stands off the terrain, and below that on the
-  stretch that the vehicle would cover if the companion died;
+  stretch that the vehicle would cover if the companion died (a plane would circle: the surface
+  stands off by its circle too);
 - f6 bounds the curvature and the climb of the curve itself.
 
 This is the numpy form: the oracle of `kernel`, and what runs where numba is absent.
@@ -26,7 +27,7 @@ from companion.path.bspline import climb_angle_rad, horizontal_curvature_1_m, un
 from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface
-from companion.world.threats import KeepOut, Radar, detection_probability
+from companion.world.threats import CircleZone, NearCells, Radar, Zone, detection_probability
 
 SPREAD_RAD = math.radians(110.0)  # azimuths of control points, to each side of the tangent
 LONGEST_R2, LONGEST_S, LONGEST_R = 0.3, 0.6, 1.0  # upper limits of r2, s and r, in units of R
@@ -41,7 +42,7 @@ STRAIGHT_SCALE = 2.0  # per unit of squared curvature near the end, relative to 
 END_SHARE = 0.25  # of the curve's parameter, counted from its end, that ought to be straight
 MOST_EXCESS = 10.0  # of curvature over its limit that counts
 DEAD_MAN_EVERY = 2  # samples
-BETWEEN = 3  # points a chord at which terrain and keep-outs count: they are met at their corners
+BETWEEN = 3  # points a chord at which terrain and zones count: they are met at their corners
 
 TERMS = ("length", "height", "guide", "crash", "radar", "constraints", "to_go")
 """f1 .. f6, and what is left to fly after the end: it weighs as much as length does."""
@@ -82,7 +83,7 @@ class FlightScene:
     safety_distance_m: float
     """d_s."""
     clearance_m: float
-    """What the search keeps from keep-outs."""
+    """What the search keeps from zones."""
     surface: Surface
     """The altitude that keeps the clearance from the terrain."""
     contact: Surface
@@ -91,7 +92,9 @@ class FlightScene:
     band_amsl_m: tuple[float, float]
     """Lowest and highest altitude to plan for: the vehicle on the path stays in the band too."""
     radars: tuple[Radar, ...]
-    keep_outs: tuple[KeepOut, ...]
+    zones: tuple[Zone, ...]
+    near_polygons: NearCells | None = None
+    """Where polygons among the zones need be looked at; None: everywhere."""
 
     @property
     def variables(self) -> int:
@@ -212,6 +215,8 @@ def _guide(control: FloatArray, scene: FlightScene) -> FloatArray:
 def _crash(points: FloatArray, first: FloatArray, scene: FlightScene) -> FloatArray:
     """How far points of the chords, and of some dead-man stretches, lie too low, in d_s."""
     low = _below(_dense(points), scene.surface) / BETWEEN
+    if not scene.limits.hovers:
+        return low * (CRASH_SCALE / scene.safety_distance_m)
     some, ahead = points[:, 1::DEAD_MAN_EVERY], first[:, 1::DEAD_MAN_EVERY]
     ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=-1), 1e-9)[..., None]
     reach = _reach_m(points, scene)[:, 1::DEAD_MAN_EVERY, None]
@@ -274,17 +279,23 @@ def _steering(first: FloatArray, second: FloatArray, scene: FlightScene) -> Floa
 
 
 def _outside(points: FloatArray, scene: FlightScene) -> FloatArray:
-    """How far samples lie outside the band or the map, or too near to keep-outs."""
+    """How far samples lie outside the band or the map, or too near to zones."""
     north, east, altitude = np.moveaxis(points[:, 1:], -1, 0)
     limits = scene.limits
     beyond = _beyond(altitude, scene.band_amsl_m)
     beyond = beyond + _beyond(north, limits.north_m) + _beyond(east, limits.east_m)
     total = beyond.sum(axis=1) / (scene.scan_range_m / 20.0)
-    dense = _dense(points) if scene.keep_outs else points
-    for zone in scene.keep_outs:
-        gap = zone.distance_m(dense[..., 0], dense[..., 1])
-        short = np.maximum(scene.clearance_m - gap, 0.0)
-        total += short.sum(axis=1) / (BETWEEN * scene.clearance_m)
+    if scene.zones:
+        dense = np.moveaxis(_dense(points)[..., :2], -1, 0)
+        near = np.ones(dense.shape[1:], dtype=bool)
+        if scene.near_polygons is not None:
+            near = scene.near_polygons.at(*dense)
+        for zone in scene.zones:
+            short = np.zeros(near.shape)
+            where = ... if isinstance(zone, CircleZone) else near
+            gap = zone.distance_m(dense[0][where], dense[1][where])
+            short[where] = np.maximum(scene.clearance_m - gap, 0.0)
+            total += short.sum(axis=1) / (BETWEEN * scene.clearance_m)
     return total * OUTSIDE_SCALE
 
 

@@ -10,13 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.geodesy import FloatArray
+from companion.geodesy import BoolArray, FloatArray
 from companion.objective import flight
 from companion.objective.flight import FlightScene
 from companion.path.bspline import uniform_basis
-from companion.world.threats import CircleKeepOut, PolygonKeepOut
+from companion.path.certificate import pack_zones
+from companion.path.proof_distance import ZoneTable, polygon_at
 
 _SPREAD = flight.SPREAD_RAD
+_FAR = 1e12
 
 
 class Pack(NamedTuple):
@@ -30,9 +32,9 @@ class Pack(NamedTuple):
     contact: FloatArray
     to_go: FloatArray
     radars: FloatArray  # (n, 5): north, east, altitude, range, range and margin
-    circles: FloatArray  # (n, 3): north, east, radius
-    corners: FloatArray  # (k, 2): those of all polygons, one after the other
-    polygons: FloatArray  # (n, 2): first corner and the one after the last, of each
+    zones: ZoneTable
+    gaps: FloatArray  # (n,), workspace: distance of the point before from each polygon
+    near: BoolArray  # cells in which polygons need be looked at; of no size: everywhere
     control: FloatArray  # (points, 3), workspace
     points: FloatArray  # (S + 1, 4), workspace: position and length flown
     ahead: FloatArray  # (S + 1, 3), workspace: first derivatives
@@ -44,17 +46,18 @@ SCAN_N, SCAN_E, END_RADIUS, IS_FINAL, FINAL_N, FINAL_E, GUIDE = range(8, 15)
 LOW, HIGH, SOUTH, NORTH, WEST, EAST = range(15, 21)
 TURN_RADIUS, CLIMB, DIVE, SPEED, ACCELERATION, DEAD_MAN_S, GUIDE_SHARE = range(21, 28)
 SURFACE_AT, CONTACT_AT, TO_GO_AT = 28, 31, 34  # each: south-west vertex north, east, and cell
-_COUNT = 37
+NEAR_AT = 37  # likewise, of the cells' corner
+_COUNT = 40
 
 
 def pack(scene: FlightScene) -> Pack:
     """The scene as plain arrays."""
     at = uniform_basis(scene.samples, scene.points)
     start = scene.start
-    circles = [z for z in scene.keep_outs if isinstance(z, CircleKeepOut)]
-    polygons = [z.vertices_ne_m for z in scene.keep_outs if isinstance(z, PolygonKeepOut)]
-    ends = np.cumsum([len(each) for each in polygons])
-    first = ends - [len(each) for each in polygons]
+    zones = pack_zones(scene.zones)
+    near = np.empty((0, 0), dtype=bool)
+    if scene.near_polygons is not None:
+        near = scene.near_polygons.near
     margin_m = scene.radar_margin_m
     return Pack(
         basis=np.stack([at.value, at.first, at.second]),
@@ -65,9 +68,9 @@ def pack(scene: FlightScene) -> Pack:
         contact=np.ascontiguousarray(scene.contact.vertex_m),
         to_go=np.ascontiguousarray(scene.to_go.vertex_m),
         radars=_rows([[*r.centre_nea_m, r.range_m, r.range_m + margin_m] for r in scene.radars], 5),
-        circles=_rows([[c.north_m, c.east_m, c.radius_m] for c in circles], 3),
-        corners=_rows([list(corner) for each in polygons for corner in each], 2),
-        polygons=_rows([[float(a), float(b)] for a, b in zip(first, ends, strict=True)], 2),
+        zones=zones,
+        gaps=np.empty(len(zones.polygons)),
+        near=near,
         control=np.empty((scene.points, 3)),
         points=np.empty((scene.samples + 1, 4)),
         ahead=np.empty((scene.samples + 1, 3)),
@@ -102,11 +105,16 @@ def _numbers(scene: FlightScene) -> FloatArray:
         limits.dive_angle_rad / scene.margin,
         limits.speed_m_s,
         limits.acceleration_m_s2,
-        limits.dead_man_s,
+        limits.dead_man_s if limits.hovers else -1.0,
         scene.guide_share,
     )
     lattices = (scene.surface, scene.contact, scene.to_go)
-    numbers[SURFACE_AT:] = [v for s in lattices for v in (s.north_min_m, s.east_min_m, s.cell_m)]
+    numbers[SURFACE_AT:NEAR_AT] = [
+        v for s in lattices for v in (s.north_min_m, s.east_min_m, s.cell_m)
+    ]
+    near, numbers[NEAR_AT:] = scene.near_polygons, 1.0
+    if near is not None:
+        numbers[NEAR_AT:] = near.north_min_m, near.east_min_m, near.cell_m
     return numbers
 
 
@@ -130,13 +138,14 @@ def cost(x: FloatArray, bound: float, pack: Pack) -> float:
     total += weights[5] * each * steering(pack.ahead, control, pack.basis, numbers)
     if total > bound:
         return math.inf
-    zones = pack.circles, pack.corners, pack.polygons
-    outside = leaving(points, numbers) + intruding(points, zones, numbers[CLEARANCE])
-    total += weights[5] * each * flight.OUTSIDE_SCALE * outside
+    scale = weights[5] * each * flight.OUTSIDE_SCALE
+    total += scale * leaving(points, numbers)
+    total += scale * intruding(points, pack, numbers, (bound - total) / max(scale, 1e-12))
     if total > bound:
         return math.inf
     low_m = too_low_m(points, pack.surface, numbers)
-    low_m += dead_man_m(points, pack.ahead, pack.contact, numbers)
+    if numbers[DEAD_MAN_S] >= 0.0:  # a plane circles, and its surface stands off by that
+        low_m += dead_man_m(points, pack.ahead, pack.contact, numbers)
     total += weights[3] * each * flight.CRASH_SCALE / numbers[SAFETY] * low_m
     return math.inf if total > bound else float(total)
 
@@ -324,47 +333,43 @@ def leaving(points: FloatArray, numbers: FloatArray) -> float:
     return total / (numbers[RANGE] / 20.0)
 
 
-def intruding(
-    points: FloatArray, zones: tuple[FloatArray, FloatArray, FloatArray], clearance_m: float
-) -> float:
-    """How far points of the chords lie too near to keep-outs, in clearances."""
-    circles, corners, polygons = zones
-    if len(circles) + len(polygons) == 0:
+def intruding(points: FloatArray, pack: Pack, numbers: FloatArray, most: float) -> float:
+    """How far points of the chords lie too near to zones, in clearances; beyond `most` any sum."""
+    circles, polygons, clearance_m = pack.zones.circles, len(pack.gaps), numbers[CLEARANCE]
+    if len(circles) + polygons == 0:
         return 0.0
-    total = 0.0
+    total, most = 0.0, most * flight.BETWEEN * clearance_m
+    pack.gaps.fill(_FAR)  # of the point before
     for j in range(1, len(points)):
+        if total > most:
+            break
         dn, de = points[j, 0] - points[j - 1, 0], points[j, 1] - points[j - 1, 1]
+        step = math.sqrt(dn * dn + de * de) / flight.BETWEEN + 1e-6
         for k in range(1, flight.BETWEEN + 1):
             share = k / flight.BETWEEN
             north, east = points[j - 1, 0] + share * dn, points[j - 1, 1] + share * de
             for i in range(len(circles)):
                 a, b = north - circles[i, 0], east - circles[i, 1]
-                gap = math.sqrt(a * a + b * b) - circles[i, 2]
+                gap = circles[i, 3] * (math.sqrt(a * a + b * b) - circles[i, 2])
                 total += max(clearance_m - gap, 0.0)
-            for i in range(len(polygons)):
-                first, last = int(polygons[i, 0]), int(polygons[i, 1])
-                gap = polygon_distance_m(corners, first, last, north, east)
-                total += max(clearance_m - gap, 0.0)
+            if polygons > 0 and may_be_near(pack.near, numbers, north, east):
+                for i in range(polygons):
+                    most_m = pack.gaps[i] + step
+                    gap = polygon_at(pack.zones, i, north, east, clearance_m, most_m)
+                    total += max(clearance_m - gap, 0.0)
+                    pack.gaps[i] = -gap if gap < 0.0 else _FAR
+            elif polygons > 0:
+                pack.gaps.fill(_FAR)
     return total / (flight.BETWEEN * clearance_m)
 
 
-def polygon_distance_m(
-    corners: FloatArray, first: int, last: int, north: float, east: float
-) -> float:
-    """Distance to the edge of a polygon, negative inside (even-odd rule)."""
-    nearest, inside = math.inf, False
-    for i in range(first, last):
-        an, ae = corners[i, 0], corners[i, 1]
-        k = i + 1 if i + 1 < last else first
-        dn, de = corners[k, 0] - an, corners[k, 1] - ae
-        squared = max(dn * dn + de * de, 1e-12)
-        along_edge = min(max(((north - an) * dn + (east - ae) * de) / squared, 0.0), 1.0)
-        gap_n, gap_e = north - an - along_edge * dn, east - ae - along_edge * de
-        nearest = min(nearest, gap_n * gap_n + gap_e * gap_e)
-        if (ae > east) != (corners[k, 1] > east) and north < an + (east - ae) * dn / de:
-            inside = not inside
-    nearest = math.sqrt(nearest)
-    return -nearest if inside else nearest
+def may_be_near(near: BoolArray, numbers: FloatArray, north: float, east: float) -> bool:
+    """`NearCells.at` of one point."""
+    row = math.floor((north - numbers[NEAR_AT]) / numbers[NEAR_AT + 2])
+    column = math.floor((east - numbers[NEAR_AT + 1]) / numbers[NEAR_AT + 2])
+    if 0 <= row < near.shape[0] and 0 <= column < near.shape[1]:
+        return bool(near[row, column])
+    return True
 
 
 HELPERS = (
@@ -377,7 +382,7 @@ HELPERS = (
     detection,
     steering,
     leaving,
-    polygon_distance_m,
+    may_be_near,
     intruding,
     too_low_m,
     dead_man_m,

@@ -10,7 +10,7 @@ from companion.geodesy import FloatArray
 from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface
-from companion.world.threats import KeepOut, Radar
+from companion.world.threats import Radar, Zone
 
 VARIABLES = 6  # r2, r3, phi3, z3, phi4, z4
 
@@ -72,7 +72,7 @@ class Scene:
     surface: Surface
     """The known terrain."""
     radars: tuple[Radar, ...]
-    keep_outs: tuple[KeepOut, ...]
+    zones: tuple[Zone, ...]
 
 
 def control_points(x: FloatArray, scene: Scene) -> FloatArray:

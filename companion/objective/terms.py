@@ -128,7 +128,7 @@ def _keep_out_excess(paths: Candidates, scene: Scene) -> FloatArray:
     wanted = scene.safety_distance_m
     points = paths.points_nea_m[:, 1:]
     short = np.zeros(len(points))
-    for zone in scene.keep_outs:
+    for zone in scene.zones:
         gap = zone.distance_m(points[..., 0], points[..., 1])
         short += np.maximum(wanted - gap, 0.0).sum(axis=1)
     return short / wanted * _per_sample(paths) * _OUTSIDE_SCALE

@@ -1,7 +1,8 @@
 """The certificate: the proof that a subpath is safe to fly, along all of it (design 5.2, 5.3).
 
 Nothing is sampled.  Bounds hold for every point of the curve and, by the dead-man reach, for every
-straight stretch that the vehicle covers if the companion dies on the way.
+straight stretch that the vehicle covers if the companion dies on the way.  A plane, which cannot
+stop, holds on a circle about a point of the curve: its bounds hold for the circles about them all.
 """
 
 import math
@@ -16,16 +17,17 @@ from companion.geodesy import FloatArray
 from companion.path.bspline import basis
 from companion.path.limits import Limits
 from companion.path.proof import RESULTS, ROUNDING, ROUNDING_M, prove
-from companion.path.proof_distance import Surroundings
+from companion.path.proof_distance import Surroundings, ZoneTable
 from companion.path.subpath import Subpath
 from companion.world.known_map import KnownMap
-from companion.world.threats import CircleKeepOut, KeepOut, Radar
+from companion.world.threats import CircleZone, Radar, Zone, edges_of
 
 Prover = Callable[[FloatArray, Surroundings, bool], FloatArray]
 """`proof.prove`, or the same compiled."""
 
 _SANE_M = 1e8
 """No control point is farther out than this: the arithmetic of the proof stays finite."""
+_GROUP = 8  # edges of a polygon to a box
 
 
 @final
@@ -34,7 +36,7 @@ class Margins:
     """What a subpath keeps from the known world, metres."""
 
     clearance_m: float
-    """The curve keeps this from terrain and keep-outs: d_s, tracking and navigation error."""
+    """The curve keeps this from terrain and zones: d_s, tracking and navigation error."""
     contact_m: float
     """The dead-man stretches keep this: tracking and navigation error."""
     band_inset_m: float
@@ -55,11 +57,15 @@ class Certificate:
     """
 
     clearance_m: float
-    """Least distance to the known terrain: columns as high as their cells, in three dimensions."""
+    """Least distance to the known terrain: columns as high as their cells, in three dimensions.
+
+    Of a plane the distance of its circle about each point; `keep_out_m` likewise."""
     keep_out_m: float
-    """Least horizontal distance to keep-outs, negative inside."""
+    """Least horizontal distance to zones, negative where they forbid to be."""
     dead_man_m: float
-    """Least distance of the dead-man stretches to terrain and keep-outs; not above 0 inside."""
+    """Least distance of the dead-man stretches to terrain and zones; not above 0 inside.
+
+    Of a plane, that of its circles."""
     turn_radius_m: float
     """The ground track is nowhere tighter."""
     climb_angle_rad: float
@@ -132,22 +138,24 @@ def pack_surroundings(
     known: KnownMap,
     limits: Limits,
     radars: tuple[Radar, ...],
-    keep_outs: tuple[KeepOut, ...],
+    zones: tuple[Zone, ...],
     margins: Margins,
     *,
     centre_ne_m: tuple[float, float],
     reach_m: float,
+    stops: bool = True,
 ) -> Surroundings:
     """What certificates are about, as plain arrays; made once per plan.
 
     centre_ne_m, reach_m: the curves stay within this of there (their straight dead-man stretches
     may leave it).  What lies farther out counts as terrain without a top.
+    stops: the vehicle stops at the end of a curve; else it may go on from there at full speed.
     """
     brakes_m = limits.speed_m_s**2 / (2.0 * limits.acceleration_m_s2)
     farther_m = limits.speed_m_s * margins.dead_man_s + brakes_m + 3.0 * margins.clearance_m
-    south_west, heights = _window(known, centre_ne_m, reach_m + farther_m + known.registration_m)
+    registration_m = known.registration_m + limits.loiter_radius_m
+    south_west, heights = _window(known, centre_ne_m, reach_m + farther_m + registration_m)
     block = max(2, min(16, round(0.75 * margins.clearance_m / known.cell_m)))
-    edges, polygons = _edges(keep_outs)
     return Surroundings(
         heights_m=heights,
         blocks_m=_block_maxima(heights, block),
@@ -155,19 +163,16 @@ def pack_surroundings(
         south_m=south_west[0],
         west_m=south_west[1],
         cell_m=known.cell_m,
-        registration_m=known.registration_m,
-        circles=_table(
-            [(z.north_m, z.east_m, z.radius_m) for z in keep_outs if isinstance(z, CircleKeepOut)],
-            3,
-        ),
-        edges=edges,
-        polygons=polygons,
+        registration_m=float(registration_m),
+        zones=pack_zones(zones),
+        loiter_m=float(limits.loiter_radius_m),
         radars=_table([(*radar.centre_nea_m, radar.range_m) for radar in radars], 4),
         clearance_m=float(margins.clearance_m),
         contact_m=float(margins.contact_m),
         dead_man_s=float(margins.dead_man_s),
         speed_m_s=float(limits.speed_m_s),
         acceleration_m_s2=float(limits.acceleration_m_s2),
+        stops=stops,
         curvature_1_m=1.0 / limits.turn_radius_m,
         climb=math.tan(limits.climb_angle_rad),
         dive=math.tan(limits.dive_angle_rad),
@@ -231,15 +236,41 @@ def _block_maxima(heights_m: FloatArray, block: int) -> FloatArray:
     return np.ascontiguousarray(padded.reshape(tall, block, wide, block).max(axis=(1, 3)))
 
 
-def _edges(keep_outs: tuple[KeepOut, ...]) -> tuple[FloatArray, np.ndarray]:
-    edges: list[tuple[float, ...]] = []
-    polygons = [0]
-    for zone in keep_outs:
-        if not isinstance(zone, CircleKeepOut):
-            ends = zone.vertices_ne_m[1:] + zone.vertices_ne_m[:1]
-            edges += [(*a, *b) for a, b in zip(zone.vertices_ne_m, ends, strict=True)]
-            polygons.append(len(edges))
-    return _table(edges, 4), np.array(polygons, dtype=np.int64)
+@lru_cache(maxsize=8)
+def pack_zones(zones: tuple[Zone, ...]) -> ZoneTable:
+    """Zones as plain arrays; kept, not to be changed."""
+    circles: list[tuple[float, ...]] = [
+        (z.north_m, z.east_m, z.radius_m, _sign(z)) for z in zones if isinstance(z, CircleZone)
+    ]
+    edges: list[FloatArray] = []
+    groups: list[tuple[float, ...]] = []
+    polygons: list[tuple[float, ...]] = []
+    count = 0
+    for zone in zones:
+        if isinstance(zone, CircleZone):
+            continue
+        mine = edges_of(zone.vertices_ne_m)
+        before = len(groups)
+        for first in range(0, len(mine), _GROUP):
+            part = mine[first : first + _GROUP]
+            north, east = part[:, 0::2], part[:, 1::2]
+            box = (north.min(), north.max(), east.min(), east.max())
+            groups.append((count + first, count + first + len(part), *map(float, box)))
+        polygons.append((before, len(groups), _sign(zone)))
+        edges.append(mine)
+        count += len(mine)
+    every = np.ascontiguousarray(np.concatenate(edges)) if edges else np.empty((0, 4))
+    return ZoneTable(
+        circles=_table(circles, 4),
+        edges=every,
+        groups=_table(groups, 6),
+        polygons=_table(polygons, 3),
+    )
+
+
+def _sign(zone: Zone) -> float:
+    """1 for a zone to stay out of, -1 for one to stay inside of."""
+    return -1.0 if zone.keep_in else 1.0
 
 
 def _table(rows: list[tuple[float, ...]], width: int) -> FloatArray:

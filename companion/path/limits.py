@@ -27,11 +27,33 @@ class Limits:
     """How wrong its position may be: the estimator's error, and that of the altitude datum."""
     dead_man_s: float = 3.5
     """How long it flies straight on after the last setpoint, before it brakes."""
+    loiter_radius_m: float = 0.0
+    """Of a plane, which cannot stand still: it holds on circles of at most this radius, and so
+    does its autopilot if the companion dies.  0: a vehicle that can hover."""
+    lead_s: float = 5.5
+    """How far ahead along the path, in seconds of flight, a plane is sent to at most."""
+
+    @property
+    def hovers(self) -> bool:
+        """Whether the vehicle can stand still in the air."""
+        return self.loiter_radius_m == 0.0
 
     def reach_m(self, speed_m_s: float) -> float:
-        """How far the vehicle comes when the setpoints end: it flies on, then brakes to a stop."""
+        """How far the vehicle comes when the setpoints end, metres.
+
+        It flies on, then brakes to a stop; a plane flies to the last point that it was sent to.
+        """
+        if not self.hovers:
+            return self.lead_m
         return speed_m_s * self.dead_man_s + self.stopping_m(speed_m_s)
 
     def stopping_m(self, speed_m_s: float) -> float:
-        """Braking distance, metres."""
+        """Braking distance, metres; a plane stops nowhere, and holds on a circle anywhere."""
+        if not self.hovers:
+            return 0.0
         return speed_m_s**2 / (2.0 * self.acceleration_m_s2)
+
+    @property
+    def lead_m(self) -> float:
+        """How far along the path the point lies, at most, that a plane is sent to."""
+        return 0.0 if self.hovers else self.speed_m_s * self.lead_s

@@ -142,7 +142,9 @@ def piece_distance(
         far = terrain_distance(here, segment, limit + slack, tolerance, found)
         lower, upper = max(far - slack, 0.0), far + tolerance + slack
     if what != _TERRAIN:
-        low, high = zone_distance(here, segment)
+        within = max(limit + slack + here.loiter_m, 0.0)
+        low, high = zone_distance(here.zones, segment, within)
+        low, high = low - here.loiter_m, high - here.loiter_m
         if what == _DEAD_MAN:
             low, high = max(low, -_INSIDE_M), max(high, -_INSIDE_M)
         lower, upper = min(lower, low - slack), min(upper, high + slack)
@@ -182,7 +184,9 @@ def part_distance(
     piece = piece_of(cubics, span, start, end)
     flown, left = math.inf, 0.0
     if what == _DEAD_MAN:
-        left = row[4] + piece_of(cubics, span, start, float(row[2]))[3]
+        left = math.inf
+        if here.stops:
+            left = row[4] + piece_of(cubics, span, start, float(row[2]))[3]
         if from_rest:
             flown = row[3] + piece_of(cubics, span, float(row[1]), end)[3]
     return piece_distance(here, what, piece, flown, left, limit, found)
@@ -302,7 +306,8 @@ def prove(cubics: FloatArray, here: Surroundings, from_rest: bool) -> FloatArray
     """Every bound over the whole curve.  -> (RESULTS,); finite input is the caller's duty.
 
     cubics (spans, 4, 3): coefficients of 1, t, t^2, t^3 over 0 <= t <= 1, span after span.
-    from_rest: the vehicle hovers at the curve's start, and is the slower for it.
+    from_rest: the vehicle hovers at the curve's start, and is the slower for it.  A plane has no
+    straight dead-man stretches: it circles wherever it is sent to last.
     """
     table = first_pieces(cubics)
     found = np.empty((here.blocks_m.size, 3))
@@ -312,7 +317,9 @@ def prove(cubics: FloatArray, here: Surroundings, from_rest: bool) -> FloatArray
         cap = 2.0 * here.clearance_m
         if what == _DEAD_MAN:
             cap = here.contact_m + 0.25 * here.clearance_m
-        if what != _ZONES or here.circles.shape[0] > 0 or here.polygons.shape[0] > 1:
+        if what == _DEAD_MAN and here.loiter_m > 0.0:
+            result[what] = min(cap, min(result[_TERRAIN], result[_ZONES]))
+        elif what != _ZONES or here.zones.circles.size + here.zones.polygons.size > 0:
             result[what], more = least_distance(cubics, here, what, table, from_rest, cap, found)
             pieces += more
     for what in range(3):  # squared curvature, climb, dive

@@ -1,22 +1,32 @@
-"""Distances from a segment to the known terrain and to keep-outs, for the proof.
+"""Distances from a segment to the known terrain and to zones, for the proof.
 
 Plain scalar code that numba can compile as it is (see `path.proof`).  A column of terrain, a disc
 and an edge are convex, so the distance to one is a convex function along the segment.
+
+Edges of polygons lie in groups, each with a box about it: a fence of hundreds of edges costs
+little more than one of ten.
 """
 
 import math
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from companion.geodesy import FloatArray
 
 _FAR = 1e12
+_TOUCHING = 1e-9
 Segment = tuple[float, float, float, float, float, float]
 """North, east, altitude of its start, and from there to its end."""
 Box = tuple[float, float, float, float, float, float]
 """A column: its edges to the south, north, west and east, its top, the registration error."""
+
+
+class ZoneTable(NamedTuple):
+    """Zones as plain arrays."""
+
+    circles: FloatArray  # (K, 4): north, east, radius; 1 to stay out, -1 to stay inside
+    edges: FloatArray  # (M, 4): north, east of both ends, polygon after polygon
+    groups: FloatArray  # (G, 6): first edge, and the one after the last; south, north, west, east
+    polygons: FloatArray  # (Z, 3): first group, and the one after the last; 1 or -1 as for circles
 
 
 class Surroundings(NamedTuple):
@@ -33,15 +43,18 @@ class Surroundings(NamedTuple):
     west_m: float
     cell_m: float
     registration_m: float
-    circles: FloatArray  # (K, 3): north, east, radius
-    edges: FloatArray  # (M, 4): north, east of both ends, polygon after polygon
-    polygons: npt.NDArray[np.int64]  # (Z + 1,): first edge of each polygon, and M
+    zones: ZoneTable
+    loiter_m: float
+    """Radius of the circle about each point of the curve that has to be as clear as the point; its
+    terrain is dealt with in `registration_m`."""
     radars: FloatArray  # (N, 4): north, east, altitude, range
     clearance_m: float
     contact_m: float
     dead_man_s: float
     speed_m_s: float
     acceleration_m_s2: float
+    stops: bool
+    """Whether the vehicle stops at the end of the curve; if not, it may be at full speed there."""
     curvature_1_m: float
     climb: float
     """Tangent of the largest climb angle; `dive` likewise."""
@@ -244,40 +257,86 @@ def edge_distance(
     return min(min(one, two), min(three, four))
 
 
-def polygon_at(edges: FloatArray, first: int, last: int, n: float, e: float) -> float:
-    """Signed horizontal distance of a point from a polygon, negative inside (even-odd rule)."""
-    nearest, inside = math.inf, False
-    for k in range(first, last):
-        an, ae, bn, be = edges[k, 0], edges[k, 1], edges[k, 2], edges[k, 3]
-        gap, _ = point_to_segment(n, e, an, ae, bn - an, be - ae)
-        nearest = min(nearest, gap)
-        if (ae > e) != (be > e) and n < an + (e - ae) * (bn - an) / (be - ae):
-            inside = not inside
-    return -nearest if inside else nearest
+def box_gap(zones: ZoneTable, group: int, n0: float, e0: float, n1: float, e1: float) -> float:
+    """A lower bound of the distance of a segment from the edges of a group: that of the boxes."""
+    box = zones.groups[group]
+    gap_n = max(box[2] - max(n0, n1), min(n0, n1) - box[3])
+    gap_e = max(box[4] - max(e0, e1), min(e0, e1) - box[5])
+    return math.sqrt(max(gap_n, 0.0) ** 2 + max(gap_e, 0.0) ** 2)
 
 
-def zone_distance(here: Surroundings, segment: Segment) -> tuple[float, float]:
-    """Least signed horizontal distance of a segment from the keep-outs: lower and upper bound.
+def forbids(zones: ZoneTable, polygon: int, n: float, e: float) -> bool:
+    """Whether a polygon forbids a point (even-odd rule, counting the edges to the north of it)."""
+    inside = False
+    for group in range(int(zones.polygons[polygon, 0]), int(zones.polygons[polygon, 1])):
+        box = zones.groups[group]
+        if box[4] <= e <= box[5] and n <= box[3]:
+            for k in range(int(box[0]), int(box[1])):
+                an, ae, bn, be = zones.edges[k]
+                if (ae > e) != (be > e) and n < an + (e - ae) * (bn - an) / (be - ae):
+                    inside = not inside
+    return inside == (zones.polygons[polygon, 2] > 0.0)
 
-    Equal, and exact, where the segment stays out of all polygons.
+
+def edges_distance(zones: ZoneTable, polygon: int, segment: Segment, limit: float) -> float:
+    """Least horizontal distance of a segment from a polygon's edges, at most `limit`."""
+    n0, e0, _, dn, de, _ = segment
+    n1, e1, nearest = n0 + dn, e0 + de, limit
+    for group in range(int(zones.polygons[polygon, 0]), int(zones.polygons[polygon, 1])):
+        if box_gap(zones, group, n0, e0, n1, e1) < nearest:
+            for k in range(int(zones.groups[group, 0]), int(zones.groups[group, 1])):
+                an, ae, bn, be = zones.edges[k]
+                nearest = min(nearest, edge_distance(n0, e0, n1, e1, an, ae, bn, be))
+    return nearest
+
+
+def polygon_at(
+    zones: ZoneTable, polygon: int, n: float, e: float, enough: float, most: float
+) -> float:
+    """Signed horizontal distance of a point from a polygon, negative where it is forbidden.
+
+    At most `enough` where it is allowed.  most: it is known to be nearer to some edge.
+    """
+    forbidden = forbids(zones, polygon, n, e)
+    nearest = most if forbidden else enough
+    for group in range(int(zones.polygons[polygon, 0]), int(zones.polygons[polygon, 1])):
+        if box_gap(zones, group, n, e, n, e) < nearest:
+            for k in range(int(zones.groups[group, 0]), int(zones.groups[group, 1])):
+                an, ae, bn, be = zones.edges[k]
+                gap, _ = point_to_segment(n, e, an, ae, bn - an, be - ae)
+                nearest = min(nearest, gap)
+    return -nearest if forbidden else nearest
+
+
+def circle_distance(zones: ZoneTable, circle: int, segment: Segment) -> float:
+    """Least signed horizontal distance of a segment from a circle, negative where forbidden."""
+    n0, e0, _, dn, de, _ = segment
+    n, e, radius, sign = zones.circles[circle]
+    if sign > 0.0:
+        near, _ = point_to_segment(n, e, n0, e0, dn, de)
+        return near - radius
+    far = max(math.hypot(n0 - n, e0 - e), math.hypot(n0 + dn - n, e0 + de - e))
+    return float(radius - far)
+
+
+def zone_distance(zones: ZoneTable, segment: Segment, limit: float) -> tuple[float, float]:
+    """Least signed horizontal distance of a segment from the zones: lower and upper bound.
+
+    Both at most `limit`, which is at least 0; equal, and exact, where the segment lies wholly where
+    all polygons allow.
     """
     n0, e0, _, dn, de, _ = segment
-    lower, upper = math.inf, math.inf
-    for k in range(here.circles.shape[0]):
-        far, _ = point_to_segment(here.circles[k, 0], here.circles[k, 1], n0, e0, dn, de)
-        lower = min(lower, far - here.circles[k, 2])
-        upper = min(upper, far - here.circles[k, 2])
-    for zone in range(here.polygons.shape[0] - 1):
-        first, last = int(here.polygons[zone]), int(here.polygons[zone + 1])
-        nearest = math.inf
-        for k in range(first, last):
-            an, ae, bn, be = here.edges[k, 0], here.edges[k, 1], here.edges[k, 2], here.edges[k, 3]
-            nearest = min(nearest, edge_distance(n0, e0, n0 + dn, e0 + de, an, ae, bn, be))
-        start = polygon_at(here.edges, first, last, n0, e0)
-        if nearest > 0.0 and start > 0.0:
+    lower, upper = limit, limit
+    for k in range(zones.circles.shape[0]):
+        far = circle_distance(zones, k, segment)
+        lower, upper = min(lower, far), min(upper, far)
+    for polygon in range(zones.polygons.shape[0]):
+        nearest = edges_distance(zones, polygon, segment, max(limit, _TOUCHING))
+        if nearest > 0.0 and not forbids(zones, polygon, n0, e0):
             lower, upper = min(lower, nearest), min(upper, nearest)
         else:
-            middle = polygon_at(here.edges, first, last, n0 + 0.5 * dn, e0 + 0.5 * de)
+            middle = polygon_at(zones, polygon, n0 + 0.5 * dn, e0 + 0.5 * de, _FAR, _FAR)
+            start = polygon_at(zones, polygon, n0, e0, _FAR, _FAR)
             lower = min(lower, middle - 0.5 * math.hypot(dn, de))
             upper = min(upper, min(middle, start))
             if nearest <= 0.0:
@@ -293,7 +352,11 @@ HELPERS = (
     terrain_distance,
     point_to_segment,
     edge_distance,
+    box_gap,
+    forbids,
+    edges_distance,
     polygon_at,
+    circle_distance,
     zone_distance,
 )
 """What numba must know before it compiles what calls them."""

@@ -1,14 +1,16 @@
 """A subpath: one B-spline curve, parametrised by the length flown along it."""
 
+import math
 from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.bspline import Basis, basis, uniform_basis
+from companion.path.bspline import Basis, basis, basis_at, uniform_basis
 
 _TABLE = 2000  # chords of the arc-length table: 10 m on a 20 km subpath
+_PARAMETERS = np.linspace(0.0, 1.0, _TABLE + 1)
 
 
 @final
@@ -24,7 +26,7 @@ class Pose:
     @property
     def point_nea_m(self) -> tuple[float, float, float]:
         """The position as plain numbers."""
-        north, east, altitude = (float(value) for value in self.position_nea_m)
+        north, east, altitude = self.position_nea_m.tolist()
         return north, east, altitude
 
 
@@ -35,6 +37,8 @@ class Subpath:
 
     control_nea_m: FloatArray  # (points, 3)
     _length_at_m: FloatArray = field(init=False, repr=False)  # (_TABLE + 1,) at uniform u
+    _newest: list[tuple[float, Pose]] = field(init=False, repr=False, default_factory=list)
+    """The pose that was asked for last: in flight it is asked for again."""
 
     def __post_init__(self) -> None:
         points = uniform_basis(_TABLE, len(self.control_nea_m)).value @ self.control_nea_m
@@ -47,25 +51,45 @@ class Subpath:
         return float(self._length_at_m[-1])
 
     def _basis_at(self, lengths_m: FloatArray) -> Basis:
-        u = np.interp(lengths_m, self._length_at_m, np.linspace(0.0, 1.0, _TABLE + 1))
+        u = np.interp(lengths_m, self._length_at_m, _PARAMETERS)
         return basis(u, len(self.control_nea_m))
 
     def pose(self, length_m: float) -> Pose:
         """Where the curve is after a length flown, metres from its start (clamped to its ends)."""
-        at = self._basis_at(np.array([length_m]))
-        first, second = (at.first @ self.control_nea_m)[0], (at.second @ self.control_nea_m)[0]
-        speed = float(np.linalg.norm(first))
+        if self._newest and self._newest[0][0] == length_m:
+            return self._newest[0][1]
+        pose = self._pose(length_m)
+        self._newest[:] = [(length_m, pose)]
+        return pose
+
+    def _pose(self, length_m: float) -> Pose:
+        at = basis_at(self.parameter_at(length_m), len(self.control_nea_m))
+        position, first, second = (row @ self.control_nea_m for row in at[:, None])
+        first, second = first[0], second[0]
+        speed = math.sqrt(first @ first)
         if speed < 1e-6 * self.length_m:  # control points coincide: the direction is a limit
             inward = 1.0 if 2.0 * length_m < self.length_m else -1.0
             first, second = inward * second, np.zeros(3)
-            speed = float(np.linalg.norm(first))
+            speed = math.sqrt(first @ first)
         tangent = first / max(speed, 1e-12)
         across = second - (second @ tangent) * tangent
         return Pose(
-            position_nea_m=(at.value @ self.control_nea_m)[0],
+            position_nea_m=position[0],
             tangent_nea=tangent,
             curvature_nea_1_m=across / max(speed, 1e-12) ** 2,
         )
+
+    def points_nea_m(self, lengths_m: FloatArray) -> FloatArray:
+        """Points of the curve after lengths flown (clamped to its ends).  (S,) -> (S, 3)."""
+        return self._basis_at(lengths_m).value @ self.control_nea_m
+
+    def length_at_m(self, u: float) -> float:
+        """Length flown at a parameter of the curve, 0 <= u <= 1, metres."""
+        return float(np.interp(u, _PARAMETERS, self._length_at_m))
+
+    def parameter_at(self, length_m: float) -> float:
+        """The parameter of the curve, 0 to 1, after a length flown."""
+        return float(np.interp(length_m, self._length_at_m, _PARAMETERS))
 
     def sampled(self, spacing_m: float) -> "Samples":
         """The curve at points of about equal spacing, both ends included."""

@@ -7,8 +7,8 @@ floor of the band, so that they add to the cost of a subpath.  Per metre of way:
 - the height that the known terrain asks for (f2: a_2 100 / R from floor to ceiling), and where
   it rises faster than the vehicle climbs, the height of the ramp before and behind it;
 - radars (f5: a_5 300 / R per unit of eq. 3, at that height);
-- 300 in a keep-out or where terrain reaches above the ceiling: finite, so that there is always a
-  way out, and it is the short one.
+- 300 where a zone forbids to be or where terrain reaches above the ceiling: finite, so that there
+  is always a way out, and it is the short one.
 
 Ground that no scan has seen counts as free (design 5.2), also where a sight line bounds it: that
 bound grows with distance and would make a wall of every shadow.  But next to terrain that has been
@@ -17,6 +17,7 @@ seen it is thought to fall away from there no faster than mountains do.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import final
 
 import numpy as np
@@ -26,7 +27,7 @@ import scipy.ndimage
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
-from companion.world.threats import detection_probability
+from companion.world.threats import Zone, detection_probability, is_near
 
 Place = tuple[float, float]
 IndexArray = npt.NDArray[np.int32]
@@ -149,7 +150,7 @@ def lattice_of(known: KnownMap, task: Task, here_ne_m: Place, cells: int) -> Lat
     altitude = np.clip(lowest, limits.floor_amsl_m, limits.ceiling_amsl_m)
     fraction = (altitude - limits.floor_amsl_m) / band
     seen = _detection(task, north, east, altitude, step)
-    blocked = (above > 0.0) | _in_keep_out(task, north, east)
+    blocked = (above > 0.0) | _in_zone(task, north, east)
     cost = 1.0 + per_height * fraction + 3.0 * weights.radar / per_length * seen
     return Lattice(
         north_min_m=north_min,
@@ -173,14 +174,15 @@ def descent_m(altitude_m: float, task: Task) -> float:
 
 
 def _seen(known: KnownMap, first: list[int], count: list[int], cells: int) -> BoolArray:
-    """Whether scans have seen the four cells at each sample.  -> count."""
+    """Whether the terrain of the four cells at each sample is known.  -> count."""
+    firm = known.firm
     result = np.ones((count[0], count[1]), dtype=bool)
     for south, west in np.ndindex(2, 2):
         index = (
             np.clip(first[axis] + cells * np.arange(count[axis]) - before, 0, size - 1)
-            for axis, (before, size) in enumerate(zip((south, west), known.seen.shape, strict=True))
+            for axis, (before, size) in enumerate(zip((south, west), firm.shape, strict=True))
         )
-        result &= known.seen[np.ix_(*index)]
+        result &= firm[np.ix_(*index)]
     return result
 
 
@@ -226,7 +228,7 @@ def _lowest_m(
             for axis in (0, 1)
         )
     )
-    upper = np.where(known.seen[window], known.upper_m[window], -np.inf).astype(np.float32)
+    upper = np.where(known.firm[window], known.upper_m[window], -np.inf).astype(np.float32)
     lowest, part = np.full((2, count[0], count[1]), -np.inf, dtype=np.float32)
     if not (upper > task.limits.floor_amsl_m - clearance).any():
         return lowest.astype(np.float64)
@@ -272,9 +274,24 @@ def _detection(
     return total
 
 
-def _in_keep_out(task: Task, north: FloatArray, east: FloatArray) -> BoolArray:
-    inside = np.zeros((north.shape[0], east.shape[1]), dtype=bool)
-    for zone in task.keep_outs:
-        gap = zone.distance_m(*np.broadcast_arrays(north, east))
-        inside |= gap < task.search_clearance_m
+def _in_zone(task: Task, north: FloatArray, east: FloatArray) -> BoolArray:
+    """Where zones forbid to be, or are nearer than the search keeps from them."""
+    if not task.zones:
+        return np.zeros((north.shape[0], east.shape[1]), dtype=bool)
+    places = tuple(north[:, 0].tolist()), tuple(east[0].tolist())
+    return _zones_at(task.zones, *places, task.zone_search_clearance_m)
+
+
+@lru_cache(maxsize=4)
+def _zones_at(
+    zones: tuple[Zone, ...],
+    north_m: tuple[float, ...],
+    east_m: tuple[float, ...],
+    distance_m: float,
+) -> BoolArray:
+    """Kept, as zones and lattice are often those of the plan before."""
+    inside = np.zeros((len(north_m), len(east_m)), dtype=bool)
+    for zone in zones:
+        inside |= is_near(zone, np.array(north_m), np.array(east_m), distance_m)
+    inside.setflags(write=False)
     return inside

@@ -1,30 +1,38 @@
-"""The shortest way out, for a vehicle that hovers where no certificate can begin.
+"""The shortest way out, for a vehicle that hovers (or circles) where no certificate can begin.
 
 A threat that appears around the vehicle, or a slope that it is held beside: from there no curve
 keeps the required clearance.  The way out is a straight one, proven not to come nearer to the
 terrain than the vehicle is already, clear of every other threat, and clear of all at its end.
+Of a plane the circle that it flies has to be clear, so distances are those of its circle.
 """
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import final
 
 import numpy as np
 
-from companion.geodesy import FloatArray
+from companion.geodesy import BoolArray, FloatArray
 from companion.path.certificate import Certificate, Prover, certify, pack_surroundings
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.planner.request import PlanRequest
+from companion.planner.settings import Task
 from companion.world.clearance import distance_to_terrain_m
 from companion.world.known_map import KnownMap
-from companion.world.threats import KeepOut
+from companion.world.threats import Zone
 
 _BEARINGS = 72
-_LENGTHS = 24
-_FARTHEST = 0.4  # of R
+_LENGTHS, _LONGER = 24, 12
+_FARTHEST = 0.4  # of R, to where the way is usually short; beyond only out of large zones
 _CERTIFIED = 200  # candidates that are tried, shortest first
+_RANKED, _STEPS = 600, 16  # of the shortest ways out of zones
+_DEEPER = 3.0  # metres of way for each that it first leads deeper
 _SLACK_M = 0.5
+_WORTH_M = 1.0
+_TOUCHING_M = 0.5  # nearer to a zone than this counts as inside
 _ROUNDING_M = 1e-3  # a subpath may begin where another just keeps its distance
 _PROVABLE = 1.002
 _SAMPLES = 64
@@ -39,7 +47,7 @@ class Trouble:
     """Distance to the known terrain, at most the required clearance."""
     unknown: bool
     """Whether it is unknown ground, or the edge of the map, that is too near."""
-    zones: tuple[KeepOut, ...]
+    zones: tuple[Zone, ...]
     """Keep-outs that are too near, or around the vehicle."""
 
 
@@ -48,10 +56,11 @@ def trouble(request: PlanRequest) -> Trouble | None:
     required_m = request.task.required_clearance_m
     # A proof needs a little more than the bound itself; where a subpath was proven it had that.
     required_m = required_m * _PROVABLE if request.from_rest else required_m - _ROUNDING_M
-    start = request.start.position_nea_m
-    terrain_m = distance_to_terrain_m(request.known, start, required_m)
-    seen_m = distance_to_terrain_m(request.known, start, required_m, seen_only=True)
-    zones = tuple(zone for zone in request.task.keep_outs if _distance_m(zone, start) < required_m)
+    start, task = request.start.position_nea_m, request.task
+    around = _around(request)
+    terrain_m = distance_to_terrain_m(around, start, required_m)
+    seen_m = distance_to_terrain_m(around, start, required_m, seen_only=True)
+    zones = tuple(zone for zone in task.zones if _gap_m(zone, start, task) < required_m)
     if terrain_m >= required_m and not zones:
         return None
     return Trouble(terrain_m=terrain_m, unknown=seen_m >= required_m > terrain_m, zones=zones)
@@ -63,16 +72,51 @@ def way_out(
     """The shortest straight subpath out of trouble, and what is proven of it; None: there is none.
 
     Proven: no nearer to the terrain than the vehicle is now, and with the whole clearance from
-    where it first has that; no nearer to a keep-out that it is outside of than now.  Out of one
-    that it is in, the way never leads deeper.  The certificate is that about the terrain.
+    where it first has that; no nearer to a zone that it is clear of than now.  Out of those that
+    it is in, a way that first leads deeper is only taken if it is much shorter; and out of one that
+    is too large, a way as far towards its edge as can be seen.  The certificate is that about the
+    terrain.
     """
-    start = request.start.position_nea_m
-    for end in _ends_nea_m(request)[:_CERTIFIED]:
-        if all(_leaves(zone, start, end) for zone in found.zones if _distance_m(zone, start) < 0.0):
-            certificate = _proven(request, found, end, prover)
-            if certificate is not None:
-                return _straight(start, end), certificate
+    start, task = request.start.position_nea_m, request.task
+    inside = tuple(zone for zone in found.zones if _gap_m(zone, start, task) < _TOUCHING_M)
+    ends = _ends_nea_m(request, farther=bool(inside))
+    clear = ends[_clear_of(task.zones, ends, task)]
+    if not len(clear):
+        clear = _towards_edge(request, inside, ends)
+    elif inside:
+        clear = _in_order(request, inside, clear)
+    for end in islice(_clear_of_terrain(request, clear), _CERTIFIED):
+        certificate = _proven(request, found, end, prover)
+        if certificate is not None:
+            return _straight(start, end), certificate
     return None
+
+
+def _in_order(request: PlanRequest, inside: tuple[Zone, ...], ends: FloatArray) -> FloatArray:
+    """The nearest ends by length and by how much deeper into zones the way leads; then the rest."""
+    start, task = request.start.position_nea_m, request.task
+    near = ends[:_RANKED]
+    share = np.linspace(0.0, 1.0, _STEPS + 1)[:, None]
+    ways = start + share * (near - start)[:, None]  # (N, S, 3)
+    deeper_m = np.zeros(len(near))
+    for zone in inside:
+        gaps = _gaps_m(zone, ways, task)
+        deeper_m += np.maximum(gaps[:, 0] - gaps.min(axis=1), 0.0)
+    rank = np.linalg.norm(near - start, axis=-1) + _DEEPER * deeper_m
+    return np.concatenate([near[np.argsort(np.round(rank, 6), kind="stable")], ends[_RANKED:]])
+
+
+def _towards_edge(request: PlanRequest, inside: tuple[Zone, ...], ends: FloatArray) -> FloatArray:
+    """Places in zones that the vehicle is in, less deep than it is, the least deep first."""
+    if not inside:
+        return ends[:0]
+    start, task = request.start.position_nea_m, request.task
+    others = tuple(zone for zone in task.zones if zone not in inside)
+    ends = ends[_clear_of(others, ends, task)]
+    gaps = np.min([_gaps_m(zone, ends, task) for zone in inside], axis=0)
+    now_m = min(_gap_m(zone, start, task) for zone in inside)
+    order = np.argsort(-gaps, kind="stable")
+    return np.asarray(ends[order[: np.count_nonzero(gaps > now_m + _WORTH_M)]])
 
 
 def _proven(
@@ -89,7 +133,8 @@ def _proven(
     else:
         share = np.linspace(0.0, 1.0, _SAMPLES + 1)[:, None]
         along = start + share * (end - start)
-        short = [distance_to_terrain_m(request.known, at, required_m) < required_m for at in along]
+        around = _around(request)
+        short = [distance_to_terrain_m(around, at, required_m) < required_m for at in along]
         split = along[min(int(np.flatnonzero(short)[-1]) + 1, _SAMPLES)]
         now_m = max(now_m - _SLACK_M, _SLACK_M)
     # The rest is proven for a vehicle at full speed, as it does not begin there at rest.
@@ -104,11 +149,11 @@ def _proven(
 
 
 def _keeps_off_zones(request: PlanRequest, end: FloatArray, prover: Prover) -> bool:
-    """Whether the way comes no nearer to keep-outs that the vehicle is outside of than it is."""
+    """Whether the way comes no nearer to zones that the vehicle is clear of than it is."""
     task, start = request.task, request.start.position_nea_m
-    outside = tuple(zone for zone in task.keep_outs if _distance_m(zone, start) >= 0.0)
-    nearest_m = min((_distance_m(zone, start) for zone in outside), default=np.inf)
-    keep_m = max(min(task.required_clearance_m, nearest_m - _SLACK_M), _SLACK_M)
+    outside = tuple(zone for zone in task.zones if _gap_m(zone, start, task) >= _TOUCHING_M)
+    nearest_m = min((_gap_m(zone, start, task) for zone in outside), default=np.inf)
+    keep_m = min(task.required_clearance_m, max(nearest_m - _SLACK_M, 0.5 * nearest_m))
     flat = replace(request.known, upper_m=np.full(request.known.upper_m.shape, -1e4))
     surroundings = _surroundings(request, flat, outside, keep_m)
     return certify(_straight(start, end), surroundings, from_rest=True, prover=prover).proven
@@ -119,7 +164,7 @@ def _terrain(request: PlanRequest, keep_m: float) -> Surroundings:
 
 
 def _surroundings(
-    request: PlanRequest, known: KnownMap, zones: tuple[KeepOut, ...], keep_m: float
+    request: PlanRequest, known: KnownMap, zones: tuple[Zone, ...], keep_m: float
 ) -> Surroundings:
     task = request.task
     margins = replace(
@@ -132,7 +177,7 @@ def _surroundings(
         zones,
         margins,
         centre_ne_m=request.start.point_nea_m[:2],
-        reach_m=_FARTHEST * task.settings.scan_range_m,
+        reach_m=task.settings.scan_range_m,
     )
 
 
@@ -140,24 +185,46 @@ def _straight(start: FloatArray, end: FloatArray) -> Subpath:
     return Subpath(control_nea_m=start + np.linspace(0.0, 1.0, 4)[:, None] * (end - start))
 
 
-def _distance_m(zone: KeepOut, point_nea_m: FloatArray) -> float:
-    return float(zone.distance_m(point_nea_m[0], point_nea_m[1]))
+def _around(request: PlanRequest) -> KnownMap:
+    """The known map; of a plane, as its circle is near to it."""
+    return request.known.grown(request.task.limits.loiter_radius_m)
 
 
-def _leaves(zone: KeepOut, start: FloatArray, end: FloatArray) -> bool:
-    """Whether the straight way never leads deeper into a zone."""
-    at = start + np.linspace(0.0, 1.0, _SAMPLES + 1)[:, None] * (end - start)
-    gap = zone.distance_m(at[:, 0], at[:, 1])
-    return bool((np.diff(np.minimum(gap, 0.0)) >= -1e-6).all())
+def _gap_m(zone: Zone, point_nea_m: FloatArray, task: Task) -> float:
+    """Distance of the vehicle, or of the circle that it flies, to the edge of a zone."""
+    return float(_gaps_m(zone, point_nea_m, task))
 
 
-def _ends_nea_m(request: PlanRequest) -> FloatArray:
-    """Places all round that keep every clearance, nearest first.  -> (N, 3)."""
+def _gaps_m(zone: Zone, points_nea_m: FloatArray, task: Task) -> FloatArray:
+    """`_gap_m` of points.  (..., 3) -> (...)."""
+    gaps = zone.distance_m(points_nea_m[..., 0], points_nea_m[..., 1])
+    return np.asarray(gaps - task.limits.loiter_radius_m)
+
+
+def _clear_of(zones: tuple[Zone, ...], ends: FloatArray, task: Task) -> BoolArray:
+    """Which of the places keep the required clearance from zones.  (N, 3) -> (N,)."""
+    clear = np.ones(len(ends), dtype=bool)
+    for zone in zones:
+        clear &= _gaps_m(zone, ends, task) >= task.required_clearance_m * _PROVABLE
+    return clear
+
+
+def _clear_of_terrain(request: PlanRequest, ends: Iterable[FloatArray]) -> Iterator[FloatArray]:
+    """Those of the places that keep the required clearance from the terrain."""
+    required_m, around = request.task.required_clearance_m * _PROVABLE, _around(request)
+    return (end for end in ends if distance_to_terrain_m(around, end, required_m) >= required_m)
+
+
+def _ends_nea_m(request: PlanRequest, *, farther: bool) -> FloatArray:
+    """Places all round within the band, nearest first.  -> (N, 3)."""
     task, start = request.task, request.start.position_nea_m
-    required_m, limits = task.required_clearance_m * _PROVABLE, task.limits
+    limits = task.limits
     bearing = np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False)[:, None, None]
-    farthest_m = _FARTHEST * task.settings.scan_range_m
-    length = np.linspace(farthest_m / _LENGTHS, farthest_m, _LENGTHS)[None, :, None]
+    usual_m, most_m = _FARTHEST * task.settings.scan_range_m, task.end_radius_m
+    lengths = np.linspace(usual_m / _LENGTHS, usual_m, _LENGTHS)
+    if farther and most_m > usual_m:
+        lengths = np.append(lengths, np.linspace(usual_m, most_m, _LONGER + 1)[1:])
+    length = lengths[None, :, None]
     slope = np.tan([0.0, 0.95 * limits.climb_angle_rad, -0.95 * limits.dive_angle_rad])
     level = length * np.cos(np.arctan(slope))
     ends = np.stack(
@@ -169,10 +236,6 @@ def _ends_nea_m(request: PlanRequest) -> FloatArray:
         axis=-1,
     ).reshape(-1, 3)
     low, high = task.band_amsl_m
-    good = (ends[:, 2] >= low) & (ends[:, 2] <= high)
-    for zone in task.keep_outs:
-        good &= zone.distance_m(ends[:, 0], ends[:, 1]) >= required_m
-    ends = ends[good]
-    ends = ends[np.argsort(np.linalg.norm(ends - start, axis=-1), kind="stable")]
-    clear = [distance_to_terrain_m(request.known, end, required_m) >= required_m for end in ends]
-    return ends[np.array(clear, dtype=bool)]
+    ends = ends[(ends[:, 2] >= low) & (ends[:, 2] <= high)]
+    order = np.argsort(np.round(np.linalg.norm(ends - start, axis=-1), 6), kind="stable")
+    return np.asarray(ends[order])

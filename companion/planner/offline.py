@@ -6,7 +6,7 @@ from typing import final
 
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
-from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest
+from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, WayBack
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.simulated_scan import simulated_scan
@@ -101,6 +101,7 @@ class _Flight:
         )
 
     def take(self, outcome: PlanOutcome) -> None:
+        assert not isinstance(outcome, WayBack)  # it is never asked for
         if isinstance(outcome, NotPlanned):
             self._failure = outcome
             if self._from_rest:

@@ -26,12 +26,15 @@ from companion.planner.escape import Trouble, trouble, way_out
 from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.settings import Task
+from companion.planner.way_back import way_back
 from companion.world.clearance import (
     Surface,
     distance_to_terrain_m,
     safe_surface,
     sees_anything,
 )
+from companion.world.threats import NearCells, PolygonZone, near_cells
 
 _CHUNK = 300  # evaluations between two looks at the clock
 _CERTIFIED = 16  # candidates of a search that are tried
@@ -79,9 +82,12 @@ def plan(
 ) -> PlanOutcome:
     """Search for the next subpath until one is proven safe (profile `paper`: the first).
 
+    Or the way back, if that is asked for.
     stop: asked every few hundred evaluations; in real time it tells that time is up, and then the
     best so far is taken, if it can be proven.
     """
+    if request.flown is not None:
+        return way_back(request.flown, request.task, request.known, kernel.prove, request.plan_id)
     if not request.task.settings.profile.verified:
         return plan_as_published(request, kernel.prove)
     refusal = _impossible(request)
@@ -90,12 +96,15 @@ def plan(
     found = trouble(request)
     if found is not None:
         return _escape(request, found, kernel)
+    refusal = _unreachable(request)
+    if refusal is not None:
+        return NotPlanned(plan_id=request.plan_id, refusal=refusal)
     return _Plan(request, stop, kernel).outcome()
 
 
 def _impossible(request: PlanRequest) -> Refusal | None:
-    """What is wrong with the question itself."""
-    task, limits, known = request.task, request.task.limits, request.known
+    """What is wrong with the question itself, or with where it starts."""
+    task, limits = request.task, request.task.limits
     if not _is_sane(request):
         return Refusal.NO_QUESTION
     if 2.0 * limits.turn_radius_m > task.settings.scan_range_m:
@@ -107,19 +116,26 @@ def _impossible(request: PlanRequest) -> Refusal | None:
     low, high = limits.floor_amsl_m + inset_m, limits.ceiling_amsl_m - inset_m
     if not inside or not low <= altitude <= high:
         return Refusal.START_OUTSIDE
+    if not sees_anything(request.known, request.scan_nea_m[:2], task.settings.scan_range_m):
+        return Refusal.NOTHING_SEEN
+    return None
+
+
+def _unreachable(request: PlanRequest) -> Refusal | None:
+    """What is wrong with the target."""
+    task, limits, known = request.task, request.task.limits, request.known
     target = np.array(request.target_ne_m)
     edges = zip(target, (limits.north_m, limits.east_m), strict=True)
-    if min(min(at - low, high - at) for at, (low, high) in edges) < task.search_clearance_m:
+    if min(min(at - low, high - at) for at, (low, high) in edges) < task.zone_search_clearance_m:
         return Refusal.TARGET_AT_EDGE
-    for zone in task.keep_outs:
-        if float(zone.distance_m(target[0], target[1])) < task.search_clearance_m:
+    around = known.grown(limits.loiter_radius_m)
+    for zone in task.zones:
+        if float(zone.distance_m(target[0], target[1])) < task.zone_search_clearance_m:
             return Refusal.TARGET_IN_KEEP_OUT
     highest = np.array([*request.target_ne_m, task.band_amsl_m[1]])
     required_m = task.required_clearance_m
-    if distance_to_terrain_m(known, highest, required_m, seen_only=True) < required_m:
+    if distance_to_terrain_m(around, highest, required_m, seen_only=True) < required_m:
         return Refusal.TARGET_IN_TERRAIN
-    if not sees_anything(known, request.scan_nea_m[:2], task.settings.scan_range_m):
-        return Refusal.NOTHING_SEEN
     return None
 
 
@@ -182,7 +198,7 @@ class _Plan:
         self._request, self._stop, self._kernel = request, stop, kernel
         self._surroundings = _surroundings(request)
         self._field = cost_to_go(
-            request.known,
+            request.known.grown(request.task.limits.loiter_radius_m),
             request.task,
             request.scan_nea_m[:2],
             request.target_ne_m,
@@ -190,7 +206,7 @@ class _Plan:
         )
         self._scene = _scene(request, self._field)
         limits = request.task.limits
-        self._shortest_m = limits.stopping_m(limits.speed_m_s)
+        self._shortest_m = max(limits.stopping_m(limits.speed_m_s), limits.lead_m)
         self._evaluations = self._tries = 0
         self._broken: tuple[str, ...] = ()
 
@@ -268,7 +284,7 @@ class _Plan:
         for rank, x in enumerate(candidates[:_CERTIFIED]):
             subpath = Subpath(control_nea_m=control_points(x[None], scene)[0])
             if not request.from_rest and subpath.length_m < self._shortest_m:
-                continue  # the certificate is about a vehicle that can stop at the end
+                continue  # the certificate is about a vehicle that can stop (or hold) at the end
             certificate = certify(
                 subpath,
                 self._surroundings,
@@ -336,6 +352,7 @@ def _scene(request: PlanRequest, field: CostToGo) -> FlightScene:
     task, settings = request.task, request.task.settings
     scan_ne = request.scan_nea_m[:2]
     final, end_radius = _end(request)
+    surface = _surface(request, task.search_clearance_m)
     guide = field.leaving_rad(scan_ne, end_radius)
     return FlightScene(
         points=5,
@@ -359,14 +376,23 @@ def _scene(request: PlanRequest, field: CostToGo) -> FlightScene:
         look_ahead_m=task.limits.turn_radius_m,
         final_ne_m=request.target_ne_m if final else None,
         safety_distance_m=settings.safety_distance_m,
-        clearance_m=task.search_clearance_m,
-        surface=_surface(request, task.search_clearance_m),
-        contact=_surface(request, task.error_m),
+        clearance_m=task.zone_search_clearance_m,
+        surface=surface,
+        contact=_surface(request, task.error_m) if task.limits.hovers else surface,
         radar_margin_m=_RADAR_MARGIN * settings.scan_range_m,
         band_amsl_m=task.band_amsl_m,
         radars=task.radars_near(scan_ne, _IN_REACH * settings.scan_range_m),
-        keep_outs=task.keep_outs,
+        zones=task.zones,
+        near_polygons=_near_polygons(task),
     )
+
+
+def _near_polygons(task: Task) -> NearCells | None:
+    polygons = tuple(zone for zone in task.zones if isinstance(zone, PolygonZone))
+    if not polygons:
+        return None
+    limits = task.limits
+    return near_cells(polygons, limits.north_m, limits.east_m, task.zone_search_clearance_m)
 
 
 def _end(request: PlanRequest) -> tuple[bool, float]:
@@ -406,7 +432,7 @@ def _vary(scene: FlightScene, request: PlanRequest, how: _Try) -> FlightScene:
 
 def _surface(request: PlanRequest, clearance_m: float) -> Surface:
     return safe_surface(
-        request.known,
+        request.known.grown(request.task.limits.loiter_radius_m),
         centre_ne_m=request.scan_nea_m[:2],
         reach_m=REACH * request.task.settings.scan_range_m,
         clearance_m=clearance_m,
@@ -420,7 +446,7 @@ def _surroundings(request: PlanRequest) -> Surroundings:
         request.known,
         task.limits,
         task.radars_near(request.scan_nea_m[:2], _IN_REACH * task.settings.scan_range_m),
-        task.keep_outs,
+        task.zones,
         task.margins,
         centre_ne_m=request.scan_nea_m[:2],
         reach_m=REACH * task.settings.scan_range_m,

@@ -5,7 +5,10 @@
                                                     <- tail ->
 
 The next leg starts at p_prog of this one.  A leg that has no successor is flown to its end, where
-the vehicle stops: the tail is long enough for that.
+the vehicle stops: the tail is long enough for that.  A plane circles the end.
+
+What hovers follows a point that runs along the path on its own (`advance`); a plane, which flies
+as fast as it flies, is sent to a point ahead of where it is (`follow`).
 """
 
 import math
@@ -21,7 +24,12 @@ from companion.planner.request import Planned
 from companion.planner.settings import Task
 
 _LEAD_S = 1.0  # the reference point waits when it is this far ahead of the vehicle, at full speed
-_ARRIVED_M = 0.5
+_ARRIVED_M = 0.05  # what is left of the speed there is worth no mention
+_CHORDS = 32  # of the part of the path on which the nearest point is looked for
+_WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
+_FINE_M = 5.0
+_LEAVES_RAD = math.radians(25.0)  # a plane leaves its circle when its course is so near the path's
+_ON_CIRCLE = 1.5  # loiter radii
 
 
 @final
@@ -34,6 +42,9 @@ class Leg:
     plan_id: int
     subpath: Subpath
     reaches_target: bool
+    through: bool = False
+    """Whether it may be flown to its very end at full speed, into the leg that begins there (of the
+    way back, which is known in advance)."""
 
     @staticmethod
     def of(planned: Planned, number: int) -> "Leg":
@@ -51,6 +62,8 @@ class Leg:
 
     def successor_at_m(self, task: Task) -> float:
         """Length flown at p_prog: the tail before the end."""
+        if self.through:
+            return self.subpath.length_m
         earliest = self.scan_at_m(task) + task.shortest_scan_distance_m - task.tail_m
         return min(max(self.subpath.length_m - task.tail_m, earliest), self.subpath.length_m)
 
@@ -58,12 +71,14 @@ class Leg:
         """Whether a successor may take over in flight.
 
         The certificate is about a vehicle that can always stop at the end; from a p_prog too near
-        to the end it could not.  Such a leg is flown to its end, and the next begins at rest.
+        to the end it could not, and a plane would be sent to points beyond it.  Such a leg is flown
+        to its end, and the next begins at rest.
         """
         if not task.settings.profile.verified:
             return True
+        limits = task.limits
         left_m = self.subpath.length_m - self.successor_at_m(task)
-        return left_m >= task.limits.stopping_m(task.limits.speed_m_s)
+        return left_m >= max(limits.stopping_m(limits.speed_m_s), limits.lead_m)
 
 
 @final
@@ -83,18 +98,23 @@ def advance(
     limits: Limits,
     *,
     goes_on: bool,
+    until_m: float | None = None,
+    speed_limit_m_s: float | None = None,
 ) -> Reference:
     """Move the reference point: speed up, cruise at V, slow down to stop at the end of the leg.
 
     It slows down with the mission's acceleration, harder where the path demands a lower speed,
     and waits for a vehicle that has fallen behind.  goes_on: the next leg is ready, so there
-    is no stop at the end of this one.
+    is no stop at the end of this one.  until_m: the length at which to stop if that is before the
+    end.  speed_limit_m_s: in place of V if that is less.
     """
     pose = leg.subpath.pose(reference.length_m)
     allowed = allowed_speed_m_s(pose, limits)
-    left = leg.subpath.length_m - reference.length_m
-    if not goes_on:
-        allowed = min(allowed, math.sqrt(2.0 * limits.acceleration_m_s2 * max(left, 0.0)))
+    if speed_limit_m_s is not None:
+        allowed = min(allowed, max(speed_limit_m_s, 0.0))
+    left = max(_end_m(leg, until_m) - reference.length_m, 0.0)
+    if not goes_on or until_m is not None:
+        allowed = min(allowed, math.sqrt(2.0 * limits.acceleration_m_s2 * left))
     change = limits.acceleration_m_s2 * elapsed_s
     speed = min(max(allowed, reference.speed_m_s - 2.0 * change), reference.speed_m_s + change)
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
@@ -104,11 +124,85 @@ def advance(
     return Reference(length_m=reference.length_m + step, speed_m_s=speed)
 
 
+def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, limits: Limits) -> Reference:
+    """Where a plane is along its leg: the nearest point of the path, seen from above.
+
+    It never goes back, and is looked for no farther ahead than the plane can have come, so that
+    a path that comes near to itself does not lead it astray.
+    """
+    ahead_m = max(_WINDOW_S * limits.speed_m_s, limits.turn_radius_m)
+    until_m = min(reference.length_m + ahead_m, leg.subpath.length_m)
+    at_m = _nearest_m(leg, vehicle_nea_m, reference.length_m, until_m, _CHORDS)
+    return Reference(length_m=at_m, speed_m_s=limits.speed_m_s)
+
+
+def locate(leg: Leg, vehicle_nea_m: FloatArray) -> Reference:
+    """The nearest point of a whole leg, seen from above: where a vehicle is that was not followed.
+
+    At rest: what hovers speeds up from there.
+    """
+    chords = max(math.ceil(leg.subpath.length_m / _FINE_M), 1)
+    at_m = _nearest_m(leg, vehicle_nea_m, 0.0, leg.subpath.length_m, chords)
+    return Reference(length_m=at_m, speed_m_s=0.0)
+
+
+def _nearest_m(
+    leg: Leg, vehicle_nea_m: FloatArray, from_m: float, until_m: float, chords: int
+) -> float:
+    """Length flown at the point of a part of the path that is nearest, seen from above."""
+    lengths = np.linspace(from_m, max(until_m, from_m), chords + 1)
+    points = leg.subpath.points_nea_m(lengths)[:, :2]
+    steps, offset = np.diff(points, axis=0), vehicle_nea_m[:2] - points[:-1]
+    squared = np.maximum((steps * steps).sum(axis=-1), 1e-12)
+    share = np.clip((steps * offset).sum(axis=-1) / squared, 0.0, 1.0)
+    apart = np.linalg.norm(offset - share[:, None] * steps, axis=-1)
+    k = int(np.argmin(apart))
+    return float(lengths[k] + share[k] * (lengths[k + 1] - lengths[k]))
+
+
+def sent_pose(
+    reference: Reference, leg: Leg, next_leg: Leg | None, lead_m: float, task: Task
+) -> Pose:
+    """The point that a plane is sent to: so far ahead of where it is along the path.
+
+    Beyond p_prog it lies on the next leg, if there is one; else it stays at the end of this one,
+    and the plane circles there.
+    """
+    at_m, over_at_m = reference.length_m + lead_m, leg.successor_at_m(task)
+    if next_leg is not None and at_m > over_at_m:
+        return next_leg.subpath.pose(at_m - over_at_m)
+    return leg.subpath.pose(at_m)
+
+
+def may_leave(
+    leg: Leg,
+    position_nea_m: tuple[float, float, float],
+    velocity_nea_m_s: tuple[float, float, float],
+    limits: Limits,
+) -> bool:
+    """Whether a plane that circles the start of a leg flies the way that the leg begins.
+
+    It does so once in each turn, and is then no farther aside than its circle: what it flies until
+    it is on the path lies within the circles about the path's points, which are proven.
+    """
+    pose = leg.subpath.pose(0.0)
+    north, east = velocity_nea_m_s[0], velocity_nea_m_s[1]
+    along = north * float(pose.tangent_nea[0]) + east * float(pose.tangent_nea[1])
+    level = math.hypot(float(pose.tangent_nea[0]), float(pose.tangent_nea[1]))
+    beside = math.dist(position_nea_m[:2], pose.point_nea_m[:2])
+    near = beside <= _ON_CIRCLE * limits.loiter_radius_m + limits.tracking_error_m
+    return near and along >= math.cos(_LEAVES_RAD) * level * math.hypot(north, east) > 0.0
+
+
 def off_path_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> float:
-    """Distance of the vehicle from the path, across the tangent at the reference point."""
+    """Distance of the vehicle from the path, across the tangent at the reference point.
+
+    Of a plane, whose reference point is the nearest one, it is the distance to that.
+    """
     pose = leg.subpath.pose(reference.length_m)
     offset = vehicle_nea_m - pose.position_nea_m
-    return float(np.linalg.norm(offset - (offset @ pose.tangent_nea) * pose.tangent_nea))
+    across = offset - (offset @ pose.tangent_nea) * pose.tangent_nea
+    return math.sqrt(across @ across)
 
 
 def allowed_speed_m_s(pose: Pose, limits: Limits) -> float:
@@ -117,9 +211,14 @@ def allowed_speed_m_s(pose: Pose, limits: Limits) -> float:
     return min(limits.speed_m_s, limits.climb_rate_m_s / max(steepness, 1e-9))
 
 
-def is_at_end(reference: Reference, leg: Leg) -> bool:
-    """Whether the reference point has come to the end of its leg."""
-    return leg.subpath.length_m - reference.length_m < _ARRIVED_M
+def is_at_end(reference: Reference, leg: Leg, until_m: float | None = None) -> bool:
+    """Whether the reference point has come to the end of its leg, or to where it is to stop."""
+    return _end_m(leg, until_m) - reference.length_m < _ARRIVED_M
+
+
+def _end_m(leg: Leg, until_m: float | None) -> float:
+    length_m = leg.subpath.length_m
+    return length_m if until_m is None else min(length_m, until_m)
 
 
 def hover_pose(position_nea_m: tuple[float, float, float]) -> Pose:

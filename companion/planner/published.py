@@ -37,7 +37,7 @@ def plan_as_published(request: PlanRequest, prove: Prover) -> Planned:
         request.known,
         task.limits,
         task.radars,
-        task.keep_outs,
+        task.zones,
         task.margins,
         centre_ne_m=request.scan_nea_m[:2],
         reach_m=REACH * settings.scan_range_m,
@@ -81,7 +81,7 @@ def _scene(request: PlanRequest) -> Scene:
             request.known, centre_ne_m=scan_ne, reach_m=REACH * settings.scan_range_m
         ),
         radars=task.radars,
-        keep_outs=task.keep_outs,
+        zones=task.zones,
     )
 
 

@@ -4,10 +4,21 @@ import enum
 from dataclasses import dataclass
 from typing import final
 
+from companion.geodesy import FloatArray
 from companion.path.certificate import Certificate
 from companion.path.subpath import Pose, Subpath
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stretch:
+    """A part of a subpath that was flown: its control points, and the lengths between which."""
+
+    control_nea_m: FloatArray  # (points, 3)
+    from_m: float
+    until_m: float
 
 
 @final
@@ -30,6 +41,8 @@ class PlanRequest:
     """The way to the target that the last plan had in mind: not left for a trifle."""
     stops: int = 0
     """How often the vehicle has stopped on the way to this target, to leave another way."""
+    flown: tuple[Stretch, ...] | None = None
+    """What was flown: the way back along it is asked for; None: the next subpath."""
     attempt: int = 0
     """How often this question has been asked in vain; each time the search is wider."""
 
@@ -57,6 +70,11 @@ class Planned:
     """Position among the candidates by cost: 0 is the best, more if better ones were unproven."""
     tries: int
 
+    @property
+    def is_escape(self) -> bool:
+        """Whether it is the straight way out of trouble, which nobody searched for."""
+        return not self.terms
+
 
 class Refusal(enum.Enum):
     """Why there is no subpath, and what helps."""
@@ -70,8 +88,8 @@ class Refusal(enum.Enum):
         "look again, and leave in any direction; nothing needs to be done"
     )
     START_IN_KEEP_OUT = (
-        "the vehicle is inside a keep-out zone, or too near to it, and no way out could be proven; "
-        "fly it out by hand, or remove the zone"
+        "the vehicle is where a zone forbids to be, or too near to it, and no way out could be "
+        "proven; fly it out by hand, or remove the zone"
     )
     START_NEAR_TERRAIN = (
         "the vehicle is too near to the terrain, and no way out could be proven; "
@@ -86,8 +104,8 @@ class Refusal(enum.Enum):
         "move the target, or raise altitude.ceiling_amsl_m"
     )
     TARGET_IN_KEEP_OUT = (
-        "the target is inside a keep-out zone, or too near to it; move the target, "
-        "or remove the zone"
+        "the target is where a zone forbids to be (inside a keep-out, outside a keep-in), or too "
+        "near to it; move the target, or remove the zone"
     )
     START_NEAR_UNKNOWN = (
         "the ground near the vehicle is unknown, or the map ends there; "
@@ -122,4 +140,16 @@ class NotPlanned:
     evaluations: int = 0
 
 
-PlanOutcome = Planned | NotPlanned
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WayBack:
+    """The way back along what was flown, as far as it is proven; none if nothing is."""
+
+    plan_id: int
+    subpaths: tuple[Subpath, ...]
+    through: tuple[bool, ...]
+    """Whether the next one begins at the very end of each, to be flown into at full speed."""
+    reaches_start: bool
+
+
+PlanOutcome = Planned | NotPlanned | WayBack

@@ -10,7 +10,7 @@ from companion.geodesy import FloatArray
 from companion.objective.scene import FLIGHT, Profile, Weights
 from companion.path.certificate import Margins
 from companion.path.limits import Limits
-from companion.world.threats import KeepOut, Radar
+from companion.world.threats import Radar, Zone
 
 _CELLS_PER_RANGE = 80  # design 5.3: cells of R / 80
 
@@ -50,7 +50,7 @@ class Task:
     limits: Limits
     settings: PlannerSettings
     radars: tuple[Radar, ...] = ()
-    keep_outs: tuple[KeepOut, ...] = ()
+    zones: tuple[Zone, ...] = ()
     _circles: FloatArray = field(init=False, repr=False, compare=False)
     """(radars, 3): north, east, range of each, so that looking for the near ones is one scan."""
 
@@ -73,24 +73,26 @@ class Task:
     def tail_m(self) -> float:
         """Length of a subpath beyond p_prog.
 
-        The paper's d_s; in profile `flight` the dead-man reach, enough to stop in, and never less
-        than 0.15 R (design section 6: it takes away most of what goes wrong near the end of sight).
+        The paper's d_s; in profile `flight` the dead-man reach, enough to stop in (for a plane:
+        the lead and d_s), and never less than 0.15 R (design section 6: it takes away most of what
+        goes wrong near the end of sight).
         """
         settings, speed = self.settings, self.limits.speed_m_s
         if not settings.profile.verified:
             return settings.safety_distance_m
-        stop_m = self.limits.stopping_m(speed) + settings.safety_distance_m
+        stop_m = self.limits.stopping_m(speed) + self.limits.lead_m + settings.safety_distance_m
         return max(0.15 * settings.scan_range_m, stop_m, self.limits.reach_m(speed))
 
     @property
     def shortest_scan_distance_m(self) -> float:
         """The least L: V (T + t_scan) and the tail (eq. 4, with the time that a scan takes).
 
-        Scan and plan each end with the next position, so a few periods are added.
+        Scan and plan each end with the next position, so a few periods are added.  A plane is sent
+        to points that lie ahead of it: they must not be beyond p_prog when the plan is there.
         """
         settings = self.settings
         time_s = settings.planning_time_s + settings.scan_time_s + 3.0 * settings.position_period_s
-        return self.limits.speed_m_s * time_s + self.tail_m
+        return self.limits.speed_m_s * time_s + self.limits.lead_m + self.tail_m
 
     @property
     def scan_distance_m(self) -> float:
@@ -118,6 +120,16 @@ class Task:
         return self.settings.safety_distance_m + self.error_m
 
     @property
+    def zone_clearance_m(self) -> float:
+        """The distance of the curve from zones; of a plane that of its circle about each point."""
+        return self.required_clearance_m + self.limits.loiter_radius_m
+
+    @property
+    def zone_search_clearance_m(self) -> float:
+        """What the search keeps from zones."""
+        return self.search_clearance_m + self.limits.loiter_radius_m
+
+    @property
     def search_clearance_m(self) -> float:
         """What the search aims at: more than the certificate asks for (in `paper`, d_s itself)."""
         settings = self.settings
@@ -142,6 +154,6 @@ class Task:
         settings, limits = self.settings, self.limits
         if not settings.profile.verified:
             return settings.scan_range_m
-        beyond = limits.speed_m_s * limits.dead_man_s + self.error_m
-        reserve = max(self.search_clearance_m, beyond) + 2.0 * math.sqrt(2.0) * self.cell_m
-        return settings.scan_range_m - reserve
+        beyond = limits.speed_m_s * limits.dead_man_s if limits.hovers else 0.0
+        reserve = max(self.zone_search_clearance_m, beyond + self.error_m)
+        return settings.scan_range_m - (reserve + 2.0 * math.sqrt(2.0) * self.cell_m)

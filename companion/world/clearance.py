@@ -161,14 +161,14 @@ def sees_anything(known: KnownMap, centre_ne_m: tuple[float, float], reach_m: fl
 
 
 def _seen(known: KnownMap, window: _Window) -> KnownMap:
-    """The part of the map under a window, without what was not seen."""
+    """The part of the map under a window, without what is neither seen nor known in advance."""
     row, column = known.cell_of(window.north_min_m + 0.5, window.east_min_m + 0.5)
     rows, columns = (
         slice(max(first, 0), max(min(first + len(window.upper_m), size), 0))
         for first, size in zip((row, column), known.upper_m.shape, strict=True)
     )
     part = known.part(rows, columns)
-    return replace(part, upper_m=np.where(part.seen, part.upper_m, np.inf))
+    return replace(part, upper_m=np.where(part.firm, part.upper_m, np.inf))
 
 
 def distance_to_terrain_m(

@@ -54,6 +54,13 @@ class KnownMap:
     seen: BoolArray  # (rows, columns), cells that a scan has seen: nothing more to learn
     registration_m: float = 0.0
     """How far the terrain of a cell may lie from it."""
+    given: BoolArray | None = None
+    """(rows, columns), cells whose terrain was known in advance, though scans may know better."""
+
+    @property
+    def firm(self) -> BoolArray:
+        """The cells in which `upper_m` is terrain: seen, or known in advance; not a sight line."""
+        return self.seen if self.given is None else self.seen | self.given
 
     def cell_of(self, north_m: float, east_m: float) -> tuple[int, int]:
         """Row and column of the cell that holds a point (may lie outside the lattice)."""
@@ -84,6 +91,15 @@ class KnownMap:
         np.copyto(upper, np.minimum(upper, _hidden_bound_m(after, scan)), where=~seen)
         return after
 
+    def grown(self, by_m: float) -> "KnownMap":
+        """The same map for a vehicle that may be so far aside of where it is said to be.
+
+        A plane is: it holds on circles.
+        """
+        if by_m == 0.0:
+            return self
+        return replace(self, registration_m=self.registration_m + by_m)
+
     def part(self, rows: slice, columns: slice) -> "KnownMap":
         """The map of some of the rows and columns (start and stop on the map); no copy."""
         return replace(
@@ -92,6 +108,7 @@ class KnownMap:
             east_min_m=self.east_min_m + columns.start * self.cell_m,
             upper_m=self.upper_m[rows, columns],
             seen=self.seen[rows, columns],
+            given=None if self.given is None else self.given[rows, columns],
         )
 
     def middles_m(

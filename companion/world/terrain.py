@@ -1,7 +1,7 @@
 """The true terrain: the paper's peaks (eq. 1) or a height grid.
 
 In flight only the simulator has it.  Both answer the same two questions (`Terrain`): how high a
-point is, and how high a box is at most.  Reading elevation files is `companion.elevation`'s part.
+point is, and how high a box is at most.  `companion.sources.elevation` reads elevation files.
 """
 
 import math

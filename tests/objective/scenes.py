@@ -1,6 +1,7 @@
 """Random scenes of profile `flight`, with everything in them that its objective knows."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from companion.objective.scene import Weights
 from companion.path.limits import Limits
 from companion.path.subpath import Pose, Subpath
 from companion.world.clearance import Surface
-from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut, Radar
+from companion.world.threats import CircleZone, PolygonZone, Radar, Zone, near_cells
 
 FloatArray = NDArray[np.float64]
 
@@ -63,13 +64,20 @@ def random_scene(
         start = Pose(position_nea_m=start.position_nea_m, tangent_nea=level)
     north, east, _ = start.point_nea_m
     weights = rng.uniform(0.05, 1.0, 6).tolist()
+    zones = random_zones(rng)
+    near = near_cells(
+        tuple(zone for zone in zones if isinstance(zone, PolygonZone)),
+        LIMITS.north_m,
+        LIMITS.east_m,
+        75.0,
+    )
     names = ("length", "height", "guide", "crash", "radar", "constraints")
     return FlightScene(
         points=points or int(rng.integers(5, 7)),
         samples=samples or int(rng.choice([12, 13, 40])),
         margin=1.06,
         weights=Weights(**dict(zip(names, weights, strict=True))),
-        limits=LIMITS,
+        limits=LIMITS if rng.random() < 0.8 else replace(LIMITS, loiter_radius_m=80.0),
         start=start,
         from_rest=from_rest,
         scan_ne_m=(north + rng.uniform(-300.0, 300.0), east + rng.uniform(-300.0, 300.0)),
@@ -90,7 +98,8 @@ def random_scene(
             Radar(name="r", centre_nea_m=(*rng.uniform(2e3, 5e3, 2), 100.0), range_m=1_200.0)
             for _ in range(rng.integers(0, 4))
         ),
-        keep_outs=random_keep_outs(rng),
+        zones=zones,
+        near_polygons=near if rng.random() < 0.5 else None,
     )
 
 
@@ -106,20 +115,23 @@ def lattice(rng: np.random.Generator, cell_m: float, most_m: float) -> Surface:
     )
 
 
-def random_keep_outs(rng: np.random.Generator) -> tuple[KeepOut, ...]:
-    """Circles and star-shaped polygons, in any order."""
-    zones: list[KeepOut] = []
+def random_zones(rng: np.random.Generator) -> tuple[Zone, ...]:
+    """Circles and star-shaped polygons, to stay out of or inside of, in any order."""
+    zones: list[Zone] = []
     for _ in range(rng.integers(0, 5)):
         n, e = rng.uniform(2_000.0, 5_000.0, 2)
+        keep_in = bool(rng.random() < 0.3)
+        size = 4.0 if keep_in else 1.0
         if rng.random() < 0.5:
-            zones.append(CircleKeepOut(name="c", north_m=n, east_m=e, radius_m=300.0))
+            zones.append(
+                CircleZone(name="c", north_m=n, east_m=e, radius_m=300.0 * size, keep_in=keep_in)
+            )
             continue
-        turns = np.sort(rng.uniform(0.0, 2.0 * math.pi, rng.integers(3, 8)))
-        far = rng.uniform(50.0, 500.0, len(turns))
+        turns = np.sort(rng.uniform(0.0, 2.0 * math.pi, rng.choice([3, 4, 5, 6, 7, 40])))
+        far = size * rng.uniform(50.0, 500.0, len(turns))
         corners = zip(n + far * np.cos(turns), e + far * np.sin(turns), strict=True)
-        zones.append(
-            PolygonKeepOut(name="p", vertices_ne_m=tuple((float(a), float(b)) for a, b in corners))
-        )
+        vertices = tuple((float(a), float(b)) for a, b in corners)
+        zones.append(PolygonZone(name="p", vertices_ne_m=vertices, keep_in=keep_in))
     return tuple(zones)
 
 

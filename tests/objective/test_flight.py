@@ -30,7 +30,7 @@ from companion.objective.flight import (
 from companion.objective.scene import Weights
 from companion.path.subpath import Subpath
 from companion.world.clearance import Surface
-from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut
+from companion.world.threats import CircleZone, PolygonZone, Zone
 
 sys.path.insert(0, str(Path(__file__).parent))
 from scenes import LIMITS, R_M, cube, random_pose, random_scene
@@ -185,11 +185,15 @@ def bilinear_m(surface: Surface, north: float, east: float) -> float:
     return float(RegularGridInterpolator(axes, surface.vertex_m)([inside])[0])
 
 
-def gap_m(zone: KeepOut, north: float, east: float) -> float:
-    """Distance to the edge, negative inside: inside is where the edge winds round the point."""
-    if isinstance(zone, CircleKeepOut):
-        return math.dist((north, east), (zone.north_m, zone.east_m)) - zone.radius_m
-    assert isinstance(zone, PolygonKeepOut)
+def gap_m(zone: Zone, north: float, east: float) -> float:
+    """Distance to the edge, negative inside: inside is where the edge winds round the point.
+
+    The other way round for a zone to stay inside of.
+    """
+    sign = -1.0 if zone.keep_in else 1.0
+    if isinstance(zone, CircleZone):
+        return sign * (math.dist((north, east), (zone.north_m, zone.east_m)) - zone.radius_m)
+    assert isinstance(zone, PolygonZone)
     here = complex(north, east)
     corners = [complex(*corner) - here for corner in zone.vertices_ne_m]
     turns, nearest = 0.0, math.inf
@@ -197,7 +201,7 @@ def gap_m(zone: KeepOut, north: float, east: float) -> float:
         turns += math.atan2((b / a).imag, (b / a).real)
         foot = ((0 - a) / (b - a)).real  # the share of the edge that is nearest to the point
         nearest = min(nearest, abs(a + min(max(foot, 0.0), 1.0) * (b - a)))
-    return -nearest if abs(turns) > math.pi else nearest
+    return sign * (-nearest if abs(turns) > math.pi else nearest)
 
 
 def expected(control: FloatArray, scene: FlightScene) -> dict[str, float]:
@@ -252,6 +256,8 @@ def expected_crash(
             n, e, z = a + share * (b - a)
             total += max(bilinear_m(scene.surface, n, e) - z, 0.0) / 3.0
     for j in range(1, len(points), 2):
+        if not scene.limits.hovers:
+            break  # it circles: the surface knows
         left, flown = sum(chords[j:]), sum(chords[:j])
         room = min(left, flown) if scene.from_rest else left
         speed = min(LIMITS.speed_m_s, math.sqrt(2.0 * LIMITS.acceleration_m_s2 * room))
@@ -299,7 +305,7 @@ def expected_outside(points: list[FloatArray], scene: FlightScene) -> float:
     for a, b in pairwise(points):
         for share in (1 / 3, 2 / 3, 1.0):
             n, e, _ = a + share * (b - a)
-            gaps = [gap_m(zone, n, e) for zone in scene.keep_outs]
+            gaps = [gap_m(zone, n, e) for zone in scene.zones]
             near += sum(max(scene.clearance_m - gap, 0.0) for gap in gaps) / 3.0
     return 100.0 * (beyond / (R_M / 20.0) + near / scene.clearance_m)
 
@@ -359,7 +365,7 @@ def test_a_candidate_between_what_it_must_keep_costs_only_its_way() -> None:
         surface=flat,
         contact=flat,
         radars=(),
-        keep_outs=(),
+        zones=(),
     )
     level = (316.0 - 315.0) / (785.0 - 315.0)
     x = np.array([[0.5, 0.5, 0.7, 0.5, level, 0.5, level]])

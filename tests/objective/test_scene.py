@@ -58,7 +58,7 @@ def a_scene(seed: int = 0, final_ne_m: tuple[float, float] | None = None) -> Sce
         safety_distance_m=60.0,
         surface=Surface(north_min_m=0.0, east_min_m=0.0, cell_m=100.0, vertex_m=np.zeros((9, 9))),
         radars=(),
-        keep_outs=(),
+        zones=(),
     )
 
 

@@ -15,7 +15,7 @@ from companion.objective.terms import TERMS, Candidates, candidates, cost, cost_
 from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface
-from companion.world.threats import CircleKeepOut, PolygonKeepOut, Radar
+from companion.world.threats import CircleZone, PolygonZone, Radar
 
 FloatArray = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -40,8 +40,8 @@ RADARS = (
     Radar(name="a", centre_nea_m=(4_500.0, 3_500.0, 0.0), range_m=1_200.0),
     Radar(name="b", centre_nea_m=(3_000.0, 5_000.0, 100.0), range_m=1_500.0),
 )
-CIRCLE = CircleKeepOut(name="c", north_m=4_800.0, east_m=4_800.0, radius_m=500.0)
-SQUARE = PolygonKeepOut(
+CIRCLE = CircleZone(name="c", north_m=4_800.0, east_m=4_800.0, radius_m=500.0)
+SQUARE = PolygonZone(
     name="s", vertices_ne_m=((2e3, 2e3), (2e3, 2.6e3), (2.6e3, 2.6e3), (2.6e3, 2e3))
 )
 #: A plane: the height and the slope of the terrain are known in closed form.
@@ -86,7 +86,7 @@ def a_scene(seed: int) -> Scene:
         safety_distance_m=D_S_M,
         surface=SURFACE,
         radars=RADARS,
-        keep_outs=(CIRCLE, SQUARE),
+        zones=(CIRCLE, SQUARE),
     )
 
 
@@ -248,14 +248,14 @@ def straight(altitude_m: float, climb: float = 0.0) -> Candidates:
 
 
 def test_a_straight_level_subpath_in_the_band_breaks_no_constraint() -> None:
-    scene = replace(a_scene(1), keep_outs=())
+    scene = replace(a_scene(1), zones=())
     assert TERMS["constraints"](straight(500.0), scene) == pytest.approx([0.0])
     assert TERMS["length"](straight(500.0), scene) == pytest.approx([100.0 / 2.4])
 
 
 @pytest.mark.parametrize("off", [-0.002, -1e-5, 1e-5, 0.002])
 def test_a_climb_costs_just_beyond_its_limit(off: float) -> None:
-    scene = replace(a_scene(1), keep_outs=())
+    scene = replace(a_scene(1), zones=())
     paths = straight(400.0, math.tan(0.1 + off))
     ten = candidates(paths.control_nea_m, 10)
     assert TERMS["constraints"](ten, scene) == pytest.approx([max(1_000.0 * off, 0.0)], abs=1e-6)
@@ -263,7 +263,7 @@ def test_a_climb_costs_just_beyond_its_limit(off: float) -> None:
 
 @pytest.mark.parametrize("altitude_m", [299.0, 301.0, 799.0, 801.0])
 def test_leaving_the_band_costs_a_hundred_for_a_twentieth_of_the_range(altitude_m: float) -> None:
-    scene = replace(a_scene(1), keep_outs=())
+    scene = replace(a_scene(1), zones=())
     outside = max(300.0 - altitude_m, altitude_m - 800.0, 0.0)
     found = TERMS["constraints"](straight(altitude_m), scene)
     assert found == pytest.approx([10.0 * 100.0 * outside / (R_M / 20.0)])

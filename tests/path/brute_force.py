@@ -20,7 +20,7 @@ from companion.path.proof_distance import Surroundings
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut, Radar
+from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
 
 FloatArray = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class Case:
     limits: Limits
     margins: Margins
     radars: tuple[Radar, ...]
-    keep_outs: tuple[KeepOut, ...]
+    zones: tuple[Zone, ...]
 
     def surroundings(self) -> Surroundings:
         centre = self.control_nea_m.mean(axis=0)[:2]
@@ -43,7 +43,7 @@ class Case:
             self.known,
             self.limits,
             self.radars,
-            self.keep_outs,
+            self.zones,
             self.margins,
             centre_ne_m=(float(centre[0]), float(centre[1])),
             reach_m=float(far),
@@ -90,6 +90,7 @@ def random_case(rng: np.random.Generator) -> Case:
         ceiling_amsl_m=4.0 * scale.relief_m,
         north_m=(0.0, size),
         east_m=(0.0, size),
+        loiter_radius_m=scale.distance_m * rng.uniform(0.3, 1.5) if rng.random() < 0.2 else 0.0,
     )
     margins = Margins(
         clearance_m=scale.distance_m + scale.error_m,
@@ -108,7 +109,7 @@ def random_case(rng: np.random.Generator) -> Case:
             Radar(name="r", centre_nea_m=(*rng.uniform(0, size, 2), 0.0), range_m=0.15 * size)
             for _ in range(rng.integers(0, 3))
         ),
-        keep_outs=_keep_outs(rng, size),
+        zones=_zones(rng, size),
     )
 
 
@@ -179,19 +180,31 @@ def _control(
     return result
 
 
-def _keep_outs(rng: np.random.Generator, size: float) -> tuple[KeepOut, ...]:
-    zones: list[KeepOut] = []
+def _zones(rng: np.random.Generator, size: float) -> tuple[Zone, ...]:
+    """Zones to stay out of, and large ones to stay inside of."""
+    zones: list[Zone] = []
     for _ in range(rng.integers(0, 3)):
-        n, e = rng.uniform(0.0, size, 2)
+        keep_in = bool(rng.random() < 0.4)
+        n, e = rng.uniform(0.4 * size, 0.6 * size, 2) if keep_in else rng.uniform(0.0, size, 2)
+        radius = size * (rng.uniform(0.2, 0.5) if keep_in else 0.05)
         if rng.random() < 0.5:
-            zones.append(CircleKeepOut(name="c", north_m=n, east_m=e, radius_m=0.05 * size))
+            zones.append(
+                CircleZone(name="c", north_m=n, east_m=e, radius_m=radius, keep_in=keep_in)
+            )
+        elif keep_in or rng.random() < 0.3:
+            turn = np.linspace(0.0, 2.0 * np.pi, int(rng.integers(3, 60)), endpoint=False)
+            far = radius * rng.uniform(0.9, 1.1, len(turn))
+            corners = np.stack([n + far * np.cos(turn), e + far * np.sin(turn)], axis=-1)
+            zones.append(_polygon(corners, keep_in))
         else:
             corners = rng.uniform(-0.08 * size, 0.08 * size, (rng.integers(3, 6), 2))
-            corners += np.array([n, e])
-            zones.append(
-                PolygonKeepOut(name="p", vertices_ne_m=tuple((a, b) for a, b in corners.tolist()))
-            )
+            zones.append(_polygon(corners + np.array([n, e]), keep_in))
     return tuple(zones)
+
+
+def _polygon(corners: FloatArray, keep_in: bool) -> PolygonZone:
+    vertices = tuple((a, b) for a, b in corners.tolist())
+    return PolygonZone(name="p", vertices_ne_m=vertices, keep_in=keep_in)
 
 
 def curve(control_nea_m: FloatArray) -> Any:
@@ -228,6 +241,25 @@ def column_distance_m(
     flat += np.maximum(z[:, None, None] - upper_m, 0.0) ** 2
     nearest = np.sqrt(flat.min(axis=(1, 2)))
     return np.minimum(nearest, edge)
+
+
+def circles_nea_m(case: Case, points_nea_m: FloatArray) -> FloatArray:
+    """Points that have to be as clear as those: of a plane some of its circle about each.
+
+    (S, 3) -> (S, K, 3).
+    """
+    turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
+    loiter_m = case.limits.loiter_radius_m
+    aside = loiter_m * np.concatenate([[[0.0, 0.0, 0.0]], ring, 0.5 * ring])
+    return points_nea_m[:, None] + (aside if loiter_m else aside[:1])
+
+
+def terrain_m(case: Case, points_nea_m: FloatArray, within_m: float = np.inf) -> FloatArray:
+    """Distance of the vehicle, or of its circle, from the terrain.  (S, 3) -> (S,)."""
+    points = circles_nea_m(case, points_nea_m)
+    far = column_distance_m(case.known, points.reshape(-1, 3), within_m)
+    return far.reshape(points.shape[:2]).min(axis=1)
 
 
 def surface_distance_m(terrain: PeakTerrain, point_nea_m: FloatArray, near_m: float) -> float:
@@ -317,14 +349,13 @@ def truth(case: Case, samples: int = 200) -> Truth:
     """Everything about a curve, by search."""
     spline = curve(case.control_nea_m)
     u = np.linspace(0.0, 1.0, samples + 1)
-    clearance, where = _least(
-        lambda at, far=np.inf: column_distance_m(case.known, spline(at), far), u
-    )
+    clearance, where = _least(lambda at, far=np.inf: terrain_m(case, spline(at), far), u)
     keep_out = np.inf
-    for zone in case.keep_outs:
+    for zone in case.zones:
         keep_out = min(
             keep_out, _least(lambda at, _=0.0, z=zone: z.distance_m(*spline(at).T[:2]), u)[0]
         )  # type: ignore[misc]
+    keep_out -= case.limits.loiter_radius_m
     fine = np.linspace(0.0, 1.0, 3_001)
     points = spline(fine)
     ends = np.logspace(-9.0, -4.0, 20)
@@ -347,6 +378,8 @@ def truth(case: Case, samples: int = 200) -> Truth:
         detection = max(detection, float(np.where(ratio <= 1, 1 / (1 + ratio**4), 0.0).max()))
     both = 0.5 * (inside[1:].astype(float) + inside[:-1])
     dead_man, at_nea = _dead_man(case, spline, fine, lengths)
+    if case.limits.loiter_radius_m:
+        dead_man = min(clearance, keep_out)
     return Truth(
         clearance_m=clearance,
         keep_out_m=keep_out,
@@ -400,7 +433,7 @@ def _dead_man(
 
     def distance(points: FloatArray, far: float = np.inf) -> FloatArray:
         result = column_distance_m(case.known, points, far)
-        for zone in case.keep_outs:
+        for zone in case.zones:
             result = np.minimum(result, zone.distance_m(points[:, 0], points[:, 1]))
         return result
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.path import proof
-from companion.path.certificate import cubics_of
+from companion.path.certificate import cubics_of, pack_zones
 from companion.path.proof import exposure, first_pieces, piece_of, reach, stretch_of
 from companion.path.proof_distance import (
     column_distance,
@@ -19,7 +19,7 @@ from companion.path.proof_distance import (
 )
 from companion.path.proof_shape import extremes, largest, runs_forward, times
 from companion.runtime.compiler import load_kernel
-from companion.world.threats import CircleKeepOut, PolygonKeepOut
+from companion.world.threats import CircleZone, PolygonZone
 
 sys.path.insert(0, str(Path(__file__).parent))
 from brute_force import Case, FloatArray, column_distance_m, curve, random_case
@@ -118,7 +118,8 @@ def test_the_distance_from_the_terrain_is_that_of_the_nearest_column(
     limit *= here.clearance_m
     told = terrain_distance(here, segment, limit, 0.1, np.empty((maxima.size, 3)))
     points = np.array(segment[:3]) + np.linspace(0, 1, 200)[:, None] * np.array(segment[3:])
-    brute = min(float(column_distance_m(case.known, points).min()), limit)
+    around = case.known.grown(case.limits.loiter_radius_m)
+    brute = min(float(column_distance_m(around, points).min()), limit)
     assert told <= brute + 1e-6
     assert told >= brute - 0.1 - length / 200.0
 
@@ -139,12 +140,12 @@ def test_edges_are_as_far_apart_as_their_nearest_points(seed: int) -> None:
 @given(seed=seeds)
 def test_zones_are_as_far_as_their_own_distance_says_along_the_segment(seed: int) -> None:
     case = a_case(seed)
-    zones = (*case.keep_outs, CircleKeepOut(name="c", north_m=0.0, east_m=0.0, radius_m=10.0))
-    here = Case(**{**{f: getattr(case, f) for f in case.__dataclass_fields__}, "keep_outs": zones})
+    zones = (*case.zones, CircleZone(name="c", north_m=0.0, east_m=0.0, radius_m=10.0))
+    here = Case(**{**{f: getattr(case, f) for f in case.__dataclass_fields__}, "zones": zones})
     segment, _, _, length = piece_of(cubics_of(case.control_nea_m), 0, 0.0, 1.0)
     n, e, _ = along(segment).T
     brute = min(float(zone.distance_m(n, e).min()) for zone in zones)
-    lower, upper = zone_distance(here.surroundings(), segment)
+    lower, upper = zone_distance(here.surroundings().zones, segment, 1e9)
     assert lower <= brute + 1e-6
     assert upper >= lower
     if brute > 0.0:
@@ -155,10 +156,9 @@ def test_zones_are_as_far_as_their_own_distance_says_along_the_segment(seed: int
 def test_a_point_is_inside_a_polygon_where_the_zone_says_so(seed: int) -> None:
     rng = np.random.default_rng(seed)
     corners = tuple((a, b) for a, b in rng.uniform(-10, 10, (int(rng.integers(3, 8)), 2)).tolist())
-    zone = PolygonKeepOut(name="p", vertices_ne_m=corners)
-    edges = np.array([(*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)])
+    zone = PolygonZone(name="p", vertices_ne_m=corners)
     for n, e in rng.uniform(-12, 12, (20, 2)).tolist():
-        told = polygon_at(edges, 0, len(edges), n, e)
+        told = polygon_at(pack_zones((zone,)), 0, n, e, 1e9, 1e9)
         assert told == pytest.approx(float(zone.distance_m(np.array(n), np.array(e))))
 
 

@@ -12,7 +12,7 @@ from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import CircleKeepOut, PolygonKeepOut, Radar
+from companion.world.threats import CircleZone, PolygonZone, Radar
 
 
 @pytest.fixture(scope="session")
@@ -40,9 +40,9 @@ def task() -> Task:
             evaluations=250,
         ),
         radars=(Radar(name="r", centre_nea_m=(6_500.0, 3_300.0, 0.0), range_m=900.0),),
-        keep_outs=(
-            CircleKeepOut(name="c", north_m=2_300.0, east_m=4_300.0, radius_m=350.0),
-            PolygonKeepOut(
+        zones=(
+            CircleZone(name="c", north_m=2_300.0, east_m=4_300.0, radius_m=350.0),
+            PolygonZone(
                 name="s",
                 vertices_ne_m=((5e3, 5e3), (5e3, 5.4e3), (5.4e3, 5.4e3), (5.4e3, 5e3)),
             ),

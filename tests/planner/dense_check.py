@@ -13,7 +13,7 @@ from scipy.interpolate import BSpline
 
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
-from companion.world.threats import CircleKeepOut, KeepOut
+from companion.world.threats import CircleZone, Zone
 
 FloatArray = NDArray[np.float64]
 
@@ -54,10 +54,10 @@ def column_distance_m(known: KnownMap, points: FloatArray, within_m: float) -> F
     return result
 
 
-def keep_out_distance_m(zone: KeepOut, points: FloatArray) -> FloatArray:
+def keep_out_distance_m(zone: Zone, points: FloatArray) -> FloatArray:
     """Of circles, and of squares along the axes: negative or zero inside."""
     n, e = points[:, 0], points[:, 1]
-    if isinstance(zone, CircleKeepOut):
+    if isinstance(zone, CircleZone):
         return np.asarray(np.hypot(n - zone.north_m, e - zone.east_m) - zone.radius_m)
     (south, west), (north, east) = np.min(zone.vertices_ne_m, 0), np.max(zone.vertices_ne_m, 0)
     gap_n = np.maximum(np.maximum(south - n, n - north), 0.0)
@@ -67,7 +67,7 @@ def keep_out_distance_m(zone: KeepOut, points: FloatArray) -> FloatArray:
 
 def nearest_m(task: Task, known: KnownMap, points: FloatArray, within_m: float) -> float:
     """Least distance of points to terrain and keep-outs."""
-    gaps = [float(keep_out_distance_m(zone, points).min()) for zone in task.keep_outs]
+    gaps = [float(keep_out_distance_m(zone, points).min()) for zone in task.zones]
     return min(float(column_distance_m(known, points, within_m).min()), *gaps, within_m)
 
 

@@ -11,7 +11,7 @@ from companion.path.limits import Limits
 from companion.planner.cost_to_go import CostToGo, cost_to_go
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.threats import CircleKeepOut, KeepOut, PolygonKeepOut, Radar
+from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
 
 Place = tuple[float, float]
 
@@ -24,7 +24,7 @@ RADAR = 7.2 * 0.3 / 0.1  # and per unit of detection probability: f5 over f1
 
 
 def a_task(
-    *, radars: tuple[Radar, ...] = (), keep_outs: tuple[KeepOut, ...] = (), size_m: float = 60e3
+    *, radars: tuple[Radar, ...] = (), zones: tuple[Zone, ...] = (), size_m: float = 60e3
 ) -> Task:
     return Task(
         limits=Limits(
@@ -43,7 +43,7 @@ def a_task(
             scan_range_m=R, safety_distance_m=500.0, planning_time_s=5.0, evaluations=100
         ),
         radars=radars,
-        keep_outs=keep_outs,
+        zones=zones,
     )
 
 
@@ -272,10 +272,10 @@ def a_scene(seed: int) -> tuple[Task, KnownMap]:
         radar(*rng.uniform(12e3, 48e3, 2), float(rng.uniform(5e3, 9e3))) for _ in range(3)
     )
     north, east = (float(x) for x in rng.uniform(15e3, 45e3, 2))
-    keep_outs: tuple[KeepOut, ...] = (
-        CircleKeepOut(name="circle", north_m=north, east_m=east, radius_m=2_500.0),
+    zones: tuple[Zone, ...] = (
+        CircleZone(name="circle", north_m=north, east_m=east, radius_m=2_500.0),
     )
-    task = a_task(radars=radars, keep_outs=keep_outs)
+    task = a_task(radars=radars, zones=zones)
     n, e = middles(task)
     hills = rng.uniform((8e3, 8e3, 2e3, 2e3), (52e3, 52e3, 6e3, 6e3), (6, 4))
     terrain = np.max(
@@ -307,10 +307,10 @@ def test_a_mirrored_world_has_a_mirrored_field(seed: int) -> None:
 
     other = a_task(
         radars=tuple(radar(*turned(r.centre_nea_m[:2]), r.range_m) for r in task.radars),
-        keep_outs=tuple(
+        zones=tuple(
             replace(zone, north_m=60e3 - zone.north_m)
-            for zone in task.keep_outs
-            if isinstance(zone, CircleKeepOut)
+            for zone in task.zones
+            if isinstance(zone, CircleZone)
         ),
     )
     flipped = replace(known, upper_m=known.upper_m[::-1], seen=known.seen[::-1])
@@ -380,7 +380,7 @@ def test_a_route_that_becomes_impassable_is_given_up() -> None:
     before = passing(-300.0)
     task = a_task(
         radars=(radar(29.7e3, 30e3, 12e3),),
-        keep_outs=(CircleKeepOut(name="new", north_m=45e3, east_m=30e3, radius_m=9e3),),
+        zones=(CircleZone(name="new", north_m=45e3, east_m=30e3, radius_m=9e3),),
     )
     assert side(cost_to_go(a_map(task), task, HERE, TARGET, before.route_ne_m)) < -5e3
 
@@ -414,8 +414,8 @@ def test_from_inside_a_threat_the_route_takes_the_short_way_out(
     if zone == "radar":
         task = a_task(radars=(radar(30e3, 30e3, math.hypot(out, FLOOR)),))
     elif zone == "circle":
-        keep_out = CircleKeepOut(name="zone", north_m=30e3, east_m=30e3, radius_m=out - 530.0)
-        task = a_task(keep_outs=(keep_out,))
+        keep_out = CircleZone(name="zone", north_m=30e3, east_m=30e3, radius_m=out - 530.0)
+        task = a_task(zones=(keep_out,))
     else:
         north, east = middles(task)
         known = seen(task, np.where(np.hypot(north - 30e3, east - 30e3) < out - 530.0, 9e3, 0.0))
@@ -429,10 +429,10 @@ def test_from_inside_a_threat_the_route_takes_the_short_way_out(
 
 def test_a_target_inside_a_threat_is_reached_by_the_short_way_in() -> None:
     corners = ((25e3, 20e3), (35e3, 20e3), (35e3, 40e3), (25e3, 40e3))
-    task = a_task(keep_outs=(PolygonKeepOut(name="box", vertices_ne_m=corners),))
+    task = a_task(zones=(PolygonZone(name="box", vertices_ne_m=corners),))
     field = cost_to_go(a_map(task), task, (30e3, 5e3), (33e3, 30e3))
     points = along(field.route_ne_m)
-    inside = task.keep_outs[0].distance_m(points[:, 0], points[:, 1]) < 0.0
+    inside = task.zones[0].distance_m(points[:, 0], points[:, 1]) < 0.0
     assert 100.0 * inside.sum() < 1.2 * 2e3 + CELL
     assert np.isfinite(field.value_m).all()
 

@@ -11,6 +11,7 @@ from companion.planner.procedure import hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
+from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
 
 sys.path.insert(0, str(Path(__file__).parent))
 from dense_check import column_distance_m, keep_out_distance_m, spline, violations
@@ -50,7 +51,7 @@ def test_the_way_out_of_a_keep_out_is_straight_and_little_longer_than_it_must_be
 ) -> None:
     outcome = escaped(task, truth, (*start_ne_m, 600.0))
     control = outcome.subpath.control_nea_m
-    for zone in task.keep_outs:
+    for zone in task.zones:
         assert keep_out_distance_m(zone, control[-1:])[0] >= REQUIRED_M
     legs = np.diff(control, axis=0)
     assert legs / np.linalg.norm(legs, axis=-1)[:, None] == pytest.approx(
@@ -101,3 +102,102 @@ def test_where_there_is_no_way_out_the_reason_is_what_is_around(
     outcome = plan(ask(task, pit, (1_025.0, 1_025.0, 450.0)))
     assert isinstance(outcome, NotPlanned)
     assert outcome.refusal is Refusal.START_NEAR_TERRAIN
+
+
+# --- zones that lie about the vehicle in other ways
+
+
+def depth_m(zones: tuple[Zone, ...], points: np.ndarray) -> np.ndarray:
+    """Least distance to the zones, negative where one forbids.  (S, 3) -> (S,)."""
+    return np.asarray(np.min([zone.distance_m(points[:, 0], points[:, 1]) for zone in zones], 0))
+
+
+def along(outcome: Planned) -> np.ndarray:
+    return np.asarray(spline(outcome.subpath.control_nea_m)(np.linspace(0.0, 1.0, 400)))
+
+
+HERE = (6_500.0, 1_500.0, 600.0)  # over the plain
+
+
+def circle(north: float, east: float, radius: float, *, keep_in: bool = False) -> CircleZone:
+    return CircleZone(name="z", north_m=north, east_m=east, radius_m=radius, keep_in=keep_in)
+
+
+def test_out_of_zones_that_overlap_the_way_leads_deeper_into_none(
+    task: Task, truth: KnownMap
+) -> None:
+    zones = (circle(6_300.0, 1_500.0, 300.0), circle(6_700.0, 1_500.0, 300.0))
+    points = along(escaped(replace(task, zones=zones), truth, HERE))
+    for zone in zones:
+        gap = zone.distance_m(points[:, 0], points[:, 1])
+        assert (np.diff(np.minimum(gap, 0.0)) >= -1e-6).all()
+    assert depth_m(zones, points)[-1] >= REQUIRED_M
+
+
+def test_out_of_a_zone_in_a_zone_the_way_leads_out_of_both(task: Task, truth: KnownMap) -> None:
+    zones = (circle(6_450.0, 1_400.0, 150.0), circle(6_600.0, 1_600.0, 500.0))
+    points = along(escaped(replace(task, zones=zones), truth, HERE))
+    assert depth_m(zones, points)[-1] >= REQUIRED_M
+
+
+@pytest.mark.parametrize("beyond_m", [-40.0, 0.0, 200.0, 700.0])
+def test_back_into_a_zone_to_stay_inside_of_the_way_is_short(
+    task: Task, truth: KnownMap, beyond_m: float
+) -> None:
+    zones = (circle(4_500.0 - beyond_m, 1_500.0, 2_000.0, keep_in=True),)
+    outcome = escaped(replace(task, zones=zones), truth, HERE)
+    assert depth_m(zones, along(outcome))[-1] >= REQUIRED_M
+    assert outcome.subpath.length_m <= 1.1 * (beyond_m + REQUIRED_M) + 70.0
+
+
+def test_the_way_out_of_one_zone_does_not_lead_into_another(task: Task, truth: KnownMap) -> None:
+    wall = PolygonZone(
+        name="w",
+        vertices_ne_m=((6_620.0, 900.0), (6_620.0, 2_100.0), (6_700.0, 2_100.0), (6_700.0, 900.0)),
+    )
+    inside = circle(6_350.0, 1_500.0, 200.0)  # 50 m from its edge, 70 m before the wall
+    points = along(escaped(replace(task, zones=(wall, inside)), truth, HERE))
+    assert wall.distance_m(points[:, 0], points[:, 1]).min() >= 70.0
+    assert depth_m((wall, inside), points)[-1] >= REQUIRED_M
+
+
+def test_a_way_out_that_is_much_shorter_may_first_lead_a_little_deeper(
+    task: Task, truth: KnownMap
+) -> None:
+    # In a bar, a little south of its middle, and in a wide one that it lies on: north is the way.
+    bar = ((6_400.0, 700.0), (6_400.0, 2_300.0), (6_620.0, 2_300.0), (6_620.0, 700.0))
+    below = ((5_000.0, 700.0), (5_000.0, 2_300.0), (6_550.0, 2_300.0), (6_550.0, 700.0))
+    zones = tuple(PolygonZone(name="b", vertices_ne_m=corners) for corners in (bar, below))
+    outcome = escaped(replace(task, zones=zones), truth, HERE)
+    assert depth_m(zones, along(outcome))[-1] >= REQUIRED_M
+    assert outcome.subpath.length_m <= 1.1 * (120.0 + REQUIRED_M) + 70.0
+
+
+def test_out_of_a_zone_that_is_larger_than_sight_it_flies_on_towards_the_edge(
+    task: Task, truth: KnownMap
+) -> None:
+    zones, here = (circle(4_000.0, 1_500.0, 5_500.0),), (4_200.0, 1_500.0, 600.0)
+    wide = replace(task, zones=zones)
+    before = float(depth_m(zones, np.array([here]))[0])
+    outcome = escaped(wide, truth, here)
+    points = along(outcome)
+    assert depth_m(zones, points)[-1] >= before + 1_000.0
+    assert (np.diff(depth_m(zones, points)) >= -1e-6).all()
+
+
+def test_beside_the_edge_of_the_map_the_way_leads_away_from_it(task: Task, truth: KnownMap) -> None:
+    outcome = escaped(replace(task, zones=()), truth, (7_970.0, 1_500.0, 600.0))
+    assert along(outcome)[-1, 0] <= 8_000.0 - REQUIRED_M
+
+
+def test_a_radar_that_appears_around_the_vehicle_is_flown_out_of_by_a_plan(
+    task: Task, truth: KnownMap
+) -> None:
+    radar = Radar(name="new", centre_nea_m=(6_500.0, 1_500.0, 0.0), range_m=900.0)
+    seen = replace(task, radars=(radar,), zones=())
+    outcome = plan(replace(ask(seen, truth, HERE), target_ne_m=(6_500.0, 4_500.0)))
+    assert isinstance(outcome, Planned)
+    assert outcome.evaluations > 0
+    assert outcome.certificate.proven
+    within_m = radar.distance_m(along(outcome)) < radar.range_m
+    assert within_m.mean() * outcome.subpath.length_m < 1.6 * 900.0

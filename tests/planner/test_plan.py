@@ -16,6 +16,7 @@ from companion.planner.procedure import hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
+from companion.world.threats import CircleZone, PolygonZone
 
 sys.path.insert(0, str(Path(__file__).parent))
 from dense_check import column_distance_m, keep_out_distance_m, spline, violations
@@ -189,7 +190,7 @@ def test_it_goes_round_a_hill_that_the_straight_way_cannot_cross(
     known = replace(blank, upper_m=np.zeros_like(blank.upper_m), seen=~blank.seen)
     low, high = known.cell_of(2_000.0, 2_000.0)[0], known.cell_of(2_400.0, 2_400.0)[0]
     known.upper_m[low:high, low:high] = 5_000.0  # ahead, above the ceiling
-    free = replace(task, keep_outs=(), radars=())
+    free = replace(task, zones=(), radars=())
     outcome = planned(ask(free, known, target_ne_m=(3_600.0, 3_600.0)))
     control = outcome.subpath.control_nea_m
     assert violations(control, free, known, from_rest=True) == []
@@ -393,7 +394,7 @@ def test_the_check_of_every_metre_finds_what_is_wrong(task: Task, truth: KnownMa
     assert {"climb", "dive"} <= set(violations(steep, task, truth, from_rest=True))
     assert "map" in violations(control - np.array([1_500.0, 0, 0]), task, truth, from_rest=True)
     points = np.array([[2_300.0, 4_700.0, 400.0], [5_200.0, 5_450.0, 400.0]])
-    gaps = [keep_out_distance_m(zone, points) for zone in task.keep_outs]
+    gaps = [keep_out_distance_m(zone, points) for zone in task.zones]
     assert gaps[0][0] == pytest.approx(50.0)
     assert gaps[1][1] == pytest.approx(50.0)
     over = column_distance_m(truth, np.array([[6_000.0, 6_200.0, 540.0]]), 100.0)
@@ -410,3 +411,39 @@ def test_a_vehicle_stops_rather_than_take_a_dear_way_but_not_for_ever(
     assert first.refusal is Refusal.BETTER_TO_STOP
     planned(ask(task, truth, start=pose, from_rest=False, stops=4))
     planned(ask(task, truth, start=pose, from_rest=True))  # it has stopped: there it goes on
+
+
+# --- zones to stay inside of
+
+
+def test_a_plan_stays_in_a_fence_of_many_corners_and_goes_round_its_bight(
+    task: Task, truth: KnownMap
+) -> None:
+    turn = np.linspace(0.0, 2.0 * math.pi, 240, endpoint=False)
+    far = np.where(np.abs(turn - math.pi / 2.0) < 0.35, 500.0, 2_400.0)  # a bight in the east
+    vertices = tuple(
+        (float(n), float(e))
+        for n, e in zip(4_000.0 + far * np.cos(turn), 4_000.0 + far * np.sin(turn), strict=True)
+    )
+    fence = PolygonZone(name="f", vertices_ne_m=vertices, keep_in=True)
+    start, target = (5_200.0, 5_200.0, 600.0), (2_800.0, 5_200.0)
+    level = replace(truth, upper_m=np.full_like(truth.upper_m, 100.0))
+    fenced = replace(task, zones=(fence,), radars=())
+    request = replace(
+        ask(fenced, level), start=hover_pose(start), scan_nea_m=start, target_ne_m=target
+    )
+    outcome = plan(request)
+    assert isinstance(outcome, Planned)
+    route = np.array(outcome.route_ne_m)
+    assert route[:, 1].min() < 4_600.0  # round the bight, not across it
+    points = outcome.subpath.points_nea_m(np.linspace(0.0, outcome.subpath.length_m, 2_000))
+    gap = fence.distance_m(points[:, 0], points[:, 1])
+    assert gap.min() >= task.required_clearance_m
+
+
+def test_a_target_outside_of_a_fence_is_refused(task: Task, truth: KnownMap) -> None:
+    fence = CircleZone(name="f", north_m=3_000.0, east_m=3_000.0, radius_m=3_200.0, keep_in=True)
+    request = ask(replace(task, zones=(fence,)), truth)
+    outcome = plan(replace(request, target_ne_m=(7_000.0, 7_000.0)))
+    assert isinstance(outcome, NotPlanned)
+    assert outcome.refusal is Refusal.TARGET_IN_KEEP_OUT

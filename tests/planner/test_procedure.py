@@ -163,11 +163,11 @@ def test_a_vehicle_that_is_ahead_does_not_pull_the_reference_point_along() -> No
 
 
 @given(left=st.floats(0.0, 2.0))
-def test_the_end_is_reached_within_half_a_metre(left: float) -> None:
+def test_the_end_is_reached_within_five_centimetres(left: float) -> None:
     leg = leg_to(2_000.0, 0.0, 0.0)
     reference = Reference(length_m=leg.subpath.length_m - left)
-    if abs(left - 0.5) > 1e-6:
-        assert is_at_end(reference, leg) == (left < 0.5)
+    if abs(left - 0.05) > 1e-6:
+        assert is_at_end(reference, leg) == (left < 0.05)
 
 
 # --- where to scan and where the next leg takes over
@@ -197,3 +197,40 @@ def test_a_vehicle_at_rest_starts_where_it_is() -> None:
     pose = hover_pose((1.0, 2.0, 3.0))
     assert pose.position_nea_m.tolist() == [1.0, 2.0, 3.0]
     assert np.linalg.norm(pose.tangent_nea) == 1.0
+
+
+@given(at=st.floats(0.2, 1.2), tick_s=ticks)
+def test_the_reference_point_stops_where_it_is_told_to_if_that_is_before_the_end(
+    at: float, tick_s: float
+) -> None:
+    leg = leg_to(900.0, 0.0, 0.0)
+    until_m = at * leg.subpath.length_m
+    end_m = min(until_m, leg.subpath.length_m)
+    reference, before = Reference(), 0.0
+    for _ in range(math.ceil(200.0 / tick_s)):
+        here = leg.subpath.pose(reference.length_m).position_nea_m
+        reference = advance(reference, leg, tick_s, here, LIMITS, goes_on=True, until_m=until_m)
+        room_m = max(end_m - before, 0.0)
+        assert reference.length_m <= end_m + 1e-9
+        assert reference.speed_m_s <= math.sqrt(2.0 * A * room_m) + 2.0 * A * tick_s
+        before = reference.length_m
+    assert is_at_end(reference, leg, until_m)
+    at_end = leg.subpath.length_m - reference.length_m < 0.05
+    assert is_at_end(reference, leg) == at_end
+
+
+@pytest.mark.parametrize("limit_m_s", [3.0, 8.0, 40.0])
+def test_a_speed_limit_holds_where_it_is_below_that_of_the_mission(limit_m_s: float) -> None:
+    leg, reference, fastest = leg_to(2_000.0, 0.0, 0.0), Reference(), 0.0
+    for _ in range(200):
+        here = leg.subpath.pose(reference.length_m).position_nea_m
+        reference = advance(
+            reference, leg, 0.1, here, LIMITS, goes_on=False, speed_limit_m_s=limit_m_s
+        )
+        fastest = max(fastest, reference.speed_m_s)
+    assert fastest == pytest.approx(min(limit_m_s, V))
+
+
+def test_a_leg_of_the_way_back_is_left_at_its_very_end() -> None:
+    leg = replace(leg_to(900.0, 0.0, 0.0), through=True)
+    assert leg.successor_at_m(TASK) == leg.subpath.length_m

@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.world.threats import CircleKeepOut, PolygonKeepOut, Radar, detection_probability
+from companion.world.threats import (
+    CircleZone,
+    PolygonZone,
+    Radar,
+    Zone,
+    detection_probability,
+    is_near,
+    near_cells,
+)
 
 Polygon = tuple[tuple[float, float], ...]
 
@@ -44,7 +52,7 @@ def winding_number(polygon: Polygon, north: float, east: float) -> int:
     return round(sum(turns) / (2.0 * math.pi))
 
 
-def signed_distance(zone: PolygonKeepOut, north: float, east: float) -> float:
+def signed_distance(zone: PolygonZone, north: float, east: float) -> float:
     return float(zone.distance_m(np.array(north), np.array(east)))
 
 
@@ -81,7 +89,7 @@ def test_distance_from_a_radar_is_euclidean_for_any_shape_of_points() -> None:
 def test_the_distance_to_a_circle_is_that_to_its_nearest_point(
     north: float, east: float, radius: float
 ) -> None:
-    zone = CircleKeepOut(name="c", north_m=7.0, east_m=-3.0, radius_m=radius)
+    zone = CircleZone(name="c", north_m=7.0, east_m=-3.0, radius_m=radius)
     angle = np.linspace(0.0, 2.0 * math.pi, 10_001)
     ring = np.hypot(7.0 + radius * np.cos(angle) - north, -3.0 + radius * np.sin(angle) - east)
     inside = math.hypot(north - 7.0, east + 3.0) < radius
@@ -95,7 +103,7 @@ def test_the_distance_to_a_polygon_is_that_to_its_nearest_edge_point(
 ) -> None:
     edge, step = dense_edge(polygon)
     brute = np.hypot(*(edge - (north, east)).T).min()
-    distance = abs(signed_distance(PolygonKeepOut(name="p", vertices_ne_m=polygon), north, east))
+    distance = abs(signed_distance(PolygonZone(name="p", vertices_ne_m=polygon), north, east))
     assert distance <= brute + 1e-6
     assert brute <= math.hypot(distance, 0.5 * step) + 1e-6
 
@@ -104,20 +112,20 @@ def test_the_distance_to_a_polygon_is_that_to_its_nearest_edge_point(
 def test_the_distance_is_negative_just_where_the_polygon_winds_around_the_point(
     polygon: Polygon, north: float, east: float
 ) -> None:
-    distance = signed_distance(PolygonKeepOut(name="p", vertices_ne_m=polygon), north, east)
+    distance = signed_distance(PolygonZone(name="p", vertices_ne_m=polygon), north, east)
     if abs(distance) > 1e-6:
         assert (distance < 0.0) == (winding_number(polygon, north, east) != 0)
 
 
 @given(polygon=stars())
 def test_the_distance_at_a_corner_is_zero(polygon: Polygon) -> None:
-    zone = PolygonKeepOut(name="p", vertices_ne_m=polygon)
+    zone = PolygonZone(name="p", vertices_ne_m=polygon)
     for north, east in polygon:
         assert signed_distance(zone, north, east) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_side_of_a_square_with_edges_along_the_axes() -> None:
-    square = PolygonKeepOut(name="s", vertices_ne_m=((0, 0), (0, 100), (100, 100), (100, 0)))
+    square = PolygonZone(name="s", vertices_ne_m=((0, 0), (0, 100), (100, 100), (100, 0)))
     north, east = np.array([50.0, 150.0, 50.0, -30.0]), np.array([50.0, 50.0, -20.0, -40.0])
     assert square.distance_m(north, east) == pytest.approx([-50.0, 50.0, 20.0, 50.0])
 
@@ -126,7 +134,54 @@ def test_a_polygon_that_repeats_its_first_corner_to_close_itself_is_the_same_pol
     open_ = ((0.0, 0.0), (0.0, 100.0), (100.0, 0.0))
     closed = (*open_, open_[0])
     here = np.array([10.0, 200.0]), np.array([10.0, 5.0])
-    expected = PolygonKeepOut(name="o", vertices_ne_m=open_).distance_m(*here)
+    expected = PolygonZone(name="o", vertices_ne_m=open_).distance_m(*here)
     with np.errstate(all="ignore"):
-        found = PolygonKeepOut(name="c", vertices_ne_m=closed).distance_m(*here)
+        found = PolygonZone(name="c", vertices_ne_m=closed).distance_m(*here)
     assert found == pytest.approx(expected)
+
+
+def fence(corners: int, radius_m: float, seed: int, keep_in: bool) -> PolygonZone:
+    """A ragged ring of corners about the origin, some of them at whole hundreds of metres."""
+    rng = np.random.default_rng(seed)
+    turn = np.sort(rng.uniform(0.0, 2.0 * math.pi, corners))
+    far = radius_m * rng.uniform(0.6, 1.0, corners)
+    places = np.round(np.stack([far * np.cos(turn), far * np.sin(turn)], -1), int(seed % 4) - 2)
+    vertices = tuple((a, b) for a, b in places.tolist())
+    return PolygonZone(name="f", vertices_ne_m=vertices, keep_in=keep_in)
+
+
+@given(stars(), st.floats(-2_000, 2_000), st.floats(-2_000, 2_000))
+def test_where_a_keep_out_forbids_a_keep_in_allows(
+    polygon: Polygon, north: float, east: float
+) -> None:
+    out = PolygonZone(name="p", vertices_ne_m=polygon)
+    within = PolygonZone(name="p", vertices_ne_m=polygon, keep_in=True)
+    assert signed_distance(within, north, east) == -signed_distance(out, north, east)
+    circle = CircleZone(name="c", north_m=10.0, east_m=20.0, radius_m=500.0, keep_in=True)
+    away = math.hypot(north - 10.0, east - 20.0)
+    assert float(circle.distance_m(np.array(north), np.array(east))) == pytest.approx(500.0 - away)
+
+
+@given(st.integers(3, 60), st.integers(0, 10**6), st.booleans(), st.floats(0.5, 300.0))
+def test_a_lattice_of_a_fence_is_that_of_its_distances(
+    corners: int, seed: int, keep_in: bool, distance_m: float
+) -> None:
+    zone = fence(corners, 1_000.0, seed, keep_in)
+    north, east = np.arange(-1_300.0, 1_300.0, 50.0), np.arange(-1_200.0, 1_100.0, 70.0)
+    expected = zone.distance_m(*np.broadcast_arrays(north[:, None], east[None, :])) < distance_m
+    np.testing.assert_array_equal(is_near(zone, north, east, distance_m), expected)
+
+
+@given(st.integers(0, 10**6), st.floats(20.0, 300.0))
+def test_no_place_near_a_zone_is_left_out_of_the_cells_near_zones(
+    seed: int, distance_m: float
+) -> None:
+    zones: tuple[Zone, ...] = (
+        fence(40, 1_500.0, seed, keep_in=True),
+        CircleZone(name="c", north_m=300.0, east_m=-200.0, radius_m=150.0),
+    )
+    cells = near_cells(zones, (-2_000.0, 2_000.0), (-1_000.0, 2_000.0), distance_m)
+    north, east = np.random.default_rng(seed).uniform(-2_500.0, 2_500.0, (2, 500))
+    gap = np.min([zone.distance_m(north, east) for zone in zones], axis=0)
+    assert cells.at(north, east)[gap < distance_m].all()
+    assert not cells.near.all()

@@ -1,0 +1,71 @@
+"""Whether what is left of a leg still keeps its distance from zones that have changed in flight."""
+
+import numpy as np
+
+from companion.geodesy import FloatArray
+from companion.path.certificate import cubics_of, pack_zones
+from companion.path.proof import piece_of
+from companion.path.proof_distance import zone_distance
+from companion.planner.procedure import Leg
+from companion.world.threats import Zone
+
+_PIECES = 48
+_LEEWAY = 2e-3  # of the required distance: a certificate is not exact either
+_LEEWAY_M = 0.01
+_FINEST = 1e-5  # of the curve's parameter: how well the place of a conflict is known
+
+
+def first_conflict_m(
+    leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m: float
+) -> float | None:
+    """Length flown at which the rest of a leg first comes nearer to a zone than required.
+
+    leg, from_m: the leg, and the length from which on it matters.  required_m: what the path must
+    keep (`Task.zone_clearance_m`).  None: all of the rest keeps it, to 0.2 %, between samples too:
+    pieces of the curve that are not clear of all zones as wholes are bounded as in the certificate
+    (`path.proof`), and halved.
+    """
+    if not zones:
+        return None
+    wanted_m = required_m * (1.0 - _LEEWAY) - _LEEWAY_M
+    cubics, table = cubics_of(leg.subpath.control_nea_m), pack_zones(zones)
+    pieces = _pieces(leg.subpath.parameter_at(from_m), len(cubics))
+    middles, radii = _discs(cubics[..., :2], pieces)
+    gaps = np.min([zone.distance_m(*middles.T) for zone in zones], axis=0)
+    stack = pieces[gaps - radii < wanted_m][::-1].tolist()
+    while stack:
+        start, end = stack.pop()
+        span = min(int(0.5 * (start + end) * len(cubics)), len(cubics) - 1)
+        segment, sag, _, _ = piece_of(
+            cubics, span, start * len(cubics) - span, end * len(cubics) - span
+        )
+        low, _ = zone_distance(table, segment, max(wanted_m + sag, 0.0))
+        if low - sag >= wanted_m:
+            continue
+        if end - start < _FINEST:
+            return max(leg.subpath.length_at_m(start), from_m)
+        middle = 0.5 * (start + end)
+        stack += [[middle, end], [start, middle]]
+    return None
+
+
+def _pieces(start: float, spans: int) -> FloatArray:
+    """Pieces of the rest of a curve, none over a knot.  -> (N, 2): from where to where, 0 to 1."""
+    knots = np.arange(spans + 1) / spans
+    cuts = np.union1d(np.linspace(start, 1.0, _PIECES + 1), knots[knots > start])
+    return np.stack([cuts[:-1], cuts[1:]], axis=-1)
+
+
+def _discs(cubics: FloatArray, pieces: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A disc about each piece of the ground track: its control polygon lies in it.
+
+    (spans, 4, 2), (N, 2) -> (N, 2), on the curve; (N,).
+    """
+    spans = len(cubics)
+    span = np.minimum((pieces.mean(axis=1) * spans).astype(np.intp), spans - 1)
+    a, b = (pieces * spans - span[:, None]).T[:, :, None]
+    c0, c1, c2, c3 = np.moveaxis(cubics[span], 1, 0)
+    start, middle, end = (c0 + (c1 + (c2 + c3 * at) * at) * at for at in (a, 0.5 * (a + b), b))
+    leaving, arriving = ((c1 + (2.0 * c2 + 3.0 * c3 * at) * at) * (b - a) / 3.0 for at in (a, b))
+    corners = np.stack([start, start + leaving, end - arriving, end])
+    return middle, np.linalg.norm(corners - middle, axis=-1).max(axis=0)

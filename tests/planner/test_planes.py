@@ -1,0 +1,318 @@
+"""Vehicles that cannot stop: they hold on circles, and are sent to points ahead of them."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from companion.path.limits import Limits
+from companion.path.subpath import Subpath
+from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.plan import plan
+from companion.planner.procedure import (
+    Leg,
+    Reference,
+    follow,
+    hover_pose,
+    locate,
+    may_leave,
+    off_path_m,
+    sent_pose,
+)
+from companion.planner.refuge import loiter_point
+from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
+from companion.planner.settings import PlannerSettings, Task
+from companion.world.known_map import KnownMap, empty_map
+from companion.world.simulated_scan import true_map
+from companion.world.terrain import PeakTerrain
+from companion.world.threats import CircleZone, PolygonZone, Zone
+
+FloatArray = NDArray[np.float64]
+
+V, LOITER = 20.0, 80.0
+LIMITS = Limits(
+    speed_m_s=V,
+    acceleration_m_s2=2.0,
+    climb_rate_m_s=2.5,
+    turn_radius_m=110.0,
+    climb_angle_rad=math.radians(6.0),
+    dive_angle_rad=math.radians(7.0),
+    floor_amsl_m=250.0,
+    ceiling_amsl_m=700.0,
+    north_m=(0.0, 8_000.0),
+    east_m=(0.0, 8_000.0),
+    tracking_error_m=12.0,
+    loiter_radius_m=LOITER,
+)
+SETTINGS = PlannerSettings(
+    scan_range_m=2_400.0,
+    safety_distance_m=50.0,
+    planning_time_s=2.0,
+    scan_time_s=1.0,
+    evaluations=250,
+)
+ZONES: tuple[Zone, ...] = (
+    PolygonZone(
+        name="area",
+        vertices_ne_m=((200.0, 200.0), (200.0, 7_800.0), (7_800.0, 7_800.0), (7_800.0, 200.0)),
+        keep_in=True,
+    ),
+    CircleZone(name="c", north_m=3_300.0, east_m=4_300.0, radius_m=350.0),
+)
+TASK = Task(limits=LIMITS, settings=SETTINGS, zones=ZONES)
+REQUIRED_M = 67.0  # d_s 50 m, tracking 12 m, navigation 5 m
+START, TARGET = (1_000.0, 1_200.0, 500.0), (6_500.0, 6_300.0)
+
+
+@pytest.fixture(scope="module")
+def blank() -> KnownMap:
+    return empty_map(TASK.cell_m, LIMITS.north_m, LIMITS.east_m)
+
+
+@pytest.fixture(scope="module")
+def truth(terrain: PeakTerrain, blank: KnownMap) -> KnownMap:
+    return true_map(terrain, blank)
+
+
+@pytest.fixture(scope="module")
+def flight(blank: KnownMap, truth: KnownMap) -> OfflineFlight:
+    return fly_offline(
+        TASK, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=(TARGET,), seed=3
+    )
+
+
+def circle_distance_m(known: KnownMap, at_nea_m: FloatArray) -> float:
+    """Distance of points of a plane's circle about a place to the columns of the map."""
+    turn = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
+    radii = LOITER * np.array([[0.0], [0.5], [1.0]])
+    north = (at_nea_m[0] + radii * np.cos(turn)).ravel()
+    east = (at_nea_m[1] + radii * np.sin(turn)).ravel()
+    low_n = known.north_min_m + np.arange(known.upper_m.shape[0]) * known.cell_m
+    low_e = known.east_min_m + np.arange(known.upper_m.shape[1]) * known.cell_m
+    rows = np.abs(low_n - at_nea_m[0]) < 300.0
+    columns = np.abs(low_e - at_nea_m[1]) < 300.0
+    low_n, low_e, top = low_n[rows], low_e[columns], known.upper_m[np.ix_(rows, columns)]
+    gap_n = np.maximum(np.maximum(low_n - north[:, None], north[:, None] - low_n - known.cell_m), 0)
+    gap_e = np.maximum(np.maximum(low_e - east[:, None], east[:, None] - low_e - known.cell_m), 0)
+    above = np.maximum(at_nea_m[2] - top, 0.0)
+    flat = np.hypot(gap_n[:, :, None], gap_e[:, None, :])
+    return float(np.hypot(flat, above).min())
+
+
+def test_a_plane_arrives_and_may_circle_anywhere_on_its_way(
+    flight: OfflineFlight, truth: KnownMap
+) -> None:
+    assert flight.failure is None
+    assert flight.legs[-1].reaches_target
+    for planned in flight.plans:
+        assert planned.certificate.proven
+        control = planned.subpath.control_nea_m
+        spans = len(control) - 3
+        knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
+        for at in BSpline(knots, control, 3)(np.linspace(0.0, 1.0, 60)):
+            assert circle_distance_m(truth, at) >= REQUIRED_M
+            assert math.dist(at[:2], (3_300.0, 4_300.0)) >= 350.0 + REQUIRED_M + LOITER - 1e-6
+            inside_m = min(at[0] - 200.0, 7_800.0 - at[0], at[1] - 200.0, 7_800.0 - at[1])
+            assert inside_m >= REQUIRED_M + LOITER - 1e-6
+
+
+def test_a_leg_is_long_enough_for_the_point_that_the_plane_is_sent_to(
+    flight: OfflineFlight,
+) -> None:
+    lead_m = V * LIMITS.lead_s
+    assert TASK.tail_m >= lead_m + SETTINGS.safety_distance_m
+    time_s = SETTINGS.planning_time_s + SETTINGS.scan_time_s + 0.3
+    assert TASK.shortest_scan_distance_m == pytest.approx(V * time_s + lead_m + TASK.tail_m)
+    assert LIMITS.stopping_m(V) == 0.0
+    assert LIMITS.reach_m(V) == lead_m
+    for leg in flight.legs:
+        if leg.can_be_left(TASK):
+            sent_m = leg.scan_at_m(TASK) + V * time_s + lead_m
+            assert sent_m <= leg.successor_at_m(TASK) + 1e-6
+            assert leg.subpath.length_m - leg.successor_at_m(TASK) >= lead_m
+    short = Leg(
+        number=1,
+        plan_id=1,
+        subpath=Subpath(control_nea_m=np.outer([0.0, 0.3, 0.6, 1.0], [200.0, 0.0, 0.0])),
+        reaches_target=False,
+    )
+    assert not short.can_be_left(TASK)
+
+
+def ask(start_nea_m: tuple[float, float, float], known: KnownMap, task: Task) -> PlanRequest:
+    return PlanRequest(
+        plan_id=1,
+        seed=7,
+        task=task,
+        known=known,
+        scan_nea_m=start_nea_m,
+        start=hover_pose(start_nea_m),
+        from_rest=True,
+        target_ne_m=TARGET,
+    )
+
+
+def test_a_target_whose_circle_leaves_the_fence_is_refused(truth: KnownMap) -> None:
+    edge = 7_800.0 - TASK.zone_search_clearance_m
+    for east, refused in ((edge + 1.0, True), (edge - 1.0, False)):
+        request = replace(ask(START, truth, TASK), target_ne_m=(6_000.0, east))
+        outcome = plan(request)
+        is_refused = isinstance(outcome, NotPlanned) and (
+            outcome.refusal is Refusal.TARGET_IN_KEEP_OUT
+        )
+        assert is_refused == refused
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 150.0, 350.0, 450.0])
+def test_the_way_out_of_a_new_zone_ends_where_the_whole_circle_is_clear(
+    truth: KnownMap, aside_m: float
+) -> None:
+    zone = CircleZone(name="new", north_m=1_500.0, east_m=3_000.0, radius_m=400.0)
+    outcome = plan(ask((1_500.0 + aside_m, 3_000.0, 600.0), truth, replace(TASK, zones=(zone,))))
+    assert isinstance(outcome, Planned)
+    assert outcome.evaluations == 0
+    end = outcome.subpath.control_nea_m[-1]
+    assert math.dist(end[:2], (1_500.0, 3_000.0)) >= 400.0 + LOITER + REQUIRED_M
+
+
+# --- where the plane is on its path
+
+
+def a_leg(turn_rad: float = 1.2, length_m: float = 1_500.0) -> Leg:
+    at = np.linspace(0.0, 1.0, 5)
+    bearing = turn_rad * at
+    steps = np.stack([np.cos(bearing), np.sin(bearing), 0.02 + 0.0 * at], axis=-1)[1:]
+    control = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) * length_m / 4.0
+    subpath = Subpath(control_nea_m=control + np.array([1_000.0, 1_000.0, 400.0]))
+    return Leg(number=1, plan_id=1, subpath=subpath, reaches_target=False)
+
+
+@given(at=st.floats(0.05, 0.95), aside_m=st.floats(-90.0, 90.0), turn=st.floats(-2.0, 2.0))
+def test_the_reference_is_the_nearest_point_of_the_path(
+    at: float, aside_m: float, turn: float
+) -> None:
+    leg = a_leg(turn)
+    length_m = at * leg.subpath.length_m
+    pose = leg.subpath.pose(length_m)
+    across = np.array([-pose.tangent_nea[1], pose.tangent_nea[0], 0.0])
+    vehicle = pose.position_nea_m + aside_m * across / np.linalg.norm(across)
+    for reference in (
+        follow(Reference(length_m=max(length_m - 40.0, 0.0)), leg, vehicle, LIMITS),
+        locate(leg, vehicle),
+    ):
+        assert reference.length_m == pytest.approx(length_m, abs=0.5)
+        assert off_path_m(reference, leg, vehicle) == pytest.approx(abs(aside_m), abs=0.5)
+
+
+def test_the_reference_never_goes_back_and_comes_to_the_end() -> None:
+    leg, reference = a_leg(), Reference()
+    rng = np.random.default_rng(3)
+    last_m = 0.0
+    for at_m in np.arange(-30.0, leg.subpath.length_m + 60.0, 4.0):
+        pose = leg.subpath.pose(at_m)
+        beyond = (at_m - np.clip(at_m, 0.0, leg.subpath.length_m)) * pose.tangent_nea
+        reference = follow(
+            reference, leg, pose.position_nea_m + beyond + rng.normal(0.0, 6.0, 3), LIMITS
+        )
+        assert reference.length_m >= last_m
+        assert reference.length_m == pytest.approx(
+            np.clip(at_m, 0.0, leg.subpath.length_m), abs=45.0
+        )
+        assert reference.speed_m_s == V
+        last_m = reference.length_m
+    assert last_m == leg.subpath.length_m
+
+
+def test_where_the_path_comes_near_to_itself_the_reference_does_not_jump() -> None:
+    around = np.array([[0, 0], [1_500, 0], [1_500, 60], [0, 60]], dtype=float)
+    control = np.column_stack([around, np.full(4, 400.0)])
+    leg = Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+    reference = Reference(length_m=200.0)
+    for at_m in np.arange(200.0, 700.0, 2.0):
+        other_side = leg.subpath.pose(at_m).position_nea_m + np.array([0.0, 35.0, 0.0])
+        reference = follow(reference, leg, other_side, LIMITS)
+        assert reference.length_m <= at_m + LIMITS.turn_radius_m + 5.0 * V
+
+
+def test_the_point_that_is_sent_runs_over_onto_the_next_leg_and_stays_at_an_end() -> None:
+    leg = a_leg()
+    over_m = leg.successor_at_m(TASK)
+    control = leg.subpath.pose(over_m).position_nea_m + np.outer(
+        [0.0, 0.3, 0.6, 1.0], 900.0 * leg.subpath.pose(over_m).tangent_nea
+    )
+    next_leg = Leg(
+        number=2, plan_id=2, subpath=Subpath(control_nea_m=control), reaches_target=False
+    )
+    before = Reference(length_m=over_m - 60.0)
+    at = sent_pose(before, leg, next_leg, 110.0, TASK).position_nea_m
+    assert at == pytest.approx(next_leg.subpath.pose(50.0).position_nea_m)
+    assert sent_pose(before, leg, next_leg, 40.0, TASK).position_nea_m == pytest.approx(
+        leg.subpath.pose(over_m - 20.0).position_nea_m
+    )
+    near_end = Reference(length_m=leg.subpath.length_m - 20.0)
+    end = leg.subpath.control_nea_m[-1]
+    assert sent_pose(near_end, leg, None, 110.0, TASK).position_nea_m == pytest.approx(end)
+
+
+def test_a_plane_leaves_its_circle_once_in_a_turn_and_joins_the_path_within_its_circle() -> None:
+    """A point mass that turns at most at LOITER / 2 flies to the point ahead of it (L1's aim)."""
+    leg = a_leg(turn_rad=0.6)
+    for sense in (1.0, -1.0):
+        for first in np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False):
+            assert widest_m(leg, sense, float(first)) <= LOITER + 3.0 * LIMITS.tracking_error_m
+
+
+def widest_m(leg: Leg, sense: float, angle: float) -> float:
+    """How far off the path the plane comes once it has left the circle."""
+    start, step_s = leg.subpath.pose(0.0).position_nea_m, 0.1
+    for _ in range(math.ceil(2.2 * math.pi * LOITER / V / step_s)):
+        angle += sense * V / LOITER * step_s
+        here = start + LOITER * np.array([math.cos(angle), math.sin(angle), 0.0])
+        course = angle + sense * math.pi / 2.0
+        velocity = (V * math.cos(course), V * math.sin(course), 0.0)
+        if may_leave(leg, (here[0], here[1], here[2]), velocity, LIMITS):
+            break
+    else:
+        pytest.fail("it never left its circle")
+    reference, widest = Reference(), 0.0
+    for _ in range(400):
+        reference = follow(reference, leg, here, LIMITS)
+        aim = sent_pose(reference, leg, None, LIMITS.lead_m, TASK).position_nea_m - here
+        error = (math.atan2(aim[1], aim[0]) - course + math.pi) % (2.0 * math.pi) - math.pi
+        most = V / (LOITER / 2.0) * step_s
+        course += min(max(error, -most), most)
+        here = here + V * step_s * np.array([math.cos(course), math.sin(course), 0.0])
+        nearest = leg.subpath.pose(reference.length_m).point_nea_m
+        widest = max(widest, math.dist(nearest[:2], here[:2]))
+    return widest
+
+
+# --- somewhere to circle
+
+
+def test_a_refuge_is_the_first_preferred_place_that_is_clear(truth: KnownMap) -> None:
+    here = (1_000.0, 4_500.0, 450.0)
+    in_zone, clear = (3_300.0, 4_300.0, 450.0), (1_200.0, 4_600.0, 450.0)
+    assert loiter_point(truth, TASK, here, (in_zone, clear)) == clear
+    assert loiter_point(truth, TASK, here) == pytest.approx(here)
+
+
+def test_a_refuge_from_a_zone_that_appears_is_near_and_clear_of_it(truth: KnownMap) -> None:
+    zone = CircleZone(name="new", north_m=1_300.0, east_m=4_500.0, radius_m=250.0)
+    task = replace(TASK, zones=(*ZONES, zone))
+    for here in ((900.0, 4_500.0, 450.0), (1_200.0, 4_500.0, 450.0)):
+        point = loiter_point(truth, task, here)
+        assert point is not None
+        assert math.dist(point[:2], (1_300.0, 4_500.0)) >= 250.0 + LOITER + REQUIRED_M
+        assert math.dist(point[:2], here[:2]) < 700.0
+        assert circle_distance_m(truth, np.array(point)) >= REQUIRED_M
+
+
+def test_there_is_no_refuge_in_a_pit(blank: KnownMap) -> None:
+    pit = replace(blank, upper_m=np.full_like(blank.upper_m, 5_000.0), seen=~blank.seen)
+    assert loiter_point(pit, TASK, (1_000.0, 4_500.0, 450.0)) is None

@@ -1,0 +1,92 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from companion.path.subpath import Subpath
+from companion.planner.procedure import Leg
+from companion.planner.recheck import first_conflict_m
+from companion.world.threats import CircleZone, PolygonZone, Zone
+
+FloatArray = NDArray[np.float64]
+
+
+def a_leg(rng: np.random.Generator, length_m: float = 20_000.0) -> Leg:
+    points = int(rng.integers(4, 7))
+    turn = np.cumsum(rng.normal(0.0, 0.5, points - 1))
+    steps = np.stack([np.cos(turn), np.sin(turn), 0.05 + 0.0 * turn], axis=-1)
+    control = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) * length_m / (points - 1)
+    return Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+
+
+def straight_leg() -> Leg:
+    control = np.outer([0.0, 0.25, 0.5, 1.0], [20_000.0, 0.0, 0.0])
+    return Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+
+
+def zones_along(rng: np.random.Generator, leg: Leg) -> tuple[Zone, ...]:
+    zones: list[Zone] = []
+    for _ in range(rng.integers(1, 5)):
+        at_m = rng.uniform(0.0, leg.subpath.length_m)
+        n, e = leg.subpath.pose(at_m).position_nea_m[:2] + rng.normal(0.0, 900.0, 2)
+        if rng.random() < 0.5:
+            radius_m = rng.uniform(50.0, 800.0)
+            zones.append(CircleZone(name="c", north_m=n, east_m=e, radius_m=radius_m))
+        else:
+            corners = np.array([n, e]) + rng.normal(0.0, 500.0, (5, 2))
+            vertices = tuple((a, b) for a, b in corners.tolist())
+            zones.append(PolygonZone(name="p", vertices_ne_m=vertices))
+    if rng.random() < 0.3:
+        zones.append(CircleZone(name="k", north_m=0.0, east_m=0.0, radius_m=15_000.0, keep_in=True))
+    return tuple(zones)
+
+
+@given(seed=st.integers(0, 10**6), required_m=st.floats(20.0, 600.0))
+def test_the_first_conflict_is_where_dense_samples_first_come_too_near(
+    seed: int, required_m: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    leg = a_leg(rng)
+    zones, from_m = zones_along(rng, leg), rng.uniform(0.0, 0.5) * leg.subpath.length_m
+    found_m = first_conflict_m(leg, from_m, zones, required_m)
+    lengths = np.linspace(from_m, leg.subpath.length_m, 8_001)  # about 2.5 m apart
+    n, e, _ = leg.subpath.points_nea_m(lengths).T
+    gap = np.min([zone.distance_m(n, e) for zone in zones], axis=0)
+    certain = np.flatnonzero(gap < 0.998 * required_m - 0.01)
+    perhaps = np.flatnonzero(gap < required_m + 2.0)
+    if found_m is None:
+        assert not len(certain)
+    else:
+        assert len(perhaps)
+        assert found_m >= lengths[perhaps[0]] - 5.0
+        if len(certain):
+            assert found_m <= lengths[certain[0]] + 1e-6
+
+
+@pytest.mark.parametrize("off", [-1.5, -1.1, 0.0, 1.0])
+def test_a_leg_beside_a_fence_at_just_the_required_distance_is_none(off: float) -> None:
+    edge = 515.0 + off
+    corners = ((-1e4, edge), (3e4, edge), (3e4, 5e3), (-1e4, 5e3))
+    fence = (PolygonZone(name="p", vertices_ne_m=corners),)
+    assert first_conflict_m(straight_leg(), 100.0, fence, 515.0) == (100.0 if off < -1.04 else None)
+
+
+def test_what_is_behind_does_not_matter_and_what_is_around_matters_at_once() -> None:
+    leg = straight_leg()
+    zone = (CircleZone(name="c", north_m=5_000.0, east_m=0.0, radius_m=500.0),)
+    ahead_m = first_conflict_m(leg, 0.0, zone, 100.0)
+    assert ahead_m == pytest.approx(4_400.2, abs=0.5)
+    assert first_conflict_m(leg, 5_000.0, zone, 100.0) == pytest.approx(5_000.0)
+    assert first_conflict_m(leg, 5_600.5, zone, 100.0) is None
+    assert first_conflict_m(leg, 0.0, (), 100.0) is None
+
+
+def test_a_fence_drawn_so_that_the_leg_leads_out_of_it_is_met_before_its_edge() -> None:
+    turn = np.linspace(0.0, 2.0 * math.pi, 300, endpoint=False)
+    ring = zip((9_000.0 * np.cos(turn)).tolist(), (9_000.0 * np.sin(turn)).tolist(), strict=True)
+    fence = (PolygonZone(name="f", vertices_ne_m=tuple(ring), keep_in=True),)
+    found_m = first_conflict_m(straight_leg(), 0.0, fence, 200.0)
+    assert found_m == pytest.approx(8_800.0, abs=1.5)
