@@ -7,6 +7,9 @@ CompanionError
 
 from typing import final
 
+_MOST_SHOWN = 200
+"""Characters of a value: it may be a whole file."""
+
 
 class CompanionError(Exception):
     """What the companion says instead of a traceback."""
@@ -21,7 +24,11 @@ class InputError(CompanionError):
     exit_code = 2
 
     def __init__(self, field: str, value: object, rule: str, remedy: str) -> None:
-        super().__init__(f"{field} = {value!r}: {rule}. {remedy}")
+        shown = repr(value)
+        if len(shown) > _MOST_SHOWN:
+            shown = f"{shown[:_MOST_SHOWN]}..."
+        message = f"{field} = {shown}: {rule}. {remedy}"
+        super().__init__("".join(c if c.isprintable() else " " for c in message))
         self.field = field
 
 
@@ -30,4 +37,4 @@ class FlightFailed(CompanionError):
     """The flight did not reach its target."""
 
     def __init__(self, reason: str, remedy: str) -> None:
-        super().__init__(f"{reason}. {remedy}")
+        super().__init__(f"{reason}. {remedy}" if remedy else reason)

@@ -17,7 +17,7 @@ from companion.optimise.registry import OPTIMISERS
 ENVIRONMENTS = Path(__file__).parents[1] / "companion" / "environments"
 TEXT = (ENVIRONMENTS / "environment-1" / "mission.toml").read_text(encoding="utf-8")
 WORLD_TEXT = (ENVIRONMENTS / "environment-1" / "world.toml").read_text(encoding="utf-8")
-OPTIONAL = {"overlap_m", "tracking_error_m"}  # the keys of TEXT that may be left out
+OPTIONAL = {"autopilot", "overlap_m", "tracking_error_m"}  # the keys of TEXT that may be left out
 
 
 @pytest.fixture(scope="module")
@@ -334,9 +334,9 @@ def test_no_weight_may_be_infinite_none_at_all_or_negative(
         ("climb_angle_deg", "90.0", "less than 90"),
         ("latitude_deg", "86.0", "less than or equal to 85"),
         ("schema", "2", "must be 1"),
-        ("kind", '"plane"', "'copter'"),
-        ("autopilot", '"px4"', "'ardupilot'"),
-        ("action", '"loiter"', "'hold' or 'land'"),
+        ("kind", '"boat"', "'copter' or 'plane'"),
+        ("autopilot", '"betaflight"', "'ardupilot' or 'px4'"),
+        ("action", '"loiter"', "'hold', 'land' or 'return'"),
         ("name", "7", "valid string"),
         ("floor_amsl_m", "-501.0", "greater than or equal to -500"),
     ],
@@ -408,7 +408,8 @@ def test_a_target_in_or_too_near_a_keep_out_is_refused(file: Path, zone: str) ->
     [
         'name = "x"',
         'name = "x"\nnorth_m = 1.0\neast_m = 1.0',
-        'name = "x"\nvertices_m = [[0.0, 0.0], [1.0, 1.0]]',
+        'name = "x"\nnorth_m = 1.0\nvertices_m = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]',
+        'name = "x"\nvertices_deg = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]\nvertices_m = []',
         'name = "x"\nradius_m = 3.0\nvertices_m = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]',
     ],
 )

@@ -1,7 +1,8 @@
-"""The tables of world and mission files, and what is said of one that breaks a rule.
+"""The tables of world files, and what is said of a table that breaks a rule.
 
-Keys carry their SI unit, altitudes their datum; unknown keys are refused with the nearest known
-one named.  A broken rule is one line: field, value, rule, remedy.
+Those of missions are in `mission_schema`.  Keys carry their SI unit, altitudes their datum;
+unknown keys are refused with the nearest known one named.  A broken rule is one line: field,
+value, rule, remedy.
 """
 
 import difflib
@@ -12,16 +13,14 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from companion.elevation import VerticalDatum
 from companion.errors import InputError
-from companion.objective.scene import Weights
-from companion.optimise.registry import OPTIMISERS
+from companion.sources.elevation import VerticalDatum
 
 Positive = Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
-Slope = Annotated[float, Field(gt=0.0, lt=90.0)]
 Horizontal = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Altitude = Annotated[float, Field(ge=-500.0, le=50_000.0, allow_inf_nan=False)]
+Nodata = Literal["sea"] | Altitude
 
 
 class Table(BaseModel):
@@ -46,105 +45,14 @@ class AreaTable(Table):
     east_max_m: Horizontal
 
 
-class BandTable(Table):
-    """The altitudes between which to fly."""
-
-    floor_amsl_m: Altitude
-    ceiling_amsl_m: Altitude
-
-
-class TargetTable(Table):
-    """A place to reach; its altitude is free within the band."""
-
-    north_m: Horizontal
-    east_m: Horizontal
-
-
 class RadarTable(Table):
-    """A radar: known threat in a mission, true one in a world."""
+    """A radar of a world."""
 
     name: str
     north_m: Horizontal
     east_m: Horizontal
     altitude_amsl_m: Altitude
     range_m: Positive
-
-
-class KeepOutTable(Table):
-    """A zone that is never entered: a circle or a polygon."""
-
-    name: str
-    north_m: Horizontal | None = None
-    east_m: Horizontal | None = None
-    radius_m: Positive | None = None
-    vertices_m: list[Annotated[list[Horizontal], Field(min_length=2, max_length=2)]] | None = None
-
-
-class MissionVehicleTable(Table):
-    """What the vehicle can fly, and how it is to be flown."""
-
-    kind: Literal["copter"]
-    autopilot: Literal["ardupilot"]
-    system_id: Annotated[int, Field(ge=1, le=255)] = 1
-    scanner_component_id: Annotated[int, Field(ge=2, le=250)] = 100
-    speed_m_s: Positive
-    acceleration_m_s2: Positive
-    climb_rate_m_s: Positive
-    turn_radius_m: Positive
-    climb_angle_deg: Slope
-    dive_angle_deg: Slope
-    tracking_error_m: Positive = 10.0
-    navigation_error_m: NotNegative = 5.0
-    dead_man_s: NotNegative = 3.5
-    position_rate_hz: Annotated[float, Field(ge=2.0, le=50.0)] = 10.0
-
-
-class WeightsTable(Table):
-    """a_1 .. a_6 of eq. 5."""
-
-    length: NotNegative = Weights().length
-    height: NotNegative = Weights().height
-    guide: NotNegative = Weights().guide
-    crash: NotNegative = Weights().crash
-    radar: NotNegative = Weights().radar
-    constraints: NotNegative = Weights().constraints
-
-
-class PlannerTable(Table):
-    """Distances and times of the online procedure, and the budget of the search."""
-
-    scan_range_m: Positive
-    safety_distance_m: Positive
-    planning_time_s: Positive
-    scan_time_s: Positive = 4.0
-    scan_distance_m: Positive | None = None
-    overlap_m: NotNegative | None = None
-    evaluations: Annotated[int, Field(ge=60, le=200_000)] = 3000
-    profile: Literal["flight", "paper"] = "flight"
-    optimiser: Literal[tuple(OPTIMISERS)] | None = None  # type: ignore[valid-type]
-    weights: WeightsTable = WeightsTable()
-
-
-class EndTable(Table):
-    """What to do at the last target."""
-
-    action: Literal["hold", "land"]
-
-
-class MissionTable(Table):
-    """A mission.toml."""
-
-    schema_: Annotated[Literal[1], Field(alias="schema")]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
-    origin: OriginTable
-    area: AreaTable
-    altitude: BandTable
-    targets: Annotated[list[TargetTable], Field(min_length=1)]
-    vehicle: MissionVehicleTable
-    planner: PlannerTable
-    end: EndTable
-    radars: list[RadarTable] = []
-    keep_outs: list[KeepOutTable] = []
 
 
 class PeakTable(Table):
@@ -171,7 +79,7 @@ class FileTerrainTable(Table):
     file: Annotated[str, Field(min_length=1)]
     """Relative to the world file's folder."""
     vertical_datum: VerticalDatum
-    nodata: Literal["sea"] | Altitude | None = None
+    nodata: Nodata | None = None
     """What lies where the file has no height: the sea, or ground AMSL.  Left out: an error."""
 
 
@@ -179,8 +87,8 @@ class WorldVehicleTable(BaseModel):
     """Of the simulator's vehicle, only where it stands concerns the companion."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
-    north_m: Horizontal
-    east_m: Horizontal
+    north_m: Horizontal = 0.0
+    east_m: Horizontal = 0.0
 
 
 class WorldTable(Table):

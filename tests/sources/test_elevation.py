@@ -15,13 +15,13 @@ from rasterio.transform import Affine
 from scipy.interpolate import RegularGridInterpolator
 
 from companion.config import load_world
-from companion.elevation import read_terrain
 from companion.errors import InputError
 from companion.geodesy import LocalFrame
+from companion.sources.elevation import read_terrain
 from companion.world.terrain import GridTerrain
 from vehicle_sim.world import read_world
 
-VALLEY = Path(__file__).parents[1] / "companion" / "environments" / "valley"
+VALLEY = Path(__file__).parents[2] / "companion" / "environments" / "valley"
 FRAME = LocalFrame(latitude_deg=46.5, longitude_deg=8.5)
 AREA = ((-2_000.0, 3_000.0), (-4_000.0, 1_500.0))
 STEP = 1 / 1200

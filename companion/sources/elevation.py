@@ -1,29 +1,39 @@
-"""Elevation files: GeoTIFF and SRTM .hgt, read where a world needs them and checked.
+"""Elevation files: GeoTIFF and SRTM .hgt, read where a world or a mission needs them, and checked.
 
-The only module that imports rasterio, and only when a world names a file.  It opens just these two
+The only module that imports rasterio, and only when a file is named.  It opens just these two
 formats and existing files: GDAL would follow a name to the network otherwise.
 """
 
+import contextlib
 import importlib
 import math
 import types
 import warnings
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, final, get_args
 
 import numpy as np
 import numpy.typing as npt
 import pyproj
 
 from companion.errors import InputError
-from companion.geodesy import LocalFrame
+from companion.geodesy import FloatArray, LocalFrame
+from companion.sources.files import answer
+from companion.world.known_map import KnownMap
+from companion.world.simulated_scan import Truth
 from companion.world.terrain import GridTerrain
 
 VerticalDatum = Literal["AMSL", "EGM84", "EGM96", "EGM2008", "NAVD88", "NGVD29", "EVRF"]
 """Datums of heights above mean sea level, give or take what a mission allows for."""
 Nodata = Literal["sea"] | float | None
 
+Span = tuple[int, int]
+"""From and to of rows or columns."""
+
 _MOST_CELLS = 2.5e8
+_STRIP_CELLS = 1 << 17
 _COARSEST_M = 500.0
 _DEG_M = 111_320.0
 _LOWEST_M, _HIGHEST_M = -500.0, 9_000.0
@@ -46,8 +56,66 @@ def read_terrain(
     file) if the file cannot be read, is not in latitude and longitude (WGS84 or alike), is not in
     metres, does not cover the area, has holes that nodata does not fill, or names another datum.
     """
+    with _opened(path, vertical_datum, field) as source:
+        reached = _reached(source, frame, area_m)
+        _check_covered(source, reached, field, path)
+        rows, columns = reached.rows, reached.columns
+        heights, empty = _read(source, rows, columns)
+        transform = source.transform
+    return _grid(_filled(heights, empty, nodata, field, path), rows, columns, transform, frame)
+
+
+def read_known_map(
+    path: Path,
+    frame: LocalFrame,
+    blank: KnownMap,
+    *,
+    vertical_datum: VerticalDatum,
+    nodata: Nodata,
+    datum_error_m: float,
+    may_be_scanned: bool,
+    field: str,
+) -> KnownMap:
+    """What an elevation file tells in advance about the cells of a blank map.
+
+    Each cell gets the highest terrain in it, plus datum_error_m.  It counts as seen, so that
+    nothing looks at it again, unless it may_be_scanned: a scan replaces what the file says.
+    Cells where the file has no height stay unknown, unless nodata fills them.
+
+    Raises InputError naming the field as `read_terrain` does; a file that covers a part of the map
+    will do, one that covers none of it will not.
+    """
+    rows, columns = blank.upper_m.shape
+    north_m = blank.north_min_m, blank.north_min_m + rows * blank.cell_m
+    east_m = blank.east_min_m, blank.east_min_m + columns * blank.cell_m
+    with _opened(path, vertical_datum, field) as source:
+        reached = _reached(source, frame, (north_m, east_m))
+        _check_size(reached, field, path)
+        window = reached.rows, reached.columns
+        heights, empty, beyond = _read_where_it_is(source, *window)
+        transform = source.transform
+    if empty.all():
+        rule = "it has no height anywhere on the map"
+        raise InputError(field, str(path), rule, "Name the file of this place.")
+    if nodata is not None:
+        heights, empty = _filled(heights, empty & ~beyond, nodata, field, path), beyond
+    heights[empty] = max(_LOWEST_M, _least_of(heights.dtype))
+    _check_heights(heights, field, path)
+    terrain = _grid(heights, *window, transform, frame)
+    upper = _highest_m(terrain, blank) + datum_error_m
+    if empty.any():
+        holes = _grid(empty.astype(np.uint8), *window, transform, frame)
+        upper[_highest_m(holes, blank) > 0.0] = np.inf
+    known = np.isfinite(upper)
+    seen = np.zeros_like(known) if may_be_scanned else known
+    return replace(blank, upper_m=upper, seen=seen, given=known)
+
+
+@contextlib.contextmanager
+def _opened(path: Path, vertical_datum: str, field: str) -> Iterator[Any]:
+    """An elevation file that has been checked."""
     rasterio = _rasterio(field, path)
-    if not path.is_file():
+    if not answer(path.is_file):
         raise InputError(field, str(path), "no such file", "Name a GeoTIFF or an SRTM .hgt file.")
     try:
         with warnings.catch_warnings():
@@ -56,14 +124,59 @@ def read_terrain(
             source = rasterio.open(path, driver=driver)
         with source:
             _check_coordinates(source, field, path, vertical_datum)
-            rows, columns = _window(source, frame, area_m, field, path)
-            heights = source.read(1, window=(rows, columns))
-            empty = _holes(heights, source.read_masks(1, window=(rows, columns)))
-            transform = source.transform
+            yield source
     except rasterio.errors.RasterioError as error:
         rule = f"it cannot be read ({' '.join(str(error).split())})"
         raise InputError(field, str(path), rule, "Name a GeoTIFF or an SRTM .hgt file.") from None
-    heights = _filled(heights, empty, nodata, field, path)
+
+
+def _read(source: Any, rows: Span, columns: Span) -> tuple[npt.NDArray[Any], npt.NDArray[np.bool_]]:
+    """Heights of a window, and where there are none."""
+    heights = source.read(1, window=(rows, columns))
+    return heights, _holes(heights, source.read_masks(1, window=(rows, columns)))
+
+
+def _read_where_it_is(
+    source: Any, rows: Span, columns: Span
+) -> tuple[npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Heights of a window, where there are none, and what of the window lies beyond the file."""
+    shape = rows[1] - rows[0], columns[1] - columns[0]
+    empty, beyond = np.ones(shape, dtype=bool), np.ones(shape, dtype=bool)
+    heights = np.zeros(shape, dtype=source.dtypes[0])
+    inside = [
+        (max(first, 0), min(last, size))
+        for (first, last), size in zip((rows, columns), source.shape, strict=True)
+    ]
+    if all(first < last for first, last in inside):
+        there = tuple(
+            slice(first - start, last - start)
+            for (first, last), (start, _) in zip(inside, (rows, columns), strict=True)
+        )
+        heights[there], empty[there] = _read(source, inside[0], inside[1])
+        beyond[there] = False
+    return heights, empty, beyond
+
+
+def _highest_m(terrain: GridTerrain, blank: KnownMap) -> FloatArray:
+    """The highest of each cell of a map, in strips: a big map would not fit into memory at once."""
+    truth = Truth.of(terrain, blank)
+    rows, columns = truth.shape
+    strip = max(_STRIP_CELLS // columns, 1)
+    result = np.empty(truth.shape)
+    for first in range(0, rows, strip):
+        part = slice(first, min(first + strip, rows))
+        result[part] = truth.part(part, slice(0, columns)).upper_m
+    return result
+
+
+def _least_of(kind: np.dtype[Any]) -> float:
+    return float(np.iinfo(kind).min if kind.kind in "iu" else np.finfo(kind).min)
+
+
+def _grid(
+    heights: npt.NDArray[Any], rows: Span, columns: Span, transform: Any, frame: LocalFrame
+) -> GridTerrain:
+    """The terrain of a window of a file, whose rows run from north to south."""
     return GridTerrain(
         frame=frame,
         heights_m=heights[::-1],
@@ -123,25 +236,40 @@ def _same_datum(name: str, vertical_datum: str) -> bool:
     return vertical_datum in (known or [vertical_datum]) and "ELLIPSOID" not in short
 
 
-def _window(
-    source: Any,
-    frame: LocalFrame,
-    area_m: tuple[tuple[float, float], tuple[float, float]],
-    field: str,
-    path: Path,
-) -> tuple[tuple[int, int], tuple[int, int]]:
-    """The rows and columns (from, to) whose middles enclose the area."""
+@final
+class _Reached(NamedTuple):
+    """What an area needs of a file: rows and columns (from, to) whose middles enclose it."""
+
+    rows: Span
+    columns: Span
+    latitude: tuple[float, float]
+    """Lowest and highest of the area's outline, degrees."""
+    longitude: tuple[float, float]
+
+
+def _reached(
+    source: Any, frame: LocalFrame, area_m: tuple[tuple[float, float], tuple[float, float]]
+) -> _Reached:
     (south, north), (west, east) = area_m
     north_m = np.linspace(south, north, _BORDER_POINTS)
     east_m = np.linspace(west, east, _BORDER_POINTS)
     border = np.meshgrid(north_m, east_m, indexing="ij")  # and the inside: no matter
     latitude, longitude = frame.to_geodetic_many_deg(*border)
-    transform, (height, width) = source.transform, source.shape
+    transform, width = source.transform, source.width
     row = (latitude - transform.f) / transform.e - 0.5
     middle = transform.c + 0.5 * width * transform.a
     column = ((longitude - middle + 180.0) % 360.0 - 180.0) / transform.a + 0.5 * width - 0.5
-    rows = math.floor(row.min() - 0.01), math.ceil(row.max() + 0.01) + 1
-    columns = math.floor(column.min() - 0.01), math.ceil(column.max() + 0.01) + 1
+    return _Reached(
+        rows=(math.floor(row.min() - 0.01), math.ceil(row.max() + 0.01) + 1),
+        columns=(math.floor(column.min() - 0.01), math.ceil(column.max() + 0.01) + 1),
+        latitude=(float(latitude.min()), float(latitude.max())),
+        longitude=(float(longitude.min()), float(longitude.max())),
+    )
+
+
+def _check_covered(source: Any, reached: _Reached, field: str, path: Path) -> None:
+    transform, (height, width) = source.transform, source.shape
+    rows, columns = reached.rows, reached.columns
     if rows[0] < 0 or columns[0] < 0 or rows[1] > height or columns[1] > width:
         rule = "[area] reaches beyond the middles of its outer cells, " + _reach(
             transform.f + (height - 0.5) * transform.e,
@@ -149,12 +277,16 @@ def _window(
             transform.c + 0.5 * transform.a,
             transform.c + (width - 0.5) * transform.a,
         )
-        rule += ": to " + _reach(latitude.min(), latitude.max(), longitude.min(), longitude.max())
+        rule += f": to {_reach(*reached.latitude, *reached.longitude)}"
         raise InputError(field, str(path), rule, "Make [area] smaller, or name another file.")
+    _check_size(reached, field, path)
+
+
+def _check_size(reached: _Reached, field: str, path: Path) -> None:
+    rows, columns = reached.rows, reached.columns
     if (rows[1] - rows[0]) * (columns[1] - columns[0]) > _MOST_CELLS:
         rule = f"[area] takes more than {_MOST_CELLS:.1e} of its cells"
         raise InputError(field, str(path), rule, "Make [area] smaller.")
-    return rows, columns
 
 
 def _reach(south: float, north: float, west: float, east: float) -> str:
@@ -187,8 +319,12 @@ def _filled(
         ):
             kind = np.dtype(np.float32)
         heights = np.where(empty, fill, heights).astype(kind)
+    _check_heights(heights, field, path)
+    return heights
+
+
+def _check_heights(heights: npt.NDArray[Any], field: str, path: Path) -> None:
     low, high = float(heights.min()), float(heights.max())
     if low < _LOWEST_M or high > _HIGHEST_M:
         rule = f"its heights run from {low:g} to {high:g} m, which is not this earth"
         raise InputError(field, str(path), rule, "Name a file of elevations in metres.")
-    return heights

@@ -1,0 +1,1 @@
+"""Missions and worlds from where users have them: TOML, .plan, GeoJSON, elevation."""

@@ -1,0 +1,128 @@
+"""Text files as users have them: read, or refused in one line."""
+
+import json
+import re
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from companion.errors import InputError
+
+RawTable = dict[str, Any]
+"""A table as its file has it: nothing in it has been checked."""
+
+_MOST_BYTES = 64_000_000
+
+
+def read_text(path: Path, field: str, remedy: str) -> str:
+    """The text of a file.  Raises InputError about the field if there is none to be read."""
+    if not answer(path.is_file):
+        rule = "it is a folder" if answer(path.is_dir) else "no such file"
+        raise InputError(field, str(path), rule, remedy)
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            rule = f"it is larger than {_MOST_BYTES / 1e6:g} MB"
+            raise InputError(field, str(path), rule, remedy)
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(field, str(path), f"it cannot be read ({error})", remedy) from error
+
+
+def answer(question: Callable[[], bool]) -> bool:
+    """The answer, no for a name that the file system does not take."""
+    try:
+        return question()
+    except (OSError, ValueError):
+        return False
+
+
+def toml_table(text: str, where: str) -> RawTable:
+    """The table of a TOML text.  Raises InputError about the file."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        rule = f"not TOML: {_one_line(error)}"
+        raise InputError("file", where, rule, "Mend that place; see docs/files.md.") from error
+    except (RecursionError, ValueError) as error:  # brackets in brackets, numbers without end
+        rule = f"not TOML that anybody writes ({_one_line(error)})"
+        raise InputError("file", where, rule, "Mend it; see docs/files.md.") from None
+
+
+def json_table(path: Path, field: str, remedy: str) -> RawTable:
+    """The object in a JSON file.  Raises InputError about the field."""
+    text = read_text(path, field, remedy)
+    try:
+        found = json.loads(text, parse_constant=_no_number)
+    except (RecursionError, ValueError) as error:
+        raise InputError(field, str(path), f"not JSON: {_one_line(error)}", remedy) from None
+    if not isinstance(found, dict):
+        raise InputError(field, str(path), "it holds no JSON object", remedy)
+    return found
+
+
+def plain(text: object, default: str, most: int = 60) -> str:
+    """A name out of a file, made fit to be shown: one line, not too long, nothing unprintable."""
+    if not isinstance(text, str):
+        return default
+    shown = "".join(c if c.isprintable() else " " for c in text)
+    return " ".join(shown.split())[:most] or default
+
+
+def toml_text(table: RawTable) -> str:
+    """A table of strings, numbers, truths, lists and tables as TOML."""
+    return "\n".join(_lines(table, ())) + "\n"
+
+
+def _lines(table: RawTable, path: tuple[str, ...]) -> list[str]:
+    tables = {k: v for k, v in table.items() if isinstance(v, dict)}
+    arrays = {k: v for k, v in table.items() if _is_array_of_tables(v)}
+    lines = [
+        f"{_key(k)} = {_value(v)}"
+        for k, v in table.items()
+        if k not in tables and k not in arrays and v is not None
+    ]
+    for key, inner in tables.items():
+        inside = (*path, _key(key))
+        lines += ["", f"[{'.'.join(inside)}]", *_lines(inner, inside)]
+    for key, rows in arrays.items():
+        inside = (*path, _key(key))
+        for row in rows:
+            lines += ["", f"[[{'.'.join(inside)}]]", *_lines(row, inside)]
+    return lines
+
+
+def _is_array_of_tables(value: object) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(v, dict) for v in value)
+
+
+def _key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _string(key)
+
+
+def _value(value: object) -> str:
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return _string(value)
+        case list() | tuple():
+            return f"[{', '.join(_value(each) for each in value)}]"
+        case dict():
+            pairs = (f"{_key(k)} = {_value(v)}" for k, v in value.items())
+            return f"{{{', '.join(pairs)}}}"
+        case _:
+            return str(value)
+
+
+def _string(text: str) -> str:
+    fit = text.encode("utf-8", "replace").decode()  # half a surrogate is no character
+    return json.dumps(fit, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _no_number(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number")
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

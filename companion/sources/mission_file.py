@@ -1,0 +1,337 @@
+"""What the tables of a mission file mean: a `Mission`, or the rule that it breaks.
+
+A mission may name a .plan, a GeoJSON file and an elevation file.  The first two are taken into the
+table itself (`complete`), so that a run folder holds all that was flown.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from companion.errors import InputError
+from companion.geodesy import LocalFrame, wrap_rad
+from companion.mission.mission import EndAction, Fallback, Mission
+from companion.objective.scene import PROFILES, Weights
+from companion.path.limits import Limits
+from companion.planner.rules import check_target, check_task
+from companion.planner.settings import PlannerSettings, Task
+from companion.sources.assumed import with_plan
+from companion.sources.elevation import read_known_map
+from companion.sources.files import RawTable, plain
+from companion.sources.geojson import read_geojson
+from companion.sources.mission_schema import KnownTerrainTable, MissionTable, MissionVehicleTable
+from companion.sources.places import Place, place_of, radar_of, zones_of
+from companion.sources.plan_file import read_plan
+from companion.world.known_map import KnownMap, empty_map
+
+_DATUM_ERROR_M = 5.0
+"""Of an elevation file that says nothing of it."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionFile:
+    """A mission file with what the files that it names hold."""
+
+    table: RawTable
+    notes: tuple[str, ...]
+    """What was assumed and what was left out, for people."""
+    is_whole: bool
+    """Whether it was so from the beginning: it names no other file."""
+
+
+def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
+    """Take into a table what other files hold that it names.  Raises InputError about them."""
+    notes: list[str] = []
+    names = [key for key in ("plan", "threats") if isinstance(table.get(key), str)]
+    terrain = table.get("terrain")
+    if isinstance(table.get("plan"), str):
+        table, notes = _with_plan(table, folder, where)
+    if isinstance(table.get("threats"), str):
+        threats = read_geojson(folder / table["threats"], f"{where}: threats")
+        notes += threats.notes
+        table = {key: value for key, value in table.items() if key != "threats"}
+        for key in ("keep_outs", "keep_ins", "radars"):
+            found = getattr(threats, key)
+            if found and isinstance(table.get(key, []), list):
+                table[key] = [*table.get(key, []), *found]
+    if isinstance(terrain, dict) and isinstance(terrain.get("file"), str):
+        names.append("terrain")
+        table = table | {"terrain": terrain | {"file": str(_absolute(folder / terrain["file"]))}}
+    return MissionFile(table=table, notes=tuple(notes), is_whole=not names)
+
+
+def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, list[str]]:
+    plan = read_plan(folder / table["plan"], f"{where}: plan")
+    if plan.targets and "targets" in table:
+        rule = f"{plan.name} has waypoints too"
+        raise InputError(f"{where}: targets", len(plan.targets), rule, "Remove one of them.")
+    name = plain("".join(c if c.isalnum() and c.isascii() else " " for c in Path(where).stem), "")
+    given = {key: value for key, value in table.items() if key != "plan"}
+    complete_table, notes = with_plan(given, plan, name or "plan")
+    from_vehicle = given.get("from_vehicle")
+    elsewhere = isinstance(from_vehicle, dict) and from_vehicle.get("targets") is True
+    if not complete_table.get("targets") and not elsewhere:
+        rule = "it has no waypoints"
+        raise InputError(f"{where}: plan", plan.name, rule, "Add a waypoint in QGroundControl.")
+    return complete_table, notes
+
+
+def _absolute(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError):  # refused when it is opened
+        return path
+
+
+def mission_of(
+    model: MissionTable, profile: str | None, where: str, notes: tuple[str, ...] = ()
+) -> Mission:
+    """The mission that a checked table means; profile overrides the table's.
+
+    Raises InputError for the first rule between fields that is broken.
+    """
+    _check_kind(model, where)
+    vehicle, link = model.vehicle, model.link
+    frame = LocalFrame(
+        latitude_deg=model.origin.latitude_deg, longitude_deg=model.origin.longitude_deg
+    )
+    task = Task(
+        limits=_limits(model),
+        settings=_settings(model, profile),
+        radars=tuple(
+            radar_of(radar, frame, f"{where}: radars[{index}]")
+            for index, radar in enumerate(model.radars)
+        ),
+    )
+    check_task(task, f"{where}: ")
+    zones, far = zones_of(model, task, frame, where)
+    task = replace(task, zones=zones)
+    targets = _targets(model, task, frame, where)
+    known = _known_map(model, task, frame, where)
+    defaults = (
+        {} if link.commanders is None else {"commanders": _commanders(link.commanders, where)}
+    )
+    return Mission(
+        name=model.name,
+        frame=frame,
+        targets_ne_m=targets,
+        task=task,
+        end_action=EndAction(model.end.action),
+        system_id=vehicle.system_id,
+        autopilot=vehicle.autopilot,
+        kind=vehicle.kind,
+        scanner_component_id=_scanner_id(vehicle),
+        position_rate_hz=vehicle.position_rate_hz,
+        yaw_rad=None if vehicle.yaw_deg is None else wrap_rad(math.radians(vehicle.yaw_deg)),
+        fallback=Fallback(model.fallback.action),
+        attempts=model.fallback.attempts,
+        known=known,
+        reserve=model.battery.reserve_percent / 100.0,
+        endurance_s=model.battery.endurance_s,
+        targets_from_vehicle=model.from_vehicle.targets,
+        fence_from_vehicle=model.from_vehicle.fence,
+        sets_parameters=link.sets_parameters,
+        sends_obstacles=link.obstacle_distance,
+        rally_ne_m=tuple(
+            place_of(point, frame, f"{where}: rally_points[{index}]")
+            for index, point in enumerate(model.rally_points)
+        ),
+        notes=tuple(note for note in (*notes, far, _about_terrain(model)) if note),
+        **defaults,
+    )
+
+
+# --- rules between fields
+
+
+def _check_kind(model: MissionTable, where: str) -> None:
+    """What only copters, or only planes, can do, and what a vehicle has."""
+    vehicle, field = model.vehicle, f"{where}: vehicle"
+    if not vehicle.scanner and vehicle.scanner_component_id is not None:
+        rule = "scanner = false says that there is no terrain radar"
+        value = vehicle.scanner_component_id
+        raise InputError(f"{field}.scanner_component_id", value, rule, "Remove one of them.")
+    if vehicle.kind == "copter":
+        if vehicle.loiter_radius_m is not None:
+            rule = "a copter stops where it holds: it needs no circle"
+            raise InputError(
+                f"{field}.loiter_radius_m", vehicle.loiter_radius_m, rule, "Remove it."
+            )
+        return
+    if vehicle.loiter_radius_m is None:
+        rule = "it is missing: a plane cannot stop, it holds on circles"
+        remedy = "Add loiter_radius_m, as the autopilot has it (WP_LOITER_RAD, NAV_LOITER_RAD)."
+        raise InputError(f"{field}.loiter_radius_m", None, rule, remedy)
+    if vehicle.yaw_deg is not None:
+        rule = "a plane's nose points where it flies"
+        raise InputError(f"{field}.yaw_deg", vehicle.yaw_deg, rule, "Remove it.")
+    ends = {"end.action": model.end.action, "fallback.action": model.fallback.action}
+    for key, action in ends.items():
+        if action == "land" and vehicle.autopilot == "ardupilot":
+            rule = "ArduPlane cannot be told to land where it is"
+            raise InputError(f"{where}: {key}", action, rule, 'Write "hold" or "return".')
+
+
+def _scanner_id(vehicle: MissionVehicleTable) -> int | None:
+    if not vehicle.scanner:
+        return None
+    return 100 if vehicle.scanner_component_id is None else vehicle.scanner_component_id
+
+
+def _targets(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> tuple[Place, ...]:
+    if model.from_vehicle.targets:
+        if model.targets is not None:
+            rule = "the targets come from the vehicle (from_vehicle.targets)"
+            raise InputError(f"{where}: targets", len(model.targets), rule, "Remove one of them.")
+        return ()
+    if model.targets is None:
+        remedy = "Add [[targets]], or from_vehicle.targets = true; see docs/files.md."
+        raise InputError(f"{where}: targets", None, "it is missing", remedy)
+    found = []
+    for index, target in enumerate(model.targets):
+        field = f"{where}: targets[{index}]" + (f" ({target.name})" if target.name else "")
+        place = place_of(target, frame, field)
+        check_target(task, place, field)
+        found.append(place)
+    return tuple(found)
+
+
+def _commanders(texts: list[str], where: str) -> tuple[tuple[int, int], ...]:
+    found = []
+    for index, text in enumerate(texts):
+        system, component = (int(part) for part in text.split("/"))
+        if not 1 <= system <= 255 or component > 255:
+            rule = 'it must be "SYSTEM/COMPONENT", 1 to 255 and 0 (any) to 255'
+            remedy = 'Write "255/0" for the usual ground station.'
+            raise InputError(f"{where}: link.commanders[{index}]", text, rule, remedy)
+        found.append((system, component))
+    return tuple(found)
+
+
+# --- numbers
+
+
+def _limits(model: MissionTable) -> Limits:
+    vehicle, area, band = model.vehicle, model.area, model.altitude
+    return Limits(
+        speed_m_s=vehicle.speed_m_s,
+        acceleration_m_s2=vehicle.acceleration_m_s2,
+        climb_rate_m_s=vehicle.climb_rate_m_s,
+        turn_radius_m=vehicle.turn_radius_m,
+        climb_angle_rad=math.radians(vehicle.climb_angle_deg),
+        dive_angle_rad=math.radians(vehicle.dive_angle_deg),
+        floor_amsl_m=band.floor_amsl_m,
+        ceiling_amsl_m=band.ceiling_amsl_m,
+        north_m=(area.north_min_m, area.north_max_m),
+        east_m=(area.east_min_m, area.east_max_m),
+        tracking_error_m=vehicle.tracking_error_m,
+        navigation_error_m=vehicle.navigation_error_m,
+        dead_man_s=vehicle.dead_man_s,
+        loiter_radius_m=vehicle.loiter_radius_m or 0.0,
+    )
+
+
+def _settings(model: MissionTable, profile: str | None) -> PlannerSettings:
+    planner = model.planner
+    return PlannerSettings(
+        scan_range_m=planner.scan_range_m,
+        safety_distance_m=planner.safety_distance_m,
+        planning_time_s=planner.planning_time_s,
+        scan_time_s=planner.scan_time_s,
+        scan_distance_m=planner.scan_distance_m,
+        position_period_s=1.0 / model.vehicle.position_rate_hz,
+        overlap_m=0.1 * planner.scan_range_m if planner.overlap_m is None else planner.overlap_m,
+        evaluations=planner.evaluations,
+        profile=PROFILES[profile or planner.profile],
+        optimiser=planner.optimiser,
+        weights=replace(Weights(), **dict(planner.weights)),
+    )
+
+
+def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> KnownMap | None:
+    """The terrain known in advance, on the lattice of the mission's map."""
+    table = model.terrain
+    if table is None:
+        if not model.vehicle.scanner:
+            rule = "without a terrain radar nothing is known of the ground"
+            remedy = (
+                "Add [terrain] with an elevation file or highest_amsl_m, or remove scanner = false."
+            )
+            raise InputError(f"{where}: vehicle.scanner", False, rule, remedy)
+        return None
+    _check_terrain(table, where)
+    blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
+    if table.highest_amsl_m is not None:
+        if not model.vehicle.scanner:
+            _check_floor(task, table.highest_amsl_m, where)
+        return _level(blank, table.highest_amsl_m, may_be_scanned=model.vehicle.scanner)
+    assert table.file is not None
+    assert table.vertical_datum is not None
+    return read_known_map(
+        Path(table.file),
+        frame,
+        blank,
+        vertical_datum=table.vertical_datum,
+        nodata=table.nodata,
+        datum_error_m=_DATUM_ERROR_M if table.datum_error_m is None else table.datum_error_m,
+        may_be_scanned=model.vehicle.scanner,
+        field=f"{where}: terrain.file",
+    )
+
+
+def _check_terrain(table: KnownTerrainTable, where: str) -> None:
+    """An elevation file and what its heights mean, or one height and nothing else."""
+    field = f"{where}: terrain"
+    if table.highest_amsl_m is None:
+        for key, needed in {"file": table.file, "vertical_datum": table.vertical_datum}.items():
+            if needed is None:
+                remedy = f"Add {key}, or give highest_amsl_m alone; see docs/files.md."
+                raise InputError(f"{field}.{key}", None, "it is missing", remedy)
+        return
+    of_files = {
+        "file": table.file,
+        "vertical_datum": table.vertical_datum,
+        "nodata": table.nodata,
+        "datum_error_m": table.datum_error_m,
+    }
+    for key, value in of_files.items():
+        if value is not None:
+            rule = "highest_amsl_m speaks of all of the map, and of no file"
+            raise InputError(f"{field}.{key}", value, rule, "Remove one of them.")
+
+
+def _check_floor(task: Task, highest_amsl_m: float, where: str) -> None:
+    """Nothing will be scanned, so the lowest path must be clear of the ground as it is stated."""
+    lowest_m, _ = task.band_amsl_m
+    inset_m = lowest_m - task.limits.floor_amsl_m
+    least_m = highest_amsl_m + task.search_clearance_m - inset_m
+    if task.limits.floor_amsl_m < least_m:
+        rule = (
+            f"the ground reaches terrain.highest_amsl_m = {highest_amsl_m:g}, and no path lies "
+            f"nearer to it than d_s and the vehicle's errors"
+        )
+        remedy = f"Raise it to {math.ceil(least_m)}, or lower planner.safety_distance_m."
+        floor_m = task.limits.floor_amsl_m
+        raise InputError(f"{where}: altitude.floor_amsl_m", floor_m, rule, remedy)
+
+
+def _about_terrain(model: MissionTable) -> str:
+    """What a person should be told once more before it is flown by."""
+    if model.terrain is None or model.terrain.highest_amsl_m is None:
+        return ""
+    return f"the ground is taken to be nowhere higher than {model.terrain.highest_amsl_m:g} m AMSL"
+
+
+def _level(blank: KnownMap, highest_amsl_m: float, *, may_be_scanned: bool) -> KnownMap:
+    """A map of ground that is nowhere higher; a radar, if there is one, may see it lower."""
+    shape = blank.upper_m.shape
+    return replace(
+        blank,
+        upper_m=np.full(shape, highest_amsl_m),
+        seen=np.full(shape, not may_be_scanned),
+        given=np.ones(shape, dtype=bool),
+    )

@@ -1,0 +1,188 @@
+"""The tables of mission files.  What they mean together is `mission_file`'s part."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from companion.mission.mission import EndAction, Fallback
+from companion.objective.scene import Weights
+from companion.optimise.registry import OPTIMISERS
+from companion.sources.elevation import VerticalDatum
+from companion.sources.schema import (
+    Altitude,
+    AreaTable,
+    Horizontal,
+    Nodata,
+    NotNegative,
+    OriginTable,
+    Positive,
+    Table,
+)
+
+Slope = Annotated[float, Field(gt=0.0, lt=90.0)]
+Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
+Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
+Name = Annotated[str, Field(min_length=1, max_length=100)]
+FileName = Annotated[str, Field(min_length=1, max_length=1000)]
+Sender = Annotated[str, Field(pattern=r"^\d{1,3}/\d{1,3}$")]
+
+
+class BandTable(Table):
+    """The altitudes between which to fly."""
+
+    floor_amsl_m: Altitude
+    ceiling_amsl_m: Altitude
+
+
+class PlaceTable(Table):
+    """A place: north and east of the origin, or latitude and longitude."""
+
+    north_m: Horizontal | None = None
+    east_m: Horizontal | None = None
+    latitude_deg: Latitude | None = None
+    longitude_deg: Longitude | None = None
+
+
+class TargetTable(PlaceTable):
+    """A place to reach; its altitude is free within the band."""
+
+    name: Name | None = None
+
+
+class MissionRadarTable(PlaceTable):
+    """A known radar."""
+
+    name: str
+    altitude_amsl_m: Altitude
+    range_m: Positive
+
+
+class ZoneTable(PlaceTable):
+    """A zone that is never entered, or never left: a circle or a polygon."""
+
+    name: str
+    radius_m: Positive | None = None
+    vertices_m: list[Annotated[list[Horizontal], Field(min_length=2, max_length=2)]] | None = None
+    vertices_deg: list[Annotated[list[Longitude], Field(min_length=2, max_length=2)]] | None = None
+    """Latitude, longitude of each corner."""
+
+
+class MissionVehicleTable(Table):
+    """What the vehicle can fly, and how it is to be flown."""
+
+    kind: Literal["copter", "plane"]
+    autopilot: Literal["ardupilot", "px4"] | None = None
+    system_id: Annotated[int, Field(ge=1, le=255)] | None = None
+    scanner: bool = True
+    scanner_component_id: Annotated[int, Field(ge=2, le=250)] | None = None
+    speed_m_s: Positive
+    acceleration_m_s2: Positive
+    climb_rate_m_s: Positive
+    turn_radius_m: Positive
+    loiter_radius_m: Positive | None = None
+    climb_angle_deg: Slope
+    dive_angle_deg: Slope
+    tracking_error_m: Positive = 10.0
+    navigation_error_m: NotNegative = 5.0
+    dead_man_s: NotNegative = 3.5
+    position_rate_hz: Annotated[float, Field(ge=2.0, le=200.0)] = 10.0
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
+
+
+class WeightsTable(Table):
+    """a_1 .. a_6 of eq. 5."""
+
+    length: NotNegative = Weights().length
+    height: NotNegative = Weights().height
+    guide: NotNegative = Weights().guide
+    crash: NotNegative = Weights().crash
+    radar: NotNegative = Weights().radar
+    constraints: NotNegative = Weights().constraints
+
+
+class PlannerTable(Table):
+    """Distances and times of the online procedure, and the budget of the search."""
+
+    scan_range_m: Positive
+    safety_distance_m: Positive
+    planning_time_s: Positive
+    scan_time_s: Positive = 4.0
+    scan_distance_m: Positive | None = None
+    overlap_m: NotNegative | None = None
+    evaluations: Annotated[int, Field(ge=60, le=200_000)] = 3000
+    profile: Literal["flight", "paper"] = "flight"
+    optimiser: Literal[tuple(OPTIMISERS)] | None = None  # type: ignore[valid-type]
+    weights: WeightsTable = WeightsTable()
+
+
+class EndTable(Table):
+    """What to do at the last target."""
+
+    action: Literal[tuple(action.value for action in EndAction)]  # type: ignore[valid-type]
+
+
+class FallbackTable(Table):
+    """What to do when no way on is found, or the battery will not last."""
+
+    action: Literal[tuple(action.value for action in Fallback)] = "hold"  # type: ignore[valid-type]
+    attempts: Annotated[int, Field(ge=1, le=100)] = 4
+
+
+class BatteryTable(Table):
+    """What must be left, and how long a full one lasts."""
+
+    reserve_percent: Annotated[float, Field(ge=0.0, lt=100.0)] = 20.0
+    endurance_s: Positive | None = None
+
+
+class LinkTable(Table):
+    """Who may command the companion, and what it may say to the autopilot."""
+
+    commanders: list[Sender] | None = None
+    sets_parameters: bool = True
+    obstacle_distance: bool = False
+
+
+class FromVehicleTable(Table):
+    """What is taken from the vehicle's own mission and fence."""
+
+    targets: bool = False
+    fence: bool = True
+
+
+class KnownTerrainTable(Table):
+    """Terrain known in advance: from an elevation file, or one statement about all of the map."""
+
+    highest_amsl_m: Altitude | None = None
+    """The ground is nowhere higher than this."""
+    file: FileName | None = None
+    """Relative to the mission's folder."""
+    vertical_datum: VerticalDatum | None = None
+    nodata: Nodata | None = None
+    """What lies where the file has no height.  Left out: unknown until it has been scanned."""
+    datum_error_m: NotNegative | None = None
+
+
+class MissionTable(Table):
+    """A mission.toml, with what other files that it names hold."""
+
+    schema_: Annotated[Literal[1], Field(alias="schema")]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")]
+    plan: FileName | None = None
+    threats: FileName | None = None
+    origin: OriginTable
+    area: AreaTable
+    altitude: BandTable
+    targets: Annotated[list[TargetTable], Field(min_length=1)] | None = None
+    vehicle: MissionVehicleTable
+    planner: PlannerTable
+    end: EndTable
+    fallback: FallbackTable = FallbackTable()
+    battery: BatteryTable = BatteryTable()
+    link: LinkTable = LinkTable()
+    from_vehicle: FromVehicleTable = FromVehicleTable()
+    terrain: KnownTerrainTable | None = None
+    radars: list[MissionRadarTable] = Field(default_factory=list)
+    keep_outs: list[ZoneTable] = Field(default_factory=list)
+    keep_ins: list[ZoneTable] = Field(default_factory=list)
+    rally_points: list[PlaceTable] = Field(default_factory=list)

@@ -1,0 +1,180 @@
+"""Places, zones and radars of a mission file, in its local frame.
+
+They are given in metres from the origin, or in degrees.
+"""
+
+import math
+
+from companion.errors import InputError
+from companion.geodesy import LocalFrame
+from companion.planner.rules import check_polygon
+from companion.planner.settings import Task
+from companion.sources.mission_schema import MissionRadarTable, MissionTable, PlaceTable, ZoneTable
+from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
+
+Place = tuple[float, float]
+"""North, east, metres; or latitude, longitude, degrees."""
+
+_FARTHEST_M = 1e6
+"""From the origin: beyond, the local frame is too far from a map."""
+_STRAIGHT_M = 2000.0
+"""An edge that is straight in degrees is, at 60 degrees of latitude, 0.15 m off over this."""
+
+
+def place_of(table: PlaceTable, frame: LocalFrame, field: str) -> Place:
+    """North and east of a place, however it is given.  Raises InputError about the field."""
+    metres = {"north_m": table.north_m, "east_m": table.east_m}
+    degrees = {"latitude_deg": table.latitude_deg, "longitude_deg": table.longitude_deg}
+    in_metres, in_degrees = (
+        any(value is not None for value in pair.values()) for pair in (metres, degrees)
+    )
+    if in_metres and in_degrees:
+        rule = "a place is given by north_m and east_m, or by latitude_deg and longitude_deg"
+        raise InputError(field, [*metres.values(), *degrees.values()], rule, "Remove one pair.")
+    for key, value in (degrees if in_degrees else metres).items():
+        if value is None:
+            remedy = f"Add {key}; see docs/files.md."
+            raise InputError(f"{field}.{key}", None, "it is missing", remedy)
+    if table.latitude_deg is None or table.longitude_deg is None:
+        assert table.north_m is not None
+        assert table.east_m is not None
+        return table.north_m, table.east_m
+    place = frame.to_local_m(table.latitude_deg, table.longitude_deg)
+    if not _is_near(place):
+        shown = [table.latitude_deg, table.longitude_deg]
+        raise InputError(field, shown, "it lies more than 1,000 km from the origin", "Correct it.")
+    return place
+
+
+def _is_near(place_ne_m: Place) -> bool:
+    return math.hypot(*place_ne_m) <= _FARTHEST_M  # false for what is no number
+
+
+def radar_of(radar: MissionRadarTable, frame: LocalFrame, field: str) -> Radar:
+    """The radar that a table means.  Raises InputError about the field."""
+    centre = (*place_of(radar, frame, field), radar.altitude_amsl_m)
+    return Radar(name=radar.name, centre_nea_m=centre, range_m=radar.range_m)
+
+
+def zones_of(
+    model: MissionTable, task: Task, frame: LocalFrame, where: str
+) -> tuple[tuple[Zone, ...], str]:
+    """The zones that matter, and how many keep-outs were left out that lie away from the map."""
+    found, far = [], 0
+    for index, table in enumerate(model.keep_outs):
+        field = f"{where}: keep_outs[{index}]"
+        made = _zone(table, frame, field, keep_in=False)
+        if made is None or not _touches(made[0], task):
+            far += 1
+        else:
+            found.append(_checked(*made, field))
+    for index, table in enumerate(model.keep_ins):
+        field = f"{where}: keep_ins[{index}]"
+        made = _zone(table, frame, field, keep_in=True)
+        if made is None:
+            rule = "it lies more than 1,000 km from the origin"
+            raise InputError(field, table.name, rule, "Remove it.")
+        found.append(_checked(*made, field))
+    note = f"{far} of {len(model.keep_outs)} keep-outs lie away from the map" if far else ""
+    return tuple(found), note
+
+
+_Made = tuple[Zone, tuple[Place, ...]]
+"""A zone, and its corners as they are given, if it has any."""
+
+
+def _checked(zone: Zone, corners: tuple[Place, ...], field: str) -> Zone:
+    if isinstance(zone, PolygonZone):
+        check_polygon(corners, field, zone.name)
+    return zone
+
+
+def _zone(table: ZoneTable, frame: LocalFrame, field: str, *, keep_in: bool) -> _Made | None:
+    """The zone, or None if all of it is too far away for the local frame."""
+    shapes = (table.radius_m, table.vertices_m, table.vertices_deg)
+    placed = any(
+        value is not None
+        for value in (table.north_m, table.east_m, table.latitude_deg, table.longitude_deg)
+    )
+    if sum(shape is not None for shape in shapes) != 1 or placed != (table.radius_m is not None):
+        word = "keep-in" if keep_in else "keep-out"
+        remedy = (
+            "Give a place (north_m and east_m, or latitude_deg and longitude_deg) and radius_m, or "
+            "three or more corners: vertices_m [north, east] or vertices_deg [latitude, longitude]."
+        )
+        raise InputError(field, table.name, f"a {word} is a circle or a polygon", remedy)
+    if table.radius_m is not None:
+        return _circle(table, table.radius_m, frame, field, keep_in=keep_in)
+    if table.vertices_m is not None:
+        corners = tuple((north, east) for north, east in table.vertices_m)
+        return PolygonZone(name=table.name, vertices_ne_m=corners, keep_in=keep_in), corners
+    return _polygon_in_degrees(table, frame, field, keep_in=keep_in)
+
+
+def _circle(
+    table: ZoneTable, radius_m: float, frame: LocalFrame, field: str, *, keep_in: bool
+) -> _Made | None:
+    if table.latitude_deg is not None and table.longitude_deg is not None:
+        away_m = math.hypot(*frame.to_local_m(table.latitude_deg, table.longitude_deg))
+        if not away_m <= _FARTHEST_M + radius_m:  # nor is what is no number
+            return None
+    north, east = place_of(table, frame, field)
+    zone = CircleZone(
+        name=table.name, north_m=north, east_m=east, radius_m=radius_m, keep_in=keep_in
+    )
+    return zone, ()
+
+
+def _polygon_in_degrees(
+    table: ZoneTable, frame: LocalFrame, field: str, *, keep_in: bool
+) -> _Made | None:
+    degrees = [(latitude, longitude) for latitude, longitude in table.vertices_deg or []]
+    for number, (latitude, longitude) in enumerate(degrees):
+        if abs(latitude) > 90.0:
+            rule = "out of range: latitude comes first, -90 to 90"
+            shown = [latitude, longitude]
+            raise InputError(f"{field}.vertices_deg[{number}]", shown, rule, "Swap them.")
+    places = [frame.to_local_m(*place) for place in degrees]
+    if places and not any(_is_near(place) for place in places):
+        return None
+    if not all(_is_near(place) for place in places):
+        rule = "some of it lies more than 1,000 km from the origin"
+        raise InputError(field, table.name, rule, "Give only the part near the mission.")
+    corners = _straight_in_degrees(degrees, places, frame)
+    return PolygonZone(name=table.name, vertices_ne_m=corners, keep_in=keep_in), tuple(places)
+
+
+def _straight_in_degrees(
+    degrees: list[Place], places: list[Place], frame: LocalFrame
+) -> tuple[Place, ...]:
+    """Corners in metres, with more of them on long edges: these are straight in degrees."""
+    found: list[Place] = []
+    for k, (latitude, longitude) in enumerate(degrees):
+        following = (k + 1) % len(degrees)
+        pieces = math.ceil(max(math.dist(places[k], places[following]) / _STRAIGHT_M, 1.0))
+        north = degrees[following][0] - latitude
+        east = (degrees[following][1] - longitude + 180.0) % 360.0 - 180.0
+        found.append(places[k])
+        for step in range(1, pieces):
+            part = step / pieces
+            found.append(frame.to_local_m(latitude + part * north, longitude + part * east))
+    return tuple(found)
+
+
+def _touches(zone: Zone, task: Task) -> bool:
+    """Whether a keep-out comes near the map."""
+    limits, reach = task.limits, task.zone_search_clearance_m
+    if isinstance(zone, CircleZone):
+        north, east = [zone.north_m], [zone.east_m]
+        reach += zone.radius_m
+    else:
+        north = [corner[0] for corner in zone.vertices_ne_m]
+        east = [corner[1] for corner in zone.vertices_ne_m]
+    if not north:
+        return True  # it will be refused
+    return (
+        min(north) - reach <= limits.north_m[1]
+        and max(north) + reach >= limits.north_m[0]
+        and min(east) - reach <= limits.east_m[1]
+        and max(east) + reach >= limits.east_m[0]
+    )

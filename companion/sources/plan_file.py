@@ -1,0 +1,307 @@
+"""QGroundControl's .plan files: waypoints, fences and rally points.
+
+The format is documented in QGroundControl's developer guide, "Plan File Format".  A waypoint is a
+place to reach; its altitude only says between which altitudes the person meant to fly, since the
+companion chooses its own within a band.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal, final
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from companion.errors import InputError
+from companion.mavlink.dialect import wire
+from companion.sources.files import RawTable, json_table
+from companion.sources.schema import validated
+
+_REMEDY = "Give a .plan that QGroundControl has saved."
+_MOST_TARGETS = 1000
+
+_PLACES = {16: "", 82: "spline", 17: "", 18: "loiter", 19: "loiter", 31: "loiter"}
+"""Commands that go to a place, and what of them is not done."""
+_TAKE_OFFS = (22, 24)
+_LAND, _RETURN, _LOITER_FOR_EVER, _DELAY, _ROI, _JUMP = 21, 20, 17, 93, 80, 177
+_LAST_NAV = 95
+_FIXED_WING, _COPTERS = 1, (2, 3, 4, 13, 14, 15, 29, 35)  # MAV_TYPE
+
+_AMSL, _ABOVE_HOME, _ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)  # MAV_FRAME
+
+
+class _Json(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+
+
+Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
+Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
+_Corner = Annotated[list[Longitude], Field(min_length=2, max_length=3)]
+_Number = float | None
+
+
+class _Transects(_Json):
+    items: list["_Item"] = Field(default_factory=list, alias="Items")
+    points: list[_Corner] = Field(default_factory=list, alias="VisualTransectPoints")
+
+
+class _Item(_Json):
+    type: str = "SimpleItem"
+    command: int | None = None
+    frame: int = 0
+    params: list[_Number] = Field(default_factory=list)
+    coordinate: list[_Number] | None = None
+    above_terrain_amsl_m: _Number = Field(default=None, alias="AMSLAltAboveTerrain")
+    complex_type: str = Field(default="", alias="complexItemType")
+    transects: _Transects | None = Field(default=None, alias="TransectStyleComplexItem")
+
+
+class _Mission(_Json):
+    hover_speed_m_s: _Number = Field(default=None, alias="hoverSpeed")
+    cruise_speed_m_s: _Number = Field(default=None, alias="cruiseSpeed")
+    vehicle_type: int = Field(default=0, alias="vehicleType")
+    home: Annotated[list[float], Field(min_length=3, max_length=3)] = Field(
+        alias="plannedHomePosition"
+    )
+    items: list[_Item] = Field(default_factory=list)
+
+
+class _Circle(_Json):
+    center: _Corner
+    radius: Annotated[float, Field(gt=0.0, le=1e6)]
+
+
+class _FenceCircle(_Json):
+    inclusion: bool
+    circle: _Circle
+
+
+class _FencePolygon(_Json):
+    inclusion: bool
+    polygon: Annotated[list[_Corner], Field(min_length=3)]
+
+
+class _Fence(_Json):
+    circles: list[_FenceCircle] = Field(default_factory=list)
+    polygons: list[_FencePolygon] = Field(default_factory=list)
+
+
+class _Rally(_Json):
+    points: list[Annotated[list[float], Field(min_length=2, max_length=3)]] = Field(
+        default_factory=list
+    )
+
+
+class _Plan(_Json):
+    file_type: Literal["Plan"] = Field(alias="fileType")
+    mission: _Mission
+    fence: _Fence = Field(default=_Fence(), alias="geoFence")
+    rally: _Rally = Field(default=_Rally(), alias="rallyPoints")
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Plan:
+    """What a .plan holds, as tables of a mission file and numbers."""
+
+    name: str
+    """The file's name."""
+    kind: str | None
+    """ "copter" or "plane"; None: it does not say."""
+    speed_m_s: dict[str, float | None]
+    """What it says of the speed of each kind."""
+    home_deg: tuple[float, float]
+    home_amsl_m: float
+    targets: list[RawTable] = field(default_factory=list)
+    altitudes_amsl_m: list[float] = field(default_factory=list)
+    """Of the waypoints, those that are known."""
+    end_action: str = "hold"
+    keep_outs: list[RawTable] = field(default_factory=list)
+    keep_ins: list[RawTable] = field(default_factory=list)
+    rally_points: list[RawTable] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    """What was left out, for people."""
+
+
+def read_plan(path: Path, where: str) -> Plan:
+    """The plan in a file.
+
+    Raises InputError about the field (where) if it cannot be read as a .plan, or naming the item
+    that cannot be flown: jumps, take-off or landing as a VTOL, places without a known datum.
+    """
+    found = json_table(path, where, _REMEDY)
+    if found.get("fileType") != "Plan":
+        raise InputError(where, str(path), "it is no QGroundControl plan", _REMEDY)
+    content = validated(_Plan, found, path.name)
+    mission = content.mission
+    latitude, longitude, altitude = mission.home
+    _check_place(latitude, longitude, f"{path.name}: mission.plannedHomePosition")
+    plan = Plan(
+        name=path.name,
+        kind=_kind(mission.vehicle_type, path.name),
+        speed_m_s={"copter": mission.hover_speed_m_s, "plane": mission.cruise_speed_m_s},
+        home_deg=(latitude, longitude),
+        home_amsl_m=altitude,
+    )
+    _add_fences(plan, content)
+    reader = _Items(plan)
+    for number, item in enumerate(mission.items):
+        reader.take(item, f"{path.name}: mission.items[{number}]")
+    reader.finish()
+    return plan
+
+
+def _kind(vehicle_type: int, name: str) -> str | None:
+    if vehicle_type in (0, _FIXED_WING, *_COPTERS):
+        return {0: None, _FIXED_WING: "plane"}.get(vehicle_type, "copter")
+    label = _enum_name("MAV_TYPE", vehicle_type)
+    rule = f"it is for {label}, and only multicopters and planes are flown"
+    remedy = "Plan for one of these in QGroundControl."
+    raise InputError(f"{name}: mission.vehicleType", vehicle_type, rule, remedy)
+
+
+def _add_fences(plan: Plan, content: _Plan) -> None:
+    for number, circle in enumerate(content.fence.circles):
+        latitude, longitude = circle.circle.center[:2]
+        _check_place(latitude, longitude, f"{plan.name}: geoFence.circles[{number}]")
+        zone = {
+            "name": f"fence circle {number + 1}",
+            "latitude_deg": latitude,
+            "longitude_deg": longitude,
+            "radius_m": circle.circle.radius,
+        }
+        (plan.keep_ins if circle.inclusion else plan.keep_outs).append(zone)
+    for number, polygon in enumerate(content.fence.polygons):
+        for corner in polygon.polygon:
+            _check_place(corner[0], corner[1], f"{plan.name}: geoFence.polygons[{number}]")
+        corners = [corner[:2] for corner in polygon.polygon]
+        zone = {"name": f"fence polygon {number + 1}", "vertices_deg": corners}
+        (plan.keep_ins if polygon.inclusion else plan.keep_outs).append(zone)
+    if len(plan.keep_ins) > 1:
+        plan.notes.append(f"the vehicle keeps inside of all {len(plan.keep_ins)} inclusion fences")
+    for number, point in enumerate(content.rally.points):
+        _check_place(point[0], point[1], f"{plan.name}: rallyPoints.points[{number}]")
+        plan.rally_points.append({"latitude_deg": point[0], "longitude_deg": point[1]})
+
+
+@final
+class _Items:
+    """The mission items of a plan, one after the other."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._ended_by = ""
+        self._left_out: dict[str, int] = {}
+
+    def take(self, item: _Item, where: str) -> None:
+        """Add an item to the plan.  Raises InputError naming it if it cannot be flown."""
+        if item.type == "ComplexItem":
+            self._take_complex(item, where)
+        elif item.command is None:
+            raise InputError(f"{where}.command", None, "it is missing", _REMEDY)
+        else:
+            self._take_simple(item, item.command, where)
+
+    def finish(self) -> None:
+        """Say what was left out."""
+        if self._left_out:
+            listed = ", ".join(f"{n} x {name}" for name, n in self._left_out.items())
+            self._plan.notes.append(f"left out: {listed}")
+
+    def _take_complex(self, item: _Item, where: str) -> None:
+        if item.complex_type.endswith("LandingPattern"):
+            self._leave_out(item.complex_type)
+        elif item.transects is not None and item.transects.items:
+            for number, inner in enumerate(item.transects.items):
+                self.take(inner, f"{where}.TransectStyleComplexItem.Items[{number}]")
+        elif item.transects is not None and item.transects.points:
+            for number, point in enumerate(item.transects.points):
+                self._add_target(point[0], point[1], f"{where} transect point {number + 1}")
+        else:
+            rule = "it holds no waypoints"
+            remedy = "Replace it by waypoints in QGroundControl."
+            raise InputError(f"{where}.complexItemType", item.complex_type, rule, remedy)
+
+    def _take_simple(self, item: _Item, command: int, where: str) -> None:
+        if command in _PLACES:
+            self._take_place(item, command, where)
+        elif command in _TAKE_OFFS:
+            self._note_altitude(item, where)
+        elif command == _RETURN:
+            self._end("return", command)
+        elif command == _LAND:
+            latitude, longitude = _place(item)
+            if latitude or longitude:
+                self._add_target(latitude, longitude, where)
+            self._end("land", command)
+        elif command == _JUMP or (command <= _LAST_NAV and command not in (_DELAY, _ROI)):
+            rule = f"{_enum_name('MAV_CMD', command)} cannot be flown by the companion"
+            remedy = "Replace it by waypoints in QGroundControl."
+            raise InputError(f"{where}.command", command, rule, remedy)
+        else:
+            self._leave_out(_enum_name("MAV_CMD", command))
+
+    def _take_place(self, item: _Item, command: int, where: str) -> None:
+        latitude, longitude = _place(item)
+        if latitude is None or longitude is None or (latitude == 0.0 and longitude == 0.0):
+            rule = "it has no latitude and longitude"
+            remedy = "Put it on the map in QGroundControl."
+            raise InputError(f"{where}.params", [latitude, longitude], rule, remedy)
+        self._note_altitude(item, where)
+        self._add_target(latitude, longitude, where)
+        if command == _LOITER_FOR_EVER:
+            self._end("hold", command)
+        elif _PLACES[command]:
+            self._leave_out(f"{_PLACES[command]} at a waypoint")
+
+    def _add_target(self, latitude: Any, longitude: Any, where: str) -> None:
+        if self._ended_by:
+            remedy = "Remove what comes after it, or move it to the end."
+            raise InputError(where, self._ended_by, "the mission ends before this item", remedy)
+        _check_place(latitude, longitude, where)
+        targets = self._plan.targets
+        if len(targets) >= _MOST_TARGETS:
+            rule = f"it has more than {_MOST_TARGETS} waypoints"
+            raise InputError(where, len(targets) + 1, rule, "Divide the plan.")
+        name = where.removeprefix(f"{self._plan.name}: mission.")
+        targets.append({"name": name, "latitude_deg": latitude, "longitude_deg": longitude})
+
+    def _end(self, action: str, command: int) -> None:
+        self._plan.end_action = action
+        self._ended_by = _enum_name("MAV_CMD", command)
+
+    def _leave_out(self, what: str) -> None:
+        self._left_out[what] = self._left_out.get(what, 0) + 1
+
+    def _note_altitude(self, item: _Item, where: str) -> None:
+        """Remember how high an item was meant to be, if that can be known."""
+        numbers = item.params[4:] if item.coordinate is None else item.coordinate
+        altitude = numbers[2] if len(numbers) > 2 else None
+        if item.frame in _ABOVE_TERRAIN:
+            altitude = item.above_terrain_amsl_m
+        elif item.frame in _ABOVE_HOME:
+            altitude = None if altitude is None else self._plan.home_amsl_m + altitude
+        elif item.frame not in _AMSL:
+            rule = "what its altitude is above is not known"
+            remedy = "Give altitudes above launch or above mean sea level in QGroundControl."
+            raise InputError(f"{where}.frame", item.frame, rule, remedy)
+        if altitude is not None:
+            self._plan.altitudes_amsl_m.append(altitude)
+
+
+def _place(item: _Item) -> tuple[float | None, float | None]:
+    """Latitude and longitude, which old files have in a list of their own."""
+    numbers = item.params[4:6] if item.coordinate is None else item.coordinate[:2]
+    return (numbers[0], numbers[1]) if len(numbers) == 2 else (None, None)
+
+
+def _check_place(latitude: Any, longitude: Any, where: str) -> None:
+    in_range = latitude is not None and longitude is not None
+    if not (in_range and abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
+        rule = "out of range: latitude, -90 to 90, then longitude, -180 to 180"
+        raise InputError(where, [latitude, longitude], rule, "Correct it.")
+
+
+def _enum_name(enum: str, value: int) -> str:
+    entry = wire.enums[enum].get(value)
+    known = str(entry.name) if entry is not None else f"{enum} {value}"
+    return known.removeprefix(f"{enum}_").lower().replace("_", " ")

@@ -1,0 +1,640 @@
+import contextlib
+import itertools
+import json
+import math
+import re
+import tomllib
+from collections.abc import Callable
+from dataclasses import fields
+from importlib import resources
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pyproj
+import pytest
+import rasterio
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel
+from rasterio.transform import Affine
+
+from companion.config import bundled, load_mission, mission_text
+from companion.errors import InputError
+from companion.geodesy import LocalFrame
+from companion.mission.mission import EndAction, Fallback, Mission
+from companion.sources.files import toml_text
+from companion.sources.mission_schema import MissionTable
+from companion.world.threats import CircleZone, PolygonZone
+
+COPTER = """
+schema = 1
+name = "test"
+[origin]
+latitude_deg = 47.0
+longitude_deg = 8.0
+[area]
+north_min_m = -4000.0
+north_max_m = 6000.0
+east_min_m = -4000.0
+east_max_m = 6000.0
+[altitude]
+floor_amsl_m = 900.0
+ceiling_amsl_m = 1100.0
+[[targets]]
+north_m = 3000.0
+east_m = 2000.0
+[vehicle]
+kind = "copter"
+speed_m_s = 8.0
+acceleration_m_s2 = 2.0
+climb_rate_m_s = 2.5
+turn_radius_m = 25.0
+climb_angle_deg = 17.0
+dive_angle_deg = 17.0
+[planner]
+scan_range_m = 2000.0
+safety_distance_m = 40.0
+planning_time_s = 3.0
+[end]
+action = "hold"
+"""
+PLANE = (
+    COPTER.replace('"copter"', '"plane"\nloiter_radius_m = 80.0')
+    .replace("speed_m_s = 8.0", "speed_m_s = 18.0")
+    .replace("turn_radius_m = 25.0", "turn_radius_m = 80.0")
+)
+FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
+GEOD = pyproj.Geod(ellps="WGS84")
+Write = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("mission")
+
+
+def load(folder: Path, text: str) -> Mission:
+    path = folder / "mission.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_mission(str(path))
+
+
+def refused(folder: Path, text: str) -> str:
+    with pytest.raises(InputError) as caught:
+        load(folder, text)
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    return message
+
+
+def vehicle(text: str, base: str = COPTER) -> str:
+    return base.replace("[vehicle]\n", f"[vehicle]\n{text}\n")
+
+
+# --- what is left out
+
+
+def test_what_is_left_out_is_what_a_mission_has_by_itself(folder: Path) -> None:
+    mission = load(folder, COPTER)
+    for field in fields(Mission):
+        if field.default is not field.default_factory:  # it has a default
+            expected = field.default
+            assert getattr(mission, field.name) == expected, field.name
+
+
+def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
+    more = """
+    [fallback]
+    action = "return"
+    attempts = 2
+    [battery]
+    reserve_percent = 35.0
+    endurance_s = 900.0
+    [link]
+    commanders = ["255/0", "7/190"]
+    sets_parameters = false
+    obstacle_distance = true
+    [from_vehicle]
+    fence = false
+    [[rally_points]]
+    north_m = 10.0
+    east_m = -20.0
+    """
+    text = vehicle(
+        'autopilot = "px4"\nsystem_id = 7\nscanner_component_id = 101\n'
+        "position_rate_hz = 200.0\nyaw_deg = 270.0"
+    )
+    mission = load(folder, text.replace('action = "hold"', 'action = "return"') + more)
+    assert (mission.autopilot, mission.system_id, mission.scanner_component_id) == ("px4", 7, 101)
+    assert mission.position_rate_hz == 200.0
+    assert mission.task.settings.position_period_s == 0.005
+    assert mission.yaw_rad == pytest.approx(-math.pi / 2)
+    assert (mission.fallback, mission.attempts) == (Fallback.RETURN, 2)
+    assert (mission.reserve, mission.endurance_s) == (0.35, 900.0)
+    assert mission.commanders == ((255, 0), (7, 190))
+    assert not mission.sets_parameters
+    assert mission.sends_obstacles
+    assert not mission.fence_from_vehicle
+    assert mission.rally_ne_m == ((10.0, -20.0),)
+    assert mission.end_action is EndAction.RETURN
+
+
+@pytest.mark.parametrize("name", bundled())
+def test_a_mission_that_names_no_other_file_is_recorded_as_it_stands(name: str) -> None:
+    file = resources.files("companion") / "environments" / name / "mission.toml"
+    assert mission_text(name) == file.read_text(encoding="utf-8")
+
+
+# --- planes
+
+
+def test_a_plane_has_a_circle_to_hold_on_and_a_copter_none(folder: Path) -> None:
+    mission = load(folder, PLANE)
+    assert mission.kind == "plane"
+    assert mission.task.limits.loiter_radius_m == 80.0
+    assert not mission.task.limits.hovers
+    assert load(folder, COPTER).task.limits.hovers
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (PLANE.replace("loiter_radius_m = 80.0", ""), ["loiter_radius_m", "missing", "circles"]),
+        (vehicle("loiter_radius_m = 80.0"), ["loiter_radius_m = 80.0", "a copter stops"]),
+        (vehicle("yaw_deg = 0.0", PLANE), ["yaw_deg = 0.0", "where it flies"]),
+        (
+            vehicle('autopilot = "ardupilot"', PLANE).replace('"hold"', '"land"'),
+            ["end.action = 'land'", "ArduPlane cannot be told to land"],
+        ),
+        (
+            vehicle('autopilot = "ardupilot"', PLANE) + '[fallback]\naction = "land"',
+            ["fallback.action = 'land'", "ArduPlane"],
+        ),
+        (PLANE.replace("speed_m_s = 18.0", "speed_m_s = 30.0"), ["degrees of bank"]),
+        (PLANE.replace("loiter_radius_m = 80.0", "loiter_radius_m = 800.0"), ["scan range"]),
+    ],
+)
+def test_what_a_kind_of_vehicle_cannot_do_is_refused(
+    folder: Path, text: str, words: list[str]
+) -> None:
+    message = refused(folder, text)
+    assert all(word in message for word in words), message
+
+
+def test_a_plane_of_px4_or_of_any_autopilot_may_be_told_to_land(folder: Path) -> None:
+    for autopilot in ('autopilot = "px4"', ""):
+        mission = load(folder, vehicle(autopilot, PLANE).replace('"hold"', '"land"'))
+        assert mission.end_action is EndAction.LAND
+
+
+# --- who, and whose
+
+
+@pytest.mark.parametrize("text", ["0/0", "256/0", "255/256", "255", "255/0/0", "a/b", "-1/0"])
+def test_a_commander_is_a_system_and_a_component(folder: Path, text: str) -> None:
+    assert "link.commanders[0]" in refused(folder, f'{COPTER}[link]\ncommanders = ["{text}"]\n')
+
+
+def test_nobody_may_be_the_one_who_commands(folder: Path) -> None:
+    assert load(folder, f"{COPTER}[link]\ncommanders = []\n").commanders == ()
+
+
+def test_targets_come_from_the_mission_or_from_the_vehicle(folder: Path) -> None:
+    own = COPTER.replace("[[targets]]\nnorth_m = 3000.0\neast_m = 2000.0\n", "")
+    theirs = "[from_vehicle]\ntargets = true\n"
+    mission = load(folder, own + theirs)
+    assert mission.targets_from_vehicle
+    assert mission.targets_ne_m == ()
+    assert "the targets come from the vehicle" in refused(folder, COPTER + theirs)
+    assert "targets = None: it is missing" in refused(folder, own)
+
+
+# --- places
+
+
+def target(text: str) -> str:
+    return COPTER.replace("north_m = 3000.0\neast_m = 2000.0", text)
+
+
+@given(azimuth_deg=st.floats(-180.0, 180.0), distance_m=st.floats(0.0, 3900.0))
+def test_a_target_in_degrees_lies_where_the_ellipsoid_has_it(
+    folder: Path, azimuth_deg: float, distance_m: float
+) -> None:
+    longitude, latitude, _ = GEOD.fwd(8.0, 47.0, azimuth_deg, distance_m)
+    mission = load(folder, target(f"latitude_deg = {latitude!r}\nlongitude_deg = {longitude!r}"))
+    azimuth = math.radians(azimuth_deg)
+    expected = (distance_m * math.cos(azimuth), distance_m * math.sin(azimuth))
+    assert mission.targets_ne_m[0] == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("north_m = 1.0", "targets[0].east_m = None: it is missing"),
+        ("", "targets[0].north_m = None: it is missing"),
+        ("longitude_deg = 8.0", "targets[0].latitude_deg = None: it is missing"),
+        ("north_m = 1.0\nlatitude_deg = 47.0", "Remove one pair"),
+        ("latitude_deg = 91.0\nlongitude_deg = 8.0", "less than or equal to 90"),
+        ("latitude_deg = -47.0\nlongitude_deg = -172.0", "1,000 km from the origin"),
+        ("latitude_deg = 47.1\nlongitude_deg = 8.0", "outside the map"),
+    ],
+)
+def test_a_place_is_in_metres_or_in_degrees_and_near(folder: Path, text: str, words: str) -> None:
+    assert words in refused(folder, target(text))
+
+
+# --- zones
+
+
+def zone(text: str, kind: str = "keep_outs") -> str:
+    return f'{COPTER}\n[[{kind}]]\nname = "zone"\n{text}\n'
+
+
+def test_a_circle_in_degrees_is_the_circle_in_metres(folder: Path) -> None:
+    latitude, longitude = FRAME.to_geodetic_deg(1000.0, -500.0)
+    place = f"latitude_deg = {latitude!r}\nlongitude_deg = {longitude!r}\nradius_m = 100.0"
+    (found,) = load(folder, zone(place)).task.zones
+    assert isinstance(found, CircleZone)
+    assert (found.north_m, found.east_m) == pytest.approx((1000.0, -500.0), abs=1e-6)
+    assert (found.radius_m, found.keep_in) == (100.0, False)
+
+
+def test_a_keep_in_is_a_zone_to_stay_inside_of(folder: Path) -> None:
+    text = zone("vertices_m = [[-3e3, -3e3], [-3e3, 5e3], [5e3, 5e3], [5e3, -3e3]]", "keep_ins")
+    (found,) = load(folder, text).task.zones
+    assert isinstance(found, PolygonZone)
+    assert found.keep_in
+    outside = text.replace("north_m = 3000.0\neast_m = 2000.0", "north_m = 5500.0\neast_m = 0.0")
+    assert "targets[0] = [5500.0, 0.0]: it lies outside keep-in 'zone'" in refused(folder, outside)
+
+
+def test_an_edge_in_degrees_is_straight_in_degrees(folder: Path) -> None:
+    """A parallel of 150 km bends by 480 m in the local frame: the edge follows it to a metre."""
+    corners = [[46.99, 7.0], [46.99, 9.0], [46.8, 9.0], [46.8, 7.0]]
+    (found,) = load(folder, zone(f"vertices_deg = {corners}")).task.zones
+    along = np.linspace(7.0, 9.0, 501)
+    places = np.array([FRAME.to_local_m(46.99, longitude) for longitude in along])
+    assert abs(found.distance_m(places[:, 0], places[:, 1])).max() < 0.5
+    straight = np.linspace(places[0], places[-1], 501)
+    assert abs(found.distance_m(straight[:, 0], straight[:, 1])).max() > 400.0
+
+
+def test_an_edge_across_the_date_line_takes_the_short_way(folder: Path) -> None:
+    text = COPTER.replace("longitude_deg = 8.0", "longitude_deg = 179.999")
+    corners = [[47.02, 179.99], [47.02, -179.99], [47.021, -179.99], [47.021, 179.99]]
+    text += f'[[keep_outs]]\nname = "zone"\nvertices_deg = {corners}\n'
+    (found,) = load(folder, text).task.zones
+    assert isinstance(found, PolygonZone)
+    assert max(abs(east) for _, east in found.vertices_ne_m) < 2000.0
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("vertices_deg = [[8.0, 147.0], [47.0, 8.0], [47.0, 8.1]]", "more than 1,000 km"),
+        ("vertices_deg = [[108.0, 47.0], [47.0, 8.0], [47.0, 8.1]]", "latitude comes first"),
+        ("vertices_deg = [[47.0, 8.0], [47.0, 8.1]]", "three or more"),
+        ("vertices_m = [[0.0, 0.0], [9.0, 9.0], [9.0, 0.0], [0.0, 9.0]]", "cross"),
+        ("north_m = 1.0\neast_m = 1.0", "a circle or a polygon"),
+        ("radius_m = 1.0", "a circle or a polygon"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["keep_outs", "keep_ins"])
+def test_a_zone_that_is_none_is_refused(folder: Path, text: str, words: str, kind: str) -> None:
+    message = refused(folder, zone(text, kind))
+    assert f"{kind}[0]" in message
+    assert words in message
+
+
+def test_keep_outs_away_from_the_map_are_left_out_and_counted(folder: Path) -> None:
+    """As in a file of a whole country; also those that the local frame cannot reach."""
+    places = {"near": (47.03, 8.0), "away": (48.0, 8.0), "far": (-47.0, -172.0)}
+    text = COPTER
+    for name, (latitude, longitude) in places.items():
+        ring = [[latitude + a, longitude + b] for a, b in ((0.0, 0.0), (0.001, 0.0), (0.0, 0.001))]
+        text += f'[[keep_outs]]\nname = "{name}"\nvertices_deg = {ring}\n'
+        text += f'[[keep_outs]]\nname = "{name} circle"\nlatitude_deg = {latitude}\n'
+        text += f"longitude_deg = {longitude}\nradius_m = 30.0\n"
+    mission = load(folder, text)
+    assert [found.name for found in mission.task.zones] == ["near", "near circle"]
+    assert mission.notes == ("4 of 6 keep-outs lie away from the map",)
+
+
+# --- threats of a file
+
+
+def threats(folder: Path) -> None:
+    ring = [[8.01, 47.01], [8.02, 47.01], [8.02, 47.015], [8.01, 47.01]]
+    radar = {"name": "sam", "kind": "radar", "altitude_amsl_m": 700.0, "range_m": 900.0}
+    content = {
+        "type": "FeatureCollection",
+        "features": [
+            {
+                "type": "Feature",
+                "properties": {"name": "wood"},
+                "geometry": {"type": "Polygon", "coordinates": [ring, ring]},
+            },
+            {
+                "type": "Feature",
+                "properties": radar,
+                "geometry": {"type": "Point", "coordinates": [8.0, 47.02]},
+            },
+        ],
+    }
+    (folder / "threats.geojson").write_text(json.dumps(content), encoding="utf-8")
+
+
+def test_threats_of_a_file_count_beside_those_of_the_mission(folder: Path) -> None:
+    threats(folder)
+    text = 'threats = "threats.geojson"\n' + zone("north_m = 1.0\neast_m = 1.0\nradius_m = 9.0")
+    mission = load(folder, text)
+    assert [found.name for found in mission.task.zones] == ["zone", "wood"]
+    (radar,) = mission.task.radars
+    north, east = FRAME.to_local_m(47.02, 8.0)
+    assert radar.centre_nea_m == (north, east, 700.0)
+    assert radar.range_m == 900.0
+    assert mission.notes == ("keep-out 'wood': its holes are kept out of as well",)
+
+
+def test_a_run_folder_needs_neither_the_threats_nor_the_place_of_the_terrain(
+    folder: Path, tmp_path: Path
+) -> None:
+    threats(folder)
+    terrain(folder / "dem.tif")
+    text = 'threats = "threats.geojson"\n' + KNOWN
+    mission = load(folder, text)
+    copy = tmp_path / "mission.toml"
+    copy.write_text(mission_text(str(folder / "mission.toml")), encoding="utf-8")
+    again = load_mission(str(copy))
+    assert again.task == mission.task
+    assert mission.known is not None
+    assert again.known is not None
+    np.testing.assert_array_equal(again.known.upper_m, mission.known.upper_m)
+
+
+def test_a_file_of_threats_that_is_not_there_is_told_by_its_key(folder: Path) -> None:
+    message = refused(folder, 'threats = "absent.geojson"\n' + COPTER)
+    assert "mission.toml: threats = " in message
+    assert "no such file" in message
+
+
+# --- terrain known in advance
+
+KNOWN = COPTER + '[terrain]\nfile = "dem.tif"\nvertical_datum = "EGM96"\n'
+
+
+def terrain(path: Path, *, south_rows: int = 0) -> np.ndarray[Any, Any]:
+    """Heights every 3 seconds over more than the map; some of them left out in the south."""
+    rows, columns, step = 200, 240, 1 / 1200
+    data = np.random.default_rng(4).integers(300, 800, (rows, columns)).astype(np.int16)
+    data = data[: rows - south_rows]
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        crs="EPSG:4326",
+        transform=Affine(step, 0, 8.0 - 120 * step, 0, -step, 47.0 + 100 * step),
+        dtype="int16",
+        count=1,
+        height=len(data),
+        width=columns,
+    ) as file:
+        file.write(data, 1)
+    return data
+
+
+def test_the_ground_is_nowhere_higher_than_the_known_map_says(folder: Path) -> None:
+    data = terrain(folder / "dem.tif")
+    mission = load(folder, KNOWN)
+    known = mission.known
+    assert known is not None
+    assert np.isfinite(known.upper_m).all()
+    assert not known.seen.any()  # a scan may still find the ground lower
+    assert known.firm.all()
+    rng = np.random.default_rng(2)
+    for _ in range(300):  # the file's own nodes: each lies in its cell
+        row, column = int(rng.integers(60, 130)), int(rng.integers(80, 200))
+        place = FRAME.to_local_m(47.0 + (100 - row - 0.5) / 1200, 8.0 + (column + 0.5 - 120) / 1200)
+        at = known.cell_of(*place)
+        assert known.upper_m[at] >= data[row, column] + 5.0
+    assert known.upper_m.max() <= 800.0 + 5.0
+
+
+def test_the_datum_error_is_added_to_the_terrain_and_to_nothing_else(folder: Path) -> None:
+    terrain(folder / "dem.tif")
+    mission = load(folder, KNOWN)
+    exact = load(folder, KNOWN + "datum_error_m = 0.0\n")
+    assert mission.known is not None
+    assert exact.known is not None
+    np.testing.assert_array_equal(mission.known.upper_m, exact.known.upper_m + 5.0)
+    assert mission.task == exact.task
+
+
+def test_without_a_radar_the_known_terrain_is_all_there_is(folder: Path) -> None:
+    terrain(folder / "dem.tif")
+    mission = load(folder, vehicle("scanner = false", KNOWN))
+    assert mission.scanner_component_id is None
+    assert mission.known is not None
+    assert mission.known.seen.all()
+    message = refused(folder, vehicle("scanner = false"))
+    assert "vehicle.scanner = False" in message
+    assert "nothing is known of the ground" in message
+    both = vehicle("scanner = false\nscanner_component_id = 100", KNOWN)
+    assert "there is no terrain radar" in refused(folder, both)
+
+
+def test_beyond_the_file_nothing_is_known_even_if_holes_in_it_are_sea(folder: Path) -> None:
+    terrain(folder / "dem.tif", south_rows=100)  # ends at the origin's latitude
+    for more in ("", 'nodata = "sea"\n'):
+        known = load(folder, KNOWN + more).known
+        assert known is not None
+        row, _ = known.cell_of(0.0, 0.0)
+        assert np.isinf(known.upper_m[: row - 3]).all()
+        assert np.isfinite(known.upper_m[row + 8 :]).all()
+        np.testing.assert_array_equal(known.firm, np.isfinite(known.upper_m))
+        assert not known.seen.any()
+
+
+def test_a_file_of_another_place_is_refused(folder: Path) -> None:
+    terrain(folder / "dem.tif")
+    elsewhere = KNOWN.replace("longitude_deg = 8.0", "longitude_deg = 18.0")
+    message = refused(folder, elsewhere)
+    assert "terrain.file" in message
+    assert "no height anywhere on the map" in message
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (KNOWN.replace("dem.tif", "absent.tif"), "no such file"),
+        (KNOWN.replace('vertical_datum = "EGM96"\n', ""), "vertical_datum = None: it is missing"),
+        (KNOWN.replace("EGM96", "WGS84"), "vertical_datum = 'WGS84'"),
+        (KNOWN + "datum_error_m = -1.0\n", "greater than or equal to 0"),
+        (KNOWN + "datum_m = 1.0\n", "Did you mean datum_error_m?"),
+    ],
+)
+def test_terrain_that_leaves_things_open_is_refused(folder: Path, text: str, words: str) -> None:
+    terrain(folder / "dem.tif")
+    assert words in refused(folder, text)
+
+
+# --- ground that is stated to be nowhere higher
+
+STATED = COPTER + "[terrain]\nhighest_amsl_m = 840.0\n"
+
+
+def test_ground_that_is_stated_is_known_everywhere_without_a_radar(folder: Path) -> None:
+    mission = load(folder, vehicle("scanner = false", STATED))
+    known = mission.known
+    assert mission.scanner_component_id is None
+    assert known is not None
+    assert (known.upper_m == 840.0).all()
+    assert known.seen.all()
+    assert known.firm.all()
+    limits = mission.task.limits
+    for north, east in itertools.product(limits.north_m, limits.east_m):
+        assert known.is_known(np.clip(north, -4e3, 5999.0), np.clip(east, -4e3, 5999.0))
+    assert any("nowhere higher than 840 m AMSL" in note for note in mission.notes)
+
+
+def test_a_radar_may_know_better_than_the_statement(folder: Path) -> None:
+    known = load(folder, STATED).known
+    assert known is not None
+    assert not known.seen.any()
+    assert known.firm.all()
+
+
+def test_what_is_stated_is_recorded_as_it_stands(folder: Path) -> None:
+    load(folder, STATED)
+    assert mission_text(str(folder / "mission.toml")) == STATED
+
+
+@given(
+    highest_m=st.floats(700.0, 1000.0),
+    tracking_m=st.floats(1.0, 12.0),
+    safety_m=st.floats(5.0, 60.0),
+)
+def test_every_path_of_the_band_is_clear_of_the_stated_ground_or_the_floor_is_refused(
+    folder: Path, highest_m: float, tracking_m: float, safety_m: float
+) -> None:
+    """And what is proposed instead is taken."""
+    text = vehicle(f"scanner = false\ntracking_error_m = {tracking_m}", STATED)
+    text = text.replace("highest_amsl_m = 840.0", f"highest_amsl_m = {highest_m}")
+    text = text.replace("safety_distance_m = 40.0", f"safety_distance_m = {safety_m}")
+    text = text.replace("ceiling_amsl_m = 1100.0", "ceiling_amsl_m = 1400.0")
+    try:
+        mission = load(folder, text)
+    except InputError as error:
+        message = str(error)
+        proposed = re.search(r"altitude\.floor_amsl_m = 900\.0: .*Raise it to (\d+)", message)
+        floor = "no proposal" if proposed is None else f"floor_amsl_m = {proposed[1]}.0"
+        mission = load(folder, text.replace("floor_amsl_m = 900.0", floor))
+    lowest_m, _ = mission.task.band_amsl_m
+    assert lowest_m - highest_m >= safety_m + mission.task.error_m
+    assert mission.take_off_amsl_m - highest_m >= safety_m + mission.task.error_m
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (STATED + 'file = "dem.tif"\n', "dem.tif': highest_amsl_m speaks of all"),
+        (STATED + 'vertical_datum = "AMSL"\n', "terrain.vertical_datum = 'AMSL'"),
+        (STATED + 'nodata = "sea"\n', "terrain.nodata = 'sea'"),
+        (STATED + "datum_error_m = 5.0\n", "terrain.datum_error_m = 5.0"),
+        (STATED.replace("840.0", "inf"), "terrain.highest_amsl_m = inf"),
+        (STATED.replace("840.0", '"low"'), "terrain.highest_amsl_m = 'low'"),
+        (COPTER + "[terrain]\n", "terrain.file = None: it is missing. Add file, or give highest"),
+        (STATED.replace("highest_amsl_m", "highest_m"), "Did you mean highest_amsl_m?"),
+        (vehicle("scanner = false"), "an elevation file or highest_amsl_m"),
+    ],
+)
+def test_a_statement_about_the_ground_stands_alone(folder: Path, text: str, words: str) -> None:
+    assert words in refused(folder, text)
+
+
+# --- whatever is written
+
+JUNK = st.sampled_from(
+    [True, 0, -1, 1e308, 2**62, 91.0, 1e-300, "", "x\ny", [], {}, [[]], [{}], "dem.tif", "x.plan"]
+)
+EVERYTHING = """
+threats = "threats.geojson"
+[fallback]
+action = "return"
+[battery]
+reserve_percent = 35.0
+[link]
+commanders = ["255/0"]
+[from_vehicle]
+fence = false
+[[rally_points]]
+latitude_deg = 47.0
+longitude_deg = 8.0
+[[keep_outs]]
+name = "a"
+vertices_deg = [[47.01, 8.01], [47.02, 8.01], [47.02, 8.02]]
+[[keep_ins]]
+name = "b"
+north_m = 0.0
+east_m = 0.0
+radius_m = 9000.0
+[[radars]]
+name = "c"
+latitude_deg = 47.0
+longitude_deg = 8.0
+altitude_amsl_m = 700.0
+range_m = 900.0
+"""
+
+
+@given(data=st.data())
+def test_any_value_anywhere_is_taken_or_an_input_error(folder: Path, data: st.DataObject) -> None:
+    threats(folder)
+    table: Any = tomllib.loads(COPTER) | tomllib.loads(EVERYTHING)
+    for _ in range(data.draw(st.integers(1, 3))):
+        here = table
+        while True:
+            keys = list(here) if isinstance(here, dict) else list(range(len(here)))
+            if not keys:
+                break
+            key = data.draw(st.sampled_from(keys))
+            if not isinstance(here[key], dict | list) or data.draw(st.integers(0, 4)) == 0:
+                here[key] = json.loads(json.dumps(data.draw(JUNK)))
+                break
+            here = here[key]
+    with contextlib.suppress(InputError):
+        load(folder, toml_text(table))
+        mission_text(str(folder / "mission.toml"))
+
+
+def test_the_page_of_files_names_every_key() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "files.md").read_text(encoding="utf-8")
+    missing = [key for key in keys_of(MissionTable) if key not in page]
+    assert not missing
+
+
+def keys_of(table: type[BaseModel]) -> set[str]:
+    found: set[str] = set()
+    for name, field in table.model_fields.items():
+        found.add(field.alias or name)
+        for inner in tables_in(field.annotation):
+            found |= keys_of(inner)
+    return found
+
+
+def tables_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in tables_in(part)]
+
+
+@given(
+    st.binary(max_size=60) | st.text(max_size=60).map(lambda text: text.encode("utf-8", "replace"))
+)
+@pytest.mark.parametrize("name", ["mission.toml", "x.plan"])
+def test_any_bytes_are_an_input_error(folder: Path, name: str, content: bytes) -> None:
+    (folder / name).write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        load_mission(str(folder / name))
+    assert len(str(caught.value).splitlines()) == 1

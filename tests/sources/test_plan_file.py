@@ -1,0 +1,361 @@
+import contextlib
+import copy
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import pyproj
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.config import load_mission, mission_text
+from companion.errors import InputError
+from companion.mission.mission import EndAction, Mission
+from companion.sources.plan_file import Plan, read_plan
+
+MISSIONS = Path(__file__).parent / "missions"
+PLANS = sorted(path.name for path in MISSIONS.glob("*.plan"))
+FENCED = json.loads((MISSIONS / "fenced.plan").read_text(encoding="utf-8"))
+GEOD = pyproj.Geod(ellps="WGS84")
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("plan") / "x.plan"
+
+
+def read(path: Path, content: Any) -> Plan:
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return read_plan(path, "mission.toml: plan")
+
+
+def refused(path: Path, content: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        read(path, content)
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    return message
+
+
+def item(command: int, *params: float | None, frame: int = 3, **more: Any) -> dict[str, Any]:
+    return {"type": "SimpleItem", "command": command, "frame": frame, "params": params, **more}
+
+
+def waypoint(north: float = 0.01, altitude: float = 50.0, frame: int = 3, **more: Any) -> Any:
+    return item(16, 0, 0, 0, None, 47.4 + north, 8.55, altitude, frame=frame, **more)
+
+
+def plan(*items: Any, **mission: Any) -> dict[str, Any]:
+    content = copy.deepcopy(FENCED)
+    content["mission"] |= {"items": list(items), "plannedHomePosition": [47.4, 8.55, 400]} | mission
+    content["geoFence"] = {"circles": [], "polygons": [], "version": 2}
+    return content  # type: ignore[no-any-return]
+
+
+# --- what a plan says
+
+
+def test_waypoints_fences_rally_points_and_the_end_are_those_of_the_file(path: Path) -> None:
+    found = read(path, FENCED)
+    places = [
+        each["params"][4:6] for each in FENCED["mission"]["items"] if each["command"] in (16, 82)
+    ]
+    assert [[t["latitude_deg"], t["longitude_deg"]] for t in found.targets] == places
+    assert found.end_action == "return"
+    assert found.speed_m_s == {"copter": 5.0, "plane": 15.0}
+    assert found.kind == "copter"
+    fence = FENCED["geoFence"]
+    assert [zone["vertices_deg"] for zone in found.keep_ins] == [fence["polygons"][0]["polygon"]]
+    assert found.keep_outs[0]["radius_m"] == fence["circles"][0]["circle"]["radius"]
+    assert found.keep_outs[1]["vertices_deg"] == fence["polygons"][1]["polygon"]
+    rally = FENCED["rallyPoints"]["points"][0]
+    assert found.rally_points == [{"latitude_deg": rally[0], "longitude_deg": rally[1]}]
+    assert "do change speed" in found.notes[-1]
+
+
+def test_the_altitude_of_a_waypoint_is_known_by_its_frame(path: Path) -> None:
+    found = read(
+        path,
+        plan(
+            waypoint(altitude=50.0, frame=3),
+            waypoint(altitude=460.0, frame=0),
+            waypoint(altitude=30.0, frame=10, AMSLAltAboveTerrain=470.0),
+            waypoint(altitude=30.0, frame=10, AMSLAltAboveTerrain=None),
+        ),
+    )
+    assert found.altitudes_amsl_m == [450.0, 460.0, 470.0]
+    assert len(found.targets) == 4
+
+
+def test_places_in_a_list_of_their_own_as_old_files_have_them_are_read_too(path: Path) -> None:
+    old = item(16, 0, 0, 0, None, coordinate=[47.41, 8.55, 60])
+    found = read(path, plan(old))
+    assert found.targets[0]["latitude_deg"] == 47.41
+    assert found.altitudes_amsl_m == [460.0]
+
+
+def test_the_waypoints_of_a_survey_are_targets_and_its_camera_is_left_out() -> None:
+    found = read_plan(MISSIONS / "survey.plan", "MISSION")
+    assert len(found.targets) == 6 + 1  # and where it lands
+    assert found.end_action == "land"
+    assert found.notes == ["left out: 6 x do set cam trigg dist"]
+
+
+def test_a_survey_that_holds_no_items_is_flown_by_its_transects(path: Path) -> None:
+    style = {"VisualTransectPoints": [[47.41, 8.55], [47.42, 8.55]]}
+    survey = {
+        "type": "ComplexItem",
+        "complexItemType": "survey",
+        "TransectStyleComplexItem": style,
+    }
+    assert [t["latitude_deg"] for t in read(path, plan(survey)).targets] == [47.41, 47.42]
+
+
+@pytest.mark.parametrize(
+    ("last", "action", "targets"),
+    [
+        (item(20, 0, 0, 0, 0, 0, 0, 0, frame=2), "return", 1),
+        (item(21, 0, 0, 0, None, 0, 0, 0), "land", 1),
+        (item(21, 0, 0, 0, None, None, None, None), "land", 1),
+        (item(21, 0, 0, 0, None, 47.42, 8.55, 0), "land", 2),
+        (item(17, 0, 0, 0, None, 47.42, 8.55, 50), "hold", 2),
+    ],
+)
+def test_the_last_item_says_how_the_mission_ends(
+    path: Path, last: Any, action: str, targets: int
+) -> None:
+    found = read(path, plan(waypoint(), last))
+    assert (found.end_action, len(found.targets)) == (action, targets)
+    if targets == 2:
+        assert "ends before this item" in refused(path, plan(last, waypoint()))
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (item(177, 1, 3, 0, 0, 0, 0, 0, frame=2), ["do jump", "cannot be flown"]),
+        (item(84, 0, 0, 0, None, 47.4, 8.5, 30), ["vtol takeoff"]),
+        (item(16, 0, 0, 0, None, 0, 0, 50), ["no latitude and longitude"]),
+        (item(16, 0, 0, 0, None, None, None, 50), ["no latitude and longitude"]),
+        (item(16), ["no latitude and longitude"]),
+        (item(16, 0, 0, 0, None, 97.4, 8.5, 50), ["out of range"]),
+        (waypoint(frame=7), ["what its altitude is above is not known"]),
+        ({"type": "SimpleItem"}, ["command", "missing"]),
+        ({"type": "ComplexItem", "complexItemType": "StructureScan"}, ["holds no waypoints"]),
+    ],
+)
+def test_an_item_that_cannot_be_flown_is_named(path: Path, bad: Any, words: list[str]) -> None:
+    message = refused(path, plan(waypoint(), bad))
+    assert message.startswith("x.plan: mission.items[1]")
+    assert all(word in message for word in words), message
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        ({}, "no QGroundControl plan"),
+        ({"fileType": "Mission"}, "no QGroundControl plan"),
+        ({"fileType": "Plan"}, "x.plan: mission = None: it is missing"),
+        (plan(waypoint(), vehicleType=21), "it is for vtol"),
+        (plan(waypoint(), plannedHomePosition=[47.4, 8.5]), "plannedHomePosition"),
+        (plan(waypoint(), plannedHomePosition=[97.4, 8.5, 400]), "plannedHomePosition"),
+        (plan(waypoint(), items=7), "x.plan: mission.items = 7"),
+        (plan(*[waypoint()] * 1001), "more than 1000 waypoints"),
+    ],
+)
+def test_a_plan_that_cannot_be_taken_is_told_why(path: Path, bad: Any, words: str) -> None:
+    assert words in refused(path, bad)
+
+
+# --- a plan by itself
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_plan_alone_is_a_mission_and_says_what_it_assumed(name: str) -> None:
+    mission = load_mission(str(MISSIONS / name))
+    assert mission.name == name.removesuffix(".plan")
+    said = " ".join(mission.notes)
+    for words in ("m/s", "AMSL", "terrain radar", "d_s = ", "map assumed"):
+        assert words in said
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_the_targets_lie_as_far_from_launch_as_on_the_ellipsoid(name: str) -> None:
+    mission = load_mission(str(MISSIONS / name))
+    content = read_plan(MISSIONS / name, "MISSION")
+    latitude, longitude = content.home_deg
+    for place, target in zip(mission.targets_ne_m, content.targets, strict=True):
+        azimuth_deg, _, distance_m = GEOD.inv(
+            longitude, latitude, target["longitude_deg"], target["latitude_deg"]
+        )
+        assert math.hypot(*place) == pytest.approx(distance_m, abs=1e-3)
+        east_of_north = math.atan2(place[1], place[0])
+        assert math.cos(east_of_north - math.radians(azimuth_deg)) > 1.0 - 1e-9
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_the_run_folder_gets_all_that_the_plan_says(name: str, tmp_path: Path) -> None:
+    text = mission_text(str(MISSIONS / name))
+    alone = tmp_path / "mission.toml"
+    alone.write_text(text, encoding="utf-8")
+    assert same(load_mission(str(alone)), load_mission(str(MISSIONS / name)))
+    assert mission_text(str(alone)) == text
+
+
+def same(one: Mission, other: Mission) -> bool:
+    return all(
+        getattr(one, name) == getattr(other, name) for name in one.__slots__ if name != "notes"
+    )
+
+
+@pytest.mark.parametrize("name", PLANS)
+@pytest.mark.parametrize("higher_m", [-20.0, 0.0, 80.0])
+def test_a_plan_is_flown_without_a_radar_over_ground_of_a_stated_height(
+    name: str, higher_m: float, tmp_path: Path
+) -> None:
+    """The band that is assumed lies above launch and above that ground."""
+    (tmp_path / name).write_bytes((MISSIONS / name).read_bytes())
+    home_m = read_plan(MISSIONS / name, "MISSION").home_amsl_m
+    path = tmp_path / "mission.toml"
+    path.write_text(
+        f"""
+        plan = "{name}"
+        [vehicle]
+        scanner = false
+        [terrain]
+        highest_amsl_m = {home_m + higher_m}
+        """,
+        encoding="utf-8",
+    )
+    mission = load_mission(str(path))
+    assert mission.known is not None
+    assert (mission.known.upper_m == home_m + higher_m).all()
+    lowest_m, highest_m = mission.task.band_amsl_m
+    least_m = max(home_m, home_m + higher_m) + mission.task.required_clearance_m
+    assert least_m <= lowest_m < mission.take_off_amsl_m + 1e-9
+    assert mission.take_off_amsl_m < highest_m
+
+
+def test_a_missing_plan_is_no_such_file() -> None:
+    with pytest.raises(InputError, match="no such file"):
+        load_mission("absent.plan")
+
+
+def test_a_mission_overrides_what_is_assumed_of_its_plan(tmp_path: Path) -> None:
+    (tmp_path / "fenced.plan").write_bytes((MISSIONS / "fenced.plan").read_bytes())
+    path = tmp_path / "mission.toml"
+    path.write_text(
+        """
+        plan = "fenced.plan"
+        name = "mine"
+        [altitude]
+        floor_amsl_m = 600.0
+        ceiling_amsl_m = 700.0
+        [vehicle]
+        speed_m_s = 8.0
+        [planner]
+        safety_distance_m = 20.0
+        [end]
+        action = "land"
+        [[keep_outs]]
+        name = "own"
+        north_m = -1000.0
+        east_m = 0.0
+        radius_m = 50.0
+        """,
+        encoding="utf-8",
+    )
+    mission, alone = load_mission(str(path)), load_mission(str(tmp_path / "fenced.plan"))
+    assert mission.name == "mine"
+    assert mission.task.limits.floor_amsl_m == 600.0
+    assert mission.task.limits.speed_m_s == 8.0
+    assert mission.task.limits.turn_radius_m > alone.task.limits.turn_radius_m
+    assert mission.task.settings.safety_distance_m == 20.0
+    assert mission.end_action is EndAction.LAND
+    assert mission.targets_ne_m == alone.targets_ne_m
+    assert {zone.name for zone in mission.task.zones} == {
+        "own",
+        *(zone.name for zone in alone.task.zones),
+    }
+    said = " ".join(mission.notes)
+    assert "altitude" not in said
+    assert "speed of the plan" not in said
+
+
+def test_targets_of_a_mission_and_of_its_plan_do_not_mix(tmp_path: Path) -> None:
+    (tmp_path / "fenced.plan").write_bytes((MISSIONS / "fenced.plan").read_bytes())
+    path = tmp_path / "mission.toml"
+    path.write_text('plan = "fenced.plan"\n[[targets]]\nnorth_m = 1.0\neast_m = 1.0\n')
+    with pytest.raises(InputError, match=r"fenced\.plan has waypoints too"):
+        load_mission(str(path))
+
+
+def test_a_plan_of_fences_alone_is_no_mission_but_part_of_one(tmp_path: Path) -> None:
+    fences = copy.deepcopy(FENCED)
+    fences["mission"]["items"] = []
+    (tmp_path / "fences.plan").write_text(json.dumps(fences))
+    with pytest.raises(InputError, match="it has no waypoints"):
+        load_mission(str(tmp_path / "fences.plan"))
+    path = tmp_path / "mission.toml"
+    path.write_text('plan = "fences.plan"\n[[targets]]\nnorth_m = 1000.0\neast_m = 300.0\n')
+    assert load_mission(str(path)).targets_ne_m == ((1000.0, 300.0),)
+    path.write_text('plan = "fences.plan"\nfrom_vehicle.targets = true\n')
+    assert load_mission(str(path)).targets_from_vehicle
+
+
+def test_waypoints_that_lie_outside_the_plans_own_fence_are_named(path: Path) -> None:
+    content = copy.deepcopy(FENCED)
+    content["mission"]["items"][3]["params"][4] += 0.05
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"targets\[1\] \(items\[3\]\).*outside keep-in"):
+        load_mission(str(path))
+
+
+JUNK = st.sampled_from(
+    [None, True, 0, -1, 1e308, 10**400, 91.0, "", "x\ny", [], {}, [[]], [47.4, 8.55], 16, 20, 177]
+)
+
+
+@given(data=st.data())
+def test_any_value_anywhere_is_taken_or_an_input_error(path: Path, data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(PLANS))
+    content = json.loads((MISSIONS / name).read_text(encoding="utf-8"))
+    for _ in range(data.draw(st.integers(1, 3))):
+        here = content
+        while True:
+            keys = list(here) if isinstance(here, dict) else list(range(len(here)))
+            if not keys:
+                break
+            key = data.draw(st.sampled_from(keys))
+            if not isinstance(here[key], dict | list) or data.draw(st.integers(0, 4)) == 0:
+                here[key] = copy.deepcopy(data.draw(JUNK))
+                break
+            here = here[key]
+    path.write_text(json.dumps(content), encoding="utf-8")
+    with contextlib.suppress(InputError):
+        load_mission(str(path))
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"{}", b'{"fileType": "Plan"}', json.dumps(plan(item(177))).encode()]
+)
+def test_on_the_command_line_a_bad_plan_is_one_line_and_exit_code_2(
+    path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    content: bytes,
+) -> None:
+    from companion.cli import main
+
+    path.write_bytes(content)
+    monkeypatch.setattr(sys, "argv", ["companion", "check", str(path)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert err.startswith("error: ")
