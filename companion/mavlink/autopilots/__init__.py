@@ -1,0 +1,66 @@
+"""One strategy per autopilot and kind of vehicle: how it is flown, and what it says (design 4)."""
+
+from collections.abc import Mapping
+
+from companion.mavlink.autopilots.arducopter import ArduCopter
+from companion.mavlink.autopilots.arduplane import ArduPlane
+from companion.mavlink.autopilots.common import ROTORCRAFT, Autopilot, Here
+from companion.mavlink.autopilots.from_wire import heading_rad
+from companion.mavlink.autopilots.px4_fixed_wing import Px4FixedWing
+from companion.mavlink.autopilots.px4_multicopter import Px4Multicopter
+from companion.mavlink.dialect import Message, wire
+
+ARDUCOPTER = ArduCopter()
+ARDUPLANE = ArduPlane()
+PX4_MULTICOPTER = Px4Multicopter()
+PX4_FIXED_WING = Px4FixedWing()
+
+ALL: tuple[Autopilot, ...] = (ARDUCOPTER, ARDUPLANE, PX4_MULTICOPTER, PX4_FIXED_WING)
+NAMES = tuple(autopilot.name for autopilot in ALL)
+"""What the companion flies, for people."""
+
+_HOVERING: Mapping[int, Autopilot] = {
+    wire.MAV_AUTOPILOT_ARDUPILOTMEGA: ARDUCOPTER,
+    wire.MAV_AUTOPILOT_PX4: PX4_MULTICOPTER,
+}
+_WINGED: Mapping[int, Autopilot] = {
+    wire.MAV_AUTOPILOT_ARDUPILOTMEGA: ARDUPLANE,
+    wire.MAV_AUTOPILOT_PX4: PX4_FIXED_WING,
+}
+
+
+def autopilot_of(heartbeat: Message) -> Autopilot | None:
+    """The strategy for who sends this; None: nobody that the companion flies (VTOL, rover, ...)."""
+    if heartbeat.type in ROTORCRAFT:
+        return _HOVERING.get(heartbeat.autopilot)
+    if heartbeat.type == wire.MAV_TYPE_FIXED_WING:
+        return _WINGED.get(heartbeat.autopilot)
+    return None
+
+
+def described(heartbeat: Message) -> str:
+    """Who sends this heartbeat, in words, flown or not: "PX4, VTOL tiltrotor"."""
+    autopilot = autopilot_of(heartbeat)
+    if autopilot is not None:
+        return autopilot.name
+    return f"{_word('MAV_AUTOPILOT', heartbeat.autopilot)}, {_word('MAV_TYPE', heartbeat.type)}"
+
+
+def _word(enum: str, number: int) -> str:
+    entry = wire.enums[enum].get(number)
+    return f"{enum} {number}" if entry is None else entry.name.removeprefix(f"{enum}_").lower()
+
+
+__all__ = [
+    "ALL",
+    "ARDUCOPTER",
+    "ARDUPLANE",
+    "NAMES",
+    "PX4_FIXED_WING",
+    "PX4_MULTICOPTER",
+    "Autopilot",
+    "Here",
+    "autopilot_of",
+    "described",
+    "heading_rad",
+]

@@ -1,0 +1,151 @@
+"""What PX4's multicopter and fixed wing share: setpoints in OFFBOARD; both hold in AUTO.LOITER.
+
+PX4 acknowledges a change of mode twice, the first time whatever happens: only the heartbeat
+counts.  OFFBOARD is only taken while setpoints come in, and a running stream takes it back after a
+failsafe by itself: stop streaming before any other mode.  Measured: px4.md.
+"""
+
+import math
+from collections.abc import Mapping
+
+from companion.geodesy import LocalFrame
+from companion.mavlink.autopilots import from_wire, to_wire
+from companion.mavlink.dialect import Message, wire
+from companion.mission.events import Echo, Estimator, Mode, Vector
+
+_AUTO = 4
+_MODES: Mapping[Mode, tuple[int, int]] = {
+    Mode.GUIDED: (6, 0),
+    Mode.TAKE_OFF: (_AUTO, 2),
+    Mode.HOLD: (_AUTO, 3),
+    Mode.RETURN: (_AUTO, 5),
+    Mode.LAND: (_AUTO, 6),
+}
+"""Main and sub mode; custom_mode is main << 16 | sub << 24."""
+_PRECISION_LAND = (_AUTO, 9)
+_BY_NUMBER = {numbers: mode for mode, numbers in _MODES.items()} | {_PRECISION_LAND: Mode.LAND}
+_MAIN_NAMES = {
+    1: "Manual",
+    2: "Altitude",
+    3: "Position",
+    5: "Acro",
+    6: "Offboard",
+    7: "Stabilized",
+    8: "Rattitude",
+}
+_AUTO_NAMES = {
+    1: "Ready",
+    2: "Takeoff",
+    3: "Hold",
+    4: "Mission",
+    5: "Return",
+    6: "Land",
+    8: "Follow Target",
+    9: "Precision Land",
+    10: "VTOL Takeoff",
+}
+_NEEDED = (
+    wire.ESTIMATOR_ATTITUDE
+    | wire.ESTIMATOR_VELOCITY_HORIZ
+    | wire.ESTIMATOR_POS_HORIZ_ABS
+    | wire.ESTIMATOR_POS_VERT_ABS
+)
+_BAD = wire.ESTIMATOR_GPS_GLITCH | wire.ESTIMATOR_ACCEL_ERROR
+_REJECTED = 1.0
+"""Innovation over its gate, where EKF2 throws the measurement away; healthy: below 0.4.  NaN of one
+that it does not use."""
+_EARTH_M = 6_371_000.0
+"""Of the sphere that PX4 projects with."""
+AS_IT_POINTS = math.nan
+"""Yaw of a command: MAVLink's "not given".  PX4 takes for radians what the message definition of
+NAV_TAKEOFF has in degrees.  The one place where something not finite is sent, and never in a
+setpoint."""
+STREAMS_HZ: Mapping[int, float] = {
+    wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    wire.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+    wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 5.0,
+    wire.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
+    wire.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+}
+SILENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION})  # until there is one
+ASKED_ONCE = (wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, wire.MAVLINK_MSG_ID_HOME_POSITION)
+
+
+def _numbers(custom_mode: int) -> tuple[int, int]:
+    main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
+    return main, sub if main == _AUTO else 0
+
+
+def mode_of(custom_mode: int) -> Mode:
+    """The mode that a heartbeat reports."""
+    return _BY_NUMBER.get(_numbers(custom_mode), Mode.OTHER)
+
+
+def mode_name(custom_mode: int) -> str:
+    """The same as ground stations call it."""
+    main, sub = _numbers(custom_mode)
+    name = _AUTO_NAMES.get(sub) if main == _AUTO else _MAIN_NAMES.get(main)
+    return name or f"mode {main}.{sub}"
+
+
+def set_mode(mode: Mode, system_id: int) -> list[Message]:
+    """DO_SET_MODE with PX4's main and sub mode."""
+    numbers = _MODES.get(mode)
+    if numbers is None:
+        return []
+    flag = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+    return [to_wire.command_long(system_id, wire.MAV_CMD_DO_SET_MODE, flag, *numbers)]
+
+
+def take_off(to_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
+    """NAV_TAKEOFF to a place, its altitude AMSL; empty if it is not finite or out of range."""
+    place = to_wire.wire_place(to_nea_m, frame)
+    if place is None:
+        return []
+    parameters = (0.0, 0.0, 0.0, AS_IT_POINTS)
+    number = wire.MAV_CMD_NAV_TAKEOFF
+    return [to_wire.command_int(system_id, number, parameters, place, to_nea_m[2])]
+
+
+def estimator(message: Message, now_s: float) -> Estimator:
+    """ESTIMATOR_STATUS: whether the horizontal position may be believed (px4.md 8)."""
+    flags = message.flags
+    sure = flags & _NEEDED == _NEEDED and not flags & _BAD
+    rejects = message.pos_horiz_ratio >= _REJECTED or message.vel_ratio >= _REJECTED
+    error_m = message.pos_horiz_accuracy
+    known = math.isfinite(error_m) and error_m > 0.0
+    return Estimator(
+        time_s=now_s, good=bool(sure and not rejects), error_m=error_m if known else None
+    )
+
+
+def local_echo(
+    message: Message, now_s: float, frame: LocalFrame, origin_nea_m: Vector | None
+) -> Echo | None:
+    """POSITION_TARGET_LOCAL_NED, from the estimator's origin on PX4's sphere.
+
+    Its velocity is what the controller made of the setpoint, not the setpoint's.
+    """
+    if origin_nea_m is None or message.type_mask & 0x7:
+        return None
+    if not (math.isfinite(message.x) and math.isfinite(message.y)):
+        return None
+    latitude, longitude = frame.to_geodetic_deg(origin_nea_m[0], origin_nea_m[1])
+    place = _unprojected_deg((latitude, longitude), message.x, message.y)
+    return from_wire.echo_at(place, origin_nea_m[2] - message.z, None, now_s, frame)
+
+
+def _unprojected_deg(
+    origin_deg: tuple[float, float], north_m: float, east_m: float
+) -> tuple[float, float]:
+    """Latitude and longitude of a point of the azimuthal equidistant map about an origin."""
+    latitude, longitude = map(math.radians, origin_deg)
+    north, east = north_m / _EARTH_M, east_m / _EARTH_M
+    arc = math.hypot(north, east)
+    if arc == 0.0:
+        return origin_deg
+    sin_arc, cos_arc = math.sin(arc), math.cos(arc)
+    sin_lat, cos_lat = math.sin(latitude), math.cos(latitude)
+    sine = cos_arc * sin_lat + north * sin_arc * cos_lat / arc
+    turn = math.atan2(east * sin_arc, arc * cos_lat * cos_arc - north * sin_lat * sin_arc)
+    return math.degrees(math.asin(max(-1.0, min(1.0, sine)))), math.degrees(longitude + turn)

@@ -1,0 +1,49 @@
+"""Places and courses by pyproj's geodesics, and messages as the other side reads them.
+
+Independent of `companion.geodesy`, which projects.
+"""
+
+import math
+from typing import Any
+
+import pyproj
+from pymavlink.dialects.v20 import all as wire
+
+from companion.geodesy import LocalFrame
+
+LATITUDE_DEG, LONGITUDE_DEG = 47.0, 8.0
+FRAME = LocalFrame(latitude_deg=LATITUDE_DEG, longitude_deg=LONGITUDE_DEG)
+GEOD = pyproj.Geod(ellps="WGS84")
+CORNER = (100_000.0, 100_000.0, 3500.0)
+PLACES = (CORNER, (0.0, 0.0, 3500.0), (-5000.0, 105_000.0, 4000.0))
+SYSTEM = 7
+
+
+def over_the_wire(message: Any) -> Any:
+    """What the other side reads: packed to bytes by one codec, parsed by another."""
+    frame = message.pack(wire.MAVLink(None, srcSystem=SYSTEM, srcComponent=195))
+    assert frame[0] == 0xFD  # MAVLink 2
+    [parsed] = wire.MAVLink(None).parse_buffer(frame)
+    return parsed
+
+
+def geodetic(north_m: float, east_m: float) -> tuple[float, float]:
+    """A point of the azimuthal equidistant frame is at its distance and azimuth of the origin."""
+    azimuth = math.degrees(math.atan2(east_m, north_m))
+    longitude, latitude, _ = GEOD.fwd(
+        LONGITUDE_DEG, LATITUDE_DEG, azimuth, math.hypot(north_m, east_m)
+    )
+    return latitude, longitude
+
+
+def true_course_rad(north_m: float, east_m: float, bearing_rad: float) -> float:
+    """Azimuth between two points on the ground, 20 m apart along a bearing of the local frame."""
+    step_north, step_east = 10.0 * math.cos(bearing_rad), 10.0 * math.sin(bearing_rad)
+    behind = geodetic(north_m - step_north, east_m - step_east)
+    ahead = geodetic(north_m + step_north, east_m + step_east)
+    azimuth, _, _ = GEOD.inv(behind[1], behind[0], ahead[1], ahead[0])
+    return math.radians(azimuth)
+
+
+def angle_between(a_rad: float, b_rad: float) -> float:
+    return abs(math.remainder(a_rad - b_rad, math.tau))

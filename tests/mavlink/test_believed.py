@@ -1,0 +1,130 @@
+"""When the recorded flights' positions are believed, against the times of their faults.
+
+Times are seconds after the first record (README of the recordings).
+"""
+
+import functools
+import itertools
+import math
+
+import pytest
+from held import recorded
+
+from companion.geodesy import LocalFrame
+from companion.mavlink.autopilots import Autopilot, autopilot_of
+from companion.mission.events import Estimator, Event, GpsFix, Origin, Position, VehicleStatus
+
+ARDUPILOT_HOME, PX4_HOME = (-35.363262, 149.165237), (47.397742, 8.545594)
+HOMES = {
+    "arducopter-gps-loss.tlog": ARDUPILOT_HOME,
+    "arducopter-guided-10mps.tlog": ARDUPILOT_HOME,
+    "arducopter-guided-global-stream-faults.tlog": PX4_HOME,
+    "arduplane-guided-reposition.tlog": ARDUPILOT_HOME,
+    "px4-fixedwing-offboard.tlog": PX4_HOME,
+    "px4-gps-loss.tlog": PX4_HOME,
+    "px4-offboard-8mps.tlog": PX4_HOME,
+    "px4-offboard-short.tlog": PX4_HOME,
+}
+LOSSES = ("arducopter-gps-loss.tlog", "px4-gps-loss.tlog")
+HEALTHY = sorted(set(HOMES) - set(LOSSES))
+
+
+@functools.cache
+def events(name: str) -> list[tuple[float, Event]]:
+    """What the autopilot of a recording said, by the recording's clock."""
+    latitude, longitude = HOMES[name]
+    frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
+    autopilot: Autopilot | None = None
+    origin, first_s, found = None, None, list[tuple[float, Event]]()
+    for at_s, message in recorded(name):
+        first_s = at_s if first_s is None else first_s
+        if (message.get_srcSystem(), message.get_srcComponent()) != (1, 1):
+            continue
+        if autopilot is None:
+            is_heartbeat = message.get_type() == "HEARTBEAT"
+            autopilot = autopilot_of(message) if is_heartbeat else None
+        if autopilot is None:
+            continue
+        event = autopilot.event_of(message, at_s - first_s, frame, origin)
+        if isinstance(event, Origin):
+            origin = event.position_nea_m
+        if event is not None:
+            found.append((at_s - first_s, event))
+    return found
+
+
+def doubted(name: str) -> list[tuple[float, float]]:
+    """From when to when the position was not to be believed, once it had been."""
+    good: dict[type, bool] = {}
+    spans, since_s = list[tuple[float, float]](), None
+    for at_s, event in events(name):
+        if not isinstance(event, GpsFix | Estimator):
+            continue
+        before = len(good) == 2 and all(good.values())
+        good[type(event)] = event.good
+        believed = len(good) == 2 and all(good.values())
+        if before and not believed:
+            since_s = at_s
+        elif believed and since_s is not None:
+            spans.append((since_s, at_s))
+            since_s = None
+    return spans if since_s is None else [*spans, (since_s, math.inf)]
+
+
+@pytest.mark.parametrize("name", HEALTHY)
+def test_a_healthy_flight_is_believed_from_beginning_to_end(name: str) -> None:
+    assert doubted(name) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "faults", "within_s", "jumps"),
+    [
+        (
+            "arducopter-gps-loss.tlog",
+            [(113.1, 148.3), (163.2, 188.2)],  # a step of 50 m until "Glitch cleared"; GPS off
+            0.6,
+            [123.3, 138.3],
+        ),
+        ("px4-gps-loss.tlog", [(76.3, 106.6)], 0.2, []),
+    ],
+)
+def test_a_fault_is_seen_at_once_and_before_the_estimate_jumps(
+    name: str, faults: list[tuple[float, float]], within_s: float, jumps: list[float]
+) -> None:
+    spans = doubted(name)
+    assert len(spans) == len(faults)
+    for (since_s, until_s), (fault_s, over_s) in zip(spans, faults, strict=True):
+        assert fault_s < since_s < fault_s + within_s
+        assert over_s <= until_s < over_s + 2.0
+    for jump_s in jumps:
+        assert any(since_s < jump_s - 5.0 and jump_s < until_s for since_s, until_s in spans)
+
+
+def test_the_31_m_that_px4_jumps_are_over_before_it_has_been_good_for_two_seconds() -> None:
+    """A position counts again when it was good for 2 s: until then no jump is followed."""
+    said = events("px4-gps-loss.tlog")
+    [(since_s, until_s)] = doubted("px4-gps-loss.tlog")
+    positions = [(at_s, e) for at_s, e in said if isinstance(e, Position)]
+    unflown = list[float]()
+    for (_, before), (at_s, after) in itertools.pairwise(positions):
+        elapsed_s = after.time_s - before.time_s
+        reckoned = [
+            p + v * elapsed_s
+            for p, v in zip(before.position_nea_m, before.velocity_nea_m_s, strict=True)
+        ]
+        if math.dist(reckoned, after.position_nea_m) > 1.0:
+            unflown.append(at_s)
+    assert unflown
+    assert since_s < min(unflown) < until_s
+    assert max(unflown) < until_s + 1.0
+
+
+@pytest.mark.parametrize("name", HOMES)
+def test_positions_are_where_the_flight_was_and_modes_have_names(name: str) -> None:
+    said = [event for _, event in events(name)]
+    places = [e.position_nea_m for e in said if isinstance(e, Position)]
+    assert len(places) > 500
+    assert max(math.hypot(*place[:2]) for place in places) < 3000.0
+    statuses = [e for e in said if isinstance(e, VehicleStatus)]
+    assert all(e.mode_name and not e.mode_name.startswith("mode ") for e in statuses)
+    assert any(e.armed for e in statuses)
