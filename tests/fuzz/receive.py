@@ -5,12 +5,10 @@ and time that passes.  So the fuzzer gets past the checksums and into every hand
 """
 
 import math
-import struct
 import time
-from typing import Any
 
+from programs import COMMANDS, MESSAGES, Reader, command, intact
 from pymavlink.dialects.v20 import all as mavlink
-from pymavlink.generator.mavcrc import x25crc
 
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
@@ -21,7 +19,6 @@ PERSONALITIES = (
     ("px4", "copter"),
     ("px4", "plane"),
 )
-MESSAGES = sorted(mavlink.mavlink_map)
 HANDLED = tuple(
     getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
     for name in (
@@ -54,18 +51,11 @@ HANDLED = tuple(
         "PING",
     )
 )
-COMMANDS = (
-    *(16, 17, 20, 21, 22, 84, 115, 176, 178, 179, 192, 193, 207, 211, 224, 241, 245, 246, 252, 300),
-    *(400, 401, 410, 420, 510, 511, 512, 519, 520, 3000, 42428, 43000, 43001, 43002),
-)
-VALUES = (
-    *(0.0, 1.0, -1.0, 4.0, 6.0, 9.0, 13.0, 15.0, 20.0, 33.0, 50.0, 21196.0, 47.4, 8.5, 500.0),
-    *(1e-30, 1e9, -1e9, 3e38, math.nan, math.inf, -math.inf),
-)
 LINKS = 2
 SLOWEST_S = 5.0
 """An input that takes longer is called a hang: the longest honest ones take milliseconds."""
 _FRESH_AFTER = 2000
+_STATION = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
 
 
 class Target:
@@ -99,7 +89,7 @@ class Target:
     def play(self, data: bytes) -> None:
         """Let one input run; an exception or a hang is a finding."""
         start_s = time.perf_counter()
-        reader = _Reader(data)
+        reader = Reader(data)
         vehicle = self.vehicle(reader.byte() % len(PERSONALITIES))
         while reader.left:
             match reader.byte() % 8:
@@ -112,7 +102,9 @@ class Target:
                     number = MESSAGES[(reader.byte() << 8 | reader.byte()) % len(MESSAGES)]
                     vehicle.receive(reader.byte() % LINKS, _frame(number, reader))
                 case 3:
-                    vehicle.receive(reader.byte() % LINKS, _command(reader))
+                    vehicle.receive(
+                        reader.byte() % LINKS, command(reader, COMMANDS, _STATION, (1, 1))
+                    )
                 case 4:
                     names = [row.name for row in vehicle.parameters.rows]
                     name = names[(reader.byte() << 8 | reader.byte()) % len(names)]
@@ -139,90 +131,17 @@ class Target:
         assert abs(flown.latitude_deg) <= 90.0
 
 
-class _Reader:
-    """The input, from the front; zeros after its end."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data, self._at = data, 0
-
-    @property
-    def left(self) -> bool:
-        return self._at < len(self._data)
-
-    def byte(self) -> int:
-        self._at += 1
-        return self._data[self._at - 1] if self._at <= len(self._data) else 0
-
-    def value(self) -> float:
-        """A number that somebody might send; one of those that nobody should in a third."""
-        return VALUES[self.byte() % len(VALUES)]
-
-    def bytes(self, size: int) -> bytes:
-        self._at += size
-        return self._data[self._at - size : self._at]
-
-
-def _frame(number: int, reader: _Reader) -> bytes:
+def _frame(number: int, reader: Reader) -> bytes:
     """An intact frame with any payload; most are addressed to the vehicle."""
     size = mavlink.mavlink_map[number].unpacker.size
     payload = reader.bytes(size).ljust(size, b"\0")
     who = reader.byte()
     sender = ((255, 1, 42)[who % 3], (190, 191, 195)[who // 3 % 3])
-    return intact(number, payload, sender, addressed=bool(who & 0xC0))
-
-
-def intact(
-    number: int, payload: bytes, sender: tuple[int, int] = (1, 191), *, addressed: bool = True
-) -> bytes:
-    """A MAVLink 2 frame with this payload, addressed to the vehicle if it has an address."""
-    kind: Any = mavlink.mavlink_map[number]
-    content = bytearray(payload)
-    for field in ("target_system", "target_component") if addressed else ():
-        offset = _offset(kind, field)
-        if offset is not None:
-            content[offset] = 1
-    body = bytes([len(content), 0, 0, 0, *sender]) + number.to_bytes(3, "little") + content
-    crc = x25crc(body + bytes([kind.crc_extra])).crc
-    return b"\xfd" + body + crc.to_bytes(2, "little")
-
-
-def _command(reader: _Reader) -> bytes:
-    """A command that autopilots know."""
-    number = COMMANDS[reader.byte() % len(COMMANDS)]
-    values = [reader.value() for _ in range(7)]
-    message: Any = mavlink.MAVLink_command_long_message(1, 1, number, 0, *values)
-    if reader.byte() % 2:
-        place = [reader.byte() * 4_000_000, reader.byte() * 1_000_000]
-        frame = reader.byte() % 22
-        message = mavlink.MAVLink_command_int_message(
-            1, 1, frame, number, 0, 0, *values[:4], *place, values[6]
-        )
-    packed: bytes = message.pack(mavlink.MAVLink(None, srcSystem=255, srcComponent=190))
-    return packed
+    return intact(number, payload, sender, target=(1, 1) if who & 0xC0 else None)
 
 
 def _parameter(name: str, value: float) -> bytes:
     kind = 6 if abs(value) < 1e6 and value == int(value) else 9
     message = mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, kind)
-    packed: bytes = message.pack(mavlink.MAVLink(None, srcSystem=255, srcComponent=190))
+    packed: bytes = message.pack(_STATION)
     return packed
-
-
-def _offset(kind: Any, field: str) -> int | None:
-    """Where a field of one byte lies in the payload; None if there is no such field."""
-    if field not in kind.ordered_fieldnames:
-        return None
-    before = _parts(kind.unpacker.format)[: kind.ordered_fieldnames.index(field)]
-    return struct.calcsize("<" + "".join(before))
-
-
-def _parts(form: str) -> list[str]:
-    """The pieces of a struct format, one for each wire field."""
-    parts, digits = [], ""
-    for letter in form.lstrip("<"):
-        if letter.isdigit():
-            digits += letter
-            continue
-        parts.append(digits + letter)
-        digits = ""
-    return parts

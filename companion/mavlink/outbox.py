@@ -1,0 +1,81 @@
+"""What the companion sends, records and asks for; messages become frames, signed if need be."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import final
+
+from companion.mavlink.dialect import Message, codec
+from companion.mavlink.signing import Signing, strip_signature
+from companion.mission.checkpoint import Values
+from companion.mission.entries import Entry
+from companion.mission.events import End
+from companion.planner.request import PlanRequest
+from companion.world.known_map import KnownMap
+
+Stamped = tuple[float, bytes]
+"""Vehicle time, seconds, and a frame."""
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Output:
+    """What one run() asks of the outside."""
+
+    frames: list[bytes] = field(default_factory=list)
+    """To be sent, in order."""
+    record: list[Stamped] = field(default_factory=list)
+    """Vehicle time and frame, both directions, for the telemetry log."""
+    journal: list[Entry] = field(default_factory=list)
+    plan: PlanRequest | None = None
+    """To be computed and delivered."""
+    awaits_plan: bool = False
+    checkpoint: Values | None = None
+    """To be kept for a companion that is started again in flight, if this one dies."""
+    known: KnownMap | None = None
+    """The known map, to be kept as well, when it has changed."""
+    end: End | None = None
+    """Set once the mission is over."""
+    settled: bool = False
+    """Whether the vehicle is in the mode that it was last asked for, or gone."""
+
+
+@final
+class Outbox:
+    """Frames on their way out, and the record of all frames, both ways, without signatures."""
+
+    def __init__(self, system_id: int | None, signing: Signing | None) -> None:
+        self._codec = codec(system_id or 1)
+        if signing is not None:
+            signing.attach(self._codec)
+        self._frames: list[bytes] = []
+        self._record: list[Stamped] = []
+
+    def speak_as(self, system_id: int) -> None:
+        """Go on as the companion of this vehicle."""
+        self._codec.srcSystem = system_id
+
+    def send(self, messages: Iterable[Message], now_s: float) -> None:
+        """Messages, in order."""
+        for message in messages:
+            self.send_frame(self.packed(message), now_s)
+
+    def send_frame(self, frame: bytes, now_s: float) -> None:
+        """A frame that is packed already."""
+        self._frames.append(frame)
+        self._record.append((now_s, strip_signature(frame)))
+
+    def note_received(self, message: Message, now_s: float) -> None:
+        """A message came in."""
+        self._record.append((now_s, bytes(message.get_msgbuf())))
+
+    def packed(self, message: Message) -> bytes:
+        """A message as a frame; it is not sent."""
+        frame: bytes = message.pack(self._codec)
+        self._codec.seq = (self._codec.seq + 1) % 256
+        return frame
+
+    def take(self) -> tuple[list[bytes], list[Stamped]]:
+        """What is to be sent and recorded since the last time."""
+        taken = self._frames, self._record
+        self._frames, self._record = [], []
+        return taken

@@ -1,0 +1,179 @@
+"""MAVLink 2 signing: who may speak to us, and proof of who we are.  mavlink.md 2.6, ardupilot.md 5.
+
+A signature is 13 bytes after the checksum: link id, a time stamp of 48 bits that counts 10
+microseconds since 2015, and the first 48 bits of SHA-256(key + frame + link id + time stamp).
+Each stream (link id, system, component) must rise; a new one may be a minute behind us.  A time
+stamp ahead of ours is believed, and ours follows it: ArduPilot runs its own a minute ahead.
+
+pymavlink 2.4.50 signs what we send.  It does not check what comes in: it lets messages that its
+dialect lacks pass unchecked, and lets a forged frame move a stream's time before its signature
+has been looked at, which locks out the real sender.
+"""
+
+import enum
+import hashlib
+import hmac
+import math
+from collections import Counter
+from typing import Final, final
+
+from fastcrc.crc16 import mcrf4xx
+
+from companion.mavlink.dialect import Message, wire
+
+KEY_BYTES: Final = 32
+TICKS_PER_S: Final = 100_000
+"""Time stamps count 10 microseconds."""
+_EPOCH_S: Final = 1_420_070_400
+"""1 January 2015, UTC, in seconds since 1970."""
+_LAST: Final = (1 << 48) - 1
+_BEHIND: Final = 60 * TICKS_PER_S
+_MOST_STREAMS: Final = 256
+_COMPLAIN_S: Final = 60.0
+_MARKER: Final = 0xFD
+_SIGNED: Final = 0x01
+_HEADER, _TAIL, _HASH = 10, 13, 6
+
+ALWAYS_TAKEN: Final = frozenset({wire.MAVLINK_MSG_ID_RADIO_STATUS})
+"""Believed unsigned: telemetry radios cannot sign."""
+SECRETS: Final = frozenset(
+    {
+        wire.MAVLINK_MSG_ID_SETUP_SIGNING,
+        wire.MAVLINK_MSG_ID_AUTH_KEY,
+        wire.MAVLINK_MSG_ID_CHANGE_OPERATOR_CONTROL,
+        wire.MAVLINK_MSG_ID_WIFI_CONFIG_AP,
+        wire.MAVLINK_MSG_ID_AIRLINK_AUTH,
+    }
+)
+"""Messages that carry a key or a password: never logged, forwarded or answered."""
+
+
+class Refusal(enum.Enum):
+    """Why a frame was not believed."""
+
+    UNSIGNED = "unsigned"
+    WRONG = "wrongly signed"
+    REPLAYED = "replayed"
+    OLD = "too old"
+    """A new stream that is more than a minute behind, or one too many."""
+
+
+def key_of(text: str) -> bytes:
+    """The 32 bytes of a key: 64 hexadecimal digits, or any other phrase by its SHA-256.
+
+    Ground stations (QGroundControl, MAVProxy, Mission Planner) make a key of a phrase like this.
+    """
+    if len(text) == 2 * KEY_BYTES and all(digit in "0123456789abcdefABCDEF" for digit in text):
+        return bytes.fromhex(text)
+    return hashlib.sha256(text.encode()).digest()
+
+
+def timestamp_of(clock_s: float) -> int:
+    """The time stamp of a clock that counts seconds since 1970."""
+    return _bounded((clock_s - _EPOCH_S) * TICKS_PER_S)
+
+
+def is_signed(frame: bytes) -> bool:
+    """Whether a whole frame carries a signature."""
+    return frame[0] == _MARKER and bool(frame[2] & _SIGNED)
+
+
+def is_secret(message: Message) -> bool:
+    """Whether a message carries a key or a password: it must not get into a log."""
+    return message.get_msgId() in SECRETS
+
+
+def strip_signature(frame: bytes) -> bytes:
+    """The same frame unsigned, as logs keep it: the flag cleared, the checksum right again."""
+    if not is_signed(frame):
+        return frame
+    end = len(frame) - _TAIL - 2
+    # A checksum is linear: clearing one bit changes it by the checksum of that bit alone, which
+    # needs neither the payload nor the dialect.  One byte more: the dialect's, which is not sent.
+    change = mcrf4xx(bytes((0, _SIGNED)) + bytes(end - 2), 0)
+    checksum = int.from_bytes(frame[end : end + 2], "little") ^ change
+    flags = bytes((frame[2] & ~_SIGNED,))
+    return frame[:2] + flags + frame[3:end] + checksum.to_bytes(2, "little")
+
+
+@final
+class Signing:
+    """The key of one companion: signs what it sends, and judges what it hears."""
+
+    def __init__(self, *, key: bytes, timestamp: int, link_id: int = 0) -> None:
+        """timestamp: of the first frame; higher than any that was ever used with this key."""
+        if len(key) != KEY_BYTES:
+            raise ValueError(f"a key has {KEY_BYTES} bytes")
+        self.refused: Counter[Refusal] = Counter()
+        self._told: Counter[Refusal] = Counter()
+        self._told_at_s = -math.inf
+        self._streams: dict[tuple[int, int, int], int] = {}
+        """The newest time stamp of each link id, system and component."""
+        self._ours = wire.MAVLinkSigning()
+        self._ours.secret_key = key
+        self._ours.link_id = link_id
+        self._ours.timestamp = timestamp
+        self._ours.sign_outgoing = True
+        self._hash = hashlib.sha256(key)
+        self._began: tuple[float, int] | None = None
+
+    @property
+    def timestamp(self) -> int:
+        """Of the next frame: to be kept, so that it never falls."""
+        return min(self._ours.timestamp, _LAST)
+
+    def attach(self, codec: wire.MAVLink) -> None:
+        """From now on this codec signs what it packs."""
+        codec.signing = self._ours
+
+    def on_time(self, at_s: float) -> None:
+        """Let the time stamp follow a clock of which only the differences count, seconds."""
+        if self._began is None:
+            self._began = (at_s, self.timestamp)
+        began_s, first = self._began
+        self._raise_to(_bounded(first + (at_s - began_s) * TICKS_PER_S))
+
+    def accepts(self, frame: bytes) -> bool:
+        """Whether a whole frame with the right checksum may be believed; what may not is counted.
+
+        Only a frame with the right signature changes anything.
+        """
+        if not is_signed(frame):
+            number = frame[7] | frame[8] << 8 | frame[9] << 16 if frame[0] == _MARKER else frame[5]
+            return number in ALWAYS_TAKEN or self._refuse(Refusal.UNSIGNED)
+        digest = self._hash.copy()
+        digest.update(frame[:-_HASH])
+        if not hmac.compare_digest(digest.digest()[:_HASH], frame[-_HASH:]):
+            return self._refuse(Refusal.WRONG)
+        timestamp = int.from_bytes(frame[1 - _TAIL : -_HASH], "little")
+        stream = (frame[-_TAIL], frame[5], frame[6])
+        newest = self._streams.get(stream)
+        if newest is None:
+            if timestamp + _BEHIND < self.timestamp or len(self._streams) >= _MOST_STREAMS:
+                return self._refuse(Refusal.OLD)
+        elif timestamp <= newest:
+            return self._refuse(Refusal.REPLAYED)
+        self._streams[stream] = timestamp
+        self._raise_to(timestamp)
+        return True
+
+    def complaint(self, now_s: float) -> str | None:
+        """What was refused since the last one: at most once a minute, short as a STATUSTEXT."""
+        new = self.refused - self._told
+        if not new or now_s - self._told_at_s < _COMPLAIN_S:
+            return None
+        self._told, self._told_at_s = self.refused.copy(), now_s
+        [(why, count)] = new.most_common(1)
+        others = f", {new.total() - count} others" if len(new) > 1 else ""
+        return f"refused: {count} {why.value}{others}"
+
+    def _refuse(self, why: Refusal) -> bool:
+        self.refused[why] += 1
+        return False
+
+    def _raise_to(self, timestamp: int) -> None:
+        self._ours.timestamp = max(self._ours.timestamp, timestamp)
+
+
+def _bounded(timestamp: float) -> int:
+    return min(max(int(timestamp), 0), _LAST) if math.isfinite(timestamp) else 0

@@ -1,0 +1,129 @@
+"""The signing key's file, and the time stamp that must never fall, kept beside it.
+
+FILE        a phrase, or 64 hexadecimal digits, on one line; nobody else may read it
+FILE.time   the newest time stamp, and the clock (microseconds since 1970) when it was kept
+"""
+
+import math
+import os
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, final
+
+from companion.errors import InputError
+from companion.mavlink.signing import TICKS_PER_S, Signing, key_of, timestamp_of
+
+SAVE_EVERY_S: Final = 30.0
+"""How often the time stamp is to be kept; and at the end."""
+_LONGEST_S: Final = 60.0
+"""Nobody runs on for longer than this after the last time stamp was kept."""
+_MARGIN_S: Final = 1.0
+_LARGEST: Final = 4096
+_LAST: Final = (1 << 48) - 1
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kept:
+    """What FILE.time holds."""
+
+    timestamp: int
+    clock_s: float
+
+
+@final
+class SigningKey:
+    """A key from its file."""
+
+    def __init__(self, path: Path) -> None:
+        """InputError if the file, or FILE.time beside it, cannot be used."""
+        self.failure: str | None = None
+        """Why the time stamp could not be kept lately; the flight goes on."""
+        self._key = key_of(_phrase(path))
+        self._kept_in = path.with_name(path.name + ".time")
+        self._kept = _kept(self._kept_in)
+
+    def signing(self, *, clock_s: float, link_id: int = 0) -> Signing:
+        """Signs from now on; clock_s: seconds since 1970, as far as this computer knows.
+
+        InputError if the time stamp cannot be kept.
+        """
+        signing = Signing(
+            key=self._key, timestamp=first_timestamp(clock_s, self._kept), link_id=link_id
+        )
+        self.save(signing.timestamp, clock_s)
+        if self.failure is not None:
+            rule = f"the time stamp cannot be kept beside it ({self.failure})"
+            raise InputError("signing key", str(self._kept_in), rule, "Let the folder be written.")
+        return signing
+
+    def save(self, timestamp: int, clock_s: float) -> None:
+        """Keep the time stamp: whole, whatever happens; never raises."""
+        new = self._kept_in.with_name(f"{self._kept_in.name}.{os.getpid()}")
+        try:
+            with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
+                file.write(f"{timestamp} {round(clock_s * 1e6)}\n")
+                file.flush()
+                os.fsync(file.fileno())
+            new.replace(self._kept_in)
+        except OSError as error:
+            self.failure = error.strerror
+        else:
+            self.failure = None
+
+
+def first_timestamp(clock_s: float, kept: Kept | None) -> int:
+    """A time stamp above all that were used: by the clock, unless it is behind what was kept.
+
+    A process that died went on for a while after it kept its time stamp: for as long as the clock
+    says, but no longer than a minute, and for a minute if the clock has gone back since.
+    """
+    now = timestamp_of(clock_s)
+    if kept is None:
+        return now
+    since_s = clock_s - kept.clock_s
+    ran_s = min(since_s, _LONGEST_S) if since_s >= 0.0 else _LONGEST_S
+    return max(now, kept.timestamp + math.ceil((ran_s + _MARGIN_S) * TICKS_PER_S))
+
+
+def _phrase(path: Path) -> str:
+    """The key file's one line."""
+    remedy = "Give a file that holds a phrase, or 64 hexadecimal digits, on one line."
+    try:
+        with path.open("rb") as file:
+            mode = os.fstat(file.fileno()).st_mode
+            content = file.read(_LARGEST + 1)
+    except OSError as error:
+        rule = f"it cannot be read ({error.strerror})"
+        raise InputError("signing key", str(path), rule, remedy) from None
+    if os.name == "posix" and mode & (stat.S_IRWXG | stat.S_IRWXO):
+        rule = f"others may read or change it (mode {stat.S_IMODE(mode):04o})"
+        raise InputError("signing key", str(path), rule, f"Run: chmod 600 {path}")
+    try:
+        text = content.decode().removesuffix("\n").removesuffix("\r")
+    except UnicodeDecodeError:
+        raise InputError("signing key", str(path), "it is not text", remedy) from None
+    if not text.strip() or len(content) > _LARGEST or "\n" in text:
+        raise InputError("signing key", str(path), "a key is one line of text", remedy)
+    return text
+
+
+def _kept(path: Path) -> Kept | None:
+    """What was kept; None if nothing was yet."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        rule = f"it cannot be read ({error.strerror})"
+        raise InputError("signing key", str(path), rule, "Make it readable for you.") from None
+    try:
+        timestamp, clock_us = (int(word) for word in content[:_LARGEST].split())
+    except ValueError:
+        timestamp = clock_us = -1
+    if not (0 <= timestamp <= _LAST and 0 <= clock_us <= 1 << 62):
+        rule = "it does not hold a time stamp and a clock"
+        remedy = "Delete it if this computer's clock is right."
+        raise InputError("signing key", str(path), rule, remedy)
+    return Kept(timestamp=timestamp, clock_s=clock_us * 1e-6)

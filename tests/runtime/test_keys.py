@@ -1,0 +1,135 @@
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.errors import InputError
+from companion.mavlink.dialect import codec, wire
+from companion.mavlink.signing import TICKS_PER_S, key_of, timestamp_of
+from companion.runtime.keys import SAVE_EVERY_S, Kept, SigningKey, first_timestamp
+
+CLOCK_S = 1_790_000_000.0
+PHRASE = "correct horse battery staple"
+
+
+def key_file(folder: Path, content: str | bytes = PHRASE + "\n", mode: int = 0o600) -> Path:
+    path = folder / "vehicle.key"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    path.chmod(mode)
+    return path
+
+
+def frames_are_believed(path: Path, key: bytes) -> bool:
+    speaker = codec(1)
+    SigningKey(path).signing(clock_s=CLOCK_S).attach(speaker)
+    frame = wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(speaker)
+    other = wire.MAVLink(None)
+    other.signing.secret_key = key
+    return bool(other.check_signature(bytearray(frame), 1, 195))
+
+
+@pytest.mark.parametrize("ending", ["", "\n", "\r\n"])
+@pytest.mark.parametrize("text", [PHRASE, "9f" * 32, "Zündschlüssel "])
+def test_the_file_holds_a_phrase_or_hexadecimal_digits(
+    tmp_path: Path, text: str, ending: str
+) -> None:
+    assert frames_are_believed(key_file(tmp_path, text + ending), key_of(text))
+
+
+@pytest.mark.parametrize("mode", [0o644, 0o640, 0o604, 0o620, 0o602, 0o660])
+def test_a_file_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> None:
+    path = key_file(tmp_path, mode=mode)
+    with pytest.raises(InputError, match=f"others may read or change it.*chmod 600 {path}"):
+        SigningKey(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"\n", b"  \n", b"\xff\xfe\n", b"a\nb\n", b"k" * 5000])
+def test_a_file_that_holds_no_key_is_refused_without_being_shown(
+    tmp_path: Path, content: bytes
+) -> None:
+    with pytest.raises(InputError) as caught:
+        SigningKey(key_file(tmp_path, content))
+    assert "kkk" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        SigningKey(tmp_path / "absent")
+    with pytest.raises(InputError, match="cannot be read"):
+        SigningKey(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "12", "a b", "1 2 3", "-1 5", f"{2**48} 5", "1 \0", "9" * 9999]
+)
+def test_a_time_stamp_that_cannot_be_one_is_refused(tmp_path: Path, content: str) -> None:
+    path = key_file(tmp_path)
+    (tmp_path / "vehicle.key.time").write_text(content)
+    with pytest.raises(InputError, match=r"vehicle\.key\.time.*Delete it"):
+        SigningKey(path)
+
+
+def test_a_folder_that_cannot_be_written_to_is_refused_at_the_start(tmp_path: Path) -> None:
+    path = key_file(tmp_path)
+    key = SigningKey(path)
+    (tmp_path / f"vehicle.key.time.{os.getpid()}").mkdir()
+    with pytest.raises(InputError, match="cannot be kept"):
+        key.signing(clock_s=CLOCK_S)
+
+
+def test_a_disk_that_fails_later_does_not_end_the_flight(tmp_path: Path) -> None:
+    key = SigningKey(key_file(tmp_path))
+    key.signing(clock_s=CLOCK_S)
+    blocked = tmp_path / f"vehicle.key.time.{os.getpid()}"
+    blocked.mkdir()
+    key.save(5, CLOCK_S)
+    assert key.failure is not None
+    blocked.rmdir()
+    key.save(5, CLOCK_S)
+    assert key.failure is None
+
+
+def test_the_time_stamp_is_kept_whole_and_for_us_alone(tmp_path: Path) -> None:
+    key = SigningKey(key_file(tmp_path))
+    signing = key.signing(clock_s=CLOCK_S)
+    assert signing.timestamp == timestamp_of(CLOCK_S)
+    key.save(signing.timestamp + 7, CLOCK_S)
+    kept = tmp_path / "vehicle.key.time"
+    assert kept.stat().st_mode & 0o077 == 0
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["vehicle.key", "vehicle.key.time"]
+    assert kept.read_text().split()[0] == str(signing.timestamp + 7)
+
+
+@given(
+    ahead_s=st.floats(0, 1e6),
+    ran_s=st.floats(0, SAVE_EVERY_S),
+    jump_s=st.floats(-1e9, 1e9),
+    down_s=st.floats(0, 1e6),
+)
+def test_a_new_process_is_above_all_that_the_last_one_used(
+    ahead_s: float, ran_s: float, jump_s: float, down_s: float
+) -> None:
+    """Killed up to SAVE_EVERY_S after it kept its time, on a clock that may jump back."""
+    kept = Kept(timestamp=timestamp_of(CLOCK_S + ahead_s), clock_s=CLOCK_S)
+    used = kept.timestamp + round(ran_s * TICKS_PER_S)
+    clock_s = CLOCK_S + ran_s + down_s + min(jump_s, 0.0)
+    went_back_unseen = clock_s >= CLOCK_S and jump_s < 0.0
+    if not went_back_unseen:
+        assert first_timestamp(clock_s, kept) > used
+
+
+def test_restarts_hardly_run_ahead_of_the_clock() -> None:
+    """Who runs ahead takes the vehicle along, and locks out a ground station with a true clock."""
+    clock_s = CLOCK_S
+    stamp = timestamp_of(clock_s)
+    for _ in range(50):
+        kept = Kept(timestamp=stamp, clock_s=clock_s)
+        clock_s += 10.0
+        stamp = first_timestamp(clock_s, kept)
+    assert stamp <= timestamp_of(clock_s) + 59 * TICKS_PER_S
+    assert first_timestamp(clock_s + 3600.0, Kept(timestamp=stamp, clock_s=clock_s)) == (
+        timestamp_of(clock_s + 3600.0)
+    )
