@@ -1,0 +1,432 @@
+"""What the lists of an autopilot mean for a mission: fence to zones, rally points, targets.
+
+Sources: ardupilot.md 4, px4.md 7, MAV_CMD 5000 to 5004 and 5100.  Where autopilots differ from
+each other or a fence can be read in two ways, the more cautious one counts, and is said.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+import numpy as np
+
+from companion.geodesy import LocalFrame, deg
+from companion.mavlink.dialect import wire
+from companion.mavlink.plan_client import PlanItem
+from companion.mavlink.polygons import Point, cleaned, crosses_itself, hull, offset
+from companion.mission.events import FenceChanged, Vector
+from companion.mission.mission import EndAction
+from companion.planner.settings import Task
+from companion.world.threats import CircleZone, PolygonZone, Zone
+
+RETURN_POINT: Final = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
+POLYGON_IN: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
+POLYGON_OUT: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+CIRCLE_IN: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
+CIRCLE_OUT: Final = wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
+RALLY_POINT: Final = wire.MAV_CMD_NAV_RALLY_POINT
+_ALT_MAX, _CIRCLE, _ALT_MIN = 1, 2, 8
+"""Bits of FENCE_TYPE."""
+_FRAMES: Final = frozenset(
+    {
+        wire.MAV_FRAME_GLOBAL,
+        wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+        wire.MAV_FRAME_GLOBAL_INT,
+        wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+        wire.MAV_FRAME_GLOBAL_TERRAIN_ALT,
+        wire.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
+    }
+)
+"""Those in which x and y are a latitude and a longitude."""
+_UNION = 2
+"""Bit of FENCE_OPTIONS: it is enough to be inside of one inclusion zone."""
+_LARGEST_M = 2.1e7  # half of the way around the Earth
+_STRAIGHT_M = 0.5
+"""A side that is straight in degrees may be off by so much from one that is straight here."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fence:
+    """A vehicle's own fence, as the planner needs it."""
+
+    zones: tuple[Zone, ...] = ()
+    floor_amsl_m: float | None = None
+    ceiling_amsl_m: float | None = None
+    said: tuple[str, ...] = ()
+    """What was assumed or changed, one line each, for people."""
+    refusal: str = ""
+    """Why nobody can keep to this fence."""
+    needs_home: bool = False
+    """Whether a part is missing because home is not known yet: ask again when it is."""
+
+    def changed(self, time_s: float, rally_ne_m: tuple[Point, ...] = ()) -> FenceChanged:
+        """The event that tells the mission."""
+        return FenceChanged(
+            time_s=time_s,
+            zones=self.zones,
+            floor_amsl_m=self.floor_amsl_m,
+            ceiling_amsl_m=self.ceiling_amsl_m,
+            rally_ne_m=rally_ne_m,
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Targets:
+    """A vehicle's own mission, as far as the companion flies it."""
+
+    targets_ne_m: tuple[Point, ...]
+    end_action: EndAction | None = None
+    """What its last item asks for; None: it says nothing."""
+    said: tuple[str, ...] = ()
+    """Items that are left out, and what was assumed."""
+
+
+# --- fence ----------------------------------------------------------------------------------------
+
+
+def zones_of(
+    items: Sequence[PlanItem],
+    frame: LocalFrame,
+    parameters: Mapping[str, float],
+    *,
+    home_nea_m: Vector | None = None,
+    here_ne_m: Point | None = None,
+) -> Fence:
+    """The zones of a fence: its items, and what parameters draw about home.
+
+    Parameters
+    ----------
+    parameters
+        By name, in the autopilot's units: FENCE_* of ArduPilot, GF_* of PX4.
+    home_nea_m
+        The vehicle's home; without it nothing is drawn about it.
+    here_ne_m
+        Where the vehicle is: of inclusion zones of which one is enough, those that it is in.
+    """
+    margin_m = max(_finite(parameters.get("FENCE_MARGIN", 0.0)), 0.0)
+    found = _drawn(items, frame, margin_m)
+    found = _one_is_enough(found, parameters, here_ne_m)
+    if items and not _is_on(parameters) and "FENCE_ENABLE" in parameters:
+        found = _saying(found, "FENCE_ENABLE = 0: the fence that is drawn is kept all the same")
+    return _about_home(found, parameters, home_nea_m, margin_m)
+
+
+def _saying(fence: Fence, *what: str) -> Fence:
+    return replace(fence, said=(*fence.said, *what))
+
+
+def _is_on(parameters: Mapping[str, float]) -> bool:
+    """Whether ArduPilot's fence is on, or will be by itself (at take-off, on arming)."""
+    return bool(parameters.get("FENCE_ENABLE", 0.0) or parameters.get("FENCE_AUTOENABLE", 0.0))
+
+
+def _drawn(items: Sequence[PlanItem], frame: LocalFrame, margin_m: float) -> Fence:
+    """The circles and polygons of a list.
+
+    What cannot be understood is refused before a flight, and said in one: a list may change then.
+    """
+    zones: list[Zone] = []
+    said: list[str] = []
+    wrongs: list[str] = []
+    for number, shape in enumerate(_shapes(items), start=1):
+        zone, word, wrong = _zone(shape, frame, margin_m, number)
+        if zone is not None:
+            zones.append(zone)
+        said += [word] if word else []
+        wrongs += [wrong] if wrong else []
+    refusal = wrongs[0] if wrongs else ""
+    return Fence(zones=tuple(zones), said=(*said, *wrongs[1:]), refusal=refusal)
+
+
+def _shapes(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
+    """The items of each circle or polygon, and what is neither; return points are left out."""
+    index = 0
+    while index < len(items):
+        item, count = items[index], 1
+        if item.command in (POLYGON_IN, POLYGON_OUT):
+            wanted = _finite(item.parameters[0])
+            while (
+                count < wanted
+                and index + count < len(items)
+                and items[index + count].command == item.command
+            ):
+                count += 1
+        if item.command != RETURN_POINT:
+            yield tuple(items[index : index + count])
+        index += count
+
+
+def _zone(
+    shape: tuple[PlanItem, ...], frame: LocalFrame, margin_m: float, number: int
+) -> tuple[Zone | None, str, str]:
+    """The zone of one shape, what has to be said about it, and why it cannot be kept."""
+    first = shape[0]
+    keep_in = first.command in (POLYGON_IN, CIRCLE_IN)
+    name = f"fence {'inclusion' if keep_in else 'exclusion'} {number}"
+    if first.command not in (POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT):
+        return None, "", f"fence item {number} is no fence ({_name(first.command)}). Draw it again"
+    frames = {item.frame for item in shape} - _FRAMES
+    if frames:
+        rule = f"{name}: frame {min(frames)} has no latitude and longitude"
+        return None, "", f"{rule}. Draw it again"
+    places = _places(shape, frame)
+    if places is None or any(item.x == item.y == 0 for item in shape):
+        return None, "", f"{name} has a corner that is nowhere on Earth. Draw it again"
+    if first.command in (CIRCLE_IN, CIRCLE_OUT):
+        return _circle(places[0], first.parameters[0], name, margin_m, keep_in=keep_in)
+    wanted = first.parameters[0]
+    whole = len(shape) == wanted and all(item.parameters[0] == wanted for item in shape)
+    vertices, said, wrong = _polygon(places, name, margin_m, keep_in=keep_in, whole=whole)
+    if len(vertices) < 3:
+        return None, said, wrong
+    return PolygonZone(name=name, vertices_ne_m=vertices, keep_in=keep_in), said, wrong
+
+
+def _circle(
+    centre_ne_m: Point, radius_m: float, name: str, margin_m: float, *, keep_in: bool
+) -> tuple[Zone | None, str, str]:
+    """As `_zone`; what is smaller than nothing, or larger than the Earth, is no circle."""
+    if not 0.0 < radius_m <= _LARGEST_M:
+        return None, "", f"{name}: a circle needs a radius, it has {radius_m:g} m. Draw it again"
+    radius_m += -margin_m if keep_in else margin_m
+    if radius_m <= 0.0:
+        return None, "", f"{name} is smaller than FENCE_MARGIN. Draw it larger"
+    (north_m, east_m) = centre_ne_m
+    circle = CircleZone(
+        name=name, north_m=north_m, east_m=east_m, radius_m=radius_m, keep_in=keep_in
+    )
+    return circle, "", ""
+
+
+def _polygon(
+    places: Sequence[Point], name: str, margin_m: float, *, keep_in: bool, whole: bool
+) -> tuple[tuple[Point, ...], str, str]:
+    """The corners to keep to, what has to be said, and why it cannot be kept.
+
+    Out of a polygon that crosses itself autopilots keep by the even-odd rule, so it has holes:
+    its hull has none.  Inside of one they keep by the same rule as the zone.
+    """
+    vertices = cleaned(places)
+    if len(vertices) < 3:
+        return (), "", f"{name} has {len(vertices)} corners, it needs 3. Draw it again"
+    said, wrong = "", ""
+    if not whole:
+        wrong = f"{name} is incomplete: its corners are not as many as it says"
+        if keep_in:
+            return (), "", wrong + ". Draw it again"
+        wrong += ", the vehicle keeps out of their hull. Draw it again"
+    elif crosses_itself(vertices):
+        said = f"{name} crosses itself: "
+        if keep_in:
+            return vertices, said + "it is kept by the even-odd rule, without FENCE_MARGIN", ""
+        said += "the vehicle keeps out of its hull"
+    if said or wrong:
+        vertices = hull(vertices)
+        if len(vertices) < 3:
+            return (), "", f"{name} has no area. Draw it again"
+    if margin_m == 0.0:
+        return vertices, said, wrong
+    moved = offset(vertices, -margin_m if keep_in else margin_m)
+    if moved is None and not keep_in:
+        moved = offset(hull(vertices), margin_m)
+        said = said or f"{name} is too jagged for FENCE_MARGIN: the vehicle keeps out of its hull"
+    if moved is None:
+        return vertices, f"{name} is too jagged for FENCE_MARGIN: it is kept without", wrong
+    return moved, said, wrong
+
+
+def _places(shape: Sequence[PlanItem], frame: LocalFrame) -> tuple[Point, ...] | None:
+    """Its corners here, with more between where a side that is straight in degrees is not here."""
+    if any(abs(item.x) > 900_000_000 or abs(item.y) > 1_800_000_000 for item in shape):
+        return None
+    corners = [(deg(item.x), deg(item.y)) for item in shape]
+    places: list[Point] = []
+    for corner, after in zip(corners, (*corners[1:], corners[0]), strict=True):
+        places.append(frame.to_local_m(*corner))
+        if len(corners) > 2:
+            places += _between(corner, after, frame)
+    if not all(math.isfinite(value) for place in places for value in place):
+        return None
+    return tuple(places)
+
+
+def _between(one: Point, other: Point, frame: LocalFrame, deepest: int = 6) -> list[Point]:
+    """Points of the side, latitudes and longitudes in degrees, so that it is straight enough."""
+    if deepest == 0 or abs(one[1] - other[1]) > 180.0:
+        return []
+    middle = (0.5 * (one[0] + other[0]), 0.5 * (one[1] + other[1]))
+    a, b, m = (frame.to_local_m(*place) for place in (one, other, middle))
+    bulge_m = math.dist(m, (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])))
+    if not bulge_m > _STRAIGHT_M:
+        return []
+    before = _between(one, middle, frame, deepest - 1)
+    return [*before, m, *_between(middle, other, frame, deepest - 1)]
+
+
+def _one_is_enough(fence: Fence, parameters: Mapping[str, float], here_ne_m: Point | None) -> Fence:
+    """Where it is enough to be inside of one inclusion zone, keep to those that one is in.
+
+    Never to a union: being inside of some of them at once is inside of it.
+    """
+    inside = [zone for zone in fence.zones if zone.keep_in]
+    if len(inside) < 2:
+        return fence
+    is_px4 = "FENCE_ENABLE" not in parameters
+    union = is_px4 or bool(int(_finite(parameters.get("FENCE_OPTIONS", 0.0))) & _UNION)
+    kept = inside
+    if union and here_ne_m is not None:
+        kept = [zone for zone in inside if _distance_m(zone, here_ne_m) > 0.0] or inside
+    names = ", ".join(zone.name for zone in kept)
+    zones = tuple(zone for zone in fence.zones if not zone.keep_in or zone in kept)
+    word = f"of {len(inside)} inclusion zones the vehicle stays inside of all of: {names}"
+    return _saying(replace(fence, zones=zones), word)
+
+
+def _distance_m(zone: Zone, place_ne_m: Point) -> float:
+    north, east = (np.asarray(value) for value in place_ne_m)
+    return float(zone.distance_m(north, east))
+
+
+def _about_home(
+    fence: Fence, parameters: Mapping[str, float], home_nea_m: Vector | None, margin_m: float
+) -> Fence:
+    """ArduPilot's cylinder (FENCE_RADIUS, FENCE_ALT_MAX, _MIN) or PX4's (GF_MAX_*_DIST)."""
+    radius_m, above_m, below_m = _cylinder(parameters)
+    if radius_m is None and above_m is None and below_m is None:
+        return fence
+    name = "fence about home"
+    if home_nea_m is None:
+        word = f"{name}: home is not known yet, so it is not drawn yet"
+        return replace(_saying(fence, word), needs_home=True)
+    north_m, east_m, up_m = home_nea_m
+    if radius_m is not None:
+        if radius_m <= margin_m:
+            wrong = f"{name} has a radius of {radius_m:g} m, no more than its margin. Widen it"
+            return replace(fence, refusal=fence.refusal or wrong)
+        circle = CircleZone(
+            name=f"{name} (radius {radius_m:g} m)",
+            north_m=north_m,
+            east_m=east_m,
+            radius_m=radius_m - margin_m,
+            keep_in=True,
+        )
+        fence = replace(fence, zones=(*fence.zones, circle))
+    return replace(
+        fence,
+        ceiling_amsl_m=None if above_m is None else up_m + above_m - margin_m,
+        floor_amsl_m=None if below_m is None else up_m + below_m + margin_m,
+    )
+
+
+def _cylinder(parameters: Mapping[str, float]) -> tuple[float | None, float | None, float | None]:
+    """Radius, highest and lowest height above home; None: no such limit."""
+    if _is_on(parameters):
+        kinds = int(_finite(parameters.get("FENCE_TYPE", 0.0)))
+        names = (
+            (_CIRCLE, "FENCE_RADIUS"),
+            (_ALT_MAX, "FENCE_ALT_MAX"),
+            (_ALT_MIN, "FENCE_ALT_MIN"),
+        )
+        radius_m, above_m, below_m = (
+            _finite(parameters[name]) if kinds & bit and name in parameters else None
+            for bit, name in names
+        )
+        return radius_m, above_m, below_m
+    far_m, high_m = (
+        _finite(parameters.get(name, 0.0)) for name in ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
+    )
+    return far_m if far_m > 0.0 else None, high_m if high_m > 0.0 else None, None
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else 0.0
+
+
+def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[str, ...]:
+    """Why a mission cannot keep to a fence, one line each: the place, the rule, the remedy."""
+    found = [fence.refusal] if fence.refusal else []
+    for number, target in enumerate(targets_ne_m, start=1):
+        for zone in fence.zones:
+            short_m = task.zone_clearance_m - _distance_m(zone, target)
+            if short_m > 0.0:
+                side = "inside" if zone.keep_in else "outside"
+                found.append(
+                    f"target {number}: {short_m:.0f} m too far from being {side} of the vehicle's "
+                    f"{zone.name} by the clearance of {task.zone_clearance_m:.0f} m. "
+                    "Move the target, or change the fence"
+                )
+    low_m, high_m = task.limits.floor_amsl_m, task.limits.ceiling_amsl_m
+    bottom_m = max(low_m, low_m if fence.floor_amsl_m is None else fence.floor_amsl_m)
+    top_m = min(high_m, high_m if fence.ceiling_amsl_m is None else fence.ceiling_amsl_m)
+    if top_m - bottom_m <= 2.2 * task.error_m:
+        found.append(
+            f"altitudes: the vehicle's fence leaves {bottom_m:.0f} to {top_m:.0f} m AMSL of the "
+            f"mission's {low_m:.0f} to {high_m:.0f} m, less than its errors. "
+            "Change the fence's heights or [altitude]"
+        )
+    return tuple(found)
+
+
+# --- rally points and targets ---------------------------------------------------------------------
+
+
+def rally_of(items: Sequence[PlanItem], frame: LocalFrame) -> tuple[Point, ...]:
+    """The rally points."""
+    points = (_places((item,), frame) for item in items if item.command == RALLY_POINT)
+    return tuple(place[0] for place in points if place is not None)
+
+
+_GO_THERE: Final = frozenset(
+    {
+        wire.MAV_CMD_NAV_WAYPOINT,
+        wire.MAV_CMD_NAV_SPLINE_WAYPOINT,
+        wire.MAV_CMD_NAV_LOITER_UNLIM,
+        wire.MAV_CMD_NAV_LOITER_TURNS,
+        wire.MAV_CMD_NAV_LOITER_TIME,
+        wire.MAV_CMD_NAV_LOITER_TO_ALT,
+        wire.MAV_CMD_NAV_LAND,
+        wire.MAV_CMD_NAV_VTOL_LAND,
+    }
+)
+_ENDS: Final = {
+    wire.MAV_CMD_NAV_LOITER_UNLIM: EndAction.HOLD,
+    wire.MAV_CMD_NAV_LAND: EndAction.LAND,
+    wire.MAV_CMD_NAV_VTOL_LAND: EndAction.LAND,
+    wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: EndAction.RETURN,
+}
+_TAKE_OFF: Final = frozenset({wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_CMD_NAV_VTOL_TAKEOFF})
+
+
+def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool) -> Targets:
+    """The places that a mission goes to, in order, and how it ends.
+
+    home_first: whether item 0 is home and no target (ArduPilot).  Heights are not taken: the
+    planner chooses them within the mission's band.
+    """
+    targets: list[Point] = []
+    said: list[str] = []
+    end: EndAction | None = None
+    for number, item in list(enumerate(items))[int(home_first) :]:
+        if end is not None:
+            said.append(f"items {number} to {len(items) - 1} come after the end: left out")
+            break
+        if item.command in _TAKE_OFF and not targets:
+            continue  # the companion takes off by itself
+        if item.command in _GO_THERE:
+            places = _places((item,), frame)
+            if places is not None and (item.x or item.y):
+                targets += places
+            elif item.command not in _ENDS:
+                said.append(f"item {number} ({_name(item.command)}) names no place: left out")
+        elif item.command not in _ENDS:
+            said.append(f"item {number} ({_name(item.command)}) is not flown: left out")
+        end = _ENDS.get(item.command)
+    return Targets(targets_ne_m=tuple(targets), end_action=end, said=tuple(said))
+
+
+def _name(command: int) -> str:
+    entry = wire.enums["MAV_CMD"].get(command)
+    return str(command) if entry is None else str(entry.name).removeprefix("MAV_CMD_")

@@ -1,0 +1,226 @@
+"""Whether an autopilot is set as a mission needs it: rules over its parameters, and findings.
+
+A rule thinks in SI units (angles in degrees); a parameter's name, its older and newer names and
+their units are part of the rule, and a finding speaks the autopilot's own.
+"""
+
+import enum
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final, final
+
+from companion.mission.mission import Mission
+
+
+class Severity(enum.Enum):
+    """What a finding means for the flight."""
+
+    REFUSE = "refused"
+    SET = "set"
+    NOTE = "note"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One parameter that is not as the mission needs it, or that a person ought to know of."""
+
+    name: str
+    """As this autopilot calls it."""
+    value: float | None
+    """In the autopilot's own unit; None: it has no such parameter."""
+    rule: str
+    remedy: str
+    severity: Severity
+    set_to: float | None = None
+    """Of SET: the value to give it, in the autopilot's own unit."""
+
+    def __str__(self) -> str:
+        """One line: the parameter, its value, the rule, the remedy."""
+        value = "unknown" if self.value is None else f"{self.value:g}"
+        return f"{self.name} = {value}: {self.rule}." + (f" {self.remedy}." if self.remedy else "")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What a rule says about a value; what is set is in SI."""
+
+    severity: Severity
+    rule: str
+    remedy: str = ""
+    set_to: float | None = None
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Alias:
+    """Another name of a parameter; its value times the scale is in SI."""
+
+    name: str
+    scale: float = 1.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """What a rule may look at besides its own value."""
+
+    mission: Mission
+    home_amsl_m: float | None
+    read: Callable[[str], float | None]
+    """The value of another parameter of the same table by its usual name, in SI."""
+
+    def value(self, name: str, otherwise: float) -> float:
+        """The value of another parameter, or this where the autopilot has none."""
+        value = self.read(name)
+        return otherwise if value is None else value
+
+
+Judge = Callable[[float, Case], Verdict | None]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterRule:
+    """One parameter that matters for a mission."""
+
+    name: str
+    scale: float = 1.0
+    """The value times this is in SI."""
+    aliases: tuple[Alias, ...] = ()
+    meaning: str
+    """What it does to a mission, for people."""
+    judge: Judge | None = None
+    """None: it is only read, for the fence or for other rules."""
+    if_missing: Severity | None = Severity.NOTE
+    """What it means that the autopilot does not have it; None: nothing."""
+
+    @property
+    def names(self) -> tuple[Alias, ...]:
+        """All names, the usual one first."""
+        return (Alias(self.name, self.scale), *self.aliases)
+
+    def found(self, values: Mapping[str, float]) -> tuple[Alias, float] | None:
+        """The name that this autopilot has it under, and its value in SI."""
+        for alias in self.names:
+            value = values.get(alias.name)
+            if value is not None and math.isfinite(value):
+                return alias, value * alias.scale
+        return None
+
+
+def names_of(rules: Iterable[ParameterRule]) -> tuple[tuple[str, ...], ...]:
+    """All names of each parameter of a table: what `ParameterClient` asks for."""
+    return tuple(tuple(alias.name for alias in rule.names) for rule in rules)
+
+
+def value_of(
+    rules: Iterable[ParameterRule], values: Mapping[str, float], name: str
+) -> float | None:
+    """A parameter by its usual name, in SI; None: not in the table, or not on the autopilot."""
+    for rule in rules:
+        if rule.name == name:
+            found = rule.found(values)
+            return None if found is None else found[1]
+    return None
+
+
+def judge(
+    rules: Iterable[ParameterRule],
+    values: Mapping[str, float],
+    mission: Mission,
+    home_amsl_m: float | None = None,
+) -> list[Finding]:
+    """All that is to say about an autopilot's parameters for a mission, the worst first.
+
+    values: by name, in the autopilot's units, when everything was asked for.  A mission that does
+    not set parameters (`sets_parameters`) refuses what otherwise would be set.
+    """
+    rules = tuple(rules)
+    if rules and not any(rule.found(values) for rule in rules):
+        return [_NOTHING]
+    case = Case(
+        mission=mission,
+        home_amsl_m=home_amsl_m,
+        read=lambda name: value_of(rules, values, name),
+    )
+    found = (_judged(rule, values, case) for rule in rules)
+    order = list(Severity)
+    return sorted(
+        (finding for finding in found if finding is not None),
+        key=lambda finding: order.index(finding.severity),
+    )
+
+
+_NOTHING: Final = Finding(
+    name="parameters",
+    value=None,
+    rule="the autopilot has answered no request for a parameter",
+    remedy="Check that the link carries both ways",
+    severity=Severity.REFUSE,
+)
+
+
+def _judged(rule: ParameterRule, values: Mapping[str, float], case: Case) -> Finding | None:
+    found = rule.found(values)
+    if found is None:
+        return _missing(rule)
+    if rule.judge is None:
+        return None
+    alias, value = found
+    verdict = rule.judge(value, case)
+    if verdict is None:
+        return None
+    set_to = None if verdict.set_to is None else _as_written(verdict.set_to / alias.scale)
+    severity, remedy = verdict.severity, verdict.remedy
+    if set_to is not None:
+        remedy = f"It is set to {set_to:g}"
+        if not case.mission.sets_parameters:
+            severity, remedy = Severity.REFUSE, f"Set it to {set_to:g}"
+            set_to = None
+    return Finding(
+        name=alias.name,
+        value=values[alias.name],
+        rule=verdict.rule,
+        remedy=remedy,
+        severity=severity,
+        set_to=set_to,
+    )
+
+
+def _missing(rule: ParameterRule) -> Finding | None:
+    if rule.if_missing is None:
+        return None
+    refused = rule.if_missing is Severity.REFUSE
+    return Finding(
+        name=rule.name,
+        value=None,
+        rule=f"the autopilot does not tell it; {rule.meaning}",
+        remedy="Fly a firmware that has it" if refused else "See to it by hand",
+        severity=rule.if_missing,
+    )
+
+
+def _as_written(value: float) -> float:
+    """Without the noise of the conversion between units."""
+    return float(f"{value:.6g}")
+
+
+# --- verdicts -------------------------------------------------------------------------------------
+
+
+def refused(rule: str, remedy: str) -> Verdict:
+    """The vehicle must not fly like this."""
+    return Verdict(severity=Severity.REFUSE, rule=rule, remedy=remedy)
+
+
+def to_set(value: float, rule: str) -> Verdict:
+    """It is safe with this value, SI."""
+    return Verdict(severity=Severity.SET, rule=rule, set_to=value)
+
+
+def note(rule: str, remedy: str = "") -> Verdict:
+    """A person ought to know."""
+    return Verdict(severity=Severity.NOTE, rule=rule, remedy=remedy)

@@ -1,0 +1,330 @@
+"""Reads, sets and goes on watching the autopilot's parameters, by name (mavlink.md 2.5).
+
+A firmware renames parameters from one release to the next (`SYSID_THISMAV` is `MAV_SYSID`):
+each is asked for by all its names together, and what has one of them is not asked for the others.
+Nobody answers a request for a parameter that there is not; PARAM_ERROR, where an autopilot sends
+it, says so at once.
+"""
+
+import math
+import struct
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+
+ANSWER_S: Final = 0.5
+"""How long an answer may take before it is asked for again."""
+_MOST_TRIES: Final = 5
+_MOST_TRIES_LOSSY: Final = 10
+"""On a link that has lost an answer before."""
+_OUTSTANDING: Final = 6
+"""Requests within ANSWER_S: less than 1 kB/s, so that a slow radio is not flooded."""
+_FORMATS: Final = {
+    wire.MAV_PARAM_TYPE_UINT8: "<B",
+    wire.MAV_PARAM_TYPE_INT8: "<b",
+    wire.MAV_PARAM_TYPE_UINT16: "<H",
+    wire.MAV_PARAM_TYPE_INT16: "<h",
+    wire.MAV_PARAM_TYPE_UINT32: "<I",
+    wire.MAV_PARAM_TYPE_INT32: "<i",
+}
+"""Of whole numbers; everything else is a float."""
+_LARGEST_FLOAT: Final = 3.4028234663852886e38
+_ERRORS: Final = {
+    wire.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE: "it says that the value is out of range",
+    wire.MAV_PARAM_ERROR_PERMISSION_DENIED: "it does not allow that",
+    wire.MAV_PARAM_ERROR_READ_ONLY: "it can only be read",
+}
+
+
+@final
+@dataclass(slots=True)
+class _Ask:
+    """A question that has not been answered yet."""
+
+    tries: int = 0
+    """Without those during which the whole autopilot was silent."""
+    asked_s: float = -math.inf
+
+    def again(self, now_s: float, heard_s: float) -> None:
+        """Asked (again) now; heard_s: when anything at all was heard last."""
+        self.tries = max(self.tries + int(heard_s > self.asked_s), 1)
+        self.asked_s = now_s
+
+
+@final
+@dataclass(slots=True)
+class _Set:
+    """A value on its way to the autopilot: first told, then read back."""
+
+    value: float
+    ask: _Ask
+    told: bool = False
+    """Whether the autopilot has answered with this value, so that it only has to be read back."""
+
+
+def is_bytewise(autopilot: int, capabilities: int | None = None) -> bool:
+    """Whether whole numbers travel as their bits in the float field (PX4), or as a float.
+
+    autopilot: HEARTBEAT.autopilot; capabilities: AUTOPILOT_VERSION.capabilities, if known.
+    """
+    if capabilities is not None:
+        if capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE:
+            return True
+        if capabilities & wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST:
+            return False
+    return autopilot == wire.MAV_AUTOPILOT_PX4
+
+
+def decoded(message: Message, *, bytewise: bool) -> float:
+    """The value in a PARAM_VALUE or PARAM_SET, by its own param_type."""
+    form = _FORMATS.get(message.param_type) if bytewise else None
+    if form is None:
+        return float(message.param_value)
+    (whole,) = struct.unpack_from(form, _float_bytes(message))
+    return float(whole)
+
+
+def encoded(value: float, kind: int, *, bytewise: bool) -> float:
+    """What goes into param_value for a parameter of this type.
+
+    OverflowError or ValueError if the type cannot hold it.
+    """
+    form = _FORMATS.get(kind)
+    if form is None:
+        return value
+    whole = round(value)
+    try:
+        raw = struct.pack(form, whole)
+    except struct.error as error:
+        raise OverflowError(str(error)) from error
+    if not bytewise:
+        return float(whole)
+    (as_float,) = struct.unpack("<f", raw.ljust(4, b"\0"))
+    return float(as_float)
+
+
+def _float_bytes(message: Message) -> bytes:
+    """The four bytes of param_value as they came: on the way through a float some would change."""
+    frame = bytes(message.get_msgbuf() or b"")
+    if not frame:
+        return struct.pack("<f", message.param_value)
+    head = 10 if frame[0] == wire.PROTOCOL_MARKER_V2 else 6
+    return frame[head : head + min(4, frame[1])].ljust(4, b"\0")
+
+
+@final
+class ParameterClient:
+    """Asks one autopilot for some of its parameters and keeps what it says.  Sans-IO.
+
+    After each message and each tick send what is returned.
+    """
+
+    def __init__(
+        self, system_id: int, names: Iterable[Sequence[str]], *, bytewise: bool = False
+    ) -> None:
+        """names: of each parameter all the names that it may have, the usual one first."""
+        self._system_id = system_id
+        self._groups = tuple(tuple(group) for group in names)
+        self._group_of = {name: group for group in self._groups for name in group}
+        self._bytewise = bytewise
+        self.values: dict[str, float] = {}
+        """By the name that this autopilot has it under, in the autopilot's own unit."""
+        self.missing: set[str] = set()
+        """Usual names of what it does not have under any."""
+        self.failed_sets: dict[str, str] = {}
+        """What could not be set, and why, in words."""
+        self.version = 0
+        """Rises whenever a value changes: then judge again."""
+        self._types: dict[str, int] = {}
+        self._reads: dict[str, _Ask] = {}
+        self._sets: dict[str, _Set] = {}
+        self._lossy = False
+        self._heard_s = -math.inf
+        self.restart()
+
+    @property
+    def is_done(self) -> bool:
+        """Whether everything was read or is missing, and everything set is read back or failed."""
+        return not self._reads and not self._sets
+
+    @property
+    def waiting(self) -> tuple[str, ...]:
+        """What has not been answered yet."""
+        return (*self._reads, *(name for name in self._sets if name not in self._reads))
+
+    def restart(self) -> None:
+        """Ask for everything anew: the autopilot has rebooted."""
+        self.values.clear()
+        self.missing.clear()
+        self.failed_sets.clear()
+        self._types.clear()
+        self._sets.clear()
+        self._reads = {name: _Ask() for group in self._groups for name in group}
+        self.version += 1
+
+    def set(self, name: str, value: float) -> None:
+        """Have the autopilot keep a value; it is read back and compared.
+
+        What does not work stands in `failed_sets` when `is_done`.
+        """
+        self.failed_sets.pop(name, None)
+        if not (math.isfinite(value) and abs(value) <= _LARGEST_FLOAT):
+            self.failed_sets[name] = f"{value} is no number that a parameter can have"
+            return
+        self._sets[name] = _Set(value=value, ask=_Ask())
+        if name not in self.values and name not in self._reads:
+            self._reads[name] = _Ask()  # its type has to be known
+
+    # --- in -----------------------------------------------------------------------------------
+
+    def on_message(self, message: Message, now_s: float) -> list[Message]:
+        """Take what the autopilot says, asked or not; only what is its own counts.
+
+        Give it every message: while the autopilot is silent nothing is taken for missing.
+        """
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        if source != (self._system_id, AUTOPILOT_COMPONENT):
+            return []
+        self._heard_s = now_s
+        match message.get_type():
+            case "PARAM_VALUE":
+                self._on_value(message)
+            case "PARAM_ERROR":
+                self._on_error(message)
+            case "AUTOPILOT_VERSION":
+                self._on_version(message)
+            case _:
+                return []
+        return self.on_time(now_s)
+
+    def _on_value(self, message: Message) -> None:
+        name = message.param_id
+        if name not in self._group_of and name not in self._reads and name not in self._sets:
+            return
+        value = decoded(message, bytewise=self._bytewise)
+        if not self._types:  # parameters are answered at all: tries count from here
+            for ask in self._reads.values():
+                ask.tries = min(ask.tries, 1)
+        self._types[name] = message.param_type
+        if name not in self.values or not _same(self.values[name], value):
+            self.version += 1
+        self.values[name] = value
+        self._answered(name)
+        setting = self._sets.get(name)
+        if setting is None or setting.ask.tries == 0 or not self._kept(setting.value, name):
+            return
+        if setting.told:
+            del self._sets[name]
+        else:
+            setting.told, setting.ask = True, _Ask()
+
+    def _answered(self, name: str) -> None:
+        """It has this one, so it is not asked for the other names of the same."""
+        group = self._group_of.get(name, (name,))
+        self.missing.discard(group[0])
+        for each in group:
+            ask = self._reads.pop(each, None)
+            if ask is not None and each == name and ask.tries > 1:
+                self._lossy = True
+
+    def _kept(self, asked: float, name: str) -> bool:
+        if self._types[name] in _FORMATS:
+            asked = float(round(asked))
+        return _same(asked, self.values[name])
+
+    def _on_error(self, message: Message) -> None:
+        name, error = message.param_id, message.error
+        if error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST:
+            self._give_up_reading(name)
+        elif name in self._sets and error in _ERRORS:
+            self._fail(name, _ERRORS[error])
+
+    def _on_version(self, message: Message) -> None:
+        """If whole numbers travel otherwise than was thought, what was read is wrong."""
+        autopilot = wire.MAV_AUTOPILOT_PX4 if self._bytewise else wire.MAV_AUTOPILOT_INVALID
+        bytewise = is_bytewise(autopilot, message.capabilities)
+        if bytewise != self._bytewise:
+            self._bytewise = bytewise
+            wanted = {name: setting.value for name, setting in self._sets.items()}
+            self.restart()
+            for name, value in wanted.items():
+                self.set(name, value)
+
+    # --- out ----------------------------------------------------------------------------------
+
+    def on_time(self, now_s: float) -> list[Message]:
+        """The requests that are due: new ones, and those whose answer has not come."""
+        self._look_at_tries(now_s)
+        asks = self._asks()
+        free = _OUTSTANDING - sum(1 for _, ask in asks if now_s - ask.asked_s < ANSWER_S)
+        due = sorted(
+            ((name, ask) for name, ask in asks if now_s - ask.asked_s >= ANSWER_S),
+            key=lambda each: each[1].tries,
+        )
+        messages = []
+        for name, ask in due[: max(free, 0)]:
+            ask.again(now_s, self._heard_s)
+            messages.append(self._request(name))
+        return [message for message in messages if message is not None]
+
+    def _asks(self) -> list[tuple[str, _Ask]]:
+        """All open questions; a set waits until its type is known."""
+        ready = [(name, each.ask) for name, each in self._sets.items() if name in self._types]
+        return [*self._reads.items(), *ready]
+
+    def _request(self, name: str) -> Message | None:
+        setting = self._sets.get(name)
+        key = name.encode("ascii", "replace")
+        if setting is None or setting.told or name in self._reads:
+            return wire.MAVLink_param_request_read_message(
+                self._system_id, AUTOPILOT_COMPONENT, key, -1
+            )
+        kind = self._types[name]
+        try:
+            value = encoded(setting.value, kind, bytewise=self._bytewise)
+        except (OverflowError, ValueError):
+            self._fail(name, f"{setting.value:g} does not fit into its type")
+            return None
+        return wire.MAVLink_param_set_message(
+            self._system_id, AUTOPILOT_COMPONENT, key, value, kind
+        )
+
+    def _look_at_tries(self, now_s: float) -> None:
+        """Give up what was asked for often enough.
+
+        As long as no parameter at all has been answered, none is missing: the link is.
+        """
+        most = _MOST_TRIES_LOSSY if self._lossy else _MOST_TRIES
+        for name, ask in list(self._reads.items()):
+            if self._types and self._is_over(ask, most, now_s):
+                self._give_up_reading(name)
+        for name, setting in list(self._sets.items()):
+            if self._is_over(setting.ask, most, now_s):
+                self._fail(name, f"it was told {setting.value:g} and says {self.values[name]:g}")
+
+    def _is_over(self, ask: _Ask, most: int, now_s: float) -> bool:
+        """Whether the last try has had its time, and the autopilot has been heard since."""
+        waited = now_s - ask.asked_s >= ANSWER_S
+        return ask.tries >= most and waited and self._heard_s > ask.asked_s
+
+    def _give_up_reading(self, name: str) -> None:
+        if self._reads.pop(name, None) is None:
+            return
+        group = self._group_of.get(name, (name,))
+        if not any(each in self._reads or each in self.values for each in group):
+            self.missing.add(group[0])
+        if name in self._sets:
+            self._fail(name, "the autopilot does not have it")
+
+    def _fail(self, name: str, why: str) -> None:
+        self._sets.pop(name, None)
+        self.failed_sets[name] = why
+
+
+def _same(one: float, other: float) -> bool:
+    """Whether two values are the same float on the wire; what is not a number equals itself."""
+    if math.isnan(one) or math.isnan(other):
+        return math.isnan(one) and math.isnan(other)
+    return math.isclose(one, other, rel_tol=1e-6, abs_tol=1e-30)

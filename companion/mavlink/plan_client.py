@@ -1,0 +1,341 @@
+"""Downloads mission, fence and rally points from the autopilot, and goes on watching them.
+
+Nobody says when somebody changes them (ardupilot.md 1 and 4), so their numbers are asked for every
+few seconds and everything is read again now and then; PX4 tells the ids of its lists.  Protocol:
+mavlink.md 2.3 and 2.5, px4.md 7.
+"""
+
+import enum
+import math
+import struct
+from dataclasses import dataclass, field
+from typing import Final, final
+
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+
+MISSION: Final = wire.MAV_MISSION_TYPE_MISSION
+FENCE: Final = wire.MAV_MISSION_TYPE_FENCE
+RALLY: Final = wire.MAV_MISSION_TYPE_RALLY
+KINDS: Final = (FENCE, RALLY, MISSION)
+"""In the order in which they are read: what is safety first."""
+LOOK_S: Final = 4.0
+"""Between two looks at how many items there are."""
+READ_ALL_S: Final = 30.0
+_READ_ALL_PER_ITEM_S: Final = 0.5
+"""Long lists are read less often: a few hundred items would fill a slow radio."""
+_FEW: Final = 24
+"""Items of a list without an id that is read whole instead of counted."""
+_LIST_S: Final = 1.5
+"""For the first answer; once it is known how long answers take, four times that."""
+_ITEM_S: Final = 0.25
+_MOST_TRIES: Final = {True: 5, False: 12}
+"""Of asking for a list (True), or for an item: a list of sixty must come at 25 % loss too."""
+_LATER_S: Final = 1.0
+"""After a refusal: somebody else is transferring."""
+_LONGEST: Final = 10_000
+_REFUSED: Final = {
+    wire.MAV_MISSION_DENIED: "somebody else is transferring it",
+    wire.MAV_MISSION_ERROR: "the autopilot says that it failed",
+    wire.MAV_MISSION_OPERATION_CANCELLED: "the autopilot has cancelled it",
+}
+_NAMES: Final = {MISSION: "mission", FENCE: "fence", RALLY: "rally points"}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanItem:
+    """One item of a list as the autopilot has it (MISSION_ITEM_INT)."""
+
+    frame: int
+    command: int
+    parameters: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    x: int = 0
+    """Latitude in 1e-7 degrees, of items that have a place."""
+    y: int = 0
+    z_m: float = 0.0
+    """Measured from what the frame says."""
+
+    @property
+    def key(self) -> bytes:
+        """Equal for equal items, also where a parameter is not a number."""
+        return struct.pack("<BH4f2if", *self._fields)
+
+    @property
+    def _fields(self) -> tuple[float, ...]:
+        return (self.frame, self.command, *self.parameters, self.x, self.y, self.z_m)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """One list, complete, as it was when it was read last."""
+
+    items: tuple[PlanItem, ...] = ()
+    version: int = 0
+    """Rises with every change; 0: not read yet."""
+    supported: bool = True
+    """Whether the autopilot has this kind of list at all."""
+
+
+class _Doing(enum.Enum):
+    LOOKING = "asking how many"
+    READING = "reading"
+
+
+@final
+@dataclass(slots=True)
+class _Transfer:
+    """What is asked for now."""
+
+    kind: int
+    only_look: bool
+    doing: _Doing = _Doing.LOOKING
+    asked_s: float = -math.inf
+    tries: int = 0
+    count: int = 0
+    items: list[PlanItem] = field(default_factory=list)
+    opaque_id: int = 0
+    item_s: float = _ITEM_S
+    smooth: bool = True
+    """Every item came soon, so there was hardly time for a change in between."""
+
+
+@final
+@dataclass(slots=True)
+class _Watch:
+    """When to ask for one kind again, and what of it is known."""
+
+    due_s: float = -math.inf
+    read_s: float = -math.inf
+    """When all of it was read last; -inf: it has to be."""
+    opaque_id: int = 0
+    candidate: bytes | None = None
+    """A new list that was read with gaps: it replaces another when it has been read twice."""
+
+
+def _key(items: tuple[PlanItem, ...]) -> bytes:
+    return b"".join(item.key for item in items)
+
+
+@final
+class PlanClient:
+    """Reads the three lists of one autopilot, one after the other, for ever.  Sans-IO.
+
+    After each message and each tick send what is returned; give it every message.  Only what is
+    addressed to us counts: others may transfer on the same link.  A download that is not complete
+    changes nothing.
+    """
+
+    def __init__(self, system_id: int, ours: tuple[int, int]) -> None:
+        """ours: the system and component that we send as."""
+        self._system_id, self._ours = system_id, ours
+        self.plans: dict[int, Plan] = {kind: Plan() for kind in KINDS}
+        """By MAV_MISSION_TYPE."""
+        self.trouble: dict[int, str] = {}
+        """Kinds whose last transfer did not succeed, and why, in words."""
+        self.read_at_s: dict[int, float] = {}
+        """When each was known last to be as it stands here."""
+        self._watches = {kind: _Watch() for kind in KINDS}
+        self._transfer: _Transfer | None = None
+        self._list_s = _LIST_S
+
+    @property
+    def is_done(self) -> bool:
+        """Whether each list has been read once, or is not supported."""
+        return all(plan.version or not plan.supported for plan in self.plans.values())
+
+    @property
+    def waiting(self) -> tuple[str, ...]:
+        """What has not been read once, with the reason if one is known, for people."""
+        return tuple(
+            f"{_NAMES[kind]} ({self.trouble.get(kind, 'no answer yet')})"
+            for kind, plan in self.plans.items()
+            if plan.supported and not plan.version
+        )
+
+    def refresh(self) -> None:
+        """Read everything again now: the autopilot has rebooted, or somebody says so."""
+        self._transfer = None
+        for watch in self._watches.values():
+            watch.due_s = watch.read_s = -math.inf
+            watch.opaque_id = 0
+            watch.candidate = None
+        for kind, plan in self.plans.items():
+            if not plan.supported:
+                self.plans[kind] = Plan(version=plan.version)
+
+    # --- in -----------------------------------------------------------------------------------
+
+    def on_message(self, message: Message, now_s: float) -> list[Message]:
+        """Take an answer; the next request."""
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        if source != (self._system_id, AUTOPILOT_COMPONENT):
+            return []
+        name = message.get_type()
+        if name == "MISSION_CURRENT":
+            self._on_ids(message)
+            return []
+        transfer = self._transfer
+        if transfer is None or name not in ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"):
+            return []
+        target = (message.target_system, message.target_component)
+        if target != self._ours or message.mission_type != transfer.kind:
+            return []
+        match name:
+            case "MISSION_COUNT":
+                return self._on_count(transfer, message, now_s)
+            case "MISSION_ITEM_INT":
+                return self._on_item(transfer, message, now_s)
+            case _:
+                return self._on_ack(transfer, message, now_s)
+
+    def _on_ids(self, message: Message) -> None:
+        """PX4 tells the ids of its lists once a second: one that is new is read at once."""
+        ids = _payload(message, 18)
+        for kind, at in ((MISSION, 6), (FENCE, 10), (RALLY, 14)):
+            (told,) = struct.unpack_from("<I", ids, at)
+            watch = self._watches[kind]
+            if told and watch.opaque_id and told != watch.opaque_id:
+                watch.due_s = watch.read_s = -math.inf
+
+    def _on_count(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
+        if transfer.doing is not _Doing.LOOKING:
+            return []
+        opaque_id = struct.unpack_from("<I", _payload(message, 9), 5)[0]
+        if transfer.tries == 1:  # so this is the answer to that request
+            waited_s = now_s - transfer.asked_s
+            transfer.item_s = min(max(2.0 * waited_s, _ITEM_S), _LIST_S)
+            self._list_s = min(max(4.0 * waited_s, 2.0 * _ITEM_S), _LIST_S)
+        if message.count > _LONGEST:
+            return self._fail(transfer, f"{message.count} items are too many", now_s)
+        plan, watch = self.plans[transfer.kind], self._watches[transfer.kind]
+        known = plan.version > 0 and plan.supported
+        same = known and message.count == len(plan.items) and opaque_id == watch.opaque_id
+        if same and transfer.only_look:
+            return self._looked(transfer, now_s)
+        transfer.count, transfer.opaque_id = message.count, opaque_id
+        if message.count == 0:
+            return self._complete(transfer, now_s)
+        transfer.doing, transfer.tries = _Doing.READING, 0
+        return [self._ask(transfer, now_s)]
+
+    def _on_item(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
+        if transfer.doing is not _Doing.READING or message.seq != len(transfer.items):
+            return []  # one that has come already, after it was asked for twice
+        transfer.smooth &= now_s - transfer.asked_s <= _ITEM_S
+        transfer.items.append(
+            PlanItem(
+                frame=message.frame,
+                command=message.command,
+                parameters=(message.param1, message.param2, message.param3, message.param4),
+                x=message.x,
+                y=message.y,
+                z_m=message.z,
+            )
+        )
+        if len(transfer.items) == transfer.count:
+            return self._complete(transfer, now_s)
+        transfer.tries = 0
+        return [self._ask(transfer, now_s)]
+
+    def _on_ack(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
+        """Instead of an answer: refused."""
+        if message.type == wire.MAV_MISSION_UNSUPPORTED:
+            plan = self.plans[transfer.kind]
+            self._done(transfer, now_s, READ_ALL_S)
+            if plan.supported:
+                self.plans[transfer.kind] = Plan(version=plan.version + 1, supported=False)
+            return self.on_time(now_s)
+        if message.type == wire.MAV_MISSION_ACCEPTED:
+            return []  # of something that we did not ask for
+        why = _REFUSED.get(message.type, f"refused with MAV_MISSION_RESULT {message.type}")
+        return self._fail(transfer, why, now_s)
+
+    # --- how a transfer ends ------------------------------------------------------------------
+
+    def _looked(self, transfer: _Transfer, now_s: float) -> list[Message]:
+        """Nothing new; the autopilot is told that no item will be asked for."""
+        self._done(transfer, now_s)
+        over = self._ack(transfer.kind, wire.MAV_MISSION_OPERATION_CANCELLED)
+        return [over, *self.on_time(now_s)]
+
+    def _complete(self, transfer: _Transfer, now_s: float) -> list[Message]:
+        plan, watch = self.plans[transfer.kind], self._watches[transfer.kind]
+        self._done(transfer, now_s)
+        watch.read_s, watch.opaque_id = now_s, transfer.opaque_id
+        items = tuple(transfer.items)
+        key = _key(items)
+        sure = transfer.smooth or key == watch.candidate
+        new = key != _key(plan.items) or not plan.version or not plan.supported
+        if new and (sure or not plan.version):  # the first is better than none
+            self.plans[transfer.kind] = Plan(items=items, version=plan.version + 1)
+        if new and not sure:  # in the gaps it may have become half of one and half of another
+            watch.candidate, watch.due_s, watch.read_s = key, now_s, -math.inf
+        else:
+            watch.candidate = None
+        return [self._ack(transfer.kind, wire.MAV_MISSION_ACCEPTED), *self.on_time(now_s)]
+
+    def _done(self, transfer: _Transfer, now_s: float, pause_s: float = LOOK_S) -> None:
+        self._transfer = None
+        self.trouble.pop(transfer.kind, None)
+        self.read_at_s[transfer.kind] = now_s
+        self._watches[transfer.kind].due_s = now_s + pause_s
+
+    def _fail(self, transfer: _Transfer, why: str, now_s: float) -> list[Message]:
+        """What is known stays; try again later."""
+        self._transfer = None
+        self.trouble[transfer.kind] = why
+        self._watches[transfer.kind].due_s = now_s + _LATER_S
+        return self.on_time(now_s)
+
+    # --- out ----------------------------------------------------------------------------------
+
+    def on_time(self, now_s: float) -> list[Message]:
+        """What is due: the same request again, or a look at the next list."""
+        transfer = self._transfer
+        if transfer is None:
+            transfer = self._transfer = self._next(now_s)
+            return [] if transfer is None else [self._ask(transfer, now_s)]
+        wait_s = self._list_s if transfer.doing is _Doing.LOOKING else transfer.item_s
+        if now_s - transfer.asked_s < wait_s:
+            return []
+        transfer.smooth = False
+        if transfer.tries < _MOST_TRIES[transfer.doing is _Doing.LOOKING]:
+            return [self._ask(transfer, now_s)]
+        over = self._ack(transfer.kind, wire.MAV_MISSION_OPERATION_CANCELLED)
+        return [over, *self._fail(transfer, "no answer", now_s)]
+
+    def _next(self, now_s: float) -> _Transfer | None:
+        """The list whose turn it is: what was never read first, then the longest not looked at."""
+        due = [kind for kind, watch in self._watches.items() if now_s >= watch.due_s]
+        if not due:
+            return None
+        kind = min(due, key=lambda each: (self.plans[each].version > 0, self._watches[each].due_s))
+        watch, plan = self._watches[kind], self.plans[kind]
+        read_all_s = max(READ_ALL_S, _READ_ALL_PER_ITEM_S * len(plan.items))
+        whole = now_s - watch.read_s >= read_all_s
+        few = not watch.opaque_id and len(plan.items) <= _FEW
+        return _Transfer(kind=kind, only_look=bool(plan.version) and not whole and not few)
+
+    def _ask(self, transfer: _Transfer, now_s: float) -> Message:
+        transfer.asked_s = now_s
+        transfer.tries += 1
+        to = (self._system_id, AUTOPILOT_COMPONENT)
+        if transfer.doing is _Doing.LOOKING:
+            return wire.MAVLink_mission_request_list_message(*to, transfer.kind)
+        seq = len(transfer.items)
+        return wire.MAVLink_mission_request_int_message(*to, seq, transfer.kind)
+
+    def _ack(self, kind: int, result: int) -> Message:
+        return wire.MAVLink_mission_ack_message(self._system_id, AUTOPILOT_COMPONENT, result, kind)
+
+
+def _payload(message: Message, size: int) -> bytes:
+    """The payload as it came, up to this size.
+
+    The installed dialect does not know the ids at its end.
+    """
+    frame = bytes(message.get_msgbuf() or b"")
+    if not frame or frame[0] != wire.PROTOCOL_MARKER_V2:
+        return bytes(size)
+    return frame[10 : 10 + min(size, frame[1])].ljust(size, b"\0")

@@ -1,0 +1,106 @@
+"""Fence polygons made safe for the planner: simple, and moved outwards or inwards by a margin.
+
+All is on the plane: points are (north, east) in metres, polygons closed without saying so.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+Point = tuple[float, float]
+_SAME_M = 1e-3
+_SHARPEST = 0.02
+"""1 + cosine of the turn at a corner: sharper ones have no useful mitre (about 11 deg inside)."""
+
+
+def cleaned(vertices: Sequence[Point]) -> tuple[Point, ...]:
+    """Without corners that are given twice in a row."""
+    kept: list[Point] = []
+    for vertex in vertices:
+        if not kept or math.dist(kept[-1], vertex) > _SAME_M:
+            kept.append(vertex)
+    while len(kept) > 1 and math.dist(kept[0], kept[-1]) <= _SAME_M:
+        kept.pop()
+    return tuple(kept)
+
+
+def signed_area_m2(vertices: Sequence[Point]) -> float:
+    """Positive if the corners go round clockwise as seen from above (north to east)."""
+    north, east = np.asarray(vertices, dtype=float).T
+    return 0.5 * float(np.sum(north * np.roll(east, -1) - np.roll(north, -1) * east))
+
+
+def crosses_itself(vertices: Sequence[Point]) -> bool:
+    """Whether two sides that are not neighbours meet, or neighbours lie on each other."""
+    a = np.asarray(vertices, dtype=float)
+    b = np.roll(a, -1, axis=0)
+    count = len(a)
+    along = b - a
+    before = np.roll(along, 1, axis=0)
+    folded = (np.abs(_cross(before, along)) <= 1e-9) & (np.sum(before * along, axis=1) < 0.0)
+    if np.any(folded):
+        return True
+    first, second = np.triu_indices(count, k=2)
+    apart = ~((first == 0) & (second == count - 1))
+    first, second = first[apart], second[apart]
+    side_1 = _cross(along[first], a[second] - a[first])
+    side_2 = _cross(along[first], b[second] - a[first])
+    side_3 = _cross(along[second], a[first] - a[second])
+    side_4 = _cross(along[second], b[first] - a[second])
+    meet = (side_1 * side_2 <= 0.0) & (side_3 * side_4 <= 0.0)
+    low = np.minimum(a, b)
+    high = np.maximum(a, b)
+    boxes = np.all((low[first] <= high[second]) & (low[second] <= high[first]), axis=1)
+    return bool(np.any(meet & boxes))
+
+
+def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+
+
+def hull(vertices: Sequence[Point]) -> tuple[Point, ...]:
+    """The convex hull (Andrew's monotone chain); fewer than three corners if there is no area."""
+    points = sorted(set(vertices))
+    if len(points) < 3:
+        return tuple(points)
+
+    def half(ordered: Sequence[Point]) -> list[Point]:
+        chain: list[Point] = []
+        for point in ordered:
+            while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= 0.0:
+                chain.pop()
+            chain.append(point)
+        return chain[:-1]
+
+    return (*half(points), *half(points[::-1]))
+
+
+def _turn(a: Point, b: Point, c: Point) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def offset(vertices: Sequence[Point], outwards_m: float) -> tuple[Point, ...] | None:
+    """A simple polygon with every side moved outwards (negative: inwards), corners mitred.
+
+    Outwards it holds every point within the distance of the polygon, inwards only points that far
+    inside.  None where sides would vanish or the result would cross itself, as in a narrow inlet.
+    """
+    a = np.asarray(vertices, dtype=float)
+    along = np.roll(a, -1, axis=0) - a
+    length = np.hypot(along[:, 0], along[:, 1])
+    if np.any(length <= _SAME_M):
+        return None
+    unit = along / length[:, None]
+    sign = 1.0 if signed_area_m2(vertices) > 0.0 else -1.0
+    normal = sign * np.stack([unit[:, 1], -unit[:, 0]], axis=1)  # outwards
+    before = np.roll(normal, 1, axis=0)
+    share = 1.0 + np.sum(before * normal, axis=1)
+    if np.any(share < _SHARPEST):
+        return None
+    moved = a + outwards_m * (before + normal) / share[:, None]
+    now_along = np.roll(moved, -1, axis=0) - moved
+    if np.any(np.sum(now_along * unit, axis=1) <= _SAME_M):
+        return None
+    result = tuple((float(north), float(east)) for north, east in moved)
+    return None if crosses_itself(result) else result

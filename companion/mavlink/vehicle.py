@@ -1,0 +1,330 @@
+"""One autopilot at the other end: what is asked of it besides flying, and what it says.
+
+Streams, parameters, its own mission, fence and rally points, link delay.  Sans-IO: messages in,
+messages and events out.
+"""
+
+from dataclasses import replace
+from typing import Any, final
+
+from companion.mavlink import fence
+from companion.mavlink.autopilots import Autopilot, Here, autopilot_of, heading_rad
+from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
+from companion.mavlink.judgement import Finding, Severity, judge, names_of
+from companion.mavlink.parameter_client import ParameterClient, is_bytewise
+from companion.mavlink.plan_client import FENCE, MISSION, RALLY, PlanClient
+from companion.mavlink.streams import Streams
+from companion.mission.events import (
+    Arm,
+    Event,
+    FenceChanged,
+    Home,
+    Item,
+    LinkDelay,
+    Origin,
+    Position,
+    Prepared,
+    SetMode,
+    Setpoint,
+    SetSpeed,
+    TakeOff,
+    TargetsChanged,
+    Vector,
+)
+from companion.mission.mission import Mission
+from companion.mission.state import State
+
+_ASK_TIME_S = 1.0
+_MOST_OUTSTANDING = 10
+_SMOOTH = 0.3  # of a new round trip
+_NEWS_S = 0.005  # a change of less moves no setpoint by much
+_HOME_MOVED_M = 5.0
+_FAMILY = {
+    "ardupilot": wire.MAV_AUTOPILOT_ARDUPILOTMEGA,
+    "px4": wire.MAV_AUTOPILOT_PX4,
+}
+
+
+Told = Setpoint | SetMode | SetSpeed | Arm | TakeOff
+"""What an autopilot is told to do."""
+
+
+@final
+class VehicleSide:
+    """The protocols with one autopilot."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        system_id: int,
+        autopilot: Autopilot,
+        number: int,
+        *,
+        lockstep: bool,
+        sets_parameters: bool,
+    ) -> None:
+        """number: MAV_AUTOPILOT of its heartbeat; sets_parameters: or only says what it would."""
+        self.system_id, self.autopilot = system_id, autopilot
+        self.streams = Streams(system_id, autopilot, mission.position_rate_hz)
+        self.parameters = ParameterClient(
+            system_id, names_of(autopilot.rules), bytewise=is_bytewise(number)
+        )
+        self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
+        self.findings: list[Finding] = []
+        """Of the parameters, as they were judged last."""
+        self.origin_nea_m: Vector | None = None
+        self.round_trip_s: float | None = None
+        self.geoid_m: float | None = None
+        """How far its mean sea level lies above the ellipsoid, as its GPS has it."""
+        self.asks_time_often = number == wire.MAV_AUTOPILOT_PX4
+        """Whether it sends TIMESYNC at 10 Hz by itself (px4.md 2)."""
+        self.notes: list[str] = []
+        """What a person should hear of, since last looked at."""
+        self._mission, self._lockstep = mission, lockstep
+        self._sets_parameters = sets_parameters
+        self._home_nea_m: Vector | None = None
+        self._heading_rad = 0.0
+        self._judged = -1
+        self._home_first = number == wire.MAV_AUTOPILOT_ARDUPILOTMEGA
+        self._fence_made_of: object = None
+        self._fence_told: FenceChanged | None = None
+        self._fence_said: tuple[str, ...] = ()
+        self.fence: fence.Fence | None = None
+        """Its own fence, once it was read."""
+        self.here_ne_m: tuple[float, float] | None = None
+        self._targets_version = 0
+        self._parameters_told = self._plans_told = False
+        self._began = False
+        self._asked_time_s = self._told_round_trip_s = -1e9
+        self._outstanding: dict[int, float] = {}
+
+    @staticmethod
+    def found(
+        heartbeat: Message, mission: Mission, *, lockstep: bool, sets_parameters: bool
+    ) -> "VehicleSide | None":
+        """The autopilot that sends this heartbeat; None if it is none that the mission is for."""
+        autopilot = autopilot_of(heartbeat)
+        if autopilot is None or autopilot.driving.hovers != (mission.kind == "copter"):
+            return None
+        if mission.autopilot is not None and heartbeat.autopilot != _FAMILY[mission.autopilot]:
+            return None
+        return VehicleSide(
+            mission,
+            heartbeat.get_srcSystem(),
+            autopilot,
+            heartbeat.autopilot,
+            lockstep=lockstep,
+            sets_parameters=sets_parameters,
+        )
+
+    def begin(self, now_s: float) -> list[Message]:
+        """Ask for all of it."""
+        self._began = True
+        return self.streams.begin(now_s)
+
+    def rebooted(self) -> None:
+        """Everything is asked for again."""
+        self.streams.forget()
+        self.parameters.restart()
+        self.plans.refresh()
+        self._parameters_told = self._plans_told = False
+        self.origin_nea_m = self._home_nea_m = None
+
+    # --- in
+
+    def on_message(self, message: Message, now_s: float) -> list[Message]:
+        """Whatever the autopilot says."""
+        self.streams.on_message(message)
+        replies = self.parameters.on_message(message, now_s)
+        return [*replies, *self.plans.on_message(message, now_s)]
+
+    def event_of(self, message: Message, now_s: float) -> Event | None:
+        """What a message of it means for the mission; None: nothing."""
+        if message.get_type() == "GLOBAL_POSITION_INT":
+            heading = heading_rad(message)
+            self._heading_rad = self._heading_rad if heading is None else heading
+        elif message.get_type() == "GPS_RAW_INT" and message.alt_ellipsoid:
+            self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
+        frame = self._mission.frame
+        event = self.autopilot.event_of(message, now_s, frame, self.origin_nea_m)
+        self._remember(event)
+        return event
+
+    def _remember(self, event: Event | None) -> None:
+        if isinstance(event, Position):
+            north_m, east_m, _ = event.position_nea_m
+            self.here_ne_m = (north_m, east_m)
+        elif isinstance(event, Home):
+            before = self._home_nea_m
+            if before is None or _apart(before, event.position_nea_m):
+                self._home_nea_m = event.position_nea_m
+        elif isinstance(event, Origin):
+            moved = self.origin_nea_m is not None and _apart(
+                self.origin_nea_m, event.position_nea_m
+            )
+            if moved:
+                self.notes.append("the autopilot's origin has moved")
+            self.origin_nea_m = event.position_nea_m
+
+    def entry_of(self, message: Message) -> dict[str, Any] | None:
+        """What of a message belongs into the journal, besides what it means."""
+        match message.get_type():
+            case "STATUSTEXT":
+                return {"kind": "vehicle says", "text": message.text}
+            case "COMMAND_ACK" if (
+                message.command != wire.MAV_CMD_DO_REPOSITION
+                or self.autopilot.refuses_setpoint(message)
+            ):
+                return {
+                    "kind": "acknowledged",
+                    "command": message.command,
+                    "result": message.result,
+                }
+            case _:
+                return None
+
+    def on_answered_time(self, message: Message, now_s: float, at_s: float) -> LinkDelay | None:
+        """The answer to a TIMESYNC of ours, if it makes a difference.
+
+        at_s: when it arrived, by the clock that asked.
+        """
+        asked_s = self._outstanding.pop(message.ts1, None)
+        if asked_s is None:
+            return None
+        took_s = max(at_s - asked_s, 0.0)
+        before_s = self.round_trip_s
+        smooth_s = took_s if before_s is None else before_s + _SMOOTH * (took_s - before_s)
+        self.round_trip_s = smooth_s
+        if abs(smooth_s - self._told_round_trip_s) < _NEWS_S:
+            return None
+        self._told_round_trip_s = smooth_s
+        return LinkDelay(time_s=now_s, round_trip_s=smooth_s)
+
+    # --- out
+
+    def told(self, command: Told, state: State) -> list[Message] | None:
+        """What tells the autopilot to do this; None for a setpoint that must not be sent."""
+        autopilot, system, frame = self.autopilot, self.system_id, self._mission.frame
+        match command:
+            case Setpoint():
+                radius_m = state.task.limits.loiter_radius_m
+                return autopilot.setpoint(command, frame, system, loiter_radius_m=radius_m)
+            case SetMode():
+                return autopilot.set_mode(command, frame, system)
+            case SetSpeed(speed_m_s=speed):
+                return autopilot.set_speed(speed, system)
+            case Arm():
+                return autopilot.arm(system)
+            case TakeOff():
+                here = state.vehicle.position_nea_m
+                if here is None:
+                    return []
+                place = Here(position_nea_m=here, heading_rad=self._heading_rad)
+                return autopilot.take_off(command, place, frame, system)
+
+    def on_time(self, now_s: float, at_s: float | None) -> list[Message]:
+        """What is due; at_s: the clock of the outside, None in lockstep."""
+        if not self._began:
+            return []
+        asked = self.streams.on_time(now_s)
+        asked += self.parameters.on_time(now_s)
+        asked += self.plans.on_time(now_s)
+        if at_s is not None and not self._lockstep:
+            asked += self._ask_time(at_s)
+        return asked
+
+    def _ask_time(self, at_s: float) -> list[Message]:
+        if 0.0 <= at_s - self._asked_time_s < _ASK_TIME_S:
+            return []
+        self._asked_time_s = at_s
+        ts1 = max(round(at_s * 1e9), 1)
+        self._outstanding[ts1] = at_s
+        while len(self._outstanding) > _MOST_OUTSTANDING:
+            self._outstanding.pop(next(iter(self._outstanding)))
+        return [wire.MAVLink_timesync_message(0, ts1)]
+
+    def events(self, now_s: float) -> list[Event]:
+        """What has become known since the last time."""
+        if not self._began:
+            return []
+        return [*self._judged_parameters(now_s), *self._read_plans(now_s)]
+
+    def _judged_parameters(self, now_s: float) -> list[Event]:
+        client = self.parameters
+        if not client.is_done or client.version == self._judged:
+            return []
+        self._judged = client.version
+        home = None if self._home_nea_m is None else self._home_nea_m[2]
+        findings = judge(self.autopilot.rules, client.values, self._mission, home_amsl_m=home)
+        self.findings = findings
+        setting = [
+            each
+            for each in findings
+            if each.severity is Severity.SET and each.name not in client.failed_sets
+        ]
+        if not self._sets_parameters:
+            setting = []
+        for finding in setting:
+            if finding.set_to is not None:
+                client.set(finding.name, finding.set_to)
+                self.notes.append(f"set {finding.name} to {finding.set_to:g}")
+        if setting:
+            return []  # they are judged again once they are read back
+        refused = [
+            each
+            for each in findings
+            if each.severity is Severity.REFUSE
+            or (each.severity is Severity.SET and self._sets_parameters)
+        ]
+        refusal = str(refused[0]) if refused else ""
+        self._parameters_told = True
+        return [Prepared(time_s=now_s, item=Item.PARAMETERS, refusal=refusal)]
+
+    def _read_plans(self, now_s: float) -> list[Event]:
+        plans, mission, told = self.plans, self._mission, list[Event]()
+        if not plans.is_done or not self.parameters.is_done:
+            return []
+        refusal = ""
+        if mission.fence_from_vehicle:
+            made_of = (plans.plans[FENCE].version, self.parameters.version, self._home_nea_m)
+            if made_of != self._fence_made_of:
+                self._fence_made_of = made_of
+                refusal = self._draw_fence(now_s, told)
+        version = plans.plans[MISSION].version
+        if mission.targets_from_vehicle and version != self._targets_version:
+            self._targets_version = version
+            route = fence.targets_of(
+                plans.plans[MISSION].items, mission.frame, home_first=self._home_first
+            )
+            self.notes += route.said
+            told.append(TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
+        waits = mission.fence_from_vehicle and self.fence is not None and self.fence.needs_home
+        if refusal or not (self._plans_told or waits):
+            self._plans_told = True
+            told.append(Prepared(time_s=now_s, item=Item.PLANS, refusal=refusal))
+        return told
+
+    def _draw_fence(self, now_s: float, told: list[Event]) -> str:
+        """Tell of the fence as it is now; why the mission cannot keep to it, if so."""
+        mission, plans = self._mission, self.plans.plans
+        drawn = fence.zones_of(
+            plans[FENCE].items,
+            mission.frame,
+            self.parameters.values,
+            home_nea_m=self._home_nea_m,
+            here_ne_m=self.here_ne_m,
+        )
+        self.fence = drawn
+        rally = fence.rally_of(plans[RALLY].items, mission.frame)
+        event = drawn.changed(now_s, rally)
+        if self._fence_told is None or replace(event, time_s=0.0) != self._fence_told:
+            self._fence_told = replace(event, time_s=0.0)
+            told.append(event)
+        self.notes += [each for each in drawn.said if each not in self._fence_said]
+        self._fence_said = drawn.said
+        against = fence.conflicts(drawn, mission.task, mission.targets_ne_m)
+        return against[0] if against else ""
+
+
+def _apart(one: Vector, other: Vector) -> bool:
+    return max(abs(a - b) for a, b in zip(one, other, strict=True)) > _HOME_MOVED_M

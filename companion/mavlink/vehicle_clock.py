@@ -1,0 +1,65 @@
+"""The vehicle's clock: the newest time_boot_ms of its autopilot (design 4).
+
+Until it is known, and for what must go on in a silence, the silence itself counts.
+"""
+
+import enum
+from typing import final
+
+_REBOOT_S = 2.0  # a clock that falls by more has begun again
+MESSAGES = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE", "SYSTEM_TIME")
+"""Those whose time_boot_ms is the time at which they were sent."""
+
+
+class Reading(enum.Enum):
+    """What a time means for the clock."""
+
+    FIRST = "the clock is known from now on"
+    LATER = "it has moved on"
+    SAME = "it has not"
+    REBOOTED = "it has begun again"
+    DOUBTED = "it has fallen, for the first time: one such message may be a mistake"
+
+
+@final
+class VehicleClock:
+    """Vehicle time, seconds since its boot."""
+
+    def __init__(self, start_s: float) -> None:
+        """start_s: what stands for the time until it is known."""
+        self.now_s = start_s
+        self.is_known = False
+        self._idle_s = 0.0
+        self._fallen_s: float | None = None
+
+    @property
+    def going_on_s(self) -> float:
+        """Vehicle time with the silence since on top: for what goes on meanwhile."""
+        return self.now_s + self._idle_s
+
+    def read(self, time_s: float) -> Reading:
+        """The vehicle says that it is this late."""
+        if not self.is_known:
+            self.is_known, self.now_s, self._idle_s = True, time_s, 0.0
+            return Reading.FIRST
+        if time_s < self.now_s - _REBOOT_S:
+            before_s, self._fallen_s = self._fallen_s, time_s
+            if before_s is None or not 0.0 <= time_s - before_s < _REBOOT_S:
+                return Reading.DOUBTED
+            self.now_s, self._idle_s, self._fallen_s = time_s, 0.0, None
+            return Reading.REBOOTED
+        self._fallen_s = None
+        return self._later(time_s)
+
+    def be_silent(self, more_s: float, *, counts: bool) -> Reading:
+        """It has said nothing for so much longer; counts: before it is known, that is its time."""
+        if self.is_known or not counts:
+            self._idle_s += more_s
+            return Reading.SAME
+        return self._later(self.now_s + more_s)
+
+    def _later(self, time_s: float) -> Reading:
+        if time_s <= self.now_s:
+            return Reading.SAME
+        self.now_s, self._idle_s = time_s, 0.0
+        return Reading.LATER

@@ -1,0 +1,358 @@
+"""Fences as zones: what a zone lets through, the simulated autopilots' own fences let through."""
+
+import itertools
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from held import HOME_DEG, HOME_M
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.geodesy import LocalFrame, deg_e7
+from companion.mavlink.fence import conflicts, rally_of, targets_of, zones_of
+from companion.mavlink.plan_client import PlanItem
+from companion.mission.mission import EndAction
+from companion.path.limits import Limits
+from companion.planner.settings import PlannerSettings, Task
+from companion.world.threats import CircleZone, PolygonZone
+from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilots.ardupilot.fence import Fence as ArduPilotFence
+from vehicle_sim.autopilots.px4.fence import Fence as Px4Fence
+from vehicle_sim.autopilots.px4.projection import Projection
+from vehicle_sim.plans import PlanItem as Stored
+from vehicle_sim.plans import PlanKind, Plans
+
+FRAME = LocalFrame(latitude_deg=HOME_DEG[0], longitude_deg=HOME_DEG[1])
+HOME = (0.0, 0.0, HOME_M)
+ON = {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 4.0, "FENCE_MARGIN": 0.0, "FENCE_OPTIONS": 1.0}
+CIRCLE_IN, CIRCLE_OUT, IN, OUT = 5003, 5004, 5001, 5002
+SQUARE = ((-100.0, -100.0), (-100.0, 100.0), (100.0, 100.0), (100.0, -100.0))
+metres = st.floats(-900.0, 900.0)
+places = st.tuples(metres, metres)
+
+
+def item(command: int, north_m: float, east_m: float, parameter: float) -> PlanItem:
+    latitude, longitude = FRAME.to_geodetic_deg(north_m, east_m)
+    return PlanItem(
+        frame=0,
+        command=command,
+        parameters=(parameter, 0.0, 0.0, 0.0),
+        x=deg_e7(latitude),
+        y=deg_e7(longitude),
+    )
+
+
+def ring(command: int, *corners: tuple[float, float]) -> list[PlanItem]:
+    return [item(command, *corner, float(len(corners))) for corner in corners]
+
+
+@st.composite
+def shapes(draw: st.DrawFn) -> list[PlanItem]:
+    """One circle or polygon; the polygon may cross itself."""
+    command = draw(st.sampled_from([CIRCLE_IN, CIRCLE_OUT, IN, OUT]))
+    if command in (CIRCLE_IN, CIRCLE_OUT):
+        return [item(command, *draw(places), draw(st.floats(30.0, 900.0)))]
+    return ring(command, *draw(st.lists(places, min_size=3, max_size=7, unique=True)))
+
+
+def as_stored(items: list[PlanItem]) -> Plans:
+    plans = Plans()
+    plans[PlanKind.FENCE] = tuple(
+        Stored(frame=0, command=each.command, parameters=each.parameters, x=each.x, y=each.y)
+        for each in items
+    )
+    return plans
+
+
+def allowed_by_ardupilot(items: list[PlanItem], parameters: dict[str, float], at: Any) -> bool:
+    fence = ArduPilotFence({"FENCE_RADIUS": 150.0, **parameters}, as_stored(items))  # type: ignore[arg-type]
+    latitude, longitude = FRAME.to_geodetic_deg(*at)
+    place = Place(latitude_deg=latitude, longitude_deg=longitude, altitude_amsl_m=HOME_M)
+    home = Place(latitude_deg=HOME_DEG[0], longitude_deg=HOME_DEG[1], altitude_amsl_m=HOME_M)
+    return fence.outside(place, home) == 0
+
+
+def allowed_by_px4(items: list[PlanItem], at: tuple[float, float]) -> bool:
+    projection = Projection(*HOME_DEG)
+    fence = Px4Fence(as_stored(items))
+    return fence.allows(projection, *projection.to_local(*FRAME.to_geodetic_deg(*at)))
+
+
+def room_m(fence: Any, at: tuple[float, float]) -> float:
+    """How far inside of what its zones allow."""
+    north, east = np.asarray(at[0]), np.asarray(at[1])
+    return min((float(zone.distance_m(north, east)) for zone in fence.zones), default=math.inf)
+
+
+# --- never where the autopilot would not be -------------------------------------------------------
+
+_ROUND_M = 3.0
+"""ArduPilot's flat earth is 0.1 % off, within 2 km."""
+
+
+@settings(max_examples=100)
+@given(drawn=st.lists(shapes(), min_size=1, max_size=4), points=st.lists(places, min_size=20))
+def test_what_zones_allow_both_autopilots_allow(drawn: Any, points: Any) -> None:
+    items = list(itertools.chain(*drawn))
+    for union in (False, True):
+        parameters = {**ON, "FENCE_OPTIONS": 3.0 if union else 1.0}
+        fence = zones_of(items, FRAME, parameters, here_ne_m=points[0])
+        for at in points:
+            if not fence.refusal and room_m(fence, at) > _ROUND_M:
+                assert allowed_by_ardupilot(items, parameters, at)
+    fence = zones_of(items, FRAME, {"GF_ACTION": 2.0}, here_ne_m=points[0])
+    for at in points:
+        if not fence.refusal and room_m(fence, at) > _ROUND_M:
+            assert allowed_by_px4(items, at)
+
+
+@given(shape=shapes(), points=st.lists(places, min_size=20), margin_m=st.floats(1.0, 30.0))
+def test_a_margin_is_kept_from_every_edge(shape: Any, points: Any, margin_m: float) -> None:
+    bare = zones_of(shape, FRAME, ON)
+    fence = zones_of(shape, FRAME, {**ON, "FENCE_MARGIN": margin_m})
+    if fence.refusal or any("without" in said for said in fence.said):
+        return
+    for at in points:
+        if room_m(fence, at) > 0.0:
+            assert room_m(bare, at) > margin_m - 1e-3
+
+
+def test_a_long_side_is_where_the_autopilot_has_it() -> None:
+    """80 km along a parallel: straight in degrees is 90 m beside straight in the local frame."""
+    far = ((0.0, -40_000.0), (0.0, 40_000.0), (30_000.0, 40_000.0), (30_000.0, -40_000.0))
+    items = ring(OUT, *far)
+    (zone,) = zones_of(items, FRAME, ON).zones
+    assert isinstance(zone, PolygonZone)
+    latitude = items[0].x * 1e-7
+    for longitude in np.linspace(items[0].y * 1e-7, items[1].y * 1e-7, 50):
+        north, east = FRAME.to_local_m(latitude, float(longitude))
+        assert abs(float(zone.distance_m(np.asarray(north), np.asarray(east)))) < 1.0
+    straight = PolygonZone(name="", vertices_ne_m=far)
+    north, east = FRAME.to_local_m(latitude, HOME_DEG[1])
+    assert abs(float(straight.distance_m(np.asarray(north), np.asarray(east)))) > 50.0
+
+
+def test_out_of_a_polygon_that_crosses_itself_means_out_of_its_hull() -> None:
+    bow = ((-100.0, -100.0), (100.0, 100.0), (100.0, -100.0), (-100.0, 100.0))
+    fence = zones_of(ring(OUT, *bow), FRAME, ON)
+    assert "crosses itself" in fence.said[0]
+    assert allowed_by_ardupilot(ring(OUT, *bow), ON, (0.0, 90.0))  # a hole by the even-odd rule
+    assert room_m(fence, (0.0, 90.0)) < -5.0
+    inside = zones_of(ring(IN, *bow), FRAME, ON)
+    assert room_m(inside, (90.0, 0.0)) > 0.0
+    assert room_m(inside, (0.0, 90.0)) < 0.0
+    assert allowed_by_ardupilot(ring(IN, *bow), ON, (90.0, 0.0))
+
+
+def test_inclusions_of_which_one_is_enough_are_those_that_the_vehicle_is_in() -> None:
+    items = [item(CIRCLE_IN, 0.0, 0.0, 100.0), item(CIRCLE_IN, 500.0, 0.0, 100.0)]
+    for parameters in ({}, {**ON, "FENCE_OPTIONS": 2.0}):
+        fence = zones_of(items, FRAME, parameters, here_ne_m=(10.0, 0.0))
+        assert [zone.name for zone in fence.zones] == ["fence inclusion 1"]
+    both = zones_of(items, FRAME, ON, here_ne_m=(10.0, 0.0))
+    assert len(both.zones) == 2
+    assert "inside of all of" in both.said[0]
+    assert len(zones_of(items, FRAME, {}).zones) == 2
+
+
+# --- what cannot be kept --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("items", "words"),
+    [
+        (ring(IN, *SQUARE)[:3], "incomplete"),
+        (ring(IN, *SQUARE[:2]), "2 corners"),
+        (
+            [PlanItem(frame=0, command=OUT, parameters=(3.0, 0, 0, 0), x=2_000_000_000)] * 3,
+            "nowhere",
+        ),
+        ([item(CIRCLE_IN, 0.0, 0.0, 1.0)], "FENCE_MARGIN"),
+        *[
+            ([item(command, 50.0, 0.0, radius_m)], "needs a radius")
+            for command in (CIRCLE_IN, CIRCLE_OUT)
+            for radius_m in (math.inf, -math.inf, math.nan, 0.0, -20.0, 3e38)
+        ],
+        (ring(OUT, *SQUARE)[:3], "incomplete"),
+        ([*ring(OUT, *SQUARE), item(OUT, 0.0, 0.0, 4.0)], "1 corners"),
+        ([item(OUT, *SQUARE[0], math.nan), *ring(OUT, *SQUARE[:3])], "1 corners"),
+        ([*ring(OUT, *SQUARE)[:3], item(OUT, *SQUARE[3], 5.0)], "incomplete"),
+        ([item(OUT, *corner, 3.5) for corner in SQUARE], "incomplete"),
+        ([replace(each, frame=1) for each in ring(OUT, *SQUARE)], "frame 1"),
+        ([replace(item(CIRCLE_OUT, 50.0, 0.0, 9.0), frame=200)], "frame 200"),
+        ([item(16, 50.0, 0.0, 0.0)], "no fence (NAV_WAYPOINT)"),
+        ([item(4999, 50.0, 0.0, 0.0)], "no fence (4999)"),
+        ([PlanItem(frame=0, command=CIRCLE_OUT, parameters=(9.0, 0, 0, 0))], "nowhere"),
+    ],
+)
+def test_a_fence_that_cannot_be_kept_is_refused(items: list[PlanItem], words: str) -> None:
+    fence = zones_of(items, FRAME, {**ON, "FENCE_MARGIN": 2.0})
+    assert words in fence.refusal
+    assert conflicts(fence, task(), ()) == (fence.refusal,)
+
+
+@given(
+    drawn=st.lists(shapes(), min_size=1, max_size=3),
+    data=st.data(),
+    value=st.sampled_from([math.nan, math.inf, -1.0, 0.0, 1.0, 2.5, 1e9]),
+)
+def test_an_item_that_is_spoilt_is_never_left_out_without_a_word(
+    drawn: Any, data: st.DataObject, value: float
+) -> None:
+    items = list(itertools.chain(*drawn))
+    at = data.draw(st.integers(0, len(items) - 1))
+    before, whole = items[at], zones_of(items, FRAME, ON)
+    spoilt = data.draw(
+        st.sampled_from(
+            [
+                replace(before, parameters=(value, 0.0, 0.0, 0.0)),
+                replace(before, frame=data.draw(st.sampled_from([1, 2, 7, 255]))),
+                replace(before, command=16),
+                replace(before, x=2_000_000_000),
+            ]
+        )
+    )
+    fence = zones_of([*items[:at], spoilt, *items[at + 1 :]], FRAME, ON)
+    is_circle = spoilt.command in (CIRCLE_IN, CIRCLE_OUT) and spoilt.parameters[0] > 0.0
+    if is_circle and spoilt.parameters[0] < 2e7 and spoilt.frame == 0 and spoilt.x == before.x:
+        assert len(fence.zones) == len(whole.zones)  # another circle
+    else:
+        assert fence.refusal
+        assert conflicts(fence, task(), ())[0] == fence.refusal
+        assert "\n" not in fence.refusal
+
+
+def test_an_exclusion_that_lacks_corners_is_its_hull_and_return_points_are_none() -> None:
+    items = [*ring(OUT, *SQUARE)[:3], item(5000, 0.0, 0.0, 0.0), item(CIRCLE_OUT, 0, 0, 0.0)]
+    fence = zones_of(items, FRAME, {})
+    (zone,) = fence.zones
+    assert isinstance(zone, PolygonZone)
+    assert len(zone.vertices_ne_m) == 3
+    assert fence.refusal.startswith("fence exclusion 1 is incomplete")
+    assert [said.split(":")[0] for said in fence.said] == ["fence exclusion 2"]
+
+
+def test_a_fence_that_is_off_is_kept_and_said() -> None:
+    fence = zones_of(ring(OUT, *SQUARE), FRAME, {**ON, "FENCE_ENABLE": 0.0})
+    assert len(fence.zones) == 1
+    assert "FENCE_ENABLE = 0" in fence.said[0]
+
+
+# --- about home -----------------------------------------------------------------------------------
+
+CYLINDER = {"FENCE_RADIUS": 150.0, "FENCE_ALT_MAX": 100.0, "FENCE_ALT_MIN": 10.0}
+
+
+@pytest.mark.parametrize("bits", range(16))
+@pytest.mark.parametrize("by_itself", [False, True])
+def test_ardupilots_cylinder_is_what_its_bits_say(bits: int, by_itself: bool) -> None:
+    switch = {"FENCE_ENABLE": float(not by_itself), "FENCE_AUTOENABLE": 3.0 * by_itself}
+    parameters = {**CYLINDER, **switch, "FENCE_TYPE": float(bits), "FENCE_MARGIN": 2.0}
+    fence = zones_of((), FRAME, parameters, home_nea_m=(10.0, 20.0, HOME_M))
+    assert fence.ceiling_amsl_m == (HOME_M + 98.0 if bits & 1 else None)
+    assert fence.floor_amsl_m == (HOME_M + 12.0 if bits & 8 else None)
+    circles = [
+        (zone.north_m, zone.east_m, zone.radius_m, zone.keep_in)
+        for zone in fence.zones
+        if isinstance(zone, CircleZone)
+    ]
+    assert circles == ([(10.0, 20.0, 148.0, True)] if bits & 2 else [])
+    unknown = zones_of((), FRAME, parameters)
+    assert unknown.needs_home == bool(bits & 11)
+    off = zones_of((), FRAME, {**parameters, "FENCE_ENABLE": 0.0, "FENCE_AUTOENABLE": 0.0})
+    assert (off.zones, off.ceiling_amsl_m, off.needs_home) == ((), None, False)
+
+
+def test_px4s_cylinder() -> None:
+    parameters = {"GF_MAX_HOR_DIST": 300.0, "GF_MAX_VER_DIST": 0.0}
+    fence = zones_of((), FRAME, parameters, home_nea_m=HOME)
+    assert [zone.distance_m(np.asarray(0.0), np.asarray(0.0)) for zone in fence.zones] == [300.0]
+    assert (fence.floor_amsl_m, fence.ceiling_amsl_m) == (None, None)
+    high = zones_of((), FRAME, {"GF_MAX_VER_DIST": 120.0}, home_nea_m=HOME)
+    assert (high.zones, high.ceiling_amsl_m) == ((), HOME_M + 120.0)
+    event = high.changed(7.0, ((1.0, 2.0),))
+    assert (event.time_s, event.ceiling_amsl_m, event.rally_ne_m) == (7.0, 608.0, ((1.0, 2.0),))
+
+
+# --- against the mission --------------------------------------------------------------------------
+
+
+def task(ceiling_amsl_m: float = 660.0) -> Task:
+    limits = Limits(
+        speed_m_s=8.0,
+        acceleration_m_s2=2.0,
+        climb_rate_m_s=2.5,
+        turn_radius_m=25.0,
+        climb_angle_rad=0.3,
+        dive_angle_rad=0.3,
+        floor_amsl_m=500.0,
+        ceiling_amsl_m=ceiling_amsl_m,
+        north_m=(-5000.0, 5000.0),
+        east_m=(-5000.0, 5000.0),
+        tracking_error_m=5.0,
+    )
+    settings_ = PlannerSettings(scan_range_m=1500.0, safety_distance_m=40.0, planning_time_s=3.0)
+    return Task(limits=limits, settings=settings_)
+
+
+def test_a_mission_that_leaves_the_fence_is_refused_with_words() -> None:
+    parameters = {**CYLINDER, "FENCE_ENABLE": 1.0, "FENCE_TYPE": 3.0, "FENCE_MARGIN": 2.0}
+    fence = zones_of((), FRAME, parameters, home_nea_m=HOME)
+    assert conflicts(fence, task(), [(0.0, 90.0)]) == ()
+    (line,) = conflicts(fence, task(), [(0.0, 90.0), (0.0, 488.0)])
+    assert line == (
+        "target 2: 390 m too far from being inside of the vehicle's fence about home "
+        "(radius 150 m) by the clearance of 50 m. Move the target, or change the fence"
+    )
+    (thin,) = conflicts(zones_of((), FRAME, parameters, home_nea_m=(0, 0, 410.0)), task(), ())
+    assert "leaves 500 to 508 m AMSL" in thin
+
+
+# --- rally points and targets ---------------------------------------------------------------------
+
+
+def test_rally_points_are_where_they_were_put() -> None:
+    (place,) = rally_of([item(5100, 300.0, -200.0, 0.0), item(16, 0.0, 0.0, 0.0)], FRAME)
+    assert math.dist(place, (300.0, -200.0)) < 0.02
+
+
+def test_targets_are_the_places_between_take_off_and_the_end() -> None:
+    items = [
+        item(16, 0.0, 0.0, 0.0),  # home
+        item(22, 0.0, 0.0, 0.0),
+        item(178, 0.0, 0.0, 0.0),
+        item(16, 100.0, 0.0, 0.0),
+        item(82, 200.0, 0.0, 0.0),
+        item(19, 300.0, 0.0, 10.0),
+        PlanItem(frame=3, command=18),
+        item(20, 0.0, 0.0, 0.0),
+        item(16, 900.0, 0.0, 0.0),
+    ]
+    found = targets_of(items, FRAME, home_first=True)
+    assert [round(north) for north, _ in found.targets_ne_m] == [100, 200, 300]
+    assert found.end_action is EndAction.RETURN
+    assert found.said == (
+        "item 2 (DO_CHANGE_SPEED) is not flown: left out",
+        "item 6 (NAV_LOITER_TURNS) names no place: left out",
+        "items 8 to 8 come after the end: left out",
+    )
+    assert targets_of(items, FRAME, home_first=False).targets_ne_m[0] == pytest.approx(
+        (0, 0), abs=0.02
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "action", "places"),
+    [(17, EndAction.HOLD, 2), (21, EndAction.LAND, 2), (20, EndAction.RETURN, 1), (16, None, 2)],
+)
+def test_the_last_item_is_the_end(command: int, action: EndAction | None, places: int) -> None:
+    found = targets_of([item(16, 50, 0, 0), item(command, 90, 0, 0)], FRAME, home_first=False)
+    assert (found.end_action, len(found.targets_ne_m)) == (action, places)
+
+
+def test_an_empty_mission_has_no_targets() -> None:
+    assert targets_of((), FRAME, home_first=True).targets_ne_m == ()
+    assert zones_of((), FRAME, {}) == zones_of((), FRAME, ON)

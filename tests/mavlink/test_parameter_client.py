@@ -1,0 +1,306 @@
+"""Parameters over the wire, against the simulator of all four autopilots and recorded flights."""
+
+import math
+import struct
+from typing import Any
+
+import pytest
+from held import FOUR, TELEMETRY, Firmware, Held, Kind, recorded
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.mavlink.dialect import wire
+from companion.mavlink.parameter_client import (
+    ANSWER_S,
+    ParameterClient,
+    decoded,
+    encoded,
+    is_bytewise,
+)
+from companion.mavlink.parameter_rules import (
+    ARDUCOPTER_RULES,
+    ARDUPLANE_RULES,
+    PX4_FIXED_WING_RULES,
+    PX4_MULTICOPTER_RULES,
+    names_of,
+)
+
+ALL_FOUR = pytest.mark.parametrize(("firmware", "kind"), FOUR)
+RULES = {
+    ("ardupilot", "copter"): ARDUCOPTER_RULES,
+    ("ardupilot", "plane"): ARDUPLANE_RULES,
+    ("px4", "copter"): PX4_MULTICOPTER_RULES,
+    ("px4", "plane"): PX4_FIXED_WING_RULES,
+}
+WHOLE = {1: (0, 255), 2: (-128, 127), 3: (0, 65535), 4: (-(2**15), 2**15 - 1)} | {
+    5: (0, 2**32 - 1),
+    6: (-(2**31), 2**31 - 1),
+}
+
+
+def from_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
+    """As it comes out of the parser."""
+    sender = wire.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
+    return wire.MAVLink(None).decode(bytearray(message.pack(sender)))
+
+
+def told(name: str, value: float, kind: int = 9, source: tuple[int, int] = (1, 1)) -> Any:
+    message = wire.MAVLink_param_value_message(name.encode(), value, kind, 1, 0)
+    return from_wire(message, source)
+
+
+def names_of_requests(messages: list[Any]) -> list[str]:
+    return [message.param_id for message in messages]
+
+
+# --- against the simulator ------------------------------------------------------------------------
+
+
+@ALL_FOUR
+@pytest.mark.parametrize(
+    "fault", ["", "link_loss 25 %", "link_delay 700 ms", "link_duplication 50 %"]
+)
+def test_reads_what_the_vehicle_has_and_knows_what_it_has_not(
+    firmware: Firmware, kind: Kind, fault: str
+) -> None:
+    held = Held(firmware, kind)
+    if fault:
+        held.simulation.add_fault(fault)
+    groups = names_of(RULES[firmware, kind])
+    client = ParameterClient(1, groups, bytewise=firmware == "px4")
+    took_s = held.run(60.0, client, lambda: client.is_done)
+    assert client.is_done
+    assert took_s < (4.0 if not fault else 15.0)
+    parameters = held.simulation.parameters
+    known = {name for group in groups for name in group if name in parameters}
+    assert set(client.values) == known
+    for name in known:
+        assert client.values[name] == pytest.approx(parameters[name], rel=1e-6)
+    assert client.missing == {group[0] for group in groups if not known.intersection(group)}
+
+
+@ALL_FOUR
+def test_a_silent_link_is_not_flooded_and_makes_nothing_missing(
+    firmware: Firmware, kind: Kind
+) -> None:
+    held = Held(firmware, kind)
+    held.simulation.add_fault("for 20 s: link_off")
+    client = ParameterClient(1, names_of(RULES[firmware, kind]), bytewise=firmware == "px4")
+    held.run(19.0, client)
+    assert not client.is_done
+    assert not client.missing
+    times = [at_s for at_s, _ in held.sent]
+    for at_s in times:
+        assert sum(at_s <= other < at_s + ANSWER_S - 0.02 for other in times) <= 6
+    held.run(10.0, client)
+    assert client.is_done
+    assert client.missing.isdisjoint(client.values)
+    assert all(
+        name in client.values for name, *_ in client._groups if name in held.simulation.parameters
+    )
+
+
+@ALL_FOUR
+@pytest.mark.parametrize("fault", ["", "link_loss 25 %"])
+def test_sets_whole_and_other_numbers_and_reads_them_back(
+    firmware: Firmware, kind: Kind, fault: str
+) -> None:
+    held = Held(firmware, kind)
+    if fault:
+        held.simulation.add_fault(fault)
+    values = {"ardupilot": {"FENCE_TYPE": 3.0, "FENCE_RADIUS": 212.5}}.get(
+        firmware, {"COM_OBL_RC_ACT": 5.0, "COM_OF_LOSS_T": 0.7, "SYS_VEHICLE_RESP": -1.0}
+    )
+    client = ParameterClient(1, [], bytewise=firmware == "px4")
+    for name, value in values.items():
+        client.set(name, value)
+    held.run(30.0, client, lambda: client.is_done)
+    assert client.is_done
+    assert client.failed_sets == {}
+    for name, value in values.items():
+        assert held.simulation.parameters[name] == pytest.approx(value)
+        assert client.values[name] == pytest.approx(value)
+
+
+def test_a_value_that_the_vehicle_keeps_otherwise_is_a_failure() -> None:
+    held = Held("px4")
+    client = ParameterClient(1, [], bytewise=True)
+    client.set("SDLOG_MODE", 9.0)  # at most 4
+    client.set("NO_SUCH_ONE", 1.0)
+    client.set("COM_OF_LOSS_T", math.nan)
+    client.set("COM_OBL_RC_ACT", 5e12)
+    held.run(20.0, client, lambda: client.is_done)
+    assert client.is_done
+    assert client.failed_sets == {
+        "SDLOG_MODE": "it was told 9 and says 4",
+        "NO_SUCH_ONE": "the autopilot does not have it",
+        "COM_OF_LOSS_T": "nan is no number that a parameter can have",
+        "COM_OBL_RC_ACT": "5e+12 does not fit into its type",
+    }
+
+
+@ALL_FOUR
+def test_what_somebody_else_sets_in_flight_is_known(firmware: Firmware, kind: Kind) -> None:
+    held = Held(firmware, kind)
+    client = ParameterClient(1, names_of(RULES[firmware, kind]), bytewise=firmware == "px4")
+    held.run(10.0, client, lambda: client.is_done)
+    version = client.version
+    name, value, form = (
+        ("GF_MAX_HOR_DIST", 321.0, 9) if firmware == "px4" else ("FENCE_RADIUS", 321.0, 9)
+    )
+    held.other(wire.MAVLink_param_set_message(1, 1, name.encode(), value, form))
+    held.run(0.1, client)
+    assert client.values[name] == value
+    assert client.version == version + 1
+
+
+# --- against recorded flights ---------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not TELEMETRY.is_dir(), reason="the recorded flights are not there")
+@pytest.mark.parametrize(
+    ("log", "expected"),
+    [
+        (
+            "px4-offboard-8mps.tlog",
+            {
+                "COM_OBL_RC_ACT": 5.0,
+                "COM_OF_LOSS_T": 1.0,
+                "MPC_XY_VEL_MAX": 12.0,
+                "CAL_ACC0_ROT": -1.0,
+                "CAL_BARO0_ID": 6620172.0,
+            },
+        ),
+        ("px4-offboard-short.tlog", {"SYS_AUTOSTART": 10040.0, "COM_OBL_RC_ACT": 5.0}),
+        ("px4-fixedwing-offboard.tlog", {"FW_AIRSPD_TRIM": 15.0, "NAV_LOITER_RAD": 80.0}),
+        ("arducopter-guided-10mps.tlog", {"ANGLE_MAX": 4500.0, "COMPASS_DEV_ID": 97539.0}),
+    ],
+)
+def test_reads_the_values_of_recorded_flights(log: str, expected: dict[str, float]) -> None:
+    client = ParameterClient(1, [(name,) for name in expected], bytewise=log.startswith("px4"))
+    for at_s, message in recorded(log):
+        client.on_message(message, at_s)
+    assert {name: client.values[name] for name in expected} == expected
+
+
+# --- what is said, and by whom --------------------------------------------------------------------
+
+
+@given(data=st.data(), kind=st.sampled_from(sorted(WHOLE)), bytewise=st.booleans())
+def test_whole_numbers_survive_the_wire(data: st.DataObject, kind: int, bytewise: bool) -> None:
+    low, high = WHOLE[kind]
+    most = 2**24 if not bytewise else high  # a float holds no more exactly
+    value = float(data.draw(st.integers(max(low, -most), min(high, most))))
+    sent = encoded(value, kind, bytewise=bytewise)
+    raw = sent if not math.isnan(sent) else 0.0
+    message = told("NAME", raw, kind)
+    if math.isnan(sent):  # a float on the way would change its bits, the bytes do not
+        frame = bytearray(message.get_msgbuf())
+        frame[10:14] = struct.pack("<i", int(value))
+        message._msgbuf = frame
+    assert decoded(message, bytewise=bytewise) == value
+
+
+@given(value=st.floats(width=32, allow_nan=False, allow_infinity=False), bytewise=st.booleans())
+def test_other_numbers_are_floats_either_way(value: float, bytewise: bool) -> None:
+    assert decoded(told("NAME", encoded(value, 9, bytewise=bytewise)), bytewise=bytewise) == value
+
+
+def test_one_of_two_names_ends_the_asking_for_both() -> None:
+    client = ParameterClient(1, [("MAV_SYSID", "SYSID_THISMAV")])
+    assert names_of_requests(client.on_time(0.0)) == ["MAV_SYSID", "SYSID_THISMAV"]
+    client.on_message(told("SYSID_THISMAV", 1.0, 4), 0.1)
+    assert client.is_done
+    assert client.values == {"SYSID_THISMAV": 1.0}
+    assert client.missing == set()
+
+
+def test_a_parameter_error_says_at_once_that_there_is_none() -> None:
+    client = ParameterClient(1, [("A",), ("B",)])
+    client.on_time(0.0)
+    error = wire.MAVLink_param_error_message(1, 195, b"A", -1, 1)
+    assert error.error == wire.MAV_PARAM_ERROR_DOES_NOT_EXIST
+    client.on_message(from_wire(error), 0.1)
+    assert client.missing == {"A"}
+    client.on_message(told("B", 2.0), 0.2)
+    assert client.is_done
+    client.set("B", 3.0)
+    client.on_time(0.3)
+    refused = wire.MAVLink_param_error_message(1, 195, b"B", -1, wire.MAV_PARAM_ERROR_READ_ONLY)
+    client.on_message(from_wire(refused), 0.4)
+    assert client.failed_sets == {"B": "it can only be read"}
+    assert client.is_done
+
+
+@pytest.mark.parametrize("source", [(2, 1), (1, 100), (255, 190)])
+def test_only_the_autopilot_tells_its_parameters(source: tuple[int, int]) -> None:
+    client = ParameterClient(1, [("A",)])
+    client.on_time(0.0)
+    assert client.on_message(told("A", 1.0, source=source), 0.1) == []
+    assert client.values == {}
+    assert not client.is_done
+
+
+def test_a_value_that_comes_late_is_not_missing_any_more() -> None:
+    client = ParameterClient(1, [("A",), ("B",)])
+    client.on_message(told("B", 1.0), 0.0)
+    for step in range(100):
+        client.on_time(0.1 * step)
+        client.on_message(told("OTHER", 1.0), 0.1 * step + 0.05)
+    assert client.missing == {"A"}
+    client.on_message(told("A", 5.0), 20.0)
+    assert client.missing == set()
+    assert client.values == {"A": 5.0, "B": 1.0}
+
+
+def test_the_version_tells_how_whole_numbers_travel() -> None:
+    assert is_bytewise(wire.MAV_AUTOPILOT_PX4)
+    assert not is_bytewise(wire.MAV_AUTOPILOT_ARDUPILOTMEGA)
+    c_cast = wire.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+    assert not is_bytewise(wire.MAV_AUTOPILOT_PX4, c_cast)
+    client = ParameterClient(1, [("COM_OBL_RC_ACT",)], bytewise=False)
+    (bits,) = struct.unpack("<f", struct.pack("<i", 5))
+    client.on_message(told("COM_OBL_RC_ACT", bits, 6), 0.1)
+    version = wire.MAVLink_autopilot_version_message(
+        0xE8FF, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0
+    )
+    (again,) = client.on_message(from_wire(version), 0.2)
+    assert again.get_type() == "PARAM_REQUEST_READ"
+    client.on_message(told("COM_OBL_RC_ACT", bits, 6), 0.3)
+    assert client.values == {"COM_OBL_RC_ACT": 5.0}
+
+
+def test_what_was_set_is_read_back() -> None:
+    client = ParameterClient(1, [("A",)])
+    client.on_message(told("A", 1.0), 0.0)
+    client.set("A", 3.0)
+    (asked,) = client.on_time(0.1)
+    assert (asked.get_type(), asked.param_value) == ("PARAM_SET", 3.0)
+    (read,) = client.on_message(told("A", 3.0), 0.2)  # it says so, but does it keep it?
+    assert read.get_type() == "PARAM_REQUEST_READ"
+    assert not client.is_done
+    for step in range(100):
+        client.on_message(told("A", 2.0), 0.3 + 0.1 * step)
+    assert client.failed_sets == {"A": "it was told 3 and says 2"}
+
+
+def test_nothing_is_missing_because_the_link_was_down_for_a_while() -> None:
+    client = ParameterClient(1, [("A",), ("B",)])
+    client.on_message(told("A", 1.0), 0.0)
+    for step in range(200):
+        client.on_time(0.1 * step)
+    assert client.missing == set()
+    client.on_message(told("OTHER", 1.0), 20.0)
+    assert client.missing == set()
+    client.on_message(told("B", 1.0), 20.1)
+    assert client.is_done
+
+
+def test_after_a_reboot_all_is_asked_for_again() -> None:
+    client = ParameterClient(1, [("A",)])
+    client.on_message(told("A", 1.0), 0.0)
+    assert client.is_done
+    client.restart()
+    assert not client.is_done
+    assert client.values == {}
+    assert names_of_requests(client.on_time(1.0)) == ["A"]
