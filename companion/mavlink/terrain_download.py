@@ -232,3 +232,16 @@ class TerrainDownload:
             drift_m=self._drift_m,
             registration_m=self._registration_m,
         )
+
+
+def no_scan() -> Scan:
+    """The scan of a vehicle that has no radar: nothing was asked."""
+    return Scan(
+        row=0,
+        column=0,
+        heights_m=np.full((1, 1), NO_ANSWER),
+        radar_nea_m=np.zeros((1, 1, 3)),
+        range_m=0.0,
+        drift_m=0.0,
+        registration_m=0.0,
+    )

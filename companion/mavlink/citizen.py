@@ -1,0 +1,126 @@
+"""What the companion is to everybody else on the link: it says who it is, and does as it is told.
+
+Commands and parameters addressed to it, its heartbeat, texts for people.  Sans-IO.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+from companion.mavlink.command_server import CommandServer
+from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
+from companion.mavlink.obstacle_distance import Around
+from companion.mavlink.parameter_server import ParameterServer
+from companion.mavlink.presence import Presence
+from companion.mavlink.statustext import StatusTexts
+from companion.mission.changes import Verdict
+from companion.mission.events import Order
+from companion.mission.mission import Mission
+from companion.mission.state import Phase, Reason, State
+from companion.planner.settings import Task
+
+_COMMANDS = ("COMMAND_LONG", "COMMAND_INT", "COMMAND_CANCEL")
+_PARAMETERS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Served:
+    """What a message asked of the companion, and what it is answered."""
+
+    replies: Sequence[Message] = ()
+    order: Order | None = None
+    note: dict[str, Any] | None = None
+    text: str = ""
+    """Why it was refused, for people."""
+    changed: str | None = None
+    """What of the planner's settings was changed; `task` is how they are now."""
+    task: Task
+
+
+@final
+class Citizen:
+    """Commands, parameters, heartbeat and texts of one companion."""
+
+    def __init__(self, mission: Mission, system_id: int, task: Task, version: str) -> None:
+        ours = (system_id, COMPANION_COMPONENT)
+        self._mission = mission
+        self._presence = Presence(version=version, sends_obstacles=mission.sends_obstacles)
+        self._commands = CommandServer(
+            ours=ours,
+            commanders=mission.commanders,
+            frame=mission.frame,
+            limits=mission.task.limits,
+            presence=self._presence,
+        )
+        self._parameters = ParameterServer(
+            mission.task,
+            ours=ours,
+            commanders=mission.commanders,
+            targets_ne_m=mission.targets_ne_m,
+        )
+        self._parameters.task = task
+        self._texts = StatusTexts()
+
+    def on_message(self, message: Message, now_s: float) -> Served | None:
+        """A message of anybody; most are not for us: None."""
+        kind = message.get_type()
+        if kind in _COMMANDS:
+            answer = self._commands.on_message(message, now_s)
+            return Served(
+                replies=answer.replies,
+                order=answer.order,
+                note=answer.note,
+                text=answer.text,
+                task=self._parameters.task,
+            )
+        if kind in _PARAMETERS:
+            replies = self._parameters.on_message(message, now_s)
+            return Served(
+                replies=replies,
+                text=self._parameters.refused or "",
+                changed=self._parameters.changed,
+                task=self._parameters.task,
+            )
+        return None
+
+    def order_done(self, order: Order, verdict: Verdict) -> Sequence[Message]:
+        """The acknowledgement of an order, once it is known what becomes of it."""
+        return self._commands.order_done(
+            order,
+            accepted=verdict is Verdict.ACCEPTED,
+            invalid=verdict is Verdict.INVALID,
+        )
+
+    def say(self, text: str, severity: int, now_s: float, about: str = "") -> None:
+        """A text for people, when it is its turn; of those about the same only the newest."""
+        self._texts.say(text, severity, now_s, about)
+
+    def on_time(self, now_s: float, state: State, *, faulted: bool) -> list[Message]:
+        """What is due; a companion that is faulted, or done, has no heartbeat."""
+        self._parameters.task = state.given
+        self._parameters.targets_ne_m = state.targets_ne_m
+        self._parameters.airborne = state.airborne
+        here, around = state.vehicle.position_nea_m, None
+        if here is not None and self._mission.sends_obstacles:
+            around = Around(
+                frame=self._mission.frame,
+                known=state.flight.known,
+                zones=state.task.zones,
+                position_nea_m=here,
+            )
+        status = None if faulted else system_status(state)
+        messages = self._presence.on_time(now_s, status=status, around=around)
+        messages += self._parameters.on_time(now_s)
+        return messages + self._texts.due(now_s)
+
+
+def system_status(state: State) -> int:
+    """MAV_STATE, truthfully: critical while it holds because something is wrong."""
+    if state.phase is Phase.WAITING:
+        return int(wire.MAV_STATE_BOOT)
+    if state.phase is Phase.HOLDING:
+        calm = state.reason in (Reason.TAKING_OVER, Reason.PAUSED, Reason.NEW_TARGET)
+        return int(wire.MAV_STATE_ACTIVE if calm else wire.MAV_STATE_CRITICAL)
+    on_ground = state.phase in (Phase.PREPARING, Phase.ARMING, Phase.SHADOW)
+    return int(wire.MAV_STATE_STANDBY if on_ground else wire.MAV_STATE_ACTIVE)

@@ -1,0 +1,66 @@
+"""Scans, one at a time: of the terrain radar, or of nothing where there is none."""
+
+from typing import final
+
+from companion.mavlink.dialect import Message
+from companion.mavlink.terrain_download import TerrainDownload, no_scan
+from companion.mission.events import ScanDone, Vector
+from companion.mission.mission import Mission
+from companion.mission.state import State
+
+_TICKS = 2.0  # a radar's answer may be older by so many positions
+_KINDS = ("TERRAIN_DATA", "TERRAIN_REPORT")
+
+
+@final
+class Scanning:
+    """The scan that is under way.  Sans-IO."""
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        self._download: TerrainDownload | None = None
+        self._done: ScanDone | None = None
+
+    def begin(self, centre_nea_m: Vector, state: State, now_s: float) -> int:
+        """Look at what is within range of a point.  -> blocks of terrain to ask for."""
+        mission, task, flight = self._mission, state.task, state.flight
+        if mission.scanner_component_id is None:
+            self._done = ScanDone(time_s=now_s, scan=no_scan(), asked=0, answered=0)
+            return 0
+        self._download = TerrainDownload(
+            flight.known,
+            centre_ne_m=centre_nea_m[:2],
+            towards_ne_m=state.targets_ne_m[flight.target],
+            range_m=task.settings.scan_range_m,
+            deadline_s=now_s + task.settings.scan_time_s,
+            drift_m=_TICKS / mission.position_rate_hz * task.limits.speed_m_s,
+            frame=mission.frame,
+        )
+        return self._download.asked
+
+    def stop(self) -> None:
+        """Forget the scan that is under way."""
+        self._download = self._done = None
+
+    def on_message(self, message: Message, here_nea_m: Vector | None) -> None:
+        """A message of the radar."""
+        if message.get_type() in _KINDS and here_nea_m is not None and self._download is not None:
+            self._download.on_message(message, here_nea_m)
+
+    def on_time(self, now_s: float) -> Message | None:
+        """The next request, if it is time for one."""
+        return None if self._download is None else self._download.on_time(now_s)
+
+    def done(self, now_s: float) -> ScanDone | None:
+        """The scan, once it is over."""
+        download = self._download
+        if download is not None and download.is_over(now_s):
+            self._download = None
+            return ScanDone(
+                time_s=now_s,
+                scan=download.scan(),
+                asked=download.asked,
+                answered=download.answered,
+            )
+        done, self._done = self._done, None
+        return done

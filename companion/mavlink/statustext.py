@@ -1,0 +1,118 @@
+"""STATUSTEXT: what people are told, seldom and short (mavlink.md 2.3, 2.5).
+
+A text is at most 50 characters of ASCII.  What warns of something may be longer: it goes out in
+chunks, which ground stations put together again (common.xml: id, chunk_seq; the chunk that is not
+full is the last).  At most one message a second; of a kind only the newest counts.
+"""
+
+import math
+import unicodedata
+from dataclasses import dataclass
+from typing import final
+
+from companion.mavlink.dialect import Message, wire
+
+_LONGEST = 50
+_MOST_CHUNKS = 4
+_PERIOD_S = 1.0
+_REPEAT_S = 5.0  # the same text of a kind is not said again for so long
+_STALE_S = 10.0  # what could not be said for so long is not news any more
+_MOST_WAITING = 16
+_ASCII = {"≤": "<=", "≥": ">=", "–": "-", "—": "-", "−": "-", "²": "2", "…": "..", "°": "deg"}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Waiting:
+    text: str
+    severity: int
+    kind: str
+    said_at_s: float
+
+
+@final
+class StatusTexts:
+    """Texts on their way out.  Pure: time is an argument."""
+
+    def __init__(self) -> None:
+        self._waiting: list[_Waiting] = []
+        self._sent: dict[str, tuple[str, float]] = {}
+        """Of each kind, the text that was sent last, and when."""
+        self._free_at_s = -math.inf
+        self._chunked = 0
+
+    def say(self, text: str, severity: int, now_s: float, kind: str = "") -> None:
+        """Have a text sent; severity is a MAV_SEVERITY.
+
+        It takes the place of what waits and is of the same kind.  A text without a kind is of a
+        kind of its own.
+        """
+        text = plain(text)
+        kind = kind or text
+        before, at_s = self._sent.get(kind, ("", -math.inf))
+        others = [waiting for waiting in self._waiting if waiting.kind != kind]
+        if text == before and 0.0 <= now_s - at_s < _REPEAT_S:
+            self._waiting = others  # what it would have replaced is no longer so
+            return
+        new = _Waiting(text=text, severity=severity, kind=kind, said_at_s=now_s)
+        in_order = sorted([*others, new], key=lambda waiting: waiting.severity)
+        self._waiting = in_order[:_MOST_WAITING]
+
+    def due(self, now_s: float) -> list[Message]:
+        """The messages to send now: the gravest text that waits, if it is time for one."""
+        if now_s < self._free_at_s - _MOST_CHUNKS * _PERIOD_S:  # the clock began again
+            self._free_at_s = now_s
+        self._waiting = [
+            waiting
+            for waiting in self._waiting
+            if waiting.severity <= wire.MAV_SEVERITY_WARNING
+            or abs(now_s - waiting.said_at_s) <= _STALE_S
+        ]
+        if not self._waiting or now_s < self._free_at_s:
+            return []
+        first = self._waiting.pop(0)
+        self._sent = {
+            kind: (text, at_s)
+            for kind, (text, at_s) in self._sent.items()
+            if 0.0 <= now_s - at_s < _REPEAT_S
+        }
+        self._sent[first.kind] = (first.text, now_s)
+        messages = self._messages(first)
+        self._free_at_s = now_s + _PERIOD_S * len(messages)
+        return messages
+
+    def _messages(self, waiting: _Waiting) -> list[Message]:
+        grave = waiting.severity <= wire.MAV_SEVERITY_WARNING
+        if len(waiting.text) <= _LONGEST or not grave:
+            text = shortened(waiting.text, _LONGEST).encode("ascii")
+            return [wire.MAVLink_statustext_message(waiting.severity, text)]
+        text = shortened(waiting.text, _MOST_CHUNKS * _LONGEST - 1).encode("ascii")
+        self._chunked = self._chunked % 0xFFFF + 1  # 0 means: not in chunks
+        # one that is full is never the last: a text of 100 ends with an empty third
+        return [
+            wire.MAVLink_statustext_message(
+                waiting.severity, text[begin : begin + _LONGEST], self._chunked, number
+            )
+            for number, begin in enumerate(range(0, len(text) + 1, _LONGEST))
+        ]
+
+
+def plain(text: str) -> str:
+    """On one line, in ASCII."""
+    for sign, written in _ASCII.items():
+        text = text.replace(sign, written)
+    letters = unicodedata.normalize("NFKD", text)
+    kept = "".join(letter for letter in letters if not unicodedata.combining(letter))
+    line = " ".join(kept.encode("ascii", errors="replace").decode("ascii").split())
+    return "".join(letter if letter.isprintable() else "?" for letter in line)
+
+
+def shortened(text: str, longest: int) -> str:
+    """The text, or as many of its words as fit, and two dots."""
+    if len(text) <= longest:
+        return text
+    room = longest - 2
+    cut = text[:room]
+    if not text[room].isspace() and " " in cut[room // 2 :]:
+        cut = cut[: cut.rindex(" ")]
+    return cut.rstrip(" ,;:.-") + ".."
