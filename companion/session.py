@@ -1,10 +1,11 @@
 """The whole companion, without I/O: bytes and vehicle events in, bytes and journal entries out.
 
-    session.receive(data)       bytes of the link, in any portions
-    session.run() -> Output     handle them: what to send, to record and to compute
-    session.deliver(outcome)    the answer to Output.plan, then run() again
-    session.silence(seconds)    the autopilot was not heard for so long (wall time of the runtime)
-    session.stop()              a person wants the end
+    session.receive(data, at_s)  bytes of the link, in any portions, and when they arrived
+    session.run() -> Output      handle them: what to send, to record and to compute
+    session.deliver(outcome)     the answer to Output.plan, then run() again
+    session.silence(seconds)     the autopilot was not heard for so long (wall time of the runtime)
+    session.part_died(part, why) a part of the runtime has died
+    session.stop()               a person wants the end
 
 Time is the vehicle's: the newest time_boot_ms of its autopilot (in lockstep, TIMESYNC too); until
 it is known, and for what must go on in a silence, the silence itself counts.  A plan becomes an
@@ -14,21 +15,24 @@ that position until the plan is delivered (Output.awaits_plan), otherwise the pl
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from typing import Any, final
 
-from companion.mavlink.autopilots import ARDUCOPTER, Autopilot
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, codec, wire
-from companion.mavlink.terrain_download import TerrainDownload
-from companion.mavlink.translate import (
-    command_long,
-    event_of,
-    heartbeat_message,
-    mode_message,
-    setpoint_message,
-)
-from companion.mission import entries, machine
-from companion.mission.decisions import Context
+from companion.mavlink.autopilots import described
+from companion.mavlink.citizen import Citizen
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.latch import Latch
+from companion.mavlink.outbox import Outbox, Output
+from companion.mavlink.presence import heartbeat
+from companion.mavlink.receiver import Receiver
+from companion.mavlink.scanning import Scanning
+from companion.mavlink.signing import Signing
+from companion.mavlink.vehicle import Told, VehicleSide
+from companion.mavlink.vehicle_clock import MESSAGES as CLOCKS
+from companion.mavlink.vehicle_clock import Reading, VehicleClock
+from companion.mission import changes, checkpoint, entries, machine
+from companion.mission.checkpoint import Values
+from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, is_led
 from companion.mission.events import (
     Arm,
     Command,
@@ -36,61 +40,46 @@ from companion.mission.events import (
     Event,
     LinkLost,
     Mode,
+    Order,
     Plan,
     PlanLate,
     PlannerDied,
-    PlanReady,
     Position,
+    Rebooted,
     RequestStreams,
     Say,
     ScanDone,
     SetMode,
     Setpoint,
+    SetSpeed,
+    SettingsChanged,
     StartScan,
     StopAsked,
     TakeOff,
     Tick,
+    Vector,
+    VehicleFound,
     VehicleStatus,
 )
 from companion.mission.mission import Mission
-from companion.mission.state import Flight, Phase, State
-from companion.planner.request import PlanOutcome, PlanRequest
-from companion.world.known_map import empty_map
+from companion.mission.pending_plan import PendingPlan
+from companion.mission.renewed import replace
+from companion.mission.state import Phase
+from companion.planner.request import PlanOutcome
+from companion.world.known_map import KnownMap
 
-Entry = dict[str, Any]
-
-_HEARTBEAT_S = 1.0
-_STREAM_MISSING_S = 2.0
 _MODE_AGAIN_S = 1.0
 _LOCKSTEP_TIMESYNCS = 50  # in 10 s; an autopilot's own come every 10 s
-_REBOOT_S = 2.0  # a clock that falls by more has begun again
 _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
-_GONE_S = 10.0
-
-
-@final
-@dataclass(slots=True, kw_only=True)
-class Output:
-    """What one run() asks of the outside."""
-
-    frames: list[bytes] = field(default_factory=list)
-    """To be sent, in order."""
-    record: list[tuple[float, bytes]] = field(default_factory=list)
-    """Vehicle time and frame, both directions, for the telemetry log."""
-    journal: list[Entry] = field(default_factory=list)
-    plan: PlanRequest | None = None
-    """To be computed and delivered."""
-    awaits_plan: bool = False
-    end: End | None = None
-    """Set once the mission is over."""
-    settled: bool = False
-    """Whether the vehicle is in the mode that it was last asked for, or gone."""
+_MOST_WAITING = (
+    5000  # messages: a second and a half of the busiest autopilot, and then the oldest go
+)
 
 
 @final
 class Session:
-    """Parser, clock, protocols and mission machine of one companion."""
+    """Receiver, clock, protocols and mission machine of one companion."""
 
     def __init__(
         self,
@@ -98,62 +87,91 @@ class Session:
         *,
         seed: int,
         lockstep: bool,
-        autopilot: Autopilot = ARDUCOPTER,
+        shadow: bool = False,
+        signing: Signing | None = None,
+        resume: tuple[Values, KnownMap | None] | None = None,
+        version: str = "0",
     ) -> None:
-        limits = mission.task.limits
+        """resume: what a companion before this one has left (`Output.checkpoint`, its map)."""
         self.mission = mission
-        self.state = State(
-            flight=Flight(known=empty_map(mission.task.cell_m, limits.north_m, limits.east_m))
-        )
-        self.now_s = 0.0
-        self.other_systems: set[int] = set()
-        """System ids of autopilots that were heard and are not the mission's vehicle."""
+        self.state = checkpoint.beginning(mission, resume)
+        self._clock = VehicleClock(self.state.now_s)
+        self.context = Context(mission=mission, seed=seed, lockstep=lockstep, shadow=shadow)
+        self.found = ""
+        """What the vehicle says that it is."""
+        self.last_scan: ScanDone | None = None
         self.warning = ""
         """What a person was last warned of."""
-        self._timesyncs = 0
-        self._context = Context(mission=mission, seed=seed)
-        self._lockstep = lockstep
-        self._autopilot = autopilot
-        self._codec = codec(mission.system_id)
-        self._inbox: deque[Message] = deque()
+        self.vehicle: VehicleSide | None = None
+        """The autopilot, once it is known."""
+        self.receiver = Receiver(signing)
+        self.signing = signing
+        self._lockstep, self._version = lockstep, version
+        before = None if resume is None else resume[0].get("system_id")
+        self._latch = Latch(mission.system_id or before)
+        self._outbox = Outbox(self._latch.system_id, signing)
+        self._scanning = Scanning(mission)
+        self._citizen: Citizen | None = None
+        self._inbox: deque[tuple[Message, float | None]] = deque(maxlen=_MOST_WAITING)
+        self._dropped = 0
         self._out = Output()
-        self._download: TerrainDownload | None = None
-        self._plan_due_s = math.inf
-        self._plan: PlanOutcome | PlannerDied | None = None
-        self._late_told = False
-        self._heartbeat_at_s = -math.inf
-        self._heard: dict[int, float] = {}
-        self._streams: dict[int, float] = {}
-        self._streams_at_s = -math.inf
+        self._timesyncs = 0
+        self._plan = PendingPlan()
+        self._keeper = checkpoint.Keeper()
         self._end: End | None = None
-        self._confirming: Mode | None = None
+        self._confirming: SetMode | None = None
         self._mode: Mode | None = None
         self._mode_asked_at_s = -math.inf
         self._silence_told_s = 0.0
-        self._idle_s = 0.0
-        self._clocked = False
+        self._at_s: float | None = None
+        self._kept_house_s = -math.inf
+        if resume is not None:
+            self._note("resumed", phase=resume[0].get("phase"))
+
+    @property
+    def now_s(self) -> float:
+        """Vehicle time."""
+        return self._clock.now_s
+
+    @property
+    def other_systems(self) -> set[int]:
+        """System ids of autopilots that were heard and are not the mission's vehicle."""
+        return self._latch.others
 
     # --- what the runtime calls
 
-    def receive(self, data: bytes) -> bool:
-        """Bytes of the link, garbage passed over; whether the autopilot was among the speakers."""
+    def receive(self, data: bytes, at_s: float | None = None) -> bool:
+        """Bytes of the link, garbage passed over; whether the autopilot was among the speakers.
+
+        at_s: when they arrived, by any clock that only rises: round trips are measured by it.
+        """
+        self._at_s = at_s
+        if self.signing is not None and at_s is not None:
+            self.signing.on_time(at_s)
         heard = False
-        for message in self._codec.parse_buffer(data) or ():
-            if message.get_type() != "BAD_DATA":
-                self._inbox.append(message)
-                heard = heard or self._is_autopilot(message)
+        for message in self.receiver.feed(data):
+            self._dropped += len(self._inbox) == _MOST_WAITING
+            self._inbox.append((message, at_s))
+            heard = heard or self._latch.is_ours(message)
         if heard:
             self._silence_told_s = 0.0
         return heard
 
     def deliver(self, outcome: PlanOutcome) -> None:
         """The answer to the last plan request."""
-        self._plan = outcome
+        self._plan.deliver(outcome, self.now_s)
 
-    def planner_died(self, error: str) -> None:
-        """The planner raised instead of answering."""
-        self._plan = PlannerDied(time_s=self.now_s, error=error)
-        self._plan_due_s = min(self._plan_due_s, self.now_s)
+    def part_died(self, part: str, error: str) -> None:
+        """The planner raised instead of answering, or another part of the runtime has died."""
+        died = PlannerDied(time_s=self.now_s, error=f"{part}: {error}" if part else error)
+        if part == "planner" and self._lockstep:
+            self._plan.deliver(died, self.now_s)
+        else:
+            self._handle(died)
+
+    def recording_stopped(self, why: str) -> None:
+        """The disk has failed: the flight goes on, and people are told."""
+        self._say(f"not recorded any more: {why}", warning=True)
 
     def stop(self) -> None:
         """A person wants the mission to end."""
@@ -163,190 +181,240 @@ class Session:
         """The autopilot was not heard for so long; called again and again while it lasts."""
         more_s = max(silent_s - self._silence_told_s, 0.0)
         waiting = self.state.phase is Phase.WAITING
-        for limit in (_NO_VEHICLE_S,) if waiting else (_SILENT_S, _GONE_S):
+        for limit in (_NO_VEHICLE_S,) if waiting else (_SILENT_S, GONE_S, GONE_IN_AIR_S):
             if self._silence_told_s < limit <= silent_s:
                 self._handle(LinkLost(time_s=self.now_s, silent_s=limit))
         self._silence_told_s = silent_s
-        if self._clocked or waiting:
-            self._idle_s += more_s
-        else:
-            self._advance(self.now_s + more_s)
+        if self._clock.be_silent(more_s, counts=not waiting) is Reading.LATER:
+            self._handle(Tick(time_s=self.now_s))
         self._housekeeping()
 
     def run(self) -> Output:
         """Handle what was received, as far as it goes."""
+        if self._dropped:
+            self._note("messages dropped", count=self._dropped)
+            self._dropped = 0
         while self._inbox:
-            if self._must_wait_for_plan(self._inbox[0]):
+            if self._must_wait_for_plan(self._inbox[0][0]):
                 self._out.awaits_plan = True
                 break
-            self._on_message(self._inbox.popleft())
+            self._on_message(*self._inbox.popleft())
+        self._keep()
+        return self._taken()
+
+    def _taken(self) -> Output:
+        """What the outside is to do now."""
         out, self._out = self._out, Output()
+        out.frames, out.record = self._outbox.take()
         out.end, out.settled = self._end, self._settled()
         return out
 
     def farewell(self) -> Output:
         """The last frames of a companion that ends; a vehicle that flies for us is told to hold."""
-        flies = self.state.phase in (Phase.TAKING_OFF, Phase.FLYING, Phase.HOLDING, Phase.ARRIVED)
-        if flies and self._mode is Mode.GUIDED:
-            self._ask_mode(Mode.HOLD)
-        self._send(heartbeat_message(wire.MAV_STATE_POWEROFF))
-        out, self._out = self._out, Output()
-        return out
+        for frame in self.hold_frames():
+            self._outbox.send_frame(frame, self.now_s)
+        self._send(heartbeat(wire.MAV_STATE_POWEROFF))
+        self._keep(at_once=True)
+        return self._taken()
+
+    def look_around(self) -> None:
+        """Have the radar look, whatever the mission is doing (before a flight)."""
+        here = self.state.vehicle.position_nea_m
+        if here is not None and self.state.targets_ne_m:
+            self._start_scan(here)
+
+    def hold_frames(self) -> list[bytes]:
+        """What puts a vehicle that flies for us on hold; nothing else.  Changes nothing."""
+        if self.vehicle is None or self.context.shadow or not is_led(self.state):
+            return []
+        messages = self.vehicle.told(SetMode(mode=Mode.HOLD), self.state) or ()
+        return [self._outbox.packed(message) for message in messages]
 
     # --- messages
 
-    def _is_autopilot(self, message: Message) -> bool:
-        ours = message.get_srcSystem() == self.mission.system_id
-        return ours and message.get_srcComponent() == AUTOPILOT_COMPONENT
-
-    def _on_message(self, message: Message) -> None:
-        component = message.get_srcComponent()
-        ours = message.get_srcSystem() == self.mission.system_id
-        if self._is_autopilot(message):
-            time_ms = getattr(message, "time_boot_ms", None)
-            if time_ms is not None:
-                self._clock(time_ms * 1e-3)
-            elif self._lockstep and message.get_type() == "TIMESYNC" and message.tc1 == 0:
-                self._clock(message.ts1 * 1e-9)
-        self._out.record.append((self.now_s, bytes(message.get_msgbuf())))
-        if not ours:
-            if component == AUTOPILOT_COMPONENT and message.get_type() == "HEARTBEAT":
-                self.other_systems.add(message.get_srcSystem())
+    def _on_message(self, message: Message, at_s: float | None) -> None:
+        if self._latch.on_message(message) and self._latch.system_id is not None:
+            self._outbox.speak_as(self._latch.system_id)
+        elif name := self._latch.ambiguity:
+            self._handle(VehicleFound(time_s=self.now_s, system_id=0, driving=None, name=name))
+        if self._latch.is_ours(message):
+            kind = message.get_type()
+            if kind in CLOCKS:
+                self._on_time(message.time_boot_ms * 1e-3, ticks=kind != "GLOBAL_POSITION_INT")
+            elif self._lockstep and kind == "TIMESYNC" and message.tc1 == 0:
+                self._on_time(message.ts1 * 1e-9)
+        self._outbox.note_received(message, self.now_s)
+        if self._citizen is not None:
+            self._serve(message)
+        if message.get_srcSystem() != self._latch.system_id:
             return
-        if component == AUTOPILOT_COMPONENT:
-            self._from_autopilot(message)
-        elif component == self.mission.scanner_component_id and self._download is not None:
-            here = self.state.vehicle.position_nea_m
-            is_terrain = message.get_type() in ("TERRAIN_DATA", "TERRAIN_REPORT")
-            if is_terrain and here is not None:
-                self._download.on_message(message, here)
-                self._scan_on()
+        if message.get_srcComponent() == AUTOPILOT_COMPONENT:
+            self._from_autopilot(message, at_s)
+        elif message.get_srcComponent() == self.mission.scanner_component_id:
+            self._scanning.on_message(message, self.state.vehicle.position_nea_m)
+            self._scan_on()
 
-    def _from_autopilot(self, message: Message) -> None:
-        self._heard[message.get_msgId()] = self.now_s
-        if message.get_type() == "GLOBAL_POSITION_INT":
-            self._take_plan()
-        event = event_of(message, self.now_s, self.mission.frame, self._autopilot)
+    def _from_autopilot(self, message: Message, at_s: float | None) -> None:
+        kind = message.get_type()
+        if self.vehicle is None:
+            if kind != "HEARTBEAT":
+                return self._answer_time(message)
+            self._find(message)
+            if self.vehicle is None:
+                return None
+        vehicle = self.vehicle
+        due = kind == "GLOBAL_POSITION_INT"
+        if due and (answer := self._plan.take(self.now_s)) is not None:
+            self._handle(answer)
+        self._send_all(vehicle.on_message(message, self.now_s))
+        event = vehicle.event_of(message, self.now_s)
         if event is not None:
             self._handle(event)
-        if isinstance(event, Position):
+        if kind == "TIMESYNC" and message.tc1 != 0 and at_s is not None:
+            delay = vehicle.on_answered_time(message, self.now_s, at_s)
+            if delay is not None:
+                self._handle(delay)
+        for event in vehicle.events(self.now_s):
+            self._handle(event)
+        if isinstance(event, Position) or kind == "GLOBAL_POSITION_INT":
             self._scan_on()
         self._housekeeping()
-        if message.get_type() == "TIMESYNC" and message.tc1 == 0:
-            self._on_timesync(message)
-        elif message.get_type() == "STATUSTEXT":
-            self._note("vehicle says", text=message.text)
-        elif message.get_type() == "COMMAND_ACK":
-            self._note("acknowledged", command=message.command, result=message.result)
+        if (noted := vehicle.entry_of(message)) is not None:
+            self._note(**noted)
+        return self._answer_time(message)
 
-    def _on_timesync(self, message: Message) -> None:
-        """Answer; one with every position is a simulator that waits for the answers."""
+    def _find(self, message: Message) -> None:
+        """The first heartbeat of our autopilot: which one it is decides how it is flown."""
+        system, name = message.get_srcSystem(), described(message)
+        self.found = name
+        self.vehicle = VehicleSide.found(
+            message,
+            self.mission,
+            lockstep=self._lockstep,
+            sets_parameters=not self.context.shadow,
+        )
+        driving = None
+        if self.vehicle is not None:
+            self._citizen = Citizen(self.mission, system, self.state.task, self._version)
+            driving = self.vehicle.autopilot.driving
+        self._note("vehicle found", system_id=system, name=name)
+        self._handle(VehicleFound(time_s=self.now_s, system_id=system, driving=driving, name=name))
+
+    def _answer_time(self, message: Message) -> None:
+        """Answer a TIMESYNC, last of all: a simulator in lockstep goes on then."""
+        if message.get_type() != "TIMESYNC" or message.tc1 != 0:
+            return
         self._send(wire.MAVLink_timesync_message(message.ts1, message.ts1))
         self._timesyncs += 1
-        if self._timesyncs == _LOCKSTEP_TIMESYNCS and not self._lockstep and self.now_s < 10.0:
+        seldom = self.vehicle is not None and not self.vehicle.asks_time_often
+        early = self._timesyncs == _LOCKSTEP_TIMESYNCS and self.now_s < 10.0
+        if early and seldom and not self._lockstep:
             self._say("simulator in lockstep: use --lockstep here too", warning=True)
 
-    def _clock(self, time_s: float) -> None:
-        """The vehicle's clock says so."""
-        if not self._clocked:  # waits go on by the new clock
-            shift_s = time_s - self.now_s
-            self._clocked, self.now_s = True, time_s
-            self.state = self.state.by_another_clock(shift_s)
-            self._heartbeat_at_s += shift_s
-            self._streams_at_s += shift_s
-        elif time_s < self.now_s - _REBOOT_S:
-            self._begin_again(time_s)
-        self._advance(time_s)
+    def _serve(self, message: Message) -> None:
+        """What others ask of the companion itself."""
+        citizen = self._citizen
+        assert citizen is not None
+        served = citizen.on_message(message, self.now_s)
+        if served is None:
+            return
+        self._send_all(served.replies)
+        if served.note is not None:
+            self._note(**served.note)
+        if served.text:
+            self._say(served.text, warning=True)
+        if served.order is not None:
+            self._obey(citizen, served.order)
+        if served.changed is not None:
+            task = replace(served.task, zones=self.state.given.zones)
+            self._handle(SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
 
-    def _advance(self, time_s: float) -> None:
-        if time_s > self.now_s:
-            self.now_s, self._idle_s = time_s, 0.0
-            self._handle(Tick(time_s=time_s))
+    def _obey(self, citizen: Citizen, order: Order) -> None:
+        verdict = changes.verdict(self.state, order)
+        self._send_all(citizen.order_done(order, verdict))
+        if verdict is changes.Verdict.ACCEPTED:
+            self._handle(order)
 
-    def _begin_again(self, time_s: float) -> None:
+    # --- the clock
+
+    def _on_time(self, time_s: float, *, ticks: bool = True) -> None:
+        """The vehicle's clock says so; ticks: unless an event of the same time follows anyway."""
+        before_s = self.now_s
+        match self._clock.read(time_s):
+            case Reading.FIRST:  # waits go on by the new clock
+                self.state = self.state.by_another_clock(time_s - before_s)
+                if self.vehicle is not None:
+                    self.vehicle.streams.by_another_clock(time_s - before_s)
+            case Reading.REBOOTED:
+                self._begin_again()
+            case Reading.LATER:
+                if ticks:
+                    self._handle(Tick(time_s=time_s))
+            case Reading.SAME | Reading.DOUBTED:
+                pass
+
+    def _begin_again(self) -> None:
         """The autopilot has rebooted: prepare again; what is known of the terrain stays known."""
-        self._note("vehicle rebooted", time_s=time_s)
-        self.now_s = time_s
-        self.state = State(
-            now_s=time_s, since_s=time_s, flight=Flight(known=self.state.flight.known)
-        )
-        self._download, self._plan, self._plan_due_s = None, None, math.inf
-        self._heard, self._streams = {}, {}
-        self._heartbeat_at_s = self._streams_at_s = self._mode_asked_at_s = -math.inf
+        self.state = replace(self.state, now_s=self.now_s, since_s=self.now_s)
+        self._scanning.stop()
+        self._plan.forget()
+        self._mode_asked_at_s = -math.inf
+        if self.vehicle is not None:
+            self.vehicle.rebooted()
+        self._handle(Rebooted(time_s=self.now_s))
 
     def _housekeeping(self) -> None:
-        """What goes on whatever happens: heartbeat, streams that are missing, the last mode."""
-        now_s = self.now_s + self._idle_s
-        if now_s - self._heartbeat_at_s >= _HEARTBEAT_S and self._end is None:
-            self._heartbeat_at_s = now_s
-            if self.state.phase is not Phase.FAULTED:
-                self._send(heartbeat_message(_system_status(self.state.phase)))
-        if self._streams and now_s - self._streams_at_s >= _STREAM_MISSING_S:
-            self._request_streams()
+        """What goes on whatever happens: heartbeat, texts, what is missing, the last mode."""
+        now_s = self._clock.going_on_s
+        if now_s == self._kept_house_s:
+            return  # for a message of the same time
+        self._kept_house_s = now_s
+        if self.vehicle is not None and self.state.phase is not Phase.WAITING:
+            self._send_all(self.vehicle.on_time(now_s, self._at_s))
+            while self.vehicle.notes:
+                self._say(self.vehicle.notes.pop(0), warning=False)
+        if self._citizen is not None:
+            faulted = self.state.phase is Phase.FAULTED or self._end is not None
+            self._send_all(self._citizen.on_time(now_s, self.state, faulted=faulted))
+        elif self._end is None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
+            self._mode_asked_at_s = now_s  # nobody is known yet: only that we are here
+            self._send(heartbeat(wire.MAV_STATE_STANDBY))
+        if self.signing is not None and (complaint := self.signing.complaint(now_s)):
+            self._say(complaint, warning=True)
         left = self._confirming if self._end is not None and not self._settled() else None
         if left is not None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
-            self._ask_mode(left)
+            self._command(left)
 
-    def _ask_mode(self, mode: Mode) -> None:
-        self._confirming, self._mode_asked_at_s = mode, self.now_s + self._idle_s
-        self._note("set mode", mode=mode.value)
-        self._send(mode_message(self.mission.system_id, mode, self._autopilot))
-
-    def _request_streams(self) -> None:
-        """Ask for every stream that has not been heard lately (a first request may get lost)."""
-        self._streams_at_s = self.now_s + self._idle_s
-        for message_id, rate_hz in self._streams.items():
-            silent_s = self.now_s - self._heard.get(message_id, -math.inf)
-            if silent_s > max(_STREAM_MISSING_S, 3.0 / rate_hz):
-                interval_us = 1e6 / rate_hz
-                self._send(
-                    command_long(
-                        self.mission.system_id,
-                        wire.MAV_CMD_SET_MESSAGE_INTERVAL,
-                        message_id,
-                        interval_us,
-                    )
-                )
+    def _keep(self, *, at_once: bool = False) -> None:
+        """A checkpoint when the mission has moved on, and the map when it has grown."""
+        if self._end is not None or self.context.shadow:
+            return
+        kept, self._out.known = self._keeper.due(self.state, self.now_s, at_once=at_once)
+        if kept is not None:
+            self._out.checkpoint = {"system_id": self._latch.system_id, **kept}
 
     # --- plans and scans
 
     def _must_wait_for_plan(self, message: Message) -> bool:
-        if self._plan is not None or message.get_type() != "GLOBAL_POSITION_INT":
+        if message.get_type() != "GLOBAL_POSITION_INT" or not self._latch.is_ours(message):
             return False
-        due = message.time_boot_ms * 1e-3 >= self._plan_due_s
-        if due and not self._lockstep and not self._late_told:
-            self._late_told = True
+        if not self._plan.is_missing(message.time_boot_ms * 1e-3):
+            return False
+        if not self._lockstep and self._plan.tell_late():
             self._handle(PlanLate(time_s=self.now_s, plan_id=self.state.flight.plan_id))
-        return due and self._lockstep
-
-    def _take_plan(self) -> None:
-        """Turn a delivered plan into an event once it is due."""
-        if self._plan is None or self.now_s < self._plan_due_s:
-            return
-        outcome, self._plan, self._plan_due_s = self._plan, None, math.inf
-        if isinstance(outcome, PlannerDied):
-            self._handle(outcome)
-        else:
-            self._handle(PlanReady(time_s=self.now_s, outcome=outcome))
+        return self._lockstep
 
     def _scan_on(self) -> None:
-        download = self._download
-        if download is None:
-            return
-        if download.is_over(self.now_s):
-            self._download = None
-            self._handle(
-                ScanDone(
-                    time_s=self.now_s,
-                    scan=download.scan(),
-                    asked=download.asked,
-                    answered=download.answered,
-                )
-            )
-            return
-        request = download.on_time(self.now_s)
-        if request is not None:
+        if (done := self._scanning.done(self.now_s)) is not None:
+            self.last_scan = done
+            self._handle(done)
+        elif (request := self._scanning.on_time(self.now_s)) is not None:
             self._send(request)
+
+    def _start_scan(self, centre_nea_m: Vector) -> None:
+        blocks = self._scanning.begin(centre_nea_m, self.state, self.now_s)
+        self._note("scan", centre_nea_m=list(centre_nea_m), blocks=blocks)
+        self._scan_on()
 
     # --- events and commands
 
@@ -354,81 +422,62 @@ class Session:
         before = self.state
         if isinstance(event, VehicleStatus):
             self._mode = event.mode
-        self.state, commands = machine.step(before, event, self._context)
+        self.state, commands = machine.step(before, event, self.context)
         if (noted := entries.of_event(event, self.state)) is not None:
             self._note(**noted)
-        if self.state.phase is not before.phase:
-            reason = self.state.reason
-            self._note(
-                "phase",
-                phase=self.state.phase.value,
-                was=before.phase.value,
-                reason=None if reason is None else reason.text,
-            )
-        if self.state.flight.legs_flown != before.flight.legs_flown:
-            self._note("leg", number=self.state.flight.legs_flown)
+        for moved in entries.of_change(before, self.state):
+            self._note(**moved)
         for command in commands:
             self._carry_out(command)
+        if any(isinstance(command, End) for command in commands):
+            modes = [command for command in commands if isinstance(command, SetMode)]
+            self._confirming = modes[-1] if modes else None  # nothing from before counts any more
 
     def _carry_out(self, command: Command) -> None:
-        system = self.mission.system_id
         match command:
-            case Setpoint():
-                self._send_setpoint(command)
-            case RequestStreams():
-                position = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-                self._streams = {
-                    position: self.mission.position_rate_hz,
-                    **self._autopilot.streams_hz,
-                }
-                self._request_streams()
-            case SetMode(mode=mode):
-                self._ask_mode(mode)
-            case Arm():
-                self._note("arm")
-                self._send(command_long(system, wire.MAV_CMD_COMPONENT_ARM_DISARM, 1.0))
-            case TakeOff(above_home_m=height):
-                self._note("take off", above_home_m=height)
-                self._send(command_long(system, wire.MAV_CMD_NAV_TAKEOFF, *([0.0] * 6), height))
             case StartScan(centre_nea_m=centre):
                 self._start_scan(centre)
             case Plan(request=request, due_s=due_s):
-                self._plan, self._plan_due_s, self._late_told = None, due_s, False
+                self._plan.ask(due_s)
                 self._out.plan = request
                 self._note(**entries.of_request(request, due_s))
-            case Say(text=text, warning=warning):
-                self._say(text, warning=warning)
+            case Say(text=text, warning=warning, about=about):
+                self._say(text, warning=warning, about=about)
             case End():
                 self._finish(command)
+            case RequestStreams():
+                if self.vehicle is not None:
+                    self._send_all(self.vehicle.begin(self.now_s))
+            case SetMode() | SetSpeed() | Arm() | TakeOff() | Setpoint():
+                if not self.context.shadow:
+                    self._command(command)
 
-    def _send_setpoint(self, setpoint: Setpoint) -> None:
-        message = setpoint_message(setpoint, self.mission.frame, self.mission.system_id)
-        if message is None:
-            self._note("setpoint refused", setpoint=repr(setpoint))
+    def _command(self, command: Told) -> None:
+        """What the autopilot is told to do."""
+        assert self.vehicle is not None
+        match command:
+            case SetMode(mode=mode):
+                self._confirming, self._mode_asked_at_s = command, self._clock.going_on_s
+                self._note("set mode", mode=mode.value)
+            case Arm():
+                self._note("arm")
+            case TakeOff(above_home_m=height):
+                self._note("take off", above_home_m=height)
+            case _:
+                pass
+        messages = self.vehicle.told(command, self.state)
+        if messages is None:
+            self._note("setpoint refused", setpoint=repr(command))
             self._handle(PlannerDied(time_s=self.now_s, error="setpoint out of range"))
         else:
-            self._send(message)
+            self._send_all(messages)
 
-    def _start_scan(self, centre_nea_m: tuple[float, float, float]) -> None:
-        task = self.mission.task
-        tick_s = 1.0 / self.mission.position_rate_hz
-        self._download = TerrainDownload(
-            self.state.flight.known,
-            centre_ne_m=centre_nea_m[:2],
-            towards_ne_m=self.mission.targets_ne_m[self.state.flight.target],
-            range_m=task.settings.scan_range_m,
-            deadline_s=self.now_s + task.settings.scan_time_s,
-            drift_m=2.0 * tick_s * task.limits.speed_m_s,
-            frame=self.mission.frame,
-        )
-        self._note("scan", centre_nea_m=list(centre_nea_m), blocks=self._download.asked)
-        self._scan_on()
-
-    def _say(self, text: str, *, warning: bool) -> None:
+    def _say(self, text: str, *, warning: bool, about: str = "") -> None:
         self._note("say", text=text, warning=warning)
         self.warning = text if warning else self.warning
-        severity = wire.MAV_SEVERITY_WARNING if warning else wire.MAV_SEVERITY_INFO
-        self._send(wire.MAVLink_statustext_message(severity, text.encode()[:50]))
+        if self._citizen is not None:
+            severity = wire.MAV_SEVERITY_WARNING if warning else wire.MAV_SEVERITY_INFO
+            self._citizen.say(text, severity, self._clock.going_on_s, about)
 
     def _finish(self, end: End) -> None:
         self._note("end", outcome=end.outcome.value, reason=end.reason)
@@ -436,23 +485,15 @@ class Session:
 
     def _settled(self) -> bool:
         """Whether the mission is over and the vehicle is in the mode that it was left in."""
-        gone = self._silence_told_s >= _GONE_S
-        return gone or self._confirming is None or self._mode is self._confirming
+        gone = self._silence_told_s >= _NO_VEHICLE_S
+        ours = self._mode in (Mode.GUIDED, Mode.TAKE_OFF)  # else it, or somebody, has chosen
+        return gone or self._confirming is None or not ours
+
+    def _send_all(self, messages: Iterable[Message]) -> None:
+        self._outbox.send(messages, self.now_s)
 
     def _send(self, message: Message) -> None:
-        frame = message.pack(self._codec)
-        self._codec.seq = (self._codec.seq + 1) % 256
-        self._out.frames.append(frame)
-        self._out.record.append((self.now_s, frame))
-
-    # --- journal
+        self._outbox.send((message,), self.now_s)
 
     def _note(self, kind: str, **values: Any) -> None:
         self._out.journal.append({"t_s": round(self.now_s, 6), "kind": kind, **values})
-
-
-def _system_status(phase: Phase) -> int:
-    if phase is Phase.HOLDING:
-        return int(wire.MAV_STATE_CRITICAL)
-    flying = phase in (Phase.TAKING_OFF, Phase.FLYING, Phase.ARRIVED, Phase.LANDING)
-    return int(wire.MAV_STATE_ACTIVE if flying else wire.MAV_STATE_STANDBY)

@@ -1,21 +1,25 @@
 """What the handlers of all phases have in common: a step, asking, giving up, faults."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position
 from companion.mission.health import distrust
 from companion.mission.mission import Mission
-from companion.mission.state import Reason, State, Trigger
+from companion.mission.renewed import replace
+from companion.mission.state import IN_AIR, Phase, Reason, State, Trigger, Vehicle
 
 Step = tuple[State, list[Command], Trigger | None]
 """The new state, what to do, and what moves the mission to another phase."""
 
 ASK_AGAIN_S = 1.0
-GONE_S = 10.0
+GONE_S = 30.0
+GONE_IN_AIR_S = 600.0
 STOPPED_M_S = 0.5
 AT_M = 5.0
+_HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
+_GROUNDED_S = 1.5
 
 
 @final
@@ -25,18 +29,22 @@ class Context:
 
     mission: Mission
     seed: int
+    lockstep: bool = False
+    """A simulator waits for each answer: what is silent for long has ended."""
+    shadow: bool = False
+    """Only watch: plan and say, never command."""
 
 
-def ask(state: State, command: Command) -> Step:
+def ask(state: State, *commands: Command) -> Step:
     """Ask for something, once a second."""
     if state.now_s - state.asked_at_s < ASK_AGAIN_S:
         return state, [], None
-    return replace(state, asked_at_s=state.now_s), [command], None
+    return replace(state, asked_at_s=state.now_s, asks=state.asks + 1), list(commands), None
 
 
-def give_up(state: State, reason: Reason) -> Step:
+def give_up(state: State, reason: Reason, detail: str = "", remedy: str = "") -> Step:
     """End the mission; a vehicle in the air is left in its hold mode."""
-    return replace(state, reason=reason), [], Trigger.GIVE_UP
+    return replace(state, reason=reason, detail=detail, remedy=remedy), [], Trigger.GIVE_UP
 
 
 def fault(state: State, reason: Reason) -> Step:
@@ -49,31 +57,88 @@ def in_phase_s(state: State) -> float:
     return state.now_s - state.since_s
 
 
-def is_gone(event: Event) -> bool:
+def is_gone(state: State, event: Event, context: Context) -> bool:
     """Whether the vehicle has been silent for too long to hope for it."""
-    return isinstance(event, LinkLost) and event.silent_s >= GONE_S
+    return isinstance(event, LinkLost) and event.silent_s >= longest_silence_s(state, context)
 
 
-def lost_command(state: State, event: Event) -> Reason | None:
-    """Why the vehicle does not take setpoints now; None: it does."""
+def longest_silence_s(state: State, context: Context) -> float:
+    """How long a silent vehicle is waited for.
+
+    One in the air for long: it may come back with nobody else to look after it.
+    """
+    return GONE_IN_AIR_S if state.airborne and not context.lockstep else GONE_S
+
+
+def lost_command(
+    state: State, event: Event, modes: tuple[Mode, ...] = (Mode.GUIDED,)
+) -> Reason | None:
+    """Why the vehicle does not do what it is told now; None: it does."""
     vehicle = state.vehicle
-    if isinstance(event, LinkLost):
+    if isinstance(event, LinkLost) or is_silent(state):
         return Reason.LINK_LOST
     if not vehicle.armed:
         return Reason.DISARMED
-    return None if vehicle.mode is Mode.GUIDED else Reason.MODE_TAKEN
+    if vehicle.mode in modes:
+        return None
+    return Reason.STREAM_LOST if _lost_stream(vehicle) else Reason.MODE_TAKEN
 
 
-def cannot_fly(state: State, event: Event) -> Reason | None:
+def is_silent(state: State) -> bool:
+    """Whether there are no heartbeats: who flies it is not known then, whatever else it says."""
+    return state.now_s - state.vehicle.status_at_s > _HEARTBEAT_S
+
+
+def _lost_stream(vehicle: Vehicle) -> bool:
+    """Whether it holds because setpoints were lost on the way to it (PX4), not for a person."""
+    driving = vehicle.driving
+    streams_first = driving is not None and driving.streams_first
+    return streams_first and vehicle.failsafe and vehicle.mode is Mode.HOLD
+
+
+def is_grounded(state: State) -> bool:
+    """Whether the vehicle has been on the ground for a moment: one such word may be wrong."""
+    vehicle = state.vehicle
+    on_ground = vehicle.landed is Landed.ON_GROUND
+    return on_ground and state.now_s - vehicle.landed_at_s > _GROUNDED_S
+
+
+def rises(state: State) -> bool:
+    """Whether its autopilot's own take-off is ours: nobody else has selected it."""
+    taking_over = state.phase is Phase.HOLDING and state.reason is Reason.TAKING_OVER
+    return state.phase in (Phase.ARMING, Phase.TAKING_OFF) or taking_over
+
+
+def is_led(state: State) -> bool:
+    """Whether the vehicle flies for us now, so that it has to be put on hold if we end."""
+    phase, mode = state.phase, state.vehicle.mode
+    flies = state.airborne and phase in (*IN_AIR, Phase.PREPARING, Phase.ARMING)
+    ours = mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and rises(state))
+    return flies and ours
+
+
+def because(state: State, reason: Reason) -> State:
+    """The same hold, for another reason, from now on."""
+    return replace(state, reason=reason, since_s=state.now_s, asked_at_s=-1e9, asks=0, obeyed=False)
+
+
+def cannot_fly(
+    state: State, event: Event, modes: tuple[Mode, ...] = (Mode.GUIDED,)
+) -> Reason | None:
     """Why the flight cannot go on as it is; None: it can."""
-    lost = lost_command(state, event)
+    lost = lost_command(state, event, modes)
     if lost is not None:
         return lost
-    if state.vehicle.landed is Landed.ON_GROUND:
+    if is_grounded(state):
         return Reason.GROUNDED
-    return distrust(state.vehicle, state.now_s)
+    return distrust(state.vehicle, state.now_s, state.task.limits)
 
 
 def speed_m_s(event: Position) -> float:
     """Speed over all axes."""
     return math.hypot(*event.velocity_nea_m_s)
+
+
+def is_at_rest(state: State, event: Position) -> bool:
+    """Whether the vehicle stands, as far as it can stand."""
+    return not state.vehicle.hovers or speed_m_s(event) < STOPPED_M_S

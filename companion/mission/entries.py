@@ -1,16 +1,24 @@
 """What happened and what was decided, as journal entries: plain values, units in their names."""
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
 from companion.mission.events import (
     Event,
+    FenceChanged,
+    LinkDelay,
     LinkLost,
+    Order,
     PlanLate,
     PlannerDied,
     PlanReady,
+    Prepared,
+    Rebooted,
     ScanDone,
+    SettingsChanged,
     StopAsked,
+    TargetsChanged,
 )
 from companion.mission.state import State
 from companion.planner.request import NotPlanned, Planned, PlanRequest
@@ -42,13 +50,58 @@ def of_event(event: Event, state: State) -> Entry | None:
         case PlanLate(plan_id=plan_id):
             return {"kind": "plan late", "plan_id": plan_id}
         case PlannerDied(error=error):
-            return {"kind": "planner died", "error": error}
+            return {"kind": "part died", "error": error}
         case LinkLost(silent_s=silent_s):
             return {"kind": "link lost", "silent_s": silent_s}
         case StopAsked():
             return {"kind": "stop asked"}
         case _:
+            return _of_change(event)
+
+
+def _of_change(event: Event) -> Entry | None:
+    """What changed from outside."""
+    match event:
+        case FenceChanged():
+            return {
+                "kind": "fence",
+                "zones": [asdict(zone) for zone in event.zones],
+                "floor_amsl_m": event.floor_amsl_m,
+                "ceiling_amsl_m": event.ceiling_amsl_m,
+            }
+        case TargetsChanged(targets_ne_m=targets):
+            return {"kind": "targets", "targets_ne_m": [list(target) for target in targets]}
+        case SettingsChanged(what=what):
+            return {"kind": "setting", "what": what}
+        case Order():
+            return {
+                "kind": "order",
+                "order": event.kind.name,
+                "sender": event.sender,
+                "target_ne_m": None if event.target_ne_m is None else list(event.target_ne_m),
+                "speed_m_s": event.speed_m_s,
+            }
+        case Prepared(item=item, refusal=refusal):
+            return {"kind": "prepared", "item": item.value, "refusal": refusal}
+        case LinkDelay(round_trip_s=round_trip_s):
+            return {"kind": "link delay", "round_trip_s": round_trip_s}
+        case Rebooted():
+            return {"kind": "vehicle rebooted"}
+        case _:
             return None
+
+
+def of_change(before: State, after: State) -> Iterator[Entry]:
+    """The entries of how far the mission has come."""
+    if after.phase is not before.phase or after.reason is not before.reason:
+        yield {
+            "kind": "phase",
+            "phase": after.phase.value,
+            "was": before.phase.value,
+            "reason": None if after.reason is None else after.reason.text,
+        }
+    if after.flight.legs_flown != before.flight.legs_flown:
+        yield {"kind": "leg", "number": after.flight.legs_flown}
 
 
 def of_request(request: PlanRequest, due_s: float) -> Entry:

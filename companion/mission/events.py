@@ -8,8 +8,11 @@ import enum
 from dataclasses import dataclass
 from typing import final
 
+from companion.mission.driving import Driving
 from companion.planner.request import PlanOutcome, PlanRequest
+from companion.planner.settings import Task
 from companion.world.known_map import Scan
+from companion.world.threats import Zone
 
 Vector = tuple[float, float, float]
 
@@ -18,8 +21,12 @@ class Mode(enum.Enum):
     """Flight modes, as far as the companion tells them apart."""
 
     GUIDED = "guided"
+    """Flies where the companion tells it (ArduPilot GUIDED, PX4 OFFBOARD)."""
     HOLD = "hold"
+    """Stays, or circles, by itself (ArduCopter BRAKE, ArduPlane LOITER, PX4 AUTO.LOITER)."""
     LAND = "land"
+    RETURN = "return"
+    TAKE_OFF = "take off"
     OTHER = "other"
 
 
@@ -49,8 +56,22 @@ class VehicleStatus:
     time_s: float
     mode: Mode
     armed: bool
-    fits: bool = True
-    """Whether it is the kind of vehicle that the mission is for."""
+    failsafe: bool = False
+    """Whether the autopilot says that it acts on a failure of its own."""
+    mode_name: str = ""
+    """The autopilot's own name of the mode, for people."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleFound:
+    """The autopilot is known: how it is driven, or None if it is none that the companion flies."""
+
+    time_s: float
+    system_id: int
+    driving: Driving | None
+    name: str
+    """What it says that it is, for people."""
 
 
 @final
@@ -61,6 +82,8 @@ class Position:
     time_s: float
     position_nea_m: Vector
     velocity_nea_m_s: Vector
+    heading_rad: float | None = None
+    """Where its nose points, in the local frame."""
 
 
 @final
@@ -88,15 +111,140 @@ class Estimator:
 
     time_s: float
     good: bool
+    error_m: float | None = None
+    """Horizontal accuracy that it claims, if it claims any."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Home:
-    """The vehicle's home altitude, which take-off heights are measured from."""
+    """The vehicle's home, whose altitude take-off heights are measured from."""
 
     time_s: float
-    altitude_amsl_m: float
+    position_nea_m: Vector
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """Where the autopilot's own local frame begins (GPS_GLOBAL_ORIGIN)."""
+
+    time_s: float
+    position_nea_m: Vector
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Echo:
+    """Where the autopilot says that it is flying to (POSITION_TARGET_*)."""
+
+    time_s: float
+    position_nea_m: Vector
+    velocity_nea_m_s: Vector | None
+    """None if the echo does not tell."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Battery:
+    """What is left in the battery."""
+
+    time_s: float
+    remaining: float
+    """Share of a full one, 0 to 1."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkDelay:
+    """How long a message takes to the vehicle and back (TIMESYNC)."""
+
+    time_s: float
+    round_trip_s: float
+
+
+class Item(enum.Enum):
+    """What must have been looked at before a flight begins."""
+
+    PARAMETERS = "parameters"
+    PLANS = "fence, rally points and mission"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prepared:
+    """One of the things to prepare is done, or refused."""
+
+    time_s: float
+    item: Item
+    refusal: str = ""
+    """Why the vehicle must not fly as it is: what, its value, the rule."""
+    remedy: str = ""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FenceChanged:
+    """The vehicle's own fence, all of it, as it is from now on."""
+
+    time_s: float
+    zones: tuple[Zone, ...]
+    floor_amsl_m: float | None = None
+    ceiling_amsl_m: float | None = None
+    rally_ne_m: tuple[tuple[float, float], ...] = ()
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TargetsChanged:
+    """The vehicle's own mission, of a mission that takes its targets from there."""
+
+    time_s: float
+    targets_ne_m: tuple[tuple[float, float], ...]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SettingsChanged:
+    """Somebody set parameters of the planner: they count from the next plan on."""
+
+    time_s: float
+    task: Task
+    """As it is now, all of it."""
+    what: str
+    """For the journal and for people: name = value."""
+
+
+class OrderKind(enum.Enum):
+    """What a person at a ground station may tell the companion in flight."""
+
+    START = "start, or take over and go on"
+    PAUSE = "pause"
+    CONTINUE = "continue"
+    REPOSITION = "go to a new target"
+    SPEED = "change the speed"
+    RETURN = "return"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """A command addressed to the companion, by somebody who may."""
+
+    time_s: float
+    kind: OrderKind
+    target_ne_m: tuple[float, float] | None = None
+    speed_m_s: float | None = None
+    sender: str = ""
+    """System and component, for the journal: "255/190"."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rebooted:
+    """The autopilot's clock has begun again."""
+
+    time_s: float
 
 
 @final
@@ -131,7 +279,7 @@ class PlanLate:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlannerDied:
-    """The planner raised an exception: nothing will be planned any more."""
+    """A part of the companion (planner, reader, writer) has died: nothing is sent any more."""
 
     time_s: float
     error: str
@@ -156,12 +304,23 @@ class StopAsked:
 
 Event = (
     Tick
+    | VehicleFound
     | VehicleStatus
     | Position
     | LandedState
     | GpsFix
     | Estimator
     | Home
+    | Origin
+    | Echo
+    | Battery
+    | LinkDelay
+    | Prepared
+    | FenceChanged
+    | TargetsChanged
+    | SettingsChanged
+    | Order
+    | Rebooted
     | ScanDone
     | PlanReady
     | PlanLate
@@ -191,6 +350,8 @@ class SetMode:
     """Ask for a flight mode."""
 
     mode: Mode
+    at_nea_m: Vector | None = None
+    """Where to hold, for an autopilot that can be told."""
 
 
 @final
@@ -202,9 +363,18 @@ class Arm:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TakeOff:
-    """Ask for a climb to a height above home."""
+    """Ask for a climb, from where the vehicle stands, by its autopilot's own take-off."""
 
     above_home_m: float
+    altitude_amsl_m: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetSpeed:
+    """Tell an autopilot that chooses its speed by itself how fast the mission is."""
+
+    speed_m_s: float
 
 
 @final
@@ -233,6 +403,8 @@ class Setpoint:
     position_nea_m: Vector
     velocity_nea_m_s: Vector
     yaw_rad: float
+    stay: bool = False
+    """Stay here: a plane circles it; for what hovers the velocity is zero."""
 
 
 @final
@@ -242,6 +414,8 @@ class Say:
 
     text: str
     warning: bool = False
+    about: str = ""
+    """Of texts about the same thing only the newest is worth saying."""
 
 
 @final
@@ -254,4 +428,6 @@ class End:
     remedy: str
 
 
-Command = RequestStreams | SetMode | Arm | TakeOff | StartScan | Plan | Setpoint | Say | End
+Command = (
+    RequestStreams | SetMode | Arm | TakeOff | SetSpeed | StartScan | Plan | Setpoint | Say | End
+)

@@ -1,10 +1,10 @@
 """What happens in the phase `flying`: follow a leg, scan, plan, go on to the next (design 6)."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
+from companion.mission import following
 from companion.mission.decisions import AT_M, Context, Step, cannot_fly, fault, give_up, is_gone
 from companion.mission.events import (
     Command,
@@ -15,34 +15,31 @@ from companion.mission.events import (
     Position,
     Say,
     ScanDone,
-    Setpoint,
     StartScan,
     Vector,
 )
+from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
+from companion.mission.health import battery_forecast, battery_lasts
+from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
-from companion.planner.procedure import (
-    Leg,
-    Reference,
-    advance,
-    allowed_speed_m_s,
-    hover_pose,
-    is_at_end,
-    off_path_m,
-)
-from companion.planner.request import NotPlanned, Planned, PlanRequest
+from companion.planner.procedure import Leg, Reference, hover_pose
+from companion.planner.request import Planned, PlanRequest
+from companion.world.clearance import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
 
 _STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
-_DEPARTURE = 3.0  # tracking errors off the path
 _DEPARTURES = 3
 _MOST_STOPS = 12  # on the way to one target, for want of a successor
+_LEVEL_M_S = 1.0
+_TURNS = 3.0
 _SHORT_SIGHTED = 0.8  # of R
+_NEAR_HOVER = 2.5  # loiter radii: what cannot hover is where it was told to be
 
 
 def flying(state: State, event: Event, context: Context) -> Step:
     """Follow the leg, or wait for one; stop for whatever makes that unsafe."""
-    if is_gone(event):
+    if is_gone(state, event, context):
         return give_up(state, Reason.LINK_LOST)
     reason = cannot_fly(state, event)
     if reason is not None:
@@ -53,7 +50,7 @@ def flying(state: State, event: Event, context: Context) -> Step:
         case ScanDone():
             return on_scan(state, event, context)
         case PlanReady():
-            return on_plan(state, event, context)
+            return on_plan(state, event)
         case PlanLate():
             return on_late_plan(state, event)
         case _:
@@ -62,38 +59,84 @@ def flying(state: State, event: Event, context: Context) -> Step:
 
 def on_position(state: State, event: Position, context: Context) -> Step:
     """Move the reference point and send it; scan when its time has come."""
+    if not battery_lasts(state, context.mission) and state.flight.fallen_back is None:
+        state = replace(fallen_back(state, Reason.BATTERY_LOW), standing=Reason.BATTERY_LOW)
+        state, commands, trigger = following.stop(state, Reason.BATTERY_LOW)
+        if trigger is not None:
+            return state, commands, trigger
+    state, warning = _battery_warning(state, context)
+    after, commands, trigger = _on_position(state, event, context)
+    return after, [*warning, *commands], trigger
+
+
+def _battery_warning(state: State, context: Context) -> tuple[State, list[Command]]:
+    """Say, once, that the battery will not last if it goes on like this."""
+    if state.flight.battery_warned or battery_forecast(state, context.mission):
+        return state, []
+    flight = replace(state.flight, battery_warned=True)
+    return replace(state, flight=flight), [Say(text=Reason.BATTERY_LOW.text, warning=True)]
+
+
+def _on_position(state: State, event: Position, context: Context) -> Step:
     if state.flight.leg is None:
         return _hover(state, event, context)
-    flight = _moved_on(state, event, context)
+    if following.still_circles(state, event):
+        return circle(state, event, context)
+    flight = replace(following.moved_on(state, event), circling=False)
     if state.now_s - flight.progress_at_s > _STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
-    leg = flight.leg
+    leg, task = flight.leg, state.task
     assert leg is not None
-    task = context.mission.task
-    off_m = off_path_m(flight.reference, leg, np.asarray(event.position_nea_m))
-    if task.settings.profile.verified and off_m > _DEPARTURE * task.limits.tracking_error_m:
+    if task.settings.profile.verified and following.has_departed(state, flight, event):
         return _departed(state)
-    commands: list[Command] = [_setpoint(event.time_s, leg, flight.reference, context)]
-    if is_at_end(flight.reference, leg):
-        if leg.reaches_target:
-            return replace(state, flight=flight), commands, Trigger.TARGET_REACHED
-        flight = replace(at_rest_at_end(flight), stops=flight.stops + 1)
-        if flight.stops > _MOST_STOPS:
-            return give_up(replace(state, flight=flight), Reason.NO_PLAN)
-        return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
+    if following.is_not_taken(state):
+        return _departed(state, Reason.NOT_TAKEN)
+    flight, commands = following.setpoint(replace(state, flight=flight), event, context)
+    if following.is_stopped(state, flight):
+        return _at_its_end(replace(state, flight=flight), leg, commands)
     due = flight.reference.length_m >= leg.scan_at_m(task) and leg.can_be_left(task)
-    if due and not flight.tried and not leg.reaches_target:
-        flight, scan = _start_scan(flight, leg.subpath.pose(flight.reference.length_m).point_nea_m)
-        commands.append(scan)
+    if due and not flight.tried and not leg.reaches_target and flight.stop_at_m is None:
+        scan_nea_m = leg.subpath.pose(flight.reference.length_m).point_nea_m
+        flight, scan = start_scan(flight, scan_nea_m)
+        commands += scan
     return replace(state, flight=flight), commands, None
 
 
-def _departed(state: State) -> Step:
+def circle(state: State, event: Position, context: Context) -> Step:
+    """Stay on the circle until it leads the way of the path, once in each turn."""
+    limits = state.task.limits
+    turn_s = 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
+    if state.now_s - state.flight.progress_at_s > _TURNS * turn_s + _STUCK_S:
+        return give_up(state, Reason.NOT_FOLLOWING)
+    flight, stay = hold_setpoint(state, event.time_s, context)
+    return replace(state, flight=flight), stay, None
+
+
+def _at_its_end(state: State, leg: Leg, commands: list[Command]) -> Step:
+    """At rest at the end of the leg, or where it was to stop before that."""
+    flight = state.flight
+    if flight.stop_at_m is not None:
+        reason = flight.stop_reason
+        return replace(state, flight=at_rest_at_end(flight), reason=reason), commands, Trigger.FAULT
+    if leg.reaches_target:
+        return state, commands, Trigger.TARGET_REACHED
+    flight = replace(at_rest_at_end(flight), stops=flight.stops + 1)
+    if flight.stops > _MOST_STOPS:
+        return give_up(replace(state, flight=flight), Reason.NO_PLAN)
+    return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
+
+
+def fallen_back(state: State, reason: Reason) -> State:
+    """The mission is given up for its fallback."""
+    return replace(state, flight=replace(state.flight, fallen_back=reason))
+
+
+def _departed(state: State, reason: Reason = Reason.OFF_PATH) -> Step:
     """The vehicle is not where the path was checked: hold, and plan from where it is."""
     if state.flight.departures >= _DEPARTURES:
-        return give_up(state, Reason.NOT_FOLLOWING)
+        return give_up(state, Reason.NOT_FOLLOWING if reason is Reason.OFF_PATH else reason)
     flight = replace(at_rest(state.flight, None), departures=state.flight.departures + 1)
-    return fault(replace(state, flight=flight), Reason.OFF_PATH)
+    return fault(replace(state, flight=flight), reason)
 
 
 def on_scan(state: State, event: ScanDone, context: Context) -> Step:
@@ -104,9 +147,10 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         return state, [], None
     flight = replace(flight, scanning_from_nea_m=None)
     if event.asked and not event.answered:
-        return _no_successor(replace(state, flight=flight), Reason.RADAR_SILENT)
-    task = context.mission.task
-    leg = flight.leg
+        if flight.leg is not None or not flight.failures:
+            return _no_successor(replace(state, flight=flight), Reason.RADAR_SILENT)
+        flight = replace(flight, shortfall=Reason.RADAR_SILENT)  # on what is known already
+    task, leg = state.task, flight.leg
     start = hover_pose(scanned_from)
     if leg is not None:
         start = leg.subpath.pose(leg.successor_at_m(task))
@@ -118,47 +162,54 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         scan_nea_m=scanned_from,
         start=start,
         from_rest=leg is None,
-        target_ne_m=context.mission.targets_ne_m[flight.target],
+        target_ne_m=state.targets_ne_m[flight.target],
         route_ne_m=flight.route_ne_m,
         stops=flight.stops,
         attempt=flight.failures,
     )
-    flight = replace(flight, plan_id=request.plan_id, planning=True)
+    flight = replace(flight, plan_id=request.plan_id, planning=True, asked_of=task)
     due_s = event.time_s + task.settings.planning_time_s
-    says = _scan_warnings(flight, event, context)
+    says = _scan_warnings(state, event)
     return replace(state, flight=flight), [*says, Plan(request=request, due_s=due_s)], None
 
 
-def _scan_warnings(flight: Flight, event: ScanDone, context: Context) -> list[Command]:
+def _scan_warnings(state: State, event: ScanDone) -> list[Command]:
     """What a person should know of a scan that was worse than the mission expects."""
     says: list[Command] = []
     if event.answered < event.asked:
         text = f"scan: {event.answered} of {event.asked} blocks answered"
         says.append(Say(text=text, warning=True))
-    wanted_m = context.mission.task.settings.scan_range_m
-    seen_m = proven_range_m(flight.known, event.scan)
-    if flight.plan_id == 1 and seen_m < _SHORT_SIGHTED * wanted_m:
+    wanted_m = state.task.settings.scan_range_m
+    seen_m = proven_range_m(state.flight.known, event.scan)
+    if event.asked and state.flight.plan_id == 0 and seen_m < _SHORT_SIGHTED * wanted_m:
         text = f"radar sees {seen_m / 1000:.1f} km of R = {wanted_m / 1000:.1f} km"
         says.append(Say(text=text, warning=True))
     return says
 
 
-def on_plan(state: State, event: PlanReady, context: Context) -> Step:
+def on_plan(state: State, event: PlanReady) -> Step:
     """Take the next subpath, or note why there is none."""
     flight, outcome = state.flight, event.outcome
     if outcome.plan_id != flight.plan_id or not flight.planning:
         return state, [], None  # the answer to a question that is no longer asked
     state = replace(state, flight=replace(flight, planning=False))
-    verified = context.mission.task.settings.profile.verified
-    if isinstance(outcome, NotPlanned) or (verified and not outcome.certificate.proven):
-        return _no_successor(state, Reason.NO_PLAN)
+    if flight.asked_of is not state.task:  # the rules have changed: it is asked for again
+        return replace(state, flight=replace(state.flight, tried=False)), [], None
+    verified = state.task.settings.profile.verified
+    if not isinstance(outcome, Planned) or (verified and not outcome.certificate.proven):
+        silent = flight.shortfall is Reason.RADAR_SILENT
+        return _no_successor(state, Reason.RADAR_SILENT if silent else Reason.NO_PLAN)
     leg = flight.leg
-    late = leg is not None and flight.reference.length_m > leg.successor_at_m(context.mission.task)
+    late = leg is not None and following.sent_at_m(state) > leg.successor_at_m(state.task)
     if late:
         return _no_successor(state, Reason.PLAN_LATE)
-    flight = _accepted(state.flight, outcome)
-    text = f"subpath {flight.legs_flown + (flight.next_leg is not None)}: cost {outcome.cost:.2f}"
-    return replace(state, flight=flight), [Say(text=text)], None
+    if flight.stop_at_m is not None:
+        return state, [], None  # it was asked for a way that the vehicle no longer goes
+    flight = _accepted(state.flight, outcome, hovers=state.vehicle.hovers)
+    number = flight.legs_flown + (flight.next_leg is not None)
+    margin_m = min(outcome.certificate.clearance_m, outcome.certificate.keep_out_m)
+    text = f"subpath {number}: {margin_m:.0f} m clear, cost {outcome.cost:.2f}"
+    return replace(state, flight=flight), [Say(text=text, about="plan")], None
 
 
 def on_late_plan(state: State, event: PlanLate) -> Step:
@@ -168,61 +219,51 @@ def on_late_plan(state: State, event: PlanLate) -> Step:
     return state, [], None
 
 
-def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
-    """The flight without a leg: it begins again from where the vehicle stops."""
-    return replace(
-        flight,
-        leg=None,
-        next_leg=None,
-        reference=Reference(),
-        hover_nea_m=hover_nea_m,
-        scanning_from_nea_m=None,
-        planning=False,
-        tried=False,
-    )
-
-
-def at_rest_at_end(flight: Flight) -> Flight:
-    """The flight at rest at the end of its leg, or where it hovers already."""
-    leg = flight.leg
-    if leg is None:
-        return at_rest(flight, flight.hover_nea_m)
-    return at_rest(flight, leg.subpath.pose(leg.subpath.length_m).point_nea_m)
-
-
-def hold_setpoint(state: State, time_s: float, context: Context) -> list[Command]:
-    """Stay where the flight came to rest: a position and an explicit velocity of zero."""
-    here = state.flight.hover_nea_m
-    if here is None:
-        return []
-    target = context.mission.targets_ne_m[state.flight.target]
-    yaw = math.atan2(target[1] - here[1], target[0] - here[0])
-    still = (0.0, 0.0, 0.0)
-    return [Setpoint(time_s=time_s, position_nea_m=here, velocity_nea_m_s=still, yaw_rad=yaw)]
-
-
 def _hover(state: State, event: Position, context: Context) -> Step:
     """Wait for a leg where the vehicle is, or straight above at the height of the take-off."""
-    flight, settings = state.flight, context.mission.task.settings
+    flight, settings = state.flight, state.task.settings
     if flight.hover_nea_m is None:
-        north, east, altitude = event.position_nea_m
-        height = max(altitude, context.mission.take_off_amsl_m)
-        flight = replace(flight, hover_nea_m=(north, east, height))
+        flight = replace(flight, hover_nea_m=_waiting_place(state, event, context))
     here = flight.hover_nea_m
     assert here is not None
-    if math.dist(here[:2], context.mission.targets_ne_m[flight.target]) < AT_M:
+    target = state.targets_ne_m[flight.target]
+    if math.dist(here[:2], target) < AT_M and not flight.returning:
         return replace(state, flight=flight), [], Trigger.TARGET_REACHED
     commands: list[Command] = []
-    if math.dist(here, event.position_nea_m) > AT_M and not flight.tried:
+    if not _is_there(state, event, here) and not flight.tried:
         flight = replace(flight, progress_at_s=_later(state, event, flight))
     elif not flight.tried:
-        flight, scan = _start_scan(replace(flight, progress_at_s=state.now_s), here)
-        commands.append(scan)
+        flight, commands = start_scan(replace(flight, progress_at_s=state.now_s), here)
+    flight, stay = hold_setpoint(replace(state, flight=flight), event.time_s, context)
     state = replace(state, flight=flight)
     waited_s = state.now_s - flight.progress_at_s
     if waited_s > settings.scan_time_s + settings.planning_time_s + _ANSWER_SLACK_S:
         return _no_successor(state, Reason.PLAN_LATE)
-    return state, [*hold_setpoint(state, event.time_s, context), *commands], None
+    return state, [*stay, *commands], None
+
+
+def _waiting_place(state: State, event: Position, context: Context) -> Vector:
+    """Where to wait for a leg: here, at a height within the band if nothing is in the way down."""
+    north, east, altitude = event.position_nea_m
+    lowest_m = replace(context.mission, task=state.task).take_off_amsl_m
+    height_m = max(min(altitude, state.task.band_amsl_m[1]), lowest_m)
+    required_m = state.task.required_clearance_m
+    down = np.array([north, east, height_m])
+    if height_m < altitude:
+        clear_m = distance_to_terrain_m(state.flight.known, down, required_m)
+        height_m = altitude if clear_m < required_m else height_m
+    return north, east, height_m
+
+
+def _is_there(state: State, event: Position, here: Vector) -> bool:
+    """Whether the vehicle is where it was told to stay: there, or circling it."""
+    if state.vehicle.hovers:
+        return math.dist(here, event.position_nea_m) <= AT_M
+    beside_m = math.dist(here[:2], event.position_nea_m[:2])
+    near = beside_m < _NEAR_HOVER * state.task.limits.loiter_radius_m
+    error_m = max(AT_M, state.task.limits.tracking_error_m)
+    level = abs(event.velocity_nea_m_s[2]) < _LEVEL_M_S
+    return near and level and abs(here[2] - event.position_nea_m[2]) <= error_m
 
 
 def _later(state: State, event: Position, flight: Flight) -> float:
@@ -230,36 +271,7 @@ def _later(state: State, event: Position, flight: Flight) -> float:
     return state.now_s if abs(event.velocity_nea_m_s[2]) > 0.1 else flight.progress_at_s
 
 
-def _moved_on(state: State, event: Position, context: Context) -> Flight:
-    """The reference point one position later; at p_prog it goes over to the next leg."""
-    task, flight = context.mission.task, state.flight
-    leg = flight.leg
-    assert leg is not None
-    reference = advance(
-        flight.reference,
-        leg,
-        state.vehicle.position_step_s,
-        np.asarray(event.position_nea_m),
-        task.limits,
-        goes_on=flight.next_leg is not None,
-    )
-    if reference.length_m > flight.reference.length_m:
-        flight = replace(flight, progress_at_s=state.now_s)
-    over = reference.length_m - leg.successor_at_m(task)
-    if flight.next_leg is None or over < 0.0:
-        return replace(flight, reference=reference)
-    return replace(
-        flight,
-        leg=flight.next_leg,
-        next_leg=None,
-        reference=replace(reference, length_m=over),
-        tried=False,
-        shortfall=Reason.NO_PLAN,
-        legs_flown=flight.legs_flown + 1,
-    )
-
-
-def _accepted(flight: Flight, planned: Planned) -> Flight:
+def _accepted(flight: Flight, planned: Planned, *, hovers: bool) -> Flight:
     leg = Leg.of(planned, flight.legs_flown + 1)
     flight = replace(flight, route_ne_m=() if planned.reaches_target else planned.route_ne_m)
     if flight.leg is not None:
@@ -268,6 +280,8 @@ def _accepted(flight: Flight, planned: Planned) -> Flight:
         flight,
         leg=leg,
         reference=Reference(),
+        joined_m=0.0,
+        circling=not hovers and not planned.is_escape,  # out of trouble at once
         tried=False,
         failures=0,
         shortfall=Reason.NO_PLAN,
@@ -284,18 +298,7 @@ def _no_successor(state: State, reason: Reason) -> Step:
     return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
 
 
-def _start_scan(flight: Flight, centre_nea_m: Vector) -> tuple[Flight, StartScan]:
+def start_scan(flight: Flight, centre_nea_m: Vector) -> tuple[Flight, list[Command]]:
+    """The flight while its surroundings are looked at."""
     flight = replace(flight, tried=True, scanning_from_nea_m=centre_nea_m)
-    return flight, StartScan(centre_nea_m=centre_nea_m)
-
-
-def _setpoint(time_s: float, leg: Leg, reference: Reference, context: Context) -> Setpoint:
-    pose = leg.subpath.pose(reference.length_m)
-    speed = min(reference.speed_m_s, allowed_speed_m_s(pose, context.mission.task.limits))
-    velocity = speed * pose.tangent_nea
-    return Setpoint(
-        time_s=time_s,
-        position_nea_m=pose.point_nea_m,
-        velocity_nea_m_s=(float(velocity[0]), float(velocity[1]), float(velocity[2])),
-        yaw_rad=math.atan2(pose.tangent_nea[1], pose.tangent_nea[0]),
-    )
+    return flight, [StartScan(centre_nea_m=centre_nea_m)]

@@ -5,13 +5,15 @@ handler decides; a trigger moves the mission on through the table in `state`, an
 begins with its own commands.  No clock, no I/O: times are those of the events.
 """
 
-from dataclasses import replace
 from typing import assert_never
 
-from companion.mission import flying, ground, stopped
-from companion.mission.decisions import Context, Step
+from companion.mission import changes, flying, following, ground, returning, stopped
+from companion.mission import shadow as watching
+from companion.mission.decisions import Context, Step, is_grounded, is_led
 from companion.mission.events import (
+    Battery,
     Command,
+    Echo,
     End,
     Estimator,
     Event,
@@ -19,86 +21,131 @@ from companion.mission.events import (
     Home,
     Landed,
     LandedState,
+    LinkDelay,
     Mode,
     Outcome,
     PlannerDied,
     Position,
+    Prepared,
     RequestStreams,
     Say,
     ScanDone,
     SetMode,
+    SetSpeed,
     StopAsked,
+    VehicleFound,
     VehicleStatus,
 )
 from companion.mission.health import distrust, with_position
+from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, MOVES, Phase, Reason, State, Trigger, Vehicle
+
+_OVER = (Phase.DONE, Phase.FAULTED)
 
 
 def step(state: State, event: Event, context: Context) -> tuple[State, list[Command]]:
     """One event: the new state, and what to do because of it."""
-    if state.phase in (Phase.DONE, Phase.FAULTED):
+    if state.phase in _OVER:
         return state, []
-    state = replace(state, now_s=max(state.now_s, event.time_s))
+    now_s = max(state.now_s, event.time_s)
     if isinstance(event, Position) and event.time_s <= state.vehicle.position_at_s:
-        return state, []  # overtaken by a newer one
-    state = replace(state, vehicle=_observed(state, event, context))
-    if isinstance(event, ScanDone):
-        known = state.flight.known.with_scan(event.scan)
-        state = replace(state, flight=replace(state.flight, known=known))
+        return replace(state, now_s=now_s), []  # overtaken by a newer one
+    state = _observed(state, event, now_s)
     after, commands, trigger = _decide(state, event, context)
     phase = None if trigger is None else MOVES.get((after.phase, trigger))
     if trigger is None or phase is None:
         return after, commands
-    entered = replace(after, phase=phase, since_s=after.now_s, asked_at_s=-1e9, obeyed=False)
+    entered = replace(
+        after, phase=phase, since_s=after.now_s, asked_at_s=-1e9, asks=0, obeyed=False
+    )
     return _enter(entered, after, trigger, context, commands)
 
 
-def _observed(state: State, event: Event, context: Context) -> Vehicle:
-    """What is known of the vehicle after an event."""
-    vehicle = state.vehicle
+def _observed(state: State, event: Event, now_s: float) -> State:
+    """What is known of the vehicle and of the terrain after an event, now."""
+    vehicle, flight = state.vehicle, state.flight
     match event:
         case Position():
-            vehicle = with_position(vehicle, event, context.mission.task.limits)
-        case VehicleStatus(mode=mode, armed=armed):
-            vehicle = replace(vehicle, mode=mode, armed=armed)
-        case LandedState(landed=landed):
-            vehicle = replace(vehicle, landed=landed)
+            vehicle = with_position(vehicle, event, state.task.limits)
+        case VehicleFound(driving=driving):
+            vehicle = replace(vehicle, driving=driving)
+        case VehicleStatus(mode=mode, armed=armed, failsafe=failsafe):
+            vehicle = replace(
+                vehicle, mode=mode, armed=armed, failsafe=failsafe, status_at_s=event.time_s
+            )
+        case LandedState(landed=landed) if landed is not vehicle.landed:
+            vehicle = replace(vehicle, landed=landed, landed_at_s=event.time_s)
         case GpsFix(good=good):
-            vehicle = replace(vehicle, fix_good=good)
-        case Estimator(good=good):
-            vehicle = replace(vehicle, estimator_good=good)
-        case Home(altitude_amsl_m=altitude):
-            vehicle = replace(vehicle, home_amsl_m=altitude)
+            vehicle = replace(vehicle, fix_good=good, fix_at_s=event.time_s)
+        case Estimator(good=good, error_m=error_m):
+            failed = vehicle.estimator_good and not good
+            failed_at_s = event.time_s if failed else vehicle.estimator_failed_at_s
+            vehicle = replace(
+                vehicle,
+                estimator_good=good,
+                estimator_at_s=event.time_s,
+                estimator_failed_at_s=failed_at_s,
+                error_m=error_m,
+            )
+        case Home(position_nea_m=home):
+            vehicle = replace(vehicle, home_nea_m=home)
+        case LinkDelay(round_trip_s=round_trip_s):
+            vehicle = replace(vehicle, round_trip_s=round_trip_s)
+        case Battery(remaining=left):
+            vehicle = _with_battery(vehicle, left, event.time_s)
+        case Echo(position_nea_m=echo):
+            vehicle = replace(vehicle, echo_nea_m=echo, echo_at_s=event.time_s)
+            flight = following.with_echo(replace(state, now_s=now_s, vehicle=vehicle))
+        case Prepared(item=item, refusal="") if item not in state.prepared:
+            state = replace(state, prepared=state.prepared | {item})
+        case ScanDone(scan=scan):
+            flight = replace(flight, known=flight.known.with_scan(scan))
         case _:
             pass
-    if distrust(vehicle, state.now_s) is not None:
-        vehicle = replace(vehicle, bad_at_s=state.now_s)
-    return vehicle
+    if distrust(vehicle, now_s, state.task.limits) is not None:
+        vehicle = replace(vehicle, bad_at_s=now_s)
+    airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
+    return replace(state, now_s=now_s, vehicle=vehicle, flight=flight, airborne=airborne)
+
+
+def _with_battery(vehicle: Vehicle, left: float, time_s: float) -> Vehicle:
+    full = vehicle.battery_full
+    in_air = vehicle.landed not in (Landed.ON_GROUND, Landed.UNKNOWN)
+    if in_air and (full is None or left > full[1]):
+        full = (time_s, left)
+    return replace(vehicle, battery=left, battery_full=full)
 
 
 def _decide(state: State, event: Event, context: Context) -> Step:
     if isinstance(event, StopAsked):
         return replace(state, reason=Reason.STOPPED), [], Trigger.STOP
     if isinstance(event, PlannerDied):
-        return replace(state, reason=Reason.PLANNER_DIED), [], Trigger.DIED
+        detail = f": {event.error}" if event.error else ""
+        return replace(state, reason=Reason.PLANNER_DIED, detail=detail), [], Trigger.DIED
+    if (step := changes.changed(state, event)) is not None:
+        return step
     match state.phase:
         case Phase.WAITING:
             return ground.waiting(state, event)
         case Phase.PREPARING:
             return ground.preparing(state, event, context)
         case Phase.ARMING:
-            return ground.arming(state, event)
+            return ground.arming(state, event, context)
         case Phase.TAKING_OFF:
             return ground.taking_off(state, event, context)
         case Phase.FLYING:
             return flying.flying(state, event, context)
+        case Phase.RETURNING:
+            return returning.returning(state, event, context)
         case Phase.HOLDING:
             return stopped.holding(state, event, context)
         case Phase.ARRIVED:
             return stopped.arrived(state, event, context)
         case Phase.LANDING:
-            return stopped.landing(state, event)
-        case Phase.RETURNING | Phase.SHADOW | Phase.DONE | Phase.FAULTED:
+            return stopped.landing(state, event, context)
+        case Phase.SHADOW:
+            return watching.shadow(state, event, context)
+        case Phase.DONE | Phase.FAULTED:
             return state, [], None
     assert_never(state.phase)
 
@@ -107,37 +154,85 @@ def _enter(
     state: State, before: State, trigger: Trigger, context: Context, commands: list[Command]
 ) -> tuple[State, list[Command]]:
     """What a phase begins with."""
+    state = replace(state, airborne=state.airborne or state.phase in IN_AIR)
     match state.phase:
         case Phase.PREPARING:
             return state, [*commands, RequestStreams(), Say(text=f"mission {context.mission.name}")]
-        case Phase.FLYING | Phase.LANDING:
-            flight = replace(state.flight, progress_at_s=state.now_s)
-            return replace(state, reason=None, flight=flight), commands
+        case Phase.FLYING | Phase.LANDING | Phase.RETURNING:
+            return _set_out(state, commands)
         case Phase.HOLDING:
-            reason = state.reason or Reason.NO_PLAN
-            says: list[Command] = [Say(text=f"hold: {reason.text}", warning=True)]
-            if reason not in (*stopped.SELF_HELD, *stopped.LET_GO):
-                state = replace(state, asked_at_s=state.now_s)
-                says.append(SetMode(mode=Mode.HOLD))
-            return state, [*commands, *says]
+            return _hold(state, commands)
         case Phase.ARRIVED:
-            flight = flying.at_rest_at_end(state.flight)
-            return replace(state, flight=flight), [*commands, Say(text="target reached")]
+            flight = following.at_rest_at_end(state.flight)
+            says = Say(text="target reached", about="phase")
+            return replace(state, flight=flight), [*commands, says]
         case Phase.DONE | Phase.FAULTED:
-            return state, [*commands, *_ending(before, trigger)]
+            return state, [*commands, *_ending(before, trigger, context)]
         case _:
             return state, commands
 
 
-def _ending(before: State, trigger: Trigger) -> list[Command]:
+def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
+    """To fly, back or on, or to land."""
+    flight = replace(state.flight, progress_at_s=state.now_s, echoed_at_s=state.now_s)
+    standing = state.standing if state.phase is Phase.FLYING else None
+    state = replace(state, flight=flight, reason=None, standing=standing, taken=False)
+    if state.phase is Phase.RETURNING:
+        went_back = returning.began(state)
+        assert went_back is not None  # whoever says go_back has looked
+        state = replace(state, flight=went_back)
+        commands = [*commands, Say(text="returning", about="phase")]
+    if state.phase is not Phase.LANDING and state.vehicle.driving is not None:
+        speed = min(state.flight.speed_limit_m_s, state.task.limits.speed_m_s)
+        commands = [*commands, SetSpeed(speed_m_s=speed)]
+    return state, commands
+
+
+def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
+    """Hold for the reason that there is."""
+    reason = state.reason or Reason.NO_PLAN
+    state = replace(state, told_at_s=-1e9)
+    if reason in stopped.STANDING:
+        state = replace(state, standing=reason)
+    elif reason is Reason.MODE_TAKEN:
+        state = replace(state, taken=True)
+    elif reason not in stopped.SELF_HELD and reason is not Reason.TAKING_OVER:
+        flight = replace(state.flight, troubles=state.flight.troubles + 1)
+        state = replace(state, flight=flight)
+    quiet = reason in (Reason.TAKING_OVER, Reason.PAUSED, Reason.NEW_TARGET)
+    says: list[Command] = [Say(text=f"hold: {reason.text}", warning=not quiet, about="phase")]
+    left_alone = (*stopped.LET_GO, Reason.TAKING_OVER, Reason.STREAM_LOST)
+    if reason not in (*stopped.SELF_HELD, *left_alone):
+        state = replace(state, asked_at_s=state.now_s)
+        says.append(SetMode(mode=Mode.HOLD))
+    return state, [*commands, *says]
+
+
+def _ending(before: State, trigger: Trigger, context: Context) -> list[Command]:
     """Leave the vehicle in its own hold, if it flies for us, and say how the mission ended."""
+    if context.shadow:
+        return [_end_of(before, trigger)]
+    end = _end_of(before, trigger)
+    vehicle = before.vehicle
     if trigger in (Trigger.END_HOLD, Trigger.LANDED):
-        return [End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")]
-    vehicle, reason = before.vehicle, before.reason or Reason.NO_PLAN
-    outcome = Outcome.STOPPED if trigger is Trigger.STOP else Outcome.FAILED
-    end = End(outcome=outcome, reason=reason.text, remedy=reason.remedy)
+        return [end]
     sent_up = before.phase is Phase.TAKING_OFF and before.asked_at_s > 0.0
-    flies = before.phase in IN_AIR and (vehicle.landed is not Landed.ON_GROUND or sent_up)
-    if flies and vehicle.armed and vehicle.mode is Mode.GUIDED:
-        return [SetMode(mode=Mode.HOLD), end]
+    if is_led(before) and vehicle.armed and (sent_up or not is_grounded(before)):
+        return [SetMode(mode=Mode.HOLD, at_nea_m=before.flight.hover_nea_m), end]
     return [end]
+
+
+def _end_of(before: State, trigger: Trigger) -> End:
+    """How the mission ended, in words."""
+    fallen_back = before.flight.fallen_back
+    if trigger in (Trigger.END_HOLD, Trigger.LANDED):
+        if fallen_back is None:
+            return End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")
+        how = "landed" if trigger is Trigger.LANDED else "returned"
+        asked = fallen_back is Reason.RETURN_ASKED
+        outcome = Outcome.STOPPED if asked else Outcome.FAILED
+        return End(outcome=outcome, reason=f"{how}: {fallen_back.text}", remedy=fallen_back.remedy)
+    reason = before.reason or Reason.NO_PLAN
+    outcome = Outcome.STOPPED if trigger is Trigger.STOP else Outcome.FAILED
+    text = f"{reason.text}{before.detail}"
+    return End(outcome=outcome, reason=text, remedy=before.remedy or reason.remedy)

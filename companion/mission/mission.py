@@ -1,4 +1,4 @@
-"""A mission: what is known in advance, as the mission machine needs it."""
+"""A mission: what is known in advance, as the mission machine and the protocols need it."""
 
 import enum
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from typing import final
 
 from companion.geodesy import LocalFrame
 from companion.planner.settings import Task
+from companion.world.known_map import KnownMap
 
 
 class EndAction(enum.Enum):
@@ -13,6 +14,16 @@ class EndAction(enum.Enum):
 
     HOLD = "hold"
     LAND = "land"
+    RETURN = "return"
+
+
+class Fallback(enum.Enum):
+    """What a vehicle does that finds no way on, or whose battery will not last."""
+
+    HOLD = "hold"
+    LAND = "land"
+    RETURN = "return"
+    """Back along the path that it has flown."""
 
 
 @final
@@ -23,14 +34,42 @@ class Mission:
     name: str
     frame: LocalFrame
     targets_ne_m: tuple[tuple[float, float], ...]
+    """Empty for a mission that takes them from the vehicle (`targets_from_vehicle`)."""
     task: Task
     end_action: EndAction
-    system_id: int
-    """MAVLink system id of the vehicle."""
-    scanner_component_id: int
-    """MAVLink component id of its terrain radar."""
-    position_rate_hz: float
+    system_id: int | None = None
+    """MAVLink system id of the vehicle; None: the one autopilot that is heard."""
+    autopilot: str | None = None
+    """ "ardupilot" or "px4" if the mission is for one of them only."""
+    kind: str = "copter"
+    """ "copter" or "plane"."""
+    scanner_component_id: int | None = 100
+    """MAVLink component id of its terrain radar; None: it has none."""
+    position_rate_hz: float = 10.0
     """Rate at which the vehicle's position is asked for; one setpoint answers each position."""
+    yaw_rad: float | None = None
+    """Where the nose points, in the local frame; None: along the path."""
+    fallback: Fallback = Fallback.HOLD
+    attempts: int = 4
+    """Plans in a row, from rest, that may fail before the fallback."""
+    known: KnownMap | None = None
+    """Terrain known in advance; None: none."""
+    reserve: float = 0.2
+    """Share of the battery that must be left at the target."""
+    endurance_s: float | None = None
+    """How long a full battery lasts in flight, if that is known in advance."""
+    commanders: tuple[tuple[int, int], ...] = ((255, 0), (254, 0))
+    """System and component ids (0: any) whose commands the companion obeys."""
+    targets_from_vehicle: bool = False
+    fence_from_vehicle: bool = True
+    sets_parameters: bool = True
+    """Whether parameters of the autopilot that are not safe are set, or only refused."""
+    sends_obstacles: bool = False
+    """Whether OBSTACLE_DISTANCE is sent."""
+    rally_ne_m: tuple[tuple[float, float], ...] = ()
+    """Places to return to that a plan names."""
+    notes: tuple[str, ...] = ()
+    """What was assumed or left out when the mission was read, for people."""
 
     @property
     def take_off_amsl_m(self) -> float:

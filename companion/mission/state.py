@@ -1,11 +1,18 @@
 """Phases, what moves a mission from one to the next, and everything that it remembers."""
 
 import enum
-from dataclasses import dataclass, field, replace
+import math
+from dataclasses import dataclass, field
 from typing import final
 
-from companion.mission.events import Landed, Mode, Vector
+from companion.mission.driving import Driving
+from companion.mission.events import FenceChanged, Item, Landed, Mode, Vector
+from companion.mission.mission import Mission
+from companion.mission.renewed import Renewed, replace
+from companion.planner.join import Offset
 from companion.planner.procedure import Leg, Reference
+from companion.planner.request import Stretch
+from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
 
@@ -30,42 +37,67 @@ class Trigger(enum.Enum):
     """What moves a mission on."""
 
     VEHICLE_FOUND = "the vehicle's heartbeat was heard"
-    READY = "position, home and streams are there, on the ground"
-    ARMED = "armed in guided mode"
-    AIRBORNE = "at the floor of the band, in the air"
+    READY = "position, home, streams, parameters and fence are there, on the ground"
+    IN_FLIGHT = "the same, but the vehicle is in the air: take over"
+    TAKE_OVER = "it still flies the path of the companion that was here before"
+    WATCH = "the vehicle is known, and only to be watched"
+    ARMED = "armed, in the mode that the take-off begins with"
+    AIRBORNE = "at the floor of the band, in the air, in guided mode"
+    HANDED_OVER = "at the floor of the band, where its autopilot holds it"
     TARGET_REACHED = "the last leg was flown to its end"
     NEXT_TARGET = "stopped at a target that is not the last"
     END_HOLD = "stopped at the last target, in the hold mode"
-    END_LAND = "stopped at the last target, told to land"
+    END_LAND = "stopped at the last target, or where it came back to: told to land"
+    GO_BACK = "told to return: along the flown path"
     LANDED = "on the ground, disarmed"
     FAULT = "the flight cannot go on as it is; the reason says why"
     RESUME = "the reason for holding is gone, or another try is due"
+    PREPARE_AGAIN = "the vehicle is back after a silence, or its autopilot has rebooted"
     GIVE_UP = "no way to go on; the vehicle holds"
-    DIED = "the planner died"
+    DIED = "a part of the companion died"
     STOP = "a person asked for the end"
 
 
 ON_GROUND = (Phase.WAITING, Phase.PREPARING, Phase.ARMING)
-IN_AIR = (Phase.TAKING_OFF, Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.LANDING)
+IN_AIR = (
+    Phase.TAKING_OFF,
+    Phase.FLYING,
+    Phase.HOLDING,
+    Phase.ARRIVED,
+    Phase.RETURNING,
+    Phase.LANDING,
+)
+_FAULTY = (Phase.TAKING_OFF, Phase.FLYING, Phase.RETURNING, Phase.ARRIVED, Phase.LANDING)
+_ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)
 
 MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.WAITING, Trigger.VEHICLE_FOUND): Phase.PREPARING,
     (Phase.PREPARING, Trigger.READY): Phase.ARMING,
+    (Phase.PREPARING, Trigger.IN_FLIGHT): Phase.HOLDING,
+    (Phase.PREPARING, Trigger.TAKE_OVER): Phase.FLYING,
+    (Phase.PREPARING, Trigger.WATCH): Phase.SHADOW,
+    (Phase.PREPARING, Trigger.END_LAND): Phase.LANDING,
+    (Phase.PREPARING, Trigger.LANDED): Phase.DONE,
     (Phase.ARMING, Trigger.ARMED): Phase.TAKING_OFF,
     (Phase.TAKING_OFF, Trigger.AIRBORNE): Phase.FLYING,
+    (Phase.TAKING_OFF, Trigger.HANDED_OVER): Phase.HOLDING,
     (Phase.FLYING, Trigger.TARGET_REACHED): Phase.ARRIVED,
     (Phase.ARRIVED, Trigger.NEXT_TARGET): Phase.FLYING,
     (Phase.ARRIVED, Trigger.END_HOLD): Phase.DONE,
     (Phase.ARRIVED, Trigger.END_LAND): Phase.LANDING,
-    (Phase.LANDING, Trigger.LANDED): Phase.DONE,
-    (Phase.TAKING_OFF, Trigger.FAULT): Phase.HOLDING,
-    (Phase.FLYING, Trigger.FAULT): Phase.HOLDING,
-    (Phase.ARRIVED, Trigger.FAULT): Phase.HOLDING,
-    (Phase.LANDING, Trigger.FAULT): Phase.HOLDING,
+    (Phase.ARRIVED, Trigger.GO_BACK): Phase.RETURNING,
     (Phase.HOLDING, Trigger.RESUME): Phase.FLYING,
-    **{(phase, Trigger.GIVE_UP): Phase.DONE for phase in (*ON_GROUND, *IN_AIR)},
-    **{(phase, Trigger.STOP): Phase.DONE for phase in (*ON_GROUND, *IN_AIR)},
-    **{(phase, Trigger.DIED): Phase.FAULTED for phase in IN_AIR},
+    (Phase.HOLDING, Trigger.GO_BACK): Phase.RETURNING,
+    (Phase.HOLDING, Trigger.END_LAND): Phase.LANDING,
+    (Phase.RETURNING, Trigger.RESUME): Phase.FLYING,
+    (Phase.RETURNING, Trigger.END_LAND): Phase.LANDING,
+    (Phase.RETURNING, Trigger.END_HOLD): Phase.DONE,
+    (Phase.LANDING, Trigger.LANDED): Phase.DONE,
+    **{(phase, Trigger.FAULT): Phase.HOLDING for phase in _FAULTY},
+    **{(phase, Trigger.PREPARE_AGAIN): Phase.PREPARING for phase in _ALL[1:]},
+    **{(phase, Trigger.GIVE_UP): Phase.DONE for phase in _ALL},
+    **{(phase, Trigger.STOP): Phase.DONE for phase in _ALL},
+    **{(phase, Trigger.DIED): Phase.FAULTED for phase in _ALL},
 }
 """The transition table.  What is absent changes nothing."""
 
@@ -74,29 +106,70 @@ class Reason(enum.Enum):
     """Why a mission holds or ends, and the one next action to take."""
 
     NO_VEHICLE = ("no vehicle was heard", "Start it, or check --connect.")
-    WRONG_VEHICLE = ("the vehicle is not an ArduPilot copter", "Check --connect and the vehicle.")
+    WRONG_VEHICLE = (
+        "the vehicle is none that this mission is for",
+        "Check --connect, and vehicle.kind and vehicle.autopilot of the mission.",
+    )
     NOT_READY = ("the vehicle did not get ready to fly", "See its messages for what it waits for.")
-    ALREADY_FLYING = ("the vehicle is already in the air", "Land it, then start again.")
-    NOT_ARMED = ("the vehicle would not arm in guided mode", "See its messages for the reason.")
-    OUTSIDE = ("the vehicle stands off the map or at a keep-out", "Check origin and area.")
+    REFUSED = ("the vehicle must not fly as it is set up", "Change what the last line names.")
+    NO_TARGETS = ("the vehicle has no mission with waypoints", "Upload one, then start again.")
+    BATTERY_SHORT = (
+        "the battery does not reach the target and the reserve",
+        "Charge it, or move the target.",
+    )
+    NOT_ARMED = ("the vehicle would not arm", "See its messages for the reason.")
+    OUTSIDE = ("the vehicle stands off the map or at a zone's edge", "Check origin and area.")
     HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
     NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
+    TAKING_OVER = ("taking over", "Wait: it stops first.")
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
     POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
     POSITION_JUMPED = ("the position jumped further than the vehicle can fly", "Check the GPS.")
     NO_FIX = ("the GPS fix is lost", "Wait for the fix to come back.")
     ESTIMATOR = ("the autopilot does not vouch for its position", "Check the vehicle's GPS.")
+    INACCURATE = (
+        "the position is less accurate than the mission allows",
+        "Wait, or raise vehicle.navigation_error_m.",
+    )
     LINK_LOST = ("the vehicle fell silent", "Check the link and the vehicle.")
-    MODE_TAKEN = ("somebody else changed the flight mode", "Select guided mode to go on.")
+    REBOOTED = ("the autopilot has rebooted", "Look at the vehicle before it flies again.")
+    ARMED_ALREADY = (
+        "somebody else has armed the vehicle",
+        "Disarm it, then start again.",
+    )
+    STREAM_LOST = (
+        "the autopilot has lost the setpoints",
+        "Check the link; it goes on by itself.",
+    )
+    HEALTH_SILENT = (
+        "no word of how good the position is",
+        "Check the link, and who changes message rates.",
+    )
+    MODE_TAKEN = (
+        "somebody else flies the vehicle",
+        "Give it back: guided mode, or the command MISSION_START to the companion.",
+    )
     DISARMED = ("the vehicle disarmed", "See its messages for the reason.")
     GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.")
     OFF_PATH = ("the vehicle left its path", "Raise vehicle.tracking_error_m or fly slower.")
     NOT_FOLLOWING = ("the vehicle does not follow its setpoints", "Check that it can fly them.")
+    NOT_TAKEN = ("the autopilot does not take the setpoints", "See its messages for the reason.")
     NOT_OBEYING = ("the vehicle did not take the mode asked for", "Take over by hand.")
     RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.")
     NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.")
     PLAN_LATE = ("the next subpath was not ready in time", "Raise planner.planning_time_s.")
-    PLANNER_DIED = ("the planner stopped with an error", "Report the error in the journal.")
+    NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.")
+    NEW_TARGET = ("a new target was given", "Wait for the way to it.")
+    PAUSED = ("paused by a person", "Send the command to continue.")
+    RETURN_ASKED = ("told to return", "Wait until it has landed.")
+    BATTERY_LOW = (
+        "the battery will not reach the target and the reserve",
+        "Bring the vehicle down.",
+    )
+    PLANNER_DIED = (
+        "a part of the companion stopped with an error",
+        "Report the error in the journal.",
+    )
     STOPPED = ("stopped by a person", "Start again to fly on.")
 
     @property
@@ -111,18 +184,40 @@ class Reason(enum.Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Vehicle:
+@dataclass(frozen=True, kw_only=True)
+class Vehicle(Renewed):
     """What the vehicle has said of itself."""
 
+    driving: Driving | None = None
     mode: Mode | None = None
     armed: bool = False
+    status_at_s: float = -1e9
+    """When its heartbeat was heard last."""
+    failsafe: bool = False
     landed: Landed = Landed.UNKNOWN
-    home_amsl_m: float | None = None
+    landed_at_s: float = -1e9
+    """Since when."""
+    home_nea_m: Vector | None = None
     fix_good: bool = False
+    fix_at_s: float = -1e9
     estimator_good: bool = False
+    estimator_at_s: float = -1e9
+    """When these were heard of last."""
+    estimator_failed_at_s: float = -1e9
+    """When it last went bad."""
+    error_m: float | None = None
+    """How accurate it claims to know its horizontal position."""
+    battery: float | None = None
+    """Share that is left."""
+    battery_full: tuple[float, float] | None = None
+    """When the battery was first heard of in the air, and what was left then."""
+    round_trip_s: float = 0.0
+    """Of the link."""
+    echo_nea_m: Vector | None = None
+    echo_at_s: float = -1e9
     position_nea_m: Vector | None = None
     velocity_nea_m_s: Vector = (0.0, 0.0, 0.0)
+    heading_rad: float | None = None
     position_at_s: float = -1e9
     position_step_s: float = 0.0
     """Time between the last two positions."""
@@ -133,10 +228,15 @@ class Vehicle:
     bad_at_s: float = 0.0
     """When the position was last not to be believed, whatever the reason."""
 
+    @property
+    def hovers(self) -> bool:
+        """Whether it can stand still in the air."""
+        return self.driving is None or self.driving.hovers
+
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Flight:
+@dataclass(frozen=True, kw_only=True)
+class Flight(Renewed):
     """How far the online procedure has come."""
 
     known: KnownMap
@@ -144,6 +244,15 @@ class Flight:
     leg: Leg | None = None
     reference: Reference = field(default_factory=Reference)
     next_leg: Leg | None = None
+    joined_m: float = 0.0
+    """Length along the leg at which it was begun."""
+    circling: bool = False
+    """Whether a plane has yet to leave the circle about the start of its leg."""
+    offset: Offset | None = None
+    """Between the path and where the vehicle is led: after a restart it decays."""
+    stop_at_m: float | None = None
+    """Length along the leg at which to stop, before its end."""
+    stop_reason: Reason = Reason.NO_PLAN
     hover_nea_m: Vector | None = None
     """Where to stay while there is no leg."""
     scanning_from_nea_m: Vector | None = None
@@ -162,14 +271,35 @@ class Flight:
     stops: int = 0
     """How often the vehicle has stopped at the end of a leg that was not the last."""
     departures: int = 0
-    """How often the vehicle has left its path."""
+    """How often the vehicle has left its path, or has not been led along it."""
+    troubles: int = 0
+    """How often it was held for its position, or another fault, since it last finished a leg."""
+    asked_of: Task | None = None
+    """The task that the newest plan was asked under."""
     progress_at_s: float = 0.0
     """When the reference point last moved, or the wait for a leg began."""
+    speed_limit_m_s: float = math.inf
+    """What a person has asked for; the mission's own speed holds as well."""
+    sent_nea_m: Vector | None = None
+    """The last setpoint."""
+    sent_at_s: float = -1e9
+    echoed_at_s: float = 0.0
+    """When the autopilot's echo last agreed with what it was sent."""
+    flown: tuple[Stretch, ...] = ()
+    """The way here, for the way back."""
+    back: tuple[Leg, ...] = ()
+    """What is left of the way back."""
+    returning: bool = False
+    homeward: bool = False
+    """Whether the target is where the flight began: planned to, as the flown path is too far."""
+    battery_warned: bool = False
+    fallen_back: Reason | None = None
+    """Why the mission was given up for its fallback."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class State:
+@dataclass(frozen=True, kw_only=True)
+class State(Renewed):
     """Everything that the next decision depends on."""
 
     phase: Phase = Phase.WAITING
@@ -178,11 +308,51 @@ class State:
     now_s: float = 0.0
     asked_at_s: float = -1e9
     """When the vehicle was last asked for what this phase waits for."""
+    asks: int = 0
+    """How often, in this phase."""
     obeyed: bool = False
     """Whether the vehicle took the mode that this phase asked for."""
+    told_at_s: float = -1e9
+    """When a person has said to go on with a vehicle that somebody else had taken."""
+    armed_by_us: bool = False
+    """Whether it was the companion that asked it to arm."""
+    landing: bool = False
+    """Whether the companion before this one was landing it."""
+    airborne: bool = False
+    """Whether the vehicle has been in the air since the companion began: then it is never armed."""
+    prepared: frozenset[Item] = frozenset()
+    standing: Reason | None = None
+    """What a person, or the battery, wants of the flight, whatever else happens meanwhile:
+    PAUSED, RETURN_ASKED or BATTERY_LOW."""
+    taken: bool = False
+    """Whether somebody else flies the vehicle, and has not given it back yet."""
     reason: Reason | None = None
+    detail: str = ""
+    """What there is to say of the reason beyond its own text."""
+    remedy: str = ""
+    given: Task
+    """The task without the vehicle's fence."""
+    fence: FenceChanged | None = None
+    task: Task
+    """What planning depends on: the given task within the vehicle's own fence."""
+    targets_ne_m: tuple[tuple[float, float], ...]
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight
+
+    @staticmethod
+    def of(mission: Mission, known: KnownMap) -> "State":
+        """A mission that has not begun."""
+        return State(
+            given=mission.task,
+            task=mission.task,
+            targets_ne_m=mission.targets_ne_m,
+            flight=Flight(known=known),
+        )
+
+    def with_rules(self, given: Task, fence: FenceChanged | None) -> "State":
+        """The same state under another task or fence."""
+        task = given if fence is None else _within(given, fence)
+        return replace(self, given=given, fence=fence, task=task)
 
     def by_another_clock(self, shift_s: float) -> "State":
         """The same state, with its times on a clock that shows shift_s more."""
@@ -193,3 +363,15 @@ class State:
             asked_at_s=self.asked_at_s + shift_s,
             vehicle=replace(self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s),
         )
+
+
+def _within(task: Task, fence: FenceChanged) -> Task:
+    """A task with a vehicle's own fence around it."""
+    limits = task.limits
+    floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m
+    if fence.floor_amsl_m is not None:
+        floor = max(floor, fence.floor_amsl_m)
+    if fence.ceiling_amsl_m is not None:
+        ceiling = min(ceiling, fence.ceiling_amsl_m)
+    limits = replace(limits, floor_amsl_m=floor, ceiling_amsl_m=ceiling)
+    return replace(task, limits=limits, zones=(*task.zones, *fence.zones))

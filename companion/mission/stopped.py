@@ -1,145 +1,335 @@
-"""The phases in which the vehicle stands in the air, or lands: holding, arrived, landing."""
+"""The phases in which the vehicle holds or lands: holding, arrived, landing."""
 
 import math
-from dataclasses import replace
 
-from companion.mission import flying
+from companion.mission import following, returning
 from companion.mission.decisions import (
     AT_M,
     STOPPED_M_S,
     Context,
     Step,
     ask,
+    because,
     cannot_fly,
     fault,
     give_up,
     in_phase_s,
+    is_at_rest,
     is_gone,
-    speed_m_s,
+    is_grounded,
+    is_silent,
+    longest_silence_s,
 )
-from companion.mission.events import Event, Landed, LinkLost, Mode, Position, SetMode
-from companion.mission.mission import EndAction
+from companion.mission.events import (
+    Command,
+    Event,
+    Landed,
+    LinkLost,
+    Mode,
+    PlanReady,
+    Position,
+    Say,
+    SetMode,
+)
+from companion.mission.health import distrust
+from companion.mission.mission import EndAction, Fallback
+from companion.mission.renewed import replace
 from companion.mission.state import Reason, State, Trigger
 
-SELF_HELD = (Reason.NO_PLAN, Reason.PLAN_LATE, Reason.RADAR_SILENT)
+SELF_HELD = (
+    Reason.NO_PLAN,
+    Reason.PLAN_LATE,
+    Reason.RADAR_SILENT,
+    Reason.NEW_THREAT,
+    Reason.NEW_TARGET,
+    Reason.PAUSED,
+    Reason.RETURN_ASKED,
+    Reason.BATTERY_LOW,
+)
 """Reasons to hold that leave the position trustworthy: stop on setpoints, in guided mode."""
+
+STANDING = (Reason.PAUSED, Reason.RETURN_ASKED, Reason.BATTERY_LOW)
+"""What stands until a person says otherwise, or it is done, whatever else happens meanwhile."""
 
 LET_GO = (Reason.MODE_TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
 """Reasons to hold in which the vehicle is not ours to command."""
 
+_TOLD_S = 30.0  # that guided mode is asked for on a person's word
+_LEADS_BACK_S = 30.0  # a link that comes back later finds a vehicle that holds
+_TROUBLES = 8
 _TRUST_S = 2.0  # a position must have been good for so long before the flight goes on
 _PAUSE_S = 2.0  # between attempts to plan from rest
-_ATTEMPTS = 4
 _THERE_M = 1.0
 _SETTLE_S = 30.0  # for a vehicle that does not come quite to rest
 _HOLD_S = 300.0  # for a position that does not get better
 _OBEY_S = 60.0  # for the end action's mode, and for a descent that stands still
 _SINKING_M_S = 0.1
+_ANSWER_S = 60.0
+_ASKS_ABOUT = 2
+_CIRCLES = 2.5  # loiter radii: what circles its target is there
 
 
 def holding(state: State, event: Event, context: Context) -> Step:
     """Stop in a way that the reason allows, and go on when it is gone."""
     vehicle, reason = state.vehicle, state.reason
-    if is_gone(event):
+    if is_gone(state, event, context):
         return give_up(state, Reason.LINK_LOST)
-    if isinstance(event, LinkLost):
-        return state, [], None
+    if isinstance(event, LinkLost) or (is_silent(state) and reason is not Reason.LINK_LOST):
+        return because(_anew(state), Reason.LINK_LOST), [], None
     if not vehicle.armed:
         return give_up(state, Reason.DISARMED)
-    if vehicle.landed is Landed.ON_GROUND:
+    if is_grounded(state):
         return give_up(state, Reason.GROUNDED)
+    if reason is Reason.LINK_LOST:
+        return _heard_again(state, event, context)
     if reason in LET_GO:
-        return _let_go(state)
+        return _let_go(state, event, context)
+    if reason is Reason.STREAM_LOST:
+        return _lead_back(state, event, context)
     if reason in SELF_HELD:
         return _hold_on_setpoints(state, event, context)
-    return _hold_in_its_own_mode(state)
+    return _hold_in_its_own_mode(state, event, context)
 
 
-def _let_go(state: State) -> Step:
-    """Somebody else flies: say nothing until guided mode is selected again."""
-    trusted = state.now_s - state.vehicle.bad_at_s > _TRUST_S
-    back = state.vehicle.mode is Mode.GUIDED and trusted
-    return state, [], Trigger.RESUME if back else None
+def _heard_again(state: State, event: Event, context: Context) -> Step:
+    """After a silence everything is prepared again; it may be of a part of the messages only."""
+    if in_phase_s(state) > longest_silence_s(state, context):
+        return give_up(state, Reason.LINK_LOST)
+    if isinstance(event, Position) and not is_silent(state):
+        return state, [], Trigger.PREPARE_AGAIN
+    return state, [], None
+
+
+def _is_trusted(state: State) -> bool:
+    return state.now_s - max(state.vehicle.bad_at_s, state.since_s) > _TRUST_S
+
+
+def _let_go(state: State, event: Event, context: Context) -> Step:
+    """Somebody else flies: say nothing until guided mode is selected again, or a person says so."""
+    if not _is_trusted(state):
+        return _anew(state), [], None
+    if state.vehicle.mode is Mode.GUIDED:
+        return resumed(_anew(state))
+    if state.now_s - state.told_at_s < _TOLD_S:
+        return _ask_for_guided(state, event, context)
+    if state.told_at_s > 0.0:
+        says = Say(text="guided mode was not taken", warning=True)
+        return replace(state, told_at_s=-1e9), [says], None
+    return state, [], None
+
+
+def resumed(state: State) -> Step:
+    """A hold is over: what a person wants comes first; else go on, or back.
+
+    Too far from the way back, or with a threat on it, home is planned to like any target.
+    """
+    wanted = state.standing
+    if wanted not in (None, state.reason):
+        flight = following.at_rest(state.flight, state.vehicle.position_nea_m)
+        return because(replace(state, flight=flight), wanted), [], None
+    flight = state.flight
+    if not flight.returning:
+        return state, [], Trigger.RESUME
+    clear = not any(following.is_touched(state, leg, 0.0) for leg in flight.back)
+    if clear and returning.began(state) is not None:
+        return state, [], Trigger.GO_BACK
+    return returning.homeward(state), [Say(text="returning another way")], Trigger.RESUME
 
 
 def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
     """Stay at the end of the leg; try again after a pause, and not for ever."""
     reason = cannot_fly(state, event)
+    if reason is Reason.MODE_TAKEN:
+        return _taken(_anew(state)), [], None
     if reason is not None:
-        state = replace(state, reason=reason, flight=flying.at_rest(state.flight, None))
-        return state, [], None
+        return because(_anew(state), reason), [], None
+    if isinstance(event, PlanReady):
+        return _way_back(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
-    commands = flying.hold_setpoint(state, event.time_s, context)
-    moving = speed_m_s(event) > STOPPED_M_S and in_phase_s(state) < _SETTLE_S
-    if in_phase_s(state) < _PAUSE_S or moving:
+    flight, commands = following.hold_setpoint(state, event.time_s, context)
+    state = replace(state, flight=flight)
+    if flight.planning:  # the way back
+        if state.now_s - flight.progress_at_s > _ANSWER_S:
+            return give_up(state, state.reason or Reason.NO_PLAN)
         return state, commands, None
-    if state.flight.failures < _ATTEMPTS:
-        return state, commands, Trigger.RESUME
-    return state, commands, Trigger.GIVE_UP
+    moving = not is_at_rest(state, event) and in_phase_s(state) < _SETTLE_S
+    if state.reason is Reason.PAUSED or in_phase_s(state) < _PAUSE_S or moving:
+        return state, commands, None
+    if state.reason in (Reason.RETURN_ASKED, Reason.BATTERY_LOW):
+        return _other_way(state, context, _how(state, context))
+    if state.flight.failures < context.mission.attempts:
+        if state.reason is Reason.NEW_THREAT and state.vehicle.hovers:
+            state = _anew(state)  # the band may be another one
+        state, says, trigger = resumed(state)
+        return state, [*commands, *says], trigger
+    return _other_way(state, context, context.mission.fallback)
 
 
-def _hold_in_its_own_mode(state: State) -> Step:
-    """The autopilot holds, until it stands and its position was good for a while."""
-    vehicle = state.vehicle
-    if vehicle.mode is Mode.HOLD:
-        state = replace(state, obeyed=True)
-    elif vehicle.mode is not Mode.GUIDED:
-        return replace(state, reason=Reason.MODE_TAKEN), [], None
-    if in_phase_s(state) > _HOLD_S:
-        return state, [], Trigger.GIVE_UP
-    if not state.obeyed:
-        return ask(state, SetMode(mode=Mode.HOLD))
-    stands = math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S or in_phase_s(state) > _SETTLE_S
-    trusted = state.now_s - max(vehicle.bad_at_s, state.since_s) > _TRUST_S
-    if not (stands and trusted):
+def _way_back(state: State, event: PlanReady, context: Context) -> Step:
+    """The way back is there, or cannot be proven: then hold here for good."""
+    if not state.flight.planning or event.outcome.plan_id != state.flight.plan_id:
         return state, [], None
-    if vehicle.mode is Mode.GUIDED:
-        return state, [], Trigger.RESUME
-    return ask(state, SetMode(mode=Mode.GUIDED))
+    if state.flight.asked_of is not state.task:  # it was proven under other rules
+        return returning.ask(state, context)
+    back = returning.answered(state, event)
+    if back is None or returning.began(replace(state, flight=back)) is None:
+        return give_up(state, state.reason or Reason.NO_PLAN)
+    return replace(state, flight=back), [], Trigger.GO_BACK
+
+
+def _how(state: State, context: Context) -> Fallback:
+    return Fallback.RETURN if state.reason is Reason.RETURN_ASKED else context.mission.fallback
+
+
+def _other_way(state: State, context: Context, how: Fallback) -> Step:
+    """The mission's fallback; holding, where there is no other."""
+    reason = state.reason or Reason.NO_PLAN
+    state = replace(state, flight=replace(state.flight, fallen_back=reason))
+    driving = state.vehicle.driving
+    if how is Fallback.RETURN and state.flight.flown:
+        return returning.ask(state, context)
+    if how is Fallback.LAND and driving is not None and driving.lands:
+        return state, [], Trigger.END_LAND
+    return give_up(state, reason)
+
+
+def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
+    """The autopilot holds, until it stands and its position was good for a while."""
+    vehicle, mode = state.vehicle, state.vehicle.mode
+    taking_over = state.reason is Reason.TAKING_OVER
+    if mode not in (Mode.GUIDED, Mode.HOLD) and not (taking_over and mode is Mode.TAKE_OFF):
+        return _taken(state), [], None
+    if in_phase_s(state) > _HOLD_S or state.flight.troubles > _TROUBLES:
+        return state, [], Trigger.GIVE_UP
+    if mode is Mode.HOLD or (taking_over and not _must_stop_first(state)):
+        state = replace(state, obeyed=True)
+    doubted = distrust(vehicle, state.now_s, state.task.limits) is not None
+    stands = not vehicle.hovers or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
+    stands = stands or in_phase_s(state) > _SETTLE_S or state.flight.hover_nea_m is not None
+    if not state.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
+        return ask(replace(_anew(state), obeyed=False), SetMode(mode=Mode.HOLD))
+    if not stands or not _is_trusted(state):
+        return _anew(state), [], None
+    if mode is Mode.GUIDED:
+        return resumed(_anew(state))
+    return _ask_for_guided(state, event, context)
+
+
+def _taken(state: State) -> State:
+    """Somebody else flies it from now on."""
+    return replace(because(state, Reason.MODE_TAKEN), taken=True)
+
+
+def _lead_back(state: State, event: Event, context: Context) -> Step:
+    """PX4 goes back to guided mode by itself as soon as setpoints come in again (px4.md 6).
+
+    Nothing is asked of it: if it does not, it holds for another reason.
+    """
+    mode = state.vehicle.mode
+    if mode not in (Mode.GUIDED, Mode.HOLD) or in_phase_s(state) > _LEADS_BACK_S:
+        return _taken(state), [], None
+    if not _is_trusted(state):
+        return _anew(state), [], None
+    if mode is Mode.GUIDED:
+        return resumed(_anew(state))
+    if not isinstance(event, Position):
+        return state, [], None
+    if state.flight.hover_nea_m is None:
+        flight = following.at_rest(state.flight, event.position_nea_m)
+        state = replace(state, flight=flight)
+    flight, stay = following.hold_setpoint(state, event.time_s, context)
+    return replace(state, flight=flight), stay, None
+
+
+def _anew(state: State) -> State:
+    """Where to wait for a leg is chosen again: it may be too low where the vehicle was held."""
+    return replace(state, flight=following.at_rest(state.flight, None))
+
+
+def _must_stop_first(state: State) -> bool:
+    """Whether it flies somewhere that nobody knows: what hovers, in guided mode."""
+    return state.vehicle.hovers and state.vehicle.mode is Mode.GUIDED
+
+
+def _ask_for_guided(state: State, event: Event, context: Context) -> Step:
+    """Ask for guided mode, with setpoints for where it is: some autopilots want them first."""
+    if not isinstance(event, Position):
+        return state, [], None
+    hover, limits = state.flight.hover_nea_m, state.task.limits
+    near_m = max(AT_M, _CIRCLES * limits.loiter_radius_m)
+    if hover is None or math.dist(hover, event.position_nea_m) > near_m:
+        flight = following.at_rest(state.flight, event.position_nea_m)
+        state = replace(state, flight=flight)
+    flight, stay = following.hold_setpoint(state, event.time_s, context)
+    state, asking, _ = ask(replace(state, flight=flight), SetMode(mode=Mode.GUIDED))
+    return state, [*stay, *asking], None
 
 
 def arrived(state: State, event: Event, context: Context) -> Step:
     """Stop at the target; then the next target, or the end action."""
-    asked = state.asked_at_s > state.since_s
-    if state.vehicle.mode is Mode.HOLD and asked:
+    vehicle, asked = state.vehicle, state.asked_at_s > state.since_s
+    if vehicle.mode is Mode.HOLD and asked:
         return state, [], Trigger.END_HOLD
-    if is_gone(event):
+    if is_gone(state, event, context):
         return give_up(state, Reason.LINK_LOST)
     reason = cannot_fly(state, event)
     if reason is not None:
-        return fault(replace(state, flight=flying.at_rest(state.flight, None)), reason)
+        return fault(replace(state, flight=following.at_rest(state.flight, None)), reason)
     if in_phase_s(state) > _SETTLE_S + _OBEY_S:
         return give_up(state, Reason.NOT_OBEYING if asked else Reason.NOT_FOLLOWING)
+    if isinstance(event, PlanReady):
+        return _way_back(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
-    commands = flying.hold_setpoint(state, event.time_s, context)
-    if not _stands_at_target(state, event, context):
+    flight, commands = following.hold_setpoint(state, event.time_s, context)
+    state = replace(state, flight=flight)
+    if not _stands_at_target(state, event):
         return state, commands, None
-    if state.flight.target + 1 < len(context.mission.targets_ne_m):
+    if state.flight.target + 1 < len(state.targets_ne_m):
         flight = replace(state.flight, target=state.flight.target + 1, stops=0)
         return replace(state, flight=flight), commands, Trigger.NEXT_TARGET
-    if context.mission.end_action is EndAction.LAND:
+    return _end(state, context, commands)
+
+
+def _end(state: State, context: Context, commands: list[Command]) -> Step:
+    """The mission's end action."""
+    driving, action = state.vehicle.driving, context.mission.end_action
+    assert driving is not None
+    if state.flight.homeward:
+        action = EndAction.LAND
+    if action is EndAction.LAND and driving.lands:
         return state, commands, Trigger.END_LAND
-    state, asking, _ = ask(state, SetMode(mode=Mode.HOLD))
+    if action is EndAction.RETURN and state.flight.flown:
+        if state.flight.planning:
+            return state, commands, None
+        state, asking, _ = returning.ask(state, context)
+        return state, [*commands, *asking], None
+    if driving.holds_in_guided:
+        return state, commands, Trigger.END_HOLD
+    # an autopilot may refuse to hold about a point (its own fence): then anywhere
+    about = state.flight.hover_nea_m if state.asks < _ASKS_ABOUT else None
+    state, asking, _ = ask(state, SetMode(mode=Mode.HOLD, at_nea_m=about))
     return state, [*commands, *asking], None
 
 
-def _stands_at_target(state: State, event: Position, context: Context) -> bool:
+def _stands_at_target(state: State, event: Position) -> bool:
     """At rest there; after a while, as near to it and to rest as the vehicle can be."""
-    here = state.flight.hover_nea_m
+    here, limits = state.flight.hover_nea_m, state.task.limits
     off = math.inf if here is None else math.dist(event.position_nea_m, here)
+    if not state.vehicle.hovers:
+        return off < _CIRCLES * limits.loiter_radius_m + limits.tracking_error_m
     if in_phase_s(state) > _SETTLE_S:
-        return off < max(AT_M, context.mission.task.limits.tracking_error_m)
-    return off < _THERE_M and speed_m_s(event) < STOPPED_M_S
+        return off < max(AT_M, limits.tracking_error_m)
+    return off < _THERE_M and is_at_rest(state, event)
 
 
-def landing(state: State, event: Event) -> Step:
+def landing(state: State, event: Event, context: Context) -> Step:
     """Ask for the land mode until it is taken, then wait for the ground."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return state, [], Trigger.LANDED
-    if is_gone(event):
+    if is_gone(state, event, context):
         return give_up(state, Reason.LINK_LOST)
     if isinstance(event, Position) and event.velocity_nea_m_s[2] < -_SINKING_M_S:
         state = replace(state, flight=replace(state.flight, progress_at_s=state.now_s))
@@ -148,5 +338,8 @@ def landing(state: State, event: Event) -> Step:
     if vehicle.mode is Mode.LAND:
         return replace(state, obeyed=True), [], None
     if state.obeyed or vehicle.mode is not Mode.GUIDED:
-        return fault(replace(state, flight=flying.at_rest(state.flight, None)), Reason.MODE_TAKEN)
+        if is_grounded(state):
+            return state, [], None  # down, and not yet disarmed: the mode is the autopilot's
+        flight = following.at_rest(state.flight, None)
+        return fault(replace(state, flight=flight), Reason.MODE_TAKEN)
     return ask(state, SetMode(mode=Mode.LAND))

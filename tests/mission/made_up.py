@@ -9,8 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from companion.config import load_mission
+from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import machine
 from companion.mission.decisions import Context
+from companion.mission.driving import Driving, TakeOffWay
 from companion.mission.events import (
     Arm,
     Command,
@@ -19,12 +21,15 @@ from companion.mission.events import (
     Event,
     GpsFix,
     Home,
+    Item,
     Landed,
     LandedState,
     Mode,
     Plan,
     PlanReady,
     Position,
+    Prepared,
+    RequestStreams,
     ScanDone,
     SetMode,
     Setpoint,
@@ -32,10 +37,11 @@ from companion.mission.events import (
     TakeOff,
     Tick,
     Vector,
+    VehicleFound,
     VehicleStatus,
 )
 from companion.mission.mission import EndAction, Mission
-from companion.mission.state import Flight, Phase, State
+from companion.mission.state import Phase, State
 from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
@@ -60,7 +66,7 @@ LAND = mission(end_action=EndAction.LAND)
 
 def fresh(of: Mission = MISSION) -> State:
     limits = of.task.limits
-    return State(flight=Flight(known=empty_map(of.task.cell_m, limits.north_m, limits.east_m)))
+    return State.of(of, empty_map(of.task.cell_m, limits.north_m, limits.east_m))
 
 
 def straight(start_nea_m: npt.ArrayLike, end_nea_m: npt.ArrayLike) -> Subpath:
@@ -151,8 +157,12 @@ class Craft:
         self,
         of: Mission = MISSION,
         plan: Callable[[PlanRequest], PlanOutcome | None] = planned,
+        driving: Driving = ARDUCOPTER.driving,
+        shadow: bool = False,
     ) -> None:
-        self.context = Context(mission=of, seed=1)
+        self.context = Context(mission=of, seed=1, shadow=shadow)
+        self.driving = driving
+        self.told: list[Event] = []
         self.state = fresh(of)
         self.plan = plan
         self.steps: list[Step] = []
@@ -190,29 +200,53 @@ class Craft:
     def obey(self, commands: Sequence[Command]) -> None:
         for command in commands:
             match command:
+                case RequestStreams():
+                    self.told += [Prepared(time_s=self.now_s, item=item) for item in Item]
                 case SetMode(mode=mode) if self.obeys_modes:
                     self.mode = mode
                 case Arm() if self.arms:
                     self.armed = True
                 case TakeOff(above_home_m=height) if self.takes_off:
-                    self.landed, self.climb_to_m = Landed.TAKING_OFF, HOME_AMSL_M + height
+                    self.mode = Mode.TAKE_OFF if self._by_itself else self.mode
+                    self.climb_to_m = HOME_AMSL_M + height
+                    self.landed = Landed.TAKING_OFF if self.armed else self.landed
                 case StartScan():
                     self.scan_asked = True
                 case Plan(request=request, due_s=due_s):
                     outcome = self.plan(request)
                     self.pending = None if outcome is None else (due_s, outcome)
                 case Setpoint() if self.follows and self.mode is Mode.GUIDED:
-                    self.here, self.velocity = command.position_nea_m, command.velocity_nea_m_s
+                    self._follow(command)
                 case _:
                     pass
+
+    @property
+    def _by_itself(self) -> bool:
+        return self.driving.take_off is not TakeOffWay.GUIDED_THEN_CLIMB
+
+    def _follow(self, setpoint: Setpoint) -> None:
+        """Be there; what cannot hover flies towards it at the mission's speed."""
+        there = setpoint.position_nea_m
+        if self.driving.hovers:
+            self.here, self.velocity = there, setpoint.velocity_nea_m_s
+            return
+        apart, step = math.dist(there, self.here), self.context.mission.task.limits.speed_m_s
+        share = min(step * TICK_S / max(apart, 1e-6), 1.0)
+        north, east, up = (share * (b - a) for a, b in zip(self.here, there, strict=True))
+        self.here = (self.here[0] + north, self.here[1] + east, self.here[2] + up)
+        self.velocity = (north / TICK_S, east / TICK_S, up / TICK_S)
 
     def _move(self) -> None:
         """Climb, sink or stand; what setpoints say was done when they came."""
         height = self.here[2]
-        if self.climb_to_m is not None:
+        if self._by_itself and self.mode is Mode.TAKE_OFF and self.armed:
+            self.climb_to_m = self.climb_to_m or HOME_AMSL_M + 50.0
+            self.landed = Landed.TAKING_OFF
+        if self.climb_to_m is not None and self.armed:
             height = min(height + 25.0 * TICK_S, self.climb_to_m)
             if height == self.climb_to_m:
                 self.landed, self.climb_to_m = Landed.IN_AIR, None
+                self.mode = Mode.HOLD if self._by_itself else self.mode
         elif self.mode is Mode.LAND and self.landed is not Landed.ON_GROUND:
             height = max(height - 2.5 * TICK_S, HOME_AMSL_M)
             if height == HOME_AMSL_M:
@@ -232,8 +266,12 @@ class Craft:
                 LandedState(time_s=now, landed=self.landed),
                 GpsFix(time_s=now, good=self.fix),
                 Estimator(time_s=now, good=True),
-                Home(time_s=now, altitude_amsl_m=HOME_AMSL_M),
+                Home(time_s=now, position_nea_m=(0.0, 0.0, HOME_AMSL_M)),
             ]
+        if self.phase is Phase.WAITING:
+            found = VehicleFound(time_s=now, system_id=1, driving=self.driving, name="made up")
+            said.append(found)
+        said, self.told = [*said, *self.told], []
         if self.scan_asked:
             self.scan_asked = False
             said.append(scan_done(now, answered=self.answered))

@@ -65,7 +65,7 @@ def proof(asked: PlanRequest, subpath: Subpath) -> Certificate:
         asked.known,
         asked.task.limits,
         asked.task.radars,
-        asked.task.keep_outs,
+        asked.task.zones,
         asked.task.margins,
         centre_ne_m=asked.scan_nea_m[:2],
         reach_m=25_000.0,
@@ -139,7 +139,7 @@ def test_a_refusal_is_told_with_its_reason_and_the_bounds_that_were_broken() -> 
     [
         (scan_done(1.0), "scan done"),
         (PlanLate(time_s=1.0, plan_id=3), "plan late"),
-        (PlannerDied(time_s=1.0, error="ValueError"), "planner died"),
+        (PlannerDied(time_s=1.0, error="ValueError"), "part died"),
         (LinkLost(time_s=1.0, silent_s=3.0), "link lost"),
         (StopAsked(time_s=1.0), "stop asked"),
     ],

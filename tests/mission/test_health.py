@@ -1,7 +1,11 @@
-"""Thresholds: 0.5 s without a position, 1 s frozen, a jump of 1.5 times what can be flown."""
+"""Thresholds: 0.5 s without a position, 1 s frozen, a jump of 1.5 times what can be flown.
+
+Over a short time a jump is also what the speeds that were told cannot have made of the last one.
+"""
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +19,7 @@ from companion.mission.health import distrust, with_position
 from companion.mission.state import Reason, Vehicle
 
 LIMITS = MISSION.task.limits
-GOOD = Vehicle(fix_good=True, estimator_good=True)
+GOOD = Vehicle(fix_good=True, estimator_good=True, fix_at_s=math.inf, estimator_at_s=math.inf)
 EAST = (0.0, 100.0, 0.0)
 JUMP_M = 1.5 * math.hypot(150.0, 25.0) * 0.1 + 20.0  # in a tenth of a second, V = 150, climb 25
 
@@ -30,12 +34,12 @@ def after(*positions: tuple[float, float, float]) -> Vehicle:
 
 
 def test_a_vehicle_that_never_gave_a_position_is_not_believed() -> None:
-    assert distrust(GOOD, 0.0) is Reason.POSITION_STALE
+    assert distrust(GOOD, 0.0, LIMITS) is Reason.POSITION_STALE
 
 
 @pytest.mark.parametrize(("age_s", "reason"), [(0.49, None), (0.51, Reason.POSITION_STALE)])
 def test_a_position_is_believed_for_half_a_second(age_s: float, reason: Reason | None) -> None:
-    assert distrust(after((10.0, 0.0, 0.0)), 10.0 + age_s) is reason
+    assert distrust(after((10.0, 0.0, 0.0)), 10.0 + age_s, LIMITS) is reason
 
 
 @pytest.mark.parametrize(("frozen_s", "reason"), [(0.9, None), (1.1, Reason.POSITION_FROZEN)])
@@ -45,32 +49,70 @@ def test_a_position_that_stands_still_for_a_second_while_the_speed_does_not_is_f
 ) -> None:
     times = [10.0 + 0.1 * tick for tick in range(round(frozen_s / 0.1) + 1)]
     vehicle = after(*((time_s, 0.0, speed_m_s) for time_s in times))
-    assert distrust(vehicle, times[-1]) is (reason if moves else None)
+    assert distrust(vehicle, times[-1], LIMITS) is (reason if moves else None)
 
 
 def test_one_changed_coordinate_thaws_a_frozen_position() -> None:
     ticks = [(10.0 + 0.1 * tick, 0.0, 50.0) for tick in range(20)]
-    assert distrust(after(*ticks), 11.9) is Reason.POSITION_FROZEN
-    assert distrust(after(*ticks, (12.0, 5.0, 50.0)), 12.0) is None
+    assert distrust(after(*ticks), 11.9, LIMITS) is Reason.POSITION_FROZEN
+    assert distrust(after(*ticks, (12.0, 5.0, 50.0)), 12.0, LIMITS) is None
 
 
 @pytest.mark.parametrize(
     ("step_m", "reason"), [(JUMP_M - 0.01, None), (JUMP_M + 0.01, Reason.POSITION_JUMPED)]
 )
 def test_a_jump_is_a_step_of_more_than_can_be_flown(step_m: float, reason: Reason | None) -> None:
-    vehicle = after((10.0, 0.0, 0.0), (10.1, step_m, 0.0))
-    assert distrust(vehicle, 10.1) is reason
+    vehicle = after((10.0, 0.0, 0.0), (10.1, step_m, 2.0 * step_m / 0.1))  # it says it flew there
+    assert distrust(vehicle, 10.1, LIMITS) is reason
+
+
+@pytest.mark.parametrize(
+    ("aside_m", "reason"),
+    [(3.9, None), (8.5, Reason.POSITION_JUMPED), (-8.5, Reason.POSITION_JUMPED)],
+)
+@pytest.mark.parametrize("speed_m_s", [0.0, 20.0])
+def test_a_jump_is_a_step_that_the_speeds_told_cannot_have_made(
+    aside_m: float, reason: Reason | None, speed_m_s: float
+) -> None:
+    """4 m and 35 % of the way are allowed: 4.7 m at 20 m/s."""
+    vehicle = after((10.0, 0.0, speed_m_s), (10.1, 0.1 * speed_m_s + aside_m, speed_m_s))
+    assert distrust(vehicle, 10.1, LIMITS) is reason
+
+
+@pytest.mark.parametrize("of", ["fix_at_s", "estimator_at_s"])
+@pytest.mark.parametrize(("silent_s", "reason"), [(4.9, None), (5.1, Reason.HEALTH_SILENT)])
+def test_what_vouches_for_the_position_must_go_on_saying_so(
+    of: str, silent_s: float, reason: Reason | None
+) -> None:
+    vehicle = replace(after((10.0, 0.0, 0.0)), **{of: 10.0 - silent_s})
+    assert distrust(vehicle, 10.0, LIMITS) is reason
+
+
+def test_an_estimator_may_flicker_for_a_second() -> None:
+    flickers = replace(after((10.0, 0.0, 0.0)), estimator_good=False, estimator_failed_at_s=10.0)
+    later = replace(flickers, position_at_s=12.0, moved_at_s=12.0)
+    assert distrust(flickers, 10.4, LIMITS) is None
+    assert distrust(later, 10.99, LIMITS) is None
+    assert distrust(later, 11.01, LIMITS) is Reason.ESTIMATOR
+
+
+@pytest.mark.parametrize(("error_m", "reason"), [(4.9, None), (5.1, Reason.INACCURATE)])
+def test_what_the_autopilot_claims_to_know_must_be_what_the_mission_allows(
+    error_m: float, reason: Reason | None
+) -> None:
+    assert LIMITS.navigation_error_m == 5.0
+    assert distrust(replace(after((10.0, 0.0, 0.0)), error_m=error_m), 10.0, LIMITS) is reason
 
 
 def test_a_jump_is_forgotten_after_half_a_second_of_positions_that_agree() -> None:
     jumped = [(10.0, 0.0, 0.0), (10.1, 500.0, 0.0)]
     later = [(10.1 + 0.1 * tick, 500.0, 0.0) for tick in range(1, 6)]
-    assert distrust(after(*jumped, *later[:-1]), 10.5) is Reason.POSITION_JUMPED
-    assert distrust(after(*jumped, *later), 10.61) is None
+    assert distrust(after(*jumped, *later[:-1]), 10.5, LIMITS) is Reason.POSITION_JUMPED
+    assert distrust(after(*jumped, *later), 10.61, LIMITS) is None
 
 
 def test_the_step_of_a_gap_in_the_positions_may_be_longer() -> None:
-    assert distrust(after((10.0, 0.0, 0.0), (14.0, 150.0 * 4.0, 150.0)), 14.0) is None
+    assert distrust(after((10.0, 0.0, 0.0), (14.0, 150.0 * 4.0, 150.0)), 14.0, LIMITS) is None
 
 
 @pytest.mark.parametrize(
@@ -83,7 +125,7 @@ def test_the_step_of_a_gap_in_the_positions_may_be_longer() -> None:
     ids=["fix", "estimator", "both"],
 )
 def test_receiver_and_estimator_must_both_vouch(vehicle: Vehicle, reason: Reason) -> None:
-    assert distrust(with_position(vehicle, position(1.0), LIMITS), 1.0) is reason
+    assert distrust(with_position(vehicle, position(1.0), LIMITS), 1.0, LIMITS) is reason
 
 
 @given(
@@ -101,4 +143,4 @@ def test_a_flight_within_the_limits_is_always_believed(
         time_s = tick / rate_hz
         here = (velocity[0] * time_s, velocity[1] * time_s, 3000.0 + climb_m_s * time_s)
         vehicle = with_position(vehicle, position(time_s, here, velocity), LIMITS)
-        assert distrust(vehicle, time_s) is None
+        assert distrust(vehicle, time_s, LIMITS) is None

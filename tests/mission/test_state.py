@@ -1,16 +1,21 @@
 from companion.mission.state import MOVES, Phase, Reason, Trigger
 
 # Design section 7, written down a second time.
+ANYTIME = {"done", "faulted"}
+AGAIN = {"preparing"}
 ARROWS = {
-    "waiting": {"preparing", "done"},
-    "preparing": {"arming", "done"},
-    "arming": {"taking off", "done"},
-    "taking off": {"flying", "holding", "done", "faulted"},
-    "flying": {"arrived", "holding", "done", "faulted"},
-    "holding": {"flying", "done", "faulted"},
-    "arrived": {"flying", "holding", "landing", "done", "faulted"},
-    "landing": {"holding", "done", "faulted"},
+    "waiting": {"preparing"},
+    "preparing": {"arming", "holding", "flying", "landing", "shadow"} | AGAIN,
+    "arming": {"taking off"} | AGAIN,
+    "taking off": {"flying", "holding"} | AGAIN,
+    "flying": {"arrived", "holding"} | AGAIN,
+    "holding": {"flying", "returning", "landing"} | AGAIN,
+    "arrived": {"flying", "holding", "landing", "returning"} | AGAIN,
+    "returning": {"flying", "holding", "landing"} | AGAIN,
+    "landing": {"holding"} | AGAIN,
+    "shadow": AGAIN,
 }
+ARROWS = {phase: after | ANYTIME for phase, after in ARROWS.items()}
 
 
 def test_the_table_has_the_arrows_of_the_design_and_no_others() -> None:
@@ -37,5 +42,6 @@ def test_every_reason_says_what_happened_and_what_to_do_in_a_text_of_50_bytes() 
     texts = [reason.text for reason in Reason]
     assert len(set(texts)) == len(texts)
     for reason in Reason:
+        assert len(reason.text.encode()) + len("hold: ") <= 60
         assert reason.remedy.endswith(".")
         assert reason.text == reason.text.strip().rstrip(".")

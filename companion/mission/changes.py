@@ -1,0 +1,282 @@
+"""What is changed from outside during a mission: threats, settings, targets, orders."""
+
+import enum
+import math
+
+import numpy as np
+
+from companion.mission import following
+from companion.mission.decisions import Step, because, give_up
+from companion.mission.events import (
+    Command,
+    Event,
+    FenceChanged,
+    Order,
+    OrderKind,
+    Prepared,
+    Rebooted,
+    Say,
+    SetSpeed,
+    SettingsChanged,
+    TargetsChanged,
+)
+from companion.mission.renewed import replace
+from companion.mission.state import Flight, Phase, Reason, State, Trigger, Vehicle
+from companion.mission.stopped import resumed
+from companion.planner.refuge import loiter_point
+from companion.world.known_map import empty_map
+
+_ON_PATH = (Phase.FLYING, Phase.RETURNING)
+_OF_VEHICLE = "mission changed"
+_CALM = (
+    Reason.NO_PLAN,
+    Reason.PLAN_LATE,
+    Reason.RADAR_SILENT,
+    Reason.NEW_THREAT,
+    Reason.NEW_TARGET,
+    Reason.PAUSED,
+)
+"""Reasons to hold in which a person's word counts at once."""
+
+
+class Verdict(enum.Enum):
+    """What becomes of an order."""
+
+    ACCEPTED = "it is carried out"
+    INVALID = "it cannot be carried out as it stands"
+    NOT_NOW = "it cannot be carried out now"
+
+
+def verdict(state: State, order: Order) -> Verdict:
+    """Whether an order can be carried out, for its acknowledgement."""
+    in_air = state.phase in (*_ON_PATH, Phase.HOLDING, Phase.ARRIVED)
+    match order.kind:
+        case OrderKind.REPOSITION:
+            if order.target_ne_m is None or _unreachable(state, order.target_ne_m):
+                return Verdict.INVALID
+            return Verdict.ACCEPTED if in_air else Verdict.NOT_NOW
+        case OrderKind.START | OrderKind.CONTINUE:
+            return Verdict.ACCEPTED if state.phase is not Phase.LANDING else Verdict.NOT_NOW
+        case OrderKind.PAUSE:
+            held = state.phase is Phase.HOLDING and state.reason in _CALM
+            return Verdict.ACCEPTED if state.phase in _ON_PATH or held else Verdict.NOT_NOW
+        case OrderKind.RETURN:
+            taken = state.phase is Phase.HOLDING and state.reason not in _CALM
+            return Verdict.ACCEPTED if in_air and not taken else Verdict.NOT_NOW
+        case OrderKind.SPEED:
+            return Verdict.ACCEPTED
+
+
+def changed(state: State, event: Event) -> Step | None:
+    """What an event that is not a phase's own changes; None: it is left to the phase."""
+    match event:
+        case FenceChanged():
+            return _with_fence(state, event)
+        case SettingsChanged(task=task, what=what):
+            if task.cell_m != state.flight.known.cell_m:  # on the ground only: nothing is known yet
+                known = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
+                state = replace(state, flight=replace(state.flight, known=known))
+            state = state.with_rules(task, state.fence)
+            return state, [Say(text=f"set {what}")], None
+        case TargetsChanged(targets_ne_m=targets):
+            return _with_targets(state, targets, _OF_VEHICLE)
+        case Order():
+            return _ordered(state, event)
+        case Rebooted() if state.phase is not Phase.WAITING:
+            return _rebooted(state)
+        case Prepared(refusal=refusal, remedy=remedy) if refusal and state.phase is Phase.ARMING:
+            return give_up(state, Reason.REFUSED, f": {refusal}", remedy)
+        case Prepared(refusal=refusal) if refusal and state.phase is not Phase.PREPARING:
+            return state, [Say(text=refusal, warning=True)], None
+        case _:
+            return None
+
+
+# --- threats
+
+
+def _with_fence(state: State, event: FenceChanged) -> Step:
+    """Another fence: the rest of the path is looked at again, and left where it is touched."""
+    known = state.fence is not None
+    state = state.with_rules(state.given, event)
+    count = len(event.zones)
+    says: list[Command] = [Say(text=f"fence: {count} zones", warning=known)]
+    if (inside := _inside(state)) and state.phase not in _ON_PATH:
+        says.append(Say(text=f"inside zone {inside}", warning=True))
+    if not _is_touched(state):
+        return _clear_of_zones(state), says, None
+    if state.phase not in _ON_PATH:  # a path that was to be gone on with
+        return replace(state, flight=following.at_rest(state.flight, None)), says, None
+    state, commands, trigger = following.stop(state, Reason.NEW_THREAT)
+    return state, [*says, *commands], trigger
+
+
+def _clear_of_zones(state: State) -> State:
+    """A plane that circles too near to a zone now is sent to circle elsewhere."""
+    flight, task = state.flight, state.task
+    if state.vehicle.hovers or flight.leg is not None or flight.hover_nea_m is None:
+        return state
+    north, east, _ = flight.hover_nea_m
+    gaps = [float(z.distance_m(np.asarray(north), np.asarray(east))) for z in task.zones]
+    if min(gaps, default=math.inf) >= task.zone_clearance_m:
+        return state
+    here = state.vehicle.position_nea_m or flight.hover_nea_m
+    refuge = loiter_point(flight.known, task, here)
+    return replace(state, flight=following.at_rest(flight, refuge or flight.hover_nea_m))
+
+
+def _is_touched(state: State) -> bool:
+    """Whether the rest of the path breaks the rules as they are now."""
+    flight = state.flight
+    legs = [(flight.leg, flight.reference.length_m), (flight.next_leg, 0.0)]
+    legs += [(leg, 0.0) for leg in flight.back]
+    return any(leg is not None and following.is_touched(state, leg, at_m) for leg, at_m in legs)
+
+
+def _inside(state: State) -> str:
+    """The name of a zone that the vehicle is in; empty: none."""
+    here = state.vehicle.position_nea_m
+    if here is None:
+        return ""
+    north, east = np.asarray(here[0]), np.asarray(here[1])
+    return next((z.name for z in state.task.zones if float(z.distance_m(north, east)) < 0.0), "")
+
+
+# --- targets and orders
+
+
+def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], why: str) -> Step:
+    """Other targets: the way to the first of them is planned from where the vehicle stops."""
+    if targets_ne_m == state.targets_ne_m:
+        return state, [], None
+    if why == _OF_VEHICLE and (state.flight.returning or state.flight.fallen_back is not None):
+        return state, [Say(text="mission changed: returning all the same", warning=True)], None
+    if not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING):
+        text = "the vehicle's mission is empty: the old one is flown"
+        return state, [Say(text=text, warning=True)], None
+    for target in targets_ne_m:
+        trouble = _unreachable(state, target)
+        if trouble:
+            return state, [Say(text=f"{why}: {trouble}", warning=True)], None
+    flight = replace(
+        state.flight, target=0, route_ne_m=(), stops=0, failures=0, returning=False, back=()
+    )
+    flight = replace(flight, fallen_back=None, homeward=False)
+    standing = None if why != _OF_VEHICLE else state.standing
+    state = replace(state, targets_ne_m=targets_ne_m, flight=flight, standing=standing)
+    says: list[Command] = [Say(text=why)]
+    if state.phase in _ON_PATH and targets_ne_m:
+        state, commands, trigger = following.stop(state, Reason.NEW_TARGET)
+        return state, [*says, *commands], trigger
+    if state.phase is Phase.ARRIVED:
+        if state.asks == 0:
+            return state, says, Trigger.NEXT_TARGET
+        return replace(state, reason=Reason.TAKING_OVER), says, Trigger.FAULT  # it may hold by now
+    if state.phase is Phase.HOLDING and state.reason in (Reason.PAUSED, Reason.RETURN_ASKED):
+        return because(state, Reason.NEW_TARGET), says, None
+    return state, says, None
+
+
+def _unreachable(state: State, target_ne_m: tuple[float, float]) -> str:
+    """Why a place cannot be a target, in words; empty: it can."""
+    task = state.task
+    for at, (low, high) in zip(target_ne_m, (task.limits.north_m, task.limits.east_m), strict=True):
+        if not low + task.search_clearance_m <= at <= high - task.search_clearance_m:
+            return "the target is off the map"
+    north, east = np.asarray(target_ne_m[0]), np.asarray(target_ne_m[1])
+    gaps = [float(zone.distance_m(north, east)) for zone in task.zones]
+    if min(gaps, default=math.inf) < task.zone_search_clearance_m:
+        return "the target is in a zone"
+    return ""
+
+
+def _ordered(state: State, order: Order) -> Step:
+    match order.kind:
+        case OrderKind.START | OrderKind.CONTINUE:
+            return _go_on(state)
+        case OrderKind.PAUSE:
+            return _pause(state)
+        case OrderKind.REPOSITION:
+            assert order.target_ne_m is not None
+            return _with_targets(state, (order.target_ne_m,), "new target")
+        case OrderKind.SPEED:
+            return _with_speed(state, order.speed_m_s)
+        case OrderKind.RETURN:
+            return _return(state)
+
+
+def _go_on(state: State) -> Step:
+    if state.standing is Reason.PAUSED:
+        state = replace(state, standing=None)
+    if state.phase in _ON_PATH and state.flight.stop_reason is Reason.PAUSED:  # it still brakes
+        flight = replace(state.flight, stop_reason=Reason.NEW_TARGET)
+        return replace(state, flight=flight), [Say(text="going on")], None
+    if state.phase is Phase.HOLDING and state.reason is Reason.PAUSED:
+        state, commands, trigger = resumed(state)
+        return state, [Say(text="going on"), *commands], trigger
+    if state.phase is Phase.HOLDING and state.reason is Reason.MODE_TAKEN:
+        return replace(state, told_at_s=state.now_s), [], None
+    return state, [], None
+
+
+def _pause(state: State) -> Step:
+    state = replace(state, standing=Reason.PAUSED)
+    if state.phase in _ON_PATH:
+        return following.stop(state, Reason.PAUSED)
+    if state.phase is Phase.HOLDING and state.reason in _CALM:
+        return because(state, Reason.PAUSED), [Say(text=Reason.PAUSED.text)], None
+    return state, [], None
+
+
+def _with_speed(state: State, speed_m_s: float | None) -> Step:
+    """A lower speed than the mission's; a higher one is cut to it: the proofs are about that."""
+    limit = math.inf if speed_m_s is None else speed_m_s
+    top_m_s = state.task.limits.speed_m_s
+    flight = replace(state.flight, speed_limit_m_s=limit)
+    speed = min(limit, top_m_s)
+    commands: list[Command] = [Say(text=f"speed {speed:.1f} m/s")]
+    if state.phase in _ON_PATH:
+        commands.append(SetSpeed(speed_m_s=speed))
+    return replace(state, flight=flight), commands, None
+
+
+def _return(state: State) -> Step:
+    if state.flight.returning:
+        return state, [], None
+    state = replace(state, standing=Reason.RETURN_ASKED)
+    if state.phase is Phase.FLYING:
+        return following.stop(state, Reason.RETURN_ASKED)
+    if state.phase is Phase.HOLDING and state.reason in _CALM:
+        return because(state, Reason.RETURN_ASKED), [], None
+    if state.phase is Phase.ARRIVED:
+        return following.stop(state, Reason.RETURN_ASKED)
+    return state, [], None
+
+
+# --- the vehicle itself
+
+
+def _rebooted(state: State) -> Step:
+    """Everything that was known of the vehicle is prepared again; the terrain stays known."""
+    flight = state.flight
+    blank = Flight(
+        known=flight.known,
+        target=flight.target,
+        plan_id=flight.plan_id,
+        legs_flown=flight.legs_flown,
+        flown=flight.flown,
+        speed_limit_m_s=flight.speed_limit_m_s,
+        homeward=flight.homeward,
+        fallen_back=flight.fallen_back,
+    )
+    vehicle = Vehicle(driving=state.vehicle.driving, bad_at_s=state.now_s)
+    standing = Reason.RETURN_ASKED if flight.returning else state.standing
+    state = replace(
+        state,
+        flight=blank,
+        vehicle=vehicle,
+        prepared=frozenset(),
+        told_at_s=-1e9,
+        standing=standing,
+    )
+    return state, [Say(text=Reason.REBOOTED.text, warning=True)], Trigger.PREPARE_AGAIN

@@ -1,0 +1,209 @@
+"""What a companion that is started again in flight has to know of the one before it (design 7).
+
+Plain values, for a file: the path in force, how far the mission has come, the way here, and the
+vehicle's fence.  The known map is kept beside it.
+"""
+
+import math
+from typing import Any, final
+
+import numpy as np
+
+from companion.mission.events import FenceChanged
+from companion.mission.mission import Mission
+from companion.mission.renewed import replace
+from companion.mission.state import IN_AIR, Flight, Phase, Reason, State
+from companion.path.subpath import Subpath
+from companion.planner.procedure import Leg, Reference
+from companion.planner.request import Stretch
+from companion.world.known_map import KnownMap, empty_map
+from companion.world.threats import CircleZone, PolygonZone, Zone
+
+Values = dict[str, Any]
+
+_PERIOD_S = 1.0
+
+
+def values_of(state: State) -> Values:
+    """The state as plain values (JSON)."""
+    flight = state.flight
+    return {
+        "t_s": state.now_s,
+        "phase": state.phase.name,
+        "airborne": state.airborne,
+        "standing": None if state.standing is None else state.standing.name,
+        "taken": state.taken,
+        "armed_by_us": state.armed_by_us,
+        "targets_ne_m": [list(target) for target in state.targets_ne_m],
+        "fence": None if state.fence is None else _of_fence(state.fence),
+        "target": flight.target,
+        "leg": _of_leg(flight.leg),
+        "next_leg": _of_leg(flight.next_leg),
+        "joined_m": flight.joined_m,
+        "route_ne_m": [list(place) for place in flight.route_ne_m],
+        "plan_id": flight.plan_id,
+        "legs_flown": flight.legs_flown,
+        "stops": flight.stops,
+        "departures": flight.departures,
+        "speed_limit_m_s": flight.speed_limit_m_s if np.isfinite(flight.speed_limit_m_s) else None,
+        "flown": [
+            [stretch.control_nea_m.tolist(), stretch.from_m, stretch.until_m]
+            for stretch in flight.flown
+        ],
+        "back": [_of_leg(leg) for leg in flight.back],
+        "returning": flight.returning,
+        "homeward": flight.homeward,
+        "fallen_back": None if flight.fallen_back is None else flight.fallen_back.name,
+    }
+
+
+def beginning(mission: Mission, resume: tuple[Values, KnownMap | None] | None) -> State:
+    """The state that a mission begins with: blank, or what another companion has left."""
+    limits = mission.task.limits
+    known = mission.known or empty_map(mission.task.cell_m, limits.north_m, limits.east_m)
+    if resume is None:
+        return State.of(mission, known)
+    values, kept = resume
+    return restored(mission, kept or known, values)
+
+
+def restored(mission: Mission, known: KnownMap, values: Values) -> State:
+    """The state from which the mission goes on.  KeyError, TypeError, ValueError: not such values.
+
+    What the vehicle does now is not in it: the vehicle is prepared again.
+    """
+    limit = values["speed_limit_m_s"]
+    flight = Flight(
+        known=known,
+        target=int(values["target"]),
+        leg=_leg(values["leg"]),
+        next_leg=_leg(values["next_leg"]),
+        reference=Reference(),
+        joined_m=float(values["joined_m"]),
+        route_ne_m=_places(values["route_ne_m"]),
+        plan_id=int(values["plan_id"]),
+        legs_flown=int(values["legs_flown"]),
+        stops=int(values["stops"]),
+        departures=int(values["departures"]),
+        speed_limit_m_s=np.inf if limit is None else float(limit),
+        flown=tuple(
+            Stretch(control_nea_m=_control(control), from_m=float(low), until_m=float(high))
+            for control, low, high in values["flown"]
+        ),
+        back=tuple(leg for each in values["back"] if (leg := _leg(each)) is not None),
+        returning=bool(values["returning"]),
+        homeward=bool(values["homeward"]),
+        fallen_back=_reason(values["fallen_back"]),
+    )
+    state = State.of(mission, known)
+    fence = values["fence"]
+    if fence is not None:
+        state = state.with_rules(state.given, _fence(fence))
+    time_s = float(values["t_s"])
+    return replace(
+        state,
+        now_s=time_s,
+        since_s=time_s,
+        landing=values["phase"] == Phase.LANDING.name,
+        airborne=bool(values["airborne"]),
+        standing=_reason(values["standing"]),
+        taken=bool(values["taken"]),
+        armed_by_us=bool(values["armed_by_us"]),
+        targets_ne_m=_places(values["targets_ne_m"]),
+        flight=flight,
+    )
+
+
+def _reason(name: str | None) -> Reason | None:
+    return None if name is None else Reason[name]
+
+
+def _places(values: list[list[float]]) -> tuple[tuple[float, float], ...]:
+    return tuple((float(north), float(east)) for north, east in values)
+
+
+def _control(values: list[list[float]]) -> np.ndarray:
+    control = np.array(values, dtype=np.float64)
+    if control.ndim != 2 or control.shape[1] != 3 or len(control) < 4:
+        raise ValueError("control points are rows of north, east, altitude")
+    return control
+
+
+def _of_leg(leg: Leg | None) -> Values | None:
+    if leg is None:
+        return None
+    return {
+        "number": leg.number,
+        "plan_id": leg.plan_id,
+        "reaches_target": leg.reaches_target,
+        "through": leg.through,
+        "control_nea_m": leg.subpath.control_nea_m.tolist(),
+    }
+
+
+def _leg(values: Values | None) -> Leg | None:
+    if values is None:
+        return None
+    return Leg(
+        number=int(values["number"]),
+        plan_id=int(values["plan_id"]),
+        subpath=Subpath(control_nea_m=_control(values["control_nea_m"])),
+        reaches_target=bool(values["reaches_target"]),
+        through=bool(values["through"]),
+    )
+
+
+def _of_fence(fence: FenceChanged) -> Values:
+    return {
+        "zones": [_of_zone(zone) for zone in fence.zones],
+        "floor_amsl_m": fence.floor_amsl_m,
+        "ceiling_amsl_m": fence.ceiling_amsl_m,
+    }
+
+
+def _fence(values: Values) -> FenceChanged:
+    return FenceChanged(
+        time_s=0.0,
+        zones=tuple(_zone(each) for each in values["zones"]),
+        floor_amsl_m=values["floor_amsl_m"],
+        ceiling_amsl_m=values["ceiling_amsl_m"],
+    )
+
+
+def _of_zone(zone: Zone) -> Values:
+    values: Values = {"name": zone.name, "keep_in": zone.keep_in}
+    if isinstance(zone, CircleZone):
+        return {**values, "circle": [zone.north_m, zone.east_m, zone.radius_m]}
+    return {**values, "vertices_ne_m": [list(vertex) for vertex in zone.vertices_ne_m]}
+
+
+def _zone(values: Values) -> Zone:
+    name, keep_in = str(values["name"]), bool(values["keep_in"])
+    if "circle" in values:
+        north_m, east_m, radius_m = (float(value) for value in values["circle"])
+        return CircleZone(
+            name=name, north_m=north_m, east_m=east_m, radius_m=radius_m, keep_in=keep_in
+        )
+    return PolygonZone(name=name, vertices_ne_m=_places(values["vertices_ne_m"]), keep_in=keep_in)
+
+
+@final
+class Keeper:
+    """Says when there is something to keep: once a second, and when the map has grown."""
+
+    def __init__(self) -> None:
+        self._kept_at_s = -math.inf
+        self._known: KnownMap | None = None
+
+    def due(
+        self, state: State, now_s: float, *, at_once: bool = False
+    ) -> tuple[Values | None, KnownMap | None]:
+        """The checkpoint, if it is time for one, and the map, if it has changed since the last."""
+        if state.phase not in (*IN_AIR, Phase.PREPARING, Phase.ARMING):
+            return None, None
+        grown = state.flight.known is not self._known
+        waits = 0.0 <= now_s - self._kept_at_s < _PERIOD_S
+        if waits and not (grown or at_once):
+            return None, None
+        self._kept_at_s, self._known = now_s, state.flight.known
+        return values_of(state), self._known if grown else None

@@ -1,0 +1,338 @@
+"""Following a leg: the reference point, the setpoint that is sent for it, and whether it is flown.
+
+What hovers is sent the reference point itself, which speeds up and slows down on its own and
+waits for the vehicle.  What cannot is sent a point ahead of where it is on the path.
+"""
+
+import math
+
+import numpy as np
+
+from companion.mission.decisions import Context, Step
+from companion.mission.events import Command, Position, Setpoint, Vector
+from companion.mission.renewed import replace
+from companion.mission.state import Flight, Reason, State, Trigger
+from companion.path.subpath import Pose
+from companion.planner import join
+from companion.planner.procedure import (
+    Leg,
+    Reference,
+    advance,
+    allowed_speed_m_s,
+    follow,
+    is_at_end,
+    may_leave,
+    off_path_m,
+    sent_pose,
+)
+from companion.planner.recheck import first_conflict_m
+from companion.planner.refuge import loiter_point
+from companion.planner.request import Stretch
+from companion.planner.settings import Task
+
+_DEPARTURE = 3.0  # tracking errors off the path
+_NOT_TAKEN_S = 2.0
+_ECHO_S = 1.5  # an older echo says nothing
+_LONGEST_DELAY_S = 0.5  # of a link that setpoints are sent ahead for
+
+_BAND_SLACK_M = 0.5
+_BAND_SAMPLES = 100
+_ROUNDING_M = 1e-6
+_SENT_LATELY_S = 1.0
+_LONGEST_LEAD = 1.3  # of what the path's tail was made for
+_AT_END = 1.2  # loiter radii
+
+
+def lead_m(state: State) -> float:
+    """How far ahead of the reference point the setpoint lies, along the path.
+
+    What the driving strategy asks for, and what the vehicle flies while the message is under way.
+    """
+    vehicle = state.vehicle
+    delay_s = min(vehicle.round_trip_s, _LONGEST_DELAY_S)
+    if vehicle.hovers or vehicle.driving is None:
+        return delay_s * state.flight.reference.speed_m_s
+    over_ground = math.hypot(*vehicle.velocity_nea_m_s[:2])  # what counts in wind, not V
+    lead_m = (vehicle.driving.lead_s + delay_s) * over_ground
+    return min(lead_m, _LONGEST_LEAD * state.task.limits.lead_m)
+
+
+def sent_at_m(state: State) -> float:
+    """Length along the leg of the point that is sent."""
+    return state.flight.reference.length_m + lead_m(state)
+
+
+def moved_on(state: State, event: Position) -> Flight:
+    """The reference point one position later; at p_prog it goes over to the next leg."""
+    task, flight, vehicle = state.task, state.flight, state.vehicle
+    leg = flight.leg
+    assert leg is not None
+    here = np.asarray(event.position_nea_m)
+    if vehicle.hovers:
+        reference = advance(
+            flight.reference,
+            leg,
+            vehicle.position_step_s,
+            here,
+            task.limits,
+            goes_on=flight.next_leg is not None,
+            until_m=flight.stop_at_m,
+            speed_limit_m_s=flight.speed_limit_m_s,
+        )
+    else:
+        reference = follow(flight.reference, leg, here, task.limits)
+    if reference.length_m > flight.reference.length_m:
+        flight = replace(flight, progress_at_s=state.now_s)
+    if flight.offset is not None:
+        offset = join.step(flight.offset, vehicle.position_step_s, task.limits)
+        flight = replace(flight, offset=offset)
+    if flight.next_leg is None or reference.length_m < leg.successor_at_m(task) - _ROUNDING_M:
+        return replace(flight, reference=reference)
+    return gone_over(flight, reference, leg, task)
+
+
+def gone_over(flight: Flight, reference: Reference, leg: Leg, task: Task) -> Flight:
+    """The flight on the next leg: the reference point has come to p_prog."""
+    over_at_m = leg.successor_at_m(task)
+    return replace(
+        flight,
+        leg=flight.next_leg,
+        next_leg=None,
+        reference=replace(reference, length_m=max(reference.length_m - over_at_m, 0.0)),
+        joined_m=0.0,
+        tried=False,
+        troubles=0,
+        shortfall=Reason.NO_PLAN,
+        legs_flown=flight.legs_flown + 1,
+        flown=_walked(replace(flight, reference=replace(reference, length_m=over_at_m))).flown,
+    )
+
+
+def has_departed(state: State, flight: Flight, event: Position) -> bool:
+    """Whether the vehicle is not where the path was checked."""
+    leg, limits = flight.leg, state.task.limits
+    assert leg is not None
+    here, allowed_m = np.asarray(event.position_nea_m), _DEPARTURE * limits.tracking_error_m
+    if not limits.hovers:  # the circle about each point of the path is proven
+        off_m = math.dist(leg.subpath.pose(flight.reference.length_m).point_nea_m, here)
+        return off_m > limits.loiter_radius_m + allowed_m
+    if flight.offset is not None:
+        allowed_m += float(np.linalg.norm(flight.offset.position_nea_m))
+    return off_path_m(flight.reference, leg, here) > allowed_m
+
+
+def is_touched(state: State, leg: Leg, from_m: float) -> bool:
+    """Whether the rest of a leg breaks the rules as they are now: a zone, the floor, the ceiling.
+
+    They may have changed since it was proven.
+    """
+    task = state.task
+    if first_conflict_m(leg, from_m, task.zones, task.zone_clearance_m) is not None:
+        return True
+    inset_m = task.margins.band_inset_m - _BAND_SLACK_M
+    lengths = np.linspace(from_m, leg.subpath.length_m, _BAND_SAMPLES)
+    heights = leg.subpath.points_nea_m(lengths)[:, 2]
+    low_m, high_m = task.limits.floor_amsl_m + inset_m, task.limits.ceiling_amsl_m - inset_m
+    return bool(heights.min() < low_m or heights.max() > high_m)
+
+
+def still_circles(state: State, event: Position) -> bool:
+    """Whether a plane that is to leave its circle for the path does not fly the path's way yet."""
+    flight = state.flight
+    if not flight.circling or flight.leg is None:
+        return False
+    limits = state.task.limits
+    return not may_leave(flight.leg, event.position_nea_m, event.velocity_nea_m_s, limits)
+
+
+def is_not_taken(state: State) -> bool:
+    """Whether the autopilot's echo has disagreed with the setpoints for too long."""
+    return state.now_s - state.flight.echoed_at_s > _NOT_TAKEN_S and _echo_is_fresh(state)
+
+
+def _echo_is_fresh(state: State) -> bool:
+    vehicle = state.vehicle
+    return vehicle.echo_nea_m is not None and state.now_s - vehicle.echo_at_s < _ECHO_S
+
+
+def with_echo(state: State) -> Flight:
+    """The flight after an echo: when it last agreed with what was sent, or was not there."""
+    flight, echo = state.flight, state.vehicle.echo_nea_m
+    if flight.sent_nea_m is None or echo is None:
+        return replace(flight, echoed_at_s=state.now_s)
+    limits = state.task.limits
+    allowed_m = max(1.5 * limits.speed_m_s, 2.0 * limits.tracking_error_m)
+    if not limits.hovers:
+        allowed_m += 2.0 * limits.loiter_radius_m
+    if math.dist(echo[:2], flight.sent_nea_m[:2]) <= allowed_m:
+        return replace(flight, echoed_at_s=state.now_s)
+    return flight
+
+
+def is_stopped(state: State, flight: Flight) -> bool:
+    """Whether the reference point has come to the end of its leg, or where it is to stop."""
+    leg = flight.leg
+    assert leg is not None
+    if flight.next_leg is not None and flight.stop_at_m is None:
+        return False
+    if state.vehicle.hovers:
+        return is_at_end(flight.reference, leg, until_m=flight.stop_at_m)
+    if flight.stop_at_m is not None:
+        return True  # it circles where it was to stop
+    left_m = leg.subpath.length_m - flight.reference.length_m
+    return left_m < _AT_END * state.task.limits.loiter_radius_m
+
+
+def setpoint(state: State, event: Position, context: Context) -> tuple[Flight, list[Command]]:
+    """What the vehicle is sent for the reference point, if it is time for it."""
+    flight, vehicle = state.flight, state.vehicle
+    if not is_due(state):
+        return flight, []
+    pose, speed, at_end = _pose_sent(state)
+    position = pose.position_nea_m
+    velocity = speed * pose.tangent_nea
+    if flight.offset is not None:
+        position = position + flight.offset.position_nea_m
+        velocity = velocity + flight.offset.velocity_nea_m_s
+    along = math.atan2(pose.tangent_nea[1], pose.tangent_nea[0])
+    yaw = context.mission.yaw_rad
+    sent = Setpoint(
+        time_s=event.time_s,
+        position_nea_m=_vector(position),
+        velocity_nea_m_s=_vector(velocity),
+        yaw_rad=along if yaw is None else yaw,
+        stay=at_end and not vehicle.hovers,
+    )
+    flight = replace(flight, sent_nea_m=sent.position_nea_m, sent_at_s=state.now_s)
+    return flight, [sent]
+
+
+def is_due(state: State) -> bool:
+    """Whether it is time for another setpoint."""
+    driving = state.vehicle.driving
+    period_s = 0.0 if driving is None else driving.setpoint_period_s
+    return state.now_s - state.flight.sent_at_s > period_s - 0.5 * state.vehicle.position_step_s
+
+
+def _pose_sent(state: State) -> tuple[Pose, float, bool]:
+    """The point that is sent, the speed there, and whether it is the last one for now."""
+    flight, task = state.flight, state.task
+    leg, reference, next_leg = flight.leg, flight.reference, flight.next_leg
+    assert leg is not None
+    ahead_m = lead_m(state)
+    end_m = leg.subpath.length_m
+    if state.vehicle.hovers and flight.stop_at_m is not None:
+        end_m, next_leg = min(end_m, flight.stop_at_m), None
+        ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
+    pose = sent_pose(reference, leg, next_leg, ahead_m, task)
+    speed = min(reference.speed_m_s, allowed_speed_m_s(pose, task.limits))
+    return pose, speed, next_leg is None and reference.length_m + ahead_m >= end_m
+
+
+def stop(state: State, reason: Reason) -> Step:
+    """Leave the path in order: along it, as soon as the vehicle can, and hold there."""
+    flight = state.flight
+    if flight.leg is None:
+        flight = at_rest(flight, flight.hover_nea_m or state.vehicle.position_nea_m)
+        return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
+    limits = state.task.limits
+    if not state.vehicle.hovers:
+        point = _pose_sent(state)[0].point_nea_m
+        if reason is Reason.NEW_THREAT:
+            here = state.vehicle.position_nea_m or point
+            point = loiter_point(flight.known, state.task, here, (point,)) or point
+        flight = at_rest(flight, point)
+        return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
+    brakes_m = limits.stopping_m(flight.reference.speed_m_s)
+    leg = flight.leg
+    assert leg is not None
+    stop_at_m = min(flight.reference.length_m + brakes_m, leg.subpath.length_m)
+    if flight.stop_at_m is not None:
+        stop_at_m = min(stop_at_m, flight.stop_at_m)
+    flight = replace(
+        flight,
+        stop_at_m=stop_at_m,
+        stop_reason=reason,
+        next_leg=None,
+        scanning_from_nea_m=None,
+        planning=False,
+        tried=True,
+    )
+    return replace(state, flight=flight), [], None
+
+
+def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
+    """The flight without a leg: it begins again from where the vehicle stops."""
+    return replace(
+        _walked(flight),
+        leg=None,
+        next_leg=None,
+        reference=Reference(),
+        offset=None,
+        stop_at_m=None,
+        hover_nea_m=hover_nea_m,
+        scanning_from_nea_m=None,
+        planning=False,
+        tried=False,
+    )
+
+
+def at_rest_at_end(flight: Flight) -> Flight:
+    """The flight at rest at the end of its leg, or where it stops, or hovers already."""
+    leg = flight.leg
+    if leg is None:
+        return at_rest(flight, flight.hover_nea_m)
+    end_m = leg.subpath.length_m if flight.stop_at_m is None else flight.stop_at_m
+    return at_rest(flight, leg.subpath.pose(end_m).point_nea_m)
+
+
+def _walked(flight: Flight) -> Flight:
+    """The flight with what was flown of its leg on the list of what was flown."""
+    if flight.leg is None or flight.returning:
+        return flight
+    walked = _stretch(flight.leg, flight.joined_m, flight.reference.length_m)
+    return replace(flight, flown=(*flight.flown, walked))
+
+
+def _stretch(leg: Leg, from_m: float, until_m: float) -> Stretch:
+    return Stretch(control_nea_m=leg.subpath.control_nea_m, from_m=from_m, until_m=until_m)
+
+
+def hold_setpoint(state: State, time_s: float, context: Context) -> tuple[Flight, list[Command]]:
+    """Stay where the flight came to rest: a position and an explicit velocity of zero."""
+    flight = state.flight
+    here = flight.hover_nea_m
+    if here is None or not is_due(state):
+        return flight, []
+    yaw = context.mission.yaw_rad
+    if yaw is None:
+        target = state.targets_ne_m[flight.target]
+        yaw = math.atan2(target[1] - here[1], target[0] - here[0])
+    there = _on_the_way(state, here)
+    stay = Setpoint(
+        time_s=time_s,
+        position_nea_m=there,
+        velocity_nea_m_s=(0.0, 0.0, 0.0),
+        yaw_rad=yaw,
+        stay=True,
+    )
+    return replace(flight, sent_nea_m=there, sent_at_s=state.now_s), [stay]
+
+
+def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
+    """Where to stay for now: a climb or descent to there is led at the mission's climb rate."""
+    north, east, altitude = here_nea_m
+    flight, at = state.flight, state.vehicle.position_nea_m
+    if not state.vehicle.hovers or at is None:
+        return here_nea_m
+    since_s = state.now_s - flight.sent_at_s
+    sent = flight.sent_nea_m
+    is_new = sent is None or since_s > _SENT_LATELY_S or math.dist(sent[:2], here_nea_m[:2]) > 1.0
+    from_m = at[2] if sent is None or is_new else sent[2]
+    most_m = state.task.limits.climb_rate_m_s * min(since_s, _SENT_LATELY_S)
+    return north, east, from_m + min(max(altitude - from_m, -most_m), most_m)
+
+
+def _vector(values: np.ndarray) -> Vector:
+    north, east, up = (float(value) for value in values)
+    return north, east, up

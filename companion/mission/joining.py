@@ -1,0 +1,92 @@
+"""Going on with a path that was left: after a restart, and on the way back."""
+
+import math
+
+import numpy as np
+
+from companion.mission.events import Vector
+from companion.mission.renewed import replace
+from companion.mission.state import Flight, State
+from companion.planner import join
+from companion.planner.procedure import Leg, Reference
+
+_SPACING_M = 1.0
+_MOST_SAMPLES = 1000
+_ROUNDS, _FINER = 3, 41
+_FRESH_S = 1.0
+_ON_CIRCLE = 1.5  # loiter radii: a plane may be circling there
+
+
+def joined(state: State) -> Flight | None:
+    """The flight on its leg, or the leg after it, from where the vehicle is led now.
+
+    None if that is farther from the path than the vehicle was certified to be.
+    """
+    vehicle, flight = state.vehicle, state.flight
+    velocity, led = vehicle.velocity_nea_m_s, _led_nea_m(state)
+    if led is None or flight.leg is None:
+        return None
+    best: tuple[float, Leg, float] | None = None
+    for leg in (flight.leg, flight.next_leg):
+        if leg is not None:
+            off_m, at_m = nearest(leg, led)
+            if best is None or off_m < best[0] - 1e-6:
+                best = (off_m, leg, at_m)
+    assert best is not None
+    off_m, leg, at_m = best
+    limits = state.task.limits
+    if off_m > limits.tracking_error_m + _ON_CIRCLE * limits.loiter_radius_m:
+        return None
+    went_over = leg is flight.next_leg
+    pose = leg.subpath.pose(at_m)
+    speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
+    speed = min(speed, state.task.limits.speed_m_s)
+    flight = replace(
+        flight,
+        leg=leg,
+        next_leg=None if went_over else flight.next_leg,
+        legs_flown=flight.legs_flown + (1 if went_over else 0),
+        reference=Reference(length_m=at_m, speed_m_s=speed),
+        circling=not vehicle.hovers and off_m > limits.tracking_error_m,
+        joined_m=at_m,
+        progress_at_s=state.now_s,
+        hover_nea_m=None,
+        scanning_from_nea_m=None,
+        planning=False,
+        tried=flight.next_leg is not None and not went_over,
+    )
+    if vehicle.hovers:
+        offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
+        flight = replace(flight, offset=offset)
+    return flight
+
+
+def _led_nea_m(state: State) -> Vector | None:
+    """Where we sent it lately; else where its autopilot says that it flies to; else where it is."""
+    vehicle, flight = state.vehicle, state.flight
+    here, echo = vehicle.position_nea_m, vehicle.echo_nea_m
+    if here is None or not vehicle.hovers:
+        return here
+    if flight.sent_nea_m is not None and state.now_s - flight.sent_at_s < _FRESH_S:
+        return flight.sent_nea_m
+    near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
+    if echo is None or state.now_s - vehicle.echo_at_s > _FRESH_S:
+        return here
+    return echo if math.dist(echo, here) < near_m else here
+
+
+def nearest(leg: Leg, point_nea_m: Vector) -> tuple[float, float]:
+    """Distance of a point from a leg, and the length along it where it is nearest, metres."""
+    length_m = leg.subpath.length_m
+    spacing_m = max(_SPACING_M, length_m / _MOST_SAMPLES)
+    points = leg.subpath.sampled(spacing_m).points_nea_m
+    distance = np.linalg.norm(points - np.asarray(point_nea_m), axis=-1)
+    k = int(distance.argmin())
+    lengths = np.linspace(0.0, length_m, len(points))
+    for _ in range(_ROUNDS):
+        low, high = float(lengths[max(k - 1, 0)]), float(lengths[min(k + 1, len(lengths) - 1)])
+        lengths = np.linspace(low, high, _FINER)
+        points = leg.subpath.points_nea_m(lengths)
+        distance = np.linalg.norm(points - np.asarray(point_nea_m), axis=-1)
+        k = int(distance.argmin())
+    return float(distance[k]), float(lengths[k])

@@ -1,0 +1,159 @@
+"""The way back: along the flown path, stretch by stretch, each proven again (design section 7)."""
+
+from companion.mission import flying, following, joining
+from companion.mission.decisions import Context, Step, cannot_fly, fault, give_up, is_gone
+from companion.mission.events import Command, Event, Plan, PlanReady, Position
+from companion.mission.renewed import replace
+from companion.mission.state import Flight, Reason, State, Trigger
+from companion.planner.procedure import Leg, Reference, hover_pose
+from companion.planner.request import PlanRequest, WayBack
+
+_STUCK_S = 30.0
+_DEPARTURES = 3
+
+
+def ask(state: State, context: Context) -> Step:
+    """Have the way back proven; it counts from now on, whenever it is there."""
+    flight = replace(
+        state.flight,
+        plan_id=state.flight.plan_id + 1,
+        planning=True,
+        progress_at_s=state.now_s,
+        asked_of=state.task,
+    )
+    here = state.vehicle.position_nea_m or (0.0, 0.0, 0.0)
+    request = PlanRequest(
+        plan_id=flight.plan_id,
+        seed=context.seed,
+        task=state.task,
+        known=flight.known,
+        scan_nea_m=here,
+        start=hover_pose(here),
+        from_rest=True,
+        target_ne_m=here[:2],
+        flown=flight.flown,
+    )
+    return replace(state, flight=flight), [Plan(request=request, due_s=state.now_s)], None
+
+
+def answered(state: State, event: PlanReady) -> Flight | None:
+    """The flight with the way back that was asked for; None if there is none."""
+    flight, outcome = replace(state.flight, planning=False), event.outcome
+    if not isinstance(outcome, WayBack) or not outcome.subpaths:
+        return None
+    last = len(outcome.subpaths) - 1
+    legs = tuple(
+        Leg(
+            number=number + 1,
+            plan_id=outcome.plan_id,
+            subpath=subpath,
+            reaches_target=number == last and outcome.reaches_start,
+            through=through,
+        )
+        for number, (subpath, through) in enumerate(
+            zip(outcome.subpaths, outcome.through, strict=True)
+        )
+    )
+    return replace(flight, back=legs, returning=True)
+
+
+def began(state: State) -> Flight | None:
+    """The flight on the first stretch of the way back that is left; None if it is too far off."""
+    flight = state.flight
+    here = state.vehicle.position_nea_m
+    if not flight.back or here is None:
+        return None
+    leg = flight.back[0]
+    flight = replace(flight, leg=leg, next_leg=None, hover_nea_m=None, stop_at_m=None, tried=True)
+    joined = joining.joined(replace(state, flight=flight))
+    if joined is None:
+        return None
+    around = leg.subpath.pose(joined.reference.length_m).point_nea_m if joined.circling else None
+    joined = replace(
+        joined,
+        back=flight.back[1:],
+        reference=_at_rest(joined.reference),
+        hover_nea_m=around,
+    )
+    return _with_next(joined)
+
+
+def _with_next(flight: Flight) -> Flight:
+    """The flight with the stretch after this one ready, if it may be flown into at full speed."""
+    if flight.leg is None or not flight.leg.through or not flight.back:
+        return flight
+    return replace(flight, next_leg=flight.back[0], back=flight.back[1:])
+
+
+def homeward(state: State) -> State:
+    """The mission with the place where it began as its only target, to be planned to."""
+    flight = state.flight
+    start = flight.flown[0].control_nea_m[0] if flight.flown else (0.0, 0.0, 0.0)
+    home = (float(start[0]), float(start[1]))
+    flight = replace(
+        flight, returning=False, homeward=True, back=(), target=0, route_ne_m=(), stops=0
+    )
+    return replace(state, targets_ne_m=(home,), flight=flight)
+
+
+def _at_rest(reference: Reference) -> Reference:
+    return replace(reference, speed_m_s=0.0)
+
+
+def returning(state: State, event: Event, context: Context) -> Step:
+    """Follow the stretches one after the other; stop for whatever makes that unsafe."""
+    if is_gone(state, event, context):
+        return give_up(state, Reason.LINK_LOST)
+    reason = cannot_fly(state, event)
+    if reason is not None:
+        return fault(_stopped(state), reason)
+    if not isinstance(event, Position):
+        return state, [], None
+    if following.still_circles(state, event):
+        return flying.circle(state, event, context)
+    flight = replace(following.moved_on(state, event), circling=False)
+    if flight.leg is not state.flight.leg:  # through the join, onto what was the next stretch
+        flight = _with_next(flight)
+    if state.now_s - flight.progress_at_s > _STUCK_S:
+        return give_up(state, Reason.NOT_FOLLOWING)
+    if following.has_departed(state, flight, event):
+        return _departed(state, [])
+    if following.is_not_taken(state):
+        return _departed(state, [], Reason.NOT_TAKEN)
+    flight, commands = following.setpoint(replace(state, flight=flight), event, context)
+    state = replace(state, flight=flight)
+    if not following.is_stopped(state, flight):
+        return state, commands, None
+    if flight.stop_at_m is not None:
+        reason = flight.stop_reason
+        return replace(_stopped(state), reason=reason), commands, Trigger.FAULT
+    if flight.back and flight.leg is not None:
+        went_on = began(state)
+        if went_on is None:
+            return _departed(state, commands)
+        return replace(state, flight=went_on), commands, None
+    there = flight.leg is not None and flight.leg.reaches_target
+    state = replace(state, flight=following.at_rest_at_end(flight))
+    if not there:  # no more of it was proven: from here home is planned to
+        return homeward(state), commands, Trigger.RESUME
+    driving = state.vehicle.driving
+    lands = driving is not None and driving.lands
+    return state, commands, Trigger.END_LAND if lands else Trigger.END_HOLD
+
+
+def _departed(state: State, commands: list[Command], reason: Reason = Reason.OFF_PATH) -> Step:
+    """Off the way back: hold, and go on from there, but not for ever."""
+    if state.flight.departures >= _DEPARTURES:
+        return replace(state, reason=Reason.NOT_FOLLOWING), commands, Trigger.GIVE_UP
+    flight = replace(state.flight, departures=state.flight.departures + 1)
+    state = replace(_stopped(replace(state, flight=flight)), reason=reason)
+    return state, commands, Trigger.FAULT
+
+
+def _stopped(state: State) -> State:
+    """At rest, with the stretch in hand still to be flown."""
+    flight = state.flight
+    ahead = [leg for leg in (flight.leg, flight.next_leg) if leg is not None]
+    back = (*ahead, *flight.back)
+    hover = following.at_rest_at_end(flight).hover_nea_m if flight.stop_at_m is not None else None
+    return replace(state, flight=replace(following.at_rest(flight, hover), back=back))

@@ -1,0 +1,115 @@
+"""The phase `shadow`: plan for what the vehicle does and say so, never command.
+
+A leg is planned from where the vehicle is, as if it were to fly it; as long as it does, the
+successors follow as in flight.  When it does not, the next leg begins where it went.
+"""
+
+import math
+
+import numpy as np
+
+from companion.mission import flying, following, joining
+from companion.mission.decisions import Context, Step, give_up, is_gone
+from companion.mission.events import (
+    Command,
+    Event,
+    Landed,
+    PlanLate,
+    PlanReady,
+    Position,
+    Say,
+    ScanDone,
+    Vector,
+)
+from companion.mission.health import distrust
+from companion.mission.renewed import replace
+from companion.mission.state import Reason, State
+from companion.planner.procedure import Reference
+
+_TRUST_S = 2.0
+_SAY_AGAIN_S = 10.0
+_ARRIVED_M = 30.0
+
+
+def shadow(state: State, event: Event, context: Context) -> Step:
+    """What would be done now."""
+    if is_gone(state, event, context):
+        return give_up(state, Reason.LINK_LOST)
+    reason = distrust(state.vehicle, state.now_s, state.task.limits)
+    if reason is None and state.now_s - state.vehicle.bad_at_s < _TRUST_S:
+        reason = state.reason  # good again, but not for long enough to go on
+    if reason is not state.reason:
+        return _would(replace(state, reason=reason), reason)
+    if reason is not None or state.vehicle.landed is Landed.ON_GROUND or not state.targets_ne_m:
+        return state, [], None
+    match event:
+        case Position():
+            return _on_position(state, event)
+        case ScanDone():
+            return flying.on_scan(state, event, context)
+        case PlanReady():
+            after, commands, _ = flying.on_plan(state, event)
+            return after, commands, None
+        case PlanLate():
+            return flying.on_late_plan(state, event)
+        case _:
+            return state, [], None
+
+
+def _would(state: State, reason: Reason | None) -> Step:
+    """Say that it would hold now, or go on."""
+    state = replace(state, flight=following.at_rest(state.flight, None))
+    if reason is None:
+        return state, [Say(text="shadow: would go on")], None
+    return state, [Say(text=f"shadow: would hold: {reason.text}", warning=True)], None
+
+
+def _on_position(state: State, event: Position) -> Step:
+    """Follow the vehicle along the leg that was planned, or plan one from where it is."""
+    flight, here = state.flight, event.position_nea_m
+    target = state.targets_ne_m[flight.target]
+    if math.dist(here[:2], target) < max(_ARRIVED_M, state.task.limits.tracking_error_m):
+        last = flight.target + 1 == len(state.targets_ne_m)
+        says: list[Command] = [] if last else [Say(text="shadow: target reached")]
+        at = flight.target if last else flight.target + 1
+        flight = replace(following.at_rest(flight, None), target=at)
+        return replace(state, flight=flight), says, None
+    if flight.leg is None:
+        return _ask(state, here)
+    off_m, at_m = joining.nearest(flight.leg, here)
+    if off_m > 3.0 * state.task.limits.tracking_error_m:
+        text = f"shadow: the vehicle is {off_m:.0f} m off the path"
+        flight = following.at_rest(flight, None)
+        return replace(state, flight=flight), [Say(text=text)], None
+    return _follow(state, at_m)
+
+
+def _ask(state: State, here: Vector) -> Step:
+    """Scan and plan from here, every few seconds until there is a leg."""
+    flight = state.flight
+    if flight.tried and state.now_s - flight.progress_at_s < _SAY_AGAIN_S:
+        return state, [], None
+    flight = replace(flight, progress_at_s=state.now_s, planning=False)
+    flight, commands = flying.start_scan(flight, here)
+    return replace(state, flight=flight), commands, None
+
+
+def _follow(state: State, at_m: float) -> Step:
+    """The vehicle is on the leg: scan at p_scan, go over at p_prog."""
+    flight, task = state.flight, state.task
+    leg = flight.leg
+    assert leg is not None
+    speed = float(np.linalg.norm(state.vehicle.velocity_nea_m_s))
+    length_m = max(flight.reference.length_m, at_m)
+    flight = replace(flight, reference=Reference(length_m=length_m, speed_m_s=speed))
+    if flight.next_leg is not None and length_m >= leg.successor_at_m(task):
+        flight = following.gone_over(flight, flight.reference, leg, task)
+        return replace(state, flight=flight), [], None
+    if leg.subpath.length_m - length_m < 1.0:
+        return replace(state, flight=following.at_rest(flight, None)), [], None
+    due = length_m >= leg.scan_at_m(task) and leg.can_be_left(task)
+    if due and not flight.tried and not leg.reaches_target:
+        scan_nea_m = leg.subpath.pose(length_m).point_nea_m
+        flight, commands = flying.start_scan(flight, scan_nea_m)
+        return replace(state, flight=flight), commands, None
+    return replace(state, flight=flight), [], None

@@ -1,0 +1,416 @@
+"""What comes from outside in a flight: orders, fences, settings, targets, restarts, a shadow."""
+
+import json
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from made_up import (
+    MISSION,
+    SPEED_M_S,
+    TICK_S,
+    Craft,
+    arrived,
+    flying,
+    holding_mode_taken,
+    holding_without_fix,
+    holding_without_plan,
+    landing,
+    near_target,
+    preparing,
+    two_legs_away,
+)
+from wild import Wild
+
+from companion.mavlink.autopilots import ALL, ARDUCOPTER
+from companion.mission import changes, checkpoint
+from companion.mission.changes import Verdict
+from companion.mission.driving import Driving
+from companion.mission.events import (
+    Arm,
+    Battery,
+    Command,
+    Echo,
+    FenceChanged,
+    Landed,
+    Mode,
+    Order,
+    OrderKind,
+    Outcome,
+    Plan,
+    Rebooted,
+    Say,
+    SetMode,
+    Setpoint,
+    SetSpeed,
+    SettingsChanged,
+    TakeOff,
+    TargetsChanged,
+)
+from companion.mission.mission import EndAction, Fallback
+from companion.mission.state import Phase, Reason
+from companion.world.threats import CircleZone
+
+MOVING = (Arm, TakeOff, SetMode, Setpoint, SetSpeed)
+AT_ONCE = {
+    "preparing": preparing,
+    "arming": lambda: Craft().fly_to(Phase.ARMING),
+    "taking off": lambda: Craft().fly_to(Phase.TAKING_OFF),
+    "flying": lambda: flying(two_legs_away()),
+    "no plan": holding_without_plan,
+    "taken": holding_mode_taken,
+    "no fix": holding_without_fix,
+    "arrived": arrived,
+    "landing": landing,
+}
+TAKEN = {
+    OrderKind.PAUSE: {"flying", "no plan"},
+    OrderKind.RETURN: {"flying", "no plan", "arrived"},
+    OrderKind.REPOSITION: {"flying", "no plan", "taken", "no fix", "arrived"},
+    OrderKind.SPEED: set(AT_ONCE),
+    OrderKind.START: set(AT_ONCE) - {"landing"},
+    OrderKind.CONTINUE: set(AT_ONCE) - {"landing"},
+}
+"""The states in which an order is carried out, written down a second time."""
+
+
+def order(kind: OrderKind, craft: Craft) -> Order:
+    target = (6_000.0, 2_000.0) if kind is OrderKind.REPOSITION else None
+    speed = 50.0 if kind is OrderKind.SPEED else None
+    return Order(time_s=craft.now_s, kind=kind, target_ne_m=target, speed_m_s=speed)
+
+
+@pytest.mark.parametrize("state", AT_ONCE)
+@pytest.mark.parametrize("kind", OrderKind, ids=lambda kind: kind.name)
+def test_an_order_is_accepted_where_it_is_carried_out(kind: OrderKind, state: str) -> None:
+    craft = AT_ONCE[state]()
+    assert (changes.verdict(craft.state, order(kind, craft)) is Verdict.ACCEPTED) == (
+        state in TAKEN[kind]
+    )
+
+
+def carried_out(kind: OrderKind, craft: Craft) -> bool:
+    """Whether the vehicle does what was ordered, within a minute or so."""
+    match kind:
+        case OrderKind.PAUSE:
+            craft.run_for(60.0)
+            return craft.state.phase is Phase.HOLDING and craft.state.reason is Reason.PAUSED
+        case OrderKind.RETURN:
+            asked = len(craft.sent(Plan))
+            craft.run_for(60.0)
+            return any(plan.request.flown is not None for plan in craft.sent(Plan)[asked:])
+        case OrderKind.REPOSITION:
+            return craft.state.targets_ne_m == ((6_000.0, 2_000.0),)
+        case OrderKind.SPEED:
+            return craft.state.flight.speed_limit_m_s == 50.0
+        case OrderKind.START | OrderKind.CONTINUE:
+            return craft.phase not in (Phase.DONE, Phase.FAULTED)
+
+
+@pytest.mark.parametrize(
+    ("kind", "state"),
+    [
+        (kind, state)
+        for kind, states in TAKEN.items()
+        for state in sorted(states)
+        if (kind, state) != (OrderKind.RETURN, "no plan")  # nothing was flown: no way back
+    ],
+    ids=lambda value: value if isinstance(value, str) else value.name,
+)
+def test_what_is_accepted_is_done(kind: OrderKind, state: str) -> None:
+    craft = AT_ONCE[state]()
+    craft.obey(craft.take(order(kind, craft)))
+    assert carried_out(kind, craft)
+
+
+def test_a_pause_stops_on_the_path_and_a_word_goes_on_from_there() -> None:
+    craft = flying(two_legs_away())
+    craft.obey(craft.take(order(OrderKind.PAUSE, craft)))
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.PAUSED
+    stopped_m = math.hypot(*craft.here[:2])
+    assert craft.here[0] == pytest.approx(craft.here[1], abs=1e-6)  # on the straight path
+    craft.run_for(400.0)  # as long as it takes
+    assert craft.state.reason is Reason.PAUSED
+    assert math.hypot(*craft.here[:2]) == pytest.approx(stopped_m, abs=1.0)
+    craft.obey(craft.take(order(OrderKind.CONTINUE, craft)))
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+
+
+def test_a_start_asks_for_guided_mode_of_a_vehicle_that_somebody_had_taken() -> None:
+    craft = holding_mode_taken().run_for(5.0)
+    count = len(craft.commands)
+    craft.obeys_modes = True
+    craft.obey(craft.take(order(OrderKind.START, craft)))
+    craft.run_for(3.0)
+    assert SetMode(mode=Mode.GUIDED) in craft.commands[count:]
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+
+
+def test_a_lower_speed_is_flown_and_a_higher_one_is_cut_to_the_missions() -> None:
+    craft = flying(two_legs_away())
+    slow = craft.take(Order(time_s=craft.now_s, kind=OrderKind.SPEED, speed_m_s=40.0))
+    assert SetSpeed(speed_m_s=40.0) in slow
+    craft.run_for(40.0)
+    assert math.hypot(*craft.velocity) == pytest.approx(40.0, abs=1e-6)
+    fast = craft.take(Order(time_s=craft.now_s, kind=OrderKind.SPEED, speed_m_s=500.0))
+    assert SetSpeed(speed_m_s=SPEED_M_S) in fast
+    craft.run_for(40.0)
+    assert math.hypot(*craft.velocity) <= SPEED_M_S + 1e-6
+
+
+@pytest.mark.parametrize("target_ne_m", [(1e6, 0.0), (math.nan, 0.0), None], ids=str)
+def test_a_target_that_cannot_be_one_is_invalid(target_ne_m: tuple[float, float] | None) -> None:
+    craft = flying(two_legs_away())
+    asked = Order(time_s=craft.now_s, kind=OrderKind.REPOSITION, target_ne_m=target_ne_m)
+    assert changes.verdict(craft.state, asked) is Verdict.INVALID
+
+
+def test_other_targets_are_flown_to_from_where_the_vehicle_stops() -> None:
+    craft = flying(two_legs_away())
+    targets = ((8_000.0, 2_000.0), (2_000.0, 8_000.0))
+    craft.obey(craft.take(TargetsChanged(time_s=craft.now_s, targets_ne_m=targets)))
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.NEW_TARGET
+    craft.fly_to(Phase.DONE)
+    assert craft.here[:2] == pytest.approx(targets[-1], abs=1.0)
+
+
+@pytest.mark.parametrize("state", [state for state in AT_ONCE if state != "preparing"])
+def test_a_mission_that_is_cleared_in_flight_changes_nothing(state: str) -> None:
+    craft = AT_ONCE[state]()
+    targets = craft.state.targets_ne_m
+    craft.obey(craft.take(TargetsChanged(time_s=craft.now_s, targets_ne_m=())))
+    craft.run_for(3.0)
+    assert craft.state.targets_ne_m == targets
+
+
+# --- fences
+
+
+def fence(craft: Craft, north_m: float, east_m: float, radius_m: float) -> FenceChanged:
+    zone = CircleZone(name="drawn", north_m=north_m, east_m=east_m, radius_m=radius_m)
+    return FenceChanged(time_s=craft.now_s, zones=(zone,))
+
+
+def test_a_fence_that_does_not_touch_the_path_changes_the_next_plan_only() -> None:
+    craft = flying()
+    before = craft.state.flight
+    commands = craft.take(fence(craft, 4_000.0, -4_000.0, 500.0))
+    assert craft.state.flight == before
+    assert [type(command) for command in commands] == [Say]
+    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
+    assert "drawn" in {zone.name for zone in craft.sent(Plan)[-1].request.task.zones}
+
+
+def test_a_fence_across_the_path_stops_the_vehicle_before_it_and_plans_anew() -> None:
+    craft = flying()
+    ahead_m = 10_000.0 * math.sqrt(0.5)
+    craft.obey(craft.take(fence(craft, ahead_m, ahead_m, 500.0)))
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.NEW_THREAT
+    assert math.dist(craft.here[:2], (ahead_m, ahead_m)) > 500.0 + MISSION.task.zone_clearance_m
+    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
+    assert craft.sent(Plan)[-1].request.from_rest
+
+
+def test_a_fence_around_the_vehicle_stops_it_and_has_a_way_out_planned() -> None:
+    craft = flying()
+    craft.obey(craft.take(fence(craft, *craft.here[:2], 200.0)))
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.NEW_THREAT
+    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
+
+
+def test_the_ceiling_of_the_fence_lowers_the_band() -> None:
+    craft = flying()
+    craft.take(FenceChanged(time_s=craft.now_s, zones=(), ceiling_amsl_m=4_000.0))
+    assert craft.state.task.limits.ceiling_amsl_m == 4_000.0
+    craft.take(FenceChanged(time_s=craft.now_s, zones=()))
+    assert craft.state.task.limits == MISSION.task.limits
+
+
+def test_settings_count_from_the_next_plan_on_within_the_fence() -> None:
+    craft = flying()
+    craft.take(fence(craft, 4_000.0, -4_000.0, 500.0))
+    settings = replace(MISSION.task.settings, safety_distance_m=600.0)
+    task = replace(craft.state.given, settings=settings)
+    craft.take(SettingsChanged(time_s=craft.now_s, task=task, what="PLN_SAFE_DIST = 600"))
+    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
+    asked = craft.sent(Plan)[-1].request.task
+    assert asked.settings.safety_distance_m == 600.0
+    assert "drawn" in {zone.name for zone in asked.zones}
+
+
+# --- the vehicle itself
+
+
+def rebooted(craft: Craft) -> None:
+    """As the session tells it: the clock begins again."""
+    craft.now_s = 1.0
+    craft.state = replace(craft.state, now_s=1.0, since_s=1.0)
+    craft.obey(craft.take(Rebooted(time_s=1.0)))
+
+
+@pytest.mark.parametrize("state", AT_ONCE)
+def test_a_reboot_prepares_again_and_keeps_what_is_known(state: str) -> None:
+    craft = AT_ONCE[state]()
+    known = craft.state.flight.known
+    rebooted(craft)
+    assert craft.phase is Phase.PREPARING
+    assert craft.state.flight.known is known
+    assert craft.state.vehicle.position_nea_m is None
+    assert craft.state.flight.leg is None
+
+
+def test_a_vehicle_that_reboots_in_flight_and_falls_is_never_armed_again() -> None:
+    craft = flying()
+    rebooted(craft)
+    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, Landed.ON_GROUND
+    count = len(craft.commands)
+    craft.run_for(150.0)
+    assert not [c for c in craft.commands[count:] if isinstance(c, MOVING)]
+    assert craft.phase is Phase.DONE
+
+
+def test_a_vehicle_that_reboots_in_flight_and_flies_on_is_taken_over() -> None:
+    craft = flying(near_target())
+    rebooted(craft)
+    count = len(craft.commands)
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+    assert not [c for c in craft.commands[count:] if isinstance(c, Arm | TakeOff)]
+
+
+def test_setpoints_that_the_autopilot_does_not_take_are_a_reasoned_hold() -> None:
+    craft = flying()
+    while craft.phase is Phase.FLYING and craft.now_s < 100.0:
+        far = (craft.here[0] - 5_000.0, craft.here[1], craft.here[2])
+        echo = Echo(time_s=craft.now_s, position_nea_m=far, velocity_nea_m_s=None)
+        craft.take(echo)
+        craft.tick()
+    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.NOT_TAKEN)
+    assert craft.sent(SetMode)[-1].mode is Mode.HOLD
+
+
+def test_an_autopilot_without_an_echo_is_not_suspected() -> None:
+    craft = flying().run_for(30.0)
+    assert craft.state.vehicle.echo_nea_m is None
+    assert craft.phase is Phase.FLYING
+
+
+@pytest.mark.parametrize("how", Fallback, ids=lambda how: how.value)
+def test_a_battery_below_its_reserve_ends_the_mission_by_its_fallback(how: Fallback) -> None:
+    craft = flying(replace(two_legs_away(), fallback=how))
+    craft.take(Battery(time_s=craft.now_s, remaining=0.1))
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.BATTERY_LOW
+    asked = len(craft.sent(Plan))
+    craft.run_for(40.0)
+    back = [plan for plan in craft.sent(Plan)[asked:] if plan.request.flown is not None]
+    assert bool(back) == (how is Fallback.RETURN)
+    if how is Fallback.LAND:
+        assert craft.phase in (Phase.LANDING, Phase.DONE)
+
+
+def test_a_battery_that_does_not_reach_the_target_is_not_taken_off_with() -> None:
+    craft = Craft(replace(MISSION, endurance_s=600.0))  # 141 km at 150 m/s take 950 s
+    craft.fly_to(Phase.PREPARING)
+    craft.take(Battery(time_s=craft.now_s, remaining=1.0))
+    assert craft.fly_to(Phase.DONE).end().reason.startswith(Reason.BATTERY_SHORT.text)
+    assert not craft.sent(Arm)
+
+
+# --- restarts
+
+
+HOVERING = [each.driving for each in ALL if each.driving.hovers]
+
+
+@pytest.mark.parametrize("driving", [each.driving for each in ALL], ids=lambda d: d.name)
+@pytest.mark.parametrize("after_s", [0.3, 3.1, 8.7, 14.9, 21.3, 27.7])
+def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
+    driving: Driving, after_s: float
+) -> None:
+    """Where the vehicle is led: 1 m and 1 m/s from where it was led, or from where it is."""
+    wild = Wild.calmly(driving).run_until(lambda wild: wild.state.flight.leg is not None)
+    wild.run_for(after_s)
+    last = wild.sent(Setpoint)[-1]
+    wild._restart()
+    count = len(wild.said_to)
+    wild.run_until(lambda wild: any(isinstance(c, Setpoint) for c in wild.said_to[count:]))
+    first = next(c for c in wild.said_to[count:] if isinstance(c, Setpoint))
+    passed_s = first.time_s - last.time_s
+    assert passed_s < 6.0
+    if driving.hovers:
+        moved_m = math.dist(first.position_nea_m, last.position_nea_m)
+        assert moved_m <= 1.0 + passed_s * math.hypot(*last.velocity_nea_m_s)
+        was = (wild.velocity, last.velocity_nea_m_s)  # it has stopped at the last setpoint, or not
+        apart = min(math.dist(first.velocity_nea_m_s, velocity) for velocity in was)
+        assert first.stay or apart <= 1.0 + 2.5 * wild.tick_s
+    assert wild.fly_to(Phase.DONE).said_to[-1].outcome is Outcome.ARRIVED
+
+
+def test_what_is_restored_is_what_was_kept() -> None:
+    craft = flying(two_legs_away()).run_for(60.0)
+    craft.take(fence(craft, 4_000.0, -4_000.0, 500.0))
+    values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
+    state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+    assert checkpoint.values_of(state) == {
+        **checkpoint.values_of(craft.state),
+        "phase": Phase.WAITING.name,
+    }
+    assert state.task == craft.state.task
+    assert state.airborne
+
+
+@pytest.mark.parametrize("phase", [Phase.FLYING, Phase.HOLDING, Phase.PREPARING])
+def test_a_companion_that_was_restarted_after_a_flight_never_arms(phase: Phase) -> None:
+    craft = flying(two_legs_away())
+    if phase is Phase.PREPARING:
+        rebooted(craft)
+    elif phase is Phase.HOLDING:
+        craft = holding_mode_taken()
+    values = checkpoint.values_of(craft.state)
+    craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+    craft.mode, craft.armed, craft.landed = Mode.OTHER, False, Landed.ON_GROUND
+    count = len(craft.commands)
+    craft.run_for(150.0)
+    assert not [c for c in craft.commands[count:] if isinstance(c, MOVING)]
+
+
+# --- shadow
+
+
+@pytest.mark.parametrize("driving", [each.driving for each in ALL], ids=lambda d: d.name)
+def test_a_shadow_plans_and_says_and_never_commands(driving: Driving) -> None:
+    wild = Wild.calmly(driving, shadow=True, end_action=EndAction.LAND).aloft(Mode.OTHER)
+    wild.run_for(60.0)
+    assert wild.state.phase is Phase.SHADOW
+    assert wild.sent(Plan)
+    moving: list[Command] = [c for c in wild.said_to if isinstance(c, MOVING)]
+    assert not moving
+    assert wild.state.flight.leg is not None or wild.sent(Say)
+
+
+def test_made_up_vehicles_are_driven_as_the_real_ones() -> None:
+    assert Craft().driving is ARDUCOPTER.driving
+    assert TICK_S == 0.1
+
+
+def test_a_battery_that_runs_low_while_it_is_held_does_not_leave_it_in_guided_mode_in_silence() -> (
+    None
+):
+    craft = holding_without_fix(replace(two_legs_away(), fallback=Fallback.HOLD)).run_for(3.0)
+    craft.take(Battery(time_s=craft.now_s, remaining=0.1))
+    craft.fix = True
+    craft.run_until(lambda craft: craft.mode is Mode.GUIDED)
+    craft.run_for(1.5)
+    count = len(craft.commands)
+    craft.run_for(0.5)
+    assert craft.phase is Phase.DONE or [
+        c for c in craft.commands[count:] if isinstance(c, Setpoint | SetMode)
+    ]

@@ -1,0 +1,186 @@
+"""Every kind of autopilot and vehicle: take-off, take-over in the air, the flight, its end."""
+
+import math
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from wild import HOME_AMSL_M, Wild
+
+from companion.mavlink.autopilots import ALL
+from companion.mission.driving import Driving, TakeOffWay
+from companion.mission.events import (
+    Arm,
+    End,
+    Item,
+    Landed,
+    Mode,
+    Outcome,
+    Prepared,
+    SetMode,
+    Setpoint,
+    TakeOff,
+)
+from companion.mission.mission import EndAction, Fallback
+from companion.mission.state import Phase, Reason
+
+DRIVINGS = pytest.mark.parametrize("driving", [each.driving for each in ALL], ids=lambda d: d.name)
+PLANES = pytest.mark.parametrize(
+    "driving", [each.driving for each in ALL if not each.driving.hovers], ids=lambda d: d.name
+)
+FIRST = {
+    TakeOffWay.GUIDED_THEN_CLIMB: [SetMode, Arm, TakeOff],
+    TakeOffWay.MODE_THEN_ARM: [SetMode, Arm],
+    TakeOffWay.CLIMB_THEN_ARM: [TakeOff, Arm],
+}
+
+
+def up(wild: Wild) -> bool:
+    return wild.landed is not Landed.ON_GROUND
+
+
+def the_end(wild: Wild) -> End:
+    [end] = wild.sent(End)
+    assert isinstance(end, End)
+    return end
+
+
+@DRIVINGS
+def test_it_is_sent_up_in_the_order_that_its_autopilot_wants(driving: Driving) -> None:
+    wild = Wild.calmly(driving).run_until(up)
+    told = [type(c) for c in wild.said_to if isinstance(c, SetMode | Arm | TakeOff | Setpoint)]
+    assert list(dict.fromkeys(told)) == FIRST[driving.take_off]
+    modes = {Mode.GUIDED} if driving.take_off is TakeOffWay.GUIDED_THEN_CLIMB else {Mode.TAKE_OFF}
+    assert {command.mode for command in wild.sent(SetMode)} <= modes
+
+
+@DRIVINGS
+def test_no_setpoint_is_sent_before_it_is_in_the_air_and_ours_or_held(driving: Driving) -> None:
+    wild = Wild.calmly(driving).run_until(lambda wild: bool(wild.sent(Setpoint)))
+    assert wild.state.vehicle.landed is Landed.IN_AIR
+    assert wild.mode in (Mode.GUIDED, Mode.HOLD)
+    assert wild.sent(Setpoint)[0].stay
+
+
+@DRIVINGS
+@pytest.mark.parametrize("end", list(EndAction), ids=lambda end: end.value)
+def test_a_mission_arrives_and_ends_as_it_should(driving: Driving, end: EndAction) -> None:
+    wild = Wild.calmly(driving, end_action=end).fly_to(Phase.DONE)
+    assert the_end(wild).outcome is Outcome.ARRIVED
+    target = wild.mission.targets_ne_m[0]
+    near_m = 5.0 if driving.hovers else 3.0 * wild.mission.task.limits.loiter_radius_m
+    stops = [c.position_nea_m for c in wild.sent(Setpoint) if c.stay]
+    assert min(math.dist(stop[:2], target) for stop in stops) < 1.0
+    if end is EndAction.HOLD:
+        assert math.dist(wild.here[:2], target) < near_m
+        assert wild.mode is (Mode.GUIDED if driving.holds_in_guided else Mode.HOLD)
+    if end is EndAction.LAND and driving.lands:
+        assert math.dist(wild.here[:2], target) < 2.0 * near_m
+        assert (wild.landed, wild.armed) == (Landed.ON_GROUND, False)
+    if end is EndAction.RETURN:
+        assert math.hypot(*wild.here[:2]) < 1.5 * near_m + 10.0
+        assert Phase.RETURNING in wild.watch.phases
+
+
+@DRIVINGS
+@pytest.mark.parametrize("mode", [Mode.GUIDED, Mode.HOLD], ids=lambda mode: mode.value)
+def test_a_vehicle_that_flies_already_is_taken_over(driving: Driving, mode: Mode) -> None:
+    wild = Wild.calmly(driving).aloft(mode).fly_to(Phase.DONE)
+    assert the_end(wild).outcome is Outcome.ARRIVED
+    assert not wild.sent(Arm)
+    assert not wild.sent(TakeOff)
+
+
+@DRIVINGS
+def test_a_vehicle_that_somebody_else_flies_is_left_alone_until_guided_is_selected(
+    driving: Driving,
+) -> None:
+    wild = Wild.calmly(driving).aloft(Mode.OTHER).run_for(30.0)
+    assert (wild.state.phase, wild.state.reason) == (Phase.HOLDING, Reason.MODE_TAKEN)
+    assert not wild.sent(SetMode)
+    assert not wild.sent(Setpoint)
+    wild.mode = Mode.GUIDED
+    assert the_end(wild.fly_to(Phase.DONE)).outcome is Outcome.ARRIVED
+
+
+@DRIVINGS
+def test_a_vehicle_below_the_band_climbs_before_anything_is_planned(driving: Driving) -> None:
+    wild = Wild.calmly(driving).aloft(Mode.GUIDED, height_m=5.0)
+    wild.fly_to(Phase.FLYING).run_until(lambda wild: wild.state.flight.plan_id > 0)
+    lowest_m = wild.mission.task.band_amsl_m[0]
+    assert wild.here[2] >= lowest_m - wild.mission.task.limits.tracking_error_m
+    assert wild.state.flight.hover_nea_m is not None
+    assert wild.state.flight.hover_nea_m[2] >= lowest_m
+    heights = [c.position_nea_m[2] for c in wild.sent(Setpoint)]
+    if driving.hovers:  # the climb is led at the mission's rate
+        steps = [b - a for a, b in pairwise(heights)]
+        assert max(steps) <= wild.mission.task.limits.climb_rate_m_s * 1.0 + 1e-6
+        assert heights[0] < HOME_AMSL_M + 5.0 + wild.mission.task.limits.climb_rate_m_s + 1e-6
+
+
+@PLANES
+def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(driving: Driving) -> None:
+    wild = Wild.calmly(driving).fly_to(Phase.FLYING)
+    wild.run_until(lambda wild: wild.state.flight.leg is not None)
+    assert wild.state.flight.circling
+    stays = len([c for c in wild.sent(Setpoint) if not c.stay])
+    assert stays == 0
+    wild.run_until(lambda wild: not wild.state.flight.circling)
+    leg = wild.state.flight.leg
+    assert leg is not None
+    tangent = leg.subpath.pose(0.0).tangent_nea
+    velocity = wild.velocity
+    along = velocity[0] * tangent[0] + velocity[1] * tangent[1]
+    assert along > 0.85 * math.hypot(*velocity[:2])
+
+
+@PLANES
+def test_a_plane_that_stops_circles_a_point_ahead_on_its_path(driving: Driving) -> None:
+    wild = Wild.calmly(driving)
+    wild.run_until(lambda wild: wild.state.flight.reference.length_m > 60.0)
+    wild.bad_plans = 1.0
+    wild.fly_to(Phase.HOLDING)
+    assert wild.state.reason in (Reason.NO_PLAN, Reason.PLAN_LATE)
+    assert wild.state.flight.hover_nea_m is not None
+    assert all(c.stay for c in wild.run_for(1.5).sent(Setpoint)[-3:])
+
+
+@DRIVINGS
+def test_setpoints_keep_the_period_of_the_autopilot(driving: Driving) -> None:
+    wild = Wild.calmly(driving).run_until(lambda wild: wild.state.flight.reference.length_m > 60.0)
+    times = [c.time_s for c in wild.sent(Setpoint)][-20:]
+    gaps = [b - a for a, b in pairwise(times)]
+    assert min(gaps) >= max(driving.setpoint_period_s - 0.5 * wild.tick_s, wild.tick_s) - 1e-6
+    assert max(gaps) <= driving.setpoint_period_s + wild.tick_s + 1e-6
+
+
+@DRIVINGS
+@pytest.mark.parametrize("how", list(Fallback), ids=lambda how: how.value)
+def test_without_a_way_on_the_mission_falls_back(driving: Driving, how: Fallback) -> None:
+    wild = Wild.calmly(driving, fallback=how, targets_ne_m=((900.0, 300.0),))
+    wild.run_until(lambda wild: wild.state.flight.reference.length_m > 60.0)
+    wild.bad_plans = 1.0
+    wild.fly_to(Phase.DONE)
+    end = the_end(wild)
+    assert end.outcome is Outcome.FAILED
+    assert Reason.NO_PLAN.text in end.reason
+    if how is Fallback.LAND and driving.lands:
+        assert end.reason.startswith("landed: ")
+    if how is Fallback.RETURN:
+        assert Phase.RETURNING in wild.watch.phases
+        assert math.hypot(*wild.here[:2]) < 20.0 + 3.0 * wild.mission.task.limits.loiter_radius_m
+
+
+@DRIVINGS
+def test_what_the_vehicle_is_refused_for_is_said_with_its_remedy(driving: Driving) -> None:
+    wild = Wild.calmly(driving).fly_to(Phase.PREPARING)
+    item = Prepared(
+        time_s=wild.now_s, item=Item.PARAMETERS, refusal="GUID_TIMEOUT = 60", remedy="Set."
+    )
+    wild.take(item)
+    end = the_end(wild)
+    assert end.reason == f"{Reason.REFUSED.text}: GUID_TIMEOUT = 60"
+    assert end.remedy == "Set."

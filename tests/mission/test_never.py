@@ -1,0 +1,125 @@
+"""What never happens, whatever happens: 1,200,000 events of random programs (issue 5, must show 2).
+
+`wild` makes the programs: every driving and mission, vehicles that lie, jump, freeze, reboot, fall
+silent or do not obey, people who take over, give back, order and draw fences, plans that are late,
+refused, not proven or old, companions that die and start again.  `watch` checks each step: no
+setpoint from a position that is not to be trusted, nor beside a path that is proven and the newest,
+nor with a value that is not finite or out of range, nor on the ground, nor in a mode that is not
+ours; no silence in guided mode and no phase beyond its deadline; no arming and no take-off after a
+flight; nobody else's vehicle is told anything; nothing after the end.
+"""
+
+import math
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+sys.path.insert(0, str(Path(__file__).parent))
+from made_up import MISSION
+from watch import Watch
+from wild import Wild
+
+from companion.mavlink.autopilots import ALL, Autopilot
+from companion.mavlink.dialect import wire
+from companion.mission.events import (
+    Arm,
+    End,
+    Plan,
+    Position,
+    RequestStreams,
+    Say,
+    SetMode,
+    Setpoint,
+    SetSpeed,
+    StartScan,
+    TakeOff,
+)
+from companion.mission.state import Phase, Reason
+
+SHARDS, EVENTS = 60, 20_000
+LONGEST = 6_000
+"""Events of one program."""
+SAID = {Arm, End, Plan, RequestStreams, Say, SetMode, Setpoint, SetSpeed, StartScan, TakeOff}
+OFTEN = {
+    Reason.NO_PLAN,
+    Reason.RADAR_SILENT,
+    Reason.POSITION_STALE,
+    Reason.POSITION_FROZEN,
+    Reason.POSITION_JUMPED,
+    Reason.NO_FIX,
+    Reason.ESTIMATOR,
+    Reason.INACCURATE,
+    Reason.OFF_PATH,
+    Reason.NOT_TAKEN,
+    Reason.NOT_FOLLOWING,
+    Reason.TAKING_OVER,
+    Reason.MODE_TAKEN,
+    Reason.LINK_LOST,
+    Reason.DISARMED,
+    Reason.PAUSED,
+    Reason.NEW_TARGET,
+    Reason.RETURN_ASKED,
+    Reason.REFUSED,
+    Reason.NOT_READY,
+}
+"""What the programs have to come to, or they would show nothing."""
+
+
+def shard(number: int, events: int = EVENTS) -> list[Watch]:
+    """Programs one after the other until so many events were seen."""
+    seen, watches, seed = 0, [], number * 10_000
+    while seen < events:
+        program = Wild(seed)
+        try:
+            program.run(LONGEST)
+        except AssertionError as error:
+            error.add_note(f"Wild({seed}).run({LONGEST}), at event {program.events}")
+            raise
+        seen, seed = seen + program.events, seed + 1
+        watches.append(program.watch)
+    return watches
+
+
+@pytest.mark.parametrize("number", range(SHARDS))
+def test_nothing_that_must_never_happen_happens_in_1200000_events(number: int) -> None:
+    watches = shard(number)
+    assert sum(watch.setpoints for watch in watches) > 0
+
+
+def test_the_programs_are_of_all_drivings_and_come_to_every_phase_and_command() -> None:
+    watches = shard(SHARDS, 100_000)
+    assert {watch.driving.name for watch in watches} == {each.driving.name for each in ALL}
+    assert {watch.context.shadow for watch in watches} == {True, False}
+    assert set().union(*(watch.phases for watch in watches)) == set(Phase)
+    assert set().union(*(watch.commands for watch in watches)) == SAID
+    assert set().union(*(watch.reasons for watch in watches)) >= OFTEN
+
+
+def test_the_same_program_is_the_same_again() -> None:
+    first, again = Wild(6), Wild(6)
+    first.run(2_000)
+    again.run(2_000)
+    assert repr(first.state.vehicle) == repr(again.state.vehicle)
+    assert first.watch.counts == again.watch.counts
+    assert first.state.phase is again.state.phase
+    assert first.mission.name != MISSION.name
+
+
+EDGES = st.sampled_from([0, 1, -1, 900_000_000, -900_000_000, 1_800_000_000, 2**31 - 1, -(2**31)])
+WIRE = st.one_of(EDGES, st.integers(-(2**31), 2**31 - 1))
+SPEED = st.integers(-(2**15), 2**15 - 1)
+
+
+@pytest.mark.parametrize("autopilot", ALL, ids=lambda each: each.name)
+@given(lat=WIRE, lon=WIRE, alt=WIRE, speeds=st.tuples(SPEED, SPEED, SPEED))
+def test_no_position_of_the_wire_is_ever_not_finite(
+    autopilot: Autopilot, lat: int, lon: int, alt: int, speeds: tuple[int, int, int]
+) -> None:
+    """The programs make up no such positions: none gets as far as the machine."""
+    message = wire.MAVLink_global_position_int_message(1000, lat, lon, alt, 0, *speeds, 0)
+    event = autopilot.event_of(message, 1.0, MISSION.frame)
+    if isinstance(event, Position):
+        assert all(map(math.isfinite, (*event.position_nea_m, *event.velocity_nea_m_s)))

@@ -1,0 +1,390 @@
+"""Laws of the mission machine, checked at each step by one who only sees events and commands.
+
+The watch believes nothing that the machine says of itself: it works out by its own, simpler, means
+whether the position may be trusted, whose the mode is, which paths are proven and newest, and when
+the last word was said.
+"""
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from companion.mavlink.autopilots import Autopilot
+from companion.mission.decisions import Context
+from companion.mission.driving import Driving
+from companion.mission.events import (
+    Arm,
+    Command,
+    End,
+    Estimator,
+    Event,
+    GpsFix,
+    Landed,
+    LandedState,
+    Mode,
+    Order,
+    OrderKind,
+    Outcome,
+    Plan,
+    PlanReady,
+    Position,
+    SetMode,
+    Setpoint,
+    SetSpeed,
+    TakeOff,
+    VehicleFound,
+    VehicleStatus,
+)
+from companion.mission.mission import Mission
+from companion.mission.state import MOVES, Phase, Reason, State
+from companion.path.subpath import Subpath
+from companion.planner.request import Planned, PlanOutcome, PlanRequest, WayBack
+
+OVER = (Phase.DONE, Phase.FAULTED)
+MOVING = (SetMode, Setpoint, Arm, TakeOff, SetSpeed)
+"""Commands that move a vehicle."""
+STREAMS = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.RETURNING)
+ALOFT = (*STREAMS, Phase.TAKING_OFF, Phase.LANDING)
+ARROWS = {(phase, after) for (phase, _), after in MOVES.items()}
+WITH_A_PERSON = (Reason.MODE_TAKEN, Reason.PAUSED)
+"""What a vehicle may be held for as long as it takes: somebody else has the say."""
+NOT_OURS = (Reason.MODE_TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
+SETTLES_S, HOLD_S, SLACK_S, TOUCHES_S = 30.0, 300.0, 5.0, 1.5
+ON_SETPOINTS = (
+    Reason.NO_PLAN,
+    Reason.PLAN_LATE,
+    Reason.RADAR_SILENT,
+    Reason.NEW_THREAT,
+    Reason.NEW_TARGET,
+    Reason.RETURN_ASKED,
+    Reason.BATTERY_LOW,
+)
+
+
+class Watch:
+    """Sees every step of one program; AssertionError where a law is broken."""
+
+    def __init__(
+        self, mission: Mission, driving: Driving, autopilot: Autopilot, context: Context
+    ) -> None:
+        self.mission, self.driving, self.context = mission, driving, context
+        self.autopilot = autopilot
+        self.limits = mission.task.limits
+        self.counts: Counter[str] = Counter()
+        self.phases: set[Phase] = set()
+        self.reasons: set[Reason] = set()
+        self.commands: set[type[Any]] = set()
+        self.proven: set[bytes] = set()
+        """Control points of the paths that may be flown."""
+        self.newest = 0
+        self.answers: dict[int, PlanOutcome] = {}
+        self.ends = 0
+        self.flown = False
+        """Whether it was ever heard to be armed and in the air."""
+        self.forget(0.0)
+        self.setpoints = 0
+
+    def forget(self, now_s: float) -> None:
+        """Nothing is known of the vehicle (any more)."""
+        self.mode: Mode | None = None
+        self.armed, self.landed, self.landed_at_s = False, Landed.UNKNOWN, -math.inf
+        self.fix = self.estimator = False
+        self.estimator_failed_at_s, self.error_m = -math.inf, None
+        self.position: Position | None = None
+        self.moved_at_s = self.jumped_at_s = -math.inf
+        self.told_by_person = False
+        self.spoke_at_s = self.since_s = self.progress_at_s = now_s
+        self.streamed_at_s = -math.inf
+        self.not_guided_at_s = now_s
+        self.key: Any = None
+        self.last: Setpoint | None = None
+
+    def rebooted(self, now_s: float) -> None:
+        """The vehicle's clock begins again."""
+        self.forget(now_s)
+
+    def restarted(self, now_s: float) -> None:
+        """Another companion goes on from the checkpoint: it has yet to hear everything."""
+        self.forget(now_s)
+
+    def answered(self, request: PlanRequest, outcome: PlanOutcome) -> None:
+        """What the planner will answer: only what is proven may ever be flown."""
+        self.answers[request.plan_id] = outcome
+
+    # --- one step
+
+    def saw(self, before: State, event: Event, after: State, commands: list[Command]) -> None:
+        self.counts[type(event).__name__] += 1
+        if before.phase in OVER:
+            assert after is before, "something changed after the end"
+            assert not commands, "something was said after the end"
+            return
+        new = self._hear(event)
+        now = after.now_s
+        assert now == max(before.now_s, event.time_s), "time went back"
+        self.phases.add(after.phase)
+        if after.reason is not None:
+            self.reasons.add(after.reason)
+        self._moves(before, after, commands)
+        for command in commands:
+            self.commands.add(type(command))
+            if isinstance(command, MOVING):
+                assert not self.context.shadow, f"told a vehicle it only watches: {command}"
+                self._whose(before, after, command)
+            if isinstance(command, Setpoint):
+                assert new, "a setpoint without a position"
+                assert command.time_s == event.time_s
+                self._setpoint(before, after, command)
+            elif isinstance(command, Arm | TakeOff):
+                self._up(before, command)
+            elif isinstance(command, Plan):
+                assert command.request.plan_id > self.newest, "an old number for a new plan"
+                self.newest = command.request.plan_id
+        assert sum(isinstance(command, Setpoint) for command in commands) <= 1
+        self._legs(before, event, after)
+        self._deadlines(before, event, after, commands)
+
+    def _hear(self, event: Event) -> bool:
+        """What the vehicle said; whether it was a position newer than any before."""
+        now = event.time_s
+        match event:
+            case VehicleStatus(mode=mode, armed=armed):
+                self.mode, self.armed = mode, armed
+            case LandedState(landed=landed):
+                if landed is not self.landed:
+                    self.landed_at_s = now
+                self.landed = landed
+            case GpsFix(good=good):
+                self.fix = good
+            case Estimator(good=good, error_m=error_m):
+                if self.estimator and not good:
+                    self.estimator_failed_at_s = now
+                self.estimator, self.error_m = good, error_m
+            case Order(kind=OrderKind.START | OrderKind.CONTINUE):
+                self.told_by_person = True
+            case PlanReady(outcome=outcome) if outcome.plan_id == self.newest:
+                self._prove(outcome)
+            case Position() if self.position is None or now > self.position.time_s:
+                self._hear_position(event)
+                return True
+            case VehicleFound():
+                pass
+            case _:
+                pass
+        if self.armed and self.landed in (Landed.IN_AIR, Landed.TAKING_OFF, Landed.LANDING):
+            self.flown = self.flown or self.landed is Landed.IN_AIR
+        if self.mode is not Mode.GUIDED:
+            self.not_guided_at_s = max(now, self.not_guided_at_s)
+        return False
+
+    def _hear_position(self, event: Position) -> None:
+        last, now = self.position, event.time_s
+        self.position = event
+        if last is None:
+            self.moved_at_s = now
+            return
+        top = math.hypot(self.limits.speed_m_s, self.limits.climb_rate_m_s)
+        if (
+            math.dist(last.position_nea_m, event.position_nea_m)
+            > 1.5 * top * (now - last.time_s) + 20.0
+        ):
+            self.jumped_at_s = now
+        still = last.position_nea_m[:2] == event.position_nea_m[:2]
+        if not still or math.hypot(*event.velocity_nea_m_s[:2]) <= 1.0:
+            self.moved_at_s = now
+
+    def _prove(self, outcome: PlanOutcome) -> None:
+        if isinstance(outcome, Planned) and outcome.certificate.proven:
+            self.proven.add(_name(outcome.subpath))
+        elif isinstance(outcome, WayBack):
+            self.proven.update(map(_name, outcome.subpaths))
+
+    def trusts(self, now_s: float) -> bool:
+        """Whether the position may be believed: design 7, second row."""
+        if self.position is None or now_s - self.position.time_s > 0.5:
+            return False
+        if now_s - self.moved_at_s > 1.0 or now_s - self.jumped_at_s < 0.5:
+            return False
+        vouched = self.estimator or now_s - self.estimator_failed_at_s <= 1.0
+        accurate = self.error_m is None or self.error_m <= self.limits.navigation_error_m
+        return self.fix and vouched and accurate
+
+    def is_down(self, now_s: float) -> bool:
+        """Whether it has said for a while that it is on the ground: it may touch it in passing."""
+        return self.landed is Landed.ON_GROUND and now_s - self.landed_at_s > TOUCHES_S
+
+    # --- laws
+
+    def _moves(self, before: State, after: State, commands: list[Command]) -> None:
+        if after.phase is not before.phase:
+            assert (before.phase, after.phase) in ARROWS, f"{before.phase} -> {after.phase}"
+            if after.phase in (Phase.FLYING, Phase.RETURNING, Phase.LANDING):
+                self.told_by_person = False
+        ends = [command for command in commands if isinstance(command, End)]
+        self.ends += len(ends)
+        assert len(ends) == (after.phase in OVER), "an end is said once, when it is over"
+        for end in ends:
+            assert end.reason
+            assert end.remedy or end.outcome is Outcome.ARRIVED, "no next action for the person"
+
+    def _whose(self, before: State, after: State, command: Command) -> None:
+        """Nobody else's vehicle is told anything: modes that are not ours, and let-go holds."""
+        said = f"{command} in {before.phase} ({before.reason}), mode {self.mode}"
+        if before.phase is Phase.ARMING or after.phase in (Phase.ARMING, Phase.TAKING_OFF):
+            return
+        if before.phase is Phase.HOLDING and before.reason is Reason.MODE_TAKEN:
+            if self.mode is not Mode.GUIDED:
+                assert self.told_by_person, f"fought for the vehicle: {said}"
+        elif self.mode not in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF):
+            assert self.told_by_person, f"fought for the vehicle: {said}"
+
+    def _setpoint(self, before: State, after: State, sent: Setpoint) -> None:
+        self.setpoints += 1
+        now = after.now_s
+        assert before.phase in STREAMS, f"a setpoint in {before.phase}"
+        assert self.trusts(now), "a setpoint from a position that is not to be trusted"
+        assert self.armed
+        assert not self.is_down(now), "a setpoint on the ground"
+        if self.mode is not Mode.GUIDED:
+            assert sent.stay, f"led in mode {self.mode}"
+            assert before.phase is Phase.HOLDING
+        values = (*sent.position_nea_m, *sent.velocity_nea_m_s, sent.yaw_rad)
+        assert all(map(math.isfinite, values)), "a value that is not finite"
+        speed = math.hypot(*sent.velocity_nea_m_s)
+        assert speed <= self.limits.speed_m_s + self._joining(after, 1), f"{speed} m/s"
+        if self.setpoints % 7 == 0:
+            told = self.autopilot.setpoint(sent, self.mission.frame, 1, loiter_radius_m=80.0)
+            assert told, "out of range"
+        at = sent.position_nea_m
+        assert self.position is not None
+        if not sent.stay:
+            self._on_path(before, after, sent)
+        elif now - self.streamed_at_s > 1.5 or self.not_guided_at_s > self.streamed_at_s:
+            apart_m = math.dist(at[:2], self.position.position_nea_m[:2])
+            assert apart_m <= self._near_m(), f"first led to a place {apart_m:.0f} m away"
+        self.streamed_at_s, self.last = now, sent
+
+    def _joining(self, state: State, order: int) -> float:
+        """What a join adds to position (0) or velocity (1), and a rounding error."""
+        offset = state.flight.offset
+        if offset is None:
+            return 1e-6
+        return (
+            float(np.linalg.norm(offset.velocity_nea_m_s if order else offset.position_nea_m))
+            + 1e-6
+        )
+
+    def _near_m(self) -> float:
+        limits = self.limits
+        if self.driving.hovers:
+            return limits.speed_m_s + 3.0 * limits.tracking_error_m + 5.0
+        return 1.3 * limits.lead_m + 2.0 * limits.loiter_radius_m + 3.0 * limits.tracking_error_m
+
+    def _on_path(self, before: State, after: State, sent: Setpoint) -> None:
+        """A setpoint that leads lies on a path that is proven, and the newest.
+
+        The leg is that of the state before, too: this step may have ended it.
+        """
+        flights = (before.flight, after.flight)
+        legs = [leg for flight in flights for leg in (flight.leg, flight.next_leg)]
+        off_m = [_off_m(leg.subpath, sent.position_nea_m) for leg in legs if leg is not None]
+        allowed_m = max(self._joining(before, 0), self._joining(after, 0))
+        if after.flight.leg is None:  # ended in this step, and with it the join
+            allowed_m += 0.3 * self._joining(before, 1)
+        assert min(off_m, default=math.inf) <= allowed_m, "led beside every proven path"
+
+    def _legs(self, before: State, event: Event, after: State) -> None:
+        flight = after.flight
+        if isinstance(event, PlanReady) and event.outcome.plan_id != self.newest:
+            was = before.flight
+            assert flight.leg is was.leg, "took the answer to an old question"
+            assert flight.next_leg is was.next_leg, "took the answer to an old question"
+            assert flight.back is was.back, "took the answer to an old question"
+        for leg in (flight.leg, flight.next_leg, *flight.back):
+            if leg is not None:
+                name = _name(leg.subpath)
+                assert name in self.proven, "a leg that nobody has proven, or for an old question"
+
+    def _up(self, before: State, command: Command) -> None:
+        assert self.landed is Landed.ON_GROUND, f"{command} in the air"
+        assert not self.flown, f"{command} after a flight"
+        assert before.phase in (Phase.ARMING, Phase.TAKING_OFF)
+
+    def _deadlines(
+        self, before: State, event: Event, after: State, commands: list[Command]
+    ) -> None:
+        now, flight = after.now_s, after.flight
+        reason = after.reason if after.phase is Phase.HOLDING else None
+        key = (after.phase, reason)
+        if key != self.key or after.phase is not before.phase or after.since_s != before.since_s:
+            self.key, self.since_s, self.spoke_at_s = key, now, now
+            self.progress_at_s = now
+        if flight.reference != before.flight.reference or flight.leg is not before.flight.leg:
+            self.progress_at_s = now
+        if isinstance(event, Position) and abs(event.velocity_nea_m_s[2]) > 0.1:
+            self.progress_at_s = now
+        if any(isinstance(command, MOVING) for command in commands):
+            self.spoke_at_s = now
+        limit_s = self._limit_s(after)
+        waited_s = now - (self.progress_at_s if after.phase in _PROGRESS else self.since_s)
+        if isinstance(event, Position):
+            assert waited_s <= limit_s + SLACK_S, f"{key}: {waited_s:.0f} s without an end"
+            self._stream(event, after)
+
+    def _stream(self, event: Position, after: State) -> None:
+        """A vehicle that flies where it is told is told something all the time."""
+        ours = after.phase in STREAMS and after.reason not in NOT_OURS
+        ours = ours and self.mode is Mode.GUIDED and self.armed
+        ours = ours and not self.is_down(after.now_s) and self.position is event
+        if not ours:
+            self.spoke_at_s = max(self.spoke_at_s, after.now_s)
+            return
+        silent_s = after.now_s - self.spoke_at_s
+        assert silent_s <= 2.5 + self.driving.setpoint_period_s, (
+            f"{self.key}: said nothing for {silent_s:.1f} s in guided mode"
+        )
+
+    def _limit_s(self, state: State) -> float:
+        """The longest that a phase may last, or go without progress; the documented deadlines."""
+        limits, settings = self.limits, state.task.settings
+        match state.phase:
+            case Phase.PREPARING:
+                return 120.0
+            case Phase.ARMING:
+                return 60.0
+            case Phase.TAKING_OFF:
+                return 2.0 * 150.0 / limits.climb_rate_m_s + 60.0
+            case Phase.ARRIVED:
+                return 90.0
+            case Phase.LANDING:
+                return 60.0
+            case Phase.FLYING | Phase.RETURNING:
+                turns_s = 3.0 * 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
+                return turns_s + settings.scan_time_s + settings.planning_time_s + 60.0
+            case Phase.HOLDING if state.reason in WITH_A_PERSON:
+                return math.inf
+            case Phase.HOLDING if state.reason in ON_SETPOINTS:
+                return SETTLES_S + settings.planning_time_s + 60.0
+            case Phase.HOLDING:
+                return HOLD_S
+            case _:
+                return math.inf
+
+
+_PROGRESS = (Phase.FLYING, Phase.RETURNING, Phase.LANDING)
+
+
+def _name(subpath: Subpath) -> bytes:
+    return subpath.control_nea_m.tobytes()
+
+
+def _off_m(path: Subpath, point: tuple[float, float, float]) -> float:
+    """Distance from a straight path."""
+    start, end = path.control_nea_m[0].tolist(), path.control_nea_m[-1].tolist()
+    along = [b - a for a, b in zip(start, end, strict=True)]
+    aside = [b - a for a, b in zip(start, point, strict=True)]
+    squared = max(sum(x * x for x in along), 1e-12)
+    share = min(max(sum(x * y for x, y in zip(along, aside, strict=True)) / squared, 0.0), 1.0)
+    return math.dist([share * x for x in along], aside)

@@ -1,0 +1,172 @@
+"""The whole companion over a signed link, with the simulated ArduCopter as the other end.
+
+Link 0 of an ArduPilot believes everybody (ardupilot.md 5), so the companion speaks on link 1.
+"""
+
+from collections.abc import Callable
+from typing import Any, final
+
+import pytest
+from companion_receive import mission, straight_plan
+from pymavlink.dialects.v20 import all as mavlink
+
+from companion.mavlink.outbox import Output
+from companion.mavlink.receiver import Receiver
+from companion.mavlink.signing import Refusal, Signing, key_of, timestamp_of
+from companion.mission.events import Outcome
+from companion.mission.state import Phase
+from companion.session import Session
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import flat_world
+
+LINK = 1
+KEY, WRONG_KEY = key_of("correct horse battery staple"), bytes(32)
+NOW = timestamp_of(1_790_000_000.0)
+TICK_STEPS, TICK_S = 10, 0.1
+
+
+def vehicle_with_key() -> Simulation:
+    """Given its key as a ground station gives it: SETUP_SIGNING, by the link that is trusted."""
+    world = flat_world(
+        "copter",
+        "ardupilot",
+        latitude_deg=47.4,
+        longitude_deg=8.5,
+        altitude_amsl_m=488.0,
+        heading_deg=0.0,
+        scan_range_m=1_000.0,
+    )
+    vehicle = Simulation(world, links=2)
+    station = mavlink.MAVLink(None, srcSystem=255, srcComponent=191)
+    vehicle.receive(0, mavlink.MAVLink_setup_signing_message(1, 1, list(KEY), NOW).pack(station))
+    return vehicle
+
+
+def signing(timestamp: int = NOW, key: bytes = KEY) -> Signing:
+    return Signing(key=key, timestamp=timestamp, link_id=2)
+
+
+@final
+class Flight:
+    """A session and its vehicle, a tenth of a second at a time."""
+
+    def __init__(self, vehicle: Simulation, signing: Signing | None, resume: Any = None) -> None:
+        self.vehicle = vehicle
+        self.session = Session(
+            mission("ardupilot", "copter"), seed=1, lockstep=False, signing=signing, resume=resume
+        )
+        self.out = Output()
+        self.heard: list[bytes] = []
+        self.sent: list[bytes] = []
+        self.recorded: list[bytes] = []
+        self.kept: dict[str, Any] | None = None
+        self.known: Any = None
+
+    def tick(self) -> None:
+        for _ in range(TICK_STEPS):
+            self.vehicle.step()
+        frames = [frame for link, frame in self.vehicle.take_frames() if link == LINK]
+        self.heard += frames
+        at_s = self.vehicle.now_us * 1e-6
+        if not self.session.receive(b"".join(frames), at_s):
+            self.session.silence(TICK_S)
+        self.carry_out(self.session.run())
+
+    def carry_out(self, out: Output) -> None:
+        self.out = out
+        for frame in out.frames:
+            self.vehicle.receive(LINK, frame)
+        self.sent += out.frames
+        self.recorded += [frame for _, frame in out.record]
+        self.kept, self.known = out.checkpoint or self.kept, out.known or self.known
+        if out.plan is not None:
+            self.session.deliver(straight_plan(out.plan))
+
+    def run_until(self, condition: Callable[["Flight"], bool], within_s: float = 250.0) -> "Flight":
+        for _ in range(round(within_s / TICK_S)):
+            self.tick()
+            if condition(self):
+                return self
+        raise AssertionError(f"not within {within_s} s: {self.session.state.phase}")
+
+
+def flying(flight: Flight) -> bool:
+    return flight.session.state.flight.leg is not None
+
+
+def test_a_mission_over_a_signed_link_arrives_and_its_log_holds_no_signature() -> None:
+    flight = Flight(vehicle_with_key(), signing())
+    flight.run_until(lambda it: it.out.end is not None)
+    end, ours = flight.out.end, flight.session.signing
+    assert end is not None
+    assert end.outcome is Outcome.ARRIVED
+    assert ours is not None
+    assert not ours.refused
+    assert all(frame[2] & 1 for frame in flight.sent + flight.heard)
+    assert len(flight.recorded) == len(flight.sent) + len(flight.heard)
+    log = Receiver()
+    assert len(log.feed(b"".join(flight.recorded))) == len(flight.recorded)
+    assert (log.signed, log.passed.total()) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("ours", "why"), [(None, None), (signing(key=WRONG_KEY), Refusal.WRONG)], ids=["none", "wrong"]
+)
+def test_without_the_right_key_it_never_arms(ours: Signing | None, why: Refusal | None) -> None:
+    vehicle = vehicle_with_key()
+    flight = Flight(vehicle, ours)
+    with pytest.raises(AssertionError, match="not within"):
+        flight.run_until(lambda _: vehicle.armed, within_s=90.0)
+    if ours is None:
+        assert flight.session.receiver.signed > 0  # so preflight can say what is missing
+    else:
+        assert set(ours.refused) == {why}
+        assert flight.session.state.phase is Phase.WAITING
+
+
+def test_in_flight_only_signed_and_new_orders_are_obeyed() -> None:
+    flight = Flight(vehicle_with_key(), signing()).run_until(flying)
+    pause = mavlink.MAVLink_command_long_message(1, 195, 193, 0, 0, 0, 0, 0, 0, 0, 0)
+    station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+
+    def obeyed(frame: bytes) -> bool:
+        before = len(flight.sent)
+        flight.session.receive(frame, flight.vehicle.now_us * 1e-6)
+        flight.tick()
+        messages = Receiver().feed(b"".join(flight.sent[before:]))
+        return any(m.get_type() == "COMMAND_ACK" and m.command == 193 for m in messages)
+
+    assert not obeyed(pause.pack(station))
+    signing(key=WRONG_KEY).attach(station)
+    assert not obeyed(pause.pack(station))
+    signing(NOW + 10_000_000).attach(station)
+    order = pause.pack(station)
+    assert obeyed(order)
+    assert not obeyed(order)  # replayed
+    ours = flight.session.signing
+    assert ours is not None
+    assert ours.refused == {Refusal.UNSIGNED: 1, Refusal.WRONG: 1, Refusal.REPLAYED: 1}
+
+
+def test_a_recording_of_the_vehicle_played_back_moves_nothing() -> None:
+    flight = Flight(vehicle_with_key(), signing()).run_until(flying)
+    state = flight.session.state
+    assert not flight.session.receive(b"".join(flight.heard), 1e6)
+    flight.session.run()
+    assert flight.session.state is state
+
+
+def test_a_companion_that_is_started_again_in_flight_is_believed_at_once() -> None:
+    vehicle = vehicle_with_key()
+    flight = Flight(vehicle, signing()).run_until(flying)
+    for _ in range(50):
+        flight.tick()
+    ours = flight.session.signing
+    assert ours is not None
+    assert flight.kept is not None
+    again = Flight(vehicle, signing(ours.timestamp + 1), resume=(flight.kept, flight.known))
+    again.run_until(lambda it: it.out.end is not None)
+    end = again.out.end
+    assert end is not None
+    assert end.outcome is Outcome.ARRIVED
+    assert all(frame[2] & 1 for frame in again.sent)

@@ -1,0 +1,88 @@
+"""Whatever comes in, at any moment of a flight: nothing raised, no nonsense sent, nothing grows."""
+
+from typing import Any
+
+import pytest
+from companion_receive import HANDLED, PERSONALITIES, Recording, Run, Target, restored, saved
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from programs import Reader, intact
+from pymavlink.dialects.v20 import all as mavlink
+
+from companion.session import Session
+
+COPTER, PX4, LOCKSTEP = 0, 2, 4
+TARGET = Target()
+FLOOD = 1_500
+INBOX = 5_000_000
+"""Bytes that may wait to be handled: some ten thousand messages."""
+GROWTH = 200_000
+"""Bytes that a flood may add to a session: texts, tables and queues that are not empty."""
+
+
+def in_flight(which: int) -> tuple[Session, list[bytes]]:
+    """A session in the middle of its flight, and what the vehicle said from then on."""
+    recording: Recording = TARGET.recording(which)
+    moments = [moment for moment in recording.moments if moment[1] == "flying"]
+    tick, _, session = moments[len(moments) // 2]
+    return restored(session), recording.heard[tick:]
+
+
+@pytest.mark.parametrize("which", range(len(PERSONALITIES)))
+def test_the_recorded_flights_go_through_the_phases_and_arrive(which: int) -> None:
+    phases = list(dict.fromkeys(phase for _, phase, _ in TARGET.recording(which).moments))
+    assert phases[:2] == ["waiting", "preparing"]
+    assert {"taking off", "flying"} <= set(phases)
+
+
+@settings(max_examples=300)
+@given(st.binary(min_size=1, max_size=300))
+def test_nothing_is_raised_and_no_nonsense_is_sent_whatever_happens(program: bytes) -> None:
+    TARGET.play(program)
+
+
+@pytest.mark.parametrize("which", [COPTER, PX4])
+@pytest.mark.parametrize("number", HANDLED, ids=lambda number: mavlink.mavlink_map[number].msgname)
+def test_a_flood_of_one_message_does_not_pile_up(which: int, number: int) -> None:
+    """Each different, from the autopilot and from a ground station, all answered at once."""
+    session, telemetry = in_flight(which)
+    run = Run(session, telemetry)
+    kind: Any = mavlink.mavlink_map[number]
+    size, before = kind.unpacker.size, len(saved(session))
+    for k in range(FLOOD):
+        payload = (k.to_bytes(3, "little") * 90)[:size]
+        sender = (1, 1) if k % 2 else (255, 190)
+        values = {"time_boot_ms": round(session.now_s * 1e3), "param_index": k % 1000}
+        session.receive(intact(number, payload, sender, target=(1, 195), values=values), 1000.0)
+        if k % 100 == 0:
+            run.tick()
+    run.run()
+    assert len(saved(session)) < before + GROWTH
+
+
+@pytest.mark.parametrize("which", [COPTER, LOCKSTEP])
+def test_what_comes_faster_than_it_is_handled_is_dropped(which: int) -> None:
+    session, telemetry = in_flight(which)
+    before = len(saved(session))
+    portion = b"".join(telemetry[:10])
+    for _ in range(1_000):
+        session.receive(portion, 1000.0)
+    assert len(saved(session)) < before + INBOX
+    Run(session, telemetry).run()
+
+
+def test_a_million_bytes_of_noise_leave_nothing_behind() -> None:
+    session, telemetry = in_flight(COPTER)
+    before = len(saved(session))
+    noise = bytes((k * k * 31 + k // 7) % 256 for k in range(1 << 20))
+    for at in range(0, len(noise), 1_000):
+        session.receive(noise[at : at + 1_000], 1000.0)
+        session.run()
+    assert len(saved(session)) < before + GROWTH
+    Run(session, telemetry).tick()
+
+
+def test_a_program_is_read_to_its_end_and_no_further() -> None:
+    reader = Reader(b"\1\2\3")
+    assert [reader.byte() for _ in range(4)] == [1, 2, 3, 0]
+    assert not reader.left
