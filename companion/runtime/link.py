@@ -1,53 +1,110 @@
-"""UDP links by the connection strings that MAVLink users know: udpin: and udpout:HOST:PORT."""
+"""Links to the vehicle by the connection strings that pymavlink's users know.
+
+    udpin:HOST:PORT, udp:HOST:PORT   wait for the vehicle here, and answer where it is heard
+    udpout:HOST:PORT                 call it there (a vehicle, or a router's server port)
+    tcp:HOST:PORT                    connect to it there; connected again after a loss
+    tcpin:HOST:PORT                  wait for its connection here; the newest one counts
+    /dev/ttyACM0, COM3,57600, serial:/dev/ttyUSB0:921600   a serial port; 57600 baud if not said
+
+A link loses what it cannot send at once, as a radio does, and never raises for what may come back:
+a peer that is away, a device that was pulled out.  One thread receives, one other may send.
+"""
 
 import contextlib
-import errno
+import select
 import socket
 from types import TracebackType
-from typing import Self, final
+from typing import Protocol, Self, final
 
-from companion.errors import InputError
+from companion.runtime.connection import Address, Device, parsed, refused
+from companion.runtime.stream_links import SerialLink, TcpClient, TcpServer
 
-_LARGEST_DATAGRAM = 1400  # stays below the usual MTU
-_REMEDY = "Write udpin:127.0.0.1:14540 (wait for the vehicle) or udpout:HOST:PORT (call it)."
+LARGEST_DATAGRAM = 1400  # stays below the usual MTU
+
+
+class Link(Protocol):
+    """A pipe of bytes to one vehicle."""
+
+    @property
+    def sender(self) -> object:
+        """Who sent what was received last; an argument of answer_to."""
+        ...
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        """The next datagram or piece of a stream, or None if none came in time."""
+        ...
+
+    def answer_to(self, sender: object) -> None:
+        """From now on send there: that was the vehicle."""
+        ...
+
+    def send(self, frames: list[bytes]) -> None:
+        """Send frames, whole and in order, or lose them; never waits."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the port."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+
+def open_link(connection: str) -> Link:
+    """The link that a connection string names; InputError if it cannot be."""
+    place = parsed(connection)
+    if isinstance(place, Device):
+        return SerialLink(place)
+    if place.kind == "tcp":
+        return TcpClient(place)
+    return TcpServer(place) if place.kind == "tcpin" else UdpLink(place)
 
 
 @final
 class UdpLink:
     """Datagrams to and from one peer: for udpin, the sender that turned out to be the vehicle."""
 
-    def __init__(self, connection: str) -> None:
-        kind, host, port = _parsed(connection)
-        try:
-            address = (socket.gethostbyname(host), port)
-        except (OSError, UnicodeError) as error:
-            raise InputError("--connect", connection, "no such host", _REMEDY) from error
+    def __init__(self, place: Address) -> None:
+        address = place.resolved()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
         self._peer: tuple[str, int] | None = None
-        self._sender: tuple[str, int] | None = None
+        self._sender: object = None
         try:
-            if kind == "udpin":
+            if place.kind == "udpin":
                 self._socket.bind(address)
             else:
                 self._peer = address
         except OSError as error:
             self._socket.close()
-            raise _refused(connection, error) from error
+            raise refused(place.text, error) from error
+
+    @property
+    def sender(self) -> object:
+        """Host and port of the last datagram."""
+        return self._sender
 
     def receive(self, timeout_s: float) -> bytes | None:
         """The next datagram, or None if none came in time."""
-        self._socket.settimeout(max(timeout_s, 1e-6))
-        try:
-            data, sender = self._socket.recvfrom(65536)
-        except (TimeoutError, BlockingIOError, ConnectionRefusedError, InterruptedError):
+        if not select.select([self._socket], (), (), timeout_s)[0]:
             return None
-        self._sender = sender
+        try:
+            data, self._sender = self._socket.recvfrom(65536)
+        except (BlockingIOError, ConnectionError, InterruptedError):
+            return None
         return data
 
-    def answer_to_sender(self) -> None:
-        """From now on send to whoever sent the last datagram: it was the vehicle."""
-        self._peer = self._sender
+    def answer_to(self, sender: object) -> None:
+        """From now on send to that sender."""
+        if isinstance(sender, tuple):
+            self._peer = sender
 
     def send(self, frames: list[bytes]) -> None:
         """Frames in order, as few datagrams as they fit into.  Dropped while nobody was heard."""
@@ -55,11 +112,15 @@ class UdpLink:
             return
         batch = b""
         for frame in [*frames, b""]:
-            if batch and (not frame or len(batch) + len(frame) > _LARGEST_DATAGRAM):
+            if batch and (not frame or len(batch) + len(frame) > LARGEST_DATAGRAM):
                 with contextlib.suppress(OSError):  # a datagram that is lost, like any other
                     self._socket.sendto(batch, self._peer)
                 batch = b""
             batch += frame
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._socket.close()
 
     def __enter__(self) -> Self:
         return self
@@ -70,23 +131,4 @@ class UdpLink:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._socket.close()
-
-
-def _parsed(connection: str) -> tuple[str, str, int]:
-    parts = connection.split(":")
-    if len(parts) != 3 or parts[0] not in ("udpin", "udpout") or not parts[1]:
-        raise InputError("--connect", connection, "not a UDP connection string", _REMEDY)
-    lowest = 0 if parts[0] == "udpin" else 1
-    number = parts[2].isascii() and parts[2].isdecimal() and len(parts[2]) <= 5
-    if not number or not lowest <= int(parts[2]) <= 65535:
-        raise InputError("--connect", connection, "a port is a number up to 65535", _REMEDY)
-    return parts[0], parts[1], int(parts[2])
-
-
-def _refused(connection: str, error: OSError) -> InputError:
-    rule = f"it cannot be opened ({error.strerror})"
-    remedy = "Give an address of this computer."
-    if error.errno == errno.EADDRINUSE:
-        remedy = "End the program that uses the port, or choose another port on both sides."
-    return InputError("--connect", connection, rule, remedy)
+        self.close()

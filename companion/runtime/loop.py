@@ -1,163 +1,179 @@
-"""Flies a session: the wall clock, the socket, the planner's thread, the run folder."""
+"""Flies a session: the wall clock, the link, the threads, the run folder.
 
-import math
+    reader ──► inbox ──► decider (the session) ──► gate ──► link
+    planning ──┘            │    └──► writer ──► run folder
+                            └──► planning
+
+A slow disk, a long plan or a full terminal never delays a setpoint, and a part that dies shuts the
+gate (`watchdog`).  In lockstep the decider itself reads and writes: the vehicle waits for it.
+"""
+
+import gc
+import sys
 import time
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import final
 
-from companion.planner.request import Planned, PlanOutcome, PlanRequest
+from companion.mavlink.signing import strip_signature
+from companion.mission.events import End, Outcome
 from companion.runtime.compiler import Planner
-from companion.runtime.link import UdpLink
-from companion.session import Output, Session
+from companion.runtime.decider import Decider
+from companion.runtime.latency import StreamTimes
+from companion.runtime.link import Link
+from companion.runtime.parts import Answer, Inbox, Lost, Planning, Reader
+from companion.runtime.planner_process import PlannerProcess
+from companion.runtime.recorder import Batch, InlineWriter, Recorder, Writer, WriterThread
+from companion.runtime.watchdog import Clock, Failure, Gate, Watchdog
+from companion.session import Session
 from companion.telemetry.flown import Flown
 from companion.telemetry.run_folder import RunFolder
 
-_POLL_S = 0.2
-_LOCKSTEP_SILENCE_S = 10.0
-_SETTLE_S = 3.0  # for the vehicle to confirm the mode in which it is left
-_TRACK_S = 0.5
+_HELD_S = 2.0  # for the watchdog to have told it to hold
 _PROGRESS_S = 0.1
-_SEARCHING = 0.8  # of T: the rest is for the proof
-
-
-Answer = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
-"""Answers a request; the second argument tells it when to stop searching."""
+_SWITCH_S = 0.0005  # how long a thread that computes may keep one that has to answer waiting
 
 
 def fly(
     session: Session,
-    link: UdpLink,
+    link: Link,
     folder: RunFolder,
     *,
     lockstep: bool,
     on_progress: Callable[[Flown], None],
     stop_asked: Callable[[], bool],
     planner: Answer | None = None,
+    persist: Callable[[], None] | None = None,
+    clock: Clock = time.monotonic,
 ) -> Flown:
     """Run a session until its mission ends; every end is a value, Flown.end.
 
-    planner: by default the compiled one, which is loaded once a vehicle is heard.
+    planner: by default the compiled one, in a process of its own unless in lockstep.
+    persist: keeps what must outlive the process; called every 30 s and at the end.
+    on_progress is called in the caller's thread, stop_asked in another one.
     """
-    flown = Flown(session=session)
-    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="planner") as worker:
-        _Loop(session, link, folder, lockstep, flown, worker, planner).run(on_progress, stop_asked)
-    return flown
+    if planner is None:
+        planner = Planner(lockstep=True) if lockstep else PlannerProcess()
+    flight = _Flight(session, link, folder, lockstep, planner, persist, stop_asked, clock)
+    with _prompt_threads():
+        flight.run(on_progress)
+    return flight.flown
+
+
+@contextmanager
+def _prompt_threads() -> Iterator[None]:
+    """Threads get their turn quickly, and the collector leaves alone what is there to stay."""
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_S)
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before_s)
 
 
 @final
-class _Loop:
+class _Flight:
+    """The parts of one flight, how they begin and how they end."""
+
     def __init__(
         self,
         session: Session,
-        link: UdpLink,
+        link: Link,
         folder: RunFolder,
         lockstep: bool,
-        flown: Flown,
-        worker: ThreadPoolExecutor,
-        planner: Answer | None,
+        planner: Answer,
+        persist: Callable[[], None] | None,
+        stop_asked: Callable[[], bool],
+        clock: Clock,
     ) -> None:
-        self._session, self._link, self._folder = session, link, folder
-        self._lockstep, self._flown = lockstep, flown
-        self._worker = worker
-        self._planner = planner or Planner(lockstep=lockstep)
-        self._pending: Future[tuple[PlanOutcome, float]] | None = None
-        self._began_s = self._heard_s = time.perf_counter()
-        self._track_at_s = -math.inf
-        self._ended_s: float | None = None
-
-    def run(self, on_progress: Callable[[Flown], None], stop_asked: Callable[[], bool]) -> None:
-        try:
-            self._run(on_progress, stop_asked)
-        finally:  # whatever happened: the vehicle is not left without a word
-            self._carry_out(self._session.farewell())
-
-    def _run(self, on_progress: Callable[[Flown], None], stop_asked: Callable[[], bool]) -> None:
-        shown_s, stopping = -math.inf, False
-        while self._flown.end is None:
-            data = self._link.receive(_POLL_S)
-            now_s = time.perf_counter()
-            if data is None or not self._on_data(data, now_s):
-                self._on_silence(now_s - self._heard_s)
-            if stop_asked() and not stopping:
-                stopping = True
-                self._session.stop()
-            self._collect_plan(wait=False)
-            out = self._session.run()
-            while out.awaits_plan:
-                self._carry_out(out)
-                self._collect_plan(wait=True)
-                out = self._session.run()
-            self._carry_out(out)
-            if self._flown.heard:
-                self._flown.elapsed_s = time.perf_counter() - self._began_s
-            if now_s - shown_s >= _PROGRESS_S:
-                shown_s = now_s
-                on_progress(self._flown)
-
-    def _on_data(self, data: bytes, now_s: float) -> bool:
-        """Take a datagram; whether the autopilot spoke in it."""
-        if not self._session.receive(data):
-            return False
-        self._link.answer_to_sender()
-        if not self._flown.heard:
-            self._flown.heard, self._began_s = True, now_s
-            if isinstance(self._planner, Planner):
-                self._planner.start()
-        self._heard_s = now_s
-        return True
-
-    def _on_silence(self, silent_s: float) -> None:
-        if not self._lockstep or silent_s >= _LOCKSTEP_SILENCE_S:
-            self._session.silence(silent_s)
-
-    def _carry_out(self, out: Output) -> None:
-        self._link.send(out.frames)
-        self._folder.frames(out.record)
-        self._folder.entries(out.journal)
-        if out.plan is not None:
-            self._flown.scans_nea_m.append(out.plan.scan_nea_m)
-            self._pending = self._worker.submit(
-                _timed, self._planner, out.plan, self._deadline(out.plan)
-            )
-        if out.end is not None:
-            self._ended_s = self._ended_s or time.perf_counter()
-            if out.settled or time.perf_counter() - self._ended_s > _SETTLE_S:
-                self._flown.end = out.end
-        here, now_s = self._session.state.vehicle.position_nea_m, self._session.now_s
-        if here is not None and now_s - self._track_at_s >= _TRACK_S:
-            self._track_at_s = now_s
-            self._flown.track_nea_m.append(here)
-
-    def _deadline(self, request: PlanRequest) -> Callable[[], bool]:
-        """Whether to stop searching: never in lockstep, before T in real time, and at the end."""
-        due_s = time.perf_counter() + _SEARCHING * request.task.settings.planning_time_s
-        return lambda: (
-            self._flown.end is not None or (not self._lockstep and time.perf_counter() > due_s)
+        self.flown = Flown(session=session)
+        self._session, self._folder, self._lockstep = session, folder, lockstep
+        self._inbox = Inbox()
+        gate = Gate(link, clock)
+        self._watchdog = Watchdog(
+            gate,
+            clock=clock,
+            hold_frames=session.hold_frames,
+            on_failure=self._on_failure,
+            on_loss=self._on_loss,
+            watches_time=not lockstep,
+        )
+        recorder = Recorder(folder, clock, persist)
+        kind = InlineWriter if lockstep else WriterThread
+        self._writer: Writer = kind(recorder, self._on_loss)
+        self._reader = Reader(link, self._inbox, gate, clock)
+        self._planning = Planning(planner, self._inbox, lockstep=lockstep)
+        self._times = StreamTimes()
+        self._decider = Decider(
+            session=session,
+            flown=self.flown,
+            link=link,
+            gate=gate,
+            inbox=self._inbox,
+            reader=self._reader,
+            planning=self._planning,
+            writer=self._writer,
+            watchdog=self._watchdog,
+            times=self._times,
+            lockstep=lockstep,
+            stop_asked=stop_asked,
+            clock=clock,
         )
 
-    def _collect_plan(self, *, wait: bool) -> None:
-        """Hand over a plan that is finished; in lockstep vehicle time stands still meanwhile."""
-        pending = self._pending
-        if pending is None or not (wait or pending.done()):
-            return
-        self._pending = None
+    def run(self, on_progress: Callable[[Flown], None]) -> None:
+        self._watchdog.start()
+        self._watchdog.watch(self._planning.part, self._planning.run)
+        if isinstance(self._writer, WriterThread):
+            self._watchdog.watch(self._writer.part, self._writer.run)
+        if not self._lockstep:
+            self._watchdog.watch(self._reader.part, self._reader.run)
+        self._watchdog.watch(self._decider.part, self._decider.run)
         try:
-            outcome, took_s = pending.result()
-        except Exception as error:  # noqa: BLE001 - whatever it is, the vehicle must be put on hold
-            self._session.planner_died(f"{type(error).__name__}: {error}")
-            return
-        if wait:  # the vehicle was not silent: it was made to wait
-            self._heard_s = time.perf_counter()
-        self._flown.plans_s.append(took_s)
-        if isinstance(outcome, Planned):
-            self._flown.plans.append(outcome)
-        self._session.deliver(outcome)
+            while not self._decider.ended.wait(_PROGRESS_S) and self._watchdog.failure is None:
+                self._watchdog.check()
+                on_progress(self.flown)
+        finally:
+            self._end()
+
+    def _end(self) -> None:
+        """Whatever happened: the vehicle is not left without a word, nor the folder without it."""
+        failure = self._watchdog.failure
+        if failure is not None and failure.part != self._decider.part.name:
+            self._decider.ended.wait(_HELD_S)  # it tells the session, and notes what that does
+        self._decider.leave()
+        self._decider.ended.wait(0.0 if failure is not None else _HELD_S)
+        self._watchdog.end(_HELD_S)
+        failure = self._watchdog.failure
+        if failure is not None:
+            self.flown.end = _end_of(failure, self.flown.end)
+        self._reader.leave()
+        self._planning.leave()
+        self._writer.close()
+        self._folder.facts["latency"] = self._times.summary()
+
+    def _on_loss(self, failure: Failure) -> None:
+        self._inbox.put(Lost(failure, vital=False))
+
+    def _on_failure(self, failure: Failure, hold: list[bytes]) -> None:
+        now_s = self._session.now_s
+        noted = {
+            "t_s": round(now_s, 6),
+            "kind": "part died",
+            "part": failure.part,
+            "error": failure.error,
+            "hold_frames": len(hold),
+        }
+        record = [(now_s, strip_signature(frame)) for frame in hold]
+        self._writer.put(Batch(record=record, journal=[noted]))
+        self._inbox.put(Lost(failure, vital=True))
 
 
-def _timed(
-    planner: Answer, request: PlanRequest, stop: Callable[[], bool]
-) -> tuple[PlanOutcome, float]:
-    began_s = time.perf_counter()
-    outcome = planner(request, stop)
-    return outcome, time.perf_counter() - began_s
+def _end_of(failure: Failure, end: End | None) -> End:
+    if end is not None and end.outcome is Outcome.FAILED:
+        return end
+    reason = f"the {failure.part} has died ({failure.error})"
+    remedy = "The vehicle was told to hold; take over, and look into journal.jsonl."
+    return End(outcome=Outcome.FAILED, reason=reason, remedy=remedy)

@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from companion.geodesy import BoolArray, FloatArray
-from companion.world.threats import CircleKeepOut, KeepOut, Radar
+from companion.world.threats import CircleZone, Radar, Zone
 
 SIZE_IN = (14.0, 10.0)
 DPI = 150
@@ -94,7 +94,7 @@ class FlightFigure:
     scans_nea_m: tuple[tuple[float, float, float], ...] = ()
     """Where scans were taken (p_scan)."""
     radars: tuple[Radar, ...] = ()
-    keep_outs: tuple[KeepOut, ...] = ()
+    zones: tuple[Zone, ...] = ()
     track_nea_m: FloatArray | None = None  # (N, 3)
     """Where the vehicle was."""
     caption: str = ""
@@ -185,7 +185,7 @@ def draw_plan(axes: Axes, figure: FlightFigure) -> None:
         axes.add_patch(Rectangle((0.0, 0.0), 0.0, 0.0, label="unknown ground", **_HATCHED))
     for radar in figure.radars:
         _draw_radar(axes, radar, figure)
-    for keep_out in figure.keep_outs:
+    for keep_out in figure.zones:
         style = {"fc": to_rgba(_KEEP_OUT, 0.3), "ec": _KEEP_OUT, "hatch": "xx", "lw": 1.5}
         axes.add_patch(Polygon(_outline_en_m(keep_out) / 1e3, label="keep-out", **style))
     for points_nea_m, style in _lines(figure) + _marks(figure):
@@ -325,16 +325,16 @@ def _threat_grids(figure: FlightFigure) -> list[tuple[FloatArray, str]]:
         lift = np.arcsin(np.linspace(sines[0], sines[1], 12))[:, None]
         ball = [np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift) + 0 * turn]
         grids.append((np.stack(ball, axis=-1) * radar.range_m + [east, north, altitude], _RADAR))
-    for keep_out in figure.keep_outs:
+    for keep_out in figure.zones:
         outline = _outline_en_m(keep_out)
         wall = [np.insert(outline, 2, altitude, axis=1) for altitude in (low, high)]
         grids.append((np.array(wall), _KEEP_OUT))
     return grids
 
 
-def _outline_en_m(keep_out: KeepOut) -> FloatArray:
+def _outline_en_m(keep_out: Zone) -> FloatArray:
     """The closed outline of a keep-out.  -> (N, 2) east, north."""
-    if isinstance(keep_out, CircleKeepOut):
+    if isinstance(keep_out, CircleZone):
         turn = np.linspace(0.0, 2.0 * np.pi, 61)
         ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
         return keep_out.radius_m * ring + [keep_out.east_m, keep_out.north_m]

@@ -73,7 +73,7 @@ def _draw(
                 heights_m=np.where(terrain.seen, terrain.upper_m, np.nan),
             ),
             radars=mission.task.radars,
-            keep_outs=mission.task.keep_outs,
+            zones=mission.task.zones,
             floor_amsl_m=limits.floor_amsl_m,
             ceiling_amsl_m=limits.ceiling_amsl_m,
             legs_nea_m=lines,

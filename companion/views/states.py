@@ -25,7 +25,9 @@ def mission_states_markdown() -> str:
         names = ", ".join(before.value for before in origins)
         lines.append(f"Not drawn: `{trigger.name.lower()}` leads from {names} to {after.value}.")
     unreached = [phase.value for phase in Phase if phase not in _reached()]
-    lines += ["", f"Reserved, not entered yet: {', '.join(unreached)}.", "", "## Triggers", ""]
+    if unreached:
+        lines += ["", f"Reserved, not entered yet: {', '.join(unreached)}."]
+    lines += ["", "## Triggers", ""]
     lines += ["| trigger | when |", "|---|---|"]
     lines += [f"| `{trigger.name.lower()}` | {trigger.value} |" for trigger in Trigger]
     lines += [

@@ -4,6 +4,7 @@ import itertools
 import math
 import statistics
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
@@ -11,37 +12,42 @@ from companion.mission.mission import EndAction, Mission
 from companion.path.certificate import Certificate
 from companion.planner.request import Planned
 from companion.telemetry.flown import Flown
+from companion.telemetry.preflight import Check, Verdict
 
 
 def mission_words(mission: Mission) -> str:
     """What a mission will do, for a person who has to decide whether to fly it."""
-    task, limits, settings = mission.task, mission.task.limits, mission.task.settings
+    limits, settings = mission.task.limits, mission.task.settings
     profile = settings.profile
     lines = [
         f"{mission.name}: profile {profile.name}",
-        f"  Take off, climb straight up to {_m(mission.take_off_amsl_m)} AMSL, then fly at "
+        f"  {_vehicle(mission)}",
+        f"  Take off, climb {_upwards(mission)} {_m(mission.take_off_amsl_m)} AMSL, then fly at "
         f"{limits.speed_m_s:g} m/s between {_m(limits.floor_amsl_m)} and "
         f"{_m(limits.ceiling_amsl_m)} AMSL.",
         f"  {_targets(mission)}",
         f"  Turns no tighter than {_m(limits.turn_radius_m)}, climbs to "
         f"{math.degrees(limits.climb_angle_rad):g}, dives to "
         f"{math.degrees(limits.dive_angle_rad):g} degrees.",
-        f"  The radar sees {_m(settings.scan_range_m)} (R). {_m(task.scan_distance_m)} (L) before "
-        f"the end of each subpath it scans for up to {settings.scan_time_s:g} s, plans for "
-        f"{settings.planning_time_s:g} s (T), and goes over to the next subpath "
-        f"{_m(task.tail_m)} before the end.",
+        f"  {_sight(mission)}",
         f"  Kept from terrain and keep-outs: {_m(settings.safety_distance_m)} (d_s). "
         f"{_threats(mission)}",
         f"  Each subpath: {settings.evaluations} candidates at {profile.samples} points; "
         + ("proven safe before it is flown." if profile.verified else "flown unproven."),
         "  If no safe subpath is found it flies the last one to its end, stops there and tries "
-        "again; after four attempts it holds and says why.",
+        f"again; after {mission.attempts} attempts: {mission.fallback.value}.",
     ]
     return "\n".join(lines)
 
 
 def _targets(mission: Mission) -> str:
-    last = "hold there" if mission.end_action is EndAction.HOLD else "land there"
+    last = {
+        EndAction.HOLD: "hold there",
+        EndAction.LAND: "land there",
+        EndAction.RETURN: "come back along the flown path",
+    }[mission.end_action]
+    if mission.targets_from_vehicle:
+        return f"Go to the waypoints of the vehicle's own mission, and {last}."
     places = [
         f"{_m(abs(north))} {'south' if north < 0.0 else 'north'}, "
         f"{_m(abs(east))} {'west' if east < 0.0 else 'east'}"
@@ -56,10 +62,43 @@ def _targets(mission: Mission) -> str:
 def _threats(mission: Mission) -> str:
     task = mission.task
     radars = f"{len(task.radars)} radars are known and avoided where possible"
-    zones = (
-        f"{len(task.keep_outs)} keep-outs are never entered" if task.keep_outs else "no keep-outs"
+    inner = sum(zone.keep_in for zone in task.zones)
+    outer = len(task.zones) - inner
+    zones = f"{outer} keep-outs are never entered" if outer else "no keep-outs"
+    kept = f"; {inner} keep-ins are never left" if inner else ""
+    own = "; and the vehicle's own fence" if mission.fence_from_vehicle else ""
+    return f"{radars}; {zones}{kept}{own}."
+
+
+def _upwards(mission: Mission) -> str:
+    return "straight up to" if mission.task.limits.hovers else "to"
+
+
+def _sight(mission: Mission) -> str:
+    """What is known of the terrain, and how more becomes known."""
+    task, settings = mission.task, mission.task.settings
+    known = ""
+    if mission.known is not None:
+        share = float(np.isfinite(mission.known.upper_m).mean())
+        known = f" Terrain of {share:.0%} of the map is known in advance."
+    if mission.scanner_component_id is None:
+        return f"There is no terrain radar: only known terrain is flown over.{known}"
+    return (
+        f"The radar sees {_m(settings.scan_range_m)} (R). {_m(task.scan_distance_m)} (L) before "
+        f"the end of each subpath it scans for up to {settings.scan_time_s:g} s, plans for "
+        f"{settings.planning_time_s:g} s (T), and goes over to the next subpath "
+        f"{_m(task.tail_m)} before the end.{known}"
     )
-    return f"{radars}; {zones}."
+
+
+def _vehicle(mission: Mission) -> str:
+    """What flies, and who may tell it to do something else."""
+    limits = mission.task.limits
+    kind = f"{mission.kind}, {mission.autopilot or 'whichever autopilot is found'}"
+    if not limits.hovers:
+        kind += f", holding on circles of {_m(limits.loiter_radius_m)}"
+    who = ", ".join(f"{system}/{component}" for system, component in mission.commanders)
+    return f"{kind}; obeys {who or 'nobody'} (0: any component)."
 
 
 def _m(value_m: float) -> str:
@@ -116,3 +155,16 @@ def plans_table(plans: tuple[Planned, ...]) -> Table:
 def clearance_words(certificate: Certificate) -> str:
     """The clearance that is proven for a subpath, or which bounds are not."""
     return f"{certificate.clearance_m:,.0f} m" if certificate.proven else "not proven"
+
+
+_COLOURS = {Verdict.PASSED: "green", Verdict.NOTED: "yellow", Verdict.REFUSED: "red"}
+
+
+def checks_table(checks: list[Check]) -> Table:
+    """The checks before a flight, one a row, each with what to do about it."""
+    table = Table(show_header=False, box=None, padding=(0, 1))
+    for check in checks:
+        verdict = Text(check.verdict.value, style=_COLOURS[check.verdict])
+        what = f"{check.what}. {check.remedy}" if check.remedy else check.what
+        table.add_row(verdict, Text(check.name), Text(what))
+    return table

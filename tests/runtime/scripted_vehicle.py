@@ -10,16 +10,36 @@ import pyproj
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
+from companion.mavlink.outbox import Output
+from companion.mission.entries import Entry
 from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
 from companion.planner.request import Planned, PlanOutcome, PlanRequest
-from companion.session import Entry, Output, Session
+from companion.session import Session
 
 MISSION = replace(load_mission("environment-1"), targets_ne_m=((4000.0, 3000.0),))
 GEOD = pyproj.Geod(ellps="WGS84")
 HOME_AMSL_M = 2990.0
 TICK_MS = 100
 GUIDED, BRAKE, LAND = 4, 17, 9
+PARAMETERS = {  # ArduCopter's own names and units
+    "ANGLE_MAX": 4500.0,
+    "ARMING_CHECK": 1.0,
+    "AVOID_ENABLE": 0.0,
+    "FENCE_ENABLE": 0.0,
+    "FS_EKF_ACTION": 1.0,
+    "FS_GCS_ENABLE": 0.0,
+    "GUID_OPTIONS": 0.0,
+    "GUID_TIMEOUT": 3.0,
+    "LAND_SPEED": 50.0,
+    "PSC_JERK_XY": 20.0,
+    "SYSID_MYGCS": 255.0,
+    "SYSID_THISMAV": 1.0,
+    "WPNAV_ACCEL": 500.0,
+    "WPNAV_SPEED": 15000.0,
+    "WPNAV_SPEED_DN": 1500.0,
+    "WPNAV_SPEED_UP": 2500.0,
+}
 
 
 def straight_plan(request: PlanRequest, _stop: object = None) -> Planned:
@@ -59,10 +79,13 @@ class Vehicle:
         self.north_m = self.east_m = 0.0
         self.altitude_m = HOME_AMSL_M
         self.velocity_ned = (0.0, 0.0, 0.0)
+        self.ticks_alone = 0
         self.climb_to_m: float | None = None
         self.streams_ms: dict[int, int] = {}
         self.heard: list[Any] = []
         self.to_scan: list[Any] = []
+        self.to_answer: list[bytes] = []
+        self.parameters = dict(PARAMETERS)
         self.sends_synchronisation = lockstep
 
     # --- what it says
@@ -70,6 +93,7 @@ class Vehicle:
     def tick(self) -> bytes:
         """A tick later: all telemetry that is due, in one datagram."""
         self.time_ms += TICK_MS
+        self._fly_on()
         if self.climb_to_m is not None:
             self.altitude_m = min(self.altitude_m + 2.5, self.climb_to_m)
             if self.altitude_m == self.climb_to_m:
@@ -87,10 +111,19 @@ class Vehicle:
             if self.time_ms % every_ms == 0
         ]
         said += [frame for request in self.to_scan for frame in self.scanned(request)]
-        self.to_scan = []
+        said += self.to_answer
+        self.to_scan, self.to_answer = [], []
         if self.sends_synchronisation:
             said.append(self.synchronisation())
         return b"".join(said)
+
+    def _fly_on(self) -> None:
+        """Without a setpoint since the last tick it goes on as it was told, for three seconds."""
+        self.ticks_alone += 1
+        if 1 < self.ticks_alone < 30 and self.mode == GUIDED and self.landed == 2:
+            north, east, down = (TICK_MS * 1e-3 * speed for speed in self.velocity_ned)
+            self.north_m, self.east_m = self.north_m + north, self.east_m + east
+            self.altitude_m -= down
 
     def pack(self, message: Any, codec: Any = None) -> bytes:
         codec = codec or self.autopilot
@@ -135,11 +168,16 @@ class Vehicle:
                 return self.pack(wire.MAVLink_ekf_status_report_message(0x33F, *([0.0] * 5)))
             case 242:
                 home = wire.MAVLink_home_position_message(
-                    0, 0, round(HOME_AMSL_M * 1e3), 0, 0, 0, [1, 0, 0, 0], 0, 0, 0
+                    470000000, 80000000, round(HOME_AMSL_M * 1e3), 0, 0, 0, [1, 0, 0, 0], 0, 0, 0
                 )
                 return self.pack(home)
             case _:
                 return b""
+
+    def parameter(self, name: str) -> bytes:
+        value, count = self.parameters[name], len(self.parameters)
+        kind = wire.MAV_PARAM_TYPE_REAL32
+        return self.pack(wire.MAVLink_param_value_message(name.encode(), value, kind, count, 0))
 
     def scanned(self, request: Any) -> list[bytes]:
         blocks = [
@@ -167,13 +205,19 @@ class Vehicle:
                     self._obey(message)
                 case "TERRAIN_REQUEST":
                     self.to_scan.append(message)
+                case "PARAM_REQUEST_READ" if message.param_id in self.parameters:
+                    self.to_answer.append(self.parameter(message.param_id))
+                case "MISSION_REQUEST_LIST":  # there is none, of no kind
+                    to = message.get_srcSystem(), message.get_srcComponent()
+                    count = wire.MAVLink_mission_count_message(*to, 0, message.mission_type)
+                    self.to_answer.append(self.pack(count))
                 case "SET_POSITION_TARGET_GLOBAL_INT" if self.mode == GUIDED:
                     azimuth, _, distance = GEOD.inv(
                         8.0, 47.0, message.lon_int * 1e-7, message.lat_int * 1e-7
                     )
                     self.north_m = distance * math.cos(math.radians(azimuth))
                     self.east_m = distance * math.sin(math.radians(azimuth))
-                    self.altitude_m = message.alt
+                    self.altitude_m, self.ticks_alone = message.alt, 0
                     self.velocity_ned = (message.vx, message.vy, message.vz)
                 case _:
                     pass

@@ -2,21 +2,24 @@
 
 import json
 import sys
+import threading
+import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from scripted_vehicle import BRAKE, MISSION, Vehicle, straight_plan
+from stub_session import HEARTBEAT, HOLD, SETPOINT, QueueLink, StubSession, as_any
 
 from companion.mission.events import Outcome
 from companion.mission.state import Reason
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime import loop
-from companion.runtime.link import UdpLink
+from companion.runtime.decider import newest_setpoint
 from companion.session import Session
 from companion.telemetry.flown import Flown
 from companion.telemetry.run_folder import RunFolder
@@ -37,8 +40,19 @@ class ScriptedLink:
         assert self.count < _MOST, "the flight does not end"
         return None if self.silent else self.vehicle.tick() or None
 
-    def answer_to_sender(self) -> None:
+    sender = None
+
+    def answer_to(self, sender: object) -> None:
         """There is nobody else."""
+
+    def close(self) -> None:
+        """There is nothing to let go of."""
+
+    def __enter__(self) -> "ScriptedLink":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def send(self, frames: list[bytes]) -> None:
         for frame in frames:
@@ -54,7 +68,7 @@ def folder(tmp_path: Path) -> Iterator[RunFolder]:
 def fly(link: ScriptedLink, folder: RunFolder, lockstep: bool = True, **keywords: Any) -> Flown:
     return loop.fly(
         Session(MISSION, seed=1, lockstep=lockstep),
-        cast(UdpLink, link),
+        link,
         folder,
         lockstep=lockstep,
         on_progress=lambda _: None,
@@ -92,7 +106,8 @@ def test_a_planner_that_raises_puts_the_vehicle_on_hold_and_is_an_end_not_an_exc
     link = ScriptedLink(Vehicle())
     flown = fly(link, folder, planner=broken)
     assert flown.end is not None
-    assert flown.end.reason == Reason.PLANNER_DIED.text
+    assert flown.end.reason.startswith(Reason.PLANNER_DIED.text)
+    assert "ZeroDivisionError: made up" in flown.end.reason
     assert link.vehicle.mode == BRAKE
     assert "ZeroDivisionError: made up" in (folder.path / "journal.jsonl").read_text("utf-8")
 
@@ -105,44 +120,145 @@ def test_a_stop_ends_the_flight_with_the_vehicle_on_hold(folder: RunFolder) -> N
     assert link.vehicle.mode == BRAKE
 
 
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """A wall clock that the test moves."""
-    made = SimpleNamespace(now_s=0.0, perf_counter=lambda: made.now_s)
-    monkeypatch.setattr(loop, "time", made)
-    return made
+class SlowLink(ScriptedLink):
+    """Each receive takes a while, by a clock of its own."""
+
+    now_s = 0.0
+
+    def clock(self) -> float:
+        return self.now_s
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        self.now_s += 0.1
+        assert self.now_s < 600.0
+        return super().receive(timeout_s)
 
 
 @pytest.mark.parametrize("radar_speaks", [False, True], ids=["nobody", "the radar"])
 def test_a_vehicle_that_falls_silent_ends_the_flight_whoever_else_speaks(
-    folder: RunFolder, clock: SimpleNamespace, radar_speaks: bool
+    folder: RunFolder, radar_speaks: bool
 ) -> None:
-    vehicle = Vehicle(lockstep=False)
+    vehicle = Vehicle()
 
-    class Failing(ScriptedLink):
+    class Failing(SlowLink):
         def receive(self, timeout_s: float) -> bytes | None:
             data = super().receive(timeout_s)
-            clock.now_s += 0.1
             if vehicle.north_m < 100.0:
                 return data
             return vehicle.radar_heartbeat() if radar_speaks and self.count % 10 == 0 else None
 
-    flown = fly(Failing(vehicle), folder, lockstep=False)
+    link = Failing(vehicle)
+    flown = fly(link, folder, clock=link.clock)
     assert flown.end is not None
     assert flown.end.reason == Reason.LINK_LOST.text
 
 
-def test_no_vehicle_at_all_ends_after_ten_seconds(
-    folder: RunFolder, clock: SimpleNamespace
-) -> None:
-    class Nobody(ScriptedLink):
+def test_no_vehicle_at_all_ends_after_ten_seconds(folder: RunFolder) -> None:
+    class Nobody(SlowLink):
         def receive(self, timeout_s: float) -> bytes | None:
-            assert clock.now_s < 60.0
-            clock.now_s += timeout_s
+            super().receive(timeout_s)
             return None
 
-    flown = fly(Nobody(Vehicle()), folder, lockstep=False)
+    link = Nobody(Vehicle())
+    flown = fly(link, folder, clock=link.clock)
     assert flown.end is not None
     assert flown.end.reason == Reason.NO_VEHICLE.text
-    assert 10.0 <= clock.now_s <= 14.0
+    assert 10.0 <= link.now_s <= 14.0
     assert not flown.heard
+
+
+def test_a_silence_is_told_as_it_grows_and_ends_with_the_next_word(folder: RunFolder) -> None:
+    session = StubSession()
+    rig = QueueLink(time.monotonic)
+    rig.incoming.put(b"a word")
+
+    def over() -> bool:
+        told_s = session.silences_s
+        if told_s and told_s[-1] > 0.5 and len(session.received) == 1:
+            rig.incoming.put(b"another word")
+        return len(session.received) == 2 and len(told_s) > 0 and told_s[-1] < 0.4
+
+    flown = loop.fly(
+        as_any(session),
+        rig,
+        folder,
+        lockstep=False,
+        planner=straight_plan,
+        on_progress=lambda _: None,
+        stop_asked=over,
+    )
+    assert flown.end is not None
+    first_s, *told_s = session.silences_s
+    [turn] = [n for n in range(1, len(told_s)) if told_s[n] < told_s[n - 1]]
+    assert first_s == 0.0  # for the first heartbeat
+    assert told_s[0] >= 0.2
+    assert told_s[turn - 1] >= 0.5 > told_s[turn]
+
+
+def test_who_spoke_for_the_vehicle_is_answered(folder: RunFolder) -> None:
+    session, link = StubSession(), QueueLink(time.monotonic)
+    link.sender = ("10.0.0.7", 14551)
+    link.incoming.put(b"a word")
+    loop.fly(
+        as_any(session),
+        link,
+        folder,
+        lockstep=False,
+        planner=straight_plan,
+        on_progress=lambda _: None,
+        stop_asked=lambda: bool(link.answers),
+    )
+    assert link.answers == [("10.0.0.7", 14551)]
+
+
+def test_a_word_from_the_past_is_not_taken_for_news(folder: RunFolder) -> None:
+    """The companion was held up: what waited meanwhile tells of where the vehicle was."""
+
+    def held_up(_session: StubSession, number: int) -> None:
+        if number == 1:
+            for _ in range(5):
+                link.incoming.put(b"old")
+            threading.Event().wait(0.7)
+            link.incoming.put(b"new")
+
+    session, link = StubSession(held_up), QueueLink(time.monotonic)
+    link.incoming.put(b"first")
+    loop.fly(
+        as_any(session),
+        link,
+        folder,
+        lockstep=False,
+        planner=straight_plan,
+        on_progress=lambda _: None,
+        stop_asked=lambda: b"new" in session.received,
+    )
+    assert session.received == [b"first", b"new"]
+
+
+def test_of_setpoints_that_are_due_together_only_the_newest_is_sent() -> None:
+    frames = [SETPOINT, HEARTBEAT, SETPOINT[:-1] + b"x", HOLD]
+    assert newest_setpoint(frames) == [HEARTBEAT, SETPOINT[:-1] + b"x", HOLD]
+    assert newest_setpoint([HEARTBEAT, HOLD]) == [HEARTBEAT, HOLD]
+    assert newest_setpoint([SETPOINT]) == [SETPOINT]
+    assert newest_setpoint([]) == []
+
+
+def test_how_quickly_it_answered_is_in_run_json(folder: RunFolder) -> None:
+    flown = fly(ScriptedLink(Vehicle()), folder)
+    folder.run_json({})
+    latency = json.loads((folder.path / "run.json").read_text("utf-8"))["latency"]
+    assert latency["setpoints"] > 100
+    assert 0.0 < latency["position_to_setpoint_p50_ms"] <= latency["position_to_setpoint_p99_ms"]
+    assert latency["position_to_setpoint_p99_ms"] <= latency["position_to_setpoint_max_ms"]
+    assert latency["position_to_setpoint_max_ms"] < 1e3 * flown.elapsed_s
+
+
+def test_what_must_outlive_the_process_is_kept_now_and_then_and_at_the_end(
+    folder: RunFolder,
+) -> None:
+    kept: list[float] = []
+    link = SlowLink(Vehicle())
+    fly(link, folder, clock=link.clock, persist=lambda: kept.append(link.now_s))
+    assert kept[0] == pytest.approx(30.0, abs=1.0)
+    assert all(after - before >= 30.0 for before, after in pairwise(kept[:-1]))
+    assert kept[-1] == link.now_s

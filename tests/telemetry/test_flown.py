@@ -31,7 +31,7 @@ def test_there_is_no_distance_without_a_position() -> None:
 
 def test_the_factor_of_real_time_is_vehicle_time_over_wall_time_and_never_a_division_by_0() -> None:
     it = flown(0.0, 0.0)
-    it.session.now_s = 100.0
+    it.session._clock.now_s = 100.0
     assert it.times_real_time > 0.0
     it.elapsed_s = 4.0
     assert it.times_real_time == 25.0

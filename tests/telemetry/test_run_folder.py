@@ -1,17 +1,23 @@
 import json
 import math
+import random
 import struct
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pymavlink import mavutil  # noqa: TID251 - the reader that users have is the oracle
 from pymavlink.dialects.v20 import all as wire
 
 from companion.errors import InputError
-from companion.telemetry.run_folder import RunFolder
+from companion.telemetry.run_folder import RunFolder, read_checkpoint, whole_records
+from companion.world.known_map import KnownMap, empty_map
 
 EPOCH_US = 1_700_000_000_000_000  # 2023-11-14 22:13:20 UTC
 
@@ -39,9 +45,11 @@ def strict(line: str) -> Any:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> RunFolder:
-    """Never closed: what is written must be there anyway."""
-    return RunFolder(tmp_path / "runs" / "one", mission_toml='name = "é"\n', epoch_us=EPOCH_US)
+def folder(tmp_path: Path) -> Iterator[RunFolder]:
+    """Closed only after the test: what is written must be there anyway."""
+    path = tmp_path / "runs" / "one"
+    with RunFolder(path, mission_toml='name = "é"\n', epoch_us=EPOCH_US) as made:
+        yield made
 
 
 def close(folder: RunFolder) -> None:
@@ -49,16 +57,22 @@ def close(folder: RunFolder) -> None:
         pass
 
 
+def recorded(path: Path) -> list[tuple[float, bytes]]:
+    """Vehicle times and frames of a log, as pymavlink reads them."""
+    log = mavutil.mavlink_connection(str(path / "flight.tlog"), dialect="all")
+    read = []
+    while (message := log.recv_match()) is not None:
+        read.append((message._timestamp - EPOCH_US * 1e-6, bytes(message.get_msgbuf())))
+    log.close()
+    return read
+
+
 def test_pymavlink_reads_every_frame_of_the_log_at_its_time(folder: RunFolder) -> None:
     stamped = frames()
     folder.frames(stamped[:7])
     folder.frames([])
     folder.frames(stamped[7:])
-    log = mavutil.mavlink_connection(str(folder.path / "flight.tlog"), dialect="all")
-    read = []
-    while (message := log.recv_match()) is not None:
-        read.append((message._timestamp - EPOCH_US * 1e-6, bytes(message.get_msgbuf())))
-    log.close()
+    read = recorded(folder.path)
     close(folder)
     assert [frame for _, frame in read] == [frame for _, frame in stamped]
     for (time_s, _), (expected_s, _) in zip(read, stamped, strict=True):
@@ -149,3 +163,248 @@ def test_a_place_that_cannot_be_a_folder_is_an_input_error(tmp_path: Path) -> No
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(InputError, match=r"--out = .*cannot be written to.*Give a folder"):
         RunFolder(tmp_path / "file", mission_toml="", epoch_us=0)
+
+
+# --- a restart in flight
+
+
+def known_map() -> KnownMap:
+    blank = empty_map(25.0, (-100.0, 150.0), (-50.0, 50.0))
+    upper_m = blank.upper_m.copy()
+    upper_m[1, 2] = 512.25
+    return replace(blank, upper_m=upper_m, registration_m=1.5)
+
+
+def assert_same_map(found: KnownMap | None, expected: KnownMap) -> None:
+    assert found is not None
+    for each in fields(KnownMap):
+        np.testing.assert_array_equal(getattr(found, each.name), getattr(expected, each.name))
+
+
+def again(folder: RunFolder, *, epoch_us: int = 1) -> RunFolder:
+    """The folder of the same flight, by a companion that was started again."""
+    return RunFolder(folder.path, mission_toml="another", epoch_us=epoch_us, resume=True)
+
+
+def test_a_checkpoint_and_the_known_map_come_back_as_they_were(folder: RunFolder) -> None:
+    values = {"phase": "FLYING", "leg": [[1.5, -2.25, 3000.0]], "none": None, "back": []}
+    folder.known_map(known_map())
+    folder.checkpoint({"phase": "earlier"})
+    folder.checkpoint(values)
+    found = read_checkpoint(folder.path)
+    assert found is not None
+    assert found.values == values
+    assert_same_map(found.known, known_map())
+
+
+def test_a_folder_without_a_checkpoint_says_so(folder: RunFolder) -> None:
+    assert read_checkpoint(folder.path) is None
+    folder.checkpoint({})
+    found = read_checkpoint(folder.path)
+    assert found == ({}, None)
+
+
+@pytest.mark.parametrize("torn", [b"", b"{", b"[]", b'{"schema":"other"}', b"\xff\xfe", b"null"])
+def test_a_checkpoint_that_is_none_is_not_taken_for_one(folder: RunFolder, torn: bytes) -> None:
+    folder.checkpoint({})
+    (folder.path / "resume.json").write_bytes(torn)
+    assert read_checkpoint(folder.path) is None
+
+
+@pytest.mark.parametrize("length", [0, 1, 30, 200, -60, -1])
+def test_a_known_map_that_is_torn_is_none(folder: RunFolder, length: int) -> None:
+    folder.known_map(known_map())
+    folder.checkpoint({})
+    file = folder.path / "known.npz"
+    file.write_bytes(file.read_bytes()[:length])
+    found = read_checkpoint(folder.path)
+    assert found is not None
+    assert found.known is None
+
+
+def test_a_restart_goes_on_after_the_last_whole_record_and_line(folder: RunFolder) -> None:
+    """Whatever moment the first companion was killed at: here every length of its last record."""
+    stamped = frames()[:40]
+    folder.header({"seed": 1})
+    folder.frames(stamped[:-1])
+    folder.entries([{"t_s": 0.1, "kind": "x"}])
+    whole_log = (folder.path / "flight.tlog").read_bytes()
+    whole_journal = (folder.path / "journal.jsonl").read_bytes()
+    folder.frames(stamped[-1:])
+    folder.entries([{"t_s": 0.2, "kind": "torn"}])
+    log = (folder.path / "flight.tlog").read_bytes()
+    journal = (folder.path / "journal.jsonl").read_bytes()
+    close(folder)
+    for length in range(len(log) - len(whole_log)):
+        (folder.path / "flight.tlog").write_bytes(log[: len(whole_log) + length])
+        cut = min(len(whole_journal) + length, len(journal) - 1)
+        (folder.path / "journal.jsonl").write_bytes(journal[:cut])
+        close(again(folder))
+        assert (folder.path / "flight.tlog").read_bytes() == whole_log
+        assert (folder.path / "journal.jsonl").read_bytes() == whole_journal
+
+
+@pytest.mark.parametrize("with_checkpoint", [False, True])
+def test_what_a_restart_records_follows_what_was_there_at_the_same_epoch(
+    folder: RunFolder, with_checkpoint: bool
+) -> None:
+    stamped = frames()
+    folder.header({"seed": 1})
+    folder.frames(stamped[:100])
+    if with_checkpoint:
+        folder.checkpoint({})
+    folder.frames(stamped[100:200])
+    close(folder)
+    with (folder.path / "flight.tlog").open("ab") as file:
+        file.write(b"\0\0\0\0\0\0\0\1\xfd\x1c\0")
+    resumed = again(folder, epoch_us=EPOCH_US + (0 if not with_checkpoint else 77))
+    resumed.header({"seed": 1})
+    resumed.frames(stamped[200:])
+    resumed.entries([{"t_s": 12.0, "kind": "x"}])
+    close(resumed)
+    assert [frame for _, frame in recorded(folder.path)] == [frame for _, frame in stamped]
+    for (time_s, _), (expected_s, _) in zip(recorded(folder.path), stamped, strict=True):
+        assert time_s == pytest.approx(expected_s, abs=1e-5)
+    lines = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+    heads = [strict(line) for line in lines if "schema" in line]
+    assert [head.get("resumed") for head in heads] == [None, 1]
+    assert (folder.path / "mission.toml").read_text(encoding="utf-8") == 'name = "é"\n'
+
+
+def test_every_restart_is_counted(folder: RunFolder) -> None:
+    folder.checkpoint({})
+    close(folder)
+    for number in (1, 2, 3):
+        resumed = again(folder)
+        resumed.header({})
+        resumed.checkpoint({})
+        close(resumed)
+        last = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()[-1]
+        assert strict(last)["resumed"] == number
+
+
+def test_to_resume_what_has_not_begun_is_to_begin_it(tmp_path: Path) -> None:
+    with RunFolder(tmp_path / "new", mission_toml="m", epoch_us=5, resume=True) as folder:
+        folder.header({})
+        assert folder.epoch_us == 5
+    [line] = (tmp_path / "new" / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+    assert "resumed" not in strict(line)
+
+
+def test_records_of_all_kinds_of_frames_are_told_apart(tmp_path: Path) -> None:
+    """MAVLink 1 and 2, signed and not: each ends where the next begins."""
+    codec = wire.MAVLink(None, srcSystem=1, srcComponent=1)
+    kinds = []
+    for version_1, key in ((True, None), (False, None), (False, b"k" * 32)):
+        codec.signing.secret_key, codec.signing.sign_outgoing = key, key is not None
+        beat = wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+        kinds.append(beat.pack(codec, force_mavlink1=version_1))
+    assert len({len(frame) for frame in kinds}) == 3
+    log = b"".join(struct.pack(">Q", EPOCH_US) + frame for frame in kinds * 3)
+    path = tmp_path / "log"
+    ends = {0}
+    for frame in kinds * 3:
+        ends.add(max(ends) + 8 + len(frame))
+    for length in range(len(log) + 1):
+        path.write_bytes(log[:length])
+        assert whole_records(path) == max(end for end in ends if end <= length)
+    path.write_bytes(log)
+    assert all(whole_records(path, start) == len(log) for start in ends)
+    assert whole_records(path, len(log) + 1) == len(log)
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+import numpy as np
+from companion.telemetry.run_folder import RunFolder
+from companion.world.known_map import empty_map
+from dataclasses import replace
+blank = empty_map(25.0, (-2e3, 2e3), (-2e3, 2e3))
+rng = np.random.default_rng(1)
+with RunFolder(Path(sys.argv[1]), mission_toml="", epoch_us=0, resume=True) as folder:
+    folder.header({})
+    number = 0
+    while True:
+        number += 1
+        folder.frames([(number * 0.05, bytes([0xFD, 9] + [0] * 19))] * 20)
+        folder.entries([{"t_s": number, "kind": "x", "text": "y" * 200}])
+        folder.known_map(replace(blank, upper_m=rng.random(blank.upper_m.shape)))
+        folder.checkpoint({"number": number, "long": ["z" * 100] * 50})
+        if number == 1:
+            print("ready", flush=True)
+"""
+
+
+def test_a_kill_at_any_moment_leaves_a_whole_checkpoint_map_and_record(tmp_path: Path) -> None:
+    rng = random.Random(3)
+    for _ in range(8):
+        child = subprocess.Popen([sys.executable, "-c", KILLED, tmp_path], stdout=subprocess.PIPE)
+        with child:
+            assert child.stdout is not None
+            assert child.stdout.readline() == b"ready\n"
+            threading.Event().wait(rng.uniform(0.0, 0.1))
+            child.kill()
+        found = read_checkpoint(tmp_path)
+        assert found is not None
+        assert found.known is not None
+        assert found.values["long"] == ["z" * 100] * 50
+    with RunFolder(tmp_path, mission_toml="", epoch_us=0, resume=True):
+        pass
+    assert (tmp_path / "flight.tlog").stat().st_size % (8 + 21) == 0
+    text = (tmp_path / "journal.jsonl").read_text(encoding="utf-8")
+    assert text.endswith("\n")
+    assert all(strict(line) for line in text.splitlines())
+
+
+# --- a disk that is full
+
+FULL = """
+import resource, sys
+from pathlib import Path
+from companion.telemetry.run_folder import RunFolder
+most = int(sys.argv[2])
+with RunFolder(Path(sys.argv[1]), mission_toml="", epoch_us=0) as folder:
+    folder.header({})
+    folder.checkpoint({"number": 0})
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+    number = 0
+    while folder.failure is None:
+        number += 1
+        folder.frames([(number * 0.05, bytes([0xFD, 9] + [0] * 19))] * 7)
+        folder.entries([{"t_s": number, "kind": "x"}])
+    print(folder.failure)
+    folder.frames([(0.0, bytes([0xFD, 9] + [0] * 19))])
+    folder.checkpoint({"number": 1, "long": "x" * most})
+    folder.run_json({})
+"""
+
+
+@pytest.mark.parametrize("most", [4096, 5000, 5001, 5013])
+def test_a_full_disk_leaves_whole_records_and_the_checkpoint_before(
+    tmp_path: Path, most: int
+) -> None:
+    command = [sys.executable, "-c", FULL, tmp_path, str(most)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout == "File too large\n"
+    size = (tmp_path / "flight.tlog").stat().st_size
+    assert size % (8 + 21) == 0
+    assert most - size < 8 + 21
+    text = (tmp_path / "journal.jsonl").read_text(encoding="utf-8")
+    assert all(strict(line) for line in text.splitlines())
+    found = read_checkpoint(tmp_path)
+    assert found is not None
+    assert found.values == {"number": 0}
+    assert sorted(each.name for each in tmp_path.iterdir()) == [
+        "flight.tlog",
+        "journal.jsonl",
+        "mission.toml",
+        "resume.json",
+    ]
+
+
+def test_facts_of_the_runtime_end_up_in_run_json(folder: RunFolder) -> None:
+    folder.facts["latency"] = {"gap_max_ms": math.inf}
+    folder.run_json({"plans_s": [0.5]})
+    text = (folder.path / "run.json").read_text(encoding="utf-8")
+    assert strict(text) == {"plans_s": [0.5], "latency": {"gap_max_ms": None}}

@@ -12,7 +12,7 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform
 from companion.geodesy import FloatArray
 from companion.views import figure as views
 from companion.views.figure import DPI, SIZE_IN, FlightFigure, TerrainPicture, compose, draw
-from companion.world.threats import CircleKeepOut, PolygonKeepOut, Radar
+from companion.world.threats import CircleZone, PolygonZone, Radar
 
 CELL_M = 25.0
 
@@ -43,9 +43,9 @@ def a_flight() -> FlightFigure:
         legs_nea_m=(first, second),
         scans_nea_m=((500.0, 500.0, 520.0), (1500.0, 1250.0, 550.0)),
         radars=(Radar(name="r", centre_nea_m=(4000.0, 1000.0, 100.0), range_m=700.0),),
-        keep_outs=(
-            CircleKeepOut(name="c", north_m=800.0, east_m=3500.0, radius_m=400.0),
-            PolygonKeepOut(name="p", vertices_ne_m=((4500, 3000), (4900, 3100), (4700, 3500))),
+        zones=(
+            CircleZone(name="c", north_m=800.0, east_m=3500.0, radius_m=400.0),
+            PolygonZone(name="p", vertices_ne_m=((4500, 3000), (4900, 3100), (4700, 3500))),
         ),
     )
 
@@ -119,7 +119,7 @@ def test_the_profile_shows_the_terrain_under_the_path_and_the_path_over_it() -> 
 def test_a_radar_shades_the_profile_only_where_the_path_is_within_its_range() -> None:
     centre = (1500.0, 1250.0, 550.0)  # on the path, halfway along its first leg
     near = replace(
-        a_flight(), radars=(Radar(name="near", centre_nea_m=centre, range_m=300.0),), keep_outs=()
+        a_flight(), radars=(Radar(name="near", centre_nea_m=centre, range_m=300.0),), zones=()
     )
     profile = axes_of(near)["profile"]
     shade = next(c for c in reversed(profile.collections) if c.get_paths())
@@ -149,7 +149,7 @@ def test_known_ground_is_not_called_unknown() -> None:
 def test_there_is_a_picture_when_nothing_is_known_planned_or_flown(tmp_path: Path) -> None:
     flight = replace(unknown(a_flight(), np.s_[:], math.inf), legs_nea_m=(), scans_nea_m=())
     draw(flight, tmp_path / "flight.png")
-    draw(replace(flight, radars=(), keep_outs=(), caption=""), tmp_path / "flight.png")
+    draw(replace(flight, radars=(), zones=(), caption=""), tmp_path / "flight.png")
 
 
 def test_the_flown_track_is_drawn_at_the_nearest_place_of_the_path() -> None:

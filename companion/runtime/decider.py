@@ -1,0 +1,217 @@
+"""The part that decides: hands the session what happened, and carries out what it wants."""
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import final
+
+from companion.mavlink.outbox import Output
+from companion.mavlink.signing import strip_signature
+from companion.planner.request import Planned
+from companion.runtime.latency import StreamTimes
+from companion.runtime.link import Link
+from companion.runtime.parts import (
+    POLL_S,
+    Datagram,
+    Inbox,
+    Item,
+    Lost,
+    PlanMade,
+    Planning,
+    Reader,
+)
+from companion.runtime.recorder import Batch, Writer
+from companion.runtime.watchdog import Clock, Gate, Part, Watchdog, is_setpoint
+from companion.session import Session
+from companion.telemetry.flown import Flown
+
+_SILENCE_S = 0.2
+_LOCKSTEP_SILENCE_S = 30.0  # the simulator is busy, or has ended
+_LOCKSTEP_NOBODY_S = 10.0
+_STALE_S = 0.5  # a datagram that has waited so long tells of the past
+_SETTLE_S = 3.0  # for the vehicle to confirm the mode in which it is left
+_TRACK_S = 0.5
+_MOST_TRACK = 20_000  # points; of a longer flight every second one, and so on
+_MOST_PLANS = 2_000
+_RESERVE_S = 10.0
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Decider:
+    """Hands the session what happened, and carries out what it wants."""
+
+    session: Session
+    flown: Flown
+    link: Link
+    gate: Gate
+    inbox: Inbox
+    reader: Reader
+    planning: Planning
+    writer: Writer
+    watchdog: Watchdog
+    times: StreamTimes
+    lockstep: bool
+    stop_asked: Callable[[], bool]
+    clock: Clock
+    part: Part = field(default_factory=lambda: Part("decider"))
+    ended: threading.Event = field(default_factory=threading.Event)
+    _leaving: threading.Event = field(default_factory=threading.Event)
+    _stopping: bool = False
+    _began_s: float = math.nan
+    _heard_s: float = math.nan
+    _turned_s: float = math.nan
+    _arrived_s: float | None = None
+    _track_at_s: float = -math.inf
+    _track_every_s: float = _TRACK_S
+    _reserve_at_s: float = -math.inf
+    _ended_s: float | None = None
+
+    def leave(self) -> None:
+        """End soon."""
+        self._leaving.set()
+
+    def run(self) -> None:
+        """Fly until the mission ends, or until told to leave."""
+        self._began_s = self._heard_s = self.clock()
+        try:
+            if not self.lockstep:
+                self.session.silence(0.0)  # the first heartbeat waits for nobody
+            while self.flown.end is None and not self._leaving.is_set():
+                self._turn()
+            self._carry_out(self.session.farewell())
+        finally:
+            self.ended.set()
+
+    def _turn(self) -> None:
+        if self.lockstep:
+            self.reader.once(POLL_S)
+        self._take(0.0 if self.lockstep else POLL_S)
+        out = self.session.run()
+        while out.awaits_plan and not self._leaving.is_set():
+            self._carry_out(out)
+            self._take(POLL_S)
+            self._heard_s = self.clock()  # the vehicle was not silent: it was made to wait
+            out = self.session.run()
+        self._carry_out(out)
+        if self.flown.heard:
+            self.flown.elapsed_s = self.clock() - self._began_s
+
+    def _take(self, timeout_s: float) -> None:
+        """Tell the session what has happened; wait so long for something to."""
+        self.part.beat(self.gate.stall_limit_s())
+        items = self.inbox.take(timeout_s)
+        now_s = self.clock()
+        self._arrived_s, self._turned_s = None, now_s
+        for item in items:
+            self._on_item(item, now_s)
+        silent_s = now_s - self._heard_s
+        if silent_s >= self._quiet_s():
+            self.session.silence(silent_s)
+        if not self._stopping and self.stop_asked():
+            self._stopping = True
+            self.session.stop()
+
+    def _quiet_s(self) -> float:
+        """How long a silence is none yet."""
+        if not self.lockstep:
+            return _SILENCE_S
+        return _LOCKSTEP_SILENCE_S if self.flown.heard else _LOCKSTEP_NOBODY_S
+
+    def _on_item(self, item: Item, now_s: float) -> None:
+        match item:
+            case Datagram():
+                if self.lockstep or now_s - item.at_s < _STALE_S:
+                    self._on_datagram(item)
+            case PlanMade() if item.number < self.planning.newest:
+                pass
+            case PlanMade():
+                self.flown.plans_s.append(item.took_s)
+                if isinstance(item.outcome, Planned):
+                    self.flown.plans.append(item.outcome)
+                self._forget()
+                self.session.deliver(item.outcome)
+            case Lost(failure=failure, vital=True):
+                self.session.part_died(failure.part, failure.error)
+            case Lost(failure=failure):
+                self.session.recording_stopped(failure.error)
+
+    def _on_datagram(self, datagram: Datagram) -> None:
+        if self._arrived_s is None:
+            self._arrived_s = datagram.at_s
+        if not self.session.receive(datagram.data, datagram.at_s):
+            return
+        self.link.answer_to(datagram.sender)
+        self.times.heard(datagram.at_s)
+        if not self.flown.heard:
+            self.flown.heard, self._began_s = True, datagram.at_s
+        self._heard_s = datagram.at_s
+
+    def _carry_out(self, out: Output) -> None:
+        frames = out.frames if self.lockstep else newest_setpoint(out.frames)
+        self._send(frames, out)
+        self.writer.put(
+            Batch(
+                record=out.record,
+                journal=out.journal,
+                checkpoint=out.checkpoint,
+                known=out.known,
+            )
+        )
+        if out.plan is not None:
+            self.flown.scans_nea_m.append(out.plan.scan_nea_m)
+            self.planning.ask(out.plan)
+        if out.end is not None:
+            self._on_end(out)
+        self._note_track()
+
+    def _note_track(self) -> None:
+        here, now_s = self.session.state.vehicle.position_nea_m, self.session.now_s
+        if here is not None and now_s - self._track_at_s >= self._track_every_s:
+            self._track_at_s = now_s
+            self.flown.track_nea_m.append(here)
+            if len(self.flown.track_nea_m) > _MOST_TRACK:
+                self._track_every_s *= 2.0
+                del self.flown.track_nea_m[1::2]
+
+    def _forget(self) -> None:
+        """A flight of days takes no more memory than one of hours: the journal has it all."""
+        for grown in (self.flown.plans, self.flown.plans_s, self.flown.scans_nea_m):
+            del grown[:-_MOST_PLANS]
+
+    def _send(self, frames: list[bytes], out: Output) -> None:
+        """Send, and leave out of the record what was not sent."""
+        sent = frames if not frames or self.gate.send(frames) else []
+        if len(sent) < len(out.frames):
+            kept = set(sent)
+            unsent = {strip_signature(each) for each in out.frames if each not in kept}
+            out.record = [each for each in out.record if each[1] not in unsent]
+        now_s = self.clock()
+        self.times.turns.add(now_s - self._turned_s)
+        if any(entry["kind"] == "phase" for entry in out.journal):
+            self.times.paused()
+            self._reserve_at_s = -math.inf
+        if any(map(is_setpoint, sent)):
+            self.times.sent(now_s, self._arrived_s)
+        if now_s - self._reserve_at_s >= _RESERVE_S:
+            self._reserve_at_s = now_s
+            self.watchdog.reserve(self.session.hold_frames())
+
+    def _on_end(self, out: Output) -> None:
+        """The mission is over, once the vehicle has confirmed how it is left."""
+        if self._ended_s is None:
+            self._ended_s = self.clock()
+        patience_s = 0.0 if self.gate.is_shut else _SETTLE_S
+        if out.settled or self.clock() - self._ended_s > patience_s:
+            self.flown.end = out.end
+
+
+def newest_setpoint(frames: list[bytes]) -> list[bytes]:
+    """Frames without the setpoints that a newer one among them replaces.
+
+    A companion that was held up has several positions to answer; only the last answer counts.
+    """
+    places = [place for place, frame in enumerate(frames) if is_setpoint(frame)]
+    stale = set(places[:-1])
+    return [frame for place, frame in enumerate(frames) if place not in stale] if stale else frames

@@ -1,0 +1,173 @@
+"""The parts of a flight that hear and plan, each in a thread of its own: reader and planning.
+
+Each does one thing that may take its time, so that nothing else has to wait for it, and tells the
+decider of it through the inbox.  In lockstep the decider reads and writes by itself: there the
+vehicle waits.
+"""
+
+import contextlib
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+from companion.planner.request import PlanOutcome, PlanRequest
+from companion.runtime.compiler import Planner
+from companion.runtime.link import Link
+from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
+from companion.runtime.watchdog import Clock, Failure, Gate, Part
+
+Answer = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
+"""Answers a request; the second argument tells it when to stop searching."""
+
+POLL_S = 0.05
+_MOST_WAITING = 5000  # datagrams: what comes on top of them is as good as lost on the way
+_SEARCHING = 0.8  # of T: the rest is for the proof
+_PLANNER_STARTS_S = 60.0
+_PLANNER_SLACK_S = 5.0  # on top of T: the plan is late long before, and dead only now
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Datagram:
+    """Bytes that arrived, from whom and when."""
+
+    data: bytes
+    sender: object
+    at_s: float
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class PlanMade:
+    """The answer to a plan request, counted from 1."""
+
+    number: int
+    outcome: PlanOutcome
+    took_s: float
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """A part is gone; a vital one has stopped the stream already."""
+
+    failure: Failure
+    vital: bool
+
+
+Item = Datagram | PlanMade | Lost
+
+
+@final
+class Inbox:
+    """What the decider has to deal with, in the order in which it happened."""
+
+    def __init__(self) -> None:
+        self._items: queue.SimpleQueue[Item] = queue.SimpleQueue()
+
+    def put(self, item: Item) -> None:
+        """Add an item; a datagram is dropped if the decider is hopelessly behind."""
+        if not isinstance(item, Datagram) or self._items.qsize() < _MOST_WAITING:
+            self._items.put(item)
+
+    def take(self, timeout_s: float, most: int = 64) -> list[Item]:
+        """The items that are there; if there is none, the next one, if it comes in time."""
+        items: list[Item] = []
+        with contextlib.suppress(queue.Empty):
+            items.append(self._items.get(block=timeout_s > 0.0, timeout=timeout_s or None))
+            while len(items) < most:
+                items.append(self._items.get_nowait())
+        return items
+
+
+@final
+class Reader:
+    """Receives, and notes when."""
+
+    def __init__(self, link: Link, inbox: Inbox, gate: Gate, clock: Clock) -> None:
+        self.part = Part("reader")
+        self._link, self._inbox, self._gate, self._clock = link, inbox, gate, clock
+        self._leaving = threading.Event()
+
+    def run(self) -> None:
+        """Receive until told to leave; whatever the link raises ends it."""
+        while not self._leaving.is_set():
+            self.once(POLL_S)
+
+    def once(self, timeout_s: float) -> None:
+        """Wait so long for one datagram."""
+        self.part.beat(self._gate.stall_limit_s())
+        data = self._link.receive(timeout_s)
+        if data is not None:
+            self._inbox.put(Datagram(data, self._link.sender, self._clock()))
+
+    def leave(self) -> None:
+        """End soon."""
+        self._leaving.set()
+
+
+# --- planning
+
+
+@final
+class Planning:
+    """Has plans made, one at a time."""
+
+    def __init__(self, planner: Answer, inbox: Inbox, *, lockstep: bool) -> None:
+        self.part = Part("planner")
+        self._planner, self._inbox, self._lockstep = planner, inbox, lockstep
+        self._requests: queue.SimpleQueue[PlanRequest | PlannerEndedError | None] = (
+            queue.SimpleQueue()
+        )
+        self.newest = 0
+        """Number of the last request: an answer to an earlier one is not waited for."""
+        self._left = False
+
+    def ask(self, request: PlanRequest) -> None:
+        """Have this computed; what is being computed now need not be searched any longer."""
+        self.newest += 1
+        self._requests.put(request)
+
+    def run(self) -> None:
+        """Answer until told to leave; whatever the planner raises ends it."""
+        self._prepare()
+        self.part.rest()
+        asked = 0
+        while (request := self._requests.get()) is not None:
+            if isinstance(request, PlannerEndedError):
+                raise request
+            asked += 1
+            self.part.beat(request.task.settings.planning_time_s + _PLANNER_SLACK_S)
+            began_s = time.perf_counter()
+            outcome = self._planner(request, self._enough(request, asked, began_s))
+            self.part.rest()
+            self._inbox.put(PlanMade(asked, outcome, time.perf_counter() - began_s))
+
+    def leave(self) -> None:
+        """End, in the middle of a plan if the planner lets itself be ended."""
+        self._left = True
+        self._requests.put(None)
+        if isinstance(self._planner, PlannerProcess):
+            self._planner.close()
+
+    def _prepare(self) -> None:
+        if isinstance(self._planner, PlannerProcess):
+            self.part.beat(_PLANNER_STARTS_S)
+            self._planner.on_end = self._requests.put
+            try:
+                self._planner.start()
+            except OSError:  # no room for another process
+                self._planner = Planner(lockstep=False)
+        if isinstance(self._planner, Planner):
+            self._planner.start()
+
+    def _enough(self, request: PlanRequest, number: int, began_s: float) -> Callable[[], bool]:
+        """When to stop searching: before T is over in real time, and if nobody waits for it."""
+        due_s = began_s + _SEARCHING * request.task.settings.planning_time_s
+        return lambda: (
+            self._left
+            or (not self._lockstep and (time.perf_counter() > due_s or number < self.newest))
+        )

@@ -1,0 +1,175 @@
+"""Plans in a process of its own: no plan ever holds up a setpoint, and one that hangs is ended.
+
+In one process with the stream it would: where numba is absent, scipy's Dijkstra holds the
+interpreter for 0.2 s on a desktop computer, and for a second on a small one.
+
+The two talk in pickles over the child's standard input and output: questions and "enough" in,
+"ready" and answers out.  A child whose parent has died reads the end of its input, and ends.
+"""
+
+import contextlib
+import os
+import pickle
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from typing import IO, Any, final
+
+from companion.planner.request import PlanOutcome, PlanRequest
+from companion.runtime.compiler import Planner
+
+_LOOK_S = 0.02
+_READY = "ready"
+
+
+class PlannerEndedError(Exception):
+    """The process that plans is gone, or cannot plan."""
+
+
+@final
+class PlannerProcess:
+    """Answers plan requests as `Planner` does, from another process."""
+
+    def __init__(self, module: str = "companion.runtime.planner_process") -> None:
+        """module: what the process runs."""
+        self._module = module
+        self._child: subprocess.Popen[bytes] | None = None
+        self._answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.on_end: Callable[[PlannerEndedError], None] = lambda _error: None
+        """Told at once, in a thread of its own, when the process has ended."""
+        self.is_ready = False
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process, once there is one."""
+        return None if self._child is None else self._child.pid
+
+    def start(self) -> None:
+        """Start the process and come back when it is ready; PlannerEndedError if it cannot be."""
+        places = os.pathsep.join(place for place in sys.path if place)
+        self._child = subprocess.Popen(
+            [sys.executable, "-P", "-m", self._module],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": places},
+            start_new_session=True,  # Ctrl-C is the parent's to decide about
+        )
+        threading.Thread(target=self._listen, args=(self._child,), daemon=True).start()
+        if (word := self._answers.get()) != _READY:
+            raise PlannerEndedError(str(word))
+        self.is_ready = True
+
+    def __call__(self, request: PlanRequest, stop: Callable[[], bool]) -> PlanOutcome:
+        """One plan; PlannerEndedError if the process does not survive it."""
+        if self._child is None:
+            self.start()
+        self._say(request)
+        stopped = False
+        while True:
+            try:
+                answer = self._answers.get(timeout=_LOOK_S)
+            except queue.Empty:
+                if not stopped and stop():
+                    stopped = True
+                    self._say(request.plan_id)
+                continue
+            if isinstance(answer, PlannerEndedError):
+                raise answer
+            outcome: PlanOutcome = answer
+            return outcome
+
+    def close(self) -> None:
+        """End the process, whatever it does."""
+        child = self._child
+        if child is not None:
+            child.kill()
+            child.wait()
+            for pipe in (child.stdin, child.stdout):
+                if pipe is not None:
+                    with contextlib.suppress(OSError):
+                        pipe.close()
+
+    def _say(self, word: PlanRequest | int) -> None:
+        assert self._child is not None
+        assert self._child.stdin is not None
+        with contextlib.suppress(OSError):  # the listener has noticed
+            self._child.stdin.write(pickle.dumps(word, pickle.HIGHEST_PROTOCOL))
+            self._child.stdin.flush()
+
+    def _listen(self, child: subprocess.Popen[bytes]) -> None:
+        assert child.stdout is not None
+        try:
+            while True:
+                self._answers.put(pickle.load(child.stdout))
+        except Exception:  # noqa: BLE001 - however the stream ends, the child is of no use
+            ended = PlannerEndedError(f"its process has ended ({_how(child)})")
+            self._answers.put(ended)
+            self.on_end(ended)
+
+
+def _how(child: subprocess.Popen[bytes]) -> str:
+    try:
+        code = child.wait(timeout=1.0)
+    except subprocess.TimeoutExpired:
+        return "it says nothing that can be read"
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return signal.Signals(-code).name
+    except ValueError:
+        return f"signal {-code}"
+
+
+# --- the child
+
+
+def main() -> None:
+    """Answer requests until the input ends."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, who says farewell
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # whatever prints must not end up among the answers
+    planner = Planner(lockstep=False)
+    planner.start()
+    questions: queue.SimpleQueue[PlanRequest | None] = queue.SimpleQueue()
+    enough: set[int] = set()
+    threading.Thread(target=_hear, args=(sys.stdin.buffer, questions, enough), daemon=True).start()
+    with contextlib.suppress(BrokenPipeError):
+        _tell(answers, _READY)
+        while (request := questions.get()) is not None:
+            _tell(answers, _answer(planner, request, enough))
+
+
+def _answer(
+    planner: Planner, request: PlanRequest, enough: set[int]
+) -> PlanOutcome | PlannerEndedError:
+    try:
+        return planner(request, lambda: request.plan_id in enough)
+    except Exception as error:  # noqa: BLE001 - the parent puts the vehicle on hold
+        return PlannerEndedError(f"{type(error).__name__}: {error}")
+
+
+def _tell(answers: IO[bytes], word: object) -> None:
+    answers.write(pickle.dumps(word, pickle.HIGHEST_PROTOCOL))
+    answers.flush()
+
+
+def _hear(
+    words: IO[bytes], questions: "queue.SimpleQueue[PlanRequest | None]", enough: set[int]
+) -> None:
+    try:
+        while True:
+            word = pickle.load(words)
+            if isinstance(word, int):
+                enough.add(word)
+            else:
+                questions.put(word)
+    except Exception:  # noqa: BLE001 - the parent has ended, however it ended
+        questions.put(None)
+        os._exit(0)  # even in the middle of a plan
+
+
+if __name__ == "__main__":
+    main()

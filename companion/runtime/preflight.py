@@ -1,0 +1,91 @@
+"""Asks a vehicle everything that a flight depends on, and nothing more: it is never armed."""
+
+import time
+from collections.abc import Callable
+from typing import Final, final
+
+from companion.mission.events import Item
+from companion.mission.health import distrust
+from companion.mission.state import Phase
+from companion.runtime.link import Link
+from companion.session import Session
+
+_POLL_S: Final = 0.1
+_DEADLINE_S: Final = 60.0
+_SILENT_S: Final = 10.0
+_LEAST_S: Final = 1.5  # after everything was answered: one link delay more is measured
+_MOST_S: Final = 5.0  # for rates and delays that do not come
+_SCAN_S: Final = 20.0
+
+
+def look_at(
+    session: Session,
+    link: Link,
+    *,
+    stop_asked: Callable[[], bool],
+    on_progress: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Run a session that only watches until all was answered, or there is no more hope of it.
+
+    on_progress: hears what is waited for, in words, whenever that changes.
+    """
+    began_s = heard_s = time.monotonic()
+    looker = _Looker(session)
+    said = ""
+    while not stop_asked():
+        data, now_s = link.receive(_POLL_S), time.monotonic()
+        if data is not None and session.receive(data, now_s):
+            heard_s = now_s
+            link.answer_to(link.sender)
+        else:
+            session.silence(now_s - heard_s)
+        link.send(session.run().frames)
+        if now_s - heard_s > _SILENT_S or now_s - began_s > _DEADLINE_S:
+            return
+        if looker.is_done(now_s) or session.state.phase is Phase.DONE:
+            return
+        if (waiting := waiting_for(session)) != said:
+            said = waiting
+            on_progress(said)
+
+
+@final
+class _Looker:
+    """When there is nothing more to wait for.  Has the radar look, once."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._looked_s: float | None = None
+        self._ready_s: float | None = None
+
+    def is_done(self, now_s: float) -> bool:
+        session = self._session
+        state, vehicle = session.state, session.vehicle
+        if self._looked_s is None and state.vehicle.position_nea_m and state.targets_ne_m:
+            self._looked_s = now_s
+            session.look_around()
+        if vehicle is None or waiting_for(session):
+            return False
+        if self._ready_s is None:
+            self._ready_s = now_s
+        waited_s = now_s - self._ready_s
+        looks = self._looked_s is not None and session.last_scan is None
+        if looks and self._looked_s is not None and now_s - self._looked_s < _SCAN_S:
+            return False
+        settled = not vehicle.streams.missing and vehicle.round_trip_s is not None
+        return waited_s > (_LEAST_S if settled else _MOST_S)
+
+
+def waiting_for(session: Session) -> str:
+    """What has not been answered yet, in words; empty: nothing."""
+    state, vehicle = session.state, session.vehicle
+    if vehicle is None:
+        return "the vehicle's heartbeat"
+    answered = {Item.PARAMETERS: vehicle.parameters.is_done, Item.PLANS: vehicle.plans.is_done}
+    waits = [item.value for item in Item if not answered[item]]  # refused or not
+    if state.vehicle.home_nea_m is None:
+        waits.append("home")
+    distrusted = distrust(state.vehicle, state.now_s, state.task.limits)
+    if distrusted is not None:
+        waits.append(f"its position ({distrusted.text})")
+    return ", ".join(waits)

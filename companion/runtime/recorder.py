@@ -1,0 +1,179 @@
+"""The part that records: the run folder is written by it alone while a flight lasts."""
+
+import contextlib
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol, final
+
+from companion.runtime.watchdog import Clock, Failure, Part
+from companion.telemetry.run_folder import RunFolder
+from companion.world.known_map import KnownMap
+
+_DISK_S = 2.0
+_MOST_UNWRITTEN = 32 * 2**20  # bytes
+_ENTRY_BYTES = 500  # what a journal entry takes, about
+_PERSIST_S = 30.0
+_LEAVE_S = 5.0
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Batch:
+    """What one turn of the session leaves to be recorded."""
+
+    record: list[tuple[float, bytes]] = field(default_factory=list)
+    journal: list[dict[str, Any]] = field(default_factory=list)
+    checkpoint: dict[str, Any] | None = None
+    known: KnownMap | None = None
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to do."""
+        return not (self.record or self.journal or self.checkpoint or self.known)
+
+    @property
+    def size(self) -> int:
+        """Bytes, about."""
+        frames = sum(len(frame) for _, frame in self.record)
+        return frames + _ENTRY_BYTES * len(self.journal)
+
+
+class Writer(Protocol):
+    """Where batches go."""
+
+    def put(self, batch: Batch) -> None:
+        """Record it, now or soon."""
+        ...
+
+    def close(self) -> None:
+        """Have everything written that can be."""
+        ...
+
+
+@final
+class Recorder:
+    """Writes batches into the run folder."""
+
+    def __init__(self, folder: RunFolder, clock: Clock, persist: Callable[[], None] | None) -> None:
+        """persist: called every 30 s and at the end."""
+        self.folder = folder
+        self._clock, self._persist = clock, persist
+        self._persisted_s = clock()
+
+    def write(self, batch: Batch) -> None:
+        """Write a batch: the map before the checkpoint that may build on it."""
+        self.folder.frames(batch.record)
+        self.folder.entries(batch.journal)
+        if batch.known is not None:
+            self.folder.known_map(batch.known)
+        if batch.checkpoint is not None:
+            self.folder.checkpoint(batch.checkpoint)
+        if self._clock() - self._persisted_s >= _PERSIST_S:
+            self.persist()
+
+    def persist(self) -> None:
+        """Keep what must outlive this process."""
+        self._persisted_s = self._clock()
+        if self._persist is not None:
+            self._persist()
+
+
+@final
+class InlineWriter:
+    """Writes at once, in the decider's thread."""
+
+    def __init__(self, recorder: Recorder, on_loss: Callable[[Failure], None]) -> None:
+        self._recorder, self._on_loss = recorder, on_loss
+        self._failed = False
+
+    def put(self, batch: Batch) -> None:
+        """Write it."""
+        if self._failed or batch.is_empty:
+            return
+        try:
+            self._recorder.write(batch)
+        except Exception as error:  # noqa: BLE001 - no recording is worth a flight
+            self._recorder.folder.failure = f"{type(error).__name__}: {error}"
+        if self._recorder.folder.failure is not None:
+            self._failed = True
+            self._on_loss(Failure(part="writer", error=self._recorder.folder.failure))
+
+    def close(self) -> None:
+        """Nothing is waiting."""
+        self._recorder.persist()
+
+
+@final
+class WriterThread:
+    """Writes as soon as the disk lets it, and never makes anybody wait."""
+
+    def __init__(self, recorder: Recorder, on_loss: Callable[[Failure], None]) -> None:
+        self.part = Part("writer", vital=False)
+        self._recorder, self._on_loss = recorder, on_loss
+        self._batches: queue.SimpleQueue[Batch | None] = queue.SimpleQueue()
+        self._put_bytes = self._written_bytes = 0  # each is changed by one thread only
+        self._told = False
+        self._done = threading.Event()
+
+    def put(self, batch: Batch) -> None:
+        """Have it written soon; nothing more is, once too much is waiting."""
+        folder = self._recorder.folder
+        if batch.is_empty or (folder.failure is not None and batch.checkpoint is None):
+            return
+        if self._put_bytes - self._written_bytes > _MOST_UNWRITTEN:
+            folder.failure = "the disk is too slow"
+            return
+        self._put_bytes += batch.size
+        self._batches.put(batch)
+
+    def run(self) -> None:
+        """Write until told to leave."""
+        try:
+            self.part.rest()
+            while (batch := self._next()) is not None:
+                self.part.beat(_DISK_S)
+                self._recorder.write(batch)
+                self._written_bytes += batch.size
+                self.part.rest()
+                self._tell()
+            self._recorder.persist()
+        except BaseException as error:
+            self._recorder.folder.failure = f"{type(error).__name__}: {error}"
+            raise
+        finally:
+            self._done.set()
+
+    def _next(self) -> Batch | None:
+        """All that is waiting, as one batch; None at the end."""
+        first = self._batches.get()
+        if first is None:
+            return None
+        with contextlib.suppress(queue.Empty):
+            while True:
+                more = self._batches.get_nowait()
+                if more is None:
+                    self._batches.put(None)
+                    break
+                first.record += more.record
+                first.journal += more.journal
+                first.checkpoint = more.checkpoint or first.checkpoint
+                first.known = more.known or first.known
+        return first
+
+    def _tell(self) -> None:
+        failure = self._recorder.folder.failure
+        if failure is not None and not self._told:
+            self._told = True
+            self._on_loss(Failure(part="writer", error=failure))
+
+    def close(self) -> None:
+        """Wait until all is written, for as long as the disk still answers."""
+        self._batches.put(None)
+        before = -1
+        while not self._done.wait(_LEAVE_S):
+            if self._written_bytes == before:
+                self._recorder.folder.failure = "the disk does not answer"
+                return
+            before = self._written_bytes

@@ -1,0 +1,272 @@
+"""Never a stream from a dead companion: a watchdog over its parts, and a gate that it can shut.
+
+The parts (planner, reader, decider, writer) beat; one that has died or stands still is noticed
+within _TICK_S of its limit.  Then, within 300 ms of the death, nothing that the session says leaves
+any more, heartbeats included, and the watchdog itself tells the autopilot to hold (design 7,
+mavlink.md C1, C2).  The writer is different: a flight goes on without its recording.
+"""
+
+import contextlib
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+from companion.runtime.link import Link
+
+Clock = Callable[[], float]
+"""Seconds that only ever grow, of this computer."""
+
+STALL_S = 0.2
+"""How long a part may stand still while setpoints are streamed."""
+IDLE_STALL_S = 5.0
+"""The same while none are: a computer that is busy starting up is no danger to anybody."""
+STREAMING_S = 0.4
+"""Setpoints are being streamed if one was sent so recently."""
+_TICK_S = 0.025
+_HOLD_AGAIN_S = (0.0, 0.3, 0.7)
+"""Waits before each time that the hold is sent: a datagram may get lost."""
+_LOCK_S = 0.05
+_SETPOINTS = (84, 86)
+_COMMAND_INT, _REPOSITION = 75, (192).to_bytes(2, "little")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failure:
+    """A part that is gone."""
+
+    part: str
+    error: str
+
+
+@final
+class Part:
+    """One part of the companion, as the watchdog sees it."""
+
+    def __init__(self, name: str, *, vital: bool = True) -> None:
+        self.name, self.vital = name, vital
+        self.limit_s = math.inf
+        self.beats = 0
+        self.still_s = 0.0
+        """For how long the watchdog has seen no beat."""
+        self.seen = 0
+        self.excused_s = 0.0
+        """For how much longer there was none because the computer had no time for it."""
+        self.thread_id: int | None = None
+        """As the operating system knows it, once it runs."""
+        self.processor_ns = 0
+        """How long it had run when the watchdog last looked."""
+
+    def beat(self, limit_s: float) -> None:
+        """Alive; the next beat comes within limit_s."""
+        self.limit_s = limit_s
+        self.beats += 1
+
+    def rest(self) -> None:
+        """Alive, and nothing to do."""
+        self.beat(math.inf)
+
+
+def waits_for_processor(part: Part) -> bool:
+    """Whether a part would run, but other programs have the processors: busy, not dead.
+
+    Ready to run, and its own clock stands still since it was last asked about.  Only Linux tells.
+    """
+    try:
+        task = Path(f"/proc/self/task/{part.thread_id}")
+        ran_ns = int((task / "schedstat").read_text().split()[0])
+        state = (task / "stat").read_text().rpartition(")")[2].split()[0]
+    except (OSError, ValueError, IndexError):
+        return False
+    before_ns, part.processor_ns = part.processor_ns, ran_ns
+    return state == "R" and ran_ns == before_ns
+
+
+@final
+class Gate:
+    """The session's only way to the link.  Shut, it stays shut."""
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        self._link, self._clock = link, clock
+        self._lock = threading.Lock()
+        self._is_shut = False
+        self._streamed_s = -math.inf
+
+    @property
+    def is_shut(self) -> bool:
+        """Whether nothing leaves any more."""
+        return self._is_shut
+
+    def stall_limit_s(self) -> float:
+        """How long a part may stand still now."""
+        return STALL_S if self._clock() - self._streamed_s < STREAMING_S else IDLE_STALL_S
+
+    def send(self, frames: list[bytes]) -> bool:
+        """Send frames; False if the gate is shut and they were dropped."""
+        with self._lock:
+            if self._is_shut:
+                return False
+            self._link.send(frames)
+        if any(map(is_setpoint, frames)):
+            self._streamed_s = self._clock()
+        return True
+
+    def shut(self) -> None:
+        """From now on nothing of the session's leaves; at most what is being sent just now."""
+        self._is_shut = True
+
+    def send_last(self, frames: list[bytes]) -> None:
+        """The watchdog's own frames, through the shut gate; it waits for nobody."""
+        locked = self._lock.acquire(timeout=_LOCK_S)
+        try:
+            self._link.send(frames)
+        finally:
+            if locked:
+                self._lock.release()
+
+
+@final
+class Watchdog:
+    """Looks after the parts in a thread of its own."""
+
+    def __init__(
+        self,
+        gate: Gate,
+        *,
+        clock: Clock,
+        hold_frames: Callable[[], list[bytes]],
+        on_failure: Callable[[Failure, list[bytes]], None],
+        on_loss: Callable[[Failure], None],
+        watches_time: bool = True,
+        waits: Callable[[Part], bool] = waits_for_processor,
+    ) -> None:
+        """A watchdog that is started by start().
+
+        hold_frames: the frames that put the autopilot on hold, made when they are needed.
+        on_failure: told of a vital part's end, and of the frames that are sent on it;
+        on_loss: of the end of a part that is not vital.  watches_time: not in lockstep, where
+        nothing depends on this computer's clock; a part may die there, but take its time.
+        waits: whether a part stands still for want of a processor; that is excused for 5 s.
+        """
+        self.failure: Failure | None = None
+        self._gate, self._clock = gate, clock
+        self._hold_frames = hold_frames
+        self._on_failure, self._on_loss = on_failure, on_loss
+        self._watches_time, self._waits = watches_time, waits
+        self._parts: list[Part] = []
+        self._reserve: list[bytes] = []
+        self._first = threading.Lock()
+        self._wake = threading.Event()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._thread.start()
+
+    def watch(self, part: Part, work: Callable[[], None]) -> None:
+        """Start a part: its work in a thread of its own, whose end is noticed."""
+        self._parts.append(part)
+        threading.Thread(
+            target=self._guarded, args=(part, work), name=part.name, daemon=True
+        ).start()
+
+    def reserve(self, frames: list[bytes]) -> None:
+        """Frames that hold, as of now: sent if none can be made when they are needed."""
+        self._reserve = frames
+
+    def died(self, part: Part, error: str) -> None:
+        """A part has come to its end, or must be taken for dead."""
+        self._forget(part)
+        if self._ended.is_set():
+            return
+        failure = Failure(part=part.name, error=error)
+        if not part.vital:
+            self._on_loss(failure)
+            return
+        if not self._first.acquire(blocking=False):
+            return  # another was first; all is stopped already
+        self._gate.shut()
+        self.failure = failure
+        self._wake.set()
+
+    def end(self, timeout_s: float) -> None:
+        """Stop looking; a hold that is being sent is sent to its end."""
+        self._ended.set()
+        if self.failure is None:
+            self._wake.set()
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+
+    def check(self) -> None:
+        """Whoever waits for the flight's end sees to it that somebody looks."""
+        if not self._thread.is_alive() and self.failure is None:
+            self.died(Part("watchdog"), "its thread has ended")
+            self._hold()
+
+    # --- its thread
+
+    def _guarded(self, part: Part, work: Callable[[], None]) -> None:
+        part.thread_id = threading.get_native_id()
+        try:
+            work()
+        except BaseException as error:  # noqa: BLE001 - whatever it was, the part is gone
+            self.died(part, f"{type(error).__name__}: {error}")
+        else:
+            self._forget(part)
+
+    def _forget(self, part: Part) -> None:
+        if part in self._parts:
+            self._parts.remove(part)
+
+    def _run(self) -> None:
+        looked_s = self._clock()
+        while not self._wake.wait(_TICK_S):
+            now_s = self._clock()
+            # A computer that was asleep, or too busy to look, says nothing about the parts.
+            self._look(min(now_s - looked_s, 2.0 * _TICK_S))
+            looked_s = now_s
+        if self.failure is not None:
+            self._hold()
+
+    def _look(self, elapsed_s: float) -> None:
+        for part in tuple(self._parts):
+            if part.beats != part.seen:
+                part.seen, part.still_s, part.excused_s = part.beats, 0.0, 0.0
+            elif self._watches_time and part.limit_s < math.inf:
+                if part.excused_s < IDLE_STALL_S and self._waits(part):
+                    part.excused_s += elapsed_s
+                    continue
+                part.still_s += elapsed_s
+                if part.still_s > part.limit_s:
+                    self.died(part, f"it has stood still for {part.still_s:.1f} s")
+
+    def _hold(self) -> None:
+        """Tell the vehicle to hold; the session hears that it is over once it has said how."""
+        try:
+            frames = self._hold_frames()
+        except Exception:  # noqa: BLE001 - the session is what may have died
+            frames = self._reserve
+        assert self.failure is not None
+        self._on_failure(self.failure, frames)
+        for wait_s in _HOLD_AGAIN_S:
+            threading.Event().wait(wait_s)
+            if frames:
+                with contextlib.suppress(Exception):  # the next attempt is not given up for it
+                    self._gate.send_last(frames)
+
+
+def is_setpoint(frame: bytes) -> bool:
+    """Whether a MAVLink 2 frame tells a vehicle where to be: SET_POSITION_TARGET_*, DO_REPOSITION.
+
+    COMMAND_INT holds its command after four parameters, two coordinates and a height (28 bytes).
+    """
+    if len(frame) < 12 or frame[0] != 0xFD:
+        return False
+    message_id = int.from_bytes(frame[7:10], "little")
+    if message_id == _COMMAND_INT:
+        return frame[38:40] == _REPOSITION
+    return message_id in _SETPOINTS

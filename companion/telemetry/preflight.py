@@ -1,0 +1,281 @@
+"""The checks before a flight: what the vehicle has said, held against the mission.
+
+The last of them asks the mission machine itself what `fly` would do now, so whatever it would
+refuse is refused here.  Link, radar, datum, signing and clock are checked besides: `fly` would find
+out about them later, in the air.
+"""
+
+import enum
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import final
+
+from companion.mavlink import fence
+from companion.mavlink.judgement import Severity
+from companion.mavlink.receiver import Passed
+from companion.mavlink.vehicle import VehicleSide
+from companion.mission import ground
+from companion.mission.decisions import Context
+from companion.mission.events import Item, Tick
+from companion.mission.health import battery_lasts, distrust
+from companion.mission.state import Reason, State, Trigger
+from companion.session import Session
+
+_EARLIEST_S = 1_735_689_600.0  # 2025: a clock before that has not been set
+_LONG_DELAY_S = 0.5
+_LARGEST_GEOID_M = 110.0
+_FEWEST_ANSWERS = 0.9
+
+
+class Verdict(enum.Enum):
+    """What a check says of the flight."""
+
+    PASSED = "ok"
+    NOTED = "note"
+    REFUSED = "refused"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """One point of the list."""
+
+    name: str
+    verdict: Verdict
+    what: str
+    """What was found, and the rule."""
+    remedy: str = ""
+
+
+def checks_of(session: Session, *, clock_s: float) -> list[Check]:
+    """Every check, in the order in which a person would go through them.
+
+    clock_s: seconds since 1970, as this computer has it.
+    """
+    vehicle = session.vehicle
+    checks = [_heard(session)]
+    if vehicle is None:
+        return checks
+    state = session.state
+    checks += _link(session, vehicle)
+    checks += _parameters(vehicle)
+    checks += _fence(session, vehicle)
+    checks += _position(session, state)
+    checks += _battery(session, state)
+    checks += _radar(session)
+    checks += _signing(session, clock_s)
+    if not any(check.verdict is Verdict.REFUSED for check in checks):
+        checks.append(_as_flown(session, state))
+    return checks
+
+
+def _check(name: str, passed: bool, what: str, remedy: str = "") -> Check:
+    verdict = Verdict.PASSED if passed else Verdict.REFUSED
+    return Check(name=name, verdict=verdict, what=what, remedy="" if passed else remedy)
+
+
+def _note(name: str, what: str, remedy: str = "") -> Check:
+    return Check(name=name, verdict=Verdict.NOTED, what=what, remedy=remedy)
+
+
+# --- link, ids
+
+
+def _heard(session: Session) -> Check:
+    vehicle, others = session.vehicle, sorted(session.other_systems)
+    names = ", ".join(str(system) for system in others)
+    if vehicle is not None:
+        what = f"{vehicle.autopilot.name}, system {vehicle.system_id}"
+        return _check("vehicle", True, what + (f"; also heard: {names}" if others else ""))
+    if session.found:
+        what = f"{session.found}: none that this mission is for"
+        remedy = "Check vehicle.kind and vehicle.autopilot of the mission."
+        return _check("vehicle", False, what, remedy)
+    if others:
+        return _check("vehicle", False, f"systems {names} were heard", "Choose one with --system.")
+    return _check("vehicle", False, "none was heard", "Start it, or check --connect.")
+
+
+def _link(session: Session, vehicle: VehicleSide) -> Iterator[Check]:
+    if session.state.reason is Reason.LINK_LOST:
+        lost = Reason.LINK_LOST
+        yield _check("link", False, lost.text, lost.remedy)
+    missing = vehicle.streams.missing
+    what = f"{', '.join(missing)} asked for and not sent" if missing else "all that was asked for"
+    yield _check("messages", not missing, what, "Give the link more bandwidth, or check its rates.")
+    delay_s = vehicle.round_trip_s
+    if delay_s is None:
+        yield _note("link delay", "the vehicle does not answer TIMESYNC: taken as none")
+    else:
+        what = f"{delay_s * 1e3:.0f} ms there and back"
+        ok = delay_s <= _LONG_DELAY_S
+        what += (
+            "; setpoints are sent so much ahead"
+            if ok
+            else f", more than {_LONG_DELAY_S * 1e3:.0f} ms"
+        )
+        yield _check("link delay", ok, what, "Use a faster link.")
+    passed = session.receiver.passed.total() - session.receiver.passed[Passed.UNKNOWN]
+    if passed:
+        yield _note("noise", f"{passed} times something that is no message was passed over")
+
+
+# --- what the autopilot holds
+
+
+def _parameters(vehicle: VehicleSide) -> Iterator[Check]:
+    if not vehicle.parameters.is_done:
+        waiting = ", ".join(vehicle.parameters.waiting) or "no answer"
+        yield _check("parameters", False, f"not read: {waiting}", "Check the link.")
+        return
+    for finding in vehicle.findings:
+        refused = finding.severity is Severity.REFUSE
+        verdict = Verdict.REFUSED if refused else Verdict.NOTED
+        what = finding.rule
+        if finding.severity is Severity.SET and finding.set_to is not None:
+            what = f"{what}; will be set to {finding.set_to:g}"
+        value = "missing" if finding.value is None else f"{finding.value:g}"
+        remedy = f"{finding.remedy}." if finding.remedy and finding.set_to is None else ""
+        yield Check(name=f"{finding.name} = {value}", verdict=verdict, what=what, remedy=remedy)
+    if not vehicle.findings:
+        count = len(vehicle.parameters.values)
+        yield _check("parameters", True, f"{count} read, none against the mission")
+
+
+def _fence(session: Session, vehicle: VehicleSide) -> Iterator[Check]:
+    state, mission = session.state, session.mission
+    if Item.PLANS not in state.prepared and not vehicle.plans.is_done:
+        waiting = ", ".join(vehicle.plans.waiting)
+        yield _check("fence", False, f"not read: {waiting}", "Check the link.")
+        return
+    if not mission.fence_from_vehicle:
+        yield _note("fence", "the vehicle's own fence is left out, as the mission says")
+    elif vehicle.fence is not None:
+        yield from _against_fence(vehicle.fence, session)
+    targets = len(state.targets_ne_m)
+    remedy = "Upload a mission with waypoints."
+    yield _check("targets", targets > 0, f"{targets} targets", remedy)
+
+
+def _against_fence(drawn: fence.Fence, session: Session) -> Iterator[Check]:
+    against = fence.conflicts(drawn, session.mission.task, session.state.targets_ne_m)
+    for line in against:
+        what, _, remedy = line.rpartition(". ")
+        yield _check("fence", False, what, f"{remedy}.")
+    for line in drawn.said:
+        yield _note("fence", line)
+    if not against:
+        yield _check("fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to")
+
+
+# --- where it is
+
+
+def _position(session: Session, state: State) -> Iterator[Check]:
+    vehicle, limits = state.vehicle, state.task.limits
+    distrusted = distrust(vehicle, state.now_s, limits)
+    if distrusted is not None:
+        yield _check("position", False, distrusted.text, distrusted.remedy)
+    here, home = vehicle.position_nea_m, vehicle.home_nea_m
+    if here is None:
+        return
+    if distrusted is None:
+        error = "" if vehicle.error_m is None else f", to {vehicle.error_m:.1f} m"
+        north_m, east_m = (round(value) + 0 for value in here[:2])
+        yield _check("position", True, f"{north_m} m north, {east_m} m east{error}")
+    height_m = ground.height_m(state, session.context)
+    if home is not None:
+        what = f"the climb ends {height_m:.0f} m above home"
+        yield _check("take-off", height_m > 0.0, what, Reason.HOME_TOO_HIGH.remedy)
+    clear = ground.may_rise(state, session.context)
+    where = "on the map and clear of zones" if clear else Reason.OUTSIDE.text
+    yield _check("place", clear, where, Reason.OUTSIDE.remedy)
+    yield from _datum(session, here)
+
+
+def _datum(session: Session, here_nea_m: tuple[float, float, float]) -> Iterator[Check]:
+    """The vehicle's AMSL against the ellipsoid, and against the terrain that is known."""
+    geoid_m = None if session.vehicle is None else session.vehicle.geoid_m
+    if geoid_m is not None:
+        what = f"the vehicle's AMSL lies {geoid_m:.1f} m above the ellipsoid"
+        ok = abs(geoid_m) <= _LARGEST_GEOID_M
+        yield _check("geoid", ok, what, "Its altitudes are not AMSL: check its GPS.")
+    known = session.mission.known
+    if known is None or not known.is_known(*here_nea_m[:2]):
+        return
+    row, column = known.cell_of(*here_nea_m[:2])
+    above_m = here_nea_m[2] - float(known.upper_m[row, column])
+    on_ground = not session.state.airborne
+    allowed_m = session.mission.task.error_m + known.cell_m
+    ok = not on_ground or above_m > -allowed_m
+    side = "above" if above_m >= 0.0 else "below"
+    what = f"the vehicle stands {abs(above_m):.0f} m {side} the highest terrain of its cell"
+    yield _check("datum", ok, what, "The terrain's vertical datum differs: see terrain.*.")
+
+
+def _battery(session: Session, state: State) -> Iterator[Check]:
+    left, mission = state.vehicle.battery, session.mission
+    if left is None:
+        yield _note("battery", "the vehicle does not say what is left")
+        return
+    what = f"{left:.0%} left, reserve {mission.reserve:.0%}"
+    if mission.endurance_s is None:
+        what += "; battery.endurance_s is not given, so range is not checked"
+    lasts = battery_lasts(state, mission)
+    what = what if lasts else f"{what}: {Reason.BATTERY_SHORT.text}"
+    yield _check("battery", lasts, what, Reason.BATTERY_SHORT.remedy)
+
+
+def _radar(session: Session) -> Iterator[Check]:
+    scan, mission = session.last_scan, session.mission
+    if mission.scanner_component_id is None:
+        yield _note("radar", "none: only terrain that is known in advance is flown over")
+    elif not session.state.targets_ne_m or session.state.vehicle.position_nea_m is None:
+        yield _note("radar", "not asked: where from and where to is not known")
+    elif scan is None or not scan.answered:
+        component = mission.scanner_component_id
+        what = f"component {component} did not answer TERRAIN_REQUEST"
+        yield _check("radar", False, what, "Start it, or correct vehicle.scanner_component_id.")
+    else:
+        share = scan.answered / max(scan.asked, 1)
+        what = f"{scan.answered} of {scan.asked} blocks answered"
+        yield _check("radar", share >= _FEWEST_ANSWERS, what, "Give its link more bandwidth.")
+
+
+# --- signing and clock
+
+
+def _signing(session: Session, clock_s: float) -> Iterator[Check]:
+    signed = session.receiver.signed
+    if session.signing is None:
+        if signed:
+            remedy = "Give the key with --signing-key."
+            yield _check("signing", False, "the vehicle signs, and no key was given", remedy)
+        else:
+            yield _note("signing", "the link is not signed")
+        return
+    refused = sum(session.signing.refused.values())
+    what = f"{signed} signed frames accepted, {refused} refused"
+    yield _check("signing", signed > 0, what, "Set the same key up on the vehicle.")
+    remedy = "Set this computer's clock."
+    yield _check("clock", clock_s > _EARLIEST_S, "this computer's clock", remedy)
+
+
+# --- all of it
+
+
+def _as_flown(session: Session, state: State) -> Check:
+    """What `fly` would do with a vehicle as it is now."""
+    context = Context(mission=session.mission, seed=0)
+    state = replace(state, reason=None, since_s=state.now_s)
+    event = Tick(time_s=state.now_s)
+    after, _, trigger = ground.preparing(state, event, context)
+    if trigger is None:  # it would wait, and what for it says at the end
+        late = replace(state, since_s=-1e9)
+        after, _, trigger = ground.preparing(late, event, context)
+    if trigger is Trigger.GIVE_UP and after.reason is not None:
+        remedy = after.remedy or after.reason.remedy
+        return _check("ready", False, f"{after.reason.text}{after.detail}", remedy)
+    if trigger is not Trigger.READY:
+        return _note("ready", "it is in the air: it would be taken over there")
+    return _check("ready", True, "it would be armed and take off")

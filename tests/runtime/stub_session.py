@@ -1,0 +1,163 @@
+"""A session that only streams, and a link of its own: the runtime's parts without a mission."""
+
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+from pymavlink.dialects.v20 import all as wire
+
+from companion.config import load_mission
+from companion.mavlink.outbox import Output
+from companion.mission.events import End, Outcome
+from companion.planner.procedure import hover_pose
+from companion.planner.request import PlanRequest
+from companion.world.known_map import empty_map
+
+CODEC = wire.MAVLink(None, srcSystem=1, srcComponent=195)
+
+
+def packed(message: Any) -> bytes:
+    frame: bytes = message.pack(CODEC)
+    CODEC.seq = (CODEC.seq + 1) % 256
+    return frame
+
+
+SETPOINT = packed(
+    wire.MAVLink_set_position_target_global_int_message(
+        0, 1, 1, 5, 2496, 470000000, 80000000, 500.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    )
+)
+HEARTBEAT = packed(wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
+HOLD = packed(wire.MAVLink_command_long_message(1, 1, 176, 0, 1.0, 17.0, *[0.0] * 5))
+
+
+def request_of(plan_id: int, *, planning_time_s: float = 0.5) -> PlanRequest:
+    task = load_mission("valley").task
+    settings = replace(task.settings, planning_time_s=planning_time_s)
+    start = hover_pose((0.0, 0.0, 2500.0))
+    return PlanRequest(
+        plan_id=plan_id,
+        seed=1,
+        task=replace(task, settings=settings),
+        known=empty_map(task.cell_m, (0.0, 100.0), (0.0, 100.0)),
+        scan_nea_m=start.point_nea_m,
+        start=start,
+        from_rest=True,
+        target_ne_m=(50.0, 50.0),
+    )
+
+
+@dataclass
+class StubSession:
+    """Answers each datagram with a setpoint and a heartbeat.
+
+    on_datagram(session, number) is called with the number of each, in the decider's thread.
+    """
+
+    on_datagram: Callable[["StubSession", int], None] = lambda _session, _number: None
+    out: Output = field(default_factory=Output)
+    now_s: float = 0.0
+    received: list[bytes] = field(default_factory=list)
+    arrived_s: list[float] = field(default_factory=list)
+    delivered: list[Any] = field(default_factory=list)
+    died: list[tuple[str, str]] = field(default_factory=list)
+    stopped: list[str] = field(default_factory=list)
+    silences_s: list[float] = field(default_factory=list)
+    end: End | None = None
+    state: Any = field(
+        default_factory=lambda: SimpleNamespace(
+            vehicle=SimpleNamespace(position_nea_m=None), flight=SimpleNamespace(target=0)
+        )
+    )
+
+    def receive(self, data: bytes, at_s: float) -> bool:
+        self.received.append(data)
+        self.arrived_s.append(at_s)
+        self.now_s += 0.05
+        self.on_datagram(self, len(self.received))
+        for frame in (SETPOINT, HEARTBEAT):
+            self.out.frames.append(frame)
+            self.out.record.append((self.now_s, frame))
+        return True
+
+    def run(self) -> Output:
+        out, self.out = self.out, Output()
+        out.end, out.settled = self.end, True
+        return out
+
+    def ask(self, request: PlanRequest) -> None:
+        self.out.plan = request
+
+    def deliver(self, outcome: object) -> None:
+        self.delivered.append(outcome)
+
+    def silence(self, silent_s: float) -> None:
+        self.silences_s.append(silent_s)
+
+    def stop(self) -> None:
+        self.end = End(outcome=Outcome.STOPPED, reason="asked to", remedy="")
+
+    def farewell(self) -> Output:
+        return self.run()
+
+    def hold_frames(self) -> list[bytes]:
+        return [HOLD]
+
+    def part_died(self, part: str, error: str) -> None:
+        self.died.append((part, error))
+        self.out.journal.append({"t_s": self.now_s, "kind": "end", "reason": part})
+        self.end = End(outcome=Outcome.FAILED, reason=f"{part} died", remedy="")
+
+    def recording_stopped(self, why: str) -> None:
+        self.stopped.append(why)
+
+
+class QueueLink:
+    """A link whose vehicle is the test: `say` puts in, `sent` collects with times."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.clock = clock
+        self.sent: list[tuple[float, bytes]] = []
+        self.answers: list[object] = []
+        self.incoming: queue.SimpleQueue[bytes | BaseException | threading.Event] = (
+            queue.SimpleQueue()
+        )
+        self.sender: object = "vehicle"
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        try:
+            item = self.incoming.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        if isinstance(item, BaseException):
+            raise item
+        if isinstance(item, threading.Event):  # blocks, as a broken driver does
+            item.wait()
+            return None
+        return item
+
+    def answer_to(self, sender: object) -> None:
+        self.answers.append(sender)
+
+    def send(self, frames: list[bytes]) -> None:
+        now_s = self.clock()
+        self.sent += [(now_s, frame) for frame in frames]
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def __enter__(self) -> "QueueLink":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def times_of(self, frame: bytes) -> list[float]:
+        return [time_s for time_s, each in self.sent if each == frame]
+
+
+def as_any(thing: object) -> Any:
+    return cast(Any, thing)

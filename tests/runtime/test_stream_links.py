@@ -1,0 +1,256 @@
+"""Real TCP sockets on the loopback, and pseudo-terminals for serial ports."""
+
+import contextlib
+import os
+import pty
+import socket
+import termios
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from companion.errors import InputError
+from companion.runtime.link import Link, open_link
+
+PATIENCE_S = 10.0
+FRAME = bytes(range(64))
+
+
+def heard(link: Link, count: int) -> bytes:
+    """So many bytes, in whatever pieces."""
+    data, until_s = b"", time.monotonic() + PATIENCE_S
+    while len(data) < count:
+        assert time.monotonic() < until_s, f"only {len(data)} bytes"
+        data += link.receive(0.05) or b""
+    return data
+
+
+def until(done: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < until_s
+
+
+# --- TCP
+
+
+class Server:
+    """The vehicle's end of tcp:."""
+
+    def __init__(self, port: int = 0) -> None:
+        self.listener = socket.create_server(("127.0.0.1", port))
+        self.listener.settimeout(PATIENCE_S)
+        self.port: int = self.listener.getsockname()[1]
+
+    def accept(self, link: Link) -> socket.socket:
+        """The connection that the link makes; what it was sent meanwhile is nothing."""
+        made: list[socket.socket] = []
+        thread = threading.Thread(target=lambda: made.append(self.listener.accept()[0]))
+        thread.start()
+        while thread.is_alive():
+            assert link.receive(0.02) is None
+        assert link.receive(0.02) is None
+        made[0].settimeout(PATIENCE_S)
+        return made[0]
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    made = Server()
+    with made.listener:
+        yield made
+
+
+def test_tcp_carries_bytes_both_ways(server: Server) -> None:
+    with open_link(f"tcp:127.0.0.1:{server.port}") as link, server.accept(link) as peer:
+        peer.sendall(b"to the companion")
+        assert heard(link, 16) == b"to the companion"
+        link.send([b"one", b"two"])
+        link.answer_to(link.sender)
+        link.send([b"three"])
+        assert peer.recv(11, socket.MSG_WAITALL) == b"onetwothree"
+
+
+def test_a_tcp_peer_that_is_lost_is_called_again_and_nothing_is_raised(server: Server) -> None:
+    with open_link(f"tcp:127.0.0.1:{server.port}") as link:
+        for number in range(3):
+            with server.accept(link) as peer:
+                peer.sendall(b"%d" % number)
+                assert heard(link, 1) == b"%d" % number
+            until(lambda: link.receive(0.02) is None)
+            link.send([FRAME])
+
+
+def test_a_tcp_peer_that_resets_the_connection_is_called_again(server: Server) -> None:
+    with open_link(f"tcp:127.0.0.1:{server.port}") as link:
+        peer = server.accept(link)
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+        peer.close()
+        with server.accept(link) as again:
+            again.sendall(b"back")
+            assert heard(link, 4) == b"back"
+
+
+def test_a_tcp_peer_that_is_not_there_yet_is_no_error() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    with open_link(f"tcp:127.0.0.1:{port}") as link:
+        for _ in range(5):
+            link.send([FRAME])
+            assert link.receive(0.02) is None
+        late = Server(port)
+        with late.listener, late.accept(link) as peer:
+            peer.sendall(b"here")
+            assert heard(link, 4) == b"here"
+
+
+def test_a_tcp_peer_that_does_not_read_loses_whole_frames_and_makes_nobody_wait(
+    server: Server,
+) -> None:
+    with open_link(f"tcp:127.0.0.1:{server.port}") as link:
+        server.listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        with server.accept(link) as peer:
+            frames = [bytes([number % 251]) * 100 for number in range(200)]
+            for _ in range(500):  # 10 MB, far more than all buffers hold
+                link.send(frames)
+            got = b""
+            peer.settimeout(0.2)
+            with contextlib.suppress(TimeoutError):
+                while True:
+                    got += peer.recv(1 << 20)
+            link.send([b"!" * 100])
+            peer.settimeout(PATIENCE_S)
+            while not got.endswith(b"!" * 100):
+                got += peer.recv(1 << 20)
+    assert len(got) < 10_000_000
+    assert len(got) % 100 == 0
+    assert all(len(set(got[at : at + 100])) == 1 for at in range(0, len(got), 100))
+
+
+def test_tcpin_serves_whoever_connects_and_a_newer_connection_replaces_an_older() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    with open_link(f"tcpin:127.0.0.1:{port}") as link:
+        link.send([b"nobody"])
+        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as first:
+            first.sendall(b"first")
+            assert heard(link, 5) == b"first"
+            link.send([b"to the first"])
+            assert first.recv(100) == b"to the first"
+            with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as second:
+                second.sendall(b"second")
+                assert heard(link, 6) == b"second"
+                link.send([b"to the second"])
+                assert second.recv(100) == b"to the second"
+                assert first.recv(100) == b""
+
+
+def test_a_tcp_port_in_use_is_an_input_error(server: Server) -> None:
+    with pytest.raises(InputError, match=r"in use.*choose another port"):
+        open_link(f"tcpin:127.0.0.1:{server.port}")
+
+
+# --- serial
+
+
+class Terminal:
+    """A pseudo-terminal under a name of its own, as udev gives one: it can be pulled out."""
+
+    def __init__(self, name: Path) -> None:
+        self.name = name
+        self.plug()
+
+    def plug(self) -> None:
+        self.far, self._near = pty.openpty()
+        tty.setraw(self._near)
+        self.name.symlink_to(os.ttyname(self._near))
+
+    def pull(self) -> None:
+        self.name.unlink()
+        os.close(self._near)
+        os.close(self.far)
+
+
+@pytest.fixture
+def terminal(tmp_path: Path) -> Iterator[Terminal]:
+    made = Terminal(tmp_path / "ttyACM0")
+    yield made
+    made.pull()
+
+
+def test_a_serial_port_carries_bytes_both_ways(terminal: Terminal) -> None:
+    with open_link(f"{terminal.name},115200") as link:
+        os.write(terminal.far, bytes(range(256)))
+        assert heard(link, 256) == bytes(range(256))
+        link.send([FRAME, b"end"])
+        link.answer_to(link.sender)
+        assert os.read(terminal.far, 100) == FRAME + b"end"
+        assert link.receive(0.01) is None
+
+
+def test_a_serial_port_is_opened_at_the_baud_rate_that_is_asked_for(terminal: Terminal) -> None:
+    for text, speed in (("", termios.B57600), (",921600", termios.B921600)):
+        with open_link(f"{terminal.name}{text}"):
+            assert termios.tcgetattr(terminal.far)[4:6] == [speed, speed]
+
+
+def test_a_device_that_vanishes_and_returns_is_opened_again(terminal: Terminal) -> None:
+    with open_link(str(terminal.name)) as link:
+        for number in range(3):
+            os.write(terminal.far, b"%d" % number)
+            assert heard(link, 1) == b"%d" % number
+            terminal.pull()
+            for _ in range(3):
+                assert link.receive(0.02) is None
+                link.send([FRAME])
+            terminal.plug()
+            until(lambda: link.receive(0.02) is None and _is_open(terminal, link))
+
+
+def _is_open(terminal: Terminal, link: Link) -> bool:
+    link.send([b"?"])
+    os.set_blocking(terminal.far, False)
+    with contextlib.suppress(BlockingIOError):
+        return os.read(terminal.far, 1000).endswith(b"?")
+    return False
+
+
+def test_a_port_that_takes_nothing_makes_nobody_wait_and_cuts_no_frame(terminal: Terminal) -> None:
+    frames = [bytes([number]) * 50 for number in range(1, 250)]
+    with open_link(str(terminal.name)) as link:
+        for _ in range(20):
+            link.send(frames)
+        got = b""
+        os.set_blocking(terminal.far, False)
+        for _ in range(100):
+            with contextlib.suppress(BlockingIOError):
+                got += os.read(terminal.far, 65536)
+            link.send([])
+    assert len(got) % 50 == 0
+    assert 0 < len(got) < 20 * 50 * len(frames)
+    assert all(len(set(got[at : at + 50])) == 1 for at in range(0, len(got), 50))
+
+
+def test_a_device_is_opened_by_one_program_only(terminal: Terminal) -> None:
+    with (
+        open_link(str(terminal.name)),
+        pytest.raises(InputError, match="End the program that uses the device"),
+    ):
+        open_link(str(terminal.name))
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("nothing-here", r"No such file.*Plug the device in"), ("a-file", "Give an address")],
+)
+def test_what_is_no_serial_port_is_an_input_error_with_its_remedy(
+    tmp_path: Path, name: str, remedy: str
+) -> None:
+    (tmp_path / "a-file").write_text("", encoding="utf-8")
+    with pytest.raises(InputError, match=remedy) as caught:
+        open_link(str(tmp_path / name))
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,527 @@
+"""Each check before a flight made to pass, to note and to refuse, on a simulated vehicle.
+
+The companion's whole session meets the simulator in one process; both ways are frames.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.config import load_mission
+from companion.mavlink.dialect import codec, wire
+from companion.mavlink.signing import Signing
+from companion.mission.events import Outcome
+from companion.mission.mission import Mission
+from companion.mission.state import Phase
+from companion.runtime.preflight import waiting_for
+from companion.session import Session
+from companion.telemetry.preflight import Check, Verdict, checks_of
+from companion.world.known_map import empty_map
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import flat_world
+
+CLOCK_S = 1_800_000_000.0
+NAMES = {
+    ("ardupilot", "copter"): "sitl-arducopter",
+    ("ardupilot", "plane"): "sitl-arduplane",
+    ("px4", "copter"): "sitl-px4",
+    ("px4", "plane"): "sitl-px4-plane",
+}
+Change = Callable[["Pair"], None]
+
+
+class Pair:
+    """A session and a vehicle at the two ends of a link."""
+
+    def __init__(
+        self,
+        name: str = "sitl-px4",
+        *,
+        faults: str = "",
+        parameters: dict[str, float] | None = None,
+        shadow: bool = True,
+        signing: Signing | None = None,
+        **changes: Any,
+    ) -> None:
+        mission: Mission = load_mission(name)
+        firmware, kind = next(key for key, value in NAMES.items() if value == name)
+        self.mission = replace(mission, **changes)
+        world = flat_world(
+            kind,
+            firmware,  # type: ignore[arg-type]
+            latitude_deg=mission.frame.latitude_deg,
+            longitude_deg=mission.frame.longitude_deg,
+            altitude_amsl_m=584.0 if firmware == "ardupilot" else 488.0,
+            heading_deg=0.0,
+        )
+        vehicle = replace(world.vehicle, parameters=parameters or {})
+        world = replace(world, vehicle=vehicle)
+        self.vehicle = Simulation(world, seed=1, links=2, faults=faults)
+        self.session = Session(self.mission, seed=1, lockstep=False, shadow=shadow, signing=signing)
+        self.sent: list[Any] = []
+        self.journal: list[dict[str, Any]] = []
+        self.end: Any = None
+        self.delay: list[bytes] = []
+        self.keeps: Callable[[Any], bool] = lambda _: True
+        self._reader, self._heard = codec(1), codec(1)
+        self._station = wire.MAVLink(None, srcSystem=255, srcComponent=190)
+
+    @property
+    def now_s(self) -> float:
+        return self.vehicle.now_us * 1e-6
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> "Pair":
+        end_s = self.now_s + seconds
+        while self.now_s < end_s and not until():
+            self.vehicle.step()
+            while frames := self.vehicle.take_frames():
+                for link, frame in frames:
+                    if link == 0 and self.keeps(self._message(frame)):
+                        self.session.receive(frame, self.now_s)
+                self._answer()
+        return self
+
+    def _message(self, frame: bytes) -> Any:
+        self._heard.signing.secret_key = None
+        return self._heard.decode(bytearray(frame))
+
+    def _answer(self) -> None:
+        out = self.session.run()
+        self.journal += out.journal
+        self.end = self.end or out.end
+        for frame in out.frames:
+            self.sent.append(self._reader.decode(bytearray(frame)))
+            self.vehicle.receive(0, frame)
+
+    def station(self, message: Any) -> None:
+        """A ground station says this, on a link of its own."""
+        self.vehicle.receive(1, message.pack(self._station))
+
+    def hear(self, frame: bytes) -> None:
+        """The companion hears something that the vehicle has not said."""
+        self.session.receive(frame, self.now_s)
+        self._answer()
+
+    def looked_at(self, seconds: float = 60.0) -> "Pair":
+        """As `companion preflight` does it, without its waits."""
+        self.run(seconds, until=lambda: waiting_for(self.session) == "")
+        return self.run(3.0)
+
+    @property
+    def checks(self) -> list[Check]:
+        return checks_of(self.session, clock_s=CLOCK_S)
+
+    def verdict(self, name: str) -> str:
+        """Of the check of this name, the worst if there are several; "" without one."""
+        found = [check.verdict for check in self.checks if check.name.split(" = ")[0] == name]
+        worst = sorted(found, key=list(Verdict).index)
+        return worst[-1].value if worst else ""
+
+    def words(self, name: str) -> str:
+        return " ".join(
+            f"{check.what}. {check.remedy}"
+            for check in self.checks
+            if check.name.split(" = ")[0] == name
+        )
+
+    @property
+    def refused(self) -> list[str]:
+        return [check.name for check in self.checks if check.verdict is Verdict.REFUSED]
+
+
+@pytest.fixture(scope="module", params=list(NAMES.values()))
+def good(request: pytest.FixtureRequest) -> Pair:
+    """A vehicle that may fly, looked at; only to be read."""
+    return Pair(request.param).looked_at()
+
+
+# --- a vehicle that may fly
+
+
+def test_a_vehicle_that_may_fly_passes(good: Pair) -> None:
+    assert good.refused == []
+    for name in ("vehicle", "messages", "fence", "targets", "position", "take-off", "place"):
+        assert good.verdict(name) == "ok", name
+    for name in ("battery", "ready", "link delay"):
+        assert good.verdict(name) == "ok", name
+    assert good.verdict("signing") == "note"
+    assert good.verdict("radar") == "note"
+
+
+def test_every_line_names_what_and_what_is_refused_a_remedy(good: Pair) -> None:
+    for check in good.checks:
+        assert check.name
+        assert check.what
+        assert "\n" not in f"{check.name}{check.what}{check.remedy}"
+        assert not check.what.endswith(".")
+        assert check.remedy == "" or check.remedy.endswith(".")
+        assert ".." not in f"{check.what}. {check.remedy}"
+
+
+_REQUESTS = {wire.MAV_CMD_SET_MESSAGE_INTERVAL, wire.MAV_CMD_REQUEST_MESSAGE}
+_ASKS = {
+    "HEARTBEAT",
+    "TIMESYNC",
+    "PARAM_REQUEST_READ",
+    "MISSION_REQUEST_LIST",
+    "MISSION_REQUEST_INT",
+    "MISSION_ACK",
+    "TERRAIN_REQUEST",
+    "STATUSTEXT",
+}
+
+
+def only_asks(messages: list[Any]) -> bool:
+    return all(
+        m.get_type() in _ASKS or (m.get_type() == "COMMAND_LONG" and m.command in _REQUESTS)
+        for m in messages
+    )
+
+
+def test_it_only_asks(good: Pair) -> None:
+    assert len(good.sent) > 50
+    assert only_asks(good.sent)
+    assert "PARAM_REQUEST_READ" in {m.get_type() for m in good.sent}
+    assert good.session.state.vehicle.armed is False
+
+
+def test_the_check_of_what_is_sent_can_fail() -> None:
+    assert not only_asks([wire.MAVLink_param_set_message(1, 1, b"X", 0.0, 9)])
+    arm = wire.MAV_CMD_COMPONENT_ARM_DISARM
+    assert not only_asks([wire.MAVLink_command_long_message(1, 1, arm, 0, 1, 0, 0, 0, 0, 0, 0)])
+
+
+# --- link and ids
+
+
+def test_no_vehicle() -> None:
+    it = Pair()
+    assert it.refused == ["vehicle"]
+    assert "none was heard" in it.words("vehicle")
+
+
+@pytest.mark.parametrize("changes", [{"kind": "plane"}, {"autopilot": "ardupilot"}])
+def test_a_vehicle_that_the_mission_is_not_for(changes: dict[str, str]) -> None:
+    it = Pair(**changes).run(5.0)
+    assert it.refused == ["vehicle"]
+    assert "PX4" in it.words("vehicle")
+    assert "vehicle.kind" in it.words("vehicle")
+
+
+def test_several_vehicles_and_none_chosen() -> None:
+    other = wire.MAVLink(None, srcSystem=9, srcComponent=1)
+    it = Pair()
+    for _ in range(5):
+        it.run(0.9)
+        it.hear(wire.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3).pack(other))
+    assert it.refused == ["vehicle"]
+    assert "systems 1, 9 were heard. Choose one with --system." in it.words("vehicle")
+    chosen = Pair(system_id=1)
+    chosen.hear(wire.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3).pack(other))
+    chosen.looked_at()
+    assert chosen.verdict("vehicle") == "ok"
+    assert "also heard: 9" in chosen.words("vehicle")
+
+
+def test_messages_that_are_not_sent() -> None:
+    it = Pair()
+    it.keeps = lambda message: message.get_type() != "EXTENDED_SYS_STATE"
+    it.looked_at()
+    assert it.verdict("messages") == "refused"
+    assert "EXTENDED_SYS_STATE" in it.words("messages")
+
+
+@pytest.mark.parametrize(("delay_s", "verdict"), [(0.1, "ok"), (0.8, "refused"), (None, "note")])
+def test_the_delay_of_the_link(delay_s: float | None, verdict: str) -> None:
+    it = Pair().looked_at()
+    assert it.session.vehicle is not None
+    it.session.vehicle.round_trip_s = delay_s
+    assert it.verdict("link delay") == verdict
+
+
+def test_noise_on_the_link_is_noted(good: Pair) -> None:
+    assert good.verdict("noise") == ""
+    it = Pair().looked_at()
+    it.hear(b"\x00" * 40)
+    assert it.verdict("noise") == "note"
+    assert it.refused == []
+
+
+def test_a_vehicle_that_falls_silent_is_not_one_that_may_fly() -> None:
+    it = Pair().looked_at()
+    for silent_s in np.arange(0.1, 40.0, 0.1):
+        it.session.silence(float(silent_s))
+    assert it.refused
+    assert "fell silent" in it.words("link")
+
+
+# --- what the autopilot holds
+
+
+def test_a_parameter_that_is_not_safe() -> None:
+    """PX4 without a remote control that sinks when the stream stops (px4.md 6)."""
+    unsafe = {"COM_OBL_RC_ACT": 0.0}
+    assert Pair(parameters=unsafe).looked_at().verdict("COM_OBL_RC_ACT") == "note"
+    it = Pair(parameters=unsafe, sets_parameters=False).looked_at()
+    assert it.verdict("COM_OBL_RC_ACT") == "refused"
+    assert "Set it to" in it.words("COM_OBL_RC_ACT")
+
+
+def test_parameters_that_are_not_answered() -> None:
+    it = Pair()
+    it.keeps = lambda message: message.get_type() != "PARAM_VALUE"
+    it.run(12.0)
+    assert it.verdict("parameters") == "refused"
+    assert it.words("parameters").startswith("not read: ")
+
+
+def upload(it: Pair, kind: int, *items: tuple[int, float, float, float]) -> None:
+    """By a ground station: command, parameter, north and east in metres."""
+    station = it.station
+    station(wire.MAVLink_mission_count_message(1, 1, len(items), kind))
+    for seq, (command, value, north_m, east_m) in enumerate(items):
+        it.run(0.3)
+        latitude, longitude = it.mission.frame.to_geodetic_deg(north_m, east_m)
+        place = (round(latitude * 1e7), round(longitude * 1e7), 20.0)
+        numbers = (seq, 3, command, 0, 1, value, 0.0, 0.0, 0.0, *place, kind)
+        station(wire.MAVLink_mission_item_int_message(1, 1, *numbers))
+    it.run(0.5)
+
+
+def test_a_fence_in_the_way_of_a_target() -> None:
+    it = Pair()
+    upload(it, 1, (5004, 60.0, 600.0, 100.0))
+    it.looked_at()
+    assert it.verdict("fence") == "refused"
+    assert it.words("fence").startswith("target 1: ")
+    assert "Move the target, or change the fence." in it.words("fence")
+    left = Pair(fence_from_vehicle=False)
+    upload(left, 1, (5004, 60.0, 600.0, 100.0))
+    left.looked_at()
+    assert left.verdict("fence") == "note"
+    assert left.refused == []
+
+
+def test_a_fence_that_nobody_understands() -> None:
+    it = Pair()
+    upload(it, 1, (5004, float("inf"), 300.0, 500.0))
+    it.looked_at()
+    assert it.verdict("fence") == "refused"
+    assert "a circle needs a radius" in it.words("fence")
+
+
+def test_a_fence_that_is_not_answered() -> None:
+    it = Pair()
+    it.keeps = lambda message: message.get_type() not in ("MISSION_COUNT", "MISSION_ACK")
+    it.run(20.0)
+    assert it.verdict("fence") == "refused"
+    assert "not read: " in it.words("fence")
+
+
+def test_targets_of_a_vehicle_that_has_none() -> None:
+    it = Pair(targets_from_vehicle=True, targets_ne_m=()).looked_at()
+    assert it.verdict("targets") == "refused"
+    full = Pair(targets_from_vehicle=True, targets_ne_m=())
+    upload(full, 0, (16, 0.0, 300.0, 100.0), (16, 0.0, 500.0, 300.0))
+    full.looked_at()
+    assert full.verdict("targets") == "ok"
+    assert full.words("targets").startswith("2 targets")
+    assert full.refused == []
+
+
+# --- where it is
+
+
+def test_a_vehicle_that_does_not_know_where_it_is() -> None:
+    it = Pair(faults="at 0 s: gps_off").run(25.0)
+    assert "position" in it.refused
+
+
+def test_a_vehicle_off_the_map_or_above_the_band() -> None:
+    it = Pair().looked_at()
+    there = replace(it.session.state.vehicle, position_nea_m=(5000.0, 0.0, 488.0))
+    it.session.state = replace(it.session.state, vehicle=there)
+    assert it.verdict("place") == "refused"
+    high = replace(there, position_nea_m=(0.0, 0.0, 700.0), home_nea_m=(0.0, 0.0, 700.0))
+    it.session.state = replace(it.session.state, vehicle=high)
+    assert it.verdict("take-off") == "refused"
+    assert "altitude.floor_amsl_m" in it.words("take-off")
+
+
+@pytest.mark.parametrize(("geoid_m", "verdict"), [(47.0, "ok"), (488.0, "refused"), (None, "")])
+def test_altitudes_that_are_no_amsl(geoid_m: float | None, verdict: str) -> None:
+    it = Pair().looked_at()
+    assert it.session.vehicle is not None
+    it.session.vehicle.geoid_m = geoid_m
+    assert it.verdict("geoid") == verdict
+
+
+@pytest.mark.parametrize(("ground_m", "verdict"), [(486.0, "ok"), (560.0, "refused")])
+def test_a_terrain_with_another_datum(ground_m: float, verdict: str) -> None:
+    limits = load_mission("sitl-px4").task.limits
+    known = empty_map(load_mission("sitl-px4").task.cell_m, limits.north_m, limits.east_m)
+    filled = np.full(known.upper_m.shape, ground_m)
+    known = replace(known, upper_m=filled, seen=np.ones(known.seen.shape, dtype=bool))
+    it = Pair(known=known).looked_at()
+    assert it.verdict("datum") == verdict
+
+
+@pytest.mark.parametrize(
+    ("left", "endurance_s", "verdict"),
+    [(0.9, None, "ok"), (0.9, 1200.0, "ok"), (0.1, None, "refused"), (0.9, 60.0, "refused")],
+)
+def test_the_battery(left: float, endurance_s: float | None, verdict: str) -> None:
+    it = Pair(endurance_s=endurance_s).looked_at()
+    it.session.state = replace(
+        it.session.state, vehicle=replace(it.session.state.vehicle, battery=left)
+    )
+    assert it.verdict("battery") == verdict
+    assert ("not given" in it.words("battery")) == (endurance_s is None)
+
+
+def test_a_battery_that_says_nothing_is_noted() -> None:
+    it = Pair()
+    it.keeps = lambda message: message.get_type() not in ("SYS_STATUS", "BATTERY_STATUS")
+    it.looked_at()
+    assert it.verdict("battery") == "note"
+
+
+# --- radar, signing, clock
+
+
+def test_a_radar_that_is_not_there() -> None:
+    it = Pair(scanner_component_id=77)
+    it.looked_at()
+    it.session.look_around()
+    it.run(20.0)
+    assert it.verdict("radar") == "refused"
+    assert "component 77" in it.words("radar")
+
+
+KEY = bytes(range(32))
+
+
+def test_a_vehicle_that_signs_and_no_key() -> None:
+    it = Pair("sitl-arducopter")
+    it.station(wire.MAVLink_setup_signing_message(1, 1, list(KEY), 10**13))
+    it.run(1.0)
+    it.run(10.0)
+    assert it.verdict("signing") == "refused"
+    assert "--signing-key" in it.words("signing")
+
+
+def test_a_key_and_a_vehicle_that_does_not_sign() -> None:
+    it = Pair(signing=Signing(key=KEY, timestamp=10**13, link_id=0))
+    it.run(10.0)
+    assert it.refused
+
+
+@pytest.mark.parametrize(("clock_s", "refused"), [(CLOCK_S, False), (1000.0, True)])
+def test_a_clock_that_was_never_set(clock_s: float, refused: bool) -> None:
+    it = Pair("sitl-arducopter", signing=Signing(key=KEY, timestamp=10**13, link_id=0))
+    it.station(wire.MAVLink_setup_signing_message(1, 1, list(KEY), 10**13))
+    it.looked_at()
+    [clock] = [c for c in checks_of(it.session, clock_s=clock_s) if c.name == "clock"]
+    assert (clock.verdict is Verdict.REFUSED) == refused
+    assert it.verdict("signing") == "ok"
+
+
+# --- what `fly` refuses is refused here, and the other way round
+
+BESIDES = {"messages", "link delay", "geoid", "datum", "radar", "signing", "clock"}
+"""What is only checked here: `fly` would find out about it in the air."""
+
+
+def hides(*kinds: str) -> Change:
+    def change(it: Pair) -> None:
+        it.keeps = lambda message: message.get_type() not in kinds
+
+    return change
+
+
+def draws(*items: tuple[int, float, float, float], kind: int = 1) -> Change:
+    return lambda it: upload(it, kind, *items)
+
+
+def armed(it: Pair) -> None:
+    """By somebody else, before the companion is there."""
+    arm = wire.MAV_CMD_COMPONENT_ARM_DISARM
+    it.run(60.0, until=lambda: bool(it.session.state.vehicle.estimator_good))
+    numbers = (1, 1, arm, 0, 1.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    it.station(wire.MAVLink_command_long_message(*numbers))
+    it.run(2.0)
+
+
+SETUPS: dict[str, tuple[dict[str, Any], Change]] = {
+    "as it comes": ({}, lambda _: None),
+    "nothing heard": ({}, hides("HEARTBEAT")),
+    "another kind": ({"kind": "plane"}, lambda _: None),
+    "parameter to be set": ({"parameters": {"COM_OBL_RC_ACT": 0.0}}, lambda _: None),
+    "parameter refused": (
+        {"parameters": {"COM_OBL_RC_ACT": 0.0}, "sets_parameters": False},
+        lambda _: None,
+    ),
+    "no parameters": ({}, hides("PARAM_VALUE")),
+    "no plans": ({}, hides("MISSION_COUNT", "MISSION_ACK")),
+    "no home": ({}, hides("HOME_POSITION")),
+    "no landed state": ({}, hides("EXTENDED_SYS_STATE")),
+    "no fix told": ({}, hides("GPS_RAW_INT")),
+    "no estimator": ({}, hides("ESTIMATOR_STATUS")),
+    "no position": ({}, hides("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED")),
+    "no GPS": ({"faults": "at 0 s: gps_off"}, lambda _: None),
+    "fence on a target": ({}, draws((5004, 60.0, 600.0, 100.0))),
+    "fence elsewhere": ({}, draws((5004, 60.0, 300.0, -300.0))),
+    "fence with no end": ({}, draws((5004, float("inf"), 300.0, 500.0))),
+    "fence around the vehicle": ({}, draws((5004, 60.0, 0.0, 0.0))),
+    "fence too small": ({}, draws((5003, 100.0, 0.0, 0.0))),
+    "no targets": ({"targets_from_vehicle": True, "targets_ne_m": ()}, lambda _: None),
+    "battery reserve": ({"reserve": 1.01}, lambda _: None),
+    "battery too short": ({"endurance_s": 30.0}, lambda _: None),
+    "armed already": ({}, armed),
+}
+
+
+def climbs(it: Pair) -> bool:
+    return it.session.state.phase in (Phase.ARMING, Phase.TAKING_OFF)
+
+
+@pytest.mark.parametrize("setup", SETUPS)
+def test_what_fly_refuses_is_refused_here_and_the_other_way_round(setup: str) -> None:
+    keywords, change = SETUPS[setup]
+    looked = Pair(**keywords)
+    change(looked)
+    looked.looked_at(20.0)
+    flown = Pair(**keywords, shadow=False)
+    if change is not armed:
+        change(flown)
+    else:  # it must not be the companion itself that arms
+        flown.session, session = Pair(**keywords, shadow=True).session, flown.session
+        change(flown)
+        flown.session = session
+    flown.run(30.0, until=lambda: flown.end is not None or climbs(flown))
+    goes = climbs(flown)
+    if not goes and flown.session.vehicle is not None:  # its patience is over now, not in 120 s
+        state = flown.session.state
+        flown.session.state = replace(state, since_s=state.now_s - 1e3)
+        flown.run(1.5)
+        assert flown.end is not None
+        assert flown.end.outcome is Outcome.FAILED
+    refused = set(looked.refused)
+    assert bool(refused) == (not goes), (refused, flown.end)
+    if goes:
+        assert refused <= BESIDES
+
+
+def test_a_vehicle_in_the_air_would_be_taken_over() -> None:
+    it = Pair().looked_at()
+    assert it.words("ready").startswith("it would be armed")
+    takeoff = (1, 1, wire.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, float("nan"), 0, 0, 510.0)
+    it.station(wire.MAVLink_command_long_message(*takeoff))
+    arm = (1, 1, wire.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1.0, 0, 0, 0, 0, 0, 0)
+    it.station(wire.MAVLink_command_long_message(*arm))
+    it.run(15.0)
+    assert it.verdict("ready") == "note"
+    assert only_asks(it.sent)
