@@ -6,6 +6,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from functools import partial
@@ -18,26 +19,34 @@ import typer
 from rich.console import Console
 
 from companion.compare.command import compare_app
-from companion.config import load_mission, load_world, mission_text
+from companion.config import bundled, load_mission, load_world, mission_text
 from companion.errors import CompanionError, FlightFailed, InputError
+from companion.mavlink.signing import Signing
+from companion.mission import checkpoint
 from companion.mission.events import Outcome
+from companion.mission.mission import Mission
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
 from companion.runtime.compiler import Planner, load_kernel
-from companion.runtime.link import UdpLink
+from companion.runtime.keys import SigningKey
+from companion.runtime.link import open_link
 from companion.runtime.loop import fly
+from companion.runtime.preflight import look_at
 from companion.session import Session
 from companion.telemetry.flown import Flown
-from companion.telemetry.run_folder import RunFolder
+from companion.telemetry.preflight import Verdict, checks_of
+from companion.telemetry.run_folder import Checkpoint, RunFolder, read_checkpoint
 from companion.views.live import Progress
 from companion.views.pictures import draw_flown, draw_offline
-from companion.views.words import flight_table, mission_words, plans_table
-from companion.world.known_map import empty_map
+from companion.views.words import checks_table, flight_table, mission_words, plans_table
+from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 
 _INTERRUPTED = 130
 _LOADING = "loading the planner (compiled the first time, in some fifteen seconds)"
 _USAGE_ERROR = typer.BadParameter.__bases__  # typer has no name for the class of all of them
+
+_CONNECT = "udpin:127.0.0.1:14540"
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -68,7 +77,7 @@ MissionArgument = Annotated[
     str,
     typer.Argument(
         metavar="MISSION",
-        help="A mission.toml, or a bundled name: environment-1, environment-2, valley.",
+        help=f"A mission.toml, a QGroundControl .plan, or a bundled name: {', '.join(bundled())}.",
     ),
 ]
 ProfileOption = Annotated[
@@ -83,13 +92,35 @@ SeedOption = Annotated[
 ]
 
 
+ConnectOption = Annotated[
+    str,
+    typer.Option(
+        help="Where the vehicle is: udpin:HOST:PORT waits for it, udpout:HOST:PORT calls it, "
+        "tcp:HOST:PORT, or a serial device and its baud rate: /dev/ttyACM0,57600."
+    ),
+]
+SystemOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        max=255,
+        help="MAVLink system id of the vehicle; by default the mission's, or the only one heard.",
+    ),
+]
+KeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="File with the key of a signed link: a phrase, or 64 hexadecimal digits; "
+        "readable by nobody else."
+    ),
+]
+
+
 @app.command("fly")
 def fly_command(
     mission: MissionArgument,
-    connect: Annotated[
-        str,
-        typer.Option(help="Where the vehicle is: udpin:HOST:PORT waits for it, udpout: calls it."),
-    ] = "udpin:127.0.0.1:14540",
+    connect: ConnectOption = _CONNECT,
+    system: SystemOption = None,
     lockstep: Annotated[
         bool,
         typer.Option(
@@ -97,51 +128,90 @@ def fly_command(
             help="Let a simulator that was started with --lockstep run as fast as both can.",
         ),
     ] = False,
+    shadow: Annotated[
+        bool, typer.Option("--shadow", help="Plan and say what would be done, never command.")
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(help="Run folder to write; by default runs/DATE-MISSION."),
     ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Go on with the flight in the run folder --out, if one was interrupted there.",
+        ),
+    ] = False,
+    signing_key: KeyOption = None,
     seed: SeedOption = 1,
     profile: ProfileOption = None,
 ) -> None:
-    """Fly a mission: wait for the vehicle, take off, plan and follow subpaths to the target.
+    """Fly a mission: find the vehicle, take off (or take over), follow subpaths to the target.
 
     Writes a run folder with the telemetry log, the journal of all decisions and a picture.
     Exit code: 0 arrived, 1 the flight failed, 2 the input was wrong, 130 stopped by Ctrl-C.
     """
     console = Console()
-    chosen = load_mission(mission, profile and profile.value)
+    if resume and out is None:
+        rule = "there is no flight to go on with"
+        raise InputError("--resume", True, rule, "Give the run folder with --out.")
+    if resume and out is not None and (out / "mission.toml").is_file():
+        mission = str(out / "mission.toml")  # as it was flown, whatever has become of the file
+    chosen = _for_system(load_mission(mission, profile and profile.value), system)
+    _say_notes(chosen, console)
     began = datetime.now(UTC)
     folder_path = out or Path("runs") / f"{began:%Y%m%d-%H%M%S}-{chosen.name}"
-    session = Session(chosen, seed=seed, lockstep=lockstep)
-    planner = Planner(lockstep=lockstep)
-    if lockstep:  # in real time nothing waits for a compiler
-        with console.status(_LOADING):
-            planner.wait()
+    key = None if signing_key is None else SigningKey(signing_key)
+    signing = None if key is None else key.signing(clock_s=_clock_s())
+    session = Session(
+        chosen,
+        seed=seed,
+        lockstep=lockstep,
+        shadow=shadow,
+        signing=signing,
+        resume=_left_behind(folder_path, chosen) if resume else None,
+        version=version("companion"),
+    )
+    flown = _flown(session, connect, folder_path, mission, key, resume=resume)
+    _exit_as_it_ended(flown, connect)
+
+
+@app.command("preflight")
+def preflight_command(
+    mission: MissionArgument,
+    connect: ConnectOption = _CONNECT,
+    system: SystemOption = None,
+    signing_key: KeyOption = None,
+    profile: ProfileOption = None,
+) -> None:
+    """Check a vehicle against a mission, every point with its reason and remedy; never arms.
+
+    What `fly` refuses is refused here. Exit code: 0 it may fly, 1 it may not, 2 wrong input.
+    """
+    console = Console(soft_wrap=True)
+    chosen = _for_system(load_mission(mission, profile and profile.value), system)
+    _say_notes(chosen, console)
+    key = None if signing_key is None else SigningKey(signing_key)
+    signing = None if key is None else key.signing(clock_s=_clock_s())
+    session = Session(chosen, seed=1, lockstep=False, shadow=True, signing=signing)
     with (
-        UdpLink(connect) as link,
-        RunFolder(
-            folder_path, mission_toml=mission_text(mission), epoch_us=round(began.timestamp() * 1e6)
-        ) as folder,
-        Progress(console) as progress,
+        open_link(connect) as link,
+        console.status("asking the vehicle") as status,
         _stop_signals() as stop_asked,
     ):
-        profile_name = chosen.task.settings.profile.name
-        folder.header(
-            {"mission": chosen.name, "seed": seed, "profile": profile_name, "lockstep": lockstep}
-        )
-        flown = fly(
+        look_at(
             session,
             link,
-            folder,
-            lockstep=lockstep,
-            on_progress=progress.show,
             stop_asked=lambda: bool(stop_asked),
-            planner=planner,
+            on_progress=lambda text: status.update(f"waiting for {text}"),
         )
-        folder.run_json(_run_facts(flown, began, connect))
-    _show(flown, folder, console)
-    _exit_as_it_ended(flown, connect)
+    if key is not None and signing is not None:
+        _keep_time(key, signing)
+    checks = checks_of(session, clock_s=_clock_s())
+    console.print(checks_table(checks))
+    refused = [check for check in checks if check.verdict is Verdict.REFUSED]
+    if refused:
+        raise FlightFailed(f"{len(refused)} of {len(checks)} checks refuse the flight", "")
 
 
 @app.command("plan")
@@ -162,7 +232,7 @@ def plan_command(
         rule = f"the mission's origin differs from that of the world, {place.origin_deg}"
         raise InputError("MISSION", mission, rule, "Give the mission of this world.")
     task, limits = chosen.task, chosen.task.limits
-    blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
+    blank = chosen.known or empty_map(task.cell_m, limits.north_m, limits.east_m)
     truth = true_map(place.terrain, blank)
     with console.status(_LOADING):
         kernel = load_kernel()
@@ -195,11 +265,10 @@ def plan_command(
 @app.command("check")
 def check_command(mission: MissionArgument, profile: ProfileOption = None) -> None:
     """Check a mission file and say in words what the mission will do."""
-    Console(soft_wrap=True).print(
-        mission_words(load_mission(mission, profile and profile.value)),
-        highlight=False,
-        markup=False,
-    )
+    console = Console(soft_wrap=True)
+    chosen = load_mission(mission, profile and profile.value)
+    console.print(mission_words(chosen), highlight=False, markup=False)
+    _say_notes(chosen, console)
 
 
 def _print_version(wanted: bool) -> None:
@@ -243,6 +312,92 @@ def main() -> None:
     sys.exit(code if isinstance(code, int) else 0)
 
 
+# --- the beginning of a command
+
+
+def _for_system(mission: Mission, system: int | None) -> Mission:
+    """The mission for the vehicle that was asked for."""
+    return mission if system is None else replace(mission, system_id=system)
+
+
+def _say_notes(mission: Mission, console: Console) -> None:
+    """What was assumed or left out when the mission was read."""
+    for note in mission.notes:
+        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _left_behind(folder: Path, mission: Mission) -> Checkpoint | None:
+    """What a companion that was interrupted has left in its run folder; None: nothing."""
+    left = read_checkpoint(folder)
+    if left is None:
+        return None
+    try:
+        checkpoint.restored(mission, left.known or _blank(mission), left.values)
+    except (KeyError, TypeError, ValueError) as error:
+        rule = f"what it holds cannot be gone on with ({type(error).__name__}: {error})"
+        raise InputError("--resume", str(folder), rule, "Give a new folder.") from error
+    return left
+
+
+def _blank(mission: Mission) -> KnownMap:
+    limits = mission.task.limits
+    return empty_map(mission.task.cell_m, limits.north_m, limits.east_m)
+
+
+def _clock_s() -> float:
+    """Seconds since 1970."""
+    return datetime.now(UTC).timestamp()
+
+
+def _flown(
+    session: Session,
+    connect: str,
+    folder_path: Path,
+    mission: str,
+    key: SigningKey | None,
+    *,
+    resume: bool,
+) -> Flown:
+    """Fly a session, record it, and show how it went."""
+    console, began, lockstep = Console(), datetime.now(UTC), session.context.lockstep
+    planner = Planner(lockstep=lockstep) if lockstep else None
+    if planner is not None:  # in real time nothing waits for a compiler
+        with console.status(_LOADING):
+            planner.wait()
+    with (
+        open_link(connect) as link,
+        RunFolder(
+            folder_path,
+            mission_toml=mission_text(mission),
+            epoch_us=round(began.timestamp() * 1e6),
+            resume=resume,
+        ) as folder,
+        Progress(console) as progress,
+        _stop_signals() as stop_asked,
+    ):
+        profile = session.mission.task.settings.profile.name
+        name, seed = session.mission.name, session.context.seed
+        folder.header({"mission": name, "seed": seed, "profile": profile, "lockstep": lockstep})
+        flown = fly(
+            session,
+            link,
+            folder,
+            lockstep=lockstep,
+            on_progress=progress.show,
+            stop_asked=lambda: bool(stop_asked),
+            planner=planner,
+            persist=None if key is None else partial(_keep_time, key, session.signing),
+        )
+        folder.run_json(_run_facts(flown, began, connect))
+    _show(flown, folder, console)
+    return flown
+
+
+def _keep_time(key: SigningKey, signing: Signing | None) -> None:
+    if signing is not None:
+        key.save(signing.timestamp, _clock_s())
+
+
 # --- the end of a command
 
 
@@ -269,15 +424,23 @@ def _exit_as_it_ended(flown: Flown, connect: str) -> None:
         reason = "the flight did not end" if end is None else end.reason
         remedy = "" if end is None else end.remedy
         if not flown.heard:
-            reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
-            remedy = "Start the vehicle, or give the address that it sends to."
-            if others := sorted(flown.session.other_systems):
-                wanted = flown.session.mission.system_id
-                reason = f"vehicle.system_id = {wanted}: only system {others[0]} was heard"
-                remedy = "Write the vehicle's own system id into the mission."
+            reason, remedy = _not_heard(flown.session, connect)
         raise FlightFailed(reason, remedy)
     if end.outcome is Outcome.STOPPED:
         raise typer.Exit(_INTERRUPTED)
+
+
+def _not_heard(session: Session, connect: str) -> tuple[str, str]:
+    """Why there is no vehicle, and what to do about it."""
+    others, wanted = sorted(session.other_systems), session.mission.system_id
+    names = ", ".join(str(system) for system in others)
+    if not others:
+        reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"
+        return reason, "Start the vehicle, or give the address that it sends to."
+    if wanted is None:
+        return f"vehicles with the system ids {names} were heard", "Choose one with --system."
+    reason = f"vehicle.system_id = {wanted}: only system {names} was heard"
+    return reason, "Give the vehicle's own system id with --system, or write it into the mission."
 
 
 def _exit_as_planned(flight: OfflineFlight) -> None:

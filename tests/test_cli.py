@@ -1,11 +1,19 @@
+import contextlib
+import io
+import json
+import socket
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from companion.cli import main
+
 COMPANION = Path(sys.executable).parent / "companion"
 HILLS = Path(__file__).parent / "closed_loop" / "hills"
+ENVIRONMENTS = Path(__file__).parents[1] / "companion" / "environments"
 
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -55,3 +63,283 @@ def test_every_command_has_a_page_of_help(command: str) -> None:
     done = run(command, "--help")
     assert done.returncode == 0
     assert "MISSION" in done.stdout
+
+
+# --- the other ways of flying
+
+
+def refused(*arguments: str | Path) -> str:
+    """The one line that wrong input is answered with, in this process: there are many."""
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(said):
+        patch.setattr(sys, "argv", ["companion", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+    assert ended.value.code == 2, (arguments, said.getvalue())
+    assert len(said.getvalue().splitlines()) == 1, said.getvalue()
+    assert said.getvalue().startswith("error: ")
+    return said.getvalue()
+
+
+def kept(folder: Path, resume: str | bytes) -> Path:
+    """A run folder of an interrupted flight."""
+    folder.mkdir()
+    mission = (HILLS / "mission.toml").read_text(encoding="utf-8")
+    (folder / "mission.toml").write_text(mission, encoding="utf-8")
+    text = resume.encode() if isinstance(resume, str) else resume
+    (folder / "resume.json").write_bytes(text)
+    return folder
+
+
+def test_to_go_on_needs_the_folder() -> None:
+    assert "--resume" in refused("fly", "environment-1", "--resume")
+
+
+def test_to_go_on_in_what_is_no_folder(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("", encoding="utf-8")
+    assert "--out" in refused("fly", "environment-1", "--out", file, "--resume")
+
+
+def test_to_go_on_in_a_folder_with_another_mission_toml(tmp_path: Path) -> None:
+    folder = tmp_path / "other"
+    folder.mkdir()
+    (folder / "mission.toml").write_text("[package]\nname = 'x'\n", encoding="utf-8")
+    assert "mission.toml" in refused("fly", "environment-1", "--out", folder, "--resume")
+
+
+def test_a_flight_is_not_flown_over_another(tmp_path: Path) -> None:
+    folder = kept(tmp_path / "run", "{}")
+    line = refused("fly", HILLS / "mission.toml", "--out", folder)
+    assert "holds a flight already" in line
+    assert "--resume" in line
+
+
+@pytest.mark.parametrize(
+    "values", ["{}", '{"phase": "FLYING"}', '{"speed_limit_m_s": "fast", "target": 0}']
+)
+def test_what_was_kept_and_cannot_be_gone_on_with(tmp_path: Path, values: str) -> None:
+    """The mission is the folder's own, whatever has become of the file that it was given as."""
+    head = '{"schema":"companion-resume","version":1,"epoch_us":1,"starts":0,"tlog_bytes":0,'
+    folder = kept(tmp_path / "run", f'{head}"values":{values}}}')
+    line = refused("fly", tmp_path / "gone.toml", "--out", folder, "--resume")
+    assert "--resume" in line
+    assert "gone on with" in line
+
+
+@pytest.mark.parametrize("torn", [b"", b'{"schema":"companion-resume","vers', b"\xff\xfe\x00"])
+def test_what_was_kept_and_is_torn_begins_anew(tmp_path: Path, torn: bytes) -> None:
+    folder = kept(tmp_path / "run", torn)
+    (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":1}\n{"t_')
+    (folder / "flight.tlog").write_bytes(b"\x00\x01")
+    port = free_port()
+    done = run("fly", HILLS / "mission.toml", "--out", folder, "--resume", *connect(port))
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert "no vehicle was heard" in done.stderr
+    journal = (folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+    assert [json.loads(line) for line in journal]
+
+
+@pytest.mark.parametrize("command", ["fly", "preflight"])
+@pytest.mark.parametrize(
+    "connection",
+    [
+        "",
+        "14550",
+        "udpin:14550",
+        "udpin:127.0.0.1:70000",
+        "udpout:no-such-host.invalid:14550",
+        "udpin:192.0.2.1:14550",
+        "tcp:127.0.0.1",
+        "tcp:127.0.0.1:port",
+        "tcp:127.0.0.1:-5",
+        "tcpin:127.0.0.1:99999",
+        "/dev/no-such-port",
+        "/dev/no-such-port,57600",
+        "/dev/ttyACM0,fast",
+        "/dev/null,0",
+        "/dev/null,57600",
+        "/dev/zero",
+        "serial:",
+        "serial:/dev/no-such-port:921600",
+        "COM3,slow",
+        "http://127.0.0.1:80",
+    ],
+)
+def test_a_connection_that_cannot_be(command: str, connection: str, tmp_path: Path) -> None:
+    out = ("--out", tmp_path / "run") if command == "fly" else ()
+    line = refused(command, "environment-1", "--connect", connection, *out)
+    assert "--connect" in line
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("system", ["0", "256", "-1", "one", "1.5"])
+@pytest.mark.parametrize("command", ["fly", "preflight"])
+def test_a_system_id_that_cannot_be(command: str, system: str) -> None:
+    assert "--system" in refused(command, "environment-1", "--system", system)
+
+
+@pytest.mark.parametrize("command", ["fly", "preflight"])
+@pytest.mark.parametrize(
+    ("content", "mode", "words"),
+    [
+        (None, 0o600, "cannot be read"),
+        ("hush hush\n", 0o644, "chmod 600"),
+        ("hush hush\n", 0o620, "chmod 600"),
+        ("", 0o600, "one line"),
+        ("two\nlines\n", 0o600, "one line"),
+    ],
+)
+def test_a_key_that_cannot_be(
+    tmp_path: Path, command: str, content: str | None, mode: int, words: str
+) -> None:
+    key = tmp_path / "key"
+    if content is not None:
+        key.write_text(content, encoding="utf-8")
+        key.chmod(mode)
+    line = refused(command, "environment-1", "--signing-key", key)
+    assert words in line
+    assert "hush hush" not in line
+
+
+# --- missions from other files
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.plan", ""),
+        ("a.plan", "{"),
+        ("a.plan", "[]"),
+        ("a.plan", '{"fileType": "Plan", "version": 1}'),
+        ("a.plan", '{"fileType": "Plan", "version": 1, "mission": {"items": [{}]}}'),
+        ("a.plan", '{"fileType": "Plan", "mission": {"items": 5}, "version": "x"}'),
+        ("a.toml", ""),
+        ("a.toml", "schema = 1\nname = "),
+        ("a.toml", "schema = 99\n"),
+        ("a.txt", "hello"),
+    ],
+)
+@pytest.mark.parametrize("command", ["check", "fly", "preflight"])
+def test_a_mission_file_that_is_none(tmp_path: Path, name: str, text: str, command: str) -> None:
+    file = tmp_path / name
+    file.write_text(text, encoding="utf-8")
+    assert name in refused(command, file)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        '{"type": "FeatureCollection", "features": 5}',
+        '{"type": "FeatureCollection", "features": [{"type": "Feature"}]}',
+        '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {}, '
+        '"geometry": {"type": "Polygon", "coordinates": [[[8.0, 47.0], [8.1, 47.0]]]}}]}',
+    ],
+)
+def test_threats_that_are_none(tmp_path: Path, text: str) -> None:
+    (tmp_path / "threats.geojson").write_text(text, encoding="utf-8")
+    mission = (HILLS / "mission.toml").read_text(encoding="utf-8")
+    file = tmp_path / "mission.toml"
+    file.write_text(
+        mission.replace('name = "hills"', 'name = "hills"\nthreats = "threats.geojson"')
+    )
+    assert "threats" in refused("check", file)
+
+
+def test_threats_that_are_not_there(tmp_path: Path) -> None:
+    mission = (HILLS / "mission.toml").read_text(encoding="utf-8")
+    file = tmp_path / "mission.toml"
+    file.write_text(mission.replace('name = "hills"', 'name = "hills"\nthreats = "no.geojson"'))
+    assert "no.geojson" in refused("check", file)
+
+
+# --- help
+
+
+@pytest.mark.parametrize("command", ["fly", "plan", "check", "preflight"])
+def test_every_page_of_help_names_the_bundled_missions(command: str) -> None:
+    done = run(command, "--help")
+    assert done.returncode == 0
+    words = "".join(done.stdout.split())
+    bundled = [each.name for each in ENVIRONMENTS.iterdir() if (each / "mission.toml").is_file()]
+    assert len(bundled) >= 7
+    for name in bundled:
+        assert name in words.replace("│", ""), name
+
+
+# --- before a flight
+
+
+def connect(port: int) -> tuple[str, str]:
+    return ("--connect", f"udpin:127.0.0.1:{port}")
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def simulated() -> Iterator[Callable[..., int]]:
+    """Starts vehicles; the port on which each is to be waited for."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> int:
+        port = free_port()
+        command = [COMPANION.with_name("vehicle-sim"), *arguments]
+        started.append(
+            subprocess.Popen(
+                [*command, "--connect", f"udpout:127.0.0.1:{port}"],
+                stdout=subprocess.DEVNULL,
+                text=True,
+            )
+        )
+        return port
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def test_a_vehicle_that_may_fly_is_told_so(simulated: Callable[..., int]) -> None:
+    port = simulated("sitl-px4", "--speedup", "4")
+    done = run("preflight", "sitl-px4", *connect(port))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "PX4 multicopter, system 1" in done.stdout
+    assert "refused" not in done.stdout
+
+
+def test_a_vehicle_that_may_not_is_told_why(simulated: Callable[..., int], tmp_path: Path) -> None:
+    port = simulated("sitl-px4", "--speedup", "4")
+    mission = (ENVIRONMENTS / "sitl-px4" / "mission.toml").read_text(encoding="utf-8")
+    file = tmp_path / "mission.toml"
+    strict = mission.replace('autopilot = "px4"', 'autopilot = "ardupilot"')
+    file.write_text(strict, encoding="utf-8")
+    done = run("preflight", file, *connect(port))
+    assert done.returncode == 1
+    assert "none that this mission is for" in done.stdout
+    assert done.stderr == "error: 1 of 1 checks refuse the flight\n"
+
+
+def test_no_vehicle_may_not_fly() -> None:
+    done = run("preflight", "sitl-px4", *connect(free_port()))
+    assert done.returncode == 1
+    assert "none was heard" in done.stdout
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_shadow_watches_and_never_commands(simulated: Callable[..., int], tmp_path: Path) -> None:
+    port = simulated("sitl-px4", "--speedup", "4", "--duration", "40")
+    done = run("fly", "sitl-px4", *connect(port), "--shadow", "--out", tmp_path / "run")
+    assert done.returncode == 1  # the vehicle went away
+    journal = (tmp_path / "run" / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+    kinds = {json.loads(line).get("kind") for line in journal}
+    assert "phase" in kinds
+    assert not kinds & {"arm", "take off", "set mode"}
+    assert '"phase":"shadow"' in "".join(journal)

@@ -80,28 +80,27 @@ def launch(
     warm_up()
     port = free_port()
     companion_clock = [option for option in clock if option == "--lockstep"]
-    common: dict[str, Any] = {
-        "stdout": subprocess.PIPE,
-        "stderr": subprocess.STDOUT,
-        "text": True,
-        "cwd": ROOT,
-        "env": _ENVIRONMENT,
-    }
-    companion = subprocess.Popen(
-        [
-            *(BIN / "companion", "fly", mission, "--connect", f"udpin:127.0.0.1:{port}"),
-            *("--out", folder, *companion_clock, *options),
-        ],
-        **common,
+    companion = run(
+        *("companion", "fly", mission, "--connect", f"udpin:127.0.0.1:{port}"),
+        *("--out", folder, *companion_clock, *options),
     )
-    simulator = subprocess.Popen(
-        [
-            *(BIN / "vehicle-sim", world, "--connect", f"udpout:127.0.0.1:{port}"),
-            *("--out", folder, *clock, *simulator_options),
-        ],
-        **common,
+    simulator = run(
+        *("vehicle-sim", world, "--connect", f"udpout:127.0.0.1:{port}"),
+        *("--out", folder, *clock, *simulator_options),
     )
     return Flight(folder=folder, companion=companion, simulator=simulator)
+
+
+def run(program: str, *arguments: str | Path) -> subprocess.Popen[str]:
+    """Start one of the programs, as a user does."""
+    return subprocess.Popen(
+        [BIN / program, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=ROOT,
+        env=_ENVIRONMENT,
+    )
 
 
 @functools.cache
