@@ -43,7 +43,7 @@ from companion.path.subpath import Subpath
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import CircleKeepOut, PolygonKeepOut, Radar
+from companion.world.threats import CircleZone, PolygonZone, Radar
 
 _AT_MOST = ("climb_angle_rad", "dive_angle_rad", "highest_amsl_m", "off_map_m", "detection")
 _AT_LEAST = ("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "lowest_amsl_m")
@@ -153,7 +153,7 @@ def _unknown_m(case: Case, points: FloatArray) -> float:
 
 def _zones_m(case: Case) -> float:
     n, e, _ = stretches_nea_m(case).T
-    return min((float(zone.distance_m(n, e).min()) for zone in case.keep_outs), default=np.inf)
+    return min((float(zone.distance_m(n, e).min()) for zone in case.zones), default=np.inf)
 
 
 def measure(case: Case, prover: Prover, tally: Tally) -> None:
@@ -228,9 +228,9 @@ def typical_surroundings(rng: np.random.Generator) -> Surroundings:
             for _ in range(10)
         ),
         (
-            CircleKeepOut(name="a", north_m=1.8e4, east_m=3e4, radius_m=1e3),
-            CircleKeepOut(name="b", north_m=3.2e4, east_m=2.2e4, radius_m=1e3),
-            PolygonKeepOut(name="c", vertices_ne_m=square),
+            CircleZone(name="a", north_m=1.8e4, east_m=3e4, radius_m=1e3),
+            CircleZone(name="b", north_m=3.2e4, east_m=2.2e4, radius_m=1e3),
+            PolygonZone(name="c", vertices_ne_m=square),
         ),
         Margins(clearance_m=515.0, contact_m=15.0, band_inset_m=15.0, dead_man_s=3.5),
         centre_ne_m=(2.5e4, 1.5e4),

@@ -18,7 +18,7 @@ from scipy.ndimage import spline_filter
 from scipy.optimize import minimize
 from worlds import BenchmarkWorld
 
-from companion.world.threats import CircleKeepOut, Radar
+from companion.world.threats import CircleZone, Radar
 
 FloatArray = NDArray[np.float64]
 
@@ -86,8 +86,8 @@ class Problem:
         self.world, self.surface, self.margins = world, surface, margins
         self.soft = soft
         self.hard = tuple(r for r in world.task.radars if r not in soft)
-        self.zones = world.task.keep_outs
-        if any(not isinstance(zone, CircleKeepOut) for zone in self.zones):
+        self.zones = world.task.zones
+        if any(not isinstance(zone, CircleZone) for zone in self.zones):
             raise ValueError("the optimum is found among circular keep-out zones only")
         self.rates = Rates.of(world)
         count = _SAMPLES_PER_POINT * points
@@ -135,7 +135,7 @@ class Problem:
         ]
         spheres = [(np.asarray(x.centre_nea_m), x.range_m + m.radar_m, 3) for x in self.hard]
         for zone in self.zones:
-            assert isinstance(zone, CircleKeepOut)  # made sure of in __init__
+            assert isinstance(zone, CircleZone)  # made sure of in __init__
             wide = zone.radius_m + self.world.task.required_clearance_m + m.radar_m
             spheres.append((np.array([zone.north_m, zone.east_m, 0.0]), wide, 2))
         for centre, radius, axes in spheres:

@@ -30,13 +30,13 @@ from rich.console import Console
 from rich.table import Table
 from worlds import BenchmarkWorld
 
-from companion.elevation import read_terrain
 from companion.geodesy import LocalFrame
 from companion.planner.cost_to_go import cost_to_go
 from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
 from companion.planner.request import Planned, PlanRequest
 from companion.runtime.compiler import load_kernel
+from companion.sources.elevation import read_terrain
 from companion.world.known_map import KnownMap, Scan, empty_map
 from companion.world.simulated_scan import simulated_scan, true_map
 from companion.world.terrain import Peak, PeakTerrain, Terrain
@@ -171,7 +171,7 @@ def obstacles(most: int, scenes: int, kernel: Any) -> list[Row]:
 
 def relief(cells: int, folder: Path) -> Path:
     """A GeoTIFF of about so many cells about 47 N 8 E: fractal relief of 0 to 4,500 m, mirrored."""
-    import rasterio  # only where a DEM is wanted, as in companion.elevation
+    import rasterio  # only where a DEM is wanted, as in companion.sources.elevation
 
     side = round(math.sqrt(cells))
     tile = fractal(1024)

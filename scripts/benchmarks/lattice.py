@@ -99,7 +99,7 @@ class Lattice:
             ratio2 = ((north - n) ** 2 + (east - e) ** 2 + (altitude - z) ** 2) / radar.range_m**2
             inside = np.inf if radar_free else rates.radar / (1.0 + ratio2**2)
             result += np.where(ratio2 <= 1.0, inside, 0.0)
-        for zone in world.task.keep_outs:
+        for zone in world.task.zones:
             away = zone.distance_m(*np.broadcast_arrays(north, east))
             result[away < world.task.required_clearance_m] = np.inf
         return result

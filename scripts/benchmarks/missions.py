@@ -215,7 +215,7 @@ def _measures(curve: truth.Curve, world: BenchmarkWorld) -> truth.Measures:
         terrain=world.terrain,
         limits=world.task.limits,
         radars=world.task.radars,
-        keep_outs=world.task.keep_outs,
+        zones=world.task.zones,
         required_clearance_m=world.task.required_clearance_m,
     )
 

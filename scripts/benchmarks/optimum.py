@@ -166,7 +166,7 @@ class Solver:
             terrain=self.world.terrain,
             limits=task.limits,
             radars=task.radars,
-            keep_outs=task.keep_outs,
+            zones=task.zones,
             required_clearance_m=task.required_clearance_m,
         )
 

@@ -30,7 +30,7 @@ from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import simulated_scan, true_map
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import CircleKeepOut, Radar
+from companion.world.threats import CircleZone, Radar
 
 _SIDE_M = 60_000.0
 _PEAKS, _RADARS, _KEEP_OUTS = 10, 7, 3
@@ -72,12 +72,12 @@ def request(number: int) -> PlanRequest:
         for k, (north, east) in enumerate(places[_PEAKS : _PEAKS + _RADARS])
     )
     zones = tuple(
-        CircleKeepOut(
+        CircleZone(
             name=f"{k}", north_m=north, east_m=east, radius_m=float(rng.uniform(300.0, 1_500.0))
         )
         for k, (north, east) in enumerate(places[-_KEEP_OUTS:])
     )
-    task = replace(task, limits=limits, radars=radars, keep_outs=zones)
+    task = replace(task, limits=limits, radars=radars, zones=zones)
     terrain = PeakTerrain(peaks=peaks, ground_amsl_m=0.0)
     blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
     scan_nea_m = (here, here, 3_100.0)

@@ -17,7 +17,7 @@ from scipy.interpolate import BSpline
 
 from companion.path.limits import Limits
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import CircleKeepOut, KeepOut, Radar
+from companion.world.threats import CircleZone, Radar, Zone
 
 FloatArray = NDArray[np.float64]
 
@@ -183,10 +183,10 @@ def brute_distance_m(peak: Peak, point_nea_m: FloatArray) -> float:
 # --- bounds
 
 
-def keep_out_distance_m(points_nea_m: FloatArray, zone: KeepOut) -> FloatArray:
+def keep_out_distance_m(points_nea_m: FloatArray, zone: Zone) -> FloatArray:
     """Horizontal distance to the edge of a zone, negative inside.  (S, 3) -> (S,)."""
     at = points_nea_m[:, :2]
-    if isinstance(zone, CircleKeepOut):
+    if isinstance(zone, CircleZone):
         return np.linalg.norm(at - (zone.north_m, zone.east_m), axis=-1) - zone.radius_m
     corners = np.asarray(zone.vertices_ne_m)
     nearest = np.full(len(at), np.inf)
@@ -250,13 +250,13 @@ def measure(
     terrain: PeakTerrain,
     limits: Limits,
     radars: tuple[Radar, ...],
-    keep_outs: tuple[KeepOut, ...],
+    zones: tuple[Zone, ...],
     required_clearance_m: float,
 ) -> Measures:
     """Everything about one sampled curve."""
     points = curve.points_nea_m
     clearance = terrain_distance_m(points, terrain, 2.0 * required_clearance_m)
-    zones = [float(keep_out_distance_m(points, zone).min()) for zone in keep_outs]
+    zones = [float(keep_out_distance_m(points, zone).min()) for zone in zones]
     beyond = [
         max(edges[0] - float(points[:, axis].min()), float(points[:, axis].max()) - edges[1])
         for axis, edges in enumerate((limits.north_m, limits.east_m))

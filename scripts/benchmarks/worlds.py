@@ -70,7 +70,7 @@ class BenchmarkWorld:
              for p in self.terrain.peaks],
             self.terrain.ground_amsl_m,
             [(r.centre_nea_m, r.range_m) for r in task.radars],
-            [repr(zone) for zone in task.keep_outs],
+            [repr(zone) for zone in task.zones],
             (limits.turn_radius_m, limits.climb_angle_rad, limits.dive_angle_rad),
             (self.floor_amsl_m, self.ceiling_amsl_m, limits.north_m, limits.east_m),
             (task.required_clearance_m, task.settings.scan_range_m),
@@ -162,7 +162,7 @@ def _drawn(
             base,
             name=f"{kind}-{number}",
             terrain=PeakTerrain(peaks=peaks, ground_amsl_m=0.0),
-            task=replace(base.task, radars=threats, keep_outs=()),
+            task=replace(base.task, radars=threats, zones=()),
         )
         if has_way_through(world, SPARE_M) and not is_straight_line_free(world):
             return world
@@ -258,7 +258,7 @@ def free_at_floor(world: BenchmarkWorld) -> BoolArray:
         n, e, altitude = radar.centre_nea_m
         squared = (north - n) ** 2 + (east - e) ** 2 + (world.floor_amsl_m - altitude) ** 2
         free &= squared > radar.range_m**2
-    for zone in world.task.keep_outs:
+    for zone in world.task.zones:
         free &= zone.distance_m(*np.broadcast_arrays(north, east)) > world.task.required_clearance_m
     return free
 

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from companion.path.limits import Limits
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import CircleKeepOut, PolygonKeepOut, Radar
+from companion.world.threats import CircleZone, PolygonZone, Radar
 
 FloatArray = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ def test_curvature_at_the_start_is_that_of_the_control_polygon() -> None:
 
 def test_keep_out_distances_are_those_to_many_points_of_the_edge() -> None:
     corners = ((0.0, 0.0), (4e3, 0.0), (4e3, 3e3), (2e3, 1e3), (0.0, 3e3))
-    zone = PolygonKeepOut(name="p", vertices_ne_m=corners)
+    zone = PolygonZone(name="p", vertices_ne_m=corners)
     edge = np.concatenate(
         [
             np.linspace(a, b, 2_000)
@@ -109,7 +109,7 @@ def test_keep_out_distances_are_those_to_many_points_of_the_edge() -> None:
     np.testing.assert_allclose(np.abs(found), cKDTree(edge).query(points[:, :2])[0], atol=3.0)
     assert truth.keep_out_distance_m(np.array([[2e3, 500.0, 0.0]]), zone)[0] < 0.0
     assert truth.keep_out_distance_m(np.array([[2e3, 2.5e3, 0.0]]), zone)[0] > 0.0
-    circle = CircleKeepOut(name="c", north_m=0.0, east_m=0.0, radius_m=5.0)
+    circle = CircleZone(name="c", north_m=0.0, east_m=0.0, radius_m=5.0)
     assert truth.keep_out_distance_m(np.array([[3.0, 4.0, 99.0]]), circle)[0] == 0.0
 
 
@@ -150,7 +150,7 @@ def test_each_broken_bound_is_named(control: FloatArray, names: tuple[str, ...])
         terrain=TERRAIN,
         limits=LIMITS,
         radars=(),
-        keep_outs=(),
+        zones=(),
         required_clearance_m=515.0,
     )
     assert found.violations(LIMITS, 515.0, 15.0) == names

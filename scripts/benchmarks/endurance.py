@@ -1,0 +1,137 @@
+"""A day of flying, with faults: does the companion's process grow?
+
+    scripts/bench endurance [--hours 24] [--vehicle px4-copter] [--seed 1] [--json FILE]
+
+Companion and vehicle in one process and in steps (`pair`), back and forth between two targets, a
+fault every two minutes.  When a mission ends (a fault ended it, or the battery), the same process
+begins the next one, as a service would.  Resident memory and open file handles, by the hour.
+The bar: from the first hour to the last, memory grows by less than 10 MB and no handle is added.
+"""
+
+import argparse
+import dataclasses
+import functools
+import gc
+import json
+import os
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import final
+
+import numpy as np
+import pair_worlds
+from faults import WORLDS
+from faults_trials import trials
+from pair import Flown, Pair
+from rich.console import Console
+
+from companion.runtime.compiler import load_kernel
+
+_EVERY_S = 120.0
+_LOOK_H = 0.5
+_MISSION_S = 4.0 * 3600.0
+_TARGETS = 400
+_GROWTH_MB = 10.0
+_FAULTS = ("gps_off", "gps_noise", "wind", "link_off", "link_loss", "link_delay", "radar_off",
+           "radar_loss", "setpoints_ignored", "link_corruption", "plans late")  # fmt: skip
+
+
+def resident_mb() -> float:
+    """Of this process, now."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def handles() -> int:
+    """Open file descriptors of this process."""
+    return sum(1 for _ in Path("/proc/self/fd").iterdir())
+
+
+def scene_of(vehicle: str, number: int) -> pair_worlds.Scene:
+    """Back and forth."""
+    autopilot, kind = vehicle.split("-")
+    scene = pair_worlds.scene(autopilot, kind, number)  # type: ignore[arg-type]
+    there = scene.mission.targets_ne_m[-1]
+    mission = dataclasses.replace(scene.mission, targets_ne_m=(there, (0.0, 0.0)) * (_TARGETS // 2))
+    return dataclasses.replace(scene, mission=mission)
+
+
+def forget(flown: Flown) -> None:
+    """What a runtime would have written to disk by now."""
+    for kept in (flown.sent, flown.received_s, flown.journal, flown.samples, flown.done):
+        kept.clear()
+
+
+@final
+@dataclass(slots=True)
+class Diary:
+    """What the process takes up, every half an hour of flight."""
+
+    console: Console
+    flown_s: float = 0.0
+    missions: int = 0
+    rows: list[tuple[float, float, int, int]] = field(default_factory=list)
+    """Hours, megabytes, handles, missions."""
+
+    def note(self, pair: Pair) -> None:
+        """Forget what has been flown, and look."""
+        forget(pair.flown)
+        pair.simulation.take_truth()
+        pair.simulation.take_notices()
+        hour = (self.flown_s + pair.now_s) / 3600.0
+        if not self.rows or hour >= self.rows[-1][0] + _LOOK_H:
+            gc.collect()
+            self.rows.append((hour, resident_mb(), handles(), self.missions))
+            self.console.print("after {:5.1f} h: {:6.1f} MB, {} handles, {} missions".format(
+                *self.rows[-1]))  # fmt: skip
+
+
+def fly(hours: float, vehicle: str, seed: int, console: Console) -> Diary:
+    """Mission after mission in this process."""
+    kernel, rng, diary = load_kernel(), np.random.default_rng(seed), Diary(console)
+    rows_of = {trial.name: trial for trial in trials()}
+    while diary.flown_s < 3600.0 * hours:
+        scene = scene_of(vehicle, diary.missions % WORLDS)
+        pair = Pair(scene, seed=seed * 1000 + diary.missions, kernel=kernel)
+        for k in range(1, round(_MISSION_S / _EVERY_S)):
+            for after_s, happening in rows_of[str(rng.choice(_FAULTS))].draw(rng, scene):
+                pair.at(k * _EVERY_S + after_s, happening)
+        pair.each_minute = functools.partial(diary.note, pair)
+        left_s = 3600.0 * hours - diary.flown_s
+        pair.fly(limit_s=min(left_s + 60.0, _MISSION_S))
+        diary.flown_s += pair.now_s
+        diary.missions += 1
+    return diary
+
+
+def main() -> int:
+    """Fly; 1 if it grows."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--hours", type=float, default=24.0)
+    parser.add_argument("--vehicle", default="px4-copter")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    began_s = time.perf_counter()
+    diary = fly(options.hours, options.vehicle, options.seed, console)
+    took_s = time.perf_counter() - began_s
+    settled = [row for row in diary.rows if row[0] >= min(1.0, options.hours / 4)]
+    growth_mb = settled[-1][1] - settled[0][1]
+    more = settled[-1][2] - settled[0][2]
+    console.print(
+        f"{diary.flown_s / 3600:.1f} h in {took_s / 60:.1f} min "
+        f"({diary.flown_s / took_s:.0f} x real time), {diary.missions} missions: "
+        f"{growth_mb:+.1f} MB, {more:+d} handles since the first hour"
+    )
+    if options.json:
+        options.json.write_text(json.dumps(diary.rows) + "\n", encoding="utf-8")
+    bad = growth_mb > _GROWTH_MB or more > 0
+    console.print("the bar is broken" if bad else "the bar is kept", style="bold")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,189 @@
+"""Kill the companion again and again in one mission; a loop starts it again each time.
+
+    scripts/bench killed [--kills 50] [--autopilot ardupilot|px4] [--seed 1] [--json FILE]
+
+Real processes, real time: `kill -9` at random moments of its life, start-up included, then
+`companion fly MISSION --out RUN --resume`.  A tap on the wire watches the setpoints.  Each should
+be where the autopilot's own target is: at the setpoint before, advanced by its velocity for as long
+as the autopilot does that, or at the vehicle.  The bar: it arrives; the first setpoint of no life
+jumps by more than 1 m or 1 m/s.
+"""
+
+import argparse
+import dataclasses
+import json
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import final
+
+import numpy as np
+import pair_files
+import pair_processes as processes
+import pair_worlds
+from pair_processes import POSITION, SETPOINT, TO_COMPANION, Tap, frames
+from rich.console import Console
+
+from vehicle_sim.geodesy import metres_per_degree
+
+_LAPS = 2
+_LIFE_S = (0.3, 16.0)
+_PATIENCE_S = 1800.0
+_JUMP_M, _JUMP_M_S = 1.0, 1.0
+_FLIES_ON_S = {"ardupilot": 3.0, "px4": 0.0}
+"""How long the autopilot moves its target on by itself."""
+_NORTH_M, _EAST_M = metres_per_degree(pair_worlds.LATITUDE_DEG)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jump:
+    """How far a setpoint is from where the autopilot's target was."""
+
+    at_s: float
+    life: int
+    first: bool
+    """The first one of this life."""
+    metres: float
+    speed_m_s: float
+    gap_s: float
+
+
+@final
+@dataclass(slots=True)
+class Watcher:
+    """Compares each setpoint with the one before and with the vehicle."""
+
+    flies_on_s: float
+    life: int = 0
+    jumps: list[Jump] = field(default_factory=list)
+    _last: tuple[float, tuple[float, ...]] | None = None
+    _last_life: int = -1
+    _vehicle: tuple[float, ...] | None = None
+
+    def seen(self, way: int, at_s: float, datagram: bytes) -> None:
+        for number, frame in frames(datagram):
+            if way == TO_COMPANION and number == POSITION:
+                self._vehicle = processes.position_of(frame)[1]
+            elif way != TO_COMPANION and number == SETPOINT:
+                self._on_setpoint(at_s, processes.setpoint_of(frame)[1])
+
+    def _on_setpoint(self, at_s: float, now: tuple[float, ...]) -> None:
+        near: list[tuple[float, float, float]] = []
+        gap_s = 0.0
+        if self._last is not None:
+            gap_s = at_s - self._last[0]
+            before = self._last[1]
+            moved = _moved(before, min(gap_s, self.flies_on_s))
+            near.append((_apart_m(now, moved), _apart_m_s(now, before), gap_s))
+        if self._vehicle is not None:
+            near.append((_apart_m(now, self._vehicle), _apart_m_s(now, self._vehicle), gap_s))
+        if near:
+            metres, speed, _ = min(near, key=lambda each: each[0] + each[1])
+            self.jumps.append(
+                Jump(
+                    at_s=at_s,
+                    life=self.life,
+                    first=self.life != self._last_life,
+                    metres=metres,
+                    speed_m_s=speed,
+                    gap_s=gap_s,
+                )
+            )
+        self._last, self._last_life = (at_s, now), self.life
+
+
+def _moved(setpoint: tuple[float, ...], seconds: float) -> tuple[float, ...]:
+    lat, lon, altitude, north, east, down = setpoint
+    place = (lat + north * seconds / _NORTH_M, lon + east * seconds / _EAST_M)
+    return (*place, altitude - down * seconds, north, east, down)
+
+
+def _apart_m(one: Sequence[float], other: Sequence[float]) -> float:
+    north, east = (one[0] - other[0]) * _NORTH_M, (one[1] - other[1]) * _EAST_M
+    return math.hypot(north, east, one[2] - other[2])
+
+
+def _apart_m_s(one: Sequence[float], other: Sequence[float]) -> float:
+    return math.dist(one[3:6], other[3:6])
+
+
+def scene_of(autopilot: str) -> pair_worlds.Scene:
+    """There and back, again and again."""
+    scene = pair_worlds.scene(autopilot, "copter", 4)  # type: ignore[arg-type]
+    there = scene.mission.targets_ne_m[-1]
+    targets = (there, (0.0, 0.0)) * _LAPS
+    return dataclasses.replace(
+        scene, mission=dataclasses.replace(scene.mission, targets_ne_m=targets)
+    )
+
+
+def fly(autopilot: str, kills: int, seed: int, folder: Path, console: Console) -> Watcher:
+    """One mission with so many kills; SystemExit if it does not arrive."""
+    rng = np.random.default_rng(seed)
+    mission, world = pair_files.write(scene_of(autopilot), folder)
+    watcher = Watcher(flies_on_s=_FLIES_ON_S[autopilot])
+    tap, log = Tap(watcher.seen), folder / "companion.log"
+    out = folder / "run"
+    vehicle = processes.start_vehicle(world, tap.vehicle_port)
+    companion = processes.start_companion(mission, tap.companion_port, out, log=log)
+    began_s, lives = time.monotonic(), 1
+    dies_s = began_s + 60.0 if autopilot == "ardupilot" else began_s + 20.0
+    flies_s = began_s
+    try:
+        while companion.poll() is None and time.monotonic() - began_s < _PATIENCE_S:
+            tap.pump(0.05)
+            if lives <= kills and time.monotonic() > dies_s:
+                processes.end(companion)
+                watcher.life = lives
+                companion = processes.start_companion(
+                    mission, tap.companion_port, out, "--resume", log=log
+                )
+                lives += 1
+                dies_s = time.monotonic() + rng.uniform(*_LIFE_S)
+        flies_s = time.monotonic() - began_s
+        code = companion.poll()
+    finally:
+        processes.end(companion)
+        processes.end(vehicle)
+        tap.close()
+    console.print(f"{lives - 1} kills in {flies_s:.0f} s; the last life ended with {code}")
+    if code != 0 or lives <= kills:
+        raise SystemExit(log.read_text(encoding="utf-8")[-3000:])
+    return watcher
+
+
+def main() -> int:
+    """Fly it; 1 if a setpoint jumps."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    with tempfile.TemporaryDirectory() as folder:
+        watcher = fly(options.autopilot, options.kills, options.seed, Path(folder), console)
+    bad = False
+    for name, jumps in (
+        ("first setpoints of a life", [j for j in watcher.jumps if j.first]),
+        ("all others", [j for j in watcher.jumps if not j.first]),
+    ):
+        metres = max((j.metres for j in jumps), default=0.0)
+        speed = max((j.speed_m_s for j in jumps), default=0.0)
+        if jumps and jumps[0].first:
+            bad = metres > _JUMP_M or speed > _JUMP_M_S
+        console.print(f"{name}: {len(jumps)}; largest jump {metres:.2f} m and {speed:.2f} m/s")
+    if options.json:
+        rows = [dataclasses.asdict(jump) for jump in watcher.jumps]
+        options.json.write_text(json.dumps(rows) + "\n", encoding="utf-8")
+    console.print("the bar is broken" if bad else "it arrived; the bar is kept", style="bold")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,183 @@
+"""How long the companion thinks, and how even its stream is: real processes, real time, loaded.
+
+    scripts/bench latency [--autopilot ardupilot|px4] [--rates 20 200] [--idle] [--json FILE]
+
+vehicle-sim and `companion fly` run as processes over UDP with a tap between them, and one more
+process keeps a core busy.  The tap tells when a position went in and when the setpoint that answers
+it (it carries the position's time) came out, and how long the gaps of the stream are.  Beside it,
+in the same run and through the same kind of socket, a bare echo answers as many datagrams of the
+same size.  What the companion itself measured, from the datagram's arrival to the setpoint's
+departure, stands in its run.json.
+"""
+
+import argparse
+import json
+import multiprocessing
+import select
+import socket
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+import pair_files
+import pair_processes as processes
+import pair_worlds
+from numpy.typing import NDArray
+from pair_processes import POSITION, SETPOINT, TO_COMPANION, Tap, frames
+from rich.console import Console
+from rich.table import Table
+
+FloatArray = NDArray[np.float64]
+
+_PATIENCE_S = 400.0
+_BARS_MS = {"thinking p99": 5.0, "gap p99.9": 100.0}
+
+
+@final
+@dataclass(slots=True)
+class Clock:
+    """When positions went in and setpoints came out."""
+
+    in_s: dict[int, float] = field(default_factory=dict)
+    out_s: list[float] = field(default_factory=list)
+    waits_s: list[float] = field(default_factory=list)
+
+    def seen(self, way: int, at_s: float, datagram: bytes) -> None:
+        for number, frame in frames(datagram):
+            if way == TO_COMPANION and number == POSITION:
+                self.in_s[processes.position_of(frame)[0]] = at_s
+            elif way != TO_COMPANION and number == SETPOINT:
+                self.out_s.append(at_s)
+                asked_s = self.in_s.get(processes.setpoint_of(frame)[0])
+                if asked_s is not None:
+                    self.waits_s.append(at_s - asked_s)
+
+
+def echo(link: socket.socket) -> None:
+    """Sends everything back."""
+    while True:
+        data, sender = link.recvfrom(2048)
+        link.sendto(data, sender)
+
+
+def busy() -> None:
+    """Keeps a core."""
+    number = 1
+    while True:
+        number = number * 16807 % 2147483647
+
+
+@final
+class Echo:
+    """Asks the bare echo as often as positions come in, and times its answers."""
+
+    def __init__(self, port: int, rate_hz: float) -> None:
+        self.link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.link.connect(("127.0.0.1", port))
+        self.link.setblocking(False)
+        self.waits_s: list[float] = []
+        self._period_s, self._next_s, self._asked_s = 1.0 / rate_hz, 0.0, 0.0
+
+    def work(self) -> None:
+        now_s = time.monotonic()
+        if now_s >= self._next_s:
+            self._next_s, self._asked_s = now_s + self._period_s, now_s
+            self.link.send(bytes(40))
+        while select.select([self.link], [], [], 0.0)[0]:
+            self.link.recv(2048)
+            self.waits_s.append(time.monotonic() - self._asked_s)
+
+
+def measure(autopilot: str, rate_hz: float, folder: Path, *, loaded: bool) -> dict[str, Any]:
+    """One mission at this rate of positions: times in seconds."""
+    scene = pair_worlds.scene(autopilot, "copter", 1)  # type: ignore[arg-type]
+    mission, world = pair_files.write(scene, folder, position_rate_hz=rate_hz)
+    clock = Clock()
+    tap = Tap(clock.seen)
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    link.bind(("127.0.0.1", 0))
+    helpers = [multiprocessing.Process(target=echo, args=(link,), daemon=True)]
+    helpers += [multiprocessing.Process(target=busy, daemon=True)] if loaded else []
+    asker = Echo(link.getsockname()[1], rate_hz)
+    out = folder / "run"
+    companion = processes.start_companion(
+        mission, tap.companion_port, out, log=folder / "companion.log"
+    )
+    vehicle = processes.start_vehicle(world, tap.vehicle_port)
+    began_s = time.monotonic()
+    try:
+        for helper in helpers:
+            helper.start()
+        while companion.poll() is None and time.monotonic() - began_s < _PATIENCE_S:
+            tap.pump(0.25 / rate_hz)
+            asker.work()
+        code = companion.poll()
+    finally:
+        for process in (companion, vehicle):
+            processes.end(process)
+        for helper in helpers:
+            helper.kill()
+        tap.close()
+        link.close()
+        asker.link.close()
+    if code != 0:
+        said = (folder / "companion.log").read_text(encoding="utf-8")[-2000:]
+        raise SystemExit(f"the companion did not arrive ({code}):\n{said}")
+    facts = json.loads((out / "run.json").read_text(encoding="utf-8"))
+    return {
+        "rate_hz": rate_hz,
+        "waits_s": clock.waits_s,
+        "gaps_s": np.diff(clock.out_s).tolist(),
+        "echo_s": asker.waits_s,
+        "inside": facts.get("latency"),
+    }
+
+
+def _ms(values: list[float], share: float) -> str:
+    return f"{1e3 * float(np.quantile(values, share)):.2f}" if values else ""
+
+
+def table_of(rows: list[dict[str, Any]]) -> Table:
+    """Milliseconds."""
+    table = Table(title="Position in to setpoint out, ms", box=None, pad_edge=False)
+    for heading in ("Hz", "setpoints", "p50", "p99", "p99.9", "most", "echo p50", "echo p99",
+                    "echo p99.9", "gap p50", "gap p99.9", "most"):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for row in rows:
+        waits, gaps, echoes = row["waits_s"], row["gaps_s"], row["echo_s"]
+        table.add_row(
+            f"{row['rate_hz']:g}", str(len(waits)),
+            *(_ms(waits, share) for share in (0.5, 0.99, 0.999, 1.0)),
+            *(_ms(echoes, share) for share in (0.5, 0.99, 0.999)),
+            *(_ms(gaps, share) for share in (0.5, 0.999, 1.0)),
+        )  # fmt: skip
+    return table
+
+
+def main() -> int:
+    """Fly one mission for each rate."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot")
+    parser.add_argument("--rates", type=float, nargs="+", default=[20.0, 200.0])
+    parser.add_argument("--idle", action="store_true", help="leave the other core alone")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    rows = []
+    for rate_hz in options.rates:
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append(measure(options.autopilot, rate_hz, Path(folder), loaded=not options.idle))
+    console.print(table_of(rows))
+    for row in rows:
+        console.print(f"inside the companion, {row['rate_hz']:g} Hz: {json.dumps(row['inside'])}")
+    if options.json:
+        options.json.write_text(json.dumps(rows) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,395 @@
+"""Companion and vehicle in one process: no sockets, no wall clock, exact steps of vehicle time.
+
+    Pair(scene, seed=1).fly() -> Flown
+
+The companion's `Session` and the simulator's `Simulation` exchange bytes and nothing else, as over
+a link without delay; a ground station on a link of its own can upload a fence, change the mode and
+command the companion.  The session is run as it is in flight, not in its own lockstep: its silence,
+its plans' lateness and its time-outs are those of vehicle time, which here is the only time.  Plans
+are computed when they are asked for, and are handed over `plan_s` later.
+"""
+
+import json
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pair_station import CHATTER, COMPONENT, SYSTEM, Station
+from pair_worlds import Scene
+from pymavlink.dialects.v20 import all as wire
+
+from companion.mavlink.outbox import Output
+from companion.mission.state import Phase
+from companion.planner.kernels import Kernel
+from companion.planner.plan import plan
+from companion.planner.request import PlanOutcome, PlanRequest
+from companion.session import Session
+from vehicle_sim.simulation import STEP_US, Simulation
+
+FloatArray = NDArray[np.float64]
+
+COMPANION_LINK, STATION_LINK = 0, 1
+_POLL_S = 0.2
+_SETTLE_S = 3.0
+_AFTER_S = 5.0
+"""What is flown on after the companion has ended, to see what it left behind."""
+_BOOT_S = 90.0
+_PATIENCE_S = 90.0
+"""Who has held for so long, and nothing more is going to happen, holds for good."""
+_SAMPLE_US, _MINUTE_US = 100_000, 60_000_000
+_GLOBAL_INT, _COMMAND_INT, _DO_REPOSITION = 86, 75, 192
+SETPOINTS = frozenset(
+    {"SET_POSITION_TARGET_GLOBAL_INT", "SET_POSITION_TARGET_LOCAL_NED", "COMMAND_INT"}
+)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    """What the companion thought at a moment."""
+
+    t_s: float
+    phase: str
+    reason: str
+    believed_nea_m: tuple[float, float, float] | None
+    """Newest position that the vehicle told it."""
+    believed_at_s: float
+    """When it was told."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sent:
+    """One setpoint, as it left the companion."""
+
+    t_s: float
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+    velocity_ned_m_s: tuple[float, float, float] | None
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Flown:
+    """All that is known of a flight afterwards."""
+
+    scene: Scene
+    truth: list[dict[str, Any]] = field(default_factory=list)
+    samples: list[Sample] = field(default_factory=list)
+    sent: list[Sent] = field(default_factory=list)
+    received_s: list[float] = field(default_factory=list)
+    """When setpoints reached the autopilot."""
+    journal: list[dict[str, Any]] = field(default_factory=list)
+    outcome: str = ""
+    """How the companion says that it ended; empty if it did not."""
+    reason: str = ""
+    died: str = ""
+    """What the companion itself died of, if it did."""
+    airborne_s: float = math.inf
+    """When the companion first flew."""
+    ended_s: float = math.inf
+    fences: list[tuple[float, tuple[Any, ...]]] = field(default_factory=list)
+    """When the vehicle had the whole of a fence, and its zones."""
+    done: list[tuple[float, str]] = field(default_factory=list)
+    """What was made to happen, and when."""
+    texts: list[tuple[int, str]] = field(default_factory=list)
+    """What the ground station read: component and text."""
+    target_ne_m: tuple[float, float] | None = None
+    """Where it was told to go in flight, if it was."""
+
+    def track(self) -> tuple[FloatArray, FloatArray]:
+        """True times (N,) and positions (N, 3)."""
+        keys = ("north_m", "east_m", "altitude_amsl_m")
+        rows = [[row[key] for key in keys] for row in self.truth]
+        return np.array([row["t_s"] for row in self.truth]), np.array(rows)
+
+
+Happening = Callable[["Pair"], None]
+"""Something that is made to happen once the time has come."""
+
+
+@final
+class Brain:
+    """One life of the companion: its session, and what its runtime does around it."""
+
+    def __init__(self, session: Session, kernel: Kernel) -> None:
+        self.session = session
+        self.plan_s = 0.02
+        """How long a plan takes, in vehicle time."""
+        self.planner_dies = False
+        self.out_frames: list[bytes] = []
+        self.ended_s: float | None = None
+        self.over = False
+        self.checkpoint: Any = None
+        """What it has written to disk, as its known map."""
+        self.known: Any = None
+        self._kernel = kernel
+        self._heard_s = self._polled_s = 0.0
+        self._answers: list[tuple[float, PlanOutcome | Exception]] = []
+
+    def begin(self, now_s: float) -> None:
+        self._heard_s = self._polled_s = now_s
+
+    def on_data(self, data: bytes, now_s: float, flown: Flown) -> None:
+        """What the runtime does with a datagram."""
+        self._polled_s = now_s
+        if self.session.receive(data, now_s):
+            self._heard_s = now_s
+        else:
+            self.session.silence(now_s - self._heard_s)
+        self._run(now_s, flown)
+
+    def on_time(self, now_s: float, flown: Flown) -> None:
+        """What it does when nothing comes in."""
+        if now_s - self._polled_s >= _POLL_S - 1e-9:
+            self._polled_s = now_s
+            self.session.silence(now_s - self._heard_s)
+            self._run(now_s, flown)
+
+    def _run(self, now_s: float, flown: Flown) -> None:
+        while self._answers and self._answers[0][0] <= now_s:
+            _, answer = self._answers.pop(0)
+            if isinstance(answer, Exception):
+                self.session.part_died("planner", repr(answer))
+            else:
+                self.session.deliver(answer)
+        self._carry_out(self.session.run(), now_s, flown)
+        if self.ended_s is not None and not self.over:
+            settled = now_s - self.ended_s > _SETTLE_S
+            if settled or self._settled:
+                self._carry_out(self.session.farewell(), now_s, flown)
+                self.over = True
+
+    def _carry_out(self, out: Output, now_s: float, flown: Flown) -> None:
+        self.out_frames += out.frames
+        for entry in out.journal:
+            entry.setdefault("at_s", round(now_s, 2))
+        flown.journal += out.journal
+        self._settled = out.settled
+        if out.checkpoint is not None:
+            self.checkpoint = out.checkpoint
+        if out.known is not None:
+            self.known = out.known
+        if out.plan is not None:
+            self._answers.append((now_s + self.plan_s, self._answer(out.plan)))
+        if out.end is not None and self.ended_s is None:
+            self.ended_s = now_s
+            flown.outcome, flown.reason = out.end.outcome.value, out.end.reason
+
+    def _answer(self, request: PlanRequest) -> PlanOutcome | Exception:
+        if self.planner_dies:
+            return RuntimeError("the planner was made to die")
+        return plan(request, lambda: False, self._kernel)
+
+
+@final
+class Pair:
+    """A companion, a vehicle and a ground station."""
+
+    def __init__(self, scene: Scene, *, seed: int, kernel: Kernel, faults: str = "") -> None:
+        self.scene, self.seed = scene, seed
+        self.simulation = Simulation(scene.world, seed=seed, links=2, faults=faults)
+        self.simulation.on_message = self._on_message
+        self.station = Station(scene.world.frame)
+        self.brain: Brain | None = None
+        self.flown = Flown(scene=scene)
+        self.each_minute: Callable[[], None] | None = None
+        """For flights that are too long to be kept whole."""
+        self._kernel = kernel
+        self._due: list[tuple[float, Happening]] = []
+        """Seconds after the companion began to fly, and what then."""
+        self._restart_s, self._held_s = math.inf, 0.0
+        self._left: tuple[Any, Any] = (None, None)
+
+    @property
+    def now_s(self) -> float:
+        return self.simulation.now_us * 1e-6
+
+    def at(self, after_s: float, happening: Happening) -> None:
+        """Make something happen so long after the companion began to fly."""
+        self._due.append((after_s, happening))
+        self._due.sort(key=lambda item: item[0])
+
+    def note(self, what: str) -> None:
+        self.flown.done.append((self.now_s, what))
+
+    def where(self) -> tuple[float, float, float]:
+        """The true position of the vehicle in the local frame."""
+        vehicle = self.simulation.vehicle
+        place = self.scene.world.frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
+        return (*place, vehicle.altitude_amsl_m)
+
+    # --- the companion's lives
+
+    def kill(self, away_s: float) -> None:
+        """The companion's process is gone at once; another one is started after a while."""
+        if self.brain is not None:
+            self._left = (self.brain.checkpoint, self.brain.known)
+        self.brain = None
+        self._restart_s = self.now_s + away_s
+
+    def new_brain(self, *, resume: bool = False) -> Brain:
+        """Another life: from nothing, or from what the one before has left."""
+        left = self._left if resume and self._left[0] is not None else None
+        session = Session(self.scene.mission, seed=self.seed, lockstep=False, resume=left)
+        brain = Brain(session, self._kernel)
+        if resume:
+            brain.checkpoint, brain.known = self._left
+        return brain
+
+    # --- time
+
+    def fly(self, *, limit_s: float = 300.0) -> Flown:
+        """From the boot to what the companion leaves behind."""
+        self._boot()
+        self.brain = self.new_brain()
+        self.brain.begin(self.now_s)
+        began_s = self.now_s
+        try:
+            while self.now_s - began_s < limit_s:
+                self._step()
+                self._happen()
+                if self.each_minute is not None and self.simulation.now_us % _MINUTE_US == 0:
+                    self.each_minute()
+                if (self.brain is not None and self.brain.over) or self._waits_in_vain():
+                    break
+            self._see_what_is_left()
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is a finding
+            self.flown.died = f"{type(error).__name__}: {error}"
+        self.flown.truth = [
+            json.loads(line) for line in self.simulation.take_truth() if '"t_s"' in line
+        ]
+        self.flown.texts = self.station.texts
+        return self.flown
+
+    def _boot(self) -> None:
+        """Until the vehicle can be armed and has its fence."""
+        while not self.simulation.armable and self.now_s < _BOOT_S:
+            self.simulation.step()
+            self.simulation.take_frames()
+        self.station.be_left_alone()
+        self._thin_out()
+        if self.scene.fence:
+            self.upload(self.scene.fence)
+            while not self.station.idle:
+                self._step()
+        self.simulation.take_truth()
+        self.simulation.take_notices()
+
+    def _waits_in_vain(self) -> bool:
+        """Whether it has held for so long, with nothing to come, that it will go on holding."""
+        if self.brain is None or self.brain.session.state.phase is not Phase.HOLDING or self._due:
+            self._held_s = self.now_s
+        return self.now_s - self._held_s > _PATIENCE_S
+
+    def _thin_out(self) -> None:
+        """Stop the streams of the companion's link that it does not listen to: they cost time."""
+        codec = wire.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
+        for number in CHATTER:
+            stop = wire.MAVLink_command_long_message(1, 1, 511, 0, number, -1, 0, 0, 0, 0, 0)
+            self.simulation.receive(COMPANION_LINK, stop.pack(codec))
+
+    def _see_what_is_left(self) -> None:
+        self.flown.ended_s = self.now_s
+        self.brain = None
+        for _ in range(round(_AFTER_S * 100)):
+            self._step()
+
+    def _step(self) -> None:
+        simulation, now_s = self.simulation, self.now_s
+        simulation.step()
+        heard: list[bytes] = []
+        for link, frame in simulation.take_frames():
+            if link == COMPANION_LINK:
+                heard.append(frame)
+            else:
+                self.station.hear(frame)
+        brain, now_s = self.brain, self.now_s
+        if brain is not None:
+            if heard:
+                brain.on_data(b"".join(heard), now_s, self.flown)
+            else:
+                brain.on_time(now_s, self.flown)
+            for frame in brain.out_frames:
+                self._note_setpoint(frame, now_s)
+                simulation.receive(COMPANION_LINK, frame)
+            brain.out_frames.clear()
+        for frame in self.station.say(now_s):
+            simulation.receive(STATION_LINK, frame)
+        if simulation.now_us % _SAMPLE_US == 0:
+            self._sample(now_s)
+
+    def _happen(self) -> None:
+        if self.now_s >= self._restart_s:
+            self._restart_s = math.inf
+            self.brain = self.new_brain(resume=True)
+            self.brain.begin(self.now_s)
+        flown, brain = self.flown, self.brain
+        if brain is not None and math.isinf(flown.airborne_s):
+            if brain.session.state.phase is not Phase.FLYING:
+                return
+            flown.airborne_s = self.now_s
+        while self._due and self.now_s - flown.airborne_s >= self._due[0][0]:
+            self._due.pop(0)[1](self)
+
+    def _sample(self, now_s: float) -> None:
+        brain = self.brain
+        if brain is None:
+            self.flown.samples.append(
+                Sample(t_s=now_s, phase="", reason="", believed_nea_m=None, believed_at_s=-math.inf)
+            )
+            return
+        state = brain.session.state
+        self.flown.samples.append(
+            Sample(
+                t_s=now_s,
+                phase=state.phase.value,
+                reason="" if state.reason is None else state.reason.text,
+                believed_nea_m=state.vehicle.position_nea_m,
+                believed_at_s=state.vehicle.position_at_s,
+            )
+        )
+
+    # --- what goes over the links
+
+    def _on_message(self, kind: str) -> None:
+        if kind in SETPOINTS:
+            self.flown.received_s.append(self.now_s)
+
+    def _note_setpoint(self, frame: bytes, now_s: float) -> None:
+        number = frame[7] | frame[8] << 8 | frame[9] << 16
+        if number == _GLOBAL_INT:
+            _, lat, lon, alt, *v = struct.unpack_from("<Iii4f", frame[10:-2].ljust(32, b"\0"))
+            velocity = (v[0], v[1], v[2])
+        elif number == _COMMAND_INT:
+            *_, lat, lon, alt, command = struct.unpack_from(
+                "<4fiifH", frame[10:-2].ljust(32, b"\0")
+            )
+            if command != _DO_REPOSITION:
+                return
+            velocity = None
+        else:
+            return
+        self.flown.sent.append(
+            Sent(
+                t_s=now_s,
+                latitude_deg=lat * 1e-7,
+                longitude_deg=lon * 1e-7,
+                altitude_amsl_m=alt,
+                velocity_ned_m_s=velocity,
+            )
+        )
+
+    def upload(self, zones: tuple[Any, ...]) -> None:
+        """A ground station uploads this fence."""
+        self.station.upload(zones, lambda: self.flown.fences.append((self.now_s, zones)))
+
+
+def steps(seconds: float) -> int:
+    """So many steps of the simulator."""
+    return round(seconds * 1e6 / STEP_US)

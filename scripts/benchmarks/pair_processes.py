@@ -1,0 +1,141 @@
+"""Companion and vehicle as processes of their own, over UDP, with a tap on the wire."""
+
+import os
+import select
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, final
+
+BIN = Path(sys.executable).parent
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = dict(os.environ)
+TO_COMPANION, TO_VEHICLE = 0, 1
+POSITION, SETPOINT, HEARTBEAT = 33, 86, 0
+Seen = Callable[[int, float, bytes], None]
+"""Direction, time (monotonic seconds), datagram."""
+
+
+def frames(datagram: bytes) -> Iterator[tuple[int, bytes]]:
+    """Message ids and whole frames of MAVLink 2 in a datagram."""
+    at = 0
+    while at + 12 <= len(datagram) and datagram[at] == 0xFD:
+        size = 12 + datagram[at + 1] + (13 if datagram[at + 2] & 1 else 0)
+        number = int.from_bytes(datagram[at + 7 : at + 10], "little")
+        yield number, datagram[at : at + size]
+        at += size
+
+
+def payload(frame: bytes, size: int) -> bytes:
+    """Of a frame, with the zeros that the wire leaves out."""
+    return frame[10 : 10 + frame[1]].ljust(size, b"\0")
+
+
+def setpoint_of(frame: bytes) -> tuple[int, tuple[float, ...]]:
+    """time_boot_ms; latitude, longitude (degrees), altitude, velocity NED of message 86."""
+    time_ms, lat, lon, alt, *velocity = struct.unpack_from("<Iii4f", payload(frame, 53))
+    return time_ms, (lat * 1e-7, lon * 1e-7, alt, *velocity)
+
+
+def position_of(frame: bytes) -> tuple[int, tuple[float, ...]]:
+    """time_boot_ms; latitude, longitude, altitude AMSL, velocity NED of message 33."""
+    time_ms, lat, lon, alt, _, vn, ve, vd = struct.unpack_from("<IiiiiHHH", payload(frame, 28))
+    signed = [v - 65536 if v > 32767 else v for v in (vn, ve, vd)]
+    return time_ms, (lat * 1e-7, lon * 1e-7, alt * 1e-3, *(v * 1e-2 for v in signed))
+
+
+@final
+class Tap:
+    """Passes datagrams on between a vehicle (udpout to us) and a companion (udpin)."""
+
+    def __init__(self, seen: Seen) -> None:
+        self._seen = seen
+        self._vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._vehicle.bind(("127.0.0.1", 0))
+        self._companion = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._companion.bind(("127.0.0.1", 0))
+        self._peer: tuple[str, int] | None = None
+        self.companion_port = free_port()
+        for each in (self._vehicle, self._companion):
+            each.setblocking(False)
+
+    @property
+    def vehicle_port(self) -> int:
+        """Where the vehicle sends to."""
+        return int(self._vehicle.getsockname()[1])
+
+    def pump(self, seconds: float) -> None:
+        """Pass on what comes within so long."""
+        until_s = time.monotonic() + seconds
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            ready, _, _ = select.select([self._vehicle, self._companion], [], [], left_s)
+            for each in ready:
+                self._pass_on(each)
+
+    def _pass_on(self, source: socket.socket) -> None:
+        try:
+            data, sender = source.recvfrom(65535)
+        except (BlockingIOError, ConnectionRefusedError):
+            return
+        at_s = time.monotonic()
+        try:
+            if source is self._vehicle:
+                self._peer = sender
+                self._companion.sendto(data, ("127.0.0.1", self.companion_port))
+            elif self._peer is not None:
+                self._vehicle.sendto(data, self._peer)
+        except OSError:  # nobody there at the moment
+            pass
+        self._seen(TO_COMPANION if source is self._vehicle else TO_VEHICLE, at_s, data)
+
+    def close(self) -> None:
+        self._vehicle.close()
+        self._companion.close()
+
+
+def free_port() -> int:
+    """A UDP port of this machine that nobody uses now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def start_vehicle(world: Path, port: int, *options: str) -> subprocess.Popen[bytes]:
+    """vehicle-sim, in real time unless the options say otherwise."""
+    command = [BIN / "vehicle-sim", world, "--connect", f"udpout:127.0.0.1:{port}", *options]
+    return _start(command)
+
+
+def start_companion(
+    mission: Path, port: int, out: Path, *options: str, log: Path | None = None
+) -> subprocess.Popen[bytes]:
+    """companion fly, waiting for the vehicle on this port."""
+    command = [BIN / "companion", "fly", mission, "--connect", f"udpin:127.0.0.1:{port}"]
+    return _start([*command, "--out", out, *options], log)
+
+
+def _start(command: list[Any], log: Path | None = None) -> subprocess.Popen[bytes]:
+    where = subprocess.DEVNULL if log is None else log.open("ab")
+    try:
+        return subprocess.Popen(
+            [str(part) for part in command],
+            stdout=where,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            cwd=ROOT,
+            env=ENVIRONMENT,
+        )
+    finally:
+        if log is not None:
+            where.close()  # type: ignore[union-attr]
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    """Make an end of it, if there has been none."""
+    if process.poll() is None:
+        process.kill()
+    process.wait()
