@@ -1,0 +1,97 @@
+"""The pages of docs/ and the README: their commands are valid, and their links lead somewhere."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+
+from companion.cli import app
+from companion.config import bundled, load_mission
+from companion.mavlink.parameter_rules import (
+    ARDUCOPTER_RULES,
+    ARDUPLANE_RULES,
+    PX4_FIXED_WING_RULES,
+    PX4_MULTICOPTER_RULES,
+)
+from companion.runtime.connection import parsed
+from vehicle_sim.cli import app as simulator_app
+from vehicle_sim.cli import bundled_worlds
+from vehicle_sim.links import parse_endpoint
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+PROGRAMS = ("companion", "vehicle-sim")
+PLACEHOLDERS = re.compile(r"[A-Z][A-Z_.]*|mission\.toml|\S+\.plan|world\.toml")
+"""Words that stand for what the reader puts in their place."""
+
+
+def commands() -> list[tuple[str, str]]:
+    """Page and line of each command for one of our programs in a block of code."""
+    found = set()
+    for page in PAGES:
+        blocks = re.findall(r"^```\w*\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+        for line in "".join(blocks).splitlines():
+            for part in re.split(r"\s#\s|\s{4,}|;", line.replace("ExecStart=", "")):
+                program = part.strip().split(" ")[0].rsplit("/", 1)[-1]
+                if program in PROGRAMS and part.strip() != program:
+                    found.add((page.name, part.strip()))
+    return sorted(found)
+
+
+def test_the_pages_show_how_to_start_both_programs() -> None:
+    pages = {page for page, _ in commands()}
+    assert {"README.md", "connecting.md", "simulator.md"} <= pages
+    assert len(commands()) >= 25
+
+
+@pytest.mark.parametrize(("page", "line"), commands())
+def test_a_command_of_the_docs_is_understood(page: str, line: str) -> None:
+    """Parsed as the program would; nothing is run."""
+    del page
+    program, *words = shlex.split(line)
+    if program == "vehicle-sim":
+        given = typer.main.get_command(simulator_app).make_context(program, words).params
+        for address in given["connect"] or []:
+            parse_endpoint(address)
+        named, known = given["world"], list(bundled_worlds())
+    else:
+        command = typer.main.get_command(app)
+        while isinstance(command, typer.core.TyperGroup):
+            command = command.commands[words.pop(0)]
+        if words == ["--help"]:
+            return
+        given = command.make_context(program, words).params
+        address = given.get("connect", "ADDRESS")
+        if address != "ADDRESS":
+            parsed(address)
+        named, known = given.get("mission"), bundled()
+    assert named is None or named in known or PLACEHOLDERS.fullmatch(named), named
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_links_of_a_page_lead_to_files(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+def test_every_parameter_that_is_judged_is_on_the_page() -> None:
+    page = (ROOT / "docs" / "connecting.md").read_text(encoding="utf-8")
+    tables = (ARDUCOPTER_RULES, ARDUPLANE_RULES, PX4_MULTICOPTER_RULES, PX4_FIXED_WING_RULES)
+    judged = {rule.name for rules in tables for rule in rules if rule.judge is not None}
+    assert {name for name in judged if f"`{name}`" not in page} == set()
+
+
+def test_the_missions_for_simulations_are_on_the_page_and_fly_without_a_radar() -> None:
+    page = (ROOT / "docs" / "connecting.md").read_text(encoding="utf-8")
+    names = [name for name in bundled() if name.startswith("sitl-")]
+    assert len(names) == 4
+    for name in names:
+        assert f"`{name}`" in page
+        mission = load_mission(name)
+        assert mission.scanner_component_id is None
+        assert mission.fence_from_vehicle
+        assert mission.system_id is None
