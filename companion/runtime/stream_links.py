@@ -6,6 +6,7 @@ waiting.
 """
 
 import contextlib
+import math
 import os
 import select
 import socket
@@ -64,6 +65,28 @@ class _Outbox:
         except OSError:
             self._pending = b""
             raise
+
+
+@final
+class _Attempts:
+    """When to connect or to open again: at once, then every _AGAIN_S, and never once it is over."""
+
+    def __init__(self) -> None:
+        self._next_s = -math.inf
+        self._over = threading.Event()
+
+    def is_due(self, timeout_s: float) -> bool:
+        """Whether to try now; if it is too early, waits until it is due, at most timeout_s."""
+        wait_s = self._next_s - time.monotonic()
+        if wait_s > 0.0:
+            self._over.wait(min(wait_s, timeout_s))
+            return False
+        self._next_s = time.monotonic() + _AGAIN_S
+        return not self._over.is_set()
+
+    def end(self) -> None:
+        """No more of them; whoever waits for the next one goes on at once."""
+        self._over.set()
 
 
 class _Closable(Protocol):
@@ -145,7 +168,7 @@ class TcpClient(_TcpStream):
         super().__init__()
         self._address = place.resolved()
         self._calling: socket.socket | None = None
-        self._next_call_s = -float("inf")
+        self._attempts = _Attempts()
 
     def receive(self, timeout_s: float) -> bytes | None:
         """The next piece of the stream; spends the time connecting if there is none."""
@@ -158,11 +181,8 @@ class TcpClient(_TcpStream):
 
     def _connect(self, timeout_s: float) -> None:
         if self._calling is None:
-            wait_s = self._next_call_s - time.monotonic()
-            if wait_s > 0.0:
-                time.sleep(min(wait_s, timeout_s))
+            if not self._attempts.is_due(timeout_s):
                 return
-            self._next_call_s = time.monotonic() + _AGAIN_S
             self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
             self._calling.setblocking(False)
             self._calling.connect_ex(self._address)
@@ -177,7 +197,8 @@ class TcpClient(_TcpStream):
             self._adopt(calling)
 
     def close(self) -> None:
-        """Let go of the stream, or of the attempt to get one."""
+        """Let go of the stream, or of the attempt to get one; it is not called again."""
+        self._attempts.end()
         calling, self._calling = self._calling, None
         if calling is not None:
             calling.close()
@@ -225,7 +246,7 @@ class SerialLink(_Context):
     def __init__(self, place: Device) -> None:
         self._place = place
         self._outbox = _Outbox()
-        self._next_try_s = -float("inf")
+        self._attempts = _Attempts()
         self._port: serial.Serial | None
         try:
             self._port = self._opened()
@@ -265,13 +286,9 @@ class SerialLink(_Context):
             return None
 
     def _open_again(self, timeout_s: float) -> None:
-        wait_s = self._next_try_s - time.monotonic()
-        if wait_s > 0.0:
-            time.sleep(min(wait_s, timeout_s))
-            return
-        self._next_try_s = time.monotonic() + _AGAIN_S
-        with contextlib.suppress(OSError, ValueError):
-            self._port = self._opened()
+        if self._attempts.is_due(timeout_s):
+            with contextlib.suppress(OSError, ValueError):
+                self._port = self._opened()
 
     def _drop(self, port: serial.Serial) -> None:
         self._port = None
@@ -287,7 +304,8 @@ class SerialLink(_Context):
                 self._outbox.put(frames, partial(_write, port))
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Let go of the device; it is not opened again."""
+        self._attempts.end()
         if self._port is not None:
             self._drop(self._port)
 

@@ -28,6 +28,8 @@ pytestmark = pytest.mark.closed_loop
 
 COMPANION = 195
 PATIENCE_S = 120.0
+LOOK_S = 0.002
+"""How long it flies between two looks at what it has kept."""
 JUMP_M, JUMP_M_S = 1.0, 1.0
 FLIES_ON_S = {"sitl-arducopter": 3.0, "sitl-px4": 0.5}
 """How long the autopilot moves its target on by itself (ardupilot.md 3, px4.md 3)."""
@@ -108,7 +110,8 @@ def _until(flight: Flight, is_now: Callable[[Values], bool], act: Callable[[], N
         if time.monotonic() > acts_s:
             acts_s = time.monotonic() + 0.1
             act()
-        time.sleep(0.002)
+        with contextlib.suppress(subprocess.TimeoutExpired):  # what it keeps is a file, which
+            flight.companion.wait(LOOK_S)  # has no event to wait for; its end has one
     flight.companion.kill()
     said, _ = flight.companion.communicate()
     raise AssertionError(f"it never came to that: {kept(flight.folder)} {said[-2000:]}")

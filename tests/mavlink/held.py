@@ -161,8 +161,13 @@ def waypoints(count: int) -> list[Stored]:
 
 
 def recorded(name: str) -> Iterator[tuple[float, Any]]:
-    """The messages of a recorded flight."""
-    data = (TELEMETRY / name).read_bytes()
+    """The messages of a recorded flight; a failure that says where it belongs if it is absent."""
+    path = TELEMETRY / name
+    assert path.is_file(), (
+        f"{path} is not there: the recorded flights belong into ../shared/telemetry beside the "
+        "checkout, and without them nothing says how the real autopilots behave"
+    )
+    data = path.read_bytes()
     reader = wire.MAVLink(None)
     at = 0
     while at < len(data):

@@ -5,7 +5,7 @@ import struct
 from typing import Any
 
 import pytest
-from held import FOUR, TELEMETRY, Firmware, Held, Kind, recorded
+from held import FOUR, Firmware, Held, Kind, recorded
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -157,7 +157,6 @@ def test_what_somebody_else_sets_in_flight_is_known(firmware: Firmware, kind: Ki
 # --- against recorded flights ---------------------------------------------------------------------
 
 
-@pytest.mark.skipif(not TELEMETRY.is_dir(), reason="the recorded flights are not there")
 @pytest.mark.parametrize(
     ("log", "expected"),
     [

@@ -9,7 +9,6 @@ import pytest
 from held import (
     FOUR,
     OURS,
-    TELEMETRY,
     Firmware,
     Held,
     Kind,
@@ -201,7 +200,6 @@ def test_looks_are_cheap(firmware: Firmware) -> None:
     assert sent / 60.0 < (150.0 if firmware == "ardupilot" else 50.0)
 
 
-@pytest.mark.skipif(not TELEMETRY.is_dir(), reason="the recorded flights are not there")
 def test_px4_tells_the_ids_of_its_lists() -> None:
     """As recorded: a fence is uploaded at 0.82 s, and its id is told from then on."""
     client = PlanClient(1, OURS)

@@ -92,10 +92,13 @@ def certificate() -> Certificate:
     )
 
 
-def planned(request: PlanRequest, length_m: float = LEG_M) -> Planned:
-    """A straight and level subpath towards the target, or to it if it is near enough."""
+def planned(request: PlanRequest, length_m: float = LEG_M, climb_m: float = 0.0) -> Planned:
+    """A straight subpath towards a point above the target, or to it if it is near enough.
+
+    climb_m: how much higher than its start that point is; it is level by default.
+    """
     start = request.start.position_nea_m
-    target = np.array([*request.target_ne_m, start[2]])
+    target = np.array([*request.target_ne_m, start[2] + climb_m])
     left_m = float(np.linalg.norm(target - start))
     reaches = left_m <= length_m
     end = target if reaches else start + (target - start) / left_m * length_m

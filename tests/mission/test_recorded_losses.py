@@ -8,13 +8,18 @@ after the first record; those of the faults are the recordings' own (their READM
 
 import functools
 import math
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from held import TELEMETRY, recorded
+from held import recorded
+
+sys.path.insert(0, str(Path(__file__).parent))
+from made_up import not_planned, planned
 
 from companion.config import load_mission
 from companion.geodesy import FloatArray, LocalFrame
@@ -25,14 +30,11 @@ from companion.mission.events import Mode
 from companion.mission.health import distrust
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, Reason, State
-from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
-from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.request import PlanOutcome
 from companion.session import Session
 from companion.world.known_map import empty_map
-
-pytestmark = pytest.mark.skipif(not TELEMETRY.is_dir(), reason="the recordings are not here")
 
 COMPANION = (1, 191)
 """Of the recordings: whom the session stands for."""
@@ -62,6 +64,8 @@ BAD: dict[str, tuple[tuple[float, float], ...]] = {
 """From the fault until the position is right again: `Glitch cleared`, GPS fused again."""
 JUMPS = {ARDUPILOT: (123.3, 138.3, 188.5), PX4: (107.8,)}
 TRUSTED_AGAIN_S = 2.0
+PATH_M = 1000.0
+"""Of a made-up plan; nobody flies it."""
 CHATTER = frozenset(
     {
         "ATTITUDE",
@@ -109,59 +113,18 @@ def mission_for(name: str) -> Mission:
     )
 
 
-def planned(request: PlanRequest) -> PlanOutcome:
-    """A straight and level path of 1 km towards the target; nobody flies it."""
-    start = request.start.position_nea_m
-    towards = np.array([*request.target_ne_m, start[2]]) - start
-    end = start + towards / np.linalg.norm(towards) * 1000.0
-    return Planned(
-        plan_id=request.plan_id,
-        kernel="made up",
-        subpath=Subpath(control_nea_m=np.linspace(start, end, 5)),
-        reaches_target=False,
-        cost=1.0,
-        to_go=0.0,
-        terms={},
-        certificate=PROVEN,
-        guide_rad=0.0,
-        route_ne_m=(request.target_ne_m,),
-        evaluations=1,
-        rank=0,
-        tries=1,
-    )
-
-
-def refused(request: PlanRequest) -> PlanOutcome:
-    return NotPlanned(
-        plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE, broken=(), evaluations=1
-    )
-
-
-PROVEN = Certificate(
-    clearance_m=1e3,
-    keep_out_m=math.inf,
-    dead_man_m=150.0,
-    turn_radius_m=math.inf,
-    climb_angle_rad=0.0,
-    dive_angle_rad=0.0,
-    lowest_amsl_m=600.0,
-    highest_amsl_m=600.0,
-    off_map_m=0.0,
-    radar_m=0.0,
-    detection=0.0,
-    pieces=1,
-    broken=(),
-)
-
-
 @dataclass(slots=True)
 class Replay:
     """What the session did."""
 
     sent: list[tuple[float, Any]] = field(default_factory=list)
-    plans: list[tuple[float, PlanRequest]] = field(default_factory=list)
-    states: list[tuple[float, State, bool]] = field(default_factory=list)
-    """Whenever phase, reason or trust have changed: after that; and whether the position counts."""
+    planned_s: list[float] = field(default_factory=list)
+    """When a plan was asked for."""
+    states: list[tuple[float, Phase, Reason | None, bool]] = field(default_factory=list)
+    """Whenever phase, reason or trust have changed: after that; and whether the position counts.
+
+    No states and no requests: each would keep a map of its own for as long as the tests run.
+    """
 
     @property
     def leads_s(self) -> list[float]:
@@ -179,11 +142,11 @@ class Replay:
     def doubted(self, *, from_s: float = 0.0) -> list[tuple[float, float, str]]:
         """From when to when the position did not count, and why at first."""
         spans, since = list[tuple[float, float, str]](), None
-        for at_s, state, counts in self.states:
+        for at_s, _, reason, counts in self.states:
             if at_s < from_s:
                 continue
             if not counts and since is None:
-                since = (at_s, "" if state.reason is None else state.reason.name)
+                since = (at_s, "" if reason is None else reason.name)
             elif counts and since is not None:
                 spans.append((since[0], at_s, since[1]))
                 since = None
@@ -232,28 +195,32 @@ def replayed(
             if autopilot is not None:
                 mode = _mode_asked(told, autopilot) or mode
         if out.plan is not None:
-            replay.plans.append((at_s, out.plan))
-            answer = (at_s + 0.5, planned(out.plan) if plans else refused(out.plan))
+            replay.planned_s.append(at_s)
+            answer = (at_s + 0.5, planned(out.plan, PATH_M) if plans else not_planned(out.plan))
         state = session.state
         counts = distrust(state.vehicle, state.now_s, state.task.limits) is None
         now = (state.phase, state.reason, counts)
         if now != before:
             before = now
-            replay.states.append((at_s, state, counts))
+            replay.states.append((at_s, *now))
     return replay
 
 
 @functools.cache
 def _read(name: str) -> list[tuple[float, Any]]:
-    records = list(recorded(name))
-    return [(at_s - records[0][0], message) for at_s, message in records]
+    """Time since the first record, and message, of all but the chatter."""
+    first_s, kept = None, list[tuple[float, Any]]()
+    for at_s, message in recorded(name):
+        first_s = at_s if first_s is None else first_s
+        if message.get_type() not in CHATTER:
+            kept.append((at_s - first_s, message))
+    return kept
 
 
 def _inbound(name: str) -> Iterator[tuple[float, Any]]:
     """What was not said by the companion of the recording."""
     for at_s, message in _read(name):
-        sender = (message.get_srcSystem(), message.get_srcComponent())
-        if sender != COMPANION and message.get_type() not in CHATTER:
+        if (message.get_srcSystem(), message.get_srcComponent()) != COMPANION:
             yield at_s, message
 
 
@@ -324,11 +291,6 @@ def on_route(name: str, from_s: float, until_s: float) -> Session:
     state = replace(state, phase=Phase.FLYING, airborne=True, flight=flight)
     left = checkpoint.values_of(state)
     return Session(mission, seed=1, lockstep=False, resume=(left, known))
-
-
-def shadowed(name: str) -> Replay:
-    session = Session(mission_for(name), seed=1, lockstep=False, shadow=True)
-    return replayed(name, session, plans=name in BAD)
 
 
 TAKES_OVER: dict[str, tuple[tuple[float, float, float], ...]] = {
@@ -409,7 +371,7 @@ def test_a_healthy_flight_is_never_doubted(name: str) -> None:
     [(began_s, believed_s, _)] = replay.doubted()
     assert began_s < 0.1
     assert believed_s < 45.0  # ArduCopter's estimator takes 41.6 s
-    assert len(replay.plans) > 5
+    assert len(replay.planned_s) > 5
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -430,7 +392,7 @@ def test_a_shadow_moves_nothing_and_plans_from_no_wrong_position(name: str) -> N
     replay = shadow(name)
     assert not [message for _, message in replay.sent if acts(message)]
     if name in BAD:
-        planned_s = [at_s for at_s, _ in replay.plans]
+        planned_s = replay.planned_s
         assert planned_s[0] < BAD[name][0][0] < BAD[name][-1][1] < planned_s[-1]
         assert not [at_s for at_s in planned_s if is_bad(name, at_s)]
 
@@ -458,7 +420,7 @@ def test_nothing_begins_at_a_wrong_position(
 ) -> None:
     replay = flown(name, *times, obeys)
     assert not [at_s for at_s in replay.leads_s if is_bad(name, at_s)]
-    assert not [at_s for at_s, _ in replay.plans if is_bad(name, at_s)]
+    assert not [at_s for at_s in replay.planned_s if is_bad(name, at_s)]
     again = [at_s for at_s in replay.leads_s if at_s > bad[1]]
     assert min(again, default=math.inf) > bad[1] + TRUSTED_AGAIN_S
 
@@ -481,7 +443,7 @@ def test_the_made_up_vehicle_that_obeys_is_flown_on_with_once_its_position_is_ri
     right_s = BAD[ARDUPILOT][0][1]
     guided_s = [at_s for at_s, mode in replay.modes(ARDUCOPTER) if mode is Mode.GUIDED]
     assert right_s + TRUSTED_AGAIN_S < min(guided_s) < right_s + TRUSTED_AGAIN_S + 1.0
-    assert min(at_s for at_s, _ in replay.plans) > min(guided_s)
+    assert min(replay.planned_s) > min(guided_s)
 
 
 @pytest.mark.parametrize("obeys", [False, True])
@@ -489,9 +451,9 @@ def test_it_never_begins_again_from_the_ground(obeys: bool) -> None:
     """ArduPilot's recording lands at 321.8 s, PX4's at about 197 s, and disarms."""
     for name in BAD:
         replay = flown(name, *TAKES_OVER[name][-1], obeys)
-        _, state, _ = replay.states[-1]
-        assert state.phase is Phase.DONE
-        assert state.reason in (Reason.GROUNDED, Reason.DISARMED)
+        _, phase, reason, _ = replay.states[-1]
+        assert phase is Phase.DONE
+        assert reason in (Reason.GROUNDED, Reason.DISARMED)
         landed_s = 321.8 if name == ARDUPILOT else 195.0
         led = [at_s for at_s, message in replay.sent if message.get_type() in LEADS]
         assert max(led) < landed_s

@@ -15,7 +15,16 @@ from typing import Any
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from stub_session import HEARTBEAT, HOLD, SETPOINT, QueueLink, StubSession, as_any, request_of
+from stub_session import (
+    HEARTBEAT,
+    HOLD,
+    PATIENCE_S,
+    SETPOINT,
+    QueueLink,
+    StubSession,
+    as_any,
+    request_of,
+)
 
 from companion.mission.events import End, Outcome
 from companion.planner.request import PlanRequest
@@ -26,7 +35,6 @@ from companion.telemetry.flown import Flown
 from companion.telemetry.run_folder import RunFolder
 
 BAR_S = 0.3
-PATIENCE_S = 20.0
 PERIOD_S = 0.02
 
 
@@ -68,7 +76,7 @@ class Rig:
         self._flight.start()
         self._vehicle.start()
         try:
-            wait_until(lambda: len(self.link.times_of(SETPOINT)) > 5)
+            self.link.wait_until(lambda: len(self.link.times_of(SETPOINT)) > 5)
             yield
         finally:
             self._over.set()
@@ -85,13 +93,6 @@ class Rig:
     def journal(self) -> list[Any]:
         lines = (self.folder.path / "journal.jsonl").read_text("utf-8").splitlines()
         return [json.loads(line) for line in lines]
-
-
-def wait_until(done: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + PATIENCE_S
-    while not done():
-        assert time.monotonic() < until_s
-        time.sleep(0.005)
 
 
 @pytest.fixture(autouse=True)
@@ -143,7 +144,7 @@ def test_a_planner_whose_process_is_killed_while_nobody_asks_it_anything(folder:
     planner = PlannerProcess()
     rig = Rig(folder, StubSession(), planner=planner)
     with rig.flying():
-        wait_until(lambda: planner.is_ready)
+        rig.link.wait_until(lambda: planner.is_ready)
         rig.breaks_now()
         assert planner.pid is not None
         os.kill(planner.pid, signal.SIGKILL)
@@ -174,13 +175,13 @@ def test_a_planner_that_stands_still_is_dead_some_time_after_its_time(
 
 def test_a_planner_that_takes_its_time_within_its_time_is_none_of_that(folder: RunFolder) -> None:
     def slow(_request: PlanRequest, stop: Callable[[], bool]) -> Any:
-        wait_until(stop)
+        rig.link.wait_until(stop)
         return "planned"
 
     session = StubSession(lambda session, number: asks_at(session, number, 10))
     rig = Rig(folder, session, planner=slow)
     with rig.flying():
-        wait_until(lambda: session.delivered == ["planned"])
+        rig.link.wait_until(lambda: session.delivered == ["planned"])
     assert session.died == []
     assert rig.link.times_of(HOLD) == []
 
@@ -188,7 +189,7 @@ def test_a_planner_that_takes_its_time_within_its_time_is_none_of_that(folder: R
 def test_of_two_plans_that_are_asked_for_only_the_newer_counts(folder: RunFolder) -> None:
     def named(request: PlanRequest, stop: Callable[[], bool]) -> Any:
         if request.plan_id == 1:
-            wait_until(stop)  # it is told to stop as soon as nobody waits for it
+            rig.link.wait_until(stop)  # it is told to stop as soon as nobody waits for it
         return request.plan_id
 
     def asks(session: StubSession, number: int) -> None:
@@ -198,7 +199,7 @@ def test_of_two_plans_that_are_asked_for_only_the_newer_counts(folder: RunFolder
     session = StubSession(asks)
     rig = Rig(folder, session, planner=named)
     with rig.flying():
-        wait_until(lambda: bool(session.delivered))
+        rig.link.wait_until(lambda: bool(session.delivered))
     assert session.delivered == [2]
 
 
@@ -348,12 +349,14 @@ def test_a_disk_that_blocks_does_not_delay_the_stream_and_is_told_of_once(
         folder.close()
         monkeypatch.setattr(folder, "_tlog", blocked)
         with rig.flying():
-            wait_until(lambda: bool(session.stopped))
+            rig.link.wait_until(lambda: bool(session.stopped))
             count = len(rig.link.times_of(SETPOINT))
-            wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
+            rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
         assert folder.failure == "the disk does not answer"
         os.close(reading)  # the writer's call returns
-        wait_until(lambda: not any(each.name == "writer" for each in threading.enumerate()))
+        for writer in [each for each in threading.enumerate() if each.name == "writer"]:
+            writer.join(PATIENCE_S)
+            assert not writer.is_alive()
     assert len(session.stopped) == 1
     assert "stood still" in session.stopped[0]
     assert rig.link.times_of(HOLD) == []
@@ -374,9 +377,9 @@ def test_a_disk_that_is_full_does_not_end_the_flight_and_is_told_of_once(
     session = StubSession(fills_up)
     rig = Rig(folder, session)
     with rig.flying():
-        wait_until(lambda: bool(session.stopped))
+        rig.link.wait_until(lambda: bool(session.stopped))
         count = len(rig.link.times_of(SETPOINT))
-        wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
+        rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
     assert session.stopped == ["No space left on device"]
     assert rig.link.times_of(HOLD) == []
     assert rig.flown is not None
@@ -409,9 +412,9 @@ def test_an_entry_that_cannot_be_written_ends_the_recording_and_not_the_flight(
     session = StubSession(odd)
     rig = Rig(folder, session)
     with rig.flying():
-        wait_until(lambda: bool(session.stopped))
+        rig.link.wait_until(lambda: bool(session.stopped))
         count = len(rig.link.times_of(SETPOINT))
-        wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
+        rig.link.wait_until(lambda: len(rig.link.times_of(SETPOINT)) > count + 20)
     assert session.stopped[0].startswith("TypeError")
     assert rig.link.times_of(HOLD) == []
 
@@ -458,7 +461,7 @@ def test_in_lockstep_nobody_is_dead_for_being_slow(folder: RunFolder) -> None:
     session = StubSession(slow)
     rig = Rig(folder, session, lockstep=True)
     with rig.flying():
-        wait_until(lambda: len(session.received) > 25)
+        rig.link.wait_until(lambda: len(session.received) > 25)
     assert rig.link.times_of(HOLD) == []
     assert rig.flown is not None
     assert rig.flown.end is not None

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import InputError
+from companion.runtime import stream_links
 from companion.runtime.link import Link, open_link
 
 PATIENCE_S = 10.0
@@ -33,6 +34,18 @@ def until(done: Callable[[], bool]) -> None:
     until_s = time.monotonic() + PATIENCE_S
     while not done():
         assert time.monotonic() < until_s
+
+
+def assert_closing_ends_the_wait(link: Link) -> None:
+    """Its next attempt is far away, and somebody waits for it."""
+    waiting = threading.Thread(target=link.receive, args=(PATIENCE_S,))
+    waiting.start()
+    waiting.join(0.1)
+    assert waiting.is_alive()
+    closed_s = time.monotonic()
+    link.close()
+    waiting.join(PATIENCE_S)
+    assert time.monotonic() - closed_s < 0.5 * PATIENCE_S
 
 
 # --- TCP
@@ -106,6 +119,28 @@ def test_a_tcp_peer_that_is_not_there_yet_is_no_error() -> None:
         with late.listener, late.accept(link) as peer:
             peer.sendall(b"here")
             assert heard(link, 4) == b"here"
+
+
+def test_closing_ends_the_wait_for_the_next_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream_links, "_AGAIN_S", 10.0 * PATIENCE_S)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    link = open_link(f"tcp:127.0.0.1:{port}")
+    assert link.receive(PATIENCE_S) is None  # the first call is refused
+    assert_closing_ends_the_wait(link)
+
+
+def test_a_tcp_link_that_was_closed_calls_nobody(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream_links, "_AGAIN_S", 0.0)
+    link = open_link(f"tcp:127.0.0.1:{server.port}")
+    link.close()
+    for _ in range(3):
+        assert link.receive(0.01) is None
+    server.listener.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        server.listener.accept()
 
 
 def test_a_tcp_peer_that_does_not_read_loses_whole_frames_and_makes_nobody_wait(
@@ -209,6 +244,29 @@ def test_a_device_that_vanishes_and_returns_is_opened_again(terminal: Terminal) 
                 link.send([FRAME])
             terminal.plug()
             until(lambda: link.receive(0.02) is None and _is_open(terminal, link))
+
+
+def test_closing_ends_the_wait_for_a_device_that_has_vanished(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream_links, "_AGAIN_S", 10.0 * PATIENCE_S)
+    link = open_link(str(terminal.name))
+    terminal.pull()
+    for _ in range(2):  # it notices, and finds no device
+        assert link.receive(0.02) is None
+    assert_closing_ends_the_wait(link)
+    terminal.plug()
+
+
+def test_a_serial_link_that_was_closed_leaves_its_device_to_others(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream_links, "_AGAIN_S", 0.0)
+    link = open_link(str(terminal.name))
+    link.close()
+    for _ in range(3):
+        assert link.receive(0.01) is None
+    open_link(str(terminal.name)).close()
 
 
 def _is_open(terminal: Terminal, link: Link) -> bool:

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import all as wire
 
 sys.path.insert(0, str(Path(__file__).parent))
-from stub_session import HEARTBEAT, HOLD, SETPOINT, QueueLink, packed
+from stub_session import HEARTBEAT, HOLD, PATIENCE_S, SETPOINT, QueueLink, packed
 
 from companion.runtime.watchdog import (
     IDLE_STALL_S,
@@ -55,8 +55,12 @@ def test_setpoints_are_told_from_everything_else(frame: bytes, expected: bool) -
 
 
 class Rig:
-    def __init__(self, **keywords: Any) -> None:
-        self.now_s = 100.0
+    """A watchdog, and a clock that goes on by so much whenever it is looked at."""
+
+    def __init__(self, *, each_look_s: float = 0.0, **keywords: Any) -> None:
+        self.now_s, self._each_look_s = 100.0, each_look_s
+        self._looks, self._looked = 0, threading.Condition()
+        self.failed = threading.Event()
         self.link = QueueLink(self.clock)
         self.gate = Gate(self.link, self.clock)
         self.failures: list[tuple[Failure, list[bytes]]] = []
@@ -66,14 +70,33 @@ class Rig:
             **{
                 "clock": self.clock,
                 "hold_frames": lambda: [HOLD],
-                "on_failure": lambda failure, hold: self.failures.append((failure, hold)),
+                "on_failure": self._on_failure,
                 "on_loss": self.losses.append,
                 **keywords,
             },
         )
 
     def clock(self) -> float:
-        return self.now_s
+        with self._looked:
+            self._looks += 1
+            self._looked.notify_all()
+            self.now_s += self._each_look_s
+            return self.now_s
+
+    def goes_on(self, seconds: float) -> None:
+        """The clock does, between two looks."""
+        with self._looked:
+            self.now_s += seconds
+
+    def wait_for_looks(self, count: int) -> None:
+        """Until the watchdog has looked so many times more, and once again has begun to."""
+        with self._looked:
+            enough = self._looks + count + 1
+            assert self._looked.wait_for(lambda: self._looks >= enough, PATIENCE_S)
+
+    def _on_failure(self, failure: Failure, hold: list[bytes]) -> None:
+        self.failures.append((failure, hold))
+        self.failed.set()
 
     def frames(self) -> list[bytes]:
         return [frame for _, frame in self.link.sent]
@@ -95,7 +118,7 @@ def test_a_part_may_stand_still_for_longer_while_nothing_is_streamed() -> None:
     assert rig.gate.stall_limit_s() == IDLE_STALL_S
     rig.gate.send([SETPOINT])
     assert rig.gate.stall_limit_s() == STALL_S
-    rig.now_s += 1.0
+    rig.goes_on(1.0)
     assert rig.gate.stall_limit_s() == IDLE_STALL_S
 
 
@@ -158,8 +181,9 @@ def test_a_computer_that_was_asleep_for_a_minute_has_lost_nobody() -> None:
     rig.watchdog.start()
     rig.watchdog.watch(part, lambda: leaving.wait() and None)
     for _ in range(3):
-        rig.now_s += 60.0
-        time.sleep(0.1)  # several looks
+        rig.wait_for_looks(1)  # its beat is seen, and it stands still from now on
+        rig.goes_on(60.0)
+        rig.wait_for_looks(1)
         part.beat(0.2)
     assert rig.watchdog.failure is None
     rig.watchdog.end(10.0)
@@ -167,15 +191,12 @@ def test_a_computer_that_was_asleep_for_a_minute_has_lost_nobody() -> None:
 
 
 def test_a_death_that_is_noticed_by_the_watchdog_itself_has_its_words() -> None:
-    rig, part, leaving = Rig(), Part("decider"), threading.Event()
+    rig, part, leaving = Rig(each_look_s=0.03), Part("decider"), threading.Event()
     part.beat(0.2)
     rig.watchdog.start()
     rig.watchdog.watch(part, lambda: leaving.wait() and None)
-    until_s = time.monotonic() + 10.0
-    while rig.watchdog.failure is None:
-        rig.now_s += 0.03
-        time.sleep(0.03)
-        assert time.monotonic() < until_s
+    assert rig.failed.wait(PATIENCE_S)
+    assert rig.watchdog.failure is not None
     assert "stood still for 0.2" in rig.watchdog.failure.error
     leaving.set()
     rig.watchdog.end(10.0)
@@ -197,21 +218,20 @@ def test_a_part_that_gets_no_processor_is_excused_for_seconds_and_not_for_ever()
 
 
 def test_a_part_that_sleeps_or_computes_does_not_wait_for_a_processor() -> None:
-    rig, leaving = Rig(), threading.Event()
+    rig, leaving, ran = Rig(), threading.Event(), threading.Event()
     sleeper, worker = Part("sleeper"), Part("worker")
 
     def work() -> None:
         while not leaving.is_set():
-            pass
+            ran.set()
 
     rig.watchdog.watch(sleeper, lambda: leaving.wait() and None)
     rig.watchdog.watch(worker, work)
     for part in (sleeper, worker):
         waits_for_processor(part)
-    looks = 0
+    until_s = time.monotonic() + PATIENCE_S
     while waits_for_processor(worker) or waits_for_processor(sleeper):  # it will have run at last
-        looks += 1
-        assert looks < 1000
-        time.sleep(0.01)
+        ran.clear()
+        assert ran.wait(until_s - time.monotonic())
     leaving.set()
     assert not waits_for_processor(Part("one that never ran"))
