@@ -2,18 +2,13 @@
 
 from collections.abc import Mapping
 
-from companion.mavlink.autopilots.arducopter import ArduCopter
-from companion.mavlink.autopilots.arduplane import ArduPlane
+from companion.mavlink.autopilots.arducopter import ARDUCOPTER
+from companion.mavlink.autopilots.arduplane import ARDUPLANE
 from companion.mavlink.autopilots.common import ROTORCRAFT, Autopilot, Here
 from companion.mavlink.autopilots.from_wire import heading_rad
-from companion.mavlink.autopilots.px4_fixed_wing import Px4FixedWing
-from companion.mavlink.autopilots.px4_multicopter import Px4Multicopter
+from companion.mavlink.autopilots.px4_fixed_wing import PX4_FIXED_WING
+from companion.mavlink.autopilots.px4_multicopter import PX4_MULTICOPTER
 from companion.mavlink.dialect import Message, wire
-
-ARDUCOPTER = ArduCopter()
-ARDUPLANE = ArduPlane()
-PX4_MULTICOPTER = Px4Multicopter()
-PX4_FIXED_WING = Px4FixedWing()
 
 ALL: tuple[Autopilot, ...] = (ARDUCOPTER, ARDUPLANE, PX4_MULTICOPTER, PX4_FIXED_WING)
 NAMES = tuple(autopilot.name for autopilot in ALL)

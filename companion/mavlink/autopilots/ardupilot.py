@@ -1,14 +1,16 @@
-"""What ArduCopter and ArduPlane share: what their estimator says, and their flat earth."""
+"""What ArduCopter and ArduPlane share: streams, modes, their estimator and their flat earth."""
 
 import math
 from collections.abc import Mapping
+from typing import final
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots.from_wire import echo_at
-from companion.mavlink.autopilots.to_wire import command_long
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import Echo, Estimator, Mode, Vector
 
+SILENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION, wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN})
+"""Until there is one."""
 _NEEDED = (
     wire.EKF_ATTITUDE | wire.EKF_VELOCITY_HORIZ | wire.EKF_POS_HORIZ_ABS | wire.EKF_POS_VERT_ABS
 )
@@ -21,37 +23,61 @@ _M_PER_DEG = 111_318.84502145034
 _LEAST_SCALE = 0.01
 
 
-def estimator(message: Message, now_s: float) -> Estimator:
+def streams_hz(echo: int, echo_hz: float) -> Mapping[int, float]:
+    """Message id -> rate, with the echo of setpoints that this kind of vehicle has."""
+    return {
+        wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
+        wire.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+        wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0,
+        echo: echo_hz,
+        wire.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
+        wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
+        wire.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+        wire.MAVLINK_MSG_ID_ATTITUDE: 1.0,
+    }
+
+
+@final
+class ArduPilotModes:
+    """One number each; see `modes.Modes`."""
+
+    def __init__(self, enum: str, numbers: Mapping[Mode, tuple[int, ...]]) -> None:
+        """
+        From the dialect's names and the modes that the companion knows.
+
+        Parameters
+        ----------
+        enum: COPTER_MODE or PLANE_MODE.
+        numbers: what each mode may be reported as; the first is the one that is asked for.
+        """
+        self._names = {
+            number: entry.name.removeprefix(f"{enum}_").replace("_", " ")
+            for number, entry in wire.enums[enum].items()
+            if not entry.name.endswith("ENUM_END")
+        }
+        self._asked = {mode: reported[:1] for mode, reported in numbers.items()}
+        self._modes = {number: mode for mode, reported in numbers.items() for number in reported}
+
+    def mode_of(self, custom_mode: int) -> Mode:
+        """The mode that a heartbeat reports."""
+        return self._modes.get(custom_mode, Mode.OTHER)
+
+    def name_of(self, custom_mode: int) -> str:
+        """As ArduPilot calls it."""
+        return self._names.get(custom_mode, f"mode {custom_mode}")
+
+    def numbers_of(self, mode: Mode) -> tuple[int, ...] | None:
+        """The number to ask for."""
+        return self._asked.get(mode)
+
+
+def estimator(message: Message, now_s: float, *_: object) -> Estimator:
     """EKF_STATUS_REPORT: whether the horizontal position may be believed (ardupilot.md 5)."""
     flags = message.flags
     sure = flags & _NEEDED == _NEEDED and not flags & _BAD
     variances = (message.pos_horiz_variance, message.velocity_variance)
     fits = all(math.isfinite(v) and v < _REJECTED for v in variances)
     return Estimator(time_s=now_s, good=sure and fits)
-
-
-def mode_message(number: int, system_id: int) -> Message:
-    """DO_SET_MODE with the autopilot's own number."""
-    flag = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-    return command_long(system_id, wire.MAV_CMD_DO_SET_MODE, flag, number)
-
-
-def mode_names(enum: str) -> Mapping[int, str]:
-    """The dialect's names of a vehicle's modes: COPTER_MODE, PLANE_MODE."""
-    entries = wire.enums[enum].items()
-    return {
-        number: entry.name.removeprefix(f"{enum}_").replace("_", " ")
-        for number, entry in entries
-        if not entry.name.endswith("ENUM_END")
-    }
-
-
-def mode_in(table: Mapping[Mode, tuple[int, ...]], custom_mode: int) -> Mode:
-    """The mode that a number stands for; the first number of each is the one that is asked for."""
-    for mode, numbers in table.items():
-        if custom_mode in numbers:
-            return mode
-    return Mode.OTHER
 
 
 def local_echo(

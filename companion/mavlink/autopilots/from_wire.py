@@ -3,7 +3,7 @@
 import math
 
 from companion.geodesy import LocalFrame, deg, rotate
-from companion.mavlink.autopilots.common import Autopilot
+from companion.mavlink.autopilots.modes import Modes
 from companion.mavlink.autopilots.to_wire import is_nowhere
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import (
@@ -31,18 +31,16 @@ _LANDED = {
 }
 
 
-def event_of(
-    message: Message, now_s: float, frame: LocalFrame, autopilot: Autopilot
-) -> Event | None:
+def event_of(message: Message, now_s: float, frame: LocalFrame, modes: Modes) -> Event | None:
     """What a message means that all autopilots send alike."""
     match message.get_type():
         case "HEARTBEAT":
             return VehicleStatus(
                 time_s=now_s,
-                mode=autopilot.mode_of(message.custom_mode),
+                mode=modes.mode_of(message.custom_mode),
                 armed=bool(message.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED),
                 failsafe=message.system_status in _FAILSAFE,
-                mode_name=autopilot.mode_name(message.custom_mode),
+                mode_name=modes.name_of(message.custom_mode),
             )
         case "GLOBAL_POSITION_INT":
             return _position(message, frame)

@@ -7,6 +7,7 @@ failsafe by itself: stop streaming before any other mode.  Measured: px4.md.
 
 import math
 from collections.abc import Mapping
+from typing import final
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import from_wire, to_wire
@@ -71,30 +72,28 @@ SILENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION})  # until there is one
 ASKED_ONCE = (wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, wire.MAVLINK_MSG_ID_HOME_POSITION)
 
 
+@final
+class Px4Modes:
+    """A main mode, and a sub mode of the automatic one; see `modes.Modes`."""
+
+    def mode_of(self, custom_mode: int) -> Mode:
+        """The mode that a heartbeat reports; the failsafe DESCEND is told as LAND."""
+        return _BY_NUMBER.get(_numbers(custom_mode), Mode.OTHER)
+
+    def name_of(self, custom_mode: int) -> str:
+        """As PX4's ground stations call it."""
+        main, sub = _numbers(custom_mode)
+        name = _AUTO_NAMES.get(sub) if main == _AUTO else _MAIN_NAMES.get(main)
+        return name or f"mode {main}.{sub}"
+
+    def numbers_of(self, mode: Mode) -> tuple[int, ...] | None:
+        """Main and sub mode."""
+        return _MODES.get(mode)
+
+
 def _numbers(custom_mode: int) -> tuple[int, int]:
     main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
     return main, sub if main == _AUTO else 0
-
-
-def mode_of(custom_mode: int) -> Mode:
-    """The mode that a heartbeat reports."""
-    return _BY_NUMBER.get(_numbers(custom_mode), Mode.OTHER)
-
-
-def mode_name(custom_mode: int) -> str:
-    """The same as ground stations call it."""
-    main, sub = _numbers(custom_mode)
-    name = _AUTO_NAMES.get(sub) if main == _AUTO else _MAIN_NAMES.get(main)
-    return name or f"mode {main}.{sub}"
-
-
-def set_mode(mode: Mode, system_id: int) -> list[Message]:
-    """DO_SET_MODE with PX4's main and sub mode."""
-    numbers = _MODES.get(mode)
-    if numbers is None:
-        return []
-    flag = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-    return [to_wire.command_long(system_id, wire.MAV_CMD_DO_SET_MODE, flag, *numbers)]
 
 
 def take_off(to_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
@@ -107,7 +106,7 @@ def take_off(to_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Messag
     return [to_wire.command_int(system_id, number, parameters, place, to_nea_m[2])]
 
 
-def estimator(message: Message, now_s: float) -> Estimator:
+def estimator(message: Message, now_s: float, *_: object) -> Estimator:
     """ESTIMATOR_STATUS: whether the horizontal position may be believed (px4.md 8)."""
     flags = message.flags
     sure = flags & _NEEDED == _NEEDED and not flags & _BAD

@@ -96,9 +96,10 @@ def is_nowhere(latitude_deg: float, longitude_deg: float) -> bool:
 
 
 def hovering_setpoint(
-    setpoint: Setpoint, frame: LocalFrame, system_id: int
+    setpoint: Setpoint, frame: LocalFrame, system_id: int, *, loiter_radius_m: float = 0.0
 ) -> list[Message] | None:
     """Position, velocity and yaw for what can stand still; to stay is a velocity of zero."""
+    del loiter_radius_m
     point = wire_point(setpoint, frame)
     if point is None:
         return None
@@ -154,6 +155,27 @@ def command_int(
     )
 
 
-def arm(system_id: int) -> list[Message]:
-    """Ask to arm, without force: the autopilot's own checks stay on."""
-    return [command_long(system_id, wire.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)]
+def set_mode(system_id: int, *numbers: int) -> Message:
+    """DO_SET_MODE with the autopilot's own numbers."""
+    flag = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+    return command_long(system_id, wire.MAV_CMD_DO_SET_MODE, flag, *numbers)
+
+
+def reposition(
+    system_id: int,
+    place_e7: tuple[int, int],
+    altitude_amsl_m: float,
+    *,
+    switch: bool,
+    radius_m: float,
+    yaw_rad: float,
+) -> Message:
+    """DO_REPOSITION, at the speed that it has.
+
+    switch: whether it is to go into the mode for this; yaw_rad: to a plane of ArduPilot's the sense
+    of its circles, 0 clockwise.
+    """
+    as_it_is = -1.0
+    parameters = (as_it_is, float(switch), radius_m, yaw_rad)
+    number = wire.MAV_CMD_DO_REPOSITION
+    return command_int(system_id, number, parameters, place_e7, altitude_amsl_m)
