@@ -5,25 +5,27 @@ import math
 
 import numpy as np
 
-from companion.mission import following
-from companion.mission.decisions import Step, because, give_up
+from companion.mission import circling, following
+from companion.mission.decisions import Step, because, give_up, in_phase_s, taken_by
 from companion.mission.events import (
     Command,
     Event,
+    FenceBreach,
     FenceChanged,
     Order,
     OrderKind,
+    Position,
     Prepared,
     Rebooted,
     Say,
+    ScanDone,
     SetSpeed,
     SettingsChanged,
     TargetsChanged,
 )
 from companion.mission.renewed import replace
 from companion.mission.state import Flight, Phase, Reason, State, Trigger, Vehicle
-from companion.mission.stopped import resumed
-from companion.planner.refuge import loiter_point
+from companion.mission.stopped import TAKEN, resumed
 from companion.world.known_map import empty_map
 
 _ON_PATH = (Phase.FLYING, Phase.RETURNING)
@@ -37,6 +39,8 @@ _CALM = (
     Reason.PAUSED,
 )
 """Reasons to hold in which a person's word counts at once."""
+_LIKE_A_BREACH = (Reason.MODE_TAKEN, Reason.STREAM_LOST)
+_BREACH_S = 5.0  # from what the autopilot does to what it says
 
 
 class Verdict(enum.Enum):
@@ -70,8 +74,15 @@ def verdict(state: State, order: Order) -> Verdict:
 def changed(state: State, event: Event) -> Step | None:
     """What an event that is not a phase's own changes; None: it is left to the phase."""
     match event:
+        case Position():
+            return _named(state) or circling.kept_clear(state, event)
+        case ScanDone():
+            return circling.looked(state, event)
         case FenceChanged():
             return _with_fence(state, event)
+        case FenceBreach(time_s=time_s):
+            state = replace(state, vehicle=replace(state.vehicle, fence_breached_at_s=time_s))
+            return _named(state) or (state, [], None)
         case SettingsChanged(task=task, what=what):
             if task.cell_m != state.flight.known.cell_m:  # on the ground only: nothing is known yet
                 known = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
@@ -104,25 +115,28 @@ def _with_fence(state: State, event: FenceChanged) -> Step:
     if (inside := _inside(state)) and state.phase not in _ON_PATH:
         says.append(Say(text=f"inside zone {inside}", warning=True))
     if not _is_touched(state):
-        return _clear_of_zones(state), says, None
+        return state, says, None  # `circling` sees to the place where a plane waits
     if state.phase not in _ON_PATH:  # a path that was to be gone on with
-        return replace(state, flight=following.at_rest(state.flight, None)), says, None
+        flight = following.at_rest(state.flight, state.flight.hover_nea_m)
+        return replace(state, flight=flight), says, None
     state, commands, trigger = following.stop(state, Reason.NEW_THREAT)
     return state, [*says, *commands], trigger
 
 
-def _clear_of_zones(state: State) -> State:
-    """A plane that circles too near to a zone now is sent to circle elsewhere."""
-    flight, task = state.flight, state.task
-    if state.vehicle.hovers or flight.leg is not None or flight.hover_nea_m is None:
-        return state
-    north, east, _ = flight.hover_nea_m
-    gaps = [float(z.distance_m(np.asarray(north), np.asarray(east))) for z in task.zones]
-    if min(gaps, default=math.inf) >= task.zone_clearance_m:
-        return state
-    here = state.vehicle.position_nea_m or flight.hover_nea_m
-    refuge = loiter_point(flight.known, task, here)
-    return replace(state, flight=following.at_rest(flight, refuge or flight.hover_nea_m))
+def _named(state: State) -> Step | None:
+    """A hold that the vehicle's own fence is the reason for, as it turns out; None: it is not.
+
+    PX4's was a loss of setpoints at first sight; and a fence drawn in flight is known to the
+    autopilot before the companion has read it.
+    """
+    if state.phase is not Phase.HOLDING or state.reason not in _LIKE_A_BREACH:
+        return None
+    by_itself = state.vehicle.failsafe or in_phase_s(state) < _BREACH_S
+    if not by_itself or taken_by(state) is Reason.MODE_TAKEN:
+        return None
+    reason = Reason.FENCE_BREACHED
+    says = Say(text=f"hold: {reason.text}", warning=True, about="phase")
+    return replace(because(state, reason), taken=True), [says], None
 
 
 def _is_touched(state: State) -> bool:
@@ -214,7 +228,7 @@ def _go_on(state: State) -> Step:
     if state.phase is Phase.HOLDING and state.reason is Reason.PAUSED:
         state, commands, trigger = resumed(state)
         return state, [Say(text="going on"), *commands], trigger
-    if state.phase is Phase.HOLDING and state.reason is Reason.MODE_TAKEN:
+    if state.phase is Phase.HOLDING and state.reason in TAKEN:
         return replace(state, told_at_s=state.now_s), [], None
     return state, [], None
 

@@ -6,12 +6,14 @@ before, it could not know of it or had no say:
 - the vehicle was not where its autopilot said: the position that the companion was told last lay
   off the true one by more than the mission's navigation_error_m;
 - somebody else flew: the mode was not one that the companion had asked for (a pilot, a ground
-  station, the autopilot's own failsafe), or the autopilot was rebooting and the vehicle fell;
+  station, the autopilot's own failsafe, or what it went back to by itself when that was over: the
+  companion has let go, design 7), or the autopilot was rebooting and the vehicle fell;
 - it had put the vehicle into the autopilot's own hold because there was no position to be believed,
   and the autopilot had none either: a plane then flies blind;
 - the radar had told heights below the true ones (`radar_noise ... either_way`: of terrain only);
 - the zone was new: a fence is known ten seconds after the vehicle has it (issue 5), and whoever is
-  inside then, or nearer than d_s, has the time to leave it once, by half the mission's speed.
+  inside then, or nearer than d_s, has the time to leave it once, by half the mission's speed;
+- it was given back to the companion in there, or nearer than d_s: it has the same time.
 
 Everything else counts: wind, a late or dead planner, lost frames, an autopilot that does not obey.
 """
@@ -43,7 +45,7 @@ GRACE_S = 10.0
 _SLACK_M = 0.1
 _ARRIVED_M = 15.0
 _CRASH_M_S = 3.5
-_LET_GO = "somebody else"
+_LET_GO = (Reason.MODE_TAKEN.text, Reason.FENCE_BREACHED.text)
 _BLIND = frozenset(
     reason.text
     for reason in (
@@ -133,7 +135,8 @@ def judge(flown: Flown) -> Verdict:
     for zone, known_s in _zones(flown):
         gap = _gap_m(table.points, zone)
         new = _new_excuse(gap, known_s, flown, table)
-        excused = {**table.excuses, "the zone was new": new}
+        back = _back_excuse(gap, flown, table)
+        excused = {**table.excuses, "the zone was new": new, "it was given back there": back}
         breaches += _breaches(zone.name, gap, scene.safety_m, table, excused)
         had = table.t_s >= known_s - KNOWN_AFTER_S
         inside |= (gap < 0.0) & had
@@ -197,7 +200,7 @@ def _table(flown: Flown) -> _Table:
         off[k] = math.dist(told, sample.believed_nea_m)
     modes = [flown.truth[k]["mode"] for k in rows]
     asked = _asked(flown)
-    ours = [_is_ours(mode, float(t_s[k]), asked) for k, mode in zip(rows, modes, strict=True)]
+    ours = _ours(modes, t_s[rows], asked)
     blind = [
         s.phase == "holding" and s.reason in _BLIND and mode not in GUIDED
         for mode, s in zip(modes, samples, strict=True)
@@ -226,6 +229,22 @@ def _asked(flown: Flown) -> tuple[list[float], list[str]]:
     """When the companion asked for which mode."""
     rows = [(e["at_s"], e["mode"]) for e in flown.journal if e["kind"] == "set mode"]
     return [at_s for at_s, _ in rows], [mode for _, mode in rows]
+
+
+def _ours(modes: list[str], t_s: FloatArray, asked: tuple[list[float], list[str]]) -> list[bool]:
+    """Whether the companion has a say, moment by moment.
+
+    A mode that was taken away is not given back by the autopilot's own failsafe being over: the
+    companion has let go, and goes on only when it is told to (design 7).
+    """
+    ours, taken_s = [], -math.inf
+    for mode, at_s in zip(modes, t_s.tolist(), strict=True):
+        newest = bisect.bisect_right(asked[0], at_s) - 1
+        asked_s = asked[0][newest] if newest >= 0 else -math.inf
+        ours.append(_is_ours(mode, at_s, asked) and (mode in GUIDED or asked_s >= taken_s))
+        if not ours[-1]:
+            taken_s = at_s
+    return ours
 
 
 def _is_ours(mode: str, t_s: float, asked: tuple[list[float], list[str]]) -> bool:
@@ -293,15 +312,30 @@ def _new_excuse(gap: FloatArray, known_s: float, flown: Flown, table: _Table) ->
     after = np.nonzero(~excused)[0]
     if math.isinf(known_s) or not len(after):
         return excused
+    return excused | _on_the_way_out(gap, int(after[0]), known_s, flown, table)
+
+
+def _back_excuse(gap: FloatArray, flown: Flown, table: _Table) -> BoolArray:
+    """On the way out for the first time since the companion has the vehicle back."""
+    excused = np.zeros(len(gap), dtype=bool)
+    for k in np.flatnonzero(table.ours[1:] & ~table.ours[:-1]) + 1:
+        excused |= _on_the_way_out(gap, int(k), float(table.t_s[k]), flown, table)
+    return excused
+
+
+def _on_the_way_out(
+    gap: FloatArray, first: int, since_s: float, flown: Flown, table: _Table
+) -> BoolArray:
+    """From row `first` until it is out, or could be: the grace, then d_s deep at half the speed."""
     safety_m = flown.scene.safety_m
-    depth_m = max(safety_m - float(gap[after[0]]), 0.0)
+    depth_m = max(safety_m - float(gap[first]), 0.0)
     if depth_m == 0.0:
-        return excused
+        return np.zeros(len(gap), dtype=bool)
     speed = 0.5 * flown.scene.mission.task.limits.speed_m_s
-    until_s = known_s + GRACE_S + depth_m / speed
-    out = after[gap[after] >= safety_m]
-    left_s = float(table.t_s[out[0]]) if len(out) else math.inf
-    return table.t_s < min(until_s, left_s)
+    out = np.flatnonzero(gap[first:] >= safety_m)
+    left_s = float(table.t_s[first + out[0]]) if len(out) else math.inf
+    until_s = min(since_s + GRACE_S + depth_m / speed, left_s)
+    return (np.arange(len(gap)) >= first) & (table.t_s < until_s)
 
 
 def _breaches(
@@ -401,7 +435,7 @@ def _in_the_air(flown: Flown, mode: str, phase: str, reason: str) -> tuple[str, 
         return "landed", reason
     if mode in RETURNS:
         return "returned", reason
-    if _LET_GO in reason:
+    if any(text in reason for text in _LET_GO):
         return "let go", reason
     if mode in GUIDED:
         if not flown.outcome and phase == "holding":

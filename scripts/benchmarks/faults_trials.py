@@ -23,7 +23,7 @@ _ON = " on link 0"
 _WAYS = ("", " to_vehicle", " from_vehicle")
 _GUIDED = {("ardupilot", "copter"): (4, 0), ("ardupilot", "plane"): (15, 0)}
 _RETURN = {("ardupilot", "copter"): (6, 0), ("ardupilot", "plane"): (11, 0)}
-_PAUSE_CONTINUE, _CHANGE_SPEED = 193, 178
+_PAUSE_CONTINUE, _CHANGE_SPEED, _FENCE_ENABLE = 193, 178, 207
 
 
 @final
@@ -171,6 +171,22 @@ def _new_fence_around(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
     return [(when(rng, scene), happen)]
 
 
+def _own_fence_and_back(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
+    """The autopilot itself stops at the new fence; a person leaves it to the companion again."""
+    (at_s, draws), *_ = _new_fence_around(rng, scene)
+
+    def happen(pair: Pair) -> None:
+        if scene.autopilot == "ardupilot":  # PX4 keeps to a fence as soon as there is one
+            pair.station.command(_FENCE_ENABLE, 1.0, component=1)
+        draws(pair)
+
+    def give_back(pair: Pair) -> None:
+        pair.note("given back by command")
+        pair.station.command(_PAUSE_CONTINUE, 1.0)
+
+    return [(at_s, happen), (at_s + rng.uniform(8.0, 30.0), give_back)]
+
+
 def _circle(place: tuple[float, ...], radius_m: float) -> CircleZone:
     return CircleZone(
         name="new fence", north_m=float(place[0]), east_m=float(place[1]), radius_m=radius_m
@@ -304,7 +320,13 @@ def trials() -> tuple[Trial, ...]:
         "companion killed, restarted": _killed,
         "link lost for long": _link_lost,
     }
-    return (*rows, *(Trial(name=name, draw=draw) for name, draw in others.items()))
+    own_fence = Trial(
+        name="stopped by its own fence, and back",
+        draw=_own_fence_and_back,
+        # ArduCopter's fence has a height and a circle about home as well
+        applies=lambda scene: (scene.autopilot, scene.kind) != ("ardupilot", "copter"),
+    )
+    return (*rows, *(Trial(name=name, draw=draw) for name, draw in others.items()), own_fence)
 
 
 def _only(firmware: str | None) -> Callable[[Scene], bool]:

@@ -226,6 +226,25 @@ def test_a_fence_around_the_vehicle_stops_it_and_has_a_way_out_planned() -> None
     craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
 
 
+def test_a_fence_on_the_way_back_of_a_vehicle_that_is_paused_leaves_it_led() -> None:
+    """In guided mode silence is a lost stream, whatever has become of the way back."""
+    craft = flying()
+    leg = craft.state.flight.leg
+    assert leg is not None
+    craft.take(Order(time_s=craft.now_s, kind=OrderKind.PAUSE))
+    craft.fly_to(Phase.HOLDING)
+    flight = craft.state.flight
+    assert flight.hover_nea_m is not None
+    craft.state = replace(craft.state, flight=replace(flight, back=(leg,), returning=True))
+    ahead_m = 10_000.0 * math.sqrt(0.5)
+    craft.take(fence(craft, ahead_m, ahead_m, 500.0))
+    assert craft.state.flight.hover_nea_m == flight.hover_nea_m
+    sent = len(craft.sent(Setpoint))
+    craft.run_for(2.0)
+    assert craft.state.reason is Reason.PAUSED
+    assert len(craft.sent(Setpoint)) > sent
+
+
 def test_the_ceiling_of_the_fence_lowers_the_band() -> None:
     craft = flying()
     craft.take(FenceChanged(time_s=craft.now_s, zones=(), ceiling_amsl_m=4_000.0))

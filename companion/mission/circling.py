@@ -1,0 +1,90 @@
+"""Where a plane circles while it has no leg: never knowingly near a zone (design 7).
+
+A fence that is drawn in flight, other settings, or the place where it took over may put its circle
+too near to one.  Then it is sent to circle elsewhere, over ground that is known.  Where none is, as
+before the first scan, it looks at once, from where it is and as low as it is, and goes as soon as
+it has seen a place.  Unknown ground is never flown to: if there is nothing else it stays.
+"""
+
+import math
+
+import numpy as np
+
+from companion.mission import following
+from companion.mission.decisions import Step, cannot_fly
+from companion.mission.events import Command, Position, Say, ScanDone, StartScan, Vector
+from companion.mission.renewed import replace
+from companion.mission.state import Phase, State
+from companion.planner.refuge import Circler, loiter_point
+
+_PHASES = (Phase.FLYING, Phase.HOLDING)
+_SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
+
+
+def kept_clear(state: State, event: Position) -> Step | None:
+    """What a plane does whose circle is too near to a zone; None: it is left to the phase.
+
+    Each place is looked at once under the same rules, and once more when a look is over.
+    """
+    flight, hover = state.flight, state.flight.hover_nea_m
+    if state.vehicle.hovers or state.phase not in _PHASES or flight.leg is not None:
+        return None
+    if hover is None or _is_judged(state, hover) or cannot_fly(state, event) is not None:
+        return None
+    zone, gap_m = _nearest(state, hover)
+    if gap_m >= state.task.zone_clearance_m - _SLACK_M:
+        return replace(state, flight=replace(flight, circled=(state.task, hover))), [], None
+    refuge = loiter_point(
+        flight.known,
+        state.task,
+        Circler(
+            here_nea_m=event.position_nea_m,
+            velocity_nea_m_s=event.velocity_nea_m_s,
+            height_amsl_m=hover[2],
+            stays_m=gap_m - state.task.limits.loiter_radius_m,
+        ),
+    )
+    if refuge is None:
+        return _looks(state, hover, zone)
+    flight = following.at_rest(flight, refuge)
+    flight = replace(flight, circled=(state.task, refuge), progress_at_s=state.now_s)
+    says = Say(text=f"circling elsewhere: too near to {zone}", warning=True)
+    return replace(state, flight=flight), [says], None
+
+
+def _looks(state: State, hover: Vector, zone: str) -> Step:
+    """Scan now, whatever the height: not for a plan, but to see where to circle."""
+    flight, task = replace(state.flight, circled=(state.task, hover)), state.task
+    if flight.looked_under is task:
+        says: Command = Say(text=f"nowhere to circle clear of {zone}", warning=True)
+        return replace(state, flight=flight), [says], None
+    here = state.vehicle.position_nea_m or hover
+    commands: list[Command] = [Say(text=f"looking for a place clear of {zone}", warning=True)]
+    if flight.scanning_from_nea_m is None:
+        commands.append(StartScan(centre_nea_m=here))
+        flight = replace(flight, scanning_from_nea_m=here)
+    flight = replace(flight, looked_under=task, looking=True, planning=False, tried=True)
+    flight = replace(flight, progress_at_s=state.now_s)
+    return replace(state, flight=flight), commands, None
+
+
+def looked(state: State, event: ScanDone) -> Step | None:
+    """The look is over: the place is judged again with the next position.  None: it was no look."""
+    del event  # the map has it already
+    flight = state.flight
+    if not flight.looking or flight.scanning_from_nea_m is None:
+        return None
+    flight = replace(flight, looking=False, scanning_from_nea_m=None, tried=False, circled=None)
+    return replace(state, flight=flight), [], None
+
+
+def _is_judged(state: State, hover: Vector) -> bool:
+    circled = state.flight.circled
+    return circled is not None and circled[0] is state.task and circled[1] == hover
+
+
+def _nearest(state: State, place: Vector) -> tuple[str, float]:
+    """Name of the nearest zone, and the distance to it; negative where it is forbidden."""
+    north, east = np.asarray(place[0]), np.asarray(place[1])
+    gaps = [(zone.name, float(zone.distance_m(north, east))) for zone in state.task.zones]
+    return min(gaps, key=lambda each: each[1], default=("", math.inf))
