@@ -3,6 +3,7 @@
 What a mission file means is `mission_file`'s part; the tables are in `schema` and `mission_schema`.
 """
 
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple, final
@@ -11,7 +12,14 @@ from companion.errors import InputError
 from companion.geodesy import LocalFrame
 from companion.mission.mission import Mission
 from companion.sources.elevation import read_terrain
-from companion.sources.files import answer, plain, read_text, toml_table, toml_text
+from companion.sources.files import (
+    answer,
+    plain,
+    read_text,
+    toml_table,
+    toml_text,
+    with_settings,
+)
 from companion.sources.mission_file import MissionFile, complete, mission_of
 from companion.sources.mission_schema import MissionTable
 from companion.sources.schema import FileWorldTable, WorldTable, validated
@@ -52,10 +60,22 @@ def mission_text(name_or_path: str) -> str:
     return "\n".join(head) + "\n" + toml_text(whole.table)
 
 
-def load_mission(name_or_path: str, profile: str | None = None) -> Mission:
-    """A bundled mission, a mission.toml, or a .plan by itself; profile overrides the file's."""
+def mission_name(name_or_path: str) -> str | None:
+    """The name that a mission gives itself, if it does; InputError if it cannot be read."""
+    name = _whole(_text_of_mission(name_or_path), name_or_path).table.get("name")
+    return name if isinstance(name, str) else None
+
+
+def load_mission(
+    name_or_path: str, profile: str | None = None, settings: Sequence[str] = ()
+) -> Mission:
+    """A bundled mission, a mission.toml, or a .plan by itself.
+
+    profile overrides the file's; settings ("planner.safety_distance_m=300") its other keys.
+    """
     whole = _whole(_text_of_mission(name_or_path), name_or_path)
-    model = validated(MissionTable, whole.table, name_or_path)
+    table = with_settings(whole.table, settings)
+    model = validated(MissionTable, table, name_or_path)
     return mission_of(model, profile, name_or_path, whole.notes)
 
 

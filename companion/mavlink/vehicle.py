@@ -4,6 +4,7 @@ Streams, parameters, its own mission, fence and rally points, link delay.  Sans-
 messages and events out.
 """
 
+import re
 from dataclasses import replace
 from typing import Any, final
 
@@ -17,6 +18,7 @@ from companion.mavlink.streams import Streams
 from companion.mission.events import (
     Arm,
     Event,
+    FenceBreach,
     FenceChanged,
     Home,
     Item,
@@ -36,9 +38,12 @@ from companion.mission.state import State
 
 _ASK_TIME_S = 1.0
 _MOST_OUTSTANDING = 10
+_MOST_SETS = 3  # of one parameter: whoever sets it back so often means it
 _SMOOTH = 0.3  # of a new round trip
 _NEWS_S = 0.005  # a change of less moves no setpoint by much
 _HOME_MOVED_M = 5.0
+_BREACHED = re.compile(r"\bfences? breached|^geofence: approaching or outside", re.IGNORECASE)
+"""ArduPilot: `Polygon fence breached` (ardupilot.md 4); PX4, where a ground station listens too."""
 _FAMILY = {
     "ardupilot": wire.MAV_AUTOPILOT_ARDUPILOTMEGA,
     "px4": wire.MAV_AUTOPILOT_PX4,
@@ -85,7 +90,11 @@ class VehicleSide:
         self._home_nea_m: Vector | None = None
         self._heading_rad = 0.0
         self._judged = -1
+        self._sets: dict[str, int] = {}
+        """How often each parameter was set."""
+        self._refusal_told = ""
         self._home_first = number == wire.MAV_AUTOPILOT_ARDUPILOTMEGA
+        self._breaches = 0
         self._fence_made_of: object = None
         self._fence_told: FenceChanged | None = None
         self._fence_said: tuple[str, ...] = ()
@@ -129,6 +138,8 @@ class VehicleSide:
         self.plans.refresh()
         self._parameters_told = self._plans_told = False
         self.origin_nea_m = self._home_nea_m = None
+        self._sets.clear()
+        self._refusal_told = ""
 
     # --- in
 
@@ -145,10 +156,23 @@ class VehicleSide:
             self._heading_rad = self._heading_rad if heading is None else heading
         elif message.get_type() == "GPS_RAW_INT" and message.alt_ellipsoid:
             self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
+        if self._tells_of_breach(message):
+            return FenceBreach(time_s=now_s)
         frame = self._mission.frame
         event = self.autopilot.event_of(message, now_s, frame, self.origin_nea_m)
         self._remember(event)
         return event
+
+    def _tells_of_breach(self, message: Message) -> bool:
+        """Whether the autopilot says that the vehicle has just left what its own fence allows."""
+        match message.get_type():
+            case "STATUSTEXT":
+                return _BREACHED.search(message.text) is not None
+            case "FENCE_STATUS":
+                before, self._breaches = self._breaches, message.breach_count
+                return bool(message.breach_status) and message.breach_count != before
+            case _:
+                return False
 
     def _remember(self, event: Event | None) -> None:
         if isinstance(event, Position):
@@ -257,18 +281,7 @@ class VehicleSide:
         home = None if self._home_nea_m is None else self._home_nea_m[2]
         findings = judge(self.autopilot.rules, client.values, self._mission, home_amsl_m=home)
         self.findings = findings
-        setting = [
-            each
-            for each in findings
-            if each.severity is Severity.SET and each.name not in client.failed_sets
-        ]
-        if not self._sets_parameters:
-            setting = []
-        for finding in setting:
-            if finding.set_to is not None:
-                client.set(finding.name, finding.set_to)
-                self.notes.append(f"set {finding.name} to {finding.set_to:g}")
-        if setting:
+        if self._set(findings):
             return []  # they are judged again once they are read back
         refused = [
             each
@@ -276,15 +289,40 @@ class VehicleSide:
             if each.severity is Severity.REFUSE
             or (each.severity is Severity.SET and self._sets_parameters)
         ]
-        refusal = str(refused[0]) if refused else ""
+        refusal = self._in_words(refused[0]) if refused else ""
+        again, self._refusal_told = refusal == self._refusal_told != "", refusal
         self._parameters_told = True
-        return [Prepared(time_s=now_s, item=Item.PARAMETERS, refusal=refusal)]
+        return [] if again else [Prepared(time_s=now_s, item=Item.PARAMETERS, refusal=refusal)]
+
+    def _set(self, findings: list[Finding]) -> bool:
+        """Set what is to be set, and say so; whether there was any.
+
+        What somebody else has set back again and again is left to them, and refused.
+        """
+        client, any_set = self.parameters, False
+        for finding in findings if self._sets_parameters else ():
+            name, times = finding.name, self._sets.get(finding.name, 0)
+            wanted = finding.severity is Severity.SET and name not in client.failed_sets
+            if not wanted or finding.set_to is None or times >= _MOST_SETS:
+                continue
+            client.set(name, finding.set_to)
+            self._sets[name], any_set = times + 1, True
+            if times == 0:
+                self.notes.append(f"set {name} to {finding.set_to:g}")
+        return any_set
+
+    def _in_words(self, finding: Finding) -> str:
+        """Why the vehicle must not fly as it is set up."""
+        if finding.severity is Severity.SET and self._sets.get(finding.name, 0) >= _MOST_SETS:
+            what = f"{finding.name} = {finding.value:g}: somebody keeps setting it back"
+            return f"{what}. End that: {finding.rule}"
+        return str(finding)
 
     def _read_plans(self, now_s: float) -> list[Event]:
-        plans, mission, told = self.plans, self._mission, list[Event]()
+        plans, mission = self.plans, self._mission
         if not plans.is_done or not self.parameters.is_done:
             return []
-        refusal = ""
+        told, refusal = list[Event](), ""
         if mission.fence_from_vehicle:
             made_of = (plans.plans[FENCE].version, self.parameters.version, self._home_nea_m)
             if made_of != self._fence_made_of:

@@ -1,7 +1,8 @@
 """What a companion that is started again in flight has to know of the one before it (design 7).
 
 Plain values, for a file: the path in force, how far the mission has come, the way here, and the
-vehicle's fence.  The known map is kept beside it.
+vehicle's fence.  The known map is kept beside it.  Where they cannot be read, a vehicle in the air
+is taken over all the same, without them (`forgotten`).
 """
 
 import math
@@ -21,6 +22,8 @@ from companion.world.threats import CircleZone, PolygonZone, Zone
 
 Values = dict[str, Any]
 
+NOT_SUCH = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""What values that are no checkpoint may raise when they are restored."""
 _PERIOD_S = 1.0
 
 
@@ -30,6 +33,7 @@ def values_of(state: State) -> Values:
     return {
         "t_s": state.now_s,
         "phase": state.phase.name,
+        "sank": state.phase is Phase.LANDING and state.obeyed,
         "airborne": state.airborne,
         "standing": None if state.standing is None else state.standing.name,
         "taken": state.taken,
@@ -59,19 +63,63 @@ def values_of(state: State) -> Values:
 
 def beginning(mission: Mission, resume: tuple[Values, KnownMap | None] | None) -> State:
     """The state that a mission begins with: blank, or what another companion has left."""
-    limits = mission.task.limits
-    known = mission.known or empty_map(mission.task.cell_m, limits.north_m, limits.east_m)
+    known = blank(mission)
     if resume is None:
         return State.of(mission, known)
     values, kept = resume
-    return restored(mission, kept or known, values)
+    if "lost" in values:
+        state, time_s = State.of(mission, known), float(values["t_s"])
+        flight = replace(state.flight, plan_id=int(values["plan_id"]))
+        state = replace(state, now_s=time_s, since_s=time_s, airborne=True, flight=flight)
+    else:
+        state = restored(mission, kept or known, values)
+    return replace(state, news=". ".join(news_of(values)))
+
+
+def blank(mission: Mission) -> KnownMap:
+    """What is known of the terrain before the first scan."""
+    limits = mission.task.limits
+    return mission.known or empty_map(mission.task.cell_m, limits.north_m, limits.east_m)
+
+
+def forgotten(
+    why: str, *, system_id: int | None = None, time_s: float = 0.0, plan_id: int = 0
+) -> Values:
+    """What stands for the checkpoint of a flight of which none can be read.
+
+    The vehicle may be in the air, so it is never armed: `airborne` from the beginning.
+    system_id, time_s, plan_id: the vehicle, its clock and the newest plan, where they are known.
+    """
+    return {"lost": why, "system_id": system_id, "t_s": time_s, "plan_id": plan_id}
+
+
+def without_map(values: Values, why: str) -> Values:
+    """The checkpoint of a flight whose known map cannot be read."""
+    return {**values, "map_lost": why}
+
+
+def news_of(values: Values) -> list[str]:
+    """What could not be restored, for people."""
+    news = []
+    if "lost" in values:
+        news.append(f"taking over without memory of the flight: {values['lost']}")
+    if "map_lost" in values:
+        news.append(f"scanning anew: {values['map_lost']}")
+    return news
+
+
+def told(values: Values) -> Values:
+    """The journal's entry about going on."""
+    lost: Values = {key: values[key] for key in ("lost", "map_lost") if key in values}
+    return {"phase": values.get("phase"), **lost}
 
 
 def restored(mission: Mission, known: KnownMap, values: Values) -> State:
-    """The state from which the mission goes on.  KeyError, TypeError, ValueError: not such values.
+    """The state from which the mission goes on; one of `NOT_SUCH` if these are not such values.
 
     What the vehicle does now is not in it: the vehicle is prepared again.
     """
+    _must_be_finite(values)
     limit = values["speed_limit_m_s"]
     flight = Flight(
         known=known,
@@ -95,6 +143,9 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         homeward=bool(values["homeward"]),
         fallen_back=_reason(values["fallen_back"]),
     )
+    targets_ne_m = _places(values["targets_ne_m"])
+    if not 0 <= flight.target < max(len(targets_ne_m), 1):
+        raise ValueError(f"target {flight.target} of {len(targets_ne_m)}")
     state = State.of(mission, known)
     fence = values["fence"]
     if fence is not None:
@@ -105,13 +156,24 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         now_s=time_s,
         since_s=time_s,
         landing=values["phase"] == Phase.LANDING.name,
+        sank=bool(values.get("sank", False)),
         airborne=bool(values["airborne"]),
         standing=_reason(values["standing"]),
         taken=bool(values["taken"]),
         armed_by_us=bool(values["armed_by_us"]),
-        targets_ne_m=_places(values["targets_ne_m"]),
+        targets_ne_m=targets_ne_m,
         flight=flight,
     )
+
+
+def _must_be_finite(value: Any) -> None:
+    """ValueError for a number that a vehicle cannot be sent to."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{value} among the numbers")
+    inner = value.values() if isinstance(value, dict) else value
+    if isinstance(value, dict | list):
+        for each in inner:
+            _must_be_finite(each)
 
 
 def _reason(name: str | None) -> Reason | None:

@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import final
 
+import numpy as np
+
 from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position
 from companion.mission.health import distrust
 from companion.mission.mission import Mission
@@ -18,8 +20,13 @@ GONE_S = 30.0
 GONE_IN_AIR_S = 600.0
 STOPPED_M_S = 0.5
 AT_M = 5.0
+BROKEN_OFF = "landing broken off: MISSION_START to the companion lands it"
 _HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
 _GROUNDED_S = 1.5
+_FENCE_S = 5.0  # between a breach of the fence, and what the autopilot does about it
+_SUSPECT_S = 2.5  # somebody with our ids who has said so much may have died meanwhile
+_THERE_S = 5.0
+_SECOND_S = 5.0  # who hears another so soon after it took over has not been there first
 
 
 @final
@@ -81,7 +88,34 @@ def lost_command(
         return Reason.DISARMED
     if vehicle.mode in modes:
         return None
-    return Reason.STREAM_LOST if _lost_stream(vehicle) else Reason.MODE_TAKEN
+    taken = taken_by(state)
+    lost = taken is Reason.MODE_TAKEN and _lost_stream(vehicle)
+    return Reason.STREAM_LOST if lost else taken
+
+
+def taken_by(state: State) -> Reason:
+    """Who has changed the mode: a person, or the autopilot because of its own fence.
+
+    It says so, or it acts on a failsafe (PX4, which tells a companion little) outside of its fence.
+    """
+    vehicle, driving = state.vehicle, state.vehicle.driving
+    if vehicle.mode not in (Mode.HOLD, Mode.RETURN, Mode.LAND):
+        return Reason.MODE_TAKEN
+    said = 0.0 <= state.now_s - vehicle.fence_breached_at_s < _FENCE_S
+    streams_first = driving is not None and driving.streams_first
+    acts = streams_first and vehicle.failsafe and _is_out_of_its_fence(state)
+    return Reason.FENCE_BREACHED if said or acts else Reason.MODE_TAKEN
+
+
+def _is_out_of_its_fence(state: State) -> bool:
+    """Whether the vehicle is, as far as its position tells, where its own fence forbids it."""
+    fence, here = state.fence, state.vehicle.position_nea_m
+    if fence is None or here is None:
+        return False
+    north, east, error_m = np.asarray(here[0]), np.asarray(here[1]), state.task.error_m
+    if fence.ceiling_amsl_m is not None and here[2] > fence.ceiling_amsl_m - error_m:
+        return True
+    return any(float(zone.distance_m(north, east)) < error_m for zone in fence.zones)
 
 
 def is_silent(state: State) -> bool:
@@ -114,7 +148,24 @@ def is_led(state: State) -> bool:
     phase, mode = state.phase, state.vehicle.mode
     flies = state.airborne and phase in (*IN_AIR, Phase.PREPARING, Phase.ARMING)
     ours = mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and rises(state))
-    return flies and ours
+    return flies and ours and not came_second(state)
+
+
+def is_suspected(state: State) -> bool:
+    """Whether somebody else with our ids was heard lately, be it what a dead one has left."""
+    return 0.0 <= state.now_s - state.namesake_at_s < _SUSPECT_S
+
+
+def came_second(state: State) -> bool:
+    """Whether there certainly is another companion, and this one has not had the vehicle before."""
+    is_there = state.namesake and 0.0 <= state.now_s - state.namesake_at_s < _THERE_S
+    is_late = not has_led(state) or 0.0 <= state.now_s - state.led_at_s < _SECOND_S
+    return is_there and is_late
+
+
+def has_led(state: State) -> bool:
+    """Whether this companion has had the vehicle in the air."""
+    return state.led_at_s < math.inf
 
 
 def because(state: State, reason: Reason) -> State:

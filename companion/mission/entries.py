@@ -9,6 +9,7 @@ from companion.mission.events import (
     FenceChanged,
     LinkDelay,
     LinkLost,
+    Namesake,
     Order,
     PlanLate,
     PlannerDied,
@@ -53,6 +54,8 @@ def of_event(event: Event, state: State) -> Entry | None:
             return {"kind": "part died", "error": error}
         case LinkLost(silent_s=silent_s):
             return {"kind": "link lost", "silent_s": silent_s}
+        case Namesake(certain=True, news=True):
+            return {"kind": "another companion"}
         case StopAsked():
             return {"kind": "stop asked"}
         case _:
@@ -99,6 +102,7 @@ def of_change(before: State, after: State) -> Iterator[Entry]:
             "phase": after.phase.value,
             "was": before.phase.value,
             "reason": None if after.reason is None else after.reason.text,
+            "code": None if after.reason is None else after.reason.name,
         }
     if after.flight.legs_flown != before.flight.legs_flown:
         yield {"kind": "leg", "number": after.flight.legs_flown}

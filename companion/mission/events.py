@@ -296,6 +296,26 @@ class LinkLost:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FenceBreach:
+    """The autopilot says that the vehicle is where its own fence forbids it to be."""
+
+    time_s: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Namesake:
+    """Somebody with the companion's own ids has said something that it has not said."""
+
+    time_s: float
+    certain: bool
+    """Whether that has gone on for long enough: a companion that died leaves frames behind."""
+    news: bool = False
+    """Whether it is the first to be told of this, with that certainty."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StopAsked:
     """A person wants the mission to end now."""
 
@@ -326,6 +346,8 @@ Event = (
     | PlanLate
     | PlannerDied
     | LinkLost
+    | FenceBreach
+    | Namesake
     | StopAsked
 )
 

@@ -59,17 +59,22 @@ def flying(state: State, event: Event, context: Context) -> Step:
 
 def on_position(state: State, event: Position, context: Context) -> Step:
     """Move the reference point and send it; scan when its time has come."""
-    if not battery_lasts(state, context.mission) and state.flight.fallen_back is None:
+    if runs_low(state, context):
         state = replace(fallen_back(state, Reason.BATTERY_LOW), standing=Reason.BATTERY_LOW)
         state, commands, trigger = following.stop(state, Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
-    state, warning = _battery_warning(state, context)
+    state, warning = battery_warning(state, context)
     after, commands, trigger = _on_position(state, event, context)
     return after, [*warning, *commands], trigger
 
 
-def _battery_warning(state: State, context: Context) -> tuple[State, list[Command]]:
+def runs_low(state: State, context: Context) -> bool:
+    """Whether the mission is to be given up for the battery, and has not been for anything."""
+    return not battery_lasts(state, context.mission) and state.flight.fallen_back is None
+
+
+def battery_warning(state: State, context: Context) -> tuple[State, list[Command]]:
     """Say, once, that the battery will not last if it goes on like this."""
     if state.flight.battery_warned or battery_forecast(state, context.mission):
         return state, []

@@ -26,7 +26,7 @@ from companion.planner.procedure import (
     sent_pose,
 )
 from companion.planner.recheck import first_conflict_m
-from companion.planner.refuge import loiter_point
+from companion.planner.refuge import Circler, loiter_point
 from companion.planner.request import Stretch
 from companion.planner.settings import Task
 
@@ -81,7 +81,7 @@ def moved_on(state: State, event: Position) -> Flight:
         )
     else:
         reference = follow(flight.reference, leg, here, task.limits)
-    if reference.length_m > flight.reference.length_m:
+    if reference.length_m > flight.reference.length_m or flight.circling:  # it sets out now
         flight = replace(flight, progress_at_s=state.now_s)
     if flight.offset is not None:
         offset = join.step(flight.offset, vehicle.position_step_s, task.limits)
@@ -170,13 +170,18 @@ def with_echo(state: State) -> Flight:
 
 
 def is_stopped(state: State, flight: Flight) -> bool:
-    """Whether the reference point has come to the end of its leg, or where it is to stop."""
+    """Whether the reference point has come to the end of its leg, or where it is to stop.
+
+    Of a copter that is on its way back to the path there, not before it is on it: the setpoint
+    would jump.
+    """
     leg = flight.leg
     assert leg is not None
     if flight.next_leg is not None and flight.stop_at_m is None:
         return False
     if state.vehicle.hovers:
-        return is_at_end(flight.reference, leg, until_m=flight.stop_at_m)
+        joins = flight.offset is not None and not flight.offset.is_gone
+        return not joins and is_at_end(flight.reference, leg, until_m=flight.stop_at_m)
     if flight.stop_at_m is not None:
         return True  # it circles where it was to stop
     left_m = leg.subpath.length_m - flight.reference.length_m
@@ -239,8 +244,11 @@ def stop(state: State, reason: Reason) -> Step:
     if not state.vehicle.hovers:
         point = _pose_sent(state)[0].point_nea_m
         if reason is Reason.NEW_THREAT:
-            here = state.vehicle.position_nea_m or point
-            point = loiter_point(flight.known, state.task, here, (point,)) or point
+            circler = Circler(
+                here_nea_m=state.vehicle.position_nea_m or point,
+                velocity_nea_m_s=state.vehicle.velocity_nea_m_s,
+            )
+            point = loiter_point(flight.known, state.task, circler, (point,)) or point
         flight = at_rest(flight, point)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
     brakes_m = limits.stopping_m(flight.reference.speed_m_s)
@@ -272,6 +280,7 @@ def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
         stop_at_m=None,
         hover_nea_m=hover_nea_m,
         scanning_from_nea_m=None,
+        looking=False,
         planning=False,
         tried=False,
     )

@@ -8,16 +8,20 @@ from companion.geodesy import FloatArray
 from companion.mission import following, joining
 from companion.mission.decisions import (
     AT_M,
+    BROKEN_OFF,
     Context,
     Step,
     ask,
+    came_second,
     cannot_fly,
     fault,
     give_up,
+    has_led,
     in_phase_s,
     is_at_rest,
     is_gone,
     is_silent,
+    is_suspected,
     lost_command,
 )
 from companion.mission.driving import TakeOffWay
@@ -29,6 +33,7 @@ from companion.mission.events import (
     Landed,
     LinkLost,
     Mode,
+    Namesake,
     Position,
     Prepared,
     Say,
@@ -39,9 +44,10 @@ from companion.mission.events import (
 )
 from companion.mission.health import battery_lasts, distrust
 from companion.mission.renewed import replace
-from companion.mission.state import Reason, State, Trigger
+from companion.mission.state import Phase, Reason, State, Trigger
 
 _PREPARE_S = 120.0
+_LISTEN_S = 1.0  # other companions say once a second that they are there
 _UNLED_S = 2.0  # in guided mode, in the air, with a position that is not to be believed
 _ARM_S = 60.0
 _CLIMB_SAMPLES = 200
@@ -77,6 +83,10 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         return give_up(state, Reason.NOT_READY, _missing(state))
     if is_silent(state):
         return state, [], None
+    if came_second(state) and not context.shadow:
+        return give_up(state, Reason.NOT_ALONE)
+    if not (has_led(state) or context.shadow) and _may_not_be_alone(state):
+        return state, [], None
     if state.landing and not context.shadow:
         return _landing_goes_on(state)
     if distrust(vehicle, state.now_s, state.task.limits) is not None:
@@ -96,6 +106,30 @@ def preparing(state: State, event: Event, context: Context) -> Step:
     return _on_ground(state, context)
 
 
+def _may_not_be_alone(state: State) -> bool:
+    """Whether it is too early to know that there is no other companion, as far as it can be.
+
+    On the ground there is time enough for that while it arms; who goes on with a path of its own
+    must be quick, and yields if it then hears another (`came_second`).
+    """
+    takes_over = _is_flying(state) and state.flight.leg is None
+    return is_suspected(state) or (takes_over and in_phase_s(state) < _LISTEN_S)
+
+
+def not_alone(state: State, event: Namesake, context: Context) -> Step:
+    """Somebody else with our ids: of two companions the one that came second takes no command.
+
+    Two streams of setpoints would pull the vehicle apart.  Whoever has had it in the air flies on
+    and says so; whoever hears the other before that ends.
+    """
+    if came_second(state) and not context.shadow:
+        begun = state.phase is not Phase.WAITING
+        return give_up(state, Reason.NOT_ALONE) if begun else (state, [], None)
+    if event.certain and event.news:
+        return state, [Say(text=f"{Reason.NOT_ALONE.text}: end it", warning=True)], None
+    return state, [], None
+
+
 def _landing_goes_on(state: State) -> Step:
     """What a companion before this one had begun is seen to its end."""
     vehicle = state.vehicle
@@ -104,6 +138,9 @@ def _landing_goes_on(state: State) -> Step:
     if vehicle.landed is Landed.UNKNOWN:
         return state, [], None
     state = replace(state, landing=False)
+    if state.sank and vehicle.mode is not Mode.LAND:
+        says = Say(text=BROKEN_OFF, warning=True)
+        return replace(state, standing=Reason.PAUSED), [says], None
     return state, [], Trigger.END_LAND if vehicle.mode in (Mode.LAND, Mode.GUIDED) else None
 
 
@@ -172,6 +209,8 @@ def arming(state: State, event: Event, context: Context) -> Step:
     assert driving is not None
     if isinstance(event, LinkLost):
         return give_up(state, Reason.LINK_LOST)
+    if is_suspected(state):
+        return state, [], None
     first = Mode.GUIDED if driving.take_off is TakeOffWay.GUIDED_THEN_CLIMB else Mode.TAKE_OFF
     if vehicle.mode is first and vehicle.armed:
         return state, [], Trigger.ARMED

@@ -23,6 +23,7 @@ from companion.mission.events import (
     LandedState,
     LinkDelay,
     Mode,
+    Namesake,
     Outcome,
     PlannerDied,
     Position,
@@ -96,6 +97,8 @@ def _observed(state: State, event: Event, now_s: float) -> State:
         case Echo(position_nea_m=echo):
             vehicle = replace(vehicle, echo_nea_m=echo, echo_at_s=event.time_s)
             flight = following.with_echo(replace(state, now_s=now_s, vehicle=vehicle))
+        case Namesake(certain=certain):
+            state = replace(state, namesake=certain, namesake_at_s=now_s)
         case Prepared(item=item, refusal="") if item not in state.prepared:
             state = replace(state, prepared=state.prepared | {item})
         case ScanDone(scan=scan):
@@ -122,6 +125,8 @@ def _decide(state: State, event: Event, context: Context) -> Step:
     if isinstance(event, PlannerDied):
         detail = f": {event.error}" if event.error else ""
         return replace(state, reason=Reason.PLANNER_DIED, detail=detail), [], Trigger.DIED
+    if isinstance(event, Namesake):
+        return ground.not_alone(state, event, context)
     if (step := changes.changed(state, event)) is not None:
         return step
     match state.phase:
@@ -154,18 +159,22 @@ def _enter(
     state: State, before: State, trigger: Trigger, context: Context, commands: list[Command]
 ) -> tuple[State, list[Command]]:
     """What a phase begins with."""
-    state = replace(state, airborne=state.airborne or state.phase in IN_AIR)
+    if state.phase in IN_AIR:
+        led_at_s = state.now_s if before.phase is Phase.PREPARING else -1e9
+        state = replace(state, airborne=True, led_at_s=min(state.led_at_s, led_at_s))
     match state.phase:
         case Phase.PREPARING:
-            return state, [*commands, RequestStreams(), Say(text=f"mission {context.mission.name}")]
+            says: list[Command] = [Say(text=f"mission {context.mission.name}")]
+            says += [Say(text=state.news, warning=True)] if state.news else []
+            return replace(state, news=""), [*commands, RequestStreams(), *says]
         case Phase.FLYING | Phase.LANDING | Phase.RETURNING:
             return _set_out(state, commands)
         case Phase.HOLDING:
             return _hold(state, commands)
         case Phase.ARRIVED:
             flight = following.at_rest_at_end(state.flight)
-            says = Say(text="target reached", about="phase")
-            return replace(state, flight=flight), [*commands, says]
+            reached = Say(text="target reached", about="phase")
+            return replace(state, flight=flight), [*commands, reached]
         case Phase.DONE | Phase.FAULTED:
             return state, [*commands, *_ending(before, trigger, context)]
         case _:
@@ -194,7 +203,7 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     state = replace(state, told_at_s=-1e9)
     if reason in stopped.STANDING:
         state = replace(state, standing=reason)
-    elif reason is Reason.MODE_TAKEN:
+    elif reason in stopped.TAKEN:
         state = replace(state, taken=True)
     elif reason not in stopped.SELF_HELD and reason is not Reason.TAKING_OVER:
         flight = replace(state.flight, troubles=state.flight.troubles + 1)

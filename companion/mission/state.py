@@ -132,6 +132,10 @@ class Reason(enum.Enum):
         "Wait, or raise vehicle.navigation_error_m.",
     )
     LINK_LOST = ("the vehicle fell silent", "Check the link and the vehicle.")
+    NOT_ALONE = (
+        "another companion with our ids is on the link",
+        "End one of the two; each vehicle has one, by its own system id.",
+    )
     REBOOTED = ("the autopilot has rebooted", "Look at the vehicle before it flies again.")
     ARMED_ALREADY = (
         "somebody else has armed the vehicle",
@@ -148,6 +152,10 @@ class Reason(enum.Enum):
     MODE_TAKEN = (
         "somebody else flies the vehicle",
         "Give it back: guided mode, or the command MISSION_START to the companion.",
+    )
+    FENCE_BREACHED = (
+        "the vehicle's own fence stopped it",
+        "Change its fence, or give it back (guided mode, or MISSION_START) to be led out of it.",
     )
     DISARMED = ("the vehicle disarmed", "See its messages for the reason.")
     GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.")
@@ -194,6 +202,8 @@ class Vehicle(Renewed):
     status_at_s: float = -1e9
     """When its heartbeat was heard last."""
     failsafe: bool = False
+    fence_breached_at_s: float = -1e9
+    """When it last said that it breaches its own fence."""
     landed: Landed = Landed.UNKNOWN
     landed_at_s: float = -1e9
     """Since when."""
@@ -255,7 +265,13 @@ class Flight(Renewed):
     stop_reason: Reason = Reason.NO_PLAN
     hover_nea_m: Vector | None = None
     """Where to stay while there is no leg."""
+    circled: tuple[Task, Vector] | None = None
+    """The rules, and the place to stay, that a plane's circle was last judged by."""
     scanning_from_nea_m: Vector | None = None
+    looking: bool = False
+    """Whether that scan is only to see where else to circle: no plan follows."""
+    looked_under: Task | None = None
+    """The rules under which a plane last looked where else to circle."""
     plan_id: int = 0
     """Of the newest plan request."""
     route_ne_m: tuple[tuple[float, float], ...] = ()
@@ -318,6 +334,16 @@ class State(Renewed):
     """Whether it was the companion that asked it to arm."""
     landing: bool = False
     """Whether the companion before this one was landing it."""
+    sank: bool = False
+    """Whether it had taken the land mode then: if it has left it, somebody wanted that."""
+    news: str = ""
+    """What is to be said as soon as there is somebody to hear it: what could not be restored."""
+    led_at_s: float = math.inf
+    """Since when this companion has had the vehicle in the air; long ago if it has taken it up."""
+    namesake_at_s: float = -1e9
+    """When somebody else with our ids was last heard."""
+    namesake: bool = False
+    """Whether that was certain."""
     airborne: bool = False
     """Whether the vehicle has been in the air since the companion began: then it is never armed."""
     prepared: frozenset[Item] = frozenset()
@@ -361,6 +387,7 @@ class State(Renewed):
             now_s=self.now_s + shift_s,
             since_s=self.since_s + shift_s,
             asked_at_s=self.asked_at_s + shift_s,
+            namesake_at_s=self.namesake_at_s + shift_s,
             vehicle=replace(self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s),
         )
 

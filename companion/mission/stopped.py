@@ -2,9 +2,10 @@
 
 import math
 
-from companion.mission import following, returning
+from companion.mission import flying, following, returning
 from companion.mission.decisions import (
     AT_M,
+    BROKEN_OFF,
     STOPPED_M_S,
     Context,
     Step,
@@ -19,6 +20,7 @@ from companion.mission.decisions import (
     is_grounded,
     is_silent,
     longest_silence_s,
+    taken_by,
 )
 from companion.mission.events import (
     Command,
@@ -51,7 +53,10 @@ SELF_HELD = (
 STANDING = (Reason.PAUSED, Reason.RETURN_ASKED, Reason.BATTERY_LOW)
 """What stands until a person says otherwise, or it is done, whatever else happens meanwhile."""
 
-LET_GO = (Reason.MODE_TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
+TAKEN = (Reason.MODE_TAKEN, Reason.FENCE_BREACHED)
+"""Reasons to hold until a person gives the vehicle back."""
+
+LET_GO = (*TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
 """Reasons to hold in which the vehicle is not ours to command."""
 
 _TOLD_S = 30.0  # that guided mode is asked for on a person's word
@@ -139,7 +144,7 @@ def resumed(state: State) -> Step:
 def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
     """Stay at the end of the leg; try again after a pause, and not for ever."""
     reason = cannot_fly(state, event)
-    if reason is Reason.MODE_TAKEN:
+    if reason in TAKEN:
         return _taken(_anew(state)), [], None
     if reason is not None:
         return because(_anew(state), reason), [], None
@@ -147,8 +152,13 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
         return _way_back(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
+    if flying.runs_low(state, context):  # a pause, too, ends before the battery does
+        state = flying.fallen_back(state, Reason.BATTERY_LOW)
+        low = because(replace(state, standing=Reason.BATTERY_LOW), Reason.BATTERY_LOW)
+        return low, [Say(text=f"hold: {Reason.BATTERY_LOW.text}", warning=True)], None
+    state, warning = flying.battery_warning(state, context)
     flight, commands = following.hold_setpoint(state, event.time_s, context)
-    state = replace(state, flight=flight)
+    commands, state = [*warning, *commands], replace(state, flight=flight)
     if flight.planning:  # the way back
         if state.now_s - flight.progress_at_s > _ANSWER_S:
             return give_up(state, state.reason or Reason.NO_PLAN)
@@ -217,8 +227,8 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
 
 
 def _taken(state: State) -> State:
-    """Somebody else flies it from now on."""
-    return replace(because(state, Reason.MODE_TAKEN), taken=True)
+    """Somebody else flies it from now on, or its autopilot does."""
+    return replace(because(state, taken_by(state)), taken=True)
 
 
 def _lead_back(state: State, event: Event, context: Context) -> Step:
@@ -340,6 +350,20 @@ def landing(state: State, event: Event, context: Context) -> Step:
     if state.obeyed or vehicle.mode is not Mode.GUIDED:
         if is_grounded(state):
             return state, [], None  # down, and not yet disarmed: the mode is the autopilot's
-        flight = following.at_rest(state.flight, None)
-        return fault(replace(state, flight=flight), Reason.MODE_TAKEN)
+        return _broken_off(state)
     return ask(state, SetMode(mode=Mode.LAND))
+
+
+def _broken_off(state: State) -> Step:
+    """It has left the land mode: it is not landed again before a person says so.
+
+    Held where it is if they selected guided mode; else it is theirs, and held once given back.
+    """
+    guided = state.vehicle.mode is Mode.GUIDED
+    reason = Reason.PAUSED if guided else taken_by(state)
+    flight = following.at_rest(state.flight, state.vehicle.position_nea_m if guided else None)
+    state = replace(state, flight=flight)
+    if reason not in (Reason.PAUSED, Reason.MODE_TAKEN):
+        return fault(state, reason)
+    state, commands, trigger = fault(replace(state, standing=Reason.PAUSED), reason)
+    return state, [*commands, Say(text=BROKEN_OFF, warning=True)], trigger

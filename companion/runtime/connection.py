@@ -69,9 +69,8 @@ def _address(connection: str, kind: str, rest: str) -> Address:
     if not host or not colon or ":" in port:
         raise InputError(_FIELD, connection, f"not {kind}:HOST:PORT", _REMEDY)
     kind = "udpin" if kind == "udp" else kind
-    lowest = 0 if kind in ("udpin", "tcpin") else 1
-    if not _is_number(port, lowest, 65535):
-        rule = f"a port is a number from {lowest} to 65535"
+    if not _is_number(port, 1, 65535):  # 0 would be one that nobody else knows
+        rule = "a port is a number from 1 to 65535"
         raise InputError(_FIELD, connection, rule, _REMEDY)
     return Address(text=connection, kind=kind, host=host, port=int(port))  # type: ignore[arg-type]
 

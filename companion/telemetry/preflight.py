@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 from typing import final
 
 from companion.mavlink import fence
+from companion.mavlink.dialect import COMPANION_COMPONENT
 from companion.mavlink.judgement import Severity
 from companion.mavlink.receiver import Passed
 from companion.mavlink.vehicle import VehicleSide
 from companion.mission import ground
-from companion.mission.decisions import Context
+from companion.mission.decisions import Context, is_suspected
 from companion.mission.events import Item, Tick
 from companion.mission.health import battery_lasts, distrust
 from companion.mission.state import Reason, State, Trigger
@@ -25,6 +26,7 @@ _EARLIEST_S = 1_735_689_600.0  # 2025: a clock before that has not been set
 _LONG_DELAY_S = 0.5
 _LARGEST_GEOID_M = 110.0
 _FEWEST_ANSWERS = 0.9
+_LISTENED_S = 5.0  # for other companions: `fly` does, before it takes over
 
 
 class Verdict(enum.Enum):
@@ -58,6 +60,7 @@ def checks_of(session: Session, *, clock_s: float) -> list[Check]:
         return checks
     state = session.state
     checks += _link(session, vehicle)
+    checks.append(_alone(vehicle, state))
     checks += _parameters(vehicle)
     checks += _fence(session, vehicle)
     checks += _position(session, state)
@@ -82,7 +85,7 @@ def _note(name: str, what: str, remedy: str = "") -> Check:
 
 
 def _heard(session: Session) -> Check:
-    vehicle, others = session.vehicle, sorted(session.other_systems)
+    vehicle, others = session.vehicle, sorted(session.latch.others)
     names = ", ".join(str(system) for system in others)
     if vehicle is not None:
         what = f"{vehicle.autopilot.name}, system {vehicle.system_id}"
@@ -118,6 +121,14 @@ def _link(session: Session, vehicle: VehicleSide) -> Iterator[Check]:
     passed = session.receiver.passed.total() - session.receiver.passed[Passed.UNKNOWN]
     if passed:
         yield _note("noise", f"{passed} times something that is no message was passed over")
+
+
+def _alone(vehicle: VehicleSide, state: State) -> Check:
+    """Nobody else speaks with the companion's own ids."""
+    found = state.namesake or is_suspected(state)
+    ours = f"{vehicle.system_id}/{COMPANION_COMPONENT}"
+    what = f"{ours}: {Reason.NOT_ALONE.text}" if found else f"nobody else is {ours}"
+    return _check("companion", not found, what, Reason.NOT_ALONE.remedy)
 
 
 # --- what the autopilot holds
@@ -267,7 +278,7 @@ def _signing(session: Session, clock_s: float) -> Iterator[Check]:
 def _as_flown(session: Session, state: State) -> Check:
     """What `fly` would do with a vehicle as it is now."""
     context = Context(mission=session.mission, seed=0)
-    state = replace(state, reason=None, since_s=state.now_s)
+    state = replace(state, reason=None, since_s=state.now_s - _LISTENED_S)
     event = Tick(time_s=state.now_s)
     after, _, trigger = ground.preparing(state, event, context)
     if trigger is None:  # it would wait, and what for it says at the end

@@ -7,16 +7,18 @@ import pytest
 from held import Held, circle, polygon
 
 from companion.config import load_mission
-from companion.mavlink.autopilots import autopilot_of
+from companion.mavlink.autopilots import ALL, autopilot_of
 from companion.mavlink.dialect import wire
 from companion.mavlink.vehicle import VehicleSide
-from companion.mission.events import FenceChanged, Item, Prepared
+from companion.mission.events import FenceBreach, FenceChanged, Item, Prepared
 
 FENCE = 1
 
 
 class Side:
     """A vehicle side as a client, and the events that it tells."""
+
+    sets_parameters = False
 
     def __init__(self, held: Held, mission: str) -> None:
         self._held, self._mission = held, mission
@@ -35,7 +37,7 @@ class Side:
                 autopilot,
                 message.autopilot,
                 lockstep=True,
-                sets_parameters=False,
+                sets_parameters=self.sets_parameters,
             )
             return self.side.begin(now_s)
         if message.get_srcComponent() != 1:
@@ -103,3 +105,103 @@ def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
     client.hears_home = True
     held.run(60.0, client, until=lambda: bool(prepared_plans(client)))
     assert "fence about home (radius 60 m)" in prepared_plans(client)[0].refusal
+
+
+# --- breaches of it
+
+
+def told_of(message: Any) -> Any:
+    side = VehicleSide(
+        load_mission("sitl-px4"),
+        1,
+        ALL[0],
+        wire.MAV_AUTOPILOT_PX4,
+        lockstep=True,
+        sets_parameters=False,
+    )
+    return side.event_of(message, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "breach"),
+    [
+        ("Polygon fence breached", True),
+        ("Max Alt and Circle fences breached", True),
+        ("Geofence: approaching or outside geofence\t", True),
+        ("Reposition is outside geofence\t", False),
+        ("Geofence requires valid home", False),
+        ("Fence upload timeout", False),
+    ],
+)
+def test_what_autopilots_write_of_a_breach(text: str, breach: bool) -> None:
+    message = wire.MAVLink_statustext_message(4, text.encode())
+    assert told_of(message) == (FenceBreach(time_s=7.0) if breach else None)
+
+
+def test_fence_status_tells_of_each_breach_once() -> None:
+    side = VehicleSide(
+        load_mission("sitl-arducopter"),
+        1,
+        ALL[0],
+        wire.MAV_AUTOPILOT_ARDUPILOTMEGA,
+        lockstep=True,
+        sets_parameters=False,
+    )
+    states = [(0, 0), (1, 1), (1, 1), (0, 1), (1, 2)]
+    told = [
+        side.event_of(wire.MAVLink_fence_status_message(status, count, 3, 0, 0), 1.0) is not None
+        for status, count in states
+    ]
+    assert told == [False, True, False, False, True]
+
+
+# --- somebody who sets parameters back
+
+
+class Sets(Side):
+    """One that may set parameters."""
+
+    sets_parameters = True
+
+    @property
+    def refusals(self) -> list[str]:
+        told = (event for event in self.events if isinstance(event, Prepared))
+        return [event.refusal for event in told if event.item is Item.PARAMETERS and event.refusal]
+
+
+def fought(times: int, *, seconds: float = 12.0) -> tuple[Held, Sets]:
+    """COM_OBL_RC_ACT, which is to be 5, set back to 0 so many times by a ground station."""
+    held = Held("px4")
+    client = Sets(held, "sitl-px4")
+    held.run(30.0, client, until=lambda: value_of(client) == 5.0)
+    held.run(3.0, client)
+    for _ in range(times):
+        sets = wire.MAVLink_param_set_message(1, 1, b"COM_OBL_RC_ACT", 0.0, 6)
+        held.other(sets)
+        held.run(seconds, client)
+    return held, client
+
+
+def value_of(client: Sets) -> float | None:
+    """As the vehicle says it is."""
+    return None if client.side is None else client.side.parameters.values.get("COM_OBL_RC_ACT")
+
+
+def test_a_parameter_that_was_set_back_once_is_set_again() -> None:
+    _, client = fought(1)
+    assert value_of(client) == 5.0
+    assert client.refusals == []
+    assert [text for text in client.said if "COM_OBL_RC_ACT" in text] == ["set COM_OBL_RC_ACT to 5"]
+
+
+def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever() -> None:
+    held, client = fought(8)
+    assert value_of(client) == 0.0
+    [line] = client.refusals
+    assert line.startswith("COM_OBL_RC_ACT = 0: somebody keeps setting it back. End that")
+    ours = [
+        message
+        for _, message in held.sent
+        if message.get_type() == "PARAM_SET" and message.param_id == "COM_OBL_RC_ACT"
+    ]
+    assert 3 <= len(ours) <= 6  # each may have been told twice

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from wild import HOME_AMSL_M, Wild
 
 from companion.mavlink.autopilots import ALL
+from companion.mission import machine
 from companion.mission.driving import Driving, TakeOffWay
 from companion.mission.events import (
     Arm,
@@ -19,6 +21,7 @@ from companion.mission.events import (
     Landed,
     Mode,
     Outcome,
+    Position,
     Prepared,
     SetMode,
     Setpoint,
@@ -135,6 +138,35 @@ def test_a_plane_leaves_its_circle_when_it_flies_the_way_of_its_path(driving: Dr
     velocity = wild.velocity
     along = velocity[0] * tangent[0] + velocity[1] * tangent[1]
     assert along > 0.85 * math.hypot(*velocity[:2])
+
+
+@PLANES
+def test_a_plane_that_has_circled_for_long_is_not_taken_for_stuck_as_it_sets_out(
+    driving: Driving,
+) -> None:
+    """It may have had to fly to its circle first: the wait for its way there counts from there."""
+    wild = Wild.calmly(driving).fly_to(Phase.FLYING)
+    wild.run_until(lambda wild: wild.state.flight.circling)
+    leg = wild.state.flight.leg
+    assert leg is not None
+    start = leg.subpath.pose(0.0)
+    flight = replace(wild.state.flight, progress_at_s=wild.now_s - 40.0)
+    north, east, up = (float(x) for x in start.position_nea_m - 30.0 * start.tangent_nea)
+    velocity = (20.0 * float(start.tangent_nea[0]), 20.0 * float(start.tangent_nea[1]), 0.0)
+    vehicle = replace(
+        wild.state.vehicle,
+        position_nea_m=(north - 0.1 * velocity[0], east - 0.1 * velocity[1], up),
+        velocity_nea_m_s=velocity,
+        position_at_s=wild.now_s,
+    )
+    event = Position(
+        time_s=wild.now_s + 0.1, position_nea_m=(north, east, up), velocity_nea_m_s=velocity
+    )
+    before = replace(wild.state, flight=flight, vehicle=vehicle)
+    state, _ = machine.step(before, event, wild.context)
+    assert not state.flight.circling
+    assert state.flight.reference.length_m == 0.0  # abeam of the start, or before it
+    assert state.phase is Phase.FLYING
 
 
 @PLANES

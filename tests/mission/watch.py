@@ -48,9 +48,15 @@ MOVING = (SetMode, Setpoint, Arm, TakeOff, SetSpeed)
 STREAMS = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.RETURNING)
 ALOFT = (*STREAMS, Phase.TAKING_OFF, Phase.LANDING)
 ARROWS = {(phase, after) for (phase, _), after in MOVES.items()}
-WITH_A_PERSON = (Reason.MODE_TAKEN, Reason.PAUSED)
+WITH_A_PERSON = (Reason.MODE_TAKEN, Reason.FENCE_BREACHED, Reason.PAUSED)
 """What a vehicle may be held for as long as it takes: somebody else has the say."""
-NOT_OURS = (Reason.MODE_TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
+NOT_OURS = (
+    Reason.MODE_TAKEN,
+    Reason.FENCE_BREACHED,
+    Reason.LINK_LOST,
+    Reason.DISARMED,
+    Reason.GROUNDED,
+)
 SETTLES_S, HOLD_S, SLACK_S, TOUCHES_S = 30.0, 300.0, 5.0, 1.5
 ON_SETPOINTS = (
     Reason.NO_PLAN,
@@ -228,13 +234,17 @@ class Watch:
         for end in ends:
             assert end.reason
             assert end.remedy or end.outcome is Outcome.ARRIVED, "no next action for the person"
+            if end.reason == Reason.NOT_ALONE.text:
+                told = [command for command in commands if isinstance(command, MOVING)]
+                assert not told, "another companion's vehicle was told something"
 
     def _whose(self, before: State, after: State, command: Command) -> None:
         """Nobody else's vehicle is told anything: modes that are not ours, and let-go holds."""
         said = f"{command} in {before.phase} ({before.reason}), mode {self.mode}"
         if before.phase is Phase.ARMING or after.phase in (Phase.ARMING, Phase.TAKING_OFF):
             return
-        if before.phase is Phase.HOLDING and before.reason is Reason.MODE_TAKEN:
+        taken = before.reason in (Reason.MODE_TAKEN, Reason.FENCE_BREACHED)
+        if before.phase is Phase.HOLDING and taken:
             if self.mode is not Mode.GUIDED:
                 assert self.told_by_person, f"fought for the vehicle: {said}"
         elif self.mode not in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF):

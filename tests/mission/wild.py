@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from made_up import MISSION, certificate, not_planned, scan, straight
+from made_up import MISSION, certificate, not_planned, planned, scan, straight
 from watch import Watch
 
 from companion.mavlink.autopilots import ALL
@@ -25,6 +25,7 @@ from companion.mission.events import (
     Echo,
     Estimator,
     Event,
+    FenceBreach,
     FenceChanged,
     GpsFix,
     Home,
@@ -34,6 +35,7 @@ from companion.mission.events import (
     LinkDelay,
     LinkLost,
     Mode,
+    Namesake,
     Order,
     OrderKind,
     Origin,
@@ -359,26 +361,7 @@ class Wild:
         return self.towards(request)
 
     def towards(self, request: PlanRequest) -> Planned:
-        start = request.start.position_nea_m
-        target = np.array([*request.target_ne_m, start[2] + float(self.rng.uniform(-3, 3))])
-        left_m = max(float(np.linalg.norm(target - start)), 1.0)
-        reaches = left_m <= LEG_M
-        end = target if reaches else start + (target - start) / left_m * LEG_M
-        return Planned(
-            plan_id=request.plan_id,
-            kernel="made up",
-            subpath=straight(start, end),
-            reaches_target=reaches,
-            cost=1.0,
-            to_go=0.0,
-            terms={"f1": 1.0},
-            certificate=certificate(),
-            guide_rad=0.0,
-            route_ne_m=(request.target_ne_m,),
-            evaluations=60,
-            rank=0,
-            tries=1,
-        )
+        return planned(request, LEG_M, climb_m=float(self.rng.uniform(-3, 3)))
 
     def way_back(self, request: PlanRequest) -> WayBack:
         subpaths: list[Subpath] = []
@@ -461,6 +444,9 @@ class Wild:
             self.wrong["silent"] = self.now_s + lasts_s
 
     def _mode(self) -> None:
+        """Somebody changes it: a person, or the autopilot for its fence."""
+        if self.now_s % 1.0 < 0.5:
+            self.take(FenceBreach(time_s=self.now_s))
         self.mode, self.goal = list(Mode)[self.rng.integers(len(Mode))], None
 
     def _give_back(self) -> None:
@@ -572,10 +558,18 @@ class Wild:
         if self.over or self.context.shadow or self.state.phase not in _KEPT:
             return
         values = json.loads(json.dumps(checkpoint.values_of(self.state)))
-        self.state = checkpoint.restored(self.mission, self.state.flight.known, values)
+        if not self.calm and self.rng.random() < 0.2:  # it cannot be read
+            number = self.state.flight.plan_id
+            values = checkpoint.forgotten("torn", time_s=self.now_s, plan_id=number)
+        self.state = checkpoint.beginning(self.mission, (values, self.state.flight.known))
         self.state = replace(self.state, now_s=self.now_s, since_s=self.now_s)
         self.later = []
         self.watch.restarted(self.now_s)
+
+    def _namesake(self) -> None:
+        """Somebody with our ids, for certain or perhaps."""
+        certain = bool(self.rng.random() < 0.3)
+        self.take(Namesake(time_s=self.now_s, certain=certain, news=certain))
 
     def _death(self) -> None:
         if self.rng.random() < 0.5:
@@ -625,6 +619,7 @@ _CHANCES = {
     "settings": 1.0,
     "reboot": 0.6,
     "restart": 2.0,
+    "namesake": 1.0,
     "death": 0.5,
     "stop": 0.3,
 }

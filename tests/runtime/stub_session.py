@@ -16,6 +16,7 @@ from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanRequest
 from companion.world.known_map import empty_map
 
+PATIENCE_S = 20.0
 CODEC = wire.MAVLink(None, srcSystem=1, srcComponent=195)
 
 
@@ -121,6 +122,7 @@ class QueueLink:
     def __init__(self, clock: Callable[[], float]) -> None:
         self.clock = clock
         self.sent: list[tuple[float, bytes]] = []
+        self._more_sent = threading.Condition()
         self.answers: list[object] = []
         self.incoming: queue.SimpleQueue[bytes | BaseException | threading.Event] = (
             queue.SimpleQueue()
@@ -144,7 +146,14 @@ class QueueLink:
 
     def send(self, frames: list[bytes]) -> None:
         now_s = self.clock()
-        self.sent += [(now_s, frame) for frame in frames]
+        with self._more_sent:
+            self.sent += [(now_s, frame) for frame in frames]
+            self._more_sent.notify_all()
+
+    def wait_until(self, done: Callable[[], bool]) -> None:
+        """Until it is so, as seen whenever something was sent."""
+        with self._more_sent:
+            assert self._more_sent.wait_for(done, PATIENCE_S)
 
     def close(self) -> None:
         """Nothing to let go of."""

@@ -150,6 +150,8 @@ def test_a_port_in_use_is_an_input_error_with_its_remedy(other: socket.socket) -
         "udpin:127.0.0.1:14540:1",
         "udpin:127.0.0.1: 14540",
         "udpin:127.0.0.1:1e4",
+        "udpin:127.0.0.1:0",
+        "tcpin:127.0.0.1:0",
         "udpout:127.0.0.1:0",
         "tcp:127.0.0.1",
         "tcp:127.0.0.1:0",

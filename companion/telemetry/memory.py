@@ -1,0 +1,148 @@
+"""What a companion that is started again finds of the flight in its run folder.
+
+It was started by a loop, and a vehicle may be in the air: nothing that is wrong with these files is
+a reason not to go on.  What cannot be read is said, set aside, and gone on without; then the
+vehicle is never armed, as it may have flown.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from companion.mission import checkpoint
+from companion.mission.mission import Mission
+from companion.mission.state import IN_AIR
+from companion.telemetry.run_folder import Checkpoint, known_map, resume_head
+from companion.world.known_map import KnownMap
+
+_CHECKPOINT, _MAP = "resume.json", "known.npz"
+_FLOWN = [phase.value for phase in IN_AIR]
+_KINDS = ("phase", "vehicle found", "arm", "plan asked")
+_TELLING = tuple(f'"kind":"{kind}"'.encode() for kind in _KINDS)
+_LARGEST_ID, _LARGEST_PLAN = 255, 2**31
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recalled:
+    """What there is to go on with."""
+
+    resume: Checkpoint | None = None
+    """None: no flight has begun here."""
+    said: tuple[str, ...] = ()
+    """What could not be restored, for people."""
+    unreadable: tuple[str, ...] = ()
+    """Names of files that must not be written over."""
+
+
+def recall(folder: Path, mission: Mission) -> Recalled:
+    """What a companion before this one has left in its run folder, as far as it can be read."""
+    try:
+        values = _values(folder, mission)
+    except FileNotFoundError:
+        history = _history(folder)
+        if not history.flown:
+            return Recalled()
+        return _forgotten(history, f"{_CHECKPOINT} is not there")
+    except (OSError, ValueError) as error:
+        return _forgotten(_history(folder), f"{_CHECKPOINT}: {_why(error)}")
+    try:
+        known = known_map(folder)
+        blank = checkpoint.blank(mission)
+        _must_fit(known, blank)
+    except (OSError, ValueError) as error:
+        values = checkpoint.without_map(values, f"{_MAP}: {_why(error)}")
+        said = tuple(checkpoint.news_of(values))
+        return Recalled(resume=Checkpoint(values, None), said=said, unreadable=(_MAP,))
+    return Recalled(resume=Checkpoint(values, replace(known, given=blank.given)))
+
+
+def _values(folder: Path, mission: Mission) -> checkpoint.Values:
+    """The checkpoint, once it is known that it can be gone on with."""
+    values: checkpoint.Values = resume_head(folder)["values"]
+    try:
+        checkpoint.restored(mission, checkpoint.blank(mission), values)
+    except checkpoint.NOT_SUCH as error:
+        raise ValueError(f"what it holds is no flight ({type(error).__name__}: {error})") from error
+    if not _is_id(values.get("system_id")):
+        raise ValueError(f"system id {values.get('system_id')!s:.20}")
+    return values
+
+
+def _is_id(value: Any) -> bool:
+    return value is None or (type(value) is int and 1 <= value <= _LARGEST_ID)
+
+
+def _must_fit(known: KnownMap, blank: KnownMap) -> None:
+    """ValueError for a map of other cells, or of none that could be terrain."""
+    for name in ("cell_m", "north_min_m", "east_min_m"):
+        if getattr(known, name) != getattr(blank, name):
+            raise ValueError("its cells are not those of the mission")
+    shapes = {known.upper_m.shape, known.seen.shape}
+    if shapes != {blank.upper_m.shape} or known.seen.dtype != np.bool_:
+        raise ValueError("its cells are not those of the mission")
+    bounds = known.upper_m
+    if bounds.dtype != np.float64 or np.isnan(bounds).any() or not known.registration_m >= 0.0:
+        raise ValueError("its heights are none")
+
+
+def _why(error: OSError | ValueError) -> str:
+    return error.strerror or str(error) if isinstance(error, OSError) else str(error)
+
+
+# --- without it
+
+
+class _History(NamedTuple):
+    """What the journal says of a flight."""
+
+    flown: bool = False
+    system_id: int | None = None
+    time_s: float = 0.0
+    plan_id: int = 0
+
+
+def _forgotten(history: _History, why: str) -> Recalled:
+    values = checkpoint.forgotten(
+        why, system_id=history.system_id, time_s=history.time_s, plan_id=history.plan_id
+    )
+    said = tuple(checkpoint.news_of(values))
+    return Recalled(resume=Checkpoint(values, None), said=said, unreadable=(_CHECKPOINT, _MAP))
+
+
+def _history(folder: Path) -> _History:
+    """As much as can be read: whether it has flown, whose companion it was, and until when."""
+    history = _History()
+    for entry in _entries(folder / "journal.jsonl"):
+        kind, system_id, time_s = entry.get("kind"), entry.get("system_id"), entry.get("t_s")
+        if kind == "arm" or (kind == "phase" and entry.get("phase") in _FLOWN):
+            history = history._replace(flown=True)
+        if kind == "vehicle found" and system_id is not None and _is_id(system_id):
+            history = history._replace(system_id=system_id)
+        if type(plan_id := entry.get("plan_id")) is int and 0 <= plan_id < _LARGEST_PLAN:
+            history = history._replace(plan_id=max(history.plan_id, plan_id))
+        if isinstance(time_s, float | int) and 0.0 <= time_s < 1e9:
+            history = history._replace(time_s=float(time_s))
+    return history
+
+
+def _entries(journal: Path) -> Iterator[dict[str, Any]]:
+    try:
+        with journal.open("rb") as file:
+            for line in file:
+                if any(word in line for word in _TELLING) and (entry := _entry(line)):
+                    yield entry
+    except OSError:
+        return
+
+
+def _entry(line: bytes) -> dict[str, Any] | None:
+    try:
+        entry = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return entry if isinstance(entry, dict) else None

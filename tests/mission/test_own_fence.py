@@ -1,0 +1,141 @@
+"""The autopilot's own fence stops the vehicle: the true reason for a person, and what to do."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from made_up import Craft, flying, position, status
+
+from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_FIXED_WING, PX4_MULTICOPTER
+from companion.mission.driving import Driving
+from companion.mission.events import (
+    FenceBreach,
+    FenceChanged,
+    Mode,
+    Order,
+    OrderKind,
+    Say,
+    SetMode,
+    Setpoint,
+    VehicleStatus,
+)
+from companion.mission.state import Phase, Reason
+from companion.world.threats import CircleZone
+
+PX4S = pytest.mark.parametrize(
+    "driving", [PX4_MULTICOPTER.driving, PX4_FIXED_WING.driving], ids=lambda d: d.name
+)
+ALL_FOUR = pytest.mark.parametrize("driving", [each.driving for each in ALL], ids=lambda d: d.name)
+
+
+def aloft(driving: Driving) -> Craft:
+    """On its path; the driving of another autopilot is put under it in flight."""
+    craft = flying()
+    vehicle = replace(craft.state.vehicle, driving=driving)
+    craft.state = replace(craft.state, vehicle=vehicle)
+    return craft
+
+
+def failsafe(craft: Craft, mode: Mode = Mode.HOLD) -> VehicleStatus:
+    return VehicleStatus(time_s=craft.now_s, mode=mode, armed=True, failsafe=True)
+
+
+def around(craft: Craft, radius_m: float = 200.0) -> FenceChanged:
+    north, east, _ = craft.here
+    zone = CircleZone(name="new", north_m=north, east_m=east, radius_m=radius_m)
+    return FenceChanged(time_s=craft.now_s, zones=(zone,))
+
+
+def reason(craft: Craft) -> Reason | None:
+    assert craft.state.phase is Phase.HOLDING
+    return craft.state.reason
+
+
+@ALL_FOUR
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.RETURN, Mode.LAND], ids=lambda m: m.value)
+def test_what_the_autopilot_does_after_it_has_said_that_its_fence_is_breached(
+    driving: Driving, mode: Mode
+) -> None:
+    craft = aloft(driving)
+    craft.take(FenceBreach(time_s=craft.now_s))
+    assert craft.state.phase is Phase.FLYING  # GF_ACTION may be a warning only
+    commands = craft.take(status(craft.now_s, mode))
+    assert reason(craft) is Reason.FENCE_BREACHED
+    assert craft.state.taken
+    assert not [c for c in commands if isinstance(c, SetMode | Setpoint)]
+    assert [c.text for c in commands if isinstance(c, Say)] == [
+        f"hold: {Reason.FENCE_BREACHED.text}"
+    ]
+
+
+@ALL_FOUR
+def test_it_may_say_so_after_it_has_acted(driving: Driving) -> None:
+    craft = aloft(driving)
+    craft.take(status(craft.now_s, Mode.RETURN))
+    assert reason(craft) is Reason.MODE_TAKEN
+    craft.take(FenceBreach(time_s=craft.now_s))
+    assert reason(craft) is Reason.FENCE_BREACHED
+
+
+@PX4S
+def test_px4_tells_a_companion_of_no_fence_but_is_in_it_and_in_a_failsafe(driving: Driving) -> None:
+    """The fence is drawn, the autopilot holds, and only then has the companion read it."""
+    craft = aloft(driving)
+    craft.take(failsafe(craft))
+    assert reason(craft) is Reason.STREAM_LOST
+    craft.take(around(craft))
+    craft.take(position(craft.now_s + 0.1, craft.here))
+    assert reason(craft) is Reason.FENCE_BREACHED
+    assert craft.state.taken
+
+
+@PX4S
+def test_a_fence_that_it_knew_is_the_reason_from_the_beginning(driving: Driving) -> None:
+    craft = aloft(driving)
+    fence = around(craft)
+    craft.state = craft.state.with_rules(craft.state.given, fence)
+    craft.take(failsafe(craft))
+    assert reason(craft) is Reason.FENCE_BREACHED
+
+
+@PX4S
+def test_a_lost_stream_away_from_any_fence_is_a_lost_stream(driving: Driving) -> None:
+    craft = aloft(driving)
+    far = CircleZone(name="far", north_m=5_000.0, east_m=-5_000.0, radius_m=50.0)
+    fence = FenceChanged(time_s=craft.now_s, zones=(far,))
+    craft.state = craft.state.with_rules(craft.state.given, fence)
+    craft.take(failsafe(craft))
+    craft.take(position(craft.now_s + 0.1, craft.here))
+    assert reason(craft) is Reason.STREAM_LOST
+
+
+@ALL_FOUR
+def test_a_person_who_takes_over_inside_a_fence_is_a_person(driving: Driving) -> None:
+    craft = aloft(driving)
+    craft.state = craft.state.with_rules(craft.state.given, around(craft))
+    craft.take(status(craft.now_s, Mode.HOLD))
+    assert reason(craft) is Reason.MODE_TAKEN
+    craft = aloft(driving)
+    craft.take(FenceBreach(time_s=craft.now_s))
+    craft.take(status(craft.now_s, Mode.OTHER))  # stick and rudder
+    assert reason(craft) is Reason.MODE_TAKEN
+
+
+def test_a_breach_of_long_ago_explains_nothing() -> None:
+    craft = aloft(ARDUCOPTER.driving)
+    craft.take(FenceBreach(time_s=craft.now_s))
+    craft.run_for(10.0)
+    craft.take(status(craft.now_s, Mode.RETURN))
+    assert reason(craft) is Reason.MODE_TAKEN
+
+
+def test_it_is_given_back_by_a_word_as_the_remedy_says() -> None:
+    assert "MISSION_START" in Reason.FENCE_BREACHED.remedy
+    craft = aloft(ARDUCOPTER.driving)
+    craft.take(FenceBreach(time_s=craft.now_s))
+    craft.take(status(craft.now_s, Mode.RETURN))
+    craft.take(Order(time_s=craft.now_s, kind=OrderKind.START))
+    assert craft.state.told_at_s == craft.now_s
