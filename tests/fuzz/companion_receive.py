@@ -22,6 +22,7 @@ from programs import COMMANDS, MESSAGES, VALUES, Reader, command, intact
 from pymavlink.dialects.v20 import all as mavlink
 
 from companion.geodesy import LocalFrame
+from companion.mavlink.autopilots import Autopilot
 from companion.mavlink.outbox import Output
 from companion.mavlink.receiver import Receiver
 from companion.mission.decisions import Context
@@ -39,7 +40,7 @@ from companion.planner.request import (
 )
 from companion.planner.settings import PlannerSettings, Task
 from companion.session import Session
-from companion.telemetry.run_folder import _line
+from companion.telemetry.run_folder import journal_line
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
 
@@ -187,23 +188,23 @@ def straight_plan(request: PlanRequest) -> PlanOutcome:
     )
 
 
-_contexts: list[Context] = []
+_outside: list[Context | Autopilot] = []
 
 
 class _Pickler(pickle.Pickler):
     """Sessions into bytes; what stays the same for a whole mission stays outside."""
 
     def persistent_id(self, obj: Any) -> int | None:
-        if not isinstance(obj, Context):
+        if not isinstance(obj, Context | Autopilot):
             return None
-        if not any(obj is each for each in _contexts):
-            _contexts.append(obj)
-        return next(k for k, each in enumerate(_contexts) if each is obj)
+        if not any(obj is each for each in _outside):
+            _outside.append(obj)
+        return next(k for k, each in enumerate(_outside) if each is obj)
 
 
 class _Unpickler(pickle.Unpickler):
-    def persistent_load(self, pid: Any) -> Context:
-        return _contexts[pid]
+    def persistent_load(self, pid: Any) -> Context | Autopilot:
+        return _outside[pid]
 
 
 def saved(session: Session) -> bytes:
@@ -411,7 +412,7 @@ def _check(out: Output) -> list[Any]:
         assert math.isfinite(time_s)
         assert frame[0] == 0xFE or not frame[2] & 1
     for entry in out.journal:
-        json.loads(_line(entry))
+        json.loads(journal_line(entry))
     if out.checkpoint is not None:
         json.dumps(out.checkpoint, allow_nan=False)
     return sent

@@ -1,0 +1,12 @@
+"""Anybody's telemetry log as a stream of timed MAVLink frames: docs/logs.md.
+
+log = open_log(path)
+for record in log.records(): ...   # record.time_us, record.frame
+log.findings, log.missing()        # what was odd about it, and what it lacks
+"""
+
+from companion.telemetry.logs.findings import Finding, Oddity
+from companion.telemetry.logs.opening import open_log
+from companion.telemetry.logs.record import Kind, Log, Missing, Record
+
+__all__ = ["Finding", "Kind", "Log", "Missing", "Oddity", "Record", "open_log"]

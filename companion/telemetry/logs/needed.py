@@ -1,0 +1,164 @@
+"""What the companion listens to, and how to have it recorded where a log lacks it."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Final, final
+
+from companion.mavlink.dialect import wire
+from companion.telemetry.logs.record import Kind, Missing
+
+_ARDUPILOT: Final = int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA)
+_PX4: Final = int(wire.MAV_AUTOPILOT_PX4)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Need:
+    """One thing that the companion has to hear."""
+
+    any_of: tuple[str, ...]
+    without: str
+    vital: bool = False
+    autopilot: int | None = None
+    """Only of this one."""
+    stream: str = ""
+    """ArduPilot's stream group, and what of it is the least rate."""
+    rows: str = ""
+    """Of an ArduPilot .bin: the entries, and what has them written."""
+    topics: str = ""
+    """Of a PX4 .ulg."""
+
+
+_NEEDS: Final = (
+    _Need(
+        any_of=("HEARTBEAT",),
+        without="which autopilot it is, its mode and whether it is armed",
+        vital=True,
+        rows="MODE, ARM or EV, and MSG or VER: they are always written",
+        topics="vehicle_status",
+    ),
+    _Need(
+        any_of=("GLOBAL_POSITION_INT",),
+        without="where the vehicle is: nothing is planned",
+        vital=True,
+        stream="POSITION 10",
+        rows="POS and XKF1 (LOG_BITMASK bits 0 and 1, attitude, and 2, GPS)",
+        topics="vehicle_global_position and vehicle_local_position",
+    ),
+    _Need(
+        any_of=("GPS_RAW_INT",),
+        without="whether its GPS has a fix",
+        vital=True,
+        stream="EXT_STAT 5",
+        rows="GPS (LOG_BITMASK bit 2)",
+        topics="sensor_gps or vehicle_gps_position",
+    ),
+    _Need(
+        any_of=("EKF_STATUS_REPORT",),
+        without="whether its estimator may be believed",
+        vital=True,
+        autopilot=_ARDUPILOT,
+        stream="EXTRA3 5",
+        rows="XKF4 (EK3_LOG_LEVEL 0, LOG_BITMASK bits 0 and 1)",
+    ),
+    _Need(
+        any_of=("ESTIMATOR_STATUS",),
+        without="whether its estimator may be believed",
+        vital=True,
+        autopilot=_PX4,
+        topics="estimator_status",
+    ),
+    _Need(
+        any_of=("EXTENDED_SYS_STATE",),
+        without="whether it stands on the ground",
+        stream="EXT_STAT 5",
+        rows="EV (copter) or STAT (plane): they are always written",
+        topics="vehicle_land_detected",
+    ),
+    _Need(
+        any_of=("HOME_POSITION",),
+        without="where home is, and how high",
+        stream="EXT_STAT 5",
+        rows="ORGN: it is always written",
+        topics="home_position",
+    ),
+    _Need(
+        any_of=("GPS_GLOBAL_ORIGIN",),
+        without="what its local frame is measured from",
+        stream="POSITION 10",
+        rows="ORGN: it is always written",
+        topics="vehicle_local_position",
+    ),
+    _Need(
+        any_of=("SYS_STATUS", "BATTERY_STATUS"),
+        without="how much battery is left",
+        stream="EXT_STAT 5",
+        rows="BAT (LOG_BITMASK bit 9), with BATT_MONITOR set",
+        topics="battery_status",
+    ),
+    _Need(
+        any_of=("PARAM_VALUE",),
+        without="its parameters: they are not judged",
+        rows="PARM: it is always written",
+        topics="(the header of the log)",
+    ),
+    _Need(
+        any_of=("POSITION_TARGET_LOCAL_NED", "POSITION_TARGET_GLOBAL_INT"),
+        without="whether it follows what it was told: only of use where it was led",
+        stream="POSITION 10",
+        topics="",
+    ),
+    _Need(
+        any_of=("STATUSTEXT",),
+        without="what it said",
+        rows="MSG: it is always written",
+        topics="(logged messages)",
+    ),
+)
+
+
+def missing_of(kind: Kind, autopilot: int | None, heard: Collection[str]) -> tuple[Missing, ...]:
+    """What of all that is missing from a log of this kind.
+
+    autopilot: MAV_AUTOPILOT, None if it is not known; heard: MAVLink names that it has.
+    """
+    found = []
+    for need in _NEEDS:
+        other = need.autopilot is not None and autopilot not in (None, need.autopilot)
+        if other or any(each in heard for each in need.any_of):
+            continue
+        found.append(
+            Missing(
+                message=" or ".join(need.any_of),
+                without=need.without,
+                remedy=_remedy(kind, need, autopilot),
+                vital=need.vital,
+            )
+        )
+    return tuple(found)
+
+
+def _remedy(kind: Kind, need: _Need, autopilot: int | None) -> str:
+    name = need.any_of[0]
+    if kind == "bin":
+        if not need.rows:
+            return "A .bin has nothing of it: record a .tlog as well"
+        return f"Have the autopilot log {need.rows}"
+    if kind == "ulg":
+        if not need.topics:
+            return "It is not translated from a .ulg: record a .tlog as well"
+        return f"Have the autopilot log {need.topics} (SDLOG_PROFILE bit 0)"
+    if name == "PARAM_VALUE":
+        return "Fetch the parameters once while recording (a ground station does when it connects)"
+    if name == "STATUSTEXT":
+        return "It comes by itself, from PX4 only to a ground station: record there"
+    if name == "HEARTBEAT":
+        return "It comes by itself: record on a link to the autopilot"
+    said = []
+    if autopilot != _PX4 and need.stream:
+        group, rate = need.stream.split()
+        said.append(f"ArduPilot: set SRn_{group} (MAVn_{group} from 4.7) to {rate} for that link")
+    if autopilot != _ARDUPILOT:
+        said.append(f"PX4: MAV_n_MODE Onboard, or `mavlink stream -s {name} -r 5` in its shell")
+    said.append("any: ask with SET_MESSAGE_INTERVAL")
+    return "; ".join(said)

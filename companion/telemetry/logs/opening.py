@@ -1,0 +1,93 @@
+"""Opens a log of any kind, by what is in it."""
+
+from pathlib import Path
+from typing import Final
+
+from companion.errors import InputError
+from companion.telemetry.logs import dataflash, ulog
+from companion.telemetry.logs.ardupilot_log import ArduPilotLog
+from companion.telemetry.logs.px4_log import Px4Log
+from companion.telemetry.logs.record import Log
+from companion.telemetry.logs.survey import survey
+from companion.telemetry.logs.tlog import Tlog, chosen
+from companion.telemetry.logs.translated import TranslatedLog
+
+_HEAD_BYTES: Final = 4096
+_KINDS: Final = "a .tlog of MAVLink frames, an ArduPilot .bin or a PX4 .ulg"
+_OTHERS: Final = {
+    b"\x1f\x8b": ("it is compressed", "Unpack it with gunzip."),
+    b"PK\x03\x04": ("it is a zip archive", "Unpack it."),
+    b"FMT, ": ("it is an ArduPilot log as text", "Give the .bin that it was made from."),
+    b"ULogEnc": ("it is an encrypted PX4 log", "Decrypt it with the key of the vehicle."),
+}
+"""First bytes of what people may take for a log."""
+
+
+def open_log(path: Path, *, system_id: int | None = None) -> Log:
+    """Open a log of anybody's; system_id: of the vehicle, where there are several in it.
+
+    InputError if there is no such file, nothing in it can be read, or it is not clear whose log it
+    is.  The whole file is looked through once, in bounded memory.
+    """
+    try:
+        if not path.exists():
+            raise InputError("log", str(path), "there is no such file", "Give the path of a log.")
+        if path.is_dir():
+            remedy = "Give a file in it, for instance its flight.tlog."
+            raise InputError("log", str(path), "it is a directory", remedy)
+        if not path.is_file():
+            raise InputError("log", str(path), "it is no ordinary file", f"Give {_KINDS}.")
+        size = path.stat().st_size
+        if size == 0:
+            raise InputError("log", str(path), "it is empty", f"Give {_KINDS}.")
+        return _opened(path, size, system_id)
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
+        why = getattr(error, "strerror", None) or str(error)
+        raise InputError("log", str(path), f"it cannot be read: {why}", "Look at it.") from error
+
+
+def _opened(path: Path, size: int, system_id: int | None) -> Log:
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    for kind in _order(path, head):
+        log = _OPENERS[kind](path, size, system_id)
+        if log is not None:
+            return log
+    for magic, (rule, remedy) in _OTHERS.items():
+        if head.startswith(magic):
+            raise InputError("log", str(path), rule, remedy)
+    raise InputError("log", str(path), "nothing that can be read is in it", f"Give {_KINDS}.")
+
+
+def _order(path: Path, head: bytes) -> list[str]:
+    """What it is taken for, the likeliest first: by its first bytes, then by its name."""
+    suffix = path.suffix.lower()
+    looks = {
+        "ulg": head.startswith(ulog.MAGIC[:4]) or suffix == ".ulg",
+        "bin": head.startswith(dataflash.MAGIC) or suffix == ".bin",
+    }
+    return [*(kind for kind, so in looks.items() if so), "tlog"]
+
+
+def _open_tlog(path: Path, size: int, system_id: int | None) -> Log | None:
+    looked = survey(path)
+    return None if looked is None else Tlog(path, size, looked, system_id)
+
+
+def _open_bin(path: Path, size: int, system_id: int | None) -> Log | None:
+    source = ArduPilotLog(path)
+    if not source.entries:
+        return None
+    chosen(path, (source.system_id,), system_id)
+    return TranslatedLog("bin", path, size, source)
+
+
+def _open_ulg(path: Path, size: int, system_id: int | None) -> Log | None:
+    source = Px4Log(path)
+    if not source.entries:
+        return None
+    chosen(path, (source.system_id,), system_id)
+    return TranslatedLog("ulg", path, size, source)
+
+
+_OPENERS: Final = {"tlog": _open_tlog, "bin": _open_bin, "ulg": _open_ulg}

@@ -1,0 +1,438 @@
+"""Topics of PX4's .ulg as the MAVLink messages that it would have sent with them.
+
+What each message is made of: docs/logs.md.
+"""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+from pyproj import Proj
+
+from companion.mavlink.dialect import Message, wire
+from companion.mavlink.parameter_client import encoded
+from companion.telemetry.logs.translated import Pace, Row, texts, whole
+from companion.telemetry.logs.ulog import INFORMATION, PARAMETER, TEXT
+
+_SECOND_US: Final = 1_000_000
+_FAST_US: Final = 19_000
+_HALF_SECOND_US: Final = 490_000
+_ARMED: Final = 2
+"""vehicle_status.arming_state, in every version."""
+_TERMINATION, _TAKEOFF, _LAND, _VTOL_TAKEOFF = 13, 17, 18, 22
+_MODES: Final = {
+    0: (1, 0),
+    1: (2, 0),
+    2: (3, 0),
+    3: (4, 4),
+    4: (4, 3),
+    5: (4, 5),
+    6: (3, 2),
+    8: (11, 0),
+    10: (5, 0),
+    12: (4, 6),
+    13: (10, 0),
+    14: (6, 0),
+    15: (7, 0),
+    17: (4, 2),
+    18: (4, 6),
+    19: (4, 8),
+    20: (4, 9),
+    21: (3, 1),
+    22: (4, 10),
+    **{23 + k: (4, 11 + k) for k in range(8)},
+}
+"""nav_state -> main and sub mode of custom_mode; the failsafe DESCEND is told as LAND."""
+_MODE_FLAGS: Final = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+_EARTH_M: Final = 6_371_000.0
+"""Of the sphere that PX4 projects with."""
+_NO_HEADING: Final = 65535
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Vehicle:
+    """What is known of the whole log beforehand."""
+
+    has_global_position: bool
+    has_sensor_gps: bool
+    has_estimator_status: bool
+    parameters: int
+    """How many there are."""
+
+
+@final
+class Px4Rows:
+    """See `translated.Translator`."""
+
+    def __init__(self, vehicle: Vehicle, epoch_us: int | None) -> None:
+        self._vehicle, self._epoch_us = vehicle, epoch_us
+        self._pace = Pace()
+        self._status: Mapping[str, Any] = {}
+        self._landed: bool | None = None
+        self._local: Mapping[str, Any] = {}
+        self._home_alt_m: float | None = None
+        self._origin: tuple[float, float, float] | None = None
+        self._projection: Proj | None = None
+        self._flags: Mapping[str, Any] = {}
+        self._rates = (math.nan, math.nan, math.nan)
+        self._parameters: dict[str, int] = {}
+        self._texts = 0
+
+    def on_row(self, row: Row, boot_us: int) -> list[Message]:
+        """What one entry makes it say."""
+        said = _HANDLERS[row.name](self, row.values, boot_us)
+        if self._status and self._pace.is_due("heartbeat", boot_us, _SECOND_US):
+            said += [*self._heartbeat(), *self._ground(), self._system_time(boot_us)]
+        return said
+
+    # --- its state
+
+    def _on_status(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        del boot_us
+        seen = ("nav_state", "arming_state", "failsafe")
+        changed = any(values.get(each) != self._status.get(each) for each in seen)
+        self._status = values
+        return [*self._heartbeat(), *self._ground()] if changed else []
+
+    def _heartbeat(self) -> list[Message]:
+        values = self._status
+        if values["nav_state"] not in _MODES:
+            raise ValueError("no such nav_state")
+        armed = values["arming_state"] == _ARMED
+        main, sub = _MODES[values["nav_state"]]
+        state = wire.MAV_STATE_STANDBY
+        if values["nav_state"] == _TERMINATION:
+            state = wire.MAV_STATE_FLIGHT_TERMINATION
+        elif armed:
+            state = wire.MAV_STATE_CRITICAL if values.get("failsafe") else wire.MAV_STATE_ACTIVE
+        return [
+            wire.MAVLink_heartbeat_message(
+                _mav_type(values),
+                wire.MAV_AUTOPILOT_PX4,
+                _MODE_FLAGS | (wire.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0),
+                main << 16 | sub << 24,
+                state,
+                3,
+            )
+        ]
+
+    def _system_time(self, boot_us: int) -> Message:
+        unix_us = 0 if self._epoch_us is None else self._epoch_us + boot_us
+        return wire.MAVLink_system_time_message(unix_us, boot_us // 1000)
+
+    def _on_landed(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        del boot_us
+        before, self._landed = self._landed, bool(values["landed"])
+        return self._ground() if before != self._landed else []
+
+    def _ground(self) -> list[Message]:
+        if self._landed is None:
+            return []
+        landed = wire.MAV_LANDED_STATE_IN_AIR
+        mode = self._status.get("nav_state")
+        if self._landed:
+            landed = wire.MAV_LANDED_STATE_ON_GROUND
+        elif mode in (_TAKEOFF, _VTOL_TAKEOFF):
+            landed = wire.MAV_LANDED_STATE_TAKEOFF
+        elif mode == _LAND:
+            landed = wire.MAV_LANDED_STATE_LANDING
+        vtol = wire.MAV_VTOL_STATE_UNDEFINED
+        return [wire.MAVLink_extended_sys_state_message(vtol, landed)]
+
+    # --- where it is
+
+    def _on_local(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        self._local = values
+        said = self._origin_of(values, boot_us)
+        if self._pace.is_due("LOCAL_POSITION_NED", boot_us, _FAST_US):
+            place = [values[each] for each in ("x", "y", "z", "vx", "vy", "vz")]
+            said.append(wire.MAVLink_local_position_ned_message(boot_us // 1000, *place))
+        if not self._vehicle.has_global_position and self._projection is not None:
+            said += self._unprojected(values, boot_us)
+        if not self._vehicle.has_estimator_status:
+            said += self._made_estimator(values, boot_us)
+        return said
+
+    def _origin_of(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        """GPS_GLOBAL_ORIGIN, whenever there is another."""
+        if not (values["xy_global"] and values["z_global"]):
+            return []
+        origin = (values["ref_lat"], values["ref_lon"], values["ref_alt"])
+        if origin == self._origin or not all(map(math.isfinite, origin)):
+            return []
+        latitude, longitude, altitude_m = origin
+        place = (round(latitude * 1e7), round(longitude * 1e7), round(altitude_m * 1e3))
+        if abs(latitude) > 90.0 or abs(longitude) > 180.0:
+            raise ValueError("no such place")
+        self._projection = Proj(proj="aeqd", lat_0=latitude, lon_0=longitude, R=_EARTH_M)
+        self._origin = origin
+        return [wire.MAVLink_gps_global_origin_message(*place, boot_us)]
+
+    def _unprojected(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        assert self._projection is not None
+        if not values["xy_global"] or not self._pace.is_due("position", boot_us, _FAST_US):
+            return []
+        longitude, latitude = self._projection(values["y"], values["x"], inverse=True)
+        return self._position((latitude, longitude), values["ref_alt"] - values["z"], boot_us)
+
+    def _on_global(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        local = self._local
+        if not local or not self._pace.is_due("position", boot_us, _FAST_US):
+            return []
+        altitude_m = values["alt"]
+        if local["z_valid"] and local["z_global"]:
+            altitude_m = local["ref_alt"] - local["z"]
+        latitude, longitude = values["lat"], values["lon"]
+        scale = 1e-7 if isinstance(latitude, int) else 1.0  # so in versions before 1.4
+        return self._position((latitude * scale, longitude * scale), altitude_m, boot_us)
+
+    def _position(
+        self, place_deg: tuple[float, float], altitude_m: float, boot_us: int
+    ) -> list[Message]:
+        local = self._local
+        above_m = 0.0 if self._home_alt_m is None else altitude_m - self._home_alt_m
+        heading_rad = local.get("heading", local.get("yaw", math.nan))
+        heading = _NO_HEADING
+        if math.isfinite(heading_rad):
+            heading = round(math.degrees(heading_rad) * 100) % 36000
+        return [
+            wire.MAVLink_global_position_int_message(
+                boot_us // 1000,
+                round(place_deg[0] * 1e7),
+                round(place_deg[1] * 1e7),
+                round(altitude_m * 1e3),
+                round(above_m * 1e3),
+                *(round(local[each] * 100) for each in ("vx", "vy", "vz")),
+                heading,
+            )
+        ]
+
+    def _on_home(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        if not values.get("valid_hpos", True):
+            return []
+        self._home_alt_m = values["alt"] if values.get("valid_alt", True) else None
+        if not self._pace.is_due("HOME_POSITION", boot_us, _HALF_SECOND_US):
+            return []
+        half = 0.5 * values.get("yaw", 0.0)
+        q = [math.cos(half), 0.0, 0.0, math.sin(half)]
+        return [
+            wire.MAVLink_home_position_message(
+                round(values["lat"] * 1e7),
+                round(values["lon"] * 1e7),
+                round(values["alt"] * 1e3),
+                *(values[each] for each in ("x", "y", "z")),
+                q,
+                *(0.0, 0.0, 0.0),
+                boot_us,
+            )
+        ]
+
+    def _on_attitude(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        if not self._pace.is_due("ATTITUDE", boot_us, _FAST_US):
+            return []
+        w, x, y, z = values["q"]
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+        pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return [wire.MAVLink_attitude_message(boot_us // 1000, roll, pitch, yaw, *self._rates)]
+
+    def _on_rates(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        del boot_us
+        self._rates = values["xyz"]
+        return []
+
+    def _on_setpoint(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        if not self._pace.is_due("POSITION_TARGET_LOCAL_NED", boot_us, _FAST_US):
+            return []
+        accelerations = values.get("acceleration", (math.nan, math.nan, math.nan))
+        numbers = [*(values[each] for each in ("x", "y", "z", "vx", "vy", "vz")), *accelerations]
+        ignored = sum(1 << bit for bit, each in enumerate(numbers) if not math.isfinite(each))
+        return [
+            wire.MAVLink_position_target_local_ned_message(
+                boot_us // 1000,
+                wire.MAV_FRAME_LOCAL_NED,
+                ignored,
+                *numbers,
+                values["yaw"],
+                values["yawspeed"],
+            )
+        ]
+
+    # --- how well it knows
+
+    def _on_gps(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        if "latitude_deg" in values:
+            place = (values["latitude_deg"] * 1e7, values["longitude_deg"] * 1e7)
+            altitude = (values["altitude_msl_m"] * 1e3, values["altitude_ellipsoid_m"] * 1e3)
+        else:  # before 1.14
+            place = (values["lat"], values["lon"])
+            altitude = (values["alt"], values["alt_ellipsoid"])
+        course_deg = math.degrees(values["cog_rad"])
+        return [
+            wire.MAVLink_gps_raw_int_message(
+                boot_us,
+                values["fix_type"],
+                *(round(each) for each in place),
+                round(altitude[0]),
+                whole(values["hdop"] * 100, 0, 65535),
+                whole(values["vdop"] * 100, 0, 65535),
+                whole(values["vel_m_s"] * 100, 0, 65535),
+                round(course_deg * 100) % 36000,
+                values["satellites_used"],
+                alt_ellipsoid=round(altitude[1]),
+                h_acc=whole(values["eph"] * 1e3, 0, 0xFFFFFFFF),
+                v_acc=whole(values["epv"] * 1e3, 0, 0xFFFFFFFF),
+                vel_acc=whole(values["s_variance_m_s"] * 1e3, 0, 0xFFFFFFFF),
+            )
+        ]
+
+    def _on_blended_gps(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        """vehicle_gps_position, only where nothing else tells."""
+        return [] if self._vehicle.has_sensor_gps else self._on_gps(values, boot_us)
+
+    def _on_estimator(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        if not self._pace.is_due("ESTIMATOR_STATUS", boot_us, _HALF_SECOND_US // 5):
+            return []
+        ratios = ("vel", "pos", "hgt", "mag", "hagl", "tas")
+        return [
+            wire.MAVLink_estimator_status_message(
+                boot_us,
+                values["solution_status_flags"],
+                *(values.get(f"{each}_test_ratio", math.nan) for each in ratios),
+                values["pos_horiz_accuracy"],
+                values["pos_vert_accuracy"],
+            )
+        ]
+
+    def _on_flags(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        del boot_us
+        self._flags = values
+        return []
+
+    def _made_estimator(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        """ESTIMATOR_STATUS of what vehicle_local_position calls valid, and rejections."""
+        flags = self._flags
+        if not flags or not self._pace.is_due("ESTIMATOR_STATUS", boot_us, _HALF_SECOND_US // 5):
+            return []
+        horizontal, placed = bool(values["v_xy_valid"]), bool(values["xy_valid"])
+        absolute = placed and bool(values["xy_global"])
+        said = (
+            (wire.ESTIMATOR_ATTITUDE, flags["cs_tilt_align"]),
+            (wire.ESTIMATOR_VELOCITY_HORIZ, horizontal),
+            (wire.ESTIMATOR_VELOCITY_VERT, values["v_z_valid"]),
+            (wire.ESTIMATOR_POS_HORIZ_REL, placed),
+            (wire.ESTIMATOR_POS_HORIZ_ABS, absolute),
+            (wire.ESTIMATOR_POS_VERT_ABS, values["z_valid"]),
+            (wire.ESTIMATOR_POS_VERT_AGL, values["dist_bottom_valid"]),
+            (wire.ESTIMATOR_CONST_POS_MODE, not horizontal),
+            (wire.ESTIMATOR_PRED_POS_HORIZ_REL, placed),
+            (wire.ESTIMATOR_PRED_POS_HORIZ_ABS, absolute),
+            (wire.ESTIMATOR_ACCEL_ERROR, flags["fs_bad_acc_vertical"]),
+        )
+        rejected = [
+            1.0 if flags.get(f"reject_{each}") else math.nan
+            for each in ("hor_vel", "hor_pos", "ver_pos")
+        ]
+        return [
+            wire.MAVLink_estimator_status_message(
+                boot_us,
+                sum(flag for flag, holds in said if holds),
+                *rejected,
+                *(math.nan, math.nan, math.nan),
+                values["eph"],
+                values["epv"],
+            )
+        ]
+
+    # --- the rest
+
+    def _on_battery(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        if not self._pace.is_due("battery", boot_us, _HALF_SECOND_US):
+            return []
+        percent = -1
+        if values.get("connected", True) and 0.0 <= values["remaining"] <= 1.0:
+            percent = math.ceil(values["remaining"] * 100)
+        milli_v = whole(values["voltage_v"] * 1e3, 0, 65534)
+        current = values["current_a"]
+        centi_a = whole(current * 100, -1, 32767) if current >= 0.0 else -1
+        used = values["discharged_mah"]
+        used_mah = whole(used, 0, 1 << 30) if used >= 0.0 else -1
+        cells = [milli_v, *[65535] * 9]
+        return [
+            wire.MAVLink_sys_status_message(
+                0, 0, 0, 0, milli_v, centi_a, percent, 0, 0, 0, 0, 0, 0
+            ),
+            wire.MAVLink_battery_status_message(
+                0, 0, 0, 32767, cells, centi_a, used_mah, -1, percent
+            ),
+        ]
+
+    def _on_acknowledged(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        del boot_us
+        return [
+            wire.MAVLink_command_ack_message(
+                values["command"], values["result"], target_system=values["target_system"]
+            )
+        ]
+
+    def _on_parameter(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        del boot_us
+        name, value = values["key"], values["value"]
+        kind = wire.MAV_PARAM_TYPE_REAL32
+        if isinstance(value, int):
+            kind = wire.MAV_PARAM_TYPE_INT32
+            value = encoded(value, kind, bytewise=True)
+        index = self._parameters.setdefault(name, len(self._parameters))
+        return [
+            wire.MAVLink_param_value_message(
+                name.encode("ascii", "replace")[:16], value, kind, self._vehicle.parameters, index
+            )
+        ]
+
+    def _on_text(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        del boot_us
+        self._texts += 1
+        severity = min(max(values["level"] - ord("0"), 0), wire.MAV_SEVERITY_DEBUG)
+        return texts(_COLOURS.sub("", values["text"]), severity, self._texts)
+
+    def _on_nothing(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+        """What only tells beforehand."""
+        del values, boot_us
+        return []
+
+
+def _mav_type(status: Mapping[str, Any]) -> int:
+    """MAV_TYPE of a vehicle_status, of any version."""
+    if status.get("system_type"):
+        return int(status["system_type"])
+    if status.get("is_vtol"):
+        return int(wire.MAV_TYPE_VTOL_RESERVED5)
+    if status.get("vehicle_type", 1 if status.get("is_rotary_wing") else 2) == 1:
+        return int(wire.MAV_TYPE_QUADROTOR)
+    return int(wire.MAV_TYPE_FIXED_WING)
+
+
+_HANDLERS: Final[Mapping[str, Callable[[Px4Rows, Mapping[str, Any], int], list[Message]]]] = {
+    PARAMETER: Px4Rows._on_parameter,
+    TEXT: Px4Rows._on_text,
+    INFORMATION: Px4Rows._on_nothing,
+    "battery_status": Px4Rows._on_battery,
+    "estimator_status": Px4Rows._on_estimator,
+    "estimator_status_flags": Px4Rows._on_flags,
+    "home_position": Px4Rows._on_home,
+    "sensor_gps": Px4Rows._on_gps,
+    "vehicle_angular_velocity": Px4Rows._on_rates,
+    "vehicle_attitude": Px4Rows._on_attitude,
+    "vehicle_command_ack": Px4Rows._on_acknowledged,
+    "vehicle_global_position": Px4Rows._on_global,
+    "vehicle_gps_position": Px4Rows._on_blended_gps,
+    "vehicle_land_detected": Px4Rows._on_landed,
+    "vehicle_local_position": Px4Rows._on_local,
+    "vehicle_local_position_setpoint": Px4Rows._on_setpoint,
+    "vehicle_status": Px4Rows._on_status,
+}
+TOPICS: Final = frozenset(_HANDLERS)

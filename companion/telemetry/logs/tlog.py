@@ -1,0 +1,273 @@
+"""MAVLink frames as ground stations, routers and companions log them: .tlog, .raw, .rlog.
+
+A .tlog has 8 bytes before each frame: microseconds since 1970, big-endian.  What is known of those
+who write it otherwise: MAVProxy and pymavlink keep the number of a link in the last two bits;
+old QGroundControls wrote the stamps little-endian, and the time since boot without a clock;
+Mission Planner's stamps are in steps of a millisecond, and out of order by some microseconds;
+MAVProxy's .raw and Mission Planner's .rlog have no stamps.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, Literal, NamedTuple, final
+
+from companion.errors import InputError
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
+from companion.mavlink.frames import LONGEST, V1, V2, claim, intact_end, payload_of
+from companion.mavlink.signing import SECRETS, is_signed
+from companion.telemetry.logs.findings import Finding, Findings, Oddity
+from companion.telemetry.logs.needed import missing_of
+from companion.telemetry.logs.record import Missing, Record
+from companion.telemetry.logs.search import STAMP_BYTES, find_intact
+from companion.telemetry.logs.survey import Stamps, Survey
+from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, Timeline
+from companion.telemetry.logs.window import Window
+
+_AHEAD: Final = STAMP_BYTES + LONGEST + STAMP_BYTES + LONGEST
+"""A record, and the one after it."""
+_BOOT_MS_AT: Final = {
+    wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0,
+    wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0,
+    wire.MAVLINK_MSG_ID_ATTITUDE: 0,
+    wire.MAVLINK_MSG_ID_SYSTEM_TIME: 8,
+}
+"""Where time_boot_ms stands in the payload, of what carries the time at which it was sent."""
+_ABOUT_STAMPS: Final = {
+    Stamps.LITTLE_ENDIAN: (Oddity.LITTLE_ENDIAN,),
+    Stamps.MILLISECONDS: (Oddity.MILLISECONDS,),
+    Stamps.LITTLE_MILLISECONDS: (Oddity.LITTLE_ENDIAN, Oddity.MILLISECONDS),
+    Stamps.SINCE_BOOT: (Oddity.NO_DATE,),
+    Stamps.SENSELESS: (Oddity.NO_STAMPS,),
+    Stamps.NONE: (Oddity.NO_STAMPS,),
+}
+
+
+@final
+class Tlog:
+    """A log of MAVLink frames; see `record.Log`."""
+
+    kind: Literal["tlog"] = "tlog"
+
+    def __init__(self, path: Path, size_bytes: int, looked: Survey, system_id: int | None) -> None:
+        """InputError if it is not clear which vehicle is meant."""
+        self.path, self.size_bytes = path, size_bytes
+        self.systems = tuple(sorted(looked.autopilots))
+        self.system_id = chosen(path, self.systems, system_id)
+        self.read_bytes = 0
+        self._looked = looked
+        self._others = frozenset(self.systems) - {self.system_id}
+        self._findings = Findings()
+        self._heard: set[int] = set()
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is odd, as far as `records` has come."""
+        return self._findings.all()
+
+    def missing(self) -> tuple[Missing, ...]:
+        """What the companion listens to and never came."""
+        names = {wire.mavlink_map[each].msgname for each in self._heard if each in wire.mavlink_map}
+        autopilot = self._looked.autopilots.get(self.system_id or 0)
+        return missing_of("tlog", autopilot, names)
+
+    def records(self) -> Iterator[Record]:
+        """All frames, but those of other vehicles and those with secrets."""
+        self._findings, self._heard, self.read_bytes = Findings(), set(), 0
+        reading = _Reading(self, self._looked, self._findings, self._heard, self._others)
+        with Window(self.path) as window:
+            yield from reading.run(window)
+
+
+def chosen(path: Path, systems: tuple[int, ...], asked: int | None) -> int | None:
+    """The vehicle that is meant; InputError if that is not clear."""
+    those = ", ".join(str(each) for each in systems)
+    if asked is not None:
+        if asked not in systems:
+            rule = f"there is no such vehicle in {path.name}"
+            there = f"There is system {those}" if len(systems) == 1 else f"There are {those}"
+            none = "There is no autopilot's heartbeat in it: leave --system out"
+            raise InputError("--system", asked, rule, f"{there if systems else none}.")
+        return asked
+    if len(systems) > 1:
+        rule = f"several vehicles are in it, systems {those}"
+        raise InputError("log", str(path), rule, "Choose one with --system.")
+    return systems[0] if systems else None
+
+
+class _Found(NamedTuple):
+    """A place to go on from, in bytes of the file: the frame there, or if empty only the place."""
+
+    begin: int
+    end: int
+    stamped: bool = True
+    known: bool = True
+
+    @property
+    def holds_frame(self) -> bool:
+        return self.begin < self.end
+
+
+@final
+class _Reading:
+    """One pass through a log."""
+
+    def __init__(
+        self,
+        log: Tlog,
+        looked: Survey,
+        findings: Findings,
+        heard: set[int],
+        others: frozenset[int | None],
+    ) -> None:
+        self._log, self._findings, self._heard, self._others = log, findings, heard, others
+        self._stamps = looked.stamps
+        self._stamp_bytes = 0 if looked.stamps is Stamps.NONE else STAMP_BYTES
+        self._by_vehicle = looked.stamps in (Stamps.NONE, Stamps.SENSELESS)
+        self._boot_us = looked.boot_us or 0
+        dated = not self._by_vehicle and looked.stamps is not Stamps.SINCE_BOOT
+        self._timeline = Timeline(
+            findings,
+            first_us=YEAR_2000_US if dated else 0,
+            last_us=YEAR_2100_US,
+            start_us=looked.start_us,
+            is_sure=not self._by_vehicle,
+        )
+        for oddity in _ABOUT_STAMPS.get(looked.stamps, ()):
+            findings.note(oddity, 0, None)
+        if self._by_vehicle and looked.boot_us is None:
+            findings.note(Oddity.NO_DATE, 0, None)
+
+    def run(self, window: Window) -> Iterator[Record]:
+        """All that is to be seen."""
+        at, stamp_bytes = 0, self._stamp_bytes
+        while True:
+            data = window.data
+            if at + _AHEAD > len(data) and window.more(at):
+                at, self._log.read_bytes = 0, window.base
+                continue
+            begin = at + stamp_bytes
+            end = intact_end(data, begin)
+            if end:
+                record = self._record(data, begin, end, window.base)
+            else:
+                found = self._recover(window, at)
+                if found is None:
+                    break
+                begin, end = found.begin - window.base, found.end - window.base
+                record = None
+                if found.holds_frame:
+                    record = self._record(
+                        window.data,
+                        begin,
+                        end,
+                        window.base,
+                        stamped=found.stamped,
+                        known=found.known,
+                    )
+            if record is not None:
+                yield record
+            at = end
+        byte = window.base + len(window.data)
+        self._log.read_bytes = byte
+        self._timeline.finish(byte)
+        if window.failed:
+            self._findings.note(Oddity.UNREADABLE, byte, self._timeline.now_us)
+
+    def _record(
+        self,
+        data: bytes,
+        begin: int,
+        end: int,
+        base: int,
+        *,
+        stamped: bool = True,
+        known: bool = True,
+    ) -> Record | None:
+        """The frame there with its time; None: it is left out."""
+        frame = data[begin:end]
+        if frame[0] == V2:
+            number = frame[7] | frame[8] << 8 | frame[9] << 16
+            system, component = frame[5], frame[6]
+        else:
+            number, system, component = frame[5], frame[3], frame[4]
+        if self._by_vehicle:
+            time_us = self._by_clock(frame, number, (system, component), base + begin)
+        elif stamped and self._stamp_bytes:
+            stamp = data[begin - STAMP_BYTES : begin]
+            time_us, _ = self._timeline.read(self._stamps.read(stamp), base + begin)
+        else:
+            self._findings.note(Oddity.NO_STAMP, base + begin, self._timeline.now_us)
+            time_us = self._timeline.last_us
+        if not known:
+            self._findings.note(Oddity.UNKNOWN, base + begin, time_us)
+        plain = frame[0] == V2 and not frame[2] and number not in SECRETS
+        if (not plain or system in self._others) and self._is_left_out(
+            frame, number, system, (base + begin, time_us)
+        ):
+            return None
+        if component == AUTOPILOT_COMPONENT and self._log.system_id in (None, system):
+            self._heard.add(number)
+        return Record(time_us, frame)
+
+    def _is_left_out(self, frame: bytes, number: int, system: int, place: tuple[int, int]) -> bool:
+        """Note what is odd about a frame; whether it is not to be seen."""
+        if system in self._others:
+            self._findings.note(Oddity.OTHER_VEHICLE, *place)
+            return True
+        if number in SECRETS:
+            self._findings.note(Oddity.SECRET, *place)
+            return True
+        if frame[0] == V1:
+            self._findings.note(Oddity.MAVLINK_1, *place)
+        elif is_signed(frame):
+            self._findings.note(Oddity.SIGNED, *place)
+        return False
+
+    def _by_clock(self, frame: bytes, number: int, sender: tuple[int, int], byte: int) -> int:
+        """The vehicle's clock, as it was told last."""
+        offset = _BOOT_MS_AT.get(number)
+        is_ours = sender[1] == AUTOPILOT_COMPONENT and self._log.system_id in (None, sender[0])
+        if offset is None or not is_ours:
+            return self._timeline.last_us
+        payload = payload_of(frame, offset + 4)
+        boot_ms = int.from_bytes(payload[offset : offset + 4], "little")
+        return self._timeline.read(self._boot_us + boot_ms * 1000, byte)[0]
+
+    def _recover(self, window: Window, at: int) -> _Found | None:
+        """Where to go on if no intact frame follows; None: the log has ended."""
+        data, begin, now_us = window.data, at + self._stamp_bytes, self._timeline.now_us
+        if at >= len(data):
+            return None
+        end, number = claim(data, begin) if _may_begin(data, begin) else (0, None)
+        whole = number is not None and end <= len(data)
+        byte = window.base + at
+        if whole:
+            last, following = end == len(data), end + self._stamp_bytes
+            place = (window.base + begin, window.base + end)
+            if number not in wire.mavlink_map:
+                if last or _may_begin(data, following):
+                    return _Found(*place, known=False)
+            elif last or intact_end(data, following):
+                self._findings.note(Oddity.CHECKSUM, place[0], now_us)
+                return _Found(place[1], place[1])
+        cut_short = not whole and (end > len(data) or begin >= len(data))
+        found = find_intact(window, byte)
+        if found is None:
+            rest = window.base + len(window.data) - byte
+            oddity = Oddity.CUT_SHORT if cut_short else Oddity.GARBAGE
+            self._findings.note(oddity, byte, now_us, rest)
+            return None
+        gap = found[0] - byte
+        stamped = gap >= self._stamp_bytes
+        if passed := gap - self._stamp_bytes if stamped else gap:
+            self._findings.note(Oddity.GARBAGE, byte, now_us, passed)
+        return _Found(*found, stamped=stamped)
+
+
+def _may_begin(data: bytes, at: int) -> bool:
+    """Whether there is what a frame can begin with, as far as it can be told."""
+    if at >= len(data):
+        return False
+    if data[at] == V2:
+        return at + 2 >= len(data) or data[at + 2] <= 1
+    return data[at] == V1

@@ -1,0 +1,211 @@
+"""Logs that autopilots write themselves, told as the MAVLink messages that they would have sent."""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple, Protocol, final
+
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.telemetry.logs.findings import Finding, Findings, Oddity
+from companion.telemetry.logs.needed import missing_of
+from companion.telemetry.logs.record import Missing, Record
+from companion.telemetry.logs.timeline import BACK_US, Timeline
+from companion.telemetry.logs.window import Window
+
+_LONGEST_US: Final = 366 * 86_400 * 1_000_000
+"""No vehicle is up for longer than a year."""
+_TEXT_BYTES: Final = 50
+_MOST_CHUNKS: Final = 6
+
+
+class Row(NamedTuple):
+    """One entry of a log."""
+
+    name: str
+    """Of its kind: GPS, vehicle_status."""
+    time_us: int | None
+    """Microseconds since boot; None: that of the entry before."""
+    values: dict[str, Any]
+    byte: int
+    """Where in the file it begins."""
+
+
+class Translator(Protocol):
+    """What the vehicle would have said, entry by entry."""
+
+    def on_row(self, row: Row, boot_us: int) -> list[Message]:
+        """What one entry makes it say; boot_us: the time now, microseconds since boot.
+
+        ValueError, KeyError, TypeError, ArithmeticError or struct.error if an entry cannot be so.
+        """
+        ...
+
+
+class Source(Protocol):
+    """One log of an autopilot, looked through once."""
+
+    @property
+    def system_id(self) -> int:
+        """Of the vehicle."""
+        ...
+
+    @property
+    def autopilot(self) -> int:
+        """MAV_AUTOPILOT."""
+        ...
+
+    @property
+    def epoch_us(self) -> int | None:
+        """When it booted, microseconds since 1970; None: nothing tells."""
+        ...
+
+    @property
+    def start_us(self) -> int:
+        """When the log begins, microseconds since boot."""
+        ...
+
+    @property
+    def substitutes(self) -> tuple[str, ...]:
+        """What is made of something else than usual."""
+        ...
+
+    def rows(self, window: Window, findings: Findings) -> Iterator[Row]:
+        """The entries that are translated, in the order of the file."""
+        ...
+
+    def translator(self) -> Translator:
+        """A new one."""
+        ...
+
+
+@final
+class TranslatedLog:
+    """See `record.Log`."""
+
+    def __init__(
+        self,
+        kind: Literal["bin", "ulg"],
+        path: Path,
+        size_bytes: int,
+        source: Source,
+    ) -> None:
+        self.kind = kind
+        self.path, self.size_bytes = path, size_bytes
+        self.systems: tuple[int, ...] = (source.system_id,)
+        self.system_id: int | None = source.system_id
+        self.read_bytes = 0
+        self._source = source
+        self._findings = Findings()
+        self._heard: set[str] = set()
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is odd, as far as `records` has come."""
+        return self._findings.all()
+
+    def missing(self) -> tuple[Missing, ...]:
+        """What the companion listens to and never came."""
+        return missing_of(self.kind, self._source.autopilot, self._heard)
+
+    def records(self) -> Iterator[Record]:
+        """What the vehicle would have sent."""
+        source, findings = self._source, Findings()
+        self._findings, self._heard, self.read_bytes = findings, set(), 0
+        for text in source.substitutes:
+            findings.note(Oddity.SUBSTITUTED, 0, None, detail=text)
+        if source.epoch_us is None:
+            findings.note(Oddity.NO_DATE, 0, None)
+        epoch_us = source.epoch_us or 0
+        timeline = Timeline(
+            findings,
+            first_us=epoch_us,
+            last_us=epoch_us + _LONGEST_US,
+            start_us=epoch_us + source.start_us,
+            jitter_us=BACK_US,
+        )
+        telling = _Telling(source.translator(), source.system_id, epoch_us, findings, self._heard)
+        with Window(self.path) as window:
+            for row in source.rows(window, findings):
+                self.read_bytes = row.byte
+                yield from telling.records(row, timeline)
+            byte = window.base + len(window.data)
+            self.read_bytes = byte
+            timeline.finish(byte)
+            if window.failed:
+                findings.note(Oddity.UNREADABLE, byte, timeline.now_us)
+
+
+@final
+class _Telling:
+    """Entries to records."""
+
+    def __init__(
+        self,
+        translator: Translator,
+        system_id: int,
+        epoch_us: int,
+        findings: Findings,
+        heard: set[str],
+    ) -> None:
+        self._translator, self._findings, self._heard = translator, findings, heard
+        self._codec = wire.MAVLink(None, srcSystem=system_id, srcComponent=AUTOPILOT_COMPONENT)
+        self._epoch_us = epoch_us
+
+    def records(self, row: Row, timeline: Timeline) -> list[Record]:
+        """What one entry makes the vehicle say; nothing if it is damaged."""
+        time_us = timeline.last_us
+        if row.time_us is not None:
+            time_us, believed = timeline.read(self._epoch_us + row.time_us, row.byte)
+            if not believed:
+                return []
+        try:
+            messages = self._translator.on_row(row, time_us - self._epoch_us)
+            frames = [self._packed(message) for message in messages]
+        except (ArithmeticError, KeyError, TypeError, ValueError, struct.error):
+            # A damaged entry, which nothing protects: numbers that fit into no message, or texts.
+            self._findings.note(Oddity.DAMAGED, row.byte, time_us)
+            return []
+        self._heard.update(message.get_type() for message in messages)
+        return [Record(time_us, frame) for frame in frames]
+
+    def _packed(self, message: Message) -> bytes:
+        frame = bytes(message.pack(self._codec))
+        self._codec.seq = (self._codec.seq + 1) % 256
+        return frame
+
+
+@final
+@dataclass(slots=True)
+class Pace:
+    """Thins out what a log has more of than a link would carry."""
+
+    said_us: dict[str, int] = field(default_factory=dict)
+
+    def is_due(self, what: str, time_us: int, period_us: int) -> bool:
+        """Whether it was said long enough ago; then it is said now."""
+        before_us = self.said_us.get(what)
+        if before_us is not None and 0 <= time_us - before_us < period_us:
+            return False
+        self.said_us[what] = time_us
+        return True
+
+
+def texts(text: str, severity: int, number: int) -> list[Message]:
+    """STATUSTEXTs of a text of any length; number: of the text, for those in several chunks."""
+    content = "".join(c for c in text if c.isprintable()).encode("ascii", "replace")
+    content = content[: _MOST_CHUNKS * _TEXT_BYTES - 1]
+    if len(content) <= _TEXT_BYTES:
+        return [wire.MAVLink_statustext_message(severity, content)] if content else []
+    identity = number % 0xFFFF + 1
+    return [
+        wire.MAVLink_statustext_message(
+            severity, content[begin : begin + _TEXT_BYTES], identity, begin // _TEXT_BYTES
+        )
+        for begin in range(0, len(content) + 1, _TEXT_BYTES)
+    ]
+
+
+def whole(value: float, least: int, most: int) -> int:
+    """Rounded, for a field that says only so much.  ValueError if it is not finite."""
+    return min(max(round(value), least), most)

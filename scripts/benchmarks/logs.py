@@ -1,0 +1,165 @@
+"""How fast logs are read, and in how much memory, beside pymavlink on a part of the same log.
+
+python scripts/benchmarks/logs.py [--megabytes 250] [--only tlog|bin|ulg|rivals] [--json FILE]
+
+The log is a recorded one over and over, with time going on; each reader runs in its own process.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+TELEMETRY = ROOT.parent / "shared" / "telemetry"
+sys.path.insert(0, str(ROOT / "tests" / "fuzz"))
+PARTS = {
+    "tlog": TELEMETRY / "px4-offboard-8mps.tlog",
+    "bin": TELEMETRY / "arducopter-gps-loss.tlog",
+    "ulg": TELEMETRY / "px4-offboard-short.ulg",
+}
+READS = """
+import json, resource, sys, time
+from pathlib import Path
+from companion.telemetry.logs import open_log
+began_s, began_cpu_s = time.perf_counter(), time.process_time()
+log = open_log(Path(sys.argv[1]))
+opened_s = time.perf_counter()
+count = sum(1 for _ in log.records())
+done_s = time.perf_counter()
+print(json.dumps({
+    "records": count, "open_s": opened_s - began_s, "read_s": done_s - opened_s,
+    "cpu_s": time.process_time() - began_cpu_s,
+    "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    "findings": [str(each) for each in log.findings],
+}))
+"""
+DECODES = READS.replace(
+    "count = sum(1 for _ in log.records())",
+    "from companion.mavlink.receiver import Receiver\n"
+    "receiver = Receiver()\n"
+    "count = sum(len(receiver.feed(each.frame)) for each in log.records())",
+)
+PYMAVLINK = """
+import json, resource, sys, time
+from pymavlink import mavutil
+mavutil.set_dialect("all")
+began_s, began_cpu_s = time.perf_counter(), time.process_time()
+log, count = mavutil.mavlink_connection(sys.argv[1]), 0
+while log.recv_msg() is not None:
+    count += 1
+print(json.dumps({
+    "records": count, "open_s": 0.0, "read_s": time.perf_counter() - began_s,
+    "cpu_s": time.process_time() - began_cpu_s,
+    "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "findings": [],
+}))
+"""
+
+
+def tlog_of(path: Path, size: int) -> None:
+    """The recorded .tlog again and again, each time a minute after the last."""
+    content = PARTS["tlog"].read_bytes()
+    stamps, at = [], 0
+    while at < len(content):
+        stamps.append(at)
+        at += 8 + 12 + content[at + 9] + (13 if content[at + 10] & 1 else 0)
+    first, last = (int.from_bytes(content[k : k + 8], "big") for k in (0, stamps[-1]))
+    with path.open("wb") as file:
+        turn = 0
+        while file.tell() < size:
+            part = bytearray(content)
+            for k in stamps:
+                time_us = int.from_bytes(part[k : k + 8], "big") + turn * (
+                    last - first + 60_000_000
+                )
+                part[k : k + 8] = time_us.to_bytes(8, "big")
+            file.write(part)
+            turn += 1
+
+
+def bin_of_size(path: Path, size: int) -> None:
+    """The entries of a flight again and again; half of them are of kinds that nobody reads."""
+    from log_files import bin_of, fill, fmt_entries
+
+    flight = bin_of(PARTS["bin"])
+    entries = flight[len(fmt_entries()) :]
+    with path.open("wb") as file:
+        file.write(flight)
+        while file.tell() < size:
+            file.write(fill(328_000_000) * (len(entries) // 200) + entries)
+
+
+def ulg_of_size(path: Path, size: int) -> None:
+    """The data of a flight again and again."""
+    content = PARTS["ulg"].read_bytes()
+    at = 16
+    while content[at + 2 : at + 3] != b"A":
+        at += 3 + int.from_bytes(content[at : at + 2], "little")
+    with path.open("wb") as file:
+        file.write(content)
+        while file.tell() < size:
+            file.write(content[at:])
+
+
+WRITERS = {"tlog": tlog_of, "bin": bin_of_size, "ulg": ulg_of_size}
+
+
+def measured(program: str, path: Path) -> dict[str, Any]:
+    """One reader in a process of its own."""
+    environment = {**os.environ, "MAVLINK20": "1"}
+    command = [sys.executable, "-c", program, str(path)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    figures: dict[str, Any] = json.loads(said.stdout)
+    size_mb = path.stat().st_size / 1e6
+    total_s = figures["open_s"] + figures["read_s"]
+    return figures | {
+        "megabytes": size_mb,
+        "per_s": figures["records"] / total_s,
+        "per_cpu_s": figures["records"] / figures["cpu_s"],
+        "mb_per_s": size_mb / total_s,
+    }
+
+
+def line(name: str, figures: dict[str, Any]) -> str:
+    return (
+        f"{name:34}{figures['megabytes']:6.0f} MB  {figures['records']:9,} messages  "
+        f"{figures['per_s']:9,.0f} /s ({figures['per_cpu_s']:9,.0f} by CPU time)  "
+        f"opened in {figures['open_s']:5.2f} s  peak {figures['peak_mb']:4.0f} MB"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--megabytes", type=float, default=250.0)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--only", choices=[*WRITERS, "rivals"])
+    wanted = parser.parse_args()
+    size, results = round(wanted.megabytes * 1e6), dict[str, Any]()
+    with tempfile.TemporaryDirectory() as folder:
+        for kind, write in WRITERS.items():
+            if wanted.only not in (None, kind):
+                continue
+            path = Path(folder) / f"log.{kind}"
+            write(path, size if kind == "tlog" else size // 5)
+            results[kind] = measured(READS, path)
+            bar = "   (bar 30,000 /s, 300 MB)" if kind == "tlog" else ""
+            print(line(f".{kind}, opened and read", results[kind]) + bar, flush=True)
+            path.unlink()
+        programs = {"and decoded (Receiver)": DECODES, "pymavlink": PYMAVLINK}
+        if wanted.only not in (None, "rivals"):
+            programs.clear()
+        part = Path(folder) / "part.tlog"
+        tlog_of(part, size // 25)
+        for name, program in programs.items():
+            results[name] = measured(program, part)
+            print(line(f".tlog, {name}", results[name]), flush=True)
+    if wanted.json:
+        wanted.json.write_text(json.dumps(results, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""Damaged logs: any exception but a one-line InputError, time that falls, and hangs are findings.
+
+python tests/fuzz/fuzz_logs.py [COUNT] [--seed N] [--keep FOLDER]    (10,000, 0)
+
+Without coverage guidance: every case is a recorded log with one to six kinds of damage, drawn from
+the seed, so a finding can be repeated by its number.
+"""
+
+import argparse
+import random
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from pathlib import Path
+
+from log_files import TELEMETRY, bin_of, damaged, ulg_of
+
+from companion.errors import InputError
+from companion.mavlink.dialect import wire
+from companion.mavlink.frames import intact_end, number_of
+from companion.telemetry.logs import open_log
+from companion.telemetry.logs.px4_rows import TOPICS
+
+_SAY_EVERY = 1000
+SLOWEST_S = 2.0
+"""A log that takes longer, by the time of this process alone, and a millisecond for each ten of its
+bytes, is called a hang: honest ones take 3 microseconds a byte at most."""
+_S_PER_BYTE = 1e-4
+
+
+class Finding(AssertionError):
+    """What a log did that none may do."""
+
+
+def bases() -> dict[str, bytes]:
+    """Whole logs of each kind, small, by suffix."""
+    copter = TELEMETRY / "arducopter-gps-loss.tlog"
+    px4 = TELEMETRY / "px4-offboard-short.tlog"
+    raw, at = b"", 0
+    content = copter.read_bytes()[:15_000]
+    while end := intact_end(content, at + 8):
+        raw += content[at + 8 : end]
+        at = end
+    return {
+        ".tlog": copter.read_bytes()[:20_000],
+        "-px4.tlog": px4.read_bytes()[:20_000],
+        ".raw": raw,
+        ".bin": bin_of(copter, most=900),
+        ".ulg": ulg_of(px4.with_suffix(".ulg"), TOPICS, 20_000),
+    }
+
+
+def read(path: Path) -> str:
+    """Read a log to its end; what became of it.  Finding if anything is as it must not be."""
+    size, began_s = path.stat().st_size, time.process_time()
+    try:
+        log = open_log(path)
+        before_us, count = 0, 0
+        for record in log.records():
+            if record.time_us < before_us:
+                raise Finding(f"time falls from {before_us} to {record.time_us}")
+            known = number_of(record.frame) in wire.mavlink_map
+            if known and intact_end(record.frame, 0) != len(record.frame):
+                raise Finding(f"a frame that is not intact: {record.frame.hex()}")
+            before_us, count = record.time_us, count + 1
+        if log.read_bytes != size:
+            raise Finding(f"{log.read_bytes} bytes of {size} were read")
+        for finding in log.findings:
+            if finding.count < 1 or not 0 <= finding.first_byte <= size or "\n" in str(finding):
+                raise Finding(f"a finding that says nothing: {finding}")
+        log.missing()
+        outcome = f"{log.kind}, " + ("with findings" if log.findings else "without findings")
+    except InputError as error:
+        if "\n" in str(error):
+            raise Finding(f"more than a line: {error}") from error
+        outcome = "refused"
+    took_s = time.process_time() - began_s
+    if took_s > SLOWEST_S + size * _S_PER_BYTE:
+        raise Finding(f"{took_s:.1f} s for {size} bytes")
+    return outcome
+
+
+def case(number: int, seed: int, logs: dict[str, bytes], folder: Path) -> tuple[Path, str]:
+    """One damaged log: its path, and what became of it."""
+    chance = random.Random(f"{seed} {number}")
+    suffix = list(logs)[number % len(logs)]
+    path = folder / f"case{suffix}"
+    path.write_bytes(damaged(logs[suffix], chance))
+    return path, read(path)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("count", nargs="?", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="where the logs of findings are kept")
+    wanted = parser.parse_args()
+    logs, outcomes, findings = bases(), Counter[str](), 0
+    began_s = time.monotonic()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for number in range(wanted.count):
+            try:
+                outcomes[case(number, wanted.seed, logs, folder)[1]] += 1
+            except Exception as error:  # noqa: BLE001 - whatever it is, it is the finding
+                findings += 1
+                print(f"finding in case {number} of seed {wanted.seed}: {error!r}", flush=True)
+                traceback.print_exc()
+                if wanted.keep is not None:
+                    wanted.keep.mkdir(parents=True, exist_ok=True)
+                    suffix = list(logs)[number % len(logs)]
+                    kept = (folder / f"case{suffix}").read_bytes()
+                    (wanted.keep / f"{wanted.seed}-{number}{suffix}").write_bytes(kept)
+            if (number + 1) % _SAY_EVERY == 0:
+                took_s = time.monotonic() - began_s
+                print(f"{number + 1} logs in {took_s:.0f} s: {findings} findings", flush=True)
+    for outcome, count in sorted(outcomes.items()):
+        print(f"{count:6} {outcome}")
+    print(f"{wanted.count} damaged logs: {findings} crashes or hangs")
+    return 1 if findings else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

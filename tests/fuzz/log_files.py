@@ -1,0 +1,242 @@
+"""Logs for tests: ArduPilot .bin files made of recorded flights, and ways to damage any file.
+
+The .bin has the formats of ArduPilot 4.5 (AP_Logger's LogStructure.h), packed here by themselves.
+"""
+
+import math
+import random
+import struct
+from collections.abc import Iterable
+from pathlib import Path
+
+from companion.mavlink.dialect import Message, wire
+from companion.mavlink.receiver import Receiver
+from companion.telemetry.logs import Record, open_log
+
+TELEMETRY = Path(__file__).parents[3] / "shared" / "telemetry"
+_GPS_EPOCH_S = 315_964_800
+_LETTERS = {"n": "4s", "N": "16s", "Z": "64s", "c": "h", "C": "H", "e": "i", "E": "I"}
+_LETTERS |= {"L": "i", "M": "B"}
+FORMATS = {
+    "PARM": (64, "QNff", "TimeUS,Name,Value,Default"),
+    "MSG": (65, "QZ", "TimeUS,Message"),
+    "MODE": (66, "QMBB", "TimeUS,Mode,ModeNum,Rsn"),
+    "ARM": (67, "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method"),
+    "EV": (68, "QB", "TimeUS,Id"),
+    "ERR": (69, "QBB", "TimeUS,Subsys,ECode"),
+    "POS": (70, "QLLfff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt"),
+    "GPS": (
+        71,
+        "QBBIHBcLLeffffB",
+        "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,U",
+    ),
+    "GPA": (
+        72,
+        "QBCCCCfBIHfHH",
+        "TimeUS,I,VDop,HAcc,VAcc,SAcc,YAcc,VV,SMS,Delta,AEl,RTCMFU,RTCMFD",
+    ),
+    "ATT": (73, "QccccCCCCB", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw,AEKF"),
+    "XKF1": (74, "QBccCfffffffccce", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ,OH"),
+    "XKF4": (75, "QBcccccfffHBIHb", "TimeUS,C,SV,SP,SH,SM,SVT,errRP,OFN,OFE,FS,TS,SS,GPS,PI"),
+    "BAT": (76, "QBfffffcfBBB", "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct,H,SH"),
+    "ORGN": (77, "QBLLe", "TimeUS,Type,Lat,Lng,Alt"),
+    "STAT": (78, "QBfBBBBBB", "TimeUS,isFlying,isFlyProb,Armed,Safety,Crash,Still,Stage,Hit"),
+    "RCIN": (79, "QHHHH", "TimeUS,C1,C2,C3,C4"),
+    "DSF": (81, "QIHIIII", "TimeUS,Dp,Blk,Bytes,FMn,FMx,FAv"),
+    "FILL": (80, "QZZZ", "TimeUS,A,B,C"),
+}
+
+
+def entry(name: str, *values: float | bytes) -> bytes:
+    """One entry, as ArduPilot packs it: scaled columns in their own units."""
+    number, letters, _ = FORMATS[name]
+    form = "<" + "".join(_LETTERS.get(letter, letter) for letter in letters)
+    scaled = [
+        round(value * 100) if letter in "cCeE" and not isinstance(value, bytes) else value
+        for letter, value in zip(letters, values, strict=True)
+    ]
+    return struct.pack("<BBB", 0xA3, 0x95, number) + struct.pack(form, *scaled)
+
+
+def fill(boot_us: int) -> bytes:
+    """A long entry that nobody reads."""
+    return entry("FILL", boot_us, b"", b"", b"")
+
+
+def fmt_entries(names: Iterable[str] = FORMATS) -> bytes:
+    """The FMT entries of these, and of FMT itself."""
+    rows = {"FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns")}
+    rows |= {name: FORMATS[name] for name in names}
+    out = b""
+    for name, (number, letters, columns) in rows.items():
+        form = "<" + "".join(_LETTERS.get(letter, letter) for letter in letters)
+        length = 3 + struct.calcsize(form)
+        content = (number, length, name.encode(), letters.encode(), columns.encode())
+        out += struct.pack("<BBB", 0xA3, 0x95, 128) + struct.pack("<BB4s16s64s", *content)
+    return out
+
+
+def messages_of(records: Iterable[Record]) -> list[tuple[int, Message]]:
+    """What the records say, each with its time; frames that do not decode are left out."""
+    receiver = Receiver()
+    return [(each.time_us, m) for each in records for m in receiver.feed(each.frame)]
+
+
+def bin_of(path: Path, *, without: Iterable[str] = (), most: int | None = None) -> bytes:
+    """The .bin that the vehicle of a recorded .tlog might have written.
+
+    without: names of entries to leave out; most: messages of the .tlog to be used.
+    """
+    writer = _BinWriter()
+    log = open_log(path)
+    for _, message in messages_of(log.records())[:most]:
+        if message.get_srcComponent() == wire.MAV_COMP_ID_AUTOPILOT1:
+            writer.on_message(message)
+    left_out = set(without)
+    return fmt_entries() + b"".join(row for name, row in writer.rows if name not in left_out)
+
+
+class _BinWriter:
+    """Messages to entries: the other way round than the reader, from ArduPilot's own sources."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[str, bytes]] = []
+        self._boot_us = 0
+        self._unix_us = 0
+        self._last: dict[str, float] = {}
+        self._add("RCIN", 1500, 1500, 1000, 1500)
+
+    def _add(self, name: str, *values: float | bytes) -> None:
+        self.rows.append((name, entry(name, self._boot_us, *values)))
+
+    def _changed(self, what: str, value: float) -> bool:
+        before, self._last[what] = self._last.get(what), value
+        return before != value
+
+    def on_message(self, m: Message) -> None:
+        if hasattr(m, "time_boot_ms"):
+            self._boot_us = max(self._boot_us, m.time_boot_ms * 1000)
+        match m.get_type():
+            case "SYSTEM_TIME":
+                self._unix_us = m.time_unix_usec - self._boot_us if m.time_unix_usec else 0
+            case "HEARTBEAT":
+                self._on_heartbeat(m)
+            case "GLOBAL_POSITION_INT" if m.lat or m.lon:
+                v = (m.vx * 0.01, m.vy * 0.01, m.vz * 0.01)
+                self._add("XKF1", 0, 0, 0, m.hdg * 0.01, *v, *([0] * 8))
+                self._add("XKF1", 1, 0, 0, 0, 99, 99, 99, *([0] * 8))  # another core, beside it
+                self._add("POS", m.lat, m.lon, m.alt * 1e-3, m.relative_alt * 1e-3, 0)
+            case "ATTITUDE":
+                angles = [math.degrees(each) for each in (m.roll, m.pitch, m.yaw % math.tau)]
+                self._add("ATT", 0, angles[0], 0, angles[1], 0, angles[2] % 360, 0, 0, 3)
+            case "GPS_RAW_INT":
+                self._on_gps(m)
+            case "EKF_STATUS_REPORT":
+                ready = 0 if m.flags & wire.EKF_UNINITIALIZED else 1 << 16
+                status = (m.flags & 0x3FF) | (1 << 14 if m.flags & 0x8000 else 0) | ready
+                variances = (m.velocity_variance, m.pos_horiz_variance, m.pos_vert_variance)
+                told = (*variances, m.compass_variance, m.airspeed_variance)
+                self._add("XKF4", 0, *told, 0, 0, 0, 0, 0, status, 0, 0)
+                self._add("XKF4", 1, 9, 9, 9, 9, 9, 0, 0, 0, 0, 0, 0, 0, 0)
+            case "SYS_STATUS":
+                volt = m.voltage_battery * 1e-3
+                told = (m.current_battery * 0.01, 0, 0, 20, 0, m.battery_remaining, 1, 100)
+                self._add("BAT", 0, volt, volt, *told)
+            case "HOME_POSITION":
+                self._add("ORGN", 1, m.latitude, m.longitude, m.altitude * 1e-3)
+            case "GPS_GLOBAL_ORIGIN":
+                self._add("ORGN", 0, m.latitude, m.longitude, m.altitude * 1e-3)
+            case "PARAM_VALUE":
+                self._add("PARM", m.param_id.encode(), m.param_value, m.param_value)
+            case "STATUSTEXT":
+                self._add("MSG", m.text.encode("ascii", "replace"))
+            case "EXTENDED_SYS_STATE" if self._changed("landed", m.landed_state):
+                self._add("EV", 18 if m.landed_state == wire.MAV_LANDED_STATE_ON_GROUND else 28)
+
+    def _on_heartbeat(self, m: Message) -> None:
+        if "mode" not in self._last:
+            word = b"ArduPlane" if m.type == wire.MAV_TYPE_FIXED_WING else b"ArduCopter"
+            self._add("MSG", word + b" V4.5.7 (2598e9d4)")
+        if self._changed("mode", m.custom_mode):
+            self._add("MODE", m.custom_mode, m.custom_mode, 1)
+        armed = bool(m.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED)
+        if self._changed("armed", armed):
+            self._add("ARM", int(armed), 0, 0, 0)
+            self._add("EV", 10 if armed else 11)
+        if self._changed("critical", m.system_status == wire.MAV_STATE_CRITICAL):
+            self._add("ERR", 17, int(m.system_status == wire.MAV_STATE_CRITICAL))
+
+    def _on_gps(self, m: Message) -> None:
+        week, rest_s = 0, 0.0
+        if self._unix_us and m.fix_type >= wire.GPS_FIX_TYPE_3D_FIX:
+            gps_s = (self._unix_us + self._boot_us) * 1e-6 - _GPS_EPOCH_S + 18
+            week, rest_s = int(gps_s // 604_800), gps_s % 604_800
+        place = (m.lat, m.lon, m.alt * 1e-3)
+        speed = (m.vel * 0.01, m.cog * 0.01, 0, 0)
+        self._add("GPA", 0, 1.2, m.h_acc * 1e-3, 1, 0.3, 0, 0, 0, 0, m.alt_ellipsoid * 1e-3, 0, 0)
+        told = (m.fix_type, round(rest_s * 1e3), week, m.satellites_visible)
+        self._add("GPS", 0, *told, min(m.eph * 0.01, 99), *place, *speed, 1)
+        self._add("GPS", 1, 0, 0, 0, 0, 99, 0, 0, 0, *([0] * 4), 0)  # a second receiver
+
+
+def ulg_of(path: Path, topics: Iterable[str], most: int) -> bytes:
+    """A small .ulg: of a recorded one the formats, these topics, 30 parameters and the texts.
+
+    most: bytes of data, of each topic alike.
+    """
+    content, wanted, taken = path.read_bytes(), set(topics), dict[int, int]()
+    out, at, parameters = content[:16], 16, 0
+    while at + 3 <= len(content):
+        end = at + 3 + int.from_bytes(content[at : at + 2], "little")
+        kind, message = content[at + 2 : at + 3], content[at:end]
+        at = end
+        if kind == b"F" and message[3:].split(b":")[0].decode() not in wanted:
+            continue
+        if kind == b"A" and message[6:].decode() not in wanted:
+            continue
+        if kind == b"A":
+            taken[int.from_bytes(message[4:6], "little")] = 0
+        parameters += kind == b"P"
+        if kind == b"D":
+            number = int.from_bytes(message[3:5], "little")
+            if taken.get(number, most) > most / len(wanted):
+                continue
+            taken[number] += len(message)
+        elif kind not in (b"F", b"A", b"L", b"P", b"O") or (kind == b"P" and parameters > 30):
+            continue
+        out += message
+    return out
+
+
+def damaged(content: bytes, chance: random.Random) -> bytes:
+    """The same with some of what happens to files, once to six times over."""
+    out = bytearray(content)
+    for _ in range(chance.choice((1, 1, 1, 2, 3, 6))):
+        at = chance.randrange(len(out) + 1)
+        size = chance.choice((1, 1, 2, 8, 64, 300, 5000))
+        match chance.randrange(9):
+            case 0:  # a bit
+                if at < len(out):
+                    out[at] ^= 1 << chance.randrange(8)
+            case 1:  # other bytes
+                for k in range(at, min(at + size, len(out))):
+                    out[k] = chance.randrange(256)
+            case 2:  # bytes are missing
+                del out[at : at + size]
+            case 3:  # there are more
+                out[at:at] = chance.randbytes(size)
+            case 4:  # cut off
+                del out[at:]
+            case 5:  # the beginning is missing
+                del out[: at // 4]
+            case 6:  # a page of zeros, or of ones
+                end = min(at + size, len(out))
+                out[at:end] = bytes([chance.choice((0, 0xFF))]) * (end - at)
+            case 7:  # something twice
+                out[at:at] = out[max(0, at - size) : at]
+            case 8:  # numbers at their limits
+                limit = chance.choice((b"\xff" * 8, b"\x7f\xff\xff\xff", b"\x00" * 8, b"\x80"))
+                out[at : at + len(limit)] = limit
+        if not out:
+            break
+    return bytes(out)

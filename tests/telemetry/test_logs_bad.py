@@ -1,0 +1,251 @@
+"""What is no log, what is damaged, logs of any size: no crash, no hang, nothing silent."""
+
+import gzip
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from fuzz_logs import bases, case, read
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from log_files import TELEMETRY, fill
+
+from companion.errors import InputError
+from companion.mavlink.dialect import wire
+from companion.telemetry.logs import Oddity, open_log
+from companion.telemetry.logs.findings import Findings, shown_time
+from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, Timeline
+
+COPTER = TELEMETRY / "arducopter-gps-loss.tlog"
+EPOCH_US = 1_700_000_000_000_000
+MEMORY = """
+import resource, sys
+from pathlib import Path
+from companion.telemetry.logs import open_log
+def peak_mb():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+before = peak_mb()
+log = open_log(Path(sys.argv[1]))
+count = sum(1 for _ in log.records())
+print(count, peak_mb() - before)
+"""
+
+
+@pytest.fixture(scope="module")
+def logs() -> dict[str, bytes]:
+    return bases()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("empty.tlog", b"", r"it is empty\. Give a \.tlog"),
+        ("noise.tlog", random.Random(1).randbytes(50_000), "nothing that can be read is in it"),
+        ("zeros.bin", bytes(100_000), "nothing that can be read is in it"),
+        ("ones.ulg", b"\xff" * 100_000, "nothing that can be read is in it"),
+        ("starts.tlog", b"\xfe" * 100_000, "nothing that can be read is in it"),
+        ("markers.tlog", b"\xfd\x00" * 50_000, "nothing that can be read is in it"),
+        ("header.ulg", b"ULog\x01\x12\x35\x01" + bytes(8), "nothing that can be read is in it"),
+        ("text.log", b"FMT, 128, 89, FMT, BBnNZ, Type\n", "an ArduPilot log as text"),
+        (
+            "log.tlog.gz",
+            gzip.compress(b"0" * 1000, mtime=0),
+            "it is compressed. Unpack it with gunzip",
+        ),
+        ("logs.zip", b"PK\x03\x04" + bytes(1000), "it is a zip archive"),
+        ("notes.txt", b"nothing flies here\n" * 10, "nothing that can be read is in it"),
+    ],
+    ids=[
+        "empty",
+        "noise",
+        "zeros",
+        "ones",
+        "starts",
+        "markers",
+        "header",
+        "text",
+        "gz",
+        "zip",
+        "txt",
+    ],
+)
+def test_what_is_no_log_is_refused_in_one_line(
+    tmp_path: Path, name: str, content: bytes, said: str
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=said) as caught:
+        open_log(path)
+    assert "\n" not in str(caught.value)
+    assert caught.value.exit_code == 2
+
+
+def test_what_is_no_file_is_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no such file"):
+        open_log(tmp_path / "nowhere.tlog")
+    with pytest.raises(InputError, match=r"it is a directory\. Give a file in it"):
+        open_log(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="it is no ordinary file"):
+        open_log(tmp_path / "pipe")
+    with pytest.raises(InputError, match="it cannot be read"):
+        open_log(tmp_path / ("x" * 400))
+    with pytest.raises(InputError, match=r"it cannot be read|there is no such file"):
+        open_log(Path("a\0b"))
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    with pytest.raises(InputError):
+        open_log(loop)
+
+
+def test_a_log_goes_by_what_is_in_it_not_by_its_name(
+    tmp_path: Path, logs: dict[str, bytes]
+) -> None:
+    for suffix, kind in {".tlog": "tlog", ".raw": "tlog", ".bin": "bin", ".ulg": "ulg"}.items():
+        for name in ("log", "log.tlog", "log.bin", "log.ulg", "log.BIN"):
+            path = tmp_path / name
+            path.write_bytes(logs[suffix])
+            assert open_log(path).kind == kind
+
+
+@pytest.mark.parametrize("number", range(60))
+def test_no_damage_crashes_or_hangs(number: int, tmp_path: Path, logs: dict[str, bytes]) -> None:
+    """Ten thousand of them: python tests/fuzz/fuzz_logs.py."""
+    case(number, 7, logs, tmp_path)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(data=st.data())
+def test_any_few_bytes_may_stand_anywhere(
+    data: st.DataObject, tmp_path: Path, logs: dict[str, bytes]
+) -> None:
+    suffix = data.draw(st.sampled_from(sorted(logs)))
+    content = logs[suffix][:6000]
+    at = data.draw(st.integers(0, len(content)))
+    removed = data.draw(st.integers(0, 20))
+    put = data.draw(st.binary(max_size=40))
+    path = tmp_path / f"case{suffix}"
+    path.write_bytes(content[:at] + put + content[at + removed :])
+    read(path)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(content=st.binary(max_size=3000), suffix=st.sampled_from([".tlog", ".bin", ".ulg"]))
+def test_any_bytes_may_be_a_file(content: bytes, suffix: str, tmp_path: Path) -> None:
+    heads = {".tlog": b"", ".bin": b"\xa3\x95\x80", ".ulg": b"ULog\x01\x12\x35\x01" + bytes(8)}
+    path = tmp_path / f"case{suffix}"
+    path.write_bytes(heads[suffix] + content)
+    read(path)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(at=st.integers(0, 19_999), value=st.integers(0, 255))
+def test_one_wrong_byte_costs_two_messages_at_most(
+    at: int, value: int, tmp_path: Path, logs: dict[str, bytes]
+) -> None:
+    path = tmp_path / "case.tlog"
+    path.write_bytes(logs[".tlog"])
+    whole = [record.frame for record in open_log(path).records()]
+    content = bytearray(logs[".tlog"])
+    content[at] = value
+    path.write_bytes(bytes(content))
+    log = open_log(path)
+    left = [record.frame for record in log.records()]
+    assert len(set(whole) - set(left)) <= 2
+    if content[at] != logs[".tlog"][at] and set(whole) - set(left):
+        assert log.findings
+
+
+@given(
+    stamps=st.lists(
+        st.one_of(
+            st.integers(0, (1 << 64) - 1),
+            st.integers(EPOCH_US, EPOCH_US + 10_000_000),
+            st.sampled_from([0, 1, YEAR_2000_US, YEAR_2100_US - 1, EPOCH_US - 3_600_000_000]),
+        ),
+        max_size=60,
+    ),
+    is_sure=st.booleans(),
+)
+def test_time_never_falls_whatever_the_stamps(stamps: list[int], is_sure: bool) -> None:
+    timeline = Timeline(
+        Findings(),
+        first_us=YEAR_2000_US,
+        last_us=YEAR_2100_US,
+        start_us=YEAR_2000_US,
+        is_sure=is_sure,
+    )
+    before_us = YEAR_2000_US
+    for stamp in stamps:
+        now_us, believed = timeline.read(stamp, 0)
+        assert before_us <= now_us <= YEAR_2100_US + len(stamps) * 600_000_000
+        if believed:
+            assert YEAR_2000_US <= stamp < YEAR_2100_US
+        before_us = now_us
+
+
+@pytest.mark.parametrize("suffix", [".tlog", ".bin", ".ulg"])
+def test_a_log_that_is_gone_by_then_says_so(
+    suffix: str, tmp_path: Path, logs: dict[str, bytes]
+) -> None:
+    path = tmp_path / f"log{suffix}"
+    path.write_bytes(logs[suffix])
+    log = open_log(path)
+    path.unlink()
+    assert list(log.records()) == []
+    assert Oddity.UNREADABLE in [finding.oddity for finding in log.findings]
+
+
+def test_times_beyond_the_calendar_can_be_shown() -> None:
+    assert shown_time(EPOCH_US) == "2023-11-14 22:13:20Z"
+    assert shown_time(1 << 63) == f"{1 << 63} us"
+
+
+def test_findings_count_and_keep_where_each_began() -> None:
+    findings = Findings()
+    findings.note(Oddity.GARBAGE, 1000, None, 5)
+    findings.note(Oddity.CHECKSUM, 2000, EPOCH_US)
+    findings.note(Oddity.GARBAGE, 3000, EPOCH_US, 7)
+    garbage, checksum = findings.all()
+    assert (garbage.count, garbage.first_byte, garbage.first_time_us) == (12, 1000, None)
+    assert str(garbage) == "12 bytes that belong to nothing were passed over (first at byte 1,000)"
+    assert checksum.as_json() == {
+        "kind": "checksum",
+        "count": 1,
+        "first_byte": 2000,
+        "first_time_us": EPOCH_US,
+        "text": "1 messages with a wrong checksum were left out "
+        "(first at byte 2,000, 2023-11-14 22:13:20Z)",
+    }
+
+
+def _filler(suffix: str) -> bytes:
+    """The longest that a log can repeat."""
+    if suffix == ".bin":
+        return fill(9_000_000)
+    if suffix == ".ulg":  # information in several parts
+        return (9000).to_bytes(2, "little") + b"M" + bytes(9000)
+    message = wire.MAVLink_file_transfer_protocol_message(0, 1, 1, [7] * 251)
+    stamp = (1_795_227_700_000_000).to_bytes(8, "big")
+    return stamp + bytes(message.pack(wire.MAVLink(None, srcSystem=1, srcComponent=1)))
+
+
+@pytest.mark.parametrize("suffix", [".tlog", ".bin", ".ulg"])
+def test_memory_does_not_grow_with_the_log(
+    suffix: str, tmp_path: Path, logs: dict[str, bytes]
+) -> None:
+    """Of 40 MB: a few windows of a megabyte, not the file."""
+    path, part = tmp_path / f"log{suffix}", _filler(suffix) * 50
+    with path.open("wb") as file:
+        file.write(logs[suffix])
+        while file.tell() < 40_000_000:
+            file.write(part)
+    command = [sys.executable, "-c", MEMORY, str(path)]
+    count, grown_mb = subprocess.run(
+        command, capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert int(count) > 200
+    assert float(grown_mb) < 16.0

@@ -1,0 +1,339 @@
+"""Logs of MAVLink frames, of anybody's: against pymavlink's own reader, and as files are."""
+
+import hashlib
+import os
+import struct
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from log_files import TELEMETRY, messages_of
+
+from companion.errors import InputError
+from companion.mavlink.dialect import wire
+from companion.mavlink.signing import strip_signature
+from companion.telemetry.logs import Finding, Log, Oddity, Record, open_log
+from companion.telemetry.logs.window import Window
+
+LOGS = sorted(TELEMETRY.glob("*.tlog"))
+EPOCH_US = 1_700_000_000_000_000
+
+
+PYMAVLINK = """
+import hashlib, sys
+from pymavlink import mavutil
+mavutil.set_dialect("all")
+digest, count = hashlib.sha256(), 0
+log = mavutil.mavlink_connection(sys.argv[1])
+while (message := log.recv_msg()) is not None:
+    digest.update(round(message._timestamp * 1e6).to_bytes(8, "big") + message.get_msgbuf())
+    count += 1
+print(count, digest.hexdigest())
+"""
+"""In a process of its own: mavutil keeps global state."""
+
+
+def heartbeat(*, mav_type: int = 2, autopilot: int = 3) -> wire.MAVLink_message:
+    return wire.MAVLink_heartbeat_message(mav_type, autopilot, 81, 4, 4, 3)
+
+
+class Writer:
+    """A file of records, as somebody writes it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.content = b""
+
+    def add(
+        self,
+        message: wire.MAVLink_message,
+        stamp: bytes | int | None,
+        *,
+        system: int = 1,
+        component: int = 1,
+        first: bool = False,
+        key: bytes | None = None,
+    ) -> bytes:
+        codec = wire.MAVLink(None, srcSystem=system, srcComponent=component)
+        if key is not None:
+            codec.signing.sign_outgoing, codec.signing.secret_key = True, key
+        frame = bytes(message.pack(codec, force_mavlink1=first))
+        before = struct.pack(">Q", stamp) if isinstance(stamp, int) else stamp or b""
+        self.content += before + frame
+        return frame
+
+    def open(self, system_id: int | None = None) -> Log:
+        self.path.write_bytes(self.content)
+        return open_log(self.path, system_id=system_id)
+
+
+@pytest.fixture
+def writer(tmp_path: Path) -> Writer:
+    return Writer(tmp_path / "flight.tlog")
+
+
+def attitude(boot_ms: int) -> wire.MAVLink_message:
+    return wire.MAVLink_attitude_message(boot_ms, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)
+
+
+def odd(log: Log) -> dict[Oddity, Finding]:
+    return {finding.oddity: finding for finding in log.findings}
+
+
+def counts(log: Log) -> dict[Oddity, int]:
+    return {finding.oddity: finding.count for finding in log.findings}
+
+
+@pytest.mark.parametrize("path", LOGS[::2], ids=lambda path: path.stem)
+def test_a_recorded_log_is_read_as_pymavlink_reads_it(path: Path) -> None:
+    environment = {**os.environ, "MAVLINK20": "1"}
+    command = [sys.executable, "-c", PYMAVLINK, str(path)]
+    theirs = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    log, digest, count = open_log(path), hashlib.sha256(), 0
+    for record in log.records():
+        digest.update(record.time_us.to_bytes(8, "big") + record.frame)
+        count += 1
+    assert f"{count} {digest.hexdigest()}" == theirs.stdout.strip()
+    assert log.read_bytes == log.size_bytes == path.stat().st_size
+    assert (log.kind, log.systems, log.system_id) == ("tlog", (1,), 1)
+    # The dialect lacks some of PX4's newest messages, nothing else is odd.
+    assert set(counts(log)) <= {Oddity.UNKNOWN}
+
+
+def test_reading_again_begins_again(writer: Writer) -> None:
+    writer.add(heartbeat(), EPOCH_US)
+    writer.add(attitude(10), EPOCH_US + 1, first=True)
+    log = writer.open()
+    once, found = list(log.records()), log.findings
+    assert [record.time_us for record in once] == [EPOCH_US, EPOCH_US + 1]
+    assert (list(log.records()), log.findings) == (once, found)
+
+
+@pytest.mark.parametrize(
+    ("packed", "oddity"),
+    [
+        (lambda us: struct.pack("<Q", us), {Oddity.LITTLE_ENDIAN}),
+        (lambda us: struct.pack(">Q", us // 1000), {Oddity.MILLISECONDS}),
+        (
+            lambda us: struct.pack("<Q", us // 1000),
+            {Oddity.LITTLE_ENDIAN, Oddity.MILLISECONDS},
+        ),
+    ],
+)
+def test_stamps_of_other_programs_are_understood_and_told(
+    writer: Writer, packed: Callable[[int], bytes], oddity: set[Oddity]
+) -> None:
+    times = [EPOCH_US + k * 250_000 for k in range(40)]
+    for time_us in times:
+        writer.add(heartbeat(), packed(time_us))
+    log = writer.open()
+    assert [record.time_us for record in log.records()] == times
+    assert set(counts(log)) == oddity
+
+
+def test_stamps_since_boot_are_kept_and_told(writer: Writer) -> None:
+    times = [5_000_000 + k * 250_000 for k in range(10)]
+    for time_us in times:
+        writer.add(heartbeat(), time_us)
+    log = writer.open()
+    assert [record.time_us for record in log.records()] == times
+    assert set(counts(log)) == {Oddity.NO_DATE}
+
+
+@pytest.mark.parametrize("stamp", [b"", b"\0" * 8, b"\xee" * 8])
+@pytest.mark.parametrize("dated", [True, False])
+def test_without_stamps_time_is_the_vehicles(writer: Writer, stamp: bytes, dated: bool) -> None:
+    for k in range(20):
+        writer.add(heartbeat(), stamp)
+        writer.add(attitude(10_000 + 100 * k), stamp)
+        writer.add(heartbeat(), stamp, system=255, component=190)
+    if dated:
+        writer.add(wire.MAVLink_system_time_message(EPOCH_US, 12_000), stamp)
+    log = writer.open()
+    boot_us = EPOCH_US - 12_000_000 if dated else 0
+    expected = [boot_us]
+    for k in range(20):
+        expected += [boot_us + 10_000_000 + 100_000 * k] * 3
+    expected = expected[:-1] if not dated else [*expected[:-1], EPOCH_US]
+    assert [record.time_us for record in log.records()] == expected
+    assert set(counts(log)) == {Oddity.NO_STAMPS} | (set() if dated else {Oddity.NO_DATE})
+
+
+def test_stamps_of_zero_and_nonsense_get_the_time_before(writer: Writer) -> None:
+    stamps = [1, 2, 0, 3, 1 << 63, 4, -400_000_000, 5, 900_000_000_000, 6]
+    for stamp in stamps:
+        writer.add(heartbeat(), stamp if stamp in (0, 1 << 63) else EPOCH_US + stamp)
+    log = writer.open()
+    times = [record.time_us - EPOCH_US for record in log.records()]
+    assert times == [1, 2, 2, 3, 3, 4, 4, 5, 5, 6]
+    assert counts(log) == {Oddity.ZERO_STAMP: 1, Oddity.WRONG_STAMP: 3}
+
+
+def test_time_that_falls_back_goes_on_from_where_it_was(writer: Writer) -> None:
+    hour = 3_600_000_000
+    for stamp in [0, 1000, 2000, 2000 - hour, 3000 - hour, 4000 - hour, 5000 - hour]:
+        writer.add(heartbeat(), EPOCH_US + stamp)
+    log = writer.open()
+    times = [record.time_us - EPOCH_US for record in log.records()]
+    assert times == [0, 1000, 2000, 2000, 2000, 3000, 4000]  # the first is doubted
+    assert counts(log) == {Oddity.TIME_BACK: 1}
+
+
+def test_a_first_stamp_that_nothing_agrees_with_is_not_believed(writer: Writer) -> None:
+    for stamp in [500_000_000_000_000, 0, 1000, 2000]:
+        writer.add(heartbeat(), EPOCH_US + stamp)
+    log = writer.open()
+    assert [record.time_us - EPOCH_US for record in log.records()] == [0, 0, 1000, 2000]
+    assert counts(log) == {Oddity.WRONG_STAMP: 1}
+
+
+def test_a_pause_is_told_and_steps_within_a_millisecond_are_not(writer: Writer) -> None:
+    hour = 3_600_000_000
+    for stamp in [0, 1000, 990, 500_000, 400_000, hour, hour + 5, hour + 10]:
+        writer.add(heartbeat(), EPOCH_US + stamp)
+    log = writer.open()
+    times = [record.time_us - EPOCH_US for record in log.records()]
+    assert times == [0, 1000, 1000, 500_000, 500_000, 500_000, hour + 5, hour + 10]
+    assert counts(log) == {Oddity.TIME_JITTER: 1, Oddity.TIME_GAP: 1}
+
+
+def test_garbage_is_passed_over_and_counted(writer: Writer) -> None:
+    writer.content = b"Telemetry log, v1\r\n\xfd\x09\xfe\xfe"
+    kept = [writer.add(heartbeat(), EPOCH_US)]
+    writer.content += b"\xfd" * 300
+    kept.append(writer.add(attitude(5), EPOCH_US + 1))
+    writer.content += b"abc"
+    kept.append(writer.add(attitude(6), EPOCH_US + 2))
+    writer.content += b"abc"
+    kept.append(writer.add(attitude(7), None))  # without its stamp
+    log = writer.open()
+    assert [record.frame for record in log.records()] == kept
+    assert [record.time_us - EPOCH_US for record in log.records()] == [0, 1, 2, 2]
+    found = odd(log)
+    assert found[Oddity.GARBAGE].count == 23 + 300 + 3 + 3
+    assert found[Oddity.GARBAGE].first_byte == 0
+    assert found[Oddity.NO_STAMP].count == 1
+    assert len(found) == 2
+
+
+@pytest.mark.parametrize("cut", range(1, 29))
+def test_a_log_may_begin_and_end_in_the_middle_of_a_record(writer: Writer, cut: int) -> None:
+    frames = [writer.add(heartbeat(), EPOCH_US + k) for k in range(5)]
+    size = len(writer.content) // 5
+    assert size == 29
+    writer.content = writer.content[cut:-cut]
+    log = writer.open()
+    begun = cut <= 8  # then the first frame is whole, though its stamp is not
+    assert [record.frame for record in log.records()] == frames[: 3 + begun]
+    found = counts(log)
+    assert found[Oddity.CUT_SHORT] == size - cut
+    assert found.get(Oddity.GARBAGE, 0) == (8 - cut if begun else size - cut)
+
+
+def test_a_wrong_checksum_costs_one_message(writer: Writer) -> None:
+    for k in range(10):
+        writer.add(heartbeat(), EPOCH_US + k)
+    content = bytearray(writer.content)
+    content[3 * 29 + 8 + 12] ^= 0x10
+    writer.content = bytes(content)
+    log = writer.open()
+    assert [record.time_us - EPOCH_US for record in log.records()] == [0, 1, 2, 4, 5, 6, 7, 8, 9]
+    assert counts(log) == {Oddity.CHECKSUM: 1}
+    assert odd(log)[Oddity.CHECKSUM].first_byte == 3 * 29 + 8
+    assert "byte 95, 2023-11-14 22:13:20Z" in str(log.findings[0])
+
+
+def test_both_protocols_signed_or_not_are_told_apart(writer: Writer) -> None:
+    writer.add(heartbeat(), EPOCH_US)
+    writer.add(attitude(1), EPOCH_US, first=True)
+    signed = writer.add(attitude(1), EPOCH_US, key=bytes(32))
+    plain = writer.add(attitude(1), EPOCH_US)
+    log = writer.open()
+    records = list(log.records())
+    assert counts(log) == {Oddity.MAVLINK_1: 1, Oddity.SIGNED: 1}
+    assert records[2].frame == signed
+    assert strip_signature(records[2].frame) == plain
+    assert [m.get_type() for _, m in messages_of(records)] == ["HEARTBEAT"] + ["ATTITUDE"] * 3
+
+
+def test_keys_and_passwords_do_not_come_out(writer: Writer) -> None:
+    writer.add(heartbeat(), EPOCH_US)
+    writer.add(wire.MAVLink_setup_signing_message(1, 1, list(range(32)), 5), EPOCH_US)
+    log = writer.open()
+    assert len(list(log.records())) == 1
+    assert counts(log) == {Oddity.SECRET: 1}
+
+
+def _two_vehicles(writer: Writer) -> None:
+    for k in range(10):
+        writer.add(heartbeat(), EPOCH_US + k, system=1)
+        writer.add(heartbeat(mav_type=6, autopilot=8), EPOCH_US + k, system=255, component=190)
+        writer.add(attitude(k), EPOCH_US + k, system=1)
+        if k == 7:
+            writer.add(heartbeat(autopilot=12), EPOCH_US + k, system=3)
+        writer.add(attitude(k), EPOCH_US + k, system=3)
+        writer.add(heartbeat(mav_type=18, autopilot=8), EPOCH_US + k, system=4)
+
+
+def test_of_several_vehicles_one_must_be_chosen(writer: Writer) -> None:
+    _two_vehicles(writer)
+    with pytest.raises(InputError, match=r"several vehicles are in it, systems 1, 3\. Choose one"):
+        writer.open()
+    with pytest.raises(InputError, match=r"--system = 9: there is no such vehicle.*are 1, 3\."):
+        writer.open(9)
+    log = writer.open(3)
+    senders = {m.get_srcSystem() for _, m in messages_of(log.records())}
+    assert senders == {3, 4, 255}
+    assert counts(log) == {Oddity.OTHER_VEHICLE: 20}
+    assert (log.systems, log.system_id) == ((1, 3), 3)
+
+
+def test_a_log_without_a_vehicle_can_be_read(writer: Writer) -> None:
+    writer.add(attitude(1), EPOCH_US)
+    log = writer.open()
+    assert (log.systems, log.system_id, len(list(log.records()))) == ((), None, 1)
+    names = [each.message for each in log.missing()]
+    assert names[:2] == ["HEARTBEAT", "GLOBAL_POSITION_INT"]
+    assert {"EKF_STATUS_REPORT", "ESTIMATOR_STATUS"} <= set(names)
+    with pytest.raises(InputError, match="leave --system out"):
+        writer.open(1)
+
+
+def test_what_is_missing_is_told_with_how_to_have_it(writer: Writer) -> None:
+    writer.add(heartbeat(), EPOCH_US)
+    writer.add(wire.MAVLink_gps_raw_int_message(1, 3, 1, 1, 1, 1, 1, 1, 1, 1), EPOCH_US)
+    log = writer.open()
+    list(log.records())
+    missing = {each.message: each for each in log.missing()}
+    assert "HEARTBEAT" not in missing
+    assert "GPS_RAW_INT" not in missing
+    assert "ESTIMATOR_STATUS" not in missing  # PX4's
+    assert missing["GLOBAL_POSITION_INT"].vital
+    assert "SRn_POSITION (MAVn_POSITION from 4.7) to 10" in missing["GLOBAL_POSITION_INT"].remedy
+    assert "SRn_EXTRA3" in missing["EKF_STATUS_REPORT"].remedy
+    assert "mavlink stream" not in missing["EKF_STATUS_REPORT"].remedy
+
+
+def test_a_px4_flight_lacks_only_what_px4_does_not_send() -> None:
+    log = open_log(TELEMETRY / "px4-gps-loss.tlog")
+    list(log.records())
+    assert [each.message for each in log.missing()] == ["STATUSTEXT"]
+
+
+def test_it_streams(writer: Writer) -> None:
+    """The first record comes before the rest of the file is read."""
+    writer.path.write_bytes((LOGS[-1].read_bytes()) * 3)
+    log = open_log(writer.path)
+    records: Iterator[Record] = log.records()
+    next(records)
+    assert log.read_bytes < log.size_bytes / 2
+
+
+def test_a_disk_that_fails_ends_the_log() -> None:
+    """What can be opened, and not read: the memory of this process at address 0."""
+    with Window(Path("/proc/self/mem")) as window:
+        assert not window.more(0)
+        assert window.failed
+        assert window.ended
