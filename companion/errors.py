@@ -37,4 +37,4 @@ class FlightFailed(CompanionError):
     """The flight did not reach its target."""
 
     def __init__(self, reason: str, remedy: str) -> None:
-        super().__init__(f"{reason}. {remedy}" if remedy else reason)
+        super().__init__(f"{reason.rstrip('.')}. {remedy}" if remedy else reason)

@@ -8,6 +8,7 @@ the convergence on their way to and from the wire (design section 3).
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import final
 
 import numpy as np
@@ -19,6 +20,8 @@ BoolArray = npt.NDArray[np.bool_]
 
 _WGS84 = pyproj.Geod(ellps="WGS84")
 _BASELINE_M = 100.0  # long enough that rounding of the projection does not show in the azimuth
+_SAME_M = 32.0  # over which the convergence changes by less than 1e-5 rad below 85 degrees
+_NEAR = 64  # places whose convergence is kept: where the vehicle is, and is sent
 
 
 @final
@@ -56,12 +59,19 @@ class LocalFrame:
     def grid_north_rad(self, north_m: float, east_m: float) -> float:
         """True azimuth of the frame's north axis at a point, radians clockwise.
 
-        A direction of azimuth a in the local frame has the true azimuth a + this.
+        A direction of azimuth a in the local frame has the true azimuth a + this.  It is that of
+        the middle of a cell of 32 m, which is asked for with nearly every message.
         """
-        lat_a, lon_a = self.to_geodetic_deg(north_m, east_m)
-        lat_b, lon_b = self.to_geodetic_deg(north_m + _BASELINE_M, east_m)
-        azimuth_deg, _, _ = _WGS84.inv(lon_a, lat_a, lon_b, lat_b)
-        return math.radians(azimuth_deg)
+        return _north_of_cell_rad(self, round(north_m / _SAME_M), round(east_m / _SAME_M))
+
+
+@lru_cache(maxsize=_NEAR)
+def _north_of_cell_rad(frame: LocalFrame, row: int, column: int) -> float:
+    north_m, east_m = row * _SAME_M, column * _SAME_M
+    lat_a, lon_a = frame.to_geodetic_deg(north_m, east_m)
+    lat_b, lon_b = frame.to_geodetic_deg(north_m + _BASELINE_M, east_m)
+    azimuth_deg, _, _ = _WGS84.inv(lon_a, lat_a, lon_b, lat_b)
+    return math.radians(azimuth_deg)
 
 
 def offset_deg(

@@ -15,7 +15,7 @@ that position until the plan is delivered (Output.awaits_plan), otherwise the pl
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, final
 
 from companion.mavlink.autopilots import described
@@ -27,36 +27,27 @@ from companion.mavlink.presence import heartbeat
 from companion.mavlink.receiver import Receiver
 from companion.mavlink.scanning import Scanning
 from companion.mavlink.signing import Signing
+from companion.mavlink.time_answers import TimeAnswers
 from companion.mavlink.vehicle import Told, VehicleSide
 from companion.mavlink.vehicle_clock import MESSAGES as CLOCKS
 from companion.mavlink.vehicle_clock import Reading, VehicleClock
-from companion.mission import changes, checkpoint, entries, machine
-from companion.mission.checkpoint import Values
+from companion.mission import changes, checkpoint, entries, events, machine
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, is_led
 from companion.mission.events import (
     Arm,
     Command,
     End,
     Event,
-    LinkLost,
     Mode,
-    Order,
     Plan,
-    PlanLate,
-    PlannerDied,
-    Position,
-    Rebooted,
     RequestStreams,
     Say,
     ScanDone,
     SetMode,
     Setpoint,
     SetSpeed,
-    SettingsChanged,
     StartScan,
-    StopAsked,
     TakeOff,
-    Tick,
     Vector,
     VehicleFound,
     VehicleStatus,
@@ -64,17 +55,15 @@ from companion.mission.events import (
 from companion.mission.mission import Mission
 from companion.mission.pending_plan import PendingPlan
 from companion.mission.renewed import replace
+from companion.mission.start import Resume, Start
 from companion.mission.state import Phase
+from companion.planner import outcomes
 from companion.planner.request import PlanOutcome
-from companion.world.known_map import KnownMap
 
 _MODE_AGAIN_S = 1.0
-_LOCKSTEP_TIMESYNCS = 50  # in 10 s; an autopilot's own come every 10 s
 _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
-_MOST_WAITING = (
-    5000  # messages: a second and a half of the busiest autopilot, and then the oldest go
-)
+_MOST_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the oldest go
 
 
 @final
@@ -89,7 +78,7 @@ class Session:
         lockstep: bool,
         shadow: bool = False,
         signing: Signing | None = None,
-        resume: tuple[Values, KnownMap | None] | None = None,
+        resume: Resume | None = None,
         version: str = "0",
     ) -> None:
         """resume: what a companion before this one has left (`Output.checkpoint`, its map)."""
@@ -108,35 +97,34 @@ class Session:
         self.signing = signing
         self._lockstep, self._version = lockstep, version
         before = None if resume is None else resume[0].get("system_id")
-        self._latch = Latch(mission.system_id or before)
-        self._outbox = Outbox(self._latch.system_id, signing)
+        self.latch = Latch(mission.system_id or before)
+        """Which of those that are heard is the vehicle."""
+        self._outbox = Outbox(self.latch.system_id, signing)
         self._scanning = Scanning(mission)
         self._citizen: Citizen | None = None
         self._inbox: deque[tuple[Message, float | None]] = deque(maxlen=_MOST_WAITING)
         self._dropped = 0
         self._out = Output()
-        self._timesyncs = 0
+        self._times = TimeAnswers()
         self._plan = PendingPlan()
         self._keeper = checkpoint.Keeper()
         self._end: End | None = None
         self._confirming: SetMode | None = None
         self._mode: Mode | None = None
-        self._mode_asked_at_s = -math.inf
+        self._mode_asked_at_s = self._kept_house_s = -math.inf
         self._silence_told_s = 0.0
         self._at_s: float | None = None
-        self._kept_house_s = -math.inf
+        start = Start.of(
+            mission, resume, version=version, seed=seed, lockstep=lockstep, shadow=shadow
+        )
+        self._told("start", start.values())
         if resume is not None:
-            self._note("resumed", phase=resume[0].get("phase"))
+            self._note("resumed", **checkpoint.told(resume[0]))
 
     @property
     def now_s(self) -> float:
         """Vehicle time."""
         return self._clock.now_s
-
-    @property
-    def other_systems(self) -> set[int]:
-        """System ids of autopilots that were heard and are not the mission's vehicle."""
-        return self._latch.others
 
     # --- what the runtime calls
 
@@ -148,22 +136,27 @@ class Session:
         self._at_s = at_s
         if self.signing is not None and at_s is not None:
             self.signing.on_time(at_s)
-        heard = False
-        for message in self.receiver.feed(data):
+        heard, messages = False, self.receiver.feed(data)
+        self._told("receive", b"".join(bytes(each.get_msgbuf()) for each in messages), at_s)
+        if self.signing is not None and (complaint := self.signing.complaint(self.now_s)):
+            self.complain(complaint)
+        for message in messages:
             self._dropped += len(self._inbox) == _MOST_WAITING
             self._inbox.append((message, at_s))
-            heard = heard or self._latch.is_ours(message)
+            heard = heard or self.latch.is_ours(message)
         if heard:
             self._silence_told_s = 0.0
         return heard
 
     def deliver(self, outcome: PlanOutcome) -> None:
         """The answer to the last plan request."""
+        self._told("deliver", outcomes.values_of(outcome))
         self._plan.deliver(outcome, self.now_s)
 
     def part_died(self, part: str, error: str) -> None:
         """The planner raised instead of answering, or another part of the runtime has died."""
-        died = PlannerDied(time_s=self.now_s, error=f"{part}: {error}" if part else error)
+        self._told("part_died", part, error)
+        died = events.PlannerDied(time_s=self.now_s, error=f"{part}: {error}" if part else error)
         if part == "planner" and self._lockstep:
             self._plan.deliver(died, self.now_s)
         else:
@@ -171,26 +164,36 @@ class Session:
 
     def recording_stopped(self, why: str) -> None:
         """The disk has failed: the flight goes on, and people are told."""
+        self._told("recording_stopped", why)
         self._say(f"not recorded any more: {why}", warning=True)
 
     def stop(self) -> None:
         """A person wants the mission to end."""
-        self._handle(StopAsked(time_s=self.now_s))
+        self._told("stop")
+        self._handle(events.StopAsked(time_s=self.now_s))
+
+    def complain(self, text: str) -> None:
+        """Frames were refused: they are not among what was received."""
+        self._told("complain", text)
+        self._say(text, warning=True)
 
     def silence(self, silent_s: float) -> None:
         """The autopilot was not heard for so long; called again and again while it lasts."""
+        self._told("silence", silent_s)
         more_s = max(silent_s - self._silence_told_s, 0.0)
         waiting = self.state.phase is Phase.WAITING
         for limit in (_NO_VEHICLE_S,) if waiting else (_SILENT_S, GONE_S, GONE_IN_AIR_S):
             if self._silence_told_s < limit <= silent_s:
-                self._handle(LinkLost(time_s=self.now_s, silent_s=limit))
+                self._handle(events.LinkLost(time_s=self.now_s, silent_s=limit))
         self._silence_told_s = silent_s
         if self._clock.be_silent(more_s, counts=not waiting) is Reading.LATER:
-            self._handle(Tick(time_s=self.now_s))
+            self._handle(events.Tick(time_s=self.now_s))
         self._housekeeping()
 
     def run(self) -> Output:
         """Handle what was received, as far as it goes."""
+        if self._out.inputs:  # else it changes nothing
+            self._told("run")
         if self._dropped:
             self._note("messages dropped", count=self._dropped)
             self._dropped = 0
@@ -211,8 +214,8 @@ class Session:
 
     def farewell(self) -> Output:
         """The last frames of a companion that ends; a vehicle that flies for us is told to hold."""
-        for frame in self.hold_frames():
-            self._outbox.send_frame(frame, self.now_s)
+        self._told("farewell")
+        self._send_all(self._holding())
         self._send(heartbeat(wire.MAV_STATE_POWEROFF))
         self._keep(at_once=True)
         return self._taken()
@@ -225,28 +228,31 @@ class Session:
 
     def hold_frames(self) -> list[bytes]:
         """What puts a vehicle that flies for us on hold; nothing else.  Changes nothing."""
+        return self._outbox.spare(self._holding())
+
+    def _holding(self) -> Sequence[Message]:
         if self.vehicle is None or self.context.shadow or not is_led(self.state):
-            return []
-        messages = self.vehicle.told(SetMode(mode=Mode.HOLD), self.state) or ()
-        return [self._outbox.packed(message) for message in messages]
+            return ()
+        return self.vehicle.told(SetMode(mode=Mode.HOLD), self.state) or ()
 
     # --- messages
 
     def _on_message(self, message: Message, at_s: float | None) -> None:
-        if self._latch.on_message(message) and self._latch.system_id is not None:
-            self._outbox.speak_as(self._latch.system_id)
-        elif name := self._latch.ambiguity:
+        if self.latch.on_message(message) and self.latch.system_id is not None:
+            self._outbox.speak_as(self.latch.system_id)
+        elif name := self.latch.ambiguity:
             self._handle(VehicleFound(time_s=self.now_s, system_id=0, driving=None, name=name))
-        if self._latch.is_ours(message):
+        if self.latch.is_ours(message):
             kind = message.get_type()
             if kind in CLOCKS:
                 self._on_time(message.time_boot_ms * 1e-3, ticks=kind != "GLOBAL_POSITION_INT")
             elif self._lockstep and kind == "TIMESYNC" and message.tc1 == 0:
                 self._on_time(message.ts1 * 1e-9)
-        self._outbox.note_received(message, self.now_s)
+        if (namesake := self._outbox.note_received(message, self.now_s)) is not None:
+            self._handle(namesake)
         if self._citizen is not None:
-            self._serve(message)
-        if message.get_srcSystem() != self._latch.system_id:
+            self._serve(self._citizen, message)
+        if message.get_srcSystem() != self.latch.system_id:
             return
         if message.get_srcComponent() == AUTOPILOT_COMPONENT:
             self._from_autopilot(message, at_s)
@@ -276,7 +282,7 @@ class Session:
                 self._handle(delay)
         for event in vehicle.events(self.now_s):
             self._handle(event)
-        if isinstance(event, Position) or kind == "GLOBAL_POSITION_INT":
+        if due:
             self._scan_on()
         self._housekeeping()
         if (noted := vehicle.entry_of(message)) is not None:
@@ -302,19 +308,15 @@ class Session:
 
     def _answer_time(self, message: Message) -> None:
         """Answer a TIMESYNC, last of all: a simulator in lockstep goes on then."""
-        if message.get_type() != "TIMESYNC" or message.tc1 != 0:
+        if (answer := self._times.of(message)) is None:
             return
-        self._send(wire.MAVLink_timesync_message(message.ts1, message.ts1))
-        self._timesyncs += 1
+        self._send(answer)
         seldom = self.vehicle is not None and not self.vehicle.asks_time_often
-        early = self._timesyncs == _LOCKSTEP_TIMESYNCS and self.now_s < 10.0
-        if early and seldom and not self._lockstep:
+        if seldom and not self._lockstep and self._times.look_like_lockstep(self.now_s):
             self._say("simulator in lockstep: use --lockstep here too", warning=True)
 
-    def _serve(self, message: Message) -> None:
+    def _serve(self, citizen: Citizen, message: Message) -> None:
         """What others ask of the companion itself."""
-        citizen = self._citizen
-        assert citizen is not None
         served = citizen.on_message(message, self.now_s)
         if served is None:
             return
@@ -324,16 +326,13 @@ class Session:
         if served.text:
             self._say(served.text, warning=True)
         if served.order is not None:
-            self._obey(citizen, served.order)
+            verdict = changes.verdict(self.state, served.order)
+            self._send_all(citizen.order_done(served.order, verdict))
+            if verdict is changes.Verdict.ACCEPTED:
+                self._handle(served.order)
         if served.changed is not None:
             task = replace(served.task, zones=self.state.given.zones)
-            self._handle(SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
-
-    def _obey(self, citizen: Citizen, order: Order) -> None:
-        verdict = changes.verdict(self.state, order)
-        self._send_all(citizen.order_done(order, verdict))
-        if verdict is changes.Verdict.ACCEPTED:
-            self._handle(order)
+            self._handle(events.SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
 
     # --- the clock
 
@@ -349,7 +348,7 @@ class Session:
                 self._begin_again()
             case Reading.LATER:
                 if ticks:
-                    self._handle(Tick(time_s=time_s))
+                    self._handle(events.Tick(time_s=time_s))
             case Reading.SAME | Reading.DOUBTED:
                 pass
 
@@ -361,7 +360,7 @@ class Session:
         self._mode_asked_at_s = -math.inf
         if self.vehicle is not None:
             self.vehicle.rebooted()
-        self._handle(Rebooted(time_s=self.now_s))
+        self._handle(events.Rebooted(time_s=self.now_s))
 
     def _housekeeping(self) -> None:
         """What goes on whatever happens: heartbeat, texts, what is missing, the last mode."""
@@ -379,8 +378,6 @@ class Session:
         elif self._end is None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._mode_asked_at_s = now_s  # nobody is known yet: only that we are here
             self._send(heartbeat(wire.MAV_STATE_STANDBY))
-        if self.signing is not None and (complaint := self.signing.complaint(now_s)):
-            self._say(complaint, warning=True)
         left = self._confirming if self._end is not None and not self._settled() else None
         if left is not None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._command(left)
@@ -391,17 +388,17 @@ class Session:
             return
         kept, self._out.known = self._keeper.due(self.state, self.now_s, at_once=at_once)
         if kept is not None:
-            self._out.checkpoint = {"system_id": self._latch.system_id, **kept}
+            self._out.checkpoint = {"system_id": self.latch.system_id, **kept}
 
     # --- plans and scans
 
     def _must_wait_for_plan(self, message: Message) -> bool:
-        if message.get_type() != "GLOBAL_POSITION_INT" or not self._latch.is_ours(message):
+        if message.get_type() != "GLOBAL_POSITION_INT" or not self.latch.is_ours(message):
             return False
         if not self._plan.is_missing(message.time_boot_ms * 1e-3):
             return False
         if not self._lockstep and self._plan.tell_late():
-            self._handle(PlanLate(time_s=self.now_s, plan_id=self.state.flight.plan_id))
+            self._handle(events.PlanLate(time_s=self.now_s, plan_id=self.state.flight.plan_id))
         return self._lockstep
 
     def _scan_on(self) -> None:
@@ -468,7 +465,7 @@ class Session:
         messages = self.vehicle.told(command, self.state)
         if messages is None:
             self._note("setpoint refused", setpoint=repr(command))
-            self._handle(PlannerDied(time_s=self.now_s, error="setpoint out of range"))
+            self._handle(events.PlannerDied(time_s=self.now_s, error="setpoint out of range"))
         else:
             self._send_all(messages)
 
@@ -488,6 +485,10 @@ class Session:
         gone = self._silence_told_s >= _NO_VEHICLE_S
         ours = self._mode in (Mode.GUIDED, Mode.TAKE_OFF)  # else it, or somebody, has chosen
         return gone or self._confirming is None or not ours
+
+    def _told(self, *what: Any) -> None:
+        """Keep what the session was told."""
+        self._out.inputs.append(what)
 
     def _send_all(self, messages: Iterable[Message]) -> None:
         self._outbox.send(messages, self.now_s)

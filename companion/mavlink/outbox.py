@@ -2,18 +2,21 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import final
+from typing import Any, final
 
 from companion.mavlink.dialect import Message, codec
+from companion.mavlink.namesakes import Namesakes
 from companion.mavlink.signing import Signing, strip_signature
 from companion.mission.checkpoint import Values
 from companion.mission.entries import Entry
-from companion.mission.events import End
+from companion.mission.events import End, Namesake
 from companion.planner.request import PlanRequest
 from companion.world.known_map import KnownMap
 
 Stamped = tuple[float, bytes]
 """Vehicle time, seconds, and a frame."""
+Input = tuple[Any, ...]
+"""Something that the session was told: the name of the call, and its arguments as plain values."""
 
 
 @final
@@ -26,6 +29,8 @@ class Output:
     record: list[Stamped] = field(default_factory=list)
     """Vehicle time and frame, both directions, for the telemetry log."""
     journal: list[Entry] = field(default_factory=list)
+    inputs: list[Input] = field(default_factory=list)
+    """All that this follows from, in order: told again to a session like this, it does the same."""
     plan: PlanRequest | None = None
     """To be computed and delivered."""
     awaits_plan: bool = False
@@ -38,6 +43,11 @@ class Output:
     settled: bool = False
     """Whether the vehicle is in the mode that it was last asked for, or gone."""
 
+    def leave_out(self, numbers: Iterable[int]) -> None:
+        """Take frames, by their places in `frames`, out of the record: they were not sent."""
+        unsent = {strip_signature(self.frames[number]) for number in numbers}
+        self.record = [each for each in self.record if each[1] not in unsent]
+
 
 @final
 class Outbox:
@@ -45,6 +55,8 @@ class Outbox:
 
     def __init__(self, system_id: int | None, signing: Signing | None) -> None:
         self._codec = codec(system_id or 1)
+        self._system_id = system_id
+        self._namesakes = Namesakes()
         if signing is not None:
             signing.attach(self._codec)
         self._frames: list[bytes] = []
@@ -52,7 +64,7 @@ class Outbox:
 
     def speak_as(self, system_id: int) -> None:
         """Go on as the companion of this vehicle."""
-        self._codec.srcSystem = system_id
+        self._codec.srcSystem = self._system_id = system_id
 
     def send(self, messages: Iterable[Message], now_s: float) -> None:
         """Messages, in order."""
@@ -62,17 +74,26 @@ class Outbox:
     def send_frame(self, frame: bytes, now_s: float) -> None:
         """A frame that is packed already."""
         self._frames.append(frame)
+        self._namesakes.sent(frame)
         self._record.append((now_s, strip_signature(frame)))
 
-    def note_received(self, message: Message, now_s: float) -> None:
-        """A message came in."""
+    def note_received(self, message: Message, now_s: float) -> Namesake | None:
+        """A message came in; whether another process with our ids has sent it."""
         self._record.append((now_s, bytes(message.get_msgbuf())))
+        return self._namesakes.heard(message, self._system_id, now_s)
 
     def packed(self, message: Message) -> bytes:
         """A message as a frame; it is not sent."""
         frame: bytes = message.pack(self._codec)
         self._codec.seq = (self._codec.seq + 1) % 256
         return frame
+
+    def spare(self, messages: Iterable[Message]) -> list[bytes]:
+        """Messages as frames that are perhaps never sent: they take no sequence numbers."""
+        before = self._codec.seq
+        frames = [self.packed(message) for message in messages]
+        self._codec.seq = before
+        return frames
 
     def take(self) -> tuple[list[bytes], list[Stamped]]:
         """What is to be sent and recorded since the last time."""

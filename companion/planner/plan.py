@@ -99,7 +99,26 @@ def plan(
     refusal = _unreachable(request)
     if refusal is not None:
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
-    return _Plan(request, stop, kernel).outcome()
+    patience = _Patience(stop)
+    outcome = _Plan(request, patience, kernel).outcome()
+    return replace(outcome, stopped_after=patience.stopped_after)
+
+
+@final
+class _Patience:
+    """Asks whether time is up, and keeps how often it was not: then it is up for good."""
+
+    def __init__(self, stop: Callable[[], bool]) -> None:
+        self._stop, self._went_on = stop, 0
+        self.stopped_after: int | None = None
+
+    def __call__(self) -> bool:
+        if self.stopped_after is None:
+            if not self._stop():
+                self._went_on += 1
+                return False
+            self.stopped_after = self._went_on
+        return True
 
 
 def _impossible(request: PlanRequest) -> Refusal | None:
@@ -210,7 +229,7 @@ class _Plan:
         self._evaluations = self._tries = 0
         self._broken: tuple[str, ...] = ()
 
-    def outcome(self) -> PlanOutcome:
+    def outcome(self) -> Planned | NotPlanned:
         best = self._attempt(_FIRST)
         if best is None or self._excess(best) > _DEARER:
             best = self._best(best, _OTHER_WAYS)

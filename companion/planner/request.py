@@ -69,6 +69,10 @@ class Planned:
     rank: int
     """Position among the candidates by cost: 0 is the best, more if better ones were unproven."""
     tries: int
+    stopped_after: int | None = None
+    """How often the search was allowed to go on before its time was up; None: it never was.
+
+    Asked again with the same patience, it finds the same."""
 
     @property
     def is_escape(self) -> bool:
@@ -138,6 +142,8 @@ class NotPlanned:
     refusal: Refusal
     broken: tuple[str, ...] = ()
     evaluations: int = 0
+    stopped_after: int | None = None
+    """As of Planned."""
 
 
 @final

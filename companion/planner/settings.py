@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -43,7 +44,7 @@ class PlannerSettings:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)  # no slots: what is asked for with every position is kept
 class Task:
     """All that is known in advance and that planning depends on."""
 
@@ -69,7 +70,7 @@ class Task:
         """Size of the cells of the known map: R / 80, in the whole metres of the wire."""
         return float(max(round(self.settings.scan_range_m / _CELLS_PER_RANGE), 1))
 
-    @property
+    @cached_property
     def tail_m(self) -> float:
         """Length of a subpath beyond p_prog.
 
@@ -83,7 +84,7 @@ class Task:
         stop_m = self.limits.stopping_m(speed) + self.limits.lead_m + settings.safety_distance_m
         return max(0.15 * settings.scan_range_m, stop_m, self.limits.reach_m(speed))
 
-    @property
+    @cached_property
     def shortest_scan_distance_m(self) -> float:
         """The least L: V (T + t_scan) and the tail (eq. 4, with the time that a scan takes).
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import final
 
 from companion.mavlink.outbox import Output
-from companion.mavlink.signing import strip_signature
 from companion.planner.request import Planned
 from companion.runtime.latency import StreamTimes
 from companion.runtime.link import Link
@@ -155,6 +154,7 @@ class Decider:
             Batch(
                 record=out.record,
                 journal=out.journal,
+                inputs=out.inputs,
                 checkpoint=out.checkpoint,
                 known=out.known,
             )
@@ -185,8 +185,9 @@ class Decider:
         sent = frames if not frames or self.gate.send(frames) else []
         if len(sent) < len(out.frames):
             kept = set(sent)
-            unsent = {strip_signature(each) for each in out.frames if each not in kept}
-            out.record = [each for each in out.record if each[1] not in unsent]
+            numbers = [number for number, each in enumerate(out.frames) if each not in kept]
+            out.leave_out(numbers)
+            out.inputs.append(("unsent", numbers))
         now_s = self.clock()
         self.times.turns.add(now_s - self._turned_s)
         if any(entry["kind"] == "phase" for entry in out.journal):

@@ -31,6 +31,7 @@ from companion.telemetry.run_folder import RunFolder
 
 _HELD_S = 2.0  # for the watchdog to have told it to hold
 _PROGRESS_S = 0.1
+_COLLECT = (50_000, 20, 50)  # allocations: rarely, for next to nothing here is a cycle
 _SWITCH_S = 0.0005  # how long a thread that computes may keep one that has to answer waiting
 
 
@@ -55,22 +56,24 @@ def fly(
     if planner is None:
         planner = Planner(lockstep=True) if lockstep else PlannerProcess()
     flight = _Flight(session, link, folder, lockstep, planner, persist, stop_asked, clock)
-    with _prompt_threads():
+    with prompt_threads():
         flight.run(on_progress)
     return flight.flown
 
 
 @contextmanager
-def _prompt_threads() -> Iterator[None]:
-    """Threads get their turn quickly, and the collector leaves alone what is there to stay."""
-    before_s = sys.getswitchinterval()
+def prompt_threads() -> Iterator[None]:
+    """Threads get their turn quickly, and the collector rarely and without what is to stay."""
+    before_s, before = sys.getswitchinterval(), gc.get_threshold()
     sys.setswitchinterval(_SWITCH_S)
+    gc.set_threshold(*_COLLECT)
     gc.collect()
     gc.freeze()
     try:
         yield
     finally:
         gc.unfreeze()
+        gc.set_threshold(*before)
         sys.setswitchinterval(before_s)
 
 
@@ -167,7 +170,7 @@ class _Flight:
             "hold_frames": len(hold),
         }
         record = [(now_s, strip_signature(frame)) for frame in hold]
-        self._writer.put(Batch(record=record, journal=[noted]))
+        self._writer.put(Batch(record=record, journal=[noted], inputs=[("held", len(hold))]))
         self._inbox.put(Lost(failure, vital=True))
 
 

@@ -25,19 +25,22 @@ class Batch:
 
     record: list[tuple[float, bytes]] = field(default_factory=list)
     journal: list[dict[str, Any]] = field(default_factory=list)
+    inputs: list[tuple[Any, ...]] = field(default_factory=list)
     checkpoint: dict[str, Any] | None = None
     known: KnownMap | None = None
 
     @property
     def is_empty(self) -> bool:
         """Whether there is nothing to do."""
-        return not (self.record or self.journal or self.checkpoint or self.known)
+        told = self.record or self.journal or self.inputs
+        return not (told or self.checkpoint or self.known)
 
     @property
     def size(self) -> int:
         """Bytes, about."""
         frames = sum(len(frame) for _, frame in self.record)
-        return frames + _ENTRY_BYTES * len(self.journal)
+        told = sum(len(each[1]) for each in self.inputs if each[0] == "receive")
+        return frames + told + _ENTRY_BYTES * len(self.journal)
 
 
 class Writer(Protocol):
@@ -66,6 +69,7 @@ class Recorder:
         """Write a batch: the map before the checkpoint that may build on it."""
         self.folder.frames(batch.record)
         self.folder.entries(batch.journal)
+        self.folder.inputs(batch.inputs)
         if batch.known is not None:
             self.folder.known_map(batch.known)
         if batch.checkpoint is not None:
@@ -158,6 +162,7 @@ class WriterThread:
                     break
                 first.record += more.record
                 first.journal += more.journal
+                first.inputs += more.inputs
                 first.checkpoint = more.checkpoint or first.checkpoint
                 first.known = more.known or first.known
         return first

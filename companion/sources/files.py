@@ -3,7 +3,7 @@
 import json
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -67,6 +67,40 @@ def plain(text: object, default: str, most: int = 60) -> str:
         return default
     shown = "".join(c if c.isprintable() else " " for c in text)
     return " ".join(shown.split())[:most] or default
+
+
+def with_settings(table: RawTable, settings: Sequence[str]) -> RawTable:
+    """A table with other values of some keys, each "table.key=value", the value as in TOML.
+
+    Raises InputError for what is not of that form; whether there is such a key is not checked.
+    """
+    for setting in settings:
+        path, sign, text = setting.partition("=")
+        keys = [key.strip() for key in path.split(".")]
+        if not sign or not all(keys):
+            remedy = "Write it like planner.safety_distance_m=300."
+            raise InputError("--set", setting, "it is not a key, an = and a value", remedy)
+        table = _with_value(table, keys, _parsed(text.strip()), setting)
+    return table
+
+
+def _with_value(table: RawTable, keys: list[str], value: Any, setting: str) -> RawTable:
+    key, *inner = keys
+    if not inner:
+        return {**table, key: value}
+    below = table.get(key, {})
+    if not isinstance(below, dict):
+        rule = f"{key} is not a table of the mission"
+        raise InputError("--set", setting, rule, "See docs/files.md for its keys.")
+    return {**table, key: _with_value(below, inner, value, setting)}
+
+
+def _parsed(text: str) -> Any:
+    """A value as TOML has it; what is none is a string: people leave out the quotes."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError):
+        return text
 
 
 def toml_text(table: RawTable) -> str:

@@ -3,14 +3,17 @@
     flight.tlog    every frame, both ways: 8 bytes of microseconds since 1970 (big-endian), frame
     journal.jsonl  a header, then events and decisions; a function of mission, seed and vehicle;
                    one more header for each time that the companion was started again
+    inputs.msgpack all that the session was told: replayed, it does the same (`inputs`)
     mission.toml   the mission as flown (seed and profile: the journal's header)
     run.json       what differs from run to run: when, where, how long plans took
     flight.png     the picture
     resume.json    where the mission stands, and known.npz, the known map: for a restart in flight
+    *.lost-1.*     what a restart could not read: kept, never written over
 
 Whatever was recorded stays readable to the last whole record, however the flight ends: each batch
 is handed to the operating system as soon as it is there.  resume.json, known.npz and run.json are
-replaced as a whole, and forced to the disk: there is always a whole one, older or newer.
+replaced as a whole: there is always a whole one, older or newer.  They are forced to the disk too,
+so that a power cut does not take them, except where the vehicle is simulated and waits (`durable`).
 """
 
 import io
@@ -18,24 +21,26 @@ import json
 import math
 import os
 import struct
-import zipfile
-import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self, final
 
-import numpy as np
-
 from companion.errors import InputError
+from companion.telemetry import inputs
 from companion.world.known_map import KnownMap
+from companion.world.packed_map import packed_map, unpacked_map
 
 JOURNAL_SCHEMA = "companion-journal"
-JOURNAL_VERSION = 1
+JOURNAL_VERSION = 2
 RESUME_SCHEMA = "companion-resume"
 RESUME_VERSION = 1
-_WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json")
+_WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json", inputs.FILE)
+_MOST = 2**62
 _STAMP_BYTES = 8
+_PORTION = 2**20
+_LONGEST_RECORD = 288
+_LONGEST_TORN = 2**26  # a start with a large map
 _SIGNED, _SIGNATURE_BYTES = 0x01, 13
 
 
@@ -51,12 +56,24 @@ class RunFolder:
     """Writes a run folder; frames and entries in the order in which they happened."""
 
     def __init__(
-        self, path: Path, *, mission_toml: str, epoch_us: int, resume: bool = False
+        self,
+        path: Path,
+        *,
+        mission_toml: str,
+        epoch_us: int,
+        resume: bool = False,
+        set_aside: Sequence[str] = (),
+        durable: bool = True,
     ) -> None:
         """epoch_us: microseconds since 1970 at vehicle time 0, for the log's stamps.
 
+        set_aside: files that cannot be read, to be kept under another name.
+
+        durable: what is replaced outlives a power cut, not only this process.
+
         resume: go on after whatever the folder holds.  InputError if it cannot be written to, or
-        holds a flight that is not to be resumed.
+        holds a flight that is not to be resumed; a flight that is resumed goes on without being
+        recorded (`failure`).
         """
         self.path = path
         self.failure: str | None = None
@@ -64,7 +81,12 @@ class RunFolder:
         self.facts: dict[str, Any] = {}
         """More for run.json."""
         self.epoch_us = epoch_us
+        self._durable = durable
         self._starts = 0
+        self._tlog: io.FileIO | None = None
+        self._journal: io.FileIO | None = None
+        self._inputs: io.FileIO | None = None
+        held: list[str] = []
         try:
             path.mkdir(parents=True, exist_ok=True)
             held = [name for name in _WRITTEN if (path / name).exists()]
@@ -72,25 +94,38 @@ class RunFolder:
                 rule = f"it holds a flight already ({held[0]})"
                 raise InputError("--out", str(path), rule, "Give a new folder, or --resume.")
             if "mission.toml" not in held:
-                _replace(path / "mission.toml", mission_toml.encode())
+                _replace(path / "mission.toml", mission_toml.encode(), durable=durable)
             if held:
-                self._go_on()
+                self._go_on(set_aside)
             self._tlog = (path / "flight.tlog").open("ab", buffering=0)
             self._journal = (path / "journal.jsonl").open("ab", buffering=0)
+            self._inputs = (path / inputs.FILE).open("ab", buffering=0)
         except OSError as error:
+            if resume and held:  # the vehicle may be in the air
+                self.failure = error.strerror or str(error)
+                return
             rule = f"it cannot be written to ({error.strerror})"
             raise InputError("--out", str(path), rule, "Give a folder that can be.") from error
 
-    def _go_on(self) -> None:
+    def _go_on(self, set_aside: Sequence[str]) -> None:
         """Cut what a companion that was killed has left half written."""
-        head = _resume_json(self.path) or {}
-        self.epoch_us = int(head.get("epoch_us", self.epoch_us))
-        self._starts = int(head.get("starts", 0)) + 1
         tlog, journal = self.path / "flight.tlog", self.path / "journal.jsonl"
+        try:
+            head = resume_head(self.path)
+        except (OSError, ValueError):
+            head = {}
+        self.epoch_us = head.get("epoch_us") or _first_stamp_us(tlog) or self.epoch_us
+        self._starts = head["starts"] + 1 if head else starts_of(journal)
+        for name in set_aside:
+            keep_aside(self.path / name)
         if tlog.exists():
-            _cut(tlog, whole_records(tlog, int(head.get("tlog_bytes", 0))))
+            whole = whole_records(tlog, head.get("tlog_bytes", 0))
+            _cut(tlog, whole, longest_torn=_LONGEST_RECORD)
         if journal.exists():
             _cut(journal, _whole_lines(journal))
+        told = self.path / inputs.FILE
+        if told.exists():
+            _cut(told, inputs.whole_inputs(told, head.get("inputs_bytes", 0)))
 
     # --- what grows
 
@@ -99,7 +134,7 @@ class RunFolder:
         head: dict[str, Any] = {"schema": JOURNAL_SCHEMA, "version": JOURNAL_VERSION, **values}
         if self._starts:
             head["resumed"] = self._starts
-        self._write(self._journal, [_line(head)])
+        self._write(self._journal, [journal_line(head)])
 
     def frames(self, stamped: Iterable[tuple[float, bytes]]) -> None:
         """Frames with their vehicle times, seconds."""
@@ -113,12 +148,18 @@ class RunFolder:
 
     def entries(self, entries: Iterable[Mapping[str, Any]]) -> None:
         """Journal entries."""
-        self._write(self._journal, [_line(entry) for entry in entries])
+        self._write(self._journal, [journal_line(entry) for entry in entries])
 
-    def _write(self, file: io.FileIO, records: Sequence[bytes]) -> None:
+    def inputs(self, told: Sequence[inputs.Input]) -> None:
+        """What the session was told."""
+        if told and self._inputs is not None and self._inputs.tell() == 0:
+            told = (inputs.HEADER, *told)
+        self._write(self._inputs, inputs.packed(told))
+
+    def _write(self, file: io.FileIO | None, records: Sequence[bytes]) -> None:
         """Write records, unless the disk has failed before: it must not end a flight."""
         batch = b"".join(records)
-        if not batch or self.failure is not None:
+        if not batch or self.failure is not None or file is None:
             return
         written = 0
         try:
@@ -137,14 +178,15 @@ class RunFolder:
             "version": RESUME_VERSION,
             "epoch_us": self.epoch_us,
             "starts": self._starts,
-            "tlog_bytes": self._tlog.tell(),
+            "tlog_bytes": 0 if self._tlog is None else self._tlog.tell(),
+            "inputs_bytes": 0 if self._inputs is None else self._inputs.tell(),
             "values": values,
         }
-        self._replace("resume.json", lambda: _line(head))
+        self._replace("resume.json", lambda: journal_line(head))
 
     def known_map(self, known: KnownMap) -> None:
         """What is known of the terrain.  A disk that is full leaves the one before."""
-        self._replace("known.npz", lambda: _npz(known))
+        self._replace("known.npz", lambda: packed_map(known))
 
     def run_json(self, values: Mapping[str, Any]) -> None:
         """What differs from run to run."""
@@ -154,15 +196,16 @@ class RunFolder:
 
     def _replace(self, name: str, content: Callable[[], bytes]) -> str | None:
         try:
-            _replace(self.path / name, content())
+            _replace(self.path / name, content(), durable=self._durable)
         except OSError as error:
             return error.strerror or str(error)
         return None
 
     def close(self) -> None:
         """Let go of the files."""
-        self._tlog.close()
-        self._journal.close()
+        for file in (self._tlog, self._journal, self._inputs):
+            if file is not None:
+                file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -181,19 +224,57 @@ class RunFolder:
 
 def read_checkpoint(path: Path) -> Checkpoint | None:
     """What a run folder says about where its mission stands; None if it says nothing."""
-    head = _resume_json(path)
-    if head is None or not isinstance(head.get("values"), dict):
-        return None
-    return Checkpoint(values=head["values"], known=_known(path / "known.npz"))
-
-
-def _resume_json(path: Path) -> dict[str, Any] | None:
     try:
-        head = json.loads((path / "resume.json").read_bytes())
+        values = resume_head(path)["values"]
     except (OSError, ValueError):
         return None
-    ours = isinstance(head, dict) and head.get("schema") == RESUME_SCHEMA
-    return head if ours and head.get("version") == RESUME_VERSION else None
+    try:
+        known = known_map(path)
+    except (OSError, ValueError):
+        known = None
+    return Checkpoint(values=values, known=known)
+
+
+def resume_head(path: Path) -> dict[str, Any]:
+    """What resume.json holds.  OSError; ValueError, saying what is wrong with it.
+
+    Its "values" are an object and its numbers are in range; what the values mean is not looked at.
+    """
+    data = (path / "resume.json").read_bytes()
+    try:
+        head = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ValueError("it is cut short or damaged") from error
+    if not isinstance(head, dict) or head.get("schema") != RESUME_SCHEMA:
+        raise ValueError("it is no checkpoint of a flight")
+    if head.get("version") != RESUME_VERSION:
+        raise ValueError(f"it is of version {head.get('version')!s:.20}, not {RESUME_VERSION}")
+    head = {"inputs_bytes": 0, **head}
+    names = ("epoch_us", "starts", "tlog_bytes", "inputs_bytes")
+    numbers = [head.get(name) for name in names]
+    whole = all(type(each) is int and 0 <= each < _MOST for each in numbers)
+    if not whole or not isinstance(head.get("values"), dict):
+        raise ValueError("something in it is missing or out of range")
+    return head
+
+
+def starts_of(journal: Path) -> int:
+    """How many headers a journal has: how often a companion was started."""
+    try:
+        with journal.open("rb") as file:
+            return sum(line.startswith(b'{"schema":') for line in file)
+    except OSError:
+        return 0
+
+
+def keep_aside(path: Path) -> None:
+    """Give a file that is there a name that no other has, so that it is not written over."""
+    if not path.exists():
+        return
+    number = 1
+    while (aside := path.with_name(f"{path.stem}.lost-{number}{path.suffix}")).exists():
+        number += 1
+    path.rename(aside)
 
 
 def whole_records(path: Path, start: int = 0) -> int:
@@ -210,6 +291,32 @@ def whole_records(path: Path, start: int = 0) -> int:
     while (length := _record_bytes(data[end:])) and end + length <= len(data):
         end += length
     return at + end
+
+
+def _first_stamp_us(tlog: Path) -> int | None:
+    """The stamp of a log's first record: where vehicle time began, when that cannot be read."""
+    try:
+        with tlog.open("rb") as file:
+            data = file.read(_LONGEST_RECORD)
+    except OSError:
+        return None
+    if not _record_bytes(memoryview(data)):
+        return None
+    (stamp_us,) = struct.unpack_from(">Q", data)
+    return stamp_us if 0 < stamp_us < _MOST else None
+
+
+def recorded_frames(path: Path) -> Generator[tuple[int, bytes]]:
+    """The records of a telemetry log of ours, to the last whole one: us since 1970, frame."""
+    with path.open("rb") as file:
+        rest = b""
+        while portion := file.read(_PORTION):
+            data, at = memoryview(rest + portion), 0
+            while (length := _record_bytes(data[at : at + 11])) and at + length <= len(data):
+                (time_us,) = struct.unpack_from(">Q", data, at)
+                yield time_us, bytes(data[at + _STAMP_BYTES : at + length])
+                at += length
+            rest = bytes(data[at:])
 
 
 def _record_bytes(data: memoryview) -> int:
@@ -237,49 +344,43 @@ def _whole_lines(path: Path) -> int:
     return 0
 
 
-def _known(path: Path) -> KnownMap | None:
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as held:
-            cell_m, north_m, east_m, registration_m = held["lattice"].tolist()
-            return KnownMap(
-                cell_m=cell_m,
-                north_min_m=north_m,
-                east_min_m=east_m,
-                upper_m=held["upper_m"],
-                seen=held["seen"],
-                registration_m=registration_m,
-            )
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
-        return None
+def known_map(path: Path) -> KnownMap:
+    """The known map of a run folder.  OSError; ValueError if it cannot be read."""
+    return unpacked_map((path / "known.npz").read_bytes())
 
 
 # --- bytes
 
 
-def _npz(known: KnownMap) -> bytes:
-    buffer = io.BytesIO()
-    lattice = [known.cell_m, known.north_min_m, known.east_min_m, known.registration_m]
-    np.savez_compressed(buffer, lattice=lattice, upper_m=known.upper_m, seen=known.seen)
-    return buffer.getvalue()
-
-
-def _replace(path: Path, content: bytes) -> None:
+def _replace(path: Path, content: bytes, *, durable: bool) -> None:
     """Write a file so that at every moment there is a whole one under its name."""
     new = path.with_name(f".{path.name}.new")
     try:
         with new.open("wb") as file:
             file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
         new.replace(path)
     except OSError:
         new.unlink(missing_ok=True)
         raise
 
 
-def _cut(path: Path, size: int) -> None:
-    if path.stat().st_size != size:
-        os.truncate(path, size)
+def _cut(path: Path, size: int, *, longest_torn: int = _LONGEST_TORN) -> None:
+    """Take away what comes after the last whole record: one that is torn, or a hole of the disk.
+
+    If there is more than that, it may be readable to somebody: the file is kept aside.
+    """
+    has = path.stat().st_size
+    if has == size:
+        return
+    with path.open("rb") as file:
+        file.seek(size)
+        if has - size > longest_torn and file.read().strip(b"\0"):
+            keep_aside(path)
+            return
+    os.truncate(path, size)
 
 
 def _drop_torn(file: io.FileIO, records: Sequence[bytes], written: int) -> None:
@@ -295,7 +396,8 @@ def _drop_torn(file: io.FileIO, records: Sequence[bytes], written: int) -> None:
         return  # whoever reads it stops at the last whole record
 
 
-def _line(entry: Mapping[str, Any]) -> bytes:
+def journal_line(entry: Mapping[str, Any]) -> bytes:
+    """An entry as a line of the journal."""
     text = json.dumps(_plain(entry), separators=(",", ":"), allow_nan=False, default=float)
     return text.encode() + b"\n"
 

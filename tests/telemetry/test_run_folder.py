@@ -106,7 +106,7 @@ def test_the_journal_is_a_header_and_a_line_for_each_entry(folder: RunFolder) ->
     close(folder)
     lines = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
     head, *entries = map(strict, lines)
-    assert (head["schema"], head["version"], head["seed"]) == ("companion-journal", 1, 1)
+    assert (head["schema"], head["version"], head["seed"]) == ("companion-journal", 2, 1)
     assert [entry["t_s"] for entry in entries] == [0.1, 0.2, 0.3]
     assert entries[0]["text"] == 'a "quoted"\nline, é'
 
@@ -397,6 +397,7 @@ def test_a_full_disk_leaves_whole_records_and_the_checkpoint_before(
     assert found.values == {"number": 0}
     assert sorted(each.name for each in tmp_path.iterdir()) == [
         "flight.tlog",
+        "inputs.msgpack",
         "journal.jsonl",
         "mission.toml",
         "resume.json",
@@ -408,3 +409,83 @@ def test_facts_of_the_runtime_end_up_in_run_json(folder: RunFolder) -> None:
     folder.run_json({"plans_s": [0.5]})
     text = (folder.path / "run.json").read_text(encoding="utf-8")
     assert strict(text) == {"plans_s": [0.5], "latency": {"gap_max_ms": None}}
+
+
+# --- what cannot be read
+
+
+def lost(folder: RunFolder) -> list[str]:
+    return sorted(each.name for each in folder.path.iterdir() if ".lost-" in each.name)
+
+
+def test_what_cannot_be_read_is_kept_beside_what_is_written_anew(folder: RunFolder) -> None:
+    close(folder)
+    for number, torn in enumerate((b"torn", b"torn again"), start=1):
+        (folder.path / "resume.json").write_bytes(torn)
+        (folder.path / "known.npz").write_bytes(torn)
+        aside = ("resume.json", "known.npz")
+        close(
+            RunFolder(folder.path, mission_toml="", epoch_us=1, resume=True, set_aside=aside),
+        )
+        assert (folder.path / f"resume.lost-{number}.json").read_bytes() == torn
+        assert (folder.path / f"known.lost-{number}.npz").read_bytes() == torn
+    assert len(lost(folder)) == 4
+    assert read_checkpoint(folder.path) is None
+
+
+def test_without_a_checkpoint_the_log_goes_on_at_the_epoch_that_it_began_with(
+    folder: RunFolder,
+) -> None:
+    stamped = frames()
+    folder.header({})
+    folder.frames(stamped[:100])
+    folder.checkpoint({})
+    close(folder)
+    (folder.path / "resume.json").write_bytes(b'{"schema":')
+    resumed = again(folder, epoch_us=EPOCH_US + 600_000_000)
+    resumed.header({})
+    resumed.frames(stamped[100:])
+    close(resumed)
+    assert [time_s for time_s, _ in recorded(folder.path)] == pytest.approx(
+        [time_s for time_s, _ in stamped], abs=1e-5
+    )
+    lines = (folder.path / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+    assert [strict(line).get("resumed") for line in lines] == [None, 1]
+
+
+def test_a_log_with_a_wrong_byte_in_its_middle_is_kept_to_its_end(folder: RunFolder) -> None:
+    """Only what is torn at the end is cut off; a hole that the disk has left there, too."""
+    folder.frames(frames())
+    close(folder)
+    log = folder.path / "flight.tlog"
+    whole = log.read_bytes()
+    log.write_bytes(whole + b"\0" * 5000)
+    close(again(folder))
+    assert log.read_bytes() == whole
+    assert lost(folder) == []
+    bad = whole[:1000] + b"?" * 40 + whole[1040:]
+    log.write_bytes(bad)
+    close(again(folder))
+    assert lost(folder) == ["flight.lost-1.tlog"]
+    assert (folder.path / "flight.lost-1.tlog").read_bytes() == bad
+    assert log.read_bytes() == b""
+
+
+@pytest.mark.parametrize("name", ["flight.tlog", "journal.jsonl"])
+def test_a_flight_in_the_air_goes_on_though_it_can_not_be_recorded_any_more(
+    folder: RunFolder, name: str
+) -> None:
+    folder.checkpoint({"number": 1})
+    close(folder)
+    (folder.path / name).unlink()
+    (folder.path / name).mkdir()
+    with again(folder) as resumed:
+        assert resumed.failure
+        resumed.header({})
+        resumed.frames(frames())
+        resumed.entries([{"t_s": 1.0, "kind": "x"}])
+        resumed.checkpoint({"number": 2})
+        resumed.run_json({})
+    found = read_checkpoint(folder.path)
+    assert found is not None
+    assert found.values == {"number": 2}

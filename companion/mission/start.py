@@ -1,0 +1,60 @@
+"""What a session is made of, as plain values: the first of its inputs."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, final
+
+from companion.mission.checkpoint import Values
+from companion.mission.mission import Mission
+from companion.world.known_map import KnownMap
+from companion.world.packed_map import packed_map
+
+Resume = tuple[Values, KnownMap | None]
+"""What a companion before this one has left: its checkpoint, and its map if that can be read."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """What makes one session out of a mission; the mission itself is kept elsewhere."""
+
+    companion: str
+    """Version."""
+    mission: str
+    """Name."""
+    profile: str
+    system_id: int | None
+    """Of the vehicle, if that is known in advance."""
+    seed: int
+    lockstep: bool
+    shadow: bool
+    resume: Values | None
+    known: bytes | None
+    """The map that is resumed with (`packed_map`)."""
+
+    @staticmethod
+    def of(
+        mission: Mission,
+        resume: Resume | None,
+        *,
+        version: str,
+        seed: int,
+        lockstep: bool,
+        shadow: bool,
+    ) -> "Start":
+        """Of a session that begins."""
+        values, known = (None, None) if resume is None else resume
+        return Start(
+            companion=version,
+            mission=mission.name,
+            profile=mission.task.settings.profile.name,
+            system_id=mission.system_id,
+            seed=seed,
+            lockstep=lockstep,
+            shadow=shadow,
+            resume=values,
+            known=None if known is None else packed_map(known),
+        )
+
+    def values(self) -> dict[str, Any]:
+        """For a file."""
+        return asdict(self)

@@ -1,0 +1,100 @@
+"""inputs.msgpack of a run folder: all that the session was told, in order (decision 0018).
+
+A sequence of msgpack arrays: a header with schema and version, then one for each call of the
+session: its name, then its arguments.
+
+    start         what the session was made of; one more each time that the companion was resumed
+    receive       frames without signatures, when they arrived
+    run           handle them; what follows from it is in flight.tlog and journal.jsonl
+    deliver       the answer of the planner (`planner.outcomes`)
+    silence, stop, part_died, recording_stopped, complain, farewell
+    unsent        numbers of the frames of the last run that were not sent after all
+    held          so many frames were sent by the watchdog, past the session
+
+It ends with the last whole record, however the flight ended.
+"""
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final, final
+
+import msgpack
+
+from companion.errors import InputError
+
+SCHEMA: Final = "companion-inputs"
+VERSION: Final = 1
+HEADER: Final = (SCHEMA, VERSION)
+FILE: Final = "inputs.msgpack"
+_PORTION: Final = 2**20
+_LONGEST: Final = 64 * 2**20  # a start with a large map
+_UNREADABLE = (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException)
+
+Input = tuple[Any, ...]
+
+
+def packed(told: Iterable[Input]) -> list[bytes]:
+    """The records of some inputs."""
+    return [msgpack.packb(each) for each in told]
+
+
+@final
+class InputsFile:
+    """Reads them again, as often as it is asked; memory is bounded by the longest record."""
+
+    def __init__(self, path: Path) -> None:
+        """InputError if it is not such a file, or of a version that this companion cannot read."""
+        self.path = path
+        self.read_bytes = 0
+        """How much of it was read so far."""
+        self.torn_bytes = 0
+        """At the end of the file, of a record that is not whole; once it was read to there."""
+        try:
+            head = next(self._records(), ())
+        except OSError as error:
+            rule = f"it cannot be read ({error.strerror})"
+            remedy = "Give a run folder of a flight that was recorded with its inputs."
+            raise InputError("RUN_DIR", str(path), rule, remedy) from error
+        if head[:1] != (SCHEMA,):
+            rule = "it does not begin like the inputs of a flight"
+            raise InputError("RUN_DIR", str(path), rule, "Give a run folder.")
+        if head != HEADER:
+            rule = f"this companion reads version {VERSION} of inputs"
+            raise InputError("RUN_DIR", head[1:], rule, "Replay it with the companion that flew.")
+
+    def __iter__(self) -> Iterator[Input]:
+        """The inputs up to the last whole one."""
+        return islice(self._records(), 1, None)
+
+    def _records(self) -> Iterator[Input]:
+        size, end = self.path.stat().st_size, 0
+        with self.path.open("rb") as file:
+            unpacker = msgpack.Unpacker(file, read_size=_PORTION, max_buffer_size=_LONGEST)
+            try:
+                for told in unpacker:
+                    if not isinstance(told, list) or not told or not isinstance(told[0], str):
+                        break
+                    self.read_bytes = end = unpacker.tell()
+                    yield tuple(told)
+            except _UNREADABLE:
+                pass
+        self.torn_bytes = size - end
+
+
+def whole_inputs(path: Path, start: int = 0) -> int:
+    """Where the last whole record ends.
+
+    start: where some record begins, to look no further back; 0 if the file is shorter than that.
+    """
+    at = start if start <= path.stat().st_size else 0
+    with path.open("rb") as file:
+        file.seek(at)
+        unpacker = msgpack.Unpacker(file, read_size=_PORTION, max_buffer_size=_LONGEST)
+        end = 0
+        try:
+            for _ in unpacker:
+                end = unpacker.tell()
+        except _UNREADABLE:
+            pass
+    return at + end
