@@ -1,0 +1,1 @@
+"""Recorded flights: decided again, looked at, passed on."""

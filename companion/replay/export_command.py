@@ -1,0 +1,97 @@
+"""`companion export`: a recorded flight for Google Earth, QGIS, spreadsheets and QGroundControl."""
+
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from companion.errors import InputError
+from companion.sources.files import answer
+
+_KEPT = (
+    "flight.tlog",
+    "journal.jsonl",
+    "inputs.msgpack",
+    "mission.toml",
+    "run.json",
+    "resume.json",
+    "known.npz",
+    "truth.jsonl",
+)
+
+
+class Format(StrEnum):
+    """What to write."""
+
+    KML = "kml"
+    GEOJSON = "geojson"
+    CSV = "csv"
+    PLAN = "plan"
+
+
+class PathName(StrEnum):
+    """Which path becomes a plan."""
+
+    FLOWN = "flown"
+    PLANNED = "planned"
+
+
+def export(
+    run_dir: Annotated[
+        Path, typer.Argument(metavar="RUN_DIR", help="The run folder of a flight, ended or not.")
+    ],
+    to: Annotated[
+        Format,
+        typer.Option(
+            "--format",
+            help="*kml*: Google Earth. *geojson*: QGIS. *csv*: a row for each position. "
+            "*plan*: QGroundControl.",
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="File to write; by default RUN_DIR/flight.FORMAT."),
+    ] = None,
+    path: Annotated[
+        PathName,
+        typer.Option(help="Of a plan: the path as it was flown, or as it was planned."),
+    ] = PathName.FLOWN,
+) -> None:
+    """Write a recorded flight for other programs: track, subpaths, targets, threats, holds.
+
+    A flight that was killed is exported as far as it was recorded.
+    """
+    from companion.replay.exporting import recorded, write  # slow to import
+
+    file = out or run_dir / f"flight.{to.value}"
+    _check_out(file, run_dir)
+    flight, notes = recorded(run_dir)
+    notes += write(flight, to.value, file, path.value)
+    console = Console(soft_wrap=True)
+    for note in notes:
+        console.print(f"note: {note}", highlight=False, markup=False)
+    console.print(
+        f"{len(flight.track)} positions, {len(flight.planned)} subpaths, "
+        f"{len(flight.moments)} holds and events: {file}",
+        highlight=False,
+        markup=False,
+    )
+
+
+def _check_out(file: Path, run_dir: Path) -> None:
+    """Refuse a file that cannot be written, or that holds what was recorded."""
+    if answer(file.is_dir):
+        raise InputError("--out", str(file), "it is a folder", "Give a file.")
+    if file.parent != run_dir and not answer(file.absolute().parent.is_dir):
+        rule = "its folder does not exist"
+        raise InputError("--out", str(file), rule, "Give a file in a folder that exists.")
+    if file.name in _KEPT and answer(partial(_same_folder, file, run_dir)):
+        rule = "that is what the flight was recorded in"
+        raise InputError("--out", str(file), rule, "Give another file.")
+
+
+def _same_folder(file: Path, run_dir: Path) -> bool:
+    return file.absolute().parent.samefile(run_dir)

@@ -1,0 +1,93 @@
+"""A run folder's flight, put together for export, and written in one of the formats."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from companion.config import load_mission
+from companion.errors import InputError
+from companion.mission.mission import Mission
+from companion.sources.files import answer, read_text, toml_table
+from companion.sources.mission_file import mission_of
+from companion.sources.mission_schema import MissionTable
+from companion.sources.schema import validated
+from companion.telemetry.export.flight import FlightBuilder, RecordedFlight
+from companion.telemetry.export.geojson import write_geojson
+from companion.telemetry.export.kml import write_kml
+from companion.telemetry.export.plan import Source, write_plan
+from companion.telemetry.export.table import write_csv
+from companion.telemetry.export.track import Track, track_of
+from companion.telemetry.journal import Journal
+from companion.telemetry.logs import open_log
+
+FIELD = "RUN_DIR"
+REMEDY = "Give the run folder of a flight: the one that was given to companion fly --out."
+
+
+def recorded(run_dir: Path) -> tuple[RecordedFlight, tuple[str, ...]]:
+    """The flight in a run folder, and what was odd about it.  Raises InputError."""
+    mission = _mission(run_dir)
+    journal = Journal(run_dir / "journal.jsonl")
+    builder = FlightBuilder(mission)
+    for line in journal.lines():
+        builder.take(line)
+    track, notes = _track(run_dir / "flight.tlog", builder.system_id)
+    if not len(track):
+        notes += ("flight.tlog: no position was recorded",)
+    if track.left_out:
+        notes += (
+            f"flight.tlog: {track.left_out} positions without a fix or in no order: left out",
+        )
+    return builder.flight(track), (*journal.findings, *notes)
+
+
+def write(flight: RecordedFlight, to: str, file: Path, source: Source) -> tuple[str, ...]:
+    """Write a flight as kml, geojson, csv or plan; what people should know of it.
+
+    source: which path becomes a plan.  Raises InputError about the file, or the path.
+    """
+    writers: dict[str, Callable[[RecordedFlight, Path], tuple[str, ...] | None]] = {
+        "kml": write_kml,
+        "geojson": write_geojson,
+        "csv": write_csv,
+        "plan": partial(write_plan, source=source),
+    }
+    try:
+        return writers[to](flight, file) or ()
+    except OSError as error:
+        rule = f"not written ({error.strerror or error})"
+        raise InputError("--out", str(file), rule, "Give a file that can be written.") from error
+
+
+def _mission(run_dir: Path) -> Mission:
+    """The mission as it was flown; what is known of its terrain does not matter here."""
+    file = run_dir / "mission.toml"
+    if not answer(file.is_file):
+        found = answer(run_dir.exists)
+        rule = "it holds no mission.toml" if found else "no such folder"
+        raise InputError(FIELD, str(run_dir), rule, REMEDY)
+    table = toml_table(read_text(file, FIELD, REMEDY), str(file))
+    terrain = table.get("terrain")
+    if not isinstance(terrain, dict) or "file" not in terrain:
+        return load_mission(str(file))
+    table["terrain"] = {"highest_amsl_m": _NOT_NEEDED_AMSL_M}
+    return mission_of(validated(MissionTable, table, str(file)), None, str(file))
+
+
+_NO_VEHICLE_BYTES = 1000  # a few heartbeats of a companion that has met nobody
+_NOT_NEEDED_AMSL_M = -500.0
+"""Stands for an elevation file, which may be on another computer."""
+
+
+def _track(file: Path, system_id: int | None) -> tuple[Track, tuple[str, ...]]:
+    """The positions in the log, and what was odd about it."""
+    if not answer(file.is_file):
+        raise InputError(FIELD, str(file.parent), "it holds no flight.tlog", REMEDY)
+    try:
+        log = open_log(file, system_id=system_id)
+    except InputError:
+        if file.stat().st_size > _NO_VEHICLE_BYTES:
+            raise
+        return track_of((), None), ()  # it ended before there was anything to record
+    track = track_of(log.records(), log.system_id)
+    return track, tuple(f"{file.name}: {finding}" for finding in log.findings)

@@ -1,0 +1,75 @@
+"""What is written beside a shape, for people who click on it: names with units, plain values."""
+
+from companion.telemetry.export import shapes
+from companion.telemetry.export.flight import Moment, PlannedSubpath, RecordedFlight
+from companion.world.threats import CircleZone, Radar, Zone
+
+Facts = dict[str, str | int | float | bool | None]
+"""None: not known, or there is none."""
+
+
+def segment_facts(flight: RecordedFlight, part: slice) -> Facts:
+    """Of a part of the flown track."""
+    track = flight.track
+    return {
+        "from_utc": shapes.utc_text(track.time_us[part.start]),
+        "until_utc": shapes.utc_text(track.time_us[part.stop - 1]),
+        "from_s": float(track.t_s[part.start]),
+        "until_s": float(track.t_s[part.stop - 1]),
+        "positions": part.stop - part.start,
+    }
+
+
+def plan_facts(planned: PlannedSubpath) -> Facts:
+    """Of a subpath: what it costs, and what is proven of it."""
+    plan, proven = planned.plan, planned.plan.certificate
+    return {
+        "plan_id": plan.plan_id,
+        "leg": planned.leg,
+        "flown": planned.leg is not None,
+        "ready_s": plan.t_s,
+        "begun_s": planned.begun_s,
+        "length_m": plan.length_m,
+        "cost": plan.cost,
+        "evaluations": plan.evaluations,
+        "reaches_target": plan.reaches_target,
+        "clearance_m": proven.clearance_m,
+        "keep_out_m": proven.keep_out_m,
+        "dead_man_m": proven.dead_man_m,
+        "turn_radius_m": proven.turn_radius_m,
+        "climb_angle_rad": proven.climb_angle_rad,
+        "dive_angle_rad": proven.dive_angle_rad,
+        "lowest_amsl_m": proven.lowest_amsl_m,
+        "highest_amsl_m": proven.highest_amsl_m,
+        "radar_m": proven.radar_m,
+        "broken": ", ".join(proven.broken),
+    }
+
+
+def moment_facts(moment: Moment) -> Facts:
+    """Of a hold, or of what else has happened at a place."""
+    return {
+        "what": moment.what,
+        "why": moment.why,
+        "code": moment.code,
+        "t_s": moment.t_s,
+        "until_s": moment.until_s,
+    }
+
+
+def zone_facts(zone: Zone) -> Facts:
+    """Of a zone that is not to be entered, or not to be left."""
+    return {
+        "keep_in": zone.keep_in,
+        "radius_m": zone.radius_m if isinstance(zone, CircleZone) else None,
+    }
+
+
+def radar_facts(radar: Radar) -> Facts:
+    """Of a radar."""
+    return {"range_m": radar.range_m, "altitude_amsl_m": radar.centre_nea_m[2]}
+
+
+def plain(text: str) -> str:
+    """The text without characters that XML does not have."""
+    return "".join(c if c.isprintable() or c in "\n\t" else " " for c in text)

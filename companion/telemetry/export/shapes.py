@@ -1,0 +1,118 @@
+"""Curves, circles and polygons as rows of longitude, latitude (WGS84 degrees) and altitude AMSL."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from companion.geodesy import FloatArray, LocalFrame
+from companion.path.subpath import Subpath
+from companion.telemetry.export.track import IntArray, Track
+from companion.world.threats import CircleZone, Radar, Zone
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_CURVE_POINTS = 2000
+_CURVE_ERROR_M = 0.25  # a hand's breadth off the curve, which nobody sees
+_CIRCLE_POINTS = 72
+MOST_POINTS = 50_000
+"""Of a drawn track: more than that, and map programs become slow."""
+
+
+def utc(time_us: int) -> datetime:
+    """The time of microseconds since 1970."""
+    return _EPOCH + timedelta(microseconds=int(time_us))
+
+
+def utc_text(time_us: int) -> str:
+    """The same as ISO 8601, as xsd:dateTime has it."""
+    return utc(time_us).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def of_track(track: Track) -> FloatArray:
+    """Its positions.  -> (N, 3)."""
+    return np.column_stack([track.longitude_deg, track.latitude_deg, track.altitude_amsl_m])
+
+
+def local_nea_m(track: Track, frame: LocalFrame) -> FloatArray:
+    """Its positions in the local frame.  -> (N, 3) north, east, altitude AMSL."""
+    places = zip(track.latitude_deg.tolist(), track.longitude_deg.tolist(), strict=True)
+    ne_m = np.array([frame.to_local_m(*place) for place in places]).reshape(-1, 2)
+    return np.column_stack([ne_m, track.altitude_amsl_m])
+
+
+def of_points(points_nea_m: FloatArray, frame: LocalFrame) -> FloatArray:
+    """Points of the local frame.  (N, 3) -> (N, 3)."""
+    latitude, longitude = frame.to_geodetic_many_deg(points_nea_m[:, 0], points_nea_m[:, 1])
+    return np.column_stack([longitude, latitude, points_nea_m[:, 2]])
+
+
+def of_subpath(subpath: Subpath, frame: LocalFrame) -> FloatArray:
+    """As few points as follow the curve to a quarter of a metre.  -> (N, 3)."""
+    points_nea_m = subpath.points_nea_m(np.linspace(0.0, subpath.length_m, _CURVE_POINTS + 1))
+    return of_points(points_nea_m[corners(points_nea_m, _CURVE_ERROR_M)], frame)
+
+
+def of_zone(zone: Zone, frame: LocalFrame, altitude_amsl_m: float) -> FloatArray:
+    """Its edge, anticlockwise as seen from above, the first point not repeated.  -> (N, 3)."""
+    if isinstance(zone, CircleZone):
+        return circle((zone.north_m, zone.east_m), zone.radius_m, frame, altitude_amsl_m)
+    ne_m = np.array(zone.vertices_ne_m, dtype=np.float64)
+    following = np.roll(ne_m, -1, axis=0)
+    clockwise = np.sum(ne_m[:, 0] * following[:, 1] - ne_m[:, 1] * following[:, 0]) > 0.0
+    ne_m = ne_m[::-1] if clockwise else ne_m
+    return of_points(np.column_stack([ne_m, np.full(len(ne_m), altitude_amsl_m)]), frame)
+
+
+def of_radar(radar: Radar, frame: LocalFrame) -> FloatArray:
+    """The circle in which its range reaches, at its own altitude.  -> (N, 3)."""
+    north_m, east_m, altitude_amsl_m = radar.centre_nea_m
+    return circle((north_m, east_m), radar.range_m, frame, altitude_amsl_m)
+
+
+def circle(
+    centre_ne_m: tuple[float, float], radius_m: float, frame: LocalFrame, altitude_amsl_m: float
+) -> FloatArray:
+    """A circle, anticlockwise as seen from above, the first point not repeated.  -> (N, 3)."""
+    angle = np.linspace(0.0, 2.0 * np.pi, _CIRCLE_POINTS, endpoint=False)
+    points_nea_m = np.column_stack(
+        [
+            centre_ne_m[0] + radius_m * np.sin(angle),
+            centre_ne_m[1] + radius_m * np.cos(angle),
+            np.full(_CIRCLE_POINTS, altitude_amsl_m),
+        ]
+    )
+    return of_points(points_nea_m, frame)
+
+
+def thinned(part: slice, total: int) -> IntArray:
+    """Indices of a part of a track, so many of them that all parts together are not too many.
+
+    The first and the last one stay.  total: positions of the whole track.
+    """
+    step = -(-total // MOST_POINTS)
+    indices = np.arange(part.start, part.stop, step)
+    return indices if indices[-1] == part.stop - 1 else np.append(indices, part.stop - 1)
+
+
+def corners(points_m: FloatArray, error_m: float) -> IntArray:
+    """Which points are enough, so that no other is farther than that from the line through them.
+
+    (N, 3) metres -> indices, the first and the last among them.  Source: Douglas and Peucker, 1973.
+    """
+    keeps = np.zeros(len(points_m), dtype=bool)
+    keeps[[0, -1]] = True
+    open_parts = [(0, len(points_m) - 1)]
+    while open_parts:
+        first, last = open_parts.pop()
+        if last - first < 2:
+            continue
+        inner = points_m[first + 1 : last] - points_m[first]
+        chord = points_m[last] - points_m[first]
+        squared = max(float(chord @ chord), 1e-12)
+        share = np.clip(inner @ chord / squared, 0.0, 1.0)
+        away_m = np.linalg.norm(inner - share[:, None] * chord, axis=1)
+        farthest = int(np.argmax(away_m))
+        if away_m[farthest] > error_m:
+            keeps[first + 1 + farthest] = True
+            middle = first + 1 + farthest
+            open_parts += [(first, middle), (middle, last)]
+    return np.flatnonzero(keeps)

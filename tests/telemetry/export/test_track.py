@@ -1,0 +1,216 @@
+"""The flown track out of frames, and what follows from vehicle times that begin again."""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import all as wire
+
+from companion.config import load_mission
+from companion.geodesy import LocalFrame
+from companion.telemetry import journal_entries as noted
+from companion.telemetry.export import shapes
+from companion.telemetry.export.flight import FlightBuilder, RecordedFlight
+from companion.telemetry.export.kml import write_kml
+from companion.telemetry.export.track import Track, track_of
+from companion.telemetry.journal_lines import Header
+from companion.telemetry.logs import Record
+
+EPOCH_US = 1_790_000_000_000_000
+MISSION = load_mission("environment-1")
+
+
+def position(
+    time_s: float, *, ids: tuple[int, int] = (1, 1), v1: bool = False, **more: int
+) -> bytes:
+    codec = wire.MAVLink(None, srcSystem=ids[0], srcComponent=ids[1])
+    values = {"lat": 470_000_000, "lon": 80_000_000, "alt": 500_000, "relative_alt": 10_000}
+    values |= {"vx": 100, "vy": -200, "vz": 300, "hdg": 9000, **more}
+    message = wire.MAVLink_global_position_int_message(round(time_s * 1e3), **values)
+    return bytes(message.pack(codec, force_mavlink1=v1))
+
+
+def track(*frames: bytes, system_id: int | None = 1) -> Track:
+    records = [Record(EPOCH_US + 100_000 * k, frame) for k, frame in enumerate(frames)]
+    return track_of(records, system_id)
+
+
+def at(*times_s: float) -> Track:
+    return track(*(position(time_s) for time_s in times_s))
+
+
+@pytest.mark.parametrize("v1", [False, True])
+def test_units_signs_and_datums(v1: bool) -> None:
+    found = track(position(12.3, v1=v1))
+    values = {
+        "t_s": 12.3,
+        "time_us": EPOCH_US,
+        "latitude_deg": 47.0,
+        "longitude_deg": 8.0,
+        "altitude_amsl_m": 500.0,
+        "above_home_m": 10.0,
+        "north_m_s": 1.0,
+        "east_m_s": -2.0,
+        "up_m_s": -3.0,
+        "heading_deg": 90.0,
+    }
+    assert {name: getattr(found, name)[0] for name in values} == pytest.approx(values)
+
+
+def test_zeros_that_the_protocol_leaves_out_are_there() -> None:
+    found = track(position(1.0, vx=0, vy=0, vz=0, hdg=0, relative_alt=0))
+    assert (found.up_m_s[0], found.heading_deg[0], found.above_home_m[0]) == (0.0, 0.0, 0.0)
+
+
+def test_a_heading_that_is_not_known_is_no_number() -> None:
+    assert np.isnan(track(position(1.0, hdg=65535)).heading_deg[0])
+
+
+def test_only_the_autopilot_of_the_vehicle_counts() -> None:
+    others = [position(1.0, ids=ids) for ids in ((2, 1), (1, 195), (255, 190))]
+    assert len(track(*others, position(2.0))) == 1
+    assert len(track(*others, position(2.0), system_id=None)) == 2
+    beat = wire.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
+    assert len(track(bytes(beat.pack(wire.MAVLink(None, 1, 1))))) == 0
+
+
+def test_positions_before_there_is_a_fix_are_left_out_and_counted() -> None:
+    found = track(position(1.0, lat=0, lon=0), position(2.0, lat=2_000_000_000), position(3.0))
+    assert found.t_s.tolist() == [3.0]
+    assert found.left_out == 2
+
+
+def test_a_clock_that_begins_again_is_a_reboot_and_a_single_fall_is_a_mistake() -> None:
+    found = at(100.0, 100.1, 3.0, 100.2, 100.3, 0.5, 0.6, 100.9, 0.7)
+    kept = [100.0, 100.1, 100.2, 100.3, 0.5, 0.6, 100.9, 0.7]
+    np.testing.assert_allclose(found.t_s, kept)
+    assert found.boot.tolist()[:6] == [0, 0, 0, 0, 1, 1]
+    assert found.left_out == 1
+    assert at(5.0, 4.5, 5.1).boot.tolist() == [0, 0, 0]  # in no order: no reboot
+
+
+def test_a_log_without_positions_is_an_empty_track() -> None:
+    found = track()
+    assert (len(found), found.left_out) == (0, 0)
+    assert shapes.of_track(found).shape == (0, 3)
+
+
+# --- entries and positions meet by the vehicle's clock
+
+
+def built(track: Track, *lines: Any) -> RecordedFlight:
+    builder = FlightBuilder(MISSION)
+    for line in lines:
+        builder.take(line)
+    return builder.flight(track)
+
+
+def phase(time_s: float, name: str, reason: str | None = None) -> Any:
+    return noted.Phase(t_s=time_s, kind="phase", phase=name, was="", reason=reason, code=None)
+
+
+def header(**more: Any) -> Header:
+    facts = {"version": 1, "mission": "m", "seed": 1, "profile": "flight", "lockstep": True}
+    return Header.model_validate({"schema": "companion-journal", **facts, **more})
+
+
+def test_phases_begin_at_the_position_of_their_time() -> None:
+    flight = built(at(1.0, 2.0, 3.0, 4.0), phase(0.5, "preparing"), phase(3.0, "flying"))
+    assert flight.phase_of_positions() == ["preparing", "preparing", "flying", "flying"]
+    assert flight.segments() == [("preparing", slice(0, 2)), ("flying", slice(2, 4))]
+
+
+def test_after_a_reboot_times_count_from_the_new_boot() -> None:
+    reboot = noted.VehicleRebooted(t_s=0.4, kind="vehicle rebooted")
+    lines = [phase(100.0, "flying"), reboot, phase(0.4, "preparing"), phase(0.6, "holding", "x")]
+    flight = built(at(99.0, 100.0, 101.0, 0.5, 0.6), *lines)
+    assert flight.phase_of_positions() == ["waiting", "flying", "flying", "preparing", "holding"]
+    assert [(m.what, m.boot) for m in flight.moments] == [("reboot", 1), ("hold", 1)]
+    assert flight.index_at(1, 0.6) == 4
+    assert flight.index_at(0, 0.6) == 0
+
+
+def test_a_reboot_while_no_companion_ran_is_seen_by_the_clock() -> None:
+    lines = [header(), phase(1000.0, "flying"), header(resumed=1), phase(5.0, "preparing")]
+    flight = built(at(1000.0, 1001.0, 5.0), *lines)
+    assert flight.phase_of_positions() == ["flying", "flying", "preparing"]
+
+
+def test_what_the_companion_did_before_it_knew_the_clock_counts_from_the_first_position() -> None:
+    """It waited nine seconds for a vehicle that had been on for two."""
+    flight = built(at(2.0, 3.0), phase(9.0, "preparing"), phase(3.0, "arming"))
+    assert flight.phase_of_positions() == ["waiting", "arming"]
+
+
+def test_without_positions_nothing_has_a_place() -> None:
+    flight = built(track(), phase(1.0, "holding", "x"))
+    assert flight.index_at(0, 1.0) is None
+    assert flight.segments() == []
+
+
+def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
+    circle = {"name": "a", "north_m": 1.0, "east_m": 2.0, "radius_m": 3.0, "keep_in": True}
+    fence = {"kind": "fence", "t_s": 1.0, "floor_amsl_m": None, "ceiling_amsl_m": None}
+    order = {"t_s": 3.0, "kind": "order", "sender": "255/190", "speed_m_s": None}
+    flight = built(
+        at(1.0),
+        noted.Fence.model_validate({**fence, "zones": [circle, circle]}),
+        noted.Fence.model_validate({**fence, "zones": [circle]}),
+        noted.Targets(t_s=1.0, kind="targets", targets_ne_m=((5.0, 6.0), (7.0, 8.0))),
+    )
+    assert flight.targets_ne_m == ((5.0, 6.0), (7.0, 8.0))
+    assert len(flight.zones) == 1
+    there = noted.OrderGiven.model_validate(
+        {**order, "order": "REPOSITION", "target_ne_m": [9.0, 10.0]}
+    )
+    pause = noted.OrderGiven.model_validate({**order, "order": "PAUSE", "target_ne_m": None})
+    assert built(at(1.0), there, pause).targets_ne_m == ((9.0, 10.0),)
+
+
+# --- shapes
+
+
+def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(tmp_path: Path) -> None:
+    count = 3 * shapes.MOST_POINTS - 7
+    numbers = np.arange(count, dtype=np.float64)
+    zeros = np.zeros(count)
+    long = Track(
+        time_us=EPOCH_US + np.arange(count) * 100_000,
+        boot=np.zeros(count, dtype=np.int64),
+        t_s=numbers * 0.1,
+        latitude_deg=47.0 + numbers * 1e-6,
+        longitude_deg=8.0 + zeros,
+        altitude_amsl_m=zeros,
+        above_home_m=zeros,
+        north_m_s=zeros,
+        east_m_s=zeros,
+        up_m_s=zeros,
+        heading_deg=zeros,
+    )
+    kept = shapes.thinned(slice(0, count), count)
+    assert len(kept) <= shapes.MOST_POINTS + 1
+    assert (kept[0], kept[-1]) == (0, count - 1)
+    assert set(np.diff(kept)[:-1]) == {3}
+    write_kml(built(long, phase(0.0, "flying")), tmp_path / "long.kml")
+    assert (tmp_path / "long.kml").read_text(encoding="utf-8").count("<when>") == len(kept)
+
+
+def test_corners_are_all_that_a_broken_line_needs() -> None:
+    places = np.array([[0.0, 0.0, 0.0], [100.0, 0.0, 50.0], [100.0, 300.0, 0.0]])
+    line = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(places)])
+    np.testing.assert_array_equal(line[shapes.corners(line, 0.01)], places)
+
+
+def test_corners_of_a_point_that_does_not_move() -> None:
+    assert shapes.corners(np.zeros((5, 3)), 1.0).tolist() == [0, 4]
+    assert shapes.corners(np.zeros((1, 3)), 1.0).tolist() == [0]
+
+
+@pytest.mark.parametrize("radius_m", [50.0, 5000.0])
+def test_a_circle_has_its_radius(radius_m: float) -> None:
+    frame = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
+    for longitude, latitude, altitude in shapes.circle((0.0, 0.0), radius_m, frame, 7.0):
+        assert np.hypot(*frame.to_local_m(latitude, longitude)) == pytest.approx(radius_m)
+        assert altitude == 7.0

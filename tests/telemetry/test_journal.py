@@ -1,0 +1,304 @@
+"""The journal's schema: what is written is documented, and every version is still read."""
+
+import json
+import re
+import tracemalloc
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from companion.errors import InputError
+from companion.mission.state import Reason
+from companion.telemetry import journal_entries as noted
+from companion.telemetry.journal import _KINDS, _TO_NEXT, VERSION, Journal
+from companion.telemetry.journal_lines import Header
+from companion.telemetry.journal_page import journal_markdown
+from companion.telemetry.journal_plans import PlanAsked, PlanReady
+
+ROOT = Path(__file__).parents[2]
+OLD = Path(__file__).parent / "journals"
+HEADER: dict[str, Any] = {
+    "schema": "companion-journal",
+    "version": VERSION,
+    "mission": "hills",
+    "seed": 1,
+    "profile": "flight",
+    "lockstep": True,
+}
+LEG = {"t_s": 3.5, "kind": "leg", "number": 1}
+
+
+def written(folder: Path, *lines: Any) -> Journal:
+    """A journal of these lines; bytes as they are, anything else as JSON."""
+    (folder / "journal.jsonl").write_bytes(b"".join(map(as_bytes, lines)))
+    return Journal(folder / "journal.jsonl")
+
+
+def as_bytes(line: Any) -> bytes:
+    if isinstance(line, bytes):
+        return line
+    return json.dumps(line, separators=(",", ":")).encode() + b"\n"
+
+
+def read(folder: Path, *lines: Any) -> list[Any]:
+    return list(written(folder, *lines).entries())
+
+
+# --- what is written is documented, and what is documented is there
+
+
+def test_the_journal_of_a_flight_holds_nothing_that_is_not_documented(run_dir: Path) -> None:
+    journal = Journal(run_dir / "journal.jsonl")
+    entries = list(journal.entries())
+    assert journal.findings == ()
+    assert len(journal.headers) == 1
+    lines = (run_dir / "journal.jsonl").read_bytes().splitlines()
+    assert len(entries) == len(lines) - 1
+    assert {"phase", "leg", "plan ready", "order", "fence"} <= {entry.kind for entry in entries}
+
+
+def test_every_documented_field_comes_from_its_line(run_dir: Path) -> None:
+    """Reading and writing again gives the same values: nothing is made up, nothing is lost."""
+    lines = (run_dir / "journal.jsonl").read_bytes().splitlines()[1:]
+    for line, entry in zip(lines, Journal(run_dir / "journal.jsonl").entries(), strict=True):
+        given = json.loads(line)
+        again = json.loads(entry.model_dump_json(exclude_unset=True))
+        if isinstance(entry, noted.Phase):
+            given.setdefault("code", again["code"])  # of version 1
+        assert again == given
+        required = {name for name, each in type(entry).model_fields.items() if each.is_required()}
+        assert required <= given.keys()
+
+
+def test_every_kind_that_the_code_can_write_is_documented_and_no_other() -> None:
+    found: set[str] = set()
+    for name in ("mission", "mavlink", "runtime", "session.py"):
+        place = ROOT / "companion" / name
+        for file in place.rglob("*.py") if place.is_dir() else [place]:
+            text = file.read_text(encoding="utf-8")
+            found |= set(re.findall(r'"kind": "([^"]+)"', text))
+            found |= set(re.findall(r'_note\(\s*"([^"]+)"', text))
+    assert found == _KINDS
+
+
+def test_the_page_is_that_of_the_models() -> None:
+    page = (ROOT / "docs" / "journal.md").read_text(encoding="utf-8")
+    assert page == journal_markdown(), "run scripts/docs"
+
+
+def test_the_page_explains_every_kind_and_every_field() -> None:
+    page = journal_markdown()
+    for kind in _KINDS:
+        assert page.count(f"### `{kind}`\n") == 1
+    for line in page.splitlines():
+        assert not re.fullmatch(r"\| `\w+` \| .* \|  \|", line), f"no words: {line}"
+        assert "| |" not in line or line.startswith("| field") or line == "| 1 | | |"
+
+
+# --- older versions
+
+
+def test_there_is_a_step_from_every_older_version_and_a_journal_of_it() -> None:
+    assert sorted(_TO_NEXT) == list(range(1, VERSION))
+    for version in range(1, VERSION):
+        first = (OLD / f"version-{version}.jsonl").read_text(encoding="utf-8").splitlines()[0]
+        assert json.loads(first)["version"] == version
+
+
+@pytest.mark.parametrize("file", sorted(OLD.iterdir()), ids=lambda file: file.stem)
+def test_a_journal_of_an_older_version_is_read_whole(file: Path) -> None:
+    journal = Journal(file)
+    entries = list(journal.entries())
+    assert journal.findings == ()
+    assert len(entries) == len(file.read_bytes().splitlines()) - 1
+    holds = [each for each in entries if isinstance(each, noted.Phase) and each.phase == "holding"]
+    assert [(each.reason, each.code) for each in holds] == [("paused by a person", "PAUSED")]
+    legs = [each.number for each in entries if isinstance(each, noted.LegBegun)]
+    assert legs == [1, 2]
+    [first, second] = [each for each in entries if isinstance(each, PlanReady)]
+    assert (first.plan_id, second.plan_id) == (1, 2)
+    assert second.control_nea_m[-1] == pytest.approx((4000.0, 3000.0, 3030.0))
+    assert second.certificate.turn_radius_m is None
+
+
+@pytest.mark.parametrize("reason", [*Reason, None], ids=lambda each: each.name if each else "none")
+def test_a_phase_of_version_1_gets_the_name_of_its_reason(
+    tmp_path: Path, reason: Reason | None
+) -> None:
+    text = None if reason is None else reason.text
+    phase = {"t_s": 1.0, "kind": "phase", "phase": "holding", "was": "flying", "reason": text}
+    [entry] = read(tmp_path, {**HEADER, "version": 1}, phase)
+    assert entry.code == (None if reason is None else reason.name)
+
+
+def test_words_that_nobody_says_any_more_have_no_name(tmp_path: Path) -> None:
+    phase = {"t_s": 1.0, "kind": "phase", "phase": "done", "was": "flying", "reason": "tired"}
+    [entry] = read(tmp_path, {**HEADER, "version": 1}, phase)
+    assert (entry.reason, entry.code) == ("tired", None)
+
+
+def test_a_flight_that_was_gone_on_with_by_a_newer_companion_has_both_versions(
+    tmp_path: Path,
+) -> None:
+    phase = {"t_s": 1.0, "kind": "phase", "phase": "holding", "was": "flying", "reason": None}
+    again = {**HEADER, "resumed": 1}
+    lines = [{**HEADER, "version": 1}, phase, LEG, again, {**phase, "code": "PAUSED"}]
+    journal = written(tmp_path, *lines)
+    found = list(journal.lines())
+    assert [type(each) for each in found] == [
+        Header,
+        noted.Phase,
+        noted.LegBegun,
+        Header,
+        noted.Phase,
+    ]
+    assert [(head.version, head.resumed) for head in journal.headers] == [(1, None), (VERSION, 1)]
+    assert found[-1].code == "PAUSED"
+
+
+# --- what is not whole
+
+
+def test_reading_stops_at_the_last_whole_line_wherever_it_was_cut(tmp_path: Path) -> None:
+    whole = written(tmp_path, HEADER, LEG, {**LEG, "number": 2}).path.read_bytes()
+    ends = [place + 1 for place, byte in enumerate(whole) if byte == ord("\n")]
+    for length in range(len(whole) + 1):
+        journal = written(tmp_path, whole[:length])
+        found = list(journal.lines())
+        kept = [end for end in ends if end <= length]
+        assert len(found) == len(kept)
+        torn = length - max([0, *kept])
+        assert journal.findings == (
+            (f"journal.jsonl: the last line is not whole ({torn} bytes): left out",) if torn else ()
+        )
+
+
+def test_a_block_of_the_disk_that_was_never_written_is_no_line(tmp_path: Path) -> None:
+    assert len(read(tmp_path, HEADER, LEG, bytes(4096))) == 1
+
+
+def test_an_empty_journal_has_no_header(tmp_path: Path) -> None:
+    journal = written(tmp_path)
+    assert list(journal.entries()) == []
+    assert journal.headers == []
+
+
+def test_it_can_be_read_again(tmp_path: Path) -> None:
+    journal = written(tmp_path, HEADER, LEG, {"t_s": 1.0, "kind": "x"}, b"{")
+    first = (list(journal.lines()), journal.headers[:], journal.findings)
+    assert (list(journal.lines()), journal.headers, journal.findings) == first
+
+
+# --- what is wrong
+
+
+REFUSED: list[tuple[list[Any], str]] = [
+    ([LEG], r"line 1 = .*: a journal begins with a header"),
+    ([b"\n"], r"line 1 = '.*': a journal begins with a header"),
+    ([{**HEADER, "version": VERSION + 1}], r"line 1: version = 3: versions 1 to 2 can be read"),
+    ([{**HEADER, "version": "1"}], r"version = '1': versions 1 to"),
+    ([{**HEADER, "version": True}], r"version = True: versions 1 to"),
+    ([{**HEADER, "schema": "x"}], r"schema = 'x': only 'companion-journal' can be read"),
+    ([{**HEADER, "seed": "a"}], r"line 1: seed = 'a': input should be a valid integer"),
+    ([{"schema": "companion-journal", "version": 1}], r"line 1: mission = None: it is missing"),
+    ([b'{"schema":\n'], r"line 1 = '\{\"schema\":': it is not JSON"),
+    ([HEADER, b"garbage\n"], r"line 2 = 'garbage': it is not JSON"),
+    ([HEADER, b"\xff\xfe\n"], r"line 2 = .*: it is not JSON"),
+    ([HEADER, LEG, [1]], r"line 3: kind = \[1\]: "),
+    ([HEADER, {"t_s": 1.0}], r"line 2: kind = None: it is missing"),
+    ([HEADER, {**LEG, "number": "x"}], r"line 2: number = 'x': input should be a valid integer"),
+    ([HEADER, {"kind": "leg", "number": 1}], r"line 2: t_s = None: it is missing"),
+    ([HEADER, {**LEG, "t_s": None}], r"line 2: t_s = None: input should be a valid number"),
+    (
+        [HEADER, {"t_s": 1.0, "kind": "scan", "centre_nea_m": [1.0, 2.0], "blocks": 3}],
+        r"line 2: centre_nea_m\.2 = None: it is missing",
+    ),
+    ([HEADER, {"t_s": 1.0, "kind": "say", "text": "x" * 5000, "warning": 7}], r"warning = 7: "),
+]
+
+
+@pytest.mark.parametrize("version", range(1, VERSION + 1))
+@pytest.mark.parametrize(("lines", "words"), REFUSED, ids=range(len(REFUSED)))
+def test_what_is_wrong_is_said_in_one_line(
+    tmp_path: Path, lines: list[Any], words: str, version: int
+) -> None:
+    if lines[0] is HEADER:
+        lines = [{**HEADER, "version": version}, *lines[1:]]
+    with pytest.raises(InputError, match=words) as caught:
+        read(tmp_path, *lines)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert len(text) < 600
+    assert text.endswith(".")
+
+
+@pytest.mark.parametrize("constant", ["NaN", "Infinity", "1e999"])
+def test_numbers_that_json_does_not_have_are_refused(tmp_path: Path, constant: str) -> None:
+    line = f'{{"t_s":{constant},"kind":"arm"}}\n'.encode()
+    with pytest.raises(InputError, match="line 2"):
+        read(tmp_path, HEADER, line)
+
+
+def test_a_folder_and_a_file_that_is_not_there_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"journal = .*: it cannot be read \(Is a directory\)"):
+        list(Journal(tmp_path).entries())
+    with pytest.raises(InputError, match=r"it cannot be read \(No such file or directory\)"):
+        list(Journal(tmp_path / "none").entries())
+
+
+def test_a_line_without_an_end_is_refused_and_not_kept_in_memory(tmp_path: Path) -> None:
+    file = tmp_path / "journal.jsonl"
+    with file.open("wb") as out:
+        out.truncate(200 * 2**20)  # zeros that take no room
+    with pytest.raises(InputError, match="a line has no end within 64 MB"):
+        list(Journal(file).entries())
+
+
+def test_kinds_and_fields_that_are_not_known_are_counted_and_passed_over(tmp_path: Path) -> None:
+    odd = {"t_s": 1.0, "kind": "levitation", "height_m": 3.0}
+    circle = {"name": "a", "north_m": 0, "east_m": 0, "radius_m": 1, "keep_in": False, "hue": 1}
+    fence = {"t_s": 2.0, "kind": "fence", "floor_amsl_m": None, "ceiling_amsl_m": None}
+    journal = written(
+        tmp_path,
+        {**HEADER, "mood": 1},
+        odd,
+        {**LEG, "colour": 1},
+        odd,
+        {**fence, "zones": [circle]},
+    )
+    assert [entry.kind for entry in journal.entries()] == ["leg", "fence"]
+    assert journal.findings == (
+        "journal.jsonl: 1 x field header.mood, which is not known: left out",
+        "journal.jsonl: 2 x kind 'levitation', which is not known: left out",
+        "journal.jsonl: 1 x field leg.colour, which is not known: left out",
+        "journal.jsonl: 1 x field fence.zones.hue, which is not known: left out",
+    )
+
+
+# --- a day of it
+
+
+def test_a_long_journal_takes_no_memory(tmp_path: Path) -> None:
+    say = json.dumps({"t_s": 1.0, "kind": "say", "text": "x" * 200, "warning": False}) + "\n"
+    file = tmp_path / "journal.jsonl"
+    file.write_text(json.dumps(HEADER, separators=(",", ":")) + "\n" + say * 40_000)
+    assert file.stat().st_size > 10_000_000
+    tracemalloc.start()
+    try:
+        kinds = Counter(entry.kind for entry in Journal(file).entries())
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert kinds == {"say": 40_000}
+    assert peak < 2_000_000
+
+
+def test_entries_are_values(tmp_path: Path) -> None:
+    [entry] = read(tmp_path, HEADER, LEG)
+    assert isinstance(entry, BaseModel)
+    with pytest.raises(ValueError, match="frozen"):
+        entry.number = 2
+    assert PlanAsked.model_fields["due_s"].description
