@@ -1,0 +1,390 @@
+"""Somebody else's flight in shadow: what the companion would have done on it.
+
+    report = watch(path, mission, kernel=kernel)
+
+The log is read once, in bounded memory, after a first look at whose it is and where it begins.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Final, final
+
+from companion.errors import InputError
+from companion.geodesy import LocalFrame, deg
+from companion.mavlink.autopilots import NAMES, Autopilot, autopilot_of, described
+from companion.mavlink.autopilots.to_wire import is_nowhere
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.frames import number_of, sender_of
+from companion.mavlink.receiver import Receiver
+from companion.mission.mission import EndAction, Mission
+from companion.mission.renewed import replace
+from companion.path.limits import Limits
+from companion.planner.kernels import NUMPY, Kernel
+from companion.planner.plan import plan
+from companion.planner.settings import PlannerSettings, Task
+from companion.replay.shadow_notes import Notes
+from companion.replay.shadow_report import CouldNot, ShadowReport
+from companion.replay.shadow_watch import GPS, HEARTBEAT, POSITION, OnOutput, Watch
+from companion.telemetry.logs import Log, Missing, open_log
+
+_SHOWN_BYTES: Final = 65_536
+_PATIENCE_US: Final = 30_000_000  # for a word of the GPS, once there are positions
+_FAR_M: Final = 50_000.0
+_RANGE_M: Final = 20_000.0
+_FAMILIES: Final = {
+    wire.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
+    wire.MAV_AUTOPILOT_PX4: "px4",
+}
+_TERRAIN: Final = wire.MAVLINK_MSG_ID_TERRAIN_DATA
+
+
+def watch(
+    path: Path,
+    mission: Mission | None,
+    *,
+    kernel: Kernel | None,
+    system_id: int | None = None,
+    seed: int = 1,
+    on_progress: Callable[[int, int], None] = lambda _read, _size: None,
+    on_output: OnOutput | None = None,
+) -> ShadowReport:
+    """Run the companion in shadow on a log.
+
+    Parameters
+    ----------
+    path: of a .tlog, an ArduPilot .bin or a PX4 .ulg.
+    mission: what to plan; None: only the vehicle's health is looked at.
+    kernel: computes the plans; None: nothing is planned.
+    system_id: of the vehicle, if there are several in the log; the mission's if it names one.
+    on_progress: told the bytes read and their sum, now and then.
+    on_output: given all that the session puts out, for those who want to look closer.
+
+    Raises InputError if log, vehicle and mission do not fit together.
+    """
+    began_s = time.perf_counter()
+    wanted = system_id if system_id is not None or mission is None else mission.system_id
+    log = open_log(path, system_id=wanted)
+    look = _look(log)
+    shadowed = _shadowed(mission, look, plans=kernel is not None)
+    notes = Notes(shadowed.mission.frame, checks_area=mission is not None)
+    watching = Watch(
+        shadowed.mission,
+        look.heartbeat,
+        look.autopilot,
+        notes,
+        seed=seed,
+        planner=partial(plan, kernel=kernel or NUMPY),
+        on_output=on_output,
+    )
+    run = _run(log, watching, on_progress)
+    report = _report(log, look, shadowed, watching, notes, run)
+    report.took_s = time.perf_counter() - began_s
+    return report
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Shadowed:
+    """The mission as it is watched."""
+
+    given: Mission | None
+    mission: Mission
+    plans: bool
+    blind: bool
+    """Whether its radar is left out, as there is other knowledge of the ground."""
+
+
+def _shadowed(given: Mission | None, look: "_Look", *, plans: bool) -> _Shadowed:
+    chosen = _health_alone(look) if given is None else _fitting(given, look)
+    plans = plans and given is not None
+    if not plans:
+        chosen = replace(chosen, targets_ne_m=(), targets_from_vehicle=False)
+    chosen = replace(chosen, system_id=look.heartbeat.get_srcSystem())
+    blind = chosen.known is not None and chosen.scanner_component_id is not None
+    if blind:  # what a radar answered then, it did not answer to these questions
+        chosen = replace(chosen, scanner_component_id=None)
+    return _Shadowed(given=given, mission=chosen, plans=plans, blind=blind)
+
+
+def _report(
+    log: Log, look: "_Look", shadowed: _Shadowed, watching: Watch, notes: Notes, run: "_Run"
+) -> ShadowReport:
+    missing, given = log.missing(), shadowed.given
+    return ShadowReport(
+        file=log.path.name,
+        kind=log.kind,
+        system_id=look.heartbeat.get_srcSystem(),
+        vehicle=described(look.heartbeat),
+        mission=None if given is None else given.name,
+        planned=shadowed.plans,
+        began_us=run.first_us,
+        length_s=run.length_s,
+        in_air_s=notes.in_air_s,
+        watched_from_s=notes.watched_from_s,
+        records=run.records,
+        heard=watching.heard,
+        position_rate_hz=_rate_hz(watching),
+        holds=notes.holds,
+        health=sorted(notes.health.all, key=lambda each: each.from_s),
+        outside=sorted(notes.outside.all, key=lambda each: each.from_s),
+        plans=notes.plans,
+        said=notes.said,
+        could_not=_could_not(shadowed.mission, watching, notes, missing, plans=shadowed.plans),
+        missing=missing,
+        log_findings=log.findings,
+        notes=_notes(given, notes, blind=shadowed.blind and shadowed.plans),
+        left_out=dict(notes.left_out),
+    )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Run:
+    """How much there was."""
+
+    first_us: int
+    length_s: float
+    records: int
+
+
+def _run(log: Log, watching: Watch, on_progress: Callable[[int, int], None]) -> _Run:
+    first_us, now_us, records, shown = None, 0, 0, 0
+    for record in log.records():
+        now_us = record.time_us
+        first_us = now_us if first_us is None else first_us
+        records += 1
+        watching.on_record(record, (now_us - first_us) * 1e-6)
+        if log.read_bytes - shown >= _SHOWN_BYTES:
+            shown = log.read_bytes
+            on_progress(shown, log.size_bytes)
+    length_s = 0.0 if first_us is None else (now_us - first_us) * 1e-6
+    watching.finish(length_s)
+    on_progress(log.size_bytes, log.size_bytes)
+    return _Run(first_us=first_us or 0, length_s=length_s, records=records)
+
+
+# --- the first look
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Look:
+    """Whose log it is, and where it begins."""
+
+    heartbeat: Message
+    autopilot: Autopilot
+    place: tuple[float, float, float]
+    """Latitude, longitude and altitude AMSL: of the first position with a GPS fix, if any has."""
+
+
+def _look(log: Log) -> _Look:
+    """Read the log up to the first position that may be one.  InputError if nothing can be done."""
+    heartbeat: Message | None = None
+    first: tuple[float, float, float] | None = None
+    place: tuple[float, float, float] | None = None
+    first_us, fix = 0, False
+    receiver = Receiver()
+    for record in log.records():
+        number, sender = number_of(record.frame), sender_of(record.frame)
+        if number not in (HEARTBEAT, POSITION, GPS) or sender[1] != AUTOPILOT_COMPONENT:
+            continue
+        if log.system_id != sender[0]:
+            continue
+        for message in receiver.feed(record.frame):
+            if number == HEARTBEAT:
+                heartbeat = heartbeat or message
+            elif number == GPS:
+                fix = message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX
+            elif (here := _place_of(message)) is not None:
+                if first is None:
+                    first, first_us = here, record.time_us
+                if fix or record.time_us - first_us > _PATIENCE_US:
+                    place = here if fix else first
+        if heartbeat is not None and place is not None:
+            break
+    place = place or first
+    if heartbeat is None or place is None:
+        raise _of_no_use(log, "HEARTBEAT" if heartbeat is None else "GLOBAL_POSITION_INT")
+    autopilot = autopilot_of(heartbeat)
+    if autopilot is None:
+        rule = f"it is of {described(heartbeat)}, which the companion does not fly"
+        raise InputError("LOG", str(log.path), rule, f"It flies: {', '.join(NAMES)}.")
+    return _Look(heartbeat=heartbeat, autopilot=autopilot, place=place)
+
+
+def _place_of(message: Message) -> tuple[float, float, float] | None:
+    """Of GLOBAL_POSITION_INT; None if it is none."""
+    latitude, longitude = deg(message.lat), deg(message.lon)
+    if is_nowhere(latitude, longitude) or abs(latitude) > 90.0 or abs(longitude) > 180.0:
+        return None
+    return latitude, longitude, message.alt * 1e-3
+
+
+def _of_no_use(log: Log, name: str) -> InputError:
+    """What is said of a log that was read to its end in vain."""
+    missing: Missing | None = next((each for each in log.missing() if name in each.message), None)
+    if missing is not None:
+        rule = f"it has no {missing.message}: {missing.without}"
+        return InputError("LOG", str(log.path), rule, f"{missing.remedy}.")
+    rule = "its vehicle never knew where it was: each position is 0, 0"
+    return InputError("LOG", str(log.path), rule, "Give a log of a flight with a position.")
+
+
+# --- the mission
+
+
+def _fitting(mission: Mission, look: _Look) -> Mission:
+    """The mission, if it is one for this vehicle at this place."""
+    remedy = "Give the mission of this flight, or leave --mission out for its health alone."
+    hovers, family = look.autopilot.driving.hovers, _FAMILIES[look.heartbeat.autopilot]
+    kind = "copter" if hovers else "plane"
+    if mission.kind != kind or mission.autopilot not in (None, family):
+        wanted = f"{mission.autopilot or 'any autopilot'}, {mission.kind}"
+        rule = f"it is for {wanted}; the log is of {described(look.heartbeat)}"
+        raise InputError("--mission", mission.name, rule, remedy)
+    latitude, longitude, _ = look.place
+    north_m, east_m = mission.frame.to_local_m(latitude, longitude)
+    limits = mission.task.limits
+    inside = limits.north_m[0] <= north_m <= limits.north_m[1]
+    if not (inside and limits.east_m[0] <= east_m <= limits.east_m[1]):
+        rule = (
+            f"the flight begins at {latitude:.6f}, {longitude:.6f}, {_m(north_m)} north and "
+            f"{_m(east_m)} east of the mission's origin, outside its [area] "
+            f"(north {_m(limits.north_m[0])} to {_m(limits.north_m[1])}, "
+            f"east {_m(limits.east_m[0])} to {_m(limits.east_m[1])})"
+        )
+        raise InputError("--mission", mission.name, rule, remedy)
+    return mission
+
+
+def _health_alone(look: _Look) -> Mission:
+    """A mission about the first position that goes nowhere."""
+    hovers = look.autopilot.driving.hovers
+    latitude, longitude, _ = look.place
+    limits = Limits(
+        speed_m_s=15.0 if hovers else 30.0,
+        acceleration_m_s2=2.0,
+        climb_rate_m_s=3.0,
+        turn_radius_m=50.0 if hovers else 150.0,
+        climb_angle_rad=math.radians(10.0),
+        dive_angle_rad=math.radians(10.0),
+        floor_amsl_m=-500.0,
+        ceiling_amsl_m=20_000.0,
+        north_m=(-_FAR_M, _FAR_M),
+        east_m=(-_FAR_M, _FAR_M),
+        loiter_radius_m=0.0 if hovers else 150.0,
+    )
+    settings = PlannerSettings(scan_range_m=_RANGE_M, safety_distance_m=30.0, planning_time_s=3.0)
+    return Mission(
+        name="health alone",
+        frame=LocalFrame(latitude_deg=latitude, longitude_deg=longitude),
+        targets_ne_m=(),
+        task=Task(limits=limits, settings=settings),
+        end_action=EndAction.HOLD,
+        kind="copter" if hovers else "plane",
+        scanner_component_id=None,
+        fence_from_vehicle=False,
+    )
+
+
+def _m(value_m: float) -> str:
+    return f"{value_m / 1000.0:,.1f} km" if abs(value_m) >= 10_000.0 else f"{value_m:,.0f} m"
+
+
+# --- what there is to say besides
+
+
+def _rate_hz(watching: Watch) -> float | None:
+    count = watching.heard_of[POSITION]
+    return count / watching.positions_s if watching.positions_s > 0.0 else None
+
+
+def _notes(mission: Mission | None, notes: Notes, *, blind: bool) -> list[str]:
+    said: list[str] = []
+    if mission is not None:
+        said += mission.notes
+    if blind:
+        said.append("planned on the terrain of the mission alone, without its radar")
+    said += notes.judged
+    said += [f"gave up watching {n} times: {why}" for why, n in notes.ends.items()]
+    return said
+
+
+def _could_not(
+    mission: Mission,
+    watching: Watch,
+    notes: Notes,
+    missing: tuple[Missing, ...],
+    *,
+    plans: bool,
+) -> list[CouldNot]:
+    """What the companion could not do, besides what follows from each missing message."""
+    found = []
+    remedies = {name: each.remedy for each in missing for name in each.message.split(" or ")}
+    for name, since_s in watching.stood_in.items():
+        what = "the GPS" if name == "GPS_RAW_INT" else "its estimator"
+        found.append(
+            CouldNot(
+                what=f"tell whether {what} is to be believed",
+                because=f"{name} is missing: from {since_s:.0f} s on it was taken to be good "
+                "(in flight the companion would not have begun)",
+                remedy=remedies.get(name, "It came later in the log"),
+                message=name,
+            )
+        )
+    if watching.slow_s > 0.0:
+        found.append(
+            CouldNot(
+                what="tell in time that a position is missing",
+                because=f"GLOBAL_POSITION_INT comes at {1.0 / watching.slowest_s:.1f} Hz for "
+                f"{watching.slow_s:.0f} s: in flight the companion asks for "
+                f"{mission.position_rate_hz:g} Hz, and takes 0.5 s without one for a fault",
+                remedy="Record it at 5 Hz or more",
+                message="GLOBAL_POSITION_INT",
+            )
+        )
+    if notes.watched_from_s is None:
+        found.append(
+            CouldNot(
+                what="begin",
+                because="the position was never one to be believed",
+                remedy="See what is missing, and the vehicle's health",
+            )
+        )
+    if plans:
+        found += _unplanned(mission, watching, notes)
+    return found
+
+
+def _unplanned(mission: Mission, watching: Watch, notes: Notes) -> list[CouldNot]:
+    """Why there are no plans, or not all of them."""
+    found = []
+    if mission.targets_from_vehicle:
+        found.append(
+            CouldNot(
+                what="plan to the targets of the vehicle's own mission",
+                because="a log does not answer questions: MISSION_ITEM_INT is not heard",
+                remedy="Give a mission with [[targets]]",
+                message="MISSION_ITEM_INT",
+            )
+        )
+    if notes.unanswered_scans and mission.scanner_component_id is not None:
+        if watching.heard_of[_TERRAIN]:
+            because = "TERRAIN_DATA of the log answers other questions than the shadow has"
+        else:
+            because = "TERRAIN_DATA is missing: nothing is known of the ground"
+        refused = notes.refusals["NOTHING_SEEN"] + notes.refusals["START_NEAR_UNKNOWN"]
+        found.append(
+            CouldNot(
+                what=f"plan as it would ({notes.unanswered_scans} scans unanswered, "
+                f"{refused} plans refused for it)",
+                because=because,
+                remedy="Give the mission [terrain]: an elevation file, or highest_amsl_m",
+                message="TERRAIN_DATA",
+            )
+        )
+    return found

@@ -1,0 +1,468 @@
+"""Watches the session of a shadow, and notes what it would have done and what it has seen.
+
+Lists are kept up to a limit, and what is beyond is counted: a log of days takes no more memory.
+"""
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any, Final, final
+
+import numpy as np
+
+from companion.geodesy import FloatArray, LocalFrame
+from companion.mavlink.judgement import Severity
+from companion.mavlink.vehicle import VehicleSide
+from companion.mission.events import Item, Landed, Vector
+from companion.mission.health import distrust
+from companion.mission.state import Phase, Reason, State, Vehicle
+from companion.path.limits import Limits
+from companion.path.subpath import Subpath
+from companion.planner.request import Refusal
+from companion.replay.shadow_report import Asked, Hold, Observed, Off, Place, Said, Why
+from companion.session import Session
+
+MOST: Final = 2000
+"""Of each kind of thing."""
+_MOST_WHY: Final = 50
+_MOST_OPEN: Final = 100  # plans that a path may still belong to
+_EVER: Final = -1e8  # before that: not heard of yet
+_AT_END_M: Final = 1.0
+_SPACING_M: Final = 5.0
+_MOST_CHORDS: Final = 400
+
+_DOUBTS: Final = {
+    Reason.POSITION_STALE: "no position",
+    Reason.POSITION_FROZEN: "position stands still",
+    Reason.HEALTH_SILENT: "no word of GPS or estimator",
+    Reason.INACCURATE: "position less accurate than allowed",
+}
+_DISTRUST: Final = {
+    *_DOUBTS,
+    Reason.POSITION_JUMPED,
+    Reason.NO_FIX,
+    Reason.ESTIMATOR,
+}
+"""Why a position is not to be believed (mission/health.py).  Want of a plan is no such reason: what
+became of each plan stands beside it."""
+
+
+@final
+class Notes:
+    """What one flight in shadow has shown so far."""
+
+    def __init__(self, frame: LocalFrame, *, checks_area: bool) -> None:
+        """checks_area: whether there is a mission that says where the vehicle may be."""
+        self.holds: list[Hold] = []
+        self.plans: list[Asked] = []
+        self.said: list[Said] = []
+        self.left_out: Counter[str] = Counter()
+        self.health = _Spans(self.left_out)
+        self.outside = _Spans(self.left_out)
+        self.watched_from_s: float | None = None
+        self.in_air_s = 0.0
+        self.unanswered_scans = 0
+        self.refusals: Counter[str] = Counter()
+        self.ends: Counter[str] = Counter()
+        """Why the companion gave up watching, before it began again."""
+        self.judged: dict[str, None] = {}
+        """What of the vehicle it would have refused or changed, in order."""
+        self._frame, self._checks_area = frame, checks_area
+        self._hold: Hold | None = None
+        self._silent = False
+        self._open: dict[int, Asked] = {}
+        self._cause = "it begins to watch"
+        self._path: _Path | None = None
+        self._paths: dict[int, _Path] = {}
+        """That and its successor, by the plan's number."""
+        self._target = 0
+        self._at_s: float | None = None
+        self._was_in_air: bool | None = None
+        self._position_at_s = self._jumped_at_s = -1e9
+        self._position: Vector | None = None
+
+    def begin_again(self) -> None:
+        """Another session takes over: it knows nothing yet."""
+        self._forget_paths()
+        self._position = None
+        self._position_at_s = self._jumped_at_s = -1e9
+        self._target = 0
+
+    def heard_again(self, at_s: float) -> None:
+        """The vehicle was heard after a silence."""
+        self._silent = False
+        self.health.set("silence", on=False, at_s=at_s)
+
+    def say(self, said: Said) -> None:
+        """The vehicle has said something."""
+        self._keep(self.said, said, "said")
+
+    def on_output(self, at_s: float, session: Session, journal: list[dict[str, Any]]) -> None:
+        """The session has been run.  at_s: of the log."""
+        state = session.state
+        for entry in journal:
+            self._on_entry(at_s, entry, state)
+            if entry["kind"] == "prepared" and session.vehicle is not None:
+                self._on_parameters(session.vehicle)
+        in_air = is_in_air(state.vehicle)
+        if self._at_s is not None and in_air:
+            self.in_air_s += at_s - self._at_s
+        self._at_s = at_s
+        if in_air is not self._was_in_air:
+            if self._was_in_air is not None or in_air:
+                self.say(Said(at_s=at_s, what="in the air" if in_air else "on the ground"))
+            self._was_in_air = in_air
+        doubt = distrust(state.vehicle, state.now_s, state.task.limits)
+        self._on_hold(at_s, state, doubt)
+        if self.watched_from_s is None:
+            return
+        self._on_health(at_s, state, doubt)
+        if state.vehicle.position_at_s != self._position_at_s:
+            self._on_position(at_s, state, doubt)
+
+    # --- what it would have done
+
+    def _on_hold(self, at_s: float, state: State, doubt: Reason | None) -> None:
+        watching = state.phase is Phase.SHADOW
+        if self.watched_from_s is None:
+            self.watched_from_s = at_s if watching and state.reason not in _DISTRUST else None
+            return
+        reason = self._reason(state, watching=watching)
+        hold = self._hold
+        if reason is None:
+            if hold is not None:
+                hold.went_on_s = at_s
+                hold.trusted_s = at_s if hold.trusted_s is None else hold.trusted_s
+                self._hold, self._cause = None, f"it goes on after: {hold.why[0].text}"
+            return
+        if hold is None:
+            hold = self._hold = self._new_hold(at_s, state)
+        if not hold.why or hold.why[-1].code != reason.name:
+            why = Why(at_s=at_s, code=reason.name, text=reason.text, remedy=reason.remedy)
+            if len(hold.why) < _MOST_WHY:
+                hold.why.append(why)
+        trusted = doubt is None and not self._silent and watching
+        hold.trusted_s = (hold.trusted_s or at_s) if trusted else None
+
+    def _new_hold(self, at_s: float, state: State) -> Hold:
+        hold = Hold(
+            let_go_s=at_s,
+            vehicle_s=state.now_s,
+            why=[],
+            place=self._place(state.vehicle.position_nea_m),
+            in_air=is_in_air(state.vehicle),
+        )
+        for asked in self._open.values():
+            if asked.outcome == "unanswered":
+                asked.outcome = "given up"
+        self._forget_paths()
+        self._keep(self.holds, hold, "holds")
+        return hold
+
+    def _reason(self, state: State, *, watching: bool) -> Reason | None:
+        """Why it would hold now; None: it would not."""
+        if self._silent:
+            return Reason.LINK_LOST
+        if watching:
+            return state.reason if state.reason in _DISTRUST else None
+        before = self._hold
+        if before is not None and before.why:  # it prepares again, or another session does
+            return Reason[before.why[-1].code]
+        return state.reason or Reason.REBOOTED
+
+    def _on_entry(self, at_s: float, entry: dict[str, Any], state: State) -> None:
+        match entry["kind"]:
+            case "plan asked":
+                self._on_asked(at_s, entry, state)
+            case "plan ready":
+                self._on_ready(entry)
+            case "plan refused":
+                self._on_refused(entry)
+            case "plan late":
+                if (asked := self._open.get(entry["plan_id"])) is not None:
+                    asked.outcome = "late"
+                self._cause = "the last came too late"
+            case "scan done":
+                self.unanswered_scans += entry["blocks_asked"] > 0 == entry["blocks_answered"]
+            case "link lost":
+                self._silent = self._silent or self.watched_from_s is not None
+                if self._silent:
+                    began_s = at_s - entry["silent_s"]
+                    in_air = is_in_air(state.vehicle)
+                    self.health.set("silence", on=True, at_s=began_s, in_air=in_air)
+            case "vehicle rebooted":
+                self._note_at("the autopilot has rebooted", at_s, state)
+            case "prepared" if entry["item"] != Item.PARAMETERS.value and entry["refusal"]:
+                self._judge(f"would have refused the flight: {entry['refusal']}")
+            case "end":
+                self.ends[entry["reason"]] += self.watched_from_s is not None
+            case _:
+                pass
+
+    def _on_asked(self, at_s: float, entry: dict[str, Any], state: State) -> None:
+        north, east, altitude = entry["scan_nea_m"]
+        place = self._place((north, east, altitude))
+        assert place is not None
+        goes_on = not entry["from_rest"]
+        asked = Asked(
+            plan_id=entry["plan_id"],
+            at_s=at_s,
+            vehicle_s=state.now_s,
+            place=place,
+            why="the next subpath" if goes_on else self._cause,
+            goes_on=goes_on,
+        )
+        self._keep(self.plans, asked, "plans")
+        self._open[asked.plan_id] = asked
+        if len(self._open) > _MOST_OPEN:
+            del self._open[next(iter(self._open))]
+
+    def _on_ready(self, entry: dict[str, Any]) -> None:
+        plan_id = entry["plan_id"]
+        asked = self._open.get(plan_id)
+        if asked is not None:
+            path = _Path(plan_id, Subpath(control_nea_m=np.array(entry["control_nea_m"])))
+            asked.off = path.off
+            if asked.goes_on and self._path is not None:
+                self._paths = {self._path.plan_id: self._path, plan_id: path}
+            else:
+                self._path, self._paths = path, {plan_id: path}
+            asked.outcome, asked.length_m = "ready", entry["length_m"]
+            asked.reaches_target = entry["reaches_target"]
+            proven = entry["certificate"]
+            asked.clearance_m = None if proven["broken"] else proven["clearance_m"]
+
+    def _on_refused(self, entry: dict[str, Any]) -> None:
+        asked, reason = self._open.get(entry["plan_id"]), entry["reason"]
+        self.refusals[reason] += 1
+        self._cause = "the last was refused"
+        if asked is not None:
+            asked.outcome, asked.reason = "refused", reason
+            asked.remedy = Refusal[reason].value
+            if not asked.goes_on:  # the vehicle had left the last path long before
+                self._path = None
+
+    def _on_parameters(self, vehicle: VehicleSide) -> None:
+        """Those that are known: of the others the log says nothing, and nobody can be asked."""
+        for finding in vehicle.findings if self._checks_area else ():
+            if finding.value is None:
+                continue
+            if finding.severity is Severity.SET and finding.set_to is not None:
+                self._judge(f"would have set {finding.name} to {finding.set_to:g}: {finding.rule}")
+            elif finding.severity is Severity.REFUSE:
+                self._judge(f"would have refused the flight: {finding}")
+
+    def _judge(self, text: str) -> None:
+        if len(self.judged) < _MOST_WHY:
+            self.judged.setdefault(text)
+
+    # --- what it has seen
+
+    def _on_health(self, at_s: float, state: State, doubt: Reason | None) -> None:
+        vehicle, in_air = state.vehicle, is_in_air(state.vehicle)
+        now = {
+            "GPS fix lost": vehicle.fix_at_s > _EVER and not vehicle.fix_good,
+            "estimator not to be believed": vehicle.estimator_at_s > _EVER
+            and not vehicle.estimator_good,
+            "the autopilot's own failsafe": vehicle.failsafe,
+            **{kind: doubt is reason for reason, kind in _DOUBTS.items()},
+        }
+        for kind, on in now.items():
+            if self.health.differs(kind, on=on):
+                place = self._place(vehicle.position_nea_m)
+                self.health.set(kind, on=on, at_s=at_s, in_air=in_air, place=place)
+
+    def _on_position(self, at_s: float, state: State, doubt: Reason | None) -> None:
+        vehicle, here, before = state.vehicle, state.vehicle.position_nea_m, self._position
+        assert here is not None
+        self._position, self._position_at_s = here, vehicle.position_at_s
+        if vehicle.jumped_at_s != self._jumped_at_s:
+            self._jumped_at_s = vehicle.jumped_at_s
+            if before is not None and vehicle.jumped_at_s == vehicle.position_at_s:
+                self._note_at("position jumped", at_s, state, math.dist(before, here))
+        if not is_in_air(vehicle):
+            self.outside.end_all(at_s)
+            self._path = None
+        if doubt is not None or not is_in_air(vehicle):
+            return
+        if self._checks_area:
+            for kind, off_m in _out_by_m(here, state):
+                place = self._place(here) if off_m > 0.0 else None
+                if off_m > 0.0 or self.outside.differs(kind, on=False):
+                    self.outside.set(
+                        kind, on=off_m > 0.0, at_s=at_s, in_air=True, place=place, worst_m=off_m
+                    )
+        if state.phase is Phase.SHADOW and state.reason not in _DISTRUST:
+            self._on_way(at_s, here, state)
+
+    def _on_way(self, at_s: float, here: Vector, state: State) -> None:
+        """Hold the flown track against the newest planned subpath."""
+        flight, path = state.flight, self._path
+        if flight.leg is not None and (path is None or path.plan_id != flight.leg.plan_id):
+            path = self._path = self._paths.get(flight.leg.plan_id)
+        if path is None:
+            return
+        path.add(at_s, here)
+        if flight.leg is not None:
+            return
+        if flight.target != self._target:
+            self._cause, self._path, self._target = "on to the next target", None, flight.target
+        elif path.has_ended:
+            self._cause, self._path = "the subpath has ended", None
+        else:
+            self._cause = f"{path.last_m:.0f} m off its path"
+
+    def _forget_paths(self) -> None:
+        """None of the plans so far is of any use any more."""
+        self._open.clear()
+        self._paths.clear()
+        self._path = None
+
+    # --- helpers
+
+    def _note_at(self, kind: str, at_s: float, state: State, worst_m: float | None = None) -> None:
+        """Something that takes no time."""
+        noted = Observed(
+            kind=kind,
+            from_s=at_s,
+            until_s=at_s,
+            in_air=is_in_air(state.vehicle),
+            worst_m=worst_m,
+            place=self._place(state.vehicle.position_nea_m),
+        )
+        self._keep(self.health.all, noted, kind)
+
+    def _place(self, point_nea_m: Vector | None) -> Place | None:
+        if point_nea_m is None:
+            return None
+        north_m, east_m, altitude_m = point_nea_m
+        latitude, longitude = self._frame.to_geodetic_deg(north_m, east_m)
+        return Place(
+            latitude_deg=latitude,
+            longitude_deg=longitude,
+            altitude_amsl_m=altitude_m,
+            north_m=north_m,
+            east_m=east_m,
+        )
+
+    def _keep(self, kept: list[Any], new: object, kind: str) -> None:
+        if len(kept) < MOST:
+            kept.append(new)
+        else:
+            self.left_out[kind] += 1
+
+
+@final
+class _Spans:
+    """Times during which something was so."""
+
+    def __init__(self, left_out: Counter[str]) -> None:
+        self.all: list[Observed] = []
+        self._open: dict[str, Observed] = {}
+        self._left_out = left_out
+
+    def differs(self, kind: str, *, on: bool) -> bool:
+        """Whether this is news."""
+        return on is not (kind in self._open)
+
+    def end_all(self, at_s: float) -> None:
+        """None of it is so any more."""
+        for kind in list(self._open):
+            self.set(kind, on=False, at_s=at_s)
+
+    def set(
+        self,
+        kind: str,
+        *,
+        on: bool,
+        at_s: float,
+        in_air: bool = False,
+        place: Place | None = None,
+        worst_m: float | None = None,
+    ) -> None:
+        """It is so from now on, or not any more."""
+        span = self._open.get(kind)
+        if on and span is None:
+            span = self._open[kind] = Observed(
+                kind=kind, from_s=at_s, in_air=in_air, place=place, worst_m=worst_m
+            )
+            if len(self.all) < MOST:
+                self.all.append(span)
+            else:
+                self._left_out[kind] += 1
+        elif on and span is not None and worst_m is not None:
+            span.worst_m = max(span.worst_m or 0.0, worst_m)
+        elif not on and span is not None:
+            span.until_s = at_s
+            del self._open[kind]
+
+
+@final
+class _Path:
+    """A planned subpath as chords, and how far the track was from it."""
+
+    def __init__(self, plan_id: int, subpath: Subpath) -> None:
+        self.plan_id = plan_id
+        length_m = subpath.length_m
+        chords = min(max(math.ceil(length_m / _SPACING_M), 1), _MOST_CHORDS)
+        self._lengths_m = np.linspace(0.0, length_m, chords + 1)
+        points: FloatArray = subpath.points_nea_m(self._lengths_m)
+        self._starts, self._along = points[:-1], np.diff(points, axis=0)
+        self._squares = np.maximum(np.einsum("sk,sk->s", self._along, self._along), 1e-12)
+        self.last_m = self._at_m = 0.0
+        self.off = Off(
+            from_s=math.inf,
+            until_s=-math.inf,
+            positions=0,
+            max_m=0.0,
+            max_at_s=math.nan,
+            squares_m2=0.0,
+            from_m=math.inf,
+            until_m=-math.inf,
+        )
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the vehicle has come to its end."""
+        return float(self._lengths_m[-1]) - self._at_m < _AT_END_M
+
+    def add(self, at_s: float, here: Vector) -> None:
+        """One more position of the track."""
+        to = np.asarray(here) - self._starts  # (S, 3)
+        share = np.clip(np.einsum("sk,sk->s", to, self._along) / self._squares, 0.0, 1.0)
+        rest = to - share[:, None] * self._along
+        squares = np.einsum("sk,sk->s", rest, rest)
+        k = int(squares.argmin())
+        self.last_m = math.sqrt(float(squares[k]))
+        step_m = self._lengths_m[k + 1] - self._lengths_m[k]
+        at_m, off = float(self._lengths_m[k] + share[k] * step_m), self.off
+        self._at_m = at_m
+        off.from_s, off.until_s = min(off.from_s, at_s), max(off.until_s, at_s)
+        off.positions += 1
+        off.squares_m2 += self.last_m**2
+        off.from_m, off.until_m = min(off.from_m, at_m), max(off.until_m, at_m)
+        if self.last_m >= off.max_m:
+            off.max_m, off.max_at_s = self.last_m, at_s
+
+
+def is_in_air(vehicle: Vehicle) -> bool:
+    """Whether it is; where it does not say, a vehicle that is armed is taken to be."""
+    if vehicle.landed is Landed.UNKNOWN:
+        return vehicle.armed
+    return vehicle.landed is not Landed.ON_GROUND
+
+
+def _out_by_m(here: Vector, state: State) -> Iterator[tuple[str, float]]:
+    """Each bound of the mission, and by how much the vehicle is beyond it; negative: within."""
+    task = state.task
+    limits: Limits = task.limits
+    edges = zip(here, (limits.north_m, limits.east_m), strict=False)
+    beyond = itertools.chain.from_iterable((low - at, at - high) for at, (low, high) in edges)
+    yield "outside the map", max(beyond)
+    yield "below the floor", limits.floor_amsl_m - here[2]
+    yield "above the ceiling", here[2] - limits.ceiling_amsl_m
+    for zone in task.zones:
+        gap_m = float(zone.distance_m(np.asarray(here[0]), np.asarray(here[1])))
+        where = "outside keep-in" if zone.keep_in else "inside keep-out"
+        yield f"{where} {zone.name}", -gap_m

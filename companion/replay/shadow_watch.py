@@ -1,0 +1,322 @@
+"""Feeds what a vehicle said in a log to sessions that only watch.
+
+Only what its autopilot and its terrain radar said counts: what a companion or a ground station
+said on the same link is no word of the vehicle's, and no order to this companion.  Messages that
+tell a companion nothing are passed over unread.  Time is the vehicle's; silences are the log's.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable
+from statistics import median
+from typing import Final, final
+
+from companion.mavlink.autopilots import ALL, Autopilot
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.frames import number_of, payload_of, sender_of
+from companion.mavlink.outbox import Output
+from companion.mission.mission import Mission
+from companion.planner.request import PlanOutcome, PlanRequest
+from companion.replay.shadow_notes import Notes
+from companion.replay.shadow_report import Said
+from companion.session import Session
+from companion.telemetry.logs import Record
+
+OnOutput = Callable[[float, Output], None]
+"""(seconds of the log, what the session gave)."""
+
+HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
+POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+GPS: Final = wire.MAVLINK_MSG_ID_GPS_RAW_INT
+STATUSTEXT: Final = wire.MAVLINK_MSG_ID_STATUSTEXT
+_LANDED: Final = wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
+_ESTIMATORS: Final = {
+    wire.MAV_AUTOPILOT_ARDUPILOTMEGA: wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+    wire.MAV_AUTOPILOT_PX4: wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
+}
+_CLOCKS: Final = frozenset(
+    {
+        wire.MAVLINK_MSG_ID_ATTITUDE,
+        wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        wire.MAVLINK_MSG_ID_SYSTEM_TIME,
+    }
+)
+"""They only tell the time: needed where there is no position to tell it."""
+_NUMBERS: Final = {kind.msgname: number for number, kind in wire.mavlink_map.items()}
+LISTENED: Final = frozenset(
+    {
+        HEARTBEAT,
+        POSITION,
+        GPS,
+        STATUSTEXT,
+        _LANDED,
+        wire.MAVLINK_MSG_ID_HOME_POSITION,
+        wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+        wire.MAVLINK_MSG_ID_PARAM_VALUE,
+        wire.MAVLINK_MSG_ID_FENCE_STATUS,
+        *_ESTIMATORS.values(),
+    }
+)
+"""Of the autopilot, besides the clocks.  Who only watches needs no battery, and echoes of setpoints
+are another companion's business."""
+_TELLS: Final = {GPS: slice(28, 29), _LANDED: slice(0, 2)}
+"""Of what is said often, the bytes that matter: the fix, the landed state."""
+_SAYS_AGAIN_S: Final = 0.5
+_RADAR: Final = frozenset({wire.MAVLINK_MSG_ID_TERRAIN_DATA, wire.MAVLINK_MSG_ID_TERRAIN_REPORT})
+_QUIET_S: Final = 0.2  # less is no silence
+_LOOKS_S: Final = (3.0, 10.0, 30.0, 600.0)  # when a silence means something to the session
+_TICK_S: Final = 0.1
+_OVERDUE: Final = 3.0  # usual periods without a position, before the clock goes on without one
+_PERIODS: Final = 21
+_FEW: Final = 5
+_FIRST_PERIOD_S: Final = 1.0  # until so many are known
+_LONGEST_PERIOD_S: Final = 5.0
+SLOW_S: Final = 0.17  # between positions: from here on some are taken for late that are not
+_STAND_IN_AFTER_S: Final = 10.0
+_STAND_IN_S: Final = 1.0
+_WARNING: Final = wire.MAV_SEVERITY_WARNING
+_MODE: Final = slice(0, 4)
+_BASE_MODE_AT: Final = 6
+_SURE: Final = (
+    wire.EKF_ATTITUDE
+    | wire.EKF_VELOCITY_HORIZ
+    | wire.EKF_VELOCITY_VERT
+    | wire.EKF_POS_HORIZ_REL
+    | wire.EKF_POS_HORIZ_ABS
+    | wire.EKF_POS_VERT_ABS
+)
+_SURE_PX4: Final = (
+    wire.ESTIMATOR_ATTITUDE
+    | wire.ESTIMATOR_VELOCITY_HORIZ
+    | wire.ESTIMATOR_VELOCITY_VERT
+    | wire.ESTIMATOR_POS_HORIZ_REL
+    | wire.ESTIMATOR_POS_HORIZ_ABS
+    | wire.ESTIMATOR_POS_VERT_ABS
+)
+
+
+@final
+class Watch:
+    """One vehicle of one log, watched by one session after the other."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        heartbeat: Message,
+        autopilot: Autopilot,
+        notes: Notes,
+        *,
+        seed: int,
+        planner: Callable[[PlanRequest], PlanOutcome],
+        on_output: OnOutput | None = None,
+    ) -> None:
+        """heartbeat: one of the vehicle's."""
+        self._mission, self._autopilot, self._notes = mission, autopilot, notes
+        self._seed, self._planner, self._on_output = seed, planner, on_output
+        self._system = heartbeat.get_srcSystem()
+        self._radar = (self._system, mission.scanner_component_id)
+        self._session: Session | None = None
+        self._periods: deque[float] = deque(maxlen=_PERIODS)
+        self._last_said: dict[int, tuple[float, bytes]] = {}
+        self._mode = -1
+        self._armed: bool | None = None
+        self._heard_s: float | None = None
+        self._position_s: float | None = None
+        self._clock_s = 0.0
+        self._slow_since_s: float | None = None
+        self._first_position_s: float | None = None
+        self._stand_in_s = -1e9
+        self._stand_ins = _StandIns(heartbeat)
+        self.heard = 0
+        """Frames that were of use."""
+        self.heard_of: Counter[int] = Counter()
+        """Message numbers of the autopilot and the radar."""
+        self.slow_s = 0.0
+        """For how long positions came too seldom to tell in time that one is missing."""
+        self.slowest_s = 0.0
+        self.positions_s = 0.0
+        """Time between all positions, without the gaps."""
+        self.stood_in: dict[str, float] = {}
+        """Messages that were taken to be good because there are none, and since when."""
+
+    def on_record(self, record: Record, at_s: float) -> None:
+        """The next frame of the log, whoever sent it; at_s: seconds after the first."""
+        frame = record.frame
+        sender, number = sender_of(frame), number_of(frame)
+        if sender == self._radar and number in _RADAR:
+            self.heard_of[number] += 1
+            self._feed(frame, record.time_us * 1e-6, at_s)
+            return
+        if sender != (self._system, AUTOPILOT_COMPONENT):
+            return
+        if self._heard_s is not None and at_s - self._heard_s >= _QUIET_S:
+            self._be_silent(self._heard_s, at_s)
+        self._heard_s = at_s
+        self.heard_of[number] += 1
+        if number in _CLOCKS:
+            if not self._tells_time(at_s):
+                return
+        elif number not in LISTENED or self._says_the_same(frame, number, at_s):
+            return
+        self._look_at(frame, number, at_s)
+        if number == POSITION:
+            self._on_position(at_s, record.time_us * 1e-6)
+        self._feed(frame, record.time_us * 1e-6, at_s)
+
+    def finish(self, at_s: float) -> None:
+        """The log has ended."""
+        if self._session is not None:
+            self._take(at_s, self._session.run())
+
+    def _says_the_same(self, frame: bytes, number: int, at_s: float) -> bool:
+        """Whether a message has only just been said like this."""
+        tells = _TELLS.get(number)
+        if tells is None:
+            return False
+        said = payload_of(frame, tells.stop)[tells]
+        before_s, before = self._last_said.get(number, (-1e9, b""))
+        if said == before and at_s - before_s < _SAYS_AGAIN_S:
+            return True
+        self._last_said[number] = (at_s, said)
+        return False
+
+    # --- time
+
+    def _tells_time(self, at_s: float) -> bool:
+        """Whether a message that only tells the time is needed: positions tell it as well."""
+        if at_s - self._clock_s < _TICK_S:
+            return False
+        overdue_s = _OVERDUE * self._period_s()
+        if self._position_s is not None and at_s - self._position_s < overdue_s:
+            return False
+        self._clock_s = at_s
+        return True
+
+    def _period_s(self) -> float:
+        """Usual time between two positions of late."""
+        return median(self._periods) if len(self._periods) >= _FEW else _FIRST_PERIOD_S
+
+    def _on_position(self, at_s: float, wall_s: float) -> None:
+        before_s, self._position_s = self._position_s, at_s
+        self._clock_s = at_s
+        if self._first_position_s is None:
+            self._first_position_s = at_s
+        if before_s is not None and at_s - before_s < _LONGEST_PERIOD_S:
+            self._periods.append(at_s - before_s)
+            self.positions_s += at_s - before_s
+            period_s = self._period_s()
+            if period_s > SLOW_S and len(self._periods) == _PERIODS:
+                self.slow_s += at_s - before_s
+                self.slowest_s = max(self.slowest_s, period_s)
+        if at_s - self._first_position_s >= _STAND_IN_AFTER_S:
+            self._stand_in(at_s, wall_s)
+
+    def _be_silent(self, since_s: float, until_s: float) -> None:
+        """Nothing was heard of the autopilot between these times."""
+        for silent_s in _LOOKS_S:
+            if self._session is None or since_s + silent_s >= until_s:
+                break
+            self._session.silence(silent_s)
+            self._take(since_s + silent_s, self._session.run())
+        if until_s - since_s >= _LOOKS_S[0]:
+            self._notes.heard_again(until_s)
+        elif self._session is not None:
+            self._session.silence(until_s - since_s)
+
+    # --- the session
+
+    def _feed(self, frame: bytes, wall_s: float, at_s: float) -> None:
+        session = self._session
+        if session is None:
+            session = self._session = Session(
+                self._mission, seed=self._seed, lockstep=False, shadow=True
+            )
+            self._notes.begin_again()
+        self.heard += 1
+        session.receive(frame, wall_s)
+        self._take(at_s, session.run())
+
+    def _take(self, at_s: float, out: Output) -> None:
+        session = self._session
+        assert session is not None
+        while out.plan is not None:
+            request = out.plan
+            self._give(at_s, out)
+            try:
+                outcome = self._planner(request)
+            except Exception as error:  # noqa: BLE001 - as in flight: it ends the watch, not the program
+                session.part_died("planner", f"{type(error).__name__}: {error}")
+            else:
+                session.deliver(outcome)
+            out = session.run()
+        self._give(at_s, out)
+        if out.end is not None:
+            self._session = None
+
+    def _give(self, at_s: float, out: Output) -> None:
+        assert self._session is not None
+        if self._on_output is not None:
+            self._on_output(at_s, out)
+        self._notes.on_output(at_s, self._session, out.journal)
+
+    def _stand_in(self, at_s: float, wall_s: float) -> None:
+        """Say that GPS and estimator are good where the log never says anything of them."""
+        if at_s - self._stand_in_s < _STAND_IN_S:
+            return
+        self._stand_in_s = at_s
+        for number in self._stand_ins.numbers:
+            if not self.heard_of[number]:
+                name = wire.mavlink_map[number].msgname
+                self.stood_in.setdefault(name, at_s)
+                self._feed(self._stand_ins.frame(number), wall_s, at_s)
+
+    # --- what the vehicle does by itself
+
+    def _look_at(self, frame: bytes, number: int, at_s: float) -> None:
+        if number == HEARTBEAT:
+            payload = payload_of(frame, 9)
+            mode = int.from_bytes(payload[_MODE], "little")
+            if mode != self._mode:
+                self._mode = mode
+                name = self._autopilot.mode_name(mode)
+                self._notes.say(Said(at_s=at_s, what="mode", text=name))
+            armed = bool(payload[_BASE_MODE_AT] & wire.MAV_MODE_FLAG_SAFETY_ARMED)
+            if armed is not self._armed:
+                if self._armed is not None or armed:
+                    self._notes.say(Said(at_s=at_s, what="armed" if armed else "disarmed"))
+                self._armed = armed
+        elif number == STATUSTEXT:
+            payload = payload_of(frame, 54)
+            if payload[0] <= _WARNING:
+                raw = payload[1:51].split(b"\0")[0].decode("utf-8", "replace")
+                text = "".join(c for c in raw if c.isprintable())
+                self._notes.say(Said(at_s=at_s, what="says", text=text))
+
+
+@final
+class _StandIns:
+    """Messages that say that all is well, for logs that say nothing of it."""
+
+    def __init__(self, heartbeat: Message) -> None:
+        self._codec = wire.MAVLink(
+            None, srcSystem=heartbeat.get_srcSystem(), srcComponent=AUTOPILOT_COMPONENT
+        )
+        self.numbers: tuple[int, ...] = (GPS, _ESTIMATORS[heartbeat.autopilot])
+
+    def frame(self, number: int) -> bytes:
+        """One such message."""
+        if number == GPS:
+            message = wire.MAVLink_gps_raw_int_message(
+                0, wire.GPS_FIX_TYPE_3D_FIX, 0, 0, 0, 65535, 65535, 65535, 65535, 255
+            )
+        elif number == wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT:
+            message = wire.MAVLink_ekf_status_report_message(_SURE, 0.0, 0.0, 0.0, 0.0, 0.0)
+        else:
+            message = wire.MAVLink_estimator_status_message(
+                0, _SURE_PX4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            )
+        return bytes(message.pack(self._codec))
+
+
+def listened_by_all() -> frozenset[int]:
+    """Message numbers that any strategy reads in a way of its own."""
+    return frozenset(_NUMBERS[name] for autopilot in ALL for name in autopilot.reads)

@@ -1,0 +1,73 @@
+"""Recorded flights cut, changed and written anew, as logs of MAVLink frames."""
+
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from companion.mavlink.dialect import Message, wire
+from companion.mavlink.frames import number_of, sender_of
+from companion.telemetry.logs import Record, open_log
+
+TELEMETRY = Path(__file__).parents[3] / "shared" / "telemetry"
+MISSIONS = Path(__file__).parent / "missions"
+VEHICLE = (1, 1)
+COMPANION = (1, 191)
+STATION = (255, 190)
+
+
+def recorded(name: str, *, from_s: float = 0.0, until_s: float = 1e9) -> Iterator[Record]:
+    """A recorded flight between two times, seconds after its first record."""
+    first_us = None
+    for record in open_log(TELEMETRY / name).records():
+        first_us = record.time_us if first_us is None else first_us
+        at_s = (record.time_us - first_us) * 1e-6
+        if at_s > until_s:
+            return
+        if at_s >= from_s:
+            yield record
+
+
+def written(path: Path, records: Iterable[Record]) -> Path:
+    """A .tlog of these."""
+    with path.open("wb") as file:
+        for record in records:
+            file.write(struct.pack(">Q", record.time_us) + record.frame)
+    return path
+
+
+def without(records: Iterable[Record], *numbers: int) -> Iterator[Record]:
+    """What is left if the vehicle never says some messages."""
+    for record in records:
+        if number_of(record.frame) not in numbers or sender_of(record.frame) != VEHICLE:
+            yield record
+
+
+def thinned(records: Iterable[Record], number: int, keep_every: int) -> Iterator[Record]:
+    """Only every so manyth of one kind of message."""
+    count = 0
+    for record in records:
+        if number_of(record.frame) == number:
+            count += 1
+            if count % keep_every:
+                continue
+        yield record
+
+
+def changed(
+    records: Iterable[Record], number: int, change: Callable[[Message], None]
+) -> Iterator[Record]:
+    """Each message of one kind changed in place, and packed anew."""
+    reader = wire.MAVLink(None)
+    for record in records:
+        if number_of(record.frame) != number or sender_of(record.frame) != VEHICLE:
+            yield record
+            continue
+        message = reader.decode(bytearray(record.frame))
+        change(message)
+        yield Record(record.time_us, packed(message, VEHICLE))
+
+
+def packed(message: Message, sender: tuple[int, int]) -> bytes:
+    """A message as a frame of somebody's."""
+    codec = wire.MAVLink(None, srcSystem=sender[0], srcComponent=sender[1])
+    return bytes(message.pack(codec))

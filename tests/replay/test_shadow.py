@@ -1,0 +1,509 @@
+"""Every recorded flight in shadow: against what their READMEs say, and against the plain session.
+
+Times are seconds after the first record; those of the faults are the recordings' own.
+"""
+
+import functools
+import io
+import itertools
+import json
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+sys.path.insert(0, str(Path(__file__).parent))
+from cut_logs import COMPANION, MISSIONS, TELEMETRY, VEHICLE, recorded, written
+
+from companion.config import load_mission
+from companion.mavlink.dialect import wire
+from companion.mavlink.frames import sender_of
+from companion.mavlink.outbox import Output
+from companion.mavlink.receiver import Receiver
+from companion.mission.mission import Mission
+from companion.mission.renewed import replace
+from companion.mission.state import Phase
+from companion.path.subpath import Subpath
+from companion.planner.kernels import NUMPY
+from companion.replay.shadow import watch
+from companion.replay.shadow_notes import _Path
+from companion.replay.shadow_report import Hold, ShadowReport
+from companion.replay.shadow_watch import LISTENED, listened_by_all
+from companion.replay.shadow_words import renderables
+from companion.session import Session
+from companion.telemetry.logs import Record
+
+ARDUPILOT, PX4 = "arducopter-gps-loss.tlog", "px4-gps-loss.tlog"
+MISSION_OF = {
+    ARDUPILOT: "copter-canberra",
+    PX4: "copter-zurich",
+    "arducopter-guided-10mps.tlog": "copter-canberra",
+    "arducopter-guided-global-stream-faults.tlog": "copter-zurich",
+    "arduplane-guided-reposition.tlog": "plane-canberra",
+    "px4-fixedwing-offboard.tlog": "plane-zurich",
+    "px4-offboard-8mps.tlog": "copter-zurich",
+    "px4-offboard-short.tlog": "copter-zurich",
+    "px4-offboard-short.ulg": "copter-zurich",
+}
+HEALTHY = [name for name in MISSION_OF if name not in (ARDUPILOT, PX4)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fault:
+    """One fault of a recording, by its README."""
+
+    log: str
+    from_s: float
+    right_s: float
+    """From when on the position is right again."""
+    let_go_s: float
+    """When the machine that flies lets go (tests/mission/test_recorded_losses.py)."""
+    last_setpoint_s: float
+    """The last one that it sends before."""
+    jumps_s: tuple[float, ...]
+    why: str
+    seen_by_itself_s: float
+    """When the autopilot acts, or says so."""
+
+
+FAULTS = (
+    Fault(
+        log=ARDUPILOT,
+        from_s=113.1,
+        right_s=148.3,
+        let_go_s=114.67,
+        last_setpoint_s=114.57,
+        jumps_s=(123.3, 138.3),
+        why="ESTIMATOR",
+        seen_by_itself_s=123.3,
+    ),
+    Fault(
+        log=ARDUPILOT,
+        from_s=163.2,
+        right_s=188.5,
+        let_go_s=163.51,
+        last_setpoint_s=163.48,
+        jumps_s=(188.5,),
+        why="NO_FIX",
+        seen_by_itself_s=171.2,
+    ),
+    Fault(
+        log=PX4,
+        from_s=76.3,
+        right_s=108.6,
+        let_go_s=76.36,
+        last_setpoint_s=76.28,
+        jumps_s=(107.8,),
+        why="NO_FIX",
+        seen_by_itself_s=81.4,
+    ),
+)
+SEEN_S = 2.0
+JUMP_S = 0.5
+"""The READMEs tell them to 0.1 s, and say when they begin."""
+ACTS = (
+    wire.MAV_CMD_DO_SET_MODE,
+    wire.MAV_CMD_COMPONENT_ARM_DISARM,
+    wire.MAV_CMD_NAV_TAKEOFF,
+    wire.MAV_CMD_NAV_LAND,
+    wire.MAV_CMD_DO_REPOSITION,
+    wire.MAV_CMD_DO_CHANGE_SPEED,
+    wire.MAV_CMD_GUIDED_CHANGE_SPEED,
+)
+QUIET = (
+    "HEARTBEAT",
+    "STATUSTEXT",
+    "PARAM_REQUEST_READ",
+    "MISSION_REQUEST_LIST",
+    "MISSION_ACK",
+    "COMMAND_LONG",
+    "TIMESYNC",
+)
+"""All that one who only watches ever says; commands are looked at more closely."""
+
+
+@dataclass(slots=True)
+class Sent:
+    """What a shadow would have said."""
+
+    frames: list[bytes] = field(default_factory=list)
+    plans: int = 0
+
+    def __call__(self, _at_s: float, out: Output) -> None:
+        self.frames += out.frames
+        self.plans += out.plan is not None
+
+
+def mission(name: str, *, evaluations: int = 100) -> Mission:
+    """The mission about a recording, with a search that takes no time."""
+    found = load_mission(str(MISSIONS / f"{MISSION_OF[name]}.toml"))
+    settings = replace(found.task.settings, evaluations=evaluations)
+    return replace(found, task=replace(found.task, settings=settings))
+
+
+@functools.cache
+def report_of(name: str) -> ShadowReport:
+    """Its health alone."""
+    return watch(TELEMETRY / name, None, kernel=None)
+
+
+@functools.cache
+def planned(tmp: Path) -> tuple[ShadowReport, Sent]:
+    """A minute of a flight with its GPS lost in it, with plans."""
+    sent = Sent()
+    log = written(tmp / "minute.tlog", recorded(PX4, from_s=40.0, until_s=100.0))
+    return watch(log, mission(PX4), kernel=NUMPY, on_output=sent), sent
+
+
+@pytest.fixture(scope="module")
+def minute(tmp_path_factory: pytest.TempPathFactory) -> tuple[ShadowReport, Sent]:
+    return planned(tmp_path_factory.mktemp("minute"))
+
+
+def hold_of(fault: Fault) -> Hold:
+    [hold] = [
+        hold
+        for hold in report_of(fault.log).holds
+        if fault.from_s <= hold.let_go_s <= fault.right_s
+    ]
+    return hold
+
+
+# --- against the READMEs
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda each: f"{each.log[:4]} {each.from_s:.0f} s")
+def test_it_lets_go_when_the_machine_that_flies_does(fault: Fault) -> None:
+    hold = hold_of(fault)
+    assert fault.from_s < hold.let_go_s < fault.from_s + SEEN_S
+    assert hold.let_go_s < fault.seen_by_itself_s
+    assert hold.let_go_s == pytest.approx(fault.let_go_s, abs=0.01)
+    assert 0.0 < hold.let_go_s - fault.last_setpoint_s < 0.11  # one period of positions
+    assert hold.why[0].code == fault.why
+    assert hold.in_air
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda each: f"{each.log[:4]} {each.from_s:.0f} s")
+def test_it_does_not_go_on_before_the_position_is_right(fault: Fault) -> None:
+    hold = hold_of(fault)
+    assert hold.trusted_s is not None
+    assert hold.went_on_s is not None
+    assert fault.right_s - 0.1 <= hold.trusted_s <= fault.right_s + 1.0
+    assert hold.went_on_s - hold.trusted_s >= 1.89  # 2 s after it was last doubted
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda each: f"{each.log[:4]} {each.from_s:.0f} s")
+def test_it_tells_of_the_jumps_of_the_position(fault: Fault) -> None:
+    health = report_of(fault.log).health
+    jumps = [
+        each.from_s
+        for each in health
+        if each.kind == "position jumped" and fault.from_s < each.from_s < fault.right_s + 1.0
+    ]
+    begins = [jumps[0], *(b for a, b in itertools.pairwise(jumps) if b - a > JUMP_S)]
+    assert begins == pytest.approx(list(fault.jumps_s), abs=JUMP_S)
+
+
+def test_the_jumps_are_as_long_as_they_are_said_to_be() -> None:
+    lengths = [
+        each.worst_m
+        for each in report_of(ARDUPILOT).health
+        if each.kind == "position jumped" and each.from_s < 150.0
+    ]
+    assert lengths == pytest.approx([50.0, 51.0], abs=1.0)
+
+
+@pytest.mark.parametrize("name", [ARDUPILOT, PX4])
+def test_the_spans_without_a_fix_are_those_of_the_readme(name: str) -> None:
+    [span] = [each for each in report_of(name).health if each.kind == "GPS fix lost"]
+    from_s, until_s = {ARDUPILOT: (163.5, 188.5), PX4: (76.3, 106.6)}[name]
+    assert span.from_s == pytest.approx(from_s, abs=0.1)
+    assert span.until_s == pytest.approx(until_s, abs=0.1)
+
+
+@pytest.mark.parametrize("name", HEALTHY)
+def test_a_healthy_flight_is_watched_without_a_hold(name: str) -> None:
+    report = report_of(name)
+    assert report.holds == []
+    assert {each.kind for each in report.health} <= {"the autopilot's own failsafe"}
+    assert report.watched_from_s is not None
+    assert report.watched_from_s < 45.0  # ArduCopter's estimator takes 41.6 s
+    assert report.could_not == []
+
+
+def test_what_the_vehicle_did_by_itself_stands_beside() -> None:
+    said = [(each.what, each.text, each.at_s) for each in report_of(ARDUPILOT).said]
+    times = {(what, text): at_s for what, text, at_s in said}
+    assert times["armed", ""] == pytest.approx(44.0, abs=0.1)
+    assert times["says", "EKF variance"] == pytest.approx(171.2, abs=0.1)
+    modes = [(text, at_s) for what, text, at_s in said if what == "mode"]
+    assert [text for text, _ in modes] == ["STABILIZE", "GUIDED", "LAND", "GUIDED", "LAND"]
+    assert [at_s for _, at_s in modes[1:]] == pytest.approx([43.1, 171.2, 203.2, 286.7], abs=0.6)
+
+
+def test_both_logs_of_one_flight_tell_the_same() -> None:
+    """The link's and the autopilot's own; their clocks begin 1.1 s apart."""
+    log, own = report_of("px4-offboard-short.tlog"), report_of("px4-offboard-short.ulg")
+    assert log.holds == own.holds == []
+    assert log.in_air_s == pytest.approx(own.in_air_s, abs=1.0)
+    [failsafe], [same] = log.health, own.health
+    assert failsafe.lasted_s(log.length_s) == pytest.approx(same.lasted_s(own.length_s), abs=1.1)
+
+
+# --- against the session itself
+
+
+@pytest.mark.parametrize("name", [ARDUPILOT, PX4, "arduplane-guided-reposition.tlog"])
+def test_what_is_passed_over_unread_changes_nothing(name: str) -> None:
+    """All frames of the autopilot, one by one, to a session of its own."""
+    chosen = replace(mission(name), targets_ne_m=(), system_id=1)
+    session = Session(chosen, seed=1, lockstep=False, shadow=True)
+    changes, reason, first_us = list[tuple[float, str | None]](), None, None
+    for record in recorded(name):
+        first_us = record.time_us if first_us is None else first_us
+        if sender_of(record.frame) != VEHICLE:
+            continue
+        session.receive(record.frame, record.time_us * 1e-6)
+        session.run()
+        state = session.state
+        if state.phase is Phase.SHADOW and state.reason is not reason:
+            reason = state.reason
+            at_s = (record.time_us - first_us) * 1e-6
+            changes.append((at_s, None if reason is None else reason.name))
+    report = watch(TELEMETRY / name, mission(name), kernel=None)
+    mine = [
+        (at_s, code)
+        for hold in report.holds
+        for at_s, code in [*((why.at_s, why.code) for why in hold.why), (hold.went_on_s, None)]
+    ]
+    assert [code for _, code in mine] == [code for _, code in changes]
+    assert [at_s for at_s, _ in mine] == pytest.approx([at_s for at_s, _ in changes], abs=0.11)
+
+
+def test_whatever_a_strategy_reads_of_the_health_is_heard() -> None:
+    """But for echoes of setpoints, which say nothing of the vehicle."""
+    echoes = {
+        wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+        wire.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+    }
+    assert listened_by_all() - echoes <= LISTENED
+
+
+@pytest.mark.parametrize("name", MISSION_OF)
+def test_no_command_frame_is_ever_produced(name: str) -> None:
+    sent = Sent()
+    watch(TELEMETRY / name, mission(name), kernel=None, on_output=sent)
+    assert_only_watches(sent)
+
+
+def test_no_command_frame_is_produced_where_it_plans(minute: tuple[ShadowReport, Sent]) -> None:
+    report, sent = minute
+    assert sent.plans == len(report.plans) > 5
+    assert_only_watches(sent)
+
+
+def assert_only_watches(sent: Sent) -> None:
+    messages = [each for frame in sent.frames for each in Receiver().feed(frame)]
+    assert len(messages) == len(sent.frames) > 10
+    kinds = {message.get_type() for message in messages}
+    assert kinds <= set(QUIET)
+    asked = {m.command for m in messages if m.get_type() == "COMMAND_LONG"}
+    assert asked <= {wire.MAV_CMD_SET_MESSAGE_INTERVAL, wire.MAV_CMD_REQUEST_MESSAGE}
+    assert not asked & set(ACTS)
+
+
+# --- plans
+
+
+def test_it_plans_only_where_the_position_is_to_be_believed(
+    minute: tuple[ShadowReport, Sent],
+) -> None:
+    report, _ = minute
+    [hold] = report.holds
+    assert hold.went_on_s is None  # the cut ends before the fix is back
+    asked_s = [asked.at_s for asked in report.plans]
+    assert asked_s == sorted(asked_s)
+    assert asked_s[-1] < hold.let_go_s
+    assert report.plans[0].why == "it begins to watch"
+    assert all("off its path" in asked.why for asked in report.plans[1:])
+    assert {asked.outcome for asked in report.plans[:-1]} == {"ready"}
+
+
+def test_it_plans_from_where_the_vehicle_was(minute: tuple[ShadowReport, Sent]) -> None:
+    report, _ = minute
+    track = track_of(PX4)
+    for asked in report.plans:
+        at = min(track, key=lambda each, at_s=asked.at_s + 40.0: abs(each[0] - at_s))
+        place = asked.place
+        assert place.latitude_deg == pytest.approx(at[1], abs=2e-5)
+        assert place.longitude_deg == pytest.approx(at[2], abs=3e-5)
+        assert place.altitude_amsl_m == pytest.approx(at[3], abs=1.0)
+
+
+def test_how_far_the_track_was_from_its_own_path(minute: tuple[ShadowReport, Sent]) -> None:
+    """Each path begins where the vehicle was when it was asked for, T and more before.
+
+    And the vehicle does 6 m/s elsewhere: by then it is 18 m on, and 37 m when the next is ready.
+    """
+    report, _ = minute
+    offs = [asked.off for asked in report.plans if asked.outcome == "ready"]
+    assert offs
+    for off, after in itertools.pairwise(offs):
+        assert off is not None
+        assert after is not None
+        assert 0.0 < off.rms_m <= off.max_m <= 6.5 * 6.5
+        assert off.from_s <= off.max_at_s <= off.until_s < after.from_s
+        assert off.until_s - off.from_s == pytest.approx(3.1, abs=0.2)
+        assert off.positions == pytest.approx(10.0 * (off.until_s - off.from_s), abs=2)
+    own = report.own_path
+    assert own is not None
+    assert own.max_m == max(off.max_m for off in offs if off is not None)
+    assert own.positions == sum(off.positions for off in offs if off is not None)
+
+
+def track_of(name: str) -> list[tuple[float, float, float, float]]:
+    """Time, latitude, longitude and altitude, of the vehicle's own positions."""
+    found, first_us = list[tuple[float, float, float, float]](), None
+    receiver = Receiver()
+    for record in recorded(name):
+        first_us = record.time_us if first_us is None else first_us
+        if sender_of(record.frame) != VEHICLE:
+            continue
+        for message in receiver.feed(record.frame):
+            if message.get_type() == "GLOBAL_POSITION_INT":
+                at_s = (record.time_us - first_us) * 1e-6
+                found.append((at_s, message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3))
+    return found
+
+
+def test_the_distance_from_a_path_is_that_of_its_nearest_point() -> None:
+    """Against the distance from points 5 cm apart."""
+    rng = np.random.default_rng(3)
+    control = np.cumsum(rng.uniform(-20.0, 90.0, (8, 3)), axis=0)
+    subpath = Subpath(control_nea_m=control)
+    lengths = np.arange(0.0, subpath.length_m, 0.05)
+    points = subpath.points_nea_m(lengths)
+    path, squares = _Path(1, subpath), 0.0
+    for number in range(50):
+        here = points[rng.integers(len(points))] + rng.normal(0.0, 20.0, 3)
+        apart = np.linalg.norm(points - here, axis=-1)
+        north, east, altitude = here.tolist()
+        path.add(float(number), (north, east, altitude))
+        assert path.last_m == pytest.approx(float(apart.min()), abs=0.1)  # chords of 5 m
+        squares += float(apart.min()) ** 2
+    assert path.off.positions == 50
+    assert path.off.rms_m == pytest.approx((squares / 50) ** 0.5, abs=0.1)
+    assert 0.0 <= path.off.from_m <= path.off.until_m <= subpath.length_m
+
+
+def test_a_vehicle_that_flies_the_path_has_no_distance_from_it() -> None:
+    subpath = Subpath(
+        control_nea_m=np.array([[0.0, 0, 100], [80, 0, 110], [160, 60, 110], [300, 60, 120]])
+    )
+    path = _Path(1, subpath)
+    for number, length_m in enumerate(np.linspace(0.0, subpath.length_m, 80)):
+        north, east, altitude = subpath.points_nea_m(np.array([length_m]))[0].tolist()
+        path.add(float(number), (north, east, altitude))
+        assert path.has_ended is (number == 79)
+    assert path.off.max_m < 0.05
+    assert path.off.until_m - path.off.from_m == pytest.approx(subpath.length_m)
+
+
+def test_it_tells_where_the_mission_does_not_allow_the_vehicle_to_be() -> None:
+    """PX4's aeroplane sinks to the ground from 35 to 150 s, climbs, and lands at 442 s."""
+    name = "px4-fixedwing-offboard.tlog"
+    report = watch(TELEMETRY / name, mission(name), kernel=None)
+    assert {each.kind for each in report.outside} == {"below the floor"}
+    _, sank, landing = report.outside
+    assert 25.0 < sank.from_s < 45.0
+    assert sank.until_s is not None
+    assert 145.0 < sank.until_s < 170.0
+    assert landing.until_s == pytest.approx(440.0, abs=3.0)
+    floor_m = mission(name).task.limits.floor_amsl_m
+    lowest_m = min(at[3] for at in track_of(name) if 40.0 < at[0] < 160.0)
+    assert sank.worst_m == pytest.approx(floor_m - lowest_m, abs=0.01)
+
+
+# --- as it is told
+
+
+@pytest.mark.parametrize("name", [ARDUPILOT, PX4, "arduplane-guided-reposition.tlog"])
+def test_the_report_is_plain_values_without_nan(name: str) -> None:
+    values = report_of(name).as_json()
+    again = json.loads(json.dumps(values, allow_nan=False))
+    assert again["schema"] == 1
+    assert [hold["let_go_s"] for hold in again["holds"]] == [
+        hold.let_go_s for hold in report_of(name).holds
+    ]
+
+
+def test_a_report_with_plans_is_plain_values_too(minute: tuple[ShadowReport, Sent]) -> None:
+    report, _ = minute
+    again = json.loads(json.dumps(report.as_json(), allow_nan=False))
+    assert len(again["plans"]) == len(report.plans)
+    assert again["own_path"]["max_m"] == report.own_path.max_m  # type: ignore[union-attr]
+
+
+def text_of(report: ShadowReport) -> str:
+    out = io.StringIO()
+    console = Console(file=out, width=160)
+    for part in renderables(report):
+        console.print(part, highlight=False)
+    return out.getvalue()
+
+
+def test_people_read_when_and_why_it_lets_go() -> None:
+    text = text_of(report_of(PX4))
+    assert "76.36 s" in text
+    assert "the GPS fix is lost" in text
+    assert "81.8 s mode Land" in text
+    assert "108.8 s" in text
+
+
+def test_people_read_why_it_planned_and_how_far_off_they_flew(
+    minute: tuple[ShadowReport, Sent],
+) -> None:
+    text = text_of(minute[0])
+    assert "it begins to watch" in text
+    assert "flown track off its own paths" in text
+
+
+def test_who_is_not_the_vehicle_is_not_listened_to(tmp_path: Path) -> None:
+    """Positions, fixes and orders of companions and a ground station among all that."""
+    elsewhere = wire.MAVLink_global_position_int_message(
+        0, 10_000_000, 10_000_000, 0, 0, 0, 0, 0, 0
+    )
+    no_fix = wire.MAVLink_gps_raw_int_message(0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+    stop = wire.MAVLink_command_long_message(1, 195, wire.MAV_CMD_DO_PAUSE_CONTINUE, 0, *[0.0] * 7)
+    beat = wire.MAVLink_heartbeat_message(wire.MAV_TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4, 3)
+
+    def crowded() -> Any:
+        for number, record in enumerate(recorded(PX4, until_s=120.0)):
+            yield record
+            if number % 20 == 0:
+                for message in (elsewhere, no_fix, stop, beat):
+                    for system, component in (COMPANION, (255, 190), (1, 195)):
+                        codec = wire.MAVLink(None, srcSystem=system, srcComponent=component)
+                        yield Record(record.time_us, bytes(message.pack(codec)))
+
+    alone = (each for each in recorded(PX4, until_s=120.0) if sender_of(each.frame) == VEHICLE)
+    reports = [
+        watch(written(tmp_path / f"{name}.tlog", records), None, kernel=None).as_json()
+        for name, records in {"crowded": crowded(), "alone": alone}.items()
+    ]
+    for key in ("holds", "health", "said", "heard", "in_air_s"):
+        assert reports[0][key] == reports[1][key], key
+
+
+def test_the_page_shows_the_report_as_it_is_printed() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "shadow.md").read_text(encoding="utf-8")
+    out = io.StringIO()
+    console = Console(file=out, width=100)
+    for part in renderables(report_of(PX4)):
+        console.print(part, highlight=False)
+    *lines, _speed = (line.rstrip() for line in out.getvalue().splitlines())
+    assert "\n".join(lines) in page
