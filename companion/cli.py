@@ -19,14 +19,15 @@ import typer
 from rich.console import Console
 
 from companion.compare.command import compare_app
-from companion.config import bundled, load_mission, load_world, mission_text
+from companion.config import bundled, load_mission, load_world, mission_name, mission_text
 from companion.errors import CompanionError, FlightFailed, InputError
 from companion.mavlink.signing import Signing
-from companion.mission import checkpoint
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
+from companion.replay.command import replay_command
+from companion.replay.export_command import export
 from companion.runtime.compiler import Planner, load_kernel
 from companion.runtime.keys import SigningKey
 from companion.runtime.link import open_link
@@ -34,12 +35,13 @@ from companion.runtime.loop import fly
 from companion.runtime.preflight import look_at
 from companion.session import Session
 from companion.telemetry.flown import Flown
+from companion.telemetry.memory import Recalled, recall
 from companion.telemetry.preflight import Verdict, checks_of
-from companion.telemetry.run_folder import Checkpoint, RunFolder, read_checkpoint
+from companion.telemetry.run_folder import RunFolder
 from companion.views.live import Progress
 from companion.views.pictures import draw_flown, draw_offline
 from companion.views.words import checks_table, flight_table, mission_words, plans_table
-from companion.world.known_map import KnownMap, empty_map
+from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 
 _INTERRUPTED = 130
@@ -64,6 +66,8 @@ app = typer.Typer(
 
 
 app.add_typer(compare_app, name="compare")
+app.command("replay")(replay_command)
+app.command("export")(export)
 
 
 class ProfileName(StrEnum):
@@ -156,23 +160,24 @@ def fly_command(
         rule = "there is no flight to go on with"
         raise InputError("--resume", True, rule, "Give the run folder with --out.")
     if resume and out is not None and (out / "mission.toml").is_file():
-        mission = str(out / "mission.toml")  # as it was flown, whatever has become of the file
+        mission = _as_begun(mission, out)
     chosen = _for_system(load_mission(mission, profile and profile.value), system)
     _say_notes(chosen, console)
     began = datetime.now(UTC)
     folder_path = out or Path("runs") / f"{began:%Y%m%d-%H%M%S}-{chosen.name}"
     key = None if signing_key is None else SigningKey(signing_key)
     signing = None if key is None else key.signing(clock_s=_clock_s())
+    recalled = _recalled(folder_path, chosen, console) if resume else None
     session = Session(
         chosen,
         seed=seed,
         lockstep=lockstep,
         shadow=shadow,
         signing=signing,
-        resume=_left_behind(folder_path, chosen) if resume else None,
+        resume=recalled and recalled.resume,
         version=version("companion"),
     )
-    flown = _flown(session, connect, folder_path, mission, key, resume=resume)
+    flown = _flown(session, connect, folder_path, mission, key, recalled)
     _exit_as_it_ended(flown, connect)
 
 
@@ -326,22 +331,24 @@ def _say_notes(mission: Mission, console: Console) -> None:
         console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
 
 
-def _left_behind(folder: Path, mission: Mission) -> Checkpoint | None:
-    """What a companion that was interrupted has left in its run folder; None: nothing."""
-    left = read_checkpoint(folder)
-    if left is None:
-        return None
-    try:
-        checkpoint.restored(mission, left.known or _blank(mission), left.values)
-    except (KeyError, TypeError, ValueError) as error:
-        rule = f"what it holds cannot be gone on with ({type(error).__name__}: {error})"
-        raise InputError("--resume", str(folder), rule, "Give a new folder.") from error
-    return left
+def _as_begun(mission: str, folder: Path) -> str:
+    """The mission of a run folder, as it was flown, whatever has become of the file since."""
+    begun = str(folder / "mission.toml")
+    given, name = None, mission_name(begun)
+    with contextlib.suppress(InputError):
+        given = mission_name(mission)
+    if given is not None and name is not None and given != name:
+        rule = f"the flight in {folder} is of another mission, {name!r}"
+        raise InputError("MISSION", mission, rule, "Give that one, or a new folder with --out.")
+    return begun
 
 
-def _blank(mission: Mission) -> KnownMap:
-    limits = mission.task.limits
-    return empty_map(mission.task.cell_m, limits.north_m, limits.east_m)
+def _recalled(folder: Path, mission: Mission, console: Console) -> Recalled:
+    """What a companion before this one has left, and what of it could not be read."""
+    recalled = recall(folder, mission)
+    for line in recalled.said:
+        console.print(f"warning: {line}", highlight=False, markup=False, soft_wrap=True)
+    return recalled
 
 
 def _clock_s() -> float:
@@ -355,10 +362,12 @@ def _flown(
     folder_path: Path,
     mission: str,
     key: SigningKey | None,
-    *,
-    resume: bool,
+    recalled: Recalled | None,
 ) -> Flown:
-    """Fly a session, record it, and show how it went."""
+    """Fly a session, record it, and show how it went.
+
+    recalled: what there was of the flight that is gone on with; None: it is a new one.
+    """
     console, began, lockstep = Console(), datetime.now(UTC), session.context.lockstep
     planner = Planner(lockstep=lockstep) if lockstep else None
     if planner is not None:  # in real time nothing waits for a compiler
@@ -370,7 +379,9 @@ def _flown(
             folder_path,
             mission_toml=mission_text(mission),
             epoch_us=round(began.timestamp() * 1e6),
-            resume=resume,
+            resume=recalled is not None,
+            set_aside=() if recalled is None else recalled.unreadable,
+            durable=not lockstep,
         ) as folder,
         Progress(console) as progress,
         _stop_signals() as stop_asked,
@@ -432,7 +443,7 @@ def _exit_as_it_ended(flown: Flown, connect: str) -> None:
 
 def _not_heard(session: Session, connect: str) -> tuple[str, str]:
     """Why there is no vehicle, and what to do about it."""
-    others, wanted = sorted(session.other_systems), session.mission.system_id
+    others, wanted = sorted(session.latch.others), session.mission.system_id
     names = ", ".join(str(system) for system in others)
     if not others:
         reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"

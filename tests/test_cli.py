@@ -1,11 +1,13 @@
 import contextlib
 import io
 import json
+import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from typing import final
 
 import pytest
 
@@ -19,6 +21,13 @@ ENVIRONMENTS = Path(__file__).parents[1] / "companion" / "environments"
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [COMPANION, *arguments], capture_output=True, text=True, check=False, timeout=60
+    )
+
+
+def begun(*arguments: str | Path) -> subprocess.Popen[str]:
+    """The same, for others to be started or ended meanwhile."""
+    return subprocess.Popen(
+        [COMPANION, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
 
 
@@ -115,30 +124,43 @@ def test_a_flight_is_not_flown_over_another(tmp_path: Path) -> None:
     assert "--resume" in line
 
 
-@pytest.mark.parametrize(
-    "values", ["{}", '{"phase": "FLYING"}', '{"speed_limit_m_s": "fast", "target": 0}']
+def test_to_go_on_with_another_mission_than_that_of_the_folder(tmp_path: Path) -> None:
+    line = refused("fly", "environment-1", "--out", kept(tmp_path / "run", "{}"), "--resume")
+    assert "MISSION = 'environment-1'" in line
+    assert "of another mission, 'hills'" in line
+
+
+_KEPT_HEAD = b'{"schema":"companion-resume","version":1,"epoch_us":1,"starts":0,"tlog_bytes":0,'
+UNREADABLE = (
+    b'{"schema":"companion-resume","vers',
+    b'{"schema":"companion-resume","version":2}',
+    _KEPT_HEAD + b'"values":{"speed_limit_m_s":"fast","target":0}}',
 )
-def test_what_was_kept_and_cannot_be_gone_on_with(tmp_path: Path, values: str) -> None:
-    """The mission is the folder's own, whatever has become of the file that it was given as."""
-    head = '{"schema":"companion-resume","version":1,"epoch_us":1,"starts":0,"tlog_bytes":0,'
-    folder = kept(tmp_path / "run", f'{head}"values":{values}}}')
-    line = refused("fly", tmp_path / "gone.toml", "--out", folder, "--resume")
-    assert "--resume" in line
-    assert "gone on with" in line
 
 
-@pytest.mark.parametrize("torn", [b"", b'{"schema":"companion-resume","vers', b"\xff\xfe\x00"])
-def test_what_was_kept_and_is_torn_begins_anew(tmp_path: Path, torn: bytes) -> None:
-    folder = kept(tmp_path / "run", torn)
-    (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":1}\n{"t_')
-    (folder / "flight.tlog").write_bytes(b"\x00\x01")
-    port = free_port()
-    done = run("fly", HILLS / "mission.toml", "--out", folder, "--resume", *connect(port))
-    assert done.returncode == 1
-    assert len(done.stderr.splitlines()) == 1
-    assert "no vehicle was heard" in done.stderr
-    journal = (folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-    assert [json.loads(line) for line in journal]
+def test_what_was_kept_and_cannot_be_read_is_said_kept_and_gone_on_without(tmp_path: Path) -> None:
+    """All at once: each waits 10 s for a vehicle that does not come.
+
+    The mission is the folder's own, whatever has become of the file that it was given as.
+    """
+    flights: list[tuple[Path, bytes, subprocess.Popen[str]]] = []
+    for torn in UNREADABLE:
+        folder = kept(tmp_path / f"run {len(flights)}", torn)
+        (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":1}\n{"t_')
+        (folder / "flight.tlog").write_bytes(b"\x00\x01")
+        options = ("--out", folder, "--resume", *connect(free_port()))
+        flights.append((folder, torn, begun("fly", tmp_path / "gone.toml", *options)))
+    for folder, torn, companion in flights:
+        said, errors = companion.communicate(timeout=60)
+        assert companion.returncode == 1, errors
+        assert len(errors.splitlines()) == 1
+        assert "no vehicle was heard" in errors
+        assert said.count("warning: taking over without memory of the flight: resume.json") == 1
+        assert (folder / "resume.lost-1.json").read_bytes() == torn
+        journal = (folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+        entries = [json.loads(line) for line in journal]
+        [resumed] = [entry for entry in entries if entry.get("kind") == "resumed"]
+        assert "resume.json" in resumed["lost"]
 
 
 @pytest.mark.parametrize("command", ["fly", "preflight"])
@@ -149,6 +171,8 @@ def test_what_was_kept_and_is_torn_begins_anew(tmp_path: Path, torn: bytes) -> N
         "14550",
         "udpin:14550",
         "udpin:127.0.0.1:70000",
+        "udpin:127.0.0.1:0",
+        "tcpin:127.0.0.1:0",
         "udpout:no-such-host.invalid:14550",
         "udpin:192.0.2.1:14550",
         "tcp:127.0.0.1",
@@ -284,39 +308,46 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-@pytest.fixture
-def simulated() -> Iterator[Callable[..., int]]:
-    """Starts vehicles; the port on which each is to be waited for."""
-    started: list[subprocess.Popen[str]] = []
+@final
+class Vehicles:
+    """Simulated ones."""
 
-    def start(*arguments: str) -> int:
+    def __init__(self) -> None:
+        self.started: list[subprocess.Popen[bytes]] = []
+
+    def start(self, *arguments: str) -> int:
+        """The port on which it is to be waited for."""
         port = free_port()
-        command = [COMPANION.with_name("vehicle-sim"), *arguments]
-        started.append(
-            subprocess.Popen(
-                [*command, "--connect", f"udpout:127.0.0.1:{port}"],
-                stdout=subprocess.DEVNULL,
-                text=True,
-            )
-        )
+        program = COMPANION.with_name("vehicle-sim")
+        command = [program, *arguments, "--connect", f"udpout:127.0.0.1:{port}"]
+        self.started.append(subprocess.Popen(command, stdout=subprocess.DEVNULL))
         return port
 
-    yield start
-    for process in started:
+    def wait(self) -> None:
+        """Until their time is over."""
+        for process in self.started:
+            process.wait(60)
+
+
+@pytest.fixture
+def vehicles() -> Iterator[Vehicles]:
+    made = Vehicles()
+    yield made
+    for process in made.started:
         process.kill()
         process.wait()
 
 
-def test_a_vehicle_that_may_fly_is_told_so(simulated: Callable[..., int]) -> None:
-    port = simulated("sitl-px4", "--speedup", "4")
+def test_a_vehicle_that_may_fly_is_told_so(vehicles: Vehicles) -> None:
+    port = vehicles.start("sitl-px4", "--speedup", "4")
     done = run("preflight", "sitl-px4", *connect(port))
     assert (done.returncode, done.stderr) == (0, "")
     assert "PX4 multicopter, system 1" in done.stdout
     assert "refused" not in done.stdout
 
 
-def test_a_vehicle_that_may_not_is_told_why(simulated: Callable[..., int], tmp_path: Path) -> None:
-    port = simulated("sitl-px4", "--speedup", "4")
+def test_a_vehicle_that_may_not_is_told_why(vehicles: Vehicles, tmp_path: Path) -> None:
+    port = vehicles.start("sitl-px4", "--speedup", "4")
     mission = (ENVIRONMENTS / "sitl-px4" / "mission.toml").read_text(encoding="utf-8")
     file = tmp_path / "mission.toml"
     strict = mission.replace('autopilot = "px4"', 'autopilot = "ardupilot"')
@@ -334,11 +365,15 @@ def test_no_vehicle_may_not_fly() -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_a_shadow_watches_and_never_commands(simulated: Callable[..., int], tmp_path: Path) -> None:
-    port = simulated("sitl-px4", "--speedup", "4", "--duration", "40")
-    done = run("fly", "sitl-px4", *connect(port), "--shadow", "--out", tmp_path / "run")
-    assert done.returncode == 1  # the vehicle went away
-    journal = (tmp_path / "run" / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+def test_a_shadow_watches_and_never_commands(vehicles: Vehicles, tmp_path: Path) -> None:
+    port = vehicles.start("sitl-px4", "--speedup", "4", "--duration", "40")
+    out = tmp_path / "run"
+    with begun("fly", "sitl-px4", *connect(port), "--shadow", "--out", out) as companion:
+        vehicles.wait()
+        companion.send_signal(signal.SIGINT)
+        _, errors = companion.communicate(timeout=60)
+    assert companion.returncode == 130, errors
+    journal = (out / "journal.jsonl").read_text(encoding="utf-8").splitlines()
     kinds = {json.loads(line).get("kind") for line in journal}
     assert "phase" in kinds
     assert not kinds & {"arm", "take off", "set mode"}

@@ -1,0 +1,255 @@
+"""What `companion replay` does: apart from the command, so that others need not load it."""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from companion.config import load_mission
+from companion.errors import FlightFailed, InputError
+from companion.planner.kernels import NUMPY, Kernel
+from companion.replay.differences import message_of
+from companion.replay.from_log import LogReplay
+from companion.replay.playback import Playing, play_file
+from companion.replay.report import same_json, same_words, what_if_table
+from companion.replay.same import Replay, Replayed, Step
+from companion.replay.shadow import watch
+from companion.replay.shadow_words import renderables
+from companion.replay.told import MissionOf
+from companion.replay.what_if import what_if
+from companion.runtime.compiler import load_kernel
+from companion.runtime.loop import prompt_threads
+from companion.sources.files import answer
+
+_LOADING = "loading the planner (the first time it is compiled: some ten seconds)"
+_SHOWN_EVERY_S = 0.1
+_TABLE_COLUMNS = 130  # into a file
+
+
+def play(
+    flight: Path,
+    connect: str,
+    span_s: tuple[float, float],
+    speed: float | None,
+    system: int | None,
+    *,
+    only: bool,
+) -> None:
+    """Play a log, or that of a run folder, to a ground station."""
+    playing = Playing(speed=speed or 1.0, from_s=span_s[0], until_s=span_s[1])
+    play_file(_log(flight), connect, playing, system_id=system, only_vehicle=only)
+
+
+def same(
+    flight: Path,
+    mission: str | None,
+    system: int | None,
+    span_s: tuple[float, float],
+    speed: float | None,
+    kernel: Kernel | None,
+    json_file: Path | None,
+    *,
+    by_step: bool,
+) -> None:
+    """The same flight.  FlightFailed if it does not decide the same."""
+    console = Console(soft_wrap=True)
+    if flight.is_dir():
+        replay = Replay(flight, _mission_of(flight), kernel=kernel, from_s=span_s[0])
+        _run(replay, span_s[1], speed, console, by_step=by_step)
+        found = replay.found
+    else:
+        found = _from_log(flight, mission, system, kernel or NUMPY, span_s[1], console)
+    for line in same_words(found):
+        console.print(line, highlight=False, markup=False)
+    _write(same_json(found), json_file)
+    if not found.is_identical:
+        raise FlightFailed("the replay did not decide as the flight did", "")
+
+
+# --- the same flight
+
+
+def _run(
+    replay: Replay, until_s: float, speed: float | None, console: Console, *, by_step: bool
+) -> None:
+    """Replay up to a time of the flight, at a speed if one is given."""
+    size, began_s = replay.told.path.stat().st_size, time.monotonic()
+    with _bar("replaying", size) as show, prompt_threads():
+        for each in replay.steps():
+            found = replay.found
+            if found.now_s > until_s:
+                break
+            if speed is not None and found.flown_s > 0.0:
+                time.sleep(max(began_s + found.flown_s / speed - time.monotonic(), 0.0))
+            if by_step:
+                _print_step(each, console)
+            show(replay.told.read_bytes, f"replaying {found.now_s:,.0f} s")
+
+
+def _print_step(step: Step, console: Console) -> None:
+    """What the session was told, what it did, and where it stands."""
+    session, out = step.session, step.output
+    if step.told[0] == "receive":
+        return  # shown with what it leads to
+    state = session.state
+    reason = "" if state.reason is None else f" ({state.reason.name})"
+    lines = [f"t {session.now_s:.3f} s  {step.told[0]}  {state.phase.value}{reason}"]
+    if (here := state.vehicle.position_nea_m) is not None:
+        leg, along_m = state.flight.leg, state.flight.reference.length_m
+        on = "" if leg is None else f", {along_m:,.1f} m along subpath {leg.number}"
+        lines.append(f"  at {here[0]:,.1f} north, {here[1]:,.1f} east, {here[2]:,.1f} m{on}")
+    if out is not None:
+        for entry in out.journal:
+            lines.append(f"  {json.dumps(entry, default=str)[:300]}")
+        for frame in out.frames:
+            lines.append(f"  sends {message_of(frame)}")
+    for line in lines:
+        console.print(line, highlight=False, markup=False)
+    if sys.stdin.isatty() and console.is_terminal:
+        console.input("")
+
+
+def _from_log(
+    log: Path,
+    mission: str | None,
+    system: int | None,
+    kernel: Kernel,
+    until_s: float,
+    console: Console,
+) -> Replayed:
+    if mission is None:
+        rule = "a log alone does not say what the mission was"
+        remedy = "Give the run folder, or --mission, or --shadow for another's flight."
+        raise InputError("RUN_DIR|LOG", str(log), rule, remedy)
+    replay = LogReplay(
+        log,
+        load_mission(mission),
+        seed=1,
+        kernel=kernel,
+        version=version("companion"),
+        system_id=system,
+    )
+    with _bar("replaying", replay.log.size_bytes) as show, prompt_threads():
+        replay.run(lambda: show(replay.log.read_bytes, "replaying"), until_s)
+    for finding in replay.log.findings:
+        console.print(f"note: {finding}", highlight=False, markup=False)
+    return replay.found
+
+
+# --- other questions
+
+
+def changed(
+    folder: Path,
+    settings: list[str],
+    seed: int | None,
+    profile: str | None,
+    kernel: Kernel | None,
+    json_file: Path | None,
+) -> None:
+    """What if: each subpath under other settings."""
+    console = Console(width=None if sys.stdout.isatty() else _TABLE_COLUMNS)
+    if not folder.is_dir():
+        rule = "a log does not hold the states to plan from"
+        raise InputError("RUN_DIR|LOG", str(folder), rule, "Give the run folder of the flight.")
+    file = str(folder / "mission.toml")
+    other = load_mission(file, profile, settings)
+    found = []
+    flown = _mission_of(folder)
+    with _bar("planning again", 0) as show:
+        for each in what_if(folder, flown, other, seed=seed, kernel=kernel or NUMPY):
+            found.append(each)
+            show(0, f"planned again: {len(found)}")
+    console.print(what_if_table(found))
+    _write([each.as_json() for each in found], json_file)
+
+
+def shadow(
+    flight: Path,
+    mission: str | None,
+    system: int | None,
+    json_file: Path | None,
+) -> None:
+    """Somebody's flight, watched in shadow; of a run folder its log."""
+    console, flight = Console(soft_wrap=True), _log(flight)
+    chosen = None if mission is None else load_mission(mission)
+    kernel = None if chosen is None else kernel_for(plans=True, numba=True)
+    with _bar("watching", flight.stat().st_size) as show:
+        report = watch(
+            flight,
+            chosen,
+            system_id=system,
+            kernel=kernel,
+            on_progress=lambda done, _size: show(done, "watching"),
+        )
+    for each in renderables(report):
+        console.print(each)
+    _write(report.as_json(), json_file)
+
+
+# --- files, kernels, bars
+
+
+def _log(flight: Path) -> Path:
+    """The telemetry log of a run folder, or the log that was given."""
+    if not flight.is_dir():
+        return flight
+    log = flight / "flight.tlog"
+    if not answer(log.is_file):
+        rule = "it is a folder without a flight.tlog"
+        raise InputError("RUN_DIR|LOG", str(flight), rule, "Give a run folder, or a log.")
+    return log
+
+
+def _mission_of(folder: Path) -> MissionOf:
+    """The mission of a run folder, as it was flown."""
+    file = folder / "mission.toml"
+    if not answer(file.is_file):
+        remedy = "Give the run folder of a flight that was recorded with its inputs."
+        raise InputError("RUN_DIR|LOG", str(folder), "it holds no mission.toml", remedy)
+    return lambda start: load_mission(str(file), start.profile)
+
+
+def kernel_for(*, plans: bool, numba: bool) -> Kernel | None:
+    """What computes plans; None: nothing does."""
+    if not plans:
+        return None
+    if not numba:
+        return NUMPY
+    with Console(stderr=True).status(_LOADING):
+        return load_kernel()
+
+
+def _write(values: Any, json_file: Path | None) -> None:
+    if json_file is None:
+        return
+    try:
+        json_file.write_text(json.dumps(values, indent=2, default=str) + "\n", encoding="utf-8")
+    except OSError as error:
+        rule = f"not written ({error.strerror})"
+        raise InputError("--json", str(json_file), rule, "Give a file that can be.") from error
+
+
+@contextmanager
+def _bar(words: str, total: int) -> Iterator[Callable[[int, str], None]]:
+    """A progress bar on the terminal; what is yielded tells it how far it is."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    shown_s = 0.0
+    bars = Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
+    with bars:
+        bar = bars.add_task(words, total=total or None)
+
+        def show(done: int, now: str) -> None:
+            nonlocal shown_s
+            if time.monotonic() - shown_s >= _SHOWN_EVERY_S:
+                shown_s = time.monotonic()
+                bars.update(bar, completed=done, description=now)
+
+        yield show

@@ -1,0 +1,141 @@
+"""`companion replay`: a recorded flight, through the same decisions once more."""
+
+import math
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from companion.errors import InputError
+from companion.sources.files import answer
+
+FlightArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RUN_DIR|LOG", help="A run folder, or a telemetry log: .tlog, .bin or .ulg."
+    ),
+]
+MissionOption = Annotated[
+    str | None,
+    typer.Option(metavar="MISSION", help="Of a log: the mission that was, or is to be, flown."),
+]
+ShadowOption = Annotated[
+    bool, typer.Option("--shadow", help="What the companion would have done on that flight.")
+]
+SettingsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="What if: plan each subpath again under this setting of the mission.",
+    ),
+]
+SeedOption = Annotated[
+    int | None, typer.Option(min=0, help="What if: plan with other random numbers.")
+]
+
+
+class ProfileName(StrEnum):
+    """Profiles of the planner."""
+
+    FLIGHT = "flight"
+    PAPER = "paper"
+
+
+ProfileOption = Annotated[
+    ProfileName | None, typer.Option(help="What if: plan with another profile: flight or paper.")
+]
+ConnectOption = Annotated[
+    str | None, typer.Option(metavar="LINK", help="Play the log to a ground station there.")
+]
+FromOption = Annotated[
+    float, typer.Option("--from", metavar="S", help="Begin here, seconds of the flight.")
+]
+UntilOption = Annotated[
+    float,
+    typer.Option(
+        "--until", metavar="S", show_default=False, help="End here, seconds of the flight."
+    ),
+]
+SpeedOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="X",
+        help="So many times real time; by default as fast as it goes, to a ground station 1.",
+    ),
+]
+StepOption = Annotated[
+    bool,
+    typer.Option("--step", help="Event by event, with the state; Enter on a terminal goes on."),
+]
+PlansOption = Annotated[
+    bool,
+    typer.Option("--plans/--no-plans", help="Compute each plan again and compare it too."),
+]
+NumbaOption = Annotated[
+    bool, typer.Option("--numba/--no-numba", help="Compute plans with the compiled kernel.")
+]
+SystemOption = Annotated[
+    int | None,
+    typer.Option(min=1, max=255, help="System id of the vehicle, of several in a log."),
+]
+OnlyOption = Annotated[
+    bool, typer.Option("--only-vehicle", help="Play only what the vehicle sent.")
+]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the report to a JSON file.")
+]
+
+
+def replay_command(
+    flight: FlightArgument,
+    mission: MissionOption = None,
+    shadow: ShadowOption = False,
+    settings: SettingsOption = None,
+    seed: SeedOption = None,
+    profile: ProfileOption = None,
+    connect: ConnectOption = None,
+    from_s: FromOption = 0.0,
+    until_s: UntilOption = math.inf,
+    speed: SpeedOption = None,
+    step: StepOption = False,
+    plans: PlansOption = True,
+    numba: NumbaOption = True,
+    system: SystemOption = None,
+    only_vehicle: OnlyOption = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Feed a recorded flight through the same decisions, and compare: 0 if identical, 1 if not.
+
+    Or run another's flight in shadow (--shadow), plan it again under other settings (--set, --seed,
+    --profile), or play it to a ground station (--connect).
+    """
+    if not answer(flight.exists):
+        remedy = "Give a run folder, or a .tlog, .bin or .ulg."
+        raise InputError("RUN_DIR|LOG", str(flight), "there is no such file or folder", remedy)
+    _check_span(from_s, until_s)
+    if speed is not None and not 0.0 < speed < math.inf:
+        raise InputError("--speed", speed, "it must be more than 0", "Leave it out to go fast.")
+    from companion.replay import actions  # so that `companion fly` starts without it
+
+    if connect is not None:
+        actions.play(flight, connect, (from_s, until_s), speed, system, only=only_vehicle)
+        return
+    if shadow:
+        actions.shadow(flight, mission, system, json_file)
+        return
+    kernel = actions.kernel_for(plans=plans, numba=numba)
+    if settings or seed is not None or profile is not None:
+        actions.changed(flight, settings or [], seed, profile and profile.value, kernel, json_file)
+        return
+    span_s = from_s, until_s
+    actions.same(flight, mission, system, span_s, speed, kernel, json_file, by_step=step)
+
+
+def _check_span(from_s: float, until_s: float) -> None:
+    if not from_s >= 0.0:
+        raise InputError("--from", from_s, "it must not be negative", "Give seconds of the flight.")
+    if not until_s > from_s:
+        rule = f"it must be more than --from = {from_s:g}"
+        raise InputError("--until", until_s, rule, "Give a later time.")

@@ -1,0 +1,117 @@
+"""The same flight from its telemetry log alone: what a log does not say has to be assumed.
+
+A log holds the frames, both ways, and neither silences nor how long plans took: each frame is
+handled by itself, and each plan is there when it is asked for, as in lockstep.  So flights flown in
+lockstep come out the same, others up to the first plan that was cut short or late.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, final
+
+from companion.mavlink.dialect import COMPANION_COMPONENT, wire
+from companion.mavlink.frames import number_of, sender_of
+from companion.mavlink.outbox import Output
+from companion.mission.mission import Mission
+from companion.mission.renewed import replace
+from companion.planner.kernels import Kernel
+from companion.planner.plan import plan
+from companion.replay.differences import frames_differ
+from companion.replay.same import Replayed
+from companion.session import Session
+from companion.telemetry.logs import Log, open_log
+
+_SILENT_S: Final = 0.2
+_LOOKED_AT: Final = 3000  # frames that tell whether a flight was flown in lockstep
+_OFTEN: Final = 50
+_TIMESYNC: Final = wire.MAVLINK_MSG_ID_TIMESYNC
+
+
+@final
+class LogReplay:
+    """Feeds what a log has of the vehicle to a new session, and compares what it sends."""
+
+    def __init__(
+        self,
+        path: Path,
+        mission: Mission,
+        *,
+        seed: int,
+        kernel: Kernel,
+        version: str,
+        system_id: int | None = None,
+    ) -> None:
+        """InputError if it is no log, or has several vehicles and none is chosen."""
+        self.found = Replayed(starts=1)
+        self.log: Log = open_log(path, system_id=system_id)
+        self._lockstep = _was_in_lockstep(self.log)
+        self._kernel = kernel
+        self.session = Session(
+            replace(mission, system_id=self.log.system_id or mission.system_id),
+            seed=seed,
+            lockstep=self._lockstep,
+            version=version,
+        )
+        self._made: deque[tuple[float, bytes]] = deque()
+        self._sent: deque[bytes] = deque()
+
+    def run(self, on_progress: Callable[[], None] = lambda: None, until_s: float = 1e18) -> None:
+        """Replay to the first difference, or the end."""
+        began_s, before_us = time.perf_counter(), None
+        session, found = self.session, self.found
+        if not self._lockstep:
+            session.silence(0.0)
+        for record in self.log.records():
+            if sender_of(record.frame)[1] == COMPANION_COMPONENT:
+                self._sent.append(record.frame)
+                self._compare()
+            else:
+                if before_us is not None and not self._lockstep:
+                    gap_s = (record.time_us - before_us) * 1e-6
+                    if gap_s > _SILENT_S:
+                        session.silence(gap_s)
+                before_us = record.time_us
+                found.told += 1
+                session.receive(record.frame, record.time_us * 1e-6)
+                self._handle()
+            found.now_s, found.took_s = session.now_s, time.perf_counter() - began_s
+            if found.began_s is None and found.now_s > 0.0:
+                found.began_s = found.now_s
+            on_progress()
+            if found.difference is not None or found.now_s > until_s:
+                return
+        if self._sent:
+            self._take(session.farewell())
+            self._compare()
+
+    def _handle(self) -> None:
+        self._take(out := self.session.run())
+        while out.plan is not None:
+            self.found.plans += 1
+            self.found.plans_computed += 1
+            self.session.deliver(plan(out.plan, kernel=self._kernel))
+            self._take(out := self.session.run())
+
+    def _take(self, out: Output) -> None:
+        self._made += [(self.session.now_s, frame) for frame in out.frames]
+        self._compare()
+
+    def _compare(self) -> None:
+        """Hold what was sent then and now against each other, as far as both are there."""
+        while self._made and self._sent and self.found.difference is None:
+            (time_s, now), was = self._made.popleft(), self._sent.popleft()
+            self.found.difference = frames_differ(time_s, was, now)
+            self.found.frames += self.found.difference is None
+
+
+def _was_in_lockstep(log: Log) -> bool:
+    """Whether the simulator asked for the time after each step."""
+    asked = 0
+    for count, record in enumerate(log.records()):
+        from_vehicle = sender_of(record.frame)[1] != COMPANION_COMPONENT
+        asked += from_vehicle and number_of(record.frame) == _TIMESYNC
+        if count > _LOOKED_AT or asked > _OFTEN:
+            break
+    return asked > _OFTEN

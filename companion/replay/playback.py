@@ -1,0 +1,226 @@
+"""Plays a log to a ground station: frames as they were recorded, at their times, at any speed.
+
+When each frame is due follows from the log's time alone, so that nothing adds up: a frame that was
+sent late makes no other one late.  What the ground station answers is read and dropped.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final, final
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from companion.errors import InputError
+from companion.mavlink.dialect import COMPANION_COMPONENT
+from companion.mavlink.frames import sender_of
+from companion.runtime.connection import Address, parsed
+from companion.runtime.link import Link, open_link
+from companion.runtime.watchdog import Clock
+from companion.telemetry.logs import Record, open_log
+
+SLOWEST: Final = 0.1
+FASTEST: Final = 1000.0
+MOST_GAP_S: Final = 10.0
+_MOST_BYTES_S: Final = 1_000_000.0
+"""UDP loses what the other side does not read in time, and a ground station parses no faster."""
+_BATCH_BYTES: Final = 8192
+_POLL_S: Final = 0.1
+_SHOWN_GAPS: Final = 5
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Playing:
+    """What of a log to play, and how fast."""
+
+    speed: float | None = 1.0
+    """Seconds of the log a second; None: as fast as the other side may be able to follow."""
+    from_s: float = 0.0
+    """The first frame is the first one at or after this, seconds from the log's beginning."""
+    until_s: float = math.inf
+    """The last frame is the last one before this."""
+    most_gap_s: float = MOST_GAP_S
+    """A gap in the log that is longer is played as one of this length."""
+    only_vehicle: int | None = None
+    """System id whose frames alone are sent, without those of its companion; None: both ways."""
+
+    def __post_init__(self) -> None:
+        """Raises InputError about the option that breaks a rule."""
+        speed = self.speed
+        if speed is not None and not SLOWEST <= speed <= FASTEST:
+            rule = f"it must be from {SLOWEST:g} to {FASTEST:g}"
+            raise InputError("--speed", speed, rule, "Leave it out for real time.")
+        if not 0.0 <= self.from_s < math.inf:
+            rule = "it must be 0 or more, seconds from the log's beginning"
+            raise InputError("--from", self.from_s, rule, "Give a time within the log.")
+        if not self.until_s > self.from_s:
+            rule = f"it must be later than --from = {self.from_s:g}"
+            raise InputError("--until", self.until_s, rule, "Give a later time.")
+        if not self.most_gap_s > 0.0:
+            rule = "it must be more than 0 s"
+            raise InputError("--most-gap", self.most_gap_s, rule, "Leave it out for 10 s.")
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Played:
+    """What was sent; grows while it is played."""
+
+    frames: int = 0
+    bytes: int = 0
+    at_s: float = 0.0
+    """Time of the log, from its beginning."""
+    wall_s: float = 0.0
+    gaps: list[tuple[float, float]] = field(default_factory=list)
+    """Gaps that were shortened: time of the log at which they begin, and their length."""
+    falls: int = 0
+    """How often the log's time ran backwards: sent at once."""
+
+    @property
+    def words(self) -> list[str]:
+        """What a person should know of it, a line each."""
+        lines = [
+            f"at {at_s:.1f} s: a gap of {length_s:.1f} s was shortened"
+            for at_s, length_s in self.gaps[:_SHOWN_GAPS]
+        ]
+        if len(self.gaps) > _SHOWN_GAPS:
+            lines.append(f"{len(self.gaps) - _SHOWN_GAPS} more gaps were shortened")
+        if self.falls:
+            lines.append(f"the log's time ran backwards {self.falls} times: not waited for")
+        return lines
+
+
+@final
+class Player:
+    """Sends records over a link when they are due."""
+
+    def __init__(self, link: Link, clock: Clock, on_progress: Callable[[Played], None]) -> None:
+        """clock: seconds that only rise; on_progress is called between frames."""
+        self._link, self._clock, self._on_progress = link, clock, on_progress
+
+    def wait_for_somebody(self) -> None:
+        """Wait until the other side has said anything: only then it is known where it is."""
+        while self._link.receive(_POLL_S) is None:
+            self._on_progress(Played())
+        self._link.answer_to(self._link.sender)
+
+    def play(self, records: Iterable[Record], playing: Playing) -> Played:
+        """Play records to their end.  Raises what reading them raises."""
+        played, began_s, free_s = Played(), self._clock(), -math.inf
+        batch: list[bytes] = []
+        batch_bytes = 0
+        for offset_us, frame in _timed(records, playing, played):
+            due_s = began_s if playing.speed is None else began_s + offset_us * 1e-6 / playing.speed
+            due_s = max(due_s, free_s)
+            free_s = max(free_s, due_s) + len(frame) / _MOST_BYTES_S
+            if batch and (batch_bytes + len(frame) > _BATCH_BYTES or due_s > self._clock()):
+                self._send(batch, played, began_s)
+                batch, batch_bytes = [], 0
+            self._wait_until(due_s)
+            batch.append(frame)
+            batch_bytes += len(frame)
+        self._send(batch, played, began_s)
+        return played
+
+    def _send(self, batch: list[bytes], played: Played, began_s: float) -> None:
+        self._link.send(batch)
+        played.frames += len(batch)
+        played.bytes += sum(map(len, batch))
+        played.wall_s = self._clock() - began_s
+        self._on_progress(played)
+
+    def _wait_until(self, due_s: float) -> None:
+        """Wait, and read what the other side says meanwhile: nobody else does."""
+        while (wait_s := due_s - self._clock()) > 0.0:
+            self._link.receive(min(wait_s, _POLL_S))
+
+
+def _timed(
+    records: Iterable[Record], playing: Playing, played: Played
+) -> Iterator[tuple[int, bytes]]:
+    """The frames to send, and when: microseconds of play, at real time, from the first of them."""
+    first_us: int | None = None
+    before_us = offset_us = 0
+    begun = False
+    most_gap_us = round(min(playing.most_gap_s, 1e9) * 1e6)
+    for record in records:
+        if first_us is None:
+            first_us = before_us = record.time_us
+        step_us, before_us = record.time_us - before_us, record.time_us
+        at_s = (record.time_us - first_us) * 1e-6
+        if at_s < playing.from_s:
+            continue
+        if at_s >= playing.until_s:
+            return
+        if begun:
+            played.falls += step_us < 0
+            if step_us > most_gap_us:
+                played.gaps.append((at_s - step_us * 1e-6, step_us * 1e-6))
+            offset_us += min(max(step_us, 0), most_gap_us)
+        begun, played.at_s = True, at_s
+        if playing.only_vehicle is None or _is_of(record.frame, playing.only_vehicle):
+            yield offset_us, record.frame
+
+
+def _is_of(frame: bytes, vehicle: int) -> bool:
+    """Whether a frame is a vehicle's own: its companion has the same system id."""
+    system, component = sender_of(frame)
+    return system == vehicle and component != COMPANION_COMPONENT
+
+
+# --- the command
+
+
+def play_file(
+    file: Path,
+    connect: str,
+    playing: Playing,
+    *,
+    system_id: int | None = None,
+    only_vehicle: bool = False,
+    clock: Clock = time.monotonic,
+    console: Console | None = None,
+) -> Played:
+    """Play a log over the link that a connection string names, with a bar and a word at the end.
+
+    system_id: of several vehicles in the log, the one that is played.  Raises InputError about the
+    log or the link.
+    """
+    console = console or Console(soft_wrap=True)
+    log = open_log(file, system_id=system_id)
+    if only_vehicle:
+        if log.system_id is None:
+            rule = "the log has no autopilot in it"
+            raise InputError("--only-vehicle", True, rule, "Play it both ways.")
+        playing = replace(playing, only_vehicle=log.system_id)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    place = parsed(connect)
+    bars = Progress(*columns, console=Console(stderr=True), transient=True)
+    with open_link(connect) as link, bars:
+        bar = bars.add_task("waiting for a ground station", total=log.size_bytes)
+
+        def show(played: Played) -> None:
+            if played.frames:
+                words = f"playing {played.at_s:.0f} s"
+                bars.update(bar, completed=log.read_bytes, description=words)
+
+        player = Player(link, clock, show)
+        if isinstance(place, Address) and place.kind != "udpout":
+            player.wait_for_somebody()
+        played = player.play(log.records(), playing)
+    if not played.frames:
+        rule = "no frame of the log lies there"
+        raise InputError("--from", playing.from_s, rule, "Give a time within the log.")
+    notes = [f"{file.name}: {finding}" for finding in log.findings] + played.words
+    for note in notes:
+        console.print(f"note: {note}", highlight=False, markup=False)
+    console.print(
+        f"{played.frames} frames in {played.wall_s:.1f} s, up to {played.at_s:.1f} s of the log",
+        highlight=False,
+        markup=False,
+    )
+    return played

@@ -1,0 +1,116 @@
+"""Golden flights: what a few recorded flights decide, line by line, for people to read a change in.
+
+tests/replay/goldens/NAME/
+    why.md            what it protects
+    mission.toml      as flown
+    inputs.msgpack    all that the session was told
+    decisions.jsonl   what it decided: journal entries, commands to the vehicle, and one setpoint
+                      in a second
+    flight.json       how it was recorded
+
+The plans are the recorded ones: so the lines are the same on every machine, to 1e-7.
+"""
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from companion.config import load_mission
+from companion.mavlink.dialect import Message
+from companion.mission.mission import Mission
+from companion.mission.start import Start
+from companion.replay.differences import message_of
+from companion.replay.same import Replay
+from companion.telemetry.run_folder import journal_line
+
+GOLDENS: Final = Path(__file__).parent / "goldens"
+NAMES: Final = tuple(sorted(path.parent.name for path in GOLDENS.glob("*/why.md")))
+TOLERANCE: Final = 1e-7
+_SETPOINTS = ("SET_POSITION_TARGET_GLOBAL_INT", "SET_POSITION_TARGET_LOCAL_NED")
+_LEFT_OUT = ("HEARTBEAT", "TIMESYNC", "TERRAIN_REQUEST", "SYS_STATUS")
+"""Frames that say nothing of what was decided, or (the radar's) stand in the journal."""
+
+
+def decisions_of(folder: Path) -> Iterator[dict[str, Any]]:
+    """What the flight of a golden decides, line by line."""
+
+    def mission_of(start: Start) -> Mission:
+        return load_mission(str(folder / "mission.toml"), start.profile)
+
+    replay = Replay(folder, mission_of, kernel=None, compares=False)
+    shown_s = -math.inf
+    for step in replay.steps():
+        if step.output is None:
+            continue
+        for entry in step.output.journal:
+            yield json.loads(journal_line(entry))
+        for time_s, frame in step.output.record:
+            if frame not in step.output.frames:
+                continue
+            message = message_of(frame)
+            if message is None or message.get_type() in _LEFT_OUT:
+                continue
+            if message.get_type() in _SETPOINTS:
+                if time_s - shown_s < 1.0:
+                    continue
+                shown_s = time_s
+            yield {"t_s": round(time_s, 6), "sends": message.get_type(), **_fields(message)}
+    assert not replay.found.torn, replay.found.torn
+
+
+def _fields(message: Message) -> dict[str, Any]:
+    values: dict[str, Any] = json.loads(json.dumps(message.to_dict(), default=repr))
+    values.pop("mavpackettype")
+    return {name: None if value != value else value for name, value in values.items()}
+
+
+def expected(folder: Path) -> list[dict[str, Any]]:
+    """What it decided when it was last looked at by a person."""
+    lines = (folder / "decisions.jsonl").read_text(encoding="utf-8").splitlines()
+    return [json.loads(line) for line in lines]
+
+
+def differences(was: list[dict[str, Any]], now: list[dict[str, Any]]) -> str:
+    """For people: how often each field differs, and the first place; "" if nothing does."""
+    counts: Counter[str] = Counter()
+    first = ""
+    for number, (old, new) in enumerate(zip(was, now, strict=False), start=1):
+        for field in _fields_that_differ(old, new):
+            what = f"{_what(old)}.{field}"
+            counts[what] += 1
+            first = first or (
+                f"line {number}, t {old.get('t_s')}: {what}\n"
+                f"  was {json.dumps(old)}\n  now {json.dumps(new)}"
+            )
+    lines = [f"{count} x {what}" for what, count in counts.most_common(10)]
+    if len(was) != len(now):
+        lines.append(f"{len(was)} decisions before, {len(now)} now")
+        if not first:
+            more = (was if len(was) > len(now) else now)[min(len(was), len(now))]
+            first = f"the first one more: {json.dumps(more)}"
+    return "\n".join([*lines, first]) if lines else ""
+
+
+def _what(line: dict[str, Any]) -> str:
+    return str(line.get("kind") or line.get("sends"))
+
+
+def _fields_that_differ(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+    if _what(old) != _what(new):
+        return ["kind"]
+    keys = dict.fromkeys((*old, *new))
+    return [key for key in keys if not _is_close(old.get(key), new.get(key))]
+
+
+def _is_close(was: Any, now: Any) -> bool:
+    if isinstance(was, float) or isinstance(now, float):
+        numbers = isinstance(was, int | float) and isinstance(now, int | float)
+        return numbers and math.isclose(was, now, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
+    if isinstance(was, list) and isinstance(now, list):
+        return len(was) == len(now) and all(map(_is_close, was, now))
+    if isinstance(was, dict) and isinstance(now, dict):
+        return was.keys() == now.keys() and all(_is_close(was[key], now[key]) for key in was)
+    return bool(was == now)

@@ -1,0 +1,144 @@
+"""Record golden flights anew, or decide them once more: `scripts/update-goldens`."""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from golden import GOLDENS, NAMES, decisions_of, differences, expected
+
+from companion.config import load_mission
+from companion.mavlink.outbox import Output
+from companion.replay.same import Replay
+from companion.replay.shadow import watch
+from companion.runtime.compiler import load_kernel
+from companion.telemetry import inputs
+
+_ROOT = Path(__file__).parents[2]
+_TELEMETRY = _ROOT.parent / "shared" / "telemetry"
+_BIN = Path(sys.executable).parent
+_PATIENCE_S = 300.0
+
+
+def main(arguments: list[str]) -> int:
+    """scripts/update-goldens [--fly] [NAME...]."""
+    if os.environ.get("CI"):
+        sys.stderr.write("error: goldens are updated by a person, who reads what changes\n")
+        return 2
+    names = [name for name in arguments if name != "--fly"] or list(NAMES)
+    unknown = sorted(set(names) - {path.name for path in GOLDENS.iterdir()})
+    if unknown:
+        sys.stderr.write(
+            f"error: NAME = {unknown[0]!r}: no such golden. One of: {', '.join(NAMES)}\n"
+        )
+        return 2
+    for name in names:
+        folder = GOLDENS / name
+        if "--fly" in arguments:
+            _record(folder, json.loads((folder / "flight.json").read_text(encoding="utf-8")))
+        now = list(decisions_of(folder))
+        was = expected(folder) if (folder / "decisions.jsonl").exists() else []
+        print(f"{name}: {differences(was, now) or 'as it was'}")  # noqa: T201
+        text = "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in now)
+        (folder / "decisions.jsonl").write_text(text, encoding="utf-8")
+    return 0
+
+
+def _record(folder: Path, how: dict[str, Any]) -> None:
+    """Fly it again, and keep what the session was told up to a time."""
+    with tempfile.TemporaryDirectory() as scratch:
+        run = Path(scratch) / "run"
+        if "log" in how:
+            _watch(folder, how)
+            return
+        _fly(how, Path(scratch), run)
+        shutil.copy(run / "mission.toml", folder / "mission.toml")
+        _cut(run, folder / inputs.FILE, float(how["until_s"]))
+
+
+def _watch(folder: Path, how: dict[str, Any]) -> None:
+    """Run somebody's flight in shadow, and keep what the session was told up to a time."""
+    told: list[inputs.Input] = []
+
+    def keep(at_s: float, output: Output) -> None:
+        if at_s <= float(how["until_s"]):
+            told.extend(output.inputs)
+
+    mission = load_mission(str(folder / "mission.toml"))
+    watch(_TELEMETRY / how["log"], mission, kernel=load_kernel(), on_output=keep)
+    (folder / inputs.FILE).write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
+
+
+def _fly(how: dict[str, Any], scratch: Path, run: Path) -> None:
+    """vehicle-sim and the companion, over UDP; killed once and started again if it says so."""
+    world, mission = (_ROOT / how[kind] for kind in ("world", "mission"))
+    for kind, path in (("world", world), ("mission", mission)):
+        text = path.read_text(encoding="utf-8")
+        for old, new in how.get("replaced", {}).items():
+            text = text.replace(old, new)
+        (scratch / f"{kind}.toml").write_text(text, encoding="utf-8")
+    (scratch / "faults.txt").write_text("\n".join(how["faults"]) + "\n", encoding="utf-8")
+    killed_s = how.get("killed_after_wall_s")
+    clock = ["--lockstep"] if killed_s is None else ["--speedup", "10"]
+    link, faults = f"127.0.0.1:{_free_port()}", scratch / "faults.txt"
+    own = ["--lockstep"] if killed_s is None else []
+    vehicle = _started(
+        "vehicle-sim",
+        scratch / "world.toml",
+        "--faults",
+        faults,
+        *clock,
+        "--connect",
+        f"udpout:{link}",
+    )
+    fly = ("fly", scratch / "mission.toml", "--out", run, "--connect", f"udpin:{link}", *own)
+    companion = _started("companion", *fly)
+    try:
+        if killed_s is not None:
+            time.sleep(float(killed_s))
+            companion.kill()
+            companion.wait()
+            companion = _started("companion", *fly, "--resume")
+            time.sleep(float(killed_s))
+            companion.send_signal(signal.SIGINT)
+        companion.wait(timeout=_PATIENCE_S)
+    finally:
+        for each in (companion, vehicle):
+            each.kill()
+            each.wait()
+
+
+def _started(program: str, *arguments: Any) -> "subprocess.Popen[bytes]":
+    command = [str(_BIN / program), *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT)
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _cut(run: Path, to: Path, until_s: float) -> None:
+    """The inputs of a flight up to a vehicle time."""
+    mission = str(run / "mission.toml")
+    replay = Replay(
+        run, lambda start: load_mission(mission, start.profile), kernel=None, compares=False
+    )
+    told = []
+    for step in replay.steps():
+        if step.session.now_s > until_s:
+            break
+        told.append(step.told)
+    to.write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,102 @@
+"""What if: the same settings give the same plans; others change what they say, and nothing else."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from golden import GOLDENS
+
+from companion.cli import main
+from companion.config import load_mission
+from companion.errors import InputError
+from companion.mission.mission import Mission
+from companion.replay.what_if import WhatIf, what_if, with_changes
+from companion.runtime.compiler import load_kernel
+from companion.world.threats import CircleZone
+
+FLIGHT = GOLDENS / "copter-loses-gps"
+MISSION = str(FLIGHT / "mission.toml")
+
+
+def asked(changed: Mission, seed: int | None = None) -> list[WhatIf]:
+    flown = load_mission(MISSION)
+    return list(what_if(FLIGHT, lambda _start: flown, changed, seed=seed, kernel=load_kernel()))
+
+
+def test_the_same_settings_give_the_plans_that_were_flown() -> None:
+    found = asked(load_mission(MISSION))
+    assert len(found) >= 2
+    for each in found:
+        assert each.now == each.flown
+        assert each.flown.cost is not None
+        assert each.flown.length_m == pytest.approx(150.0 * (each.flown.time_s or 0.0))
+
+
+def test_another_distance_is_what_is_proven_then() -> None:
+    changed = load_mission(MISSION, settings=["planner.safety_distance_m=200"])
+    required_m = changed.task.required_clearance_m
+    found = asked(changed)
+    assert any(each.now != each.flown for each in found)
+    for each in found:
+        assert each.now.clearance_m is not None
+        assert each.now.clearance_m >= required_m - 1e-6
+        assert each.flown.clearance_m is not None
+        assert each.flown.clearance_m >= 500.0
+
+
+def test_another_seed_costs_about_the_same() -> None:
+    for each in asked(load_mission(MISSION), seed=7):
+        assert each.now.cost == pytest.approx(each.flown.cost, rel=0.1)
+        assert each.now.terms.keys() == each.flown.terms.keys()
+
+
+def test_what_changed_in_flight_stays_and_only_what_the_settings_say_changes() -> None:
+    before = load_mission(MISSION).task
+    drawn = CircleZone(name="drawn", north_m=9000.0, east_m=9000.0, radius_m=100.0)
+    in_flight = replace(
+        before, zones=(drawn,), limits=replace(before.limits, ceiling_amsl_m=2_200.0)
+    )
+    after = load_mission(MISSION, settings=["vehicle.speed_m_s=100"]).task
+    task = with_changes(in_flight, before, after)
+    assert task.zones == (drawn,)
+    assert task.limits.ceiling_amsl_m == 2_200.0
+    assert task.limits.speed_m_s == 100.0
+    assert task.settings == before.settings
+    assert with_changes(in_flight, before, before).limits == in_flight.limits
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("planner", "it is not a key, an = and a value"),
+        ("=3", "it is not a key, an = and a value"),
+        ("name.of=3", "name is not a table of the mission"),
+        ("planner.safty_distance_m=3", "no such key"),
+        ("planner.safety_distance_m=many", "safety_distance_m"),
+        ("planner.safety_distance_m=-3", "safety_distance_m"),
+    ],
+)
+def test_a_setting_that_is_none_is_refused_in_one_line(setting: str, words: str) -> None:
+    with pytest.raises(InputError) as refused:
+        load_mission(MISSION, settings=[setting])
+    assert words in str(refused.value)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+def test_the_command_tabulates_and_writes_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    report = tmp_path / "report.json"
+    arguments = ["replay", str(FLIGHT), "--set", "planner.safety_distance_m=200"]
+    monkeypatch.setattr("sys.argv", ["companion", *arguments, "--json", str(report)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
+    assert "subpaths as flown: cost" in shown
+    rows = json.loads(report.read_text(encoding="utf-8"))
+    assert [row["plan_id"] for row in rows] == [
+        each.plan_id for each in asked(load_mission(MISSION))
+    ]
+    assert f"{rows[0]['flown']['cost']:.2f}" in shown
