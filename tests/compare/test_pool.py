@@ -68,7 +68,7 @@ def test_ctrl_c_ends_it_with_its_processes() -> None:
         assert len(workers) == 2
         # as from a terminal: to all processes of the session
         os.killpg(program.pid, signal.SIGINT)
-        _, errors = program.communicate(timeout=20)
+        _, errors = program.communicate(timeout=60)
     assert program.returncode == 130
     assert "Traceback" not in errors
     until = time.monotonic() + 5.0
