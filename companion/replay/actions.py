@@ -5,9 +5,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -47,9 +48,19 @@ def play(
     play_file(_log(flight), connect, playing, system_id=system, only_vehicle=only)
 
 
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flown:
+    """How the flight of a log was flown: nothing in it says so."""
+
+    mission: str | None
+    profile: str | None
+    seed: int
+
+
 def same(
     flight: Path,
-    mission: str | None,
+    how: Flown,
     system: int | None,
     span_s: tuple[float, float],
     speed: float | None,
@@ -65,7 +76,7 @@ def same(
         _run(replay, span_s[1], speed, console, by_step=by_step)
         found = replay.found
     else:
-        found = _from_log(flight, mission, system, kernel or NUMPY, span_s[1], console)
+        found = _from_log(flight, how, system, kernel or NUMPY, span_s[1], console)
     for line in same_words(found):
         console.print(line, highlight=False, markup=False)
     _write(same_json(found), json_file)
@@ -118,20 +129,20 @@ def _print_step(step: Step, console: Console) -> None:
 
 def _from_log(
     log: Path,
-    mission: str | None,
+    how: Flown,
     system: int | None,
     kernel: Kernel,
     until_s: float,
     console: Console,
 ) -> Replayed:
-    if mission is None:
+    if how.mission is None:
         rule = "a log alone does not say what the mission was"
         remedy = "Give the run folder, or --mission, or --shadow for another's flight."
         raise InputError("RUN_DIR|LOG", str(log), rule, remedy)
     replay = LogReplay(
         log,
-        load_mission(mission),
-        seed=1,
+        load_mission(how.mission, how.profile),
+        seed=how.seed,
         kernel=kernel,
         version=version("companion"),
         system_id=system,

@@ -126,11 +126,24 @@ def replay_command(
         actions.shadow(flight, mission, system, json_file)
         return
     kernel = actions.kernel_for(plans=plans, numba=numba)
-    if settings or seed is not None or profile is not None:
+    is_log = not flight.is_dir() and not settings  # then it has to be said how it was flown
+    if is_log:
+        _refuse_of_a_log(step=step, speed=speed, from_s=from_s)
+    elif settings or seed is not None or profile is not None:
         actions.changed(flight, settings or [], seed, profile and profile.value, kernel, json_file)
         return
     span_s = from_s, until_s
-    actions.same(flight, mission, system, span_s, speed, kernel, json_file, by_step=step)
+    name = profile and profile.value
+    how = actions.Flown(mission=mission, profile=name, seed=1 if seed is None else seed)
+    actions.same(flight, how, system, span_s, speed, kernel, json_file, by_step=step)
+
+
+def _refuse_of_a_log(*, step: bool, speed: float | None, from_s: float) -> None:
+    """What only a run folder can do is not passed over."""
+    for option, given in (("--step", step), ("--speed", speed), ("--from", from_s)):
+        if given:
+            rule = "a log alone is replayed in one go"
+            raise InputError(option, given, rule, "Leave it out, or give the run folder.")
 
 
 def _check_span(from_s: float, until_s: float) -> None:

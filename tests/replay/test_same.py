@@ -112,6 +112,25 @@ def test_the_telemetry_log_alone_tells_a_flight_in_lockstep(run_dir: Path) -> No
     assert replay.found.frames > len(ours) - version_and_farewell
 
 
+def test_a_log_flown_with_another_seed_is_found_out(run_dir: Path) -> None:
+    mission, kernel = load_mission(str(MISSION)), load_kernel()
+    replay = LogReplay(run_dir / "flight.tlog", mission, seed=2, kernel=kernel, version="0")
+    replay.run()
+    assert replay.found.difference is not None
+    assert replay.found.difference.what == "SET_POSITION_TARGET_GLOBAL_INT"
+
+
+@pytest.mark.parametrize("option", [["--step"], ["--speed", "3"], ["--from", "5"]])
+def test_what_a_log_alone_cannot_do_is_refused(
+    option: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["companion", "replay", str(WORLD), *option])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert f"error: {option[0]} = " in capsys.readouterr().err
+
+
 # --- what was changed
 
 
