@@ -25,9 +25,11 @@ from companion.telemetry.logs import Record, open_log
 SLOWEST: Final = 0.1
 FASTEST: Final = 1000.0
 MOST_GAP_S: Final = 10.0
-_MOST_BYTES_S: Final = 1_000_000.0
+_MOST_BYTES_S: Final = 500_000.0
 """UDP loses what the other side does not read in time, and a ground station parses no faster."""
 _BATCH_BYTES: Final = 8192
+_TOGETHER_S: Final = 0.001
+"""Frames that are due within this go together: a receiver's buffer holds few small datagrams."""
 _POLL_S: Final = 0.1
 _SHOWN_GAPS: Final = 5
 
@@ -117,10 +119,12 @@ class Player:
             due_s = began_s if playing.speed is None else began_s + offset_us * 1e-6 / playing.speed
             due_s = max(due_s, free_s)
             free_s = max(free_s, due_s) + len(frame) / _MOST_BYTES_S
-            if batch and (batch_bytes + len(frame) > _BATCH_BYTES or due_s > self._clock()):
+            is_later = due_s > self._clock() + _TOGETHER_S
+            if batch and (is_later or batch_bytes + len(frame) > _BATCH_BYTES):
                 self._send(batch, played, began_s)
                 batch, batch_bytes = [], 0
-            self._wait_until(due_s)
+            if is_later:
+                self._wait_until(due_s)
             batch.append(frame)
             batch_bytes += len(frame)
         self._send(batch, played, began_s)

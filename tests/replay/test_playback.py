@@ -105,7 +105,7 @@ def test_every_frame_is_sent_when_it_is_due_and_nothing_adds_up(
     assert played.bytes == 20 * len(records)
     for at_s, record in zip(link.times_s, records, strict=True):
         due_s = (record.time_us - records[0].time_us) * 1e-6 / speed
-        assert -1e-6 <= at_s - due_s <= oversleeps_s + 20 * len(records) / 1e6 + 1e-6
+        assert -0.001001 <= at_s - due_s <= oversleeps_s + 20 * len(records) / 0.5e6 + 1e-6
 
 
 def test_a_delay_on_the_way_delays_no_later_frame() -> None:
@@ -177,7 +177,9 @@ def test_as_fast_as_possible_is_no_faster_than_a_ground_station_can_read() -> No
     records, link = frames(10_000), TimedLink()
     played = link.play(records, speed=None)
     assert link.bytes == [each.frame for each in records]
-    assert played.bytes / link.times_s[-1] == pytest.approx(1e6, rel=0.02)
+    assert played.bytes / link.times_s[-1] == pytest.approx(0.5e6, rel=0.02)
+    batches = len(set(link.times_s))  # small datagrams would fill a receiver's buffer
+    assert batches < 10_000 / 15
 
 
 def test_nothing_to_play() -> None:
@@ -213,6 +215,7 @@ class Station:
 
     def __init__(self) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.settimeout(PATIENCE_S)
         self.port = self.socket.getsockname()[1]
@@ -228,7 +231,10 @@ class Station:
     def _listen(self) -> None:
         parser = wire.MAVLink(None)
         while len(self.heard) < self._wanted:
-            data = self.socket.recv(65536)
+            try:
+                data = self.socket.recv(65536)
+            except TimeoutError:
+                return  # wait() says what is missing
             now_s = time.monotonic()
             self.heard += [(now_s, each) for each in parser.parse_buffer(data) or ()]
         self._there.set()
