@@ -40,7 +40,9 @@ def joined(state: State) -> Flight | None:
     went_over = leg is flight.next_leg
     pose = leg.subpath.pose(at_m)
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
-    speed = min(speed, state.task.limits.speed_m_s)
+    speed = min(speed, limits.speed_m_s)
+    if went_over or flight.next_leg is None:  # what it cannot brake from by the end is offset
+        speed = min(speed, limits.braked_m_s(leg.subpath.length_m - at_m))
     flight = replace(
         flight,
         leg=leg,

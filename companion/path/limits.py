@@ -1,5 +1,6 @@
 """What the vehicle can fly and where it may: the bounds of the paper's section 2.2."""
 
+import math
 from dataclasses import dataclass
 from typing import final
 
@@ -52,6 +53,10 @@ class Limits:
         if not self.hovers:
             return 0.0
         return speed_m_s**2 / (2.0 * self.acceleration_m_s2)
+
+    def braked_m_s(self, left_m: float) -> float:
+        """The highest speed from which the vehicle stops within so many metres, m/s."""
+        return math.sqrt(2.0 * self.acceleration_m_s2 * max(left_m, 0.0))
 
     @property
     def lead_m(self) -> float:

@@ -114,7 +114,7 @@ def advance(
         allowed = min(allowed, max(speed_limit_m_s, 0.0))
     left = max(_end_m(leg, until_m) - reference.length_m, 0.0)
     if not goes_on or until_m is not None:
-        allowed = min(allowed, math.sqrt(2.0 * limits.acceleration_m_s2 * left))
+        allowed = min(allowed, limits.braked_m_s(left))
     change = limits.acceleration_m_s2 * elapsed_s
     speed = min(max(allowed, reference.speed_m_s - 2.0 * change), reference.speed_m_s + change)
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
