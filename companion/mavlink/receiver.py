@@ -10,6 +10,7 @@ import enum
 from collections import Counter
 from typing import final
 
+from companion.mavlink.decoding import Decoder
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.frames import (
     checksum_is_right,
@@ -48,7 +49,7 @@ class Receiver:
         self.signed = 0
         """Frames that carried a signature, right or wrong."""
         self._signing = signing
-        self._decoder = wire.MAVLink(None)
+        self._decoder = Decoder()
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Message]:
@@ -97,7 +98,7 @@ class Receiver:
             self.passed[Passed.SECRET] += 1
             return end
         try:
-            message = self._decoder.decode(bytearray(strip_signature(frame)))
+            message = self._decoder.decode(strip_signature(frame))
         except wire.MAVError:
             self.passed[Passed.CHECKSUM] += 1
             return end

@@ -271,7 +271,7 @@ class VehicleSide:
         """What has become known since the last time."""
         if not self._began:
             return []
-        return [*self._judged_parameters(now_s), *self._read_plans(now_s)]
+        return self._judged_parameters(now_s) + self._read_plans(now_s)
 
     def _judged_parameters(self, now_s: float) -> list[Event]:
         client = self.parameters

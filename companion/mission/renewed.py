@@ -21,14 +21,13 @@ else:
         """A copy with other values of some fields; TypeError if there is no such field."""
         if not isinstance(value, Renewed):
             return dataclasses.replace(value, **changes)
-        copy = object.__new__(type(value))
-        fields = vars(copy)
-        fields.update(vars(value))
-        count = len(fields)
-        fields.update(changes)
-        if len(fields) != count:
-            unknown = sorted(set(changes) - set(vars(value)))
+        before = value.__dict__
+        fields = before | changes
+        if len(fields) != len(before):
+            unknown = sorted(set(changes) - set(before))
             raise TypeError(f"{type(value).__name__} has no field {', '.join(unknown)}")
+        copy = object.__new__(type(value))
+        object.__setattr__(copy, "__dict__", fields)
         return copy
 
 

@@ -1,5 +1,6 @@
 """A subpath: one B-spline curve, parametrised by the length flown along it."""
 
+import bisect
 import math
 from dataclasses import dataclass, field
 from typing import final
@@ -7,7 +8,7 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path.bspline import Basis, basis, basis_at, uniform_basis
+from companion.path.bspline import Basis, Cubics, basis, uniform_basis
 
 _TABLE = 2000  # chords of the arc-length table: 10 m on a 20 km subpath
 _PARAMETERS = np.linspace(0.0, 1.0, _TABLE + 1)
@@ -37,6 +38,7 @@ class Subpath:
 
     control_nea_m: FloatArray  # (points, 3)
     _length_at_m: FloatArray = field(init=False, repr=False)  # (_TABLE + 1,) at uniform u
+    _cubics: Cubics = field(init=False, repr=False)
     _newest: list[tuple[float, Pose]] = field(init=False, repr=False, default_factory=list)
     """The pose that was asked for last: in flight it is asked for again."""
 
@@ -44,6 +46,7 @@ class Subpath:
         points = uniform_basis(_TABLE, len(self.control_nea_m)).value @ self.control_nea_m
         chords = np.linalg.norm(np.diff(points, axis=0), axis=-1)
         object.__setattr__(self, "_length_at_m", np.concatenate([[0.0], np.cumsum(chords)]))
+        object.__setattr__(self, "_cubics", Cubics(self.control_nea_m))
 
     @property
     def length_m(self) -> float:
@@ -63,20 +66,20 @@ class Subpath:
         return pose
 
     def _pose(self, length_m: float) -> Pose:
-        at = basis_at(self.parameter_at(length_m), len(self.control_nea_m))
-        position, first, second = (row @ self.control_nea_m for row in at[:, None])
-        first, second = first[0], second[0]
-        speed = math.sqrt(first @ first)
+        position, first, second = self._cubics.at(self.parameter_at(length_m))
+        speed = math.hypot(*first)
         if speed < 1e-6 * self.length_m:  # control points coincide: the direction is a limit
             inward = 1.0 if 2.0 * length_m < self.length_m else -1.0
-            first, second = inward * second, np.zeros(3)
-            speed = math.sqrt(first @ first)
-        tangent = first / max(speed, 1e-12)
-        across = second - (second @ tangent) * tangent
+            first, second = tuple(inward * each for each in second), (0.0, 0.0, 0.0)
+            speed = math.hypot(*first)
+        speed = max(speed, 1e-12)
+        tangent = np.array(first) / speed
+        bend = np.array(second)
+        across = bend - (bend @ tangent) * tangent
         return Pose(
-            position_nea_m=position[0],
+            position_nea_m=np.array(position),
             tangent_nea=tangent,
-            curvature_nea_1_m=across / max(speed, 1e-12) ** 2,
+            curvature_nea_1_m=across / speed**2,
         )
 
     def points_nea_m(self, lengths_m: FloatArray) -> FloatArray:
@@ -89,7 +92,12 @@ class Subpath:
 
     def parameter_at(self, length_m: float) -> float:
         """The parameter of the curve, 0 to 1, after a length flown."""
-        return float(np.interp(length_m, self._length_at_m, _PARAMETERS))
+        lengths_m = self._length_at_m
+        k = bisect.bisect_right(lengths_m, length_m) - 1
+        if not 0 <= k < _TABLE:
+            return 0.0 if k < 0 else 1.0
+        before_m = float(lengths_m[k])
+        return (k + (length_m - before_m) / (float(lengths_m[k + 1]) - before_m)) / _TABLE
 
     def sampled(self, spacing_m: float) -> "Samples":
         """The curve at points of about equal spacing, both ends included."""
