@@ -248,6 +248,8 @@ class Session:
                 self._on_time(message.time_boot_ms * 1e-3, ticks=kind != "GLOBAL_POSITION_INT")
             elif self._lockstep and kind == "TIMESYNC" and message.tc1 == 0:
                 self._on_time(message.ts1 * 1e-9)
+            elif kind == "HEARTBEAT" and self._clock.beat() is Reading.LATER:
+                self._handle(events.Tick(time_s=self._clock.going_on_s))
         if (namesake := self._outbox.note_received(message, self.now_s)) is not None:
             self._handle(namesake)
         if self._citizen is not None:
@@ -347,6 +349,9 @@ class Session:
             case Reading.REBOOTED:
                 self._begin_again()
             case Reading.LATER:
+                ahead_s = self.state.now_s - time_s
+                if ahead_s > 0.0:  # while only heartbeats came, it was guessed
+                    self.state = self.state.by_another_clock(-ahead_s)
                 if ticks:
                     self._handle(events.Tick(time_s=time_s))
             case Reading.SAME | Reading.DOUBTED:
@@ -424,9 +429,12 @@ class Session:
             self._note(**noted)
         for moved in entries.of_change(before, self.state):
             self._note(**moved)
+        ends = any(isinstance(command, End) for command in commands)
         for command in commands:
             self._carry_out(command)
-        if any(isinstance(command, End) for command in commands):
+            if self._end is not None and not ends:
+                return  # it was refused, and that has ended the mission: the rest counts no more
+        if ends:
             modes = [command for command in commands if isinstance(command, SetMode)]
             self._confirming = modes[-1] if modes else None  # nothing from before counts any more
 

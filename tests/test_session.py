@@ -680,6 +680,28 @@ def test_heartbeats_go_on_while_the_vehicle_says_nothing_but_heartbeats() -> Non
     assert len(it.sent("HEARTBEAT")) >= 10
 
 
+@pytest.mark.parametrize("gaps_are_told", [True, False])
+def test_heartbeats_alone_do_not_make_time_stand_still(gaps_are_told: bool) -> None:
+    """In flight all streams end, as after a reboot of a router; the radio itself goes on."""
+    it = flying()
+    streams, it.vehicle.streams_ms = it.vehicle.streams_ms, {}
+    for _ in range(4):
+        for tenth in range(2, 10) if gaps_are_told else ():
+            it.session.silence(tenth / 10)
+        it.take(it.session.run())
+        it.feed(it.vehicle.heartbeat())
+    assert it.session.state.phase is Phase.HOLDING
+    assert it.session.state.reason is Reason.POSITION_STALE
+    assert it.vehicle.mode == BRAKE
+    it.vehicle.time_ms += 2000  # less than was guessed meanwhile
+    it.vehicle.streams_ms = streams
+    it.tick()
+    assert it.session.state.now_s == it.session.now_s == it.vehicle.time_ms * 1e-3
+    it.run_until(ended)
+    assert it.out.end is not None
+    assert it.out.end.outcome is Outcome.ARRIVED
+
+
 def test_a_reboot_of_the_vehicle_on_the_ground_does_not_stop_the_companions_clock() -> None:
     it = pair(lockstep=False)
     it.vehicle.time_ms = 3_600_000
@@ -731,6 +753,25 @@ def test_stop_leaves_the_vehicle_holding_and_is_settled_when_it_says_so() -> Non
     assert out.end.outcome is Outcome.STOPPED
     assert not out.settled
     assert it.run_until(lambda it: it.out.settled).vehicle.mode == BRAKE
+
+
+def test_a_refused_setpoint_is_followed_by_nothing_but_the_hold() -> None:
+    """Resuming from a hold begins with a setpoint and the guided mode: refused, neither is sent."""
+    it = flying()
+    it.vehicle.streams_ms, streams = {}, it.vehicle.streams_ms
+    for _ in range(4):
+        it.feed(it.vehicle.heartbeat())
+    assert it.session.state.phase is Phase.HOLDING
+    it.vehicle.streams_ms = streams
+    it.vehicle.altitude_m = 60_000.0
+    count = len(it.frames)
+    for _ in range(100):
+        it.tick()
+    assert "setpoint refused" in kinds(it)
+    assert it.session.state.phase is Phase.FAULTED
+    modes = [m.param2 for m in messages(it.frames[count:]) if m.get_type() == "COMMAND_LONG"]
+    assert GUIDED not in modes
+    assert it.vehicle.mode == BRAKE
 
 
 def test_a_setpoint_that_is_out_of_range_ends_the_flight_in_the_hold_mode() -> None:

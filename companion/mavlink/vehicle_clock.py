@@ -7,6 +7,7 @@ import enum
 from typing import final
 
 _REBOOT_S = 2.0  # a clock that falls by more has begun again
+_BEAT_S = 1.0  # between two heartbeats of an autopilot
 MESSAGES = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE", "SYSTEM_TIME")
 """Those whose time_boot_ms is the time at which they were sent."""
 
@@ -31,6 +32,8 @@ class VehicleClock:
         self.is_known = False
         self._idle_s = 0.0
         self._fallen_s: float | None = None
+        self._beat_s: tuple[float, float] | None = None
+        """Time and idle time at the last heartbeat."""
 
     @property
     def going_on_s(self) -> float:
@@ -50,6 +53,18 @@ class VehicleClock:
             return Reading.REBOOTED
         self._fallen_s = None
         return self._later(time_s)
+
+    def beat(self) -> Reading:
+        """A heartbeat came; two without a time in between are a second apart, if no more is known.
+
+        LATER: the vehicle lives, and its clock has not been heard since the heartbeat before.
+        """
+        before, stands = self._beat_s, False
+        if self.is_known and before is not None and before[0] == self.now_s:
+            self._idle_s = max(self._idle_s, before[1] + _BEAT_S)
+            stands = True
+        self._beat_s = (self.now_s, self._idle_s)
+        return Reading.LATER if stands else Reading.SAME
 
     def be_silent(self, more_s: float, *, counts: bool) -> Reading:
         """It has said nothing for so much longer; counts: before it is known, that is its time."""
