@@ -216,7 +216,7 @@ class Session:
         """The last frames of a companion that ends; a vehicle that flies for us is told to hold."""
         self._told("farewell")
         self._send_all(self._holding())
-        self._send(heartbeat(wire.MAV_STATE_POWEROFF))
+        self._send_all([heartbeat(wire.MAV_STATE_POWEROFF)])
         self._keep(at_once=True)
         return self._taken()
 
@@ -312,7 +312,7 @@ class Session:
         """Answer a TIMESYNC, last of all: a simulator in lockstep goes on then."""
         if (answer := self._times.of(message)) is None:
             return
-        self._send(answer)
+        self._send_all([answer])
         seldom = self.vehicle is not None and not self.vehicle.asks_time_often
         if seldom and not self._lockstep and self._times.look_like_lockstep(self.now_s):
             self._say("simulator in lockstep: use --lockstep here too", warning=True)
@@ -341,21 +341,19 @@ class Session:
     def _on_time(self, time_s: float, *, ticks: bool = True) -> None:
         """The vehicle's clock says so; ticks: unless an event of the same time follows anyway."""
         before_s = self.now_s
-        match self._clock.read(time_s):
-            case Reading.FIRST:  # waits go on by the new clock
-                self.state = self.state.by_another_clock(time_s - before_s)
-                if self.vehicle is not None:
-                    self.vehicle.streams.by_another_clock(time_s - before_s)
-            case Reading.REBOOTED:
-                self._begin_again()
-            case Reading.LATER:
-                ahead_s = self.state.now_s - time_s
-                if ahead_s > 0.0:  # while only heartbeats came, it was guessed
-                    self.state = self.state.by_another_clock(-ahead_s)
-                if ticks:
-                    self._handle(events.Tick(time_s=time_s))
-            case Reading.SAME | Reading.DOUBTED:
-                pass
+        reading = self._clock.read(time_s)
+        if reading is Reading.FIRST:  # waits go on by the new clock
+            self.state = self.state.by_another_clock(time_s - before_s)
+            if self.vehicle is not None:
+                self.vehicle.streams.by_another_clock(time_s - before_s)
+        elif reading is Reading.REBOOTED:
+            self._begin_again()
+        elif reading is Reading.LATER:
+            ahead_s = self.state.now_s - time_s
+            if ahead_s > 0.0:  # while only heartbeats came, it was guessed
+                self.state = self.state.by_another_clock(-ahead_s)
+            if ticks:
+                self._handle(events.Tick(time_s=time_s))
 
     def _begin_again(self) -> None:
         """The autopilot has rebooted: prepare again; what is known of the terrain stays known."""
@@ -382,7 +380,7 @@ class Session:
             self._send_all(self._citizen.on_time(now_s, self.state, faulted=faulted))
         elif self._end is None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._mode_asked_at_s = now_s  # nobody is known yet: only that we are here
-            self._send(heartbeat(wire.MAV_STATE_STANDBY))
+            self._send_all([heartbeat(wire.MAV_STATE_STANDBY)])
         left = self._confirming if self._end is not None and not self._settled() else None
         if left is not None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._command(left)
@@ -411,7 +409,7 @@ class Session:
             self.last_scan = done
             self._handle(done)
         elif (request := self._scanning.on_time(self.now_s)) is not None:
-            self._send(request)
+            self._send_all([request])
 
     def _start_scan(self, centre_nea_m: Vector) -> None:
         blocks = self._scanning.begin(centre_nea_m, self.state, self.now_s)
@@ -449,7 +447,8 @@ class Session:
             case Say(text=text, warning=warning, about=about):
                 self._say(text, warning=warning, about=about)
             case End():
-                self._finish(command)
+                self._note("end", outcome=command.outcome.value, reason=command.reason)
+                self._end = command
             case RequestStreams():
                 if self.vehicle is not None:
                     self._send_all(self.vehicle.begin(self.now_s))
@@ -484,10 +483,6 @@ class Session:
             severity = wire.MAV_SEVERITY_WARNING if warning else wire.MAV_SEVERITY_INFO
             self._citizen.say(text, severity, self._clock.going_on_s, about)
 
-    def _finish(self, end: End) -> None:
-        self._note("end", outcome=end.outcome.value, reason=end.reason)
-        self._end = end
-
     def _settled(self) -> bool:
         """Whether the mission is over and the vehicle is in the mode that it was left in."""
         gone = self._silence_told_s >= _NO_VEHICLE_S
@@ -500,9 +495,6 @@ class Session:
 
     def _send_all(self, messages: Iterable[Message]) -> None:
         self._outbox.send(messages, self.now_s)
-
-    def _send(self, message: Message) -> None:
-        self._outbox.send((message,), self.now_s)
 
     def _note(self, kind: str, **values: Any) -> None:
         self._out.journal.append({"t_s": round(self.now_s, 6), "kind": kind, **values})

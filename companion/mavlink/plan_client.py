@@ -142,12 +142,7 @@ class PlanClient:
     @property
     def is_done(self) -> bool:
         """Whether each list has been read once, or is not supported."""
-        for (
-            plan
-        ) in self.plans.values():  # asked with every message: all() takes three times as long
-            if not plan.version and plan.supported:
-                return False
-        return True
+        return all(plan.version or not plan.supported for plan in self.plans.values())
 
     @property
     def waiting(self) -> tuple[str, ...]:

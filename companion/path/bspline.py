@@ -13,7 +13,6 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 
-
 Triple = tuple[float, ...]
 """One number for each axis."""
 
