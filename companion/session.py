@@ -345,7 +345,7 @@ class Session:
         if reading is Reading.FIRST:  # waits go on by the new clock
             self.state = self.state.by_another_clock(time_s - before_s)
             if self.vehicle is not None:
-                self.vehicle.streams.by_another_clock(time_s - before_s)
+                self.vehicle.by_another_clock(time_s - before_s)
         elif reading is Reading.REBOOTED:
             self._begin_again()
         elif reading is Reading.LATER:

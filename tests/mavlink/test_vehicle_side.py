@@ -8,7 +8,7 @@ from held import Held, circle, polygon
 
 from companion.config import load_mission
 from companion.mavlink.autopilots import ALL, autopilot_of
-from companion.mavlink.dialect import wire
+from companion.mavlink.dialect import codec, wire
 from companion.mavlink.vehicle import VehicleSide
 from companion.mission.events import FenceBreach, FenceChanged, Item, Prepared
 
@@ -205,3 +205,22 @@ def test_who_keeps_setting_a_parameter_back_is_said_once_and_not_fought_for_ever
         if message.get_type() == "PARAM_SET" and message.param_id == "COM_OBL_RC_ACT"
     ]
     assert 3 <= len(ours) <= 6  # each may have been told twice
+
+
+@pytest.mark.parametrize("shift_s", [-595.0, 86_400.0])
+def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) -> None:
+    """As after a restart in flight: the clock of before goes on until the vehicle's is heard."""
+    asked = []
+    for shifted_s in (0.0, shift_s):
+        held = Held("ardupilot")
+        client = Side(held, "sitl-arducopter")
+        held.run(1.0, client)
+        assert client.side is not None
+        client.side.by_another_clock(shifted_s)
+        asked.append([])
+        for tenth in range(100):  # nobody answers
+            now_s = held.now_s + shifted_s + tenth / 10
+            heard = [bytes(m.pack(codec(1))) for m in client.side.on_time(now_s, None)]
+            asked[-1].append(sorted(heard))
+    assert asked[0] == asked[1]
+    assert len([each for each in asked[0] if each]) > 10
