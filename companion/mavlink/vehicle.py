@@ -23,6 +23,7 @@ from companion.mission.events import (
     Home,
     Item,
     LinkDelay,
+    Mode,
     Origin,
     Position,
     Prepared,
@@ -32,11 +33,13 @@ from companion.mission.events import (
     TakeOff,
     TargetsChanged,
     Vector,
+    VehicleStatus,
 )
 from companion.mission.mission import Mission
 from companion.mission.state import State
 
 _ASK_TIME_S = 1.0
+_TELL_SPEED_S = 1.0
 _MOST_OUTSTANDING = 10
 _MOST_SETS = 3  # of one parameter: whoever sets it back so often means it
 _SMOOTH = 0.3  # of a new round trip
@@ -106,6 +109,9 @@ class VehicleSide:
         self._began = False
         self._asked_time_s = self._told_round_trip_s = -1e9
         self._outstanding: dict[int, float] = {}
+        self._speed: list[Message] = []
+        """What tells it how fast to fly, until it has said that it will."""
+        self._speed_told_s = -1e9
 
     @staticmethod
     def found(
@@ -146,6 +152,7 @@ class VehicleSide:
         self.origin_nea_m = self._home_nea_m = None
         self._sets.clear()
         self._refusal_told = ""
+        self._speed = []
 
     # --- in
 
@@ -162,6 +169,8 @@ class VehicleSide:
             self._heading_rad = self._heading_rad if heading is None else heading
         elif message.get_type() == "GPS_RAW_INT" and message.alt_ellipsoid:
             self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
+        elif message.get_type() == "COMMAND_ACK":
+            self._on_acknowledged(message)
         if self._tells_of_breach(message):
             return FenceBreach(time_s=now_s)
         frame = self._mission.frame
@@ -180,8 +189,19 @@ class VehicleSide:
             case _:
                 return False
 
+    def _on_acknowledged(self, message: Message) -> None:
+        """Whether it will fly as fast as it was told: turns and reach are proven for that speed."""
+        asked = any(message.command == each.command for each in self._speed)
+        if not asked or message.result == wire.MAV_RESULT_TEMPORARILY_REJECTED:
+            return
+        self._speed = []
+        if message.result != wire.MAV_RESULT_ACCEPTED:
+            self.notes.append("the autopilot does not take the mission's speed")
+
     def _remember(self, event: Event | None) -> None:
-        if isinstance(event, Position):
+        if isinstance(event, VehicleStatus) and event.mode is not Mode.GUIDED:
+            self._speed = []  # it, or somebody, chooses now
+        elif isinstance(event, Position):
             north_m, east_m, _ = event.position_nea_m
             self.here_ne_m = (north_m, east_m)
         elif isinstance(event, Home):
@@ -242,7 +262,9 @@ class VehicleSide:
             case SetMode():
                 return autopilot.set_mode(command, frame, system)
             case SetSpeed(speed_m_s=speed):
-                return autopilot.set_speed(speed, system)
+                self._speed = autopilot.set_speed(speed, system)
+                self._speed_told_s = state.now_s
+                return self._speed
             case Arm():
                 return autopilot.arm(system)
             case TakeOff():
@@ -257,6 +279,9 @@ class VehicleSide:
         if not self._began:
             return []
         asked = self.streams.on_time(now_s)
+        if self._speed and now_s - self._speed_told_s >= _TELL_SPEED_S:
+            self._speed_told_s = now_s
+            asked += self._speed
         asked += self.parameters.on_time(now_s)
         asked += self.plans.on_time(now_s)
         if at_s is not None and not self._lockstep:

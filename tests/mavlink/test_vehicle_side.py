@@ -10,7 +10,9 @@ from companion.config import load_mission
 from companion.mavlink.autopilots import ALL, autopilot_of
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.vehicle import VehicleSide
-from companion.mission.events import FenceBreach, FenceChanged, Item, Prepared
+from companion.mission import checkpoint
+from companion.mission.events import FenceBreach, FenceChanged, Item, Prepared, SetSpeed
+from companion.mission.state import State
 
 FENCE = 1
 
@@ -224,3 +226,57 @@ def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) 
             asked[-1].append(sorted(heard))
     assert asked[0] == asked[1]
     assert len([each for each in asked[0] if each]) > 10
+
+
+def plane_told_its_speed() -> tuple[VehicleSide, list[Any]]:
+    """An ArduPlane in guided mode, and the command, whose first frame may have been lost."""
+    mission = load_mission("sitl-arduplane")
+    side = VehicleSide.found(heartbeat(), mission, lockstep=True, sets_parameters=False)
+    assert side is not None
+    side.begin(0.0)
+    told = side.told(SetSpeed(speed_m_s=22.0), State.of(mission, checkpoint.blank(mission)))
+    assert told is not None
+    return side, told
+
+
+def heartbeat(mode: int = wire.PLANE_MODE_GUIDED) -> Any:
+    beat = wire.MAVLink_heartbeat_message(1, wire.MAV_AUTOPILOT_ARDUPILOTMEGA, 129, mode, 4, 3)
+    return received(beat)
+
+
+def received(message: Any) -> Any:
+    sender = wire.MAVLink(None, srcSystem=1, srcComponent=1)
+    return wire.MAVLink(None).decode(bytearray(message.pack(sender)))
+
+
+def times_told(side: VehicleSide, from_s: float) -> int:
+    """How often a plane is told in the next 10 s."""
+    said = [each for tenth in range(100) for each in side.on_time(from_s + tenth / 10, None)]
+    return [each.get_type() for each in said].count("COMMAND_INT")
+
+
+def test_a_plane_is_told_its_speed_until_it_says_that_it_will_fly_it() -> None:
+    side, [told] = plane_told_its_speed()
+    assert told.command == wire.MAV_CMD_GUIDED_CHANGE_SPEED
+    assert 9 <= times_told(side, 0.0) <= 10
+    other = wire.MAVLink_command_ack_message(wire.MAV_CMD_DO_REPOSITION, 0)
+    side.event_of(received(other), 10.0)
+    assert times_told(side, 10.0) == 10
+    side.event_of(received(wire.MAVLink_command_ack_message(told.command, 0)), 20.0)
+    assert times_told(side, 20.0) == 0
+    assert side.notes == []
+
+
+def test_a_plane_that_refuses_the_speed_is_not_asked_again_and_a_person_hears_of_it() -> None:
+    side, [told] = plane_told_its_speed()
+    side.event_of(received(wire.MAVLink_command_ack_message(told.command, 2)), 0.5)
+    assert times_told(side, 1.0) == 0
+    assert side.notes == ["the autopilot does not take the mission's speed"]
+
+
+def test_a_plane_that_somebody_else_flies_is_not_told_how_fast() -> None:
+    side, _ = plane_told_its_speed()
+    side.event_of(heartbeat(wire.PLANE_MODE_GUIDED), 0.5)
+    assert times_told(side, 1.0) == 10
+    side.event_of(heartbeat(wire.PLANE_MODE_LOITER), 11.5)
+    assert times_told(side, 12.0) == 0
