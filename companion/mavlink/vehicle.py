@@ -366,6 +366,9 @@ class VehicleSide:
                 plans.plans[MISSION].items, mission.frame, home_first=self._home_first
             )
             self.notes += route.said
+            if route.end_action not in (None, mission.end_action):
+                words = f"its mission ends with {route.end_action.value}"
+                self.notes.append(f"{words}; what counts is end.action: {mission.end_action.value}")
             told.append(TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
         waits = mission.fence_from_vehicle and self.fence is not None and self.fence.needs_home
         if refusal or not (self._plans_told or waits):

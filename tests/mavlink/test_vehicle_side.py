@@ -1,10 +1,11 @@
 """What a person hears of a vehicle's own fence, drawn by a ground station in flight or before."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from held import Held, circle, polygon
+from held import Held, circle, polygon, waypoints
 
 from companion.config import load_mission
 from companion.mavlink.autopilots import ALL, autopilot_of
@@ -12,7 +13,9 @@ from companion.mavlink.dialect import codec, wire
 from companion.mavlink.vehicle import VehicleSide
 from companion.mission import checkpoint
 from companion.mission.events import FenceBreach, FenceChanged, Item, Prepared, SetSpeed
+from companion.mission.mission import Mission
 from companion.mission.state import State
+from vehicle_sim.plans import PlanItem as Stored
 
 FENCE = 1
 
@@ -22,7 +25,7 @@ class Side:
 
     sets_parameters = False
 
-    def __init__(self, held: Held, mission: str) -> None:
+    def __init__(self, held: Held, mission: str | Mission) -> None:
         self._held, self._mission = held, mission
         self.side: VehicleSide | None = None
         self.events: list[Any] = []
@@ -34,7 +37,7 @@ class Side:
             if autopilot is None:
                 return []
             self.side = VehicleSide(
-                load_mission(self._mission),
+                load_mission(self._mission) if isinstance(self._mission, str) else self._mission,
                 1,
                 autopilot,
                 message.autopilot,
@@ -280,3 +283,13 @@ def test_a_plane_that_somebody_else_flies_is_not_told_how_fast() -> None:
     assert times_told(side, 1.0) == 10
     side.event_of(heartbeat(wire.PLANE_MODE_LOITER), 11.5)
     assert times_told(side, 12.0) == 0
+
+
+def test_how_the_vehicles_own_mission_ends_is_not_passed_over_in_silence() -> None:
+    """The companion ends as its own mission says: who has drawn an RTL has to hear of it."""
+    mission = replace(load_mission("sitl-arducopter"), targets_from_vehicle=True)
+    held = Held("ardupilot")
+    held.upload(0, [*waypoints(3), Stored(frame=2, command=20)])
+    client = Side(held, mission)
+    held.run(60.0, client, until=lambda: bool(prepared_plans(client)))
+    assert client.said == ["its mission ends with return; what counts is end.action: land"]
