@@ -702,6 +702,15 @@ def test_heartbeats_alone_do_not_make_time_stand_still(gaps_are_told: bool) -> N
     assert it.out.end.outcome is Outcome.ARRIVED
 
 
+def test_copies_of_a_heartbeat_do_not_make_time_pass() -> None:
+    it = flying()
+    before_s = it.session.state.now_s
+    for _ in range(5):
+        it.feed(3 * it.vehicle.heartbeat())
+        it.tick()
+    assert it.session.state.now_s == pytest.approx(before_s + 0.5)
+
+
 def test_a_reboot_of_the_vehicle_on_the_ground_does_not_stop_the_companions_clock() -> None:
     it = pair(lockstep=False)
     it.vehicle.time_ms = 3_600_000

@@ -32,8 +32,8 @@ class VehicleClock:
         self.is_known = False
         self._idle_s = 0.0
         self._fallen_s: float | None = None
-        self._beat_s: tuple[float, float] | None = None
-        """Time and idle time at the last heartbeat."""
+        self._beat: tuple[float, float, int] | None = None
+        """Time, idle time and sequence number at the last heartbeat."""
 
     @property
     def going_on_s(self) -> float:
@@ -54,16 +54,19 @@ class VehicleClock:
         self._fallen_s = None
         return self._later(time_s)
 
-    def beat(self) -> Reading:
+    def beat(self, sequence: int) -> Reading:
         """A heartbeat came; two without a time in between are a second apart, if no more is known.
 
-        LATER: the vehicle lives, and its clock has not been heard since the heartbeat before.
+        sequence: of its frame, by which a copy is known.  LATER: the vehicle lives, and its clock
+        has not been heard since the heartbeat before.
         """
-        before, stands = self._beat_s, False
-        if self.is_known and before is not None and before[0] == self.now_s:
+        before = self._beat
+        if before is not None and before[2] == sequence:
+            return Reading.SAME
+        stands = self.is_known and before is not None and before[0] == self.now_s
+        if stands and before is not None:
             self._idle_s = max(self._idle_s, before[1] + _BEAT_S)
-            stands = True
-        self._beat_s = (self.now_s, self._idle_s)
+        self._beat = (self.now_s, self._idle_s, sequence)
         return Reading.LATER if stands else Reading.SAME
 
     def be_silent(self, more_s: float, *, counts: bool) -> Reading:

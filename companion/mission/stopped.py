@@ -347,7 +347,7 @@ def landing(state: State, event: Event, context: Context) -> Step:
         return give_up(state, Reason.NOT_OBEYING)
     if vehicle.mode is Mode.LAND:
         return replace(state, obeyed=True), [], None
-    if state.obeyed or vehicle.mode is not Mode.GUIDED:
+    if state.obeyed or vehicle.mode not in (Mode.GUIDED, Mode.HOLD):  # PX4 holds without setpoints
         if is_grounded(state):
             return state, [], None  # down, and not yet disarmed: the mode is the autopilot's
         return _broken_off(state)

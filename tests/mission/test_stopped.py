@@ -125,11 +125,14 @@ def test_a_landing_broken_off_by_hand_and_given_back_is_held_too() -> None:
     assert not [c for c in craft.commands[count:] if isinstance(c, SetMode)]
 
 
-def test_a_landing_that_was_never_begun_is_asked_for_again() -> None:
-    """Guided mode is what it is in until its autopilot obeys."""
+@pytest.mark.parametrize("meanwhile", [Mode.GUIDED, Mode.HOLD])
+def test_a_landing_that_was_never_begun_is_asked_for_again(meanwhile: Mode) -> None:
+    """Guided mode is what it is in until its autopilot obeys; without setpoints PX4 holds."""
     craft = arrived(LAND)
     craft.obeys_modes = False
-    craft.fly_to(Phase.LANDING).run_for(5.0)
+    craft.fly_to(Phase.LANDING)
+    craft.mode = meanwhile
+    craft.run_for(5.0)
     assert craft.phase is Phase.LANDING
     craft.obeys_modes = True
     craft.fly_to(Phase.DONE)
