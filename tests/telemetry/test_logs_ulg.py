@@ -261,6 +261,8 @@ def test_a_small_log_is_told(tmp_path: Path) -> None:
     assert counts(log) == {Oddity.NO_DATE: 1, Oddity.LOST_TIME: 250}
     missing = {each.message: each.remedy for each in log.missing()}
     assert "estimator_status (SDLOG_PROFILE bit 0)" in missing["ESTIMATOR_STATUS"]
+    setpoint = "POSITION_TARGET_LOCAL_NED or POSITION_TARGET_GLOBAL_INT"
+    assert "vehicle_local_position_setpoint (SDLOG_PROFILE bit 0)" in missing[setpoint]
 
 
 def test_damage_costs_what_is_damaged(tmp_path: Path) -> None:

@@ -24,17 +24,20 @@ class _Need:
     stream: str = ""
     """ArduPilot's stream group, and what of it is the least rate."""
     rows: str = ""
-    """Of an ArduPilot .bin: the entries, and what has them written."""
+    """Of an ArduPilot .bin: the entries; empty: it has nothing of it."""
+    setting: str = ""
+    """What has these written; empty: they are always."""
     topics: str = ""
-    """Of a PX4 .ulg."""
+    """Of a PX4 .ulg; empty: it is always written."""
 
 
+_ESTIMATOR: Final = "whether its estimator may be believed"
 _NEEDS: Final = (
     _Need(
         any_of=("HEARTBEAT",),
         without="which autopilot it is, its mode and whether it is armed",
         vital=True,
-        rows="MODE, ARM or EV, and MSG or VER: they are always written",
+        rows="MODE, ARM or EV, and MSG or VER",
         topics="vehicle_status",
     ),
     _Need(
@@ -42,7 +45,8 @@ _NEEDS: Final = (
         without="where the vehicle is: nothing is planned",
         vital=True,
         stream="POSITION 10",
-        rows="POS and XKF1 (LOG_BITMASK bits 0 and 1, attitude, and 2, GPS)",
+        rows="POS and XKF1",
+        setting="LOG_BITMASK bits 0 and 1, attitude, and 2, GPS",
         topics="vehicle_global_position and vehicle_local_position",
     ),
     _Need(
@@ -50,20 +54,22 @@ _NEEDS: Final = (
         without="whether its GPS has a fix",
         vital=True,
         stream="EXT_STAT 5",
-        rows="GPS (LOG_BITMASK bit 2)",
+        rows="GPS",
+        setting="LOG_BITMASK bit 2",
         topics="sensor_gps or vehicle_gps_position",
     ),
     _Need(
         any_of=("EKF_STATUS_REPORT",),
-        without="whether its estimator may be believed",
+        without=_ESTIMATOR,
         vital=True,
         autopilot=_ARDUPILOT,
         stream="EXTRA3 5",
-        rows="XKF4 (EK3_LOG_LEVEL 0, LOG_BITMASK bits 0 and 1)",
+        rows="XKF4",
+        setting="EK3_LOG_LEVEL 0, LOG_BITMASK bits 0 and 1",
     ),
     _Need(
         any_of=("ESTIMATOR_STATUS",),
-        without="whether its estimator may be believed",
+        without=_ESTIMATOR,
         vital=True,
         autopilot=_PX4,
         topics="estimator_status",
@@ -72,48 +78,43 @@ _NEEDS: Final = (
         any_of=("EXTENDED_SYS_STATE",),
         without="whether it stands on the ground",
         stream="EXT_STAT 5",
-        rows="EV (copter) or STAT (plane): they are always written",
+        rows="EV (copter) or STAT (plane)",
         topics="vehicle_land_detected",
     ),
     _Need(
         any_of=("HOME_POSITION",),
         without="where home is, and how high",
         stream="EXT_STAT 5",
-        rows="ORGN: it is always written",
+        rows="ORGN",
         topics="home_position",
     ),
     _Need(
         any_of=("GPS_GLOBAL_ORIGIN",),
         without="what its local frame is measured from",
         stream="POSITION 10",
-        rows="ORGN: it is always written",
+        rows="ORGN",
         topics="vehicle_local_position",
     ),
     _Need(
         any_of=("SYS_STATUS", "BATTERY_STATUS"),
         without="how much battery is left",
         stream="EXT_STAT 5",
-        rows="BAT (LOG_BITMASK bit 9), with BATT_MONITOR set",
+        rows="BAT",
+        setting="LOG_BITMASK bit 9, with BATT_MONITOR set",
         topics="battery_status",
     ),
     _Need(
         any_of=("PARAM_VALUE",),
         without="its parameters: they are not judged",
-        rows="PARM: it is always written",
-        topics="(the header of the log)",
+        rows="PARM",
     ),
     _Need(
         any_of=("POSITION_TARGET_LOCAL_NED", "POSITION_TARGET_GLOBAL_INT"),
         without="whether it follows what it was told: only of use where it was led",
         stream="POSITION 10",
-        topics="",
+        topics="vehicle_local_position_setpoint",
     ),
-    _Need(
-        any_of=("STATUSTEXT",),
-        without="what it said",
-        rows="MSG: it is always written",
-        topics="(logged messages)",
-    ),
+    _Need(any_of=("STATUSTEXT",), without="what it said", rows="MSG"),
 )
 
 
@@ -140,14 +141,12 @@ def missing_of(kind: Kind, autopilot: int | None, heard: Collection[str]) -> tup
 
 def _remedy(kind: Kind, need: _Need, autopilot: int | None) -> str:
     name = need.any_of[0]
+    if kind == "bin" and not need.rows:
+        return "A .bin has nothing of it: record a .tlog as well"
     if kind == "bin":
-        if not need.rows:
-            return "A .bin has nothing of it: record a .tlog as well"
-        return f"Have the autopilot log {need.rows}"
+        return _logged(need.rows, need.setting)
     if kind == "ulg":
-        if not need.topics:
-            return "It is not translated from a .ulg: record a .tlog as well"
-        return f"Have the autopilot log {need.topics} (SDLOG_PROFILE bit 0)"
+        return _logged(need.topics, "SDLOG_PROFILE bit 0" if need.topics else "")
     if name == "PARAM_VALUE":
         return "Fetch the parameters once while recording (a ground station does when it connects)"
     if name == "STATUSTEXT":
@@ -162,3 +161,9 @@ def _remedy(kind: Kind, need: _Need, autopilot: int | None) -> str:
         said.append(f"PX4: MAV_n_MODE Onboard, or `mavlink stream -s {name} -r 5` in its shell")
     said.append("any: ask with SET_MESSAGE_INTERVAL")
     return "; ".join(said)
+
+
+def _logged(what: str, setting: str) -> str:
+    if setting:
+        return f"Have the autopilot log {what} ({setting})"
+    return f"The autopilot always logs {what or 'it'}: see whether the log is whole"
