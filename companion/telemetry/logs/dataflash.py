@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from companion.telemetry.logs.findings import Findings, Oddity
+from companion.telemetry.logs.search import find_entry
 from companion.telemetry.logs.translated import Row
 from companion.telemetry.logs.window import Window
 
@@ -191,26 +192,15 @@ def _resume(
     """Where in the window an entry begins that another follows; what is passed is noted."""
     byte, head = window.base + at, window.data[at : at + _HEAD]
     known = _begins(window.data, at, formats)
-    search = at + 1
-    while True:
-        data = window.data
-        found = _find_head(data, search)
-        begin = len(data) if found is None else found.start()
-        if begin + _AHEAD > len(data) and not window.ended:
-            kept = min(begin, len(data) - 1)  # half a head may stand at the end
-            if window.more(kept):
-                search = 0
-                continue
-            continue
-        if found is None:
-            begin = len(data)
-            break
+
+    def is_one(data: bytes, begin: int) -> bool:
         other = _kind_at(data, begin, formats)
-        if other is not None:
-            end = begin + other.length
-            if end == len(data) or _begins(data, end, formats):
-                break
-        search = begin + 1
+        if other is None:
+            return False
+        end = begin + other.length
+        return end == len(data) or _begins(data, end, formats)
+
+    begin = find_entry(window, at + 1, _find_head, _AHEAD, is_one)
     passed = window.base + begin - byte
     at_end = begin == len(window.data)
     if at_end and known and kind is None and passed < _LONGEST:

@@ -1,4 +1,7 @@
-"""The next intact MAVLink frame of a file, whatever lies before it."""
+"""The next intact MAVLink frame of a file, or entry of a log, whatever lies before it."""
+
+import re
+from collections.abc import Callable
 
 from companion.mavlink.frames import LONGEST, find_marker, intact_end
 from companion.telemetry.logs.window import Window
@@ -32,3 +35,28 @@ def find_intact(window: Window, byte: int) -> tuple[int, int] | None:
         if end:
             return window.base + at, window.base + end
         at += 1
+
+
+def find_entry(
+    window: Window,
+    at: int,
+    find_head: Callable[[bytes, int], "re.Match[bytes] | None"],
+    ahead: int,
+    is_one: Callable[[bytes, int], bool],
+) -> int:
+    """Where in the window the next one begins, at or after an index; the end of the file if none.
+
+    find_head: what one may begin with, three bytes at most; is_one: whether one does begin there,
+    with so many bytes `ahead` to look at unless the file ends.  The window moves.
+    """
+    while True:
+        data = window.data
+        found = find_head(data, at)
+        begin = len(data) if found is None else found.start()
+        if begin + ahead > len(data) and not window.ended:
+            if window.more(min(begin, len(data) - 2)):  # a part of a head may stand at the end
+                at = 0
+        elif found is None or is_one(data, begin):
+            return begin
+        else:
+            at = begin + 1

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, final
 
 from companion.telemetry.logs.findings import Findings, Oddity
+from companion.telemetry.logs.search import find_entry
 from companion.telemetry.logs.translated import Row
 from companion.telemetry.logs.window import Window
 
@@ -307,22 +308,12 @@ def _resume(window: Window, at: int, described: _Described, findings: Findings) 
     byte = window.base + at
     size = (window.data[at] | window.data[at + 1] << 8) if at + 1 < len(window.data) else 0
     cut_short = at + _HEAD + size > len(window.data)
-    search = at + 1
-    while True:
-        data = window.data
-        found = _find_head(data, search)
-        begin = len(data) if found is None else found.start()
-        if begin + _AHEAD > len(data) and not window.ended:
-            kept = min(begin, len(data) - 2)
-            if window.more(kept):
-                search = 0
-            continue
-        if found is None:
-            break
+
+    def is_one(data: bytes, begin: int) -> bool:
         end = _end(data, begin, described)
-        if end and _follows(data, end, described):
-            break
-        search = begin + 1
+        return end > 0 and _follows(data, end, described)
+
+    begin = find_entry(window, at + 1, _find_head, _AHEAD, is_one)
     passed = window.base + begin - byte
     if begin == len(window.data) and cut_short:
         findings.note(Oddity.CUT_SHORT, byte, None, passed)
