@@ -143,7 +143,7 @@ class _Reading:
         while True:
             data = window.data
             if at + _AHEAD > len(data) and window.more(at):
-                at, self._log.read_bytes = 0, window.base
+                at = 0
                 continue
             begin = at + stamp_bytes
             end = intact_end(data, begin)
@@ -164,9 +164,10 @@ class _Reading:
                         stamped=found.stamped,
                         known=found.known,
                     )
-            if record is not None:
-                yield record
             at = end
+            if record is not None:
+                self._log.read_bytes = window.base + end
+                yield record
         byte = window.base + len(window.data)
         self._log.read_bytes = byte
         self._timeline.finish(byte)
