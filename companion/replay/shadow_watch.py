@@ -10,7 +10,7 @@ from collections.abc import Callable
 from statistics import median
 from typing import Final, final
 
-from companion.mavlink.autopilots import ALL, Autopilot
+from companion.mavlink.autopilots import Autopilot
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.frames import number_of, payload_of, sender_of
 from companion.mavlink.outbox import Output
@@ -41,7 +41,6 @@ _CLOCKS: Final = frozenset(
     }
 )
 """They only tell the time: needed where there is no position to tell it."""
-_NUMBERS: Final = {kind.msgname: number for number, kind in wire.mavlink_map.items()}
 LISTENED: Final = frozenset(
     {
         HEARTBEAT,
@@ -315,8 +314,3 @@ class _StandIns:
                 0, _SURE_PX4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             )
         return bytes(message.pack(self._codec))
-
-
-def listened_by_all() -> frozenset[int]:
-    """Message numbers that any strategy reads in a way of its own."""
-    return frozenset(_NUMBERS[name] for autopilot in ALL for name in autopilot.reads)

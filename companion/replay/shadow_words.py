@@ -76,7 +76,7 @@ def _holds(report: ShadowReport) -> Table:
             _why(hold),
             "never" if hold.trusted_s is None else f"{hold.trusted_s:,.1f} s",
             "never" if hold.went_on_s is None else f"{hold.went_on_s:,.1f} s",
-            _itself(hold, report),
+            Text(_itself(hold, report)),
         )
     _more(table, len(report.holds) + report.left_out.get("holds", 0))
     return table

@@ -3,6 +3,7 @@
 Times are seconds after the first record; those of the faults are the recordings' own.
 """
 
+import dataclasses
 import functools
 import io
 import itertools
@@ -20,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from cut_logs import COMPANION, MISSIONS, TELEMETRY, VEHICLE, recorded, written
 
 from companion.config import load_mission
+from companion.mavlink.autopilots import ALL
 from companion.mavlink.dialect import wire
 from companion.mavlink.frames import sender_of
 from companion.mavlink.outbox import Output
@@ -31,8 +33,8 @@ from companion.path.subpath import Subpath
 from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
 from companion.replay.shadow_notes import _Path
-from companion.replay.shadow_report import Hold, ShadowReport
-from companion.replay.shadow_watch import LISTENED, listened_by_all
+from companion.replay.shadow_report import Hold, Said, ShadowReport
+from companion.replay.shadow_watch import LISTENED
 from companion.replay.shadow_words import renderables
 from companion.session import Session
 from companion.telemetry.logs import Record
@@ -290,7 +292,10 @@ def test_whatever_a_strategy_reads_of_the_health_is_heard() -> None:
         wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
         wire.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
     }
-    assert listened_by_all() - echoes <= LISTENED
+    names = {name for autopilot in ALL for name in autopilot.reads}
+    read = {number for number, kind in wire.mavlink_map.items() if kind.msgname in names}
+    assert len(read) == len(names)
+    assert read - echoes <= LISTENED
 
 
 @pytest.mark.parametrize("name", MISSION_OF)
@@ -462,6 +467,14 @@ def test_people_read_when_and_why_it_lets_go() -> None:
     assert "the GPS fix is lost" in text
     assert "81.8 s mode Land" in text
     assert "108.8 s" in text
+
+
+def test_a_vehicle_may_say_what_would_be_colours_here() -> None:
+    """PX4 before 1.10 puts the module in brackets."""
+    report = report_of(PX4)
+    says = Said(at_s=report.holds[0].let_go_s, what="says", text="[commander] lost[/b]")
+    text = text_of(dataclasses.replace(report, said=[says]))
+    assert "“[commander] lost[/b]”" in text
 
 
 def test_people_read_why_it_planned_and_how_far_off_they_flew(
