@@ -143,7 +143,9 @@ def _compared(frame: bytes) -> bytes:
     return frame[:at] + frame[at + 1 : -2]
 
 
-def _name(frame: bytes) -> str:
+def _name(frame: bytes | None) -> str:
+    if frame is None:
+        return _ABSENT
     message = message_of(frame)
     return "frame" if message is None else str(message.get_type())
 
@@ -153,8 +155,13 @@ def message_of(frame: bytes) -> Message | None:
     return next(iter(Receiver().feed(frame)), None)
 
 
-def frames_differ(time_s: float, recorded: bytes, frame: bytes) -> Difference | None:
-    """The first field in which two frames differ; None: in none but the sequence number."""
+def frames_differ(time_s: float, recorded: bytes | None, frame: bytes | None) -> Difference | None:
+    """The first field in which two frames differ; None: in none but the sequence number.
+
+    Of two frames one may be None: then there is none.
+    """
+    if recorded is None or frame is None:
+        return _difference(time_s, "frame", "message", _name(recorded), _name(frame))
     if recorded == frame or _compared(recorded) == _compared(frame):
         return None
     was, now = message_of(recorded), message_of(frame)
@@ -183,6 +190,3 @@ def _values_differ(path: str, was: Any, now: Any) -> Iterator[tuple[str, Any, An
 def values_differ(was: Any, now: Any) -> tuple[str, Any, Any] | None:
     """The first place where plain values differ, and both values; None: nowhere."""
     return next(_values_differ("", was, now), None)
-
-
-__all__ = ["Difference", "Recording", "frames_differ", "message_of", "values_differ"]

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, final
 
+from companion.errors import InputError
 from companion.mavlink.dialect import COMPANION_COMPONENT, wire
 from companion.mavlink.frames import number_of, sender_of
 from companion.mavlink.outbox import Output
@@ -26,6 +27,7 @@ from companion.telemetry.logs import Log, open_log
 _SILENT_S: Final = 0.2
 _LOOKED_AT: Final = 3000  # frames that tell whether a flight was flown in lockstep
 _OFTEN: Final = 50
+_MOST_AHEAD: Final = 1000  # frames of the one that the other does not have
 _TIMESYNC: Final = wire.MAVLINK_MSG_ID_TIMESYNC
 
 
@@ -58,7 +60,7 @@ class LogReplay:
         self._sent: deque[bytes] = deque()
 
     def run(self, on_progress: Callable[[], None] = lambda: None, until_s: float = 1e18) -> None:
-        """Replay to the first difference, or the end."""
+        """Replay to the first difference, or the end.  InputError if no companion was there."""
         began_s, before_us = time.perf_counter(), None
         session, found = self.session, self.found
         if not self._lockstep:
@@ -84,7 +86,7 @@ class LogReplay:
                 return
         if self._sent:
             self._take(session.farewell())
-            self._compare()
+        self._end()
 
     def _handle(self) -> None:
         self._take(out := self.session.run())
@@ -104,6 +106,21 @@ class LogReplay:
             (time_s, now), was = self._made.popleft(), self._sent.popleft()
             self.found.difference = frames_differ(time_s, was, now)
             self.found.frames += self.found.difference is None
+        if max(len(self._made), len(self._sent)) > _MOST_AHEAD:
+            self._end()
+
+    def _end(self) -> None:
+        """No more is coming of the one or the other.  InputError if nothing can be compared."""
+        found = self.found
+        if self._sent and found.difference is None:
+            found.difference = frames_differ(self.session.now_s, self._sent[0], None)
+        elif len(self._made) > _MOST_AHEAD and found.frames:
+            found.difference = frames_differ(self._made[0][0], None, self._made[0][1])
+        elif not found.frames and found.difference is None:
+            rule = "nothing in it was sent by a companion: there is nothing to compare with"
+            remedy = "Give --shadow to see what it would have done."
+            raise InputError("RUN_DIR|LOG", str(self.log.path), rule, remedy)
+        found.unrecorded = len(self._made)
 
 
 def _was_in_lockstep(log: Log) -> bool:
