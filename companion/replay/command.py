@@ -3,7 +3,7 @@
 import math
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -89,6 +89,7 @@ JsonOption = Annotated[
 
 
 def replay_command(
+    context: typer.Context,
     flight: FlightArgument,
     mission: MissionOption = None,
     shadow: ShadowOption = False,
@@ -117,8 +118,12 @@ def replay_command(
     _check_span(from_s, until_s)
     if speed is not None and not 0.0 < speed < math.inf:
         raise InputError("--speed", speed, "it must be more than 0", "Leave it out to go fast.")
+    is_log = not flight.is_dir() and not settings  # then it has to be said how it was flown
+    way = _way(connect, shadow, is_log, changes=bool(settings or seed is not None or profile))
+    _refuse_others(context, way)
     from companion.replay import actions  # so that `companion fly` starts without it
 
+    name = profile and profile.value
     if connect is not None:
         actions.play(flight, connect, (from_s, until_s), speed, system, only=only_vehicle)
         return
@@ -126,24 +131,50 @@ def replay_command(
         actions.shadow(flight, mission, system, json_file)
         return
     kernel = actions.kernel_for(plans=plans, numba=numba)
-    is_log = not flight.is_dir() and not settings  # then it has to be said how it was flown
-    if is_log:
-        _refuse_of_a_log(step=step, speed=speed, from_s=from_s)
-    elif settings or seed is not None or profile is not None:
-        actions.changed(flight, settings or [], seed, profile and profile.value, kernel, json_file)
+    if way == _WHAT_IF:
+        actions.changed(flight, settings or [], seed, name, kernel, json_file)
         return
-    span_s = from_s, until_s
-    name = profile and profile.value
     how = actions.Flown(mission=mission, profile=name, seed=1 if seed is None else seed)
-    actions.same(flight, how, system, span_s, speed, kernel, json_file, by_step=step)
+    actions.same(flight, how, system, (from_s, until_s), speed, kernel, json_file, by_step=step)
 
 
-def _refuse_of_a_log(*, step: bool, speed: float | None, from_s: float) -> None:
-    """What only a run folder can do is not passed over."""
-    for option, given in (("--step", step), ("--speed", speed), ("--from", from_s)):
-        if given:
-            rule = "a log alone is replayed in one go"
-            raise InputError(option, given, rule, "Leave it out, or give the run folder.")
+_PLAYING: Final = "playing to a ground station (--connect)"
+_SHADOW: Final = "a shadow (--shadow)"
+_WHAT_IF: Final = "what if (--set, --seed, --profile)"
+_LOG: Final = "the replay of a log alone"
+_RUN: Final = "the replay of a run folder"
+_TAKES: Final = {
+    _PLAYING: ("--connect", "--from", "--until", "--speed", "--system", "--only-vehicle"),
+    _SHADOW: ("--shadow", "--mission", "--system", "--json"),
+    _WHAT_IF: ("--set", "--seed", "--profile", "--numba", "--json"),
+    _LOG: ("--mission", "--seed", "--profile", "--system", "--until", "--numba", "--json"),
+    _RUN: ("--from", "--until", "--speed", "--step", "--plans", "--numba", "--json"),
+}
+"""What can be done with a flight, and the options of each."""
+
+
+def _way(connect: str | None, shadow: bool, is_log: bool, *, changes: bool) -> str:
+    if connect is not None:
+        return _PLAYING
+    if shadow:
+        return _SHADOW
+    if is_log:
+        return _LOG
+    return _WHAT_IF if changes else _RUN
+
+
+def _refuse_others(context: typer.Context, way: str) -> None:
+    """No option is passed over silently."""
+    for each in context.command.params:
+        source = context.get_parameter_source(each.name or "")
+        option = max(each.opts, key=len)
+        if source is None or source.name != "COMMANDLINE" or option in _TAKES[way]:
+            continue
+        if each.param_type_name == "option":
+            rule = f"{way} does not take it"
+            remedy = f"Leave it out. It takes {', '.join(_TAKES[way])}."
+            value = context.params[each.name or ""]
+            raise InputError(option, value if type(value) is bool else str(value), rule, remedy)
 
 
 def _check_span(from_s: float, until_s: float) -> None:

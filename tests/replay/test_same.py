@@ -30,6 +30,7 @@ pytestmark = pytest.mark.closed_loop
 HILLS = Path(__file__).parents[1] / "closed_loop" / "hills"
 WORLD, MISSION = HILLS / "world.toml", HILLS / "mission.toml"
 STAMP = 8
+EVER_US = 4_000_000_000_000_000
 
 
 @pytest.fixture(scope="session")
@@ -120,15 +121,77 @@ def test_a_log_flown_with_another_seed_is_found_out(run_dir: Path) -> None:
     assert replay.found.difference.what == "SET_POSITION_TARGET_GLOBAL_INT"
 
 
-@pytest.mark.parametrize("option", [["--step"], ["--speed", "3"], ["--from", "5"]])
-def test_what_a_log_alone_cannot_do_is_refused(
-    option: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def from_log(run_dir: Path, log: Path, keeps: Callable[[int, bytes], bool]) -> LogReplay:
+    """Of a log with some of the frames of the flight's, by their number."""
+    records = enumerate(recorded_frames(run_dir / "flight.tlog"))
+    kept = [struct.pack(">Q", us) + frame for k, (us, frame) in records if keeps(k, frame)]
+    log.write_bytes(b"".join(kept))
+    return LogReplay(log, load_mission(str(MISSION)), seed=1, kernel=load_kernel(), version="0")
+
+
+def test_a_log_with_a_frame_more_than_the_companion_sends_is_found_out(
+    run_dir: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("sys.argv", ["companion", "replay", str(WORLD), *option])
+    replay = from_log(run_dir, tmp_path / "more.tlog", lambda _k, _frame: True)
+    beat = next(f for _, f in recorded_frames(replay.log.path) if f[6:8] == b"\xc3\0")
+    with replay.log.path.open("ab") as out:
+        out.write(struct.pack(">Q", EVER_US) + beat)
+    replay.run()
+    difference = replay.found.difference
+    assert difference is not None
+    assert str(difference).endswith("frame.message: recorded 'HEARTBEAT', replayed nothing")
+
+
+def test_a_log_in_which_the_companion_falls_silent_is_found_out(
+    run_dir: Path, tmp_path: Path
+) -> None:
+    """A few frames more at the end are what was not recorded any more; a thousand are not."""
+    replay = from_log(run_dir, tmp_path / "a.tlog", lambda k, frame: k < 2000 or frame[6] != 195)
+    replay.run()
+    difference = replay.found.difference
+    assert difference is not None
+    assert difference.recorded == "nothing"
+    log = list(recorded_frames(run_dir / "flight.tlog"))
+    last_us = max(us for us, frame in log[:2000] if frame[6] == 195)
+    assert difference.time_s == pytest.approx((last_us - log[0][0]) * 1e-6, abs=1.1)
+    end = [k for k, (_, frame) in enumerate(log) if frame[6] == 195][-100]
+    short = from_log(run_dir, tmp_path / "b.tlog", lambda k, frame: k < end or frame[6] != 195)
+    short.run()
+    assert short.found.is_identical
+    assert 90 < short.found.unrecorded < 100
+
+
+def test_a_log_in_which_there_is_no_companion_is_refused(run_dir: Path, tmp_path: Path) -> None:
+    replay = from_log(run_dir, tmp_path / "alone.tlog", lambda _, frame: frame[6] != 195)
+    with pytest.raises(InputError, match=r"nothing to compare with\. Give --shadow"):
+        replay.run()
+
+
+@pytest.mark.parametrize(
+    ("way", "option"),
+    [
+        ([], ["--step"]),
+        ([], ["--speed", "3"]),
+        ([], ["--from", "5"]),
+        ([], ["--only-vehicle"]),
+        (["--shadow"], ["--profile", "paper"]),
+        (["--connect", "udpout:127.0.0.1:9"], ["--json", "x"]),
+        (["--set", "planner.seed=1"], ["--no-plans"]),
+    ],
+)
+def test_what_is_of_no_use_here_is_refused(
+    way: list[str],
+    option: list[str],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("sys.argv", ["companion", "replay", str(WORLD), *way, *option])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2
-    assert f"error: {option[0]} = " in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"error: {option[0].replace('--no-', '--')} = " in said
+    assert len(said.splitlines()) == 1
 
 
 # --- what was changed
