@@ -79,8 +79,6 @@ class Played:
     wall_s: float = 0.0
     gaps: list[tuple[float, float]] = field(default_factory=list)
     """Gaps that were shortened: time of the log at which they begin, and their length."""
-    falls: int = 0
-    """How often the log's time ran backwards: sent at once."""
 
     @property
     def words(self) -> list[str]:
@@ -91,8 +89,6 @@ class Played:
         ]
         if len(self.gaps) > _SHOWN_GAPS:
             lines.append(f"{len(self.gaps) - _SHOWN_GAPS} more gaps were shortened")
-        if self.falls:
-            lines.append(f"the log's time ran backwards {self.falls} times: not waited for")
         return lines
 
 
@@ -161,10 +157,9 @@ def _timed(
         if at_s >= playing.until_s:
             return
         if begun:
-            played.falls += step_us < 0
             if step_us > most_gap_us:
                 played.gaps.append((at_s - step_us * 1e-6, step_us * 1e-6))
-            offset_us += min(max(step_us, 0), most_gap_us)
+            offset_us += min(step_us, most_gap_us)
         begun, played.at_s = True, at_s
         if playing.only_vehicle is None or _is_of(record.frame, playing.only_vehicle):
             yield offset_us, record.frame

@@ -161,18 +161,6 @@ def test_many_gaps_are_said_in_a_few_lines() -> None:
     assert played.words[-1] == "24 more gaps were shortened"
 
 
-def test_time_that_runs_backwards_is_not_waited_for() -> None:
-    records = frames(30)
-    back = [Record(r.time_us - 1_000_000 * (k >= 15), r.frame) for k, r in enumerate(records)]
-    link = TimedLink()
-    played = link.play(back)
-    assert link.bytes == [each.frame for each in records]
-    assert link.times_s == sorted(link.times_s)
-    assert link.times_s[15] - link.times_s[14] < 1e-3
-    assert link.times_s[-1] == pytest.approx(2.8, abs=1e-3)
-    assert played.words == ["the log's time ran backwards 1 times: not waited for"]
-
-
 def test_as_fast_as_possible_is_no_faster_than_a_ground_station_can_read() -> None:
     records, link = frames(10_000), TimedLink()
     played = link.play(records, speed=None)
