@@ -22,12 +22,8 @@ from pydantic_core import from_json
 from companion.errors import InputError
 from companion.mission.state import Reason
 from companion.telemetry.journal_entries import Entry, Fence
-from companion.telemetry.journal_lines import Header, Line
+from companion.telemetry.journal_lines import SCHEMA, VERSION, Header, Line
 from companion.telemetry.journal_plans import PlanReady
-
-SCHEMA = "companion-journal"
-VERSION = 2
-"""The newest.  See `_TO_NEXT` for what has changed."""
 
 _HEADER = b'{"schema":'
 _MOST_BYTES = 64 * 2**20  # of a line: a fence of 100,000 corners takes 4 MB

@@ -8,6 +8,10 @@ from typing import Literal, final
 
 from pydantic import BaseModel, ConfigDict, Field
 
+SCHEMA = "companion-journal"
+VERSION = 2
+"""The newest.  What has changed: `journal._TO_NEXT`."""
+
 NorthEast = tuple[float, float]
 NorthEastAltitude = tuple[float, float, float]
 

@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from companion.telemetry import journal, journal_entries, journal_lines, journal_plans
+from companion.telemetry import journal_entries, journal_lines, journal_plans
 
 _HEAD = f"""# The journal
 
@@ -17,7 +17,7 @@ Made from `companion/telemetry/journal_*.py` by `scripts/docs`; do not edit.
 line. The first line is a header, and so is one more for each time that the companion was started
 again in the flight; all others are entries, in the order in which they happened: `t_s`, `kind`, and
 the fields of that kind. What is sent many times a second, setpoints above all, is in `flight.tlog`.
-`companion.telemetry.journal.Journal` reads it. This page is about version {journal.VERSION}.
+`companion.telemetry.journal.Journal` reads it. This page is about version {journal_lines.VERSION}.
 
 - **Time**: `t_s` is the vehicle's clock, seconds since its boot (until that is known, since the
   companion's start). It begins again when the autopilot reboots. Nothing in a journal depends on

@@ -28,11 +28,10 @@ from typing import Any, NamedTuple, Self, final
 
 from companion.errors import InputError
 from companion.telemetry import inputs
+from companion.telemetry.journal_lines import SCHEMA, VERSION
 from companion.world.known_map import KnownMap
 from companion.world.packed_map import packed_map, unpacked_map
 
-JOURNAL_SCHEMA = "companion-journal"
-JOURNAL_VERSION = 2
 RESUME_SCHEMA = "companion-resume"
 RESUME_VERSION = 1
 _WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json", inputs.FILE)
@@ -131,7 +130,7 @@ class RunFolder:
 
     def header(self, values: Mapping[str, Any]) -> None:
         """The journal's first line: schema and version, and what the flight depends on."""
-        head: dict[str, Any] = {"schema": JOURNAL_SCHEMA, "version": JOURNAL_VERSION, **values}
+        head: dict[str, Any] = {"schema": SCHEMA, "version": VERSION, **values}
         if self._starts:
             head["resumed"] = self._starts
         self._write(self._journal, [journal_line(head)])

@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from companion.errors import InputError
 from companion.mission.state import Reason
 from companion.telemetry import journal_entries as noted
-from companion.telemetry.journal import _KINDS, _TO_NEXT, VERSION, Journal
-from companion.telemetry.journal_lines import Header
+from companion.telemetry.journal import _KINDS, _TO_NEXT, Journal
+from companion.telemetry.journal_lines import VERSION, Header
 from companion.telemetry.journal_page import journal_markdown
 from companion.telemetry.journal_plans import PlanAsked, PlanReady
 
