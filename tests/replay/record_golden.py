@@ -1,5 +1,6 @@
 """Record golden flights anew, or decide them once more: `scripts/update-goldens`."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -8,7 +9,6 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
@@ -102,17 +102,23 @@ def _fly(how: dict[str, Any], scratch: Path, run: Path) -> None:
     companion = _started("companion", *fly)
     try:
         if killed_s is not None:
-            time.sleep(float(killed_s))
+            _let_fly(companion, float(killed_s))
             companion.kill()
             companion.wait()
             companion = _started("companion", *fly, "--resume")
-            time.sleep(float(killed_s))
+            _let_fly(companion, float(killed_s))
             companion.send_signal(signal.SIGINT)
         companion.wait(timeout=_PATIENCE_S)
     finally:
         for each in (companion, vehicle):
             each.kill()
             each.wait()
+
+
+def _let_fly(companion: "subprocess.Popen[bytes]", for_s: float) -> None:
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        companion.wait(for_s)
+        raise RuntimeError("it has ended by itself")
 
 
 def _started(program: str, *arguments: Any) -> "subprocess.Popen[bytes]":
