@@ -22,7 +22,7 @@ class _Need:
     autopilot: int | None = None
     """Only of this one."""
     stream: str = ""
-    """ArduPilot's stream group, and what of it is the least rate."""
+    """ArduPilot's stream group, and what of it is the least rate; empty: it belongs to none."""
     rows: str = ""
     """Of an ArduPilot .bin: the entries; empty: it has nothing of it."""
     setting: str = ""
@@ -77,21 +77,18 @@ _NEEDS: Final = (
     _Need(
         any_of=("EXTENDED_SYS_STATE",),
         without="whether it stands on the ground",
-        stream="EXT_STAT 5",
         rows="EV (copter) or STAT (plane)",
         topics="vehicle_land_detected",
     ),
     _Need(
         any_of=("HOME_POSITION",),
         without="where home is, and how high",
-        stream="EXT_STAT 5",
         rows="ORGN",
         topics="home_position",
     ),
     _Need(
         any_of=("GPS_GLOBAL_ORIGIN",),
         without="what its local frame is measured from",
-        stream="POSITION 10",
         rows="ORGN",
         topics="vehicle_local_position",
     ),
@@ -111,7 +108,7 @@ _NEEDS: Final = (
     _Need(
         any_of=("POSITION_TARGET_LOCAL_NED", "POSITION_TARGET_GLOBAL_INT"),
         without="whether it follows what it was told: only of use where it was led",
-        stream="POSITION 10",
+        stream="EXT_STAT 5",
         topics="vehicle_local_position_setpoint",
     ),
     _Need(any_of=("STATUSTEXT",), without="what it said", rows="MSG"),
@@ -159,8 +156,9 @@ def _remedy(kind: Kind, need: _Need, autopilot: int | None) -> str:
         said.append(f"ArduPilot: set SRn_{group} (MAVn_{group} from 4.7) to {rate} for that link")
     if autopilot != _ARDUPILOT:
         said.append(f"PX4: MAV_n_MODE Onboard, or `mavlink stream -s {name} -r 5` in its shell")
-    said.append("any: ask with SET_MESSAGE_INTERVAL")
-    return "; ".join(said)
+    if not said:
+        return "Ask for it with SET_MESSAGE_INTERVAL"
+    return "; ".join([*said, "any: ask with SET_MESSAGE_INTERVAL"])
 
 
 def _logged(what: str, setting: str) -> str:
