@@ -24,7 +24,8 @@ from companion.telemetry.logs import Record, open_log
 
 SLOWEST: Final = 0.1
 FASTEST: Final = 1000.0
-MOST_GAP_S: Final = 10.0
+_MOST_GAP_US: Final = 10_000_000
+"""A gap in the log that is longer is played as one of this length."""
 _MOST_BYTES_S: Final = 500_000.0
 """UDP loses what the other side does not read in time, and a ground station parses no faster."""
 _BATCH_BYTES: Final = 8192
@@ -45,8 +46,6 @@ class Playing:
     """The first frame is the first one at or after this, seconds from the log's beginning."""
     until_s: float = math.inf
     """The last frame is the last one before this."""
-    most_gap_s: float = MOST_GAP_S
-    """A gap in the log that is longer is played as one of this length."""
     only_vehicle: int | None = None
     """System id whose frames alone are sent, without those of its companion; None: both ways."""
 
@@ -62,9 +61,6 @@ class Playing:
         if not self.until_s > self.from_s:
             rule = f"it must be later than --from = {self.from_s:g}"
             raise InputError("--until", self.until_s, rule, "Give a later time.")
-        if not self.most_gap_s > 0.0:
-            rule = "it must be more than 0 s"
-            raise InputError("--most-gap", self.most_gap_s, rule, "Leave it out for 10 s.")
 
 
 @final
@@ -146,7 +142,6 @@ def _timed(
     first_us: int | None = None
     before_us = offset_us = 0
     begun = False
-    most_gap_us = round(min(playing.most_gap_s, 1e9) * 1e6)
     for record in records:
         if first_us is None:
             first_us = before_us = record.time_us
@@ -157,9 +152,9 @@ def _timed(
         if at_s >= playing.until_s:
             return
         if begun:
-            if step_us > most_gap_us:
+            if step_us > _MOST_GAP_US:
                 played.gaps.append((at_s - step_us * 1e-6, step_us * 1e-6))
-            offset_us += min(step_us, most_gap_us)
+            offset_us += min(step_us, _MOST_GAP_US)
         begun, played.at_s = True, at_s
         if playing.only_vehicle is None or _is_of(record.frame, playing.only_vehicle):
             yield offset_us, record.frame

@@ -146,9 +146,9 @@ def test_long_gaps_are_shortened_and_said() -> None:
     records = frames(40)
     late = [Record(r.time_us + 3_600_000_000 * (k >= 20), r.frame) for k, r in enumerate(records)]
     link = TimedLink()
-    played = link.play(late, most_gap_s=4.0)
+    played = link.play(late)
     assert link.bytes == [each.frame for each in records]
-    assert link.times_s[20] - link.times_s[19] == pytest.approx(4.0, abs=1e-6)
+    assert link.times_s[20] - link.times_s[19] == pytest.approx(10.0, abs=1e-6)
     assert link.times_s[39] - link.times_s[20] == pytest.approx(1.9, abs=1e-6)
     assert played.gaps == [pytest.approx((1.9, 3600.1))]
     assert played.words == ["at 1.9 s: a gap of 3600.1 s was shortened"]
@@ -184,7 +184,6 @@ def test_nothing_to_play() -> None:
         ({"from_s": -1.0}, "--from = -1.0"),
         ({"from_s": math.inf}, "--from"),
         ({"from_s": 5.0, "until_s": 5.0}, "--until = 5.0: it must be later than --from = 5"),
-        ({"most_gap_s": 0.0}, "--most-gap"),
     ],
     ids=str,
 )
