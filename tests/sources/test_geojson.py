@@ -1,12 +1,17 @@
 import contextlib
 import copy
+import functools
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
+sys.path.insert(0, str(Path(__file__).parent))
+from spoiled import refusal, replace_somewhere
 
 from companion.errors import InputError
 from companion.sources.geojson import Threats, read_geojson
@@ -37,12 +42,7 @@ def read(path: Path, content: Any) -> Threats:
     return read_geojson(path, "mission.toml: threats")
 
 
-def refused(path: Path, content: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        read(path, content)
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    return message
+refused = functools.partial(refusal, read)
 
 
 def test_a_polygon_is_a_keep_out_with_latitude_first_and_the_last_corner_once(path: Path) -> None:
@@ -149,11 +149,6 @@ def test_a_crs_that_says_wgs84_is_taken(path: Path) -> None:
     assert read(path, collection(feature("Polygon", [RING]), crs=crs)).keep_outs
 
 
-JUNK = st.sampled_from(
-    [None, True, 0, -1, 1e308, 10**400, "", "x\ny", [], {}, [[]], [8.0, 47.0], "radar", {"type": 1}]
-)
-
-
 EVERYTHING = collection(
     feature("Polygon", [RING, HOLE], name="a", kind="keep_in"),
     feature("MultiPolygon", [[RING], [HOLE]], name="b"),
@@ -168,18 +163,3 @@ def test_any_value_anywhere_is_taken_or_an_input_error(path: Path, data: st.Data
         replace_somewhere(content, data)
     with contextlib.suppress(InputError):
         read(path, content)
-
-
-def replace_somewhere(content: Any, data: st.DataObject) -> None:
-    """Put something else into a place of a JSON value, at any depth."""
-    here = content
-    while True:
-        keys = list(here) if isinstance(here, dict) else list(range(len(here)))
-        if not keys:
-            return
-        key = data.draw(st.sampled_from(keys))
-        inner = here[key]
-        if not isinstance(inner, dict | list) or data.draw(st.integers(0, 4)) == 0:
-            here[key] = copy.deepcopy(data.draw(JUNK))
-            return
-        here = inner

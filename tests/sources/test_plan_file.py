@@ -1,5 +1,6 @@
 import contextlib
 import copy
+import functools
 import json
 import math
 import sys
@@ -10,6 +11,9 @@ import pyproj
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
+sys.path.insert(0, str(Path(__file__).parent))
+from spoiled import refusal, replace_somewhere
 
 from companion.config import load_mission, mission_text
 from companion.errors import InputError
@@ -32,12 +36,7 @@ def read(path: Path, content: Any) -> Plan:
     return read_plan(path, "mission.toml: plan")
 
 
-def refused(path: Path, content: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        read(path, content)
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    return message
+refused = functools.partial(refusal, read)
 
 
 def item(command: int, *params: float | None, frame: int = 3, **more: Any) -> dict[str, Any]:
@@ -314,26 +313,12 @@ def test_waypoints_that_lie_outside_the_plans_own_fence_are_named(path: Path) ->
         load_mission(str(path))
 
 
-JUNK = st.sampled_from(
-    [None, True, 0, -1, 1e308, 10**400, 91.0, "", "x\ny", [], {}, [[]], [47.4, 8.55], 16, 20, 177]
-)
-
-
 @given(data=st.data())
 def test_any_value_anywhere_is_taken_or_an_input_error(path: Path, data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(PLANS))
     content = json.loads((MISSIONS / name).read_text(encoding="utf-8"))
     for _ in range(data.draw(st.integers(1, 3))):
-        here = content
-        while True:
-            keys = list(here) if isinstance(here, dict) else list(range(len(here)))
-            if not keys:
-                break
-            key = data.draw(st.sampled_from(keys))
-            if not isinstance(here[key], dict | list) or data.draw(st.integers(0, 4)) == 0:
-                here[key] = copy.deepcopy(data.draw(JUNK))
-                break
-            here = here[key]
+        replace_somewhere(content, data)
     path.write_text(json.dumps(content), encoding="utf-8")
     with contextlib.suppress(InputError):
         load_mission(str(path))
