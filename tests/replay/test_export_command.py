@@ -3,13 +3,10 @@
 import json
 import random
 import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "telemetry"))
 from recorded import run_folder
 
 from companion.errors import InputError

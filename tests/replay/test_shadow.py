@@ -8,17 +8,14 @@ import functools
 import io
 import itertools
 import json
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
-
-sys.path.insert(0, str(Path(__file__).parent))
 from cut_logs import COMPANION, MISSIONS, TELEMETRY, VEHICLE, recorded, written
+from rich.console import Console
 
 from companion.config import load_mission
 from companion.mavlink.autopilots import ALL

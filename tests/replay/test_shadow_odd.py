@@ -3,13 +3,10 @@
 Times are seconds after the first record.
 """
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from cut_logs import (
     MISSIONS,
     TELEMETRY,
