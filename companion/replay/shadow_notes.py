@@ -275,8 +275,9 @@ class Notes:
 
     def _on_position(self, at_s: float, state: State, doubt: Reason | None) -> None:
         vehicle, here, before = state.vehicle, state.vehicle.position_nea_m, self._position
-        assert here is not None
         self._position, self._position_at_s = here, vehicle.position_at_s
+        if here is None:  # it has rebooted
+            return
         if vehicle.jumped_at_s != self._jumped_at_s:
             self._jumped_at_s = vehicle.jumped_at_s
             if before is not None and vehicle.jumped_at_s == vehicle.position_at_s:

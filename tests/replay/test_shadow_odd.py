@@ -155,14 +155,19 @@ def test_a_log_whose_time_runs_backwards_tells_the_same(tmp_path: Path, by_s: fl
     assert [each.kind for each in report.health] == [each.kind for each in whole.health]
 
 
-def test_a_reboot_of_the_vehicle_is_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize("blind_s", [0.0, 3.0])
+def test_a_reboot_of_the_vehicle_is_told(tmp_path: Path, blind_s: float) -> None:
+    """Whether or not the first word after it is a position."""
+
     def twice() -> Iterator[Record]:
         last_us = first_us = 0
         for record in recorded(HEALTHY, until_s=40.0):
             first_us, last_us = first_us or record.time_us, record.time_us
             yield record
         for record in recorded(HEALTHY, until_s=40.0):
-            yield Record(record.time_us - first_us + last_us + 1_000_000, record.frame)
+            at_us = record.time_us - first_us
+            if record.frame[7] != POSITION or at_us > blind_s * 1e6:
+                yield Record(at_us + last_us + 1_000_000, record.frame)
 
     report = alone(written(tmp_path / "twice.tlog", twice()))
     assert "the autopilot has rebooted" in {each.kind for each in report.health}
