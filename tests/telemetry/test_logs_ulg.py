@@ -16,7 +16,7 @@ from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import decoded
 from companion.telemetry.logs import Log, Oddity, open_log
 from companion.telemetry.logs.findings import Findings
-from companion.telemetry.logs.px4_rows import TOPICS
+from companion.telemetry.logs.px4_rows import TOPICS, _direction
 from companion.telemetry.logs.ulog import PARAMETER, TEXT, rows
 from companion.telemetry.logs.window import Window
 
@@ -263,6 +263,22 @@ def test_a_small_log_is_told(tmp_path: Path) -> None:
     assert "estimator_status (SDLOG_PROFILE bit 0)" in missing["ESTIMATOR_STATUS"]
     setpoint = "POSITION_TARGET_LOCAL_NED or POSITION_TARGET_GLOBAL_INT"
     assert "vehicle_local_position_setpoint (SDLOG_PROFILE bit 0)" in missing[setpoint]
+
+
+def test_a_mode_that_is_none_costs_the_heartbeat_alone(tmp_path: Path) -> None:
+    said = [text(2_000_000 + k * 500_000, b"%d" % k) for k in range(8)]
+    log = opened(tmp_path, START + status(1_900_000, 99, 2) + b"".join(said))
+    messages = told(log)
+    assert [m.text for m in of(messages, "STATUSTEXT")] == [str(k) for k in range(8)]
+    assert of(messages, "SYSTEM_TIME")
+    assert not of(messages, "HEARTBEAT")
+    assert counts(log)[Oddity.DAMAGED] == 1
+
+
+def test_a_receiver_without_a_course_still_tells_of_its_fix() -> None:
+    """As MAVLink has it: hundredths of a degree, 65535 if there is none."""
+    assert [_direction(math.radians(a)) for a in (0, 90, -90, 359.996)] == [0, 9000, 27000, 0]
+    assert _direction(math.nan) == 65535
 
 
 def test_damage_costs_what_is_damaged(tmp_path: Path) -> None:

@@ -36,6 +36,7 @@ _MODES: Final = {
     13: (10, 0),
     14: (6, 0),
     15: (7, 0),
+    16: (8, 0),
     17: (4, 2),
     18: (4, 6),
     19: (4, 8),
@@ -48,7 +49,7 @@ _MODES: Final = {
 _MODE_FLAGS: Final = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _EARTH_M: Final = 6_371_000.0
 """Of the sphere that PX4 projects with."""
-_NO_HEADING: Final = 65535
+_NO_DIRECTION: Final = 65535
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -96,12 +97,14 @@ class Px4Rows:
         seen = ("nav_state", "arming_state", "failsafe")
         changed = any(values.get(each) != self._status.get(each) for each in seen)
         self._status = values
+        if values["nav_state"] not in _MODES:
+            raise ValueError("no such nav_state")
         return [*self._heartbeat(), *self._ground()] if changed else []
 
     def _heartbeat(self) -> list[Message]:
         values = self._status
         if values["nav_state"] not in _MODES:
-            raise ValueError("no such nav_state")
+            return []
         armed = values["arming_state"] == _ARMED
         main, sub = _MODES[values["nav_state"]]
         state = wire.MAV_STATE_STANDBY
@@ -196,9 +199,6 @@ class Px4Rows:
         local = self._local
         above_m = 0.0 if self._home_alt_m is None else altitude_m - self._home_alt_m
         heading_rad = local.get("heading", local.get("yaw", math.nan))
-        heading = _NO_HEADING
-        if math.isfinite(heading_rad):
-            heading = round(math.degrees(heading_rad) * 100) % 36000
         return [
             wire.MAVLink_global_position_int_message(
                 boot_us // 1000,
@@ -207,7 +207,7 @@ class Px4Rows:
                 round(altitude_m * 1e3),
                 round(above_m * 1e3),
                 *(round(local[each] * 100) for each in ("vx", "vy", "vz")),
-                heading,
+                _direction(heading_rad),
             )
         ]
 
@@ -271,7 +271,6 @@ class Px4Rows:
         else:  # before 1.14
             place = (values["lat"], values["lon"])
             altitude = (values["alt"], values["alt_ellipsoid"])
-        course_deg = math.degrees(values["cog_rad"])
         return [
             wire.MAVLink_gps_raw_int_message(
                 boot_us,
@@ -281,7 +280,7 @@ class Px4Rows:
                 whole(values["hdop"] * 100, 0, 65535),
                 whole(values["vdop"] * 100, 0, 65535),
                 whole(values["vel_m_s"] * 100, 0, 65535),
-                round(course_deg * 100) % 36000,
+                _direction(values["cog_rad"]),
                 values["satellites_used"],
                 alt_ellipsoid=round(altitude[1]),
                 h_acc=whole(values["eph"] * 1e3, 0, 0xFFFFFFFF),
@@ -403,6 +402,12 @@ class Px4Rows:
         """What only tells beforehand."""
         del values, boot_us
         return []
+
+
+def _direction(angle_rad: float) -> int:
+    """In hundredths of a degree; receivers that stand still may have none."""
+    finite = math.isfinite(angle_rad)
+    return round(math.degrees(angle_rad) * 100) % 36000 if finite else _NO_DIRECTION
 
 
 def _mav_type(status: Mapping[str, Any]) -> int:
