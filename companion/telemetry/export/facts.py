@@ -1,16 +1,28 @@
 """What is written beside a shape, for people who click on it: names with units, plain values."""
 
+from collections.abc import Iterator
+
 from companion.telemetry.export import shapes
 from companion.telemetry.export.flight import Moment, PlannedSubpath, RecordedFlight
+from companion.telemetry.export.track import Track
 from companion.world.threats import CircleZone, Radar, Zone
 
 Facts = dict[str, str | int | float | bool | None]
 """None: not known, or there is none."""
 
 
-def segment_facts(flight: RecordedFlight, part: slice) -> Facts:
-    """Of a part of the flown track."""
-    track = flight.track
+def drawn_track(flight: RecordedFlight) -> Iterator[tuple[str, Track, Facts]]:
+    """The flown track phase by phase, each up to where the next one begins; thinned if it is long.
+
+    Of each the phase's name, the positions to draw, and what is known of it.
+    """
+    whole = flight.track
+    for phase, part in flight.segments():
+        drawn = slice(part.start, min(part.stop + 1, len(whole)))
+        yield phase, whole.part(shapes.thinned(drawn, len(whole))), _segment_facts(whole, part)
+
+
+def _segment_facts(track: Track, part: slice) -> Facts:
     return {
         "from_utc": shapes.utc_text(track.time_us[part.start]),
         "until_utc": shapes.utc_text(track.time_us[part.stop - 1]),

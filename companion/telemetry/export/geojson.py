@@ -14,10 +14,10 @@ from companion.geodesy import FloatArray
 from companion.telemetry.export import shapes
 from companion.telemetry.export.facts import (
     Facts,
+    drawn_track,
     moment_facts,
     plan_facts,
     radar_facts,
-    segment_facts,
     zone_facts,
 )
 from companion.telemetry.export.flight import RecordedFlight
@@ -38,10 +38,12 @@ def write_geojson(flight: RecordedFlight, file: Path) -> None:
 
 def features(flight: RecordedFlight) -> Iterator[Feature]:
     """The features of a flight; property `kind` says what each is."""
-    yield from _track(flight)
+    for phase, piece, facts in drawn_track(flight):
+        line = _line(shapes.of_track(piece))
+        yield _feature("track", phase, line, {"phase": phase, **facts})
     for each in flight.planned:
-        line = shapes.of_subpath(each.subpath, flight.mission.frame)
-        yield _feature("subpath", f"plan {each.plan.plan_id}", _line(line), plan_facts(each))
+        line = _line(shapes.of_subpath(each.subpath, flight.mission.frame))
+        yield _feature("subpath", f"plan {each.plan.plan_id}", line, plan_facts(each))
     yield from _places(flight)
     yield from _threats(flight)
     for moment in flight.moments:
@@ -50,15 +52,6 @@ def features(flight: RecordedFlight) -> Iterator[Feature]:
             point = shapes.of_track(flight.track.part(slice(at, at + 1)))
             facts = {**moment_facts(moment), "utc": shapes.utc_text(flight.track.time_us[at])}
             yield _feature("event", moment.what, _geometry("Point", _rows(point)[0]), facts)
-
-
-def _track(flight: RecordedFlight) -> Iterator[Feature]:
-    whole = flight.track
-    for phase, part in flight.segments():
-        end = min(part.stop + 1, len(whole))  # up to where the next one begins
-        piece = whole.part(shapes.thinned(slice(part.start, end), len(whole)))
-        facts = {"phase": phase, **segment_facts(flight, part)}
-        yield _feature("track", phase, _line(shapes.of_track(piece)), facts)
 
 
 def _places(flight: RecordedFlight) -> Iterator[Feature]:

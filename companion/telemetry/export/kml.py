@@ -12,11 +12,11 @@ from companion.mission.state import Phase
 from companion.telemetry.export import shapes
 from companion.telemetry.export.facts import (
     Facts,
+    drawn_track,
     moment_facts,
     plain,
     plan_facts,
     radar_facts,
-    segment_facts,
     zone_facts,
 )
 from companion.telemetry.export.flight import RecordedFlight
@@ -72,12 +72,9 @@ def _add_styles(document: ET.Element) -> None:
 
 
 def _add_track(document: ET.Element, flight: RecordedFlight) -> None:
-    folder, whole = _folder(document, "flown track"), flight.track
-    for phase, part in flight.segments():
-        end = min(part.stop + 1, len(whole))  # up to where the next one begins
-        piece = whole.part(shapes.thinned(slice(part.start, end), len(whole)))
+    folder = _folder(document, "flown track")
+    for phase, piece, facts in drawn_track(flight):
         style = phase.replace(" ", "-") if phase in PHASE_COLOURS else "other"
-        facts = segment_facts(flight, part)
         mark = _placemark(folder, phase, facts, style=f"phase-{style}")
         track = ET.SubElement(mark, f"{{{GX}}}Track")
         _add(track, "altitudeMode", "absolute")
@@ -99,12 +96,11 @@ def _add_planned(document: ET.Element, flight: RecordedFlight) -> None:
 
 def _add_places(document: ET.Element, flight: RecordedFlight) -> None:
     folder, frame = _folder(document, "targets"), flight.mission.frame
-    for number, (north_m, east_m) in enumerate(flight.targets_ne_m, start=1):
-        mark = _placemark(folder, f"target {number}", {})
-        _add_point(mark, frame.to_geodetic_deg(north_m, east_m), None)
-    for number, (north_m, east_m) in enumerate(flight.mission.rally_ne_m, start=1):
-        mark = _placemark(folder, f"rally point {number}", {})
-        _add_point(mark, frame.to_geodetic_deg(north_m, east_m), None)
+    kinds = {"target": flight.targets_ne_m, "rally point": flight.mission.rally_ne_m}
+    for kind, places in kinds.items():
+        for number, (north_m, east_m) in enumerate(places, start=1):
+            mark = _placemark(folder, f"{kind} {number}", {})
+            _add_point(mark, frame.to_geodetic_deg(north_m, east_m), None)
 
 
 def _add_threats(document: ET.Element, flight: RecordedFlight) -> None:
