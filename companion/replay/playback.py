@@ -193,7 +193,8 @@ def play_file(
         playing = replace(playing, only_vehicle=log.system_id)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     place = parsed(connect)
-    bars = Progress(*columns, console=Console(stderr=True), transient=True)
+    errors = Console(stderr=True)
+    bars = Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal)
     with open_link(connect) as link, bars:
         bar = bars.add_task("waiting for a ground station", total=log.size_bytes)
 

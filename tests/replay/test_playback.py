@@ -300,10 +300,13 @@ def test_a_ground_station_that_calls_is_waited_for(tmp_path: Path) -> None:
     assert all(a.custom_mode + 1 == b.custom_mode for a, b in pairwise(heard))
 
 
-def test_a_log_with_nothing_in_that_part_is_refused(station: Station, tmp_path: Path) -> None:
+def test_a_log_with_nothing_in_that_part_is_refused(
+    station: Station, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tlog(tmp_path / "flight.tlog", frames(10))
     with pytest.raises(InputError, match=r"--from = 100\.0: no frame of the log lies there"):
         play_file(file, f"udpout:127.0.0.1:{station.port}", Playing(from_s=100.0))
+    assert capsys.readouterr().err == ""  # no line of a bar before the error
 
 
 def test_a_log_without_a_vehicle_has_none_to_play_alone(station: Station, tmp_path: Path) -> None:
