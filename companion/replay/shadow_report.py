@@ -68,10 +68,6 @@ class Observed:
     """How far, where there is a distance to it."""
     place: Place | None = None
 
-    def lasted_s(self, end_s: float) -> float:
-        """How long; end_s: of the log."""
-        return (end_s if self.until_s is None else self.until_s) - self.from_s
-
 
 @final
 @dataclass(slots=True, kw_only=True)
