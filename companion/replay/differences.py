@@ -103,7 +103,7 @@ class Recording:
                 self.frames += 1
                 return None
             was_s = (time_us - self._epoch_us) * 1e-6
-            return _difference(time_s, _name(frame), "time", was_s, time_s)
+            return _difference(time_s, name_of(frame), "time", was_s, time_s)
         return difference
 
     def _entry_differs(self, entry: Entry) -> Difference | None:
@@ -143,7 +143,8 @@ def _compared(frame: bytes) -> bytes:
     return frame[:at] + frame[at + 1 : -2]
 
 
-def _name(frame: bytes | None) -> str:
+def name_of(frame: bytes | None) -> str:
+    """What a frame says, by its name."""
     if frame is None:
         return _ABSENT
     message = message_of(frame)
@@ -161,12 +162,12 @@ def frames_differ(time_s: float, recorded: bytes | None, frame: bytes | None) ->
     Of two frames one may be None: then there is none.
     """
     if recorded is None or frame is None:
-        return _difference(time_s, "frame", "message", _name(recorded), _name(frame))
+        return _difference(time_s, "frame", "message", name_of(recorded), name_of(frame))
     if recorded == frame or _compared(recorded) == _compared(frame):
         return None
     was, now = message_of(recorded), message_of(frame)
     if was is None or now is None or was.get_type() != now.get_type():
-        return _difference(time_s, "frame", "message", _name(recorded), _name(frame))
+        return _difference(time_s, "frame", "message", name_of(recorded), name_of(frame))
     pairs = ((name, getattr(was, name), getattr(now, name)) for name in now.fieldnames)
     # compared as they are shown: a NaN is the same as another
     differ = ((name, a, b) for name, a, b in pairs if repr(a) != repr(b))

@@ -1,8 +1,8 @@
 """The same flight from its telemetry log alone: what a log does not say has to be assumed.
 
-A log holds the frames, both ways, and neither silences nor how long plans took: each frame is
-handled by itself, and each plan is there when it is asked for, as in lockstep.  So flights flown in
-lockstep come out the same, others up to the first plan that was cut short or late.
+A log holds the frames, both ways, and neither silences, nor which frames came together, nor how
+long plans took: each frame is handled by itself, and each plan is there when it is asked for, as in
+lockstep.  So only flights that were flown in lockstep come out the same.
 """
 
 import time
@@ -19,7 +19,7 @@ from companion.mission.mission import Mission
 from companion.mission.renewed import replace
 from companion.planner.kernels import Kernel
 from companion.planner.plan import plan
-from companion.replay.differences import frames_differ
+from companion.replay.differences import frames_differ, name_of
 from companion.replay.same import Replayed
 from companion.session import Session
 from companion.telemetry.logs import Log, open_log
@@ -27,6 +27,7 @@ from companion.telemetry.logs import Log, open_log
 _SILENT_S: Final = 0.2
 _LOOKED_AT: Final = 3000  # frames that tell whether a flight was flown in lockstep
 _OFTEN: Final = 50
+_REMEMBERED: Final = 12  # frames before a difference
 _MOST_AHEAD: Final = 1000  # frames of the one that the other does not have
 _TIMESYNC: Final = wire.MAVLINK_MSG_ID_TIMESYNC
 
@@ -58,9 +59,16 @@ class LogReplay:
         )
         self._made: deque[tuple[float, bytes]] = deque()
         self._sent: deque[bytes] = deque()
+        self._heard: deque[tuple[float, bytes]] = deque(maxlen=_REMEMBERED)
 
     def run(self, on_progress: Callable[[], None] = lambda: None, until_s: float = 1e18) -> None:
         """Replay to the first difference, or the end.  InputError if no companion was there."""
+        self._run(on_progress, until_s)
+        if (difference := self.found.difference) is not None:
+            before = tuple(f"t {at_s:.3f} s  heard {name_of(each)}" for at_s, each in self._heard)
+            self.found.difference = replace(difference, before=before)
+
+    def _run(self, on_progress: Callable[[], None], until_s: float) -> None:
         began_s, before_us = time.perf_counter(), None
         session, found = self.session, self.found
         if not self._lockstep:
@@ -78,6 +86,7 @@ class LogReplay:
                 found.told += 1
                 session.receive(record.frame, record.time_us * 1e-6)
                 self._handle()
+                self._heard.append((session.now_s, record.frame))
             found.now_s, found.took_s = session.now_s, time.perf_counter() - began_s
             if found.began_s is None and found.now_s > 0.0:
                 found.began_s = found.now_s
@@ -112,11 +121,13 @@ class LogReplay:
     def _end(self) -> None:
         """No more is coming of the one or the other.  InputError if nothing can be compared."""
         found = self.found
-        if self._sent and found.difference is None:
+        if found.difference is not None:
+            return
+        if self._sent:
             found.difference = frames_differ(self.session.now_s, self._sent[0], None)
         elif len(self._made) > _MOST_AHEAD and found.frames:
             found.difference = frames_differ(self._made[0][0], None, self._made[0][1])
-        elif not found.frames and found.difference is None:
+        elif not found.frames:
             rule = "nothing in it was sent by a companion: there is nothing to compare with"
             remedy = "Give --shadow to see what it would have done."
             raise InputError("RUN_DIR|LOG", str(self.log.path), rule, remedy)

@@ -19,7 +19,8 @@ def same_words(found: Replayed) -> list[str]:
     lines = []
     if found.difference is not None:
         lines += [f"first difference at {found.difference}"]
-        lines += ["what led there:", *(f"  {line}" for line in found.difference.before)]
+        if found.difference.before:
+            lines += ["what led there:", *(f"  {line}" for line in found.difference.before)]
     counted = f"{found.frames:,} frames, {found.entries:,} journal entries"
     if found.plans_computed:
         same = found.plans_computed - len(found.plans_differ)

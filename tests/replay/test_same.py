@@ -119,6 +119,8 @@ def test_a_log_flown_with_another_seed_is_found_out(run_dir: Path) -> None:
     replay.run()
     assert replay.found.difference is not None
     assert replay.found.difference.what == "SET_POSITION_TARGET_GLOBAL_INT"
+    *_, last = replay.found.difference.before
+    assert last == f"t {replay.found.difference.time_s:.3f} s  heard GLOBAL_POSITION_INT"
 
 
 def from_log(run_dir: Path, log: Path, keeps: Callable[[int, bytes], bool]) -> LogReplay:
