@@ -248,7 +248,7 @@ class Session:
                 self._on_time(message.time_boot_ms * 1e-3, ticks=kind != "GLOBAL_POSITION_INT")
             elif self._lockstep and kind == "TIMESYNC" and message.tc1 == 0:
                 self._on_time(message.ts1 * 1e-9)
-            elif kind == "HEARTBEAT" and self._clock.beat(message.get_seq()) is Reading.LATER:
+            elif kind == "HEARTBEAT" and not self.context.shadow and self._clock.beat(message):
                 self._handle(events.Tick(time_s=self._clock.going_on_s))
         if (namesake := self._outbox.note_received(message, self.now_s)) is not None:
             self._handle(namesake)

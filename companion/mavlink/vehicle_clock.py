@@ -6,6 +6,8 @@ Until it is known, and for what must go on in a silence, the silence itself coun
 import enum
 from typing import final
 
+from companion.mavlink.dialect import Message
+
 _REBOOT_S = 2.0  # a clock that falls by more has begun again
 _BEAT_S = 1.0  # between two heartbeats of an autopilot
 MESSAGES = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE", "SYSTEM_TIME")
@@ -54,20 +56,20 @@ class VehicleClock:
         self._fallen_s = None
         return self._later(time_s)
 
-    def beat(self, sequence: int) -> Reading:
-        """A heartbeat came; two without a time in between are a second apart, if no more is known.
+    def beat(self, heartbeat: Message) -> bool:
+        """Whether the vehicle lives and no clock of it was heard since the heartbeat before.
 
-        sequence: of its frame, by which a copy is known.  LATER: the vehicle lives, and its clock
-        has not been heard since the heartbeat before.
+        Two heartbeats without a time in between are a second apart, if no more is known; a copy
+        has the sequence number of the first.
         """
-        before = self._beat
-        if before is not None and before[2] == sequence:
-            return Reading.SAME
+        before, number = self._beat, heartbeat.get_seq()
+        if before is not None and before[2] == number:
+            return False
         stands = self.is_known and before is not None and before[0] == self.now_s
         if stands and before is not None:
             self._idle_s = max(self._idle_s, before[1] + _BEAT_S)
-        self._beat = (self.now_s, self._idle_s, sequence)
-        return Reading.LATER if stands else Reading.SAME
+        self._beat = (self.now_s, self._idle_s, number)
+        return stands
 
     def be_silent(self, more_s: float, *, counts: bool) -> Reading:
         """It has said nothing for so much longer; counts: before it is known, that is its time."""
