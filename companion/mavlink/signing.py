@@ -160,7 +160,7 @@ class Signing:
     def complaint(self, now_s: float) -> str | None:
         """What was refused since the last one: at most once a minute, short as a STATUSTEXT."""
         new = self.refused - self._told
-        if not new or now_s - self._told_at_s < _COMPLAIN_S:
+        if not new or 0.0 <= now_s - self._told_at_s < _COMPLAIN_S:  # a clock may begin again
             return None
         self._told, self._told_at_s = self.refused.copy(), now_s
         [(why, count)] = new.most_common(1)

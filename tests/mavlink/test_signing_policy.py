@@ -222,6 +222,8 @@ def test_refusals_are_told_once_a_minute_and_only_if_there_are_new_ones() -> Non
     assert signing.complaint(60.0) is None
     assert signing.complaint(61.0) == "refused: 5 unsigned, 1 others"
     assert signing.complaint(600.0) is None
+    signing.accepts(stranger.frame())
+    assert signing.complaint(5.0) == "refused: 1 unsigned"  # the vehicle has rebooted
 
 
 def test_a_complaint_fits_a_statustext() -> None:
