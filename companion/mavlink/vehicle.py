@@ -40,6 +40,7 @@ from companion.mission.state import State
 
 _ASK_TIME_S = 1.0
 _TELL_SPEED_S = 1.0
+_NOT_YET = (wire.MAV_RESULT_TEMPORARILY_REJECTED, wire.MAV_RESULT_IN_PROGRESS)
 _MOST_OUTSTANDING = 10
 _MOST_SETS = 3  # of one parameter: whoever sets it back so often means it
 _SMOOTH = 0.3  # of a new round trip
@@ -192,7 +193,7 @@ class VehicleSide:
     def _on_acknowledged(self, message: Message) -> None:
         """Whether it will fly as fast as it was told: turns and reach are proven for that speed."""
         asked = any(message.command == each.command for each in self._speed)
-        if not asked or message.result == wire.MAV_RESULT_TEMPORARILY_REJECTED:
+        if not asked or message.result in _NOT_YET:
             return
         self._speed = []
         if message.result != wire.MAV_RESULT_ACCEPTED:

@@ -41,7 +41,8 @@ def joined(state: State) -> Flight | None:
     pose = leg.subpath.pose(at_m)
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
     speed = min(speed, limits.speed_m_s)
-    if went_over or flight.next_leg is None:  # what it cannot brake from by the end is offset
+    ends = went_over or flight.next_leg is None
+    if vehicle.hovers and ends:  # what it cannot brake from by then is offset
         speed = min(speed, limits.braked_m_s(leg.subpath.length_m - at_m))
     flight = replace(
         flight,
