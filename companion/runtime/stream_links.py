@@ -21,6 +21,11 @@ import serial
 
 from companion.runtime.connection import Address, Device, refused
 
+try:
+    from termios import error as _TerminalError
+except ImportError:  # Windows has no terminals of this kind
+    _TerminalError = OSError  # type: ignore[assignment,misc]
+
 _AGAIN_S = 0.5
 """Between attempts to connect or to open again."""
 _PENDING_BYTES = 2048
@@ -256,11 +261,12 @@ class SerialLink(_Context):
             raise refused(place.text, OSError(0, str(error))) from error
 
     def _opened(self) -> serial.Serial:
-        port = serial.Serial(
-            self._place.name, self._place.baud, timeout=0.0, write_timeout=0.0, exclusive=True
-        )
-        port.reset_input_buffer()
-        return port
+        """The port, with nothing left in it from before; OSError or ValueError if there is none."""
+        name, baud = self._place.name, self._place.baud
+        try:
+            return serial.Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)
+        except _TerminalError as error:  # it vanished while it was being opened: no OSError
+            raise serial.SerialException(*error.args) from error
 
     @property
     def sender(self) -> object:
@@ -281,7 +287,7 @@ class SerialLink(_Context):
                 port.timeout = timeout_s
             data = port.read(1)
             return data + port.read(port.in_waiting) if data else None
-        except (OSError, TypeError):  # TypeError: pyserial's, of a port that was just closed
+        except (OSError, _TerminalError, TypeError):  # TypeError: of a port that was just closed
             self._drop(port)
             return None
 

@@ -246,6 +246,51 @@ def test_a_device_that_vanishes_and_returns_is_opened_again(terminal: Terminal) 
             until(lambda: link.receive(0.02) is None and _is_open(terminal, link))
 
 
+SETTING_UP = ("tcsetattr", "tcflush")
+"""What is done to a port that is open already: of one that is gone it is no OSError."""
+
+
+def vanishes_at(terminal: Terminal, step: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next time that it is opened, it is pulled out in the middle."""
+    real = getattr(termios, step)
+
+    def pulled(*arguments: object) -> None:
+        monkeypatch.setattr(termios, step, real)
+        terminal.pull()
+        real(*arguments)
+
+    monkeypatch.setattr(termios, step, pulled)
+
+
+@pytest.mark.parametrize("step", SETTING_UP)
+def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    """As the USB of a flight controller does, which is a bootloader for some seconds."""
+    monkeypatch.setattr(stream_links, "_AGAIN_S", 0.0)
+    with open_link(str(terminal.name)) as link:
+        terminal.pull()
+        assert link.receive(0.02) is None
+        terminal.plug()
+        vanishes_at(terminal, step, monkeypatch)
+        assert link.receive(0.02) is None
+        assert not terminal.name.exists()
+        terminal.plug()
+        until(lambda: link.receive(0.02) is None and _is_open(terminal, link))
+        os.write(terminal.far, b"back")
+        assert heard(link, 4) == b"back"
+
+
+@pytest.mark.parametrize("step", SETTING_UP)
+def test_a_device_that_vanishes_while_it_is_first_opened_is_an_input_error(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    vanishes_at(terminal, step, monkeypatch)
+    with pytest.raises(InputError, match=r"it cannot be opened \(Input/output error\)"):
+        open_link(str(terminal.name))
+    terminal.plug()
+
+
 def test_closing_ends_the_wait_for_a_device_that_has_vanished(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
