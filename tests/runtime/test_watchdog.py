@@ -40,7 +40,8 @@ def command_int(command: int, **values: float) -> Any:
     [
         (SETPOINT, True),
         (packed(LOCAL), True),
-        (packed(command_int(192, param1=-1.0, param2=1.0, z=500.0)), True),
+        (packed(command_int(192, param1=-1.0, z=500.0)), True),
+        (packed(command_int(192, param1=-1.0, param2=1.0, z=500.0)), False),
         (packed(command_int(192)), True),
         (packed(command_int(176, param1=1.0)), False),
         (HEARTBEAT, False),
