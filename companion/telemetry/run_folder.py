@@ -21,10 +21,11 @@ import json
 import math
 import os
 import struct
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self, final
+from typing import IO, Any, NamedTuple, Self, final
 
 from companion.errors import InputError
 from companion.telemetry import inputs
@@ -36,7 +37,7 @@ RESUME_SCHEMA = "companion-resume"
 RESUME_VERSION = 1
 _WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json", inputs.FILE)
 _MOST = 2**62
-_STAMP_BYTES = 8
+_STAMP_BYTES, _HEAD_BYTES = 8, 11
 _PORTION = 2**20
 _LONGEST_RECORD = 288
 _LONGEST_TORN = 2**26  # a start with a large map
@@ -281,15 +282,11 @@ def whole_records(path: Path, start: int = 0) -> int:
 
     start: where some record begins, to look no further back; 0 if the file is shorter than that.
     """
+    end = start if start <= path.stat().st_size else 0
     with path.open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        at = start if start <= size else 0
-        file.seek(at)
-        data = memoryview(file.read())
-    end = 0
-    while (length := _record_bytes(data[end:])) and end + length <= len(data):
-        end += length
-    return at + end
+        for _, ends in _portions(file, end):
+            end += ends[-1]
+    return end
 
 
 def _first_stamp_us(tlog: Path) -> int | None:
@@ -299,7 +296,7 @@ def _first_stamp_us(tlog: Path) -> int | None:
             data = file.read(_LONGEST_RECORD)
     except OSError:
         return None
-    if not _record_bytes(memoryview(data)):
+    if not _record_bytes(data[:_HEAD_BYTES]):
         return None
     (stamp_us,) = struct.unpack_from(">Q", data)
     return stamp_us if 0 < stamp_us < _MOST else None
@@ -308,18 +305,36 @@ def _first_stamp_us(tlog: Path) -> int | None:
 def recorded_frames(path: Path) -> Generator[tuple[int, bytes]]:
     """The records of a telemetry log of ours, to the last whole one: us since 1970, frame."""
     with path.open("rb") as file:
-        rest = b""
-        while portion := file.read(_PORTION):
-            data, at = memoryview(rest + portion), 0
-            while (length := _record_bytes(data[at : at + 11])) and at + length <= len(data):
+        for data, ends in _portions(file, 0):
+            at = 0
+            for end in ends:
                 (time_us,) = struct.unpack_from(">Q", data, at)
-                yield time_us, bytes(data[at + _STAMP_BYTES : at + length])
-                at += length
-            rest = bytes(data[at:])
+                yield time_us, bytes(data[at + _STAMP_BYTES : end])
+                at = end
 
 
-def _record_bytes(data: memoryview) -> int:
-    """Length of the record that begins here; 0 if none does."""
+def _portions(file: IO[bytes], start: int) -> Iterator[tuple[bytes, list[int]]]:
+    """A log in portions, and where in each of them its whole records end, to the last whole one.
+
+    A log of a long flight is larger than the memory of a small computer.
+    """
+    file.seek(start)
+    rest, length = b"", 1
+    while length and (portion := file.read(_PORTION)):
+        data, ends, end = rest + portion, [], 0
+        while (length := _record_bytes(data[end : end + _HEAD_BYTES])) and end + length <= len(
+            data
+        ):
+            end += length
+            ends.append(end)
+        if ends:
+            yield data, ends
+        rest = data[end:]
+        length = length or len(rest) < _HEAD_BYTES
+
+
+def _record_bytes(data: bytes) -> int:
+    """Length of the record that begins with these bytes (_HEAD_BYTES); 0 if none does."""
     frame = data[_STAMP_BYTES : _STAMP_BYTES + 3]
     if len(frame) < 3 or frame[0] not in (0xFD, 0xFE):
         return 0
@@ -374,12 +389,17 @@ def _cut(path: Path, size: int, *, longest_torn: int = _LONGEST_TORN) -> None:
     has = path.stat().st_size
     if has == size:
         return
-    with path.open("rb") as file:
-        file.seek(size)
-        if has - size > longest_torn and file.read().strip(b"\0"):
-            keep_aside(path)
-            return
+    if has - size > longest_torn and not is_hole(path, size):
+        keep_aside(path)
+        return
     os.truncate(path, size)
+
+
+def is_hole(path: Path, start: int) -> bool:
+    """Whether a file holds nothing but zeros from some place on, as after a power cut."""
+    with path.open("rb") as file:
+        file.seek(start)
+        return not any(portion.strip(b"\0") for portion in iter(partial(file.read, _PORTION), b""))
 
 
 def _drop_torn(file: io.FileIO, records: Sequence[bytes], written: int) -> None:

@@ -5,6 +5,7 @@ import struct
 import subprocess
 import sys
 import threading
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
@@ -16,7 +17,12 @@ from pymavlink import mavutil  # noqa: TID251 - the reader that users have is th
 from pymavlink.dialects.v20 import all as wire
 
 from companion.errors import InputError
-from companion.telemetry.run_folder import RunFolder, read_checkpoint, whole_records
+from companion.telemetry.run_folder import (
+    RunFolder,
+    read_checkpoint,
+    recorded_frames,
+    whole_records,
+)
 from companion.world.known_map import KnownMap, empty_map
 
 EPOCH_US = 1_700_000_000_000_000  # 2023-11-14 22:13:20 UTC
@@ -311,6 +317,49 @@ def test_records_of_all_kinds_of_frames_are_told_apart(tmp_path: Path) -> None:
     path.write_bytes(log)
     assert all(whole_records(path, start) == len(log) for start in ends)
     assert whole_records(path, len(log) + 1) == len(log)
+
+
+def test_a_log_of_many_hours_is_looked_through_in_little_memory(tmp_path: Path) -> None:
+    """As when resume.json was lost: in flight, on a small computer."""
+    path, record = (
+        tmp_path / "flight.tlog",
+        struct.pack(">Q", EPOCH_US) + bytes([0xFD, 9]) + bytes(19),
+    )
+    with path.open("wb") as file:
+        for _ in range(20):
+            file.write(record * 50_000)  # 29 MB
+        end = file.tell()
+        file.write(b"\0" * 20_000_000)  # a hole that a power cut has left
+    tracemalloc.start()
+    try:
+        assert whole_records(path) == end
+        with RunFolder(tmp_path, mission_toml="", epoch_us=0, resume=True) as folder:
+            assert folder.epoch_us == EPOCH_US
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert path.stat().st_size == end
+    assert peak_bytes < 10_000_000
+
+
+def test_frames_are_read_again_to_the_last_whole_one_whatever_comes_after_it(
+    tmp_path: Path,
+) -> None:
+    frame = bytes([0xFD, 9, *range(19)])
+    record = struct.pack(">Q", EPOCH_US) + frame
+    many = 2 * 2**20 // len(record) + 1  # in more than one portion
+    path = tmp_path / "log"
+    for torn in (
+        b"",
+        record[:9],
+        record[:-1],
+        b"\0" * 3 * 2**20,
+        b"garbage" * 2**19,
+        frame * 2**18,
+    ):
+        path.write_bytes(record * many + torn)
+        assert list(recorded_frames(path)) == [(EPOCH_US, frame)] * many
+        assert whole_records(path) == len(record) * many
 
 
 KILLED = """
