@@ -203,10 +203,10 @@ class Session:
                 break
             self._on_message(*self._inbox.popleft())
         self._keep()
-        return self._taken()
+        return self.taken()
 
-    def _taken(self) -> Output:
-        """What the outside is to do now."""
+    def taken(self) -> Output:
+        """What the outside is to do now; after an error, what had come of it until then."""
         out, self._out = self._out, Output()
         out.frames, out.record = self._outbox.take()
         out.end, out.settled = self._end, self._settled()
@@ -218,7 +218,7 @@ class Session:
         self._send_all(self._holding())
         self._send_all([heartbeat(wire.MAV_STATE_POWEROFF)])
         self._keep(at_once=True)
-        return self._taken()
+        return self.taken()
 
     def look_around(self) -> None:
         """Have the radar look, whatever the mission is doing (before a flight)."""

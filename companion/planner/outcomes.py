@@ -75,7 +75,7 @@ def outcome_of(values: Values) -> PlanOutcome:
             evaluations=int(values["evaluations"]),
             rank=int(values["rank"]),
             tries=int(values["tries"]),
-            stopped_after=values["stopped_after"],
+            stopped_after=_count(values["stopped_after"]),
         )
     if kind == "not planned":
         return NotPlanned(
@@ -83,7 +83,7 @@ def outcome_of(values: Values) -> PlanOutcome:
             refusal=Refusal[values["refusal"]],
             broken=tuple(values["broken"]),
             evaluations=int(values["evaluations"]),
-            stopped_after=values["stopped_after"],
+            stopped_after=_count(values["stopped_after"]),
         )
     if kind == "way back":
         return WayBack(
@@ -95,8 +95,14 @@ def outcome_of(values: Values) -> PlanOutcome:
     raise ValueError(f"no kind of answer: {kind!r}")
 
 
+def _count(value: Any) -> int | None:
+    return None if value is None else int(value)
+
+
 def _subpath(rows: list[list[float]]) -> Subpath:
     control = np.array(rows, dtype=np.float64)
     if control.ndim != 2 or control.shape[1] != 3 or len(control) < 4:
         raise ValueError("control points are rows of north, east, altitude")
+    if not np.isfinite(control).all():
+        raise ValueError("control points are finite")
     return Subpath(control_nea_m=control)

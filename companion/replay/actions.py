@@ -77,9 +77,12 @@ def same(
         found = replay.found
     else:
         found = _from_log(flight, how, system, kernel or NUMPY, span_s[1], console)
+    _refuse_if_nothing_was_compared(found, flight, span_s)
     for line in same_words(found):
         console.print(line, highlight=False, markup=False)
     _write(same_json(found), json_file)
+    if found.damaged and found.difference is None:
+        raise _damaged(found, flight)
     if not found.is_identical:
         raise FlightFailed("the replay did not decide as the flight did", "")
 
@@ -87,15 +90,38 @@ def same(
 # --- the same flight
 
 
+def _refuse_if_nothing_was_compared(
+    found: Replayed, flight: Path, span_s: tuple[float, float]
+) -> None:
+    """Nothing is not the same as something."""
+    if found.compared or found.difference is not None:
+        return
+    if found.damaged:
+        raise _damaged(found, flight)
+    if found.flown_s < span_s[0]:
+        rule = f"the flight has {found.flown_s:,.1f} s, so nothing was compared"
+        raise InputError("--from", span_s[0], rule, "Give fewer seconds, or leave it out.")
+    if found.flown_s > span_s[1]:
+        rule = "nothing was recorded in so short a time, so nothing was compared"
+        raise InputError("--until", span_s[1], rule, "Give more seconds, or leave it out.")
+    rule = "it holds nothing to compare a replay with"
+    raise InputError("RUN_DIR|LOG", str(flight), rule, "Give the recording of a flight, whole.")
+
+
+def _damaged(found: Replayed, flight: Path) -> InputError:
+    rule = f"what was recorded is damaged ({found.damaged})"
+    return InputError("RUN_DIR", str(flight), rule, "Give a copy of it that is whole.")
+
+
 def _run(
     replay: Replay, until_s: float, speed: float | None, console: Console, *, by_step: bool
 ) -> None:
-    """Replay up to a time of the flight, at a speed if one is given."""
+    """Replay so many seconds of the flight, at a speed if one is given."""
     size, began_s = replay.told.path.stat().st_size, time.monotonic()
     with _bar("replaying", size) as show, prompt_threads():
         for each in replay.steps():
             found = replay.found
-            if found.now_s > until_s:
+            if found.flown_s > until_s:
                 break
             if speed is not None and found.flown_s > 0.0:
                 time.sleep(max(began_s + found.flown_s / speed - time.monotonic(), 0.0))

@@ -1,6 +1,7 @@
 """What a replay did against what was recorded: frames and journal entries, one by one."""
 
 import json
+import re
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,25 @@ from companion.mavlink.outbox import Stamped
 from companion.mavlink.receiver import Receiver
 from companion.mission.entries import Entry
 from companion.sources.files import answer
-from companion.telemetry.run_folder import journal_line, recorded_frames
+from companion.telemetry.inputs import is_hole
+from companion.telemetry.run_folder import (
+    LONGEST_RECORD,
+    journal_line,
+    recorded_frames,
+    whole_records,
+)
 
 _SEQUENCE: Final = {0xFD: 4, 0xFE: 2}
 """Where a frame holds its sequence number, by its first byte: not compared, nor is the checksum."""
-_ABSENT: Final = "nothing"
+NOTHING: Final = "nothing"
+"""Shown where one of the two has none."""
+_BEGUN_AGAIN_US: Final = 10_000_000
+"""A time that is so much earlier is of a clock that has begun again: the autopilot's, rebooted."""
+_TIME: Final = re.compile(rb'\{"t_s":([-+.eE\d]{1,25})[,}]')
+_LONGEST_LINE: Final = 2**24
+_SHOWN_BYTES: Final = 100
+
+_Timed = tuple[int | None, bytes]
 
 
 @final
@@ -43,7 +58,7 @@ class Difference:
 
 
 def _shown(value: Any) -> str:
-    return value if value == _ABSENT else repr(value)
+    return value if value == NOTHING else repr(value)
 
 
 @final
@@ -60,9 +75,11 @@ class Recording:
         """How many were the same."""
         self.unrecorded = 0
         """How many came after the end of what was recorded: it was killed, or the disk full."""
-        self._log = recorded_frames(folder / "flight.tlog")
-        self._journal = _entries(folder / "journal.jsonl")
+        self._path = folder / "flight.tlog"
+        self._log = _Ahead(recorded_frames(self._path))
+        self._journal = _Ahead(_entries(folder / "journal.jsonl"))
         self._epoch_us: int | None = None
+        self._is_passing = self._has_ended = False
 
     def close(self) -> None:
         """Let go of the files."""
@@ -71,10 +88,13 @@ class Recording:
 
     def begin_again(self) -> None:
         """The companion was started once more: its clock may be another."""
-        self._epoch_us = None
+        if not self._is_passing:
+            self._epoch_us = None
 
     def first_difference(self, record: list[Stamped], journal: list[Entry]) -> Difference | None:
         """Hold what one run gave against what comes next."""
+        if self._is_passing and (record or journal):
+            self._end_passing(record[0][0] if record else journal[0]["t_s"])
         for time_s, frame in record:
             if (difference := self._frame_differs(time_s, frame)) is not None:
                 return difference
@@ -83,40 +103,74 @@ class Recording:
                 return difference
         return None
 
+    def pass_by(self, record: list[Stamped], journal: list[Entry]) -> None:
+        """What one run gave need not be what was recorded: whatever was, at those times, goes by.
+
+        So the two stay side by side even if one of them has more than the other.
+        """
+        self._is_passing = True
+        for time_s, _ in record:
+            self._log.pass_by(self._stamp_us(time_s))
+        for entry in journal:
+            self._journal.pass_by(_us(entry["t_s"]))
+
+    def _end_passing(self, time_s: float) -> None:
+        """From now on it has to be the same."""
+        self._is_passing = False
+        self._log.skip_before(self._stamp_us(time_s))
+        self._journal.skip_before(_us(time_s))
+
     def pass_over(self, frames: int) -> None:
         """What the watchdog did by itself: so many frames, and one entry."""
-        for _ in range(frames):
-            next(self._log, None)
-        next(self._journal, None)
+        while frames > 0 and self._log.take() is not None:
+            frames -= 1
+        self._journal.take()
+
+    def _stamp_us(self, time_s: float) -> int:
+        """The stamp of a vehicle time; the first that is asked for is that of the next frame."""
+        if self._epoch_us is None and self._log.head is not None:
+            self._epoch_us = (self._log.head[0] or 0) - _us(time_s)
+        return (self._epoch_us or 0) + _us(time_s)
 
     def _frame_differs(self, time_s: float, frame: bytes) -> Difference | None:
-        held = next(self._log, None)
+        at_us = self._stamp_us(time_s)
+        held = self._log.take()
+        if held is None:
+            self.unrecorded += 1
+            return self._is_damaged(time_s, frame)
+        time_us, recorded = held
+        if (difference := frames_differ(time_s, recorded, frame)) is not None:
+            return difference
+        if time_us != at_us:
+            was_s = time_s + ((time_us or 0) - at_us) * 1e-6
+            return _difference(time_s, name_of(frame), "time", was_s, time_s)
+        self.frames += 1
+        return None
+
+    def _is_damaged(self, time_s: float, frame: bytes) -> Difference | None:
+        """Whether the log ends here because what follows in it is no frame; asked once."""
+        if self._has_ended:
+            return None
+        self._has_ended, end = True, whole_records(self._path)
+        left = self._path.stat().st_size - end
+        if left <= LONGEST_RECORD or is_hole(self._path, end):
+            return None
+        what = f"{left:,} bytes that are no frames"
+        return _difference(time_s, "flight.tlog", "", what, name_of(frame))
+
+    def _entry_differs(self, entry: Entry) -> Difference | None:
+        held = self._journal.take()
         if held is None:
             self.unrecorded += 1
             return None
-        time_us, recorded = held
-        at_us = round(time_s * 1e6)
-        if self._epoch_us is None:
-            self._epoch_us = time_us - at_us
-        if (difference := frames_differ(time_s, recorded, frame)) is None:
-            if time_us == self._epoch_us + at_us:
-                self.frames += 1
-                return None
-            was_s = (time_us - self._epoch_us) * 1e-6
-            return _difference(time_s, name_of(frame), "time", was_s, time_s)
-        return difference
-
-    def _entry_differs(self, entry: Entry) -> Difference | None:
-        recorded = next(self._journal, None)
-        if recorded is None:
-            self.unrecorded += 1
-            return None
-        line = journal_line(entry)
+        recorded, line = held[1], journal_line(entry)
         if recorded == line:
             self.entries += 1
             return None
-        was, now = json.loads(recorded), json.loads(line)
+        was, now = _entry_of(recorded), json.loads(line)
         time_s, kind = float(entry["t_s"]), str(entry["kind"])
+        if was is None:
+            return _difference(time_s, "journal", "line", recorded[:_SHOWN_BYTES], kind)
         if was.get("kind") != kind:
             return _difference(time_s, "journal", "kind", was.get("kind"), kind)
         field, old, new = next(_values_differ("", was, now), ("", was, now))
@@ -127,12 +181,70 @@ def _difference(time_s: float, what: str, field: str, was: Any, now: Any) -> Dif
     return Difference(time_s=time_s, what=what, field=field, recorded=was, replayed=now)
 
 
-def _entries(path: Path) -> Generator[bytes]:
+def _us(time_s: float) -> int:
+    return round(time_s * 1e6)
+
+
+@final
+class _Ahead:
+    """Recorded things, each with its time in microseconds if that can be read, one ahead."""
+
+    def __init__(self, things: Generator[_Timed]) -> None:
+        self._things = things
+        self.head: _Timed | None = next(things, None)
+        """What comes next; None: nothing."""
+
+    def take(self) -> _Timed | None:
+        """What comes next."""
+        taken, self.head = self.head, next(self._things, None)
+        return taken
+
+    def skip_before(self, at_us: int) -> None:
+        """Leave out what comes before a time, unless the clock has begun again between the two."""
+        while self.head is not None and self._is_before(at_us, self.head[0]):
+            self.take()
+
+    def pass_by(self, at_us: int) -> None:
+        """Leave out what comes before a time, and the next thing of that time if there is one."""
+        self.skip_before(at_us)
+        if self.head is not None and self.head[0] == at_us:
+            self.take()
+
+    @staticmethod
+    def _is_before(at_us: int, time_us: int | None) -> bool:
+        return time_us is None or at_us - _BEGUN_AGAIN_US < time_us < at_us
+
+    def close(self) -> None:
+        """Nothing more is wanted."""
+        self._things.close()
+
+
+def _entries(path: Path) -> Generator[_Timed]:
     """The lines of a journal but for its headers, to the last whole one."""
     with path.open("rb") as file:
-        for line in file:
-            if line.endswith(b"\n") and not line.startswith(b'{"schema"'):
-                yield line
+        while line := file.readline(_LONGEST_LINE):
+            if len(line) < _LONGEST_LINE and not line.endswith(b"\n"):
+                return
+            if not line.startswith(b'{"schema"'):
+                yield _time_us_of(line), line
+
+
+def _time_us_of(line: bytes) -> int | None:
+    """When an entry was, by its first value: it need not be read as a whole for that."""
+    found = _TIME.match(line)
+    try:
+        return None if found is None else _us(float(found[1]))
+    except (ValueError, OverflowError):
+        return None
+
+
+def _entry_of(line: bytes) -> dict[str, Any] | None:
+    """An entry of the journal; None: it is none."""
+    try:
+        entry = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return entry if isinstance(entry, dict) else None
 
 
 # --- where two of a kind differ
@@ -146,7 +258,7 @@ def _compared(frame: bytes) -> bytes:
 def name_of(frame: bytes | None) -> str:
     """What a frame says, by its name."""
     if frame is None:
-        return _ABSENT
+        return NOTHING
     message = message_of(frame)
     return "frame" if message is None else str(message.get_type())
 
@@ -180,7 +292,7 @@ def _values_differ(path: str, was: Any, now: Any) -> Iterator[tuple[str, Any, An
     if isinstance(was, dict) and isinstance(now, dict):
         for key in [*was, *(key for key in now if key not in was)]:
             inner = f"{path}.{key}" if path else str(key)
-            yield from _values_differ(inner, was.get(key, _ABSENT), now.get(key, _ABSENT))
+            yield from _values_differ(inner, was.get(key, NOTHING), now.get(key, NOTHING))
     elif isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
         for index, (old, new) in enumerate(zip(was, now, strict=True)):
             yield from _values_differ(f"{path}[{index}]", old, new)

@@ -62,7 +62,10 @@ class LogReplay:
         self._heard: deque[tuple[float, bytes]] = deque(maxlen=_REMEMBERED)
 
     def run(self, on_progress: Callable[[], None] = lambda: None, until_s: float = 1e18) -> None:
-        """Replay to the first difference, or the end.  InputError if no companion was there."""
+        """Replay to the first difference, the end, or so many seconds of the flight.
+
+        InputError if no companion was there.
+        """
         self._run(on_progress, until_s)
         if (difference := self.found.difference) is not None:
             before = tuple(f"t {at_s:.3f} s  heard {name_of(each)}" for at_s, each in self._heard)
@@ -87,11 +90,10 @@ class LogReplay:
                 session.receive(record.frame, record.time_us * 1e-6)
                 self._handle()
                 self._heard.append((session.now_s, record.frame))
-            found.now_s, found.took_s = session.now_s, time.perf_counter() - began_s
-            if found.began_s is None and found.now_s > 0.0:
-                found.began_s = found.now_s
+            found.go_on_to(session.now_s)
+            found.took_s = time.perf_counter() - began_s
             on_progress()
-            if found.difference is not None or found.now_s > until_s:
+            if found.difference is not None or found.flown_s > until_s:
                 return
         if self._sent:
             self._take(session.farewell())

@@ -11,6 +11,8 @@ from companion.replay.same import Replayed
 from companion.replay.what_if import Subpath, WhatIf
 
 _MOST_PLANS = 5
+_LATE_S = 10.0
+"""A flight that begins later by the vehicle's clock has other times than seconds of the flight."""
 
 
 def same_words(found: Replayed) -> list[str]:
@@ -27,7 +29,12 @@ def same_words(found: Replayed) -> list[str]:
         counted += f", {same} of {found.plans_computed} plans computed again"
     elif found.plans:
         counted += f"; {found.plans} plans taken as recorded"
-    lines.append(f"the same: {counted} ({found.flown_s:,.1f} s of flight{speed})")
+    begun = (
+        f" from vehicle time {found.began_s:,.1f} s" if (found.began_s or 0.0) >= _LATE_S else ""
+    )
+    lines.append(f"the same: {counted} ({found.flown_s:,.1f} s of flight{begun}{speed})")
+    if found.compared and not found.frames:
+        lines.append("no frame was compared: flight.tlog holds none")
     if found.starts > 1:
         lines.append(f"the companion was started {found.starts} times")
     lines += [str(each) for each in found.plans_differ[:_MOST_PLANS]]
@@ -35,10 +42,21 @@ def same_words(found: Replayed) -> list[str]:
         lines.append(f"{more} more plans differ")
     if found.unrecorded:
         lines.append(f"{found.unrecorded} frames and entries came after the end of the recording")
+    if found.ended_by is not None:
+        lines.append(f"the flight ended with an error of the companion's: {found.ended_by}")
     if found.torn:
         lines.append(f"the recording ends early: {found.torn}")
-    lines.append("identical" if found.is_identical else "not identical")
-    return lines
+    if found.damaged:
+        lines.append(f"the recording is damaged from there on: {found.damaged}")
+    return [*lines, _verdict(found)]
+
+
+def _verdict(found: Replayed) -> str:
+    if found.is_identical:
+        return "identical"
+    if found.difference is not None or not all(each.is_excused for each in found.plans_differ):
+        return "not identical"
+    return "identical up to there" if found.compared else "nothing was compared"
 
 
 def same_json(found: Replayed) -> dict[str, Any]:
@@ -76,6 +94,8 @@ def same_json(found: Replayed) -> dict[str, Any]:
         ],
         "unrecorded": found.unrecorded,
         "torn": found.torn,
+        "damaged": found.damaged,
+        "ended_by": None if found.ended_by is None else found.ended_by.error,
         "flown_s": found.flown_s,
         "took_s": found.took_s,
     }

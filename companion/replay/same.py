@@ -14,20 +14,33 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from companion.errors import InputError
 from companion.mavlink.outbox import Input, Output
 from companion.mavlink.receiver import Receiver
 from companion.mission.renewed import replace
+from companion.mission.start import Start
 from companion.planner.kernels import Kernel
 from companion.planner.outcomes import values_of
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.replay.differences import Difference, Recording, values_differ
-from companion.replay.told import OUTSIDE, MissionOf, TornError, session_of, start_of, tell
+from companion.replay.differences import NOTHING, Difference, Recording, values_differ
+from companion.replay.told import (
+    OUTSIDE,
+    TOLD,
+    MissionOf,
+    Raised,
+    TornError,
+    answer_of,
+    session_of,
+    start_of,
+    tell,
+)
 from companion.session import Session
 from companion.telemetry import inputs
 from companion.telemetry.inputs import InputsFile
 
 _REMEMBERED: Final = 12  # inputs before a difference
+_BEGUN_AGAIN_S: Final = 10.0  # earlier: the autopilot has rebooted, or another one was taken
 
 
 @final
@@ -76,20 +89,41 @@ class Replayed:
     """Why it ended before the end of the file."""
     plans: int = 0
     plans_computed: int = 0
+    ended_by: Raised | None = None
+    """The error with which the flight's deciding part ended, if it did."""
+    damaged: str = ""
+    """What in the recording is nothing that a session is told; nothing after it was replayed."""
     began_s: float | None = None
     """Vehicle time of the first input that told it."""
     now_s: float = 0.0
+    flown_s: float = 0.0
+    """How much of the flight was replayed, vehicle time; it goes on when that begins again."""
     took_s: float = 0.0
+    _newest_s: float = 0.0
+
+    def go_on_to(self, now_s: float) -> None:
+        """It is so late now, vehicle time."""
+        self.now_s = now_s
+        if self.began_s is None:
+            if now_s <= 0.0:
+                return
+            self.began_s = self._newest_s = now_s
+        if now_s > self._newest_s:
+            self.flown_s += now_s - self._newest_s
+            self._newest_s = now_s
+        elif now_s < self._newest_s - _BEGUN_AGAIN_S:
+            self._newest_s = now_s
 
     @property
-    def flown_s(self) -> float:
-        """How much of the flight was replayed, vehicle time."""
-        return 0.0 if self.began_s is None else self.now_s - self.began_s
+    def compared(self) -> int:
+        """How many frames and entries were the same."""
+        return self.frames + self.entries
 
     @property
     def is_identical(self) -> bool:
-        """Whether all decisions and plans were the recorded ones."""
-        return self.difference is None and all(each.is_excused for each in self.plans_differ)
+        """Whether all decisions and plans were the recorded ones, and there were any."""
+        same = self.difference is None and all(each.is_excused for each in self.plans_differ)
+        return same and self.compared > 0 and not self.damaged
 
 
 @final
@@ -117,8 +151,8 @@ class Replay:
     ) -> None:
         """kernel: computes the plans again; None: they are taken as recorded.
 
-        from_s: vehicle time before which nothing is compared; compares: False if nothing is at
-        all.  InputError if the folder has no inputs, or of another version.
+        from_s: seconds of the flight before which nothing is compared; compares: False if nothing
+        is at all.  InputError if the folder has no inputs, or of another version.
         """
         self.found = Replayed()
         self.told = InputsFile(folder / inputs.FILE)
@@ -126,6 +160,8 @@ class Replay:
         self._mission_of, self._kernel, self._from_s = mission_of, kernel, from_s
         self._session: Session | None = None
         self._asked: dict[int, PlanRequest] = {}
+        self._raised: Raised | None = None
+        """What the session has just raised, until it is known whether it did so in flight."""
         self._given: Output | None = None
         """Of the last run, until it is known what of it was sent."""
         self._before: deque[tuple[float, Input]] = deque(maxlen=_REMEMBERED)
@@ -140,31 +176,33 @@ class Replay:
                     self._compare()
                 if self.found.difference is not None:
                     return
-                yield self._step(told)
+                if (step := self._step(told)) is None:
+                    return
+                yield step
             self._compare()
         except TornError as error:
             self._compare()
-            self.found.torn = str(error)
+            self.found.damaged = str(error)
         finally:
             if self._recording is not None:
                 self._recording.close()
-        if self.told.torn_bytes and not self.found.torn:
+        if self.told.is_damaged:
+            self.found.damaged = f"{self.told.torn_bytes:,} bytes that are no inputs"
+        elif self.told.torn_bytes:
             self.found.torn = f"{self.told.torn_bytes} bytes of a record that is not whole"
         self.found.took_s = time.perf_counter() - began_s
 
-    def _step(self, told: Input) -> Step:
+    def _step(self, told: Input) -> Step | None:
         output = None
         self.found.told += 1
         match told:
             case ("start", *_):
-                self._session = session_of(start_of(told), self._mission_of)
-                self._asked.clear()
-                if self._recording is not None:
-                    self._recording.begin_again()
-                self.found.starts += 1
+                if not self._begin(start_of(told)):
+                    return None
             case ("unsent", list(numbers)):
-                if self._given is not None:
-                    self._given.leave_out(numbers)
+                self._leave_out(numbers)
+            case ("raised", str(call), str(error)):
+                self._hold_against(Raised(call=call, error=error))
             case ("held", int(frames)):
                 self._compare()
                 if self._recording is not None:
@@ -180,54 +218,126 @@ class Replay:
         session, found = self._session, self.found
         if session is None:
             return None
-        if told[0] == "deliver":
-            self._plan_again(told[1], session.now_s)
-        output = tell(session, told)
+        if told[0] == "deliver" and len(told) > 1:
+            self._plan_again(answer_of(told[1]), session.now_s)
+        try:
+            output = tell(session, told)
+        except TornError:
+            raise
+        except Exception as error:  # noqa: BLE001 - the session's own: the flight's end, perhaps
+            output, self._raised = session.taken(), Raised.of(told[0], error)
         if output is not None:
             self._given = output
             if output.plan is not None:
                 self._asked[output.plan.plan_id] = output.plan
-        found.now_s = session.now_s
-        if found.began_s is None and found.now_s > 0.0:
-            found.began_s = found.now_s
+        found.go_on_to(session.now_s)
         return output
 
+    def _leave_out(self, numbers: list[Any]) -> None:
+        """Frames of the last run that were not sent."""
+        if self._given is not None:
+            if not all(type(each) is int for each in numbers):
+                raise TornError("numbers of frames that are none")
+            there = range(len(self._given.frames))  # else it has sent fewer: that will differ
+            self._given.leave_out(number for number in numbers if number in there)
+
+    def _begin(self, start: Start) -> bool:
+        """A session like that; whether there is one, if it raises nothing."""
+        self._asked.clear()
+        try:
+            self._session = session_of(start, self._mission_of)
+        except (TornError, InputError):
+            raise
+        except Exception as error:  # noqa: BLE001 - its own
+            self._raised = Raised.of("start", error)
+            self._compare()
+            return False
+        if self._recording is not None:
+            self._recording.begin_again()
+        self.found.starts += 1
+        return True
+
+    def _hold_against(self, ended: Raised) -> None:
+        """The flight ended with an error there: so does the replay."""
+        self._compare_output()
+        raised, self._raised = self._raised, None
+        again = raised is not None and (raised.call, raised.error) == (ended.call, ended.error)
+        self.found.ended_by = raised if again else ended
+        if not again and (raised is not None or ended.call in TOLD):
+            self._differ_in_error(ended, raised)
+
+    def _differ_in_error(self, ended: Raised | None, raised: Raised | None) -> None:
+        call = (ended or raised or Raised(call="", error="")).call
+        self.found.difference = self.found.difference or Difference(
+            time_s=self.found.now_s,
+            what=call or "flight",
+            field="error",
+            recorded=NOTHING if ended is None else str(ended),
+            replayed=NOTHING if raised is None else str(raised),
+            before=tuple(map(_in_words, self._before)),
+        )
+
     def _compare(self) -> None:
-        """Hold what the last run gave against what was recorded."""
+        """Hold what the last input led to against what was recorded."""
+        self._compare_output()
+        if self._raised is not None:
+            self._differ_in_error(None, self._raised)
+
+    def _compare_output(self) -> None:
         given, self._given = self._given, None
         recording, found = self._recording, self.found
         if given is None or recording is None:
             return
+        if found.flown_s < self._from_s:
+            recording.pass_by(given.record, given.journal)
+            return
         difference = recording.first_difference(given.record, given.journal)
         found.frames, found.entries = recording.frames, recording.entries
         found.unrecorded = recording.unrecorded
-        if difference is not None and difference.time_s >= self._from_s:
+        if difference is not None:
             found.difference = replace(difference, before=tuple(map(_in_words, self._before)))
 
-    def _plan_again(self, values: Any, now_s: float) -> None:
+    def _plan_again(self, answer: PlanOutcome, now_s: float) -> None:
         """Compute a plan once more; it is not flown by."""
         self.found.plans += 1
-        plan_id = values.get("plan_id") if isinstance(values, dict) else None
-        request = None if not isinstance(plan_id, int) else self._asked.pop(plan_id, None)
+        request = self._asked.pop(answer.plan_id, None)
         if request is None or self._kernel is None:
             return
         self.found.plans_computed += 1
-        again = computed_again(request, values.get("stopped_after"), self._kernel)
-        kernels = str(values.get("kernel", self._kernel.name)), self._kernel.name
-        differs = values_differ({**values, "kernel": None}, {**_plain(again), "kernel": None})
-        if differs is not None:
-            where, was, now = differs
-            self.found.plans_differ.append(
-                PlanDiffers(
-                    plan_id=request.plan_id,
-                    time_s=now_s,
-                    field=where,
-                    recorded=was,
-                    replayed=now,
-                    words=_apart(values, _plain(again)),
-                    kernels=kernels,
-                )
+        values, stopped_after = _plain(answer), getattr(answer, "stopped_after", None)
+        name = self._kernel.name
+        try:
+            again = _plain(computed_again(request, stopped_after, self._kernel))
+        except Exception as error:  # noqa: BLE001 - the planner's own: in flight it had an answer
+            words = "it cannot be computed"
+            differs = "error", NOTHING, f"{type(error).__name__}: {error}"
+            self._plan_differs(answer, now_s, differs, words, (name, name))
+            return
+        found = values_differ({**values, "kernel": None}, {**again, "kernel": None})
+        if found is not None:
+            kernels = str(values.get("kernel", name)), name
+            self._plan_differs(answer, now_s, found, _apart(values, again), kernels)
+
+    def _plan_differs(
+        self,
+        answer: PlanOutcome,
+        time_s: float,
+        where: tuple[str, Any, Any],
+        words: str,
+        kernels: tuple[str, str],
+    ) -> None:
+        name, was, now = where
+        self.found.plans_differ.append(
+            PlanDiffers(
+                plan_id=answer.plan_id,
+                time_s=time_s,
+                field=name,
+                recorded=was,
+                replayed=now,
+                words=words,
+                kernels=kernels,
             )
+        )
 
 
 def computed_again(request: PlanRequest, stopped_after: int | None, kernel: Kernel) -> PlanOutcome:

@@ -1,18 +1,33 @@
 """A recorded flight told again: the inputs of a session, handed to a session like it."""
 
+import math
+import traceback
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
 
 from companion.mavlink.outbox import Input, Output
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
-from companion.mission.start import Start
+from companion.mission.start import Resume, Start
+from companion.objective.scene import PROFILES
 from companion.planner.outcomes import outcome_of
+from companion.planner.request import PlanOutcome
 from companion.session import Session
 from companion.world.packed_map import unpacked_map
 
-OUTSIDE = frozenset({"unsent", "held"})
-"""Inputs that say what became of a session's output: the session is not told of them."""
+OUTSIDE = frozenset({"unsent", "raised", "held"})
+"""Inputs that say what became of a session and its output: the session is not told of them."""
+TOLD = frozenset(
+    {
+        *("receive", "run", "silence", "deliver", "stop", "complain", "part_died"),
+        *("recording_stopped", "farewell"),
+    }
+)
+"""The calls of a session that are inputs."""
+_LARGEST_ID = 255
 
 
 MissionOf = Callable[[Start], Mission]
@@ -23,63 +38,122 @@ class TornError(Exception):
     """What was recorded is not what a session can be told."""
 
 
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Raised:
+    """An error that came out of a session, or of the part that decides around it."""
+
+    call: str
+    """Of the session: a name among `TOLD`, or another; "" if it did not come out of it."""
+    error: str
+    place: str = ""
+    """In the code, if it was raised here."""
+
+    @staticmethod
+    def of(call: str, error: Exception) -> "Raised":
+        """An error that a session has raised just now."""
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{Path(last.filename).stem}.{last.name}, line {last.lineno}"
+        return Raised(call=call, error=f"{type(error).__name__}: {error}", place=place)
+
+    def __str__(self) -> str:
+        return self.error if not self.place else f"{self.error} ({self.place})"
+
+
 def start_of(told: Input) -> Start:
     """What a session was made of, of a recorded input.  TornError: it is none."""
     try:
-        return Start(**told[1])
+        start = Start(**told[1])
     except (IndexError, TypeError) as error:
         raise TornError(f"a start that is none ({error})") from error
+    resume = start.resume
+    ids = (start.system_id, None if not isinstance(resume, dict) else resume.get("system_id"))
+    whole = (
+        all(isinstance(each, str) for each in (start.companion, start.mission, start.profile))
+        and all(type(each) is bool for each in (start.lockstep, start.shadow))
+        and all(each is None or _is_id(each) for each in ids)
+        and type(start.seed) is int
+        and start.seed >= 0
+        and isinstance(resume, dict | None)
+        and isinstance(start.known, bytes | None)
+        and start.profile in PROFILES
+    )
+    if not whole:
+        raise TornError("a start that is none (one of its values)")
+    return start
 
 
 def session_of(start: Start, mission_of: MissionOf) -> Session:
-    """A session like that.  TornError: what it went on from cannot be read."""
+    """A session like that.  TornError: what it went on from cannot be read.
+
+    Whatever a session raises by itself comes through.
+    """
     mission = replace(mission_of(start), system_id=start.system_id)
+    return Session(
+        mission,
+        seed=start.seed,
+        lockstep=start.lockstep,
+        shadow=start.shadow,
+        resume=_resume_of(start, mission),
+        version=start.companion,
+    )
+
+
+def _resume_of(start: Start, mission: Mission) -> Resume | None:
+    if start.resume is None:
+        return None
     try:
-        resume = None
-        if start.resume is not None:
-            known = None if start.known is None else unpacked_map(start.known)
-            if known is not None:
-                known = replace(known, given=checkpoint.blank(mission).given)
-            resume = start.resume, known
-        return Session(
-            mission,
-            seed=start.seed,
-            lockstep=start.lockstep,
-            shadow=start.shadow,
-            resume=resume,
-            version=start.companion,
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise TornError(f"a start that cannot be gone on from ({error})") from error
+        known = None if start.known is None else unpacked_map(start.known)
+        if known is not None:
+            known = replace(known, given=checkpoint.blank(mission).given)
+        resume = start.resume, known
+        checkpoint.beginning(mission, resume)
+    except checkpoint.NOT_SUCH as error:
+        why = f"{type(error).__name__}: {error}"
+        raise TornError(f"a start that cannot be gone on from ({why})") from error
+    return resume
 
 
 def tell(session: Session, told: Input) -> Output | None:
     """Tell a session once more what it was told; what follows from it, if it was to be handled.
 
-    TornError: it is nothing that a session is told.
+    TornError: it is nothing that a session is told.  Whatever the session raises comes through.
     """
-    try:
-        match told:
-            case ("receive", bytes(data), at_s):
-                session.receive(data, at_s)
-            case ("run",):
-                return session.run()
-            case ("silence", float() | int() as silent_s):
-                session.silence(silent_s)
-            case ("deliver", values):
-                session.deliver(outcome_of(values))
-            case ("stop",):
-                session.stop()
-            case ("complain", str(text)):
-                session.complain(text)
-            case ("part_died", str(part), str(error)):
-                session.part_died(part, error)
-            case ("recording_stopped", str(why)):
-                session.recording_stopped(why)
-            case ("farewell",):
-                return session.farewell()
-            case _:
-                raise TornError(f"an input of no known kind ({told[0]!r})")
-    except (KeyError, TypeError, ValueError) as error:
-        raise TornError(f"a broken input ({told[0]!r}: {error})") from error
+    match told:
+        case ("receive", bytes(data), at_s) if at_s is None or _is_time(at_s):
+            session.receive(data, at_s)
+        case ("run",):
+            return session.run()
+        case ("silence", silent_s) if _is_time(silent_s):
+            session.silence(silent_s)
+        case ("deliver", values):
+            session.deliver(answer_of(values))
+        case ("stop",):
+            session.stop()
+        case ("complain", str(text)):
+            session.complain(text)
+        case ("part_died", str(part), str(error)):
+            session.part_died(part, error)
+        case ("recording_stopped", str(why)):
+            session.recording_stopped(why)
+        case ("farewell",):
+            return session.farewell()
+        case _:
+            raise TornError(f"an input that is none ({told[0]!r:.40})")
     return None
+
+
+def answer_of(values: Any) -> PlanOutcome:
+    """The answer of the planner that was delivered.  TornError: it is none."""
+    try:
+        return outcome_of(values)
+    except checkpoint.NOT_SUCH as error:
+        raise TornError(f"an answer of the planner that is none ({error!r:.80})") from error
+
+
+def _is_time(value: Any) -> bool:
+    return type(value) in (float, int) and math.isfinite(value)
+
+
+def _is_id(value: Any) -> bool:
+    return type(value) is int and 1 <= value <= _LARGEST_ID

@@ -9,12 +9,15 @@ session: its name, then its arguments.
     deliver       the answer of the planner (`planner.outcomes`)
     silence, stop, part_died, recording_stopped, complain, farewell
     unsent        numbers of the frames of the last run that were not sent after all
+    raised        the part that decides has ended with an error: the call of the session that it
+                  came out of ("" if none), and the error; none of its last frames were sent
     held          so many frames were sent by the watchdog, past the session
 
 It ends with the last whole record, however the flight ended.
 """
 
 from collections.abc import Iterable, Iterator
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final, final
@@ -50,6 +53,8 @@ class InputsFile:
         """How much of it was read so far."""
         self.torn_bytes = 0
         """At the end of the file, of a record that is not whole; once it was read to there."""
+        self.is_damaged = False
+        """Whether these are something else: nothing that a flight which ended there has left."""
         try:
             head = next(self._records(), ())
         except OSError as error:
@@ -68,18 +73,20 @@ class InputsFile:
         return islice(self._records(), 1, None)
 
     def _records(self) -> Iterator[Input]:
-        size, end = self.path.stat().st_size, 0
+        size, end, is_whole = self.path.stat().st_size, 0, True
         with self.path.open("rb") as file:
             unpacker = msgpack.Unpacker(file, read_size=_PORTION, max_buffer_size=_LONGEST)
             try:
                 for told in unpacker:
-                    if not isinstance(told, list) or not told or not isinstance(told[0], str):
+                    is_whole = isinstance(told, list) and told[:1] != [] and type(told[0]) is str
+                    if not is_whole:
                         break
                     self.read_bytes = end = unpacker.tell()
                     yield tuple(told)
             except _UNREADABLE:
-                pass
+                is_whole = False
         self.torn_bytes = size - end
+        self.is_damaged = not is_whole and not is_hole(self.path, end)
 
 
 def whole_inputs(path: Path, start: int = 0) -> int:
@@ -98,3 +105,10 @@ def whole_inputs(path: Path, start: int = 0) -> int:
         except _UNREADABLE:
             pass
     return at + end
+
+
+def is_hole(path: Path, start: int) -> bool:
+    """Whether a file holds nothing but zeros from some place on, as after a power cut."""
+    with path.open("rb") as file:
+        file.seek(start)
+        return not any(portion.strip(b"\0") for portion in iter(partial(file.read, _PORTION), b""))

@@ -22,7 +22,6 @@ import math
 import os
 import struct
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple, Self, final
@@ -39,7 +38,7 @@ _WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json", inputs.F
 _MOST = 2**62
 _STAMP_BYTES, _HEAD_BYTES = 8, 11
 _PORTION = 2**20
-_LONGEST_RECORD = 288
+LONGEST_RECORD = 288  # bytes, of the telemetry log
 _LONGEST_TORN = 2**26  # a start with a large map
 _SIGNED, _SIGNATURE_BYTES = 0x01, 13
 
@@ -120,7 +119,7 @@ class RunFolder:
             keep_aside(self.path / name)
         if tlog.exists():
             whole = whole_records(tlog, head.get("tlog_bytes", 0))
-            _cut(tlog, whole, longest_torn=_LONGEST_RECORD)
+            _cut(tlog, whole, longest_torn=LONGEST_RECORD)
         if journal.exists():
             _cut(journal, _whole_lines(journal))
         told = self.path / inputs.FILE
@@ -293,7 +292,7 @@ def _first_stamp_us(tlog: Path) -> int | None:
     """The stamp of a log's first record: where vehicle time began, when that cannot be read."""
     try:
         with tlog.open("rb") as file:
-            data = file.read(_LONGEST_RECORD)
+            data = file.read(LONGEST_RECORD)
     except OSError:
         return None
     if not _record_bytes(data[:_HEAD_BYTES]):
@@ -389,17 +388,10 @@ def _cut(path: Path, size: int, *, longest_torn: int = _LONGEST_TORN) -> None:
     has = path.stat().st_size
     if has == size:
         return
-    if has - size > longest_torn and not is_hole(path, size):
+    if has - size > longest_torn and not inputs.is_hole(path, size):
         keep_aside(path)
         return
     os.truncate(path, size)
-
-
-def is_hole(path: Path, start: int) -> bool:
-    """Whether a file holds nothing but zeros from some place on, as after a power cut."""
-    with path.open("rb") as file:
-        file.seek(start)
-        return not any(portion.strip(b"\0") for portion in iter(partial(file.read, _PORTION), b""))
 
 
 def _drop_torn(file: io.FileIO, records: Sequence[bytes], written: int) -> None:

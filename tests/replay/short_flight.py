@@ -1,0 +1,64 @@
+"""Short flights with the scripted vehicle, recorded as real ones are."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "runtime"))
+from scripted_vehicle import Vehicle, straight_plan
+from test_loop import ScriptedLink
+
+from companion.config import load_mission, mission_text
+from companion.runtime import loop
+from companion.session import Session
+from companion.sources.files import toml_table, toml_text
+from companion.telemetry.flown import Flown
+from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
+from companion.telemetry.run_folder import RunFolder
+
+EPOCH_US = 1_700_000_000_000_000
+
+
+def short_mission(**tables: Any) -> str:
+    """A mission file with one target, 5 km away."""
+    table = toml_table(mission_text("environment-1"), "environment-1")
+    target = {"north_m": 4000.0, "east_m": 3000.0}
+    return toml_text({**table, "targets": [target], **tables})
+
+
+def fly_short(
+    path: Path,
+    *,
+    text: str = "",
+    link: ScriptedLink | None = None,
+    lockstep: bool = True,
+    booted_s: float = 0.0,
+    until_s: float = 60.0,
+) -> Flown:
+    """Record a flight of the mission of a text until a vehicle that was booted so long ago was
+    watched for so long."""
+    link = link or ScriptedLink(Vehicle(lockstep=lockstep))
+    vehicle, text = link.vehicle, text or short_mission()
+    vehicle.time_ms = round(1e3 * booted_s)
+    with RunFolder(path, mission_toml=text, epoch_us=EPOCH_US) as folder:
+        folder.header({})
+        return loop.fly(
+            Session(load_mission(str(path / "mission.toml")), seed=1, lockstep=lockstep),
+            link,
+            folder,
+            lockstep=lockstep,
+            on_progress=lambda _: None,
+            stop_asked=lambda: vehicle.time_ms >= 1e3 * (booted_s + until_s),
+            planner=straight_plan,
+        )
+
+
+def rewritten(path: Path, change: Callable[[list[Input]], None]) -> None:
+    """Change what the session of a recorded flight was told."""
+    told = list(InputsFile(path / FILE))
+    change(told)
+    (path / FILE).write_bytes(b"".join(packed((HEADER, *told))))
+
+
+__all__ = ["EPOCH_US", "ScriptedLink", "Vehicle", "fly_short", "rewritten", "short_mission"]
