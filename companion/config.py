@@ -66,6 +66,13 @@ def mission_name(name_or_path: str) -> str | None:
     return name if isinstance(name, str) else None
 
 
+def elevation_file(name_or_path: str) -> str | None:
+    """The file that a mission knows its terrain from, if there is one; InputError as above."""
+    terrain = _whole(_text_of_mission(name_or_path), name_or_path).table.get("terrain")
+    file = terrain.get("file") if isinstance(terrain, dict) else None
+    return file if isinstance(file, str) else None
+
+
 def load_mission(
     name_or_path: str, profile: str | None = None, settings: Sequence[str] = ()
 ) -> Mission:

@@ -6,7 +6,7 @@ from typing import Any, final
 from companion.mission.checkpoint import Values
 from companion.mission.mission import Mission
 from companion.world.known_map import KnownMap
-from companion.world.packed_map import packed_map
+from companion.world.packed_map import digest_of, packed_map
 
 Resume = tuple[Values, KnownMap | None]
 """What a companion before this one has left: its checkpoint, and its map if that can be read."""
@@ -30,6 +30,11 @@ class Start:
     resume: Values | None
     known: bytes | None
     """The map that is resumed with (`packed_map`)."""
+    terrain: str | None = None
+    """Of the terrain that the mission knows in advance (`digest_of`); "": it knows none.
+
+    It may stand in a file outside of the run folder.  None: recorded before this was noted.
+    """
 
     @staticmethod
     def of(
@@ -53,8 +58,14 @@ class Start:
             shadow=shadow,
             resume=values,
             known=None if known is None else packed_map(known),
+            terrain=terrain_of(mission),
         )
 
     def values(self) -> dict[str, Any]:
         """For a file."""
         return asdict(self)
+
+
+def terrain_of(mission: Mission) -> str:
+    """What tells the terrain that a mission knows in advance from any other; "": it knows none."""
+    return "" if mission.known is None else digest_of(mission.known)

@@ -13,8 +13,10 @@ from typing import Any, final
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from companion.config import load_mission
+from companion.config import elevation_file, load_mission
 from companion.errors import FlightFailed, InputError
+from companion.mission.mission import Mission
+from companion.mission.start import Start, terrain_of
 from companion.planner.kernels import NUMPY, Kernel
 from companion.replay.differences import message_of
 from companion.replay.from_log import LogReplay
@@ -251,7 +253,26 @@ def _mission_of(folder: Path) -> MissionOf:
     if not answer(file.is_file):
         remedy = "Give the run folder of a flight that was recorded with its inputs."
         raise InputError("RUN_DIR|LOG", str(folder), "it holds no mission.toml", remedy)
-    return lambda start: load_mission(str(file), start.profile)
+
+    def mission_of(start: Start) -> Mission:
+        mission = load_mission(str(file), start.profile)
+        if start.terrain not in (None, terrain_of(mission)):
+            raise _other_terrain(file)
+        return mission
+
+    return mission_of
+
+
+def _other_terrain(mission_file: Path) -> InputError:
+    """It would decide otherwise, and rightly so."""
+    elevation = elevation_file(str(mission_file))
+    if elevation is None:
+        field, value, what = "terrain", str(mission_file), "the terrain that it gives in advance"
+        remedy = "Give the run folder with the mission.toml that was flown."
+    else:
+        field, value, what = "terrain.file", elevation, "the elevation file"
+        remedy = f"Put the file of the flight there, or name it in {mission_file}."
+    return InputError(field, value, f"{what} has changed since the flight", remedy)
 
 
 def kernel_for(*, plans: bool, numba: bool) -> Kernel | None:

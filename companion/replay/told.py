@@ -76,6 +76,7 @@ def start_of(told: Input) -> Start:
         and start.seed >= 0
         and isinstance(resume, dict | None)
         and isinstance(start.known, bytes | None)
+        and isinstance(start.terrain, str | None)
         and start.profile in PROFILES
     )
     if not whole:

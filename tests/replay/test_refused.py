@@ -9,8 +9,11 @@ import struct
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from short_flight import EPOCH_US, fly_short, rewritten
+import rasterio
+from rasterio.transform import Affine
+from short_flight import EPOCH_US, fly_short, rewritten, short_mission
 
 from companion.cli import main
 from companion.config import load_mission
@@ -331,3 +334,64 @@ def test_a_start_that_is_none_is_named(run_dir: Path, change: dict[str, Any]) ->
     name, values = next(iter(InputsFile(run_dir / FILE)))
     with pytest.raises(TornError, match="a start that is none"):
         start_of((name, {**values, **change}))
+
+
+# --- the elevation file
+
+
+def elevations(path: Path, *, higher_m: int = 0) -> Path:
+    """Heights every 3 seconds about the origin of the mission."""
+    step = 1 / 1200
+    heights = np.random.default_rng(4).integers(300, 800, (120, 120)).astype(np.int16)
+    heights[30:90, 30:90] += higher_m
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        crs="EPSG:4326",
+        transform=Affine(step, 0, 8.0 - 60 * step, 0, -step, 47.0 + 60 * step),
+        dtype="int16",
+        count=1,
+        height=120,
+        width=120,
+    ) as file:
+        file.write(heights, 1)
+    return path
+
+
+@pytest.fixture
+def flown_with_elevations(tmp_path: Path) -> tuple[Path, Path]:
+    file = elevations(tmp_path / "dem.tif")
+    text = short_mission(terrain={"file": str(file), "vertical_datum": "EGM96"})
+    fly_short(tmp_path / "run", text=text, until_s=5.0)
+    return tmp_path / "run", file
+
+
+def test_an_elevation_file_that_has_changed_is_said_in_one_line(
+    flown_with_elevations: tuple[Path, Path], replays: Replays
+) -> None:
+    path, file = flown_with_elevations
+    assert replays(path)[0] == 0
+    elevations(file, higher_m=10)
+    for option in ((), ("--seed", 3)):  # what if, too
+        code, out, [error] = replays(path, *option)
+        assert code == 2
+        assert f"terrain.file = '{file}': the elevation file has changed since the flight" in error
+        assert "Put the file of the flight there, or name it in " in error
+        assert "first difference" not in out
+
+
+def test_a_flight_that_was_recorded_without_a_word_of_its_terrain_is_still_replayed(
+    flown_with_elevations: tuple[Path, Path], replays: Replays
+) -> None:
+    path, file = flown_with_elevations
+
+    def change(told: list[Input]) -> None:
+        name, values = told[0]
+        assert len(values.pop("terrain")) == 64
+        told[0] = (name, values)
+
+    rewritten(path, change)
+    assert replays(path)[0] == 0
+    elevations(file, higher_m=10)
+    assert replays(path)[0] in (0, 1)
