@@ -1,7 +1,9 @@
 """The part that decides: hands the session what happened, and carries out what it wants."""
 
+import contextlib
 import math
 import threading
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import final
@@ -80,8 +82,24 @@ class Decider:
             while self.flown.end is None and not self._leaving.is_set():
                 self._turn()
             self._carry_out(self.session.farewell())
+        except BaseException as error:
+            with contextlib.suppress(Exception):  # the error itself is what counts
+                self._record_the_end(error)
+            raise
         finally:
             self.ended.set()
+
+    def _record_the_end(self, error: BaseException) -> None:
+        """What the session was told before it raised is the one thing that explains it."""
+        out = self.session.taken()
+        self._not_sent(out, [])
+        calls = [
+            frame.f_code.co_name
+            for frame, _ in traceback.walk_tb(error.__traceback__)
+            if frame.f_locals.get("self") is self.session
+        ]
+        raised = "raised", calls[0] if calls else "", f"{type(error).__name__}: {error}"
+        self.writer.put(Batch(record=out.record, journal=out.journal, inputs=[*out.inputs, raised]))
 
     def _turn(self) -> None:
         if self.lockstep:
@@ -149,16 +167,18 @@ class Decider:
 
     def _carry_out(self, out: Output) -> None:
         frames = out.frames if self.lockstep else newest_setpoint(out.frames)
-        self._send(frames, out)
-        self.writer.put(
-            Batch(
-                record=out.record,
-                journal=out.journal,
-                inputs=out.inputs,
-                checkpoint=out.checkpoint,
-                known=out.known,
+        try:
+            self._send(frames, out)
+        finally:
+            self.writer.put(
+                Batch(
+                    record=out.record,
+                    journal=out.journal,
+                    inputs=out.inputs,
+                    checkpoint=out.checkpoint,
+                    known=out.known,
+                )
             )
-        )
         if out.plan is not None:
             self.flown.scans_nea_m.append(out.plan.scan_nea_m)
             self.planning.ask(out.plan)
@@ -183,11 +203,7 @@ class Decider:
     def _send(self, frames: list[bytes], out: Output) -> None:
         """Send, and leave out of the record what was not sent."""
         sent = frames if not frames or self.gate.send(frames) else []
-        if len(sent) < len(out.frames):
-            kept = set(sent)
-            numbers = [number for number, each in enumerate(out.frames) if each not in kept]
-            out.leave_out(numbers)
-            out.inputs.append(("unsent", numbers))
+        self._not_sent(out, sent)
         now_s = self.clock()
         self.times.turns.add(now_s - self._turned_s)
         if any(entry["kind"] == "phase" for entry in out.journal):
@@ -198,6 +214,15 @@ class Decider:
         if now_s - self._reserve_at_s >= _RESERVE_S:
             self._reserve_at_s = now_s
             self.watchdog.reserve(self.session.hold_frames())
+
+    @staticmethod
+    def _not_sent(out: Output, sent: list[bytes]) -> None:
+        """Leave out of the record what is not among the frames that were sent."""
+        if len(sent) < len(out.frames):
+            kept = set(sent)
+            numbers = [number for number, each in enumerate(out.frames) if each not in kept]
+            out.leave_out(numbers)
+            out.inputs.append(("unsent", numbers))
 
     def _on_end(self, out: Output) -> None:
         """The mission is over, once the vehicle has confirmed how it is left."""

@@ -1,0 +1,150 @@
+"""A companion that dies of an error of its own leaves what it takes to see that error again."""
+
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from short_flight import ScriptedLink, Vehicle, fly_short, rewritten
+
+from companion.config import load_mission
+from companion.mission import machine
+from companion.mission.events import Outcome
+from companion.mission.mission import Mission
+from companion.mission.start import Start
+from companion.planner.kernels import NUMPY
+from companion.replay.report import same_json, same_words
+from companion.replay.same import Replay, Replayed
+from companion.replay.what_if import what_if
+from companion.telemetry.inputs import FILE, Input, InputsFile
+from companion.telemetry.run_folder import recorded_frames
+
+ERROR = "ZeroDivisionError: made up"
+
+
+@pytest.fixture
+def bug(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine that cannot get past 20 s, in flight or in a replay."""
+    step = machine.step
+
+    def breaks(state: Any, event: Any, context: Any) -> Any:
+        if event.time_s >= 20.0:
+            raise ZeroDivisionError("made up")
+        return step(state, event, context)
+
+    monkeypatch.setattr(machine, "step", breaks)
+
+
+def mission_of(path: Path) -> Mission:
+    return load_mission(str(path / "mission.toml"))
+
+
+def replayed(path: Path) -> Replayed:
+    def as_flown(_: Start) -> Mission:
+        return mission_of(path)
+
+    replay = Replay(path, as_flown, kernel=None)
+    for _ in replay.steps():
+        pass
+    return replay.found
+
+
+class Paced(ScriptedLink):
+    """A vehicle that does not run away from a companion in real time."""
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        threading.Event().wait(0.004)
+        return super().receive(timeout_s)
+
+
+@pytest.fixture
+def ended(tmp_path: Path, bug: None, request: pytest.FixtureRequest) -> Path:
+    """The run folder of a flight that ended so."""
+    del bug
+    link = Paced(Vehicle(lockstep=request.param))
+    end = fly_short(tmp_path / "run", link=link, lockstep=request.param, until_s=1e6).end
+    assert end is not None
+    assert end.outcome is Outcome.FAILED
+    assert ERROR in end.reason
+    return tmp_path / "run"
+
+
+EITHER = pytest.mark.parametrize(
+    "ended", [True, False], indirect=True, ids=["in lockstep", "in real time"]
+)
+LOCKSTEP = pytest.mark.parametrize("ended", [True], indirect=True, ids=["in lockstep"])
+
+
+@EITHER
+def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(ended: Path) -> None:
+    found = replayed(ended)
+    assert found.difference is None
+    assert found.is_identical
+    assert found.unrecorded == 0
+    assert found.ended_by is not None
+    assert (found.ended_by.call, found.ended_by.error) == ("run", ERROR)
+    assert found.ended_by.place.startswith("test_ended.breaks, line ")
+    lines = same_words(found)
+    assert lines[-1] == "identical"
+    assert any(ERROR in line for line in lines)
+    assert same_json(found)["ended_by"] == ERROR
+
+
+@LOCKSTEP
+def test_what_the_last_turn_was_told_is_recorded_and_nothing_that_was_not_sent(
+    ended: Path,
+) -> None:
+    told = list(InputsFile(ended / FILE))
+    assert [each[0] for each in told[-4:]] == ["receive", "run", "raised", "held"]
+    heard = [frame for _, frame in recorded_frames(ended / "flight.tlog") if frame[6] == 1]
+    last = next(each[1] for each in reversed(told) if each[0] == "receive")
+    assert heard[-1] in last
+    lines = (ended / "journal.jsonl").read_text("utf-8").splitlines()
+    assert json.loads(lines[-1])["kind"] == "part died"
+
+
+@LOCKSTEP
+def test_a_companion_that_was_mended_is_told_from_the_one_that_flew(
+    ended: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()
+    difference = replayed(ended).difference
+    assert difference is not None
+    assert difference.time_s == pytest.approx(20.0, abs=0.2)
+
+
+@LOCKSTEP
+def test_an_error_where_the_flight_had_none_is_a_difference(ended: Path) -> None:
+    def change(told: list[Input]) -> None:
+        del told[-2:]
+
+    rewritten(ended, change)
+    difference = replayed(ended).difference
+    assert difference is not None
+    assert str(difference).startswith(f"t 20.000 s: run.error: recorded nothing, replayed '{ERROR}")
+    assert difference.before[-1].endswith("run")
+
+
+@LOCKSTEP
+def test_what_if_ends_with_the_flight(ended: Path) -> None:
+    mission = mission_of(ended)
+    made = list(what_if(ended, lambda _: mission, mission, seed=None, kernel=NUMPY))
+    assert [each.plan_id for each in made] == [1]
+
+
+def test_an_error_from_outside_of_the_decisions_is_no_difference(tmp_path: Path) -> None:
+    class Failing(ScriptedLink):
+        def send(self, frames: list[bytes]) -> None:
+            if self.vehicle.time_ms >= 20_000:
+                raise OSError("the driver is gone")
+            super().send(frames)
+
+    end = fly_short(tmp_path / "run", link=Failing(Vehicle())).end
+    assert end is not None
+    assert end.outcome is Outcome.FAILED
+    found = replayed(tmp_path / "run")
+    assert found.difference is None
+    assert found.ended_by is not None
+    assert str(found.ended_by) == "OSError: the driver is gone"
+    assert found.ended_by.call == ""
