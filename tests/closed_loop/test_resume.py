@@ -324,7 +324,8 @@ def test_no_setpoint_jumps(killed: Any, name: str) -> None:
                 target = moved(place_of(before), velocity_of(before), flown_s)
                 near.append((apart_m(place_of(message), target), velocity_of(before)))
             metres, speed = min(
-                (metres, math.dist(velocity_of(message), velocity)) for metres, velocity in near
+                ((metres, math.dist(velocity_of(message), velocity)) for metres, velocity in near),
+                key=sum,
             )
             largest = [max(largest[0], metres), max(largest[1], speed)]
             before = message
