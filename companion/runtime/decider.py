@@ -188,7 +188,8 @@ class Decider:
 
     def _note_track(self) -> None:
         here, now_s = self.session.state.vehicle.position_nea_m, self.session.now_s
-        if here is not None and now_s - self._track_at_s >= self._track_every_s:
+        waits = 0.0 <= now_s - self._track_at_s < self._track_every_s  # or its clock begins again
+        if here is not None and not waits:
             self._track_at_s = now_s
             self.flown.track_nea_m.append(here)
             if len(self.flown.track_nea_m) > _MOST_TRACK:
