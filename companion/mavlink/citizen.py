@@ -16,7 +16,8 @@ from companion.mavlink.statustext import StatusTexts
 from companion.mission.changes import Verdict
 from companion.mission.events import Order
 from companion.mission.mission import Mission
-from companion.mission.state import Phase, Reason, State
+from companion.mission.state import Phase, State
+from companion.mission.stopped import AS_TOLD
 from companion.planner.settings import Task
 
 _COMMANDS = ("COMMAND_LONG", "COMMAND_INT", "COMMAND_CANCEL")
@@ -120,7 +121,7 @@ def system_status(state: State) -> int:
     if state.phase is Phase.WAITING:
         return int(wire.MAV_STATE_BOOT)
     if state.phase is Phase.HOLDING:
-        calm = state.reason in (Reason.TAKING_OVER, Reason.PAUSED, Reason.NEW_TARGET)
+        calm = state.reason in AS_TOLD
         return int(wire.MAV_STATE_ACTIVE if calm else wire.MAV_STATE_CRITICAL)
     on_ground = state.phase in (Phase.PREPARING, Phase.ARMING, Phase.SHADOW)
     return int(wire.MAV_STATE_STANDBY if on_ground else wire.MAV_STATE_ACTIVE)

@@ -23,9 +23,10 @@ from companion.mission.events import (
     SettingsChanged,
     TargetsChanged,
 )
+from companion.mission.health import battery_is_short
 from companion.mission.renewed import replace
 from companion.mission.state import Flight, Phase, Reason, State, Trigger, Vehicle
-from companion.mission.stopped import TAKEN, resumed
+from companion.mission.stopped import STANDING, TAKEN, resumed
 from companion.world.known_map import empty_map
 
 _ON_PATH = (Phase.FLYING, Phase.RETURNING)
@@ -36,6 +37,7 @@ _CALM = (
     Reason.RADAR_SILENT,
     Reason.NEW_THREAT,
     Reason.NEW_TARGET,
+    Reason.CONTINUED,
     Reason.PAUSED,
 )
 """Reasons to hold in which a person's word counts at once."""
@@ -62,13 +64,21 @@ def verdict(state: State, order: Order) -> Verdict:
         case OrderKind.START | OrderKind.CONTINUE:
             return Verdict.ACCEPTED if state.phase is not Phase.LANDING else Verdict.NOT_NOW
         case OrderKind.PAUSE:
-            held = state.phase is Phase.HOLDING and state.reason in _CALM
-            return Verdict.ACCEPTED if state.phase in _ON_PATH or held else Verdict.NOT_NOW
+            return Verdict.ACCEPTED if _may_pause(state) else Verdict.NOT_NOW
         case OrderKind.RETURN:
             taken = state.phase is Phase.HOLDING and state.reason not in _CALM
             return Verdict.ACCEPTED if in_air and not taken else Verdict.NOT_NOW
         case OrderKind.SPEED:
             return Verdict.ACCEPTED
+
+
+def _may_pause(state: State) -> bool:
+    """Whether a pause is kept: it would end at once where the battery is short."""
+    if state.standing is Reason.BATTERY_LOW or battery_is_short(state.vehicle):
+        return False
+    calm = (*_CALM, Reason.RETURN_ASKED)
+    held = state.phase is Phase.HOLDING and state.reason in calm
+    return held or state.phase in _ON_PATH
 
 
 def changed(state: State, event: Event) -> Step | None:
@@ -176,8 +186,10 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
         state.flight, target=0, route_ne_m=(), stops=0, failures=0, returning=False, back=()
     )
     flight = replace(flight, fallen_back=None, homeward=False)
-    standing = None if why != _OF_VEHICLE else state.standing
-    state = replace(state, targets_ne_m=targets_ne_m, flight=flight, standing=standing)
+    vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
+    state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)
+    if why != _OF_VEHICLE:
+        state = replace(state, standing=None, set_aside=None)
     says: list[Command] = [Say(text=why)]
     if state.phase in _ON_PATH and targets_ne_m:
         state, commands, trigger = following.stop(state, Reason.NEW_TARGET)
@@ -186,7 +198,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
         if state.asks == 0:
             return state, says, Trigger.NEXT_TARGET
         return replace(state, reason=Reason.TAKING_OVER), says, Trigger.FAULT  # it may hold by now
-    if state.phase is Phase.HOLDING and state.reason in (Reason.PAUSED, Reason.RETURN_ASKED):
+    if state.phase is Phase.HOLDING and state.reason in STANDING:
         return because(state, Reason.NEW_TARGET), says, None
     return state, says, None
 
@@ -220,10 +232,13 @@ def _ordered(state: State, order: Order) -> Step:
 
 
 def _go_on(state: State) -> Step:
+    """A pause is over: what stood before it stands again."""
+    flight, wanted = state.flight, state.set_aside
     if state.standing is Reason.PAUSED:
-        state = replace(state, standing=None)
-    if state.phase in _ON_PATH and state.flight.stop_reason is Reason.PAUSED:  # it still brakes
-        flight = replace(state.flight, stop_reason=Reason.NEW_TARGET)
+        state = replace(state, standing=wanted, set_aside=None)
+    pauses = flight.stop_at_m is not None and flight.stop_reason is Reason.PAUSED
+    if state.phase in _ON_PATH and pauses:  # it still brakes
+        flight = replace(flight, stop_reason=wanted or Reason.CONTINUED)
         return replace(state, flight=flight), [Say(text="going on")], None
     if state.phase is Phase.HOLDING and state.reason is Reason.PAUSED:
         state, commands, trigger = resumed(state)
@@ -234,12 +249,14 @@ def _go_on(state: State) -> Step:
 
 
 def _pause(state: State) -> Step:
-    state = replace(state, standing=Reason.PAUSED)
+    """Hold until told otherwise; a return that was asked for, and has not begun, waits."""
+    if not _may_pause(state):
+        return state, [], None
+    set_aside = state.standing if state.standing is not Reason.PAUSED else state.set_aside
+    state = replace(state, standing=Reason.PAUSED, set_aside=set_aside)
     if state.phase in _ON_PATH:
         return following.stop(state, Reason.PAUSED)
-    if state.phase is Phase.HOLDING and state.reason in _CALM:
-        return because(state, Reason.PAUSED), [Say(text=Reason.PAUSED.text)], None
-    return state, [], None
+    return because(state, Reason.PAUSED), [Say(text=Reason.PAUSED.text)], None
 
 
 def _with_speed(state: State, speed_m_s: float | None) -> Step:
@@ -255,9 +272,9 @@ def _with_speed(state: State, speed_m_s: float | None) -> Step:
 
 
 def _return(state: State) -> Step:
-    if state.flight.returning:
-        return state, [], None
-    state = replace(state, standing=Reason.RETURN_ASKED)
+    if state.flight.returning:  # on its way back, or paused on it
+        return _go_on(state) if state.standing is Reason.PAUSED else (state, [], None)
+    state = replace(state, standing=Reason.RETURN_ASKED, set_aside=None)
     if state.phase is Phase.FLYING:
         return following.stop(state, Reason.RETURN_ASKED)
     if state.phase is Phase.HOLDING and state.reason in _CALM:
@@ -284,13 +301,15 @@ def _rebooted(state: State) -> Step:
         fallen_back=flight.fallen_back,
     )
     vehicle = Vehicle(driving=state.vehicle.driving, bad_at_s=state.now_s)
-    standing = Reason.RETURN_ASKED if flight.returning else state.standing
+    if flight.returning:  # the way back is asked for again
+        paused = state.standing is Reason.PAUSED
+        standing = Reason.PAUSED if paused else Reason.RETURN_ASKED
+        state = replace(state, standing=standing, set_aside=Reason.RETURN_ASKED if paused else None)
     state = replace(
         state,
         flight=blank,
         vehicle=vehicle,
         prepared=frozenset(),
         told_at_s=-1e9,
-        standing=standing,
     )
     return state, [Say(text=Reason.REBOOTED.text, warning=True)], Trigger.PREPARE_AGAIN

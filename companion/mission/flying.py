@@ -19,7 +19,7 @@ from companion.mission.events import (
     Vector,
 )
 from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
-from companion.mission.health import battery_forecast, battery_lasts
+from companion.mission.health import battery_forecast, battery_is_short
 from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
 from companion.planner.procedure import Leg, Reference, hover_pose
@@ -34,6 +34,7 @@ _MOST_STOPS = 12  # on the way to one target, for want of a successor
 _LEVEL_M_S = 1.0
 _TURNS = 3.0
 _SHORT_SIGHTED = 0.8  # of R
+_TOLD_FORECAST, _TOLD_SHORT = 1, 2
 _NEAR_HOVER = 2.5  # loiter radii: what cannot hover is where it was told to be
 
 
@@ -59,9 +60,8 @@ def flying(state: State, event: Event, context: Context) -> Step:
 
 def on_position(state: State, event: Position, context: Context) -> Step:
     """Move the reference point and send it; scan when its time has come."""
-    if runs_low(state, context):
-        state = replace(fallen_back(state, Reason.BATTERY_LOW), standing=Reason.BATTERY_LOW)
-        state, commands, trigger = following.stop(state, Reason.BATTERY_LOW)
+    if runs_low(state):
+        state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
     state, warning = battery_warning(state, context)
@@ -69,17 +69,39 @@ def on_position(state: State, event: Position, context: Context) -> Step:
     return after, [*warning, *commands], trigger
 
 
-def runs_low(state: State, context: Context) -> bool:
-    """Whether the mission is to be given up for the battery, and has not been for anything."""
-    return not battery_lasts(state, context.mission) and state.flight.fallen_back is None
+def runs_low(state: State) -> bool:
+    """Whether the battery ends the mission, or a pause on whatever way.
+
+    A mission that is given up already, for anything, is on the way that is left to it.
+    """
+    if not battery_is_short(state.vehicle):
+        return False
+    if state.reason is Reason.PAUSED:
+        return True
+    flight = state.flight
+    going_back = flight.homeward or state.standing is Reason.RETURN_ASKED
+    return flight.fallen_back is None and not going_back
+
+
+def given_up_for_battery(state: State) -> State:
+    """The mission is given up for its fallback, or goes on with the way back that it is on."""
+    flight = replace(state.flight, battery_told=_TOLD_SHORT)
+    if not (flight.returning or flight.homeward):
+        flight = replace(flight, fallen_back=Reason.BATTERY_LOW)
+    return replace(state, flight=flight, standing=Reason.BATTERY_LOW)
 
 
 def battery_warning(state: State, context: Context) -> tuple[State, list[Command]]:
-    """Say, once, that the battery will not last if it goes on like this."""
-    if state.flight.battery_warned or battery_forecast(state, context.mission):
+    """Say that the battery will not last if it goes on like this, and that it does not: once."""
+    flight, tells = state.flight, 0
+    if battery_is_short(state.vehicle):
+        tells = _TOLD_SHORT
+    elif not battery_forecast(state, context.mission):
+        tells = _TOLD_FORECAST
+    if tells <= flight.battery_told:
         return state, []
-    flight = replace(state.flight, battery_warned=True)
-    return replace(state, flight=flight), [Say(text=Reason.BATTERY_LOW.text, warning=True)]
+    state = replace(state, flight=replace(flight, battery_told=tells))
+    return state, [Say(text=Reason.BATTERY_LOW.text, warning=True)]
 
 
 def _on_position(state: State, event: Position, context: Context) -> Step:
@@ -129,11 +151,6 @@ def _at_its_end(state: State, leg: Leg, commands: list[Command]) -> Step:
     if flight.stops > _MOST_STOPS:
         return give_up(replace(state, flight=flight), Reason.NO_PLAN)
     return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
-
-
-def fallen_back(state: State, reason: Reason) -> State:
-    """The mission is given up for its fallback."""
-    return replace(state, flight=replace(state.flight, fallen_back=reason))
 
 
 def _departed(state: State, reason: Reason = Reason.OFF_PATH) -> Step:

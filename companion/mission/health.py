@@ -3,7 +3,7 @@
 import itertools
 import math
 
-from companion.mission.events import Position
+from companion.mission.events import Battery, Landed, Position
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
 from companion.mission.state import Reason, State, Vehicle
@@ -23,6 +23,7 @@ _DRAIN_S = 60.0  # before that, what the battery has lost says nothing of what i
 _TELLING = 0.05  # nor before it has lost so much
 _STEP = 0.01  # it is told in hundredths
 _DETOUR = 1.1  # of the way that is known to be left
+_SHORT_S = 3.0  # one word of an empty battery may be wrong
 
 
 def with_position(vehicle: Vehicle, event: Position, limits: Limits) -> Vehicle:
@@ -87,6 +88,25 @@ def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
     if vehicle.error_m is not None and vehicle.error_m > limits.navigation_error_m:
         return Reason.INACCURATE
     return None
+
+
+def with_battery(state: State, event: Battery, mission: Mission) -> Vehicle:
+    """What is known of the vehicle after one more word of its battery."""
+    vehicle, left = state.vehicle, event.remaining
+    full = vehicle.battery_full
+    in_air = vehicle.landed not in (Landed.ON_GROUND, Landed.UNKNOWN)
+    if in_air and (full is None or left > full[1]):
+        full = (event.time_s, left)
+    vehicle = replace(vehicle, battery=left, battery_at_s=event.time_s, battery_full=full)
+    since_s = event.time_s if vehicle.battery_short_at_s is None else vehicle.battery_short_at_s
+    lasts = battery_lasts(replace(state, vehicle=vehicle), mission)
+    return replace(vehicle, battery_short_at_s=None if lasts else since_s)
+
+
+def battery_is_short(vehicle: Vehicle) -> bool:
+    """Whether all that was heard of the battery for a while says that it will not last."""
+    since_s = vehicle.battery_short_at_s
+    return since_s is not None and vehicle.battery_at_s - since_s >= _SHORT_S
 
 
 def battery_lasts(state: State, mission: Mission) -> bool:

@@ -37,9 +37,9 @@ from companion.mission.events import (
     VehicleFound,
     VehicleStatus,
 )
-from companion.mission.health import distrust, with_position
+from companion.mission.health import distrust, with_battery, with_position
 from companion.mission.renewed import replace
-from companion.mission.state import IN_AIR, MOVES, Phase, Reason, State, Trigger, Vehicle
+from companion.mission.state import IN_AIR, MOVES, Phase, Reason, State, Trigger
 
 _OVER = (Phase.DONE, Phase.FAULTED)
 
@@ -51,7 +51,7 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
     now_s = max(state.now_s, event.time_s)
     if isinstance(event, Position) and event.time_s <= state.vehicle.position_at_s:
         return replace(state, now_s=now_s), []  # overtaken by a newer one
-    state = _observed(state, event, now_s)
+    state = _observed(state, event, now_s, context)
     after, commands, trigger = _decide(state, event, context)
     phase = None if trigger is None else MOVES.get((after.phase, trigger))
     if trigger is None or phase is None:
@@ -62,7 +62,7 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
     return _enter(entered, after, trigger, context, commands)
 
 
-def _observed(state: State, event: Event, now_s: float) -> State:
+def _observed(state: State, event: Event, now_s: float, context: Context) -> State:
     """What is known of the vehicle and of the terrain after an event, now."""
     vehicle, flight = state.vehicle, state.flight
     match event:
@@ -92,8 +92,8 @@ def _observed(state: State, event: Event, now_s: float) -> State:
             vehicle = replace(vehicle, home_nea_m=home)
         case LinkDelay(round_trip_s=round_trip_s):
             vehicle = replace(vehicle, round_trip_s=round_trip_s)
-        case Battery(remaining=left):
-            vehicle = _with_battery(vehicle, left, event.time_s)
+        case Battery():
+            vehicle = with_battery(state, event, context.mission)
         case Echo(position_nea_m=echo):
             vehicle = replace(vehicle, echo_nea_m=echo, echo_at_s=event.time_s)
             flight = following.with_echo(replace(state, now_s=now_s, vehicle=vehicle))
@@ -109,14 +109,6 @@ def _observed(state: State, event: Event, now_s: float) -> State:
         vehicle = replace(vehicle, bad_at_s=now_s)
     airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
     return replace(state, now_s=now_s, vehicle=vehicle, flight=flight, airborne=airborne)
-
-
-def _with_battery(vehicle: Vehicle, left: float, time_s: float) -> Vehicle:
-    full = vehicle.battery_full
-    in_air = vehicle.landed not in (Landed.ON_GROUND, Landed.UNKNOWN)
-    if in_air and (full is None or left > full[1]):
-        full = (time_s, left)
-    return replace(vehicle, battery=left, battery_full=full)
 
 
 def _decide(state: State, event: Event, context: Context) -> Step:
@@ -184,8 +176,11 @@ def _enter(
 def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     """To fly, back or on, or to land."""
     flight = replace(state.flight, progress_at_s=state.now_s, echoed_at_s=state.now_s)
-    standing = state.standing if state.phase is Phase.FLYING else None
-    state = replace(state, flight=flight, reason=None, standing=standing, taken=False)
+    state = replace(state, flight=flight, reason=None, taken=False)
+    if state.phase is not Phase.FLYING:
+        state = replace(state, standing=None, set_aside=None)
+    elif not state.flight.homeward:  # to a target again
+        state = replace(state, flight=replace(flight, fallen_back=None))
     if state.phase is Phase.RETURNING:
         went_back = returning.began(state)
         assert went_back is not None  # whoever says go_back has looked
@@ -208,7 +203,7 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     elif reason not in stopped.SELF_HELD and reason is not Reason.TAKING_OVER:
         flight = replace(state.flight, troubles=state.flight.troubles + 1)
         state = replace(state, flight=flight)
-    quiet = reason in (Reason.TAKING_OVER, Reason.PAUSED, Reason.NEW_TARGET)
+    quiet = reason in stopped.AS_TOLD
     says: list[Command] = [Say(text=f"hold: {reason.text}", warning=not quiet, about="phase")]
     left_alone = (*stopped.LET_GO, Reason.TAKING_OVER, Reason.STREAM_LOST)
     if reason not in (*stopped.SELF_HELD, *left_alone):

@@ -168,6 +168,7 @@ class Reason(enum.Enum):
     PLAN_LATE = ("the next subpath was not ready in time", "Raise planner.planning_time_s.")
     NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.")
     NEW_TARGET = ("a new target was given", "Wait for the way to it.")
+    CONTINUED = ("told to go on while it still stopped", "Wait for the way on.")
     PAUSED = ("paused by a person", "Send the command to continue.")
     RETURN_ASKED = ("told to return", "Wait until it has landed.")
     BATTERY_LOW = (
@@ -219,6 +220,10 @@ class Vehicle(Renewed):
     """How accurate it claims to know its horizontal position."""
     battery: float | None = None
     """Share that is left."""
+    battery_at_s: float = -1e9
+    """When it was last heard of."""
+    battery_short_at_s: float | None = None
+    """Since when all that is heard of it says that it will not last; None: it will."""
     battery_full: tuple[float, float] | None = None
     """When the battery was first heard of in the air, and what was left then."""
     round_trip_s: float = 0.0
@@ -308,7 +313,8 @@ class Flight(Renewed):
     returning: bool = False
     homeward: bool = False
     """Whether the target is where the flight began: planned to, as the flown path is too far."""
-    battery_warned: bool = False
+    battery_told: int = 0
+    """What a person was told of the battery: 1, at this rate it will not last; 2, it does not."""
     fallen_back: Reason | None = None
     """Why the mission was given up for its fallback."""
 
@@ -350,6 +356,8 @@ class State(Renewed):
     standing: Reason | None = None
     """What a person, or the battery, wants of the flight, whatever else happens meanwhile:
     PAUSED, RETURN_ASKED or BATTERY_LOW."""
+    set_aside: Reason | None = None
+    """What stood before a pause, and stands again after it: RETURN_ASKED."""
     taken: bool = False
     """Whether somebody else flies the vehicle, and has not given it back yet."""
     reason: Reason | None = None
@@ -388,7 +396,9 @@ class State(Renewed):
             since_s=self.since_s + shift_s,
             asked_at_s=self.asked_at_s + shift_s,
             namesake_at_s=self.namesake_at_s + shift_s,
-            vehicle=replace(self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s),
+            vehicle=replace(
+                self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s, battery_short_at_s=None
+            ),
         )
 
 

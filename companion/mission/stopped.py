@@ -44,11 +44,15 @@ SELF_HELD = (
     Reason.RADAR_SILENT,
     Reason.NEW_THREAT,
     Reason.NEW_TARGET,
+    Reason.CONTINUED,
     Reason.PAUSED,
     Reason.RETURN_ASKED,
     Reason.BATTERY_LOW,
 )
 """Reasons to hold that leave the position trustworthy: stop on setpoints, in guided mode."""
+
+AS_TOLD = (Reason.TAKING_OVER, Reason.PAUSED, Reason.NEW_TARGET, Reason.CONTINUED)
+"""Reasons to hold with nothing wrong."""
 
 STANDING = (Reason.PAUSED, Reason.RETURN_ASKED, Reason.BATTERY_LOW)
 """What stands until a person says otherwise, or it is done, whatever else happens meanwhile."""
@@ -152,9 +156,8 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
         return _way_back(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
-    if flying.runs_low(state, context):  # a pause, too, ends before the battery does
-        state = flying.fallen_back(state, Reason.BATTERY_LOW)
-        low = because(replace(state, standing=Reason.BATTERY_LOW), Reason.BATTERY_LOW)
+    if flying.runs_low(state):  # a pause, too, ends before the battery does
+        low = because(flying.given_up_for_battery(state), Reason.BATTERY_LOW)
         return low, [Say(text=f"hold: {Reason.BATTERY_LOW.text}", warning=True)], None
     state, warning = flying.battery_warning(state, context)
     flight, commands = following.hold_setpoint(state, event.time_s, context)
@@ -166,9 +169,10 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
     moving = not is_at_rest(state, event) and in_phase_s(state) < _SETTLE_S
     if state.reason is Reason.PAUSED or in_phase_s(state) < _PAUSE_S or moving:
         return state, commands, None
-    if state.reason in (Reason.RETURN_ASKED, Reason.BATTERY_LOW):
+    on_way_back = _is_on_way_back(state)
+    if state.reason in (Reason.RETURN_ASKED, Reason.BATTERY_LOW) and not on_way_back:
         return _other_way(state, context, _how(state, context))
-    if state.flight.failures < context.mission.attempts:
+    if on_way_back or state.flight.failures < context.mission.attempts:
         if state.reason is Reason.NEW_THREAT and state.vehicle.hovers:
             state = _anew(state)  # the band may be another one
         state, says, trigger = resumed(state)
@@ -188,8 +192,16 @@ def _way_back(state: State, event: PlanReady, context: Context) -> Step:
     return replace(state, flight=back), [], Trigger.GO_BACK
 
 
+def _is_on_way_back(state: State) -> bool:
+    """Whether the way back is in hand, or was when the battery ended a pause on it."""
+    low = state.reason is Reason.BATTERY_LOW
+    return state.flight.returning or (low and state.flight.homeward)
+
+
 def _how(state: State, context: Context) -> Fallback:
-    return Fallback.RETURN if state.reason is Reason.RETURN_ASKED else context.mission.fallback
+    """A person's word to return goes before the mission's fallback."""
+    asked = Reason.RETURN_ASKED in (state.reason, state.set_aside)
+    return Fallback.RETURN if asked else context.mission.fallback
 
 
 def _other_way(state: State, context: Context, how: Fallback) -> Step:

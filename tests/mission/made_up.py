@@ -15,6 +15,7 @@ from companion.mission.decisions import Context
 from companion.mission.driving import Driving, TakeOffWay
 from companion.mission.events import (
     Arm,
+    Battery,
     Command,
     End,
     Estimator,
@@ -176,6 +177,7 @@ class Craft:
         self.climb_to_m: float | None = None
         self.obeys_modes, self.follows, self.fix, self.answered = True, True, True, 1
         self.arms, self.takes_off = True, True
+        self.battery: float | None = None
         self.scan_asked = False
         self.pending: tuple[float, PlanOutcome] | None = None
 
@@ -271,6 +273,8 @@ class Craft:
                 Estimator(time_s=now, good=True),
                 Home(time_s=now, position_nea_m=(0.0, 0.0, HOME_AMSL_M)),
             ]
+            if self.battery is not None:
+                said.append(Battery(time_s=now, remaining=self.battery))
         if self.phase is Phase.WAITING:
             found = VehicleFound(time_s=now, system_id=1, driving=self.driving, name="made up")
             said.append(found)

@@ -324,7 +324,7 @@ def test_an_autopilot_without_an_echo_is_not_suspected() -> None:
 @pytest.mark.parametrize("how", Fallback, ids=lambda how: how.value)
 def test_a_battery_below_its_reserve_ends_the_mission_by_its_fallback(how: Fallback) -> None:
     craft = flying(replace(two_legs_away(), fallback=how))
-    craft.take(Battery(time_s=craft.now_s, remaining=0.1))
+    craft.battery = 0.1
     craft.fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.BATTERY_LOW
     asked = len(craft.sent(Plan))
@@ -424,7 +424,8 @@ def test_a_battery_that_runs_low_while_it_is_held_does_not_leave_it_in_guided_mo
     None
 ):
     craft = holding_without_fix(replace(two_legs_away(), fallback=Fallback.HOLD)).run_for(3.0)
-    craft.take(Battery(time_s=craft.now_s, remaining=0.1))
+    craft.battery = 0.1
+    craft.run_for(4.0)
     craft.fix = True
     craft.run_until(lambda craft: craft.mode is Mode.GUIDED)
     craft.run_for(1.5)

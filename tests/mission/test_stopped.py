@@ -14,10 +14,14 @@ from made_up import (
     arrived,
     flying,
     landing,
+    not_planned,
+    planned,
+    straight,
     two_legs_away,
 )
 
-from companion.mission import checkpoint
+from companion.mission import changes, checkpoint
+from companion.mission.changes import Verdict
 from companion.mission.events import (
     Battery,
     Command,
@@ -26,12 +30,14 @@ from companion.mission.events import (
     Order,
     OrderKind,
     Outcome,
+    Plan,
     Say,
     SetMode,
     Setpoint,
 )
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.state import Phase, Reason
+from companion.planner.request import PlanOutcome, PlanRequest, WayBack
 
 
 def warnings(commands: list[Command]) -> list[str]:
@@ -55,8 +61,8 @@ def told(craft: Craft, kind: OrderKind) -> None:
 def test_a_battery_that_runs_low_in_a_pause_ends_it_by_the_fallback(how: Fallback) -> None:
     craft = paused(replace(two_legs_away(), fallback=how))
     count = len(craft.commands)
-    craft.take(Battery(time_s=craft.now_s, remaining=0.1))
-    craft.tick()
+    craft.battery = 0.1
+    craft.run_for(4.0)
     assert craft.state.reason is Reason.BATTERY_LOW
     assert warnings(craft.commands[count:]) == [f"hold: {Reason.BATTERY_LOW.text}"]
     if how is Fallback.HOLD:
@@ -72,7 +78,7 @@ def test_a_battery_that_runs_low_in_a_pause_ends_it_by_the_fallback(how: Fallbac
 
 def test_a_battery_that_lasts_leaves_a_pause_a_pause() -> None:
     craft = paused(two_legs_away())
-    craft.take(Battery(time_s=craft.now_s, remaining=0.21))
+    craft.battery = 0.21
     craft.run_for(600.0)
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.PAUSED)
 
@@ -85,6 +91,131 @@ def test_a_battery_that_will_not_reach_the_target_is_warned_of_in_a_pause() -> N
         craft.run_for(1.0)
     assert craft.state.reason is Reason.PAUSED
     assert warnings(craft.commands[count:]) == [Reason.BATTERY_LOW.text]
+
+
+@pytest.mark.parametrize("fallback", Fallback)
+def test_one_word_of_an_empty_battery_ends_nothing(fallback: Fallback) -> None:
+    """A smart battery may say 0 % once; what two sources say in turns is no more than that."""
+    craft = flying(replace(two_legs_away(), fallback=fallback))
+    craft.battery = 0.8
+    for _ in range(10):
+        craft.take(Battery(time_s=craft.now_s, remaining=0.0))
+        craft.run_for(1.0)
+    assert craft.phase is Phase.FLYING
+    assert craft.state.flight.fallen_back is None
+    assert craft.state.flight.stop_at_m is None
+
+
+def test_a_battery_that_is_heard_of_once_only_ends_nothing() -> None:
+    craft = flying(two_legs_away())
+    craft.take(Battery(time_s=craft.now_s, remaining=0.0))
+    craft.run_for(10.0)
+    assert craft.state.flight.fallen_back is None
+
+
+def test_a_battery_below_its_reserve_for_three_seconds_ends_the_mission() -> None:
+    craft = flying(two_legs_away())
+    since_s, craft.battery = craft.now_s, 0.19
+    craft.run_until(lambda craft: craft.state.flight.fallen_back is Reason.BATTERY_LOW)
+    assert 3.0 <= craft.now_s - since_s <= 5.0
+
+
+@pytest.mark.parametrize("after_s", [1.0, 3.0, 30.0])
+def test_a_battery_that_is_short_is_short_for_a_companion_that_is_started_again(
+    after_s: float,
+) -> None:
+    craft = flying(replace(two_legs_away(), fallback=Fallback.LAND))
+    craft.battery = 0.1
+    craft.run_for(after_s)
+    values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
+    craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+    assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
+
+
+def going_back(of: Mission) -> Craft:
+    """On the way back that a person has asked for."""
+
+    def plan(request: PlanRequest) -> PlanOutcome:
+        if request.flown is None:
+            return planned(request)
+        subpaths = (straight(request.scan_nea_m, (0.0, 0.0, request.scan_nea_m[2])),)
+        return WayBack(
+            plan_id=request.plan_id, subpaths=subpaths, through=(False,), reaches_start=True
+        )
+
+    craft = flying(of, plan=plan)
+    told(craft, OrderKind.RETURN)
+    return craft.fly_to(Phase.RETURNING).run_for(10.0)
+
+
+@pytest.mark.parametrize("how", Fallback)
+def test_a_pause_on_the_way_back_ends_before_the_battery_does(how: Fallback) -> None:
+    """And it goes back, whatever the fallback: it was on its way there."""
+    craft = going_back(replace(two_legs_away(), fallback=how))
+    told(craft, OrderKind.PAUSE)
+    craft.fly_to(Phase.HOLDING).run_for(20.0)
+    assert craft.state.reason is Reason.PAUSED
+    count = len(craft.commands)
+    craft.battery = 0.1
+    assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
+    assert f"hold: {Reason.BATTERY_LOW.text}" in warnings(craft.commands[count:])
+
+
+@pytest.mark.parametrize("how", Fallback)
+def test_a_return_that_was_asked_for_goes_before_the_fallback_of_a_battery(how: Fallback) -> None:
+    """While it still stops for it, and out of a pause in which it waits."""
+    for pauses in (False, True):
+        craft = going_back(replace(two_legs_away(), fallback=how))
+        craft = flying(replace(two_legs_away(), fallback=how), plan=craft.plan)
+        craft.battery = 0.1
+        told(craft, OrderKind.RETURN)
+        if pauses:
+            told(craft, OrderKind.PAUSE)
+        craft.fly_to(Phase.RETURNING)
+        assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
+
+
+@pytest.mark.parametrize("where", ["stopping for it", "on the way back"])
+def test_a_pause_that_the_battery_would_end_at_once_is_refused(where: str) -> None:
+    """Who is told that it pauses walks up to it."""
+    mission = replace(two_legs_away(), fallback=Fallback.LAND)
+    craft = flying(mission) if where == "stopping for it" else going_back(mission)
+    craft.battery = 0.1
+    craft.run_for(5.0)
+    pause = Order(time_s=craft.now_s, kind=OrderKind.PAUSE)
+    assert changes.verdict(craft.state, pause) is Verdict.NOT_NOW
+    craft.obey(craft.take(pause))
+    assert Reason.PAUSED not in (craft.state.standing, craft.state.flight.stop_reason)
+    assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
+
+
+@pytest.mark.parametrize("kind", [OrderKind.START, OrderKind.CONTINUE])
+def test_told_to_go_on_with_a_battery_that_is_short_it_does_not_fly_to_the_target(
+    kind: OrderKind,
+) -> None:
+    craft = flying(replace(two_legs_away(), fallback=Fallback.LAND))
+    craft.battery = 0.1
+    craft.run_for(3.5)
+    asked = len(craft.sent(Plan))
+    for _ in range(60):
+        told(craft, kind)
+        craft.run_for(1.0)
+    assert len(craft.sent(Plan)) == asked
+    assert craft.phase in (Phase.LANDING, Phase.DONE)
+
+
+def test_who_goes_on_towards_a_target_has_not_fallen_back_and_minds_the_battery() -> None:
+    """The way back was asked for, then a person said pause, and go on."""
+    craft = flying(replace(two_legs_away(), fallback=Fallback.RETURN))
+    craft.plan = lambda request: not_planned(request) if request.flown is None else None
+    craft.run_until(lambda craft: craft.state.flight.fallen_back is Reason.NO_PLAN)
+    told(craft, OrderKind.PAUSE)
+    craft.plan = planned
+    told(craft, OrderKind.CONTINUE)
+    craft.fly_to(Phase.FLYING).run_for(20.0)
+    craft.battery = 0.1
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.BATTERY_LOW
 
 
 # --- a landing broken off

@@ -1,0 +1,176 @@
+"""What a person has ordered, and was told is done, is done: no older plan or order undoes it."""
+
+import json
+import operator
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from made_up import (
+    Craft,
+    flying,
+    holding_without_plan,
+    not_planned,
+    planned,
+    straight,
+    two_legs_away,
+)
+
+from companion.mavlink.autopilots import ALL
+from companion.mission import changes, checkpoint
+from companion.mission.changes import Verdict
+from companion.mission.events import (
+    Order,
+    OrderKind,
+    Plan,
+    PlanReady,
+    Rebooted,
+    Setpoint,
+)
+from companion.mission.mission import Fallback, Mission
+from companion.mission.state import Phase, Reason
+from companion.planner.request import PlanOutcome, PlanRequest, WayBack
+
+OTHER_NE_M = (2_000.0, 2_000.0)
+DRIVINGS, NAME = [each.driving for each in ALL], operator.attrgetter("name")
+EVERY_DRIVING = pytest.mark.parametrize("driving", DRIVINGS, ids=NAME)
+
+
+def tell(craft: Craft, kind: OrderKind) -> Verdict:
+    """An order, as the session gives it: obeyed if it is accepted."""
+    target = OTHER_NE_M if kind is OrderKind.REPOSITION else None
+    order = Order(time_s=craft.now_s, kind=kind, target_ne_m=target)
+    verdict = changes.verdict(craft.state, order)
+    if verdict is Verdict.ACCEPTED:
+        craft.obey(craft.take(order))
+    return verdict
+
+
+def home_or_on(request: PlanRequest) -> PlanOutcome:
+    """A planner that finds every way, the way back too."""
+    if request.flown is None:
+        return planned(request)
+    here = request.scan_nea_m
+    return WayBack(
+        plan_id=request.plan_id,
+        subpaths=(straight(here, (0.0, 0.0, here[2])),),
+        through=(False,),
+        reaches_start=True,
+    )
+
+
+def under_way(of: Mission | None = None) -> Craft:
+    return flying(of or two_legs_away(), plan=home_or_on)
+
+
+def no_answer(_request: PlanRequest) -> None:
+    """A planner that is still busy."""
+
+
+def asking_for_the_way_back() -> Craft:
+    """Held, told to return: the planner has been asked, and has not answered."""
+    craft = under_way()
+    tell(craft, OrderKind.RETURN)
+    craft.plan = no_answer
+    return craft.run_until(lambda craft: craft.state.flight.planning and craft.phase is HOLDING)
+
+
+HOLDING = Phase.HOLDING
+
+
+def answer(craft: Craft) -> None:
+    """The planner answers what it was asked last."""
+    request = craft.sent(Plan)[-1].request
+    craft.obey(craft.take(PlanReady(time_s=craft.now_s, outcome=home_or_on(request))))
+
+
+def restarted(craft: Craft) -> None:
+    values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
+    craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+
+
+def led_towards(craft: Craft, count: int) -> list[Setpoint]:
+    """The setpoints since then that lead somewhere."""
+    return [c for c in craft.commands[count:] if isinstance(c, Setpoint) and not c.stay]
+
+
+# --- a return, and a pause in it
+
+
+@pytest.mark.parametrize("pauses_s", [0.0, 1.0, 20.0])
+@pytest.mark.parametrize("continues_s", [0.0, 2.0, 30.0])
+def test_a_return_that_is_paused_is_a_return_again(pauses_s: float, continues_s: float) -> None:
+    """While it brakes, while the way back is asked for, on the way back; and as soon as after."""
+    craft = under_way()
+    tell(craft, OrderKind.RETURN)
+    craft.run_for(pauses_s)
+    assert tell(craft, OrderKind.PAUSE) is Verdict.ACCEPTED
+    craft.run_for(continues_s)
+    plans = len(craft.sent(Plan))
+    assert tell(craft, OrderKind.CONTINUE) is Verdict.ACCEPTED
+    assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
+    assert all(plan.request.flown is not None for plan in craft.sent(Plan)[plans:])
+    assert craft.end().reason == f"landed: {Reason.RETURN_ASKED.text}"
+
+
+@pytest.mark.parametrize("again", [restarted, None], ids=["restarted", "rebooted"])
+def test_a_pause_on_a_return_outlives_the_companion_and_the_autopilot(again: object) -> None:
+    craft = asking_for_the_way_back()
+    tell(craft, OrderKind.PAUSE)
+    craft.plan = home_or_on
+    craft.run_for(5.0)
+    if again is restarted:
+        restarted(craft)
+    else:
+        craft.now_s = 1.0
+        craft.state = replace(craft.state, now_s=1.0, since_s=1.0)
+        craft.obey(craft.take(Rebooted(time_s=1.0)))
+    count = len(craft.commands)
+    craft.run_for(60.0)
+    assert (craft.phase, craft.state.reason) == (HOLDING, Reason.PAUSED)
+    assert not led_towards(craft, count)
+    tell(craft, OrderKind.CONTINUE)
+    craft.fly_to(Phase.RETURNING)
+
+
+def test_told_to_return_out_of_a_pause_on_the_way_back_it_returns() -> None:
+    craft = under_way()
+    tell(craft, OrderKind.RETURN)
+    craft.fly_to(Phase.RETURNING).run_for(10.0)
+    tell(craft, OrderKind.PAUSE)
+    craft.fly_to(HOLDING).run_for(10.0)
+    assert tell(craft, OrderKind.RETURN) is Verdict.ACCEPTED
+    craft.run_for(1.0)
+    assert craft.phase is Phase.RETURNING
+
+
+def test_a_return_for_want_of_plans_goes_on_after_a_pause() -> None:
+    """All attempts are used up then, and that is no reason to give up the way back."""
+    craft = under_way(replace(two_legs_away(), fallback=Fallback.RETURN))
+    craft.plan = lambda request: (
+        not_planned(request) if request.flown is None else home_or_on(request)
+    )
+    craft.fly_to(Phase.RETURNING).run_for(10.0)
+    tell(craft, OrderKind.PAUSE)
+    craft.run_for(1.0)
+    tell(craft, OrderKind.CONTINUE)
+    assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
+
+
+# --- a new target
+
+
+# --- at the target
+
+
+def test_a_word_to_go_on_changes_nothing_where_nothing_was_paused() -> None:
+    craft = holding_without_plan()
+    before = craft.state
+    assert tell(craft, OrderKind.CONTINUE) is Verdict.ACCEPTED
+    assert craft.state == replace(before, now_s=craft.state.now_s)
+
+
+# --- what the companion itself has asked for
