@@ -249,7 +249,7 @@ def stop(state: State, reason: Reason) -> Step:
                 velocity_nea_m_s=state.vehicle.velocity_nea_m_s,
             )
             point = loiter_point(flight.known, state.task, circler, (point,)) or point
-        flight = at_rest(flight, point)
+        flight = at_rest(unflown(flight), point)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
     brakes_m = limits.stopping_m(flight.reference.speed_m_s)
     leg = flight.leg
@@ -257,6 +257,8 @@ def stop(state: State, reason: Reason) -> Step:
     stop_at_m = min(flight.reference.length_m + brakes_m, leg.subpath.length_m)
     if flight.stop_at_m is not None:
         stop_at_m = min(stop_at_m, flight.stop_at_m)
+    if flight.returning and flight.next_leg is not None:
+        flight = replace(flight, back=(flight.next_leg, *flight.back))
     flight = replace(
         flight,
         stop_at_m=stop_at_m,
@@ -267,6 +269,14 @@ def stop(state: State, reason: Reason) -> Step:
         tried=True,
     )
     return replace(state, flight=flight), [], None
+
+
+def unflown(flight: Flight) -> Flight:
+    """The flight with the stretches in hand back on the list of what is left of the way back."""
+    if not flight.returning:
+        return flight
+    ahead = [leg for leg in (flight.leg, flight.next_leg) if leg is not None]
+    return replace(flight, back=(*ahead, *flight.back))
 
 
 def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:

@@ -189,12 +189,13 @@ def _in_flight(state: State) -> Step:
     if not state.targets_ne_m:
         return give_up(state, Reason.NO_TARGETS)
     mode = state.vehicle.mode
-    if state.standing is not None or state.taken:
+    if state.standing is not None or state.taken or state.flight.returning:
         ours = mode in (Mode.GUIDED, Mode.HOLD) and not state.taken
         reason = Reason.TAKING_OVER if ours else Reason.MODE_TAKEN
-        flight = following.at_rest(state.flight, None)
+        flight = following.at_rest(following.unflown(state.flight), None)
         return replace(state, reason=reason, flight=flight), [], Trigger.IN_FLIGHT
-    if mode is Mode.GUIDED and state.flight.leg is not None:
+    asked = state.asks > 0  # to hold: it may do so by now
+    if mode is Mode.GUIDED and state.flight.leg is not None and not asked:
         joined = joining.joined(state)
         if joined is not None:
             return replace(state, flight=joined), [], Trigger.TAKE_OVER

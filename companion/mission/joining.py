@@ -44,16 +44,17 @@ def joined(state: State) -> Flight | None:
     ends = went_over or flight.next_leg is None
     if vehicle.hovers and ends:  # what it cannot brake from by then is offset
         speed = min(speed, limits.braked_m_s(leg.subpath.length_m - at_m))
+    circling = not vehicle.hovers and off_m > limits.tracking_error_m
     flight = replace(
         flight,
         leg=leg,
         next_leg=None if went_over else flight.next_leg,
         legs_flown=flight.legs_flown + (1 if went_over else 0),
         reference=Reference(length_m=at_m, speed_m_s=speed),
-        circling=not vehicle.hovers and off_m > limits.tracking_error_m,
+        circling=circling,
         joined_m=at_m,
         progress_at_s=state.now_s,
-        hover_nea_m=None,
+        hover_nea_m=pose.point_nea_m if circling else None,
         scanning_from_nea_m=None,
         planning=False,
         tried=flight.next_leg is not None and not went_over,

@@ -68,13 +68,7 @@ def began(state: State) -> Flight | None:
     joined = joining.joined(replace(state, flight=flight))
     if joined is None:
         return None
-    around = leg.subpath.pose(joined.reference.length_m).point_nea_m if joined.circling else None
-    joined = replace(
-        joined,
-        back=flight.back[1:],
-        reference=_at_rest(joined.reference),
-        hover_nea_m=around,
-    )
+    joined = replace(joined, back=flight.back[1:], reference=_at_rest(joined.reference))
     return _with_next(joined)
 
 
@@ -153,7 +147,5 @@ def _departed(state: State, commands: list[Command], reason: Reason = Reason.OFF
 def _stopped(state: State) -> State:
     """At rest, with the stretch in hand still to be flown."""
     flight = state.flight
-    ahead = [leg for leg in (flight.leg, flight.next_leg) if leg is not None]
-    back = (*ahead, *flight.back)
     hover = following.at_rest_at_end(flight).hover_nea_m if flight.stop_at_m is not None else None
-    return replace(state, flight=replace(following.at_rest(flight, hover), back=back))
+    return replace(state, flight=following.at_rest(following.unflown(flight), hover))
