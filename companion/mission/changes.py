@@ -185,7 +185,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
     flight = replace(
         state.flight, target=0, route_ne_m=(), stops=0, failures=0, returning=False, back=()
     )
-    flight = replace(flight, fallen_back=None, homeward=False)
+    flight = replace(flight, fallen_back=None, homeward=False, planning=False)
     vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
     state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)
     if why != _OF_VEHICLE:
@@ -256,6 +256,7 @@ def _pause(state: State) -> Step:
     state = replace(state, standing=Reason.PAUSED, set_aside=set_aside)
     if state.phase in _ON_PATH:
         return following.stop(state, Reason.PAUSED)
+    state = replace(state, flight=replace(state.flight, planning=False))  # the way back, perhaps
     return because(state, Reason.PAUSED), [Say(text=Reason.PAUSED.text)], None
 
 

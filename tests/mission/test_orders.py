@@ -10,6 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import (
+    HOME_AMSL_M,
     Craft,
     flying,
     holding_without_plan,
@@ -18,16 +19,21 @@ from made_up import (
     straight,
     two_legs_away,
 )
+from wild import Wild
 
 from companion.mavlink.autopilots import ALL
 from companion.mission import changes, checkpoint
 from companion.mission.changes import Verdict
+from companion.mission.driving import Driving
 from companion.mission.events import (
+    Mode,
     Order,
     OrderKind,
+    Outcome,
     Plan,
     PlanReady,
     Rebooted,
+    Say,
     Setpoint,
 )
 from companion.mission.mission import Fallback, Mission
@@ -116,6 +122,19 @@ def test_a_return_that_is_paused_is_a_return_again(pauses_s: float, continues_s:
     assert craft.end().reason == f"landed: {Reason.RETURN_ASKED.text}"
 
 
+def test_a_pause_while_the_way_back_is_planned_waits_for_a_word() -> None:
+    craft = asking_for_the_way_back()
+    assert tell(craft, OrderKind.PAUSE) is Verdict.ACCEPTED
+    answer(craft)
+    craft.plan = home_or_on
+    count = len(craft.commands)
+    craft.run_for(300.0)
+    assert (craft.phase, craft.state.reason) == (HOLDING, Reason.PAUSED)
+    assert not led_towards(craft, count)
+    tell(craft, OrderKind.CONTINUE)
+    craft.fly_to(Phase.RETURNING)
+
+
 @pytest.mark.parametrize("again", [restarted, None], ids=["restarted", "rebooted"])
 def test_a_pause_on_a_return_outlives_the_companion_and_the_autopilot(again: object) -> None:
     craft = asking_for_the_way_back()
@@ -147,6 +166,66 @@ def test_told_to_return_out_of_a_pause_on_the_way_back_it_returns() -> None:
     assert craft.phase is Phase.RETURNING
 
 
+def on_its_way_back(driving: Driving) -> Wild:
+    """Along what it flew: more than one stretch."""
+    wild = Wild.calmly(driving, targets_ne_m=((400.0, 300.0), (-500.0, 200.0)))
+    wild.run_until(lambda wild: wild.state.flight.target == 1).run_for(12.0)
+    wild.take(Order(time_s=wild.now_s, kind=OrderKind.RETURN))
+    wild.fly_to(Phase.RETURNING).run_for(3.0)
+    assert len(ways_left(wild)) > 1
+    return wild
+
+
+@EVERY_DRIVING
+@pytest.mark.parametrize("what", ["pause", "restart", "paused restart"])
+def test_no_stretch_of_the_way_back_is_lost_in_a_pause_or_a_restart(
+    driving: Driving, what: str
+) -> None:
+    """A plane circles at once, a copter brakes first."""
+    wild = on_its_way_back(driving)
+    left = ways_left(wild)
+    if "pause" in what:
+        wild.take(Order(time_s=wild.now_s, kind=OrderKind.PAUSE))
+    if "restart" in what:
+        wild._restart()
+    wild.fly_to(Phase.HOLDING)
+    assert ways_left(wild) == left
+    if "pause" in what:
+        wild.run_until(lambda wild: wild.state.reason is Reason.PAUSED)
+        wild.take(Order(time_s=wild.now_s, kind=OrderKind.CONTINUE))
+    wild.run_until(lambda wild: wild.state.phase not in (Phase.HOLDING, Phase.PREPARING))
+    assert wild.state.phase is Phase.RETURNING or wild.state.flight.homeward
+
+
+@pytest.mark.parametrize("driving", [each for each in DRIVINGS if each.hovers], ids=NAME)
+@pytest.mark.parametrize("what", ["pause", "pause and at once on", "restart", "paused restart"])
+def test_the_way_back_is_the_flown_one_after_a_pause_or_a_restart_on_it(
+    driving: Driving, what: str
+) -> None:
+    """To its end, and never on to the targets."""
+    wild = on_its_way_back(driving)
+    plans = len(wild.sent(Plan))
+    if "pause" in what:
+        wild.take(Order(time_s=wild.now_s, kind=OrderKind.PAUSE))
+        wild.run_for(1.0 if "on" in what else 40.0)
+    if "restart" in what:
+        wild._restart()
+        wild.run_for(30.0)
+    if "pause" in what:
+        wild.take(Order(time_s=wild.now_s, kind=OrderKind.CONTINUE))
+    wild.run_until(lambda wild: wild.over)
+    assert len(wild.sent(Plan)) == plans
+    assert wild.here == pytest.approx((0.0, 0.0, HOME_AMSL_M), abs=1.0)
+    assert f"hold: {Reason.OFF_PATH.text}" not in [say.text for say in wild.sent(Say)]
+
+
+def ways_left(wild: Wild) -> list[bytes]:
+    """The stretches that are still to be flown."""
+    flight = wild.state.flight
+    legs = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]
+    return [leg.subpath.control_nea_m.tobytes() for leg in legs]
+
+
 def test_a_return_for_want_of_plans_goes_on_after_a_pause() -> None:
     """All attempts are used up then, and that is no reason to give up the way back."""
     craft = under_way(replace(two_legs_away(), fallback=Fallback.RETURN))
@@ -163,6 +242,30 @@ def test_a_return_for_want_of_plans_goes_on_after_a_pause() -> None:
 # --- a new target
 
 
+def test_a_new_target_is_not_overruled_by_the_way_back_that_was_asked_for_before() -> None:
+    craft = asking_for_the_way_back()
+    assert tell(craft, OrderKind.REPOSITION) is Verdict.ACCEPTED
+    answer(craft)
+    craft.plan = home_or_on
+    assert craft.phase is HOLDING
+    craft.fly_to(Phase.DONE)
+    assert craft.here[:2] == pytest.approx(OTHER_NE_M, abs=1.0)
+    assert Phase.RETURNING not in {after.phase for _, _, after, _ in craft.steps}
+
+
+def test_a_pause_is_not_overruled_by_the_fallback_that_was_planned_before() -> None:
+    craft = under_way(replace(two_legs_away(), fallback=Fallback.RETURN))
+    craft.plan = lambda request: not_planned(request) if request.flown is None else None
+    craft.run_until(lambda craft: craft.state.flight.fallen_back is Reason.NO_PLAN)
+    assert tell(craft, OrderKind.PAUSE) is Verdict.ACCEPTED
+    answer(craft)
+    craft.run_for(60.0)
+    assert (craft.phase, craft.state.reason) == (HOLDING, Reason.PAUSED)
+    craft.plan = home_or_on
+    tell(craft, OrderKind.CONTINUE)
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+
+
 # --- at the target
 
 
@@ -174,3 +277,14 @@ def test_a_word_to_go_on_changes_nothing_where_nothing_was_paused() -> None:
 
 
 # --- what the companion itself has asked for
+
+
+def test_its_own_hold_after_a_restart_is_not_taken_for_a_persons() -> None:
+    """Asked for while the position was bad, and good again before the heartbeat tells of it."""
+    craft = flying(two_legs_away())
+    restarted(craft)
+    frozen = craft.velocity  # it says that it flies, and where it is does not change
+    craft.run_until(lambda craft: craft.mode is Mode.HOLD)
+    craft.velocity = (0.0, 0.0, 0.0)
+    assert frozen != craft.velocity
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
