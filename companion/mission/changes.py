@@ -281,6 +281,8 @@ def _return(state: State) -> Step:
     if state.phase is Phase.HOLDING and state.reason in _CALM:
         return because(state, Reason.RETURN_ASKED), [], None
     if state.phase is Phase.ARRIVED:
+        if state.asks:  # for the end action's mode, which it may have by now
+            return replace(state, reason=Reason.TAKING_OVER), [], Trigger.FAULT
         return following.stop(state, Reason.RETURN_ASKED)
     return state, [], None
 

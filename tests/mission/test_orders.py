@@ -11,7 +11,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import (
     HOME_AMSL_M,
+    MISSION,
     Craft,
+    arrived,
     flying,
     holding_without_plan,
     not_planned,
@@ -34,6 +36,7 @@ from companion.mission.events import (
     PlanReady,
     Rebooted,
     Say,
+    SetMode,
     Setpoint,
 )
 from companion.mission.mission import Fallback, Mission
@@ -267,6 +270,22 @@ def test_a_pause_is_not_overruled_by_the_fallback_that_was_planned_before() -> N
 
 
 # --- at the target
+
+
+@pytest.mark.parametrize("obeys", [True, False])
+def test_told_to_return_after_its_hold_was_asked_for_it_returns(obeys: bool) -> None:
+    """Its own hold may show in the next heartbeat: nobody has taken the vehicle."""
+    craft = arrived(replace(MISSION, targets_ne_m=((5_000.0, 5_000.0),)))
+    craft.plan = home_or_on
+    craft.obeys_modes = obeys
+    craft.run_until(lambda craft: any(c.mode is Mode.HOLD for c in craft.sent(SetMode)))
+    assert craft.phase is Phase.ARRIVED
+    assert tell(craft, OrderKind.RETURN) is Verdict.ACCEPTED
+    craft.mode, craft.obeys_modes = Mode.HOLD, True
+    craft.run_until(lambda craft: craft.phase in (Phase.RETURNING, Phase.DONE), 60.0)
+    assert craft.phase is Phase.RETURNING
+    reasons = {after.reason for _, _, after, _ in craft.steps}
+    assert Reason.MODE_TAKEN not in reasons
 
 
 def test_a_word_to_go_on_changes_nothing_where_nothing_was_paused() -> None:
