@@ -224,7 +224,11 @@ def _ordered(state: State, order: Order) -> Step:
             return _pause(state)
         case OrderKind.REPOSITION:
             assert order.target_ne_m is not None
-            return _with_targets(state, (order.target_ne_m,), "new target")
+            says: list[Command] = []
+            if order.speed_m_s is not None:
+                state, says, _ = _with_speed(state, order.speed_m_s)
+            state, commands, trigger = _with_targets(state, (order.target_ne_m,), "new target")
+            return state, [*says, *commands], trigger
         case OrderKind.SPEED:
             return _with_speed(state, order.speed_m_s)
         case OrderKind.RETURN:

@@ -38,6 +38,7 @@ from companion.mission.events import (
     Say,
     SetMode,
     Setpoint,
+    SetSpeed,
 )
 from companion.mission.mission import Fallback, Mission
 from companion.mission.state import Phase, Reason
@@ -267,6 +268,29 @@ def test_a_pause_is_not_overruled_by_the_fallback_that_was_planned_before() -> N
     craft.plan = home_or_on
     tell(craft, OrderKind.CONTINUE)
     assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+
+
+def test_a_new_target_is_flown_to_at_the_speed_that_was_given_with_it() -> None:
+    craft = under_way()
+    order = Order(
+        time_s=craft.now_s,
+        kind=OrderKind.REPOSITION,
+        target_ne_m=(9_000.0, 2_000.0),
+        speed_m_s=30.0,
+    )
+    assert changes.verdict(craft.state, order) is Verdict.ACCEPTED
+    craft.obey(craft.take(order))
+    craft.fly_to(HOLDING).fly_to(Phase.FLYING).run_for(60.0)
+    assert craft.sent(SetSpeed)[-1].speed_m_s == 30.0
+    speeds = [c.velocity_nea_m_s for c in craft.commands[-100:] if isinstance(c, Setpoint)]
+    assert max(sum(v * v for v in each) ** 0.5 for each in speeds) == pytest.approx(30.0)
+
+
+def test_a_new_target_without_a_speed_leaves_the_speed_as_it_is() -> None:
+    craft = under_way()
+    craft.take(Order(time_s=craft.now_s, kind=OrderKind.SPEED, speed_m_s=40.0))
+    tell(craft, OrderKind.REPOSITION)
+    assert craft.state.flight.speed_limit_m_s == 40.0
 
 
 # --- at the target
