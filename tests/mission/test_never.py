@@ -6,7 +6,8 @@ refused, not proven or old, companions that die and start again.  `watch` checks
 setpoint from a position that is not to be trusted, nor beside a path that is proven and the newest,
 nor with a value that is not finite or out of range, nor on the ground, nor in a mode that is not
 ours; no silence in guided mode and no phase beyond its deadline; no arming and no take-off after a
-flight; nobody else's vehicle is told anything; nothing after the end.
+flight; nobody else's vehicle is told anything; nothing after the end; a pause is kept, a return is
+one, an order is not overruled by an older plan, and no target is flown to below the reserve.
 """
 
 import math
@@ -62,6 +63,7 @@ OFTEN = {
     Reason.PAUSED,
     Reason.NEW_TARGET,
     Reason.RETURN_ASKED,
+    Reason.BATTERY_LOW,
     Reason.REFUSED,
     Reason.NOT_READY,
 }
@@ -90,9 +92,10 @@ def test_nothing_that_must_never_happen_happens_in_1200000_events(number: int) -
 
 
 def test_the_programs_are_of_all_drivings_and_come_to_every_phase_and_command() -> None:
-    watches = shard(SHARDS + 3, 150_000)
+    watches = shard(SHARDS + 3, 300_000)
     assert {watch.driving.name for watch in watches} == {each.driving.name for each in ALL}
     assert {watch.context.shadow for watch in watches} == {True, False}
+    assert sum(watch.orders.kept > 0 for watch in watches) > 10
     assert set().union(*(watch.phases for watch in watches)) == set(Phase)
     assert set().union(*(watch.commands for watch in watches)) == SAID
     assert set().union(*(watch.reasons for watch in watches)) >= OFTEN

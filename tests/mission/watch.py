@@ -10,6 +10,7 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
+from watch_orders import WatchOrders
 
 from companion.mavlink.autopilots import Autopilot
 from companion.mission.decisions import Context
@@ -64,6 +65,7 @@ ON_SETPOINTS = (
     Reason.RADAR_SILENT,
     Reason.NEW_THREAT,
     Reason.NEW_TARGET,
+    Reason.CONTINUED,
     Reason.RETURN_ASKED,
     Reason.BATTERY_LOW,
 )
@@ -89,6 +91,7 @@ class Watch:
         self.ends = 0
         self.flown = False
         """Whether it was ever heard to be armed and in the air."""
+        self.orders = WatchOrders(mission)
         self.forget(0.0)
         self.setpoints = 0
 
@@ -111,9 +114,13 @@ class Watch:
         """The vehicle's clock begins again."""
         self.forget(now_s)
 
-    def restarted(self, now_s: float) -> None:
-        """Another companion goes on from the checkpoint: it has yet to hear everything."""
+    def restarted(self, now_s: float, *, forgotten: bool = False) -> None:
+        """Another companion goes on from the checkpoint: it has yet to hear everything.
+
+        forgotten: without even that.
+        """
         self.forget(now_s)
+        self.orders.forgotten() if forgotten else self.orders.restarted()
 
     def answered(self, request: PlanRequest, outcome: PlanOutcome) -> None:
         """What the planner will answer: only what is proven may ever be flown."""
@@ -150,6 +157,8 @@ class Watch:
                 self.newest = command.request.plan_id
         assert sum(isinstance(command, Setpoint) for command in commands) <= 1
         self._legs(before, event, after)
+        if not self.context.shadow:
+            self.orders.saw(before, event, after, commands)
         self._deadlines(before, event, after, commands)
 
     def _hear(self, event: Event) -> bool:
@@ -307,7 +316,9 @@ class Watch:
 
     def _legs(self, before: State, event: Event, after: State) -> None:
         flight = after.flight
-        if isinstance(event, PlanReady) and event.outcome.plan_id != self.newest:
+        held = after.phase is Phase.HOLDING and before.phase is not Phase.HOLDING
+        old = isinstance(event, PlanReady) and event.outcome.plan_id != self.newest
+        if old and not held:
             was = before.flight
             assert flight.leg is was.leg, "took the answer to an old question"
             assert flight.next_leg is was.next_leg, "took the answer to an old question"
@@ -337,6 +348,8 @@ class Watch:
             self.progress_at_s = now
         if any(isinstance(command, MOVING) for command in commands):
             self.spoke_at_s = now
+        elif now - before.now_s > 0.5:  # no event, no word
+            self.spoke_at_s = min(self.spoke_at_s + now - before.now_s, now)
         limit_s = self._limit_s(after)
         waited_s = now - (self.progress_at_s if after.phase in _PROGRESS else self.since_s)
         if isinstance(event, Position):

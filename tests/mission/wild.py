@@ -137,6 +137,10 @@ class Wild:
             self.lasting_in = _KEPT[int(rng.integers(len(_KEPT)))]
         else:
             self.lasting = math.inf, ""
+        self.busy = bool(rng.random() < 0.25)
+        """Whether a person orders something all the time, with little else going wrong."""
+        if self.busy:
+            self.trouble, self.lasting_in = min(self.trouble, 0.003), None
         self.calm = False
         self.said_to: list[Command] = []
         self.events = 0
@@ -147,7 +151,7 @@ class Wild:
         self.goal: Vector | None = None
         self.climb_to_m: float | None = None
         self.streamed_at_s = -math.inf
-        self.battery = 1.0
+        self.battery = float(rng.choice([1.0, 0.22], p=[0.8, 0.2]))
         self.course_rad = 0.0
         self.wrong: dict[str, float] = {}
         """What is wrong now, and until when."""
@@ -176,6 +180,7 @@ class Wild:
         made.state = State.of(made.mission, made.state.flight.known)
         made.watch = Watch(made.mission, driving, ALL[number], made.context)
         made.lasting, made.lasting_in = (math.inf, ""), None
+        made.busy, made.battery = False, 1.0
         made.calm, made.trouble, made.bad_plans, made.tick_s, made.now_s = True, 0.0, 0.0, 0.1, 0.0
         made.mode, made.armed, made.landed = Mode.OTHER, False, Landed.ON_GROUND
         made.here = (0.0, 0.0, HOME_AMSL_M)
@@ -242,6 +247,8 @@ class Wild:
             self.lasts(self.lasting[1])
         if rng.random() < self.trouble:
             self.happen()
+        if self.busy and rng.random() < _ORDERS_1_S * self.tick_s:
+            self._order()
         if self.is_wrong("silent"):
             for silent_s in (3.0, 30.0):
                 since_s = self.now_s - self.silent_since_s
@@ -500,7 +507,7 @@ class Wild:
             time_s=self.now_s,
             kind=kind,
             target_ne_m=(at[0], at[1]) if kind is OrderKind.REPOSITION else None,
-            speed_m_s=speed if kind is OrderKind.SPEED else None,
+            speed_m_s=speed if kind in (OrderKind.SPEED, OrderKind.REPOSITION) else None,
         )
         if changes.verdict(self.state, order) is changes.Verdict.ACCEPTED:
             self.take(order)
@@ -561,10 +568,11 @@ class Wild:
         if not self.calm and self.rng.random() < 0.2:  # it cannot be read
             number = self.state.flight.plan_id
             values = checkpoint.forgotten("torn", time_s=self.now_s, plan_id=number)
+        lost = "lost" in values
         self.state = checkpoint.beginning(self.mission, (values, self.state.flight.known))
         self.state = replace(self.state, now_s=self.now_s, since_s=self.now_s)
         self.later = []
-        self.watch.restarted(self.now_s)
+        self.watch.restarted(self.now_s, forgotten=lost)
 
     def _namesake(self) -> None:
         """Somebody with our ids, for certain or perhaps."""
@@ -580,6 +588,7 @@ class Wild:
             self.take(StopAsked(time_s=self.now_s))
 
 
+_ORDERS_1_S = 0.1
 _KEPT = (
     Phase.PREPARING,
     Phase.TAKING_OFF,
