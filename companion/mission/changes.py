@@ -185,7 +185,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
     flight = replace(
         state.flight, target=0, route_ne_m=(), stops=0, failures=0, returning=False, back=()
     )
-    flight = replace(flight, fallen_back=None, homeward=False, planning=False)
+    flight = replace(flight, fallen_back=None, homeward=False, planning=False, refusal=None)
     vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
     state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)
     if why != _OF_VEHICLE:

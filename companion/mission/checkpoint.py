@@ -16,7 +16,7 @@ from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, Flight, Phase, Reason, State
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg, Reference
-from companion.planner.request import Stretch
+from companion.planner.request import Refusal, Stretch
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.threats import CircleZone, PolygonZone, Zone
 
@@ -58,6 +58,7 @@ def values_of(state: State) -> Values:
         "back": [_of_leg(leg) for leg in flight.back],
         "returning": flight.returning,
         "homeward": flight.homeward,
+        "refusal": None if flight.refusal is None else flight.refusal.name,
         "fallen_back": None if flight.fallen_back is None else flight.fallen_back.name,
     }
 
@@ -142,6 +143,7 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         back=tuple(leg for each in values["back"] if (leg := _leg(each)) is not None),
         returning=bool(values["returning"]),
         homeward=bool(values["homeward"]),
+        refusal=None if values.get("refusal") is None else Refusal[values["refusal"]],
         fallen_back=_reason(values["fallen_back"]),
     )
     targets_ne_m = _places(values["targets_ne_m"])

@@ -11,6 +11,7 @@ from companion.mission.health import distrust
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, Phase, Reason, State, Trigger, Vehicle
+from companion.planner.request import Refusal
 
 Step = tuple[State, list[Command], Trigger | None]
 """The new state, what to do, and what moves the mission to another phase."""
@@ -49,8 +50,20 @@ def ask(state: State, *commands: Command) -> Step:
     return replace(state, asked_at_s=state.now_s, asks=state.asks + 1), list(commands), None
 
 
+def words(state: State, reason: Reason) -> tuple[str, str]:
+    """What there is to say of a reason beyond its own text, and the remedy: the planner's own."""
+    refusal = state.flight.refusal
+    if reason is not Reason.NO_PLAN or refusal is None:
+        return "", reason.remedy
+    why, _, remedy = refusal.value.partition("; ")
+    detail = "" if refusal is Refusal.NOTHING_SAFE else f": {why}"  # else it is said twice
+    return detail, f"{remedy[:1].upper()}{remedy[1:]}."
+
+
 def give_up(state: State, reason: Reason, detail: str = "", remedy: str = "") -> Step:
     """End the mission; a vehicle in the air is left in its hold mode."""
+    if not detail:
+        detail, remedy = words(state, reason)
     return replace(state, reason=reason, detail=detail, remedy=remedy), [], Trigger.GIVE_UP
 
 

@@ -5,7 +5,16 @@ import math
 import numpy as np
 
 from companion.mission import following
-from companion.mission.decisions import AT_M, Context, Step, cannot_fly, fault, give_up, is_gone
+from companion.mission.decisions import (
+    AT_M,
+    Context,
+    Step,
+    cannot_fly,
+    fault,
+    give_up,
+    is_gone,
+    words,
+)
 from companion.mission.events import (
     Command,
     Event,
@@ -23,7 +32,7 @@ from companion.mission.health import battery_forecast, battery_is_short
 from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
 from companion.planner.procedure import Leg, Reference, hover_pose
-from companion.planner.request import Planned, PlanRequest
+from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.world.clearance import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
 
@@ -219,6 +228,8 @@ def on_plan(state: State, event: PlanReady) -> Step:
         return replace(state, flight=replace(state.flight, tried=False)), [], None
     verified = state.task.settings.profile.verified
     if not isinstance(outcome, Planned) or (verified and not outcome.certificate.proven):
+        refusal = outcome.refusal if isinstance(outcome, NotPlanned) else None
+        state = replace(state, flight=replace(state.flight, refusal=refusal))
         silent = flight.shortfall is Reason.RADAR_SILENT
         return _no_successor(state, Reason.RADAR_SILENT if silent else Reason.NO_PLAN)
     leg = flight.leg
@@ -295,7 +306,11 @@ def _later(state: State, event: Position, flight: Flight) -> float:
 
 def _accepted(flight: Flight, planned: Planned, *, hovers: bool) -> Flight:
     leg = Leg.of(planned, flight.legs_flown + 1)
-    flight = replace(flight, route_ne_m=() if planned.reaches_target else planned.route_ne_m)
+    flight = replace(
+        flight,
+        route_ne_m=() if planned.reaches_target else planned.route_ne_m,
+        refusal=flight.refusal if flight.homeward else None,  # why it goes home
+    )
     if flight.leg is not None:
         return replace(flight, next_leg=leg)
     return replace(
@@ -315,7 +330,8 @@ def _no_successor(state: State, reason: Reason) -> Step:
     """A leg in flight is flown to its end; without one the vehicle holds now."""
     flight = replace(state.flight, shortfall=reason)
     if flight.leg is not None:
-        return replace(state, flight=flight), [Say(text=reason.text, warning=True)], None
+        text = f"{reason.text}{words(state, reason)[0]}"
+        return replace(state, flight=flight), [Say(text=text, warning=True)], None
     flight = replace(at_rest(flight, flight.hover_nea_m), failures=flight.failures + 1)
     return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
 

@@ -9,7 +9,7 @@ from typing import assert_never
 
 from companion.mission import changes, flying, following, ground, returning, stopped
 from companion.mission import shadow as watching
-from companion.mission.decisions import Context, Step, is_grounded, is_led
+from companion.mission.decisions import Context, Step, is_grounded, is_led, words
 from companion.mission.events import (
     Battery,
     Command,
@@ -204,7 +204,8 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
         flight = replace(state.flight, troubles=state.flight.troubles + 1)
         state = replace(state, flight=flight)
     quiet = reason in stopped.AS_TOLD
-    says: list[Command] = [Say(text=f"hold: {reason.text}", warning=not quiet, about="phase")]
+    text = f"hold: {reason.text}{words(state, reason)[0]}"
+    says: list[Command] = [Say(text=text, warning=not quiet, about="phase")]
     left_alone = (*stopped.LET_GO, Reason.TAKING_OVER, Reason.STREAM_LOST)
     if reason not in (*stopped.SELF_HELD, *left_alone):
         state = replace(state, asked_at_s=state.now_s)
@@ -235,7 +236,8 @@ def _end_of(before: State, trigger: Trigger) -> End:
         how = "landed" if trigger is Trigger.LANDED else "returned"
         asked = fallen_back is Reason.RETURN_ASKED
         outcome = Outcome.STOPPED if asked else Outcome.FAILED
-        return End(outcome=outcome, reason=f"{how}: {fallen_back.text}", remedy=fallen_back.remedy)
+        detail, remedy = words(before, fallen_back)
+        return End(outcome=outcome, reason=f"{how}: {fallen_back.text}{detail}", remedy=remedy)
     reason = before.reason or Reason.NO_PLAN
     outcome = Outcome.STOPPED if trigger is Trigger.STOP else Outcome.FAILED
     text = f"{reason.text}{before.detail}"

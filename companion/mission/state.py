@@ -11,7 +11,7 @@ from companion.mission.mission import Mission
 from companion.mission.renewed import Renewed, replace
 from companion.planner.join import Offset
 from companion.planner.procedure import Leg, Reference
-from companion.planner.request import Stretch
+from companion.planner.request import Refusal, Stretch
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
@@ -286,6 +286,8 @@ class Flight(Renewed):
     """Whether this leg's successor has been scanned or planned for."""
     shortfall: Reason = Reason.NO_PLAN
     """Why this leg has no successor (yet)."""
+    refusal: Refusal | None = None
+    """Why there is no plan, in the planner's own words."""
     failures: int = 0
     """Attempts in a row, from rest, that gave no leg."""
     legs_flown: int = 0
