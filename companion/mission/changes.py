@@ -41,7 +41,7 @@ _CALM = (
     Reason.PAUSED,
 )
 """Reasons to hold in which a person's word counts at once."""
-_LIKE_A_BREACH = (Reason.MODE_TAKEN, Reason.STREAM_LOST)
+_LIKE_A_BREACH = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.STREAM_LOST)
 _BREACH_S = 5.0  # from what the autopilot does to what it says
 
 
@@ -142,7 +142,7 @@ def _named(state: State) -> Step | None:
     if state.phase is not Phase.HOLDING or state.reason not in _LIKE_A_BREACH:
         return None
     by_itself = state.vehicle.failsafe or in_phase_s(state) < _BREACH_S
-    if not by_itself or taken_by(state) is Reason.MODE_TAKEN:
+    if not by_itself or taken_by(state) is not Reason.FENCE_BREACHED:
         return None
     reason = Reason.FENCE_BREACHED
     says = Say(text=f"hold: {reason.text}", warning=True, about="phase")

@@ -102,14 +102,15 @@ def lost_command(
     if vehicle.mode in modes:
         return None
     taken = taken_by(state)
-    lost = taken is Reason.MODE_TAKEN and _lost_stream(vehicle)
+    lost = taken is not Reason.FENCE_BREACHED and _lost_stream(vehicle)
     return Reason.STREAM_LOST if lost else taken
 
 
 def taken_by(state: State) -> Reason:
-    """Who has changed the mode: a person, or the autopilot because of its own fence.
+    """Who has changed the mode: a person, or the autopilot for its own fence or another failsafe.
 
-    It says so, or it acts on a failsafe (PX4, which tells a companion little) outside of its fence.
+    Of the fence it says so, or it acts on a failsafe outside of it (PX4, which tells a companion
+    little).  A person who selects hold, return or land in a failsafe looks like the failsafe.
     """
     vehicle, driving = state.vehicle, state.vehicle.driving
     if vehicle.mode not in (Mode.HOLD, Mode.RETURN, Mode.LAND):
@@ -117,7 +118,9 @@ def taken_by(state: State) -> Reason:
     said = 0.0 <= state.now_s - vehicle.fence_breached_at_s < _FENCE_S
     streams_first = driving is not None and driving.streams_first
     acts = streams_first and vehicle.failsafe and _is_out_of_its_fence(state)
-    return Reason.FENCE_BREACHED if said or acts else Reason.MODE_TAKEN
+    if said or acts:
+        return Reason.FENCE_BREACHED
+    return Reason.FAILSAFE if vehicle.failsafe else Reason.MODE_TAKEN
 
 
 def _is_out_of_its_fence(state: State) -> bool:

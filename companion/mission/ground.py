@@ -23,6 +23,7 @@ from companion.mission.decisions import (
     is_silent,
     is_suspected,
     lost_command,
+    taken_by,
 )
 from companion.mission.driving import TakeOffWay
 from companion.mission.events import (
@@ -191,7 +192,7 @@ def _in_flight(state: State) -> Step:
     mode = state.vehicle.mode
     if state.standing is not None or state.taken or state.flight.returning:
         ours = mode in (Mode.GUIDED, Mode.HOLD) and not state.taken
-        reason = Reason.TAKING_OVER if ours else Reason.MODE_TAKEN
+        reason = Reason.TAKING_OVER if ours else taken_by(state)
         flight = following.at_rest(following.unflown(state.flight), None)
         return replace(state, reason=reason, flight=flight), [], Trigger.IN_FLIGHT
     asked = state.asks > 0  # to hold: it may do so by now
@@ -200,7 +201,7 @@ def _in_flight(state: State) -> Step:
         if joined is not None:
             return replace(state, flight=joined), [], Trigger.TAKE_OVER
     ours = mode in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF)
-    reason = Reason.TAKING_OVER if ours else Reason.MODE_TAKEN
+    reason = Reason.TAKING_OVER if ours else taken_by(state)
     return replace(state, reason=reason), [], Trigger.IN_FLIGHT
 
 

@@ -176,7 +176,7 @@ def _enter(
 def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     """To fly, back or on, or to land."""
     flight = replace(state.flight, progress_at_s=state.now_s, echoed_at_s=state.now_s)
-    state = replace(state, flight=flight, reason=None, taken=False)
+    state = replace(state, flight=flight, reason=None, taken=False, failsafe_over=False)
     if state.phase is not Phase.FLYING:
         state = replace(state, standing=None, set_aside=None)
     elif not state.flight.homeward:  # to a target again

@@ -153,6 +153,10 @@ class Reason(enum.Enum):
         "somebody else flies the vehicle",
         "Give it back: guided mode, or the command MISSION_START to the companion.",
     )
+    FAILSAFE = (
+        "the autopilot's own failsafe took the vehicle",
+        "See its messages; when that is over, give it back: guided mode, or MISSION_START.",
+    )
     FENCE_BREACHED = (
         "the vehicle's own fence stopped it",
         "Change its fence, or give it back (guided mode, or MISSION_START) to be led out of it.",
@@ -362,6 +366,8 @@ class State(Renewed):
     """What stood before a pause, and stands again after it: RETURN_ASKED."""
     taken: bool = False
     """Whether somebody else flies the vehicle, and has not given it back yet."""
+    failsafe_over: bool = False
+    """Whether it was said that the failsafe which took the vehicle is over."""
     reason: Reason | None = None
     detail: str = ""
     """What there is to say of the reason beyond its own text."""

@@ -23,6 +23,7 @@ from companion.mission.decisions import (
     taken_by,
 )
 from companion.mission.events import (
+    Battery,
     Command,
     Event,
     Landed,
@@ -57,11 +58,13 @@ AS_TOLD = (Reason.TAKING_OVER, Reason.PAUSED, Reason.NEW_TARGET, Reason.CONTINUE
 STANDING = (Reason.PAUSED, Reason.RETURN_ASKED, Reason.BATTERY_LOW)
 """What stands until a person says otherwise, or it is done, whatever else happens meanwhile."""
 
-TAKEN = (Reason.MODE_TAKEN, Reason.FENCE_BREACHED)
+TAKEN = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED)
 """Reasons to hold until a person gives the vehicle back."""
 
 LET_GO = (*TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
 """Reasons to hold in which the vehicle is not ours to command."""
+
+FAILSAFE_OVER = "failsafe over: MISSION_START to the companion, or guided mode, goes on"
 
 _TOLD_S = 30.0  # that guided mode is asked for on a person's word
 _LEADS_BACK_S = 30.0  # a link that comes back later finds a vehicle that holds
@@ -114,7 +117,13 @@ def _is_trusted(state: State) -> bool:
 
 
 def _let_go(state: State, event: Event, context: Context) -> Step:
-    """Somebody else flies: say nothing until guided mode is selected again, or a person says so."""
+    """Somebody else flies: command nothing until they select guided mode, or a person says so.
+
+    After a failsafe too: that its autopilot holds again looks just as if a pilot had chosen to.
+    """
+    if isinstance(event, Battery):
+        state, warning = flying.battery_warning(state, context)
+        return state, warning, None
     if not _is_trusted(state):
         return _anew(state), [], None
     if state.vehicle.mode is Mode.GUIDED:
@@ -124,7 +133,10 @@ def _let_go(state: State, event: Event, context: Context) -> Step:
     if state.told_at_s > 0.0:
         says = Say(text="guided mode was not taken", warning=True)
         return replace(state, told_at_s=-1e9), [says], None
-    return state, [], None
+    acts = state.reason is not Reason.FAILSAFE or state.vehicle.failsafe
+    if acts or state.failsafe_over:
+        return state, [], None
+    return replace(state, failsafe_over=True), [Say(text=FAILSAFE_OVER, warning=True)], None
 
 
 def resumed(state: State) -> Step:
@@ -149,7 +161,7 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
     """Stay at the end of the leg; try again after a pause, and not for ever."""
     reason = cannot_fly(state, event)
     if reason in TAKEN:
-        return _taken(_anew(state)), [], None
+        return _taken(_anew(state))
     if reason is not None:
         return because(_anew(state), reason), [], None
     if isinstance(event, PlanReady):
@@ -221,7 +233,7 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     vehicle, mode = state.vehicle, state.vehicle.mode
     taking_over = state.reason is Reason.TAKING_OVER
     if mode not in (Mode.GUIDED, Mode.HOLD) and not (taking_over and mode is Mode.TAKE_OFF):
-        return _taken(state), [], None
+        return _taken(state)
     if in_phase_s(state) > _HOLD_S or state.flight.troubles > _TROUBLES:
         return state, [], Trigger.GIVE_UP
     if mode is Mode.HOLD or (taking_over and not _must_stop_first(state)):
@@ -238,9 +250,11 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     return _ask_for_guided(state, event, context)
 
 
-def _taken(state: State) -> State:
+def _taken(state: State) -> Step:
     """Somebody else flies it from now on, or its autopilot does."""
-    return replace(because(state, taken_by(state)), taken=True)
+    reason = taken_by(state)
+    says = Say(text=f"hold: {reason.text}", warning=True, about="phase")
+    return replace(because(state, reason), taken=True), [says], None
 
 
 def _lead_back(state: State, event: Event, context: Context) -> Step:
@@ -250,7 +264,7 @@ def _lead_back(state: State, event: Event, context: Context) -> Step:
     """
     mode = state.vehicle.mode
     if mode not in (Mode.GUIDED, Mode.HOLD) or in_phase_s(state) > _LEADS_BACK_S:
-        return _taken(state), [], None
+        return _taken(state)
     if not _is_trusted(state):
         return _anew(state), [], None
     if mode is Mode.GUIDED:
@@ -375,7 +389,7 @@ def _broken_off(state: State) -> Step:
     reason = Reason.PAUSED if guided else taken_by(state)
     flight = following.at_rest(state.flight, state.vehicle.position_nea_m if guided else None)
     state = replace(state, flight=flight)
-    if reason not in (Reason.PAUSED, Reason.MODE_TAKEN):
+    if reason is Reason.FENCE_BREACHED:
         return fault(state, reason)
     state, commands, trigger = fault(replace(state, standing=Reason.PAUSED), reason)
     return state, [*commands, Say(text=BROKEN_OFF, warning=True)], trigger

@@ -45,7 +45,7 @@ GRACE_S = 10.0
 _SLACK_M = 0.1
 _ARRIVED_M = 15.0
 _CRASH_M_S = 3.5
-_LET_GO = (Reason.MODE_TAKEN.text, Reason.FENCE_BREACHED.text)
+_LET_GO = (Reason.MODE_TAKEN.text, Reason.FAILSAFE.text, Reason.FENCE_BREACHED.text)
 _BLIND = frozenset(
     reason.text
     for reason in (

@@ -178,6 +178,7 @@ class Craft:
         self.obeys_modes, self.follows, self.fix, self.answered = True, True, True, 1
         self.arms, self.takes_off = True, True
         self.battery: float | None = None
+        self.failsafe = False
         self.scan_asked = False
         self.pending: tuple[float, PlanOutcome] | None = None
 
@@ -267,7 +268,7 @@ class Craft:
         said: list[Event] = [Tick(time_s=now)]
         if round(now / TICK_S) % 10 == 0:
             said += [
-                status(now, self.mode, armed=self.armed),
+                VehicleStatus(time_s=now, mode=self.mode, armed=self.armed, failsafe=self.failsafe),
                 LandedState(time_s=now, landed=self.landed),
                 GpsFix(time_s=now, good=self.fix),
                 Estimator(time_s=now, good=True),

@@ -49,10 +49,11 @@ MOVING = (SetMode, Setpoint, Arm, TakeOff, SetSpeed)
 STREAMS = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.RETURNING)
 ALOFT = (*STREAMS, Phase.TAKING_OFF, Phase.LANDING)
 ARROWS = {(phase, after) for (phase, _), after in MOVES.items()}
-WITH_A_PERSON = (Reason.MODE_TAKEN, Reason.FENCE_BREACHED, Reason.PAUSED)
+WITH_A_PERSON = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED, Reason.PAUSED)
 """What a vehicle may be held for as long as it takes: somebody else has the say."""
 NOT_OURS = (
     Reason.MODE_TAKEN,
+    Reason.FAILSAFE,
     Reason.FENCE_BREACHED,
     Reason.LINK_LOST,
     Reason.DISARMED,
@@ -252,7 +253,7 @@ class Watch:
         said = f"{command} in {before.phase} ({before.reason}), mode {self.mode}"
         if before.phase is Phase.ARMING or after.phase in (Phase.ARMING, Phase.TAKING_OFF):
             return
-        taken = before.reason in (Reason.MODE_TAKEN, Reason.FENCE_BREACHED)
+        taken = before.reason in (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED)
         if before.phase is Phase.HOLDING and taken:
             if self.mode is not Mode.GUIDED:
                 assert self.told_by_person, f"fought for the vehicle: {said}"

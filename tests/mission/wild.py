@@ -274,7 +274,10 @@ class Wild:
             said.append(VehicleFound(time_s=now, system_id=1, driving=self.driving, name=name))
         beat = round(now / self.tick_s) % max(round(1.0 / self.tick_s), 1)
         if beat == 0:
-            said.append(VehicleStatus(time_s=now, mode=self.mode, armed=self.armed))
+            failsafe = self.is_wrong("failsafe")
+            said.append(
+                VehicleStatus(time_s=now, mode=self.mode, armed=self.armed, failsafe=failsafe)
+            )
             said.append(Home(time_s=now, position_nea_m=(0.0, 0.0, HOME_AMSL_M)))
             self.battery = max(self.battery - (0.02 if self.is_wrong("drain") else 0.0002), 0.0)
             said.append(Battery(time_s=now, remaining=round(self.battery, 2)))
@@ -443,6 +446,9 @@ class Wild:
         lasts_s = float(self.rng.choice([0.3, 0.8, 1.5, 4.0, 20.0, 100.0, 400.0]))
         self.wrong[what] = self.now_s + lasts_s
         self.frozen_at = self.here
+        if what == "failsafe":
+            modes = (Mode.HOLD, Mode.RETURN, Mode.LAND)
+            self.mode, self.goal = modes[self.rng.integers(3)], None
 
     def _silence(self) -> None:
         if not self.is_wrong("silent"):
@@ -612,6 +618,7 @@ _TROUBLES = (
     "no echo",
     "drain",
     "lag",
+    "failsafe",
 )
 _CHANCES = {
     "something_wrong": 10.0,

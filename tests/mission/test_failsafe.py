@@ -1,0 +1,191 @@
+"""The autopilot's own failsafe takes the vehicle: it is called that, and not taken back unasked."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from made_up import LAND, TICK_S, Craft, arrived, flying, status, two_legs_away
+
+from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER
+from companion.mission import checkpoint
+from companion.mission.driving import Driving
+from companion.mission.events import (
+    Battery,
+    Command,
+    Mode,
+    Order,
+    OrderKind,
+    Outcome,
+    Say,
+    SetMode,
+    Setpoint,
+)
+from companion.mission.renewed import replace
+from companion.mission.state import Phase, Reason
+from companion.mission.stopped import FAILSAFE_OVER
+
+EVERY_DRIVING = pytest.mark.parametrize(
+    "driving", [each.driving for each in ALL], ids=lambda driving: driving.name
+)
+WHERE = [Mode.HOLD, Mode.RETURN, Mode.LAND]
+
+
+def texts(commands: list[Command]) -> list[str]:
+    return [c.text for c in commands if isinstance(c, Say)]
+
+
+def under_way(driving: Driving = ARDUCOPTER.driving) -> Craft:
+    """A copter at speed; a plane about to set out (made-up ones only fly where they are told)."""
+    if driving.hovers:
+        return flying(two_legs_away(), driving=driving)
+    return Craft(two_legs_away(), driving=driving).fly_to(Phase.FLYING)
+
+
+def taken(driving: Driving = ARDUCOPTER.driving, mode: Mode = Mode.RETURN) -> Craft:
+    """Its failsafe has begun, in the air, and changed the mode."""
+    craft = under_way(driving)
+    craft.failsafe, craft.mode, craft.obeys_modes = True, mode, False
+    return craft.run_until(lambda craft: craft.state.reason is not None).run_for(0.5)
+
+
+@EVERY_DRIVING
+@pytest.mark.parametrize("mode", WHERE)
+def test_a_mode_that_goes_in_a_failsafe_is_the_failsafes(driving: Driving, mode: Mode) -> None:
+    craft = taken(driving, mode)
+    if driving.streams_first and mode is Mode.HOLD:  # it may have lost setpoints: that goes first
+        assert craft.state.reason is Reason.STREAM_LOST
+        craft.run_for(40.0)
+    assert craft.state.reason is Reason.FAILSAFE
+    assert craft.state.taken
+    assert texts(craft.commands).count(f"hold: {Reason.FAILSAFE.text}") == 1
+    assert f"hold: {Reason.MODE_TAKEN.text}" not in texts(craft.commands)
+
+
+@EVERY_DRIVING
+@pytest.mark.parametrize(("mode", "failsafe"), [(Mode.OTHER, True), (Mode.RETURN, False)])
+def test_a_pilots_mode_and_one_without_a_failsafe_are_somebody_elses(
+    driving: Driving, mode: Mode, failsafe: bool
+) -> None:
+    craft = under_way(driving)
+    craft.failsafe, craft.mode, craft.obeys_modes = failsafe, mode, False
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.MODE_TAKEN
+
+
+def test_a_failsafe_that_takes_a_vehicle_held_for_its_position_is_said_so_too() -> None:
+    """As PX4 does without GPS: first our hold, then its own descent."""
+    craft = flying(two_legs_away(), driving=PX4_MULTICOPTER.driving)
+    craft.fix = False
+    craft.fly_to(Phase.HOLDING).run_for(2.0)
+    assert craft.state.reason is Reason.NO_FIX
+    count = len(craft.commands)
+    craft.failsafe, craft.mode, craft.obeys_modes = True, Mode.LAND, False
+    craft.run_for(2.0)
+    assert craft.state.reason is Reason.FAILSAFE
+    assert texts(craft.commands[count:]) == [f"hold: {Reason.FAILSAFE.text}"]
+
+
+@EVERY_DRIVING
+def test_when_it_is_over_it_says_once_how_to_go_on_and_goes_on_only_then(driving: Driving) -> None:
+    """That its autopilot holds again does not mean that nobody else flies it."""
+    craft = taken(driving)
+    craft.fix = False
+    craft.run_for(5.0)
+    craft.failsafe, craft.mode = False, Mode.HOLD
+    count = len(craft.commands)
+    craft.run_for(5.0)
+    assert FAILSAFE_OVER not in texts(craft.commands)  # its position is not trusted yet
+    craft.fix = True
+    craft.run_for(300.0)
+    later = craft.commands[count:]
+    assert texts(later) == [FAILSAFE_OVER]
+    assert not [c for c in later if isinstance(c, SetMode | Setpoint)]
+    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FAILSAFE)
+    craft.obeys_modes = True
+    craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.START)))
+    if driving.hovers:
+        assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+    else:
+        craft.fly_to(Phase.FLYING)
+
+
+def test_guided_mode_gives_it_back_as_well() -> None:
+    craft = taken()
+    craft.failsafe, craft.mode, craft.obeys_modes = False, Mode.GUIDED, True
+    assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+    assert FAILSAFE_OVER not in texts(craft.commands)
+
+
+def test_the_next_failsafe_is_told_of_again() -> None:
+    craft = taken()
+    for _ in range(2):
+        craft.failsafe, craft.mode, craft.obeys_modes = False, Mode.HOLD, True
+        craft.run_for(10.0)
+        craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.START)))
+        craft.fly_to(Phase.FLYING).run_for(10.0)
+        craft.failsafe, craft.mode, craft.obeys_modes = True, Mode.RETURN, False
+        craft.run_for(5.0)
+    assert texts(craft.commands).count(FAILSAFE_OVER) == 2
+
+
+def test_it_stays_let_go_for_a_companion_that_is_started_again() -> None:
+    craft = taken()
+    values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
+    craft.state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+    count = len(craft.commands)
+    craft.run_for(20.0)
+    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FAILSAFE)
+    craft.failsafe, craft.mode = False, Mode.HOLD
+    craft.run_for(60.0)
+    assert not [c for c in craft.commands[count:] if isinstance(c, SetMode | Setpoint)]
+    assert FAILSAFE_OVER in texts(craft.commands[count:])
+
+
+def test_a_landing_that_a_failsafe_takes_is_not_begun_again_unasked() -> None:
+    craft = arrived(LAND).fly_to(Phase.LANDING).run_until(lambda craft: craft.mode is Mode.LAND)
+    craft.run_for(3.0)
+    craft.failsafe, craft.mode = True, Mode.RETURN
+    craft.run_for(5.0)
+    assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FAILSAFE)
+    assert craft.state.standing is Reason.PAUSED
+    assert [text for text in texts(craft.commands) if text.startswith("landing broken off")]
+
+
+# --- the battery of a vehicle that somebody else flies
+
+
+@pytest.mark.parametrize("reason", [Reason.MODE_TAKEN, Reason.FAILSAFE])
+def test_whoever_flies_it_is_warned_of_the_battery_at_this_rate_and_at_the_reserve(
+    reason: Reason,
+) -> None:
+    craft = taken()
+    if reason is Reason.MODE_TAKEN:
+        craft = flying(two_legs_away())
+        craft.mode, craft.obeys_modes = Mode.OTHER, False
+        craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is reason
+    count = len(craft.commands)
+    for second in range(200):
+        left = max(0.9 - 0.005 * second, 0.0)
+        craft.take(Battery(time_s=craft.now_s, remaining=left))
+        craft.run_for(1.0)
+    assert texts(craft.commands[count:]) == [Reason.BATTERY_LOW.text] * 2
+    assert not [c for c in craft.commands[count:] if isinstance(c, SetMode | Setpoint)]
+    assert craft.state.reason is reason
+
+
+def test_given_back_below_the_reserve_it_does_not_fly_on() -> None:
+    craft = flying(replace(two_legs_away(), fallback=LAND.fallback))
+    craft.mode, craft.obeys_modes = Mode.OTHER, False
+    craft.fly_to(Phase.HOLDING)
+    craft.battery = 0.1
+    craft.run_for(10.0)
+    craft.mode = Mode.GUIDED
+    here = craft.here
+    craft.take(status(craft.now_s + TICK_S, Mode.GUIDED))
+    craft.fly_to(Phase.DONE)
+    assert craft.here[:2] == pytest.approx(here[:2], abs=1.0)
+    assert craft.end().reason == Reason.BATTERY_LOW.text
