@@ -20,7 +20,7 @@ from companion.mission.state import Phase, State
 from companion.mission.stopped import AS_TOLD
 from companion.planner.settings import Task
 
-_COMMANDS = ("COMMAND_LONG", "COMMAND_INT", "COMMAND_CANCEL")
+_COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 _PARAMETERS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 
 

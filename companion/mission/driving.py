@@ -39,5 +39,3 @@ class Driving:
     """Whether it tells, in guided mode, where it is being sent (POSITION_TARGET_*)."""
     lands: bool = True
     """Whether it can be told to land where it is."""
-    flies_on_s: float = 3.5
-    """How long it goes on, at the default of its parameters, after the last setpoint."""

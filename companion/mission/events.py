@@ -58,8 +58,6 @@ class VehicleStatus:
     armed: bool
     failsafe: bool = False
     """Whether the autopilot says that it acts on a failure of its own."""
-    mode_name: str = ""
-    """The autopilot's own name of the mode, for people."""
 
 
 @final
@@ -140,8 +138,6 @@ class Echo:
 
     time_s: float
     position_nea_m: Vector
-    velocity_nea_m_s: Vector | None
-    """None if the echo does not tell."""
 
 
 @final

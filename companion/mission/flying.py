@@ -36,7 +36,7 @@ from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.world.clearance import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
 
-_STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
+STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
 _DEPARTURES = 3
 _MOST_STOPS = 12  # on the way to one target, for want of a successor
@@ -119,14 +119,14 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     if following.still_circles(state, event):
         return circle(state, event, context)
     flight = replace(following.moved_on(state, event), circling=False)
-    if state.now_s - flight.progress_at_s > _STUCK_S:
+    if state.now_s - flight.progress_at_s > STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
     leg, task = flight.leg, state.task
     assert leg is not None
     if task.settings.profile.verified and following.has_departed(state, flight, event):
-        return _departed(state)
+        return departed(state, at_rest(state.flight, None))
     if following.is_not_taken(state):
-        return _departed(state, Reason.NOT_TAKEN)
+        return departed(state, at_rest(state.flight, None), Reason.NOT_TAKEN)
     flight, commands = following.setpoint(replace(state, flight=flight), event, context)
     if following.is_stopped(state, flight):
         return _at_its_end(replace(state, flight=flight), leg, commands)
@@ -142,7 +142,7 @@ def circle(state: State, event: Position, context: Context) -> Step:
     """Stay on the circle until it leads the way of the path, once in each turn."""
     limits = state.task.limits
     turn_s = 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
-    if state.now_s - state.flight.progress_at_s > _TURNS * turn_s + _STUCK_S:
+    if state.now_s - state.flight.progress_at_s > _TURNS * turn_s + STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
     flight, stay = hold_setpoint(state, event.time_s, context)
     return replace(state, flight=flight), stay, None
@@ -162,11 +162,14 @@ def _at_its_end(state: State, leg: Leg, commands: list[Command]) -> Step:
     return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
 
 
-def _departed(state: State, reason: Reason = Reason.OFF_PATH) -> Step:
-    """The vehicle is not where the path was checked: hold, and plan from where it is."""
+def departed(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH) -> Step:
+    """The vehicle is not where the path was checked: hold, and go on from there, not for ever.
+
+    stopped: its flight at rest.
+    """
     if state.flight.departures >= _DEPARTURES:
         return give_up(state, Reason.NOT_FOLLOWING if reason is Reason.OFF_PATH else reason)
-    flight = replace(at_rest(state.flight, None), departures=state.flight.departures + 1)
+    flight = replace(stopped, departures=stopped.departures + 1)
     return fault(replace(state, flight=flight), reason)
 
 

@@ -2,14 +2,11 @@
 
 from companion.mission import flying, following, joining
 from companion.mission.decisions import Context, Step, cannot_fly, fault, give_up, is_gone
-from companion.mission.events import Command, Event, Plan, PlanReady, Position
+from companion.mission.events import Event, Plan, PlanReady, Position
 from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
 from companion.planner.procedure import Leg, Reference, hover_pose
 from companion.planner.request import PlanRequest, WayBack
-
-_STUCK_S = 30.0
-_DEPARTURES = 3
 
 
 def ask(state: State, context: Context) -> Step:
@@ -108,12 +105,12 @@ def returning(state: State, event: Event, context: Context) -> Step:
     flight = replace(following.moved_on(state, event), circling=False)
     if flight.leg is not state.flight.leg:  # through the join, onto what was the next stretch
         flight = _with_next(flight)
-    if state.now_s - flight.progress_at_s > _STUCK_S:
+    if state.now_s - flight.progress_at_s > flying.STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
     if following.has_departed(state, flight, event):
-        return _departed(state, [])
+        return flying.departed(state, _stopped(state).flight)
     if following.is_not_taken(state):
-        return _departed(state, [], Reason.NOT_TAKEN)
+        return flying.departed(state, _stopped(state).flight, Reason.NOT_TAKEN)
     flight, commands = following.setpoint(replace(state, flight=flight), event, context)
     state = replace(state, flight=flight)
     if not following.is_stopped(state, flight):
@@ -124,7 +121,8 @@ def returning(state: State, event: Event, context: Context) -> Step:
     if flight.back and flight.leg is not None:
         went_on = began(state)
         if went_on is None:
-            return _departed(state, commands)
+            state, more, trigger = flying.departed(state, _stopped(state).flight)
+            return state, [*commands, *more], trigger
         return replace(state, flight=went_on), commands, None
     there = flight.leg is not None and flight.leg.reaches_target
     state = replace(state, flight=following.at_rest_at_end(flight))
@@ -133,15 +131,6 @@ def returning(state: State, event: Event, context: Context) -> Step:
     driving = state.vehicle.driving
     lands = driving is not None and driving.lands
     return state, commands, Trigger.END_LAND if lands else Trigger.END_HOLD
-
-
-def _departed(state: State, commands: list[Command], reason: Reason = Reason.OFF_PATH) -> Step:
-    """Off the way back: hold, and go on from there, but not for ever."""
-    if state.flight.departures >= _DEPARTURES:
-        return replace(state, reason=Reason.NOT_FOLLOWING), commands, Trigger.GIVE_UP
-    flight = replace(state.flight, departures=state.flight.departures + 1)
-    state = replace(_stopped(replace(state, flight=flight)), reason=reason)
-    return state, commands, Trigger.FAULT
 
 
 def _stopped(state: State) -> State:

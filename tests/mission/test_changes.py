@@ -308,7 +308,7 @@ def test_setpoints_that_the_autopilot_does_not_take_are_a_reasoned_hold() -> Non
     craft = flying()
     while craft.phase is Phase.FLYING and craft.now_s < 100.0:
         far = (craft.here[0] - 5_000.0, craft.here[1], craft.here[2])
-        echo = Echo(time_s=craft.now_s, position_nea_m=far, velocity_nea_m_s=None)
+        echo = Echo(time_s=craft.now_s, position_nea_m=far)
         craft.take(echo)
         craft.tick()
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.NOT_TAKEN)

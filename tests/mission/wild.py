@@ -290,7 +290,7 @@ class Wild:
             if self.is_wrong("echo"):
                 echo = (echo[0] + 900.0, echo[1], echo[2])
             if not self.is_wrong("no echo"):
-                said.append(Echo(time_s=now, position_nea_m=echo, velocity_nea_m_s=None))
+                said.append(Echo(time_s=now, position_nea_m=echo))
         due = [event for at_s, event in self.later if at_s <= now]
         self.later = [(at_s, event) for at_s, event in self.later if at_s > now]
         said += [replace(event, time_s=now) for event in due]
@@ -485,7 +485,7 @@ class Wild:
             Estimator(time_s=now, good=bool(rng.random() < 0.5), error_m=float(rng.uniform(0, 9))),
             Home(time_s=now, position_nea_m=(0.0, 0.0, float(rng.uniform(2900, 3040)))),
             Origin(time_s=now, position_nea_m=far),
-            Echo(time_s=now, position_nea_m=far, velocity_nea_m_s=None),
+            Echo(time_s=now, position_nea_m=far),
             LinkDelay(time_s=now, round_trip_s=float(rng.choice([0.0, 0.2, 3.0]))),
             Battery(time_s=now, remaining=float(rng.random())),
             Prepared(time_s=now, item=Item.PLANS, refusal="made up"),

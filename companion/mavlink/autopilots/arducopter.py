@@ -29,9 +29,7 @@ def _take_off(command: TakeOff, here: Here, frame: LocalFrame, system_id: int) -
 
 
 ARDUCOPTER = Autopilot(
-    driving=Driving(
-        name="ArduCopter", hovers=True, take_off=TakeOffWay.GUIDED_THEN_CLIMB, flies_on_s=3.5
-    ),
+    driving=Driving(name="ArduCopter", hovers=True, take_off=TakeOffWay.GUIDED_THEN_CLIMB),
     rules=ARDUCOPTER_RULES,
     modes=ardupilot.ArduPilotModes(
         "COPTER_MODE",

@@ -88,8 +88,7 @@ def local_echo(
         return None
     latitude, longitude = frame.to_geodetic_deg(origin_nea_m[0], origin_nea_m[1])
     place = _offset_deg((latitude, longitude), message.x, message.y)
-    velocity = None if message.type_mask & 0x38 else (message.vx, message.vy, message.vz)
-    return echo_at(place, origin_nea_m[2] - message.z, velocity, now_s, frame)
+    return echo_at(place, origin_nea_m[2] - message.z, now_s, frame)
 
 
 def _offset_deg(

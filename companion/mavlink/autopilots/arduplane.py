@@ -70,7 +70,7 @@ def _setpoint(
 def _echo(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Echo | None:
     """POSITION_TARGET_GLOBAL_INT, in every automatic mode."""
     place = (deg(message.lat_int), deg(message.lon_int))
-    return from_wire.echo_at(place, message.alt, None, now_s, frame)
+    return from_wire.echo_at(place, message.alt, now_s, frame)
 
 
 def _refuses_setpoint(message: Message) -> bool:
@@ -89,7 +89,6 @@ ARDUPLANE = Autopilot(
         setpoint_period_s=0.25,
         holds_in_guided=True,
         lands=False,
-        flies_on_s=5.5,
     ),
     rules=ARDUPLANE_RULES,
     modes=ardupilot.ArduPilotModes(

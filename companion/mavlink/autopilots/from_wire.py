@@ -40,7 +40,6 @@ def event_of(message: Message, now_s: float, frame: LocalFrame, modes: Modes) ->
                 mode=modes.mode_of(message.custom_mode),
                 armed=bool(message.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED),
                 failsafe=message.system_status in _FAILSAFE,
-                mode_name=modes.name_of(message.custom_mode),
             )
         case "GLOBAL_POSITION_INT":
             return _position(message, frame)
@@ -71,7 +70,6 @@ def heading_rad(message: Message) -> float | None:
 def echo_at(
     place_deg: tuple[float, float],
     altitude_amsl_m: float,
-    velocity_ned_m_s: Vector | None,
     now_s: float,
     frame: LocalFrame,
 ) -> Echo | None:
@@ -84,15 +82,7 @@ def echo_at(
     north_m, east_m = frame.to_local_m(latitude, longitude)
     if not (math.isfinite(north_m) and math.isfinite(east_m)):
         return None
-    velocity = None
-    if velocity_ned_m_s is not None and all(map(math.isfinite, velocity_ned_m_s)):
-        turn = -frame.grid_north_rad(north_m, east_m)
-        velocity = (*rotate(velocity_ned_m_s[0], velocity_ned_m_s[1], turn), -velocity_ned_m_s[2])
-    return Echo(
-        time_s=now_s,
-        position_nea_m=(north_m, east_m, altitude_amsl_m),
-        velocity_nea_m_s=velocity,
-    )
+    return Echo(time_s=now_s, position_nea_m=(north_m, east_m, altitude_amsl_m))
 
 
 def _battery(message: Message, now_s: float) -> Battery | None:

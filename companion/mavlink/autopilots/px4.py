@@ -121,17 +121,14 @@ def estimator(message: Message, now_s: float, *_: object) -> Estimator:
 def local_echo(
     message: Message, now_s: float, frame: LocalFrame, origin_nea_m: Vector | None
 ) -> Echo | None:
-    """POSITION_TARGET_LOCAL_NED, from the estimator's origin on PX4's sphere.
-
-    Its velocity is what the controller made of the setpoint, not the setpoint's.
-    """
+    """POSITION_TARGET_LOCAL_NED, from the estimator's origin on PX4's sphere."""
     if origin_nea_m is None or message.type_mask & 0x7:
         return None
     if not (math.isfinite(message.x) and math.isfinite(message.y)):
         return None
     latitude, longitude = frame.to_geodetic_deg(origin_nea_m[0], origin_nea_m[1])
     place = _unprojected_deg((latitude, longitude), message.x, message.y)
-    return from_wire.echo_at(place, origin_nea_m[2] - message.z, None, now_s, frame)
+    return from_wire.echo_at(place, origin_nea_m[2] - message.z, now_s, frame)
 
 
 def _unprojected_deg(

@@ -75,7 +75,6 @@ PX4_FIXED_WING = Autopilot(
         lead_s=1.5,
         streams_first=True,
         echoes=False,
-        flies_on_s=1.5,
     ),
     rules=PX4_FIXED_WING_RULES,
     modes=px4.Px4Modes(),

@@ -24,7 +24,6 @@ PX4_MULTICOPTER = Autopilot(
         hovers=True,
         take_off=TakeOffWay.CLIMB_THEN_ARM,
         streams_first=True,
-        flies_on_s=1.5,
     ),
     rules=PX4_MULTICOPTER_RULES,
     modes=px4.Px4Modes(),
