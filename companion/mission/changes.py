@@ -74,7 +74,7 @@ def verdict(state: State, order: Order) -> Verdict:
 
 def _may_pause(state: State) -> bool:
     """Whether a pause is kept: it would end at once where the battery is short."""
-    if state.standing is Reason.BATTERY_LOW or battery_is_short(state.vehicle):
+    if state.standing is Reason.BATTERY_LOW or battery_is_short(state):
         return False
     calm = (*_CALM, Reason.RETURN_ASKED)
     held = state.phase is Phase.HOLDING and state.reason in calm

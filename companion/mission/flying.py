@@ -83,7 +83,7 @@ def runs_low(state: State) -> bool:
 
     A mission that is given up already, for anything, is on the way that is left to it.
     """
-    if not battery_is_short(state.vehicle):
+    if not battery_is_short(state):
         return False
     if state.reason is Reason.PAUSED:
         return True
@@ -103,7 +103,7 @@ def given_up_for_battery(state: State) -> State:
 def battery_warning(state: State, context: Context) -> tuple[State, list[Command]]:
     """Say that the battery will not last if it goes on like this, and that it does not: once."""
     flight, tells = state.flight, 0
-    if battery_is_short(state.vehicle):
+    if battery_is_short(state):
         tells = _TOLD_SHORT
     elif not battery_forecast(state, context.mission):
         tells = _TOLD_FORECAST

@@ -24,6 +24,7 @@ _TELLING = 0.05  # nor before it has lost so much
 _STEP = 0.01  # it is told in hundredths
 _DETOUR = 1.1  # of the way that is known to be left
 _SHORT_S = 3.0  # one word of an empty battery may be wrong
+_LAST_WORD_S = 10.0  # ten times as long as between two
 
 
 def with_position(vehicle: Vehicle, event: Position, limits: Limits) -> Vehicle:
@@ -103,10 +104,16 @@ def with_battery(state: State, event: Battery, mission: Mission) -> Vehicle:
     return replace(vehicle, battery_short_at_s=None if lasts else since_s)
 
 
-def battery_is_short(vehicle: Vehicle) -> bool:
-    """Whether all that was heard of the battery for a while says that it will not last."""
-    since_s = vehicle.battery_short_at_s
-    return since_s is not None and vehicle.battery_at_s - since_s >= _SHORT_S
+def battery_is_short(state: State) -> bool:
+    """Whether all that was heard of the battery for a while says that it will not last.
+
+    A single word is believed, too, when nothing follows to contradict it.
+    """
+    vehicle, since_s = state.vehicle, state.vehicle.battery_short_at_s
+    if since_s is None:
+        return False
+    unheard_s = state.now_s - vehicle.battery_at_s
+    return vehicle.battery_at_s - since_s >= _SHORT_S or unheard_s >= _LAST_WORD_S
 
 
 def battery_lasts(state: State, mission: Mission) -> bool:

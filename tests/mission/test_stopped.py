@@ -106,11 +106,13 @@ def test_one_word_of_an_empty_battery_ends_nothing(fallback: Fallback) -> None:
     assert craft.state.flight.stop_at_m is None
 
 
-def test_a_battery_that_is_heard_of_once_only_ends_nothing() -> None:
+def test_the_last_word_of_a_battery_that_falls_silent_is_believed() -> None:
     craft = flying(two_legs_away())
-    craft.take(Battery(time_s=craft.now_s, remaining=0.0))
-    craft.run_for(10.0)
+    craft.take(Battery(time_s=craft.now_s, remaining=0.1))
+    craft.run_for(9.5)
     assert craft.state.flight.fallen_back is None
+    craft.run_for(1.0)
+    assert craft.state.flight.fallen_back is Reason.BATTERY_LOW
 
 
 def test_a_battery_below_its_reserve_for_three_seconds_ends_the_mission() -> None:
