@@ -92,7 +92,7 @@ def test_nothing_that_must_never_happen_happens_in_1200000_events(number: int) -
 
 
 def test_the_programs_are_of_all_drivings_and_come_to_every_phase_and_command() -> None:
-    watches = shard(SHARDS + 3, 300_000)
+    watches = shard(SHARDS + 5, 400_000)
     assert {watch.driving.name for watch in watches} == {each.driving.name for each in ALL}
     assert {watch.context.shadow for watch in watches} == {True, False}
     assert sum(watch.orders.kept > 0 for watch in watches) > 10
