@@ -45,10 +45,11 @@ def test_a_polite_kill_interrupts_too_and_afterwards_means_what_it_did() -> None
 
 def test_ctrl_c_ends_it_with_its_processes() -> None:
     code = """
-        import multiprocessing, sys
+        import multiprocessing, signal, sys
         from companion.compare.pool import fly_all
         from companion.compare.missions import bundled_case
         if __name__ == "__main__":
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
             def told():
                 print(*(each.pid for each in multiprocessing.active_children()), flush=True)
             try:
