@@ -23,6 +23,7 @@ BLOCK_ROWS, BLOCK_COLUMNS = 7, 8
 ROWS, COLUMNS = BLOCK_ROWS * BLOCK, BLOCK_COLUMNS * BLOCK
 _UNSEEN_WIRE = -32768
 _ANSWER_S = 1.0
+_PAUSE_S = 0.4  # between two answers: then the rest is lost
 _MOST_REQUESTS = 3  # of one area
 
 
@@ -144,8 +145,8 @@ class TerrainDownload:
         self._registration_m = max((area.registration_m for area in self._waiting), default=0.0)
         self._tries: dict[tuple[int, int], int] = {}
         self._area: Area | None = None
-        self._left = 0
-        self._asked_at_s = -math.inf
+        self._left = self._left_before = 0
+        self._heard_at_s = -math.inf  # or asked
         shape = known.upper_m.shape
         self._heights_m = np.full(shape, NO_ANSWER)
         self._radar_nea_m = np.zeros((*shape, 3))
@@ -161,17 +162,26 @@ class TerrainDownload:
     def on_time(self, now_s: float) -> Message | None:
         """The next request, if it is time for one: the last was answered, or took too long."""
         if self._area is not None:
-            if now_s - self._asked_at_s < _ANSWER_S:
+            if self._is_answering(now_s):
                 return None
             self._give_back()
         if not self._waiting or now_s >= self._deadline_s:
             return None
         area = self._waiting.pop(0)
-        self._area, self._left, self._asked_at_s = area, area.mask, now_s
+        self._area, self._heard_at_s = area, now_s
+        self._left = self._left_before = area.mask
         self._tries[area.row, area.column] = self._tries.get((area.row, area.column), 0) + 1
         return wire.MAVLink_terrain_request_message(
             area.latitude_e7, area.longitude_e7, round(self._known.cell_m), area.mask
         )
+
+    def _is_answering(self, now_s: float) -> bool:
+        """Whether the outstanding request may still be answered, or answered further."""
+        assert self._area is not None
+        if self._left != self._left_before:
+            self._left_before, self._heard_at_s = self._left, now_s
+        patience_s = _ANSWER_S if self._left == self._area.mask else _PAUSE_S
+        return now_s - self._heard_at_s < patience_s
 
     def on_message(self, message: Message, radar_nea_m: tuple[float, float, float]) -> None:
         """An answer of the radar: a block, or the report that ends the answers to a request."""

@@ -253,6 +253,11 @@ class ScanDone:
     asked: int
     answered: int
 
+    @property
+    def is_partial(self) -> bool:
+        """Whether the radar has answered, and left something out."""
+        return 0 < self.answered < self.asked
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)

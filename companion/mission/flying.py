@@ -43,6 +43,7 @@ _MOST_STOPS = 12  # on the way to one target, for want of a successor
 _LEVEL_M_S = 1.0
 _TURNS = 3.0
 _SHORT_SIGHTED = 0.8  # of R
+_MORE_SCANS = 2  # from rest, if the radar has left something out
 _TOLD_FORECAST, _TOLD_SHORT = 1, 2
 _NEAR_HOVER = 2.5  # loiter radii: what cannot hover is where it was told to be
 
@@ -180,7 +181,12 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
     if scanned_from is None:
         return state, [], None
     flight = replace(flight, scanning_from_nea_m=None)
-    if event.asked and not event.answered:
+    says = _scan_warnings(state, event)
+    if flight.leg is None and event.is_partial and flight.scans_again < _MORE_SCANS:
+        flight = replace(flight, scans_again=flight.scans_again + 1, progress_at_s=state.now_s)
+        flight, scan = start_scan(flight, scanned_from)
+        return replace(state, flight=flight), [*says, *scan], None
+    if event.asked and not event.answered and not flight.scans_again:
         if flight.leg is not None or not flight.failures:
             return _no_successor(replace(state, flight=flight), Reason.RADAR_SILENT)
         flight = replace(flight, shortfall=Reason.RADAR_SILENT)  # on what is known already
@@ -199,11 +205,11 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         target_ne_m=state.targets_ne_m[flight.target],
         route_ne_m=flight.route_ne_m,
         stops=flight.stops,
+        overrun=flight.overrun,
         attempt=flight.failures,
     )
-    flight = replace(flight, plan_id=request.plan_id, planning=True, asked_of=task)
+    flight = replace(flight, plan_id=request.plan_id, planning=True, asked_of=task, scans_again=0)
     due_s = event.time_s + task.settings.planning_time_s
-    says = _scan_warnings(state, event)
     return replace(state, flight=flight), [*says, Plan(request=request, due_s=due_s)], None
 
 
@@ -312,6 +318,7 @@ def _accepted(flight: Flight, planned: Planned, *, hovers: bool) -> Flight:
     flight = replace(
         flight,
         route_ne_m=() if planned.reaches_target else planned.route_ne_m,
+        overrun=planned.overrun,
         refusal=flight.refusal if flight.homeward else None,  # why it goes home
     )
     if flight.leg is not None:

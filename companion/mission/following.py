@@ -291,6 +291,7 @@ def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
         hover_nea_m=hover_nea_m,
         scanning_from_nea_m=None,
         looking=False,
+        scans_again=0,
         planning=False,
         tried=False,
     )

@@ -281,6 +281,8 @@ class Flight(Renewed):
     """Whether that scan is only to see where else to circle: no plan follows."""
     looked_under: Task | None = None
     """The rules under which a plane last looked where else to circle."""
+    scans_again: int = 0
+    """Scans from here that followed one which the radar had answered only in part."""
     plan_id: int = 0
     """Of the newest plan request."""
     route_ne_m: tuple[tuple[float, float], ...] = ()
@@ -297,6 +299,8 @@ class Flight(Renewed):
     legs_flown: int = 0
     stops: int = 0
     """How often the vehicle has stopped at the end of a leg that was not the last."""
+    overrun: float = 0.0
+    """Of the newest plan: how much dearer than promised it has become since the vehicle stood."""
     departures: int = 0
     """How often the vehicle has left its path, or has not been led along it."""
     troubles: int = 0

@@ -97,6 +97,7 @@ class _Flight:
             target_ne_m=self._left[0],
             route_ne_m=self._route,
             stops=self._stops,
+            overrun=self._plans[-1].overrun if self._plans else 0.0,
             attempt=self._attempt,
         )
 

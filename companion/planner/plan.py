@@ -42,7 +42,10 @@ _GUIDE_SHARE = 0.2  # of a_3 that the angle of eq. 8 keeps: the cost-to-go does 
 _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
 _MUCH_DEARER = 0.5  # then every other way is tried
 _STOP = 1.2  # then the vehicle rather stops at the end of its leg, where it can leave any way
+_USUAL = 0.1  # of the cost of R: what a subpath may cost more without adding up with others
+_ADDED_UP = 2.0  # of these together: then it stops as well
 _NEAR_END = 0.5  # cost: near ends look too cheap, as the cost-to-go knows nothing of turns
+_IN_HAND = 2.0  # cost: what only may lead to the target is cheaper by this than what is proven to
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
 _MOST_STOPS = 4  # on the way to one target: more would be going back and forth
 _IN_REACH = 1.5  # of R: threats farther away concern no subpath
@@ -226,6 +229,7 @@ class _Plan:
         self._scene = _scene(request, self._field)
         limits = request.task.limits
         self._shortest_m = max(limits.stopping_m(limits.speed_m_s), limits.lead_m)
+        self._overrun = 0.0 if request.from_rest else request.overrun
         self._evaluations = self._tries = 0
         self._broken: tuple[str, ...] = ()
 
@@ -235,10 +239,14 @@ class _Plan:
             best = self._best(best, _OTHER_WAYS)
         if best is None or self._excess(best) > _MUCH_DEARER:
             best = self._best(best, _ANY_WAY + (_ALL_ROUND if self._request.from_rest else ()))
+        if best is None:
+            return self._refused(Refusal.NOTHING_SAFE)
+        excess = self._excess(best)
+        overrun = max(self._overrun + excess - _USUAL, 0.0)
         may_stop = not self._request.from_rest and self._request.stops < _MOST_STOPS
-        if best is not None and may_stop and self._excess(best) > _STOP:
+        if may_stop and (excess > _STOP or overrun > _ADDED_UP):
             return self._refused(Refusal.BETTER_TO_STOP)
-        return best or self._refused(Refusal.NOTHING_SAFE)
+        return replace(best, overrun=overrun)
 
     def _refused(self, refusal: Refusal) -> NotPlanned:
         return NotPlanned(
@@ -250,13 +258,13 @@ class _Plan:
 
     def _best(self, best: Planned | None, ways: tuple[_Try, ...]) -> Planned | None:
         """The cheapest of what is at hand and what other ways of asking give."""
-        least = math.inf if best is None else _total(best)
+        least = math.inf if best is None else _price(best)
         for how in ways:
             if self._stop():
                 break
             planned = self._attempt(how)
-            if planned is not None and _total(planned) + how.handicap < least:
-                best, least = planned, _total(planned) + how.handicap
+            if planned is not None and _price(planned) + how.handicap < least:
+                best, least = planned, _price(planned) + how.handicap
         return best
 
     def _excess(self, planned: Planned) -> float:
@@ -344,6 +352,11 @@ class _Plan:
 
 def _total(planned: Planned) -> float:
     return planned.cost + planned.to_go
+
+
+def _price(planned: Planned) -> float:
+    """By which ways are compared."""
+    return _total(planned) + (0.0 if planned.reaches_target else _IN_HAND)
 
 
 def _seeds(scene: FlightScene) -> FloatArray:

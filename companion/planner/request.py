@@ -41,6 +41,8 @@ class PlanRequest:
     """The way to the target that the last plan had in mind: not left for a trifle."""
     stops: int = 0
     """How often the vehicle has stopped on the way to this target, to leave another way."""
+    overrun: float = 0.0
+    """That of the subpath which this one is to follow."""
     flown: tuple[Stretch, ...] | None = None
     """What was flown: the way back along it is asked for; None: the next subpath."""
     attempt: int = 0
@@ -69,6 +71,9 @@ class Planned:
     rank: int
     """Position among the candidates by cost: 0 is the best, more if better ones were unproven."""
     tries: int
+    overrun: float = 0.0
+    """How much dearer than promised this one and those before it were since the vehicle last stood,
+    but for what is usual: costs of R."""
     stopped_after: int | None = None
     """How often the search was allowed to go on before its time was up; None: it never was.
 

@@ -194,6 +194,21 @@ def test_one_request_is_outstanding_until_its_report_or_a_second_without_it() ->
     assert (second.lat, second.lon) != (first.lat, first.lon)
 
 
+def test_what_stops_in_the_middle_of_its_answers_is_not_waited_for_a_second() -> None:
+    task = download(range_m=10_000.0)
+    first = task.on_time(0.0)
+    assert first is not None
+    for message in flat(first)[:3]:
+        task.on_message(message, HERE)
+    assert task.on_time(0.1) is None
+    task.on_message(flat(first)[3], HERE)
+    assert task.on_time(0.4) is None
+    assert task.on_time(0.7) is None
+    second = task.on_time(0.8)
+    assert second is not None
+    assert (second.lat, second.lon) != (first.lat, first.lon)
+
+
 def test_a_lost_block_is_asked_for_again_and_only_it() -> None:
     lost: list[int] = []
 

@@ -138,9 +138,9 @@ def scan(height_m: float = NO_ANSWER) -> Scan:
     )
 
 
-def scan_done(time_s: float, *, answered: int = 1) -> ScanDone:
+def scan_done(time_s: float, *, answered: int = 1, asked: int = 1) -> ScanDone:
     return ScanDone(
-        time_s=time_s, scan=scan(0.0 if answered else NO_ANSWER), asked=1, answered=answered
+        time_s=time_s, scan=scan(0.0 if answered else NO_ANSWER), asked=asked, answered=answered
     )
 
 
@@ -175,7 +175,8 @@ class Craft:
         self.here: Vector = (0.0, 0.0, HOME_AMSL_M)
         self.velocity: Vector = (0.0, 0.0, 0.0)
         self.climb_to_m: float | None = None
-        self.obeys_modes, self.follows, self.fix, self.answered = True, True, True, 1
+        self.obeys_modes, self.follows, self.fix = True, True, True
+        self.answered, self.asked = 1, 1
         self.arms, self.takes_off = True, True
         self.battery: float | None = None
         self.failsafe = False
@@ -282,7 +283,7 @@ class Craft:
         said, self.told = [*said, *self.told], []
         if self.scan_asked:
             self.scan_asked = False
-            said.append(scan_done(now, answered=self.answered))
+            said.append(scan_done(now, answered=self.answered, asked=self.asked))
         if self.pending is not None and now >= self.pending[0]:
             said.append(PlanReady(time_s=now, outcome=self.pending[1]))
             self.pending = None

@@ -257,6 +257,35 @@ def test_with_a_silent_radar_it_flies_on_from_rest_on_terrain_that_is_known_alre
     assert [plan.request.from_rest for plan in craft.sent(Plan)] == [True] * len(craft.sent(Plan))
 
 
+@pytest.mark.parametrize(("answered", "scans"), [(0, 1), (1, 3), (2, 1)])
+def test_from_rest_a_radar_that_left_something_out_is_asked_twice_more(
+    answered: int, scans: int
+) -> None:
+    craft = Craft()
+    craft.answered, craft.asked = answered, 2
+    craft.fly_to(Phase.FLYING)
+    craft.run_until(lambda craft: bool(craft.sent(Plan)) or craft.phase is Phase.HOLDING)
+    assert len(craft.sent(StartScan)) == scans
+    assert (answered == 0) == (craft.state.reason is Reason.RADAR_SILENT)
+
+
+def test_what_a_second_look_does_not_show_either_is_planned_without() -> None:
+    craft = Craft()
+    craft.answered, craft.asked = 1, 2
+    craft.fly_to(Phase.FLYING).run_until(lambda craft: len(craft.sent(StartScan)) == 2)
+    craft.answered = 0
+    craft.run_until(lambda craft: bool(craft.sent(Plan)))
+    assert len(craft.sent(StartScan)) == 2
+
+
+def test_in_flight_a_radar_that_left_something_out_is_asked_once() -> None:
+    craft = flying(two_legs_away())
+    craft.answered, craft.asked = 1, 2
+    begun = len(craft.sent(StartScan))
+    craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
+    assert len(craft.sent(StartScan)) == begun + 1
+
+
 def test_a_scan_of_what_is_known_already_needs_no_answer() -> None:
     craft = Craft().fly_to(Phase.FLYING)
     craft.take(position(craft.now_s + TICK_S, craft.here))

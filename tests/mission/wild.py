@@ -333,8 +333,8 @@ class Wild:
                 self.mode = Mode.TAKE_OFF if by_itself else self.mode
                 self.climb_to_m = altitude
             case StartScan():
-                answered = int(self.calm or self.rng.random() > 0.1)
-                done = ScanDone(time_s=now, scan=_SCAN, asked=1, answered=answered)
+                answered = 9 if self.calm else int(self.rng.choice([0, 4, 9], p=[0.1, 0.2, 0.7]))
+                done = ScanDone(time_s=now, scan=_SCAN, asked=9, answered=answered)
                 self.later.append((now + float(self.rng.uniform(0.0, 1.2)), done))
             case Plan(request=request, due_s=due_s):
                 self.plan(request, due_s)
@@ -490,7 +490,7 @@ class Wild:
             Battery(time_s=now, remaining=float(rng.random())),
             Prepared(time_s=now, item=Item.PLANS, refusal="made up"),
             PlanLate(time_s=now, plan_id=int(rng.integers(0, 9))),
-            ScanDone(time_s=now, scan=_SCAN, asked=1, answered=int(rng.integers(0, 2))),
+            ScanDone(time_s=now, scan=_SCAN, asked=9, answered=int(rng.integers(0, 10))),
             VehicleFound(time_s=now, system_id=1, driving=self.driving, name="again"),
         ]
         self.take(choices[rng.integers(len(choices))])

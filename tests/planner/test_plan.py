@@ -12,10 +12,12 @@ from companion.optimise.registry import OPTIMISERS
 from companion.path.subpath import Pose
 from companion.planner import plan as planning
 from companion.planner.plan import plan
-from companion.planner.procedure import hover_pose
+from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
+from companion.world.simulated_scan import true_map
+from companion.world.terrain import Peak, PeakTerrain
 from companion.world.threats import CircleZone, PolygonZone
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -411,6 +413,69 @@ def test_a_vehicle_stops_rather_than_take_a_dear_way_but_not_for_ever(
     assert first.refusal is Refusal.BETTER_TO_STOP
     planned(ask(task, truth, start=pose, from_rest=False, stops=4))
     planned(ask(task, truth, start=pose, from_rest=True))  # it has stopped: there it goes on
+
+
+def subpaths_until_it_arrives(task: Task, known: KnownMap, start: Pose, most: int) -> int:
+    """How many follow each other, with stops where the planner wants to, until one arrives."""
+    request = ask(
+        task, known, start=start, from_rest=False, scan_nea_m=tuple(start.point_nea_m),
+        target_ne_m=(4_000.0, 4_000.0),
+    )  # fmt: skip
+    end = start.point_nea_m
+    for number in range(1, most + 1):
+        outcome = plan(replace(request, plan_id=number))
+        if isinstance(outcome, NotPlanned):
+            assert outcome.refusal is Refusal.BETTER_TO_STOP
+            request = replace(
+                request, start=hover_pose(end), scan_nea_m=end, from_rest=True,
+                stops=request.stops + 1,
+            )  # fmt: skip
+            continue
+        assert isinstance(outcome, Planned)
+        if outcome.reaches_target:
+            return number
+        leg = Leg.of(outcome, number)
+        end = leg.subpath.pose(leg.subpath.length_m).point_nea_m
+        request = replace(
+            request,
+            start=leg.subpath.pose(leg.successor_at_m(task)),
+            scan_nea_m=leg.subpath.pose(leg.scan_at_m(task)).point_nea_m,
+            from_rest=False,
+            route_ne_m=outcome.route_ne_m,
+            overrun=outcome.overrun,
+        )
+    return most + 1
+
+
+@pytest.mark.parametrize("beside_m", [240.0, 280.0, 320.0])
+def test_no_vehicle_circles_a_target_that_its_turns_are_too_wide_for(
+    task: Task, truth: KnownMap, beside_m: float
+) -> None:
+    """Each subpath is hardly dearer than promised: together they are, and then it stops."""
+    level = replace(truth, upper_m=np.full_like(truth.upper_m, 100.0))
+    alone = replace(task, zones=(), radars=())
+    start = Pose(position_nea_m=np.array([4_000.0, 4_000.0 + beside_m, 320.0]), **heading_to(0.0))
+    assert subpaths_until_it_arrives(alone, level, start, most=6) <= 6
+
+
+@pytest.mark.parametrize(
+    ("top_m", "down_m", "away_m"), [(500.0, 230.0, 1_000.0), (550.0, 280.0, 1_000.0)]
+)
+def test_a_proven_way_up_to_the_target_is_taken_though_a_near_end_looks_cheaper(
+    task: Task, blank: KnownMap, top_m: float, down_m: float, away_m: float
+) -> None:
+    """From the near end it could only fly past: the cost-to-go knows nothing of turns."""
+    hill = Peak(
+        north_m=4e3, east_m=4e3, height_amsl_m=top_m, spread_north_m=400.0, spread_east_m=400.0
+    )
+    known = true_map(PeakTerrain(peaks=(hill,), ground_amsl_m=100.0), blank)
+    target = (4_000.0 - down_m, 4_000.0)
+    start = (target[0] - away_m, 4_000.0, 310.0)
+    pose = Pose(position_nea_m=np.array(start), **heading_to(20.0))
+    request = ask(
+        replace(task, zones=(), radars=()), known, start=pose, scan_nea_m=start, from_rest=False
+    )
+    assert planned(replace(request, target_ne_m=target)).reaches_target
 
 
 # --- zones to stay inside of
