@@ -22,6 +22,7 @@ from companion.mavlink.autopilots import described
 from companion.mavlink.citizen import Citizen
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.latch import Latch
+from companion.mavlink.needless import NEEDLESS, Unread
 from companion.mavlink.outbox import Outbox, Output
 from companion.mavlink.presence import heartbeat
 from companion.mavlink.receiver import Receiver
@@ -93,7 +94,7 @@ class Session:
         """What a person was last warned of."""
         self.vehicle: VehicleSide | None = None
         """The autopilot, once it is known."""
-        self.receiver = Receiver(signing)
+        self.receiver = Receiver(signing, NEEDLESS)
         self.signing = signing
         self._lockstep, self._version = lockstep, version
         before = None if resume is None else resume[0].get("system_id")
@@ -136,15 +137,14 @@ class Session:
         self._at_s = at_s
         if self.signing is not None and at_s is not None:
             self.signing.on_time(at_s)
-        heard, messages = False, self.receiver.feed(data)
+        messages = self.receiver.feed(data)
         self._told("receive", b"".join(bytes(each.get_msgbuf()) for each in messages), at_s)
         if self.signing is not None and (complaint := self.signing.complaint(self.now_s)):
             self.complain(complaint)
         for message in messages:
             self._dropped += len(self._inbox) == _MOST_WAITING
             self._inbox.append((message, at_s))
-            heard = heard or self.latch.is_ours(message)
-        if heard:
+        if heard := any(map(self.latch.is_ours, messages)):
             self._silence_told_s = 0.0
         return heard
 
@@ -238,6 +238,24 @@ class Session:
     # --- messages
 
     def _on_message(self, message: Message, at_s: float | None) -> None:
+        if needed := not isinstance(message, Unread) and self._clock.needs(message):
+            self._read_time(message)
+        if (namesake := self._outbox.note_received(message, self.now_s)) is not None:
+            self._handle(namesake)
+        if not needed:
+            return
+        if self._citizen is not None:
+            self._serve(self._citizen, message)
+        if message.get_srcSystem() != self.latch.system_id:
+            return
+        if message.get_srcComponent() == AUTOPILOT_COMPONENT:
+            self._from_autopilot(message, at_s)
+        elif message.get_srcComponent() == self.mission.scanner_component_id:
+            self._scanning.on_message(message, self.state.vehicle.position_nea_m)
+            self._scan_on()
+
+    def _read_time(self, message: Message) -> None:
+        """Whose it is, and how late."""
         if self.latch.on_message(message) and self.latch.system_id is not None:
             self._outbox.speak_as(self.latch.system_id)
         elif name := self.latch.ambiguity:
@@ -250,17 +268,6 @@ class Session:
                 self._on_time(message.ts1 * 1e-9)
             elif kind == "HEARTBEAT" and not self.context.shadow and self._clock.beat(message):
                 self._handle(events.Tick(time_s=self._clock.going_on_s))
-        if (namesake := self._outbox.note_received(message, self.now_s)) is not None:
-            self._handle(namesake)
-        if self._citizen is not None:
-            self._serve(self._citizen, message)
-        if message.get_srcSystem() != self.latch.system_id:
-            return
-        if message.get_srcComponent() == AUTOPILOT_COMPONENT:
-            self._from_autopilot(message, at_s)
-        elif message.get_srcComponent() == self.mission.scanner_component_id:
-            self._scanning.on_message(message, self.state.vehicle.position_nea_m)
-            self._scan_on()
 
     def _from_autopilot(self, message: Message, at_s: float | None) -> None:
         kind = message.get_type()
@@ -459,18 +466,11 @@ class Session:
     def _command(self, command: Told) -> None:
         """What the autopilot is told to do."""
         assert self.vehicle is not None
-        match command:
-            case SetMode(mode=mode):
-                self._confirming, self._mode_asked_at_s = command, self._clock.going_on_s
-                self._note("set mode", mode=mode.value)
-            case Arm():
-                self._note("arm")
-            case TakeOff(above_home_m=height):
-                self._note("take off", above_home_m=height)
-            case _:
-                pass
-        messages = self.vehicle.told(command, self.state)
-        if messages is None:
+        if isinstance(command, SetMode):
+            self._confirming, self._mode_asked_at_s = command, self._clock.going_on_s
+        if (noted := entries.of_command(command)) is not None:
+            self._note(**noted)
+        if (messages := self.vehicle.told(command, self.state)) is None:
             self._note("setpoint refused", setpoint=repr(command))
             self._handle(events.PlannerDied(time_s=self.now_s, error="setpoint out of range"))
         else:

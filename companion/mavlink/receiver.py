@@ -14,11 +14,12 @@ from companion.mavlink.decoding import Decoder
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.frames import (
     checksum_is_right,
-    claim,
     find_marker,
     intact_end,
+    number_of,
     plausible_end,
 )
+from companion.mavlink.needless import Unread
 from companion.mavlink.signing import SECRETS, Signing, is_signed, strip_signature
 
 
@@ -42,13 +43,19 @@ class Receiver:
     torn datagram holds nothing up.
     """
 
-    def __init__(self, signing: Signing | None = None) -> None:
-        """signing: None believes everybody, signed or not."""
+    def __init__(
+        self, signing: Signing | None = None, needless: frozenset[int] = frozenset()
+    ) -> None:
+        """signing: None believes everybody, signed or not.
+
+        needless: numbers of messages that nobody wants to read: they come as `Unread`.
+        """
         self.passed: Counter[Passed] = Counter()
         """Bytes of garbage, and frames; what was not believed is in Signing.refused."""
         self.signed = 0
         """Frames that carried a signature, right or wrong."""
         self._signing = signing
+        self._needless = needless
         self._decoder = Decoder()
         self._rest = b""
 
@@ -81,12 +88,12 @@ class Receiver:
 
     def _take(self, data: bytes, at: int, end: int, messages: list[Message]) -> int:
         """Add the message of the frame there, if it is intact; where to go on."""
-        number = claim(data, at)[1]
+        frame = data[at:end]
+        number = number_of(frame)
         kind = wire.mavlink_map.get(number)
         if kind is None:
             self.passed[Passed.UNKNOWN] += 1
             return end
-        frame = data[at:end]
         if not checksum_is_right(frame, kind.crc_extra):
             self.passed[Passed.CHECKSUM] += 1
             return self._skip(at)
@@ -97,8 +104,12 @@ class Receiver:
         if number in SECRETS:
             self.passed[Passed.SECRET] += 1
             return end
+        plain = strip_signature(frame) if signed else frame
+        if number in self._needless:
+            messages.append(Unread(plain))
+            return end
         try:
-            message = self._decoder.decode(strip_signature(frame))
+            message = self._decoder.decode(plain)
         except wire.MAVError:
             self.passed[Passed.CHECKSUM] += 1
             return end

@@ -10,6 +10,8 @@ from companion.mavlink.dialect import Message
 
 _REBOOT_S = 2.0  # a clock that falls by more has begun again
 _BEAT_S = 1.0  # between two heartbeats of an autopilot
+_OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
+_MERE_CLOCKS = frozenset({"ATTITUDE", "LOCAL_POSITION_NED"})  # nothing else is read of them
 MESSAGES = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE", "SYSTEM_TIME")
 """Those whose time_boot_ms is the time at which they were sent."""
 
@@ -36,11 +38,23 @@ class VehicleClock:
         self._fallen_s: float | None = None
         self._beat: tuple[float, float, int] | None = None
         """Time, idle time and sequence number at the last heartbeat."""
+        self._told_ms: dict[str, int] = {}
 
     @property
     def going_on_s(self) -> float:
         """Vehicle time with the silence since on top: for what goes on meanwhile."""
         return self.now_s + self._idle_s
+
+    def needs(self, message: Message) -> bool:
+        """Whether a message is more than the time, told just before by another of its kind."""
+        kind = message.get_type()
+        if kind not in _MERE_CLOCKS:
+            return True
+        before_ms = self._told_ms.get(kind)
+        if before_ms is not None and 0 <= message.time_boot_ms - before_ms < _OFTEN_MS:
+            return False
+        self._told_ms[kind] = message.time_boot_ms
+        return True
 
     def read(self, time_s: float) -> Reading:
         """The vehicle says that it is this late."""

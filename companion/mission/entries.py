@@ -5,6 +5,8 @@ from dataclasses import asdict
 from typing import Any
 
 from companion.mission.events import (
+    Arm,
+    Command,
     Event,
     FenceChanged,
     LinkDelay,
@@ -17,8 +19,10 @@ from companion.mission.events import (
     Prepared,
     Rebooted,
     ScanDone,
+    SetMode,
     SettingsChanged,
     StopAsked,
+    TakeOff,
     TargetsChanged,
 )
 from companion.mission.state import State
@@ -106,6 +110,19 @@ def of_change(before: State, after: State) -> Iterator[Entry]:
         }
     if after.flight.legs_flown != before.flight.legs_flown:
         yield {"kind": "leg", "number": after.flight.legs_flown}
+
+
+def of_command(command: Command) -> Entry | None:
+    """The entry of what the autopilot is told; None: setpoints are in the telemetry log."""
+    match command:
+        case SetMode(mode=mode):
+            return {"kind": "set mode", "mode": mode.value}
+        case Arm():
+            return {"kind": "arm"}
+        case TakeOff(above_home_m=height):
+            return {"kind": "take off", "above_home_m": height}
+        case _:
+            return None
 
 
 def of_request(request: PlanRequest, due_s: float) -> Entry:
