@@ -26,6 +26,8 @@ UNSEEN_M = -32768
 _CELLS_NORTH, _CELLS_EAST = ROWS * BLOCK_CELLS, COLUMNS * BLOCK_CELLS
 _GRID_CELLS_PER_RANGE = 400
 _GRID_MARGIN = 0.25
+_TILE_CELLS = 100
+_PASSES = 4
 _LOWEST_M, _HIGHEST_M = -32767.0, 32767.0
 
 
@@ -61,20 +63,40 @@ class Viewpoint:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Grid:
-    """Lower bounds of the terrain around a point; nothing at all outside."""
+    """Lower bounds of the terrain around a point, found where a line passes; nothing outside."""
 
-    south_m: float
-    west_m: float
-    cell_m: float
-    lowest_amsl_m: FloatArray
-    """(N, N), flattened."""
-    size: int
+    def __init__(
+        self, terrain: Terrain, *, south_m: float, west_m: float, cell_m: float, tiles: int
+    ) -> None:
+        self.south_m, self.west_m, self.cell_m = south_m, west_m, cell_m
+        self.size = tiles * _TILE_CELLS
+        self.lowest_amsl_m = np.empty((self.size, self.size))
+        self._terrain = terrain
+        self._found = np.zeros((tiles, tiles), dtype=bool)
 
     def centre_ne_m(self) -> tuple[float, float]:
         half_m = 0.5 * self.size * self.cell_m
         return self.south_m + half_m, self.west_m + half_m
+
+    def find(self, rows: tuple[int, int], columns: tuple[int, int]) -> None:
+        """Have the bounds of these rows and columns, first and last, in `lowest_amsl_m`."""
+        (top, bottom), (left, right) = (
+            (first // _TILE_CELLS, last // _TILE_CELLS + 1) for first, last in (rows, columns)
+        )
+        for row, column in np.argwhere(~self._found[top:bottom, left:right]):
+            self._find(top + int(row), left + int(column))
+
+    def _find(self, row: int, column: int) -> None:
+        edges = np.arange(_TILE_CELLS + 1.0)
+        north = self.south_m + (row * _TILE_CELLS + edges) * self.cell_m
+        east = self.west_m + (column * _TILE_CELLS + edges) * self.cell_m
+        start = row * _TILE_CELLS, column * _TILE_CELLS
+        tile = tuple(slice(first, first + _TILE_CELLS) for first in start)
+        self.lowest_amsl_m[tile] = self._terrain.lowest_in_grid_amsl_m(north, east)
+        self._found[row, column] = True
+        for edge in (0, -1):  # lines beyond the edge are looked up there
+            self.lowest_amsl_m[edge, tile[1]] = self.lowest_amsl_m[tile[0], edge] = -np.inf
 
 
 @final
@@ -178,15 +200,13 @@ class TerrainRadar:
         farthest_m = float(np.max(np.hypot(offset[:, 0], offset[:, 1]), initial=0.0))
         count = max(math.ceil(farthest_m / grid.cell_m), 1)
         share = ((np.arange(count) + 0.5) / count)[:, None]  # (S, 1) of the way to the point
-        start_north = (eye[0] - grid.south_m) / grid.cell_m
-        start_east = (eye[1] - grid.west_m) / grid.cell_m
-        row = (start_north + share * (offset[:, 0] / grid.cell_m)).astype(np.int32)  # (S, K)
-        column = (start_east + share * (offset[:, 1] / grid.cell_m)).astype(np.int32)
-        np.clip(row, 0, grid.size - 1, out=row)
-        np.clip(column, 0, grid.size - 1, out=column)
-        line_m = eye[2] + share * (top_m - eye[2])
-        blocked = grid.lowest_amsl_m[row * grid.size + column] > line_m
-        return ~blocked.any(axis=0)
+        free = np.arange(len(points_ne_m))
+        for k in range(_PASSES):  # most of what is hidden is so for more than one sample
+            lines = _Lines(eye=eye, offset_ne_m=offset[free], top_amsl_m=top_m[free])
+            free = free[~lines.blocked(grid, share[k::_PASSES])]
+        seen = np.zeros(len(points_ne_m), dtype=bool)
+        seen[free] = True
+        return seen
 
     def _grid_about(self, north_m: float, east_m: float) -> _Grid:
         """The grid that reaches beyond the range on all sides of this point."""
@@ -194,28 +214,52 @@ class TerrainRadar:
         spare_m = _GRID_MARGIN * self._range_m
         if grid is not None:
             centre_north_m, centre_east_m = grid.centre_ne_m()
-            if max(abs(north_m - centre_north_m), abs(east_m - centre_east_m)) <= spare_m:
+            if max(abs(north_m - centre_north_m), abs(east_m - centre_east_m)) <= 1.5 * spare_m:
                 return grid
         cell_m = self._range_m / _GRID_CELLS_PER_RANGE
-        size = 2 * math.ceil((self._range_m + 2.0 * spare_m) / cell_m)
-        # Whole multiples of the cell: the same ground has the same bounds wherever one looks from.
-        south_m = (math.floor(north_m / cell_m) - size // 2) * cell_m
-        west_m = (math.floor(east_m / cell_m) - size // 2) * cell_m
-        lowest = self._terrain.lowest_in_grid_amsl_m(
-            (south_m + np.arange(size + 1) * cell_m).astype(np.float64),
-            (west_m + np.arange(size + 1) * cell_m).astype(np.float64),
-        )
-        lowest[[0, -1], :] = lowest[
-            :, [0, -1]
-        ] = -np.inf  # lines beyond the edge are looked up there
+        tile_m = _TILE_CELLS * cell_m
+        tiles = 2 * math.ceil((self._range_m + 2.0 * spare_m) / tile_m)
+        # Whole multiples of the tile: the same ground has the same bounds wherever one looks from.
         self._grid = _Grid(
-            south_m=south_m,
-            west_m=west_m,
+            self._terrain,
+            south_m=(round(north_m / tile_m) - tiles // 2) * tile_m,
+            west_m=(round(east_m / tile_m) - tiles // 2) * tile_m,
             cell_m=cell_m,
-            lowest_amsl_m=lowest.ravel(),
-            size=size,
+            tiles=tiles,
         )
         return self._grid
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Lines:
+    """Straight lines from the radar to points of the ground."""
+
+    eye: tuple[float, float, float]
+    offset_ne_m: FloatArray
+    """From the eye.  (K, 2)."""
+    top_amsl_m: FloatArray
+    """Of the ground at the points.  (K,)."""
+
+    def blocked(self, grid: _Grid, share: FloatArray) -> NDArray[np.bool_]:
+        """Whether the ground rises above each line at shares of the way.  (S, 1) -> (K,)."""
+        if not share.size or not self.top_amsl_m.size:
+            return np.zeros(len(self.top_amsl_m), dtype=bool)
+        row, column = (
+            np.clip(
+                ((eye_m - low_m) / grid.cell_m + share * (offset_m / grid.cell_m)).astype(np.int32),
+                0,
+                grid.size - 1,
+            )
+            for eye_m, low_m, offset_m in zip(
+                self.eye[:2], (grid.south_m, grid.west_m), self.offset_ne_m.T, strict=True
+            )
+        )
+        ends = [(int(each.min()), int(each.max())) for each in (row, column)]
+        grid.find(ends[0], ends[1])
+        line_m = self.eye[2] + share * (self.top_amsl_m - self.eye[2])
+        found: NDArray[np.bool_] = (grid.lowest_amsl_m[row, column] > line_m).any(axis=0)
+        return found
 
 
 def _cells_of(bits: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
