@@ -339,6 +339,8 @@ class Session:
             self._send_all(citizen.order_done(served.order, verdict))
             if verdict is changes.Verdict.ACCEPTED:
                 self._handle(served.order)
+            else:
+                self._say(changes.why_not(self.state, served.order), warning=True)
         if served.changed is not None:
             task = replace(served.task, zones=self.state.given.zones)
             self._handle(events.SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
@@ -403,9 +405,8 @@ class Session:
     # --- plans and scans
 
     def _must_wait_for_plan(self, message: Message) -> bool:
-        if message.get_type() != "GLOBAL_POSITION_INT" or not self.latch.is_ours(message):
-            return False
-        if not self._plan.is_missing(message.time_boot_ms * 1e-3):
+        is_clock = message.get_type() == "GLOBAL_POSITION_INT" and self.latch.is_ours(message)
+        if not (is_clock and self._plan.is_missing(message.time_boot_ms * 1e-3)):
             return False
         if not self._lockstep and self._plan.tell_late():
             self._handle(events.PlanLate(time_s=self.now_s, plan_id=self.state.flight.plan_id))
@@ -480,8 +481,7 @@ class Session:
         self._note("say", text=text, warning=warning)
         self.warning = text if warning else self.warning
         if self._citizen is not None:
-            severity = wire.MAV_SEVERITY_WARNING if warning else wire.MAV_SEVERITY_INFO
-            self._citizen.say(text, severity, self._clock.going_on_s, about)
+            self._citizen.say(text, self._clock.going_on_s, about, warning=warning)
 
     def _settled(self) -> bool:
         """Whether the mission is over and the vehicle is in the mode that it was left in."""

@@ -425,6 +425,7 @@ def test_an_order_that_does_not_fit_now_is_acknowledged_so() -> None:
     [ack] = ordered(it, wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
     assert ack.result == wire.MAV_RESULT_TEMPORARILY_REJECTED
     assert it.session.state.phase is Phase.PREPARING
+    assert it.session.warning == "pause refused: the mission is preparing"
 
 
 def set_parameter(

@@ -93,8 +93,9 @@ class Citizen:
             invalid=verdict is Verdict.INVALID,
         )
 
-    def say(self, text: str, severity: int, now_s: float, about: str = "") -> None:
+    def say(self, text: str, now_s: float, about: str = "", *, warning: bool) -> None:
         """A text for people, when it is its turn; of those about the same only the newest."""
+        severity = wire.MAV_SEVERITY_WARNING if warning else wire.MAV_SEVERITY_INFO
         self._texts.say(text, severity, now_s, about)
 
     def on_time(self, now_s: float, state: State, *, faulted: bool) -> list[Message]:

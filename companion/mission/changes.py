@@ -72,9 +72,26 @@ def verdict(state: State, order: Order) -> Verdict:
             return Verdict.ACCEPTED
 
 
+def why_not(state: State, order: Order) -> str:
+    """What the person is told whose order is not carried out."""
+    why = f"the mission is {state.phase.value}"
+    if verdict(state, order) is Verdict.INVALID:
+        place = order.target_ne_m
+        why = "it has no target" if place is None else _unreachable(state, place)
+    elif order.kind is OrderKind.PAUSE and _is_short(state):
+        why = Reason.BATTERY_LOW.text
+    elif state.phase is Phase.HOLDING and state.reason is not None:
+        why = state.reason.text
+    return f"{order.kind.name.lower()} refused: {why}"
+
+
+def _is_short(state: State) -> bool:
+    return state.standing is Reason.BATTERY_LOW or battery_is_short(state)
+
+
 def _may_pause(state: State) -> bool:
     """Whether a pause is kept: it would end at once where the battery is short."""
-    if state.standing is Reason.BATTERY_LOW or battery_is_short(state):
+    if _is_short(state):
         return False
     calm = (*_CALM, Reason.RETURN_ASKED)
     held = state.phase is Phase.HOLDING and state.reason in calm

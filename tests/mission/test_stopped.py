@@ -186,6 +186,7 @@ def test_a_pause_that_the_battery_would_end_at_once_is_refused(where: str) -> No
     craft.run_for(5.0)
     pause = Order(time_s=craft.now_s, kind=OrderKind.PAUSE)
     assert changes.verdict(craft.state, pause) is Verdict.NOT_NOW
+    assert changes.why_not(craft.state, pause) == f"pause refused: {Reason.BATTERY_LOW.text}"
     craft.obey(craft.take(pause))
     assert Reason.PAUSED not in (craft.state.standing, craft.state.flight.stop_reason)
     assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
