@@ -151,11 +151,13 @@ def _to_go_s(state: State) -> float:
 
 
 def _to_go_m(state: State) -> float:
-    """The way that is left: along the last plan's route, then from target to target."""
-    here = state.vehicle.position_nea_m
+    """The way that is left: back, or along the last plan's route and from target to target."""
+    here, flight = state.vehicle.position_nea_m, state.flight
+    if flight.returning:
+        ahead = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]
+        return sum(leg.subpath.length_m for leg in ahead) - flight.reference.length_m
     if here is None or not state.targets_ne_m:
         return 0.0
-    flight = state.flight
     places = [here[:2], *flight.route_ne_m, *state.targets_ne_m[flight.target :]]
     if flight.route_ne_m:  # it begins where it was planned
         nearest = min(

@@ -100,6 +100,12 @@ def returning(state: State, event: Event, context: Context) -> Step:
         return fault(_stopped(state), reason)
     if not isinstance(event, Position):
         return state, [], None
+    state, warning = flying.battery_warning(state, context)
+    state, commands, trigger = _on_position(state, event, context)
+    return state, [*warning, *commands], trigger
+
+
+def _on_position(state: State, event: Position, context: Context) -> Step:
     if following.still_circles(state, event):
         return flying.circle(state, event, context)
     flight = replace(following.moved_on(state, event), circling=False)

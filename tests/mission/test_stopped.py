@@ -192,6 +192,16 @@ def test_a_pause_that_the_battery_would_end_at_once_is_refused(where: str) -> No
     assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
 
 
+def test_on_the_way_back_it_is_warned_of_the_battery_once_and_goes_on() -> None:
+    craft = going_back(two_legs_away())
+    count, craft.battery = len(craft.commands), 0.1
+    craft.run_for(8.0)
+    warnings = [c for c in craft.commands[count:] if isinstance(c, Say) and c.warning]
+    assert [c.text for c in warnings] == [Reason.BATTERY_LOW.text]
+    assert craft.phase is Phase.RETURNING
+    assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
+
+
 @pytest.mark.parametrize("kind", [OrderKind.START, OrderKind.CONTINUE])
 def test_told_to_go_on_with_a_battery_that_is_short_it_does_not_fly_to_the_target(
     kind: OrderKind,

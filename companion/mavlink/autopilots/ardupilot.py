@@ -33,7 +33,7 @@ def streams_hz(echo: int, echo_hz: float) -> Mapping[int, float]:
         wire.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
         wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
         wire.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-        wire.MAVLINK_MSG_ID_ATTITUDE: 1.0,
+        wire.MAVLINK_MSG_ID_ATTITUDE: 5.0,  # a clock when the position does not come
     }
 
 
