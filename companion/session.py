@@ -238,7 +238,8 @@ class Session:
     # --- messages
 
     def _on_message(self, message: Message, at_s: float | None) -> None:
-        if needed := not isinstance(message, Unread) and self._clock.needs(message):
+        tells = not self.latch.is_ours(message) or self._clock.is_told_by(message)
+        if needed := not isinstance(message, Unread) and tells:
             self._read_time(message)
         if (namesake := self._outbox.note_received(message, self.now_s)) is not None:
             self._handle(namesake)
@@ -277,8 +278,7 @@ class Session:
             self._find(message)
             if self.vehicle is None:
                 return None
-        vehicle = self.vehicle
-        due = kind == "GLOBAL_POSITION_INT"
+        vehicle, due = self.vehicle, kind == "GLOBAL_POSITION_INT"
         if due and (answer := self._plan.take(self.now_s)) is not None:
             self._handle(answer)
         self._send_all(vehicle.on_message(message, self.now_s))

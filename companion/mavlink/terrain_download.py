@@ -146,7 +146,7 @@ class TerrainDownload:
         self._tries: dict[tuple[int, int], int] = {}
         self._area: Area | None = None
         self._left = self._left_before = 0
-        self._heard_at_s = -math.inf  # or asked
+        self._heard_at_s = self._looked_s = -math.inf  # heard, or asked
         shape = known.upper_m.shape
         self._heights_m = np.full(shape, NO_ANSWER)
         self._radar_nea_m = np.zeros((*shape, 3))
@@ -168,7 +168,7 @@ class TerrainDownload:
         if not self._waiting or now_s >= self._deadline_s:
             return None
         area = self._waiting.pop(0)
-        self._area, self._heard_at_s = area, now_s
+        self._area, self._heard_at_s, self._looked_s = area, now_s, now_s
         self._left = self._left_before = area.mask
         self._tries[area.row, area.column] = self._tries.get((area.row, area.column), 0) + 1
         return wire.MAVLink_terrain_request_message(
@@ -180,6 +180,9 @@ class TerrainDownload:
         assert self._area is not None
         if self._left != self._left_before:
             self._left_before, self._heard_at_s = self._left, now_s
+        elif self._left != self._area.mask and now_s - self._looked_s > _PAUSE_S:
+            self._heard_at_s += now_s - self._looked_s  # nothing came at all: the link was gone
+        self._looked_s = now_s
         patience_s = _ANSWER_S if self._left == self._area.mask else _PAUSE_S
         return now_s - self._heard_at_s < patience_s
 

@@ -45,8 +45,11 @@ class VehicleClock:
         """Vehicle time with the silence since on top: for what goes on meanwhile."""
         return self.now_s + self._idle_s
 
-    def needs(self, message: Message) -> bool:
-        """Whether a message is more than the time, told just before by another of its kind."""
+    def is_told_by(self, message: Message) -> bool:
+        """Whether a message of the autopilot says more than another of its kind did just before.
+
+        That one is remembered.  What is not a mere clock always says more.
+        """
         kind = message.get_type()
         if kind not in _MERE_CLOCKS:
             return True

@@ -75,6 +75,7 @@ def looked(state: State, event: ScanDone) -> Step | None:
     if not flight.looking or flight.scanning_from_nea_m is None:
         return None
     flight = replace(flight, looking=False, scanning_from_nea_m=None, tried=False, circled=None)
+    flight = replace(flight, scans_again=0)
     return replace(state, flight=flight), [], None
 
 

@@ -182,7 +182,8 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         return state, [], None
     flight = replace(flight, scanning_from_nea_m=None)
     says = _scan_warnings(state, event)
-    if flight.leg is None and event.is_partial and flight.scans_again < _MORE_SCANS:
+    stands = flight.leg is None and not context.shadow
+    if stands and event.is_partial and flight.scans_again < _MORE_SCANS:
         flight = replace(flight, scans_again=flight.scans_again + 1, progress_at_s=state.now_s)
         flight, scan = start_scan(flight, scanned_from)
         return replace(state, flight=flight), [*says, *scan], None
@@ -218,7 +219,7 @@ def _scan_warnings(state: State, event: ScanDone) -> list[Command]:
     says: list[Command] = []
     if event.answered < event.asked:
         text = f"scan: {event.answered} of {event.asked} blocks answered"
-        says.append(Say(text=text, warning=True))
+        says.append(Say(text=text, warning=True, about="scan"))
     wanted_m = state.task.settings.scan_range_m
     seen_m = proven_range_m(state.flight.known, event.scan)
     if event.asked and state.flight.plan_id == 0 and seen_m < _SHORT_SIGHTED * wanted_m:

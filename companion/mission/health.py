@@ -3,6 +3,7 @@
 import itertools
 import math
 
+from companion.mission import joining
 from companion.mission.events import Battery, Landed, Position
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
@@ -155,7 +156,10 @@ def _to_go_m(state: State) -> float:
     here, flight = state.vehicle.position_nea_m, state.flight
     if flight.returning:
         ahead = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]
-        return sum(leg.subpath.length_m for leg in ahead) - flight.reference.length_m
+        flown_m = flight.reference.length_m
+        if flight.leg is None and ahead and here is not None:  # it was stopped on the first of them
+            flown_m = joining.nearest(ahead[0], here)[1]
+        return sum(leg.subpath.length_m for leg in ahead) - flown_m
     if here is None or not state.targets_ne_m:
         return 0.0
     places = [here[:2], *flight.route_ne_m, *state.targets_ne_m[flight.target :]]

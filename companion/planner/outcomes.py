@@ -69,7 +69,7 @@ def outcome_of(values: Values) -> PlanOutcome:
             reaches_target=bool(values["reaches_target"]),
             cost=float(values["cost"]),
             to_go=float(values["to_go"]),
-            overrun=float(values.get("overrun", 0.0)),  # before 2026-11-22 there was none
+            overrun=float(values.get("overrun", 0.0)),  # older ones have none
             terms={str(name): float(value) for name, value in values["terms"].items()},
             certificate=Certificate(**certificate),
             guide_rad=float(values["guide_rad"]),

@@ -44,6 +44,7 @@ _MUCH_DEARER = 0.5  # then every other way is tried
 _STOP = 1.2  # then the vehicle rather stops at the end of its leg, where it can leave any way
 _USUAL = 0.1  # of the cost of R: what a subpath may cost more without adding up with others
 _ADDED_UP = 2.0  # of these together: then it stops as well
+_NOWHERE = 8.0  # and then it does however often it has stopped: the mission counts these
 _NEAR_END = 0.5  # cost: near ends look too cheap, as the cost-to-go knows nothing of turns
 _IN_HAND = 2.0  # cost: what only may lead to the target is cheaper by this than what is proven to
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
@@ -229,7 +230,6 @@ class _Plan:
         self._scene = _scene(request, self._field)
         limits = request.task.limits
         self._shortest_m = max(limits.stopping_m(limits.speed_m_s), limits.lead_m)
-        self._overrun = 0.0 if request.from_rest else request.overrun
         self._evaluations = self._tries = 0
         self._broken: tuple[str, ...] = ()
 
@@ -241,10 +241,12 @@ class _Plan:
             best = self._best(best, _ANY_WAY + (_ALL_ROUND if self._request.from_rest else ()))
         if best is None:
             return self._refused(Refusal.NOTHING_SAFE)
+        if self._request.from_rest:
+            return best
         excess = self._excess(best)
-        overrun = max(self._overrun + excess - _USUAL, 0.0)
-        may_stop = not self._request.from_rest and self._request.stops < _MOST_STOPS
-        if may_stop and (excess > _STOP or overrun > _ADDED_UP):
+        overrun = max(self._request.overrun + excess - _USUAL, 0.0)
+        often = self._request.stops >= _MOST_STOPS
+        if (excess > _STOP and not often) or overrun > (_NOWHERE if often else _ADDED_UP):
             return self._refused(Refusal.BETTER_TO_STOP)
         return replace(best, overrun=overrun)
 

@@ -72,8 +72,8 @@ class Planned:
     """Position among the candidates by cost: 0 is the best, more if better ones were unproven."""
     tries: int
     overrun: float = 0.0
-    """How much dearer than promised this one and those before it were since the vehicle last stood,
-    but for what is usual: costs of R."""
+    """How much dearer than promised this one and those before it were, but for what is usual, since
+    the subpath on which the vehicle left its place: costs of R."""
     stopped_after: int | None = None
     """How often the search was allowed to go on before its time was up; None: it never was.
 

@@ -90,7 +90,25 @@ def test_nothing_goes_unread_whose_name_stands_in_the_code() -> None:
         if not place.startswith(READ_FROM_LOGS_ONLY):
             words = set(re.findall(r"[A-Z][A-Z0-9_]+", path.read_text(encoding="utf-8")))
             words |= {word.removeprefix("MAVLINK_MSG_ID_") for word in words}
+            made = re.findall(r"MAVLink_(\w+)_message", path.read_text(encoding="utf-8"))
+            words |= {name.upper() for name in made}
             assert not words & names, place
+
+
+@pytest.mark.parametrize("behind_ms", [0, 10])
+def test_another_vehicles_time_does_not_hide_ours(behind_ms: int) -> None:
+    """Two in lockstep tell the same times; who listens to both still knows how late it is."""
+    session = Session(MISSION, seed=1, lockstep=False)
+    session.receive(b"".join(SAID))
+    session.run()
+    began_ms = round(session.now_s * 1000.0)
+    for at_ms in range(began_ms + 200, began_ms + 2_000, 200):
+        for system, told_ms in ((7, at_ms - behind_ms), (1, at_ms)):
+            sender = wire.MAVLink(None, srcSystem=system, srcComponent=1)
+            attitude = wire.MAVLink_attitude_message(told_ms, 0, 0, 0, 0, 0, 0)
+            session.receive(attitude.pack(sender))
+        session.run()
+        assert session.now_s == pytest.approx(at_ms * 1e-3)
 
 
 @pytest.mark.parametrize(("rate_hz", "read"), [(100, 20), (50, 17), (20, 20), (4, 4), (1, 1)])
@@ -100,7 +118,7 @@ def test_the_time_is_read_of_at_most_twenty_attitudes_a_second(rate_hz: int, rea
     needed = [
         at_ms
         for at_ms in times_ms
-        if clock.needs(wire.MAVLink_attitude_message(at_ms, 0, 0, 0, 0, 0, 0))
+        if clock.is_told_by(wire.MAVLink_attitude_message(at_ms, 0, 0, 0, 0, 0, 0))
     ]
     assert len(needed) == pytest.approx(10 * read, abs=4)
     assert min((b - a for a, b in pairwise(needed)), default=1000) >= 50
@@ -109,4 +127,4 @@ def test_the_time_is_read_of_at_most_twenty_attitudes_a_second(rate_hz: int, rea
 def test_a_clock_that_has_begun_again_is_read_at_once() -> None:
     clock = VehicleClock(0.0)
     for at_ms in (5000, 10, 70):
-        assert clock.needs(wire.MAVLink_attitude_message(at_ms, 0, 0, 0, 0, 0, 0))
+        assert clock.is_told_by(wire.MAVLink_attitude_message(at_ms, 0, 0, 0, 0, 0, 0))

@@ -478,6 +478,24 @@ def test_a_proven_way_up_to_the_target_is_taken_though_a_near_end_looks_cheaper(
     assert planned(replace(request, target_ne_m=target)).reaches_target
 
 
+def test_only_subpaths_in_flight_add_up_and_for_ever_they_do_not(
+    task: Task, truth: KnownMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pose = Pose(position_nea_m=np.array(START), **heading_to(45.0))
+    fair = ask(task, truth, start=pose, from_rest=False)
+    monkeypatch.setattr(planning, "_USUAL", -0.3)  # each is dearer by that
+    standing = planned(replace(fair, start=hover_pose(START), from_rest=True, overrun=9.0))
+    assert standing.overrun == 0.0  # a stop would not help: it has just stood there
+    first = planned(fair)
+    second = planned(replace(fair, overrun=first.overrun))
+    assert 0.0 < first.overrun < second.overrun == pytest.approx(2.0 * first.overrun)
+    for stops, most in ((0, 2.0), (3, 2.0), (4, 8.0), (11, 8.0)):
+        planned(replace(fair, stops=stops, overrun=most - 1.1 * first.overrun))
+        outcome = plan(replace(fair, stops=stops, overrun=most - 0.9 * first.overrun))
+        assert isinstance(outcome, NotPlanned)
+        assert outcome.refusal is Refusal.BETTER_TO_STOP
+
+
 # --- zones to stay inside of
 
 
