@@ -16,7 +16,6 @@ _NAMED: Final = """
     SCALED_IMU3 SCALED_PRESSURE SCALED_PRESSURE2 SCALED_PRESSURE3 SENSOR_OFFSETS SERVO_OUTPUT_RAW
     SIMSTATE SIM_STATE VFR_HUD VIBRATION WIND WIND_COV
 """
-
 _NAMES: Final = frozenset(_NAMED.split())
 _KINDS: Final = {
     number: str(kind.msgname) for number, kind in wire.mavlink_map.items() if kind.msgname in _NAMES
