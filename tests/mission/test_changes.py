@@ -22,6 +22,7 @@ from made_up import (
     landing,
     near_target,
     preparing,
+    scan_done,
     two_legs_away,
 )
 from wild import Wild
@@ -48,9 +49,11 @@ from companion.mission.events import (
     Setpoint,
     SetSpeed,
     SettingsChanged,
+    StartScan,
     TakeOff,
     TargetsChanged,
 )
+from companion.mission.flying import on_scan
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import Phase, Reason
 from companion.world.threats import CircleZone
@@ -415,6 +418,17 @@ def test_a_shadow_plans_and_says_and_never_commands(driving: Driving) -> None:
     moving: list[Command] = [c for c in wild.said_to if isinstance(c, MOVING)]
     assert not moving
     assert wild.state.flight.leg is not None or wild.sent(Say)
+
+
+@pytest.mark.parametrize("is_shadow", [True, False])
+def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shadow: bool) -> None:
+    """A shadow's vehicle flies on meanwhile, wherever somebody else takes it."""
+    wild = Wild.calmly(ALL[0].driving, shadow=is_shadow).aloft(Mode.OTHER)
+    flight = replace(wild.state.flight, leg=None, next_leg=None, scanning_from_nea_m=(0, 0, 3000))
+    scanned = replace(scan_done(wild.state.now_s), asked=9, answered=4)
+    _, commands, _ = on_scan(replace(wild.state, flight=flight), scanned, wild.context)
+    does = [type(command) for command in commands if not isinstance(command, Say)]
+    assert does == [Plan if is_shadow else StartScan]
 
 
 def test_made_up_vehicles_are_driven_as_the_real_ones() -> None:

@@ -1,6 +1,7 @@
 """While it is paused the battery goes on; a landing that was broken off is not taken up again."""
 
 import json
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -35,6 +36,7 @@ from companion.mission.events import (
     SetMode,
     Setpoint,
 )
+from companion.mission.health import battery_lasts
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.state import Phase, Reason
 from companion.planner.request import PlanOutcome, PlanRequest, WayBack
@@ -161,6 +163,17 @@ def test_a_pause_on_the_way_back_ends_before_the_battery_does(how: Fallback) -> 
     craft.battery = 0.1
     assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
     assert f"hold: {Reason.BATTERY_LOW.text}" in warnings(craft.commands[count:])
+
+
+def test_what_was_flown_of_the_way_back_before_a_pause_is_not_left_to_fly() -> None:
+    craft = going_back(two_legs_away())
+    told(craft, OrderKind.PAUSE)
+    craft.fly_to(Phase.HOLDING).run_for(5.0)
+    left_s = math.dist(craft.here[:2], (0.0, 0.0)) / craft.state.task.limits.speed_m_s
+    state = replace(craft.state, vehicle=replace(craft.state.vehicle, battery=1.0))
+    for share, lasts in ((0.98, False), (1.02, True)):
+        mission = replace(two_legs_away(), reserve=0.0, endurance_s=share * left_s)
+        assert battery_lasts(state, mission) is lasts
 
 
 @pytest.mark.parametrize("how", Fallback)
