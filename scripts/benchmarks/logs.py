@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
-TELEMETRY = ROOT.parent / "shared" / "telemetry"
-sys.path.insert(0, str(ROOT / "tests" / "fuzz"))
+sys.path[:0] = [str(ROOT / "tests" / "fuzz"), str(ROOT / "tests" / "recordings")]
+from recordings import recording  # noqa: E402
+
 PARTS = {
-    "tlog": TELEMETRY / "px4-offboard-8mps.tlog",
-    "bin": TELEMETRY / "arducopter-gps-loss.tlog",
-    "ulg": TELEMETRY / "px4-offboard-short.ulg",
+    "tlog": "px4-offboard-8mps.tlog",
+    "bin": "arducopter-gps-loss.tlog",
+    "ulg": "px4-offboard-short.ulg",
 }
 READS = """
 import json, resource, sys, time
@@ -62,7 +63,7 @@ print(json.dumps({
 
 def tlog_of(path: Path, size: int) -> None:
     """The recorded .tlog again and again, each time a minute after the last."""
-    content = PARTS["tlog"].read_bytes()
+    content = recording(PARTS["tlog"]).read_bytes()
     stamps, at = [], 0
     while at < len(content):
         stamps.append(at)
@@ -85,7 +86,7 @@ def bin_of_size(path: Path, size: int) -> None:
     """The entries of a flight again and again; half of them are of kinds that nobody reads."""
     from log_files import bin_of, fill, fmt_entries
 
-    flight = bin_of(PARTS["bin"])
+    flight = bin_of(recording(PARTS["bin"]))
     entries = flight[len(fmt_entries()) :]
     with path.open("wb") as file:
         file.write(flight)
@@ -95,7 +96,7 @@ def bin_of_size(path: Path, size: int) -> None:
 
 def ulg_of_size(path: Path, size: int) -> None:
     """The data of a flight again and again."""
-    content = PARTS["ulg"].read_bytes()
+    content = recording(PARTS["ulg"]).read_bytes()
     at = 16
     while content[at + 2 : at + 3] != b"A":
         at += 3 + int.from_bytes(content[at : at + 2], "little")

@@ -15,7 +15,9 @@ import traceback
 from collections import Counter
 from pathlib import Path
 
-from log_files import TELEMETRY, bin_of, damaged, ulg_of
+sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
+from log_files import bin_of, damaged, ulg_of
+from recordings import recording
 
 from companion.errors import InputError
 from companion.mavlink.dialect import wire
@@ -36,8 +38,8 @@ class Finding(AssertionError):
 
 def bases() -> dict[str, bytes]:
     """Whole logs of each kind, small, by suffix."""
-    copter = TELEMETRY / "arducopter-gps-loss.tlog"
-    px4 = TELEMETRY / "px4-offboard-short.tlog"
+    copter = recording("arducopter-gps-loss.tlog")
+    px4 = recording("px4-offboard-short.tlog")
     raw, at = b"", 0
     content = copter.read_bytes()[:15_000]
     while end := intact_end(content, at + 8):
@@ -48,7 +50,7 @@ def bases() -> dict[str, bytes]:
         "-px4.tlog": px4.read_bytes()[:20_000],
         ".raw": raw,
         ".bin": bin_of(copter, most=900),
-        ".ulg": ulg_of(px4.with_suffix(".ulg"), TOPICS, 20_000),
+        ".ulg": ulg_of(recording("px4-offboard-short.ulg"), TOPICS, 20_000),
     }
 
 

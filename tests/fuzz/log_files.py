@@ -13,7 +13,6 @@ from companion.mavlink.dialect import Message, wire
 from companion.mavlink.receiver import Receiver
 from companion.telemetry.logs import Record, open_log
 
-TELEMETRY = Path(__file__).parents[3] / "shared" / "telemetry"
 _GPS_EPOCH_S = 315_964_800
 _LETTERS = {"n": "4s", "N": "16s", "Z": "64s", "c": "h", "C": "H", "e": "i", "E": "I"}
 _LETTERS |= {"L": "i", "M": "B"}

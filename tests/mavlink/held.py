@@ -2,8 +2,9 @@
 
 import struct
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any, Literal, Protocol
+
+from recordings import recording
 
 from companion.mavlink.dialect import codec, wire
 from vehicle_sim.plans import PlanItem as Stored
@@ -20,7 +21,6 @@ FOUR: tuple[tuple[Firmware, Kind], ...] = (
 )
 HOME_DEG, HOME_M = (47.397742, 8.545594), 488.0
 OURS = (1, 195)
-TELEMETRY = Path(__file__).parents[3] / "shared" / "telemetry"
 
 
 class Client(Protocol):
@@ -161,13 +161,8 @@ def waypoints(count: int) -> list[Stored]:
 
 
 def recorded(name: str) -> Iterator[tuple[float, Any]]:
-    """The messages of a recorded flight; a failure that says where it belongs if it is absent."""
-    path = TELEMETRY / name
-    assert path.is_file(), (
-        f"{path} is not there: the recorded flights belong into ../shared/telemetry beside the "
-        "checkout, and without them nothing says how the real autopilots behave"
-    )
-    data = path.read_bytes()
+    """The messages of a recorded flight."""
+    data = recording(name).read_bytes()
     reader = wire.MAVLink(None)
     at = 0
     while at < len(data):

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from log_files import TELEMETRY
+from recordings import recording
 
 from companion.mavlink.dialect import wire
 from companion.mavlink.frames import (
@@ -54,7 +54,7 @@ def test_the_longest_frame_is_a_signed_one_with_all_of_its_payload() -> None:
 
 def test_the_frames_found_in_noise_are_those_that_the_receiver_finds() -> None:
     """Two searches, one that decodes and one that does not."""
-    content = (TELEMETRY / "px4-offboard-8mps.tlog").read_bytes()[:60_000]
+    content = recording("px4-offboard-8mps.tlog").read_bytes()[:60_000]
     chance = random.Random(3)
     noisy = bytearray(content)
     for _ in range(200):

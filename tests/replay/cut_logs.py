@@ -4,11 +4,12 @@ import struct
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
+from recordings import recording
+
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.frames import number_of, sender_of
 from companion.telemetry.logs import Record, open_log
 
-TELEMETRY = Path(__file__).parents[3] / "shared" / "telemetry"
 MISSIONS = Path(__file__).parent / "missions"
 VEHICLE = (1, 1)
 COMPANION = (1, 191)
@@ -18,7 +19,7 @@ STATION = (255, 190)
 def recorded(name: str, *, from_s: float = 0.0, until_s: float = 1e9) -> Iterator[Record]:
     """A recorded flight between two times, seconds after its first record."""
     first_us = None
-    for record in open_log(TELEMETRY / name).records():
+    for record in open_log(recording(name)).records():
         first_us = record.time_us if first_us is None else first_us
         at_s = (record.time_us - first_us) * 1e-6
         if at_s > until_s:

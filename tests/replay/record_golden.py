@@ -12,7 +12,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
 from golden import GOLDENS, NAMES, decisions_of, differences, expected
+from recordings import recording
 
 from companion.config import load_mission
 from companion.mavlink.outbox import Output
@@ -22,7 +24,6 @@ from companion.runtime.compiler import load_kernel
 from companion.telemetry import inputs
 
 _ROOT = Path(__file__).parents[2]
-_TELEMETRY = _ROOT.parent / "shared" / "telemetry"
 _BIN = Path(sys.executable).parent
 _PATIENCE_S = 300.0
 
@@ -72,7 +73,7 @@ def _watch(folder: Path, how: dict[str, Any]) -> None:
             told.extend(output.inputs)
 
     mission = load_mission(str(folder / "mission.toml"))
-    watch(_TELEMETRY / how["log"], mission, kernel=load_kernel(), on_output=keep)
+    watch(recording(how["log"]), mission, kernel=load_kernel(), on_output=keep)
     (folder / inputs.FILE).write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
 
 

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cut_logs import COMPANION, MISSIONS, TELEMETRY, VEHICLE, recorded, written
+from cut_logs import COMPANION, MISSIONS, VEHICLE, recorded, written
+from recordings import recording
 from rich.console import Console
 
 from companion.config import load_mission
@@ -147,7 +148,7 @@ def mission(name: str, *, evaluations: int = 100) -> Mission:
 @functools.cache
 def report_of(name: str) -> ShadowReport:
     """Its health alone."""
-    return watch(TELEMETRY / name, None, kernel=None)
+    return watch(recording(name), None, kernel=None)
 
 
 @functools.cache
@@ -276,7 +277,7 @@ def test_what_is_passed_over_unread_changes_nothing(name: str) -> None:
             reason = state.reason
             at_s = (record.time_us - first_us) * 1e-6
             changes.append((at_s, None if reason is None else reason.name))
-    report = watch(TELEMETRY / name, mission(name), kernel=None)
+    report = watch(recording(name), mission(name), kernel=None)
     mine = [
         (at_s, code)
         for hold in report.holds
@@ -301,7 +302,7 @@ def test_whatever_a_strategy_reads_of_the_health_is_heard() -> None:
 @pytest.mark.parametrize("name", MISSION_OF)
 def test_no_command_frame_is_ever_produced(name: str) -> None:
     sent = Sent()
-    watch(TELEMETRY / name, mission(name), kernel=None, on_output=sent)
+    watch(recording(name), mission(name), kernel=None, on_output=sent)
     assert_only_watches(sent)
 
 
@@ -421,7 +422,7 @@ def test_a_vehicle_that_flies_the_path_has_no_distance_from_it() -> None:
 def test_it_tells_where_the_mission_does_not_allow_the_vehicle_to_be() -> None:
     """PX4's aeroplane sinks to the ground from 35 to 150 s, climbs, and lands at 442 s."""
     name = "px4-fixedwing-offboard.tlog"
-    report = watch(TELEMETRY / name, mission(name), kernel=None)
+    report = watch(recording(name), mission(name), kernel=None)
     assert {each.kind for each in report.outside} == {"below the floor"}
     _, sank, landing = report.outside
     assert 25.0 < sank.from_s < 45.0

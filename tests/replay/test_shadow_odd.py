@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from cut_logs import (
     MISSIONS,
-    TELEMETRY,
     VEHICLE,
     changed,
     packed,
@@ -18,6 +17,7 @@ from cut_logs import (
     without,
     written,
 )
+from recordings import recording
 
 from companion.config import load_mission
 from companion.errors import InputError
@@ -69,7 +69,7 @@ def shifted(records: Iterator[Record], from_s: float, by_s: float) -> Iterator[R
 
 @pytest.mark.parametrize("until_s", [0.5, 50.0, 90.0, 108.0, 130.0])
 def test_of_a_log_that_ends_early_all_is_told_up_to_there(tmp_path: Path, until_s: float) -> None:
-    whole = alone(TELEMETRY / PX4)
+    whole = alone(recording(PX4))
     cut = alone(written(tmp_path / "cut.tlog", recorded(PX4, until_s=until_s)))
     began = [each for each in times(whole.holds) if each[0] <= until_s]
     assert times(cut.holds) == began
@@ -84,15 +84,15 @@ def test_of_a_log_that_ends_early_all_is_told_up_to_there(tmp_path: Path, until_
 
 def test_a_log_that_is_cut_within_a_message_is_read_to_there(tmp_path: Path) -> None:
     path = tmp_path / "torn.tlog"
-    path.write_bytes((TELEMETRY / PX4).read_bytes()[:700_001])
+    path.write_bytes(recording(PX4).read_bytes()[:700_001])
     report = alone(path)
-    assert times(report.holds) == times(alone(TELEMETRY / PX4).holds)
+    assert times(report.holds) == times(alone(recording(PX4)).holds)
     assert any("cut short" in str(each) for each in report.log_findings)
 
 
 def test_a_part_from_the_middle_tells_the_same_of_its_faults(tmp_path: Path) -> None:
     part = alone(written(tmp_path / "part.tlog", recorded(PX4, from_s=60.0, until_s=120.0)))
-    [hold], [whole] = part.holds, alone(TELEMETRY / PX4).holds
+    [hold], [whole] = part.holds, alone(recording(PX4)).holds
     assert hold.vehicle_s == whole.vehicle_s
     assert hold.let_go_s == pytest.approx(whole.let_go_s - 60.0, abs=0.01)
     assert part.in_air_s == pytest.approx(60.0, abs=1.0)
@@ -146,7 +146,7 @@ def test_after_a_silence_that_nobody_waits_for_it_begins_again(
 @pytest.mark.parametrize("by_s", [-30.0, -3000.0])
 def test_a_log_whose_time_runs_backwards_tells_the_same(tmp_path: Path, by_s: float) -> None:
     records = shifted(recorded(PX4), 60.0, by_s)
-    report, whole = alone(written(tmp_path / "back.tlog", records)), alone(TELEMETRY / PX4)
+    report, whole = alone(written(tmp_path / "back.tlog", records)), alone(recording(PX4))
     assert [(v, code) for _, v, code in times(report.holds)] == [
         (v, code) for _, v, code in times(whole.holds)
     ]
@@ -275,7 +275,7 @@ def test_positions_that_stand_still_are_told(tmp_path: Path) -> None:
 
 def test_a_mission_somewhere_else_is_refused_in_one_line() -> None:
     with pytest.raises(InputError, match="outside its \\[area\\]") as caught:
-        watch(TELEMETRY / PX4, mission("copter-canberra"), kernel=None)
+        watch(recording(PX4), mission("copter-canberra"), kernel=None)
     text = str(caught.value)
     assert "47.397" in text
     assert "km north" in text
@@ -293,7 +293,7 @@ def test_a_mission_somewhere_else_is_refused_in_one_line() -> None:
 )
 def test_a_mission_for_another_vehicle_is_refused(name: str, chosen: Mission) -> None:
     with pytest.raises(InputError, match=r"it is for .*; the log is of PX4"):
-        watch(TELEMETRY / name, chosen, kernel=None)
+        watch(recording(name), chosen, kernel=None)
 
 
 def test_with_nothing_known_of_the_ground_it_says_so_and_tells_the_rest(tmp_path: Path) -> None:
@@ -366,12 +366,12 @@ def test_of_several_vehicles_the_chosen_one_is_watched(tmp_path: Path) -> None:
 def test_progress_only_rises_and_comes_to_the_end() -> None:
     shown = list[tuple[int, int]]()
     watch(
-        TELEMETRY / PX4,
+        recording(PX4),
         None,
         kernel=None,
         on_progress=lambda read, size: shown.append((read, size)),
     )
-    size = (TELEMETRY / PX4).stat().st_size
+    size = recording(PX4).stat().st_size
     assert shown == sorted(shown)
     assert shown[-1] == (size, size)
     assert len(shown) > 1

@@ -11,7 +11,8 @@ import pytest
 from fuzz_logs import bases, case, read
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from log_files import TELEMETRY, fill
+from log_files import fill
+from recordings import recording
 
 from companion.errors import InputError
 from companion.mavlink.dialect import wire
@@ -19,7 +20,7 @@ from companion.telemetry.logs import Oddity, open_log
 from companion.telemetry.logs.findings import Findings, shown_time
 from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, Timeline
 
-COPTER = TELEMETRY / "arducopter-gps-loss.tlog"
+COPTER = recording("arducopter-gps-loss.tlog")
 EPOCH_US = 1_700_000_000_000_000
 MEMORY = """
 import resource, sys

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_files import FORMATS, TELEMETRY, bin_of, entry, fmt_entries, messages_of
+from log_files import FORMATS, bin_of, entry, fmt_entries, messages_of
+from recordings import recording
 
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
@@ -44,7 +45,7 @@ COPTER_START = b"".join(
 def flights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("bin")
     for name in (COPTER, PLANE):
-        (folder / f"{name}.bin").write_bytes(bin_of(TELEMETRY / f"{name}.tlog"))
+        (folder / f"{name}.bin").write_bytes(bin_of(recording(f"{name}.tlog")))
     return {name: folder / f"{name}.bin" for name in (COPTER, PLANE)}
 
 
@@ -93,7 +94,7 @@ def test_entries_are_those_that_dfreader_reads(flights: dict[str, Path]) -> None
 
 @pytest.mark.parametrize("name", [COPTER, PLANE])
 def test_the_same_flight_is_told_as_in_its_tlog(name: str, flights: dict[str, Path]) -> None:
-    theirs = messages_of(open_log(TELEMETRY / f"{name}.tlog").records())
+    theirs = messages_of(open_log(recording(f"{name}.tlog")).records())
     theirs = [pair for pair in theirs if pair[1].get_srcComponent() == 1]
     log = open_log(flights[name])
     ours = messages_of(log.records())
@@ -183,7 +184,7 @@ def test_an_unknown_date_unknown_arming_and_what_is_missing_are_told(tmp_path: P
 
 
 def test_without_an_estimator_the_gps_is_told_and_said_so(tmp_path: Path) -> None:
-    content = bin_of(TELEMETRY / f"{COPTER}.tlog", without=("POS", "XKF1", "XKF4"))
+    content = bin_of(recording(f"{COPTER}.tlog"), without=("POS", "XKF1", "XKF4"))
     log = opened(tmp_path, content)
     messages = told(log)
     fixes = [m for m in of(messages, "GPS_RAW_INT") if m.fix_type >= 3]

@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from log_files import TELEMETRY, messages_of
+from log_files import messages_of
+from recordings import NAMES, recording
 
 from companion.errors import InputError
 from companion.mavlink.dialect import wire
@@ -18,7 +19,7 @@ from companion.mavlink.signing import strip_signature
 from companion.telemetry.logs import Finding, Log, Oddity, Record, open_log
 from companion.telemetry.logs.window import Window
 
-LOGS = sorted(TELEMETRY.glob("*.tlog"))
+LOGS = [recording(name) for name in NAMES if name.endswith(".tlog")]
 EPOCH_US = 1_700_000_000_000_000
 
 
@@ -320,7 +321,7 @@ def test_what_is_missing_is_told_with_how_to_have_it(writer: Writer) -> None:
 
 
 def test_a_px4_flight_lacks_only_what_px4_does_not_send() -> None:
-    log = open_log(TELEMETRY / "px4-gps-loss.tlog")
+    log = open_log(recording("px4-gps-loss.tlog"))
     list(log.records())
     assert [each.message for each in log.missing()] == ["STATUSTEXT"]
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_files import TELEMETRY, messages_of
+from log_files import messages_of
 from pyulog import ULog
+from recordings import recording
 
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
@@ -20,7 +21,7 @@ from companion.telemetry.logs.px4_rows import TOPICS, _direction
 from companion.telemetry.logs.ulog import PARAMETER, TEXT, rows
 from companion.telemetry.logs.window import Window
 
-SHORT = TELEMETRY / "px4-offboard-short.ulg"
+SHORT = recording("px4-offboard-short.ulg")
 HEADER = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000)
 
 

@@ -1,12 +1,12 @@
 import math
 from collections.abc import Callable, Iterator
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
+from recordings import recording
 from tracking_plane import (
     CHANGE_ALTITUDE,
     CHANGE_HEADING,
@@ -31,7 +31,7 @@ from vehicle_sim.autopilots.ardupilot.plane_modes import Mode
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import GpsConditions
 
-LOG = Path(__file__).parents[3] / "shared" / "telemetry" / "arduplane-guided-reposition.tlog"
+LOG = "arduplane-guided-reposition.tlog"
 
 
 def flying(parameters: dict[str, float] | None = None, *, settle_s: float = 30.0) -> Rig:
@@ -544,7 +544,7 @@ def test_wind_carries_it_but_not_its_circle() -> None:
 
 def recorded() -> Iterator[tuple[Any, tuple[int, int]]]:
     """Messages and who sent them, in order."""
-    data, at, link = LOG.read_bytes(), 0, mavlink.MAVLink(None)
+    data, at, link = recording(LOG).read_bytes(), 0, mavlink.MAVLink(None)
     while at < len(data):
         size = 12 + data[at + 9]
         frame = bytearray(data[at + 8 : at + 8 + size])

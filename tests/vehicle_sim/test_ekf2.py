@@ -3,12 +3,12 @@
 import itertools
 import math
 import struct
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
+from recordings import recording
 from tracking_px4 import Curve, Rig
 
 from vehicle_sim.autopilots import Event
@@ -16,7 +16,7 @@ from vehicle_sim.autopilots.px4 import health
 from vehicle_sim.autopilots.px4.modes import Mode
 from vehicle_sim.sensors.gps import GpsConditions
 
-_LOG = Path(__file__).parents[2].parent / "shared" / "telemetry" / "px4-gps-loss.tlog"
+_LOG = "px4-gps-loss.tlog"
 _NO_FIX = GpsConditions(fix_type=3, lag_s=0.0, enabled=False, satellites=0)
 _FIX = GpsConditions(fix_type=3, lag_s=0.0)
 _LOST_S = 30.0
@@ -26,8 +26,7 @@ _SPEED_M_S = 6.0
 
 def _recorded(number: int) -> list[Any]:
     """Messages of the vehicle of this number."""
-    assert _LOG.is_file(), f"the recorded flights belong beside the repository: {_LOG}"
-    data, parser, found = _LOG.read_bytes(), mavlink.MAVLink(None), []
+    data, parser, found = recording(_LOG).read_bytes(), mavlink.MAVLink(None), []
     offset = 0
     while offset < len(data):
         frame = data[offset + 8 : offset + 20 + data[offset + 9]]

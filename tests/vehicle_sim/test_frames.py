@@ -4,18 +4,17 @@ import itertools
 import math
 import random
 import struct
-from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
+from recordings import recording
 
 from vehicle_sim.wire import frames
 from vehicle_sim.wire.frames import Dropped, Packer, StreamParser
 
-TELEMETRY = Path(__file__).parents[2].parent / "shared" / "telemetry"
 ARM = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 7.5)
 BEAT = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
 TEXT = mavlink.MAVLink_statustext_message(4, b"a text that is long enough for all of its 50 bytes")
@@ -70,7 +69,7 @@ def test_every_message_of_the_dialect_is_packed_as_pymavlink_packs_it() -> None:
 
 @pytest.mark.parametrize("name", ["arducopter-gps-loss.tlog", "px4-offboard-short.tlog"])
 def test_a_recorded_flight_is_read_as_pymavlink_reads_it(name: str) -> None:
-    data, at, known = (TELEMETRY / name).read_bytes(), 0, 0
+    data, at, known = recording(name).read_bytes(), 0, 0
     parser, reader = StreamParser(datagrams=False), mavlink.MAVLink(None)
     while at < min(len(data), 400_000):
         size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)

@@ -6,7 +6,6 @@ import itertools
 import math
 import struct
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,11 @@ import pytest
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 from pyproj import Geod
+from recordings import recording
 
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.sensors.gps import ARDUCOPTER, ARDUPLANE, PX4, Fix, Gps, GpsConditions, Receiver
 
-TELEMETRY = Path(__file__).parents[3] / "shared" / "telemetry"
 FloatArray = NDArray[np.float64]
 WGS84 = Geod(ellps="WGS84")
 HOME = (-35.3632621, 149.1652374, 584.09)
@@ -73,7 +72,7 @@ def offsets_m(found: list[Fix]) -> FloatArray:
 
 def recorded(name: str, numbers: set[int]) -> Iterator[tuple[float, Any]]:
     """Seconds of the log and message, of these numbers only."""
-    data, at, first = (TELEMETRY / name).read_bytes(), 0, None
+    data, at, first = recording(name).read_bytes(), 0, None
     decoder = mavlink.MAVLink(None)
     while at < len(data):
         (time_us,) = struct.unpack_from(">Q", data, at)

@@ -2,9 +2,9 @@
 
 import itertools
 import math
-from pathlib import Path
 
 import pytest
+from recordings import recording
 from tracking_px4_fixed_wing import (
     ALL_THREE,
     GROUND_AMSL_M,
@@ -26,7 +26,6 @@ from vehicle_sim.conformance.messages import decoded
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import GpsConditions
 
-LOG = Path(__file__).parents[3] / "shared/telemetry/px4-fixedwing-offboard.tlog"
 OFFBOARD, HOLD, LAND, RETURN = 0x00060000, 0x03040000, 0x06040000, 0x05040000
 
 
@@ -406,9 +405,9 @@ def test_mission_from_take_off_to_landing() -> None:
 
 def test_offboard_part_of_the_recorded_flight() -> None:
     """170 to 355 s of the log: what it was sent, at the same times, from the same place."""
-    recording = read_recording(LOG)
-    sent = [(h.time_s, decoded(h)) for h in recording.sent if h.number == 84]
-    truth = [(h.time_s, decoded(h)) for h in recording.said if h.number == 32 and h.time_s > 173.5]
+    flight = read_recording(recording("px4-fixedwing-offboard.tlog"))
+    sent = [(h.time_s, decoded(h)) for h in flight.sent if h.number == 84]
+    truth = [(h.time_s, decoded(h)) for h in flight.said if h.number == 32 and h.time_s > 173.5]
     start = truth[0][1]
     rig = Rig()
     heading_rad = math.atan2(start.vy, start.vx)

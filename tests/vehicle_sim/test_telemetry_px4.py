@@ -3,11 +3,11 @@
 import math
 import struct
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
+from recordings import recording
 from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Battery, Event, Report
@@ -20,13 +20,12 @@ from vehicle_sim.wire.px4_messages import (
 )
 from vehicle_sim.wire.telemetry_px4 import MESSAGES
 
-_LOG = Path(__file__).parents[2].parent / "shared" / "telemetry" / "px4-offboard-short.tlog"
+_LOG = "px4-offboard-short.tlog"
 
 
 def _recorded() -> Iterator[tuple[int, bytes]]:
     """Number and frame of what the vehicle sent."""
-    assert _LOG.is_file(), f"the recorded flights belong beside the repository: {_LOG}"
-    data, offset = _LOG.read_bytes(), 0
+    data, offset = recording(_LOG).read_bytes(), 0
     while offset < len(data):
         frame = data[offset + 8 : offset + 20 + data[offset + 9]]
         offset += 8 + len(frame)

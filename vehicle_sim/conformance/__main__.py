@@ -29,7 +29,9 @@ _WIDE = 200
 
 @app.command()
 def conformance(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="A .tlog of a flight.")],
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="A .tlog of a flight, or .tlog.xz.")
+    ],
     table: Annotated[  # noqa: ARG001
         bool, typer.Option("--table", help="Print a table.  This is what happens unasked.")
     ] = True,

@@ -1,6 +1,6 @@
 """What the recordings do not say of themselves: parameters, faults and stretches to leave out.
 
-Source: shared/telemetry/README-ardupilot.md and README-px4.md.
+Source: tests/recordings/README.md.
 """
 
 from collections.abc import Mapping
@@ -90,7 +90,7 @@ _LEFT_OUT = {
             begin_s=35.0,
             end_s=170.0,
             why="the simulated aeroplane sank to the ground and moved there: an artefact of that "
-            "simulator (README-px4.md); until 170 s it was still on its way up again",
+            "simulator (tests/recordings); until 170 s it was still on its way up again",
         ),
     ),
 }

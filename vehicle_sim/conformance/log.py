@@ -1,16 +1,18 @@
 """A recorded flight: who said what, at which vehicle time.
 
 A .tlog is a sequence of records: 8 bytes of big-endian microseconds since 1970, then one raw
-MAVLink frame; both directions, in time order (shared/telemetry/README.md).
+MAVLink frame; both directions, in time order (tests/recordings/README.md).
 """
 
+import io
 import itertools
+import lzma
 import math
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, Literal, NamedTuple, final
+from typing import Literal, NamedTuple, final
 
 from vehicle_sim.conformance.clock import Clock
 from vehicle_sim.conformance.messages import Heard, decoded
@@ -35,7 +37,7 @@ class Record(NamedTuple):
     frame: bytes
 
 
-def records(stream: BinaryIO, name: str) -> Iterator[Record]:
+def records(stream: io.BufferedIOBase, name: str) -> Iterator[Record]:
     """All records of a .tlog, one after the other.  InputError if it is not one."""
     for number in itertools.count():
         head = stream.read(8)
@@ -81,7 +83,7 @@ class Recording:
     """One flight.  All times are seconds since the autopilot's boot."""
 
     name: str
-    """Of the file, without folder."""
+    """Of the file, without folder and .xz."""
     firmware: Literal["ardupilot", "px4"]
     kind: Literal["copter", "plane"]
     system: int
@@ -96,13 +98,14 @@ class Recording:
 
 
 def read_recording(path: Path) -> Recording:
-    """The flight in this file.  InputError if there is none."""
+    """The flight in this file, a .tlog or .tlog.xz.  InputError if there is none."""
+    packed = path.suffix == ".xz"
     try:
-        with path.open("rb") as stream:
-            return recording(path.name, records(stream, str(path)))
-    except OSError as error:
-        rule = f"cannot be read ({error.strerror})"
-        raise InputError("LOG", str(path), rule, "Name a .tlog.") from None
+        with lzma.open(path) if packed else path.open("rb") as stream:
+            return recording(path.name.removesuffix(".xz"), records(stream, str(path)))
+    except (OSError, EOFError, lzma.LZMAError) as error:
+        rule = f"cannot be read ({getattr(error, 'strerror', error)})"
+        raise InputError("LOG", str(path), rule, "Name a .tlog or .tlog.xz.") from None
 
 
 def recording(name: str, of: Iterable[Record]) -> Recording:

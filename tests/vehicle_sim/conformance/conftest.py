@@ -2,13 +2,12 @@
 
 import functools
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
+from recordings import recording
 
 from vehicle_sim.conformance.log import Recording, read_recording
 
-TELEMETRY = Path(__file__).parents[4] / "shared" / "telemetry"
 FILES = (
     "arducopter-gps-loss.tlog",
     "arducopter-guided-10mps.tlog",
@@ -30,12 +29,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @functools.cache
 def _read(name: str) -> Recording:
-    path = TELEMETRY / name
-    assert path.is_file(), (
-        f"{path} is not there: the recorded flights belong into ../shared/telemetry beside the "
-        "checkout, and without them nothing says how the real autopilots behave"
-    )
-    return read_recording(path)
+    return read_recording(recording(name))
 
 
 @pytest.fixture(scope="session")

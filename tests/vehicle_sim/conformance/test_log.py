@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
+from recordings import FOLDER, recording
 
 from vehicle_sim.conformance.clock import Clock
 from vehicle_sim.conformance.log import Recording, heard, read_recording, records
@@ -79,6 +80,18 @@ def test_a_log_without_an_autopilot_or_a_file_is_refused(tmp_path: Path) -> None
         read_recording(path)
     with pytest.raises(InputError, match="cannot be read"):
         read_recording(tmp_path / "nothing.tlog")
+
+
+def test_a_packed_log_is_the_same_flight_and_a_damaged_one_is_refused_in_words(
+    tmp_path: Path,
+) -> None:
+    packed = FOLDER / "px4-offboard-short.tlog.xz"
+    assert read_recording(packed) == read_recording(recording("px4-offboard-short.tlog"))
+    for damaged in (packed.read_bytes()[:5000], b"no archive at all"):
+        path = tmp_path / "x.tlog.xz"
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="cannot be read"):
+            read_recording(path)
 
 
 def test_every_frame_is_either_sent_or_said(recorded: Recorded, name: str) -> None:
