@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -21,10 +22,28 @@ from vehicle_sim.cli import bundled_worlds
 from vehicle_sim.links import parse_endpoint
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted(
+    [ROOT / "README.md", ROOT / "tests/recordings/README.md", *(ROOT / "docs").rglob("*.md")]
+)
 PROGRAMS = ("companion", "vehicle-sim")
 PLACEHOLDERS = re.compile(r"[A-Z][A-Z_.]*|mission\.toml|\S+\.plan|world\.toml")
 """Words that stand for what the reader puts in their place."""
+CITED = {
+    path.stem: set(
+        re.findall(r"^#+ (\d+(?:\.\d+)?|[A-H]\d?)[. ]|^\| (C\d+) ", path.read_text("utf-8"), re.M)
+    )
+    for path in (ROOT / "docs/design.md", *(ROOT / "docs/reference").glob("*.md"))
+}
+"""Pages that are cited by section, and the numbers of their sections."""
+_NUMBER = r"(?:\d+(?:\.\d+)?|C\d+)(?![\d.]*[\w%/-])"
+CITATION = re.compile(
+    r"\b(design|ardupilot\.md|px4\.md|mavlink\.md|proximity\.md)`?,? \(?(?:sections? )?"
+    rf"({_NUMBER}(?:(?:, | and | to |, and ){_NUMBER})*)"
+    r"|\b(planner-numbers)`?,? \(?(?:part )?([A-H]\d?)\b",
+    re.IGNORECASE,
+)
+ELSEWHERE = {"offboard.md"}
+"""A page of PX4's own documentation."""
 
 
 def commands() -> list[tuple[str, str]]:
@@ -70,7 +89,50 @@ def test_a_command_of_the_docs_is_understood(page: str, line: str) -> None:
     assert named is None or named in known or PLACEHOLDERS.fullmatch(named), named
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def texts() -> list[tuple[Path, str]]:
+    """Everything that people wrote in this repository."""
+    folders = ("companion", "vehicle_sim", "tests", "scripts", "docs", ".ci")
+    paths = [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file()]
+    paths += [path for path in ROOT.iterdir() if path.suffix in (".md", ".toml")]
+    written = [
+        path
+        for path in paths
+        if path.suffix in (".py", ".md", ".toml", ".sh", "")
+        and not {"__pycache__", ".unpacked"} & set(path.parts)
+    ]
+    return [(path, path.read_text(encoding="utf-8")) for path in sorted(written)]
+
+
+def test_every_page_that_is_named_is_in_the_repository() -> None:
+    pages = {path.name for path, _ in texts() if path.suffix == ".md"} | ELSEWHERE
+    for path, text in texts():
+        assert set(re.findall(r"[\w-]+\.md\b", text)) <= pages, path
+
+
+def test_every_section_that_is_cited_is_on_its_page() -> None:
+    found = Counter[str]()
+    for path, text in texts():
+        for cited in CITATION.finditer(re.sub(r"\s+(?:# )?", " ", text)):
+            page = (cited[1] or cited[3]).lower().removesuffix(".md")
+            numbers = re.findall(r"[A-HC]?\d+(?:\.\d+)?|[A-H]\d?", cited[2] or cited[4])
+            assert set(numbers) <= sections(page), f"{path}: {cited[0]}"
+            found[page] += 1
+    assert set(found) == {*CITED} - {"proximity"}
+    assert found.total() > 150
+
+
+def sections(page: str) -> set[str]:
+    return {number for pair in CITED[page] for number in pair if number}
+
+
+def test_nothing_names_a_place_outside_the_repository() -> None:
+    beside = "sha" + "red"  # this page says it itself
+    outside = re.compile(rf"\.\./{beside}|{beside}/(telemetry|reference)|/wo[r]k/|/roo[t]/")
+    for path, text in texts():
+        assert outside.search(text) is None, path
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_the_links_of_a_page_lead_to_files(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text):

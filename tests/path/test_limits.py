@@ -42,5 +42,5 @@ def test_the_dead_man_reach_is_what_a_vehicle_covers_that_flies_on_and_then_brak
 
 
 def test_the_reach_covers_the_54_m_that_arducopter_flew_on_at_10_m_s() -> None:
-    # reference/ardupilot.md: WPNAV_ACCEL 2.5 m/s2, GUID_TIMEOUT 3 s
+    # ardupilot.md 3: WPNAV_ACCEL 2.5 m/s2, GUID_TIMEOUT 3 s
     assert 54.0 <= some_limits(acceleration_m_s2=2.5).reach_m(10.0) <= 60.0

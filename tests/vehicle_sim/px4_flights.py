@@ -1,6 +1,6 @@
 """Experiments with a simulated PX4 over the wire: links, start, arming, modes (px4.md 2, 3).
 
-Each returns what a client saw.  The conditions are those of shared/reference/px4.md: SIH_KDV 0.25
+Each returns what a client saw.  The conditions are those of px4.md: SIH_KDV 0.25
 and COM_OBL_RC_ACT 5 unless stated.
 """
 

@@ -1,4 +1,4 @@
-"""shared/reference/px4.md, statement by statement: what a client sees of the simulated PX4.
+"""px4.md, statement by statement: what a client sees of the simulated PX4.
 
 Everything goes over the wire (px4_wire.py); the experiments are in px4_flights*.py, and each serves
 all statements about it.  Where a recorded flight and the document disagree, the recording is right,
