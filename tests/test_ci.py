@@ -1,0 +1,55 @@
+"""The command that CI runs: the tests of a clone that has nothing but the commit."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+RUN = Path(__file__).parents[1] / ".ci" / "run"
+TEST = """#!/usr/bin/env bash
+cd "$(dirname "$0")/.." || exit 1
+{ ls -A; echo "beside: $(ls ..)"; echo "home: $(ls -A "$HOME")"; echo "options: $*"
+echo "pip: $(cat "$PIP_CONFIG_FILE")"; env; } >"$SAID"
+exit 7
+"""
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A repository with our command, and a test command that notes where it is."""
+    folder = tmp_path / "checkout"
+    for path in (".ci", "scripts"):
+        (folder / path).mkdir(parents=True)
+    shutil.copy(RUN, folder / ".ci" / "run")
+    (folder / "scripts" / "test").write_text(TEST, encoding="utf-8")
+    (folder / "scripts" / "test").chmod(0o755)
+    git = ["git", "-C", str(folder), "-c", "user.name=test", "-c", "user.email=test@localhost"]
+    for command in (["init", "-q"], ["add", "-A"], ["commit", "-qm", "All"]):
+        subprocess.run([*git, *command], check=True)
+    (folder / "not-committed").touch()
+    (tmp_path / "shared").mkdir()
+    return folder
+
+
+def test_a_clone_is_tested_that_has_nothing_but_the_commit(checkout: Path, tmp_path: Path) -> None:
+    home, scratch, said = tmp_path / "home", tmp_path / "scratch", tmp_path / "said.txt"
+    (home / ".config" / "pip").mkdir(parents=True)
+    (home / ".config" / "pip" / "pip.conf").write_text("[global]", encoding="utf-8")
+    scratch.mkdir()
+    own = {"HOME": str(home), "TMPDIR": str(scratch), "SAID": str(said), "VENV": "elsewhere"}
+    told = {"NUMBA_CACHE_DIR": "elsewhere", "XDG_CACHE_HOME": "elsewhere"}
+    kept = {k: v for k, v in os.environ.items() if k not in ("PIP_CONFIG_FILE", "XDG_CONFIG_HOME")}
+    done = subprocess.run(
+        [checkout / ".ci" / "run", "-k", "this"], env=kept | own | told, check=False, timeout=60
+    )
+    assert done.returncode == 7
+    lines = said.read_text(encoding="utf-8").splitlines()
+    assert lines[:3] == [".ci", ".git", "scripts"]
+    assert "options: -k this" in lines
+    assert "home: " in lines
+    assert "pip: [global]" in lines
+    assert not [line for line in lines if "elsewhere" in line or line.startswith("VENV=")]
+    assert "shared" not in "".join(lines[3:6])
+    assert list(scratch.iterdir()) == []  # nothing is left behind
