@@ -86,7 +86,8 @@ def test_a_packed_log_is_the_same_flight_and_a_damaged_one_is_refused_in_words(
     tmp_path: Path,
 ) -> None:
     packed = FOLDER / "px4-offboard-short.tlog.xz"
-    assert read_recording(packed) == read_recording(recording("px4-offboard-short.tlog"))
+    ours, plain = read_recording(packed), read_recording(recording("px4-offboard-short.tlog"))
+    assert (ours.name, ours.sent, ours.said) == (plain.name, plain.sent, plain.said)
     for damaged in (packed.read_bytes()[:5000], b"no archive at all"):
         path = tmp_path / "x.tlog.xz"
         path.write_bytes(damaged)
