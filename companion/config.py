@@ -23,6 +23,7 @@ from companion.sources.files import (
 from companion.sources.mission_file import MissionFile, complete, mission_of
 from companion.sources.mission_schema import MissionTable
 from companion.sources.schema import FileWorldTable, WorldTable, validated
+from companion.sources.waypoint_file import is_waypoint_list
 from companion.world.terrain import Peak, PeakTerrain, Terrain
 
 _OF_MISSIONS = {"targets", "planner", "altitude", "plan", "from_vehicle"}
@@ -76,7 +77,7 @@ def elevation_file(name_or_path: str) -> str | None:
 def load_mission(
     name_or_path: str, profile: str | None = None, settings: Sequence[str] = ()
 ) -> Mission:
-    """A bundled mission, a mission.toml, or a .plan by itself.
+    """A bundled mission, a mission.toml, or a .plan or waypoint list by itself.
 
     profile overrides the file's; settings ("planner.safety_distance_m=300") its other keys.
     """
@@ -87,14 +88,14 @@ def load_mission(
 
 
 def _text_of_mission(name_or_path: str) -> str:
-    """The mission file, as TOML.  A .plan is a mission that says nothing else."""
+    """The mission file, as TOML.  A plan is a mission that says nothing else."""
     if not _is_plan(name_or_path) or not answer(Path(name_or_path).is_file):
         return _read(name_or_path, "mission")
     return toml_text({"plan": Path(name_or_path).name})
 
 
 def _is_plan(name_or_path: str) -> bool:
-    return name_or_path.lower().endswith(".plan")
+    return name_or_path.lower().endswith(".plan") or is_waypoint_list(Path(name_or_path))
 
 
 def _whole(text: str, name_or_path: str) -> MissionFile:

@@ -239,6 +239,10 @@ class FlightController:
         if not self.setpoints_ignored:
             self.answer(self.autopilot.on_setpoint(messages.setpoint(message)))
 
+    def _on_attitude(self, message: Any, _: Sender) -> None:
+        if not self.setpoints_ignored:
+            self.answer(self.autopilot.on_attitude(messages.attitude_target(message)))
+
     def _on_command(self, message: Any, sender: Sender) -> None:
         command = messages.command(message, sender)
         if command.number in STREAM_COMMANDS:
@@ -278,6 +282,11 @@ class FlightController:
         if self.autopilot.style.firmware == "px4" and message.target_system == 0:
             self._radio.send(messages.pong(message, sender), sender.link)
 
+    def _on_terrain_check(self, message: Any, sender: Sender) -> None:
+        """ArduPilot: there is no terrain data here either."""
+        if self.autopilot.style.firmware == "ardupilot":
+            self._radio.send(messages.no_terrain(message), sender.link)
+
     def _on_setup_signing(self, message: Any, _: Sender) -> None:
         if self._radio.signing is not None:
             refused = self._radio.signing.setup(message, armed=self.autopilot.armed)
@@ -307,6 +316,7 @@ _HANDLERS: dict[str, _Handler] = {
     "TIMESYNC": FlightController._on_time_sync,
     "SET_POSITION_TARGET_GLOBAL_INT": FlightController._on_setpoint,
     "SET_POSITION_TARGET_LOCAL_NED": FlightController._on_setpoint,
+    "SET_ATTITUDE_TARGET": FlightController._on_attitude,
     "COMMAND_LONG": FlightController._on_command,
     "COMMAND_INT": FlightController._on_command,
     "SET_MODE": FlightController._on_set_mode,
@@ -316,6 +326,7 @@ _HANDLERS: dict[str, _Handler] = {
     "PARAM_SET": FlightController._on_parameter,
     "MANUAL_CONTROL": FlightController._on_sticks,
     "PING": FlightController._on_ping,
+    "TERRAIN_CHECK": FlightController._on_terrain_check,
     "SETUP_SIGNING": FlightController._on_setup_signing,
     "FILE_TRANSFER_PROTOCOL": FlightController._on_file_transfer,
     **dict.fromkeys(_MISSION_MESSAGES, FlightController._on_mission),

@@ -40,12 +40,18 @@ def read_geojson(path: Path, where: str) -> Threats:
     features = found.get("features") if found.get("type") == "FeatureCollection" else [found]
     if found.get("type") not in ("FeatureCollection", "Feature") or not isinstance(features, list):
         raise InputError(where, str(path), "it is no GeoJSON FeatureCollection", _REMEDY)
+    return threats_of(features, path.name)
+
+
+def threats_of(features: list[Any], name: str) -> Threats:
+    """The threats of GeoJSON features; name: of the file.  Raises InputError naming the feature."""
     if len(features) > _MOST_FEATURES:
-        rule = f"it has more than {_MOST_FEATURES:,} features"
-        raise InputError(where, str(path), rule, "Keep those that are near the mission.")
+        rule = f"it has more than {_MOST_FEATURES:,}"
+        remedy = "Keep those that are near the mission."
+        raise InputError(f"{name}: features", len(features), rule, remedy)
     threats = Threats()
     for index, feature in enumerate(features):
-        _Feature.of(feature, f"{path.name}: features[{index}]", index).add_to(threats)
+        _Feature.of(feature, f"{name}: features[{index}]", index).add_to(threats)
     return threats
 
 

@@ -21,10 +21,11 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.sources.assumed import with_plan
 from companion.sources.elevation import read_known_map
 from companion.sources.files import RawTable, plain
-from companion.sources.geojson import read_geojson
 from companion.sources.mission_schema import KnownTerrainTable, MissionTable, MissionVehicleTable
 from companion.sources.places import Place, place_of, radar_of, zones_of
 from companion.sources.plan_file import read_plan
+from companion.sources.threat_file import read_threats
+from companion.sources.waypoint_file import is_waypoint_list, read_waypoint_list
 from companion.world.known_map import KnownMap, empty_map
 
 _DATUM_ERROR_M = 5.0
@@ -51,7 +52,7 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
     if isinstance(table.get("plan"), str):
         table, notes = _with_plan(table, folder, where)
     if isinstance(table.get("threats"), str):
-        threats = read_geojson(folder / table["threats"], f"{where}: threats")
+        threats = read_threats(folder / table["threats"], f"{where}: threats")
         notes += threats.notes
         table = {key: value for key, value in table.items() if key != "threats"}
         for key in ("keep_outs", "keep_ins", "radars"):
@@ -65,7 +66,9 @@ def complete(table: RawTable, folder: Path, where: str) -> MissionFile:
 
 
 def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, list[str]]:
-    plan = read_plan(folder / table["plan"], f"{where}: plan")
+    path = folder / table["plan"]
+    read = read_waypoint_list if is_waypoint_list(path) else read_plan
+    plan = read(path, f"{where}: plan")
     if plan.targets and "targets" in table:
         rule = f"{plan.name} has waypoints too"
         raise InputError(f"{where}: targets", len(plan.targets), rule, "Remove one of them.")
@@ -76,7 +79,7 @@ def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, lis
     elsewhere = isinstance(from_vehicle, dict) and from_vehicle.get("targets") is True
     if not complete_table.get("targets") and not elsewhere:
         rule = "it has no waypoints"
-        raise InputError(f"{where}: plan", plan.name, rule, "Add a waypoint in QGroundControl.")
+        raise InputError(f"{where}: plan", plan.name, rule, "Add a waypoint.")
     return complete_table, notes
 
 

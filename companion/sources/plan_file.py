@@ -40,11 +40,13 @@ _Number = float | None
 
 
 class _Transects(_Json):
-    items: list["_Item"] = Field(default_factory=list, alias="Items")
+    items: list["Item"] = Field(default_factory=list, alias="Items")
     points: list[_Corner] = Field(default_factory=list, alias="VisualTransectPoints")
 
 
-class _Item(_Json):
+class Item(_Json):
+    """A mission item, as the file has it."""
+
     type: str = "SimpleItem"
     command: int | None = None
     frame: int = 0
@@ -56,13 +58,14 @@ class _Item(_Json):
 
 
 class _Mission(_Json):
+    version: Literal[1, 2] = 2
     hover_speed_m_s: _Number = Field(default=None, alias="hoverSpeed")
     cruise_speed_m_s: _Number = Field(default=None, alias="cruiseSpeed")
     vehicle_type: int = Field(default=0, alias="vehicleType")
-    home: Annotated[list[float], Field(min_length=3, max_length=3)] = Field(
+    home: Annotated[list[_Number], Field(min_length=3, max_length=3)] = Field(
         alias="plannedHomePosition"
     )
-    items: list[_Item] = Field(default_factory=list)
+    items: list[Item] = Field(default_factory=list)
 
 
 class _Circle(_Json):
@@ -81,11 +84,13 @@ class _FencePolygon(_Json):
 
 
 class _Fence(_Json):
+    version: Literal[1, 2] = 2
     circles: list[_FenceCircle] = Field(default_factory=list)
     polygons: list[_FencePolygon] = Field(default_factory=list)
 
 
 class _Rally(_Json):
+    version: Literal[1, 2] = 2
     points: list[Annotated[list[float], Field(min_length=2, max_length=3)]] = Field(
         default_factory=list
     )
@@ -93,6 +98,7 @@ class _Rally(_Json):
 
 class _Plan(_Json):
     file_type: Literal["Plan"] = Field(alias="fileType")
+    version: Literal[1] = 1
     mission: _Mission
     fence: _Fence = Field(default=_Fence(), alias="geoFence")
     rally: _Rally = Field(default=_Rally(), alias="rallyPoints")
@@ -134,7 +140,12 @@ def read_plan(path: Path, where: str) -> Plan:
     content = validated(_Plan, found, path.name)
     mission = content.mission
     latitude, longitude, altitude = mission.home
-    _check_place(latitude, longitude, f"{path.name}: mission.plannedHomePosition")
+    launch = f"{path.name}: mission.plannedHomePosition"
+    check_place(latitude, longitude, launch)
+    if latitude is None or longitude is None or altitude is None:
+        rule = "the altitude of launch is missing, and the plan's altitudes are measured from it"
+        remedy = "Set it in QGroundControl (Mission Start), or write its metres AMSL for the null."
+        raise InputError(launch, mission.home, rule, remedy)
     plan = Plan(
         name=path.name,
         kind=_kind(mission.vehicle_type, path.name),
@@ -143,7 +154,7 @@ def read_plan(path: Path, where: str) -> Plan:
         home_amsl_m=altitude,
     )
     _add_fences(plan, content)
-    reader = _Items(plan)
+    reader = Items(plan)
     for number, item in enumerate(mission.items):
         reader.take(item, f"{path.name}: mission.items[{number}]")
     reader.finish()
@@ -162,7 +173,7 @@ def _kind(vehicle_type: int, name: str) -> str | None:
 def _add_fences(plan: Plan, content: _Plan) -> None:
     for number, circle in enumerate(content.fence.circles):
         latitude, longitude = circle.circle.center[:2]
-        _check_place(latitude, longitude, f"{plan.name}: geoFence.circles[{number}]")
+        check_place(latitude, longitude, f"{plan.name}: geoFence.circles[{number}]")
         zone = {
             "name": f"fence circle {number + 1}",
             "latitude_deg": latitude,
@@ -172,19 +183,19 @@ def _add_fences(plan: Plan, content: _Plan) -> None:
         (plan.keep_ins if circle.inclusion else plan.keep_outs).append(zone)
     for number, polygon in enumerate(content.fence.polygons):
         for corner in polygon.polygon:
-            _check_place(corner[0], corner[1], f"{plan.name}: geoFence.polygons[{number}]")
+            check_place(corner[0], corner[1], f"{plan.name}: geoFence.polygons[{number}]")
         corners = [corner[:2] for corner in polygon.polygon]
         zone = {"name": f"fence polygon {number + 1}", "vertices_deg": corners}
         (plan.keep_ins if polygon.inclusion else plan.keep_outs).append(zone)
     if len(plan.keep_ins) > 1:
         plan.notes.append(f"the vehicle keeps inside of all {len(plan.keep_ins)} inclusion fences")
     for number, point in enumerate(content.rally.points):
-        _check_place(point[0], point[1], f"{plan.name}: rallyPoints.points[{number}]")
+        check_place(point[0], point[1], f"{plan.name}: rallyPoints.points[{number}]")
         plan.rally_points.append({"latitude_deg": point[0], "longitude_deg": point[1]})
 
 
 @final
-class _Items:
+class Items:
     """The mission items of a plan, one after the other."""
 
     def __init__(self, plan: Plan) -> None:
@@ -192,7 +203,7 @@ class _Items:
         self._ended_by = ""
         self._left_out: dict[str, int] = {}
 
-    def take(self, item: _Item, where: str) -> None:
+    def take(self, item: Item, where: str) -> None:
         """Add an item to the plan.  Raises InputError naming it if it cannot be flown."""
         if item.type == "ComplexItem":
             self._take_complex(item, where)
@@ -207,7 +218,7 @@ class _Items:
             listed = ", ".join(f"{n} x {name}" for name, n in self._left_out.items())
             self._plan.notes.append(f"left out: {listed}")
 
-    def _take_complex(self, item: _Item, where: str) -> None:
+    def _take_complex(self, item: Item, where: str) -> None:
         if item.complex_type.endswith("LandingPattern"):
             self._leave_out(item.complex_type)
         elif item.transects is not None and item.transects.items:
@@ -218,10 +229,10 @@ class _Items:
                 self._add_target(point[0], point[1], f"{where} transect point {number + 1}")
         else:
             rule = "it holds no waypoints"
-            remedy = "Replace it by waypoints in QGroundControl."
+            remedy = "Replace it by waypoints."
             raise InputError(f"{where}.complexItemType", item.complex_type, rule, remedy)
 
-    def _take_simple(self, item: _Item, command: int, where: str) -> None:
+    def _take_simple(self, item: Item, command: int, where: str) -> None:
         if command in _PLACES:
             self._take_place(item, command, where)
         elif command in _TAKE_OFFS:
@@ -235,16 +246,16 @@ class _Items:
             self._end("land", command)
         elif command == _JUMP or (command <= _LAST_NAV and command not in (_DELAY, _ROI)):
             rule = f"{_enum_name('MAV_CMD', command)} cannot be flown by the companion"
-            remedy = "Replace it by waypoints in QGroundControl."
+            remedy = "Replace it by waypoints."
             raise InputError(f"{where}.command", command, rule, remedy)
         else:
             self._leave_out(_enum_name("MAV_CMD", command))
 
-    def _take_place(self, item: _Item, command: int, where: str) -> None:
+    def _take_place(self, item: Item, command: int, where: str) -> None:
         latitude, longitude = _place(item)
         if latitude is None or longitude is None or (latitude == 0.0 and longitude == 0.0):
             rule = "it has no latitude and longitude"
-            remedy = "Put it on the map in QGroundControl."
+            remedy = "Put it on the map."
             raise InputError(f"{where}.params", [latitude, longitude], rule, remedy)
         self._note_altitude(item, where)
         self._add_target(latitude, longitude, where)
@@ -257,12 +268,12 @@ class _Items:
         if self._ended_by:
             remedy = "Remove what comes after it, or move it to the end."
             raise InputError(where, self._ended_by, "the mission ends before this item", remedy)
-        _check_place(latitude, longitude, where)
+        check_place(latitude, longitude, where)
         targets = self._plan.targets
         if len(targets) >= _MOST_TARGETS:
             rule = f"it has more than {_MOST_TARGETS} waypoints"
             raise InputError(where, len(targets) + 1, rule, "Divide the plan.")
-        name = where.removeprefix(f"{self._plan.name}: mission.")
+        name = where.removeprefix(f"{self._plan.name}: ").removeprefix("mission.")
         targets.append({"name": name, "latitude_deg": latitude, "longitude_deg": longitude})
 
     def _end(self, action: str, command: int) -> None:
@@ -272,7 +283,7 @@ class _Items:
     def _leave_out(self, what: str) -> None:
         self._left_out[what] = self._left_out.get(what, 0) + 1
 
-    def _note_altitude(self, item: _Item, where: str) -> None:
+    def _note_altitude(self, item: Item, where: str) -> None:
         """Remember how high an item was meant to be, if that can be known."""
         numbers = item.params[4:] if item.coordinate is None else item.coordinate
         altitude = numbers[2] if len(numbers) > 2 else None
@@ -282,19 +293,20 @@ class _Items:
             altitude = None if altitude is None else self._plan.home_amsl_m + altitude
         elif item.frame not in _AMSL:
             rule = "what its altitude is above is not known"
-            remedy = "Give altitudes above launch or above mean sea level in QGroundControl."
+            remedy = "Give altitudes above launch or above mean sea level."
             raise InputError(f"{where}.frame", item.frame, rule, remedy)
         if altitude is not None:
             self._plan.altitudes_amsl_m.append(altitude)
 
 
-def _place(item: _Item) -> tuple[float | None, float | None]:
+def _place(item: Item) -> tuple[float | None, float | None]:
     """Latitude and longitude, which old files have in a list of their own."""
     numbers = item.params[4:6] if item.coordinate is None else item.coordinate[:2]
     return (numbers[0], numbers[1]) if len(numbers) == 2 else (None, None)
 
 
-def _check_place(latitude: Any, longitude: Any, where: str) -> None:
+def check_place(latitude: Any, longitude: Any, where: str) -> None:
+    """Raise InputError about the field (where) if there is no such place, in degrees."""
     in_range = latitude is not None and longitude is not None
     if not (in_range and abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         rule = "out of range: latitude, -90 to 90, then longitude, -180 to 180"

@@ -344,3 +344,30 @@ def test_on_the_command_line_a_bad_plan_is_one_line_and_exit_code_2(
     assert out == ""
     assert len(err.splitlines()) == 1
     assert err.startswith("error: ")
+
+
+# --- versions, and what a program may leave out
+
+
+@pytest.mark.parametrize(
+    ("part", "version", "named"),
+    [
+        (None, 42, "version"),
+        ("mission", 7, "mission.version"),
+        ("geoFence", 3, "geoFence.version"),
+        ("rallyPoints", 9, "rallyPoints.version"),
+    ],
+)
+def test_a_version_that_is_not_known_is_refused(
+    path: Path, part: str | None, version: int, named: str
+) -> None:
+    content = copy.deepcopy(FENCED)
+    (content if part is None else content[part])["version"] = version
+    assert f"{named} = {version}" in refused(path, content)
+
+
+def test_a_launch_without_an_altitude_is_asked_for(path: Path) -> None:
+    told = refused(path, plan(waypoint(), plannedHomePosition=[47.4, 8.55, None]))
+    assert "plannedHomePosition" in told
+    assert "altitude of launch is missing" in told
+    assert "QGroundControl" in told

@@ -217,11 +217,3 @@ def gps_loss() -> GpsLoss:
 
 def blind_modes() -> list[int]:
     return [mode for _, mode in gps_loss().modes]
-
-
-def inject_failure() -> tuple[Any, int]:
-    """MAV_CMD_INJECT_FAILURE gps off: its result, and the fix 2 s later."""
-    flight = hover()
-    result = flight.command(420, 0, 1, 0)
-    flight.run(2.0)
-    return result, int(flight.last("GPS_RAW_INT").fix_type)

@@ -888,7 +888,6 @@ GPS_LOSS = [
     case(
         "8", "and it climbs to the target", between(5.0, 40.0), field, "climbs_m", mission.gps_loss
     ),
-    case("8", "INJECT_FAILURE: no ACK, no effect", (None, 3), mission.inject_failure),
 ]
 
 # --- 10 -------------------------------------------------------------------------------------------

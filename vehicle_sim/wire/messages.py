@@ -10,6 +10,7 @@ from typing import Any, Literal
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Sticks, Text
+from vehicle_sim.autopilots.attitude import AttitudeTarget
 from vehicle_sim.sensors.radar_component import RadarReport, TerrainCheck
 from vehicle_sim.sensors.terrain_radar import ScanBlock, ScanRequest
 from vehicle_sim.wire.extensions import extended
@@ -87,6 +88,17 @@ def setpoint(message: Any) -> Setpoint:
     )
 
 
+def attitude_target(message: Any) -> AttitudeTarget:
+    """A SET_ATTITUDE_TARGET."""
+    w, x, y, z = message.q
+    return AttitudeTarget(
+        type_mask=message.type_mask,
+        quaternion=(w, x, y, z),
+        rates_rad_s=(message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate),
+        thrust=message.thrust,
+    )
+
+
 def sticks(message: Any, origin: Sender) -> Sticks:
     """A MANUAL_CONTROL; an axis that the pilot does not have is in the middle."""
 
@@ -110,6 +122,11 @@ def scan_request(message: Any) -> ScanRequest:
         spacing_m=message.grid_spacing,
         mask=message.mask,
     )
+
+
+def no_terrain(check: Any) -> Any:
+    """TERRAIN_REPORT of an autopilot that knows nothing of the place it is asked about."""
+    return mavlink.MAVLink_terrain_report_message(check.lat, check.lon, 0, 0.0, 0.0, 56, 0)
 
 
 def terrain_check(message: Any) -> TerrainCheck:

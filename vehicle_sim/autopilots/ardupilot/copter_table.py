@@ -9,7 +9,7 @@ from vehicle_sim.autopilots.ardupilot.parameters import SHARED, parameter_table
 from vehicle_sim.faults import SIM_PARAMETERS
 
 STABILIZE, ACRO, ALT_HOLD, AUTO, GUIDED, LOITER, RTL, CIRCLE, LAND = 0, 1, 2, 3, 4, 5, 6, 7, 9
-POSHOLD, BRAKE, SMART_RTL = 16, 17, 21
+POSHOLD, BRAKE, GUIDED_NOGPS, SMART_RTL = 16, 17, 20, 21
 MODES: Final = {
     STABILIZE: "STABILIZE",
     ACRO: "ACRO",
@@ -22,6 +22,7 @@ MODES: Final = {
     LAND: "LAND",
     POSHOLD: "POSHOLD",
     BRAKE: "BRAKE",
+    GUIDED_NOGPS: "GUIDED_NOGPS",
     SMART_RTL: "SMARTRTL",
 }
 NEED_POSITION: Final = frozenset({AUTO, GUIDED, LOITER, RTL, CIRCLE, POSHOLD, BRAKE, SMART_RTL})

@@ -39,6 +39,7 @@ from vehicle_sim.autopilots.ardupilot.style import (
     HEARTBEAT,
     HOME_POSITION,
 )
+from vehicle_sim.autopilots.attitude import AttitudeTarget
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import PlanKind, Plans
@@ -118,6 +119,8 @@ class ArduPilot(ArduPilotCore):
             401: self._run_prearm_checks,
             410: self._get_home,
             520: self._capabilities,
+            42424: self._when_disarmed,  # DO_START_MAG_CAL, which lasts until it is cancelled
+            42426: lambda _: Result.ACCEPTED,
         }
 
     def on_command(self, command: Command) -> Sequence[Reply]:
@@ -293,6 +296,10 @@ class ArduPilot(ArduPilotCore):
     @abc.abstractmethod
     def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
         """Steer for this from now on."""
+
+    @abc.abstractmethod
+    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
+        """Fly at this attitude from now on."""
 
     def on_sticks(self, sticks: Sticks) -> Sequence[Reply]:
         """MANUAL_CONTROL is not flown."""

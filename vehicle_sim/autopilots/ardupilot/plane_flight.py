@@ -8,7 +8,7 @@ from typing import final
 
 from vehicle_sim.autopilots import Landed, Place, Waypoint
 from vehicle_sim.autopilots.ardupilot.flat_earth import distance_m, offset
-from vehicle_sim.autopilots.ardupilot.plane_guided import Guided
+from vehicle_sim.autopilots.ardupilot.plane_guided import NOT_FORCED, Forced, Guided
 from vehicle_sim.autopilots.ardupilot.plane_heights import (
     HeightControl,
     indicated_airspeed_m_s,
@@ -27,7 +27,7 @@ from vehicle_sim.autopilots.ardupilot.plane_takeoff import (
     Stage,
     Takeoff,
 )
-from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane
 
 TURN_EFFICIENCY = 0.745
 """Lateral acceleration over g tan(bank) of the recorded airframe, which slips in turns (measured:
@@ -363,6 +363,11 @@ class Flight:
         bank, guided = self._bank_rad, self.guided
         if guided.holds_heading:
             bank = guided.bank_rad(self.course_rad if guided.of_course else plane.heading_rad, dt_s)
+        forced = NOT_FORCED
+        if autopilot.mode == Mode.GUIDED:
+            forced = guided.forced(autopilot.now_us)
+        if forced.roll_rad is not None:
+            bank = forced.roll_rad
         most = self._bank_most_rad
         bank = -most if bank < -most else most if bank > most else bank
         mode = autopilot.mode
@@ -389,7 +394,7 @@ class Flight:
             )
             self._speed_m_s = plane.airspeed_m_s
         else:
-            self._cruise(bank, height_m, dt_s)
+            self._cruise(bank, height_m, forced, dt_s)
         if plane.altitude_amsl_m <= ground_amsl_m:
             self._touch_down(ground_amsl_m)
 
@@ -397,7 +402,7 @@ class Flight:
         """True airspeed for the one that is wanted."""
         return true_airspeed_m_s(self._demand_m_s, self._autopilot.estimate.altitude_amsl_m)
 
-    def _cruise(self, bank: float, height_m: float, dt_s: float) -> None:
+    def _cruise(self, bank: float, height_m: float, forced: Forced, dt_s: float) -> None:
         plane = self._plane
         wanted = self._cruise_m_s()
         self._speed_m_s = max(wanted, self._speed_m_s - SLOWING_M_S2 * dt_s)
@@ -408,7 +413,21 @@ class Flight:
                 climb = max(climb, EXCESS_CLIMB * excess)
             else:
                 self._settling = False
+        parameters, limits = self._autopilot.parameters, plane.limits
+        if forced.pitch_rad is not None:
+            self.heights.begin(height_m)
+            steepest, lowest = parameters["PTCH_LIM_MAX_DEG"], parameters["PTCH_LIM_MIN_DEG"]
+            pitch_deg = min(max(math.degrees(forced.pitch_rad), lowest), steepest)
+            climb = plane.airspeed_m_s * math.sin(math.radians(pitch_deg) - PITCH_AT_CRUISE_RAD)
+        if forced.throttle is not None:
+            trim = min(max(parameters["TRIM_THROTTLE"] / 100.0, 0.01), 0.99)
+            spare = forced.throttle / trim - 1.0
+            if spare > 0.0:
+                spare = (forced.throttle - trim) / (1.0 - trim)
+            climb = min(climb, spare * (limits.climb_max_m_s if spare > 0.0 else GLIDE_M_S))
         plane.advance(bank, climb, self._speed_m_s, dt_s)
+        if forced.throttle is not None:
+            plane.throttle = min(max(forced.throttle, 0.0), 1.0)
 
     # --- on the ground ----------------------------------------------------------------------------
 

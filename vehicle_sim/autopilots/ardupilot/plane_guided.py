@@ -4,7 +4,7 @@ All of it is forgotten when the mode changes.  Source: ardupilot.md 7.
 """
 
 import math
-from typing import final
+from typing import NamedTuple, final
 
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2
 
@@ -13,6 +13,22 @@ HEADING_GAIN = math.radians(50.0)
 ERROR_FILTER_S = 1.0 / (math.tau * 5.0)
 _AT_ONCE = 1000.0
 _LATERAL_LEAST_M_S2 = 0.05
+
+
+FORCED_US = 3_000_000
+"""An attitude or throttle from outside is forgotten after this."""
+
+
+@final
+class Forced(NamedTuple):
+    """What SET_ATTITUDE_TARGET asks for; None: nothing."""
+
+    roll_rad: float | None = None
+    pitch_rad: float | None = None
+    throttle: float | None = None
+
+
+NOT_FORCED = Forced()
 
 
 @final
@@ -31,11 +47,14 @@ class Guided:
         self._acceleration_m_s2 = _AT_ONCE
         self._altitude_amsl_m: float | None = None
         self._rate_m_s = _AT_ONCE
+        self._forced = NOT_FORCED
+        self._forced_until_us = [0, 0, 0]
 
     def forget(self) -> None:
         """The mode has changed."""
         self.holds_heading = False
         self._airspeed_m_s = self._altitude_amsl_m = None
+        self._forced = NOT_FORCED
 
     # --- what it is told ----------------------------------------------------------------------
 
@@ -57,6 +76,14 @@ class Guided:
         self._heading_rad = heading_rad
         self._bank_most_rad = math.atan(max(lateral_m_s2, _LATERAL_LEAST_M_S2) / GRAVITY_M_S2)
 
+    def force(self, forced: Forced, now_us: int) -> None:
+        """SET_ATTITUDE_TARGET; what it does not give is as before."""
+        for at, value in enumerate(forced):
+            if value is not None:
+                self._forced_until_us[at] = now_us + FORCED_US
+        given = {name: value for name, value in forced._asdict().items() if value is not None}
+        self._forced = self._forced._replace(**given)
+
     # --- what comes of it -----------------------------------------------------------------------
 
     def airspeed_m_s(self, before_m_s: float, dt_s: float) -> float | None:
@@ -72,6 +99,11 @@ class Guided:
             return None
         most_m = self._rate_m_s * dt_s
         return min(max(self._altitude_amsl_m, present_m - most_m), present_m + most_m)
+
+    def forced(self, now_us: int) -> Forced:
+        """What of it holds still."""
+        lasting = zip(self._forced, self._forced_until_us, strict=True)
+        return Forced(*(None if now_us > until_us else value for value, until_us in lasting))
 
     def bank_rad(self, actual_rad: float, dt_s: float) -> float:
         """Proportional to the error, up to the bank of the lateral acceleration given."""

@@ -20,6 +20,7 @@ from vehicle_sim.autopilots import (
     State,
     Style,
 )
+from vehicle_sim.autopilots.attitude import AttitudeTarget
 from vehicle_sim.autopilots.px4 import health
 from vehicle_sim.autopilots.px4.diary import Diary
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
@@ -44,6 +45,7 @@ from vehicle_sim.autopilots.px4.modes import (
     MANUAL_MODES,
     Mode,
 )
+from vehicle_sim.autopilots.px4.orbit import Orbit
 from vehicle_sim.autopilots.px4.pilot import Pilot
 from vehicle_sim.autopilots.px4.projection import Projection
 from vehicle_sim.autopilots.px4.setpoints import (
@@ -76,6 +78,8 @@ class Commander(abc.ABC):
     the ground.
     """
 
+    orbits = False
+    """Flies DO_ORBIT in a mode of its own."""
     learns = False
     """Calibrates its accelerometer in flight."""
 
@@ -115,6 +119,12 @@ class Commander(abc.ABC):
         """The estimate in the local frame: north, east, down."""
         self.target: Target | None = None
         """The newest setpoint that OFFBOARD flies; None: none since OFFBOARD was entered."""
+        self.attitude: AttitudeTarget | None = None
+        """The same, of a SET_ATTITUDE_TARGET: the newest of the two is flown."""
+        self.needs_no_position = False
+        """The newest setpoint was one of attitude or rates."""
+        self.orbit: Orbit | None = None
+        """DO_ORBIT's circle."""
         self.takeoff_place: tuple[float, float, float] | None = None
         """NAV_TAKEOFF's latitude, longitude (NaN: not given) and altitude AMSL."""
         self.reposition: tuple[float, float, float, float] | None = None
@@ -300,7 +310,8 @@ class Commander(abc.ABC):
                 ),
                 offboard_signal=self.offboard_signal,
                 position_ok=position_ok,
-                precise=self.ekf.precise(self.now_us),
+                precise=self.ekf.precise(self.now_us)
+                or (intended is Mode.OFFBOARD and self.needs_no_position),
             )
         if action is not self.action:
             worse = action > self.action
@@ -331,7 +342,7 @@ class Commander(abc.ABC):
         """Fly this from now on."""
         before, self.mode = self.mode, mode
         if mode is Mode.OFFBOARD and before is not Mode.OFFBOARD:
-            self.target = None
+            self.target = self.attitude = None
         if not self.landed and mode is Mode.LAND:
             self.gimbal.straighten(self.now_us)
         if before is Mode.MISSION:
@@ -357,18 +368,27 @@ class Commander(abc.ABC):
         takeoff: tuple[float, float, float] | None = None,
         reposition: tuple[float, float, float, float] | None = None,
         land: tuple[float, float] | None = None,
+        orbit: Orbit | None = None,
     ) -> Result:
         """Somebody wants this mode.  On the ground, disarmed, every mode is accepted."""
         if self.armed and not self._can_run(mode):
             return Result.TEMPORARILY_REJECTED
         self.takeoff_place, self.reposition, self.land_place = takeoff, reposition, land
+        self.orbit = orbit
         self._intend(mode)
         return Result.ACCEPTED
+
+    def follow_item(self, mode: Mode) -> None:
+        """A mission item changes the mode: with the next step, for the mission is being read."""
+        self.intended = mode
+        self._incidents.forgive()
+        self._select_due = True
 
     def _can_run(self, mode: Mode) -> bool:
         """Whether it has what the mode needs."""
         precise = self.ekf.precise(self.now_us)
-        return can_run(mode, position_ok=precise, offboard_ok=self.offboard_signal and precise)
+        steerable = precise or self.needs_no_position
+        return can_run(mode, position_ok=precise, offboard_ok=self.offboard_signal and steerable)
 
     def _can_arm(self, position_ok: bool, signal: bool) -> bool:
         """Whether the mode now flown can be armed in."""
@@ -376,9 +396,9 @@ class Commander(abc.ABC):
             return self.pilot.present(self.now_us, self.parameters["COM_RC_LOSS_T"])
         if self.mode is Mode.MISSION and not self.mission.items:
             return False
-        return self.mode is Mode.DESCEND or (
-            position_ok and (signal or self.mode is not Mode.OFFBOARD)
-        )
+        if self.mode is Mode.OFFBOARD:
+            return signal and (position_ok or self.needs_no_position)
+        return self.mode is Mode.DESCEND or position_ok
 
     @property
     def armable(self) -> bool:

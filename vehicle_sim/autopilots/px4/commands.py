@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 from vehicle_sim.autopilots import HIGHEST_HOME_M, Command, Event, Place, Reboot, Result, Send
 from vehicle_sim.autopilots.px4 import health
 from vehicle_sim.autopilots.px4.health import text
-from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode, mode_of
+from vehicle_sim.autopilots.px4.modes import MAIN_AUTO, MANUAL_MODES, Mode, mode_of
+from vehicle_sim.autopilots.px4.orbit import HERE, Orbit
 from vehicle_sim.autopilots.px4.setpoints import height_of
 
 if TYPE_CHECKING:
@@ -22,10 +23,13 @@ _FORCE: Final = 21196.0
 _HIGHEST_M: Final = 1e5
 """Altitudes beyond count as not given: they do not fit into any answer."""
 _UNANSWERED: Final = frozenset(
-    {80, 195, 196, 197, 200, 201, 203, 205, 206, 420, 530, 531, 532, 1000, 1001, 2000, 2001}
+    {80, 195, 196, 197, 200, 201, 203, 205, 206, 530, 531, 532, 1000, 1001, 2000, 2001}
     | {2500, 2501, 5300, 42600}
 )
-"""Cameras, gimbals, and INJECT_FAILURE, which SIH does not know."""
+"""Cameras and gimbals."""
+_GPS_UNIT: Final = 4
+_WELL, _OFF = 0, 1  # FAILURE_TYPE
+_SATELLITES: Final = 10.0
 
 
 def obey(px4: "Px4", command: Command) -> Result | None:
@@ -57,7 +61,9 @@ def _set_mode(px4: "Px4", command: Command) -> Result:
     if not all(map(math.isfinite, (flags, main, sub))) or not int(flags) & 1:
         return Result.TEMPORARILY_REJECTED
     mode = mode_of(int(main), int(sub))
-    if mode is None:
+    if mode is None or (mode is Mode.ORBIT and not px4.orbits):
+        if main == MAIN_AUTO:  # follow-me, precision landing, ...
+            px4.say(text(2, "Unsupported auto mode"))
         return Result.TEMPORARILY_REJECTED
     return px4.command_mode(mode)
 
@@ -132,6 +138,40 @@ def _change_speed(px4: "Px4", command: Command) -> Result:
     speed_m_s = command.parameters[1]
     if math.isfinite(speed_m_s):
         px4.speed_m_s = speed_m_s if speed_m_s > 0.0 else None
+    return Result.ACCEPTED
+
+
+def _orbit(px4: "Px4", command: Command) -> Result:
+    """DO_ORBIT: p1 radius, p2 speed; a fixed wing circles in Hold."""
+    latitude_deg, longitude_deg, altitude_m = _place(px4, command)
+    radius_m, speed_m_s = command.parameters[:2]
+    orbit = Orbit(
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        altitude_amsl_m=altitude_m,
+        radius_m=radius_m if math.isfinite(radius_m) else HERE.radius_m,
+        speed_m_s=speed_m_s if math.isfinite(speed_m_s) else HERE.speed_m_s,
+    )
+    result = Result.TEMPORARILY_REJECTED
+    if orbit.flyable or not px4.orbits:
+        result = px4.command_mode(Mode.ORBIT if px4.orbits else Mode.LOITER, orbit=orbit)
+    if result is not Result.ACCEPTED:
+        px4.say(text(2, "Orbit command rejected"))
+    return result
+
+
+def _inject_failure(px4: "Px4", command: Command) -> Result:
+    """INJECT_FAILURE of GPS: off, or well again, as PX4's simulator bridge has it.
+
+    SIH, which was measured, does not answer at all (px4.md 8): there is nothing to be learnt from
+    that, and clients wait for an answer.
+    """
+    if not px4.parameters["SYS_FAILURE_EN"]:
+        return Result.DENIED
+    unit, failure = command.parameters[:2]
+    if unit != _GPS_UNIT or failure not in (_WELL, _OFF):
+        return Result.UNSUPPORTED
+    px4.parameters["SIM_GPS_USED"] = _SATELLITES if failure == _WELL else 0.0
     return Result.ACCEPTED
 
 
@@ -220,6 +260,7 @@ _HANDLERS: Final[dict[int, Callable[["Px4", Command], Result]]] = {
     21: _land,
     22: _take_off,
     23: _land,
+    34: _orbit,
     176: _set_mode,
     178: _change_speed,
     179: _set_home,
@@ -236,6 +277,7 @@ _HANDLERS: Final[dict[int, Callable[["Px4", Command], Result]]] = {
     400: _arm,
     401: _accept,
     410: _answer(242),
+    420: _inject_failure,
     519: _answer(300),
     520: _answer(148),
 }

@@ -22,6 +22,7 @@ from vehicle_sim.autopilots import (
     TargetEcho,
     Waypoint,
 )
+from vehicle_sim.autopilots.attitude import AttitudeTarget, attitude_of, finite
 from vehicle_sim.autopilots.px4 import commands
 from vehicle_sim.autopilots.px4.commander import ARMABLE_US, Commander
 from vehicle_sim.autopilots.px4.failsafe import (
@@ -145,13 +146,31 @@ class Px4(Commander):
             ),
         )
         if target is not None:
-            self._signal_us = self.now_us
-            if not self.offboard_signal:  # the arming checks run at once for it
-                self.offboard_signal = self._select_due = True
-                self._next_check_us = self.now_us
+            self._hear_offboard(by_attitude=False)
             if self.mode is Mode.OFFBOARD:
-                self.target = target
+                self.target, self.attitude = target, None
         return ()
+
+    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
+        """The same of a SET_ATTITUDE_TARGET, which asks for no position to fly by.
+
+        Source: MavlinkReceiver::handle_message_set_attitude_target; not measured.
+        """
+        known = target.by_rates or (
+            target.by_attitude and attitude_of(target.quaternion) is not None
+        )
+        if known and finite(target):
+            self._hear_offboard(by_attitude=True)
+            if self.mode is Mode.OFFBOARD:
+                self.target, self.attitude = None, target
+        return ()
+
+    def _hear_offboard(self, *, by_attitude: bool) -> None:
+        """A setpoint counts as a sign of life, whatever the mode."""
+        self._signal_us, self.needs_no_position = self.now_us, by_attitude
+        if not self.offboard_signal:  # the arming checks run at once for it
+            self.offboard_signal = self._select_due = True
+            self._next_check_us = self.now_us
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """Somebody else is there."""

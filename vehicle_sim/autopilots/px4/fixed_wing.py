@@ -17,6 +17,7 @@ from typing import Final, final
 import numpy as np
 
 from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
+from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.course import Course, Limits
 from vehicle_sim.autopilots.px4.firmware import Px4
@@ -46,7 +47,7 @@ from vehicle_sim.autopilots.px4.runway import (
 )
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
 from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ, style
-from vehicle_sim.dynamics.plane import Plane, PlaneLimits
+from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane, PlaneLimits
 from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.plans import Plans
 
@@ -70,6 +71,8 @@ _GLIDE_M_S = 1.6
 """Sink without throttle."""
 _DESCEND_M_S = 0.5
 """Failsafe without a position (FixedWingModeManager::control_auto_descend)."""
+_RATES_LEAD_S = 0.1
+"""Rates are flown as the attitude that they lead to in this time: that of the bank's response."""
 _CLEARED_M = 10.0
 """A take-off climbs on by this much beyond its height (kClearanceAltitudeBuffer)."""
 _RUNWAY_US = 20_000
@@ -182,7 +185,10 @@ class Px4FixedWing(Px4):
         north_m, east_m, _ = self.local_m
         altitude_m = self.estimate.altitude_amsl_m
         place: tuple[float, float, float] | None = None
-        if self.reposition is not None:
+        radius_m = self.loiter_radius_m
+        if self.orbit is not None:
+            place, radius_m = self.orbit[:3], self.orbit.radius_m
+        elif self.reposition is not None:
             place = self.reposition[:3]
         elif before is Mode.TAKEOFF and self.takeoff_place is not None:
             place = self.takeoff_place
@@ -191,7 +197,7 @@ class Px4FixedWing(Px4):
             if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
                 north_m, east_m = self.projection.to_local(latitude_deg, longitude_deg)
             altitude_m = wanted_m if math.isfinite(wanted_m) else altitude_m
-        self.course.loiter(north_m, east_m, self.loiter_radius_m)
+        self.course.loiter(north_m, east_m, radius_m)
         self.course.hold_altitude(altitude_m)
 
     @property
@@ -238,10 +244,13 @@ class Px4FixedWing(Px4):
             plane.fall(dt_s)
         else:
             self._steps += 1
-            if self._steps % _STEER_EVERY == 0:
-                self._steer(_STEER_EVERY * dt_s)
-            plane.advance(course.bank_rad, course.climb_m_s, course.commanded_m_s, dt_s)
-            plane.throttle = course.throttle
+            if self.mode is Mode.OFFBOARD and self.attitude is not None:
+                self._fly_attitude(self.attitude, dt_s)
+            else:
+                if self._steps % _STEER_EVERY == 0:
+                    self._steer(_STEER_EVERY * dt_s)
+                plane.advance(course.bank_rad, course.climb_m_s, course.commanded_m_s, dt_s)
+                plane.throttle = course.throttle
         if plane.altitude_amsl_m < self.ground_amsl_m:
             self._wheels = True
             plane.touch_down(self.ground_amsl_m)
@@ -272,6 +281,22 @@ class Px4FixedWing(Px4):
                 height_m, parameters["FW_WING_HEIGHT"], parameters["FW_WING_SPAN"]
             )
         course.steer(self.local_m, self.estimate, dt_s)
+
+    def _fly_attitude(self, target: AttitudeTarget, dt_s: float) -> None:
+        """Bank and nose as they were sent; the thrust says how fast that may climb."""
+        plane = self.vehicle
+        given = attitude_of(target.quaternion) if target.by_attitude else None
+        here = Attitude(plane.roll_rad, plane.pitch_rad, plane.heading_rad)
+        held = given or here.turned(target.rates_rad_s, _RATES_LEAD_S)
+        thrust = 0.0 if target.type_mask & IGNORE_THRUST else min(max(target.thrust, 0.0), 1.0)
+        trim = min(max(self.parameters["FW_THR_TRIM"], 0.01), 0.99)
+        most_m_s = _GLIDE_M_S * (thrust / trim - 1.0)
+        if thrust > trim:
+            most_m_s = plane.limits.climb_max_m_s * (thrust - trim) / (1.0 - trim)
+        wanted_m_s = plane.airspeed_m_s * math.sin(held.pitch_rad - PITCH_AT_CRUISE_RAD)
+        airspeed_m_s = self.cruise_m_s(Mode.OFFBOARD)
+        plane.advance(held.roll_rad, min(wanted_m_s, most_m_s), airspeed_m_s, dt_s)
+        plane.throttle = thrust
 
     @property
     def _since_s(self) -> float:

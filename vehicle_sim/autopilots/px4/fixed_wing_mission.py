@@ -39,8 +39,6 @@ class MissionFlight:
                 px4.mission.arrived()
         elif leg.command == mission.LAND:
             px4.land()
-        elif leg.command == mission.RETURN:
-            px4.return_home()
         elif self._has_arrived(leg):
             px4.mission.arrived()
 
@@ -69,8 +67,6 @@ class MissionFlight:
                 way_rad = math.atan2(east_m - here_e, north_m - here_n)
             course.straight(px4.local_m, way_rad)
             course.climb_out(CLIMB_OUT_M_S)
-        elif leg.command == mission.RETURN:
-            px4.start_return()
         elif leg.command == mission.LAND:
             px4.start_landing(north_m, east_m)
         elif leg.command == mission.WAYPOINT and leg.hold_s == 0.0:

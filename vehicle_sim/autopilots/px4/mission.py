@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Say
+from vehicle_sim.autopilots.px4.modes import Mode
 from vehicle_sim.autopilots.px4.setpoints import height_of
 from vehicle_sim.plans import PlanItem, PlanKind
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from vehicle_sim.autopilots.px4.commander import Commander
 
 WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
-_LEGS: Final = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF, 31})
+_LEGS: Final = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, 31})
 _HIGHEST_M: Final = 1e5
 _JUMP, _CHANGE_SPEED = 177, 178
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5
@@ -113,7 +114,7 @@ class Mission:
             self._arrived_us = now_us
             reached = mavlink.MAVLink_mission_item_reached_message(seq=self.current)
             self._px4.say(Say(message=reached))
-        if now_us - self._arrived_us >= leg.hold_s * 1e6 and leg.command not in (LAND, RETURN):
+        if now_us - self._arrived_us >= leg.hold_s * 1e6 and leg.command != LAND:
             self.next()
 
     def next(self) -> None:
@@ -129,6 +130,10 @@ class Mission:
             if self.current >= len(items):
                 break
             item = items[self.current]
+            if item.command == RETURN:
+                self.leg = None
+                self._px4.follow_item(Mode.RTL)
+                return
             if item.command in _LEGS:
                 self.leg = self._leg(item)
                 return

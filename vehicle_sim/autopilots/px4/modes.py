@@ -18,6 +18,7 @@ class Mode(enum.Enum):
     MISSION = enum.auto()
     RTL = enum.auto()
     LAND = enum.auto()
+    ORBIT = enum.auto()
     DESCEND = enum.auto()
 
 
@@ -33,18 +34,19 @@ CUSTOM_MODES: Final = {
     Mode.MISSION: 0x04040000,
     Mode.RTL: 0x05040000,
     Mode.LAND: 0x06040000,
+    Mode.ORBIT: 0x01030000,
     Mode.DESCEND: 0x06040000,
 }
 """custom_mode of the heartbeat: main mode << 16 | sub mode << 24."""
 
 MANUAL_MODES: Final = frozenset({Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.ACRO, Mode.STABILIZED})
 AUTO_MODES: Final = frozenset(
-    {Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND, Mode.DESCEND}
+    {Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND, Mode.ORBIT, Mode.DESCEND}
 )
 NAVIGATED: Final = AUTO_MODES - {Mode.DESCEND}
 """Modes in which the navigator has a place to go to."""
 NEED_POSITION: Final = frozenset(
-    {Mode.POSCTL, Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND}
+    {Mode.POSCTL, Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND, Mode.ORBIT}
 )
 """Modes that cannot run without a horizontal position (OFFBOARD: it depends on the setpoint)."""
 NAMES: Final = {
@@ -59,6 +61,7 @@ NAMES: Final = {
     Mode.MISSION: "Mission",
     Mode.RTL: "Return",
     Mode.LAND: "Land",
+    Mode.ORBIT: "Orbit",
     Mode.DESCEND: "Descend",
 }
 """As users call them."""
@@ -68,12 +71,13 @@ _BY_NUMBERS: Final = {
     for mode, custom in CUSTOM_MODES.items()
     if mode is not Mode.DESCEND
 }
-_MAIN_AUTO: Final = 4
+MAIN_AUTO: Final = 4
 
 
 def mode_of(main: int, sub: int) -> Mode | None:
     """The mode that DO_SET_MODE's second and third parameter name; None: there is none."""
-    return _BY_NUMBERS.get((main, sub if main == _MAIN_AUTO else 0))
+    mode = _BY_NUMBERS.get((main, sub))
+    return mode if mode is not None or main == MAIN_AUTO else _BY_NUMBERS.get((main, 0))
 
 
 def base_mode(mode: Mode, *, armed: bool) -> int:
@@ -91,6 +95,7 @@ def standard_mode(mode: Mode) -> int:
 
 _STANDARD_MODES: Final = {
     Mode.POSCTL: 1,
+    Mode.ORBIT: 2,
     Mode.ALTCTL: 4,
     Mode.RTL: 5,
     Mode.MISSION: 6,

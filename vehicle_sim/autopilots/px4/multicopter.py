@@ -8,16 +8,18 @@ from typing import Final, final
 import numpy as np
 
 from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
+from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.firmware import Px4
 from vehicle_sim.autopilots.px4.hand import Wanted, by_hand, sink, turning_rad_s
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, NAVIGATED, Mode
+from vehicle_sim.autopilots.px4.orbit import HERE
 from vehicle_sim.autopilots.px4.parameters import COMMON, MULTICOPTER, table
 from vehicle_sim.autopilots.px4.position_control import Gains, PositionControl
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
 from vehicle_sim.autopilots.px4.style import RATES_HZ, style
 from vehicle_sim.autopilots.px4.trajectory import Trajectory, stopping_point
-from vehicle_sim.dynamics.copter import Copter
+from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
 from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.plans import Plans
 
@@ -33,6 +35,8 @@ _HEAVY_M_S2: Final = 1.5
 _LIES_US: Final = 1_100_000
 """Contact to idling: 54.6 to 55.75 s of px4-offboard-short.tlog."""
 _ARRIVED_M: Final = 0.5
+_OFF_GROUND_M: Final = 0.3
+"""Flown by attitude it counts as taken off from here."""
 _RESPONSE_S: Final = 0.1
 """Of the attitude: 12 m/s and then "position here" overshoots by 10 m (px4.md 4)."""
 _TAKEN_OFF_US: Final = 2_200_000
@@ -52,7 +56,7 @@ class Px4Multicopter(Px4):
     """A quadcopter of PX4's SIH simulator: 1 kg, drag SIH_KDV."""
 
     vehicle: Copter
-    learns = True
+    learns = orbits = True
 
     def __init__(
         self,
@@ -91,6 +95,8 @@ class Px4Multicopter(Px4):
         """RTL: 0 climbs, 1 flies home, 2 descends and lands."""
         self._aim_yaw_rad = _NAN
         self._turn_rad_s = 0.0
+        self._held = Attitude(0.0, 0.0, copter.heading_rad)
+        """What SET_ATTITUDE_TARGET has come to, with its rates."""
         self._judged: Target | None = None
         self._flies = False
         self._up_us: int | None = None
@@ -123,6 +129,9 @@ class Px4Multicopter(Px4):
             self._goal = (north_m, east_m, _NAN)
         elif mode is Mode.RTL:
             self._aim_return()
+        elif mode is Mode.ORBIT:
+            self._aim_orbit()
+        self._held = Attitude(0.0, 0.0, self.vehicle.heading_rad)
 
     @property
     def _velocity(self) -> Vector:
@@ -152,6 +161,16 @@ class Px4Multicopter(Px4):
             down_m = self._down(altitude_m)
         self._goal = (north_m, east_m, down_m)
         self._aim_yaw_rad = yaw_rad
+
+    def _aim_orbit(self) -> None:
+        """The goal is the centre; what DO_ORBIT leaves out is where it is."""
+        north_m, east_m, down_m = self.local_m
+        orbit = self.orbit or HERE
+        if math.isfinite(orbit.latitude_deg) and math.isfinite(orbit.longitude_deg):
+            north_m, east_m = self.projection.to_local(orbit.latitude_deg, orbit.longitude_deg)
+        if math.isfinite(orbit.altitude_amsl_m):
+            down_m = self._down(orbit.altitude_amsl_m)
+        self._goal = (north_m, east_m, down_m)
 
     def _aim_return(self) -> None:
         """First straight up: to RTL_RETURN_ALT, less within the cone about home."""
@@ -198,6 +217,9 @@ class Px4Multicopter(Px4):
                 self.landed = True
                 copter.stand(self.ground_amsl_m)
             return
+        if self.mode is Mode.OFFBOARD and self.attitude is not None:
+            self._fly_attitude(self.attitude, dt_s)
+            return
         wanted = self._asked = self._wanted(dt_s)
         if not self._flying and not self._start(wanted):
             copter.stand(self.ground_amsl_m)
@@ -220,6 +242,34 @@ class Px4Multicopter(Px4):
             self._stand()
         elif self._ramp_us is None:
             self._contact(pressed=False)
+
+    def _fly_attitude(self, target: AttitudeTarget, dt_s: float) -> None:
+        """Attitude and thrust as they were sent: no position controller."""
+        copter = self.vehicle
+        given = attitude_of(target.quaternion) if target.by_attitude else None
+        self._held = given or self._held.turned(target.rates_rad_s, dt_s)
+        thrust = 0.0 if target.type_mask & IGNORE_THRUST else min(max(target.thrust, 0.0), 1.0)
+        thrust_m_s2 = GRAVITY_M_S2 * thrust / max(copter.hover_throttle, 0.01)
+        north, east, up = self._held.acceleration_neu_m_s2(thrust_m_s2)
+        self._asked, self._yaw_rad = (NOTHING, NOTHING, NOTHING), self._held.yaw_rad
+        self._ramp_us = None
+        spun_up = self.now_us - self._armed_us >= self.parameters["COM_SPOOLUP_TIME"] * 1e6
+        if not self._flying and (up <= 0.0 or not spun_up):
+            copter.stand(self.ground_amsl_m)
+            self._contact(pressed=True)
+            return
+        self._flying = True
+        self._turn(dt_s)
+        if copter.altitude_amsl_m <= self.ground_amsl_m and up <= 0.0:
+            self._stand()
+            return
+        copter.advance(north, east, up, dt_s)
+        if copter.altitude_amsl_m < self.ground_amsl_m:
+            self._stand()
+            return
+        self._contact(pressed=False)
+        if copter.altitude_amsl_m > self.ground_amsl_m + _OFF_GROUND_M:
+            self._took_off()
 
     def _stand(self) -> None:
         """On the ground, with the motors turning."""
@@ -297,6 +347,8 @@ class Px4Multicopter(Px4):
             self._return(dt_s)
         elif mode is Mode.MISSION:
             self._follow_mission(dt_s)
+        elif mode is Mode.ORBIT:
+            self._circle(dt_s)
         else:
             self._go(dt_s)
             if mode is Mode.TAKEOFF and self._is_up():
@@ -351,6 +403,15 @@ class Px4Multicopter(Px4):
         else:
             self._go(dt_s)
 
+    def _circle(self, dt_s: float) -> None:
+        """DO_ORBIT: along the circle, towards it where it is off it, the nose to the centre."""
+        north_m, east_m = self.local_m[0] - self._goal[0], self.local_m[1] - self._goal[1]
+        cruise_m_s, up_m_s, down_m_s = self._speeds()
+        north, east = (self.orbit or HERE).velocity_m_s(north_m, east_m, cruise_m_s)
+        down = min(max(self._goal[2] - self.local_m[2], -up_m_s), down_m_s)
+        self._path.towards_speed(north, east, down, dt_s)
+        self._aim_yaw_rad = math.atan2(-east_m, -north_m)
+
     def _is_over_goal(self) -> bool:
         north_m, east_m = self._goal[0] - self.local_m[0], self._goal[1] - self.local_m[1]
         return math.hypot(north_m, east_m) < _ARRIVED_M
@@ -373,8 +434,6 @@ class Px4Multicopter(Px4):
             self._aim_leg(leg)
         if leg is None:
             self._go(dt_s)
-        elif leg.command == mission.RETURN:
-            self._return(dt_s)
         elif leg.command == mission.LAND and self._is_over_goal():
             self._goal = (self._goal[0], self._goal[1], _NAN)
             self.mission.arrived()
@@ -388,11 +447,7 @@ class Px4Multicopter(Px4):
 
     def _aim_leg(self, leg: mission.Leg | None) -> None:
         self._goal = NOTHING
-        self._returning = 0
         if leg is None:
-            return
-        if leg.command == mission.RETURN:
-            self._aim_return()
             return
         north_m, east_m = self.projection.to_local(leg.latitude_deg, leg.longitude_deg)
         down_m = self._down(leg.altitude_amsl_m)

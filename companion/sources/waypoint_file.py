@@ -1,0 +1,213 @@
+"""Waypoint, fence and rally lists as Mission Planner, MAVProxy and QGroundControl save them.
+
+"QGC WPL 110" has one item a line: index, current, frame, command, four parameters, latitude,
+longitude, altitude, autocontinue; line 0 of a mission is launch (mavlink.io, "File Formats").
+Older fence lists have only a latitude and a longitude a line: the return point, then the corners
+(pymavlink's mavwp.py).
+"""
+
+import math
+from pathlib import Path
+from typing import Final, NamedTuple, final
+
+from companion.errors import InputError
+from companion.sources.files import RawTable, answer, read_text
+from companion.sources.plan_file import Item, Items, Plan, check_place
+
+_HEAD: Final = "QGC WPL"
+_VERSION: Final = "110"
+_REMEDY: Final = "Save it again with Mission Planner, MAVProxy or QGroundControl."
+_WAYPOINT: Final = 16
+_RETURN_POINT, _CORNER_IN, _CORNER_OUT, _CIRCLE_IN, _CIRCLE_OUT, _RALLY = (
+    5000,
+    5001,
+    5002,
+    5003,
+    5004,
+    5100,
+)  # MAV_CMD_NAV_FENCE_*, MAV_CMD_NAV_RALLY_POINT
+
+
+@final
+class _Row(NamedTuple):
+    """One line, as numbers."""
+
+    label: str
+    frame: int
+    command: int
+    parameters: tuple[float, ...]
+    """Seven of them: four, then latitude, longitude and altitude."""
+
+    @property
+    def place_deg(self) -> tuple[float, float]:
+        """Latitude and longitude; InputError naming the line if they are out of range."""
+        check_place(self.parameters[4], self.parameters[5], self.label)
+        return self.parameters[4], self.parameters[5]
+
+
+def is_waypoint_list(path: Path) -> bool:
+    """Whether the file says of itself that it is one, whatever its name is."""
+
+    def begins() -> bool:
+        with path.open("rb") as file:
+            return file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(_HEAD.encode())
+
+    return answer(path.is_file) and answer(begins)
+
+
+def read_waypoint_list(path: Path, where: str) -> Plan:
+    """The waypoints, fence and rally points of a list, as a plan.
+
+    Raises InputError about the field (where), or naming the item that cannot be taken.
+    """
+    plan = _read(path, where)
+    if not all(map(math.isfinite, plan.home_deg)) or plan.home_deg == (0.0, 0.0):
+        rule = "launch, its first item, has no latitude and longitude"
+        remedy = "Set home before you save it. (A list of zones alone: name it as threats.)"
+        raise InputError(where, path.name, rule, remedy)
+    return plan
+
+
+def read_waypoint_fence(path: Path, where: str) -> Plan:
+    """The fence in such a list, which may lack a launch; InputError as above."""
+    return _read(path, where)
+
+
+def _read(path: Path, where: str) -> Plan:
+    rows = _rows(read_text(path, where, _REMEDY), path.name, where)
+    home = rows.pop(0) if rows and rows[0].command == _WAYPOINT else None
+    nowhere = (math.nan, math.nan)
+    plan = Plan(
+        name=path.name,
+        kind=None,
+        speed_m_s={"copter": None, "plane": None},
+        home_deg=nowhere if home is None else home.place_deg,
+        home_amsl_m=math.nan if home is None else home.parameters[6],
+    )
+    reader, fence = Items(plan), _Fence(plan)
+    for row in rows:
+        if not fence.take(row):
+            given: list[float | None] = list(row.parameters)
+            reader.take(Item(command=row.command, frame=row.frame, params=given), row.label)
+    fence.finish()
+    reader.finish()
+    return plan
+
+
+def read_fence_list(path: Path, where: str) -> RawTable:
+    """The keep-in polygon of an old fence list.  Raises InputError naming the line."""
+    places = []
+    for number, line in enumerate(read_text(path, where, _REMEDY).splitlines(), start=1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        label = f"{path.name}: line {number}"
+        numbers = _numbers(words, label)
+        if len(numbers) != 2:
+            rule = "a line of a fence list has a latitude and a longitude"
+            raise InputError(label, line.strip(), rule, _REMEDY)
+        check_place(numbers[0], numbers[1], label)
+        places.append(numbers)
+    corners = places[1:]  # the first is the return point
+    if len(corners) > 1 and corners[0] == corners[-1]:
+        corners.pop()
+    if len(corners) < 3:
+        rule = "a fence list has a return point and three or more corners"
+        raise InputError(f"{path.name}: lines", len(places), rule, _REMEDY)
+    return {"name": path.stem, "vertices_deg": corners}
+
+
+def _rows(text: str, name: str, where: str) -> list[_Row]:
+    lines = text.splitlines()
+    head = next(line for line in lines if line.strip())
+    if head.split()[:3] != [*_HEAD.split(), _VERSION]:
+        rule = f"only {_HEAD} {_VERSION} is known"
+        raise InputError(where, head.strip(), rule, _REMEDY)
+    rows = []
+    for number, line in enumerate(lines[lines.index(head) + 1 :], start=lines.index(head) + 2):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        label = f"{name}: line {number}"
+        numbers = _numbers(words, label)
+        whole = len(numbers) == 12 and all(numbers[at].is_integer() for at in (0, 2, 3))
+        if not whole:
+            rule = (
+                "a line has index, current, frame, command, four parameters, latitude, "
+                "longitude, altitude and autocontinue"
+            )
+            raise InputError(label, f"{len(words)} numbers", rule, _REMEDY)
+        item = f"{name}: item {int(numbers[0])}"
+        rows.append(_Row(item, int(numbers[2]), int(numbers[3]), tuple(numbers[4:11])))
+    return rows
+
+
+def _numbers(words: list[str], label: str) -> list[float]:
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = [math.nan]
+    if not all(map(math.isfinite, numbers)):
+        raise InputError(label, " ".join(words)[:60], "it is made of finite numbers", _REMEDY)
+    return numbers
+
+
+@final
+class _Fence:
+    """Gathers the corners of polygons, which follow one another, and the circles."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._corners: list[list[float]] = []
+        self._first: _Row | None = None
+
+    def take(self, row: _Row) -> bool:
+        """Add the row, if it is of a fence or a rally point."""
+        plan, command = self._plan, row.command
+        if command in (_CORNER_IN, _CORNER_OUT):
+            self._add_corner(row)
+        elif command in (_CIRCLE_IN, _CIRCLE_OUT):
+            latitude, longitude = row.place_deg
+            radius_m = row.parameters[0]
+            if radius_m <= 0.0:
+                raise InputError(row.label, radius_m, "a circle has a radius above 0", _REMEDY)
+            zones = plan.keep_ins if command == _CIRCLE_IN else plan.keep_outs
+            zones.append(
+                {
+                    "name": f"fence circle {self._number()}",
+                    "latitude_deg": latitude,
+                    "longitude_deg": longitude,
+                    "radius_m": radius_m,
+                }
+            )
+        elif command == _RALLY:
+            latitude, longitude = row.place_deg
+            plan.rally_points.append({"latitude_deg": latitude, "longitude_deg": longitude})
+        else:
+            return command == _RETURN_POINT
+        return True
+
+    def finish(self) -> None:
+        """Refuse a polygon that lacks corners."""
+        if self._first is not None:
+            wanted = self._first.parameters[0]
+            rule = f"its polygon has {len(self._corners)} of {wanted:g} corners"
+            raise InputError(self._first.label, wanted, rule, _REMEDY)
+
+    def _add_corner(self, row: _Row) -> None:
+        first = self._first or row
+        if (row.command, row.parameters[0]) != (first.command, first.parameters[0]):
+            self.finish()
+        if row.parameters[0] < 3.0:
+            raise InputError(row.label, row.parameters[0], "a polygon has 3 corners", _REMEDY)
+        self._first = first
+        self._corners.append(list(row.place_deg))
+        if len(self._corners) == first.parameters[0]:
+            name = f"fence polygon {self._number()}"
+            inside = first.command == _CORNER_IN
+            zones = self._plan.keep_ins if inside else self._plan.keep_outs
+            zones.append({"name": name, "vertices_deg": self._corners})
+            self._corners, self._first = [], None
+
+    def _number(self) -> int:
+        return len(self._plan.keep_ins) + len(self._plan.keep_outs) + 1

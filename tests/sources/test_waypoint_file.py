@@ -1,0 +1,228 @@
+"""Waypoint and fence lists, against pymavlink's own reader and writer of them."""
+
+import contextlib
+import functools
+import json
+import math
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink import mavwp
+from pymavlink.dialects.v20 import all as mavlink
+
+sys.path.insert(0, str(Path(__file__).parent))
+from spoiled import JUNK, refusal
+
+from companion.config import load_mission, mission_text
+from companion.errors import InputError
+from companion.mission.mission import EndAction
+from companion.sources.plan_file import Plan, read_plan
+from companion.sources.waypoint_file import (
+    is_waypoint_list,
+    read_fence_list,
+    read_waypoint_fence,
+    read_waypoint_list,
+)
+
+WAYPOINT, TAKE_OFF, RETURN = 16, 22, 20
+HOME = (0, 16, (0, 0, 0, 0), 47.4, 8.55, 400.0)
+Row = tuple[int, int, tuple[float, ...], float, float, float]
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("waypoints") / "survey.txt"
+
+
+def saved(path: Path, *rows: Row) -> Path:
+    """The list as MAVProxy saves it."""
+    loader = mavwp.MAVWPLoader()
+    for number, (frame, command, parameters, latitude, longitude, altitude) in enumerate(rows):
+        loader.add(
+            mavlink.MAVLink_mission_item_message(
+                1, 1, number, frame, command, number == 0, 1, *parameters,
+                latitude, longitude, altitude,
+            )
+        )  # fmt: skip
+    loader.save(str(path))
+    return path
+
+
+def of_text(path: Path, text: str) -> Plan:
+    path.write_text(text, encoding="utf-8")
+    return read_waypoint_list(path, "MISSION")
+
+
+refused = functools.partial(refusal, of_text)
+
+
+def waypoint(north: float, altitude_m: float = 50.0, frame: int = 3) -> Row:
+    return (frame, WAYPOINT, (0, 0, 0, 0), 47.4 + north, 8.55, altitude_m)
+
+
+# --- missions
+
+
+def test_a_list_is_the_plan_that_qgroundcontrol_would_save_of_the_same_mission(
+    path: Path, tmp_path: Path
+) -> None:
+    rows = [
+        (3, TAKE_OFF, (0, 0, 0, 0), 47.4, 8.55, 30.0),
+        waypoint(0.01, 45.0),
+        waypoint(0.02, 480.0, frame=0),
+        (3, 178, (1, 7, -1, 0), 0.0, 0.0, 0.0),
+        (2, RETURN, (0, 0, 0, 0), 0.0, 0.0, 0.0),
+    ]
+    found = read_waypoint_list(saved(path, HOME, *rows), "MISSION")
+    items = [
+        {"type": "SimpleItem", "command": c, "frame": f, "params": [*p, lat, lon, alt]}
+        for f, c, p, lat, lon, alt in rows
+    ]
+    mission = {"items": items, "plannedHomePosition": [47.4, 8.55, 400.0], "version": 2}
+    same = tmp_path / "same.plan"
+    same.write_text(json.dumps({"fileType": "Plan", "version": 1, "mission": mission}))
+    expected = read_plan(same, "MISSION")
+    places = [(t["latitude_deg"], t["longitude_deg"]) for t in expected.targets]
+    assert [(t["latitude_deg"], t["longitude_deg"]) for t in found.targets] == places
+    assert len(places) == 2
+    assert found.altitudes_amsl_m == expected.altitudes_amsl_m == [430.0, 445.0, 480.0]
+    assert (found.home_deg, found.home_amsl_m) == (expected.home_deg, expected.home_amsl_m)
+    assert found.end_action == expected.end_action == "return"
+    assert found.notes == expected.notes
+    assert [t["name"] for t in found.targets] == ["item 2", "item 3"]
+
+
+def test_it_is_flown_under_any_name(path: Path) -> None:
+    saved(path, HOME, waypoint(0.01), (0, RETURN, (0, 0, 0, 0), 0, 0, 0))
+    mission = load_mission(str(path))
+    assert mission.end_action is EndAction.RETURN
+    assert mission.targets_ne_m[0][0] == pytest.approx(1111.9, abs=1.0)
+    assert "# As read from survey.txt." in mission_text(str(path))
+
+
+def test_it_may_be_named_in_a_mission_file(path: Path) -> None:
+    saved(path, HOME, waypoint(0.01))
+    mission = path.with_name("mission.toml")
+    mission.write_text('plan = "survey.txt"\n[altitude]\nfloor_amsl_m=450\nceiling_amsl_m=700\n')
+    assert load_mission(str(mission)).task.limits.floor_amsl_m == 450.0
+
+
+def test_blank_lines_comments_and_the_line_ends_of_windows_do_not_matter(path: Path) -> None:
+    text = saved(path, HOME, waypoint(0.01), waypoint(0.02)).read_text()
+    dressed = "\ufeff" + text.replace("\n", "\r\n\r\n# a comment\r\n")
+    assert of_text(path, dressed).targets == of_text(path, text).targets
+
+
+def test_a_launch_that_is_not_known_is_asked_for(path: Path) -> None:
+    nowhere = (0, 16, (0, 0, 0, 0), 0.0, 0.0, 0.0)
+    told = refused(path, saved(path, nowhere, waypoint(0.01)).read_text())
+    assert "launch" in told
+    assert "Set home" in told
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("QGC WPL 120\n", "only QGC WPL 110 is known"),
+        ("QGC WPL PB 110\n", "only QGC WPL 110 is known"),
+        ("QGC WPL 110\n0 1 0\n", "survey.txt: line 2 = '3 numbers': a line has index"),
+        ("QGC WPL 110\n0 1 0 16 0 0 0 0 x 8 9 1\n", "finite numbers"),
+        ("QGC WPL 110\n0 1 0 16 0 0 0 0 nan 8 9 1\n", "finite numbers"),
+        ("QGC WPL 110\n0 1 0 16.5 0 0 0 0 47 8 9 1\n", "a line has index"),
+        ("QGC WPL 110\n0 1 0 16 0 0 0 0 147 8 9 1\n", "survey.txt: item 0"),
+        (
+            "QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 9 1\n1 0 3 177 1 2 0 0 0 0 0 1\n",
+            "survey.txt: item 1.command = 177: do jump cannot be flown",
+        ),
+    ],
+)
+def test_what_cannot_be_taken_is_named_with_its_line(path: Path, text: str, expected: str) -> None:
+    assert expected in refused(path, text)
+
+
+@given(st.data())
+def test_a_spoiled_list_is_read_or_an_input_error(path: Path, data: st.DataObject) -> None:
+    corner = (0, 5001, (3, 0, 0, 0), 47.5, 8.5, 0.0)
+    lines = saved(path, HOME, waypoint(0.01), corner, corner, corner).read_text().splitlines()
+    for _ in range(data.draw(st.integers(1, 3))):
+        line = data.draw(st.integers(0, len(lines) - 1))
+        words = lines[line].split("\t")
+        words[data.draw(st.integers(0, len(words) - 1))] = str(data.draw(JUNK))
+        lines[line] = "\t".join(words)
+    path.write_text("\n".join(lines), encoding="utf-8")
+    if is_waypoint_list(path):
+        for read in (read_waypoint_list, read_waypoint_fence):
+            with contextlib.suppress(InputError):
+                read(path, "MISSION")
+
+
+# --- fences
+
+
+def test_fences_and_rally_points_of_a_list_are_zones(path: Path) -> None:
+    square = [(47.4, 8.5), (47.4, 8.6), (47.5, 8.6), (47.5, 8.5)]
+    rows: list[Row] = [(0, 5000, (0, 0, 0, 0), 47.4, 8.55, 0.0)]
+    rows += [(0, 5001, (4, 0, 0, 0), lat, lon, 0.0) for lat, lon in square]
+    rows += [(0, 5002, (3, 0, 0, 0), lat, lon, 0.0) for lat, lon in square[:3]]
+    rows += [(0, 5003, (9000.0, 0, 0, 0), 47.45, 8.55, 0.0)]
+    rows += [(0, 5004, (120.0, 0, 0, 0), 47.41, 8.56, 0.0)]
+    rows += [(3, 5100, (0, 0, 0, 0), 47.42, 8.57, 40.0)]
+    found = read_waypoint_fence(saved(path, *rows), "threats")
+    assert found.keep_ins[0]["vertices_deg"] == [list(corner) for corner in square]
+    assert found.keep_outs[0]["vertices_deg"] == [list(corner) for corner in square[:3]]
+    assert found.keep_ins[1]["radius_m"] == 9000.0
+    circle = found.keep_outs[1]
+    assert (circle["latitude_deg"], circle["longitude_deg"]) == (47.41, 8.56)
+    assert circle["radius_m"] == 120.0
+    assert found.rally_points == [{"latitude_deg": 47.42, "longitude_deg": 8.57}]
+    assert not found.targets
+
+
+@pytest.mark.parametrize("corners", [1, 2])
+def test_a_polygon_that_lacks_corners_is_refused(path: Path, corners: int) -> None:
+    rows = [(0, 5002, (3, 0, 0, 0), 47.4 + 0.01 * n, 8.5, 0.0) for n in range(corners)]
+    told = refused(path, saved(path, HOME, *rows).read_text())
+    assert f"its polygon has {corners} of 3 corners" in told
+
+
+def test_an_old_fence_list_is_the_polygon_that_pymavlink_reads(path: Path) -> None:
+    loader = mavwp.MAVFenceLoader()
+    ring = [(47.4, 8.5), (47.4, 8.6), (47.5, 8.6), (47.4, 8.5)]
+    for latitude, longitude in [(47.45, 8.55), *ring]:
+        loader.add_latlon(latitude, longitude)
+    loader.save(str(path))
+    again = mavwp.MAVFenceLoader()
+    again.load(str(path))
+    corners = [(point.lat, point.lng) for point in again.points[1:-1]]
+    zone: dict[str, Any] = read_fence_list(path, "threats")
+    for found, expected in zip(zone["vertices_deg"], corners, strict=True):
+        assert found == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_fence_list_that_is_none_is_refused(path: Path) -> None:
+    for text in (
+        "47.4 8.5\n47.4 8.6\n",
+        "47.4 8.5 3\n",
+        "47.4 x\n",
+        f"47.4 {math.inf}\n",
+        "99 8\n",
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError) as caught:
+            read_fence_list(path, "threats")
+        assert len(str(caught.value).splitlines()) == 1
+
+
+def test_pymavlink_reads_the_lines_as_we_do(path: Path) -> None:
+    rows = [HOME, waypoint(0.015, 61.25), waypoint(-0.5, 480.5, frame=0)]
+    found = read_waypoint_list(saved(path, *rows), "MISSION")
+    loader = mavwp.MAVWPLoader()
+    loader.load(str(path))
+    theirs = [SimpleNamespace(lat=w.x, lon=w.y) for w in loader.wpoints[1:]]
+    ours = [(t["latitude_deg"], t["longitude_deg"]) for t in found.targets]
+    assert ours == [(w.lat, w.lon) for w in theirs]
