@@ -20,7 +20,6 @@ DECIDING = (
     "tests/replay/test_golden.py",
     "tests/replay/test_what_if.py",
     "tests/mission/test_orders.py",
-    "tests/mission/test_changes.py",
     "tests/planner/test_recheck.py",
     "tests/planner/test_way_back.py",
 )
