@@ -25,6 +25,7 @@ _UNSEEN_WIRE = -32768
 _ANSWER_S = 1.0
 _PAUSE_S = 0.4  # between two answers: then the rest is lost
 _MOST_REQUESTS = 3  # of one area
+_ALIKE_M = 0.01  # distances that differ by less are the same: what is asked hangs on no last digit
 
 
 @final
@@ -66,7 +67,8 @@ def _mask(
 ) -> int:
     """Bits of the blocks that are on the map, within range and not seen entirely."""
     north, east = known.middles_m(row, column, (ROWS, COLUMNS))
-    wanted = np.hypot(north - centre_ne_m[0], east - centre_ne_m[1]) <= range_m
+    apart_m = np.hypot(north - centre_ne_m[0], east - centre_ne_m[1])
+    wanted = apart_m <= range_m + _ALIKE_M
     rows, columns = known.seen.shape
     row_index, column_index = np.arange(row, row + ROWS), np.arange(column, column + COLUMNS)
     wanted &= ((row_index >= 0) & (row_index < rows))[:, None]
@@ -111,10 +113,11 @@ def _ahead_ne_m(
     return north, east
 
 
-def _distance_from_m(known: KnownMap, area: Area, point_ne_m: tuple[float, float]) -> float:
+def _order(known: KnownMap, area: Area, point_ne_m: tuple[float, float]) -> int:
+    """Areas nearer to a point come first."""
     north = known.north_min_m + (area.row + 0.5 * ROWS) * known.cell_m
     east = known.east_min_m + (area.column + 0.5 * COLUMNS) * known.cell_m
-    return math.dist((north, east), point_ne_m)
+    return round(math.dist((north, east), point_ne_m) / _ALIKE_M)
 
 
 @final
@@ -140,7 +143,7 @@ class TerrainDownload:
         self._drift_m = drift_m
         self._waiting = sorted(
             areas(known, centre_ne_m, range_m, frame),
-            key=lambda area: _distance_from_m(known, area, ahead_ne_m),
+            key=lambda area: _order(known, area, ahead_ne_m),
         )
         self._registration_m = max((area.registration_m for area in self._waiting), default=0.0)
         self._tries: dict[tuple[int, int], int] = {}

@@ -27,6 +27,7 @@ from companion.mission.health import battery_is_short
 from companion.mission.renewed import replace
 from companion.mission.state import Flight, Phase, Reason, State, Trigger, Vehicle
 from companion.mission.stopped import STANDING, TAKEN, resumed
+from companion.planner.recheck import is_touched
 from companion.world.known_map import empty_map
 
 _ON_PATH = (Phase.FLYING, Phase.RETURNING)
@@ -167,11 +168,11 @@ def _named(state: State) -> Step | None:
 
 
 def _is_touched(state: State) -> bool:
-    """Whether the rest of the path breaks the rules as they are now."""
+    """Whether the rest of the path breaks a rule that is new."""
     flight = state.flight
     legs = [(flight.leg, flight.reference.length_m), (flight.next_leg, 0.0)]
     legs += [(leg, 0.0) for leg in flight.back]
-    return any(leg is not None and following.is_touched(state, leg, at_m) for leg, at_m in legs)
+    return any(leg is not None and is_touched(leg, at_m, state.task) for leg, at_m in legs)
 
 
 def _inside(state: State) -> str:

@@ -17,6 +17,7 @@ from companion.mission.state import IN_AIR, Flight, Phase, Reason, State
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg, Reference
 from companion.planner.request import Refusal, Stretch
+from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.threats import CircleZone, PolygonZone, Zone
 
@@ -122,12 +123,16 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     What the vehicle does now is not in it: the vehicle is prepared again.
     """
     _must_be_finite(values)
-    limit = values["speed_limit_m_s"]
+    limit, fence = values["speed_limit_m_s"], values["fence"]
+    state = State.of(mission, known)
+    if fence is not None:
+        state = state.with_rules(state.given, _fence(fence))
+    rules = state.task
     flight = Flight(
         known=known,
         target=int(values["target"]),
-        leg=_leg(values["leg"]),
-        next_leg=_leg(values["next_leg"]),
+        leg=_leg(values["leg"], rules),
+        next_leg=_leg(values["next_leg"], rules),
         reference=Reference(),
         joined_m=float(values["joined_m"]),
         route_ne_m=_places(values["route_ne_m"]),
@@ -140,7 +145,7 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
             Stretch(control_nea_m=_control(control), from_m=float(low), until_m=float(high))
             for control, low, high in values["flown"]
         ),
-        back=tuple(leg for each in values["back"] if (leg := _leg(each)) is not None),
+        back=tuple(leg for each in values["back"] if (leg := _leg(each, rules)) is not None),
         returning=bool(values["returning"]),
         homeward=bool(values["homeward"]),
         refusal=None if values.get("refusal") is None else Refusal[values["refusal"]],
@@ -149,10 +154,6 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     targets_ne_m = _places(values["targets_ne_m"])
     if not 0 <= flight.target < max(len(targets_ne_m), 1):
         raise ValueError(f"target {flight.target} of {len(targets_ne_m)}")
-    state = State.of(mission, known)
-    fence = values["fence"]
-    if fence is not None:
-        state = state.with_rules(state.given, _fence(fence))
     time_s = float(values["t_s"])
     return replace(
         state,
@@ -203,11 +204,13 @@ def _of_leg(leg: Leg | None) -> Values | None:
         "plan_id": leg.plan_id,
         "reaches_target": leg.reaches_target,
         "through": leg.through,
+        "rules": None if leg.rules is None else leg.rules.digest,
         "control_nea_m": leg.subpath.control_nea_m.tolist(),
     }
 
 
-def _leg(values: Values | None) -> Leg | None:
+def _leg(values: Values | None, rules: Task) -> Leg | None:
+    """rules: those in force; whether it was proven under them, their digest tells."""
     if values is None:
         return None
     return Leg(
@@ -216,6 +219,7 @@ def _leg(values: Values | None) -> Leg | None:
         subpath=Subpath(control_nea_m=_control(values["control_nea_m"])),
         reaches_target=bool(values["reaches_target"]),
         through=bool(values["through"]),
+        rules=rules if values.get("rules") == rules.digest else None,
     )
 
 

@@ -248,7 +248,7 @@ def on_plan(state: State, event: PlanReady) -> Step:
         return _no_successor(state, Reason.PLAN_LATE)
     if flight.stop_at_m is not None:
         return state, [], None  # it was asked for a way that the vehicle no longer goes
-    flight = _accepted(state.flight, outcome, hovers=state.vehicle.hovers)
+    flight = _accepted(state, outcome)
     number = flight.legs_flown + (flight.next_leg is not None)
     margin_m = min(outcome.certificate.clearance_m, outcome.certificate.keep_out_m)
     text = f"subpath {number}: {margin_m:.0f} m clear, cost {outcome.cost:.2f}"
@@ -314,8 +314,9 @@ def _later(state: State, event: Position, flight: Flight) -> float:
     return state.now_s if abs(event.velocity_nea_m_s[2]) > 0.1 else flight.progress_at_s
 
 
-def _accepted(flight: Flight, planned: Planned, *, hovers: bool) -> Flight:
-    leg = Leg.of(planned, flight.legs_flown + 1)
+def _accepted(state: State, planned: Planned) -> Flight:
+    flight, hovers = state.flight, state.vehicle.hovers
+    leg = Leg.of(planned, flight.legs_flown + 1, state.task)
     flight = replace(
         flight,
         route_ne_m=() if planned.reaches_target else planned.route_ne_m,

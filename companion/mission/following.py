@@ -25,7 +25,6 @@ from companion.planner.procedure import (
     off_path_m,
     sent_pose,
 )
-from companion.planner.recheck import first_conflict_m
 from companion.planner.refuge import Circler, loiter_point
 from companion.planner.request import Stretch
 from companion.planner.settings import Task
@@ -35,8 +34,6 @@ _NOT_TAKEN_S = 2.0
 _ECHO_S = 1.5  # an older echo says nothing
 _LONGEST_DELAY_S = 0.5  # of a link that setpoints are sent ahead for
 
-_BAND_SLACK_M = 0.5
-_BAND_SAMPLES = 100
 _ROUNDING_M = 1e-6
 _SENT_LATELY_S = 1.0
 _LONGEST_LEAD = 1.3  # of what the path's tail was made for
@@ -119,21 +116,6 @@ def has_departed(state: State, flight: Flight, event: Position) -> bool:
     if flight.offset is not None:
         allowed_m += float(np.linalg.norm(flight.offset.position_nea_m))
     return off_path_m(flight.reference, leg, here) > allowed_m
-
-
-def is_touched(state: State, leg: Leg, from_m: float) -> bool:
-    """Whether the rest of a leg breaks the rules as they are now: a zone, the floor, the ceiling.
-
-    They may have changed since it was proven.
-    """
-    task = state.task
-    if first_conflict_m(leg, from_m, task.zones, task.zone_clearance_m) is not None:
-        return True
-    inset_m = task.margins.band_inset_m - _BAND_SLACK_M
-    lengths = np.linspace(from_m, leg.subpath.length_m, _BAND_SAMPLES)
-    heights = leg.subpath.points_nea_m(lengths)[:, 2]
-    low_m, high_m = task.limits.floor_amsl_m + inset_m, task.limits.ceiling_amsl_m - inset_m
-    return bool(heights.min() < low_m or heights.max() > high_m)
 
 
 def still_circles(state: State, event: Position) -> bool:

@@ -46,6 +46,7 @@ def answered(state: State, event: PlanReady) -> Flight | None:
             subpath=subpath,
             reaches_target=number == last and outcome.reaches_start,
             through=through,
+            rules=state.task,
         )
         for number, (subpath, through) in enumerate(
             zip(outcome.subpaths, outcome.through, strict=True)

@@ -396,8 +396,9 @@ class State(Renewed):
         )
 
     def with_rules(self, given: Task, fence: FenceChanged | None) -> "State":
-        """The same state under another task or fence."""
+        """The same state under another task or fence; the same rules told again are no others."""
         task = given if fence is None else _within(given, fence)
+        task = self.task if task == self.task else task
         return replace(self, given=given, fence=fence, task=task)
 
     def by_another_clock(self, shift_s: float) -> "State":

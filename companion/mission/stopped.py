@@ -38,6 +38,7 @@ from companion.mission.health import distrust
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.renewed import replace
 from companion.mission.state import Reason, State, Trigger
+from companion.planner.recheck import is_touched
 
 SELF_HELD = (
     Reason.NO_PLAN,
@@ -151,7 +152,7 @@ def resumed(state: State) -> Step:
     flight = state.flight
     if not flight.returning:
         return state, [], Trigger.RESUME
-    clear = not any(following.is_touched(state, leg, 0.0) for leg in flight.back)
+    clear = not any(is_touched(leg, 0.0, state.task) for leg in flight.back)
     if clear and returning.began(state) is not None:
         return state, [], Trigger.GO_BACK
     return returning.homeward(state), [Say(text="returning another way")], Trigger.RESUME

@@ -198,7 +198,7 @@ def _escape(request: PlanRequest, found: Trouble, kernel: Kernel) -> PlanOutcome
     tangent = subpath.pose(0.0).tangent_nea
     return Planned(
         plan_id=request.plan_id,
-        kernel=kernel.name,
+        kernel=kernel.signature,
         subpath=subpath,
         reaches_target=False,
         cost=0.0,
@@ -325,7 +325,7 @@ class _Plan:
                 costs = {name: flight.weight(name, scene) * value for name, value in table.items()}
                 return Planned(
                     plan_id=request.plan_id,
-                    kernel=self._kernel.name,
+                    kernel=self._kernel.signature,
                     subpath=subpath,
                     reaches_target=scene.final_ne_m is not None,
                     cost=sum(costs.values()) - costs["to_go"],

@@ -45,15 +45,18 @@ class Leg:
     through: bool = False
     """Whether it may be flown to its very end at full speed, into the leg that begins there (of the
     way back, which is known in advance)."""
+    rules: Task | None = None
+    """What it was proven under; None: that is not known."""
 
     @staticmethod
-    def of(planned: Planned, number: int) -> "Leg":
+    def of(planned: Planned, number: int, rules: Task | None = None) -> "Leg":
         """The leg that a plan becomes."""
         return Leg(
             number=number,
             plan_id=planned.plan_id,
             subpath=planned.subpath,
             reaches_target=planned.reaches_target,
+            rules=rules,
         )
 
     def scan_at_m(self, task: Task) -> float:

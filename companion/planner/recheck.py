@@ -1,4 +1,8 @@
-"""Whether what is left of a leg still keeps its distance from zones that have changed in flight."""
+"""Whether what is left of a leg still keeps to rules that have changed in flight.
+
+What was proven stays proven: a leg is judged only by what the rules ask for now and did not ask for
+when it was proven.
+"""
 
 import numpy as np
 
@@ -7,12 +11,43 @@ from companion.path.certificate import cubics_of, pack_zones
 from companion.path.proof import piece_of
 from companion.path.proof_distance import zone_distance
 from companion.planner.procedure import Leg
+from companion.planner.settings import Task
 from companion.world.threats import Zone
 
 _PIECES = 48
 _LEEWAY = 2e-3  # of the required distance: a certificate is not exact either
 _LEEWAY_M = 0.01
 _FINEST = 1e-5  # of the curve's parameter: how well the place of a conflict is known
+_BAND_SLACK_M = 0.5  # a ceiling above home moves a little with where the autopilot has its home
+_BAND_SAMPLES = 100
+
+
+def is_touched(leg: Leg, from_m: float, task: Task) -> bool:
+    """Whether the rest of a leg breaks a rule that is new: a zone, the floor, the ceiling.
+
+    leg, from_m: the leg, and the length from which on it matters.  task: the rules now.
+    """
+    before = leg.rules
+    if before == task:
+        return False
+    zones = task.zones
+    if before is not None and task.zone_clearance_m <= before.zone_clearance_m:
+        zones = tuple(zone for zone in zones if zone not in before.zones)
+    if first_conflict_m(leg, from_m, zones, task.zone_clearance_m) is not None:
+        return True
+    low_m, high_m = _band_amsl_m(task)
+    was_low_m, was_high_m = (-np.inf, np.inf) if before is None else _band_amsl_m(before)
+    lengths = np.linspace(from_m, leg.subpath.length_m, _BAND_SAMPLES)
+    heights = leg.subpath.points_nea_m(lengths)[:, 2]
+    too_low = low_m > was_low_m and heights.min() < low_m - _BAND_SLACK_M
+    too_high = high_m < was_high_m and heights.max() > high_m + _BAND_SLACK_M
+    return bool(too_low or too_high)
+
+
+def _band_amsl_m(task: Task) -> tuple[float, float]:
+    """Between which altitudes a curve is proven."""
+    inset_m = task.margins.band_inset_m
+    return task.limits.floor_amsl_m + inset_m, task.limits.ceiling_amsl_m - inset_m
 
 
 def first_conflict_m(

@@ -1,5 +1,6 @@
 """What the planner is told about a mission, and the distances that follow from it."""
 
+import hashlib
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -69,6 +70,11 @@ class Task:
     def cell_m(self) -> float:
         """Size of the cells of the known map: R / 80, in the whole metres of the wire."""
         return float(max(round(self.settings.scan_range_m / _CELLS_PER_RANGE), 1))
+
+    @cached_property
+    def digest(self) -> str:
+        """Tells it from every other task, in a file."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
 
     @cached_property
     def tail_m(self) -> float:

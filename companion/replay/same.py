@@ -2,7 +2,7 @@
 
 The plans that were recorded are what the machine flies by, whatever computes them now: so its
 decisions can be compared on any machine.  Each is computed again beside it, and compared too; on
-another kernel than the flight's it may differ in its last bits, and then that is no difference.
+another kernel than the flight's, or in other arithmetic, it may differ: that is no difference.
 """
 
 import time
@@ -305,7 +305,7 @@ class Replay:
             return
         self.found.plans_computed += 1
         values, stopped_after = _plain(answer), getattr(answer, "stopped_after", None)
-        name = self._kernel.name
+        name = self._kernel.signature
         try:
             again = _plain(computed_again(request, stopped_after, self._kernel))
         except Exception as error:  # noqa: BLE001 - the planner's own: in flight it had an answer

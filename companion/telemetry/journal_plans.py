@@ -102,7 +102,7 @@ class PlanReady(TimedLine):
     plan_id: int
     """Of the question."""
     kernel: str
-    """What computed it: `numba`, or `numpy`."""
+    """What computed it: `numba` or `numpy`, and a digest of the arithmetic of this processor."""
     evaluations: int
     """Candidates that were looked at."""
     tries: int

@@ -19,6 +19,7 @@ from companion.geodesy import BoolArray, FloatArray
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
 
+_ON_EDGE_M = 1e-3
 _RAY_CELLS = 0.3  # between neighbouring rays at the farthest point
 _GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1  # radars this close count as one
 
@@ -63,10 +64,14 @@ class KnownMap:
         return self.seen if self.given is None else self.seen | self.given
 
     def cell_of(self, north_m: float, east_m: float) -> tuple[int, int]:
-        """Row and column of the cell that holds a point (may lie outside the lattice)."""
+        """Row and column of the cell that holds a point (may lie outside the lattice).
+
+        A mission often begins on an edge between cells: of that, and a millimetre short of it, it
+        is the cell to the north or east, whatever the last digits of the position are.
+        """
         return (
-            math.floor((north_m - self.north_min_m) / self.cell_m),
-            math.floor((east_m - self.east_min_m) / self.cell_m),
+            math.floor((north_m - self.north_min_m + _ON_EDGE_M) / self.cell_m),
+            math.floor((east_m - self.east_min_m + _ON_EDGE_M) / self.cell_m),
         )
 
     def is_known(self, north_m: float, east_m: float) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pyproj
 import pytest
+from nudge import nudged
 from pymavlink.dialects.v20 import all as wire
 
 from companion.geodesy import LocalFrame
@@ -344,3 +345,26 @@ def test_the_place_of_the_radar_is_kept_for_every_cell() -> None:
     places = {tuple(radar) for radar in scan.radar_nea_m[answered]}
     assert places == {(1.0, 2.0, 3.0), HERE}
     assert (scan.range_m, scan.drift_m) == (2000.0, 30.0)
+
+
+@pytest.mark.parametrize("centre", [CORNER, (CORNER[0] + 125.0, CORNER[1] - 125.0)])
+@pytest.mark.parametrize("towards", [(1e5, 0.0), (1e5, 1e5)], ids=["north", "north-east"])
+def test_what_is_asked_for_and_in_which_order_hangs_on_no_last_digit(
+    centre: tuple[float, float], towards: tuple[float, float], nudge: int
+) -> None:
+    """On a corner of four cells, in the middle of one, and with two areas equally far away."""
+
+    def requests(here: tuple[float, ...]) -> list[Any]:
+        north, east = here
+        task = TerrainDownload(
+            MAP,
+            centre_ne_m=(north, east),
+            towards_ne_m=(north + towards[0], east + towards[1]),
+            range_m=20_000.0,
+            deadline_s=DEADLINE_S,
+            drift_m=30.0,
+            frame=FRAME,
+        )
+        return [(each.lat, each.lon, each.mask) for each in run(task, flat)]
+
+    assert requests(nudged(centre, nudge)) == requests(centre)

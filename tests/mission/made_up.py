@@ -46,6 +46,7 @@ from companion.mission.state import Phase, State
 from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
+from companion.planner.settings import Task
 from companion.world.known_map import NO_ANSWER, Scan, empty_map
 
 MISSION = load_mission("environment-1")
@@ -74,8 +75,12 @@ def straight(start_nea_m: npt.ArrayLike, end_nea_m: npt.ArrayLike) -> Subpath:
     return Subpath(control_nea_m=np.linspace(np.asarray(start_nea_m), np.asarray(end_nea_m), 4))
 
 
-def certificate() -> Certificate:
-    """A straight and level subpath at the height of the take-off, with nothing near it."""
+def certificate(
+    lowest_amsl_m: float = TAKE_OFF_AMSL_M,
+    highest_amsl_m: float = TAKE_OFF_AMSL_M,
+    broken: tuple[str, ...] = (),
+) -> Certificate:
+    """A straight subpath with nothing near it, level at the height of the take-off by default."""
     return Certificate(
         clearance_m=1e3,
         keep_out_m=math.inf,
@@ -83,35 +88,46 @@ def certificate() -> Certificate:
         turn_radius_m=math.inf,
         climb_angle_rad=0.0,
         dive_angle_rad=0.0,
-        lowest_amsl_m=TAKE_OFF_AMSL_M,
-        highest_amsl_m=TAKE_OFF_AMSL_M,
+        lowest_amsl_m=lowest_amsl_m,
+        highest_amsl_m=highest_amsl_m,
         off_map_m=0.0,
         radar_m=0.0,
         detection=0.0,
         pieces=1,
-        broken=(),
+        broken=broken,
     )
+
+
+def within_band(subpath: Subpath, task: Task) -> bool:
+    """Whether a planner could prove of a straight subpath that it keeps to the altitude band."""
+    heights, inset_m = subpath.control_nea_m[:, 2], task.margins.band_inset_m
+    lowest_m, highest_m = heights.min() - inset_m, heights.max() + inset_m
+    limits = task.limits
+    return bool(limits.floor_amsl_m <= lowest_m and highest_m <= limits.ceiling_amsl_m)
 
 
 def planned(request: PlanRequest, length_m: float = LEG_M, climb_m: float = 0.0) -> Planned:
     """A straight subpath towards a point above the target, or to it if it is near enough.
 
-    climb_m: how much higher than its start that point is; it is level by default.
+    climb_m: how much higher than its start that point is; it is level by default.  It is proven
+    as far as it keeps to the altitude band.
     """
     start = request.start.position_nea_m
     target = np.array([*request.target_ne_m, start[2] + climb_m])
     left_m = float(np.linalg.norm(target - start))
     reaches = left_m <= length_m
     end = target if reaches else start + (target - start) / left_m * length_m
+    subpath = straight(start, end)
+    broken = () if within_band(subpath, request.task) else ("altitude band",)
     return Planned(
         plan_id=request.plan_id,
         kernel="made up",
-        subpath=straight(start, end),
+        subpath=subpath,
         reaches_target=reaches,
         cost=1.0,
         to_go=0.0,
         terms={"f1": 1.0},
-        certificate=certificate(),
+        certificate=certificate(*sorted((float(start[2]), float(end[2]))), broken=broken),
         guide_rad=0.0,
         route_ne_m=(request.target_ne_m,),
         evaluations=60,

@@ -250,6 +250,40 @@ def test_a_fence_on_the_way_back_of_a_vehicle_that_is_paused_leaves_it_led() -> 
     assert len(craft.sent(Setpoint)) > sent
 
 
+def on_its_way_out() -> tuple[Craft, FenceChanged]:
+    """On a leg that was proven with a zone around its start, and leads out of that."""
+    craft = flying()
+    around = fence(craft, *craft.here[:2], 200.0)
+    state = craft.state.with_rules(craft.state.given, around)
+    assert state.flight.leg is not None
+    leg = replace(state.flight.leg, rules=state.task)
+    craft.state = replace(state, flight=replace(state.flight, leg=leg))
+    return craft, around
+
+
+def test_the_same_fence_told_again_is_no_other_and_stops_nobody() -> None:
+    craft, around = on_its_way_out()
+    before = craft.state
+    craft.take(replace(around, time_s=craft.now_s + 1.0))
+    assert craft.state.task is before.task
+    assert (craft.phase, craft.state.flight) == (Phase.FLYING, before.flight)
+    craft.take(FenceChanged(time_s=craft.now_s, zones=(*around.zones, *around.zones)))
+    assert craft.state.flight.stop_at_m is None
+
+
+def test_what_a_path_was_proven_under_outlives_the_companion_and_no_other_mission() -> None:
+    craft, _ = on_its_way_out()
+    values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
+    known, stricter = craft.state.flight.known, replace(MISSION.task.settings, scan_time_s=5.0)
+    again = checkpoint.restored(MISSION, known, values)
+    assert again.flight.leg is not None
+    assert again.flight.leg.rules == again.task == craft.state.task
+    other = replace(MISSION, task=replace(MISSION.task, settings=stricter))
+    leg = checkpoint.restored(other, known, values).flight.leg
+    assert leg is not None
+    assert leg.rules is None
+
+
 def test_the_ceiling_of_the_fence_lowers_the_band() -> None:
     craft = flying()
     craft.take(FenceChanged(time_s=craft.now_s, zones=(), ceiling_amsl_m=4_000.0))
@@ -379,8 +413,9 @@ def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
 
 
 def test_what_is_restored_is_what_was_kept() -> None:
-    craft = flying(two_legs_away()).run_for(60.0)
+    craft = flying(two_legs_away())
     craft.take(fence(craft, 4_000.0, -4_000.0, 500.0))
+    craft.run_until(lambda craft: craft.state.flight.legs_flown == 2)  # under that fence
     values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
     state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
     assert checkpoint.values_of(state) == {

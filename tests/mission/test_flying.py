@@ -8,12 +8,24 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from made_up import LEG_M, SPEED_M_S, TICK_S, Craft, flying, planned, position, two_legs_away
+from made_up import (
+    LEG_M,
+    MISSION,
+    SPEED_M_S,
+    TICK_S,
+    Craft,
+    flying,
+    near_target,
+    planned,
+    position,
+    two_legs_away,
+)
 
 from companion.mission.events import Plan, PlanReady, Position, Setpoint, StartScan
 from companion.mission.joining import joined
 from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason
+from companion.planner.procedure import hover_pose
 from companion.planner.request import Planned, PlanRequest
 
 # The distances of environment-1 by hand: V = 150 m/s, a = 5 m/s2, T = 5 s, t_scan = 4 s,
@@ -36,7 +48,7 @@ def two_legs() -> Craft:
 def test_a_scan_starts_at_p_scan_and_not_before() -> None:
     craft = two_legs()
     first, *later = craft.sent(StartScan)
-    assert flown_m(craft.sent(Setpoint)[0]) == math.hypot(*first.centre_nea_m[:2]) == 0.0
+    assert flown_m(craft.sent(Setpoint)[0]) == math.hypot(*first.centre_nea_m[:2]) < 2e-6
     for number, scan in enumerate(later, start=1):
         end_m = LEG_M + (number - 1) * (LEG_M - TAIL_M)
         assert 0.0 <= math.hypot(*scan.centre_nea_m[:2]) - (end_m - L_M) <= SPEED_M_S * TICK_S
@@ -199,3 +211,17 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
         assert math.dist(moved, after.position_nea_m) <= 0.25
         assert math.dist(before.velocity_nea_m_s, after.velocity_nea_m_s) <= harder * TICK_S
     assert math.hypot(*sent[-1].velocity_nea_m_s) < 0.1
+
+
+@pytest.mark.parametrize(("above_m", "proven"), [(0.5, True), (-0.5, False)])
+def test_a_subpath_that_begins_too_low_is_not_flown_and_no_made_up_planner_proves_it(
+    above_m: float, proven: bool
+) -> None:
+    task = MISSION.task
+    low_m = task.limits.floor_amsl_m + task.margins.band_inset_m + above_m
+    craft = Craft(near_target())
+    craft.plan = lambda request: planned(
+        replace(request, start=hover_pose((0.0, 0.0, low_m))), climb_m=10.0
+    )
+    craft.run_until(lambda craft: bool(craft.sent(Plan))).run_for(10.0)
+    assert (craft.state.flight.leg is not None) is proven

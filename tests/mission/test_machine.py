@@ -100,24 +100,25 @@ def test_a_mission_step_by_step() -> None:
     assert take(position(4.4, on_ground)) == [Arm()]
     assert take(status(4.4, Mode.GUIDED, armed=True)) == []
     assert craft.phase is Phase.TAKING_OFF
-    height_m = TAKE_OFF_AMSL_M - HOME_AMSL_M
+    height_m = pytest.approx(TAKE_OFF_AMSL_M - HOME_AMSL_M)
     climb = TakeOff(above_home_m=height_m, altitude_amsl_m=TAKE_OFF_AMSL_M)
     assert take(position(4.45, on_ground)) == [climb]
     assert take(LandedState(time_s=4.5, landed=Landed.TAKING_OFF)) == []
     assert take(position(4.8, (0.0, 0.0, 3010.0), (0.0, 0.0, 10.0))) == []
     hover = (0.0, 0.0, TAKE_OFF_AMSL_M)
+    near_hover = pytest.approx(hover, abs=1e-5)
     assert take(position(5.2, hover), LandedState(time_s=5.3, landed=Landed.IN_AIR)) == []
     assert take(position(5.4, hover)) == [SetSpeed(speed_m_s=150.0)]
     assert craft.phase is Phase.FLYING
     setpoint, scan = take(position(5.5, hover))
     assert setpoint == Setpoint(
         time_s=5.5,
-        position_nea_m=hover,
+        position_nea_m=near_hover,
         velocity_nea_m_s=(0.0, 0.0, 0.0),
         yaw_rad=pytest.approx(math.pi / 4),
         stay=True,
     )
-    assert scan == StartScan(centre_nea_m=hover)
+    assert scan == StartScan(centre_nea_m=near_hover)
     [_, plan] = take(scan_done(5.6))  # after a word on how little it saw
     assert isinstance(plan, Plan)
     assert plan.due_s == 5.6 + 5.0

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from made_up import MISSION, certificate, not_planned, planned, scan, straight
+from made_up import MISSION, certificate, not_planned, planned, scan, straight, within_band
 from watch import Watch
 
 from companion.mavlink.autopilots import ALL
@@ -114,9 +114,9 @@ def mission_for(driving: Driving, rng: np.random.Generator) -> Mission:
 class Wild:
     """One program: a vehicle that mostly does what it is told, in a world that mostly does not."""
 
-    def __init__(self, seed: int, step: Callable[..., Any] = machine.step) -> None:
+    def __init__(self, seed: int, step: Callable[..., Any] | None = None) -> None:
         self.rng = rng = np.random.default_rng(seed)
-        self.machine_step = step
+        self.machine_step = step or machine.step
         self.driving = ALL[seed % len(ALL)].driving
         self.mission = mission_for(self.driving, rng)
         self.context = Context(mission=self.mission, seed=1, shadow=bool(rng.random() < 0.08))
@@ -371,15 +371,22 @@ class Wild:
         return self.towards(request)
 
     def towards(self, request: PlanRequest) -> Planned:
-        return planned(request, LEG_M, climb_m=float(self.rng.uniform(-3, 3)))
+        """Up or down a little, within the band."""
+        low_m, high_m = request.task.band_amsl_m
+        height_m = float(request.start.position_nea_m[2])
+        climbs_to_m = height_m + float(self.rng.uniform(-3, 3))
+        return planned(request, LEG_M, climb_m=min(max(climbs_to_m, low_m), high_m) - height_m)
 
     def way_back(self, request: PlanRequest) -> WayBack:
         subpaths: list[Subpath] = []
         for stretch in reversed(request.flown or ()):
             flown = Subpath(control_nea_m=stretch.control_nea_m)
             a, b = flown.pose(stretch.until_m), flown.pose(stretch.from_m)
+            back = straight(a.position_nea_m, b.position_nea_m)
+            if not within_band(back, request.task):  # under another ceiling than it was flown
+                break
             if stretch.until_m - stretch.from_m > 1.0:
-                subpaths.append(straight(a.position_nea_m, b.position_nea_m))
+                subpaths.append(back)
         if not self.calm and self.rng.random() < 0.2 + 0.5 * self.bad_plans:
             subpaths = subpaths[: len(subpaths) // 2]
         return WayBack(

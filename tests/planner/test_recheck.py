@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ from numpy.typing import NDArray
 
 from companion.path.subpath import Subpath
 from companion.planner.procedure import Leg
-from companion.planner.recheck import first_conflict_m
+from companion.planner.recheck import first_conflict_m, is_touched
+from companion.planner.settings import Task
 from companion.world.threats import CircleZone, PolygonZone, Zone
 
 FloatArray = NDArray[np.float64]
@@ -90,3 +92,64 @@ def test_a_fence_drawn_so_that_the_leg_leads_out_of_it_is_met_before_its_edge() 
     fence = (PolygonZone(name="f", vertices_ne_m=tuple(ring), keep_in=True),)
     found_m = first_conflict_m(straight_leg(), 0.0, fence, 200.0)
     assert found_m == pytest.approx(8_800.0, abs=1.5)
+
+
+# --- rules that have changed
+
+LOW_M = 300.0 + 10.0  # of the floor, and tracking and navigation error
+
+
+def low_leg(rules: Task | None, below_m: float = 0.0) -> Leg:
+    """Across the map, as low as it is proven, or lower."""
+    control = np.linspace((1_000.0, 500.0, LOW_M - below_m), (7_000.0, 500.0, LOW_M + 90.0), 4)
+    subpath = Subpath(control_nea_m=control)
+    return Leg(number=1, plan_id=1, subpath=subpath, reaches_target=False, rules=rules)
+
+
+ACROSS = CircleZone(name="new", north_m=4_000.0, east_m=500.0, radius_m=100.0)
+
+
+def with_limits(task: Task, **changes: float) -> Task:
+    return replace(task, limits=replace(task.limits, **changes))
+
+
+def with_zones(task: Task, *zones: Zone) -> Task:
+    return replace(task, zones=(*task.zones, *zones))
+
+
+@pytest.mark.parametrize("below_m", [0.0, 0.7, 50.0])
+def test_what_was_proven_stays_proven_while_the_rules_are_the_same_or_less(
+    task: Task, below_m: float
+) -> None:
+    """However it was proven: `paper` proves nothing, a way out leads through its zone."""
+    same = replace(task, zones=(*task.zones,))
+    bounded = with_zones(task, ACROSS)
+    less = with_limits(task, floor_amsl_m=250.0, ceiling_amsl_m=800.0)
+    for before, now in ((task, same), (bounded, bounded), (bounded, task), (task, less)):
+        assert not is_touched(low_leg(before, below_m), 0.0, now)
+
+
+def test_a_rule_that_is_new_is_held_against_what_is_left_of_a_leg(task: Task) -> None:
+    leg = low_leg(task)
+    assert is_touched(leg, 0.0, with_zones(task, ACROSS))
+    assert not is_touched(leg, 4_000.0, with_zones(task, ACROSS))
+    assert is_touched(leg, 0.0, with_limits(task, floor_amsl_m=301.0))
+    assert not is_touched(leg, 1_000.0, with_limits(task, floor_amsl_m=301.0))
+    assert is_touched(leg, 0.0, with_limits(task, ceiling_amsl_m=LOW_M + 90.0))
+    assert is_touched(leg, 0.0, with_limits(task, tracking_error_m=8.0))
+
+
+def test_a_zone_that_was_far_enough_away_is_new_where_more_distance_is_asked_for(
+    task: Task,
+) -> None:
+    beside = replace(ACROSS, east_m=500.0 + 100.0 + 75.0)
+    before = with_zones(task, beside)
+    settings = replace(task.settings, safety_distance_m=80.0)
+    assert not is_touched(low_leg(before), 0.0, before)
+    assert is_touched(low_leg(before), 0.0, replace(before, settings=settings))
+
+
+def test_of_a_leg_whose_rules_nobody_knows_all_rules_count(task: Task) -> None:
+    assert not is_touched(low_leg(None), 0.0, task)
+    assert is_touched(low_leg(None, below_m=0.7), 0.0, task)
+    assert is_touched(low_leg(None), 0.0, with_zones(task, ACROSS))

@@ -149,3 +149,14 @@ def test_the_planner_answers_with_the_way_back_if_that_is_asked(
     assert outcome.plan_id == 77
     assert outcome.reaches_start
     assert isinstance(outcome.subpaths[0], Subpath)
+
+
+@pytest.mark.parametrize(("above_m", "parts"), [(0.001, 1), (-0.001, 0), (-0.7, 0)])
+def test_what_begins_below_what_is_asked_above_the_floor_is_not_proven_though_it_was_flown(
+    task: Task, truth: KnownMap, above_m: float, parts: int
+) -> None:
+    low_m = task.limits.floor_amsl_m + task.margins.band_inset_m + above_m
+    control = np.linspace((1_000.0, 600.0, low_m), (1_600.0, 600.0, low_m + 20.0), 4)
+    stretch = Stretch(control_nea_m=control, from_m=0.0, until_m=600.0)
+    back = way_back((stretch,), task, truth, proof.prove)
+    assert (len(back.subpaths), back.reaches_start) == (parts, bool(parts))

@@ -20,6 +20,15 @@ def test_a_golden_flight_decides_what_it_decided(name: str) -> None:
     assert not report, f"{report}\nIf that is meant: scripts/update-goldens {name}"
 
 
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.usefixtures("nudged")
+def test_a_golden_flight_decides_the_same_a_micrometre_aside(name: str) -> None:
+    folder = GOLDENS / name
+    was, now = expected(folder), list(decisions_of(folder))
+    report = differences(was, now)
+    assert not report, f"{report}\na decision hangs on the last digits of a position"
+
+
 def test_a_changed_decision_is_counted_and_shown() -> None:
     was = expected(GOLDENS / NAMES[0])
     now = copy.deepcopy(was)

@@ -24,11 +24,13 @@ def asked(changed: Mission, seed: int | None = None) -> list[WhatIf]:
     return list(what_if(FLIGHT, lambda _start: flown, changed, seed=seed, kernel=load_kernel()))
 
 
-def test_the_same_settings_give_the_plans_that_were_flown() -> None:
+def test_the_same_settings_give_plans_as_good_as_were_flown_on_any_processor() -> None:
+    """The very same on one that computes alike: tests/replay/test_same.py."""
     found = asked(load_mission(MISSION))
     assert len(found) >= 2
     for each in found:
-        assert each.now == each.flown
+        assert each.now.cost == pytest.approx(each.flown.cost, rel=0.01)
+        assert (each.now.refusal, each.now.terms.keys()) == ("", each.flown.terms.keys())
         assert each.flown.cost is not None
         assert each.flown.length_m == pytest.approx(150.0 * (each.flown.time_s or 0.0))
 

@@ -3,8 +3,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from nudge import SEEDS, nudged
 from numpy.typing import NDArray
 
 from companion.world.known_map import (
@@ -397,3 +399,9 @@ def test_a_scan_means_the_same_on_a_bigger_map(seed: int, row: int, column: int)
     assert (part.upper_m == alone.upper_m).all()
     assert (part.north_min_m, part.east_min_m) == (0.0, 0.0)
     assert np.isfinite(after.upper_m).sum() == np.isfinite(alone.upper_m).sum()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_cell_of_a_point_on_an_edge_hangs_on_no_last_digit(seed: int) -> None:
+    known = empty_map(250.0, (-5_000.0, 5_000.0), (-5_000.0, 5_000.0))
+    assert known.cell_of(*nudged((0.0, 250.0), seed)) == (20, 21)

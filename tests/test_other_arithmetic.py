@@ -1,0 +1,77 @@
+"""The deciding tests once more, in a process that computes otherwise: another processor's digits.
+
+numba compiles for the plainest processor, OpenBLAS and numpy take the kernels of an old one and
+glibc its functions without fused multiplication.  The positions are nudged too (tests/nudge.py).
+"""
+
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numpy._core import _multiarray_umath as numpy_core
+
+from companion.planner.kernels import NUMPY
+
+ROOT = Path(__file__).parents[1]
+DECIDING = (
+    "tests/replay/test_golden.py",
+    "tests/replay/test_what_if.py",
+    "tests/mission/test_orders.py",
+    "tests/planner/test_recheck.py",
+    "tests/planner/test_way_back.py",
+)
+ALL_DECIDING = ("tests/replay", "tests/mission", "tests/planner")
+LONGEST_S = 1_200.0
+
+
+def otherwise(scratch: Path) -> dict[str, str]:
+    """The environment in which numba, numpy, OpenBLAS and glibc compute otherwise than here."""
+    features = numpy_core.__cpu_features__
+    optional = [name for name in numpy_core.__cpu_dispatch__ if features[name]]
+    environment = {
+        **{name: value for name, value in os.environ.items() if not name.startswith("PYTEST")},
+        "NUMBA_CPU_NAME": "generic",
+        "NUMBA_CPU_FEATURES": "",
+        "NUMBA_CACHE_DIR": str(scratch / "numba"),
+        "NPY_DISABLE_CPU_FEATURES": " ".join(optional),
+    }
+    if platform.machine() == "x86_64":
+        environment["OPENBLAS_CORETYPE"] = "Prescott"
+        environment["GLIBC_TUNABLES"] = "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4"
+    return environment
+
+
+def signature(environment: dict[str, str]) -> str:
+    """What plans that are computed there are named by."""
+    program = "from companion.planner.kernels import NUMPY; print(NUMPY.signature)"
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="of others only numba is told to")
+def test_it_is_other_arithmetic_and_plans_of_the_two_are_told_apart(tmp_path: Path) -> None:
+    here = signature(dict(os.environ))
+    assert here.strip() == NUMPY.signature
+    assert signature(otherwise(tmp_path)) != here
+
+
+def test_decisions_are_the_same_in_other_arithmetic(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    deciding = ALL_DECIDING if request.config.getoption("--all") else DECIDING
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *deciding]
+    done = subprocess.run(
+        [*command, "--basetemp", str(tmp_path / "tests")],
+        cwd=ROOT,
+        env=otherwise(tmp_path),
+        capture_output=True,
+        text=True,
+        timeout=LONGEST_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-8_000:]
