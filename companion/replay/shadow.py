@@ -29,7 +29,7 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import CouldNot, ShadowReport
 from companion.replay.shadow_watch import GPS, HEARTBEAT, POSITION, OnOutput, Watch
-from companion.telemetry.logs import Log, Missing, open_log
+from companion.telemetry.logs import Log, Missing, Oddity, open_log
 
 _SHOWN_BYTES: Final = 65_536
 _PATIENCE_US: Final = 30_000_000  # for a word of the GPS, once there are positions
@@ -39,6 +39,14 @@ _FAMILIES: Final = {
     wire.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
     wire.MAV_AUTOPILOT_PX4: "px4",
 }
+_LOSSES: Final = (
+    Oddity.GARBAGE,
+    Oddity.CHECKSUM,
+    Oddity.DAMAGED,
+    Oddity.ZERO_STAMP,
+    Oddity.WRONG_STAMP,
+)
+"""What may be why a message is not in a log."""
 _TERRAIN: Final = wire.MAVLINK_MSG_ID_TERRAIN_DATA
 
 
@@ -229,6 +237,9 @@ def _of_no_use(log: Log, name: str) -> InputError:
     missing: Missing | None = next((each for each in log.missing() if name in each.message), None)
     if missing is not None:
         rule = f"it has no {missing.message}: {missing.without}"
+        lost = [str(each) for each in log.findings if each.oddity in _LOSSES]
+        lost += [each.detail for each in log.findings if name in each.detail]
+        rule = "; ".join([rule, *lost])
         return InputError("LOG", str(log.path), rule, f"{missing.remedy}.")
     rule = "its vehicle never knew where it was: each position is 0, 0"
     return InputError("LOG", str(log.path), rule, "Give a log of a flight with a position.")
