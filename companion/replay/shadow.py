@@ -86,6 +86,7 @@ def watch(
         notes,
         seed=seed,
         planner=partial(plan, kernel=kernel or NUMPY),
+        aboard=log.kind != "tlog",
         on_output=on_output,
     )
     run = _run(log, watching, on_progress)
@@ -204,7 +205,10 @@ def _look(log: Log) -> _Look:
             continue
         for message in receiver.feed(record.frame):
             if number == HEARTBEAT:
-                heartbeat = heartbeat or message
+                if (
+                    heartbeat is None or autopilot_of(heartbeat) is None
+                ):  # of no kind while it boots
+                    heartbeat = message
             elif number == GPS:
                 fix = message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX
             elif (here := _place_of(message)) is not None:
@@ -212,7 +216,7 @@ def _look(log: Log) -> _Look:
                     first, first_us = here, record.time_us
                 if fix or record.time_us - first_us > _PATIENCE_US:
                     place = here if fix else first
-        if heartbeat is not None and place is not None:
+        if heartbeat is not None and autopilot_of(heartbeat) is not None and place is not None:
             break
     place = place or first
     if heartbeat is None or place is None:
@@ -321,7 +325,8 @@ def _notes(mission: Mission | None, notes: Notes, *, blind: bool) -> list[str]:
     if blind:
         said.append("planned on the terrain of the mission alone, without its radar")
     said += notes.judged
-    said += [f"gave up watching {n} times: {why}" for why, n in notes.ends.items()]
+    for why, count in notes.ends.items():
+        said.append(f"gave up watching {count} time{'s' if count > 1 else ''}: {why}")
     return said
 
 

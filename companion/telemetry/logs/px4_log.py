@@ -80,7 +80,7 @@ class Px4Log:
     def _substitutes(self, counts: Counter[str]) -> Iterator[str]:
         vehicle = self._vehicle
         if self._zero_us:
-            yield "the vehicle's clock is a date: its time since boot counts from the log's beginning"
+            yield "the vehicle's clock is a date: its boot is taken to be the log's beginning"
         if counts["vehicle_local_position"]:
             if not vehicle.has_global_position:
                 yield "positions are those of vehicle_local_position, about its origin"
