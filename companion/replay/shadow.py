@@ -29,7 +29,7 @@ from companion.planner.settings import PlannerSettings, Task
 from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import CouldNot, ShadowReport
 from companion.replay.shadow_watch import GPS, HEARTBEAT, POSITION, OnOutput, Watch
-from companion.telemetry.logs import Log, Missing, open_log
+from companion.telemetry.logs import Log, Missing, Oddity, open_log
 
 _SHOWN_BYTES: Final = 65_536
 _PATIENCE_US: Final = 30_000_000  # for a word of the GPS, once there are positions
@@ -39,6 +39,14 @@ _FAMILIES: Final = {
     wire.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
     wire.MAV_AUTOPILOT_PX4: "px4",
 }
+_LOSSES: Final = (
+    Oddity.GARBAGE,
+    Oddity.CHECKSUM,
+    Oddity.DAMAGED,
+    Oddity.ZERO_STAMP,
+    Oddity.WRONG_STAMP,
+)
+"""What may be why a message is not in a log."""
 _TERRAIN: Final = wire.MAVLINK_MSG_ID_TERRAIN_DATA
 
 
@@ -78,6 +86,7 @@ def watch(
         notes,
         seed=seed,
         planner=partial(plan, kernel=kernel or NUMPY),
+        aboard=log.kind != "tlog",
         on_output=on_output,
     )
     run = _run(log, watching, on_progress)
@@ -196,7 +205,10 @@ def _look(log: Log) -> _Look:
             continue
         for message in receiver.feed(record.frame):
             if number == HEARTBEAT:
-                heartbeat = heartbeat or message
+                if (
+                    heartbeat is None or autopilot_of(heartbeat) is None
+                ):  # of no kind while it boots
+                    heartbeat = message
             elif number == GPS:
                 fix = message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX
             elif (here := _place_of(message)) is not None:
@@ -204,7 +216,7 @@ def _look(log: Log) -> _Look:
                     first, first_us = here, record.time_us
                 if fix or record.time_us - first_us > _PATIENCE_US:
                     place = here if fix else first
-        if heartbeat is not None and place is not None:
+        if heartbeat is not None and autopilot_of(heartbeat) is not None and place is not None:
             break
     place = place or first
     if heartbeat is None or place is None:
@@ -229,6 +241,9 @@ def _of_no_use(log: Log, name: str) -> InputError:
     missing: Missing | None = next((each for each in log.missing() if name in each.message), None)
     if missing is not None:
         rule = f"it has no {missing.message}: {missing.without}"
+        lost = [str(each) for each in log.findings if each.oddity in _LOSSES]
+        lost += [each.detail for each in log.findings if name in each.detail]
+        rule = "; ".join([rule, *lost])
         return InputError("LOG", str(log.path), rule, f"{missing.remedy}.")
     rule = "its vehicle never knew where it was: each position is 0, 0"
     return InputError("LOG", str(log.path), rule, "Give a log of a flight with a position.")
@@ -310,7 +325,8 @@ def _notes(mission: Mission | None, notes: Notes, *, blind: bool) -> list[str]:
     if blind:
         said.append("planned on the terrain of the mission alone, without its radar")
     said += notes.judged
-    said += [f"gave up watching {n} times: {why}" for why, n in notes.ends.items()]
+    for why, count in notes.ends.items():
+        said.append(f"gave up watching {count} time{'s' if count > 1 else ''}: {why}")
     return said
 
 

@@ -30,6 +30,7 @@ _MOST_OPEN: Final = 100  # plans that a path may still belong to
 _EVER: Final = -1e8  # before that: not heard of yet
 _AT_END_M: Final = 1.0
 _SPACING_M: Final = 5.0
+_BEGINS: Final = "it begins to watch"
 _MOST_CHORDS: Final = 400
 
 _DOUBTS: Final = {
@@ -70,9 +71,11 @@ class Notes:
         """What of the vehicle it would have refused or changed, in order."""
         self._frame, self._checks_area = frame, checks_area
         self._hold: Hold | None = None
-        self._silent = False
+        self._is_ready = False
+        """Whether it could fly: the position was to be believed, since this session has begun."""
+        self._had_fix = self._silent = False
         self._open: dict[int, Asked] = {}
-        self._cause = "it begins to watch"
+        self._cause = _BEGINS
         self._path: _Path | None = None
         self._paths: dict[int, _Path] = {}
         """That and its successor, by the plan's number."""
@@ -82,9 +85,15 @@ class Notes:
         self._position_at_s = self._jumped_at_s = -1e9
         self._position: Vector | None = None
 
-    def begin_again(self) -> None:
-        """Another session takes over: it knows nothing yet."""
+    def begin_again(self, *, afresh: bool = False) -> None:
+        """Another session takes over: it knows nothing yet.
+
+        afresh: nothing is held on to from before either.
+        """
         self._forget_paths()
+        if afresh:
+            self._hold, self._is_ready, self._was_in_air = None, False, None
+            self._cause = _BEGINS
         self._position = None
         self._position_at_s = self._jumped_at_s = -1e9
         self._target = 0
@@ -92,7 +101,20 @@ class Notes:
     def heard_again(self, at_s: float) -> None:
         """The vehicle was heard after a silence."""
         self._silent = False
+        self._at_s = at_s
         self.health.set("silence", on=False, at_s=at_s)
+
+    def not_recorded(self, from_s: float, until_s: float) -> None:
+        """The log has nothing of this time: nothing is known of it, and nothing is held on to."""
+        self._end_all(from_s)
+        self.health.set("not recorded", on=True, at_s=from_s)
+        self.health.set("not recorded", on=False, at_s=until_s)
+        self._at_s = until_s
+
+    def rebooted(self, at_s: float) -> None:
+        """The vehicle's clock has begun again."""
+        in_air, place = bool(self._was_in_air), self._place(self._position)
+        self._note_at("the autopilot has rebooted", at_s, in_air=in_air, place=place)
 
     def say(self, said: Said) -> None:
         """The vehicle has said something."""
@@ -105,6 +127,9 @@ class Notes:
             self._on_entry(at_s, entry, state)
             if entry["kind"] == "prepared" and session.vehicle is not None:
                 self._on_parameters(session.vehicle)
+        if self._silent:  # what it was when it was last heard is not known to go on
+            self._on_hold(at_s, state, None)
+            return
         in_air = is_in_air(state.vehicle)
         if self._at_s is not None and in_air:
             self.in_air_s += at_s - self._at_s
@@ -115,18 +140,18 @@ class Notes:
             self._was_in_air = in_air
         doubt = distrust(state.vehicle, state.now_s, state.task.limits)
         self._on_hold(at_s, state, doubt)
-        if self.watched_from_s is None:
-            return
         self._on_health(at_s, state, doubt)
-        if state.vehicle.position_at_s != self._position_at_s:
+        if self._is_ready and state.vehicle.position_at_s != self._position_at_s:
             self._on_position(at_s, state, doubt)
 
     # --- what it would have done
 
     def _on_hold(self, at_s: float, state: State, doubt: Reason | None) -> None:
         watching = state.phase is Phase.SHADOW
-        if self.watched_from_s is None:
-            self.watched_from_s = at_s if watching and state.reason not in _DISTRUST else None
+        if not self._is_ready:
+            self._is_ready = watching and state.reason not in _DISTRUST
+            if self._is_ready and self.watched_from_s is None:
+                self.watched_from_s = at_s
             return
         reason = self._reason(state, watching=watching)
         hold = self._hold
@@ -186,17 +211,16 @@ class Notes:
             case "scan done":
                 self.unanswered_scans += entry["blocks_asked"] > 0 == entry["blocks_answered"]
             case "link lost":
-                self._silent = self._silent or self.watched_from_s is not None
-                if self._silent:
-                    began_s = at_s - entry["silent_s"]
-                    in_air = is_in_air(state.vehicle)
-                    self.health.set("silence", on=True, at_s=began_s, in_air=in_air)
-            case "vehicle rebooted":
-                self._note_at("the autopilot has rebooted", at_s, state)
+                began_s = at_s - entry["silent_s"]
+                if not self._silent:
+                    self._end_all(began_s)
+                self._silent = True
+                in_air = is_in_air(state.vehicle)
+                self.health.set("silence", on=True, at_s=began_s, in_air=in_air)
             case "prepared" if entry["item"] != Item.PARAMETERS.value and entry["refusal"]:
                 self._judge(f"would have refused the flight: {entry['refusal']}")
-            case "end":
-                self.ends[entry["reason"]] += self.watched_from_s is not None
+            case "end" if self._is_ready:
+                self.ends[entry["reason"]] += 1
             case _:
                 pass
 
@@ -261,13 +285,20 @@ class Notes:
 
     def _on_health(self, at_s: float, state: State, doubt: Reason | None) -> None:
         vehicle, in_air = state.vehicle, is_in_air(state.vehicle)
+        without_fix = vehicle.fix_at_s > _EVER and not vehicle.fix_good
+        self._had_fix = self._had_fix or vehicle.fix_good
         now = {
-            "GPS fix lost": vehicle.fix_at_s > _EVER and not vehicle.fix_good,
+            "no GPS fix yet": without_fix and not self._had_fix,
+            "GPS fix lost": without_fix and self._had_fix,
+        }
+        later = {
             "estimator not to be believed": vehicle.estimator_at_s > _EVER
             and not vehicle.estimator_good,
             "the autopilot's own failsafe": vehicle.failsafe,
             **{kind: doubt is reason for reason, kind in _DOUBTS.items()},
         }
+        if self._is_ready:  # before that it was never led by them
+            now |= later
         for kind, on in now.items():
             if self.health.differs(kind, on=on):
                 place = self._place(vehicle.position_nea_m)
@@ -281,7 +312,10 @@ class Notes:
         if vehicle.jumped_at_s != self._jumped_at_s:
             self._jumped_at_s = vehicle.jumped_at_s
             if before is not None and vehicle.jumped_at_s == vehicle.position_at_s:
-                self._note_at("position jumped", at_s, state, math.dist(before, here))
+                far_m, in_air = math.dist(before, here), is_in_air(vehicle)
+                self._note_at(
+                    "position jumped", at_s, far_m, in_air=in_air, place=self._place(here)
+                )
         if not is_in_air(vehicle):
             self.outside.end_all(at_s)
             self._path = None
@@ -322,15 +356,23 @@ class Notes:
 
     # --- helpers
 
-    def _note_at(self, kind: str, at_s: float, state: State, worst_m: float | None = None) -> None:
+    def _end_all(self, at_s: float) -> None:
+        """Nothing is known to go on after that."""
+        self.health.end_all(at_s)
+        self.outside.end_all(at_s)
+
+    def _note_at(
+        self,
+        kind: str,
+        at_s: float,
+        worst_m: float | None = None,
+        *,
+        in_air: bool,
+        place: Place | None,
+    ) -> None:
         """Something that takes no time."""
         noted = Observed(
-            kind=kind,
-            from_s=at_s,
-            until_s=at_s,
-            in_air=is_in_air(state.vehicle),
-            worst_m=worst_m,
-            place=self._place(state.vehicle.position_nea_m),
+            kind=kind, from_s=at_s, until_s=at_s, in_air=in_air, worst_m=worst_m, place=place
         )
         self._keep(self.health.all, noted, kind)
 

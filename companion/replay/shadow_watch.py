@@ -14,6 +14,7 @@ from companion.mavlink.autopilots import Autopilot
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.frames import number_of, payload_of, sender_of
 from companion.mavlink.outbox import Output
+from companion.mavlink.vehicle_clock import Reading, VehicleClock
 from companion.mission.mission import Mission
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.replay.shadow_notes import Notes
@@ -41,6 +42,13 @@ _CLOCKS: Final = frozenset(
     }
 )
 """They only tell the time: needed where there is no position to tell it."""
+_BOOT_MS: Final = {
+    POSITION: slice(0, 4),
+    wire.MAVLINK_MSG_ID_ATTITUDE: slice(0, 4),
+    wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED: slice(0, 4),
+    wire.MAVLINK_MSG_ID_SYSTEM_TIME: slice(8, 12),
+}
+"""Where the time since boot stands in the payload."""
 LISTENED: Final = frozenset(
     {
         HEARTBEAT,
@@ -74,7 +82,7 @@ _STAND_IN_AFTER_S: Final = 10.0
 _STAND_IN_S: Final = 1.0
 _WARNING: Final = wire.MAV_SEVERITY_WARNING
 _MODE: Final = slice(0, 4)
-_BASE_MODE_AT: Final = 6
+_TYPE_AT, _BASE_MODE_AT = 4, 6
 _SURE: Final = (
     wire.EKF_ATTITUDE
     | wire.EKF_VELOCITY_HORIZ
@@ -106,11 +114,13 @@ class Watch:
         *,
         seed: int,
         planner: Callable[[PlanRequest], PlanOutcome],
+        aboard: bool = False,
         on_output: OnOutput | None = None,
     ) -> None:
-        """heartbeat: one of the vehicle's."""
+        """heartbeat: one of the vehicle's; aboard: the log was written there, not over a link."""
         self._mission, self._autopilot, self._notes = mission, autopilot, notes
         self._seed, self._planner, self._on_output = seed, planner, on_output
+        self._aboard, self._clock = aboard, VehicleClock(0.0)
         self._system = heartbeat.get_srcSystem()
         self._radar = (self._system, mission.scanner_component_id)
         self._session: Session | None = None
@@ -147,10 +157,11 @@ class Watch:
             return
         if sender != (self._system, AUTOPILOT_COMPONENT):
             return
-        if self._heard_s is not None and at_s - self._heard_s >= _QUIET_S:
-            self._be_silent(self._heard_s, at_s)
-        self._heard_s = at_s
+        self._hear_again(at_s)
+        if number == HEARTBEAT and payload_of(frame, 9)[_TYPE_AT] == wire.MAV_TYPE_GENERIC:
+            return  # while it boots, it does not say of which kind it is
         self.heard_of[number] += 1
+        self._look_at_clock(frame, number, at_s)
         if number in _CLOCKS:
             if not self._tells_time(at_s):
                 return
@@ -162,7 +173,9 @@ class Watch:
         self._feed(frame, record.time_us * 1e-6, at_s)
 
     def finish(self, at_s: float) -> None:
-        """The log has ended."""
+        """The log has ended; the vehicle may have fallen silent long before."""
+        if self._heard_s is not None and not self._aboard:
+            self._be_silent(self._heard_s, at_s)
         if self._session is not None:
             self._take(at_s, self._session.run())
 
@@ -209,6 +222,28 @@ class Watch:
         if at_s - self._first_position_s >= _STAND_IN_AFTER_S:
             self._stand_in(at_s, wall_s)
 
+    def _look_at_clock(self, frame: bytes, number: int, at_s: float) -> None:
+        """Whether it has rebooted, also while no session could tell."""
+        place = _BOOT_MS.get(number)
+        if place is not None:
+            boot_ms = int.from_bytes(payload_of(frame, place.stop)[place], "little")
+            if self._clock.read(boot_ms * 1e-3) is Reading.REBOOTED:
+                self._notes.rebooted(at_s)
+
+    def _hear_again(self, at_s: float) -> None:
+        """The autopilot was heard, after whatever time."""
+        before_s, self._heard_s = self._heard_s, at_s
+        if before_s is None or at_s - before_s < _QUIET_S:
+            return
+        if not self._aboard:
+            self._be_silent(before_s, at_s)
+            if at_s - before_s >= _LOOKS_S[0]:
+                self._notes.heard_again(at_s)
+        elif at_s - before_s >= _LOOKS_S[0]:
+            self._notes.not_recorded(before_s, at_s)
+            self._notes.begin_again(afresh=True)
+            self._session = None
+
     def _be_silent(self, since_s: float, until_s: float) -> None:
         """Nothing was heard of the autopilot between these times."""
         for silent_s in _LOOKS_S:
@@ -216,9 +251,7 @@ class Watch:
                 break
             self._session.silence(silent_s)
             self._take(since_s + silent_s, self._session.run())
-        if until_s - since_s >= _LOOKS_S[0]:
-            self._notes.heard_again(until_s)
-        elif self._session is not None:
+        if self._session is not None and until_s - since_s < _LOOKS_S[0]:
             self._session.silence(until_s - since_s)
 
     # --- the session

@@ -229,7 +229,8 @@ def test_the_spans_without_a_fix_are_those_of_the_readme(name: str) -> None:
 def test_a_healthy_flight_is_watched_without_a_hold(name: str) -> None:
     report = report_of(name)
     assert report.holds == []
-    assert {each.kind for each in report.health} <= {"the autopilot's own failsafe"}
+    odd = {each.kind for each in report.health}
+    assert odd <= {"the autopilot's own failsafe", "no GPS fix yet"}  # some begin at power-on
     assert report.watched_from_s is not None
     assert report.watched_from_s < 45.0  # ArduCopter's estimator takes 41.6 s
     assert report.could_not == []

@@ -105,11 +105,14 @@ def test_what_is_no_file_is_refused_in_one_line(tmp_path: Path) -> None:
 def test_a_log_goes_by_what_is_in_it_not_by_its_name(
     tmp_path: Path, logs: dict[str, bytes]
 ) -> None:
+    """Whole, and with its beginning cut off: of a .bin or .ulg as long as a format is left."""
+    long = dict(logs) | {".tlog": COPTER.read_bytes()[:400_000]}  # enough for chance to strike
     for suffix, kind in {".tlog": "tlog", ".raw": "tlog", ".bin": "bin", ".ulg": "ulg"}.items():
         for name in ("log", "log.tlog", "log.bin", "log.ulg", "log.BIN"):
-            path = tmp_path / name
-            path.write_bytes(logs[suffix])
-            assert open_log(path).kind == kind
+            for cut in (0, 1, 300):
+                path = tmp_path / name
+                path.write_bytes(long[suffix][cut:])
+                assert open_log(path).kind == kind, (suffix, name, cut)
 
 
 @pytest.mark.parametrize("number", range(60))

@@ -42,8 +42,10 @@ _FRAME_TYPES: Final = {
 """FRAME_CLASS of a copter."""
 _WORDS: Final = {
     "ArduCopter": wire.MAV_TYPE_QUADROTOR,
+    "APM:Copter": wire.MAV_TYPE_QUADROTOR,  # 3.3 to 3.5
     "ArduPlane": wire.MAV_TYPE_FIXED_WING,
     "ArduRover": wire.MAV_TYPE_GROUND_ROVER,
+    "APMrover2": wire.MAV_TYPE_GROUND_ROVER,
     "ArduSub": wire.MAV_TYPE_SUBMARINE,
     "Blimp": wire.MAV_TYPE_AIRSHIP,
     "AntennaTracker": wire.MAV_TYPE_ANTENNA_TRACKER,
@@ -96,6 +98,8 @@ class ArduPilotLog:
         counts, vehicle = looked.counts, self._vehicle
         if vehicle.mav_type is None:
             yield "no entry (VER, MSG) tells which kind of vehicle it is: no HEARTBEAT is made"
+        if counts["GPS"] and not looked.times_us:
+            yield "no entry tells the time since boot: all of it is told at one time"
         if not counts["ARM"] and not counts["EV"] and not counts["STAT"]:
             yield "no entry (ARM, EV, STAT) tells whether it is armed: taken for disarmed"
         if counts["GPS"] and not vehicle.has_position:
@@ -160,8 +164,10 @@ class _Look:
 def _epoch_us(row: Row) -> int | None:
     """When the vehicle booted, by a GPS entry with a fix."""
     values: Mapping[str, Any] = row.values
-    if values["Status"] < wire.GPS_FIX_TYPE_3D_FIX or row.time_us is None or not values["GWk"]:
+    old = "Week" in values  # until 3.2
+    week, of_week_ms = (values[each] for each in (("Week", "TimeMS") if old else ("GWk", "GMS")))
+    if values["Status"] < wire.GPS_FIX_TYPE_3D_FIX or row.time_us is None or not week:
         return None
-    gps_us = values["GWk"] * _WEEK_US + values["GMS"] * 1000
+    gps_us = week * _WEEK_US + of_week_ms * 1000
     epoch_us = int(_GPS_EPOCH_US + gps_us - _LEAP_US - row.time_us)
     return epoch_us if YEAR_2000_US <= epoch_us < YEAR_2100_US else None

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from companion.mavlink.dialect import Message, wire
-from companion.telemetry.logs.translated import Pace, Row, texts, whole
+from companion.telemetry.logs.translated import Pace, Row, boot_ms, texts, whole
 
 _SECOND_US: Final = 1_000_000
 _FAST_US: Final = 19_000
@@ -118,7 +118,7 @@ class ArduPilotRows:
 
     def _system_time(self, boot_us: int) -> Message:
         unix_us = 0 if self._epoch_us is None else self._epoch_us + boot_us
-        return wire.MAVLink_system_time_message(unix_us, boot_us // 1000)
+        return wire.MAVLink_system_time_message(unix_us, boot_ms(boot_us))
 
     def _on_mode(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
         del boot_us
@@ -183,7 +183,7 @@ class ArduPilotRows:
             return []
         roll, pitch, yaw = (math.radians(values[each]) for each in ("Roll", "Pitch", "Yaw"))
         turned = math.remainder(yaw, math.tau)
-        return [wire.MAVLink_attitude_message(boot_us // 1000, roll, pitch, turned, *self._gyro)]
+        return [wire.MAVLink_attitude_message(boot_ms(boot_us), roll, pitch, turned, *self._gyro)]
 
     def _on_gyro(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
         del boot_us
@@ -210,7 +210,7 @@ class ArduPilotRows:
         heading = _NO_HEADING if self._yaw_deg is None else round(self._yaw_deg * 100) % 36000
         return [
             wire.MAVLink_global_position_int_message(
-                boot_us // 1000,
+                boot_ms(boot_us),
                 values["Lat"],
                 values["Lng"],
                 round(values["Alt"] * 1e3),
@@ -262,7 +262,9 @@ class ArduPilotRows:
         velocity = (speed * math.cos(angle), speed * math.sin(angle), values.get("VZ", 0.0))
         self._velocities[_GPS] = (boot_us, *velocity)
         if not self._vehicle.has_position:
-            above_m = 0.0 if self._home_alt_m is None else values["Alt"] - self._home_alt_m
+            above_m = values.get("RelAlt", values.get("RAlt", 0.0))  # until 3.3
+            if self._home_alt_m is not None:
+                above_m = values["Alt"] - self._home_alt_m
             said += self._position(values, above_m, velocity, boot_us)
         return said
 

@@ -11,7 +11,7 @@ mavutil's global state along.  The tests compare with it, entry by entry.
 import re
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -22,9 +22,11 @@ from companion.telemetry.logs.window import Window
 
 MAGIC: Final = b"\xa3\x95"
 FMT: Final = 0x80
+_FMT_HEAD: Final = b"\xa3\x95\x80"
 _FMT_BYTES: Final = 89
 _HEAD: Final = 3
 _LONGEST: Final = 255
+SIGN_BYTES: Final = _FMT_BYTES
 _AHEAD: Final = 2 * _LONGEST + _HEAD
 _find_head = re.compile(rb"\xa3\x95").search
 _LETTERS: Final = {
@@ -52,7 +54,8 @@ _LETTERS: Final = {
 }
 """Of a column: its struct, and what its number is to be divided by.  Degrees stay times 1e7."""
 _TEXTS: Final = frozenset("nNZ")
-_UNITS_US: Final = {"TimeUS": 1, "TimeMS": 1000}
+_WEEKS: Final = frozenset({"GWk", "Week"})
+"""Beside these, until 3.2, TimeMS is the GPS's time of week, and the time since boot is T."""
 
 
 @final
@@ -64,22 +67,21 @@ class Format:
     length: int
     """With the head."""
     packing: struct.Struct
-    columns: tuple[tuple[str, float | None, bool], ...]
-    """Name, divisor, and whether it is a text."""
-    time: tuple[str, int] | None
+    columns: tuple[str, ...]
+    scaled: tuple[tuple[str, float], ...] = ()
+    """Those that are to be divided, and by what."""
+    texts: tuple[str, ...] = ()
+    time: tuple[str, int] | None = None
     """The column of the time since boot, and its unit in microseconds."""
 
     def row(self, data: bytes, at: int, byte: int) -> Row:
         """The entry there."""
-        values: dict[str, Any] = {}
         payload = self.packing.unpack_from(data, at + _HEAD)
-        for (name, divisor, is_text), value in zip(self.columns, payload, strict=True):
-            if divisor is not None:
-                values[name] = value / divisor
-            elif is_text:
-                values[name] = _text(value)
-            else:
-                values[name] = value
+        values: dict[str, Any] = dict(zip(self.columns, payload, strict=True))
+        for name, divisor in self.scaled:
+            values[name] /= divisor
+        for name in self.texts:
+            values[name] = _text(values[name])
         time_us = None if self.time is None else values[self.time[0]] * self.time[1]
         return Row(self.name, time_us, values, byte)
 
@@ -88,8 +90,8 @@ def format_of(entry: bytes) -> tuple[int, Format] | None:
     """What an FMT entry says; None: it cannot be right."""
     number, length = entry[_HEAD], entry[_HEAD + 1]
     name = _text(entry[5:9])
-    letters, columns = _text(entry[9:25]), _text(entry[25:89])
-    names = columns.split(",") if columns else []
+    letters, listed = _text(entry[9:25]), _text(entry[25:89])
+    names = listed.split(",") if listed else []
     if not name.isidentifier() or len(names) != len(letters) or len(set(names)) != len(names):
         return None
     if any(letter not in _LETTERS for letter in letters):
@@ -97,17 +99,36 @@ def format_of(entry: bytes) -> tuple[int, Format] | None:
     packing = struct.Struct("<" + "".join(_LETTERS[letter][0] for letter in letters))
     if packing.size + _HEAD != length:
         return None
-    told = tuple(
-        (each, _LETTERS[letter][1], letter in _TEXTS)
-        for each, letter in zip(names, letters, strict=True)
+    columns = list(zip(names, letters, strict=True))
+    divisors = [(each, _LETTERS[letter][1]) for each, letter in columns]
+    return number, Format(
+        name=name,
+        length=length,
+        packing=packing,
+        columns=tuple(names),
+        scaled=tuple((each, divisor) for each, divisor in divisors if divisor is not None),
+        texts=tuple(each for each, letter in columns if letter in _TEXTS),
+        time=_time_of(dict(columns)),
     )
-    times = [
-        (each, _UNITS_US[each])
-        for each, letter in zip(names, letters, strict=True)
-        if each in _UNITS_US and letter in "QqI"
-    ]
-    time = times[0] if times else None
-    return number, Format(name=name, length=length, packing=packing, columns=told, time=time)
+
+
+def _time_of(letters: Mapping[str, str]) -> tuple[str, int] | None:
+    """The column of the time since boot, by the letters of all columns."""
+    old = "T" if _WEEKS & letters.keys() else "TimeMS"
+    for name, unit_us in (("TimeUS", 1), (old, 1000)):
+        if letters.get(name, " ") in "QqI":
+            return name, unit_us
+    return None
+
+
+def first_format(data: bytes) -> int | None:
+    """Where in these bytes the first FMT entry stands that can be right; None: there is none."""
+    at = data.find(_FMT_HEAD)
+    while at >= 0 and (
+        at + _FMT_BYTES > len(data) or format_of(data[at : at + _FMT_BYTES]) is None
+    ):
+        at = data.find(_FMT_HEAD, at + 1)
+    return at if at >= 0 else None
 
 
 def _text(value: bytes) -> str:
@@ -115,7 +136,7 @@ def _text(value: bytes) -> str:
 
 
 _FMT_FORMAT: Final = Format(
-    name="FMT", length=_FMT_BYTES, packing=struct.Struct("<BB4s16s64s"), columns=(), time=None
+    name="FMT", length=_FMT_BYTES, packing=struct.Struct("<BB4s16s64s"), columns=()
 )
 
 
@@ -131,7 +152,7 @@ def rows(
     none.  Time is linear in the bytes.
     """
     formats: dict[int, Format] = {FMT: _FMT_FORMAT}
-    at = 0
+    at, begun = 0, None  # what begins there, if that is known from the entry before
     while True:
         data = window.data
         if at + _AHEAD > len(data) and window.more(at):
@@ -139,41 +160,34 @@ def rows(
             continue
         if at >= len(data):
             return
-        kind = _kind_at(data, at, formats)
-        end = at + kind.length if kind is not None else 0
-        described = format_of(data[at:end]) if kind is _FMT_FORMAT else None
-        known = formats if described is None else {**formats, described[0]: described[1]}
-        if kind is not None and (end == len(data) or _begins(data, end, known)):
-            if kind is _FMT_FORMAT:
-                _describe(described, formats, findings, window.base + at)
-            elif kind.name in wanted:
-                yield kind.row(data, at, window.base + at)
-            if counts is not None:
-                counts[kind.name] += 1
-            at = end
+        kind = begun or _begun_at(data, at, formats)
+        end = 0 if kind is None else at + kind.length
+        if kind is None or end > len(data):
+            at, begun = _resume(window, at, formats, findings, None), None
             continue
-        at = _resume(window, at, formats, findings, kind)
+        known = formats
+        if kind is _FMT_FORMAT and data[at + _HEAD] != FMT:  # it is known, whatever is said of it
+            described = format_of(data[at:end])
+            known = {**formats, described[0]: described[1]} if described else formats
+        begun = _begun_at(data, end, known)
+        if begun is None and not _begins(data, end, known):
+            at = _resume(window, at, formats, findings, kind)
+            continue
+        if kind.name in wanted:
+            yield kind.row(data, at, window.base + at)
+        elif kind is _FMT_FORMAT and data[at + _HEAD] != FMT and known is formats:
+            findings.note(Oddity.DAMAGED, window.base + at, None)
+        formats = known
+        if counts is not None:
+            counts[kind.name] += 1
+        at = end
 
 
-def _describe(
-    described: tuple[int, Format] | None,
-    formats: dict[int, Format],
-    findings: Findings,
-    byte: int,
-) -> None:
-    """Take what an FMT entry says; that of FMT itself is known."""
-    if described is None:
-        findings.note(Oddity.DAMAGED, byte, None)
-    elif described[0] != FMT:
-        formats[described[0]] = described[1]
-
-
-def _kind_at(data: bytes, at: int, formats: dict[int, Format]) -> Format | None:
-    """What begins there, if it is whole."""
-    if data[at : at + 2] != MAGIC or at + _HEAD > len(data):
+def _begun_at(data: bytes, at: int, formats: dict[int, Format]) -> Format | None:
+    """What begins there, whole or not."""
+    if at + _HEAD > len(data) or not data.startswith(MAGIC, at):
         return None
-    kind = formats.get(data[at + 2])
-    return kind if kind is not None and at + kind.length <= len(data) else None
+    return formats.get(data[at + 2])
 
 
 def _begins(data: bytes, at: int, formats: dict[int, Format]) -> bool:
@@ -194,11 +208,9 @@ def _resume(
     known = _begins(window.data, at, formats)
 
     def is_one(data: bytes, begin: int) -> bool:
-        other = _kind_at(data, begin, formats)
-        if other is None:
-            return False
-        end = begin + other.length
-        return end == len(data) or _begins(data, end, formats)
+        other = _begun_at(data, begin, formats)
+        end = len(data) + 1 if other is None else begin + other.length
+        return end <= len(data) and _begins(data, end, formats)
 
     begin = find_entry(window, at + 1, _find_head, _AHEAD, is_one)
     passed = window.base + begin - byte

@@ -1,16 +1,20 @@
 """Opens a log of any kind, by what is in it."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 from companion.errors import InputError
+from companion.mavlink.frames import LONGEST
 from companion.telemetry.logs import dataflash, ulog
 from companion.telemetry.logs.ardupilot_log import ArduPilotLog
 from companion.telemetry.logs.px4_log import Px4Log
-from companion.telemetry.logs.record import Log
+from companion.telemetry.logs.record import Kind, Log
+from companion.telemetry.logs.search import first_frame
 from companion.telemetry.logs.survey import survey
 from companion.telemetry.logs.tlog import Tlog, chosen
 from companion.telemetry.logs.translated import TranslatedLog
+from companion.telemetry.logs.window import Window
 
 _HEAD_BYTES: Final = 4096
 _KINDS: Final = "a .tlog of MAVLink frames, an ArduPilot .bin or a PX4 .ulg"
@@ -49,24 +53,26 @@ def open_log(path: Path, *, system_id: int | None = None) -> Log:
 def _opened(path: Path, size: int, system_id: int | None) -> Log:
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
-    for kind in _order(path, head):
-        log = _OPENERS[kind](path, size, system_id)
-        if log is not None:
-            return log
+    kind = _kind_of(path)
+    log = None if kind is None else _OPENERS[kind](path, size, system_id)
+    if log is not None:
+        return log
     for magic, (rule, remedy) in _OTHERS.items():
         if head.startswith(magic):
             raise InputError("log", str(path), rule, remedy)
     raise InputError("log", str(path), "nothing that can be read is in it", f"Give {_KINDS}.")
 
 
-def _order(path: Path, head: bytes) -> list[str]:
-    """What it is taken for, the likeliest first: by its first bytes, then by its name."""
-    suffix = path.suffix.lower()
-    looks = {
-        "ulg": head.startswith(ulog.MAGIC[:4]) or suffix == ".ulg",
-        "bin": head.startswith(dataflash.MAGIC) or suffix == ".bin",
-    }
-    return [*(kind for kind, so in looks.items() if so), "tlog"]
+def _kind_of(path: Path) -> Kind | None:
+    """What stands first in it that only one kind of log has; None: nothing that is of any."""
+    with Window(path) as window:
+        while True:
+            data = window.data
+            found = {kind: find(data) for kind, find in _SIGNS.items()}
+            if known := {kind: at for kind, at in found.items() if at is not None}:
+                return min(known, key=lambda kind: known[kind])
+            if not window.more(max(len(data) - _SIGN_BYTES, 0)):
+                return None
 
 
 def _open_tlog(path: Path, size: int, system_id: int | None) -> Log | None:
@@ -90,4 +96,16 @@ def _open_ulg(path: Path, size: int, system_id: int | None) -> Log | None:
     return TranslatedLog("ulg", path, size, source)
 
 
-_OPENERS: Final = {"tlog": _open_tlog, "bin": _open_bin, "ulg": _open_ulg}
+_SIGNS: Final[dict[Kind, Callable[[bytes], int | None]]] = {
+    "ulg": ulog.first_format,
+    "bin": dataflash.first_format,
+    "tlog": first_frame,
+}
+"""Where in bytes the first thing stands that cannot be chance: a description of a kind of entry, or
+a frame whose checksum is right."""
+_SIGN_BYTES: Final = max(LONGEST, ulog.SIGN_BYTES, dataflash.SIGN_BYTES)
+_OPENERS: Final[dict[Kind, Callable[[Path, int, int | None], Log | None]]] = {
+    "tlog": _open_tlog,
+    "bin": _open_bin,
+    "ulg": _open_ulg,
+}

@@ -12,7 +12,7 @@ from companion.telemetry.logs import ulog
 from companion.telemetry.logs.findings import Findings
 from companion.telemetry.logs.px4_rows import TOPICS, Px4Rows, Vehicle
 from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, earliest
-from companion.telemetry.logs.translated import Row, Translator
+from companion.telemetry.logs.translated import LONGEST_US, Row, Translator
 from companion.telemetry.logs.window import Window
 
 _FLAGS_AT: Final = ulog.HEADER_BYTES + 3
@@ -43,9 +43,14 @@ class Px4Log:
         self.system_id = looked.system_id
         self.epoch_us = looked.epoch_us
         times = sorted(looked.times_us)
-        sane = bool(times) and begun_us <= times[len(times) // 2]
+        sane = bool(times) and 0 <= times[len(times) // 2] - begun_us < LONGEST_US
         fallback_us = earliest(looked.times_us) if times else 0
-        self.start_us = begun_us if sane else fallback_us
+        start_us = begun_us if sane else fallback_us
+        self._zero_us = start_us if start_us >= YEAR_2000_US else 0
+        """What the vehicle's clock says at the time that is taken for its boot."""
+        self.start_us = start_us - self._zero_us
+        if self._zero_us and self.epoch_us is None:
+            self.epoch_us = self._zero_us
         counts = looked.counts
         self._vehicle = Vehicle(
             has_global_position=counts["vehicle_global_position"] > 0,
@@ -60,9 +65,13 @@ class Px4Log:
 
         What was published before the log began is told at its beginning.
         """
+        zero_us, start_us = self._zero_us, self._zero_us + self.start_us
         for row in ulog.rows(window, findings, TOPICS):
-            early = row.time_us is not None and row.time_us < self.start_us
-            yield row._replace(time_us=None) if early else row
+            if row.time_us is None or not (zero_us or row.time_us < start_us):
+                yield row
+            else:
+                early = row.time_us < start_us
+                yield row._replace(time_us=None if early else row.time_us - zero_us)
 
     def translator(self) -> Translator:
         """A new one."""
@@ -70,6 +79,8 @@ class Px4Log:
 
     def _substitutes(self, counts: Counter[str]) -> Iterator[str]:
         vehicle = self._vehicle
+        if self._zero_us:
+            yield "the vehicle's clock is a date: its boot is taken to be the log's beginning"
         if counts["vehicle_local_position"]:
             if not vehicle.has_global_position:
                 yield "positions are those of vehicle_local_position, about its origin"

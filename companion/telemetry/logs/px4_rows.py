@@ -13,7 +13,7 @@ from pyproj import Proj
 
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import encoded
-from companion.telemetry.logs.translated import Pace, Row, texts, whole
+from companion.telemetry.logs.translated import Pace, Row, boot_ms, texts, whole
 from companion.telemetry.logs.ulog import INFORMATION, PARAMETER, TEXT
 
 _SECOND_US: Final = 1_000_000
@@ -125,7 +125,7 @@ class Px4Rows:
 
     def _system_time(self, boot_us: int) -> Message:
         unix_us = 0 if self._epoch_us is None else self._epoch_us + boot_us
-        return wire.MAVLink_system_time_message(unix_us, boot_us // 1000)
+        return wire.MAVLink_system_time_message(unix_us, boot_ms(boot_us))
 
     def _on_landed(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
         del boot_us
@@ -153,7 +153,7 @@ class Px4Rows:
         said = self._origin_of(values, boot_us)
         if self._pace.is_due("LOCAL_POSITION_NED", boot_us, _FAST_US):
             place = [values[each] for each in ("x", "y", "z", "vx", "vy", "vz")]
-            said.append(wire.MAVLink_local_position_ned_message(boot_us // 1000, *place))
+            said.append(wire.MAVLink_local_position_ned_message(boot_ms(boot_us), *place))
         if not self._vehicle.has_global_position and self._projection is not None:
             said += self._unprojected(values, boot_us)
         if not self._vehicle.has_estimator_status:
@@ -201,7 +201,7 @@ class Px4Rows:
         heading_rad = local.get("heading", local.get("yaw", math.nan))
         return [
             wire.MAVLink_global_position_int_message(
-                boot_us // 1000,
+                boot_ms(boot_us),
                 round(place_deg[0] * 1e7),
                 round(place_deg[1] * 1e7),
                 round(altitude_m * 1e3),
@@ -238,7 +238,7 @@ class Px4Rows:
         roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
         pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        return [wire.MAVLink_attitude_message(boot_us // 1000, roll, pitch, yaw, *self._rates)]
+        return [wire.MAVLink_attitude_message(boot_ms(boot_us), roll, pitch, yaw, *self._rates)]
 
     def _on_rates(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
         del boot_us
@@ -253,7 +253,7 @@ class Px4Rows:
         ignored = sum(1 << bit for bit, each in enumerate(numbers) if not math.isfinite(each))
         return [
             wire.MAVLink_position_target_local_ned_message(
-                boot_us // 1000,
+                boot_ms(boot_us),
                 wire.MAV_FRAME_LOCAL_NED,
                 ignored,
                 *numbers,

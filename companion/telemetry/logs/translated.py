@@ -13,7 +13,7 @@ from companion.telemetry.logs.record import Missing, Record
 from companion.telemetry.logs.timeline import BACK_US, Timeline
 from companion.telemetry.logs.window import Window
 
-_LONGEST_US: Final = 366 * 86_400 * 1_000_000
+LONGEST_US: Final = 366 * 86_400 * 1_000_000
 """No vehicle is up for longer than a year."""
 _TEXT_BYTES: Final = 50
 _MOST_CHUNKS: Final = 6
@@ -120,7 +120,7 @@ class TranslatedLog:
         timeline = Timeline(
             findings,
             first_us=epoch_us,
-            last_us=epoch_us + _LONGEST_US,
+            last_us=epoch_us + LONGEST_US,
             start_us=epoch_us + source.start_us,
             jitter_us=BACK_US,
         )
@@ -161,12 +161,15 @@ class _Telling:
                 return []
         try:
             messages = self._translator.on_row(row, time_us - self._epoch_us)
+            if not messages:
+                return []
             frames = [self._packed(message) for message in messages]
         except (ArithmeticError, KeyError, TypeError, ValueError, struct.error):
             # A damaged entry, which nothing protects: numbers that fit into no message, or texts.
             self._findings.note(Oddity.DAMAGED, row.byte, time_us)
             return []
-        self._heard.update(message.get_type() for message in messages)
+        for message in messages:
+            self._heard.add(message.get_type())
         return [Record(time_us, frame) for frame in frames]
 
     def _packed(self, message: Message) -> bytes:
@@ -204,6 +207,11 @@ def texts(text: str, severity: int, number: int) -> list[Message]:
         )
         for begin in range(0, len(content) + 1, _TEXT_BYTES)
     ]
+
+
+def boot_ms(boot_us: int) -> int:
+    """As MAVLink has it: 32 bits, which begin again after 49.7 days."""
+    return boot_us // 1000 & 0xFFFFFFFF
 
 
 def whole(value: float, least: int, most: int) -> int:

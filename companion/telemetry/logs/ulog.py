@@ -31,6 +31,10 @@ _HEAD: Final = 3
 _LONGEST: Final = 0xFFFF
 _AHEAD: Final = 2 * (_LONGEST + _HEAD) + _HEAD
 _KINDS: Final = frozenset(b"FADPLCOISBMQR")
+_DATA: Final = ord("D")
+_DESCRIBING: Final = frozenset(b"FA")
+SIGN_BYTES: Final = 100
+_find_sign = re.compile(rb"\AULog|F\w{2,60}:uint64_t timestamp;").search
 _find_head = re.compile(rb"[^\x00]\x00[ADPLCOISFBMQR]|.[\x01-\x27][DFLCIMPQR]", re.DOTALL).search
 """What a message may begin with: no kind but these is longer than 255 bytes."""
 _TYPES: Final = {
@@ -54,6 +58,12 @@ _MOST_DESCRIPTIONS: Final = 4 << 20
 """Bytes of formats and subscriptions that are kept; a log has 100 kB of them."""
 
 
+def first_format(data: bytes) -> int | None:
+    """Where in the beginning of a file, or in any part of it, its head or a format stands."""
+    found = _find_sign(data)
+    return None if found is None else found.start()
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Topic:
@@ -64,18 +74,19 @@ class Topic:
     packing: struct.Struct
     """With the padding at the end, which may be left out."""
     least_bytes: int
-    fields: tuple[tuple[str, int, bool], ...]
-    """Name, how many values, and whether it is one of several."""
+    single: tuple[tuple[str, int], ...]
+    """The fields of one value, and which of all values that is."""
+    arrays: tuple[tuple[str, int, int], ...]
+    """The other fields, with where each begins and ends."""
 
     def values(self, data: bytes) -> dict[str, Any]:
         """The message whose content that is, by field; arrays are tuples."""
         if len(data) < self.packing.size:
             data = data.ljust(self.packing.size, b"\0")
-        numbers, at = self.packing.unpack_from(data), 0
-        values: dict[str, Any] = {}
-        for name, count, is_array in self.fields:
-            values[name] = numbers[at : at + count] if is_array else numbers[at]
-            at += count
+        numbers = self.packing.unpack_from(data)
+        values: dict[str, Any] = {name: numbers[at] for name, at in self.single}
+        for name, begin, end in self.arrays:
+            values[name] = numbers[begin:end]
         return values
 
 
@@ -133,7 +144,8 @@ class _Described:
         parts = self.formats.get(name)
         if not parts or parts[0] != _Part("uint64_t", None, "timestamp"):
             return None
-        codes, fields, padding = list[str](), list[tuple[str, int, bool]](), 0
+        codes, padding, at = list[str](), 0, 0
+        single, arrays = list[tuple[str, int]](), list[tuple[str, int, int]]()
         for part in parts:
             size = self._size(part.kind, 0)
             if size is None:
@@ -147,8 +159,11 @@ class _Described:
                 padding = padding + count * size if part.name.startswith("_padding") else 0
             else:
                 codes.append(f"{count}{code}")
-                fields.append((part.name, count, part.length is not None))
-                padding = 0
+                if part.length is None:
+                    single.append((part.name, at))
+                else:
+                    arrays.append((part.name, at, at + count))
+                at, padding = at + count, 0
         packing = struct.Struct("<" + "".join(codes))
         if packing.size > _LONGEST:
             return None
@@ -157,7 +172,8 @@ class _Described:
             instance=instance,
             packing=packing,
             least_bytes=packing.size - padding,
-            fields=tuple(fields),
+            single=tuple(single),
+            arrays=tuple(arrays),
         )
 
     def _size(self, kind: str, depth: int) -> int | None:
@@ -194,7 +210,7 @@ def rows(
     described = _Described()
     if not window.data:
         window.more(0)
-    at = HEADER_BYTES
+    at, size = HEADER_BYTES, 0  # of the message there, if that is known from the one before
     while True:
         data = window.data
         if at + _AHEAD > len(data) and window.more(at):
@@ -202,22 +218,26 @@ def rows(
             continue
         if at >= len(data):
             return
-        end = _end(data, at, described)
-        if end and _follows(data, end, described):
-            if counts is not None and data[at + 2] == 0x44:
-                _count(data[at + 3] | data[at + 4] << 8, described, counts)
-            row = _row(data[at:end], window.base + at, described, findings, wanted)
+        end = at + size if size else _end(data, at, described)
+        following = _end(data, end, described) if end else 0
+        if not following and not (end and _is_cut_short(data, end)):
+            at, size = _resume(window, at, described, findings), 0
+            continue
+        kind, size = data[at + 2], following - end if following else 0
+        topic = described.topics.get(data[at + 3] | data[at + 4] << 8) if kind == _DATA else None
+        if topic is None:
+            row = _row(data[at:end], window.base + at, described, findings)
             if row is not None:
                 yield row
-            at = end
-        else:
-            at = _resume(window, at, described, findings)
-
-
-def _count(number: int, described: _Described, counts: Counter[str]) -> None:
-    topic = described.topics.get(number)
-    if topic is not None and topic.instance == 0:
-        counts[topic.name] += 1
+            if kind in _DESCRIBING:  # what follows may be judged by it
+                size = 0
+        elif topic.instance == 0:
+            if counts is not None:
+                counts[topic.name] += 1
+            if topic.name in wanted:
+                values = topic.values(data[at + _HEAD + 2 : end])
+                yield Row(topic.name, values["timestamp"], values, window.base + at)
+        at = end
 
 
 def _end(data: bytes, at: int, described: _Described) -> int:
@@ -229,7 +249,7 @@ def _end(data: bytes, at: int, described: _Described) -> int:
     if size == 0 or end > len(data):
         return 0
     kind = data[at + 2]
-    if kind == 0x44:  # D
+    if kind == _DATA:
         if size < 2:
             return 0
         topic = described.topics.get(data[at + 3] | data[at + 4] << 8)
@@ -244,28 +264,24 @@ def _end(data: bytes, at: int, described: _Described) -> int:
 
 def _follows(data: bytes, at: int, described: _Described) -> bool:
     """Whether a message begins there, or the file ends."""
+    return _end(data, at, described) > 0 or _is_cut_short(data, at)
+
+
+def _is_cut_short(data: bytes, at: int) -> bool:
+    """Whether the file ends there, or in a message that begins there."""
     if at + _HEAD > len(data):
         return True
-    if _end(data, at, described):
-        return True
     size = data[at] | data[at + 1] << 8
-    cut_short = at + _HEAD + size > len(data)
-    return cut_short and data[at + 2] in _KINDS
+    return at + _HEAD + size > len(data) and data[at + 2] in _KINDS
 
 
-def _row(
-    message: bytes, byte: int, described: _Described, findings: Findings, wanted: Collection[str]
-) -> Row | None:
-    """What a whole message is for others; it may be of use only here."""
+def _row(message: bytes, byte: int, described: _Described, findings: Findings) -> Row | None:
+    """What a whole message is for others, other than data of a topic that is known."""
     kind, content = message[2:3], message[_HEAD:]
     sound: bool = True
     match kind:
         case b"D":
-            topic = described.topics.get(content[0] | content[1] << 8)
-            sound = topic is not None
-            if topic is not None and topic.instance == 0 and topic.name in wanted:
-                values = topic.values(content[2:])
-                return Row(topic.name, values["timestamp"], values, byte)
+            sound = False
         case b"F":
             sound = described.on_format(content)
         case b"A":
