@@ -34,6 +34,7 @@ from companion.mission.events import (
     SetMode,
     SetSpeed,
     StopAsked,
+    TakeOffTaken,
     VehicleFound,
     VehicleStatus,
 )
@@ -76,6 +77,8 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
             )
         case LandedState(landed=landed) if landed is not vehicle.landed:
             vehicle = replace(vehicle, landed=landed, landed_at_s=event.time_s)
+        case TakeOffTaken():
+            vehicle = replace(vehicle, take_off_taken_at_s=now_s)
         case GpsFix(good=good):
             vehicle = replace(vehicle, fix_good=good, fix_at_s=event.time_s)
         case Estimator(good=good, error_m=error_m):

@@ -216,6 +216,8 @@ class Vehicle(Renewed):
     fix_good: bool = False
     fix_at_s: float = -1e9
     estimator_good: bool = False
+    take_off_taken_at_s: float = -1e9
+    """When it last accepted a take-off."""
     estimator_at_s: float = -1e9
     """When these were heard of last."""
     estimator_failed_at_s: float = -1e9

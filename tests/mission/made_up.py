@@ -36,6 +36,7 @@ from companion.mission.events import (
     Setpoint,
     StartScan,
     TakeOff,
+    TakeOffTaken,
     Tick,
     Vector,
     VehicleFound,
@@ -177,7 +178,7 @@ class Craft:
         self.climb_to_m: float | None = None
         self.obeys_modes, self.follows, self.fix = True, True, True
         self.answered, self.asked = 1, 1
-        self.arms, self.takes_off = True, True
+        self.arms, self.takes_off, self.accepts = True, True, False
         self.battery: float | None = None
         self.failsafe = False
         self.scan_asked = False
@@ -215,7 +216,10 @@ class Craft:
                     self.armed = True
                 case TakeOff(above_home_m=height) if self.takes_off:
                     self.mode = Mode.TAKE_OFF if self._by_itself else self.mode
+                case TakeOff() if not self.takes_off and self.accepts:
+                    self.told.append(TakeOffTaken(time_s=self.now_s))
                     self.climb_to_m = HOME_AMSL_M + height
+                    self.told.append(TakeOffTaken(time_s=self.now_s))
                     self.landed = Landed.TAKING_OFF if self.armed else self.landed
                 case StartScan():
                     self.scan_asked = True

@@ -33,7 +33,7 @@ from made_up import (
     two_legs_away,
 )
 
-from companion.mavlink.autopilots import ARDUCOPTER
+from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot
 from companion.mission.events import (
     Arm,
     Command,
@@ -587,6 +587,25 @@ def test_every_wait_ends_when_the_link_is_lost_for_good(wait: str) -> None:
 
 @pytest.mark.parametrize("silent_s", [3.0, 30.0])
 def test_a_link_that_comes_back_in_the_air_prepares_again_and_goes_on(silent_s: float) -> None:
+@pytest.mark.parametrize("autopilot", [ARDUCOPTER, PX4_MULTICOPTER], ids=["ardupilot", "px4"])
+def test_a_take_off_that_was_accepted_is_asked_for_again_only_if_it_does_not_begin(
+    autopilot: Autopilot,
+) -> None:
+    craft = Craft(driving=autopilot.driving)
+    craft.takes_off, craft.accepts = False, True
+    craft.run_until(lambda craft: bool(craft.sent(TakeOff)))
+    assert len(craft.run_for(4.8).sent(TakeOff)) == 1
+    assert len(craft.run_for(1.0).sent(TakeOff)) == 2
+
+
+@pytest.mark.parametrize("autopilot", [ARDUCOPTER, PX4_MULTICOPTER], ids=["ardupilot", "px4"])
+def test_a_take_off_that_is_not_accepted_is_asked_for_once_a_second(autopilot: Autopilot) -> None:
+    craft = Craft(driving=autopilot.driving)
+    craft.takes_off = False
+    craft.run_until(lambda craft: bool(craft.sent(TakeOff)))
+    assert len(craft.run_for(3.5).sent(TakeOff)) == 4
+
+
     craft = flying(near_target())
     craft.take(LinkLost(time_s=craft.now_s, silent_s=silent_s))
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.LINK_LOST)
