@@ -38,7 +38,7 @@ from companion.mission.events import (
     VehicleFound,
     VehicleStatus,
 )
-from companion.mission.health import distrust, with_battery, with_position
+from companion.mission.health import judged, with_battery, with_position
 from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, MOVES, Phase, Reason, State, Trigger
 
@@ -108,8 +108,7 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
             flight = replace(flight, known=flight.known.with_scan(scan))
         case _:
             pass
-    if distrust(vehicle, now_s, state.task.limits) is not None:
-        vehicle = replace(vehicle, bad_at_s=now_s)
+    vehicle = judged(vehicle, now_s, state.task.limits)
     airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
     return replace(state, now_s=now_s, vehicle=vehicle, flight=flight, airborne=airborne)
 

@@ -175,6 +175,8 @@ class Craft:
         self.mode, self.armed, self.landed = Mode.OTHER, False, Landed.ON_GROUND
         self.here: Vector = (0.0, 0.0, HOME_AMSL_M)
         self.velocity: Vector = (0.0, 0.0, 0.0)
+        self.by_hand: Vector = (0.0, 0.0, 0.0)
+        """Velocity at which somebody else flies it."""
         self.climb_to_m: float | None = None
         self.obeys_modes, self.follows, self.fix = True, True, True
         self.answered, self.asked = 1, 1
@@ -214,12 +216,12 @@ class Craft:
                     self.mode = mode
                 case Arm() if self.arms:
                     self.armed = True
-                case TakeOff(above_home_m=height) if self.takes_off:
-                    self.mode = Mode.TAKE_OFF if self._by_itself else self.mode
                 case TakeOff() if not self.takes_off and self.accepts:
                     self.told.append(TakeOffTaken(time_s=self.now_s))
-                    self.climb_to_m = HOME_AMSL_M + height
+                case TakeOff(above_home_m=height) if self.takes_off:
                     self.told.append(TakeOffTaken(time_s=self.now_s))
+                    self.mode = Mode.TAKE_OFF if self._by_itself else self.mode
+                    self.climb_to_m = HOME_AMSL_M + height
                     self.landed = Landed.TAKING_OFF if self.armed else self.landed
                 case StartScan():
                     self.scan_asked = True
@@ -263,8 +265,9 @@ class Craft:
             if height == HOME_AMSL_M:
                 self.landed, self.armed = Landed.ON_GROUND, False
         if self.mode is not Mode.GUIDED:
-            self.velocity = (0.0, 0.0, 0.0)
-        self.here = (*self.here[:2], height)
+            self.velocity = self.by_hand
+        north, east, _ = self.by_hand
+        self.here = (self.here[0] + TICK_S * north, self.here[1] + TICK_S * east, height)
 
     def events(self) -> list[Event]:
         """What the vehicle says at the next tick of its clock."""
@@ -314,6 +317,13 @@ class Craft:
     def run_for(self, seconds: float) -> "Craft":
         for _ in range(round(seconds / TICK_S)):
             self.tick()
+        return self
+
+    def fly_by_hand(self, velocity: Vector, seconds: float) -> "Craft":
+        """Somebody else flies it somewhere, level."""
+        self.by_hand = velocity
+        self.run_for(seconds)
+        self.by_hand = (0.0, 0.0, 0.0)
         return self
 
     def end(self) -> End:
