@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 
+from companion import cli
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
 
 CONNECTING = Path(__file__).parents[1] / "docs" / "connecting.md"
@@ -42,3 +43,16 @@ def test_the_documented_service_starts_again_what_may_go_on_and_nothing_that_was
     assert "StartLimitIntervalSec=0" in text  # a vehicle in the air is not given up for trying
     for code in (0, *decided, FlightInterrupted.exit_code, CRASHED):
         assert f"| {code} |" in text
+
+
+def test_a_crash_is_a_traceback_and_an_exit_code_that_no_decision_has(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def crash(**_: object) -> None:
+        raise ZeroDivisionError("made up")
+
+    monkeypatch.setattr(cli, "app", crash)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == CRASHED
+    assert "ZeroDivisionError: made up" in capsys.readouterr().err

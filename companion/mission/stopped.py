@@ -253,7 +253,7 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
         return _taken(state)
     if in_phase_s(state) > _HOLD_S or state.flight.troubles > _TROUBLES:
         return state, [], Trigger.GIVE_UP
-    if _is_elsewhere(state):
+    if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
         return _elsewhere(state)
     if mode is Mode.HOLD or (taking_over and not _must_stop_first(state)):
         state = replace(state, obeyed=True)

@@ -66,6 +66,8 @@ def test_the_autopilots_failsafe_and_its_end_are_said() -> None:
     assert Reason.FAILSAFE.text in held
     over = terminal.show(130.0, failsafe_over=True)
     assert FAILSAFE_OVER in over[-1]
+    [silent] = terminal.show(135.0, reason=Reason.LINK_LOST)
+    assert Reason.LINK_LOST.text in silent
     [flies] = terminal.show(
         140.0, phase=Phase.FLYING, since_s=140.0, reason=None, failsafe_over=False
     )
