@@ -5,6 +5,7 @@ import platform
 import signal
 import sys
 import time
+import traceback
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -20,7 +21,7 @@ from rich.console import Console
 
 from companion.compare.command import compare_app
 from companion.config import bundled, load_mission, load_world, mission_name, mission_text
-from companion.errors import CompanionError, FlightFailed, InputError
+from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
@@ -44,7 +45,7 @@ from companion.views.words import checks_table, flight_table, mission_words, pla
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 
-_INTERRUPTED = 130
+_INTERRUPTED, _CRASHED = 130, 70
 _LOADING = "loading the planner (compiled the first time, in some fifteen seconds)"
 _USAGE_ERROR = typer.BadParameter.__bases__  # typer has no name for the class of all of them
 
@@ -153,7 +154,8 @@ def fly_command(
     """Fly a mission: find the vehicle, take off (or take over), follow subpaths to the target.
 
     Writes a run folder with the telemetry log, the journal of all decisions and a picture.
-    Exit code: 0 arrived, 1 the flight failed, 2 the input was wrong, 130 stopped by Ctrl-C.
+    Exit code: 0 arrived, 1 the flight failed, 2 the input was wrong, 75 it may go on (--resume),
+    70 a crash, 130 stopped by Ctrl-C.
     """
     console = Console()
     if resume and out is None:
@@ -307,9 +309,10 @@ def main() -> None:
         sys.exit(error.exit_code)
     except typer.Abort:
         sys.exit(_INTERRUPTED)
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001 - whatever it is, a crash has a code of its own
         if not isinstance(error, _USAGE_ERROR):
-            raise
+            traceback.print_exc()
+            sys.exit(_CRASHED)
         text = str(getattr(error, "format_message", error.__str__)())
         if text:  # without: the help has been shown
             sys.stderr.write(f"error: {text.rstrip('.')}. See companion --help.\n")
@@ -400,6 +403,7 @@ def _flown(
             persist=None if key is None else partial(_keep_time, key, session.signing),
         )
         folder.run_json(_run_facts(flown, began, connect))
+    flown.resumed = recalled is not None and recalled.resume is not None
     _show(flown, folder, console)
     return flown
 
@@ -436,7 +440,7 @@ def _exit_as_it_ended(flown: Flown, connect: str) -> None:
         remedy = "" if end is None else end.remedy
         if not flown.heard:
             reason, remedy = _not_heard(flown.session, connect)
-        raise FlightFailed(reason, remedy)
+        raise (FlightInterrupted if flown.may_go_on else FlightFailed)(reason, remedy)
     if end.outcome is Outcome.STOPPED:
         raise typer.Exit(_INTERRUPTED)
 

@@ -1,8 +1,9 @@
 """Every error that a user can meet.  One line each: the field, the value, the rule, the remedy.
 
 CompanionError
-├── InputError      what was asked for cannot be done as asked: exit code 2
-└── FlightFailed    the flight ended before its target: exit code 1
+├── InputError          what was asked for cannot be done as asked: exit code 2
+├── FlightFailed        the flight ended before its target, by decision: exit code 1
+└── FlightInterrupted   it is not over: a companion started again may go on: exit code 75
 """
 
 from typing import final
@@ -32,9 +33,20 @@ class InputError(CompanionError):
         self.field = field
 
 
-@final
-class FlightFailed(CompanionError):
+class _Ended(CompanionError):
     """The flight did not reach its target."""
 
     def __init__(self, reason: str, remedy: str) -> None:
         super().__init__(f"{reason.rstrip('.')}. {remedy}" if remedy else reason)
+
+
+@final
+class FlightFailed(_Ended):
+    """Nor will it if it is started again."""
+
+
+@final
+class FlightInterrupted(_Ended):
+    """The vehicle was in the air and is not heard, or the companion itself has failed."""
+
+    exit_code = 75  # EX_TEMPFAIL

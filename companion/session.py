@@ -85,13 +85,13 @@ class Session:
         """resume: what a companion before this one has left (`Output.checkpoint`, its map)."""
         self.mission = mission
         self.state = checkpoint.beginning(mission, resume)
-        self._clock = VehicleClock(self.state.now_s)
+        self.clock = VehicleClock(self.state.now_s)
         self.context = Context(mission=mission, seed=seed, lockstep=lockstep, shadow=shadow)
         self.found = ""
         """What the vehicle says that it is."""
         self.last_scan: ScanDone | None = None
-        self.warning = ""
-        """What a person was last warned of."""
+        self.warned: tuple[float, str] = (-math.inf, "")
+        """When a person was last warned, and of what."""
         self.vehicle: VehicleSide | None = None
         """The autopilot, once it is known."""
         self.receiver = Receiver(signing, NEEDLESS)
@@ -125,7 +125,7 @@ class Session:
     @property
     def now_s(self) -> float:
         """Vehicle time."""
-        return self._clock.now_s
+        return self.clock.now_s
 
     # --- what the runtime calls
 
@@ -186,7 +186,7 @@ class Session:
             if self._silence_told_s < limit <= silent_s:
                 self._handle(events.LinkLost(time_s=self.now_s, silent_s=limit))
         self._silence_told_s = silent_s
-        if self._clock.be_silent(more_s, counts=not waiting) is Reading.LATER:
+        if self.clock.be_silent(more_s, counts=not waiting) is Reading.LATER:
             self._handle(events.Tick(time_s=self.now_s))
         self._housekeeping()
 
@@ -238,7 +238,7 @@ class Session:
     # --- messages
 
     def _on_message(self, message: Message, at_s: float | None) -> None:
-        tells = not self.latch.is_ours(message) or self._clock.is_told_by(message)
+        tells = not self.latch.is_ours(message) or self.clock.is_told_by(message)
         if needed := not isinstance(message, Unread) and tells:
             self._read_time(message)
         if (namesake := self._outbox.note_received(message, self.now_s)) is not None:
@@ -267,8 +267,8 @@ class Session:
                 self._on_time(message.time_boot_ms * 1e-3, ticks=kind != "GLOBAL_POSITION_INT")
             elif self._lockstep and kind == "TIMESYNC" and message.tc1 == 0:
                 self._on_time(message.ts1 * 1e-9)
-            elif kind == "HEARTBEAT" and not self.context.shadow and self._clock.beat(message):
-                self._handle(events.Tick(time_s=self._clock.going_on_s))
+            elif kind == "HEARTBEAT" and not self.context.shadow and self.clock.beat(message):
+                self._handle(events.Tick(time_s=self.clock.going_on_s))
 
     def _from_autopilot(self, message: Message, at_s: float | None) -> None:
         kind = message.get_type()
@@ -354,7 +354,7 @@ class Session:
     def _on_time(self, time_s: float, *, ticks: bool = True) -> None:
         """The vehicle's clock says so; ticks: unless an event of the same time follows anyway."""
         before_s = self.now_s
-        reading = self._clock.read(time_s)
+        reading = self.clock.read(time_s)
         if reading is Reading.FIRST:  # waits go on by the new clock
             self.state = self.state.by_another_clock(time_s - before_s)
             if self.vehicle is not None:
@@ -380,7 +380,7 @@ class Session:
 
     def _housekeeping(self) -> None:
         """What goes on whatever happens: heartbeat, texts, what is missing, the last mode."""
-        now_s = self._clock.going_on_s
+        now_s = self.clock.going_on_s
         if now_s == self._kept_house_s:
             return  # for a message of the same time
         self._kept_house_s = now_s
@@ -472,7 +472,7 @@ class Session:
         """What the autopilot is told to do."""
         assert self.vehicle is not None
         if isinstance(command, SetMode):
-            self._confirming, self._mode_asked_at_s = command, self._clock.going_on_s
+            self._confirming, self._mode_asked_at_s = command, self.clock.going_on_s
         if (noted := entries.of_command(command)) is not None:
             self._note(**noted)
         if (messages := self.vehicle.told(command, self.state)) is None:
@@ -483,9 +483,9 @@ class Session:
 
     def _say(self, text: str, *, warning: bool, about: str = "") -> None:
         self._note("say", text=text, warning=warning)
-        self.warning = text if warning else self.warning
+        self.warned = (self.now_s, text) if warning else self.warned
         if self._citizen is not None:
-            self._citizen.say(text, self._clock.going_on_s, about, warning=warning)
+            self._citizen.say(text, self.clock.going_on_s, about, warning=warning)
 
     def _settled(self) -> bool:
         """Whether the mission is over and the vehicle is in the mode that it was left in."""

@@ -1,6 +1,13 @@
+import re
+from pathlib import Path
+
 import pytest
 
-from companion.errors import CompanionError, FlightFailed, InputError
+from companion import cli
+from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
+
+CONNECTING = Path(__file__).parents[1] / "docs" / "connecting.md"
+STOPPED, CRASHED = 130, 70
 
 
 def test_an_input_error_is_field_value_rule_and_remedy_in_one_line() -> None:
@@ -24,3 +31,28 @@ def test_input_is_exit_code_2_and_flight_1_and_both_are_the_companions() -> None
     assert (InputError.exit_code, FlightFailed.exit_code) == (2, 1)
     assert issubclass(InputError, CompanionError)
     assert issubclass(FlightFailed, CompanionError)
+
+
+def test_the_documented_service_starts_again_what_may_go_on_and_nothing_that_was_decided() -> None:
+    text = CONNECTING.read_text(encoding="utf-8")
+    [prevented] = re.findall(r"^RestartPreventExitStatus=(.*)$", text, re.MULTILINE)
+    decided = {FlightFailed.exit_code, InputError.exit_code, STOPPED}
+    assert set(map(int, prevented.split())) == decided
+    assert not decided & {FlightInterrupted.exit_code, CRASHED}
+    assert "Restart=on-failure" in text
+    assert "StartLimitIntervalSec=0" in text  # a vehicle in the air is not given up for trying
+    for code in (0, *decided, FlightInterrupted.exit_code, CRASHED):
+        assert f"| {code} |" in text
+
+
+def test_a_crash_is_a_traceback_and_an_exit_code_that_no_decision_has(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def crash(**_: object) -> None:
+        raise ZeroDivisionError("made up")
+
+    monkeypatch.setattr(cli, "app", crash)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == CRASHED
+    assert "ZeroDivisionError: made up" in capsys.readouterr().err

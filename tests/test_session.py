@@ -425,7 +425,7 @@ def test_an_order_that_does_not_fit_now_is_acknowledged_so() -> None:
     [ack] = ordered(it, wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
     assert ack.result == wire.MAV_RESULT_TEMPORARILY_REJECTED
     assert it.session.state.phase is Phase.PREPARING
-    assert it.session.warning == "pause refused: the mission is preparing"
+    assert it.session.warned[1] == "pause refused: the mission is preparing"
 
 
 def set_parameter(
@@ -805,8 +805,8 @@ def test_a_simulator_in_lockstep_is_noticed_by_a_companion_that_is_not() -> None
     it.vehicle.lockstep = it.vehicle.sends_synchronisation = True
     for _ in range(80):
         it.tick()
-    assert "lockstep" in it.session.warning
+    assert "lockstep" in it.session.warned[1]
     real = pair(lockstep=False)
     for _ in range(80):
         real.tick()
-    assert real.session.warning == ""
+    assert real.session.warned[1] == ""

@@ -107,7 +107,7 @@ def test_the_one_that_came_second_ends_in_the_air_and_the_first_flies_on() -> No
     assert "another companion" in [entry["kind"] for entry in first.journal]
     texts = [m.text for m in messages(first.frames) if m.get_type() == "STATUSTEXT"]
     assert Reason.NOT_ALONE.text in "".join(texts)
-    assert first.session.warning.startswith(Reason.NOT_ALONE.text)
+    assert first.session.warned[1].startswith(Reason.NOT_ALONE.text)
     assert first.session.state.phase is Phase.FLYING
 
 

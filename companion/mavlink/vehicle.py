@@ -31,6 +31,7 @@ from companion.mission.events import (
     Setpoint,
     SetSpeed,
     TakeOff,
+    TakeOffTaken,
     TargetsChanged,
     Vector,
     VehicleStatus,
@@ -172,6 +173,9 @@ class VehicleSide:
             self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
         elif message.get_type() == "COMMAND_ACK":
             self._on_acknowledged(message)
+            if message.command == wire.MAV_CMD_NAV_TAKEOFF:
+                taken = message.result == wire.MAV_RESULT_ACCEPTED
+                return TakeOffTaken(time_s=now_s) if taken else None
         if self._tells_of_breach(message):
             return FenceBreach(time_s=now_s)
         frame = self._mission.frame

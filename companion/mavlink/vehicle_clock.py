@@ -34,6 +34,8 @@ class VehicleClock:
         """start_s: what stands for the time until it is known."""
         self.now_s = start_s
         self.is_known = False
+        self.passed_s = 0.0
+        """How long it has been known, all boots together."""
         self._idle_s = 0.0
         self._fallen_s: float | None = None
         self._beat: tuple[float, float, int] | None = None
@@ -98,5 +100,6 @@ class VehicleClock:
     def _later(self, time_s: float) -> Reading:
         if time_s <= self.now_s:
             return Reading.SAME
+        self.passed_s += time_s - self.now_s if self.is_known else 0.0
         self.now_s, self._idle_s = time_s, 0.0
         return Reading.LATER

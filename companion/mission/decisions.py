@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 
 from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position
-from companion.mission.health import distrust
+from companion.mission.health import astray_m, distrust
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, Phase, Reason, State, Trigger, Vehicle
@@ -52,6 +52,8 @@ def ask(state: State, *commands: Command) -> Step:
 
 def words(state: State, reason: Reason) -> tuple[str, str]:
     """What there is to say of a reason beyond its own text, and the remedy: the planner's own."""
+    if reason is Reason.POSITION_ELSEWHERE:
+        return f": {astray_m(state.vehicle):.0f} m away", reason.remedy
     refusal = state.flight.refusal
     if reason is not Reason.NO_PLAN or refusal is None:
         return "", reason.remedy

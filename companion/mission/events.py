@@ -95,6 +95,14 @@ class LandedState:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TakeOffTaken:
+    """The autopilot has accepted a take-off: it will begin."""
+
+    time_s: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GpsFix:
     """Whether the receiver has a three-dimensional fix."""
 
@@ -329,6 +337,7 @@ Event = (
     | VehicleStatus
     | Position
     | LandedState
+    | TakeOffTaken
     | GpsFix
     | Estimator
     | Home

@@ -28,7 +28,6 @@ from companion.mission.decisions import (
 from companion.mission.driving import TakeOffWay
 from companion.mission.events import (
     Arm,
-    Command,
     Event,
     Item,
     Landed,
@@ -53,6 +52,7 @@ _UNLED_S = 2.0  # in guided mode, in the air, with a position that is not to be 
 _ARM_S = 60.0
 _CLIMB_SAMPLES = 200
 _TAKE_OFF_SLACK_S = 60.0
+_BEGINS_S = 5.0  # a take-off that was accepted: 5 m up by then (ardupilot.md 2; px4.md 10: 1 s)
 _CLIMBED_M = 20.0  # above home: a plane may be led from here on
 _LEVEL_M_S = 1.0
 
@@ -228,7 +228,7 @@ def arming(state: State, event: Event, context: Context) -> Step:
     if vehicle.mode is first:
         return ask(replace(state, armed_by_us=True), Arm())
     if driving.take_off is TakeOffWay.CLIMB_THEN_ARM:
-        return ask(state, _take_off(state, context))
+        return _ask_to_take_off(state, context)
     return ask(state, SetMode(mode=first))
 
 
@@ -281,13 +281,15 @@ def _still_on_ground(state: State, event: Event, context: Context, modes: tuple[
         return give_up(state, Reason.NO_TAKE_OFF)
     if modes != (Mode.GUIDED,):
         return state, [], None
-    return ask(state, _take_off(state, context))
+    return _ask_to_take_off(state, context)
 
 
-def _take_off(state: State, context: Context) -> Command:
-    return TakeOff(
-        above_home_m=height_m(state, context), altitude_amsl_m=take_off_amsl_m(state, context)
-    )
+def _ask_to_take_off(state: State, context: Context) -> Step:
+    """Until it is accepted; then again only if it has not begun after a while."""
+    if state.now_s - state.vehicle.take_off_taken_at_s < _BEGINS_S:
+        return state, [], None
+    above_home_m, amsl_m = height_m(state, context), take_off_amsl_m(state, context)
+    return ask(state, TakeOff(above_home_m=above_home_m, altitude_amsl_m=amsl_m))
 
 
 def may_rise(state: State, context: Context) -> bool:

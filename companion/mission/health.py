@@ -1,15 +1,26 @@
-"""Whether the vehicle's position may be believed, and its battery will last (design section 7)."""
+"""Whether the vehicle's position may be believed, and its battery will last (design section 7).
+
+After a loss or a glitch all may vouch for a position that is wrong: estimators give in to a
+receiver that lies to them.  So the speeds that were told since the position was last believed say
+where it leads to, and it is believed again there only, or after it has been vouched for so long
+that it is the older one which must have been wrong.
+"""
 
 import itertools
 import math
 
 from companion.mission import joining
-from companion.mission.events import Battery, Landed, Position
+from companion.mission.events import Battery, Landed, Position, Vector
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
 from companion.mission.state import Reason, State, Vehicle
 from companion.path.limits import Limits
 
+TRUST_S = 2.0
+"""A position must have been good for so long before a flight goes on by it."""
+BELIEVED_AFTER_S = 60.0
+"""Vouched for so long without a jump, a position is believed wherever it is: most glitches are over
+by then, and what was believed before them may have been wrong."""
 _STALE_S = 0.5
 _FROZEN_S = 1.0
 _STILL_M_S = 1.0
@@ -17,6 +28,8 @@ _JUMP_SPEEDS = 1.5  # a step longer than this many times what the vehicle can fl
 _JUMP_SLACK_M = 20.0
 _SURPRISE_M = 4.0  # a step that differs more from what the speed made it is a jump, too
 _SURPRISE_SHARE = 0.35
+_TILT_M_S2 = 0.1  # half a degree that inertial sensors are off: 5 m after 10 s, 45 m after 30
+_TOLD_SPEED_M_S = 0.1  # that speeds are off by while GPS is used
 _RECENT_S = 0.5
 _UNHEARD_S = 5.0
 _FLICKERS_S = 1.0  # estimators give in to what they do not believe 7 to 10 s later
@@ -39,6 +52,7 @@ def with_position(vehicle: Vehicle, event: Position, limits: Limits) -> Vehicle:
         still = before[:2] == event.position_nea_m[:2]
         if still and math.hypot(*event.velocity_nea_m_s[:2]) > _STILL_M_S:
             moved_at = vehicle.moved_at_s
+        vehicle = _reckoned(vehicle, event, limits, jumps=jumped_at == event.time_s)
     return replace(
         vehicle,
         position_nea_m=event.position_nea_m,
@@ -59,21 +73,101 @@ def _has_jumped(vehicle: Vehicle, event: Position, elapsed_s: float, limits: Lim
     before = vehicle.position_nea_m
     assert before is not None
     step_m = math.dist(before, event.position_nea_m)
-    top_m_s = math.hypot(limits.speed_m_s, limits.climb_rate_m_s)
-    if step_m > _JUMP_SPEEDS * top_m_s * elapsed_s + _JUMP_SLACK_M:
+    if step_m > _flown_at_most_m(elapsed_s, limits) + _JUMP_SLACK_M:
         return True
     if elapsed_s > _STALE_S:
         return False
-    mean = [
-        0.5 * (a + b) for a, b in zip(vehicle.velocity_nea_m_s, event.velocity_nea_m_s, strict=True)
-    ]
-    told = [a + elapsed_s * v for a, v in zip(before, mean, strict=True)]
-    surprise_m = math.dist(told[:2], event.position_nea_m[:2])
-    return surprise_m > _SURPRISE_M + _SURPRISE_SHARE * math.hypot(*mean) * elapsed_s
+    mean_m_s = math.hypot(*_mean_m_s(vehicle, event))
+    surprise_m = math.hypot(*_surprise_ne_m(vehicle, event, elapsed_s))
+    return surprise_m > _SURPRISE_M + _SURPRISE_SHARE * mean_m_s * elapsed_s
+
+
+def _flown_at_most_m(elapsed_s: float, limits: Limits) -> float:
+    return _JUMP_SPEEDS * math.hypot(limits.speed_m_s, limits.climb_rate_m_s) * elapsed_s
+
+
+def _mean_m_s(vehicle: Vehicle, event: Position) -> Vector:
+    a, b = vehicle.velocity_nea_m_s, event.velocity_nea_m_s
+    return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
+
+
+def _surprise_ne_m(vehicle: Vehicle, event: Position, elapsed_s: float) -> tuple[float, float]:
+    """How far from where the speeds lead a position is, north and east."""
+    before, mean = vehicle.position_nea_m, _mean_m_s(vehicle, event)
+    assert before is not None
+    north, east, _ = event.position_nea_m
+    return north - before[0] - elapsed_s * mean[0], east - before[1] - elapsed_s * mean[1]
+
+
+def _reckoned(vehicle: Vehicle, event: Position, limits: Limits, *, jumps: bool) -> Vehicle:
+    """How far the position has come from where it can be since it was last believed.
+
+    On the ground it is believed as it comes.  What is flown unseen is none of it, as far as it can
+    have been flown.
+    """
+    in_air = vehicle.landed not in (Landed.ON_GROUND, Landed.UNKNOWN)
+    if not in_air or (event.time_s - vehicle.bad_at_s > TRUST_S and not jumps):
+        return replace(vehicle, believed_at_s=event.time_s, astray_ne_m=(0.0, 0.0), blind_s=0.0)
+    vouched = vehicle.fix_good and vehicle.estimator_good
+    if not vouched and vehicle.jumped_at_s <= vehicle.believed_at_s:
+        blind_s = vehicle.blind_s + event.time_s - vehicle.position_at_s
+        vehicle = replace(vehicle, blind_s=blind_s)
+    before = vehicle.position_nea_m
+    assert before is not None
+    moves = math.hypot(*event.velocity_nea_m_s[:2]) > _STILL_M_S
+    if moves and before[:2] == event.position_nea_m[:2]:
+        return vehicle  # it tells nothing
+    elapsed_s = event.time_s - vehicle.moved_at_s
+    surprise = _surprise_ne_m(vehicle, event, elapsed_s)
+    if elapsed_s > _STALE_S:
+        size_m = math.hypot(*surprise)
+        share = max(size_m - _flown_at_most_m(elapsed_s, limits), 0.0) / max(size_m, 1e-9)
+        surprise = surprise[0] * share, surprise[1] * share
+    north_m, east_m = vehicle.astray_ne_m
+    return replace(vehicle, astray_ne_m=(north_m + surprise[0], east_m + surprise[1]))
+
+
+def astray_m(vehicle: Vehicle) -> float:
+    """How far from where the speeds lead the position is, since it was last believed."""
+    return math.hypot(*vehicle.astray_ne_m)
+
+
+def _may_differ_m(vehicle: Vehicle, limits: Limits) -> float:
+    """How far from there it may be and still be right.
+
+    Both may be as wrong as the mission allows; speeds are told to a decimetre per second, and an
+    estimator without GPS goes wrong with the square of time, until it jumps to where GPS is.
+    """
+    since_s = vehicle.position_at_s - vehicle.believed_at_s
+    blind_m = 0.5 * _TILT_M_S2 * vehicle.blind_s**2
+    return 2.0 * limits.navigation_error_m + _TOLD_SPEED_M_S * since_s + blind_m
+
+
+def judged(vehicle: Vehicle, now_s: float, limits: Limits) -> Vehicle:
+    """The vehicle with what is remembered of doubts about its position."""
+    if _doubt(vehicle, now_s, limits) is not None:
+        return replace(vehicle, doubted_at_s=now_s, bad_at_s=now_s)
+    if _is_elsewhere(vehicle, now_s, limits):
+        return replace(vehicle, bad_at_s=now_s)
+    return vehicle
 
 
 def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
     """Why the position may not be believed now; None: it may."""
+    reason = _doubt(vehicle, now_s, limits)
+    if reason is None and _is_elsewhere(vehicle, now_s, limits):
+        return Reason.POSITION_ELSEWHERE
+    return reason
+
+
+def _is_elsewhere(vehicle: Vehicle, now_s: float, limits: Limits) -> bool:
+    """Whether all vouch again, not yet for long, for a position at which it cannot be."""
+    lately = now_s - vehicle.doubted_at_s < BELIEVED_AFTER_S
+    return lately and astray_m(vehicle) > _may_differ_m(vehicle, limits)
+
+
+def _doubt(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
+    """What speaks against the position as it is told now, wherever it is."""
     if now_s - vehicle.position_at_s > _STALE_S:
         return Reason.POSITION_STALE
     if now_s - vehicle.moved_at_s > _FROZEN_S:

@@ -34,10 +34,11 @@ from companion.mission.events import (
     SetMode,
     SetSpeed,
     StopAsked,
+    TakeOffTaken,
     VehicleFound,
     VehicleStatus,
 )
-from companion.mission.health import distrust, with_battery, with_position
+from companion.mission.health import judged, with_battery, with_position
 from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, MOVES, Phase, Reason, State, Trigger
 
@@ -76,6 +77,8 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
             )
         case LandedState(landed=landed) if landed is not vehicle.landed:
             vehicle = replace(vehicle, landed=landed, landed_at_s=event.time_s)
+        case TakeOffTaken():
+            vehicle = replace(vehicle, take_off_taken_at_s=now_s)
         case GpsFix(good=good):
             vehicle = replace(vehicle, fix_good=good, fix_at_s=event.time_s)
         case Estimator(good=good, error_m=error_m):
@@ -105,8 +108,7 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
             flight = replace(flight, known=flight.known.with_scan(scan))
         case _:
             pass
-    if distrust(vehicle, now_s, state.task.limits) is not None:
-        vehicle = replace(vehicle, bad_at_s=now_s)
+    vehicle = judged(vehicle, now_s, state.task.limits)
     airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
     return replace(state, now_s=now_s, vehicle=vehicle, flight=flight, airborne=airborne)
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from companion.mission import flying, following, joining
-from companion.mission.decisions import Context, Step, give_up, is_gone
+from companion.mission.decisions import Context, Step, give_up, is_gone, words
 from companion.mission.events import (
     Command,
     Event,
@@ -21,12 +21,11 @@ from companion.mission.events import (
     ScanDone,
     Vector,
 )
-from companion.mission.health import distrust
+from companion.mission.health import TRUST_S, distrust
 from companion.mission.renewed import replace
 from companion.mission.state import Reason, State
 from companion.planner.procedure import Reference
 
-_TRUST_S = 2.0
 _SAY_AGAIN_S = 10.0
 _ARRIVED_M = 30.0
 
@@ -36,7 +35,7 @@ def shadow(state: State, event: Event, context: Context) -> Step:
     if is_gone(state, event, context):
         return give_up(state, Reason.LINK_LOST)
     reason = distrust(state.vehicle, state.now_s, state.task.limits)
-    if reason is None and state.now_s - state.vehicle.bad_at_s < _TRUST_S:
+    if reason is None and state.now_s - state.vehicle.bad_at_s < TRUST_S:
         reason = state.reason  # good again, but not for long enough to go on
     if reason is not state.reason:
         return _would(replace(state, reason=reason), reason)
@@ -61,7 +60,8 @@ def _would(state: State, reason: Reason | None) -> Step:
     state = replace(state, flight=following.at_rest(state.flight, None))
     if reason is None:
         return state, [Say(text="shadow: would go on")], None
-    return state, [Say(text=f"shadow: would hold: {reason.text}", warning=True)], None
+    text = f"shadow: would hold: {reason.text}{words(state, reason)[0]}"
+    return state, [Say(text=text, warning=True)], None
 
 
 def _on_position(state: State, event: Position) -> Step:

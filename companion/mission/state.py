@@ -125,6 +125,10 @@ class Reason(enum.Enum):
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
     POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
     POSITION_JUMPED = ("the position jumped further than the vehicle can fly", "Check the GPS.")
+    POSITION_ELSEWHERE = (
+        "the position is not where the vehicle can be",
+        "Check the GPS: it is believed once it agrees, or after 60 s without another jump.",
+    )
     NO_FIX = ("the GPS fix is lost", "Wait for the fix to come back.")
     ESTIMATOR = ("the autopilot does not vouch for its position", "Check the vehicle's GPS.")
     INACCURATE = (
@@ -212,6 +216,8 @@ class Vehicle(Renewed):
     landed: Landed = Landed.UNKNOWN
     landed_at_s: float = -1e9
     """Since when."""
+    take_off_taken_at_s: float = -1e9
+    """When it last accepted a take-off."""
     home_nea_m: Vector | None = None
     fix_good: bool = False
     fix_at_s: float = -1e9
@@ -246,6 +252,14 @@ class Vehicle(Renewed):
     """When the position last changed by more than the vehicle can fly."""
     bad_at_s: float = 0.0
     """When the position was last not to be believed, whatever the reason."""
+    doubted_at_s: float = -1e9
+    """The same, for any reason but where it is."""
+    believed_at_s: float = -1e9
+    """When a position came that was believed, after others that were."""
+    astray_ne_m: tuple[float, float] = (0.0, 0.0)
+    """How far the position has come since from where the speeds told lead."""
+    blind_s: float = 0.0
+    """How long since then nothing has vouched for it, until it jumped."""
 
     @property
     def hovers(self) -> bool:

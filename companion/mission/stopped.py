@@ -21,6 +21,7 @@ from companion.mission.decisions import (
     is_silent,
     longest_silence_s,
     taken_by,
+    words,
 )
 from companion.mission.events import (
     Battery,
@@ -34,7 +35,7 @@ from companion.mission.events import (
     Say,
     SetMode,
 )
-from companion.mission.health import distrust
+from companion.mission.health import TRUST_S, distrust
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.renewed import replace
 from companion.mission.state import Reason, State, Trigger
@@ -70,7 +71,6 @@ FAILSAFE_OVER = "failsafe over: MISSION_START to the companion, or guided mode, 
 _TOLD_S = 30.0  # that guided mode is asked for on a person's word
 _LEADS_BACK_S = 30.0  # a link that comes back later finds a vehicle that holds
 _TROUBLES = 8
-_TRUST_S = 2.0  # a position must have been good for so long before the flight goes on
 _PAUSE_S = 2.0  # between attempts to plan from rest
 _THERE_M = 1.0
 _SETTLE_S = 30.0  # for a vehicle that does not come quite to rest
@@ -114,7 +114,20 @@ def _heard_again(state: State, event: Event, context: Context) -> Step:
 
 
 def _is_trusted(state: State) -> bool:
-    return state.now_s - max(state.vehicle.bad_at_s, state.since_s) > _TRUST_S
+    return state.now_s - max(state.vehicle.bad_at_s, state.since_s) > TRUST_S
+
+
+def _is_elsewhere(state: State) -> bool:
+    """Whether all vouch for a position at which the vehicle cannot be."""
+    reason = distrust(state.vehicle, state.now_s, state.task.limits)
+    return reason is Reason.POSITION_ELSEWHERE and state.reason is not reason
+
+
+def _elsewhere(state: State) -> Step:
+    """Hold on for that, and say so: what it was held for until now is over."""
+    reason = Reason.POSITION_ELSEWHERE
+    says = Say(text=f"hold: {reason.text}{words(state, reason)[0]}", warning=True, about="phase")
+    return replace(because(_anew(state), reason), taken=False), [says], None
 
 
 def _let_go(state: State, event: Event, context: Context) -> Step:
@@ -125,11 +138,15 @@ def _let_go(state: State, event: Event, context: Context) -> Step:
     if isinstance(event, Battery):
         state, warning = flying.battery_warning(state, context)
         return state, warning, None
+    told = state.now_s - state.told_at_s < _TOLD_S
+    given_back = state.vehicle.mode is Mode.GUIDED or (told and state.vehicle.mode is Mode.HOLD)
+    if given_back and _is_elsewhere(state):
+        return _elsewhere(state)
     if not _is_trusted(state):
         return _anew(state), [], None
     if state.vehicle.mode is Mode.GUIDED:
         return resumed(_anew(state))
-    if state.now_s - state.told_at_s < _TOLD_S:
+    if told:
         return _ask_for_guided(state, event, context)
     if state.told_at_s > 0.0:
         says = Say(text="guided mode was not taken", warning=True)
@@ -237,6 +254,8 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
         return _taken(state)
     if in_phase_s(state) > _HOLD_S or state.flight.troubles > _TROUBLES:
         return state, [], Trigger.GIVE_UP
+    if mode is not Mode.TAKE_OFF and _is_elsewhere(state):
+        return _elsewhere(state)
     if mode is Mode.HOLD or (taking_over and not _must_stop_first(state)):
         state = replace(state, obeyed=True)
     doubted = distrust(vehicle, state.now_s, state.task.limits) is not None
@@ -266,6 +285,8 @@ def _lead_back(state: State, event: Event, context: Context) -> Step:
     mode = state.vehicle.mode
     if mode not in (Mode.GUIDED, Mode.HOLD) or in_phase_s(state) > _LEADS_BACK_S:
         return _taken(state)
+    if _is_elsewhere(state):
+        return _elsewhere(state)
     if not _is_trusted(state):
         return _anew(state), [], None
     if mode is Mode.GUIDED:

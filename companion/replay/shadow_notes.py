@@ -36,6 +36,7 @@ _MOST_CHORDS: Final = 400
 _DOUBTS: Final = {
     Reason.POSITION_STALE: "no position",
     Reason.POSITION_FROZEN: "position stands still",
+    Reason.POSITION_ELSEWHERE: "position where the vehicle cannot be",
     Reason.HEALTH_SILENT: "no word of GPS or estimator",
     Reason.INACCURATE: "position less accurate than allowed",
 }

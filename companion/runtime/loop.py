@@ -151,7 +151,7 @@ class _Flight:
         self._watchdog.end(_HELD_S)
         failure = self._watchdog.failure
         if failure is not None:
-            self.flown.end = _end_of(failure, self.flown.end)
+            self.flown.end, self.flown.died = _end_of(failure, self.flown.end), True
         self._reader.leave()
         self._planning.leave()
         self._writer.close()

@@ -5,16 +5,24 @@ from dataclasses import dataclass, field
 from typing import final
 
 from companion.mission.events import End, Vector
+from companion.mission.state import Reason
 from companion.planner.request import Planned
 from companion.session import Session
+
+_NOT_DECIDED = (Reason.NO_VEHICLE, Reason.NOT_READY, Reason.LINK_LOST, Reason.PLANNER_DIED)
 
 
 @final
 @dataclass(slots=True, kw_only=True)
 class Flown:
-    """Grows while a flight is flown; times without a name of their own are wall seconds."""
+    """Grows while a flight is flown; times without a name of their own are wall seconds.
+
+    Of a flight that is gone on with, from there on: when the one before was started is not known.
+    """
 
     session: Session
+    resumed: bool = False
+    """Whether another companion has flown a part of it."""
     plans: list[Planned] = field(default_factory=list)
     plans_s: list[float] = field(default_factory=list)
     """How long each plan took."""
@@ -26,6 +34,8 @@ class Flown:
     elapsed_s: float = 0.0
     """Since the vehicle was first heard."""
     end: End | None = None
+    died: bool = False
+    """Whether a part of the companion did."""
 
     @property
     def to_go_m(self) -> float | None:
@@ -36,6 +46,16 @@ class Flown:
         return None if here is None else math.dist(here[:2], target)
 
     @property
+    def may_go_on(self) -> bool:
+        """Whether a companion that is started again may go on with a flight that has failed.
+
+        A vehicle that was in the air, and an end that is none of the mission's own decisions.
+        """
+        state = self.session.state
+        flew = state.airborne and not self.session.context.shadow
+        return flew and (self.died or state.reason in _NOT_DECIDED)
+
+    @property
     def times_real_time(self) -> float:
-        """Vehicle time over wall time."""
-        return self.session.now_s / max(self.elapsed_s, 1e-6)
+        """Vehicle time over wall time, while the vehicle was heard."""
+        return self.session.clock.passed_s / max(self.elapsed_s, 1e-6)

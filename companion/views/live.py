@@ -9,9 +9,13 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from companion.mission.state import Phase
+from companion.mission.decisions import words
+from companion.mission.state import IN_AIR, Reason
+from companion.mission.stopped import FAILSAFE_OVER
 from companion.telemetry.flown import Flown
 from companion.views.words import clearance_words
+
+_STANDS_S = 60.0  # a warning
 
 
 @final
@@ -23,7 +27,7 @@ class Progress:
         self._redraws = console.is_terminal and not console.is_dumb_terminal
         self._broken = False
         self._live = Live(console=console, auto_refresh=False, transient=True)
-        self._told: tuple[Phase, int] | None = None
+        self._told: tuple[object, ...] = ()
 
     def show(self, flown: Flown) -> None:
         """Draw the flight as it stands now."""
@@ -38,8 +42,8 @@ class Progress:
         state = flown.session.state
         if self._redraws:
             self._live.update(progress_table(flown), refresh=True)
-        elif self._told != (state.phase, state.flight.legs_flown):
-            self._told = (state.phase, state.flight.legs_flown)
+        elif self._told != (tells := (state.phase, state.flight.legs_flown, *_news(flown))):
+            self._told = tells
             self._console.print(progress_line(flown), highlight=False, soft_wrap=True, markup=False)
 
     def __enter__(self) -> Self:
@@ -102,6 +106,23 @@ def progress_line(flown: Flown) -> str:
 
 
 def _notice(flown: Flown) -> str:
-    """Why the mission holds, else the last warning."""
-    reason = flown.session.state.reason
-    return flown.session.warning if reason is None else reason.text
+    """Why the mission holds, and what its autopilot is about; else what was warned of just now."""
+    state, (reason, over, failsafe, warning) = flown.session.state, _news(flown)
+    if over:
+        return FAILSAFE_OVER
+    if reason is not None:
+        return f"{reason.text}{words(state, reason)[0]}"
+    return "the autopilot is in failsafe" if failsafe else warning
+
+
+def _news(flown: Flown) -> tuple[Reason | None, bool, bool, str]:
+    """What a notice is about: the reason to hold, the autopilot's failsafe, and a warning.
+
+    A warning is old once the mission has moved on, or it has stood for a while.
+    """
+    state, (warned_at_s, warning) = flown.session.state, flown.session.warned
+    said_in_phase = warned_at_s >= state.since_s
+    stands = said_in_phase and 0.0 <= flown.session.now_s - warned_at_s < _STANDS_S
+    failsafe = state.vehicle.failsafe and state.phase in IN_AIR
+    over = state.failsafe_over and state.reason is Reason.FAILSAFE
+    return state.reason, over, failsafe, warning if stands else ""

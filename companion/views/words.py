@@ -115,8 +115,9 @@ def flight_table(flown: Flown) -> Table:
     rows = [("outcome", "none" if flown.end is None else flown.end.outcome.value)]
     if flown.to_go_m is not None:
         rows.append(("distance to target", f"{flown.to_go_m:,.1f} m"))
-    rows.append(("vehicle time", f"{session.now_s:,.1f} s"))
-    rows.append(("wall time", f"{flown.elapsed_s:,.1f} s"))
+    since = " since it was resumed" if flown.resumed else ""
+    rows.append((f"vehicle time{since}", f"{session.clock.passed_s:,.1f} s"))
+    rows.append((f"wall time{since}", f"{flown.elapsed_s:,.1f} s"))
     rows.append(("times real time", f"{flown.times_real_time:,.0f}x"))
     rows.append(("subpaths flown", f"{session.state.flight.legs_flown}"))
     if flown.plans:

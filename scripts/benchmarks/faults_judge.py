@@ -52,6 +52,7 @@ _BLIND = frozenset(
         Reason.POSITION_STALE,
         Reason.POSITION_FROZEN,
         Reason.POSITION_JUMPED,
+        Reason.POSITION_ELSEWHERE,
         Reason.NO_FIX,
         Reason.ESTIMATOR,
     )

@@ -90,7 +90,7 @@ def test_a_vehicle_that_vanishes_ends_the_flight_with_a_reason(start: Launch) ->
     wait_for(flight, "subpath  1")
     flight.simulator.kill()
     flight.wait()
-    assert flight.companion.returncode == 1
+    assert flight.companion.returncode == 75
     assert flight.said["companion"].splitlines()[-1].startswith("error: the vehicle fell silent.")
     assert flight.outcome == "failed"
 

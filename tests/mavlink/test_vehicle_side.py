@@ -12,7 +12,14 @@ from companion.mavlink.autopilots import ALL, autopilot_of
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.vehicle import VehicleSide
 from companion.mission import checkpoint
-from companion.mission.events import FenceBreach, FenceChanged, Item, Prepared, SetSpeed
+from companion.mission.events import (
+    FenceBreach,
+    FenceChanged,
+    Item,
+    Prepared,
+    SetSpeed,
+    TakeOffTaken,
+)
 from companion.mission.mission import Mission
 from companion.mission.state import State
 from vehicle_sim.plans import PlanItem as Stored
@@ -275,6 +282,21 @@ def test_a_plane_that_refuses_the_speed_is_not_asked_again_and_a_person_hears_of
     side.event_of(received(wire.MAVLink_command_ack_message(told.command, 2)), 0.5)
     assert times_told(side, 1.0) == 0
     assert side.notes == ["the autopilot does not take the mission's speed"]
+
+
+@pytest.mark.parametrize(
+    ("command", "result", "taken"),
+    [
+        (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_RESULT_ACCEPTED, True),
+        (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_RESULT_FAILED, False),
+        (wire.MAV_CMD_NAV_TAKEOFF, wire.MAV_RESULT_IN_PROGRESS, False),
+        (wire.MAV_CMD_COMPONENT_ARM_DISARM, wire.MAV_RESULT_ACCEPTED, False),
+    ],
+)
+def test_a_take_off_is_taken_once_it_is_accepted(command: int, result: int, taken: bool) -> None:
+    message = received(wire.MAVLink_command_ack_message(command, result))
+    event = plane_told_its_speed()[0].event_of(message, 3.0)
+    assert event == (TakeOffTaken(time_s=3.0) if taken else None)
 
 
 def test_a_plane_that_somebody_else_flies_is_not_told_how_fast() -> None:

@@ -36,6 +36,7 @@ from companion.mission.events import (
     Setpoint,
     StartScan,
     TakeOff,
+    TakeOffTaken,
     Tick,
     Vector,
     VehicleFound,
@@ -190,10 +191,12 @@ class Craft:
         self.mode, self.armed, self.landed = Mode.OTHER, False, Landed.ON_GROUND
         self.here: Vector = (0.0, 0.0, HOME_AMSL_M)
         self.velocity: Vector = (0.0, 0.0, 0.0)
+        self.by_hand: Vector = (0.0, 0.0, 0.0)
+        """Velocity at which somebody else flies it."""
         self.climb_to_m: float | None = None
         self.obeys_modes, self.follows, self.fix = True, True, True
         self.answered, self.asked = 1, 1
-        self.arms, self.takes_off = True, True
+        self.arms, self.takes_off, self.accepts = True, True, False
         self.battery: float | None = None
         self.failsafe = False
         self.scan_asked = False
@@ -229,7 +232,10 @@ class Craft:
                     self.mode = mode
                 case Arm() if self.arms:
                     self.armed = True
+                case TakeOff() if not self.takes_off and self.accepts:
+                    self.told.append(TakeOffTaken(time_s=self.now_s))
                 case TakeOff(above_home_m=height) if self.takes_off:
+                    self.told.append(TakeOffTaken(time_s=self.now_s))
                     self.mode = Mode.TAKE_OFF if self._by_itself else self.mode
                     self.climb_to_m = HOME_AMSL_M + height
                     self.landed = Landed.TAKING_OFF if self.armed else self.landed
@@ -275,8 +281,9 @@ class Craft:
             if height == HOME_AMSL_M:
                 self.landed, self.armed = Landed.ON_GROUND, False
         if self.mode is not Mode.GUIDED:
-            self.velocity = (0.0, 0.0, 0.0)
-        self.here = (*self.here[:2], height)
+            self.velocity = self.by_hand
+        north, east, _ = self.by_hand
+        self.here = (self.here[0] + TICK_S * north, self.here[1] + TICK_S * east, height)
 
     def events(self) -> list[Event]:
         """What the vehicle says at the next tick of its clock."""
@@ -326,6 +333,13 @@ class Craft:
     def run_for(self, seconds: float) -> "Craft":
         for _ in range(round(seconds / TICK_S)):
             self.tick()
+        return self
+
+    def fly_by_hand(self, velocity: Vector, seconds: float) -> "Craft":
+        """Somebody else flies it somewhere, level."""
+        self.by_hand = velocity
+        self.run_for(seconds)
+        self.by_hand = (0.0, 0.0, 0.0)
         return self
 
     def end(self) -> End:

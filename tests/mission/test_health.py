@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import MISSION, position
 
-from companion.mission.health import distrust, with_position
+from companion.mission.events import Landed
+from companion.mission.health import TRUST_S, astray_m, distrust, judged, with_position
 from companion.mission.state import Reason, Vehicle
 
 LIMITS = MISSION.task.limits
@@ -31,6 +32,57 @@ def after(*positions: tuple[float, float, float]) -> Vehicle:
         event = position(time_s, (0.0, east_m, 3000.0), (0.0, speed_m_s, 0.0))
         vehicle = with_position(vehicle, event, LIMITS)
     return vehicle
+
+
+class Track:
+    """A vehicle flown level, and what is thought of the positions it tells."""
+
+    def __init__(
+        self, *, rate_hz: float = 10.0, landed: Landed = Landed.IN_AIR, speed_m_s: float = 20.0
+    ) -> None:
+        self.vehicle = replace(GOOD, landed=landed)
+        self.time_s = self.north_m = self.east_m = 0.0
+        self.course_rad, self.turn_rad_s = math.radians(90.0), 0.0
+        self.speed_m_s, self.step_s = speed_m_s, 1.0 / rate_hz
+
+    @property
+    def reason(self) -> Reason | None:
+        return distrust(self.vehicle, self.time_s, LIMITS)
+
+    def vouch(self, *, fix: bool = True, estimator: bool = True) -> "Track":
+        failed_at_s = self.vehicle.estimator_failed_at_s if estimator else self.time_s
+        self.vehicle = replace(
+            self.vehicle,
+            fix_good=fix,
+            estimator_good=estimator,
+            estimator_failed_at_s=failed_at_s,
+        )
+        return self
+
+    def fly(self, seconds: float) -> "Track":
+        for _ in range(round(seconds / self.step_s)):
+            middle_rad = self.course_rad + 0.5 * self.step_s * self.turn_rad_s
+            self.course_rad += self.step_s * self.turn_rad_s
+            self.north_m += self.step_s * self.speed_m_s * math.cos(middle_rad)
+            self.east_m += self.step_s * self.speed_m_s * math.sin(middle_rad)
+            self._tell()
+        return self
+
+    def stand_still(self, seconds: float) -> None:
+        """The position is frozen, the speed is not."""
+        for _ in range(round(seconds / self.step_s)):
+            self._tell()
+
+    def _tell(self) -> None:
+        self.time_s += self.step_s
+        self.vehicle = judged(self.vehicle, self.time_s, LIMITS)  # a gap is seen before it ends
+        velocity = (
+            self.speed_m_s * math.cos(self.course_rad),
+            self.speed_m_s * math.sin(self.course_rad),
+            0.0,
+        )
+        event = position(self.time_s, (self.north_m, self.east_m, 3000.0), velocity)
+        self.vehicle = judged(with_position(self.vehicle, event, LIMITS), self.time_s, LIMITS)
 
 
 def test_a_vehicle_that_never_gave_a_position_is_not_believed() -> None:
@@ -144,3 +196,90 @@ def test_a_flight_within_the_limits_is_always_believed(
         here = (velocity[0] * time_s, velocity[1] * time_s, 3000.0 + climb_m_s * time_s)
         vehicle = with_position(vehicle, position(time_s, here, velocity), LIMITS)
         assert distrust(vehicle, time_s, LIMITS) is None
+
+
+# --- after a loss or a glitch
+
+
+def doubted(
+    seconds: float, jump_m: float = 0.0, after_s: float = 0.0, *, fix: bool = True
+) -> Track:
+    """Flown east at 20 m/s for 10 s; then not vouched for, and with a jump north on the way."""
+    track = Track().fly(10.0)
+    track.vouch(fix=fix, estimator=False)
+    track.fly(after_s)
+    track.north_m += jump_m
+    return track.fly(seconds - after_s)
+
+
+def test_a_position_that_estimators_give_in_to_is_not_believed_where_the_vehicle_cannot_be() -> (
+    None
+):
+    track = doubted(20.0, 50.0, 10.0).vouch().fly(5.0)
+    assert track.reason is Reason.POSITION_ELSEWHERE
+    assert astray_m(track.vehicle) == pytest.approx(50.0, abs=0.1)
+
+
+def test_it_is_believed_as_soon_as_it_has_jumped_back() -> None:
+    track = doubted(20.0, 50.0, 10.0).vouch().fly(10.0)
+    track.vouch(estimator=False).fly(10.0)
+    track.north_m = 0.0
+    track.fly(1.0).vouch().fly(0.1)
+    assert track.reason is None
+
+
+def test_it_is_believed_wherever_it_is_once_it_was_vouched_for_a_minute_without_a_jump() -> None:
+    track = doubted(20.0, 50.0, 10.0).vouch().fly(59.5)
+    assert track.reason is Reason.POSITION_ELSEWHERE
+    assert track.fly(1.0).reason is None
+    assert track.fly(TRUST_S + 1.0).reason is None
+    assert astray_m(track.vehicle) == 0.0  # and counts from there on
+
+
+def test_a_jump_begins_the_minute_again() -> None:
+    track = doubted(20.0, 50.0, 10.0).vouch().fly(50.0)
+    track.north_m += 30.0
+    assert track.fly(30.0).reason is Reason.POSITION_ELSEWHERE
+
+
+def test_a_jump_that_nothing_announced_is_not_believed_either() -> None:
+    track = Track().fly(10.0)
+    track.north_m += 50.0
+    assert track.fly(5.0).reason is Reason.POSITION_ELSEWHERE
+
+
+@pytest.mark.parametrize(("lost_s", "back_m"), [(10.0, 12.0), (31.0, 31.0)])
+def test_an_estimator_without_gps_may_have_drifted_so_far(lost_s: float, back_m: float) -> None:
+    """px4.md 8: 31 m after 31 s."""
+    track = doubted(lost_s, back_m, lost_s - 0.1, fix=False).vouch().fly(1.0)
+    assert track.reason is None
+
+
+def test_a_drift_is_no_more_likely_for_having_been_rejected_since_the_jump() -> None:
+    assert doubted(60.0, 50.0, 10.0).vouch().fly(1.0).reason is Reason.POSITION_ELSEWHERE
+
+
+@pytest.mark.parametrize("rate_hz", [2.5, 10.0])
+def test_what_is_flown_meanwhile_is_no_discrepancy(rate_hz: float) -> None:
+    """A plane that circles at 20 m/s with a radius of 80 m, for two minutes."""
+    track = Track(rate_hz=rate_hz).fly(10.0)
+    track.vouch(estimator=False)
+    track.turn_rad_s = 0.25
+    track.fly(120.0)
+    assert track.vouch().fly(0.5).reason is None
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_what_is_flown_unseen_is_no_discrepancy_as_far_as_it_can_be_flown(frozen: bool) -> None:
+    track = Track().fly(10.0)
+    if frozen:
+        track.stand_still(10.0)
+    track.time_s += 0.0 if frozen else 10.0
+    track.east_m += 900.0  # V is 150 m/s
+    assert track.fly(1.0).reason is None
+
+
+def test_on_the_ground_a_position_may_jump_as_it_likes() -> None:
+    track = Track(landed=Landed.ON_GROUND, speed_m_s=0.0).fly(10.0)
+    track.north_m += 50.0
+    assert track.fly(1.0).reason is None

@@ -33,7 +33,7 @@ from made_up import (
     two_legs_away,
 )
 
-from companion.mavlink.autopilots import ARDUCOPTER
+from companion.mavlink.autopilots import ARDUCOPTER, PX4_MULTICOPTER, Autopilot
 from companion.mission.events import (
     Arm,
     Command,
@@ -351,6 +351,58 @@ def test_each_reason_not_to_believe_the_position_stops_the_stream_and_asks_for_t
         assert not [c for c in craft.tick() if isinstance(c, Setpoint)]
 
 
+def shifted(craft: Craft, north_m: float) -> Craft:
+    craft.here = (craft.here[0] + north_m, *craft.here[1:])
+    return craft
+
+
+def gives_in(craft: Craft) -> Craft:
+    """It holds without a fix for 3 s, then gets one that is 50 m off."""
+    craft.fix = False
+    craft.run_for(3.0)
+    craft.fix = True
+    return shifted(craft, 50.0).run_for(10.0)
+
+
+def test_it_holds_on_where_the_vehicle_cannot_be_says_how_far_off_and_goes_on_once_it_agrees() -> (
+    None
+):
+    craft = gives_in(flying())
+    assert craft.phase is Phase.HOLDING
+    assert craft.state.reason is Reason.POSITION_ELSEWHERE
+    why = f"hold: {Reason.POSITION_ELSEWHERE.text}: "
+    [said] = [say.text for say in craft.sent(Say) if say.text.startswith(why)]
+    off_m = float(said.removeprefix(why).removesuffix(" m away"))
+    assert off_m == pytest.approx(50.0, abs=8.0)  # it stops from 150 m/s within a tick
+    count = len(craft.commands)
+    craft.run_for(30.0)
+    assert not [c for c in craft.commands[count:] if isinstance(c, Setpoint | Plan)]
+    shifted(craft, -50.0).run_for(5.0)
+    assert craft.phase is Phase.FLYING
+
+
+def test_it_goes_on_by_a_position_that_is_vouched_for_a_minute_wherever_it_is() -> None:
+    craft = gives_in(flying()).run_for(45.0)
+    assert craft.phase is Phase.HOLDING
+    assert craft.run_for(15.0).phase is Phase.FLYING
+
+
+@pytest.mark.parametrize("autopilot", [ARDUCOPTER, PX4_MULTICOPTER], ids=["ardupilot", "px4"])
+def test_a_vehicle_given_back_where_it_cannot_be_is_held_and_that_is_said(
+    autopilot: Autopilot,
+) -> None:
+    craft = Craft(driving=autopilot.driving).fly_to(Phase.FLYING).run_for(10.0)
+    craft.mode = Mode.OTHER
+    gives_in(craft)
+    assert craft.state.reason is Reason.MODE_TAKEN
+    craft.mode = Mode.GUIDED
+    craft.run_for(5.0)
+    assert craft.state.reason is Reason.POSITION_ELSEWHERE
+    assert craft.mode is Mode.HOLD
+    assert craft.sent(Say)[-1].text.endswith(" m away")
+    assert shifted(craft, -50.0).run_for(10.0).phase is Phase.FLYING
+
+
 def test_a_jump_is_not_answered_by_a_setpoint() -> None:
     """Neither on a leg nor where the place to hover is taken from the position."""
     for craft in (flying(), Craft().fly_to(Phase.FLYING)):
@@ -422,8 +474,7 @@ def test_who_takes_over_while_it_holds_for_a_bad_position_is_not_fought() -> Non
 
 def test_when_guided_mode_is_selected_again_it_plans_from_where_the_vehicle_is() -> None:
     craft = holding_mode_taken().run_for(5.0)
-    craft.here = (craft.here[0] + 3.0, craft.here[1] + 40.0, craft.here[2])
-    craft.run_for(5.0)
+    craft.fly_by_hand((3.0, 10.0, 0.0), 4.0).run_for(5.0)
     craft.mode = Mode.GUIDED
     craft.fly_to(Phase.FLYING)
     [setpoint] = [c for c in craft.tick() if isinstance(c, Setpoint)]
@@ -435,12 +486,7 @@ def test_a_vehicle_taken_from_its_target_and_given_back_is_not_sent_there_withou
     craft = arrived()
     craft.mode, craft.obeys_modes, craft.follows = Mode.OTHER, False, False
     craft.run_for(2.0)
-    for _ in range(600):  # flown away by hand, 6 km at 100 m/s
-        craft.here = (craft.here[0] - 10.0, craft.here[1], craft.here[2])
-        craft.velocity = (-100.0, 0.0, 0.0)
-        craft.tick()
-    craft.velocity = (0.0, 0.0, 0.0)
-    craft.run_for(5.0)
+    craft.fly_by_hand((-100.0, 0.0, 0.0), 60.0).run_for(5.0)
     count = len(craft.commands)
     craft.mode = Mode.GUIDED
     craft.run_for(2.0)
@@ -540,6 +586,25 @@ def test_a_vehicle_told_to_take_off_is_left_holding_though_it_still_says_it_is_o
     assert craft.state.vehicle.landed is Landed.ON_GROUND
     assert craft.landed is Landed.TAKING_OFF
     assert SetMode(mode=Mode.HOLD) in craft.take(StopAsked(time_s=craft.now_s))
+
+
+@pytest.mark.parametrize("autopilot", [ARDUCOPTER, PX4_MULTICOPTER], ids=["ardupilot", "px4"])
+def test_a_take_off_that_was_accepted_is_asked_for_again_only_if_it_does_not_begin(
+    autopilot: Autopilot,
+) -> None:
+    craft = Craft(driving=autopilot.driving)
+    craft.takes_off, craft.accepts = False, True
+    craft.run_until(lambda craft: bool(craft.sent(TakeOff)))
+    assert len(craft.run_for(4.8).sent(TakeOff)) == 1
+    assert len(craft.run_for(1.0).sent(TakeOff)) == 2
+
+
+@pytest.mark.parametrize("autopilot", [ARDUCOPTER, PX4_MULTICOPTER], ids=["ardupilot", "px4"])
+def test_a_take_off_that_is_not_accepted_is_asked_for_once_a_second(autopilot: Autopilot) -> None:
+    craft = Craft(driving=autopilot.driving)
+    craft.takes_off = False
+    craft.run_until(lambda craft: bool(craft.sent(TakeOff)))
+    assert len(craft.run_for(3.5).sent(TakeOff)) == 4
 
 
 # --- nothing waits for ever

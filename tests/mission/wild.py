@@ -54,6 +54,7 @@ from companion.mission.events import (
     StartScan,
     StopAsked,
     TakeOff,
+    TakeOffTaken,
     TargetsChanged,
     Tick,
     Vector,
@@ -332,6 +333,7 @@ class Wild:
                 by_itself = self.driving.take_off is not TakeOffWay.GUIDED_THEN_CLIMB
                 self.mode = Mode.TAKE_OFF if by_itself else self.mode
                 self.climb_to_m = altitude
+                self.later.append((now + 0.2, TakeOffTaken(time_s=now)))
             case StartScan():
                 answered = 9 if self.calm else int(self.rng.choice([0, 4, 9], p=[0.1, 0.2, 0.7]))
                 done = ScanDone(time_s=now, scan=_SCAN, asked=9, answered=answered)

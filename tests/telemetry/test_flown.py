@@ -3,8 +3,9 @@ from dataclasses import replace
 import pytest
 
 from companion.config import load_mission
+from companion.mavlink.vehicle_clock import VehicleClock
 from companion.mission.events import Position
-from companion.mission.state import Vehicle
+from companion.mission.state import Reason, Vehicle
 from companion.session import Session
 from companion.telemetry.flown import Flown
 
@@ -29,9 +30,43 @@ def test_there_is_no_distance_without_a_position() -> None:
     assert Flown(session=Session(MISSION, seed=1, lockstep=True)).to_go_m is None
 
 
-def test_the_factor_of_real_time_is_vehicle_time_over_wall_time_and_never_a_division_by_0() -> None:
+@pytest.mark.parametrize("start_s", [0.0, 290.0])
+def test_the_factor_of_real_time_counts_what_passed_while_the_vehicle_was_heard(
+    start_s: float,
+) -> None:
+    """Neither what its clock had shown before, nor what a flight had taken that was resumed."""
     it = flown(0.0, 0.0)
-    it.session._clock.now_s = 100.0
-    assert it.times_real_time > 0.0
+    clock = it.session.clock = VehicleClock(start_s)
+    assert it.times_real_time == 0.0
+    for time_s in (312.0, 312.0, 330.0, 412.0):
+        clock.read(time_s)
     it.elapsed_s = 4.0
     assert it.times_real_time == 25.0
+
+
+def test_a_reboot_takes_nothing_from_what_has_passed() -> None:
+    clock = VehicleClock(0.0)
+    for time_s in (300.0, 310.0, 1.0, 1.5, 6.5):
+        clock.read(time_s)
+    assert clock.passed_s == 15.0
+
+
+LEFT_OVER = (Reason.NO_VEHICLE, Reason.NOT_READY, Reason.LINK_LOST, Reason.PLANNER_DIED)
+
+
+@pytest.mark.parametrize("reason", Reason)
+@pytest.mark.parametrize("airborne", [False, True])
+def test_only_a_flight_that_nobody_has_decided_to_end_in_the_air_may_go_on(
+    reason: Reason, airborne: bool
+) -> None:
+    it = flown(0.0, 0.0)
+    it.session.state = replace(it.session.state, reason=reason, airborne=airborne)
+    assert it.may_go_on is (airborne and reason in LEFT_OVER)
+    it.died = True
+    assert it.may_go_on is airborne
+
+
+def test_what_was_only_watched_does_not_go_on() -> None:
+    it = Flown(session=Session(MISSION, seed=1, lockstep=False, shadow=True), died=True)
+    it.session.state = replace(it.session.state, airborne=True)
+    assert not it.may_go_on

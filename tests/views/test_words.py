@@ -89,6 +89,19 @@ def test_a_flight_is_as_near_to_the_terrain_as_its_nearest_leg_and_costs_the_sum
         assert "arrived" in table
 
 
+def test_times_of_a_flight_that_was_resumed_are_said_to_be_those_since_then() -> None:
+    flight = flown()
+    flight.session.clock.read(900.0)
+    flight.session.clock.read(1_020.0)
+    flight.elapsed_s = 60.0
+    lines = shown(flight_table(flight)).splitlines()
+    assert [line.split()[-3] for line in lines if " time " in line][:2] == ["120.0", "60.0"]
+    assert "resumed" not in "".join(lines)
+    flight.resumed = True
+    rows = [line for line in shown(flight_table(flight)).splitlines() if "since it was" in line]
+    assert len(rows) == 2
+
+
 def test_a_flight_without_a_plan_has_a_table_without_costs() -> None:
     table = shown(flight_table(flown()))
     assert "arrived" in table
