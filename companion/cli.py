@@ -22,6 +22,7 @@ from rich.console import Console
 from companion.compare.command import compare_app
 from companion.config import bundled, load_mission, load_world, mission_name, mission_text
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
+from companion.mavlink.preflight import Verdict, as_flown, checks_of
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
@@ -37,7 +38,6 @@ from companion.runtime.preflight import look_at
 from companion.session import Session
 from companion.telemetry.flown import Flown
 from companion.telemetry.memory import Recalled, recall
-from companion.telemetry.preflight import Verdict, checks_of
 from companion.telemetry.run_folder import RunFolder
 from companion.views.live import Progress
 from companion.views.pictures import draw_flown, draw_offline
@@ -214,9 +214,11 @@ def preflight_command(
         )
     if key is not None and signing is not None:
         _keep_time(key, signing)
-    checks = checks_of(session, clock_s=_clock_s())
+    checks = checks_of(session)
+    if not (refused := [check for check in checks if check.verdict is Verdict.REFUSED]):
+        checks.append(as_flown(session))
+        refused = [check for check in checks[-1:] if check.verdict is Verdict.REFUSED]
     console.print(checks_table(checks))
-    refused = [check for check in checks if check.verdict is Verdict.REFUSED]
     if refused:
         raise FlightFailed(f"{len(refused)} of {len(checks)} checks refuse the flight", "")
 

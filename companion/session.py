@@ -24,6 +24,7 @@ from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.latch import Latch
 from companion.mavlink.needless import NEEDLESS, Unread
 from companion.mavlink.outbox import Outbox, Output
+from companion.mavlink.preflight import Preflight
 from companion.mavlink.presence import heartbeat
 from companion.mavlink.receiver import Receiver
 from companion.mavlink.scanning import Scanning
@@ -34,25 +35,7 @@ from companion.mavlink.vehicle_clock import MESSAGES as CLOCKS
 from companion.mavlink.vehicle_clock import Reading, VehicleClock
 from companion.mission import changes, checkpoint, entries, events, machine
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, is_led
-from companion.mission.events import (
-    Arm,
-    Command,
-    End,
-    Event,
-    Mode,
-    Plan,
-    RequestStreams,
-    Say,
-    ScanDone,
-    SetMode,
-    Setpoint,
-    SetSpeed,
-    StartScan,
-    TakeOff,
-    Vector,
-    VehicleFound,
-    VehicleStatus,
-)
+from companion.mission.events import Command, End, Mode, Say, SetMode, Vector, VehicleFound
 from companion.mission.mission import Mission
 from companion.mission.pending_plan import PendingPlan
 from companion.mission.renewed import replace
@@ -89,7 +72,7 @@ class Session:
         self.context = Context(mission=mission, seed=seed, lockstep=lockstep, shadow=shadow)
         self.found = ""
         """What the vehicle says that it is."""
-        self.last_scan: ScanDone | None = None
+        self.last_scan: events.ScanDone | None = None
         self.warned: tuple[float, str] = (-math.inf, "")
         """When a person was last warned, and of what."""
         self.vehicle: VehicleSide | None = None
@@ -102,6 +85,7 @@ class Session:
         """Which of those that are heard is the vehicle."""
         self._outbox = Outbox(self.latch.system_id, signing)
         self._scanning = Scanning(mission)
+        self._preflight = Preflight()
         self._citizen: Citizen | None = None
         self._inbox: deque[tuple[Message, float | None]] = deque(maxlen=_MOST_WAITING)
         self._dropped = 0
@@ -296,6 +280,7 @@ class Session:
         for event in vehicle.events(self.now_s):
             self._handle(event)
         if due:
+            self._check()
             self._scan_on()
         self._housekeeping()
         if (noted := vehicle.entry_of(message)) is not None:
@@ -428,11 +413,18 @@ class Session:
         self._note("scan", centre_nea_m=list(centre_nea_m), blocks=blocks)
         self._scan_on()
 
+    def _check(self) -> None:
+        """On the ground: what a flight depends on is asked and checked before it is armed."""
+        if (here := self._preflight.looks_from(self)) is not None:
+            self._start_scan(here)
+        elif (judged := self._preflight.judged(self)) is not None:
+            self._handle(judged)
+
     # --- events and commands
 
-    def _handle(self, event: Event) -> None:
+    def _handle(self, event: events.Event) -> None:
         before = self.state
-        if isinstance(event, VehicleStatus):
+        if isinstance(event, events.VehicleStatus):
             self._mode = event.mode
         self.state, commands = machine.step(before, event, self.context)
         if (noted := entries.of_event(event, self.state)) is not None:
@@ -450,9 +442,9 @@ class Session:
 
     def _carry_out(self, command: Command) -> None:
         match command:
-            case StartScan(centre_nea_m=centre):
+            case events.StartScan(centre_nea_m=centre):
                 self._start_scan(centre)
-            case Plan(request=request, due_s=due_s):
+            case events.Plan(request=request, due_s=due_s):
                 self._plan.ask(due_s)
                 self._out.plan = request
                 self._note(**entries.of_request(request, due_s))
@@ -461,10 +453,12 @@ class Session:
             case End():
                 self._note("end", outcome=command.outcome.value, reason=command.reason)
                 self._end = command
-            case RequestStreams():
+                if self._citizen is not None:
+                    self._send_all(self._citizen.last_words(command))
+            case events.RequestStreams():
                 if self.vehicle is not None:
                     self._send_all(self.vehicle.begin(self.now_s))
-            case SetMode() | SetSpeed() | Arm() | TakeOff() | Setpoint():
+            case _:
                 if not self.context.shadow:
                     self._command(command)
 

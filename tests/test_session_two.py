@@ -12,11 +12,11 @@ sys.path.insert(0, str(Path(__file__).parent / "runtime"))
 from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
 from companion.mavlink.outbox import Output
+from companion.mavlink.preflight import Verdict, checks_of
 from companion.mission import checkpoint
 from companion.mission.events import Outcome
 from companion.mission.state import Phase, Reason
 from companion.session import Session
-from companion.telemetry.preflight import Verdict, checks_of
 
 OURS = replace(MISSION, system_id=1)
 COMMANDS = ("COMMAND_LONG", "COMMAND_INT", "SET_POSITION_TARGET_GLOBAL_INT")
@@ -141,7 +141,7 @@ def test_what_fly_refuses_preflight_refuses() -> None:
     bus.flying()
     looks = bus.joins(session(shadow=True))
     bus.run(6.0)
-    [check] = [c for c in checks_of(looks.session, clock_s=2e9) if c.name == "companion"]
+    [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
     assert check.verdict is Verdict.REFUSED
     assert check.what == f"1/195: {Reason.NOT_ALONE.text}"
     assert check.remedy == Reason.NOT_ALONE.remedy
@@ -151,7 +151,7 @@ def test_alone_preflight_says_so() -> None:
     bus = Bus(reflects=1)
     looks = bus.joins(session(shadow=True))
     bus.run(6.0)
-    [check] = [c for c in checks_of(looks.session, clock_s=2e9) if c.name == "companion"]
+    [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
     assert (check.verdict, check.what) == (Verdict.PASSED, "nobody else is 1/195")
 
 

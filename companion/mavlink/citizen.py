@@ -14,7 +14,7 @@ from companion.mavlink.parameter_server import ParameterServer
 from companion.mavlink.presence import Presence
 from companion.mavlink.statustext import StatusTexts
 from companion.mission.changes import Verdict
-from companion.mission.events import Order
+from companion.mission.events import End, Order, Outcome
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, State
 from companion.mission.stopped import AS_TOLD
@@ -97,6 +97,12 @@ class Citizen:
         """A text for people, when it is its turn; of those about the same only the newest."""
         severity = wire.MAV_SEVERITY_WARNING if warning else wire.MAV_SEVERITY_INFO
         self._texts.say(text, severity, now_s, about)
+
+    def last_words(self, end: End) -> list[Message]:
+        """How the mission ended, now: after it nothing is sent for long enough to wait for."""
+        failed = end.outcome is Outcome.FAILED
+        severity = wire.MAV_SEVERITY_WARNING if failed else wire.MAV_SEVERITY_NOTICE
+        return self._texts.at_once(f"mission over: {end.reason}", severity)
 
     def on_time(self, now_s: float, state: State, *, faulted: bool) -> list[Message]:
         """What is due; a companion that is faulted, or done, has no heartbeat."""

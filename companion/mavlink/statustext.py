@@ -58,6 +58,13 @@ class StatusTexts:
         in_order = sorted([*others, new], key=lambda waiting: waiting.severity)
         self._waiting = in_order[:_MOST_WAITING]
 
+    def at_once(self, text: str, severity: int) -> list[Message]:
+        """The last text of all, whatever its turn; of what waits, warnings go before it."""
+        last = _Waiting(text=plain(text), severity=severity, kind="", said_at_s=-math.inf)
+        grave = [each for each in self._waiting if each.severity <= wire.MAV_SEVERITY_WARNING]
+        self._waiting = []
+        return [message for each in (*grave, last) for message in self._messages(each)]
+
     def due(self, now_s: float) -> list[Message]:
         """The messages to send now: the gravest text that waits, if it is time for one."""
         if now_s < self._free_at_s - _MOST_CHUNKS * _PERIOD_S:  # the clock began again

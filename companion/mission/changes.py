@@ -63,7 +63,8 @@ def verdict(state: State, order: Order) -> Verdict:
                 return Verdict.INVALID
             return Verdict.ACCEPTED if in_air else Verdict.NOT_NOW
         case OrderKind.START | OrderKind.CONTINUE:
-            return Verdict.ACCEPTED if state.phase is not Phase.LANDING else Verdict.NOT_NOW
+            comes_down = state.phase in (Phase.LANDING, Phase.HANDING_OVER)
+            return Verdict.NOT_NOW if comes_down else Verdict.ACCEPTED
         case OrderKind.PAUSE:
             return Verdict.ACCEPTED if _may_pause(state) else Verdict.NOT_NOW
         case OrderKind.RETURN:

@@ -172,6 +172,8 @@ class Item(enum.Enum):
 
     PARAMETERS = "parameters"
     PLANS = "fence, rally points and mission"
+    CHECKS = "the checks before a flight"
+    """On the ground only: link, radar, datum and whatever else `companion preflight` shows."""
 
 
 @final

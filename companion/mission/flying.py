@@ -33,13 +33,14 @@ from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
 from companion.planner.procedure import Leg, Reference, hover_pose
 from companion.planner.request import NotPlanned, Planned, PlanRequest
+from companion.planner.settings import Task
 from companion.world.clearance import distance_to_terrain_m
 from companion.world.known_map import proven_range_m
 
 STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
 _DEPARTURES = 3
-_MOST_STOPS = 12  # on the way to one target, for want of a successor
+MOST_STOPS = 12  # on the way to one target, for want of a successor
 _LEVEL_M_S = 1.0
 _TURNS = 3.0
 _SHORT_SIGHTED = 0.8  # of R
@@ -158,8 +159,6 @@ def _at_its_end(state: State, leg: Leg, commands: list[Command]) -> Step:
     if leg.reaches_target:
         return state, commands, Trigger.TARGET_REACHED
     flight = replace(at_rest_at_end(flight), stops=flight.stops + 1)
-    if flight.stops > _MOST_STOPS:
-        return give_up(replace(state, flight=flight), Reason.NO_PLAN)
     return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
 
 
@@ -198,7 +197,7 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
     request = PlanRequest(
         plan_id=flight.plan_id + 1,
         seed=context.seed,
-        task=task,
+        task=task_ahead(state, context),
         known=flight.known,
         scan_nea_m=scanned_from,
         start=start,
@@ -265,10 +264,9 @@ def on_late_plan(state: State, event: PlanLate) -> Step:
 def _hover(state: State, event: Position, context: Context) -> Step:
     """Wait for a leg where the vehicle is, or straight above at the height of the take-off."""
     flight, settings = state.flight, state.task.settings
-    if flight.hover_nea_m is None:
-        flight = replace(flight, hover_nea_m=_waiting_place(state, event, context))
-    here = flight.hover_nea_m
-    assert here is not None
+    here = flight.hover_nea_m or _waiting_place(state, event, context)
+    here = _high_enough(state, context, here)
+    flight = replace(flight, hover_nea_m=here)
     target = state.targets_ne_m[flight.target]
     if math.dist(here[:2], target) < AT_M and not flight.returning:
         return replace(state, flight=flight), [], Trigger.TARGET_REACHED
@@ -288,7 +286,7 @@ def _hover(state: State, event: Position, context: Context) -> Step:
 def _waiting_place(state: State, event: Position, context: Context) -> Vector:
     """Where to wait for a leg: here, at a height within the band if nothing is in the way down."""
     north, east, altitude = event.position_nea_m
-    lowest_m = replace(context.mission, task=state.task).take_off_amsl_m
+    lowest_m = replace(context.mission, task=task_ahead(state, context)).take_off_amsl_m
     height_m = max(min(altitude, state.task.band_amsl_m[1]), lowest_m)
     required_m = state.task.required_clearance_m
     down = np.array([north, east, height_m])
@@ -296,6 +294,21 @@ def _waiting_place(state: State, event: Position, context: Context) -> Vector:
         clear_m = distance_to_terrain_m(state.flight.known, down, required_m)
         height_m = altitude if clear_m < required_m else height_m
     return north, east, height_m
+
+
+def _high_enough(state: State, context: Context, here: Vector) -> Vector:
+    """A place to wait at, no lower than where the next leg may begin: straight above, if it is."""
+    task = task_ahead(state, context)
+    lowest_m = -math.inf if task is state.task else task.band_amsl_m[0]
+    return here[0], here[1], max(here[2], lowest_m)
+
+
+def task_ahead(state: State, context: Context) -> Task:
+    """The task on the way to the target: no lower than the mission's altitude for it."""
+    mission, flight = context.mission, state.flight
+    if flight.homeward or state.targets_ne_m != mission.targets_ne_m:
+        return state.task
+    return mission.task_to(flight.target, state.task)
 
 
 def _is_there(state: State, event: Position, here: Vector) -> bool:

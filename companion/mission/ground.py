@@ -47,6 +47,7 @@ from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason, State, Trigger
 
 _PREPARE_S = 120.0
+_ASKED_FOR = (Item.PARAMETERS, Item.PLANS)  # of the autopilot itself, in the air as well
 _LISTEN_S = 1.0  # other companions say once a second that they are there
 _UNLED_S = 2.0  # in guided mode, in the air, with a position that is not to be believed
 _ARM_S = 60.0
@@ -99,12 +100,14 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         return state, [], Trigger.WATCH
     if _is_flying(state):
         return _in_flight(state)
-    ready = state.prepared.issuperset(Item) and vehicle.home_nea_m is not None
+    ready = state.prepared.issuperset(_ASKED_FOR) and vehicle.home_nea_m is not None
     if vehicle.landed is not Landed.ON_GROUND or not ready:
         return state, [], None
     if state.airborne:
         return give_up(state, Reason.GROUNDED)
-    return _on_ground(state, context)
+    state, commands, trigger = _on_ground(state, context)
+    waits = trigger is Trigger.READY and Item.CHECKS not in state.prepared
+    return state, commands, None if waits else trigger
 
 
 def _may_not_be_alone(state: State) -> bool:
@@ -185,7 +188,7 @@ def _on_ground(state: State, context: Context) -> Step:
 
 def _in_flight(state: State) -> Step:
     """Take over in the air: the path of the companion that was here before, or stop first."""
-    if not state.flight.leg and not state.prepared.issuperset(Item):
+    if not state.flight.leg and not state.prepared.issuperset(_ASKED_FOR):
         return state, [], None
     if not state.targets_ne_m:
         return give_up(state, Reason.NO_TARGETS)

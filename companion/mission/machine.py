@@ -7,7 +7,7 @@ begins with its own commands.  No clock, no I/O: times are those of the events.
 
 from typing import assert_never
 
-from companion.mission import changes, flying, following, ground, returning, stopped
+from companion.mission import changes, ends, flying, following, ground, returning, stopped
 from companion.mission import shadow as watching
 from companion.mission.decisions import Context, Step, is_grounded, is_led, words
 from companion.mission.events import (
@@ -40,9 +40,15 @@ from companion.mission.events import (
 )
 from companion.mission.health import judged, with_battery, with_position
 from companion.mission.renewed import replace
-from companion.mission.state import IN_AIR, MOVES, Phase, Reason, State, Trigger
+from companion.mission.state import IN_AIR, MOVES, ON_GROUND, Phase, Reason, State, Trigger
 
 _OVER = (Phase.DONE, Phase.FAULTED)
+_AS_IT_SHOULD = {
+    Trigger.END_HOLD: "holding",
+    Trigger.LANDED: "landed",
+    Trigger.HANDED_ON: "its autopilot returns by itself",
+}
+"""Ends that leave nothing to be done for the vehicle, and what they left it doing."""
 
 
 def step(state: State, event: Event, context: Context) -> tuple[State, list[Command]]:
@@ -54,6 +60,9 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
         return replace(state, now_s=now_s), []  # overtaken by a newer one
     state = _observed(state, event, now_s, context)
     after, commands, trigger = _decide(state, event, context)
+    if trigger is Trigger.GIVE_UP and not context.shadow:
+        after, more, trigger = ends.instead(after, context)
+        commands = [*commands, *more]
     phase = None if trigger is None else MOVES.get((after.phase, trigger))
     if trigger is None or phase is None:
         return after, commands
@@ -104,7 +113,7 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
             state = replace(state, namesake=certain, namesake_at_s=now_s)
         case Prepared(item=item, refusal="") if item not in state.prepared:
             state = replace(state, prepared=state.prepared | {item})
-        case ScanDone(scan=scan):
+        case ScanDone(scan=scan) if state.phase not in ON_GROUND:  # else it was only to answer
             flight = replace(flight, known=flight.known.with_scan(scan))
         case _:
             pass
@@ -142,6 +151,8 @@ def _decide(state: State, event: Event, context: Context) -> Step:
             return stopped.arrived(state, event, context)
         case Phase.LANDING:
             return stopped.landing(state, event, context)
+        case Phase.HANDING_OVER:
+            return ends.handing_over(state, event, context)
         case Phase.SHADOW:
             return watching.shadow(state, event, context)
         case Phase.DONE | Phase.FAULTED:
@@ -221,7 +232,7 @@ def _ending(before: State, trigger: Trigger, context: Context) -> list[Command]:
         return [_end_of(before, trigger)]
     end = _end_of(before, trigger)
     vehicle = before.vehicle
-    if trigger in (Trigger.END_HOLD, Trigger.LANDED):
+    if trigger in _AS_IT_SHOULD:
         return [end]
     sent_up = before.phase is Phase.TAKING_OFF and before.asked_at_s > 0.0
     if is_led(before) and vehicle.armed and (sent_up or not is_grounded(before)):
@@ -232,10 +243,10 @@ def _ending(before: State, trigger: Trigger, context: Context) -> list[Command]:
 def _end_of(before: State, trigger: Trigger) -> End:
     """How the mission ended, in words."""
     fallen_back = before.flight.fallen_back
-    if trigger in (Trigger.END_HOLD, Trigger.LANDED):
+    if trigger in _AS_IT_SHOULD:
         if fallen_back is None:
             return End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")
-        how = "landed" if trigger is Trigger.LANDED else "returned"
+        how = _AS_IT_SHOULD[trigger]
         asked = fallen_back is Reason.RETURN_ASKED
         outcome = Outcome.STOPPED if asked else Outcome.FAILED
         detail, remedy = words(before, fallen_back)

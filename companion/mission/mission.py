@@ -1,7 +1,7 @@
 """A mission: what is known in advance, as the mission machine and the protocols need it."""
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 from companion.geodesy import LocalFrame
@@ -18,12 +18,13 @@ class EndAction(enum.Enum):
 
 
 class Fallback(enum.Enum):
-    """What a vehicle does that finds no way on, or whose battery will not last."""
+    """What a vehicle does that finds no way on, or whose battery will not last (see `ends`)."""
 
     HOLD = "hold"
+    """Until a person takes it."""
     LAND = "land"
     RETURN = "return"
-    """Back along the path that it has flown."""
+    """Back along the path that it has flown, and down; else by its autopilot's own return."""
 
 
 @final
@@ -35,6 +36,9 @@ class Mission:
     frame: LocalFrame
     targets_ne_m: tuple[tuple[float, float], ...]
     """Empty for a mission that takes them from the vehicle (`targets_from_vehicle`)."""
+    altitudes_amsl_m: tuple[float | None, ...] = ()
+    """The altitude at which to fly to each target, or higher where the terrain asks for it; None:
+    any altitude of the band.  Empty: of none of them."""
     task: Task
     end_action: EndAction
     system_id: int | None = None
@@ -49,7 +53,7 @@ class Mission:
     """Rate at which the vehicle's position is asked for; one setpoint answers each position."""
     yaw_rad: float | None = None
     """Where the nose points, in the local frame; None: along the path."""
-    fallback: Fallback = Fallback.HOLD
+    fallback: Fallback = Fallback.RETURN
     attempts: int = 4
     """Plans in a row, from rest, that may fail before the fallback."""
     known: KnownMap | None = None
@@ -70,6 +74,19 @@ class Mission:
     """Places to return to that a plan names."""
     notes: tuple[str, ...] = ()
     """What was assumed or left out when the mission was read, for people."""
+
+    def task_to(self, target: int, task: Task) -> Task:
+        """The task on the way to a target: with its altitude as the lowest to plan for.
+
+        Lowest is cheapest, so that is where it is flown.  task: as it is now.
+        """
+        wanted_m = self.altitudes_amsl_m[target] if target < len(self.altitudes_amsl_m) else None
+        if wanted_m is None:
+            return task
+        limits, (lowest_m, highest_m) = task.limits, task.band_amsl_m
+        raised_m = max(min(wanted_m, highest_m) - lowest_m, 0.0)
+        limits = replace(limits, floor_amsl_m=limits.floor_amsl_m + raised_m)
+        return replace(task, limits=limits)
 
     @property
     def take_off_amsl_m(self) -> float:

@@ -83,7 +83,14 @@ def homeward(state: State) -> State:
     start = flight.flown[0].control_nea_m[0] if flight.flown else (0.0, 0.0, 0.0)
     home = (float(start[0]), float(start[1]))
     flight = replace(
-        flight, returning=False, homeward=True, back=(), target=0, route_ne_m=(), stops=0
+        flight,
+        returning=False,
+        homeward=True,
+        back=(),
+        target=0,
+        route_ne_m=(),
+        stops=0,
+        failures=0,
     )
     return replace(state, targets_ne_m=(home,), flight=flight)
 
@@ -137,7 +144,7 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         return homeward(state), commands, Trigger.RESUME
     driving = state.vehicle.driving
     lands = driving is not None and driving.lands
-    return state, commands, Trigger.END_LAND if lands else Trigger.END_HOLD
+    return state, commands, Trigger.END_LAND if lands else Trigger.HAND_OVER
 
 
 def _stopped(state: State) -> State:

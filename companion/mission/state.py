@@ -28,6 +28,7 @@ class Phase(enum.Enum):
     ARRIVED = "arrived"
     LANDING = "landing"
     RETURNING = "returning"
+    HANDING_OVER = "handing over"
     SHADOW = "shadow"
     DONE = "done"
     FAULTED = "faulted"
@@ -49,11 +50,13 @@ class Trigger(enum.Enum):
     END_HOLD = "stopped at the last target, in the hold mode"
     END_LAND = "stopped at the last target, or where it came back to: told to land"
     GO_BACK = "told to return: along the flown path"
+    HAND_OVER = "no way back of ours is left: its autopilot is told to return by itself"
+    HANDED_ON = "its autopilot returns by itself, and has it from here on"
     LANDED = "on the ground, disarmed"
     FAULT = "the flight cannot go on as it is; the reason says why"
     RESUME = "the reason for holding is gone, or another try is due"
     PREPARE_AGAIN = "the vehicle is back after a silence, or its autopilot has rebooted"
-    GIVE_UP = "no way to go on; the vehicle holds"
+    GIVE_UP = "no way to go on, and it is for somebody else to bring the vehicle down"
     DIED = "a part of the companion died"
     STOP = "a person asked for the end"
 
@@ -66,6 +69,7 @@ IN_AIR = (
     Phase.ARRIVED,
     Phase.RETURNING,
     Phase.LANDING,
+    Phase.HANDING_OVER,
 )
 _FAULTY = (Phase.TAKING_OFF, Phase.FLYING, Phase.RETURNING, Phase.ARRIVED, Phase.LANDING)
 _ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)
@@ -91,8 +95,13 @@ MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.HOLDING, Trigger.END_LAND): Phase.LANDING,
     (Phase.RETURNING, Trigger.RESUME): Phase.FLYING,
     (Phase.RETURNING, Trigger.END_LAND): Phase.LANDING,
-    (Phase.RETURNING, Trigger.END_HOLD): Phase.DONE,
+    (Phase.TAKING_OFF, Trigger.END_LAND): Phase.LANDING,
+    (Phase.FLYING, Trigger.END_LAND): Phase.LANDING,
+    (Phase.HANDING_OVER, Trigger.END_LAND): Phase.LANDING,
+    (Phase.HANDING_OVER, Trigger.HANDED_ON): Phase.DONE,
     (Phase.LANDING, Trigger.LANDED): Phase.DONE,
+    **{(phase, Trigger.HAND_OVER): Phase.HANDING_OVER for phase in (Phase.PREPARING, *_FAULTY)},
+    (Phase.HOLDING, Trigger.HAND_OVER): Phase.HANDING_OVER,
     **{(phase, Trigger.FAULT): Phase.HOLDING for phase in _FAULTY},
     **{(phase, Trigger.PREPARE_AGAIN): Phase.PREPARING for phase in _ALL[1:]},
     **{(phase, Trigger.GIVE_UP): Phase.DONE for phase in _ALL},
@@ -341,6 +350,8 @@ class Flight(Renewed):
     """What a person was told of the battery: 1, at this rate it will not last; 2, it does not."""
     fallen_back: Reason | None = None
     """Why the mission was given up for its fallback."""
+    in_vain: frozenset[Mode] = frozenset()
+    """Modes that were asked for, to bring the vehicle down, and not taken."""
 
 
 @final

@@ -2,7 +2,7 @@
 
 import math
 
-from companion.mission import flying, following, returning
+from companion.mission import ends, flying, following, returning
 from companion.mission.decisions import (
     AT_M,
     BROKEN_OFF,
@@ -201,17 +201,19 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
         return state, commands, None
     on_way_back = _is_on_way_back(state)
     if state.reason in (Reason.RETURN_ASKED, Reason.BATTERY_LOW) and not on_way_back:
-        return _other_way(state, context, _how(state, context))
-    if on_way_back or state.flight.failures < context.mission.attempts:
+        return _other_way(state, context)
+    flight = state.flight
+    tries = flight.failures < context.mission.attempts and flight.stops <= flying.MOST_STOPS
+    if on_way_back or tries:
         if state.reason is Reason.NEW_THREAT and state.vehicle.hovers:
             state = _anew(state)  # the band may be another one
         state, says, trigger = resumed(state)
         return state, [*commands, *says], trigger
-    return _other_way(state, context, context.mission.fallback)
+    return _other_way(state, context)
 
 
 def _way_back(state: State, event: PlanReady, context: Context) -> Step:
-    """The way back is there, or cannot be proven: then hold here for good."""
+    """The way back is there, or cannot be proven: then there is none."""
     if not state.flight.planning or event.outcome.plan_id != state.flight.plan_id:
         return state, [], None
     if state.flight.asked_of is not state.task:  # it was proven under other rules
@@ -228,22 +230,19 @@ def _is_on_way_back(state: State) -> bool:
     return state.flight.returning or (low and state.flight.homeward)
 
 
-def _how(state: State, context: Context) -> Fallback:
-    """A person's word to return goes before the mission's fallback."""
-    asked = Reason.RETURN_ASKED in (state.reason, state.set_aside)
-    return Fallback.RETURN if asked else context.mission.fallback
+def _other_way(state: State, context: Context) -> Step:
+    """The way that was flown, back, if that is the fallback; else, or without one, as `ends` says.
 
-
-def _other_way(state: State, context: Context, how: Fallback) -> Step:
-    """The mission's fallback; holding, where there is no other."""
-    reason = state.reason or Reason.NO_PLAN
-    state = replace(state, flight=replace(state.flight, fallen_back=reason))
-    driving = state.vehicle.driving
-    if how is Fallback.RETURN and state.flight.flown:
-        return returning.ask(state, context)
-    if how is Fallback.LAND and driving is not None and driving.lands:
-        return state, [], Trigger.END_LAND
-    return give_up(state, reason)
+    Once home has been planned to in vain there is none.
+    """
+    reason, flight = state.reason or Reason.NO_PLAN, state.flight
+    how = ends.wanted(state, context)
+    if how is not Fallback.RETURN or not flight.flown or flight.homeward:
+        return give_up(state, reason)
+    state = replace(state, flight=replace(flight, fallen_back=reason))
+    state, asking, trigger = returning.ask(state, context)
+    text = f"{reason.text}{words(state, reason)[0]}: flying back and landing"
+    return state, [Say(text=text, warning=True, about="end"), *asking], trigger
 
 
 def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
@@ -356,8 +355,8 @@ def _end(state: State, context: Context, commands: list[Command]) -> Step:
     assert driving is not None
     if state.flight.homeward:
         action = EndAction.LAND
-    if action is EndAction.LAND and driving.lands:
-        return state, commands, Trigger.END_LAND
+    if action is EndAction.LAND and (driving.lands or state.flight.homeward):
+        return state, commands, Trigger.END_LAND if driving.lands else Trigger.HAND_OVER
     if action is EndAction.RETURN and state.flight.flown:
         if state.flight.planning:
             return state, commands, None

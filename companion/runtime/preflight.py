@@ -4,8 +4,7 @@ import time
 from collections.abc import Callable
 from typing import Final, final
 
-from companion.mission.events import Item
-from companion.mission.health import distrust
+from companion.mavlink.preflight import waiting_for
 from companion.mission.state import Phase
 from companion.runtime.link import Link
 from companion.session import Session
@@ -74,18 +73,3 @@ class _Looker:
             return False
         settled = not vehicle.streams.missing and vehicle.round_trip_s is not None
         return waited_s > (_LEAST_S if settled else _MOST_S)
-
-
-def waiting_for(session: Session) -> str:
-    """What has not been answered yet, in words; empty: nothing."""
-    state, vehicle = session.state, session.vehicle
-    if vehicle is None:
-        return "the vehicle's heartbeat"
-    answered = {Item.PARAMETERS: vehicle.parameters.is_done, Item.PLANS: vehicle.plans.is_done}
-    waits = [item.value for item in Item if not answered[item]]  # refused or not
-    if state.vehicle.home_nea_m is None:
-        waits.append("home")
-    distrusted = distrust(state.vehicle, state.now_s, state.task.limits)
-    if distrusted is not None:
-        waits.append(f"its position ({distrusted.text})")
-    return ", ".join(waits)

@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 from companion.geodesy import LocalFrame
+from companion.objective.scene import FLIGHT
 from companion.sources.files import RawTable
 from companion.sources.plan_file import Plan
 
@@ -33,6 +34,8 @@ _LOITER_BANK_RAD = math.radians(35.0)
 _SPEED_M_S = {"copter": 5.0, "plane": 15.0}  # QGroundControl's own
 _SIGHT_M = {"copter": 2000.0, "plane": 3000.0}
 _DISTANCE_M = {"copter": 30.0, "plane": 50.0}
+_LEAST_DISTANCE_M = {"copter": 10.0, "plane": 20.0}
+_SEARCH_ERRORS = 1.1  # of the vehicle's errors: what paths keep besides d_s (`Task.band_amsl_m`)
 _BAND_ERRORS = 8.0
 _MOST_M_S = 500.0
 
@@ -44,7 +47,13 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
     count.  name: of the mission, if nothing is given.
     """
     vehicle, notes = _vehicle(given, plan)
+    vehicle_as_given = _merged(vehicle, _table(given, "vehicle"))
+    ground_m = _number(_table(given, "terrain"), "highest_amsl_m", plan.home_amsl_m)
+    ground_m = max(ground_m, plan.home_amsl_m)
+    is_blind = vehicle_as_given.get("scanner") is False
     planner = _planner(given, vehicle["kind"])
+    if is_blind and "safety_distance_m" not in _table(given, "planner"):
+        planner["safety_distance_m"] = _least_distance_m(plan, vehicle_as_given, ground_m)
     assumed: RawTable = {
         "schema": 1,
         "name": name,
@@ -57,19 +66,16 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
         "rally_points": plan.rally_points,
     }
     if "targets" not in given and not _get(given, ("from_vehicle", "targets"), False):
-        assumed["targets"] = plan.targets
-    ground_m = _number(_table(given, "terrain"), "highest_amsl_m", plan.home_amsl_m)
-    vehicle_as_given = _merged(vehicle, _table(given, "vehicle"))
+        assumed["targets"] = _at_their_altitudes(plan) if is_blind else plan.targets
     assumed["altitude"] = _altitude(plan, vehicle_as_given, planner, ground_m)
     if "altitude" not in given:
-        notes.append(_about_altitude(plan, assumed["altitude"]))
+        notes.append(_about_altitude(plan, assumed["altitude"], is_blind=is_blind))
     table = _merged(assumed, given)
     if "area" not in given and (area := _area(table, plan, planner["scan_range_m"])):
         table["area"] = area
         notes.append(f"map assumed: {planner['scan_range_m']:g} m around launch and targets")
     if "scan_range_m" not in _table(given, "planner"):
-        blind = _get(given, ("vehicle", "scanner"), True) is False
-        sight = "looking ahead" if blind else "a terrain radar that sees"
+        sight = "looking ahead" if is_blind else "a terrain radar that sees"
         notes.append(
             f"assumed: {sight} {planner['scan_range_m']:g} m (R), "
             f"d_s = {planner['safety_distance_m']:g} m"
@@ -124,22 +130,56 @@ def _planner(given: RawTable, kind: str) -> RawTable:
 def _altitude(plan: Plan, vehicle: RawTable, planner: RawTable, ground_m: float) -> RawTable:
     """A band around the altitudes of the waypoints, high enough above launch to begin in it.
 
-    ground_m: the highest of the ground, AMSL, if that is stated; otherwise as launch.
+    ground_m: the highest of the ground, AMSL, if that is stated; otherwise as launch.  Without a
+    radar it begins where paths just keep d_s and the errors from that, and no higher: what is
+    flown in it are the waypoints' own altitudes.
     """
-    error = sum(_positive(vehicle, key, 5.0) for key in ("tracking_error_m", "navigation_error_m"))
+    error, distance = _error_m(vehicle), planner["safety_distance_m"]
     heights = plan.altitudes_amsl_m or [plan.home_amsl_m]
-    above_ground = max(plan.home_amsl_m, ground_m) + planner["safety_distance_m"] + 2.0 * error
-    floor = math.ceil(max(min(heights) - 2.0 * error, above_ground))
+    if vehicle.get("scanner") is False:
+        inset = _SEARCH_ERRORS * error
+        least = ground_m + max(distance * FLIGHT.margin, distance + inset) - inset
+        floor = math.ceil(10.0 * max(min(heights) - inset, least) + 1e-6) / 10.0
+    else:
+        above_ground = ground_m + distance + 2.0 * error
+        floor = float(math.ceil(max(min(heights) - 2.0 * error, above_ground)))
     ceiling = math.ceil(max(max(heights) + 2.0 * error, floor + _BAND_ERRORS * error))
     return {"floor_amsl_m": float(floor), "ceiling_amsl_m": float(ceiling)}
 
 
-def _about_altitude(plan: Plan, band: RawTable) -> str:
+def _error_m(vehicle: RawTable) -> float:
+    return sum(_positive(vehicle, key, 5.0) for key in ("tracking_error_m", "navigation_error_m"))
+
+
+def _least_distance_m(plan: Plan, vehicle: RawTable, ground_m: float) -> float:
+    """d_s without a radar: the usual, or as much as the lowest waypoint leaves above the ground."""
+    kind = vehicle["kind"] if vehicle.get("kind") in _DISTANCE_M else "copter"
+    heights = [height for height in plan.target_amsl_m if height is not None]
+    room_m = min(heights, default=math.inf) - ground_m - _SEARCH_ERRORS * _error_m(vehicle)
+    usual_m = _DISTANCE_M[kind]
+    if room_m >= usual_m:
+        return usual_m
+    return max(float(math.floor(room_m + 1e-6)), _LEAST_DISTANCE_M[kind])
+
+
+def _at_their_altitudes(plan: Plan) -> list[RawTable]:
+    pairs = zip(plan.targets, plan.target_amsl_m, strict=True)
+    return [
+        target if height is None else target | {"altitude_amsl_m": height}
+        for target, height in pairs
+    ]
+
+
+def _about_altitude(plan: Plan, band: RawTable, *, is_blind: bool) -> str:
     between = f"{band['floor_amsl_m']:g} to {band['ceiling_amsl_m']:g} m AMSL"
     if not plan.altitudes_amsl_m:
         return f"altitude: anywhere from {between} (assumed; launch at {plan.home_amsl_m:g} m)"
-    low, high = f"{min(plan.altitudes_amsl_m):g}", f"{max(plan.altitudes_amsl_m):g}"
+    heights = plan.altitudes_amsl_m
+    low, high = f"{min(heights):g}", f"{max(heights):g}"
     planned = low if low == high else f"{low} to {high}"
+    if is_blind:
+        launch = f"launch at {plan.home_amsl_m:g} m"
+        return f"altitude: the plan's own, {planned} m AMSL ({launch}), in a band of {between}"
     return (
         f"altitude: anywhere from {between} (assumed from the plan's {planned} m, launch at "
         f"{plan.home_amsl_m:g} m AMSL); waypoints are passed at any altitude of this band"

@@ -18,6 +18,7 @@ from companion.objective.scene import PROFILES, Weights
 from companion.path.limits import Limits
 from companion.planner.rules import check_target, check_task
 from companion.planner.settings import PlannerSettings, Task
+from companion.sources.altitudes import about_altitudes, carried_on
 from companion.sources.assumed import with_plan
 from companion.sources.elevation import read_known_map
 from companion.sources.files import RawTable, plain
@@ -72,9 +73,9 @@ def _with_plan(table: RawTable, folder: Path, where: str) -> tuple[RawTable, lis
     if plan.targets and "targets" in table:
         rule = f"{plan.name} has waypoints too"
         raise InputError(f"{where}: targets", len(plan.targets), rule, "Remove one of them.")
-    name = plain("".join(c if c.isalnum() and c.isascii() else " " for c in Path(where).stem), "")
+    stem = "".join(c if c.isascii() and (c.isalnum() or c in "_-.") else " " for c in plan.stem)
     given = {key: value for key, value in table.items() if key != "plan"}
-    complete_table, notes = with_plan(given, plan, name or "plan")
+    complete_table, notes = with_plan(given, plan, plain(stem, "").lstrip(" _-.") or "plan")
     from_vehicle = given.get("from_vehicle")
     elsewhere = isinstance(from_vehicle, dict) and from_vehicle.get("targets") is True
     if not complete_table.get("targets") and not elsewhere:
@@ -118,10 +119,12 @@ def mission_of(
     defaults = (
         {} if link.commanders is None else {"commanders": _commanders(link.commanders, where)}
     )
-    return Mission(
+    tables = model.targets or []
+    mission = Mission(
         name=model.name,
         frame=frame,
         targets_ne_m=targets,
+        altitudes_amsl_m=carried_on([table.altitude_amsl_m for table in tables]),
         task=task,
         end_action=EndAction(model.end.action),
         system_id=vehicle.system_id,
@@ -146,6 +149,7 @@ def mission_of(
         notes=tuple(note for note in (*notes, far, _about_terrain(model)) if note),
         **defaults,
     )
+    return replace(mission, notes=(*mission.notes, *about_altitudes(mission, tables, where)))
 
 
 # --- rules between fields

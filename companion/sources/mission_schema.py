@@ -44,9 +44,10 @@ class PlaceTable(Table):
 
 
 class TargetTable(PlaceTable):
-    """A place to reach; its altitude is free within the band."""
+    """A place to reach, at its altitude, or at any of the band."""
 
     name: Name | None = None
+    altitude_amsl_m: Altitude | None = None
 
 
 class MissionRadarTable(PlaceTable):
@@ -124,7 +125,7 @@ class EndTable(Table):
 class FallbackTable(Table):
     """What to do when no way on is found, or the battery will not last."""
 
-    action: Literal[tuple(action.value for action in Fallback)] = "hold"  # type: ignore[valid-type]
+    action: Literal[tuple(action.value for action in Fallback)] = "return"  # type: ignore[valid-type]
     attempts: Annotated[int, Field(ge=1, le=100)] = 4
 
 

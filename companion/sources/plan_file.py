@@ -119,13 +119,20 @@ class Plan:
     home_amsl_m: float
     targets: list[RawTable] = field(default_factory=list)
     altitudes_amsl_m: list[float] = field(default_factory=list)
-    """Of the waypoints, those that are known."""
+    """Of take-off and waypoints, those that are known."""
+    target_amsl_m: list[float | None] = field(default_factory=list)
+    """Of each target; None: as the one before it."""
     end_action: str = "hold"
     keep_outs: list[RawTable] = field(default_factory=list)
     keep_ins: list[RawTable] = field(default_factory=list)
     rally_points: list[RawTable] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     """What was left out, for people."""
+
+    @property
+    def stem(self) -> str:
+        """The file's name without its ending: what a mission is called that has no other name."""
+        return Path(self.name).stem
 
 
 def read_plan(path: Path, where: str) -> Plan:
@@ -257,14 +264,16 @@ class Items:
             rule = "it has no latitude and longitude"
             remedy = "Put it on the map."
             raise InputError(f"{where}.params", [latitude, longitude], rule, remedy)
-        self._note_altitude(item, where)
-        self._add_target(latitude, longitude, where)
+        altitude = self._note_altitude(item, where)
+        self._add_target(latitude, longitude, where, altitude)
         if command == _LOITER_FOR_EVER:
             self._end("hold", command)
         elif _PLACES[command]:
             self._leave_out(f"{_PLACES[command]} at a waypoint")
 
-    def _add_target(self, latitude: Any, longitude: Any, where: str) -> None:
+    def _add_target(
+        self, latitude: Any, longitude: Any, where: str, altitude_amsl_m: float | None = None
+    ) -> None:
         if self._ended_by:
             remedy = "Remove what comes after it, or move it to the end."
             raise InputError(where, self._ended_by, "the mission ends before this item", remedy)
@@ -275,6 +284,7 @@ class Items:
             raise InputError(where, len(targets) + 1, rule, "Divide the plan.")
         name = where.removeprefix(f"{self._plan.name}: ").removeprefix("mission.")
         targets.append({"name": name, "latitude_deg": latitude, "longitude_deg": longitude})
+        self._plan.target_amsl_m.append(altitude_amsl_m)
 
     def _end(self, action: str, command: int) -> None:
         self._plan.end_action = action
@@ -283,8 +293,8 @@ class Items:
     def _leave_out(self, what: str) -> None:
         self._left_out[what] = self._left_out.get(what, 0) + 1
 
-    def _note_altitude(self, item: Item, where: str) -> None:
-        """Remember how high an item was meant to be, if that can be known."""
+    def _note_altitude(self, item: Item, where: str) -> float | None:
+        """How high an item was meant to be, AMSL, if that can be known: remembered."""
         numbers = item.params[4:] if item.coordinate is None else item.coordinate
         altitude = numbers[2] if len(numbers) > 2 else None
         if item.frame in _ABOVE_TERRAIN:
@@ -297,6 +307,7 @@ class Items:
             raise InputError(f"{where}.frame", item.frame, rule, remedy)
         if altitude is not None:
             self._plan.altitudes_amsl_m.append(altitude)
+        return altitude
 
 
 def _place(item: Item) -> tuple[float | None, float | None]:

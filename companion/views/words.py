@@ -8,11 +8,11 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from companion.mavlink.preflight import Check, Verdict
 from companion.mission.mission import EndAction, Mission
 from companion.path.certificate import Certificate
 from companion.planner.request import Planned
 from companion.telemetry.flown import Flown
-from companion.telemetry.preflight import Check, Verdict
 
 
 def mission_words(mission: Mission) -> str:

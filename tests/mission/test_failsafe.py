@@ -188,4 +188,4 @@ def test_given_back_below_the_reserve_it_does_not_fly_on() -> None:
     craft.take(status(craft.now_s + TICK_S, Mode.GUIDED))
     craft.fly_to(Phase.DONE)
     assert craft.here[:2] == pytest.approx(here[:2], abs=1.0)
-    assert craft.end().reason == Reason.BATTERY_LOW.text
+    assert craft.state.flight.fallen_back is Reason.BATTERY_LOW

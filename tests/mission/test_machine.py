@@ -92,6 +92,8 @@ def test_a_mission_step_by_step() -> None:
     assert take(GpsFix(time_s=2.0, good=True), Estimator(time_s=2.0, good=True)) == []
     assert take(Home(time_s=2.0, position_nea_m=(0.0, 0.0, HOME_AMSL_M))) == []
     assert take(LandedState(time_s=2.0, landed=Landed.ON_GROUND)) == []
+    assert craft.phase is Phase.PREPARING
+    assert take(Prepared(time_s=2.0, item=Item.CHECKS)) == []
     assert craft.phase is Phase.ARMING
     assert take(position(2.2, on_ground)) == [SetMode(mode=Mode.GUIDED)]
     assert take(position(2.6, on_ground)) == []
@@ -185,12 +187,12 @@ def test_the_vehicle_is_left_alone_from_the_hold_request_on() -> None:
 # --- no plan, late plans, a silent radar
 
 
-def test_without_a_plan_at_all_it_hovers_tries_four_times_and_gives_up_in_the_hold_mode() -> None:
+def test_without_a_plan_at_all_it_hovers_tries_four_times_and_lands_where_it_took_off() -> None:
     craft = Craft(plan=not_planned).fly_to(Phase.DONE)
     assert [plan.request.attempt for plan in craft.sent(Plan)] == [0, 1, 2, 3]
-    assert craft.sent(SetMode)[-1].mode is Mode.HOLD
+    assert craft.sent(SetMode)[-1].mode is Mode.LAND
     assert craft.end().outcome is Outcome.FAILED
-    assert craft.end().reason == Reason.NO_PLAN.text
+    assert craft.end().reason == f"landed: {Reason.NO_PLAN.text}"
     assert len({setpoint.position_nea_m for setpoint in craft.sent(Setpoint)}) == 1
 
 
@@ -211,9 +213,9 @@ def test_without_a_successor_a_leg_is_flown_to_its_end_and_then_held_with_zero_v
         np.testing.assert_allclose(setpoint.position_nea_m, end_nea_m, atol=1e-6)
         assert setpoint.velocity_nea_m_s == (0.0, 0.0, 0.0)
     craft.fly_to(Phase.DONE)
-    assert len(craft.sent(Plan)) == 2 + 4
+    assert len(craft.sent(Plan)) == 2 + 4 + 1  # the last of them for the way back
     assert craft.end().outcome is Outcome.FAILED
-    assert craft.sent(SetMode)[-1].mode is Mode.HOLD
+    assert craft.sent(SetMode)[-1].mode is Mode.RETURN
 
 
 def test_a_second_try_that_succeeds_flies_on() -> None:
@@ -248,7 +250,7 @@ def test_a_silent_radar_is_a_hold_with_its_reason_at_the_end_of_what_is_known() 
     craft.fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.RADAR_SILENT
     assert len(craft.sent(Plan)) == 1
-    assert craft.fly_to(Phase.DONE).end().reason == Reason.RADAR_SILENT.text
+    assert craft.fly_to(Phase.DONE).end().reason.endswith(Reason.RADAR_SILENT.text)
 
 
 def test_with_a_silent_radar_it_flies_on_from_rest_on_terrain_that_is_known_already() -> None:

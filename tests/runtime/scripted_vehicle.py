@@ -171,6 +171,14 @@ class Vehicle:
                     470000000, 80000000, round(HOME_AMSL_M * 1e3), 0, 0, 0, [1, 0, 0, 0], 0, 0, 0
                 )
                 return self.pack(home)
+            case 49:
+                origin = wire.MAVLink_gps_global_origin_message(470000000, 80000000, 0)
+                return self.pack(origin)
+            case 1:
+                return self.pack(wire.MAVLink_sys_status_message(*([0] * 5), -1, -1, *([0] * 6)))
+            case 30:
+                attitude = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+                return self.pack(wire.MAVLink_attitude_message(self.time_ms, *attitude))
             case _:
                 return b""
 

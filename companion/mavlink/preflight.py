@@ -1,31 +1,39 @@
 """The checks before a flight: what the vehicle has said, held against the mission.
 
-The last of them asks the mission machine itself what `fly` would do now, so whatever it would
-refuse is refused here.  Link, radar, datum, signing and clock are checked besides: `fly` would find
-out about them later, in the air.
+One list, for `companion preflight`, which shows it, and for `fly`, which does not arm before it is
+passed (`Preflight`).  The mission machine has rules of its own besides: `as_flown` asks it what it
+would do now, so whatever it would refuse is refused before that, too.
 """
 
 import enum
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Protocol, final
 
 from companion.mavlink import fence
 from companion.mavlink.dialect import COMPANION_COMPONENT
 from companion.mavlink.judgement import Severity
-from companion.mavlink.receiver import Passed
+from companion.mavlink.latch import Latch
+from companion.mavlink.receiver import Passed, Receiver
+from companion.mavlink.signing import Signing, timestamp_of
 from companion.mavlink.vehicle import VehicleSide
 from companion.mission import ground
 from companion.mission.decisions import Context, is_suspected
-from companion.mission.events import Item, Tick
+from companion.mission.events import Item, Prepared, ScanDone, Tick, Vector
 from companion.mission.health import battery_lasts, distrust
-from companion.mission.state import Reason, State, Trigger
-from companion.session import Session
+from companion.mission.mission import Mission
+from companion.mission.state import Phase, Reason, State, Trigger
 
 _EARLIEST_S = 1_735_689_600.0  # 2025: a clock before that has not been set
+_PATIENCE_S = 5.0  # for rates and delays that have not come yet
 _LONG_DELAY_S = 0.5
 _LARGEST_GEOID_M = 110.0
 _FEWEST_ANSWERS = 0.9
+_NO_RADAR = (
+    "Start it, or correct vehicle.scanner_component_id. Where there is none, say so in a "
+    "mission.toml, which may name a .plan: vehicle.scanner = false, and [terrain] with an elevation "
+    "file, or with the highest ground there is, highest_amsl_m (docs/files.md)."
+)
 _LISTENED_S = 5.0  # for other companions: `fly` does, before it takes over
 
 
@@ -49,11 +57,81 @@ class Check:
     remedy: str = ""
 
 
-def checks_of(session: Session, *, clock_s: float) -> list[Check]:
-    """Every check, in the order in which a person would go through them.
+class Heard(Protocol):
+    """What the checks read: a session, and what it has heard so far."""
 
-    clock_s: seconds since 1970, as this computer has it.
-    """
+    mission: Mission
+    context: Context
+    state: State
+    vehicle: VehicleSide | None
+    found: str
+    latch: Latch
+    receiver: Receiver
+    signing: Signing | None
+    last_scan: ScanDone | None
+
+
+@final
+class Preflight:
+    """`fly` on the ground: the radar looks once, then every check must pass before it is armed."""
+
+    def __init__(self) -> None:
+        self._preparing_since_s: float | None = None
+        self._looked = False
+        self._answered_s: float | None = None
+
+    def looks_from(self, heard: Heard) -> Vector | None:
+        """Where from the radar is to look now; None: it need not."""
+        state, here = heard.state, heard.state.vehicle.position_nea_m
+        if state.phase is not Phase.PREPARING or heard.context.shadow:
+            return None
+        if state.since_s != self._preparing_since_s:  # prepared anew
+            self._preparing_since_s, self._looked, self._answered_s = state.since_s, False, None
+        if self._looked or state.airborne or not state.targets_ne_m or here is None:
+            return None
+        if distrust(state.vehicle, state.now_s, state.task.limits) is not None:
+            return None
+        self._looked, heard.last_scan = True, None
+        return here
+
+    def judged(self, heard: Heard) -> Prepared | None:
+        """That all checks have passed, or which one has not; None: not everything is answered."""
+        state = heard.state
+        due = self._looked and heard.last_scan is not None and Item.CHECKS not in state.prepared
+        if not due or state.phase is not Phase.PREPARING or waiting_for(heard):
+            return None
+        if self._answered_s is None:
+            self._answered_s = state.now_s
+        refused = [each for each in checks_of(heard) if each.verdict is Verdict.REFUSED]
+        if not refused:
+            return Prepared(time_s=state.now_s, item=Item.CHECKS)
+        if state.now_s - self._answered_s < _PATIENCE_S:
+            return None
+        return Prepared(
+            time_s=state.now_s,
+            item=Item.CHECKS,
+            refusal=f"{refused[0].name}: {refused[0].what}",
+            remedy=refused[0].remedy,
+        )
+
+
+def waiting_for(heard: Heard) -> str:
+    """What has not been answered yet, in words; empty: nothing."""
+    state, vehicle = heard.state, heard.vehicle
+    if vehicle is None:
+        return "the vehicle's heartbeat"
+    answered = {Item.PARAMETERS: vehicle.parameters.is_done, Item.PLANS: vehicle.plans.is_done}
+    waits = [item.value for item, done in answered.items() if not done]  # refused or not
+    if state.vehicle.home_nea_m is None:
+        waits.append("home")
+    distrusted = distrust(state.vehicle, state.now_s, state.task.limits)
+    if distrusted is not None:
+        waits.append(f"its position ({distrusted.text})")
+    return ", ".join(waits)
+
+
+def checks_of(session: Heard) -> list[Check]:
+    """Every check, in the order in which a person would go through them."""
     vehicle = session.vehicle
     checks = [_heard(session)]
     if vehicle is None:
@@ -66,9 +144,7 @@ def checks_of(session: Session, *, clock_s: float) -> list[Check]:
     checks += _position(session, state)
     checks += _battery(session, state)
     checks += _radar(session)
-    checks += _signing(session, clock_s)
-    if not any(check.verdict is Verdict.REFUSED for check in checks):
-        checks.append(_as_flown(session, state))
+    checks += _signing(session)
     return checks
 
 
@@ -84,7 +160,7 @@ def _note(name: str, what: str, remedy: str = "") -> Check:
 # --- link, ids
 
 
-def _heard(session: Session) -> Check:
+def _heard(session: Heard) -> Check:
     vehicle, others = session.vehicle, sorted(session.latch.others)
     names = ", ".join(str(system) for system in others)
     if vehicle is not None:
@@ -99,7 +175,7 @@ def _heard(session: Session) -> Check:
     return _check("vehicle", False, "none was heard", "Start it, or check --connect.")
 
 
-def _link(session: Session, vehicle: VehicleSide) -> Iterator[Check]:
+def _link(session: Heard, vehicle: VehicleSide) -> Iterator[Check]:
     if session.state.reason is Reason.LINK_LOST:
         lost = Reason.LINK_LOST
         yield _check("link", False, lost.text, lost.remedy)
@@ -153,7 +229,7 @@ def _parameters(vehicle: VehicleSide) -> Iterator[Check]:
         yield _check("parameters", True, f"{count} read, none against the mission")
 
 
-def _fence(session: Session, vehicle: VehicleSide) -> Iterator[Check]:
+def _fence(session: Heard, vehicle: VehicleSide) -> Iterator[Check]:
     state, mission = session.state, session.mission
     if Item.PLANS not in state.prepared and not vehicle.plans.is_done:
         waiting = ", ".join(vehicle.plans.waiting)
@@ -168,7 +244,7 @@ def _fence(session: Session, vehicle: VehicleSide) -> Iterator[Check]:
     yield _check("targets", targets > 0, f"{targets} targets", remedy)
 
 
-def _against_fence(drawn: fence.Fence, session: Session) -> Iterator[Check]:
+def _against_fence(drawn: fence.Fence, session: Heard) -> Iterator[Check]:
     against = fence.conflicts(drawn, session.mission.task, session.state.targets_ne_m)
     for line in against:
         what, _, remedy = line.rpartition(". ")
@@ -182,7 +258,7 @@ def _against_fence(drawn: fence.Fence, session: Session) -> Iterator[Check]:
 # --- where it is
 
 
-def _position(session: Session, state: State) -> Iterator[Check]:
+def _position(session: Heard, state: State) -> Iterator[Check]:
     vehicle, limits = state.vehicle, state.task.limits
     distrusted = distrust(vehicle, state.now_s, limits)
     if distrusted is not None:
@@ -204,7 +280,7 @@ def _position(session: Session, state: State) -> Iterator[Check]:
     yield from _datum(session, here)
 
 
-def _datum(session: Session, here_nea_m: tuple[float, float, float]) -> Iterator[Check]:
+def _datum(session: Heard, here_nea_m: tuple[float, float, float]) -> Iterator[Check]:
     """The vehicle's AMSL against the ellipsoid, and against the terrain that is known."""
     geoid_m = None if session.vehicle is None else session.vehicle.geoid_m
     if geoid_m is not None:
@@ -224,7 +300,7 @@ def _datum(session: Session, here_nea_m: tuple[float, float, float]) -> Iterator
     yield _check("datum", ok, what, "The terrain's vertical datum differs: see terrain.*.")
 
 
-def _battery(session: Session, state: State) -> Iterator[Check]:
+def _battery(session: Heard, state: State) -> Iterator[Check]:
     left, mission = state.vehicle.battery, session.mission
     if left is None:
         yield _note("battery", "the vehicle does not say what is left")
@@ -237,7 +313,7 @@ def _battery(session: Session, state: State) -> Iterator[Check]:
     yield _check("battery", lasts, what, Reason.BATTERY_SHORT.remedy)
 
 
-def _radar(session: Session) -> Iterator[Check]:
+def _radar(session: Heard) -> Iterator[Check]:
     scan, mission = session.last_scan, session.mission
     if mission.scanner_component_id is None:
         yield _note("radar", "none: only terrain that is known in advance is flown over")
@@ -245,8 +321,8 @@ def _radar(session: Session) -> Iterator[Check]:
         yield _note("radar", "not asked: where from and where to is not known")
     elif scan is None or not scan.answered:
         component = mission.scanner_component_id
-        what = f"component {component} did not answer TERRAIN_REQUEST"
-        yield _check("radar", False, what, "Start it, or correct vehicle.scanner_component_id.")
+        what = f"the terrain radar, component {component}, did not answer TERRAIN_REQUEST"
+        yield _check("radar", False, what, _NO_RADAR)
     else:
         share = scan.answered / max(scan.asked, 1)
         what = f"{scan.answered} of {scan.asked} blocks answered"
@@ -256,7 +332,7 @@ def _radar(session: Session) -> Iterator[Check]:
 # --- signing and clock
 
 
-def _signing(session: Session, clock_s: float) -> Iterator[Check]:
+def _signing(session: Heard) -> Iterator[Check]:
     signed = session.receiver.signed
     if session.signing is None:
         if signed:
@@ -269,16 +345,19 @@ def _signing(session: Session, clock_s: float) -> Iterator[Check]:
     what = f"{signed} signed frames accepted, {refused} refused"
     yield _check("signing", signed > 0, what, "Set the same key up on the vehicle.")
     remedy = "Set this computer's clock."
-    yield _check("clock", clock_s > _EARLIEST_S, "this computer's clock", remedy)
+    is_set = session.signing.timestamp > timestamp_of(_EARLIEST_S)
+    yield _check("clock", is_set, "this computer's clock", remedy)
 
 
 # --- all of it
 
 
-def _as_flown(session: Session, state: State) -> Check:
-    """What `fly` would do with a vehicle as it is now."""
+def as_flown(session: Heard) -> Check:
+    """What `fly` would do with a vehicle that has passed the checks."""
     context = Context(mission=session.mission, seed=0)
-    state = replace(state, reason=None, since_s=state.now_s - _LISTENED_S)
+    state = session.state
+    prepared = state.prepared | {Item.CHECKS}
+    state = replace(state, prepared=prepared, reason=None, since_s=state.now_s - _LISTENED_S)
     event = Tick(time_s=state.now_s)
     after, _, trigger = ground.preparing(state, event, context)
     if trigger is None:  # it would wait, and what for it says at the end
