@@ -145,8 +145,14 @@ def test_the_journal_tells_what_found_each_plan_and_what_is_proven_of_it(flown: 
 
 
 def test_a_scan_is_answered_block_by_block(flown: Pair) -> None:
-    [done] = [entry for entry in flown.journal if entry["kind"] == "scan done"]
+    on_ground, done = (entry for entry in flown.journal if entry["kind"] == "scan done")
+    assert on_ground["blocks_asked"] == on_ground["blocks_answered"] > 500
+    assert on_ground["cells_seen"] == 0  # it was asked only whether it answers
     assert done["blocks_asked"] == done["blocks_answered"] > 500
+
+
+def test_how_it_ended_is_the_last_text_of_all(flown: Pair) -> None:
+    assert flown.sent("STATUSTEXT")[-1].text == "mission over: target reached"
 
 
 # --- the same bytes in, the same bytes out
@@ -629,8 +635,14 @@ def test_an_impossible_position_is_survived_while_hovering(lat: int, lon: int) -
 # --- streams, silence, stop
 
 
-def test_streams_that_do_not_arrive_are_asked_for_again_and_others_are_not() -> None:
+def test_streams_that_do_not_arrive_are_asked_for_again_and_others_are_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     it = pair()
+    says = it.vehicle.telemetry
+    monkeypatch.setattr(
+        it.vehicle, "telemetry", lambda each: b"" if each in (1, 30) else says(each)
+    )
     it.vehicle.deaf_to = (511,)
     for _ in range(60):
         it.tick()

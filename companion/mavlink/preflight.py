@@ -31,8 +31,8 @@ _LARGEST_GEOID_M = 110.0
 _FEWEST_ANSWERS = 0.9
 _NO_RADAR = (
     "Start it, or correct vehicle.scanner_component_id. Where there is none, say so in a "
-    "mission.toml, which may name a .plan: vehicle.scanner = false, and [terrain] with an elevation "
-    "file, or with the highest ground there is, highest_amsl_m (docs/files.md)."
+    "mission.toml, which may name a .plan: vehicle.scanner = false, and [terrain] with an "
+    "elevation file, or with the highest ground there is, highest_amsl_m (docs/files.md)."
 )
 _LISTENED_S = 5.0  # for other companions: `fly` does, before it takes over
 

@@ -17,12 +17,12 @@ _MOST_SAMPLES = 2000  # of all ways together
 
 
 def carried_on(altitudes_amsl_m: list[float | None]) -> tuple[float | None, ...]:
-    """Each target's altitude; of one that has none that of the target before it."""
+    """Each target's altitude, of one that has none that of the target before; () if none has."""
     carried: list[float | None] = []
     for altitude in altitudes_amsl_m:
         before = carried[-1] if carried else None
         carried.append(before if altitude is None else altitude)
-    return tuple(carried)
+    return tuple(carried) if carried and carried[-1] is not None else ()
 
 
 def about_altitudes(mission: Mission, targets: list[TargetTable], where: str) -> Iterator[str]:
@@ -34,7 +34,8 @@ def about_altitudes(mission: Mission, targets: list[TargetTable], where: str) ->
     if mission.known is None or mission.scanner_component_id is not None:
         return
     lowest_m, _ = mission.task.band_amsl_m
-    places = list(zip(mission.targets_ne_m, mission.altitudes_amsl_m, targets, strict=False))
+    altitudes = mission.altitudes_amsl_m or (None,) * len(targets)
+    places = zip(mission.targets_ne_m, altitudes, targets, strict=False)
     for number, (place, wanted_m, table) in enumerate(places):
         field = f"{where}: targets[{number}]" + (f" ({table.name})" if table.name else "")
         least_m = lowest_m if wanted_m is None else max(wanted_m, lowest_m)
@@ -58,7 +59,7 @@ def _ways(mission: Mission, targets: list[TargetTable]) -> Iterator[str]:
     places = mission.targets_ne_m
     total_m = sum(math.dist(a, b) for a, b in itertools.pairwise(places))
     spacing_m = max(mission.task.cell_m, total_m / _MOST_SAMPLES)
-    altitudes = zip(mission.altitudes_amsl_m[1:], targets[1:], strict=True)
+    altitudes = zip(mission.altitudes_amsl_m[1:], targets[1:], strict=False)
     for (start, end), (wanted_m, table) in zip(itertools.pairwise(places), altitudes, strict=False):
         if wanted_m is None:
             continue

@@ -3,16 +3,18 @@ from companion.mission.state import MOVES, Phase, Reason, Trigger
 # Design section 7, written down a second time.
 ANYTIME = {"done", "faulted"}
 AGAIN = {"preparing"}
+DOWN = {"landing", "handing over"}
 ARROWS = {
     "waiting": {"preparing"},
-    "preparing": {"arming", "holding", "flying", "landing", "shadow"} | AGAIN,
+    "preparing": {"arming", "holding", "flying", "landing", "shadow"} | DOWN | AGAIN,
     "arming": {"taking off"} | AGAIN,
-    "taking off": {"flying", "holding"} | AGAIN,
-    "flying": {"arrived", "holding"} | AGAIN,
-    "holding": {"flying", "returning", "landing"} | AGAIN,
-    "arrived": {"flying", "holding", "landing", "returning"} | AGAIN,
-    "returning": {"flying", "holding", "landing"} | AGAIN,
-    "landing": {"holding"} | AGAIN,
+    "taking off": {"flying", "holding"} | DOWN | AGAIN,
+    "flying": {"arrived", "holding"} | DOWN | AGAIN,
+    "holding": {"flying", "returning"} | DOWN | AGAIN,
+    "arrived": {"flying", "holding", "returning"} | DOWN | AGAIN,
+    "returning": {"flying", "holding"} | DOWN | AGAIN,
+    "landing": {"holding", "handing over"} | AGAIN,
+    "handing over": {"landing"} | AGAIN,
     "shadow": AGAIN,
 }
 ARROWS = {phase: after | ANYTIME for phase, after in ARROWS.items()}

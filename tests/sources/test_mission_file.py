@@ -106,7 +106,7 @@ def test_what_is_left_out_is_what_a_mission_has_by_itself(folder: Path) -> None:
 def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
     more = """
     [fallback]
-    action = "return"
+    action = "land"
     attempts = 2
     [battery]
     reserve_percent = 35.0
@@ -130,7 +130,7 @@ def test_all_that_can_be_said_of_the_flight_is_taken(folder: Path) -> None:
     assert mission.position_rate_hz == 200.0
     assert mission.task.settings.position_period_s == 0.005
     assert mission.yaw_rad == pytest.approx(-math.pi / 2)
-    assert (mission.fallback, mission.attempts) == (Fallback.RETURN, 2)
+    assert (mission.fallback, mission.attempts) == (Fallback.LAND, 2)
     assert (mission.reserve, mission.endurance_s) == (0.35, 900.0)
     assert mission.commanders == ((255, 0), (7, 190))
     assert not mission.sets_parameters

@@ -1,0 +1,138 @@
+"""Without a terrain radar: flown at the plan's altitudes where they are safe, else it is said."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+import companion
+from companion.config import load_mission
+from companion.errors import InputError
+from companion.mission.mission import Mission
+
+HOME = (47.3977, 8.5456, 488.0)
+ERROR_M = 10.0  # of the copter that is assumed: tracking and navigation
+KEPT_M = 1.1 * ERROR_M
+
+
+def plan(folder: Path, above_launch_m: Sequence[float | None], kind: int = 2) -> Path:
+    """Waypoints 300 m apart, to the north."""
+    items = [
+        {
+            "type": "SimpleItem",
+            "command": 16,
+            "frame": 3,
+            "params": [0, 0, 0, None, HOME[0] + 0.0027 * (number + 1), HOME[1], height],
+        }
+        for number, height in enumerate(above_launch_m)
+    ]
+    mission = {"plannedHomePosition": HOME, "vehicleType": kind, "hoverSpeed": 5, "items": items}
+    path = folder / "field-7.plan"
+    path.write_text(json.dumps({"fileType": "Plan", "mission": mission}), encoding="utf-8")
+    return path
+
+
+def blind(
+    folder: Path, *above_launch_m: float | None, ground_amsl_m: float = HOME[2], more: str = ""
+) -> Mission:
+    """The same without a radar, over ground that is stated."""
+    path = folder / "mission.toml"
+    terrain = f"[terrain]\nhighest_amsl_m = {ground_amsl_m}\n"
+    text = f'plan = "{plan(folder, above_launch_m).name}"\n[vehicle]\nscanner = false\n'
+    path.write_text(text + terrain + more, encoding="utf-8")
+    return load_mission(str(path))
+
+
+def lowest_m(mission: Mission, target: int) -> float:
+    """The lowest that a path to a target may lie, and so where it does."""
+    return mission.task_to(target, mission.task).band_amsl_m[0]
+
+
+def test_a_mission_is_called_by_the_file_of_its_plan(tmp_path: Path) -> None:
+    assert load_mission(str(plan(tmp_path, [40.0]))).name == "field-7"
+    assert blind(tmp_path, 40.0).name == "field-7"
+
+
+def test_each_waypoint_is_flown_to_at_its_own_altitude(tmp_path: Path) -> None:
+    mission = blind(tmp_path, 40.0, 60.0, None, 45.0)
+    for target, height_m in enumerate((40.0, 60.0, 60.0, 45.0)):
+        assert lowest_m(mission, target) == pytest.approx(HOME[2] + height_m, abs=0.2)
+    assert not any("flown at" in note for note in mission.notes)
+
+
+def test_the_climb_ends_at_the_lowest_of_them(tmp_path: Path) -> None:
+    assert blind(tmp_path, 40.0).take_off_amsl_m == pytest.approx(HOME[2] + 40.0, abs=0.2)
+
+
+def test_with_a_radar_the_altitude_is_free_within_the_band(tmp_path: Path) -> None:
+    mission = load_mission(str(plan(tmp_path, [40.0, 60.0])))
+    assert mission.altitudes_amsl_m == ()
+    assert mission.task_to(1, mission.task) is mission.task
+
+
+@pytest.mark.parametrize(
+    ("above_m", "ground_m", "distance_m"),
+    [(40.0, 0.0, 29.0), (90.0, 0.0, 30.0), (40.0, 15.0, 14.0)],
+)
+def test_the_distance_that_is_assumed_is_what_the_plan_leaves(
+    tmp_path: Path, above_m: float, ground_m: float, distance_m: float
+) -> None:
+    mission = blind(tmp_path, above_m, ground_amsl_m=HOME[2] + ground_m)
+    assert mission.task.settings.safety_distance_m == distance_m
+    assert any(f"d_s = {distance_m:g} m" in note for note in mission.notes)
+
+
+def test_a_waypoint_that_is_too_low_is_flown_higher_and_that_is_said(tmp_path: Path) -> None:
+    mission = blind(tmp_path, 12.0, 60.0)
+    least_m = HOME[2] + 10.0 + KEPT_M
+    assert lowest_m(mission, 0) == pytest.approx(least_m, abs=0.2)
+    [said] = [note for note in mission.notes if "flown at" in note]
+    assert "items[0] is planned at 500 m AMSL and flown at 509 m" in said
+
+
+def test_a_distance_that_is_given_is_kept(tmp_path: Path) -> None:
+    mission = blind(tmp_path, 40.0, more="[planner]\nsafety_distance_m = 50.0\n")
+    assert lowest_m(mission, 0) == pytest.approx(HOME[2] + 50.0 + KEPT_M, abs=0.2)
+    assert any("flown at 549 m" in note for note in mission.notes)
+
+
+def test_a_target_that_the_ceiling_is_too_low_for_is_refused_before_take_off(
+    tmp_path: Path,
+) -> None:
+    band = "[altitude]\nfloor_amsl_m = 540.0\nceiling_amsl_m = 600.0\n"
+    with pytest.raises(InputError, match=r"altitude\.floor_amsl_m"):
+        blind(tmp_path, 40.0, ground_amsl_m=HOME[2] + 80.0, more=band)
+
+
+VALLEY = Path(companion.__file__).parent / "environments" / "valley"
+
+
+def over_the_valley(folder: Path, *targets: tuple[float, float, float]) -> Mission:
+    """Over an elevation file, without a radar; each target's north, east and altitude."""
+    raw = (VALLEY / "mission.toml").read_text(encoding="utf-8")
+    raw = raw.replace("[[targets]]\nnorth_m = -3850.0\neast_m = 800.0\n", "")
+    text = raw.replace('kind = "copter"\n', 'kind = "copter"\nscanner = false\n')
+    for north_m, east_m, altitude_m in targets:
+        text += f"[[targets]]\nname = 'at {altitude_m:g}'\nnorth_m = {north_m}\n"
+        text += f"east_m = {east_m}\naltitude_amsl_m = {altitude_m}\n"
+    text += f'[terrain]\nfile = "{VALLEY / "terrain.tif"}"\nvertical_datum = "AMSL"\n'
+    path = folder / "mission.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_mission(str(path))
+
+
+def test_what_the_elevation_file_says_against_an_altitude_is_said_before_take_off(
+    tmp_path: Path,
+) -> None:
+    in_the_valley = (-3850.0, 800.0, 520.0)
+    assert over_the_valley(tmp_path, in_the_valley).notes == ()
+    [low] = over_the_valley(tmp_path, (-3850.0, -2000.0, 520.0)).notes
+    assert "at 520 is planned at 520 m AMSL and flown at 585 m" in low
+    [cut] = over_the_valley(tmp_path, in_the_valley, (2000.0, -1000.0, 521.0)).notes
+    assert "straight way to at 521 the ground is too high for 521 m AMSL" in cut
+
+
+def test_a_target_in_a_mountain_is_refused_before_take_off(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not known, or too high for the ceiling"):
+        over_the_valley(tmp_path, (0.0, -3500.0, 520.0))
