@@ -1,7 +1,7 @@
 """Another processor, as far as a decision can tell: every position is off by up to a micrometre.
 
 The last digits of what is computed differ between processors (kernels of OpenBLAS, glibc, LLVM).
-What hangs on them is found by moving what it is computed from: `--nudge` in tests/conftest.py.
+What hangs on them is found by moving what it is computed from (fixture `nudge`, tests/conftest.py).
 """
 
 from collections.abc import Iterator

@@ -23,8 +23,8 @@ DECIDING = (
     "tests/planner/test_recheck.py",
     "tests/planner/test_way_back.py",
 )
-ALL_DECIDING = ("tests/replay", "tests/mission", "tests/planner")
-LONGEST_S = 1_200.0
+ALL_DECIDING = ("-n", "auto", "tests/replay", "tests/mission", "tests/planner")
+LONGEST_S = 3_600.0
 
 
 def otherwise(scratch: Path) -> dict[str, str]:
