@@ -110,7 +110,10 @@ class _Watch:
     """When all of it was read last; -inf: it has to be."""
     opaque_id: int = 0
     candidate: bytes | None = None
-    """A new list that was read with gaps: it replaces another when it has been read twice."""
+    """A new list that was read with gaps, or found empty after a reboot: it replaces another when
+    it has been read twice."""
+    rebooted: bool = False
+    """Whether it has not been read since the autopilot rebooted."""
 
 
 def _key(items: tuple[PlanItem, ...]) -> bytes:
@@ -159,7 +162,7 @@ class PlanClient:
         for watch in self._watches.values():
             watch.due_s = watch.read_s = -math.inf
             watch.opaque_id = 0
-            watch.candidate = None
+            watch.candidate, watch.rebooted = None, True
         for kind, plan in self.plans.items():
             if not plan.supported:
                 self.plans[kind] = Plan(version=plan.version)
@@ -274,14 +277,17 @@ class PlanClient:
         watch.read_s, watch.opaque_id = now_s, transfer.opaque_id
         items = tuple(transfer.items)
         key = _key(items)
-        sure = transfer.smooth or key == watch.candidate
+        # An autopilot may answer before it has loaded its lists: then they look empty.
+        early = watch.rebooted and not items and bool(plan.items)
+        sure = key == watch.candidate or (transfer.smooth and not early)
         new = key != _key(plan.items) or not plan.version or not plan.supported
         if new and (sure or not plan.version):  # the first is better than none
             self.plans[transfer.kind] = Plan(items=items, version=plan.version + 1)
         if new and not sure:  # in the gaps it may have become half of one and half of another
-            watch.candidate, watch.due_s, watch.read_s = key, now_s, -math.inf
+            watch.candidate, watch.read_s = key, -math.inf
+            watch.due_s = now_s + LOOK_S if early else now_s
         else:
-            watch.candidate = None
+            watch.candidate, watch.rebooted = None, False
         return [self._ack(transfer.kind, wire.MAV_MISSION_ACCEPTED), *self.on_time(now_s)]
 
     def _done(self, transfer: _Transfer, now_s: float, pause_s: float = LOOK_S) -> None:
