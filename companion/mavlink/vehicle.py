@@ -160,7 +160,7 @@ class VehicleSide:
         self._speed = []
         if self._fence_told is not None and self._fence_told.zones:
             count = len(self._fence_told.zones)
-            self.notes.append(f"fence: being read again, the {count} zones known stay in force")
+            self.notes.append(f"fence: read again, {count} zones stay in force")
 
     # --- in
 

@@ -8,6 +8,7 @@ from companion.path.proof import piece_of
 from companion.path.proof_distance import zone_distance
 from companion.planner.procedure import Leg
 from companion.world.threats import Zone
+from companion.world.zone_index import ZoneIndex, index_of
 
 _PIECES = 48
 _LEEWAY = 2e-3  # of the required distance: a certificate is not exact either
@@ -28,11 +29,17 @@ def first_conflict_m(
     if not zones:
         return None
     wanted_m = required_m * (1.0 - _LEEWAY) - _LEEWAY_M
-    cubics, table = cubics_of(leg.subpath.control_nea_m), pack_zones(zones)
+    cubics = cubics_of(leg.subpath.control_nea_m)
     pieces = _pieces(leg.subpath.parameter_at(from_m), len(cubics))
     middles, radii = _discs(cubics[..., :2], pieces)
-    gaps = np.min([zone.distance_m(*middles.T) for zone in zones], axis=0)
-    stack = pieces[gaps - radii < wanted_m][::-1].tolist()
+    index = index_of(zones)
+    enough_m = max(wanted_m + float(radii.max()), 0.0) + _LEEWAY_M
+    gaps = index.gaps_m(middles[:, 0], middles[:, 1], enough_m)
+    close = gaps - radii < wanted_m
+    if not close.any():
+        return None
+    table = pack_zones(_near(index, middles[close], radii[close], wanted_m))
+    stack = pieces[close][::-1].tolist()
     while stack:
         start, end = stack.pop()
         span = min(int(0.5 * (start + end) * len(cubics)), len(cubics) - 1)
@@ -47,6 +54,18 @@ def first_conflict_m(
         middle = 0.5 * (start + end)
         stack += [[middle, end], [start, middle]]
     return None
+
+
+def _near(
+    index: ZoneIndex, middles: FloatArray, radii: FloatArray, within_m: float
+) -> tuple[Zone, ...]:
+    """The zones that may be near to one of some discs.  (N, 2), (N,)."""
+    found = {
+        id(zone): zone
+        for (north, east), radius_m in zip(middles.tolist(), radii.tolist(), strict=True)
+        for zone in index.near((north, east), (north, east), within_m + radius_m)
+    }
+    return tuple(found.values())
 
 
 def _pieces(start: float, spans: int) -> FloatArray:

@@ -1,8 +1,9 @@
 """Where a plane can circle when what lies about or ahead of it is no longer safe."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import final
 
 import numpy as np
@@ -26,7 +27,8 @@ Ways = tuple[FloatArray, FloatArray, BoolArray]
 _BEARINGS, _LENGTHS = 36, 16
 _FARTHEST = 0.4  # of R
 _SAMPLES, _ROUGHLY = 64, 24  # of the way there; to see which places are worth a closer look
-_LOOKED_AT = 24  # places whose ways turn out not to keep off zones
+_LOOKED_AT = 40  # ways that are looked at closely, the best first
+_AT_ONCE = 16  # circles that are held against the terrain
 _INTRUDING = 5.0  # metres of way for each metre of it that has no clearance left
 _SLACK_M = 1.0
 _TURNS = (0.5, 1.0)  # of the turn radius of paths: autopilots turn more tightly to a point
@@ -64,7 +66,8 @@ def loiter_point(
     - it keeps off zones by the errors, or comes no nearer than the vehicle is, or than it would if
       it stayed where it circles.
 
-    Nothing is clear of ground that is not known.  None: there is no such place.
+    Nothing is clear of ground that is not known.  None: there is no such place, or none among the
+    best by what the ways are like about (`ZoneField`): only those are looked at closely.
     """
     reach_m = _FARTHEST * task.settings.scan_range_m
     here = np.asarray(circler.here_nea_m)
@@ -77,25 +80,33 @@ def loiter_point(
     )
     field = _field(task, index, places, here[:2])
     rank, nearest_m = _judged(task, circler, field, places)
-    open_ = nearest_m + field.error_m >= allowed_m
+    open_ = np.flatnonzero(nearest_m + field.error_m >= allowed_m)
+    clear = _clear(task, circler, field, places[: len(preferred)])
+    heights = _heights_m(task, circler)
     looked_at = 0
     for clearance_m in (task.required_clearance_m, task.error_m):
-        index_ = np.flatnonzero(open_)
-        index_ = index_[field.keeps(*places[index_].T, clearance_m + loiter_m)]
-        for k in _in_order(index_, rank, _clear(task, circler, field, places[: len(preferred)])):
+        keeps = field.keeps(places[open_, 0], places[open_, 1], clearance_m + loiter_m)
+        points = (
+            (*map(float, places[k]), height_m)
+            for k in _in_order(open_[keeps], rank, clear)
+            for height_m in ((preferred[k][2],) if k < len(preferred) else heights)
+        )
+        for point in _clear_of_terrain(known, task, circler, points, clearance_m):
+            if _is_open(known, task, circler, field, point, allowed_m):
+                return point
+            looked_at += 1
             if looked_at == _LOOKED_AT:
                 return None
-            if not _keeps_off_zones(task, circler, field, places[k], allowed_m):
-                looked_at += 1
-                open_[k] = False
-                continue
-            heights = _heights_m(task, circler)
-            for height_m in (preferred[k][2],) if k < len(preferred) else heights:
-                north, east = (float(value) for value in places[k])
-                point = (north, east, height_m)
-                if _keeps_off_terrain(known, task, circler, point, clearance_m):
-                    return point
     return None
+
+
+def _is_open(
+    known: KnownMap, task: Task, circler: Circler, field: ZoneField, point: Vector, gap_m: float
+) -> bool:
+    """Whether all that may be flown to a point keeps off zones and terrain."""
+    place = np.array(point[:2])
+    off_zones = _keeps_off_zones(task, circler, field, place, gap_m)
+    return off_zones and _keeps_off_terrain(known, task, circler, point)
 
 
 def _places_ne_m(here: FloatArray, reach_m: float, preferred: Sequence[Vector]) -> FloatArray:
@@ -220,21 +231,26 @@ def _turns_ne_m(
 # --- terrain
 
 
-def _keeps_off_terrain(
-    known: KnownMap, task: Task, circler: Circler, point: Vector, clearance_m: float
-) -> bool:
-    """Whether the circle about a point keeps this distance, and the way there the errors."""
+def _clear_of_terrain(
+    known: KnownMap, task: Task, circler: Circler, points: Iterable[Vector], clearance_m: float
+) -> Iterator[Vector]:
+    """Those of the points whose circle keeps this distance, at the lower end of the way too."""
+    circle, points = known.grown(task.limits.loiter_radius_m), iter(points)
+    while some := list(islice(points, _AT_ONCE)):
+        there = np.array(some)
+        there[:, 2] = np.minimum(there[:, 2], circler.here_nea_m[2])
+        gaps_m = distances_to_terrain_m(circle, there, clearance_m)
+        yield from (some[k] for k in np.flatnonzero(gaps_m >= clearance_m))
+
+
+def _keeps_off_terrain(known: KnownMap, task: Task, circler: Circler, point: Vector) -> bool:
+    """Whether the way to a point keeps off terrain by the errors, or as far as the vehicle does."""
     lowest_m = min(point[2], circler.here_nea_m[2])
-    circle = known.grown(task.limits.loiter_radius_m)
-    there = np.array([point[0], point[1], lowest_m])
-    if distance_to_terrain_m(circle, there, clearance_m) < clearance_m:
-        return False
     error_m, here = task.error_m, np.asarray(circler.here_nea_m)
     least_m = min(error_m, distance_to_terrain_m(known, here, error_m) - _SLACK_M)
-    for ways, _, _ in _ways_ne_m(task, circler, there[None, :2], _SAMPLES):
-        points = ways.reshape(-1, 2)
-        level = np.full((len(points), 1), lowest_m)
-        way = np.concatenate([points, level], axis=1)
+    for ways, _, _ in _ways_ne_m(task, circler, np.array([point[:2]]), _SAMPLES):
+        flown = ways.reshape(-1, 2)
+        way = np.concatenate([flown, np.full((len(flown), 1), lowest_m)], axis=1)
         if (distances_to_terrain_m(known, way, error_m) < least_m).any():
             return False
     return True

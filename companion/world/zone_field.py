@@ -32,6 +32,7 @@ class ZoneField:
     south_m: float
     west_m: float
     cell_m: float
+    most_m: float
     gap_m: FloatArray  # (rows, columns)
 
     @property
@@ -55,7 +56,7 @@ class ZoneField:
         """
         about_m = self.gaps_m(north_m, east_m)
         kept = np.asarray(about_m - self.error_m >= max(gap_m, 0.0))
-        close = ~kept & (about_m + self.error_m >= gap_m)
+        close = ~kept & ((about_m + self.error_m >= gap_m) | (gap_m < -self.most_m))
         told_m = self.index.gaps_m(north_m[close], east_m[close], max(gap_m, 0.0) + 1.0)
         kept[close] = told_m >= gap_m
         return kept
@@ -72,12 +73,13 @@ def zone_field(
     cell_m = side_m / (_ACROSS - 2)
     middle = 0.5 * (low_ne_m + high_ne_m)
     south, west = (float(value) - 0.5 * side_m - _ASIDE * cell_m for value in middle)
-    most_m += _ERROR * cell_m
-    gap_m = _to_polygons(index, south, west, cell_m, most_m)
-    nodes = np.arange(_ACROSS) * cell_m
+    gap_m = _to_polygons(index, south, west, cell_m, most_m + _ERROR * cell_m)
+    nodes: FloatArray = np.arange(_ACROSS, dtype=np.float64) * cell_m
     for circle in index.circles:
-        _lower(gap_m, south + nodes, west + nodes, circle, most_m)
-    return ZoneField(index=index, south_m=south, west_m=west, cell_m=cell_m, gap_m=gap_m)
+        _lower(gap_m, south + nodes, west + nodes, circle, most_m + _ERROR * cell_m)
+    return ZoneField(
+        index=index, south_m=south, west_m=west, cell_m=cell_m, most_m=most_m, gap_m=gap_m
+    )
 
 
 def _to_polygons(
@@ -92,7 +94,7 @@ def _to_polygons(
     part, first, cells = np.unique(parts, return_index=True, return_counts=True)
     asked = (part > 0) & (cells >= _SLIVER)
     row, column = np.divmod(first[asked], _ACROSS)
-    forbidden = index.forbids(south + row * cell_m, west + column * cell_m)
+    forbidden = index.polygons_forbid(south + row * cell_m, west + column * cell_m)
     sign = np.zeros(count + 1)
     sign[part[asked]] = np.where(forbidden, -1.0, 1.0)
     if on_edge.any():

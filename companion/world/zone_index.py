@@ -56,7 +56,7 @@ class ZoneIndex:
         gaps = np.where(self.keep_in, 0.0, gaps)
         best: tuple[Zone | None, float] = (None, np.inf)
         for k in np.argsort(gaps, kind="stable"):
-            if gaps[k] > best[1]:
+            if gaps[k] > max(best[1], 0.0):
                 break
             gap_m = float(self.zones[k].distance_m(np.asarray(north_m), np.asarray(east_m)))
             if gap_m < best[1]:
@@ -84,11 +84,9 @@ class ZoneIndex:
             self._to_polygons(north[part], east[part], result[part])
         return result.reshape(shape)
 
-    def forbids(self, north_m: FloatArray, east_m: FloatArray) -> BoolArray:
-        """Whether some zone forbids to be there.  (N,) x2 -> (N,)."""
+    def polygons_forbid(self, north_m: FloatArray, east_m: FloatArray) -> BoolArray:
+        """Whether some polygon forbids to be there.  (N,) x2 -> (N,)."""
         found = np.zeros(len(north_m), dtype=bool)
-        for circle in self.circles:
-            found |= circle.distance_m(north_m, east_m) < 0.0
         boxes = self.boxes[self.polygons].T
         apart = _box_gaps_m(boxes, north_m[:, None], east_m[:, None])
         point, polygon = np.nonzero((apart == 0.0) | self.keep_in[self.polygons])
@@ -100,7 +98,7 @@ class ZoneIndex:
     def _to_polygons(self, north: FloatArray, east: FloatArray, result: FloatArray) -> None:
         """Lower `result` to the distances of polygons.  (N,) x3."""
         apart = _box_gaps_m(self.boxes[self.polygons].T, north[:, None], east[:, None])
-        may_matter = (apart < result[:, None]) | self.keep_in[self.polygons]
+        may_matter = (apart < result[:, None]) | (apart == 0.0) | self.keep_in[self.polygons]
         point, polygon = np.nonzero(may_matter)
         for part in self._portions(polygon):
             pairs = self._pairs_of(north, east, point[part], polygon[part])
