@@ -25,7 +25,7 @@ from companion.planner.procedure import (
     off_path_m,
     sent_pose,
 )
-from companion.planner.recheck import first_conflict_m
+from companion.planner.recheck import comes_too_near
 from companion.planner.refuge import Circler, loiter_point
 from companion.planner.request import Stretch
 from companion.planner.settings import Task
@@ -127,7 +127,7 @@ def is_touched(state: State, leg: Leg, from_m: float) -> bool:
     They may have changed since it was proven.
     """
     task = state.task
-    if first_conflict_m(leg, from_m, task.zones, task.zone_clearance_m) is not None:
+    if comes_too_near(leg, from_m, task.zones, task.zone_clearance_m):
         return True
     inset_m = task.margins.band_inset_m - _BAND_SLACK_M
     lengths = np.linspace(from_m, leg.subpath.length_m, _BAND_SAMPLES)
