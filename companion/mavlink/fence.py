@@ -43,7 +43,7 @@ _FRAMES: Final = frozenset(
 _UNION = 2
 """Bit of FENCE_OPTIONS: it is enough to be inside of one inclusion zone."""
 _LARGEST_M = 2.1e7  # half of the way around the Earth
-_CORNERS_AT_ONCE = 500
+_CORNERS_AT_ONCE = 250
 """Enough for one event."""
 _EARTH_M, _NEAR_M = 6.37e6, 2e6
 _STRAIGHT_M = 0.5

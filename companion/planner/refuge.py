@@ -79,7 +79,11 @@ def loiter_point(
         task.error_m, index.nearest(float(here[0]), float(here[1]))[1] - _SLACK_M, circler.stays_m
     )
     field = _field(task, index, places, here[:2])
-    rank, nearest_m = _judged(task, circler, field, places)
+    clear_at = field.keeps(places[:, 0], places[:, 1], task.error_m + loiter_m)
+    if not clear_at.any():
+        return None
+    rank, nearest_m = np.full((2, len(places)), -np.inf)
+    rank[clear_at], nearest_m[clear_at] = _judged(task, circler, field, places[clear_at])
     open_ = np.flatnonzero(nearest_m + field.error_m >= allowed_m)
     clear = _clear(task, circler, field, places[: len(preferred)])
     heights = _heights_m(task, circler)
@@ -87,7 +91,7 @@ def loiter_point(
     for clearance_m in (task.required_clearance_m, task.error_m):
         keeps = field.keeps(places[open_, 0], places[open_, 1], clearance_m + loiter_m)
         points = (
-            (*map(float, places[k]), height_m)
+            (float(places[k, 0]), float(places[k, 1]), height_m)
             for k in _in_order(open_[keeps], rank, clear)
             for height_m in ((preferred[k][2],) if k < len(preferred) else heights)
         )

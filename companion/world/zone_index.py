@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.geodesy import BoolArray, FloatArray
-from companion.world.threats import CircleZone, Zone, edges_of
+from companion.world.threats import CircleZone, PolygonZone, Zone, edges_of
 
 IntArray = NDArray[np.intp]
 _GROUP = 8  # edges to a box
@@ -191,40 +191,44 @@ def _box_gaps_m(boxes: FloatArray, north: FloatArray, east: FloatArray) -> Float
 @lru_cache(maxsize=8)
 def index_of(zones: tuple[Zone, ...]) -> ZoneIndex:
     """The index of some zones; kept, not to be changed."""
-    boxes = np.empty((len(zones), 4))
-    polygons: list[int] = []
-    groups: list[FloatArray] = []
-    for k, zone in enumerate(zones):
-        if isinstance(zone, CircleZone):
-            n, e, r = zone.north_m, zone.east_m, zone.radius_m
-            boxes[k] = n - r, n + r, e - r, e + r
-            continue
-        edges = edges_of(zone.vertices_ne_m)
-        (south, west), (north, east) = edges[:, :2].min(axis=0), edges[:, :2].max(axis=0)
-        boxes[k] = south, north, west, east
-        polygons.append(k)
-        groups.append(_in_groups(edges))
-    every = np.concatenate(groups) if groups else np.empty((0, _GROUP, 4))
-    size = np.array([len(each) for each in groups], dtype=np.intp)
-    ends = every[:, :, :2]  # of each edge its beginning, and of the last one its end as well
-    low = np.minimum(ends.min(axis=1), every[:, :, 2:].min(axis=1))
-    high = np.maximum(ends.max(axis=1), every[:, :, 2:].max(axis=1))
+    polygons = [k for k, zone in enumerate(zones) if not isinstance(zone, CircleZone)]
+    corners = [edges_of(zone.vertices_ne_m) for zone in zones if isinstance(zone, PolygonZone)]
+    count = np.array([len(each) for each in corners], dtype=np.intp)
+    size = -(-count // _GROUP)
+    every = _in_groups(np.concatenate([np.empty((0, 4)), *corners]), count, size)
+    low = np.minimum(every[..., :2], every[..., 2:]).min(axis=1)
+    high = np.maximum(every[..., :2], every[..., 2:]).max(axis=1)
+    first = np.cumsum(size) - size
+    boxes = np.array([_box(zone) if isinstance(zone, CircleZone) else (0.0,) * 4 for zone in zones])
+    boxes = boxes.reshape(-1, 4)
+    if polygons:
+        boxes[polygons, 0::2] = np.minimum.reduceat(low, first)
+        boxes[polygons, 1::2] = np.maximum.reduceat(high, first)
     return ZoneIndex(
         zones=zones,
         boxes=boxes,
         keep_in=np.array([zone.keep_in for zone in zones], dtype=bool),
         circles=tuple(zone for zone in zones if isinstance(zone, CircleZone)),
         polygons=np.array(polygons, dtype=np.intp),
-        first_group=np.cumsum(size) - size,
+        first_group=first,
         groups=size,
         edges=np.ascontiguousarray(every.transpose(2, 0, 1)),
         group_boxes=np.ascontiguousarray(np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]])),
     )
 
 
-def _in_groups(edges: FloatArray) -> FloatArray:
-    """(M, 4) -> (groups, 8, 4): the last one is filled up with its last corner, over and over."""
-    missing = -len(edges) % _GROUP
-    last = np.tile(edges[-1, 2:], 2)
-    filled = np.concatenate([edges, np.broadcast_to(last, (missing, 4))])
-    return filled.reshape(-1, _GROUP, 4)
+def _box(circle: CircleZone) -> tuple[float, float, float, float]:
+    n, e, r = circle.north_m, circle.east_m, circle.radius_m
+    return n - r, n + r, e - r, e + r
+
+
+def _in_groups(edges: FloatArray, count: IntArray, size: IntArray) -> FloatArray:
+    """Edges of polygons, so many of each, in so many groups.  (M, 4), (Z,) x2 -> (groups, 8, 4).
+
+    The last group of each is filled up with its last corner, over and over.
+    """
+    result = np.empty((int(size.sum()) * _GROUP, 4))
+    result[:] = np.repeat(np.tile(edges[np.cumsum(count) - 1, 2:], 2), size * _GROUP, axis=0)
+    shift = np.cumsum(size * _GROUP - count) - (size * _GROUP - count)
+    result[np.arange(len(edges)) + np.repeat(shift, count)] = edges
+    return result.reshape(-1, _GROUP, 4)

@@ -108,7 +108,7 @@ def timed(times: Times, name: Callable[..., str], function: Callable[..., Any]) 
     return call
 
 
-def fly(vehicle: str, zones: int, corners: int) -> tuple[Times, Pair]:
+def fly(vehicle: str, zones: int, corners: int, limit_s: float = 400.0) -> tuple[Times, Pair]:
     """One flight: processor times in seconds, by what they were taken for."""
     autopilot, kind = vehicle.split("-")
     scene = pair_worlds.scene(autopilot, kind, 1)  # type: ignore[arg-type]
@@ -135,7 +135,7 @@ def fly(vehicle: str, zones: int, corners: int) -> tuple[Times, Pair]:
     for each in patches:
         each.start()
     try:
-        pair.fly(limit_s=400.0)
+        pair.fly(limit_s=limit_s)
     finally:
         for each in patches:
             each.stop()
