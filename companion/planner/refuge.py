@@ -84,7 +84,8 @@ def loiter_point(
         return None
     rank, nearest_m = np.full((2, len(places)), -np.inf)
     rank[clear_at], nearest_m[clear_at] = _judged(task, circler, field, places[clear_at])
-    open_ = np.flatnonzero(nearest_m + field.error_m >= allowed_m)
+    may_be_open = (nearest_m + field.error_m >= allowed_m) | (allowed_m < -field.most_m)
+    open_ = np.flatnonzero(clear_at & may_be_open)
     clear = _clear(task, circler, field, places[: len(preferred)])
     heights = _heights_m(task, circler)
     looked_at = 0

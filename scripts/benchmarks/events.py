@@ -77,7 +77,9 @@ def draw(zones: int, corners: int, *, ahead: bool) -> Callable[[Pair], None]:
     def happen(pair: Pair) -> None:
         frame, items = pair.scene.world.frame, []
         about = np.array(pair.where()[:2])
-        for zone in polygons(pair.scene, about, zones, corners, ahead=ahead) if zones else ():
+        drawn = polygons(pair.scene, about, zones, corners, ahead=ahead) if zones else []
+        pair.flown.fences.append((pair.now_s, tuple(drawn)))
+        for zone in drawn:
             for corner in zone.vertices_ne_m:
                 latitude, longitude = frame.to_geographic(*corner)
                 items.append(
