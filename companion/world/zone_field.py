@@ -91,12 +91,13 @@ def _to_polygons(
     if not len(index.polygons):
         return np.full(on_edge.shape, most_m)
     parts, count = scipy.ndimage.label(~on_edge)
-    part, first, cells = np.unique(parts, return_index=True, return_counts=True)
-    asked = (part > 0) & (cells >= _SLIVER)
-    row, column = np.divmod(first[asked], _ACROSS)
+    some = np.empty(count + 1, dtype=np.intp)
+    some[parts.ravel()] = np.arange(parts.size)  # of each part, one of its nodes
+    asked = 1 + np.flatnonzero(np.bincount(parts.ravel())[1:] >= _SLIVER)
+    row, column = np.divmod(some[asked], _ACROSS)
     forbidden = index.polygons_forbid(south + row * cell_m, west + column * cell_m)
     sign = np.zeros(count + 1)
-    sign[part[asked]] = np.where(forbidden, -1.0, 1.0)
+    sign[asked] = np.where(forbidden, -1.0, 1.0)
     if on_edge.any():
         apart = scipy.ndimage.distance_transform_edt(~on_edge) * cell_m
     else:
