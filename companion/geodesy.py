@@ -44,6 +44,13 @@ class LocalFrame:
         east_m, north_m = self._projection(longitude_deg, latitude_deg)
         return north_m, east_m
 
+    def to_local_many_m(
+        self, latitude_deg: FloatArray, longitude_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Latitude, longitude in degrees -> north, east in metres.  (...) x2 -> (...) x2."""
+        east_m, north_m = self._projection(longitude_deg, latitude_deg)
+        return np.asarray(north_m), np.asarray(east_m)
+
     def to_geodetic_deg(self, north_m: float, east_m: float) -> tuple[float, float]:
         """North, east in metres -> latitude, longitude in degrees."""
         longitude_deg, latitude_deg = self._projection(east_m, north_m, inverse=True)

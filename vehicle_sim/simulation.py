@@ -128,6 +128,11 @@ class Simulation:
         self._shown = (self.mode_name, False)
         self._look_down()
 
+    @property
+    def plans(self) -> Plans:
+        """Mission, fence and rally points as the autopilot stores them."""
+        return self._plans
+
     def _make_scanner(self, scanner: Scanner) -> RadarNode:
         radar = TerrainRadar(self._terrain, self._frame, range_m=scanner.range_m)
         component = RadarComponent(radar, generator(self._seed, "radar"))

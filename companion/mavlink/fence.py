@@ -11,7 +11,7 @@ from typing import Final, final
 
 import numpy as np
 
-from companion.geodesy import LocalFrame, deg
+from companion.geodesy import BoolArray, FloatArray, LocalFrame, deg
 from companion.mavlink.dialect import wire
 from companion.mavlink.plan_client import PlanItem
 from companion.mavlink.polygons import Point, cleaned, crosses_itself, hull, offset
@@ -19,6 +19,7 @@ from companion.mission.events import FenceChanged, Vector
 from companion.mission.mission import EndAction
 from companion.planner.settings import Task
 from companion.world.threats import CircleZone, PolygonZone, Zone
+from companion.world.zone_index import index_of
 
 RETURN_POINT: Final = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
 POLYGON_IN: Final = wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
@@ -42,6 +43,9 @@ _FRAMES: Final = frozenset(
 _UNION = 2
 """Bit of FENCE_OPTIONS: it is enough to be inside of one inclusion zone."""
 _LARGEST_M = 2.1e7  # half of the way around the Earth
+_CORNERS_AT_ONCE = 250
+"""Enough for one event."""
+_EARTH_M, _NEAR_M = 6.37e6, 2e6
 _STRAIGHT_M = 0.5
 """A side that is straight in degrees may be off by so much from one that is straight here."""
 
@@ -95,7 +99,26 @@ def zones_of(
     home_nea_m: Vector | None = None,
     here_ne_m: Point | None = None,
 ) -> Fence:
-    """The zones of a fence: its items, and what parameters draw about home.
+    """The zones of a fence: its items (`Drawing`), and what parameters make of it (`in_force`)."""
+    drawing = Drawing(items, frame, margin_m(parameters))
+    while (drawn := drawing.go_on()) is None:
+        pass
+    return in_force(drawn, parameters, home_nea_m=home_nea_m, here_ne_m=here_ne_m)
+
+
+def margin_m(parameters: Mapping[str, float]) -> float:
+    """How far off its fence an autopilot keeps by itself."""
+    return max(_finite(parameters.get("FENCE_MARGIN", 0.0)), 0.0)
+
+
+def in_force(
+    drawn: Fence,
+    parameters: Mapping[str, float],
+    *,
+    home_nea_m: Vector | None = None,
+    here_ne_m: Point | None = None,
+) -> Fence:
+    """A fence that is drawn, and what parameters make of it and draw about home.
 
     Parameters
     ----------
@@ -106,12 +129,11 @@ def zones_of(
     here_ne_m
         Where the vehicle is: of inclusion zones of which one is enough, those that it is in.
     """
-    margin_m = max(_finite(parameters.get("FENCE_MARGIN", 0.0)), 0.0)
-    found = _drawn(items, frame, margin_m)
-    found = _one_is_enough(found, parameters, here_ne_m)
-    if items and not _is_on(parameters) and "FENCE_ENABLE" in parameters:
+    found = _one_is_enough(drawn, parameters, here_ne_m)
+    has_any = bool(drawn.zones or drawn.refusal)
+    if has_any and not _is_on(parameters) and "FENCE_ENABLE" in parameters:
         found = _saying(found, "FENCE_ENABLE = 0: the fence that is drawn is kept all the same")
-    return _about_home(found, parameters, home_nea_m, margin_m)
+    return _about_home(found, parameters, home_nea_m, margin_m(parameters))
 
 
 def _saying(fence: Fence, *what: str) -> Fence:
@@ -123,22 +145,34 @@ def _is_on(parameters: Mapping[str, float]) -> bool:
     return bool(parameters.get("FENCE_ENABLE", 0.0) or parameters.get("FENCE_AUTOENABLE", 0.0))
 
 
-def _drawn(items: Sequence[PlanItem], frame: LocalFrame, margin_m: float) -> Fence:
-    """The circles and polygons of a list.
+@final
+class Drawing:
+    """The circles and polygons of a list, drawn a few at a time, so that nothing waits for it.
 
     What cannot be understood is refused before a flight, and said in one: a list may change then.
     """
-    zones: list[Zone] = []
-    said: list[str] = []
-    wrongs: list[str] = []
-    for number, shape in enumerate(_shapes(items), start=1):
-        zone, word, wrong = _zone(shape, frame, margin_m, number)
-        if zone is not None:
-            zones.append(zone)
-        said += [word] if word else []
-        wrongs += [wrong] if wrong else []
-    refusal = wrongs[0] if wrongs else ""
-    return Fence(zones=tuple(zones), said=(*said, *wrongs[1:]), refusal=refusal)
+
+    def __init__(self, items: Sequence[PlanItem], frame: LocalFrame, margin_m: float) -> None:
+        self._frame, self._margin_m = frame, margin_m
+        self._left = enumerate(_shapes(items), start=1)
+        self._zones: list[Zone] = []
+        self._said: list[str] = []
+        self._wrongs: list[str] = []
+
+    def go_on(self) -> Fence | None:
+        """Draw some more; the whole, once there is no more to draw."""
+        corners = 0
+        for number, shape in self._left:
+            zone, word, wrong = _zone(shape, self._frame, self._margin_m, number)
+            self._zones += [zone] if zone is not None else []
+            self._said += [word] if word else []
+            self._wrongs += [wrong] if wrong else []
+            corners += len(shape)
+            if corners >= _CORNERS_AT_ONCE:
+                return None
+        refusal = self._wrongs[0] if self._wrongs else ""
+        said = (*self._said, *self._wrongs[1:])
+        return Fence(zones=tuple(self._zones), said=said, refusal=refusal)
 
 
 def _shapes(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
@@ -243,14 +277,31 @@ def _places(shape: Sequence[PlanItem], frame: LocalFrame) -> tuple[Point, ...] |
     if any(abs(item.x) > 900_000_000 or abs(item.y) > 1_800_000_000 for item in shape):
         return None
     corners = [(deg(item.x), deg(item.y)) for item in shape]
-    places: list[Point] = []
-    for corner, after in zip(corners, (*corners[1:], corners[0]), strict=True):
-        places.append(frame.to_local_m(*corner))
-        if len(corners) > 2:
-            places += _between(corner, after, frame)
-    if not all(math.isfinite(value) for place in places for value in place):
+    latitude, longitude = np.array(corners).T
+    places = np.stack(frame.to_local_many_m(latitude, longitude), axis=-1)
+    if not np.isfinite(places).all():
         return None
-    return tuple(places)
+    found: list[Point] = [(north, east) for north, east in places.tolist()]
+    if len(corners) < 3:
+        return tuple(found)
+    long = np.flatnonzero(~_surely_straight(places, latitude)).tolist()
+    for k in reversed(long):
+        between = _between(corners[k], corners[(k + 1) % len(corners)], frame)
+        found[k + 1 : k + 1] = between
+    if not all(math.isfinite(value) for place in found for value in place):
+        return None
+    return tuple(found)
+
+
+def _surely_straight(places_ne_m: FloatArray, latitude_deg: FloatArray) -> BoolArray:
+    """Which sides are too short to bulge: by length^2 tan(latitude) / (8 R), and eight times less.
+
+    (M, 2), (M,) -> (M,)
+    """
+    length_m = np.hypot(*(np.roll(places_ne_m, -1, axis=0) - places_ne_m).T)
+    steepest = np.tan(np.radians(np.abs(latitude_deg).max())) + 1.0
+    near = np.abs(places_ne_m).max() < _NEAR_M
+    return near & (length_m**2 * steepest < _STRAIGHT_M * _EARTH_M)
 
 
 def _between(one: Point, other: Point, frame: LocalFrame, deepest: int = 6) -> list[Point]:
@@ -349,7 +400,8 @@ def conflicts(fence: Fence, task: Task, targets_ne_m: Sequence[Point]) -> tuple[
     """Why a mission cannot keep to a fence, one line each: the place, the rule, the remedy."""
     found = [fence.refusal] if fence.refusal else []
     for number, target in enumerate(targets_ne_m, start=1):
-        for zone in fence.zones:
+        near = index_of(fence.zones).near(target, target, task.zone_clearance_m)
+        for zone in near:
             short_m = task.zone_clearance_m - _distance_m(zone, target)
             if short_m > 0.0:
                 side = "inside" if zone.keep_in else "outside"

@@ -16,6 +16,7 @@ from companion.geodesy import BoolArray, FloatArray, LocalFrame
 from companion.mavlink.dialect import Message, wire
 from companion.world.known_map import KnownMap
 from companion.world.threats import CircleZone, Zone
+from companion.world.zone_index import index_of
 
 SECTORS = 72
 FARTHEST_CM = 65_533
@@ -64,7 +65,8 @@ def distances_cm(around: Around) -> list[int]:
         return [_UNKNOWN_CM] * SECTORS
     turn_rad = around.frame.grid_north_rad(north_m, east_m)
     blocked_m, unknown_m = _terrain_m(around.known, (north_m, east_m), altitude_m, turn_rad)
-    for zone in around.zones:
+    here_ne_m = (north_m, east_m)
+    for zone in index_of(around.zones).near(here_ne_m, here_ne_m, _REACH_M):
         blocked_m = np.minimum(blocked_m, _zone_m(zone, (north_m, east_m), turn_rad))
     centimetres = np.floor(np.minimum(blocked_m, 2.0 * _REACH_M) * 100.0)
     free = np.where(unknown_m <= _REACH_M, _UNKNOWN_CM, _NOTHING_CM)

@@ -94,6 +94,8 @@ class _Transfer:
     tries: int = 0
     count: int = 0
     items: list[PlanItem] = field(default_factory=list)
+    keys: list[bytes] = field(default_factory=list)
+    """Of the items: made as they come, for thousands at once take longer than an event may."""
     opaque_id: int = 0
     item_s: float = _ITEM_S
     smooth: bool = True
@@ -109,12 +111,13 @@ class _Watch:
     read_s: float = -math.inf
     """When all of it was read last; -inf: it has to be."""
     opaque_id: int = 0
+    key: bytes = b""
+    """Of the items that are known."""
     candidate: bytes | None = None
-    """A new list that was read with gaps: it replaces another when it has been read twice."""
-
-
-def _key(items: tuple[PlanItem, ...]) -> bytes:
-    return b"".join(item.key for item in items)
+    """A new list that was read with gaps, or found empty after a reboot: it replaces another when
+    it has been read twice."""
+    rebooted: bool = False
+    """Whether it has not been read since the autopilot rebooted."""
 
 
 @final
@@ -159,7 +162,7 @@ class PlanClient:
         for watch in self._watches.values():
             watch.due_s = watch.read_s = -math.inf
             watch.opaque_id = 0
-            watch.candidate = None
+            watch.candidate, watch.rebooted = None, True
         for kind, plan in self.plans.items():
             if not plan.supported:
                 self.plans[kind] = Plan(version=plan.version)
@@ -242,6 +245,7 @@ class PlanClient:
                 z_m=message.z,
             )
         )
+        transfer.keys.append(transfer.items[-1].key)
         if len(transfer.items) == transfer.count:
             return self._complete(transfer, now_s)
         transfer.tries = 0
@@ -254,6 +258,7 @@ class PlanClient:
             self._done(transfer, now_s, READ_ALL_S)
             if plan.supported:
                 self.plans[transfer.kind] = Plan(version=plan.version + 1, supported=False)
+                self._watches[transfer.kind].key = b""
             return self.on_time(now_s)
         if message.type == wire.MAV_MISSION_ACCEPTED:
             return []  # of something that we did not ask for
@@ -273,15 +278,19 @@ class PlanClient:
         self._done(transfer, now_s)
         watch.read_s, watch.opaque_id = now_s, transfer.opaque_id
         items = tuple(transfer.items)
-        key = _key(items)
-        sure = transfer.smooth or key == watch.candidate
-        new = key != _key(plan.items) or not plan.version or not plan.supported
+        key = b"".join(transfer.keys)
+        # An autopilot may answer before it has loaded its lists: then they look empty.
+        early = watch.rebooted and not items and bool(plan.items)
+        sure = key == watch.candidate or (transfer.smooth and not early)
+        new = key != watch.key or not plan.version or not plan.supported
         if new and (sure or not plan.version):  # the first is better than none
             self.plans[transfer.kind] = Plan(items=items, version=plan.version + 1)
+            watch.key = key
         if new and not sure:  # in the gaps it may have become half of one and half of another
-            watch.candidate, watch.due_s, watch.read_s = key, now_s, -math.inf
+            watch.candidate, watch.read_s = key, -math.inf
+            watch.due_s = now_s + LOOK_S if early else now_s
         else:
-            watch.candidate = None
+            watch.candidate, watch.rebooted = None, False
         return [self._ack(transfer.kind, wire.MAV_MISSION_ACCEPTED), *self.on_time(now_s)]
 
     def _done(self, transfer: _Transfer, now_s: float, pause_s: float = LOOK_S) -> None:

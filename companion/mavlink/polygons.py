@@ -7,7 +7,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from companion.geodesy import FloatArray
+
+IntArray = NDArray[np.intp]
 Point = tuple[float, float]
 _SAME_M = 1e-3
 _SHARPEST = 0.02
@@ -41,18 +45,34 @@ def crosses_itself(vertices: Sequence[Point]) -> bool:
     folded = (np.abs(_cross(before, along)) <= 1e-9) & (np.sum(before * along, axis=1) < 0.0)
     if np.any(folded):
         return True
-    first, second = np.triu_indices(count, k=2)
-    apart = ~((first == 0) & (second == count - 1))
+    first, second = _overlapping(np.minimum(a, b), np.maximum(a, b))
+    steps = (second - first) % count
+    apart = (steps > 1) & (steps < count - 1)
     first, second = first[apart], second[apart]
     side_1 = _cross(along[first], a[second] - a[first])
     side_2 = _cross(along[first], b[second] - a[first])
     side_3 = _cross(along[second], a[first] - a[second])
     side_4 = _cross(along[second], b[first] - a[second])
-    meet = (side_1 * side_2 <= 0.0) & (side_3 * side_4 <= 0.0)
-    low = np.minimum(a, b)
-    high = np.maximum(a, b)
-    boxes = np.all((low[first] <= high[second]) & (low[second] <= high[first]), axis=1)
-    return bool(np.any(meet & boxes))
+    return bool(np.any((side_1 * side_2 <= 0.0) & (side_3 * side_4 <= 0.0)))
+
+
+def _overlapping(low: FloatArray, high: FloatArray) -> tuple[IntArray, IntArray]:
+    """The pairs of boxes that overlap: by sweeping along the axis on which fewer do.
+
+    (N, 2), (N, 2) -> (P,), (P,)
+    """
+    sweeps = []
+    for axis in (0, 1):
+        order = np.argsort(low[:, axis], kind="stable")
+        after = np.arange(1, len(order) + 1)
+        last = np.searchsorted(low[order, axis], high[order, axis], side="right")
+        sweeps.append((int(np.sum(last - after)), order, last - after))
+    _, order, count = min(sweeps, key=lambda sweep: sweep[0])
+    one = np.repeat(np.arange(len(order)), count)
+    other = one + 1 + np.arange(len(one)) - np.repeat(np.cumsum(count) - count, count)
+    one, other = order[one], order[other]
+    meet = np.all((low[one] <= high[other]) & (low[other] <= high[one]), axis=1)
+    return one[meet], other[meet]
 
 
 def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:

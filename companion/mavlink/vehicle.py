@@ -100,6 +100,10 @@ class VehicleSide:
         self._refusal_told = ""
         self._home_first = number == wire.MAV_AUTOPILOT_ARDUPILOTMEGA
         self._breaches = 0
+        self._drawing_of: tuple[int, float] | None = None
+        self._drawing: fence.Drawing | None = None
+        self._drawn: fence.Fence | None = None
+        """The newest list of the fence, once all of it is drawn."""
         self._fence_made_of: object = None
         self._fence_told: FenceChanged | None = None
         self._fence_said: tuple[str, ...] = ()
@@ -155,6 +159,9 @@ class VehicleSide:
         self._sets.clear()
         self._refusal_told = ""
         self._speed = []
+        if self._fence_told is not None and self._fence_told.zones:
+            count = len(self._fence_told.zones)
+            self.notes.append(f"fence: read again, {count} zones stay in force")
 
     # --- in
 
@@ -360,6 +367,8 @@ class VehicleSide:
             return []
         told, refusal = list[Event](), ""
         if mission.fence_from_vehicle:
+            if not self._draw():
+                return []
             made_of = (plans.plans[FENCE].version, self.parameters.version, self._home_nea_m)
             if made_of != self._fence_made_of:
                 self._fence_made_of = made_of
@@ -381,25 +390,39 @@ class VehicleSide:
             told.append(Prepared(time_s=now_s, item=Item.PLANS, refusal=refusal))
         return told
 
+    def _draw(self) -> bool:
+        """Draw some more of the fence's list; whether all of it is drawn."""
+        plan, margin_m = self.plans.plans[FENCE], fence.margin_m(self.parameters.values)
+        if (plan.version, margin_m) != self._drawing_of:
+            self._drawing_of = (plan.version, margin_m)
+            self._drawing = fence.Drawing(plan.items, self._mission.frame, margin_m)
+        if self._drawing is not None and (drawn := self._drawing.go_on()) is not None:
+            self._drawn, self._drawing = drawn, None
+        return self._drawing is None
+
     def _draw_fence(self, now_s: float, told: list[Event]) -> str:
-        """Tell of the fence as it is now; why the mission cannot keep to it, if so."""
-        mission, plans = self._mission, self.plans.plans
-        drawn = fence.zones_of(
-            plans[FENCE].items,
-            mission.frame,
+        """Tell of the fence as it is now; why the mission cannot keep to it, if so.
+
+        Until all of it is known the one that was told before stays in force.
+        """
+        assert self._drawn is not None
+        mission = self._mission
+        whole = fence.in_force(
+            self._drawn,
             self.parameters.values,
             home_nea_m=self._home_nea_m,
             here_ne_m=self.here_ne_m,
         )
-        self.fence = drawn
-        rally = fence.rally_of(plans[RALLY].items, mission.frame)
-        event = drawn.changed(now_s, rally)
-        if self._fence_told is None or replace(event, time_s=0.0) != self._fence_told:
+        self.fence = whole
+        rally = fence.rally_of(self.plans.plans[RALLY].items, mission.frame)
+        event = whole.changed(now_s, rally)
+        is_new = self._fence_told is None or replace(event, time_s=0.0) != self._fence_told
+        if is_new and not whole.needs_home:
             self._fence_told = replace(event, time_s=0.0)
             told.append(event)
-        self.notes += [each for each in drawn.said if each not in self._fence_said]
-        self._fence_said = drawn.said
-        against = fence.conflicts(drawn, mission.task, mission.targets_ne_m)
+        self.notes += [each for each in whole.said if each not in self._fence_said]
+        self._fence_said = whole.said
+        against = fence.conflicts(whole, mission.task, mission.targets_ne_m)
         return against[0] if against else ""
 
 

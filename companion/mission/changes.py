@@ -3,8 +3,6 @@
 import enum
 import math
 
-import numpy as np
-
 from companion.mission import circling, following
 from companion.mission.decisions import Step, because, give_up, in_phase_s, taken_by
 from companion.mission.events import (
@@ -29,6 +27,7 @@ from companion.mission.state import Flight, Phase, Reason, State, Trigger, Vehic
 from companion.mission.stopped import STANDING, TAKEN, resumed
 from companion.planner.recheck import is_touched
 from companion.world.known_map import empty_map
+from companion.world.zone_index import index_of
 
 _ON_PATH = (Phase.FLYING, Phase.RETURNING)
 _OF_VEHICLE = "mission changed"
@@ -181,8 +180,8 @@ def _inside(state: State) -> str:
     here = state.vehicle.position_nea_m
     if here is None:
         return ""
-    north, east = np.asarray(here[0]), np.asarray(here[1])
-    return next((z.name for z in state.task.zones if float(z.distance_m(north, east)) < 0.0), "")
+    zone, gap_m = index_of(state.task.zones).nearest(here[0], here[1])
+    return zone.name if zone is not None and gap_m < 0.0 else ""
 
 
 # --- targets and orders
@@ -228,9 +227,8 @@ def _unreachable(state: State, target_ne_m: tuple[float, float]) -> str:
     for at, (low, high) in zip(target_ne_m, (task.limits.north_m, task.limits.east_m), strict=True):
         if not low + task.search_clearance_m <= at <= high - task.search_clearance_m:
             return "the target is off the map"
-    north, east = np.asarray(target_ne_m[0]), np.asarray(target_ne_m[1])
-    gaps = [float(zone.distance_m(north, east)) for zone in task.zones]
-    if min(gaps, default=math.inf) < task.zone_search_clearance_m:
+    _, gap_m = index_of(task.zones).nearest(*target_ne_m)
+    if gap_m < task.zone_search_clearance_m:
         return "the target is in a zone"
     return ""
 

@@ -6,6 +6,7 @@ is taken over all the same, without them (`forgotten`).
 """
 
 import math
+from functools import lru_cache
 from typing import Any, final
 
 import numpy as np
@@ -225,7 +226,7 @@ def _leg(values: Values | None, rules: Task) -> Leg | None:
 
 def _of_fence(fence: FenceChanged) -> Values:
     return {
-        "zones": [_of_zone(zone) for zone in fence.zones],
+        "zones": _of_zones(fence.zones),
         "floor_amsl_m": fence.floor_amsl_m,
         "ceiling_amsl_m": fence.ceiling_amsl_m,
     }
@@ -238,6 +239,12 @@ def _fence(values: Values) -> FenceChanged:
         floor_amsl_m=values["floor_amsl_m"],
         ceiling_amsl_m=values["ceiling_amsl_m"],
     )
+
+
+@lru_cache(maxsize=2)
+def _of_zones(zones: tuple[Zone, ...]) -> list[Values]:
+    """Kept, not to be changed: it is asked for every second, and the same for a whole flight."""
+    return [_of_zone(zone) for zone in zones]
 
 
 def _of_zone(zone: Zone) -> Values:

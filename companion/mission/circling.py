@@ -6,16 +6,13 @@ before the first scan, it looks at once, from where it is and as low as it is, a
 it has seen a place.  Unknown ground is never flown to: if there is nothing else it stays.
 """
 
-import math
-
-import numpy as np
-
 from companion.mission import following
 from companion.mission.decisions import Step, cannot_fly
 from companion.mission.events import Command, Position, Say, ScanDone, StartScan, Vector
 from companion.mission.renewed import replace
 from companion.mission.state import Phase, State
 from companion.planner.refuge import Circler, loiter_point
+from companion.world.zone_index import index_of
 
 _PHASES = (Phase.FLYING, Phase.HOLDING)
 _SLACK_M = 0.5  # a leg may end where its circle just keeps the clearance
@@ -31,7 +28,8 @@ def kept_clear(state: State, event: Position) -> Step | None:
         return None
     if hover is None or _is_judged(state, hover) or cannot_fly(state, event) is not None:
         return None
-    zone, gap_m = _nearest(state, hover)
+    nearest, gap_m = index_of(state.task.zones).nearest(hover[0], hover[1])
+    zone = "" if nearest is None else nearest.name
     if gap_m >= state.task.zone_clearance_m - _SLACK_M:
         return replace(state, flight=replace(flight, circled=(state.task, hover))), [], None
     refuge = loiter_point(
@@ -82,10 +80,3 @@ def looked(state: State, event: ScanDone) -> Step | None:
 def _is_judged(state: State, hover: Vector) -> bool:
     circled = state.flight.circled
     return circled is not None and circled[0] is state.task and circled[1] == hover
-
-
-def _nearest(state: State, place: Vector) -> tuple[str, float]:
-    """Name of the nearest zone, and the distance to it; negative where it is forbidden."""
-    north, east = np.asarray(place[0]), np.asarray(place[1])
-    gaps = [(zone.name, float(zone.distance_m(north, east))) for zone in state.task.zones]
-    return min(gaps, key=lambda each: each[1], default=("", math.inf))

@@ -4,14 +4,13 @@ import math
 from dataclasses import dataclass
 from typing import final
 
-import numpy as np
-
 from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position
 from companion.mission.health import astray_m, distrust
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, Phase, Reason, State, Trigger, Vehicle
 from companion.planner.request import Refusal
+from companion.world.zone_index import index_of
 
 Step = tuple[State, list[Command], Trigger | None]
 """The new state, what to do, and what moves the mission to another phase."""
@@ -130,10 +129,10 @@ def _is_out_of_its_fence(state: State) -> bool:
     fence, here = state.fence, state.vehicle.position_nea_m
     if fence is None or here is None:
         return False
-    north, east, error_m = np.asarray(here[0]), np.asarray(here[1]), state.task.error_m
+    error_m = state.task.error_m
     if fence.ceiling_amsl_m is not None and here[2] > fence.ceiling_amsl_m - error_m:
         return True
-    return any(float(zone.distance_m(north, east)) < error_m for zone in fence.zones)
+    return index_of(fence.zones).nearest(here[0], here[1])[1] < error_m
 
 
 def is_silent(state: State) -> bool:

@@ -1,7 +1,7 @@
 """What happened and what was decided, as journal entries: plain values, units in their names."""
 
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any
 
 from companion.mission.events import (
@@ -27,6 +27,7 @@ from companion.mission.events import (
 )
 from companion.mission.state import State
 from companion.planner.request import NotPlanned, Planned, PlanRequest
+from companion.world.threats import Zone
 
 Entry = dict[str, Any]
 
@@ -72,7 +73,7 @@ def _of_change(event: Event) -> Entry | None:
         case FenceChanged():
             return {
                 "kind": "fence",
-                "zones": [asdict(zone) for zone in event.zones],
+                "zones": [_of_zone(zone) for zone in event.zones],
                 "floor_amsl_m": event.floor_amsl_m,
                 "ceiling_amsl_m": event.ceiling_amsl_m,
             }
@@ -96,6 +97,11 @@ def _of_change(event: Event) -> Entry | None:
             return {"kind": "vehicle rebooted"}
         case _:
             return None
+
+
+def _of_zone(zone: Zone) -> Entry:
+    """As `asdict`, which copies each corner of its own: 25 ms for 5,000."""
+    return {each.name: getattr(zone, each.name) for each in fields(zone)}
 
 
 def of_change(before: State, after: State) -> Iterator[Entry]:

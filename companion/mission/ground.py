@@ -45,6 +45,7 @@ from companion.mission.events import (
 from companion.mission.health import battery_lasts, distrust
 from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason, State, Trigger
+from companion.world.zone_index import index_of
 
 _PREPARE_S = 120.0
 _ASKED_FOR = (Item.PARAMETERS, Item.PLANS)  # of the autopilot itself, in the air as well
@@ -304,8 +305,8 @@ def may_rise(state: State, context: Context) -> bool:
         if not low <= value <= high:
             return False
     north, east = _climb_out_ne_m(state, context, here)
-    gaps = [float(zone.distance_m(north, east).min()) for zone in task.zones]
-    return min(gaps, default=math.inf) >= task.zone_clearance_m
+    gaps_m = index_of(task.zones).gaps_m(north, east, 2.0 * task.zone_clearance_m)
+    return bool(gaps_m.min() >= task.zone_clearance_m)
 
 
 def _climb_out_ne_m(state: State, context: Context, here: Vector) -> tuple[FloatArray, FloatArray]:

@@ -9,15 +9,16 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.path.certificate import cubics_of, pack_zones
 from companion.path.proof import piece_of
-from companion.path.proof_distance import zone_distance
+from companion.path.proof_distance import ZoneTable, zone_distance
 from companion.planner.procedure import Leg
 from companion.planner.settings import Task
 from companion.world.threats import Zone
+from companion.world.zone_index import index_of
 
 _PIECES = 48
 _LEEWAY = 2e-3  # of the required distance: a certificate is not exact either
 _LEEWAY_M = 0.01
-_FINEST = 1e-5  # of the curve's parameter: how well the place of a conflict is known
+_FINEST = 1e-5  # of the curve's parameter: what is not clear by then is not
 _BAND_SLACK_M = 0.5  # a ceiling above home moves a little with where the autopilot has its home
 _BAND_SAMPLES = 100
 
@@ -33,7 +34,7 @@ def is_touched(leg: Leg, from_m: float, task: Task) -> bool:
     zones = task.zones
     if before is not None and task.zone_clearance_m <= before.zone_clearance_m:
         zones = tuple(zone for zone in zones if zone not in before.zones)
-    if first_conflict_m(leg, from_m, zones, task.zone_clearance_m) is not None:
+    if comes_too_near(leg, from_m, zones, task.zone_clearance_m):
         return True
     low_m, high_m = _band_amsl_m(task)
     was_low_m, was_high_m = (-np.inf, np.inf) if before is None else _band_amsl_m(before)
@@ -50,38 +51,49 @@ def _band_amsl_m(task: Task) -> tuple[float, float]:
     return task.limits.floor_amsl_m + inset_m, task.limits.ceiling_amsl_m - inset_m
 
 
-def first_conflict_m(
-    leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m: float
-) -> float | None:
-    """Length flown at which the rest of a leg first comes nearer to a zone than required.
+def comes_too_near(leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m: float) -> bool:
+    """Whether the rest of a leg comes nearer to a zone than required somewhere.
 
     leg, from_m: the leg, and the length from which on it matters.  required_m: what the path must
-    keep (`Task.zone_clearance_m`).  None: all of the rest keeps it, to 0.2 %, between samples too:
-    pieces of the curve that are not clear of all zones as wholes are bounded as in the certificate
-    (`path.proof`), and halved.
+    keep (`Task.zone_clearance_m`), to 0.2 %, between samples too: pieces of the curve that are not
+    clear of all zones as wholes are bounded as in the certificate (`path.proof`), and halved.
     """
     if not zones:
-        return None
+        return False
     wanted_m = required_m * (1.0 - _LEEWAY) - _LEEWAY_M
-    cubics, table = cubics_of(leg.subpath.control_nea_m), pack_zones(zones)
+    cubics = cubics_of(leg.subpath.control_nea_m)
     pieces = _pieces(leg.subpath.parameter_at(from_m), len(cubics))
     middles, radii = _discs(cubics[..., :2], pieces)
-    gaps = np.min([zone.distance_m(*middles.T) for zone in zones], axis=0)
-    stack = pieces[gaps - radii < wanted_m][::-1].tolist()
+    index = index_of(zones)
+    enough_m = max(wanted_m + float(radii.max()), 0.0) + _LEEWAY_M
+    gaps = index.gaps_m(middles[:, 0], middles[:, 1], enough_m)
+    if gaps.min() < wanted_m:
+        return True
+    for k in np.flatnonzero(gaps - radii < wanted_m):
+        middle = float(middles[k, 0]), float(middles[k, 1])
+        table = pack_zones(index.near(middle, middle, wanted_m + float(radii[k])))
+        if not _is_clear(cubics, pieces[k].tolist(), table, wanted_m):
+            return True
+    return False
+
+
+def _is_clear(cubics: FloatArray, piece: list[float], table: ZoneTable, wanted_m: float) -> bool:
+    """Whether a piece of a curve, from where to where, is nowhere nearer to zones than wanted."""
+    stack = [piece]
     while stack:
         start, end = stack.pop()
         span = min(int(0.5 * (start + end) * len(cubics)), len(cubics) - 1)
         segment, sag, _, _ = piece_of(
             cubics, span, start * len(cubics) - span, end * len(cubics) - span
         )
-        low, _ = zone_distance(table, segment, max(wanted_m + sag, 0.0))
+        low, high = zone_distance(table, segment, max(wanted_m + sag, 0.0))
         if low - sag >= wanted_m:
             continue
-        if end - start < _FINEST:
-            return max(leg.subpath.length_at_m(start), from_m)
+        if high + sag < wanted_m or end - start < _FINEST:
+            return False
         middle = 0.5 * (start + end)
         stack += [[middle, end], [start, middle]]
-    return None
+    return True
 
 
 def _pieces(start: float, spans: int) -> FloatArray:

@@ -1,8 +1,9 @@
 """Where a plane can circle when what lies about or ahead of it is no longer safe."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import final
 
 import numpy as np
@@ -10,14 +11,24 @@ from numpy.typing import NDArray
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.settings import Task
-from companion.world.clearance import distance_to_terrain_m, sees_anything
+from companion.world.clearance import (
+    distance_to_terrain_m,
+    distances_to_terrain_m,
+    sees_anything,
+)
 from companion.world.known_map import KnownMap
+from companion.world.zone_field import ZoneField, zone_field
+from companion.world.zone_index import ZoneIndex, index_of
 
 Vector = tuple[float, float, float]
+Ways = tuple[FloatArray, FloatArray, BoolArray]
+"""Ways to M of N places: (M, S, 2), their lengths (M,), and to which (N,)."""
 
 _BEARINGS, _LENGTHS = 36, 16
 _FARTHEST = 0.4  # of R
-_SAMPLES = 64  # of the way there
+_SAMPLES, _ROUGHLY = 64, 24  # of the way there; to see which places are worth a closer look
+_LOOKED_AT = 40  # ways that are looked at closely, the best first
+_AT_ONCE = 16  # circles that are held against the terrain
 _INTRUDING = 5.0  # metres of way for each metre of it that has no clearance left
 _SLACK_M = 1.0
 _TURNS = (0.5, 1.0)  # of the turn radius of paths: autopilots turn more tightly to a point
@@ -55,27 +66,52 @@ def loiter_point(
     - it keeps off zones by the errors, or comes no nearer than the vehicle is, or than it would if
       it stayed where it circles.
 
-    Nothing is clear of ground that is not known.  None: there is no such place.
+    Nothing is clear of ground that is not known.  None: there is no such place, or none among the
+    best by what the ways are like about (`ZoneField`): only those are looked at closely.
     """
     reach_m = _FARTHEST * task.settings.scan_range_m
     here = np.asarray(circler.here_nea_m)
     if not sees_anything(known, (float(here[0]), float(here[1])), reach_m):
         return None
-    places = _places_ne_m(here, reach_m, preferred)
-    length_m, intruding_m, nearest_m = _ways(task, circler, places)
-    allowed_m = min(task.error_m, _gap_m(task, here) - _SLACK_M, circler.stays_m)
-    open_ = nearest_m >= allowed_m
-    gaps_m = _gaps_m(task, places) - task.limits.loiter_radius_m
+    places, loiter_m = _places_ne_m(here, reach_m, preferred), task.limits.loiter_radius_m
+    index = index_of(task.zones)
+    allowed_m = min(
+        task.error_m, index.nearest(float(here[0]), float(here[1]))[1] - _SLACK_M, circler.stays_m
+    )
+    field = _field(task, index, places, here[:2])
+    clear_at = field.keeps(places[:, 0], places[:, 1], task.error_m + loiter_m)
+    if not clear_at.any():
+        return None
+    rank, nearest_m = np.full((2, len(places)), -np.inf)
+    rank[clear_at], nearest_m[clear_at] = _judged(task, circler, field, places[clear_at])
+    may_be_open = (nearest_m + field.error_m >= allowed_m) | (allowed_m < -field.most_m)
+    open_ = np.flatnonzero(clear_at & may_be_open)
+    clear = _clear(task, circler, field, places[: len(preferred)])
+    heights = _heights_m(task, circler)
+    looked_at = 0
     for clearance_m in (task.required_clearance_m, task.error_m):
-        index = np.flatnonzero(open_ & (gaps_m >= clearance_m))
-        for k in _in_order(index, length_m, intruding_m, len(preferred)):
-            heights = _heights_m(task, circler)
-            for height_m in (preferred[k][2],) if k < len(preferred) else heights:
-                north, east = (float(value) for value in places[k])
-                point = (north, east, height_m)
-                if _keeps_off_terrain(known, task, circler, point, clearance_m):
-                    return point
+        keeps = field.keeps(places[open_, 0], places[open_, 1], clearance_m + loiter_m)
+        points = (
+            (float(places[k, 0]), float(places[k, 1]), height_m)
+            for k in _in_order(open_[keeps], rank, clear)
+            for height_m in ((preferred[k][2],) if k < len(preferred) else heights)
+        )
+        for point in _clear_of_terrain(known, task, circler, points, clearance_m):
+            if _is_open(known, task, circler, field, point, allowed_m):
+                return point
+            looked_at += 1
+            if looked_at == _LOOKED_AT:
+                return None
     return None
+
+
+def _is_open(
+    known: KnownMap, task: Task, circler: Circler, field: ZoneField, point: Vector, gap_m: float
+) -> bool:
+    """Whether all that may be flown to a point keeps off zones and terrain."""
+    place = np.array(point[:2])
+    off_zones = _keeps_off_zones(task, circler, field, place, gap_m)
+    return off_zones and _keeps_off_terrain(known, task, circler, point)
 
 
 def _places_ne_m(here: FloatArray, reach_m: float, preferred: Sequence[Vector]) -> FloatArray:
@@ -94,49 +130,70 @@ def _heights_m(task: Task, circler: Circler) -> tuple[float, float]:
     return level, 0.5 * (level + high)
 
 
-def _in_order(
-    index: NDArray[np.intp], length_m: FloatArray, intruding_m: FloatArray, preferred: int
-) -> Iterator[int]:
+def _in_order(index: NDArray[np.intp], rank: FloatArray, clear: list[int]) -> Iterator[int]:
     """The preferred ones whose way is clear of zones; then all, the best first."""
-    clear = [int(k) for k in index if k < preferred and intruding_m[k] == 0.0]
-    yield from clear
-    rank = length_m + _INTRUDING * intruding_m
+    first = [k for k in clear if k in index]
+    yield from first
     order = index[np.argsort(np.round(rank[index], 3), kind="stable")]
-    yield from (int(k) for k in order if int(k) not in clear)
+    yield from (int(k) for k in order if int(k) not in first)
 
 
 # --- ways, and zones
 
 
-def _ways(
-    task: Task, circler: Circler, places: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of the ways to places: length, how much of it is too near to zones, and the least distance.
+def _field(task: Task, index: ZoneIndex, places: FloatArray, here: FloatArray) -> ZoneField:
+    """Distances to zones about the ways: none leads farther than its place, or its turn."""
+    farthest_m = float(np.hypot(*(places - here).T).max())
+    reach_m = max(farthest_m, 2.0 * task.limits.turn_radius_m)
+    return zone_field(index, here - reach_m, here + reach_m, task.zone_clearance_m)
 
-    Too near: metres, each by the share of the required clearance that is missing there.  The worst
-    of what the vehicle may fly: wide or tight turns, and to places behind it turns to either side.
-    (N, 2) -> (N,) x 3
+
+def _judged(
+    task: Task, circler: Circler, field: ZoneField, places: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Of the ways to each place: how bad they are, about, and their least distance to zones, about.
+
+    Bad is the length, and what of it is too near to zones, several times: metres, each by the share
+    of the required clearance that is missing there.  The worst of what the vehicle may fly counts:
+    wide or tight turns, and to places behind it turns to either side.  -> (N,) x 2
     """
     length_m, intruding_m = np.zeros(len(places)), np.zeros(len(places))
     nearest_m = np.full(len(places), np.inf)
-    for ways, lengths_m, flown in _ways_ne_m(task, circler, places):
-        gaps_m = _gaps_m(task, ways)
+    for ways, lengths_m, flown in _ways_ne_m(task, circler, places, _ROUGHLY):
+        gaps_m = field.gaps_m(ways[..., 0], ways[..., 1])
         missing = np.maximum(1.0 - gaps_m / task.required_clearance_m, 0.0)
         into_m = missing.mean(axis=-1) * lengths_m
-        length_m = np.where(flown, np.maximum(length_m, lengths_m), length_m)
-        intruding_m = np.where(flown, np.maximum(intruding_m, into_m), intruding_m)
-        nearest_m = np.where(flown, np.minimum(nearest_m, gaps_m.min(axis=-1)), nearest_m)
-    return length_m, intruding_m, nearest_m
+        length_m[flown] = np.maximum(length_m[flown], lengths_m)
+        intruding_m[flown] = np.maximum(intruding_m[flown], into_m)
+        nearest_m[flown] = np.minimum(nearest_m[flown], gaps_m.min(axis=-1))
+    return length_m + _INTRUDING * intruding_m, nearest_m
 
 
-def _ways_ne_m(
-    task: Task, circler: Circler, places: FloatArray
-) -> Iterator[tuple[FloatArray, FloatArray, BoolArray]]:
-    """The ways to places: (N, S, 2), their lengths (N,), and which of them may be flown (N,)."""
+def _clear(task: Task, circler: Circler, field: ZoneField, places: FloatArray) -> list[int]:
+    """Which places have a way that keeps the required clearance of zones."""
+    clearance_m = task.required_clearance_m
+    return [
+        k
+        for k, place in enumerate(places)
+        if _keeps_off_zones(task, circler, field, place, clearance_m)
+    ]
+
+
+def _keeps_off_zones(
+    task: Task, circler: Circler, field: ZoneField, place: FloatArray, gap_m: float
+) -> bool:
+    """Whether all that may be flown to a place keeps this distance from zones."""
+    ways = [each for each, _, _ in _ways_ne_m(task, circler, place[None], _SAMPLES)]
+    points = np.concatenate(ways).reshape(-1, 2)
+    return bool(field.keeps(points[:, 0], points[:, 1], gap_m).all())
+
+
+def _ways_ne_m(task: Task, circler: Circler, places: FloatArray, samples: int) -> Iterator[Ways]:
+    """The ways to places."""
     here, velocity = np.asarray(circler.here_nea_m[:2]), circler.velocity_nea_m_s
     away = places - here
     if task.limits.hovers or math.hypot(*velocity[:2]) < _STILL_M_S:
-        share = np.linspace(0.0, 1.0, _SAMPLES + 1)[1:, None]
+        share = np.linspace(0.0, 1.0, samples + 1)[1:, None]
         always = np.ones(len(places), dtype=bool)
         yield here + share * away[:, None], np.hypot(away[:, 0], away[:, 1]), always
         return
@@ -147,12 +204,12 @@ def _ways_ne_m(
         flown = (side * bearing >= 0.0) | (np.abs(bearing) > _EITHER_SIDE_RAD)
         for tightness in _TURNS:
             radius_m = side * tightness * task.limits.turn_radius_m
-            ways, lengths_m = _turns_ne_m(here, course, radius_m, places)
+            ways, lengths_m = _turns_ne_m(here, course, radius_m, places[flown], samples)
             yield ways, lengths_m, flown
 
 
 def _turns_ne_m(
-    here: FloatArray, course: float, radius_m: float, places: FloatArray
+    here: FloatArray, course: float, radius_m: float, places: FloatArray, samples: int
 ) -> tuple[FloatArray, FloatArray]:
     """A turn (radius > 0: to the right) until the nose points at a place, then straight there.
 
@@ -168,7 +225,7 @@ def _turns_ne_m(
     turn = np.where(turn > 2.0 * math.pi - _AHEAD_RAD, 0.0, turn)
     turn = np.where(apart_m <= size_m, 2.0 * math.pi, turn)
     lengths_m = size_m * turn + straight_m
-    along_m = np.linspace(0.0, 1.0, _SAMPLES + 1)[1:] * lengths_m[:, None]
+    along_m = np.linspace(0.0, 1.0, samples + 1)[1:] * lengths_m[:, None]
     turned = course + side * np.minimum(along_m / size_m, turn[:, None])
     beyond_m = np.maximum(along_m - size_m * turn[:, None], 0.0)
     north = centre[0] + radius_m * np.sin(turned) + beyond_m * np.cos(turned)
@@ -176,35 +233,29 @@ def _turns_ne_m(
     return np.stack([north, east], axis=-1), lengths_m
 
 
-def _gaps_m(task: Task, points_ne_m: FloatArray) -> FloatArray:
-    """Distance to the nearest zone, negative where it is forbidden.  (..., 2) -> (...)."""
-    gaps = np.full(points_ne_m.shape[:-1], np.inf)
-    for zone in task.zones:
-        gaps = np.minimum(gaps, zone.distance_m(points_ne_m[..., 0], points_ne_m[..., 1]))
-    return gaps
-
-
-def _gap_m(task: Task, point: FloatArray) -> float:
-    return float(_gaps_m(task, point[:2]))
-
-
 # --- terrain
 
 
-def _keeps_off_terrain(
-    known: KnownMap, task: Task, circler: Circler, point: Vector, clearance_m: float
-) -> bool:
-    """Whether the circle about a point keeps this distance, and the way there the errors."""
+def _clear_of_terrain(
+    known: KnownMap, task: Task, circler: Circler, points: Iterable[Vector], clearance_m: float
+) -> Iterator[Vector]:
+    """Those of the points whose circle keeps this distance, at the lower end of the way too."""
+    circle, points = known.grown(task.limits.loiter_radius_m), iter(points)
+    while some := list(islice(points, _AT_ONCE)):
+        there = np.array(some)
+        there[:, 2] = np.minimum(there[:, 2], circler.here_nea_m[2])
+        gaps_m = distances_to_terrain_m(circle, there, clearance_m)
+        yield from (some[k] for k in np.flatnonzero(gaps_m >= clearance_m))
+
+
+def _keeps_off_terrain(known: KnownMap, task: Task, circler: Circler, point: Vector) -> bool:
+    """Whether the way to a point keeps off terrain by the errors, or as far as the vehicle does."""
     lowest_m = min(point[2], circler.here_nea_m[2])
-    circle = known.grown(task.limits.loiter_radius_m)
-    there = np.array([point[0], point[1], lowest_m])
-    if distance_to_terrain_m(circle, there, clearance_m) < clearance_m:
-        return False
     error_m, here = task.error_m, np.asarray(circler.here_nea_m)
     least_m = min(error_m, distance_to_terrain_m(known, here, error_m) - _SLACK_M)
-    for ways, _, flown in _ways_ne_m(task, circler, there[None, :2]):
-        for north, east in ways[0] if flown[0] else ():
-            at = np.array([north, east, lowest_m])
-            if distance_to_terrain_m(known, at, error_m) < least_m:
-                return False
+    for ways, _, _ in _ways_ne_m(task, circler, np.array([point[:2]]), _SAMPLES):
+        flown = ways.reshape(-1, 2)
+        way = np.concatenate([flown, np.full((len(flown), 1), lowest_m)], axis=1)
+        if (distances_to_terrain_m(known, way, error_m) < least_m).any():
+            return False
     return True

@@ -7,7 +7,7 @@ The search reads it; what it finds is proven against the map itself (`path.certi
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -160,39 +160,45 @@ def sees_anything(known: KnownMap, centre_ne_m: tuple[float, float], reach_m: fl
     return bool(np.isfinite(_window(known, centre_ne_m, reach_m, math.inf).upper_m).any())
 
 
-def _seen(known: KnownMap, window: _Window) -> KnownMap:
-    """The part of the map under a window, without what is neither seen nor known in advance."""
-    row, column = known.cell_of(window.north_min_m + 0.5, window.east_min_m + 0.5)
-    rows, columns = (
-        slice(max(first, 0), max(min(first + len(window.upper_m), size), 0))
-        for first, size in zip((row, column), known.upper_m.shape, strict=True)
-    )
-    part = known.part(rows, columns)
-    return replace(part, upper_m=np.where(part.firm, part.upper_m, np.inf))
-
-
 def distance_to_terrain_m(
     known: KnownMap, point_nea_m: FloatArray, most_m: float, *, seen_only: bool = False
 ) -> float:
-    """Distance of a point to the columns of the known map, metres; most_m if it is farther.
+    """`distances_to_terrain_m` of one point."""
+    point = np.asarray(point_nea_m, dtype=np.float64)[None]
+    return float(distances_to_terrain_m(known, point, most_m, seen_only=seen_only)[0])
 
-    Cells count with their highest terrain over their whole square, grown by the registration
-    error; unknown ones, and those off the map, as if they had no top.  seen_only: only what a
-    scan has seen counts, not what may be there.
+
+def distances_to_terrain_m(
+    known: KnownMap, points_nea_m: FloatArray, most_m: float, *, seen_only: bool = False
+) -> FloatArray:
+    """Distance of points to the columns of the known map, metres; most_m if it is farther.
+
+    (N, 3) -> (N,).  Cells count with their highest terrain over their whole square, grown by the
+    registration error; unknown ones, and those off the map, as if they had no top.  seen_only: only
+    what a scan has seen, or is known in advance, counts, not what may be there.
     """
-    centre = float(point_nea_m[0]), float(point_nea_m[1])
-    reach_m = most_m + known.registration_m
-    window = _window(known, centre, reach_m, math.inf)
-    if seen_only:
-        window = _window(_seen(known, window), centre, reach_m, -math.inf)
-    index = np.arange(window.upper_m.shape[0])
+    north, east, up = points_nea_m.T
+    half = math.ceil((most_m + known.registration_m) / known.cell_m) + 1
+    around = np.arange(-half, half + 1)
+    rows, columns = (
+        np.floor((at - low) / known.cell_m).astype(np.intp)[:, None] + around
+        for at, low in ((north, known.north_min_m), (east, known.east_min_m))
+    )
     gap_n, gap_e = (
-        np.maximum(np.maximum(first - at, at - first - known.cell_m), 0.0)
+        np.maximum(np.maximum(first - at[:, None], at[:, None] - first - known.cell_m), 0.0)
         for first, at in (
-            (window.north_min_m + index * known.cell_m, centre[0]),
-            (window.east_min_m + index * known.cell_m, centre[1]),
+            (known.north_min_m + rows * known.cell_m, north),
+            (known.east_min_m + columns * known.cell_m, east),
         )
     )
-    apart = np.maximum(np.hypot(gap_n[:, None], gap_e[None, :]) - known.registration_m, 0.0)
-    above = np.maximum(float(point_nea_m[2]) - window.upper_m, 0.0)
-    return min(float(np.hypot(apart, above).min()), most_m)
+    height, width = known.upper_m.shape
+    on_map = ((rows >= 0) & (rows < height))[:, :, None]
+    on_map = on_map & ((columns >= 0) & (columns < width))[:, None, :]
+    cells = np.clip(rows, 0, height - 1)[:, :, None], np.clip(columns, 0, width - 1)[:, None, :]
+    upper, counts = known.upper_m[cells], on_map
+    if seen_only:
+        counts = on_map & known.firm[cells]
+    upper = np.where(counts & np.isfinite(upper), upper, -np.inf if seen_only else np.inf)
+    apart = np.hypot(gap_n[:, :, None], gap_e[:, None, :]) - known.registration_m
+    above = np.maximum(up[:, None, None] - upper, 0.0)
+    return np.minimum(np.hypot(np.maximum(apart, 0.0), above).min(axis=(1, 2)), most_m)

@@ -336,3 +336,27 @@ def test_after_a_reboot_all_is_read_again() -> None:
     (asked,) = client.on_time(0.2)
     assert asked.mission_type in (RALLY, MISSION, FENCE)
     assert client.plans[FENCE].supported
+
+
+def test_a_fence_that_is_empty_right_after_a_reboot_counts_when_it_is_still_empty_later() -> None:
+    """An autopilot may answer before it has loaded its lists."""
+    client = begun()
+    client.on_message(count(1), 0.0)
+    client.on_message(item(0), 0.0)
+    for number in (0, 0):  # rally points, mission
+        client.on_message(count(number, client._transfer.kind), 0.1)  # type: ignore[union-attr]
+    client.refresh()
+    asked = client.on_time(1.0)
+    assert asked[0].mission_type == FENCE
+    client.on_message(count(0), 1.0)
+    assert len(client.plans[FENCE].items) == 1
+    now_s, looks = 1.0, 0
+    while client.plans[FENCE].items and now_s < 20.0:
+        now_s += 0.1
+        for each in client.on_time(now_s):
+            kind = each.mission_type
+            looks += kind == FENCE
+            client.on_message(count(0, kind), now_s)
+    assert not client.plans[FENCE].items
+    assert looks == 1
+    assert now_s >= 1.0 + 3.9

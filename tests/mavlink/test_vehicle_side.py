@@ -8,6 +8,7 @@ import pytest
 from held import Held, circle, polygon, waypoints
 
 from companion.config import load_mission
+from companion.mavlink import fence
 from companion.mavlink.autopilots import ALL, autopilot_of
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.vehicle import VehicleSide
@@ -120,6 +121,50 @@ def test_plans_are_not_done_before_a_fence_about_home_is_drawn() -> None:
 
 
 # --- breaches of it
+
+
+def fences_told(client: Side) -> list[int]:
+    return [len(event.zones) for event in client.events if isinstance(event, FenceChanged)]
+
+
+def test_the_fence_that_is_known_stays_in_force_while_it_is_read_again_after_a_reboot() -> None:
+    held = Held("px4")
+    held.simulation.set_parameter("GF_MAX_HOR_DIST", 400.0)
+    held.upload(FENCE, polygon(7))
+    client = Side(held, "sitl-px4")
+    held.run(8.0, client)
+    assert fences_told(client) == [2]
+    assert client.side is not None
+    client.side.rebooted()
+    client.hears_home = False
+    held.run(8.0, client)
+    assert fences_told(client) == [2]  # not that without what is drawn about home
+    assert any("2 zones stay in force" in note for note in client.said)
+    held.upload(FENCE, [])
+    client.hears_home = True
+    held.run(20.0, client)
+    assert fences_told(client) == [2, 1]
+
+
+def test_a_long_fence_is_drawn_a_few_corners_at_a_time_and_told_when_it_is_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    held = Held("ardupilot")
+    held.upload(FENCE, [*polygon(30), *polygon(31), *polygon(32)])
+    client = Side(held, "sitl-arducopter")
+    drawn: list[int] = []
+    draw = fence.Drawing.go_on
+
+    def counted(drawing: fence.Drawing) -> fence.Fence | None:
+        found = draw(drawing)
+        drawn.append(0 if found is None else len(found.zones))
+        return found
+
+    monkeypatch.setattr(fence, "_CORNERS_AT_ONCE", 20)
+    monkeypatch.setattr(fence.Drawing, "go_on", counted)
+    held.run(8.0, client)
+    assert drawn == [0, 0, 0, 3]
+    assert fences_told(client) == [3]
 
 
 def told_of(message: Any) -> Any:

@@ -4,9 +4,11 @@ import math
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import MISSION
@@ -32,8 +34,10 @@ from companion.mission.state import Flight, Phase, State, Vehicle
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import NO_ANSWER, Scan, empty_map
-from companion.world.threats import CircleZone
+from companion.world.threats import CircleZone, PolygonZone
+from companion.world.zone_index import ZoneIndex
 
+FloatArray = NDArray[np.float64]
 V, LOITER_M, HOVER = 18.0, 100.0, (0.0, 0.0, 100.0)
 TASK = Task(
     limits=Limits(
@@ -223,3 +227,52 @@ def test_what_hovers_and_what_somebody_else_flies_are_left_alone() -> None:
         craft.draw(0.0, 60.0, 80.0)
         assert not warnings(craft.fly(0.1)) or mode is Mode.OTHER
         assert craft.state.flight.hover_nea_m in (HOVER, None)
+
+
+def a_crowd(about: tuple[float, float]) -> tuple[PolygonZone, ...]:
+    """Fifty jagged polygons of a hundred corners, one of them about the plane."""
+    rng = np.random.default_rng(3)
+    zones = []
+    for k in range(50):
+        middle = np.array(about) + (rng.uniform(-900.0, 900.0, 2) if k else 0.0)
+        turns = np.linspace(0.0, math.tau, 100, endpoint=False)
+        reach = rng.uniform(50.0, 90.0, 100)[:, None]
+        places = middle + reach * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+        vertices = tuple((n, e) for n, e in places.tolist())
+        zones.append(PolygonZone(name=str(k), vertices_ne_m=vertices))
+    return tuple(zones)
+
+
+@PLANES
+def test_among_fifty_zones_of_a_hundred_corners_no_event_looks_at_more_than_it_can(
+    driving: Driving, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Counted are pairs of a point and an edge: 30 ns each.  The watchdog allows 0.2 s."""
+    looked_at = 0
+    far, pairs_of = PolygonZone.distance_m, ZoneIndex._pairs_of
+
+    def whole(zone: PolygonZone, north: FloatArray, east: FloatArray) -> FloatArray:
+        nonlocal looked_at
+        looked_at += np.broadcast(north, east).size * len(zone.vertices_ne_m)
+        return far(zone, north, east)
+
+    def part(index: ZoneIndex, *pairs: Any) -> Any:
+        nonlocal looked_at
+        found = pairs_of(index, *pairs)
+        looked_at += len(found.pair)
+        return found
+
+    monkeypatch.setattr(PolygonZone, "distance_m", whole)
+    monkeypatch.setattr(ZoneIndex, "_pairs_of", part)
+    plane = Circling(driving, known_m=0.0)
+    zones = a_crowd(HOVER[:2])
+    most = 0
+    for event in (FenceChanged(time_s=plane.now_s, zones=zones), None):
+        looked_at = 0
+        commands = plane.take(event) if event is not None else plane.fly(0.1)
+        most = max(most, looked_at)
+        assert commands
+    assert 0 < most < 300_000
+    plane.fly(5.0)
+    assert plane.state.phase is Phase.FLYING
+    assert plane.hover_gap_m >= TASK.error_m

@@ -97,6 +97,32 @@ def test_the_circle_is_clear_and_the_way_there_never_comes_nearer_than_staying(
     assert reached > 40
 
 
+def test_among_polygons_of_many_corners_it_is_as_clear_as_their_edges_have_it() -> None:
+    rng = np.random.default_rng(5)
+    reached = 0
+    for _ in range(12):
+        zones = []
+        for k in range(10):
+            middle = rng.uniform(-900.0, 900.0, 2) * (k > 0) + rng.uniform(-120.0, 120.0, 2)
+            turns = np.linspace(0.0, math.tau, 60, endpoint=False)
+            reach = rng.uniform(30.0, 90.0, 60)[:, None]
+            places = middle + reach * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+            vertices = tuple((n, e) for n, e in places.tolist())
+            zones.append(PolygonZone(name=str(k), vertices_ne_m=vertices))
+        circler = Circler(
+            here_nea_m=(0.0, 0.0, HEIGHT_M), velocity_nea_m_s=heading(float(rng.uniform(0, 360)))
+        )
+        point = loiter_point(flat(), replace(TASK, zones=tuple(zones)), circler)
+        if point is None:
+            continue
+        reached += 1
+        assert gap_m(tuple(zones), *point[:2]) - LOITER_M >= TASK.error_m
+        gaps = flown_m(tuple(zones), circler, point, TURN_M)
+        now_m = gap_m(tuple(zones), 0.0, 0.0)
+        assert min(gaps, default=math.inf) >= min(TASK.error_m, now_m) - 3.0
+    assert reached >= 8
+
+
 @pytest.mark.parametrize("course_deg", range(0, 360, 30))
 def test_out_of_a_zone_it_is_led_by_a_turn_and_does_not_come_back(course_deg: int) -> None:
     """Wherever the nose points, deep inside, it is out within a half turn and the depth."""
