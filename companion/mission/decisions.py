@@ -61,10 +61,17 @@ def words(state: State, reason: Reason) -> tuple[str, str]:
 
 
 def give_up(state: State, reason: Reason, detail: str = "", remedy: str = "") -> Step:
-    """End the mission; a vehicle in the air is left in its hold mode."""
+    """End the mission; a vehicle in the air is left in its hold mode, or on its own way home."""
     if not detail:
         detail, remedy = words(state, reason)
     return replace(state, reason=reason, detail=detail, remedy=remedy), [], Trigger.GIVE_UP
+
+
+def is_called_home(state: State) -> bool:
+    """Whether the vehicle is on its way back, or a person wants it back."""
+    flight = state.flight
+    asked = Reason.RETURN_ASKED in (state.standing, state.set_aside, flight.fallen_back)
+    return asked or flight.returning or flight.homeward
 
 
 def fault(state: State, reason: Reason) -> Step:

@@ -9,7 +9,14 @@ from typing import assert_never
 
 from companion.mission import changes, flying, following, ground, returning, stopped
 from companion.mission import shadow as watching
-from companion.mission.decisions import Context, Step, is_grounded, is_led, words
+from companion.mission.decisions import (
+    Context,
+    Step,
+    is_called_home,
+    is_grounded,
+    is_led,
+    words,
+)
 from companion.mission.events import (
     Battery,
     Command,
@@ -38,15 +45,16 @@ from companion.mission.events import (
     VehicleStatus,
 )
 from companion.mission.health import distrust, with_battery, with_position
+from companion.mission.mission import EndAction
 from companion.mission.renewed import replace
-from companion.mission.state import IN_AIR, MOVES, Phase, Reason, State, Trigger
+from companion.mission.state import IN_AIR, MOVES, OVER, Phase, Reason, State, Trigger
 
-_OVER = (Phase.DONE, Phase.FAULTED)
+_BY_ITSELF = "Watch it: the autopilot knows neither the mission's terrain nor its zones."
 
 
 def step(state: State, event: Event, context: Context) -> tuple[State, list[Command]]:
     """One event: the new state, and what to do because of it."""
-    if state.phase in _OVER:
+    if state.phase in OVER:
         return state, []
     now_s = max(state.now_s, event.time_s)
     if isinstance(event, Position) and event.time_s <= state.vehicle.position_at_s:
@@ -214,17 +222,28 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
 
 
 def _ending(before: State, trigger: Trigger, context: Context) -> list[Command]:
-    """Leave the vehicle in its own hold, if it flies for us, and say how the mission ended."""
-    if context.shadow:
-        return [_end_of(before, trigger)]
+    """Leave the vehicle in its own hold, if it flies for us, and say how the mission ended.
+
+    One that is called home, and cannot be brought there, is left on its autopilot's own way.
+    """
     end = _end_of(before, trigger)
-    vehicle = before.vehicle
-    if trigger in (Trigger.END_HOLD, Trigger.LANDED):
+    if context.shadow or trigger in (Trigger.END_HOLD, Trigger.LANDED):
         return [end]
     sent_up = before.phase is Phase.TAKING_OFF and before.asked_at_s > 0.0
-    if is_led(before) and vehicle.armed and (sent_up or not is_grounded(before)):
-        return [SetMode(mode=Mode.HOLD, at_nea_m=before.flight.hover_nea_m), end]
-    return [end]
+    in_air = sent_up or not is_grounded(before)
+    if not (is_led(before) and before.vehicle.armed and in_air):
+        return [end]
+    if trigger is Trigger.GIVE_UP and _can_return_by_itself(before, context):
+        reason = f"{end.reason}; its autopilot returns it"
+        return [SetMode(mode=Mode.RETURN), replace(end, reason=reason, remedy=_BY_ITSELF)]
+    return [SetMode(mode=Mode.HOLD, at_nea_m=before.flight.hover_nea_m), end]
+
+
+def _can_return_by_itself(state: State, context: Context) -> bool:
+    """Whether it is to come back, and its position is good enough for its autopilot."""
+    ends_at_home = state.phase is Phase.ARRIVED and context.mission.end_action is EndAction.RETURN
+    wanted = ends_at_home or is_called_home(state)
+    return wanted and distrust(state.vehicle, state.now_s, state.task.limits) is None
 
 
 def _end_of(before: State, trigger: Trigger) -> End:

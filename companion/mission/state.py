@@ -67,6 +67,7 @@ IN_AIR = (
     Phase.RETURNING,
     Phase.LANDING,
 )
+OVER = (Phase.DONE, Phase.FAULTED)
 _FAULTY = (Phase.TAKING_OFF, Phase.FLYING, Phase.RETURNING, Phase.ARRIVED, Phase.LANDING)
 _ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)
 
@@ -379,6 +380,8 @@ class State(Renewed):
     given: Task
     """The task without the vehicle's fence."""
     fence: FenceChanged | None = None
+    flown_under: Task | None = None
+    """The loosest that `given` has been in the air, if it was changed there."""
     task: Task
     """What planning depends on: the given task within the vehicle's own fence."""
     targets_ne_m: tuple[tuple[float, float], ...]
@@ -397,7 +400,7 @@ class State(Renewed):
 
     def with_rules(self, given: Task, fence: FenceChanged | None) -> "State":
         """The same state under another task or fence."""
-        task = given if fence is None else _within(given, fence)
+        task = given if fence is None else within_fence(given, fence)
         return replace(self, given=given, fence=fence, task=task)
 
     def by_another_clock(self, shift_s: float) -> "State":
@@ -414,7 +417,7 @@ class State(Renewed):
         )
 
 
-def _within(task: Task, fence: FenceChanged) -> Task:
+def within_fence(task: Task, fence: FenceChanged) -> Task:
     """A task with a vehicle's own fence around it."""
     limits = task.limits
     floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m

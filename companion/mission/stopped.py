@@ -16,6 +16,7 @@ from companion.mission.decisions import (
     give_up,
     in_phase_s,
     is_at_rest,
+    is_called_home,
     is_gone,
     is_grounded,
     is_silent,
@@ -189,16 +190,22 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
             state = _anew(state)  # the band may be another one
         state, says, trigger = resumed(state)
         return state, [*commands, *says], trigger
+    if is_called_home(state):  # by the autopilot's own way, as there is no other
+        return give_up(state, state.reason or Reason.NO_PLAN)
     return _other_way(state, context, context.mission.fallback)
 
 
 def _way_back(state: State, event: PlanReady, context: Context) -> Step:
-    """The way back is there, or cannot be proven: then hold here for good."""
+    """The way back is there; or else by the rules that it was flown by, or the autopilot's own."""
     if not state.flight.planning or event.outcome.plan_id != state.flight.plan_id:
         return state, [], None
     if state.flight.asked_of is not state.task:  # it was proven under other rules
         return returning.ask(state, context)
     back = returning.answered(state, event)
+    whole = back is not None and back.back[-1].reaches_target
+    if not whole and (looser := returning.as_flown(state)) is not None:
+        state, asking, trigger = returning.ask(looser[0], context)
+        return state, [Say(text=looser[1], warning=True), *asking], trigger
     if back is None or returning.began(replace(state, flight=back)) is None:
         return give_up(state, state.reason or Reason.NO_PLAN)
     return replace(state, flight=back), [], Trigger.GO_BACK
