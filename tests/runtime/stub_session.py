@@ -107,6 +107,9 @@ class StubSession:
     def farewell(self) -> Output:
         return self.run()
 
+    def last_words(self, why: str) -> list[bytes]:
+        return [packed(wire.MAVLink_statustext_message(4, f"ended: {why}"[:50].encode()))]
+
     def hold_frames(self) -> list[bytes]:
         return [HOLD]
 
