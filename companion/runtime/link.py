@@ -87,7 +87,8 @@ class GroundLinks:
 
     def answer_to(self, sender: object, number: int) -> None:
         """From now on send there over one of them, counted from 1."""
-        self._links[number - 1].answer_to(sender)
+        with contextlib.suppress(Exception):
+            self._links[number - 1].answer_to(sender)
 
     def send(self, frames: Sequence[bytes]) -> None:
         """Send frames over each link, or lose them."""

@@ -317,7 +317,7 @@ def ended(craft: Craft) -> bool:
     return craft.phase in (Phase.DONE, Phase.FAULTED)
 
 
-@EVERY_DRIVING
+@pytest.mark.parametrize("driving", [each for each in DRIVINGS if each.hovers], ids=NAME)
 def test_an_accepted_return_that_cannot_be_flown_is_left_to_the_autopilots_own(
     driving: Driving,
 ) -> None:
