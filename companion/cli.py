@@ -2,18 +2,15 @@
 
 import contextlib
 import platform
-import signal
 import sys
 import time
 import traceback
-from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from types import FrameType
 from typing import Annotated
 
 import typer
@@ -32,9 +29,10 @@ from companion.replay.command import replay_command
 from companion.replay.export_command import export
 from companion.runtime.compiler import Planner, load_kernel
 from companion.runtime.keys import SigningKey
-from companion.runtime.link import open_link
+from companion.runtime.link import open_link, open_links
 from companion.runtime.loop import fly
 from companion.runtime.preflight import look_at
+from companion.runtime.signals import stop_signals
 from companion.session import Session
 from companion.telemetry.flown import Flown
 from companion.telemetry.memory import Recalled, recall
@@ -104,6 +102,14 @@ ConnectOption = Annotated[
         "tcp:HOST:PORT, or a serial device and its baud rate: /dev/ttyACM0,57600."
     ),
 ]
+GroundOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="LINK",
+        help="Where a ground station is that cannot reach the companion through the vehicle: "
+        "an address as of --connect. May be given several times.",
+    ),
+]
 SystemOption = Annotated[
     int | None,
     typer.Option(
@@ -125,6 +131,7 @@ KeyOption = Annotated[
 def fly_command(
     mission: MissionArgument,
     connect: ConnectOption = _CONNECT,
+    ground: GroundOption = None,
     system: SystemOption = None,
     lockstep: Annotated[
         bool,
@@ -177,9 +184,10 @@ def fly_command(
         shadow=shadow,
         signing=signing,
         resume=recalled and recalled.resume,
+        has_ground=bool(ground),
         version=version("companion"),
     )
-    flown = _flown(session, connect, folder_path, mission, key, recalled)
+    flown = _flown(session, connect, ground or [], folder_path, mission, key, recalled)
     _exit_as_it_ended(flown, connect)
 
 
@@ -204,7 +212,7 @@ def preflight_command(
     with (
         open_link(connect) as link,
         console.status("asking the vehicle") as status,
-        _stop_signals() as stop_asked,
+        stop_signals() as stop_asked,
     ):
         look_at(
             session,
@@ -364,6 +372,7 @@ def _clock_s() -> float:
 def _flown(
     session: Session,
     connect: str,
+    ground: list[str],
     folder_path: Path,
     mission: str,
     key: SigningKey | None,
@@ -380,6 +389,7 @@ def _flown(
             planner.wait()
     with (
         open_link(connect) as link,
+        open_links(ground, "--ground") as grounds,
         RunFolder(
             folder_path,
             mission_toml=mission_text(mission),
@@ -389,7 +399,7 @@ def _flown(
             durable=not lockstep,
         ) as folder,
         Progress(console) as progress,
-        _stop_signals() as stop_asked,
+        stop_signals() as stop_asked,
     ):
         profile = session.mission.task.settings.profile.name
         name, seed = session.mission.name, session.context.seed
@@ -398,6 +408,7 @@ def _flown(
             session,
             link,
             folder,
+            ground=grounds,
             lockstep=lockstep,
             on_progress=progress.show,
             stop_asked=lambda: bool(stop_asked),
@@ -467,26 +478,6 @@ def _exit_as_planned(flight: OfflineFlight) -> None:
         raise FlightFailed(f"{failure.refusal.value}{broken}", "")
     if not flight.legs[-1].reaches_target:
         raise FlightFailed("the target was not reached", "Look at the picture for a trap.")
-
-
-@contextlib.contextmanager
-def _stop_signals() -> Iterator[list[int]]:
-    """Collect what would end the program: the vehicle has to be told first."""
-    received: list[int] = []
-
-    def note(number: int, _frame: FrameType | None) -> None:
-        received.append(number)
-
-    before = {
-        each: signal.signal(each, note)
-        for name in ("SIGINT", "SIGTERM", "SIGHUP")
-        if (each := getattr(signal, name, None)) is not None
-    }
-    try:
-        yield received
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
 
 
 def _run_facts(flown: Flown, began: datetime, connect: str) -> dict[str, object]:

@@ -30,7 +30,7 @@ class InputError(CompanionError):
             shown = f"{shown[:_MOST_SHOWN]}..."
         message = f"{field} = {shown}: {rule}. {remedy}"
         super().__init__("".join(c if c.isprintable() else " " for c in message))
-        self.field = field
+        self.field, self.rule = field, rule
 
 
 class _Ended(CompanionError):

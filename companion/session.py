@@ -1,6 +1,6 @@
 """The whole companion, without I/O: bytes and vehicle events in, bytes and journal entries out.
 
-    session.receive(data, at_s)  bytes of the link, in any portions, and when they arrived
+    session.receive(data, at_s)  bytes of a link, in any portions, and when they arrived
     session.run() -> Output      handle them: what to send, to record and to compute
     session.deliver(outcome)     the answer to Output.plan, then run() again
     session.silence(seconds)     the autopilot was not heard for so long (wall time of the runtime)
@@ -14,28 +14,28 @@ that position until the plan is delivered (Output.awaits_plan), otherwise the pl
 """
 
 import math
-from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import Any, final
 
 from companion.mavlink.autopilots import described
 from companion.mavlink.citizen import Citizen
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.inbox import VEHICLE, Inbox
 from companion.mavlink.latch import Latch
-from companion.mavlink.needless import NEEDLESS, Unread
+from companion.mavlink.needless import Unread
 from companion.mavlink.outbox import Outbox, Output
 from companion.mavlink.preflight import Preflight
 from companion.mavlink.presence import heartbeat
-from companion.mavlink.receiver import Receiver
 from companion.mavlink.scanning import Scanning
 from companion.mavlink.signing import Signing
+from companion.mavlink.statustext import StatusTexts, last_words, severity_of
 from companion.mavlink.time_answers import TimeAnswers
 from companion.mavlink.vehicle import Told, VehicleSide
 from companion.mavlink.vehicle_clock import MESSAGES as CLOCKS
 from companion.mavlink.vehicle_clock import Reading, VehicleClock
 from companion.mission import changes, checkpoint, entries, events, machine
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, is_led
-from companion.mission.events import Command, End, Mode, Say, SetMode, Vector, VehicleFound
+from companion.mission.events import End, Mode, SetMode, Vector
 from companion.mission.mission import Mission
 from companion.mission.pending_plan import PendingPlan
 from companion.mission.renewed import replace
@@ -47,7 +47,6 @@ from companion.planner.request import PlanOutcome
 _MODE_AGAIN_S = 1.0
 _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
-_MOST_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the oldest go
 
 
 @final
@@ -63,9 +62,10 @@ class Session:
         shadow: bool = False,
         signing: Signing | None = None,
         resume: Resume | None = None,
+        has_ground: bool = False,
         version: str = "0",
     ) -> None:
-        """resume: what a companion before this one has left (`Output.checkpoint`, its map)."""
+        """resume: what one before it has left; has_ground: has links to ground stations."""
         self.mission = mission
         self.state = checkpoint.beginning(mission, resume)
         self.clock = VehicleClock(self.state.now_s)
@@ -77,18 +77,18 @@ class Session:
         """When a person was last warned, and of what."""
         self.vehicle: VehicleSide | None = None
         """The autopilot, once it is known."""
-        self.receiver = Receiver(signing, NEEDLESS)
+        self._inbox = Inbox(signing)
+        self.receiver = self._inbox.receivers[VEHICLE]
         self.signing = signing
         self._lockstep, self._version = lockstep, version
         before = None if resume is None else resume[0].get("system_id")
         self.latch = Latch(mission.system_id or before)
         """Which of those that are heard is the vehicle."""
-        self._outbox = Outbox(self.latch.system_id, signing)
+        self._outbox = Outbox(self.latch.system_id, signing, has_ground=has_ground)
+        self._texts = StatusTexts()
         self._scanning = Scanning(mission)
         self._preflight = Preflight()
         self._citizen: Citizen | None = None
-        self._inbox: deque[tuple[Message, float | None]] = deque(maxlen=_MOST_WAITING)
-        self._dropped = 0
         self._out = Output()
         self._times = TimeAnswers()
         self._plan = PendingPlan()
@@ -99,9 +99,7 @@ class Session:
         self._mode_asked_at_s = self._kept_house_s = -math.inf
         self._silence_told_s = 0.0
         self._at_s: float | None = None
-        start = Start.of(
-            mission, resume, version=version, seed=seed, lockstep=lockstep, shadow=shadow
-        )
+        start = Start.of(self.context, resume, version=version, has_ground=has_ground)
         self._told("start", start.values())
         if resume is not None:
             self._note("resumed", **checkpoint.told(resume[0]))
@@ -113,21 +111,22 @@ class Session:
 
     # --- what the runtime calls
 
-    def receive(self, data: bytes, at_s: float | None = None) -> bool:
-        """Bytes of the link, garbage passed over; whether the autopilot was among the speakers.
+    def receive(self, data: bytes, at_s: float | None = None, link: int = VEHICLE) -> bool:
+        """Bytes of a link, garbage passed over; whether anybody spoke whom it is there for.
 
-        at_s: when they arrived, by any clock that only rises: round trips are measured by it.
+        That is the autopilot; over links to ground stations (1 and up), anybody.  at_s: when they
+        arrived, by any clock that only rises: round trips are measured by it.
         """
         self._at_s = at_s
         if self.signing is not None and at_s is not None:
             self.signing.on_time(at_s)
-        messages = self.receiver.feed(data)
-        self._told("receive", b"".join(bytes(each.get_msgbuf()) for each in messages), at_s)
+        messages = self._inbox.feed(data, at_s, link)
+        frames = b"".join(bytes(each.get_msgbuf()) for each in messages)
+        self._told("receive", frames, at_s, *([] if link == VEHICLE else [link]))
         if self.signing is not None and (complaint := self.signing.complaint(self.now_s)):
             self.complain(complaint)
-        for message in messages:
-            self._dropped += len(self._inbox) == _MOST_WAITING
-            self._inbox.append((message, at_s))
+        if link != VEHICLE:
+            return bool(messages)
         if heard := any(map(self.latch.is_ours, messages)):
             self._silence_told_s = 0.0
         return heard
@@ -178,21 +177,20 @@ class Session:
         """Handle what was received, as far as it goes."""
         if self._out.inputs:  # else it changes nothing
             self._told("run")
-        if self._dropped:
-            self._note("messages dropped", count=self._dropped)
-            self._dropped = 0
-        while self._inbox:
-            if self._must_wait_for_plan(self._inbox[0][0]):
+        if dropped := self._inbox.dropped():
+            self._note("messages dropped", count=dropped)
+        while (heard := self._inbox.first()) is not None:
+            if heard.link == VEHICLE and self._must_wait_for_plan(heard.message):
                 self._out.awaits_plan = True
                 break
-            self._on_message(*self._inbox.popleft())
+            self._on_message(*self._inbox.take())
         self._keep()
         return self.taken()
 
     def taken(self) -> Output:
         """What the outside is to do now; after an error, what had come of it until then."""
         out, self._out = self._out, Output()
-        out.frames, out.record = self._outbox.take()
+        self._outbox.take_into(out)
         out.end, out.settled = self._end, self._settled()
         return out
 
@@ -200,7 +198,9 @@ class Session:
         """The last frames of a companion that ends; a vehicle that flies for us is told to hold."""
         self._told("farewell")
         self._send_all(self._holding())
-        self._send_all([heartbeat(wire.MAV_STATE_POWEROFF)])
+        if self._end is None:
+            self._tell_all(self._texts.last("ended: the companion was stopped"))
+        self._tell_all([heartbeat(wire.MAV_STATE_POWEROFF)])
         self._keep(at_once=True)
         return self.taken()
 
@@ -214,6 +214,10 @@ class Session:
         """What puts a vehicle that flies for us on hold; nothing else.  Changes nothing."""
         return self._outbox.spare(self._holding())
 
+    def last_words(self, why: str) -> list[bytes]:
+        """What says that the companion has ended, and why; nothing else.  Changes nothing."""
+        return self._outbox.spare(last_words(f"ended, failed: {why}"))
+
     def _holding(self) -> Sequence[Message]:
         if self.vehicle is None or self.context.shadow or not is_led(self.state):
             return ()
@@ -221,17 +225,18 @@ class Session:
 
     # --- messages
 
-    def _on_message(self, message: Message, at_s: float | None) -> None:
-        tells = not self.latch.is_ours(message) or self.clock.is_told_by(message)
-        if needed := not isinstance(message, Unread) and tells:
+    def _on_message(self, message: Message, at_s: float | None, link: int) -> None:
+        """Over a link to ground stations what is asked of us counts, and no word of a vehicle."""
+        of_vehicle = link == VEHICLE and self.latch.is_ours(message)
+        tells = not of_vehicle or self.clock.is_told_by(message)
+        needed = not isinstance(message, Unread) and tells
+        if needed and link == VEHICLE:
             self._read_time(message)
         if (namesake := self._outbox.note_received(message, self.now_s)) is not None:
             self._handle(namesake)
-        if not needed:
-            return
-        if self._citizen is not None:
-            self._serve(self._citizen, message)
-        if message.get_srcSystem() != self.latch.system_id:
+        if needed:
+            self._serve(message, link)
+        if not needed or link != VEHICLE or message.get_srcSystem() != self.latch.system_id:
             return
         if message.get_srcComponent() == AUTOPILOT_COMPONENT:
             self._from_autopilot(message, at_s)
@@ -244,7 +249,8 @@ class Session:
         if self.latch.on_message(message) and self.latch.system_id is not None:
             self._outbox.speak_as(self.latch.system_id)
         elif name := self.latch.ambiguity:
-            self._handle(VehicleFound(time_s=self.now_s, system_id=0, driving=None, name=name))
+            found = events.VehicleFound(time_s=self.now_s, system_id=0, driving=None, name=name)
+            self._handle(found)
         if self.latch.is_ours(message):
             kind = message.get_type()
             if kind in CLOCKS:
@@ -291,18 +297,14 @@ class Session:
         """The first heartbeat of our autopilot: which one it is decides how it is flown."""
         system, name = message.get_srcSystem(), described(message)
         self.found = name
-        self.vehicle = VehicleSide.found(
-            message,
-            self.mission,
-            lockstep=self._lockstep,
-            sets_parameters=not self.context.shadow,
-        )
+        self.vehicle = VehicleSide.found(message, self.context)
         driving = None
         if self.vehicle is not None:
             self._citizen = Citizen(self.mission, system, self.state.task, self._version)
             driving = self.vehicle.autopilot.driving
-        self._note("vehicle found", system_id=system, name=name)
-        self._handle(VehicleFound(time_s=self.now_s, system_id=system, driving=driving, name=name))
+        found: dict[str, Any] = {"system_id": system, "name": name}
+        self._note("vehicle found", **found)
+        self._handle(events.VehicleFound(time_s=self.now_s, driving=driving, **found))
 
     def _answer_time(self, message: Message) -> None:
         """Answer a TIMESYNC, last of all: a simulator in lockstep goes on then."""
@@ -313,19 +315,20 @@ class Session:
         if seldom and not self._lockstep and self._times.look_like_lockstep(self.now_s):
             self._say("simulator in lockstep: use --lockstep here too", warning=True)
 
-    def _serve(self, citizen: Citizen, message: Message) -> None:
+    def _serve(self, message: Message, link: int) -> None:
         """What others ask of the companion itself."""
-        served = citizen.on_message(message, self.now_s)
-        if served is None:
+        citizen = self._citizen
+        if citizen is None or (served := citizen.on_message(message, self.now_s)) is None:
             return
-        self._send_all(served.replies)
+        reply = self._send_all if link == VEHICLE else self._outbox.tell_ground
+        (self._tell_all if served.is_for_all else reply)(served.replies)
         if served.note is not None:
             self._note(**served.note)
         if served.text:
             self._say(served.text, warning=True)
         if served.order is not None:
             verdict = changes.verdict(self.state, served.order)
-            self._send_all(citizen.order_done(served.order, verdict))
+            reply(citizen.order_done(served.order, verdict))
             if verdict is changes.Verdict.ACCEPTED:
                 self._handle(served.order)
             else:
@@ -375,10 +378,11 @@ class Session:
                 self._say(self.vehicle.notes.pop(0), warning=False)
         if self._citizen is not None:
             faulted = self.state.phase is Phase.FAULTED or self._end is not None
-            self._send_all(self._citizen.on_time(now_s, self.state, faulted=faulted))
+            self._tell_all(self._citizen.on_time(now_s, self.state, faulted=faulted))
         elif self._end is None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._mode_asked_at_s = now_s  # nobody is known yet: only that we are here
-            self._send_all([heartbeat(wire.MAV_STATE_STANDBY)])
+            self._tell_all([heartbeat(wire.MAV_STATE_STANDBY)])
+        self._tell_all(self._texts.due(now_s))
         left = self._confirming if self._end is not None and not self._settled() else None
         if left is not None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._command(left)
@@ -439,8 +443,10 @@ class Session:
         if ends:
             modes = [command for command in commands if isinstance(command, SetMode)]
             self._confirming = modes[-1] if modes else None  # nothing from before counts any more
+            assert self._end is not None
+            self._say_end(self._end, held=any(each.mode is Mode.HOLD for each in modes))
 
-    def _carry_out(self, command: Command) -> None:
+    def _carry_out(self, command: events.Command) -> None:
         match command:
             case events.StartScan(centre_nea_m=centre):
                 self._start_scan(centre)
@@ -448,17 +454,17 @@ class Session:
                 self._plan.ask(due_s)
                 self._out.plan = request
                 self._note(**entries.of_request(request, due_s))
-            case Say(text=text, warning=warning, about=about):
+            case events.Say(text=text, warning=warning, about=about):
                 self._say(text, warning=warning, about=about)
             case End():
                 self._note("end", outcome=command.outcome.value, reason=command.reason)
                 self._end = command
-                if self._citizen is not None:
-                    self._send_all(self._citizen.last_words(command))
             case events.RequestStreams():
                 if self.vehicle is not None:
                     self._send_all(self.vehicle.begin(self.now_s))
-            case _:
+            case (
+                SetMode() | events.SetSpeed() | events.Arm() | events.TakeOff() | events.Setpoint()
+            ):
                 if not self.context.shadow:
                     self._command(command)
 
@@ -478,8 +484,13 @@ class Session:
     def _say(self, text: str, *, warning: bool, about: str = "") -> None:
         self._note("say", text=text, warning=warning)
         self.warned = (self.now_s, text) if warning else self.warned
-        if self._citizen is not None:
-            self._citizen.say(text, self.clock.going_on_s, about, warning=warning)
+        self._texts.say(text, severity_of(warning=warning), self.clock.going_on_s, about)
+
+    def _say_end(self, end: End, *, held: bool) -> None:
+        """The last text, at once: what comes after it is no more than a heartbeat's end."""
+        text, messages = self._texts.end(end, held=held)
+        self._note("say", text=text, warning=end.outcome is not events.Outcome.ARRIVED)
+        self._tell_all(messages)
 
     def _settled(self) -> bool:
         """Whether the mission is over and the vehicle is in the mode that it was left in."""
@@ -493,6 +504,9 @@ class Session:
 
     def _send_all(self, messages: Iterable[Message]) -> None:
         self._outbox.send(messages, self.now_s)
+
+    def _tell_all(self, messages: Iterable[Message]) -> None:
+        self._outbox.send(messages, self.now_s, to_ground=True)
 
     def _note(self, kind: str, **values: Any) -> None:
         self._out.journal.append({"t_s": round(self.now_s, 6), "kind": kind, **values})

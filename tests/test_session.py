@@ -501,8 +501,10 @@ def test_a_part_that_dies_ends_the_flight_in_the_hold_mode_with_its_name(part: s
 
 def test_the_farewell_of_a_companion_in_flight_puts_the_vehicle_on_hold_first() -> None:
     it = flying()
-    kinds_of = [m.get_type() for m in messages(it.session.farewell().frames)]
-    assert kinds_of == ["COMMAND_LONG", "HEARTBEAT"]
+    hold, text, heartbeat = messages(it.session.farewell().frames)
+    assert (hold.command, hold.param2) == (176, BRAKE)
+    assert text.text == "ended: the companion was stopped"
+    assert heartbeat.get_type() == "HEARTBEAT"
 
 
 def test_a_flight_goes_on_from_its_checkpoint_without_a_jump_of_the_setpoint() -> None:

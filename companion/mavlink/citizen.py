@@ -1,6 +1,6 @@
 """What the companion is to everybody else on the link: it says who it is, and does as it is told.
 
-Commands and parameters addressed to it, its heartbeat, texts for people.  Sans-IO.
+Commands and parameters addressed to it, and its heartbeat.  Sans-IO.
 """
 
 from collections.abc import Sequence
@@ -12,9 +12,8 @@ from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
 from companion.mavlink.obstacle_distance import Around
 from companion.mavlink.parameter_server import ParameterServer
 from companion.mavlink.presence import Presence
-from companion.mavlink.statustext import StatusTexts
 from companion.mission.changes import Verdict
-from companion.mission.events import End, Order, Outcome
+from companion.mission.events import Order
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, State
 from companion.mission.stopped import AS_TOLD
@@ -30,6 +29,8 @@ class Served:
     """What a message asked of the companion, and what it is answered."""
 
     replies: Sequence[Message] = ()
+    is_for_all: bool = False
+    """Whether everybody is to hear the replies, not only who has asked."""
     order: Order | None = None
     note: dict[str, Any] | None = None
     text: str = ""
@@ -41,7 +42,7 @@ class Served:
 
 @final
 class Citizen:
-    """Commands, parameters, heartbeat and texts of one companion."""
+    """Commands, parameters and heartbeat of one companion."""
 
     def __init__(self, mission: Mission, system_id: int, task: Task, version: str) -> None:
         ours = (system_id, COMPANION_COMPONENT)
@@ -61,7 +62,7 @@ class Citizen:
             targets_ne_m=mission.targets_ne_m,
         )
         self._parameters.task = task
-        self._texts = StatusTexts()
+        self._parameters.charted = mission.known is not None
 
     def on_message(self, message: Message, now_s: float) -> Served | None:
         """A message of anybody; most are not for us: None."""
@@ -79,6 +80,7 @@ class Citizen:
             replies = self._parameters.on_message(message, now_s)
             return Served(
                 replies=replies,
+                is_for_all=True,
                 text=self._parameters.refused or "",
                 changed=self._parameters.changed,
                 task=self._parameters.task,
@@ -93,20 +95,10 @@ class Citizen:
             invalid=verdict is Verdict.INVALID,
         )
 
-    def say(self, text: str, now_s: float, about: str = "", *, warning: bool) -> None:
-        """A text for people, when it is its turn; of those about the same only the newest."""
-        severity = wire.MAV_SEVERITY_WARNING if warning else wire.MAV_SEVERITY_INFO
-        self._texts.say(text, severity, now_s, about)
-
-    def last_words(self, end: End) -> list[Message]:
-        """How the mission ended, now: after it nothing is sent for long enough to wait for."""
-        failed = end.outcome is Outcome.FAILED
-        severity = wire.MAV_SEVERITY_WARNING if failed else wire.MAV_SEVERITY_NOTICE
-        return self._texts.at_once(f"mission over: {end.reason}", severity)
-
     def on_time(self, now_s: float, state: State, *, faulted: bool) -> list[Message]:
         """What is due; a companion that is faulted, or done, has no heartbeat."""
-        self._parameters.task = state.given
+        changed = self._parameters.follow(state.given)
+        self._parameters.fence = state.fence
         self._parameters.targets_ne_m = state.targets_ne_m
         self._parameters.airborne = state.airborne
         here, around = state.vehicle.position_nea_m, None
@@ -119,8 +111,7 @@ class Citizen:
             )
         status = None if faulted else system_status(state)
         messages = self._presence.on_time(now_s, status=status, around=around)
-        messages += self._parameters.on_time(now_s)
-        return messages + self._texts.due(now_s)
+        return [*messages, *changed, *self._parameters.on_time(now_s)]
 
 
 def system_status(state: State) -> int:

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, final
 
-from companion.mavlink.dialect import Message, codec
+from companion.mavlink.dialect import Message, codec, wire
 from companion.mavlink.namesakes import Namesakes
 from companion.mavlink.signing import Signing, strip_signature
 from companion.mission.checkpoint import Values
@@ -26,6 +26,8 @@ class Output:
 
     frames: list[bytes] = field(default_factory=list)
     """To be sent, in order."""
+    to_ground: list[bytes] = field(default_factory=list)
+    """To be sent over every link to ground stations; not in the record."""
     record: list[Stamped] = field(default_factory=list)
     """Vehicle time and frame, both directions, for the telemetry log."""
     journal: list[Entry] = field(default_factory=list)
@@ -53,23 +55,37 @@ class Output:
 class Outbox:
     """Frames on their way out, and the record of all frames, both ways, without signatures."""
 
-    def __init__(self, system_id: int | None, signing: Signing | None) -> None:
-        self._codec = codec(system_id or 1)
+    def __init__(self, system_id: int | None, signing: Signing | None, *, has_ground: bool) -> None:
+        """has_ground: whether there are links to ground stations besides the vehicle's."""
+        self._codec, self._grounds = codec(system_id or 1), codec(system_id or 1)
+        self._has_ground = has_ground
+        self._to_ground: list[bytes] = []
         self._system_id = system_id
         self._namesakes = Namesakes()
         if signing is not None:
             signing.attach(self._codec)
+            signing.attach(self._grounds)
         self._frames: list[bytes] = []
         self._record: list[Stamped] = []
 
     def speak_as(self, system_id: int) -> None:
         """Go on as the companion of this vehicle."""
-        self._codec.srcSystem = self._system_id = system_id
+        self._codec.srcSystem = self._grounds.srcSystem = self._system_id = system_id
 
-    def send(self, messages: Iterable[Message], now_s: float) -> None:
-        """Messages, in order."""
+    def send(self, messages: Iterable[Message], now_s: float, *, to_ground: bool = False) -> None:
+        """Messages, in order; to_ground: not to the vehicle's link alone."""
         for message in messages:
             self.send_frame(self.packed(message), now_s)
+            if to_ground:
+                self.tell_ground([message])
+
+    def tell_ground(self, messages: Iterable[Message]) -> None:
+        """Messages to the links to ground stations alone, which count on by themselves."""
+        if self._has_ground:
+            for message in messages:
+                frame = _packed(message, self._grounds)
+                self._to_ground.append(frame)
+                self._namesakes.sent(frame)  # a router may bring it to the vehicle's link
 
     def send_frame(self, frame: bytes, now_s: float) -> None:
         """A frame that is packed already."""
@@ -84,9 +100,7 @@ class Outbox:
 
     def packed(self, message: Message) -> bytes:
         """A message as a frame; it is not sent."""
-        frame: bytes = message.pack(self._codec)
-        self._codec.seq = (self._codec.seq + 1) % 256
-        return frame
+        return _packed(message, self._codec)
 
     def spare(self, messages: Iterable[Message]) -> list[bytes]:
         """Messages as frames that are perhaps never sent: they take no sequence numbers."""
@@ -95,8 +109,13 @@ class Outbox:
         self._codec.seq = before
         return frames
 
-    def take(self) -> tuple[list[bytes], list[Stamped]]:
+    def take_into(self, out: Output) -> None:
         """What is to be sent and recorded since the last time."""
-        taken = self._frames, self._record
-        self._frames, self._record = [], []
-        return taken
+        out.frames, out.record, out.to_ground = self._frames, self._record, self._to_ground
+        self._frames, self._record, self._to_ground = [], [], []
+
+
+def _packed(message: Message, by: wire.MAVLink) -> bytes:
+    frame: bytes = message.pack(by)
+    by.seq = (by.seq + 1) % 256
+    return frame

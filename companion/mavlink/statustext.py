@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import final
 
 from companion.mavlink.dialect import Message, wire
+from companion.mission.events import End, Outcome
 
 _LONGEST = 50
 _MOST_CHUNKS = 4
@@ -18,6 +19,7 @@ _PERIOD_S = 1.0
 _REPEAT_S = 5.0  # the same text of a kind is not said again for so long
 _STALE_S = 10.0  # what could not be said for so long is not news any more
 _MOST_WAITING = 16
+_LAST_CHUNKED = 0xFFFF  # id of the chunks of the last text of all
 _ASCII = {"≤": "<=", "≥": ">=", "–": "-", "—": "-", "−": "-", "²": "2", "…": "..", "°": "deg"}
 
 
@@ -40,6 +42,7 @@ class StatusTexts:
         """Of each kind, the text that was sent last, and when."""
         self._free_at_s = -math.inf
         self._chunked = 0
+        self._over = False
 
     def say(self, text: str, severity: int, now_s: float, kind: str = "") -> None:
         """Have a text sent; severity is a MAV_SEVERITY.
@@ -47,6 +50,8 @@ class StatusTexts:
         It takes the place of what waits and is of the same kind.  A text without a kind is of a
         kind of its own.
         """
+        if self._over:
+            return
         text = plain(text)
         kind = kind or text
         before, at_s = self._sent.get(kind, ("", -math.inf))
@@ -57,13 +62,6 @@ class StatusTexts:
         new = _Waiting(text=text, severity=severity, kind=kind, said_at_s=now_s)
         in_order = sorted([*others, new], key=lambda waiting: waiting.severity)
         self._waiting = in_order[:_MOST_WAITING]
-
-    def at_once(self, text: str, severity: int) -> list[Message]:
-        """The last text of all, whatever its turn; of what waits, warnings go before it."""
-        last = _Waiting(text=plain(text), severity=severity, kind="", said_at_s=-math.inf)
-        grave = [each for each in self._waiting if each.severity <= wire.MAV_SEVERITY_WARNING]
-        self._waiting = []
-        return [message for each in (*grave, last) for message in self._messages(each)]
 
     def due(self, now_s: float) -> list[Message]:
         """The messages to send now: the gravest text that waits, if it is time for one."""
@@ -88,20 +86,47 @@ class StatusTexts:
         self._free_at_s = now_s + _PERIOD_S * len(messages)
         return messages
 
+    def end(self, end: End, *, held: bool) -> tuple[str, list[Message]]:
+        """How the mission has ended, and the messages for it: the last, to be sent at once."""
+        text = f"ended, {end.outcome.value}: {end.reason}{'; told to hold' if held else ''}"
+        return text, self.last(text, warning=end.outcome is not Outcome.ARRIVED)
+
+    def last(self, text: str, *, warning: bool = True) -> list[Message]:
+        """The last text of all, to be sent at once; of what waits, warnings go before it."""
+        grave = [each for each in self._waiting if each.severity <= wire.MAV_SEVERITY_WARNING]
+        self._waiting, self._over = [], True
+        before = [message for each in grave for message in self._messages(each)]
+        return [*before, *last_words(text, warning=warning)]
+
     def _messages(self, waiting: _Waiting) -> list[Message]:
-        grave = waiting.severity <= wire.MAV_SEVERITY_WARNING
-        if len(waiting.text) <= _LONGEST or not grave:
-            text = shortened(waiting.text, _LONGEST).encode("ascii")
-            return [wire.MAVLink_statustext_message(waiting.severity, text)]
-        text = shortened(waiting.text, _MOST_CHUNKS * _LONGEST - 1).encode("ascii")
-        self._chunked = self._chunked % 0xFFFF + 1  # 0 means: not in chunks
-        # one that is full is never the last: a text of 100 ends with an empty third
+        if len(waiting.text) > _LONGEST and waiting.severity <= wire.MAV_SEVERITY_WARNING:
+            self._chunked = self._chunked % (_LAST_CHUNKED - 1) + 1  # 0 means: not in chunks
+        return _in_chunks(waiting.text, waiting.severity, self._chunked)
+
+
+def last_words(text: str, *, warning: bool = True) -> list[Message]:
+    """The messages of a text that nothing follows, whoever said something before."""
+    return _in_chunks(plain(text), severity_of(warning=warning), _LAST_CHUNKED)
+
+
+def severity_of(*, warning: bool) -> int:
+    """MAV_SEVERITY of what is said."""
+    return int(wire.MAV_SEVERITY_WARNING if warning else wire.MAV_SEVERITY_INFO)
+
+
+def _in_chunks(text: str, severity: int, chunked: int) -> list[Message]:
+    """A text as it is sent: what warns in as many messages as it takes, up to four."""
+    grave = severity <= wire.MAV_SEVERITY_WARNING
+    if len(text) <= _LONGEST or not grave:
         return [
-            wire.MAVLink_statustext_message(
-                waiting.severity, text[begin : begin + _LONGEST], self._chunked, number
-            )
-            for number, begin in enumerate(range(0, len(text) + 1, _LONGEST))
+            wire.MAVLink_statustext_message(severity, shortened(text, _LONGEST).encode("ascii"))
         ]
+    cut = shortened(text, _MOST_CHUNKS * _LONGEST - 1).encode("ascii")
+    # one that is full is never the last: a text of 100 ends with an empty third
+    return [
+        wire.MAVLink_statustext_message(severity, cut[begin : begin + _LONGEST], chunked, number)
+        for number, begin in enumerate(range(0, len(cut) + 1, _LONGEST))
+    ]
 
 
 def plain(text: str) -> str:

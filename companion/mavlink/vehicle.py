@@ -15,6 +15,7 @@ from companion.mavlink.judgement import Finding, Severity, judge, names_of
 from companion.mavlink.parameter_client import ParameterClient, is_bytewise
 from companion.mavlink.plan_client import FENCE, MISSION, RALLY, PlanClient
 from companion.mavlink.streams import Streams
+from companion.mission.decisions import Context
 from companion.mission.events import (
     Arm,
     Event,
@@ -120,10 +121,9 @@ class VehicleSide:
         self._speed_told_s = -1e9
 
     @staticmethod
-    def found(
-        heartbeat: Message, mission: Mission, *, lockstep: bool, sets_parameters: bool
-    ) -> "VehicleSide | None":
+    def found(heartbeat: Message, context: Context) -> "VehicleSide | None":
         """The autopilot that sends this heartbeat; None if it is none that the mission is for."""
+        mission = context.mission
         autopilot = autopilot_of(heartbeat)
         if autopilot is None or autopilot.driving.hovers != (mission.kind == "copter"):
             return None
@@ -134,8 +134,8 @@ class VehicleSide:
             heartbeat.get_srcSystem(),
             autopilot,
             heartbeat.autopilot,
-            lockstep=lockstep,
-            sets_parameters=sets_parameters,
+            lockstep=context.lockstep,
+            sets_parameters=not context.shadow,
         )
 
     def begin(self, now_s: float) -> list[Message]:

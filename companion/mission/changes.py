@@ -23,13 +23,16 @@ from companion.mission.events import (
 )
 from companion.mission.health import battery_is_short
 from companion.mission.renewed import replace
-from companion.mission.state import Flight, Phase, Reason, State, Trigger, Vehicle
+from companion.mission.state import OVER, Flight, Phase, Reason, State, Trigger, Vehicle
 from companion.mission.stopped import STANDING, TAKEN, resumed
+from companion.planner.adjustable import loosest
 from companion.planner.recheck import is_touched
+from companion.planner.rules import why_no_target
 from companion.world.known_map import empty_map
 from companion.world.zone_index import index_of
 
 _ON_PATH = (Phase.FLYING, Phase.RETURNING)
+_NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
 _OF_VEHICLE = "mission changed"
 _CALM = (
     Reason.NO_PLAN,
@@ -58,19 +61,19 @@ def verdict(state: State, order: Order) -> Verdict:
     in_air = state.phase in (*_ON_PATH, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
         case OrderKind.REPOSITION:
-            if order.target_ne_m is None or _unreachable(state, order.target_ne_m):
+            if order.target_ne_m is None or why_no_target(state.task, order.target_ne_m):
                 return Verdict.INVALID
             return Verdict.ACCEPTED if in_air else Verdict.NOT_NOW
         case OrderKind.START | OrderKind.CONTINUE:
-            comes_down = state.phase in (Phase.LANDING, Phase.HANDING_OVER)
-            return Verdict.NOT_NOW if comes_down else Verdict.ACCEPTED
+            return Verdict.NOT_NOW if state.phase in _NOT_TO_GO_ON else Verdict.ACCEPTED
         case OrderKind.PAUSE:
             return Verdict.ACCEPTED if _may_pause(state) else Verdict.NOT_NOW
         case OrderKind.RETURN:
-            taken = state.phase is Phase.HOLDING and state.reason not in _CALM
+            calm = (*_CALM, Reason.RETURN_ASKED)
+            taken = state.phase is Phase.HOLDING and state.reason not in calm
             return Verdict.ACCEPTED if in_air and not taken else Verdict.NOT_NOW
         case OrderKind.SPEED:
-            return Verdict.ACCEPTED
+            return Verdict.NOT_NOW if state.phase in OVER else Verdict.ACCEPTED
 
 
 def why_not(state: State, order: Order) -> str:
@@ -78,7 +81,7 @@ def why_not(state: State, order: Order) -> str:
     why = f"the mission is {state.phase.value}"
     if verdict(state, order) is Verdict.INVALID:
         place = order.target_ne_m
-        why = "it has no target" if place is None else _unreachable(state, place)
+        why = "it has no target" if place is None else why_no_target(state.task, place)
     elif order.kind is OrderKind.PAUSE and _is_short(state):
         why = Reason.BATTERY_LOW.text
     elif state.phase is Phase.HOLDING and state.reason is not None:
@@ -115,6 +118,9 @@ def changed(state: State, event: Event) -> Step | None:
             if task.cell_m != state.flight.known.cell_m:  # on the ground only: nothing is known yet
                 known = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
                 state = replace(state, flight=replace(state.flight, known=known))
+            if state.airborne:
+                flown_under = loosest(state.flown_under or state.given, task)
+                state = replace(state, flown_under=flown_under)
             state = state.with_rules(task, state.fence)
             return state, [Say(text=f"set {what}")], None
         case TargetsChanged(targets_ne_m=targets):
@@ -189,7 +195,7 @@ def _inside(state: State) -> str:
 
 def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], why: str) -> Step:
     """Other targets: the way to the first of them is planned from where the vehicle stops."""
-    if targets_ne_m == state.targets_ne_m:
+    if targets_ne_m == state.targets_ne_m and (why == _OF_VEHICLE or _flies_there(state)):
         return state, [], None
     if why == _OF_VEHICLE and (state.flight.returning or state.flight.fallen_back is not None):
         return state, [Say(text="mission changed: returning all the same", warning=True)], None
@@ -197,8 +203,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
         text = "the vehicle's mission is empty: the old one is flown"
         return state, [Say(text=text, warning=True)], None
     for target in targets_ne_m:
-        trouble = _unreachable(state, target)
-        if trouble:
+        if trouble := why_no_target(state.task, target):
             return state, [Say(text=f"{why}: {trouble}", warning=True)], None
     flight = replace(
         state.flight, target=0, route_ne_m=(), stops=0, failures=0, returning=False, back=()
@@ -221,16 +226,10 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
     return state, says, None
 
 
-def _unreachable(state: State, target_ne_m: tuple[float, float]) -> str:
-    """Why a place cannot be a target, in words; empty: it can."""
-    task = state.task
-    for at, (low, high) in zip(target_ne_m, (task.limits.north_m, task.limits.east_m), strict=True):
-        if not low + task.search_clearance_m <= at <= high - task.search_clearance_m:
-            return "the target is off the map"
-    _, gap_m = index_of(task.zones).nearest(*target_ne_m)
-    if gap_m < task.zone_search_clearance_m:
-        return "the target is in a zone"
-    return ""
+def _flies_there(state: State) -> bool:
+    """Whether the vehicle is on its way to the first target, and nobody wants anything else."""
+    outward = state.phase is Phase.FLYING and state.flight.target == 0
+    return outward and state.standing is None and not state.flight.homeward
 
 
 def _ordered(state: State, order: Order) -> Step:

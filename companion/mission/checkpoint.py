@@ -1,8 +1,8 @@
 """What a companion that is started again in flight has to know of the one before it (design 7).
 
-Plain values, for a file: the path in force, how far the mission has come, the way here, and the
-vehicle's fence.  The known map is kept beside it.  Where they cannot be read, a vehicle in the air
-is taken over all the same, without them (`forgotten`).
+Plain values, for a file: the path in force, how far the mission has come, the way here, the
+settings, and the vehicle's fence.  The known map is kept beside it.  Where they cannot be read, a
+vehicle in the air is taken over all the same, without them (`forgotten`).
 """
 
 import math
@@ -16,8 +16,10 @@ from companion.mission.mission import Mission
 from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, Flight, Phase, Reason, State
 from companion.path.subpath import Subpath
+from companion.planner import adjustable
 from companion.planner.procedure import Leg, Reference
 from companion.planner.request import Refusal, Stretch
+from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.threats import CircleZone, PolygonZone, Zone
@@ -42,6 +44,8 @@ def values_of(state: State) -> Values:
         "taken": state.taken,
         "armed_by_us": state.armed_by_us,
         "targets_ne_m": [list(target) for target in state.targets_ne_m],
+        "settings": adjustable.values_of(state.given),
+        "flown_under": state.flown_under and adjustable.values_of(state.flown_under),
         "fence": None if state.fence is None else _of_fence(state.fence),
         "target": flight.target,
         "leg": _of_leg(flight.leg),
@@ -67,10 +71,10 @@ def values_of(state: State) -> Values:
 
 def beginning(mission: Mission, resume: tuple[Values, KnownMap | None] | None) -> State:
     """The state that a mission begins with: blank, or what another companion has left."""
-    known = blank(mission)
     if resume is None:
-        return State.of(mission, known)
+        return State.of(mission, blank(mission))
     values, kept = resume
+    known = blank(mission, values)
     if "lost" in values:
         state, time_s = State.of(mission, known), float(values["t_s"])
         flight = replace(state.flight, plan_id=int(values["plan_id"]))
@@ -80,10 +84,20 @@ def beginning(mission: Mission, resume: tuple[Values, KnownMap | None] | None) -
     return replace(state, news=". ".join(news_of(values)))
 
 
-def blank(mission: Mission) -> KnownMap:
-    """What is known of the terrain before the first scan."""
-    limits = mission.task.limits
-    return mission.known or empty_map(mission.task.cell_m, limits.north_m, limits.east_m)
+def blank(mission: Mission, values: Values | None = None) -> KnownMap:
+    """What is known of the terrain before the first scan; under the settings of a checkpoint."""
+    task = mission.task if values is None else _task(mission, values.get("settings"))
+    return mission.known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
+
+
+def _task(mission: Mission, settings: Values | None) -> Task:
+    """The mission's task with what was set in flight.  ValueError where that breaks a rule."""
+    task = adjustable.with_values(mission.task, settings or {})
+    if (error := newly_broken(mission.task, task)) is not None:
+        raise ValueError(str(error))
+    if task.limits.speed_m_s > mission.task.limits.speed_m_s:
+        raise ValueError(f"speed {task.limits.speed_m_s:g} m/s is above the mission's")
+    return task
 
 
 def forgotten(
@@ -125,9 +139,9 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     """
     _must_be_finite(values)
     limit, fence = values["speed_limit_m_s"], values["fence"]
+    given, under = _task(mission, values.get("settings")), values.get("flown_under")
     state = State.of(mission, known)
-    if fence is not None:
-        state = state.with_rules(state.given, _fence(fence))
+    state = state.with_rules(given, None if fence is None else _fence(fence))
     rules = state.task
     flight = Flight(
         known=known,
@@ -167,6 +181,7 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         set_aside=_reason(values.get("set_aside")),
         taken=bool(values["taken"]),
         armed_by_us=bool(values["armed_by_us"]),
+        flown_under=None if under is None else _task(mission, under),
         targets_ne_m=targets_ne_m,
         flight=flight,
     )

@@ -62,7 +62,7 @@ def words(state: State, reason: Reason) -> tuple[str, str]:
 
 
 def give_up(state: State, reason: Reason, detail: str = "", remedy: str = "") -> Step:
-    """End the mission; a vehicle in the air is left in its hold mode."""
+    """End the mission; a vehicle in the air is left in its hold mode, or on its own way home."""
     if not detail:
         detail, remedy = words(state, reason)
     return replace(state, reason=reason, detail=detail, remedy=remedy), [], Trigger.GIVE_UP

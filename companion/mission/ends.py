@@ -31,7 +31,7 @@ from companion.mission.decisions import (
     words,
 )
 from companion.mission.events import Event, Mode, Say, SetMode
-from companion.mission.mission import Fallback
+from companion.mission.mission import EndAction, Fallback
 from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason, State, Trigger
 
@@ -39,9 +39,17 @@ _ASKS = 5  # in vain, once a second
 
 
 def wanted(state: State, context: Context) -> Fallback:
-    """The mission's fallback; a person's word to return goes before it."""
-    asked = Reason.RETURN_ASKED in (state.reason, state.set_aside, state.flight.fallen_back)
-    return Fallback.RETURN if asked else context.mission.fallback
+    """The mission's fallback; what is called home, or is on its way there, is brought home."""
+    flight = state.flight
+    asked = Reason.RETURN_ASKED in (
+        state.reason,
+        state.standing,
+        state.set_aside,
+        flight.fallen_back,
+    )
+    ends_there = state.phase is Phase.ARRIVED and context.mission.end_action is EndAction.RETURN
+    home = asked or ends_there or flight.returning or flight.homeward
+    return Fallback.RETURN if home else context.mission.fallback
 
 
 def instead(state: State, context: Context) -> Step:

@@ -9,7 +9,13 @@ from typing import assert_never
 
 from companion.mission import changes, ends, flying, following, ground, returning, stopped
 from companion.mission import shadow as watching
-from companion.mission.decisions import Context, Step, is_grounded, is_led, words
+from companion.mission.decisions import (
+    Context,
+    Step,
+    is_grounded,
+    is_led,
+    words,
+)
 from companion.mission.events import (
     Battery,
     Command,
@@ -40,9 +46,8 @@ from companion.mission.events import (
 )
 from companion.mission.health import judged, with_battery, with_position
 from companion.mission.renewed import replace
-from companion.mission.state import IN_AIR, MOVES, ON_GROUND, Phase, Reason, State, Trigger
+from companion.mission.state import IN_AIR, MOVES, ON_GROUND, OVER, Phase, Reason, State, Trigger
 
-_OVER = (Phase.DONE, Phase.FAULTED)
 _AS_IT_SHOULD = {
     Trigger.END_HOLD: "holding",
     Trigger.LANDED: "landed",
@@ -53,7 +58,7 @@ _AS_IT_SHOULD = {
 
 def step(state: State, event: Event, context: Context) -> tuple[State, list[Command]]:
     """One event: the new state, and what to do because of it."""
-    if state.phase in _OVER:
+    if state.phase in OVER:
         return state, []
     now_s = max(state.now_s, event.time_s)
     if isinstance(event, Position) and event.time_s <= state.vehicle.position_at_s:
@@ -228,16 +233,14 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
 
 def _ending(before: State, trigger: Trigger, context: Context) -> list[Command]:
     """Leave the vehicle in its own hold, if it flies for us, and say how the mission ended."""
-    if context.shadow:
-        return [_end_of(before, trigger)]
     end = _end_of(before, trigger)
-    vehicle = before.vehicle
-    if trigger in _AS_IT_SHOULD:
+    if context.shadow or trigger in _AS_IT_SHOULD:
         return [end]
     sent_up = before.phase is Phase.TAKING_OFF and before.asked_at_s > 0.0
-    if is_led(before) and vehicle.armed and (sent_up or not is_grounded(before)):
-        return [SetMode(mode=Mode.HOLD, at_nea_m=before.flight.hover_nea_m), end]
-    return [end]
+    in_air = sent_up or not is_grounded(before)
+    if not (is_led(before) and before.vehicle.armed and in_air):
+        return [end]
+    return [SetMode(mode=Mode.HOLD, at_nea_m=before.flight.hover_nea_m), end]
 
 
 def _end_of(before: State, trigger: Trigger) -> End:

@@ -5,6 +5,7 @@ from companion.mission.decisions import Context, Step, cannot_fly, fault, give_u
 from companion.mission.events import Event, Plan, PlanReady, Position
 from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
+from companion.planner import adjustable
 from companion.planner.procedure import Leg, Reference, hover_pose
 from companion.planner.request import PlanRequest, WayBack
 
@@ -53,6 +54,22 @@ def answered(state: State, event: PlanReady) -> Flight | None:
         )
     )
     return replace(flight, back=legs, returning=True)
+
+
+def as_flown(state: State) -> tuple[State, str] | None:
+    """The same under the rules that the way here was flown by, in words too, if they are looser.
+
+    What kept its distance on the way there keeps it on the way back, whatever has been asked for
+    since; the map and the zones count as they are known now.
+    """
+    if state.flown_under is None:
+        return None
+    looser = adjustable.loosest(state.given, state.flown_under)
+    changed = adjustable.differences(looser, state.given)
+    if not changed:
+        return None
+    values = ", ".join(f"{name} = {value:g}" for name, value in changed.items())
+    return state.with_rules(looser, state.fence), f"returning as it was flown: {values}"
 
 
 def began(state: State) -> Flight | None:

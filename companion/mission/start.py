@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, final
 
 from companion.mission.checkpoint import Values
+from companion.mission.decisions import Context
 from companion.mission.mission import Mission
 from companion.world.known_map import KnownMap
 from companion.world.packed_map import digest_of, packed_map
@@ -30,6 +31,8 @@ class Start:
     resume: Values | None
     known: bytes | None
     """The map that is resumed with (`packed_map`)."""
+    has_ground: bool = False
+    """Whether there were links to ground stations besides the vehicle's."""
     terrain: str | None = None
     """Of the terrain that the mission knows in advance (`digest_of`); "": it knows none.
 
@@ -38,24 +41,20 @@ class Start:
 
     @staticmethod
     def of(
-        mission: Mission,
-        resume: Resume | None,
-        *,
-        version: str,
-        seed: int,
-        lockstep: bool,
-        shadow: bool,
+        context: Context, resume: Resume | None, *, version: str, has_ground: bool = False
     ) -> "Start":
         """Of a session that begins."""
         values, known = (None, None) if resume is None else resume
+        mission = context.mission
         return Start(
             companion=version,
             mission=mission.name,
             profile=mission.task.settings.profile.name,
             system_id=mission.system_id,
-            seed=seed,
-            lockstep=lockstep,
-            shadow=shadow,
+            seed=context.seed,
+            lockstep=context.lockstep,
+            shadow=context.shadow,
+            has_ground=has_ground,
             resume=values,
             known=None if known is None else packed_map(known),
             terrain=terrain_of(mission),

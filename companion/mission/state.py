@@ -71,6 +71,7 @@ IN_AIR = (
     Phase.LANDING,
     Phase.HANDING_OVER,
 )
+OVER = (Phase.DONE, Phase.FAULTED)
 _FAULTY = (Phase.TAKING_OFF, Phase.FLYING, Phase.RETURNING, Phase.ARRIVED, Phase.LANDING)
 _ALL = (*ON_GROUND, *IN_AIR, Phase.SHADOW)
 
@@ -404,6 +405,8 @@ class State(Renewed):
     given: Task
     """The task without the vehicle's fence."""
     fence: FenceChanged | None = None
+    flown_under: Task | None = None
+    """The loosest that `given` has been in the air, if it was changed there."""
     task: Task
     """What planning depends on: the given task within the vehicle's own fence."""
     targets_ne_m: tuple[tuple[float, float], ...]
@@ -422,7 +425,7 @@ class State(Renewed):
 
     def with_rules(self, given: Task, fence: FenceChanged | None) -> "State":
         """The same state under another task or fence; the same rules told again are no others."""
-        task = given if fence is None else _within(given, fence)
+        task = given if fence is None else within_fence(given, fence)
         task = self.task if task == self.task else task
         return replace(self, given=given, fence=fence, task=task)
 
@@ -440,7 +443,7 @@ class State(Renewed):
         )
 
 
-def _within(task: Task, fence: FenceChanged) -> Task:
+def within_fence(task: Task, fence: FenceChanged) -> Task:
     """A task with a vehicle's own fence around it."""
     limits = task.limits
     floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m

@@ -213,12 +213,16 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
 
 
 def _way_back(state: State, event: PlanReady, context: Context) -> Step:
-    """The way back is there, or cannot be proven: then there is none."""
+    """The way back is there; or else by the rules that it was flown by; or else there is none."""
     if not state.flight.planning or event.outcome.plan_id != state.flight.plan_id:
         return state, [], None
     if state.flight.asked_of is not state.task:  # it was proven under other rules
         return returning.ask(state, context)
     back = returning.answered(state, event)
+    whole = back is not None and back.back[-1].reaches_target
+    if not whole and (looser := returning.as_flown(state)) is not None:
+        state, asking, trigger = returning.ask(looser[0], context)
+        return state, [Say(text=looser[1], warning=True), *asking], trigger
     if back is None or returning.began(replace(state, flight=back)) is None:
         return give_up(state, state.reason or Reason.NO_PLAN)
     return replace(state, flight=back), [], Trigger.GO_BACK

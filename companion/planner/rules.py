@@ -1,10 +1,13 @@
 """The rules that hold between the numbers of a task, whoever sets them.
 
-A mission file, the planner's parameters on the wire, a target from a ground station: all are held
-to these.  A broken rule is an InputError whose field is named as in mission.toml.
+A mission file, the planner's parameters on the wire, targets from a ground station or from the
+vehicle, a replay under other settings, a flight that is resumed: all are held to these.  A broken
+rule is an InputError whose field is named as in mission.toml.
 """
 
 import math
+from collections.abc import Callable, Iterable
+from functools import partial
 
 import numpy as np
 
@@ -31,9 +34,42 @@ def check_task(task: Task, where: str = "") -> None:
 
     Raises InputError for the first that is broken; where comes before the field ("file: ").
     """
-    _check_map(task, where)
-    _check_scan_distance(task, where)
-    _check_turns(task, where)
+    for check in _OF_TASKS:
+        check(task, where)
+
+
+def newly_broken(
+    before: Task, after: Task, targets_ne_m: Iterable[Place] = ()
+) -> InputError | None:
+    """The first rule that a change of a task breaks; None: it breaks none.
+
+    What was broken before is no reason against a change: a fence that the vehicle got meanwhile may
+    lie about a target, and home at the edge of the map.
+    """
+    checks: list[_Check] = [partial(check, where="") for check in _OF_TASKS]
+    for number, target in enumerate(targets_ne_m):
+        checks.append(partial(check_target, target_ne_m=target, field=f"targets[{number}]"))
+    for check in checks:
+        if (error := _broken(check, after)) is not None and _broken(check, before) is None:
+            return error
+    return None
+
+
+def why_no_target(task: Task, target_ne_m: Place) -> str:
+    """The rule that keeps a place from being a target, in words; empty: none."""
+    error = _broken(partial(check_target, target_ne_m=target_ne_m, field="target"), task)
+    return "" if error is None else f"the target: {error.rule}"
+
+
+_Check = Callable[[Task], None]
+
+
+def _broken(check: _Check, task: Task) -> InputError | None:
+    try:
+        check(task)
+    except InputError as error:
+        return error
+    return None
 
 
 def check_target(task: Task, target_ne_m: Place, field: str) -> None:
@@ -190,6 +226,25 @@ def _check_circle(task: Task, where: str) -> None:
         )
         remedy = "Lower it, vehicle.turn_radius_m or safety_distance_m, or raise scan_range_m."
         raise InputError(f"{where}vehicle.loiter_radius_m", limits.loiter_radius_m, rule, remedy)
+
+
+def _check_ground(task: Task, where: str) -> None:
+    """Where nothing will be scanned, the lowest path must be clear of the ground as stated."""
+    ground_m = task.stated_ground_amsl_m
+    if ground_m is None:
+        return
+    floor_m, (lowest_m, _) = task.limits.floor_amsl_m, task.band_amsl_m
+    least_m = ground_m + task.search_clearance_m - (lowest_m - floor_m)
+    if floor_m < least_m:
+        rule = (
+            f"the ground reaches terrain.highest_amsl_m = {ground_m:g}, and no path lies "
+            f"nearer to it than d_s and the vehicle's errors"
+        )
+        remedy = f"Raise it to {math.ceil(least_m)}, or lower planner.safety_distance_m."
+        raise InputError(f"{where}altitude.floor_amsl_m", floor_m, rule, remedy)
+
+
+_OF_TASKS = (_check_map, _check_scan_distance, _check_turns, _check_ground)
 
 
 def _too_tight(speed_m_s: float, radius_m: float, *, hovers: bool) -> str:

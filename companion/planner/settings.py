@@ -53,6 +53,8 @@ class Task:
     settings: PlannerSettings
     radars: tuple[Radar, ...] = ()
     zones: tuple[Zone, ...] = ()
+    stated_ground_amsl_m: float | None = None
+    """Nowhere is the ground higher, and nothing is scanned; None: it is not known like this."""
     _circles: FloatArray = field(init=False, repr=False, compare=False)
     """(radars, 3): north, east, range of each, so that looking for the near ones is one scan."""
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
+from companion.mavlink.inbox import VEHICLE
 from companion.mavlink.outbox import Input, Output
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
@@ -70,7 +71,7 @@ def start_of(told: Input) -> Start:
     ids = (start.system_id, None if not isinstance(resume, dict) else resume.get("system_id"))
     whole = (
         all(isinstance(each, str) for each in (start.companion, start.mission, start.profile))
-        and all(type(each) is bool for each in (start.lockstep, start.shadow))
+        and all(type(each) is bool for each in (start.lockstep, start.shadow, start.has_ground))
         and all(each is None or _is_id(each) for each in ids)
         and type(start.seed) is int
         and start.seed >= 0
@@ -96,6 +97,7 @@ def session_of(start: Start, mission_of: MissionOf) -> Session:
         lockstep=start.lockstep,
         shadow=start.shadow,
         resume=_resume_of(start, mission),
+        has_ground=start.has_ground,
         version=start.companion,
     )
 
@@ -106,7 +108,7 @@ def _resume_of(start: Start, mission: Mission) -> Resume | None:
     try:
         known = None if start.known is None else unpacked_map(start.known)
         if known is not None:
-            known = replace(known, given=checkpoint.blank(mission).given)
+            known = replace(known, given=checkpoint.blank(mission, start.resume).given)
         resume = start.resume, known
         checkpoint.beginning(mission, resume)
     except checkpoint.NOT_SUCH as error:
@@ -123,6 +125,10 @@ def tell(session: Session, told: Input) -> Output | None:
     match told:
         case ("receive", bytes(data), at_s) if at_s is None or _is_time(at_s):
             session.receive(data, at_s)
+        case ("receive", bytes(data), at_s, int(link)) if link > VEHICLE and (
+            at_s is None or _is_time(at_s)
+        ):
+            session.receive(data, at_s, link)
         case ("run",):
             return session.run()
         case ("silence", silent_s) if _is_time(silent_s):

@@ -15,6 +15,7 @@ from companion.planner.kernels import Kernel
 from companion.planner.outcomes import outcome_of
 from companion.planner.plan import plan
 from companion.planner.request import Planned, PlanOutcome, PlanRequest, WayBack
+from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.replay.same import Replay
 from companion.replay.told import MissionOf
@@ -94,7 +95,8 @@ def what_if(
     """Each subpath of a flight, planned again.
 
     mission_of: the mission as flown; changed: the same with other settings; seed: another one.
-    InputError if the folder holds no inputs.  It ends where the recording does, or where the flight
+    InputError if the folder holds no inputs, or if with the settings of that moment the changed
+    ones break a rule.  It ends where the recording does, or where the flight
     cannot be followed any more.
     """
     replay = Replay(folder, mission_of, kernel=None, compares=False)
@@ -114,6 +116,8 @@ def what_if(
             task=with_changes(request.task, session.mission.task, changed.task),
             seed=request.seed if seed is None else seed,
         )
+        if (error := newly_broken(request.task, other.task, (other.target_ne_m,))) is not None:
+            raise error
         again = plan(other, kernel=kernel)
         yield WhatIf(
             plan_id=recorded.plan_id,

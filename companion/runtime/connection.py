@@ -10,7 +10,6 @@ from companion.errors import InputError
 
 DEFAULT_BAUD = 57_600
 _MOST_BAUD = 12_000_000
-_FIELD = "--connect"
 _REMEDY = (
     "Write udpin:127.0.0.1:14540 (wait for the vehicle), udpout:HOST:PORT, tcp:HOST:PORT (call "
     "it), tcpin:HOST:PORT or /dev/ttyACM0,57600 (serial port, baud rate)."
@@ -28,13 +27,15 @@ class Address:
     kind: Literal["udpin", "udpout", "tcp", "tcpin"]
     host: str
     port: int
+    option: str = "--connect"
+    """Of the command line: what errors are about."""
 
     def resolved(self) -> tuple[str, int]:
         """The numeric address; InputError if there is no such host."""
         try:
             return socket.gethostbyname(self.host), self.port
         except (OSError, UnicodeError) as error:
-            raise InputError(_FIELD, self.text, "no such host", _REMEDY) from error
+            raise InputError(self.option, self.text, "no such host", _REMEDY) from error
 
 
 @final
@@ -45,43 +46,44 @@ class Device:
     text: str
     name: str
     baud: int = DEFAULT_BAUD
+    option: str = "--connect"
 
 
-def parsed(connection: str) -> Address | Device:
-    """What a connection string means; InputError names the rule that it breaks."""
+def parsed(connection: str, option: str = "--connect") -> Address | Device:
+    """What a connection string means; InputError names the option, and the rule that it breaks."""
     kind, _, rest = connection.partition(":")
     if kind in ("udp", "udpin", "udpout", "tcp", "tcpin"):
-        return _address(connection, kind, rest)
+        return _address(option, connection, kind, rest)
     if kind == "serial":
         mark = "," if "," in rest else ":"
         name, _, baud = rest.rpartition(mark)
         if mark == ":" and not baud.isdecimal():  # a device by its path may have colons
             name, baud = rest, str(DEFAULT_BAUD)
-        return _device(connection, name, baud)
+        return _device(option, connection, name, baud)
     name, comma, baud = connection.partition(",")
     if name.startswith("/") or _WINDOWS_PORT.fullmatch(name):
-        return _device(connection, name, baud if comma else str(DEFAULT_BAUD))
-    raise InputError(_FIELD, connection, "not a connection string", _REMEDY)
+        return _device(option, connection, name, baud if comma else str(DEFAULT_BAUD))
+    raise InputError(option, connection, "not a connection string", _REMEDY)
 
 
-def _address(connection: str, kind: str, rest: str) -> Address:
+def _address(option: str, connection: str, kind: str, rest: str) -> Address:
     host, colon, port = rest.partition(":")
     if not host or not colon or ":" in port:
-        raise InputError(_FIELD, connection, f"not {kind}:HOST:PORT", _REMEDY)
+        raise InputError(option, connection, f"not {kind}:HOST:PORT", _REMEDY)
     kind = "udpin" if kind == "udp" else kind
     if not _is_number(port, 1, 65535):  # 0 would be one that nobody else knows
         rule = "a port is a number from 1 to 65535"
-        raise InputError(_FIELD, connection, rule, _REMEDY)
-    return Address(text=connection, kind=kind, host=host, port=int(port))  # type: ignore[arg-type]
+        raise InputError(option, connection, rule, _REMEDY)
+    return Address(text=connection, kind=kind, host=host, port=int(port), option=option)  # type: ignore[arg-type]
 
 
-def _device(connection: str, name: str, baud: str) -> Device:
+def _device(option: str, connection: str, name: str, baud: str) -> Device:
     if not name:
-        raise InputError(_FIELD, connection, "no device is named", _REMEDY)
+        raise InputError(option, connection, "no device is named", _REMEDY)
     if not _is_number(baud, 1, _MOST_BAUD):
         rule = f"a baud rate is a number from 1 to {_MOST_BAUD}"
-        raise InputError(_FIELD, connection, rule, _REMEDY)
-    return Device(text=connection, name=name, baud=int(baud))
+        raise InputError(option, connection, rule, _REMEDY)
+    return Device(text=connection, name=name, baud=int(baud), option=option)
 
 
 def _is_number(text: str, lowest: int, highest: int) -> bool:
@@ -89,7 +91,7 @@ def _is_number(text: str, lowest: int, highest: int) -> bool:
     return plain and lowest <= int(text) <= highest
 
 
-def refused(connection: str, error: OSError) -> InputError:
+def refused(place: Address | Device, error: OSError) -> InputError:
     """The error about a port or device that cannot be opened."""
     remedies = {
         errno.EADDRINUSE: "End the program that uses the port, or choose another port on both "
@@ -101,4 +103,4 @@ def refused(connection: str, error: OSError) -> InputError:
     }
     rule = f"it cannot be opened ({error.strerror or error})"
     remedy = remedies.get(error.errno or 0, "Give an address or a device of this computer.")
-    return InputError(_FIELD, connection, rule, remedy)
+    return InputError(place.option, place.text, rule, remedy)

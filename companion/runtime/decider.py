@@ -8,10 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import final
 
+from companion.mavlink.inbox import VEHICLE
 from companion.mavlink.outbox import Output
 from companion.planner.request import Planned
 from companion.runtime.latency import StreamTimes
-from companion.runtime.link import Link
+from companion.runtime.link import GroundLinks, Link
 from companion.runtime.parts import (
     POLL_S,
     Datagram,
@@ -22,7 +23,7 @@ from companion.runtime.parts import (
     Planning,
     Reader,
 )
-from companion.runtime.recorder import Batch, Writer
+from companion.runtime.recorder import WRITER, Batch, Writer
 from companion.runtime.watchdog import Clock, Gate, Part, Watchdog, is_setpoint
 from companion.session import Session
 from companion.telemetry.flown import Flown
@@ -46,6 +47,7 @@ class Decider:
     session: Session
     flown: Flown
     link: Link
+    ground: GroundLinks
     gate: Gate
     inbox: Inbox
     reader: Reader
@@ -151,10 +153,16 @@ class Decider:
                 self.session.deliver(item.outcome)
             case Lost(failure=failure, vital=True):
                 self.session.part_died(failure.part, failure.error)
+            case Lost(failure=failure) if failure.part != WRITER:
+                self.session.complain(f"{failure.part} is lost: {failure.error}")
             case Lost(failure=failure):
                 self.session.recording_stopped(failure.error)
 
     def _on_datagram(self, datagram: Datagram) -> None:
+        if datagram.link != VEHICLE:
+            if self.session.receive(datagram.data, datagram.at_s, datagram.link):
+                self.ground.answer_to(datagram.sender, datagram.link)
+            return
         if self._arrived_s is None:
             self._arrived_s = datagram.at_s
         if not self.session.receive(datagram.data, datagram.at_s):
@@ -203,7 +211,8 @@ class Decider:
 
     def _send(self, frames: list[bytes], out: Output) -> None:
         """Send, and leave out of the record what was not sent."""
-        sent = frames if not frames or self.gate.send(frames) else []
+        is_open = not (frames or out.to_ground) or self.gate.send(frames, out.to_ground)
+        sent = frames if is_open else []
         self._not_sent(out, sent)
         now_s = self.clock()
         self.times.turns.add(now_s - self._turned_s)

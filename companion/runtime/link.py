@@ -13,6 +13,7 @@ a peer that is away, a device that was pulled out.  One thread receives, one oth
 import contextlib
 import select
 import socket
+from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Protocol, Self, final
 
@@ -56,14 +57,44 @@ class Link(Protocol):
     ) -> None: ...
 
 
-def open_link(connection: str) -> Link:
-    """The link that a connection string names; InputError if it cannot be."""
-    place = parsed(connection)
+def open_link(connection: str, option: str = "--connect") -> Link:
+    """The link that a connection string names; InputError, about the option, if it cannot be."""
+    place = parsed(connection, option)
     if isinstance(place, Device):
         return SerialLink(place)
     if place.kind == "tcp":
         return TcpClient(place)
     return TcpServer(place) if place.kind == "tcpin" else UdpLink(place)
+
+
+@contextlib.contextmanager
+def open_links(connections: Sequence[str], option: str) -> Iterator[list[Link]]:
+    """Links by their connection strings, all of them closed in the end; InputError as above."""
+    with contextlib.ExitStack() as links:
+        yield [links.enter_context(open_link(each, option)) for each in connections]
+
+
+@final
+class GroundLinks:
+    """Links to ground stations, besides the vehicle's: all are sent the same.
+
+    Answers are addressed to whom they are for.  Nothing that happens to one of these links is a
+    reason for a flight to end, or to wait.
+    """
+
+    def __init__(self, links: Sequence[Link]) -> None:
+        self._links = tuple(links)
+
+    def answer_to(self, sender: object, number: int) -> None:
+        """From now on send there over one of them, counted from 1."""
+        with contextlib.suppress(Exception):
+            self._links[number - 1].answer_to(sender)
+
+    def send(self, frames: Sequence[bytes]) -> None:
+        """Send frames over each link, or lose them."""
+        for link in self._links if frames else ():
+            with contextlib.suppress(Exception):
+                link.send([*frames])
 
 
 @final
@@ -84,7 +115,7 @@ class UdpLink:
                 self._peer = address
         except OSError as error:
             self._socket.close()
-            raise refused(place.text, error) from error
+            raise refused(place, error) from error
 
     @property
     def sender(self) -> object:

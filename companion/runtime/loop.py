@@ -1,6 +1,6 @@
 """Flies a session: the wall clock, the link, the threads, the run folder.
 
-    reader ──► inbox ──► decider (the session) ──► gate ──► link
+    readers ─► inbox ──► decider (the session) ──► gate ──► link, links to ground stations
     planning ──┘            │    └──► writer ──► run folder
                             └──► planning
 
@@ -11,17 +11,18 @@ gate (`watchdog`).  In lockstep the decider itself reads and writes: the vehicle
 import gc
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import final
 
+from companion.mavlink.inbox import VEHICLE
 from companion.mavlink.signing import strip_signature
 from companion.mission.events import End, Outcome
 from companion.runtime.compiler import Planner
 from companion.runtime.decider import Decider
 from companion.runtime.latency import StreamTimes
-from companion.runtime.link import Link
-from companion.runtime.parts import Answer, Inbox, Lost, Planning, Reader
+from companion.runtime.link import GroundLinks, Link
+from companion.runtime.parts import Answer, GroundReader, Inbox, Lost, Planning, Reader
 from companion.runtime.planner_process import PlannerProcess
 from companion.runtime.recorder import Batch, InlineWriter, Recorder, Writer, WriterThread
 from companion.runtime.watchdog import Clock, Failure, Gate, Watchdog
@@ -45,17 +46,19 @@ def fly(
     stop_asked: Callable[[], bool],
     planner: Answer | None = None,
     persist: Callable[[], None] | None = None,
+    ground: Sequence[Link] = (),
     clock: Clock = time.monotonic,
 ) -> Flown:
     """Run a session until its mission ends; every end is a value, Flown.end.
 
     planner: by default the compiled one, in a process of its own unless in lockstep.
     persist: keeps what must outlive the process; called every 30 s and at the end.
+    ground: links to ground stations, for a session that `has_ground`.
     on_progress is called in the caller's thread, stop_asked in another one.
     """
     if planner is None:
         planner = Planner(lockstep=True) if lockstep else PlannerProcess()
-    flight = _Flight(session, link, folder, lockstep, planner, persist, stop_asked, clock)
+    flight = _Flight(session, link, ground, folder, lockstep, planner, persist, stop_asked, clock)
     with prompt_threads():
         flight.run(on_progress)
     return flight.flown
@@ -85,6 +88,7 @@ class _Flight:
         self,
         session: Session,
         link: Link,
+        ground: Sequence[Link],
         folder: RunFolder,
         lockstep: bool,
         planner: Answer,
@@ -95,11 +99,13 @@ class _Flight:
         self.flown = Flown(session=session)
         self._session, self._folder, self._lockstep = session, folder, lockstep
         self._inbox = Inbox()
-        gate = Gate(link, clock)
+        grounds = GroundLinks(ground)
+        gate = Gate(link, clock, grounds)
         self._watchdog = Watchdog(
             gate,
             clock=clock,
             hold_frames=session.hold_frames,
+            last_words=session.last_words,
             on_failure=self._on_failure,
             on_loss=self._on_loss,
             watches_time=not lockstep,
@@ -108,12 +114,17 @@ class _Flight:
         kind = InlineWriter if lockstep else WriterThread
         self._writer: Writer = kind(recorder, self._on_loss)
         self._reader = Reader(link, self._inbox, gate, clock)
+        self._ground = [
+            GroundReader(each, number, self._inbox, clock)
+            for number, each in enumerate(ground, VEHICLE + 1)
+        ]
         self._planning = Planning(planner, self._inbox, lockstep=lockstep)
         self._times = StreamTimes()
         self._decider = Decider(
             session=session,
             flown=self.flown,
             link=link,
+            ground=grounds,
             gate=gate,
             inbox=self._inbox,
             reader=self._reader,
@@ -133,6 +144,8 @@ class _Flight:
             self._watchdog.watch(self._writer.part, self._writer.run)
         if not self._lockstep:
             self._watchdog.watch(self._reader.part, self._reader.run)
+        for reader in self._ground:
+            self._watchdog.watch(reader.part, reader.run)
         self._watchdog.watch(self._decider.part, self._decider.run)
         try:
             while not self._decider.ended.wait(_PROGRESS_S) and self._watchdog.failure is None:
@@ -153,6 +166,8 @@ class _Flight:
         if failure is not None:
             self.flown.end, self.flown.died = _end_of(failure, self.flown.end), True
         self._reader.leave()
+        for reader in self._ground:
+            reader.leave()
         self._planning.leave()
         self._writer.close()
         self._folder.facts["latency"] = self._times.summary()

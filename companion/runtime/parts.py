@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
+from companion.mavlink.inbox import VEHICLE
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime.compiler import Planner
 from companion.runtime.link import Link
@@ -24,6 +25,7 @@ Answer = Callable[[PlanRequest, Callable[[], bool]], PlanOutcome]
 
 POLL_S = 0.05
 _MOST_WAITING = 5000  # datagrams: what comes on top of them is as good as lost on the way
+_MOST_GROUND_PIECES, _MOST_GROUND_BYTES = 500, 65_536  # a second, of each ground link
 _SEARCHING = 0.8  # of T: the rest is for the proof
 _PLANNER_STARTS_S = 60.0
 _PLANNER_SLACK_S = 5.0  # on top of T: the plan is late long before, and dead only now
@@ -37,6 +39,7 @@ class Datagram:
     data: bytes
     sender: object
     at_s: float
+    link: int = VEHICLE
 
 
 @final
@@ -107,6 +110,36 @@ class Reader:
     def leave(self) -> None:
         """End soon."""
         self._leaving.set()
+
+
+@final
+class GroundReader:
+    """Receives over a link to a ground station, and hands on no more than one has to say."""
+
+    def __init__(self, link: Link, number: int, inbox: Inbox, clock: Clock) -> None:
+        """number: of the link, from 1."""
+        self.part = Part(f"ground link {number}", vital=False)
+        self._link, self._number, self._inbox, self._clock = link, number, inbox, clock
+        self._leaving = threading.Event()
+        self._second = self._pieces = self._bytes = 0
+
+    def run(self) -> None:
+        """Receive until told to leave; whatever the link raises ends it, and nothing else."""
+        while not self._leaving.is_set():
+            data, now_s = self._link.receive(POLL_S), self._clock()
+            if data is not None and self._is_affordable(len(data), int(now_s)):
+                self._inbox.put(Datagram(data, self._link.sender, now_s, self._number))
+
+    def leave(self) -> None:
+        """End soon."""
+        self._leaving.set()
+
+    def _is_affordable(self, size: int, second: int) -> bool:
+        """Whether so much more may come within a second: the rest would cost setpoints."""
+        if second != self._second:
+            self._second, self._pieces, self._bytes = second, 0, 0
+        self._pieces, self._bytes = self._pieces + 1, self._bytes + size
+        return self._pieces <= _MOST_GROUND_PIECES and self._bytes <= _MOST_GROUND_BYTES
 
 
 # --- planning

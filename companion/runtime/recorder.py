@@ -43,6 +43,10 @@ class Batch:
         return frames + told + _ENTRY_BYTES * len(self.journal)
 
 
+WRITER = "writer"
+"""The name of the part."""
+
+
 class Writer(Protocol):
     """Where batches go."""
 
@@ -102,7 +106,7 @@ class InlineWriter:
             self._recorder.folder.failure = f"{type(error).__name__}: {error}"
         if self._recorder.folder.failure is not None:
             self._failed = True
-            self._on_loss(Failure(part="writer", error=self._recorder.folder.failure))
+            self._on_loss(Failure(part=WRITER, error=self._recorder.folder.failure))
 
     def close(self) -> None:
         """Nothing is waiting."""
@@ -114,7 +118,7 @@ class WriterThread:
     """Writes as soon as the disk lets it, and never makes anybody wait."""
 
     def __init__(self, recorder: Recorder, on_loss: Callable[[Failure], None]) -> None:
-        self.part = Part("writer", vital=False)
+        self.part = Part(WRITER, vital=False)
         self._recorder, self._on_loss = recorder, on_loss
         self._batches: queue.SimpleQueue[Batch | None] = queue.SimpleQueue()
         self._put_bytes = self._written_bytes = 0  # each is changed by one thread only
@@ -171,7 +175,7 @@ class WriterThread:
         failure = self._recorder.folder.failure
         if failure is not None and not self._told:
             self._told = True
-            self._on_loss(Failure(part="writer", error=failure))
+            self._on_loss(Failure(part=WRITER, error=failure))
 
     def close(self) -> None:
         """Wait until all is written, for as long as the disk still answers."""

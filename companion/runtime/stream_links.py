@@ -225,7 +225,7 @@ class TcpServer(_TcpStream):
             self._listener.listen(1)
         except OSError as error:
             self._listener.close()
-            raise refused(place.text, error) from error
+            raise refused(place, error) from error
 
     def receive(self, timeout_s: float) -> bytes | None:
         """The next piece of the stream, or None if none came in time."""
@@ -256,9 +256,9 @@ class SerialLink(_Context):
         try:
             self._port = self._opened()
         except OSError as error:  # SerialException is one
-            raise refused(place.text, _cause(error)) from error
+            raise refused(place, _cause(error)) from error
         except ValueError as error:
-            raise refused(place.text, OSError(0, str(error))) from error
+            raise refused(place, OSError(0, str(error))) from error
 
     def _opened(self) -> serial.Serial:
         """The port, with nothing left in it from before; OSError or ValueError if there is none."""

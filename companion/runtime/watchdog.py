@@ -9,12 +9,12 @@ mavlink.md C1, C2).  The writer is different: a flight goes on without its recor
 import contextlib
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from companion.runtime.link import Link
+from companion.runtime.link import GroundLinks, Link
 
 Clock = Callable[[], float]
 """Seconds that only ever grow, of this computer."""
@@ -89,8 +89,8 @@ def waits_for_processor(part: Part) -> bool:
 class Gate:
     """The session's only way to the link.  Shut, it stays shut."""
 
-    def __init__(self, link: Link, clock: Clock) -> None:
-        self._link, self._clock = link, clock
+    def __init__(self, link: Link, clock: Clock, ground: GroundLinks | None = None) -> None:
+        self._link, self._clock, self._ground = link, clock, ground or GroundLinks([])
         self._lock = threading.Lock()
         self._is_shut = False
         self._streamed_s = -math.inf
@@ -104,12 +104,13 @@ class Gate:
         """How long a part may stand still now."""
         return STALL_S if self._clock() - self._streamed_s < STREAMING_S else IDLE_STALL_S
 
-    def send(self, frames: list[bytes]) -> bool:
+    def send(self, frames: list[bytes], to_ground: Sequence[bytes] = ()) -> bool:
         """Send frames; False if the gate is shut and they were dropped."""
         with self._lock:
             if self._is_shut:
                 return False
             self._link.send(frames)
+            self._ground.send(to_ground)
         if any(map(is_setpoint, frames)):
             self._streamed_s = self._clock()
         return True
@@ -118,11 +119,12 @@ class Gate:
         """From now on nothing of the session's leaves; at most what is being sent just now."""
         self._is_shut = True
 
-    def send_last(self, frames: list[bytes]) -> None:
+    def send_last(self, frames: list[bytes], to_ground: Sequence[bytes] = ()) -> None:
         """The watchdog's own frames, through the shut gate; it waits for nobody."""
         locked = self._lock.acquire(timeout=_LOCK_S)
         try:
             self._link.send(frames)
+            self._ground.send(to_ground)
         finally:
             if locked:
                 self._lock.release()
@@ -138,6 +140,7 @@ class Watchdog:
         *,
         clock: Clock,
         hold_frames: Callable[[], list[bytes]],
+        last_words: Callable[[str], list[bytes]] = lambda _: [],
         on_failure: Callable[[Failure, list[bytes]], None],
         on_loss: Callable[[Failure], None],
         watches_time: bool = True,
@@ -145,7 +148,8 @@ class Watchdog:
     ) -> None:
         """A watchdog that is started by start().
 
-        hold_frames: the frames that put the autopilot on hold, made when they are needed.
+        hold_frames: the frames that put the autopilot on hold, made when they are needed;
+        last_words: those that tell people why.
         on_failure: told of a vital part's end, and of the frames that are sent on it;
         on_loss: of the end of a part that is not vital.  watches_time: not in lockstep, where
         nothing depends on this computer's clock; a part may die there, but take its time.
@@ -153,7 +157,7 @@ class Watchdog:
         """
         self.failure: Failure | None = None
         self._gate, self._clock = gate, clock
-        self._hold_frames = hold_frames
+        self._hold_frames, self._last_words = hold_frames, last_words
         self._on_failure, self._on_loss = on_failure, on_loss
         self._watches_time, self._waits = watches_time, waits
         self._parts: list[Part] = []
@@ -251,12 +255,16 @@ class Watchdog:
         except Exception:  # noqa: BLE001 - the session is what may have died
             frames = self._reserve
         assert self.failure is not None
-        self._on_failure(self.failure, frames)
+        words: list[bytes] = []
+        with contextlib.suppress(Exception):  # that it holds is what counts
+            words = self._last_words(f"the {self.failure.part} has died ({self.failure.error})")
+        self._on_failure(self.failure, [*frames, *words])
         for wait_s in _HOLD_AGAIN_S:
             threading.Event().wait(wait_s)
-            if frames:
+            if frames or words:
                 with contextlib.suppress(Exception):  # the next attempt is not given up for it
-                    self._gate.send_last(frames)
+                    self._gate.send_last([*frames, *words], words)
+            words = []  # once
 
 
 def is_setpoint(frame: bytes) -> bool:

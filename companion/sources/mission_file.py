@@ -110,6 +110,7 @@ def mission_of(
             radar_of(radar, frame, f"{where}: radars[{index}]")
             for index, radar in enumerate(model.radars)
         ),
+        stated_ground_amsl_m=_stated_ground(model),
     )
     check_task(task, f"{where}: ")
     zones, far = zones_of(model, task, frame, where)
@@ -273,8 +274,6 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
     _check_terrain(table, where)
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
     if table.highest_amsl_m is not None:
-        if not model.vehicle.scanner:
-            _check_floor(task, table.highest_amsl_m, where)
         return _level(blank, table.highest_amsl_m, may_be_scanned=model.vehicle.scanner)
     assert table.file is not None
     assert table.vertical_datum is not None
@@ -288,6 +287,13 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
         may_be_scanned=model.vehicle.scanner,
         field=f"{where}: terrain.file",
     )
+
+
+def _stated_ground(model: MissionTable) -> float | None:
+    """How high the ground is, where that is stated and nothing will be scanned."""
+    if model.terrain is None or model.vehicle.scanner:
+        return None
+    return model.terrain.highest_amsl_m
 
 
 def _check_terrain(table: KnownTerrainTable, where: str) -> None:
@@ -309,21 +315,6 @@ def _check_terrain(table: KnownTerrainTable, where: str) -> None:
         if value is not None:
             rule = "highest_amsl_m speaks of all of the map, and of no file"
             raise InputError(f"{field}.{key}", value, rule, "Remove one of them.")
-
-
-def _check_floor(task: Task, highest_amsl_m: float, where: str) -> None:
-    """Nothing will be scanned, so the lowest path must be clear of the ground as it is stated."""
-    lowest_m, _ = task.band_amsl_m
-    inset_m = lowest_m - task.limits.floor_amsl_m
-    least_m = highest_amsl_m + task.search_clearance_m - inset_m
-    if task.limits.floor_amsl_m < least_m:
-        rule = (
-            f"the ground reaches terrain.highest_amsl_m = {highest_amsl_m:g}, and no path lies "
-            f"nearer to it than d_s and the vehicle's errors"
-        )
-        remedy = f"Raise it to {math.ceil(least_m)}, or lower planner.safety_distance_m."
-        floor_m = task.limits.floor_amsl_m
-        raise InputError(f"{where}: altitude.floor_amsl_m", floor_m, rule, remedy)
 
 
 def _about_terrain(model: MissionTable) -> str:

@@ -52,7 +52,7 @@ def recall(folder: Path, mission: Mission) -> Recalled:
         return _forgotten(_history(folder), f"{_CHECKPOINT}: {_why(error)}")
     try:
         known = known_map(folder)
-        blank = checkpoint.blank(mission)
+        blank = checkpoint.blank(mission, values)
         _must_fit(known, blank)
     except (OSError, ValueError) as error:
         values = checkpoint.without_map(values, f"{_MAP}: {_why(error)}")

@@ -16,8 +16,10 @@ from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
 from companion.errors import InputError
-from companion.mavlink.parameter_server import PARAMETERS, Parameter, ParameterServer
+from companion.mavlink.parameter_server import ParameterServer
+from companion.mission.events import FenceChanged
 from companion.objective.scene import Weights
+from companion.planner.adjustable import PARAMETERS, Parameter
 from companion.planner.rules import check_task
 from companion.planner.settings import Task
 from companion.sources.mission_schema import MissionVehicleTable, PlannerTable, WeightsTable
@@ -214,8 +216,10 @@ def test_the_same_value_changes_nothing() -> None:
 )
 def test_what_breaks_a_rule_is_refused_with_it(name: str, value: float, word: str) -> None:
     server = made()
-    [told] = server.on_message(param_set(name, value), 1.0)
+    told, error = server.on_message(param_set(name, value), 1.0)
     assert param_value(told).value == pytest.approx(PARAMETERS[NAMES.index(name)].value(TASK))
+    assert (error.param_id, error.error) == (name, wire.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)
+    assert (error.target_system, error.target_component) == PERSON
     assert server.task is TASK
     assert server.changed is None
     assert server.refused is not None
@@ -234,6 +238,44 @@ def test_a_target_stays_outside_of_zones() -> None:
     assert "'z'" in server.refused
 
 
+def test_the_floor_stays_clear_of_the_ground_as_it_is_stated() -> None:
+    """As in the mission file, with whose floor and ground 18 m is the most."""
+    sitl = load_mission("sitl-arducopter").task
+    server = made(sitl)
+    server.on_message(param_set("PLN_SAFE_DIST", 25.0), 1.0)
+    assert server.task is sitl
+    assert server.refused is not None
+    assert server.refused.startswith("PLN_SAFE_DIST = 25: altitude.floor_amsl_m = 610.0: ")
+    server.on_message(param_set("PLN_SAFE_DIST", 18.0), 1.0)
+    assert server.changed == "PLN_SAFE_DIST = 18"
+
+
+def test_the_band_within_the_vehicles_own_fence_stays_thick_enough() -> None:
+    sitl = load_mission("sitl-arducopter").task
+    server = made(sitl)
+    server.fence = FenceChanged(time_s=0.0, zones=(), ceiling_amsl_m=640.0)
+    server.on_message(param_set("PLN_ERR_TRACK", 8.0), 1.0)
+    assert server.refused is not None
+    assert "altitude.ceiling_amsl_m = 640.0" in server.refused
+
+
+def test_what_is_broken_already_refuses_nothing_else() -> None:
+    sitl = load_mission("sitl-arducopter").task
+    server = made(sitl, targets_ne_m=((100.0, 0.0),))
+    about = CircleZone(name="z", north_m=100.0, east_m=0.0, radius_m=50.0)
+    server.fence = FenceChanged(time_s=0.0, zones=(about,), ceiling_amsl_m=630.0)
+    server.on_message(param_set("PLN_SAFE_DIST", 12.0), 1.0)
+    assert server.changed == "PLN_SAFE_DIST = 12"
+
+
+def test_the_cells_of_terrain_that_is_known_in_advance_stay() -> None:
+    server = made()
+    server.charted = True
+    server.on_message(param_set("PLN_SCAN_RANGE", 1600.0), 1.0)
+    assert server.refused is not None
+    assert "planner.scan_range_m" in server.refused
+
+
 def test_the_scan_range_is_fixed_in_the_air() -> None:
     server = made()
     server.airborne = True
@@ -244,16 +286,17 @@ def test_the_scan_range_is_fixed_in_the_air() -> None:
 
 
 @pytest.mark.parametrize(
-    "message",
+    ("message", "why"),
     [
-        param_set("PLN_SPEED", 5.0, sender=STRANGER),
-        param_set("PLN_SPEED", 5.0, sender=(7, 1)),
-        param_set("PLN_SPEED", 5.0, kind=6),
+        (param_set("PLN_SPEED", 5.0, sender=STRANGER), wire.MAV_PARAM_ERROR_PERMISSION_DENIED),
+        (param_set("PLN_SPEED", 5.0, sender=(7, 1)), wire.MAV_PARAM_ERROR_PERMISSION_DENIED),
+        (param_set("PLN_SPEED", 5.0, kind=6), wire.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE),
     ],
 )
-def test_strangers_and_other_types_change_nothing_and_see_the_value(message: Any) -> None:
+def test_strangers_and_other_types_change_nothing_and_see_the_value(message: Any, why: int) -> None:
     server = made()
-    [told] = server.on_message(message, 1.0)
+    told, error = server.on_message(message, 1.0)
+    assert error.error == why
     assert param_value(told).value == 8.0
     assert server.refused is not None
     assert server.task is TASK
@@ -268,7 +311,8 @@ def test_what_is_set_for_everybody_is_not_for_us(target: tuple[int, int]) -> Non
 
 def test_a_parameter_that_there_is_not_is_refused() -> None:
     server = made()
-    assert server.on_message(param_set("WPNAV_SPEED", 5.0), 1.0) == []
+    [error] = server.on_message(param_set("WPNAV_SPEED", 5.0), 1.0)
+    assert (error.param_index, error.error) == (-1, wire.MAV_PARAM_ERROR_DOES_NOT_EXIST)
     assert server.refused == "'WPNAV_SPEED': there is no such parameter"
 
 
@@ -309,8 +353,9 @@ def test_the_task_obeys_the_rules_whatever_is_set(asked: list[tuple[str, float, 
     for name, value, airborne in asked:
         server.airborne = airborne
         before = server.task
-        [told] = server.on_message(param_set(name, value), 1.0)
+        told, *errors = server.on_message(param_set(name, value), 1.0)
         assert param_value(told).name == name
+        assert bool(errors) == bool(server.refused)
         assert math.isfinite(param_value(told).value)
         assert (server.changed is not None) == (server.task != before)
         if server.changed is None and not math.isnan(value):

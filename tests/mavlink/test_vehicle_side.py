@@ -13,6 +13,7 @@ from companion.mavlink.autopilots import ALL, autopilot_of
 from companion.mavlink.dialect import codec, wire
 from companion.mavlink.vehicle import VehicleSide
 from companion.mission import checkpoint
+from companion.mission.decisions import Context
 from companion.mission.events import (
     FenceBreach,
     FenceChanged,
@@ -286,7 +287,9 @@ def test_by_another_clock_the_same_is_asked_at_the_same_moments(shift_s: float) 
 def plane_told_its_speed() -> tuple[VehicleSide, list[Any]]:
     """An ArduPlane in guided mode, and the command, whose first frame may have been lost."""
     mission = load_mission("sitl-arduplane")
-    side = VehicleSide.found(heartbeat(), mission, lockstep=True, sets_parameters=False)
+    side = VehicleSide.found(
+        heartbeat(), Context(mission=mission, seed=1, lockstep=True, shadow=True)
+    )
     assert side is not None
     side.begin(0.0)
     told = side.told(SetSpeed(speed_m_s=22.0), State.of(mission, checkpoint.blank(mission)))

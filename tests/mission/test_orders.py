@@ -28,6 +28,7 @@ from companion.mission import changes, checkpoint
 from companion.mission.changes import Verdict
 from companion.mission.driving import Driving
 from companion.mission.events import (
+    End,
     Mode,
     Order,
     OrderKind,
@@ -39,6 +40,8 @@ from companion.mission.events import (
     SetMode,
     Setpoint,
     SetSpeed,
+    SettingsChanged,
+    StopAsked,
 )
 from companion.mission.mission import Fallback, Mission
 from companion.mission.state import Phase, Reason
@@ -297,6 +300,129 @@ def test_a_new_target_without_a_speed_leaves_the_speed_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("obeys", [True, False])
+def no_way_back(request: PlanRequest) -> PlanOutcome:
+    """A planner that proves nothing of the way back."""
+    if request.flown is None:
+        return planned(request)
+    return WayBack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
+
+
+def set_in_flight(craft: Craft, safety_distance_m: float) -> None:
+    settings = replace(craft.state.given.settings, safety_distance_m=safety_distance_m)
+    task = replace(craft.state.given, settings=settings)
+    craft.take(SettingsChanged(time_s=craft.now_s, task=task, what="PLN_SAFE_DIST"))
+
+
+def ended(craft: Craft) -> bool:
+    return craft.phase in (Phase.DONE, Phase.FAULTED)
+
+
+@pytest.mark.parametrize("driving", [each for each in DRIVINGS if each.hovers], ids=NAME)
+def test_an_accepted_return_that_cannot_be_flown_is_left_to_the_autopilots_own(
+    driving: Driving,
+) -> None:
+    craft = flying(two_legs_away(), plan=no_way_back, driving=driving)
+    craft.run_for(20.0)
+    assert tell(craft, OrderKind.RETURN) is Verdict.ACCEPTED
+    craft.run_until(ended)
+    assert craft.sent(SetMode)[-1].mode is Mode.RETURN
+    assert craft.mode is Mode.RETURN
+    [end] = craft.sent(End)
+    assert end.outcome is Outcome.FAILED
+    assert end.reason == "told to return; its autopilot returns it"
+
+
+def test_so_is_one_that_finds_no_way_home_from_where_the_proven_one_ends() -> None:
+    def half_way(request: PlanRequest) -> PlanOutcome:
+        if request.flown is None:
+            home = abs(request.target_ne_m[0]) + abs(request.target_ne_m[1]) < 10.0
+            return not_planned(request) if home else planned(request)
+        north, east, up = request.scan_nea_m
+        return WayBack(
+            plan_id=request.plan_id,
+            subpaths=(straight((north, east, up), (0.5 * north, 0.5 * east, up)),),
+            through=(False,),
+            reaches_start=False,
+        )
+
+    craft = flying(two_legs_away(), plan=half_way)
+    craft.run_for(20.0)
+    tell(craft, OrderKind.RETURN)
+    craft.run_until(ended)
+    assert Phase.RETURNING in {after.phase for *_, after, _ in craft.steps}
+    assert craft.mode is Mode.RETURN
+
+
+def test_a_position_that_cannot_be_trusted_is_no_reason_to_be_sent_home_by_it() -> None:
+    craft = flying(two_legs_away(), plan=no_way_back)
+    tell(craft, OrderKind.RETURN)
+    craft.run_until(lambda craft: craft.phase is HOLDING)
+    craft.fix = False
+    craft.run_until(ended)
+    assert craft.mode is Mode.HOLD
+
+
+def test_under_stricter_rules_the_way_back_is_the_one_that_was_flown_by_the_old_ones() -> None:
+    """What is proven by d_s = 300 m only, flown by that, while more is asked for since."""
+    flown_m, asked_m = MISSION.task.settings.safety_distance_m, 700.0
+    allowed_m: list[float] = []
+
+    def by_the_old_rules(request: PlanRequest) -> PlanOutcome:
+        allowed_m.append(request.task.settings.safety_distance_m)
+        provable = request.flown is None or allowed_m[-1] <= flown_m
+        return home_or_on(request) if provable else no_way_back(request)
+
+    craft = flying(two_legs_away(), plan=by_the_old_rules)
+    craft.run_for(20.0)
+    set_in_flight(craft, asked_m)
+    restarted_task = json.loads(json.dumps(checkpoint.values_of(craft.state)))
+    again = checkpoint.restored(craft.context.mission, craft.state.flight.known, restarted_task)
+    assert again.given.settings == craft.state.given.settings
+    assert again.flown_under == craft.state.flown_under
+    tell(craft, OrderKind.RETURN)
+    craft.run_until(lambda craft: craft.phase is Phase.RETURNING)
+    assert allowed_m[-2:] == [asked_m, flown_m]
+    assert craft.state.task.settings.safety_distance_m == flown_m
+    said = f"returning as it was flown: PLN_SAFE_DIST = {flown_m:g}"
+    assert Say(text=said, warning=True) in craft.commands
+
+
+def test_settings_of_a_checkpoint_that_no_mission_may_have_are_none() -> None:
+    craft = under_way()
+    values = checkpoint.values_of(craft.state)
+    for name, value in (("PLN_SAFE_DIST", 1e5), ("PLN_SPEED", 500.0), ("PLN_EVALS", 1.0)):
+        wrong = {**values, "settings": {**values["settings"], name: value}}
+        with pytest.raises(checkpoint.NOT_SUCH):
+            checkpoint.restored(craft.context.mission, craft.state.flight.known, wrong)
+
+
+def test_told_to_return_twice_it_is_accepted_twice() -> None:
+    craft = asking_for_the_way_back()
+    assert tell(craft, OrderKind.RETURN) is Verdict.ACCEPTED
+    assert craft.state.reason is Reason.RETURN_ASKED
+    answer(craft)
+    assert craft.phase is Phase.RETURNING
+
+
+def test_on_its_way_back_it_can_be_told_to_the_very_target_that_it_came_from() -> None:
+    craft = under_way(replace(two_legs_away(), targets_ne_m=(OTHER_NE_M,)))
+    craft.run_for(5.0)
+    tell(craft, OrderKind.RETURN)
+    craft.run_until(lambda craft: craft.phase is Phase.RETURNING)
+    assert tell(craft, OrderKind.REPOSITION) is Verdict.ACCEPTED
+    assert not craft.state.flight.returning
+    craft.run_until(lambda craft: craft.phase is Phase.ARRIVED)
+
+
+def test_what_is_over_and_what_only_watches_obeys_no_order() -> None:
+    over, shadow = under_way(), Craft(shadow=True)
+    over.take(StopAsked(time_s=over.now_s))
+    shadow.run_until(lambda craft: craft.phase is Phase.SHADOW)
+    for craft in (over, shadow):
+        kinds = [kind for kind in OrderKind if craft is over or kind is not OrderKind.SPEED]
+        assert {tell(craft, kind) for kind in kinds} == {Verdict.NOT_NOW}
+
+
 def test_told_to_return_after_its_hold_was_asked_for_it_returns(obeys: bool) -> None:
     """Its own hold may show in the next heartbeat: nobody has taken the vehicle."""
     craft = arrived(replace(MISSION, targets_ne_m=((5_000.0, 5_000.0),)))

@@ -47,6 +47,14 @@ def test_another_distance_is_what_is_proven_then() -> None:
         assert each.flown.clearance_m >= 500.0
 
 
+def test_settings_that_no_mission_may_have_are_refused_here_too() -> None:
+    """However they come about: with what was set in the flight, for one."""
+    flown = load_mission(MISSION)
+    slow = replace(flown.task.settings, planning_time_s=1e4)
+    with pytest.raises(InputError, match=r"eq. 4"):
+        asked(replace(flown, task=replace(flown.task, settings=slow)))
+
+
 def test_another_seed_costs_about_the_same() -> None:
     for each in asked(load_mission(MISSION), seed=7):
         assert each.now.cost == pytest.approx(each.flown.cost, rel=0.1)

@@ -67,6 +67,8 @@ class StubSession:
     died: list[tuple[str, str]] = field(default_factory=list)
     stopped: list[str] = field(default_factory=list)
     silences_s: list[float] = field(default_factory=list)
+    from_ground: list[tuple[bytes, int]] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
     end: End | None = None
     state: Any = field(
         default_factory=lambda: SimpleNamespace(
@@ -74,7 +76,11 @@ class StubSession:
         )
     )
 
-    def receive(self, data: bytes, at_s: float) -> bool:
+    def receive(self, data: bytes, at_s: float, link: int = 0) -> bool:
+        if link:
+            self.from_ground.append((data, link))
+            self.out.to_ground.append(HEARTBEAT)
+            return True
         self.received.append(data)
         self.arrived_s.append(at_s)
         self.now_s += 0.05
@@ -107,6 +113,9 @@ class StubSession:
     def farewell(self) -> Output:
         return self.run()
 
+    def last_words(self, why: str) -> list[bytes]:
+        return [packed(wire.MAVLink_statustext_message(4, f"ended: {why}"[:50].encode()))]
+
     def hold_frames(self) -> list[bytes]:
         return [HOLD]
 
@@ -114,6 +123,9 @@ class StubSession:
         self.died.append((part, error))
         self.out.journal.append({"t_s": self.now_s, "kind": "end", "reason": part})
         self.end = End(outcome=Outcome.FAILED, reason=f"{part} died", remedy="")
+
+    def complain(self, text: str) -> None:
+        self.complaints.append(text)
 
     def recording_stopped(self, why: str) -> None:
         self.stopped.append(why)

@@ -1,0 +1,163 @@
+"""Every end is said on the link before the heartbeat ends, by name and with its reason."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import all as wire
+
+sys.path.insert(0, str(Path(__file__).parent / "runtime"))
+from scripted_vehicle import MISSION, Pair, Vehicle, messages, pair
+
+from companion.mission.events import Outcome
+from companion.mission.mission import EndAction
+from companion.mission.state import MOVES, Phase, Trigger
+from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, Refusal
+from companion.session import Session
+
+PHASES = (
+    Phase.WAITING,
+    Phase.PREPARING,
+    Phase.ARMING,
+    Phase.TAKING_OFF,
+    Phase.FLYING,
+    Phase.HOLDING,
+    Phase.ARRIVED,
+)
+"""That a scripted vehicle comes through by itself, or by one order."""
+
+
+def ended(it: Pair) -> bool:
+    return it.out.end is not None
+
+
+def texts(frames: list[bytes]) -> list[str]:
+    """What a ground station shows: chunks put together."""
+    shown: list[str] = []
+    for message in messages(frames):
+        if message.get_type() == "STATUSTEXT":
+            if message.chunk_seq:
+                shown[-1] += message.text
+            else:
+                shown.append(message.text)
+    return shown
+
+
+def ask(it: Pair, number: int, *values: float) -> None:
+    codec = wire.MAVLink(None, srcSystem=255, srcComponent=190)
+    padded = [*values, *[0.0] * (7 - len(values))]
+    it.feed(wire.MAVLink_command_long_message(1, 195, number, 0, *padded).pack(codec))
+
+
+def in_phase(phase: Phase) -> Pair:
+    of = replace(MISSION, end_action=EndAction.HOLD)
+    it = Pair(Session(of, seed=1, lockstep=True), Vehicle(lockstep=True))
+    if phase is Phase.HOLDING:
+        it.run_until(lambda it: it.session.state.flight.leg is not None)
+        ask(it, wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
+    if phase is Phase.WAITING:
+        return it
+    return it.run_until(lambda it: it.session.state.phase is phase)
+
+
+def must_be_said(it: Pair) -> None:
+    """The last text names the end, and went out with the very output that tells of it."""
+    end = it.out.end
+    assert end is not None
+    last = texts(it.frames)[-1]
+    assert last.startswith(f"ended, {end.outcome.value}: {end.reason}"[:190]), texts(it.frames)
+    assert texts(it.out.frames)[-1] == last
+    sent = len(it.frames)
+    it.session.complain("refused: 7 unsigned")
+    for _ in range(100):
+        it.tick()
+    it.take(it.session.farewell())
+    assert texts(it.frames[sent:]) == []
+
+
+def stopped(it: Pair) -> None:
+    it.session.stop()
+    it.take(it.session.run())
+
+
+def part_dies(it: Pair) -> None:
+    it.session.part_died("reader", "OSError: made up")
+    it.take(it.session.run())
+
+
+def falls_silent(it: Pair) -> None:
+    it.session.silence(700.0)
+    it.take(it.session.run())
+
+
+@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize(
+    ("end", "trigger"),
+    [(stopped, Trigger.STOP), (part_dies, Trigger.DIED), (falls_silent, Trigger.GIVE_UP)],
+    ids=["a person", "a part", "silence"],
+)
+def test_whatever_ends_it_in_whatever_phase(
+    end: Callable[[Pair], None], trigger: Trigger, phase: Phase
+) -> None:
+    it = in_phase(phase)
+    assert (phase, trigger) in MOVES
+    end(it)
+    must_be_said(it)
+
+
+def test_arrived() -> None:
+    it = pair().run_until(ended)
+    assert texts(it.frames)[-1] == "ended, arrived: target reached"
+    must_be_said(it)
+
+
+def refuses(request: PlanRequest) -> PlanOutcome:
+    return NotPlanned(
+        plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE, broken=("floor",), evaluations=60
+    )
+
+
+def test_no_plan_at_all() -> None:
+    it = pair()
+    it.planner = refuses
+    it.run_until(ended)
+    assert texts(it.frames)[-1] == "ended, failed: no safe subpath was found; told to hold"
+    must_be_said(it)
+
+
+def test_a_return_that_cannot_be_flown() -> None:
+    it = pair().run_until(lambda it: it.session.state.flight.leg is not None)
+    it.planner = refuses
+    ask(it, wire.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+    it.run_until(ended)
+    assert texts(it.frames)[-1] == "ended, failed: told to return; its autopilot returns it"
+    must_be_said(it)
+
+
+@pytest.mark.parametrize("kind", [wire.MAV_TYPE_FIXED_WING, wire.MAV_TYPE_GROUND_ROVER])
+def test_a_vehicle_that_the_mission_is_not_for(kind: int) -> None:
+    it, codec = pair(), wire.MAVLink(None, srcSystem=1, srcComponent=1)
+    for _ in range(3):
+        it.feed(wire.MAVLink_heartbeat_message(kind, 3, 0, 0, 4, 3).pack(codec))
+        codec.seq += 1
+    assert ended(it)
+    assert "ended, failed: the vehicle is none" in texts(it.out.frames)[-1]
+
+
+def test_a_companion_that_is_told_to_leave_says_so_too() -> None:
+    it = in_phase(Phase.FLYING)
+    out = it.session.farewell()
+    assert texts(out.frames) == ["ended: the companion was stopped"]
+
+
+def test_the_last_words_for_a_session_that_cannot_speak_any_more_change_nothing() -> None:
+    it = in_phase(Phase.FLYING)
+    before = it.session.state
+    frames = it.session.last_words("the planner has died (KeyError: made up)")
+    assert texts(frames) == ["ended, failed: the planner has died (KeyError: made up)"]
+    assert it.session.state is before
+    it.run_until(ended)
+    assert it.out.end is not None
+    assert it.out.end.outcome is Outcome.ARRIVED
