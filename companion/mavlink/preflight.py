@@ -25,6 +25,7 @@ from companion.mission.mission import Mission
 from companion.mission.state import Phase, Reason, State, Trigger
 
 _EARLIEST_S = 1_735_689_600.0  # 2025: a clock before that has not been set
+_MOST_LOOKS = 3
 _PATIENCE_S = 5.0  # for rates and delays that have not come yet
 _LONG_DELAY_S = 0.5
 _LARGEST_GEOID_M = 110.0
@@ -73,11 +74,14 @@ class Heard(Protocol):
 
 @final
 class Preflight:
-    """`fly` on the ground: the radar looks once, then every check must pass before it is armed."""
+    """`fly` on the ground: the radar looks, then every check must pass before it is armed.
+
+    A radar that did not answer, or not all of it, may have just been switched on: it looks again.
+    """
 
     def __init__(self) -> None:
         self._preparing_since_s: float | None = None
-        self._looked = False
+        self._looked, self._looks = False, 0
         self._answered_s: float | None = None
 
     def looks_from(self, heard: Heard) -> Vector | None:
@@ -86,12 +90,14 @@ class Preflight:
         if state.phase is not Phase.PREPARING or heard.context.shadow:
             return None
         if state.since_s != self._preparing_since_s:  # prepared anew
-            self._preparing_since_s, self._looked, self._answered_s = state.since_s, False, None
+            self._preparing_since_s, self._answered_s = state.since_s, None
+            self._looked, self._looks = False, 0
         if self._looked or state.airborne or not state.targets_ne_m or here is None:
             return None
         if distrust(state.vehicle, state.now_s, state.task.limits) is not None:
             return None
         self._looked, heard.last_scan = True, None
+        self._looks += 1
         return here
 
     def judged(self, heard: Heard) -> Prepared | None:
@@ -105,6 +111,9 @@ class Preflight:
         refused = [each for each in checks_of(heard) if each.verdict is Verdict.REFUSED]
         if not refused:
             return Prepared(time_s=state.now_s, item=Item.CHECKS)
+        if refused[0].name == "radar" and self._looks < _MOST_LOOKS:
+            self._looked = False
+            return None
         if state.now_s - self._answered_s < _PATIENCE_S:
             return None
         return Prepared(
