@@ -269,16 +269,13 @@ class Session:
             if self.vehicle is None:
                 return None
         vehicle, due = self.vehicle, kind == "GLOBAL_POSITION_INT"
-        answer = self._plan.take(self.now_s) if due else None
-        if answer is not None and not self.context.shadow:
+        if due and not self.context.shadow and (answer := self._plan.take(self.now_s)) is not None:
             self._handle(answer)
         self._send_all(vehicle.on_message(message, self.now_s))
-        event = vehicle.event_of(message, self.now_s)
-        if event is not None:
+        if (event := vehicle.event_of(message, self.now_s)) is not None:
             self._handle(event)
-        if answer is not None and self.context.shadow:
-            # After the position: where there is one a second, the last one is stale by now.
-            self._handle(answer)
+        if due and self.context.shadow and (answer := self._plan.take(self.now_s)) is not None:
+            self._handle(answer)  # the position before may be a second old
         if kind == "TIMESYNC" and message.tc1 != 0 and at_s is not None:
             delay = vehicle.on_answered_time(message, self.now_s, at_s)
             if delay is not None:

@@ -205,10 +205,8 @@ def _look(log: Log) -> _Look:
             continue
         for message in receiver.feed(record.frame):
             if number == HEARTBEAT:
-                if (
-                    heartbeat is None or autopilot_of(heartbeat) is None
-                ):  # of no kind while it boots
-                    heartbeat = message
+                if heartbeat is None or autopilot_of(heartbeat) is None:
+                    heartbeat = message  # the first may be of no kind: it boots
             elif number == GPS:
                 fix = message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX
             elif (here := _place_of(message)) is not None:

@@ -75,6 +75,7 @@ class Notes:
         self._is_ready = False
         """Whether it could fly: the position was to be believed, since this session has begun."""
         self._had_fix = self._silent = False
+        self._state: State | None = None
         self._open: dict[int, Asked] = {}
         self._cause = _BEGINS
         self._path: _Path | None = None
@@ -114,8 +115,8 @@ class Notes:
 
     def rebooted(self, at_s: float) -> None:
         """The vehicle's clock has begun again."""
-        in_air, place = bool(self._was_in_air), self._place(self._position)
-        self._note_at("the autopilot has rebooted", at_s, in_air=in_air, place=place)
+        if self._state is not None:
+            self._note_at("the autopilot has rebooted", at_s, self._state)
 
     def say(self, said: Said) -> None:
         """The vehicle has said something."""
@@ -123,7 +124,7 @@ class Notes:
 
     def on_output(self, at_s: float, session: Session, journal: list[dict[str, Any]]) -> None:
         """The session has been run.  at_s: of the log."""
-        state = session.state
+        self._state = state = session.state
         for entry in journal:
             self._on_entry(at_s, entry, state)
             if entry["kind"] == "prepared" and session.vehicle is not None:
@@ -288,18 +289,15 @@ class Notes:
         vehicle, in_air = state.vehicle, is_in_air(state.vehicle)
         without_fix = vehicle.fix_at_s > _EVER and not vehicle.fix_good
         self._had_fix = self._had_fix or vehicle.fix_good
+        doubts_estimator = vehicle.estimator_at_s > _EVER and not vehicle.estimator_good
+        ready = self._is_ready  # before that, only the fix is waited for
         now = {
             "no GPS fix yet": without_fix and not self._had_fix,
             "GPS fix lost": without_fix and self._had_fix,
+            "estimator not to be believed": ready and doubts_estimator,
+            "the autopilot's own failsafe": ready and vehicle.failsafe,
+            **{kind: ready and doubt is reason for reason, kind in _DOUBTS.items()},
         }
-        later = {
-            "estimator not to be believed": vehicle.estimator_at_s > _EVER
-            and not vehicle.estimator_good,
-            "the autopilot's own failsafe": vehicle.failsafe,
-            **{kind: doubt is reason for reason, kind in _DOUBTS.items()},
-        }
-        if self._is_ready:  # before that it was never led by them
-            now |= later
         for kind, on in now.items():
             if self.health.differs(kind, on=on):
                 place = self._place(vehicle.position_nea_m)
@@ -313,10 +311,7 @@ class Notes:
         if vehicle.jumped_at_s != self._jumped_at_s:
             self._jumped_at_s = vehicle.jumped_at_s
             if before is not None and vehicle.jumped_at_s == vehicle.position_at_s:
-                far_m, in_air = math.dist(before, here), is_in_air(vehicle)
-                self._note_at(
-                    "position jumped", at_s, far_m, in_air=in_air, place=self._place(here)
-                )
+                self._note_at("position jumped", at_s, state, math.dist(before, here))
         if not is_in_air(vehicle):
             self.outside.end_all(at_s)
             self._path = None
@@ -362,16 +357,9 @@ class Notes:
         self.health.end_all(at_s)
         self.outside.end_all(at_s)
 
-    def _note_at(
-        self,
-        kind: str,
-        at_s: float,
-        worst_m: float | None = None,
-        *,
-        in_air: bool,
-        place: Place | None,
-    ) -> None:
+    def _note_at(self, kind: str, at_s: float, state: State, worst_m: float | None = None) -> None:
         """Something that takes no time."""
+        in_air, place = is_in_air(state.vehicle), self._place(state.vehicle.position_nea_m)
         noted = Observed(
             kind=kind, from_s=at_s, until_s=at_s, in_air=in_air, worst_m=worst_m, place=place
         )

@@ -1,7 +1,8 @@
 """Logs of other versions: old ArduCopters, and PX4s whose clock is a date.
 
 The entries are those that these versions describe in their own FMT entries: 3.1 as in ArduPilot's
-Tools/LogAnalyzer/examples/mechanical_fail.log, 3.3 as in its LogStructure.h.
+Tools/LogAnalyzer/examples/mechanical_fail.log (columns of ATT by their later names), 3.3 as in its
+LogStructure.h.
 """
 
 import math
@@ -27,7 +28,7 @@ V3_1: Formats = {
     ),
     "MSG": (132, "Z", "Message"),
     "CURR": (9, "hIhhhf", "ThrOut,ThrInt,Volt,Curr,Vcc,CurrTot"),
-    "ATT": (1, "cccccCC", "RollIn,Roll,PitchIn,Pitch,YawIn,Yaw,NavYaw"),
+    "ATT": (1, "cccccCC", "DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,NavYaw"),
     "MODE": (3, "Mh", "Mode,ThrCrs"),
     "STRT": (10, "", ""),
     "EV": (13, "B", "Id"),
