@@ -299,7 +299,6 @@ def test_a_new_target_without_a_speed_leaves_the_speed_as_it_is() -> None:
 # --- at the target
 
 
-@pytest.mark.parametrize("obeys", [True, False])
 def no_way_back(request: PlanRequest) -> PlanOutcome:
     """A planner that proves nothing of the way back."""
     if request.flown is None:
@@ -423,6 +422,7 @@ def test_what_is_over_and_what_only_watches_obeys_no_order() -> None:
         assert {tell(craft, kind) for kind in kinds} == {Verdict.NOT_NOW}
 
 
+@pytest.mark.parametrize("obeys", [True, False])
 def test_told_to_return_after_its_hold_was_asked_for_it_returns(obeys: bool) -> None:
     """Its own hold may show in the next heartbeat: nobody has taken the vehicle."""
     craft = arrived(replace(MISSION, targets_ne_m=((5_000.0, 5_000.0),)))
