@@ -27,7 +27,8 @@ Ways = tuple[FloatArray, FloatArray, BoolArray]
 _BEARINGS, _LENGTHS = 36, 16
 _FARTHEST = 0.4  # of R
 _SAMPLES, _ROUGHLY = 64, 24  # of the way there; to see which places are worth a closer look
-_LOOKED_AT = 40  # ways that are looked at closely, the best first
+_LOOKED_AT, _LEAST_LOOKED_AT = 40, 3  # ways that are looked at closely, the best first: each takes
+# the longer, the more zones there are where they begin
 _AT_ONCE = 16  # circles that are held against the terrain
 _INTRUDING = 5.0  # metres of way for each metre of it that has no clearance left
 _SLACK_M = 1.0
@@ -88,7 +89,8 @@ def loiter_point(
     open_ = np.flatnonzero(clear_at & may_be_open)
     clear = _clear(task, circler, field, places[: len(preferred)])
     heights = _heights_m(task, circler)
-    looked_at = 0
+    spot = float(here[0]), float(here[1])
+    looks = max(_LOOKED_AT // max(len(index.near(spot, spot, task.error_m)), 1), _LEAST_LOOKED_AT)
     for clearance_m in (task.required_clearance_m, task.error_m):
         keeps = field.keeps(places[open_, 0], places[open_, 1], clearance_m + loiter_m)
         points = (
@@ -99,8 +101,8 @@ def loiter_point(
         for point in _clear_of_terrain(known, task, circler, points, clearance_m):
             if _is_open(known, task, circler, field, point, allowed_m):
                 return point
-            looked_at += 1
-            if looked_at == _LOOKED_AT:
+            looks -= 1
+            if looks == 0:
                 return None
     return None
 
