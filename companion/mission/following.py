@@ -141,8 +141,8 @@ def still_circles(state: State, event: Position) -> bool:
     flight = state.flight
     if not flight.circling or flight.leg is None:
         return False
-    limits = state.task.limits
-    return not may_leave(flight.leg, event.position_nea_m, event.velocity_nea_m_s, limits)
+    at_m, limits = flight.reference.length_m, state.task.limits
+    return not may_leave(flight.leg, at_m, event.position_nea_m, event.velocity_nea_m_s, limits)
 
 
 def is_not_taken(state: State) -> bool:

@@ -289,7 +289,10 @@ def _must_stop_first(state: State) -> bool:
 
 
 def _ask_for_guided(state: State, event: Event, context: Context) -> Step:
-    """Ask for guided mode, with setpoints for where it is: some autopilots want them first."""
+    """Ask for guided mode; with setpoints for where it is, of autopilots that want them first."""
+    driving = state.vehicle.driving
+    if driving is not None and not driving.streams_first:
+        return ask(state, SetMode(mode=Mode.GUIDED))  # others refuse them (ardupilot.md 7)
     if not isinstance(event, Position):
         return state, [], None
     hover, limits = state.flight.hover_nea_m, state.task.limits

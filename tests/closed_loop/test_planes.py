@@ -1,0 +1,45 @@
+"""Planes, flown by both programs in one process, in exact steps of vehicle time."""
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from flights import ROOT, warm_up
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+from pair import Pair
+
+from companion.config import load_mission
+from companion.runtime.compiler import load_kernel
+from vehicle_sim.world import read_world
+
+pytestmark = pytest.mark.closed_loop
+ARDUPLANE, PX4 = "sitl-arduplane", "sitl-px4-plane"
+
+
+def pair(name: str) -> Pair:
+    """The bundled mission and its world."""
+    warm_up()
+    world = read_world(ROOT / "companion" / "environments" / name / "world.toml")
+    scene: Any = SimpleNamespace(mission=load_mission(name), world=world, fence=())
+    return Pair(scene, seed=1, kernel=load_kernel())
+
+
+@pytest.mark.parametrize(
+    ("name", "away_s"), [(ARDUPLANE, 21.0), (ARDUPLANE, 60.0), (PX4, 60.0)], ids=str
+)
+def test_however_late_it_is_resumed_it_flies_on_along_its_leg(name: str, away_s: float) -> None:
+    """ArduPlane has come to a circle by then, about the last point that it was sent to."""
+    flight = pair(name)
+    flight.at(62.0, lambda flight: flight.kill(away_s))
+    flown = flight.fly(limit_s=235.0)
+    kinds = [entry["kind"] for entry in flown.journal]
+    after = flown.journal[kinds.index("resumed") :]
+    asked = [k for k, entry in enumerate(after) if entry["kind"] == "plan asked"]
+    reached = [k for k, entry in enumerate(after) if "target reached" in str(entry.get("text"))]
+    assert not flown.reason, flown.reason
+    assert reached
+    if name == ARDUPLANE:  # PX4 has left guided mode, and is planned for again
+        assert not asked or asked[0] > reached[0]
