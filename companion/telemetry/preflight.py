@@ -15,7 +15,7 @@ from companion.mavlink.dialect import COMPANION_COMPONENT
 from companion.mavlink.judgement import Severity
 from companion.mavlink.receiver import Passed
 from companion.mavlink.vehicle import VehicleSide
-from companion.mission import ground
+from companion.mission import ground, stopped
 from companion.mission.decisions import Context, is_suspected
 from companion.mission.events import Item, Tick
 from companion.mission.health import battery_lasts, distrust
@@ -166,6 +166,9 @@ def _fence(session: Session, vehicle: VehicleSide) -> Iterator[Check]:
     targets = len(state.targets_ne_m)
     remedy = "Upload a mission with waypoints."
     yield _check("targets", targets > 0, f"{targets} targets", remedy)
+    landing = stopped.landing_words(state, session.context)
+    if landing:
+        yield _note("landing", landing)
 
 
 def _against_fence(drawn: fence.Fence, session: Session) -> Iterator[Check]:
