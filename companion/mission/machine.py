@@ -235,7 +235,7 @@ def _end_of(before: State, trigger: Trigger) -> End:
         off_m = stopped.landed_off_m(before) if trigger is Trigger.LANDED else 0.0
         if fallen_back is None and off_m > stopped.lands_within_m(before):
             remedy = "Land it by a landing pattern of its autopilot, or set end.action to hold."
-            far = f"landed {off_m:.0f} m from the target"
+            far = f"landed {off_m:.0f} m from where it was to land"
             return End(outcome=Outcome.FAILED, reason=far, remedy=remedy)
         if fallen_back is None:
             return End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")

@@ -293,8 +293,8 @@ def _must_stop_first(state: State) -> bool:
 def _ask_for_guided(state: State, event: Event, context: Context) -> Step:
     """Ask for guided mode; with setpoints for where it is, of autopilots that want them first."""
     driving = state.vehicle.driving
-    if driving is not None and not driving.streams_first:
-        return ask(state, SetMode(mode=Mode.GUIDED))  # others refuse them (ardupilot.md 7)
+    if driving is not None and not (driving.hovers or driving.streams_first):
+        return ask(state, SetMode(mode=Mode.GUIDED))  # refused before (ardupilot.md 7)
     if not isinstance(event, Position):
         return state, [], None
     hover, limits = state.flight.hover_nea_m, state.task.limits
@@ -375,11 +375,15 @@ def lands_within_m(state: State) -> float:
 
 
 def landed_off_m(state: State) -> float:
-    """How far from its last target, metres."""
-    here = state.vehicle.position_nea_m
+    """How far from its last target, or from where it was to return to, metres."""
+    here, flight = state.vehicle.position_nea_m, state.flight
     if here is None or not state.targets_ne_m:
         return 0.0
-    return math.dist(here[:2], state.targets_ne_m[state.flight.target])
+    place = state.targets_ne_m[flight.target]
+    if flight.returning and flight.flown:
+        north, east, _ = flight.flown[0].control_nea_m[0]
+        place = (float(north), float(east))
+    return math.dist(here[:2], place)
 
 
 def landing_words(state: State, context: Context) -> str:
