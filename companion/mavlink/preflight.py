@@ -17,7 +17,7 @@ from companion.mavlink.latch import Latch
 from companion.mavlink.receiver import Passed, Receiver
 from companion.mavlink.signing import Signing, timestamp_of
 from companion.mavlink.vehicle import VehicleSide
-from companion.mission import ground
+from companion.mission import ground, stopped
 from companion.mission.decisions import Context, is_suspected
 from companion.mission.events import Item, Prepared, ScanDone, Tick, Vector
 from companion.mission.health import battery_lasts, distrust
@@ -251,6 +251,9 @@ def _fence(session: Heard, vehicle: VehicleSide) -> Iterator[Check]:
     targets = len(state.targets_ne_m)
     remedy = "Upload a mission with waypoints."
     yield _check("targets", targets > 0, f"{targets} targets", remedy)
+    landing = stopped.landing_words(state, session.context)
+    if landing:
+        yield _note("landing", landing)
 
 
 def _against_fence(drawn: fence.Fence, session: Heard) -> Iterator[Check]:

@@ -31,7 +31,7 @@ from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
 from companion.mission.health import battery_forecast, battery_is_short
 from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
-from companion.planner.procedure import Leg, Reference, hover_pose
+from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
 from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import Task
 from companion.world.clearance import distance_to_terrain_m
@@ -46,7 +46,6 @@ _TURNS = 3.0
 _SHORT_SIGHTED = 0.8  # of R
 _MORE_SCANS = 2  # from rest, if the radar has left something out
 _TOLD_FORECAST, _TOLD_SHORT = 1, 2
-_NEAR_HOVER = 2.5  # loiter radii: what cannot hover is where it was told to be
 
 
 def flying(state: State, event: Event, context: Context) -> Step:
@@ -312,13 +311,15 @@ def task_ahead(state: State, context: Context) -> Task:
 
 
 def _is_there(state: State, event: Position, here: Vector) -> bool:
-    """Whether the vehicle is where it was told to stay: there, or circling it."""
+    """Whether the vehicle is where it was told to stay: there, or circling it.
+
+    A plane on its way to a circle has no leg planned from there: it would not fly where that is.
+    """
     if state.vehicle.hovers:
         return math.dist(here, event.position_nea_m) <= AT_M
-    beside_m = math.dist(here[:2], event.position_nea_m[:2])
-    near = beside_m < _NEAR_HOVER * state.task.limits.loiter_radius_m
     error_m = max(AT_M, state.task.limits.tracking_error_m)
     level = abs(event.velocity_nea_m_s[2]) < _LEVEL_M_S
+    near = is_on_circle(here, event.position_nea_m, state.task.limits)
     return near and level and abs(here[2] - event.position_nea_m[2]) <= error_m
 
 

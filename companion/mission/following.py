@@ -38,6 +38,7 @@ _ROUNDING_M = 1e-6
 _SENT_LATELY_S = 1.0
 _LONGEST_LEAD = 1.3  # of what the path's tail was made for
 _AT_END = 1.2  # loiter radii
+_BEYOND = 0.25  # loiter radii: if it is left there, the circle that it then flies is proven
 
 
 def lead_m(state: State) -> float:
@@ -123,8 +124,8 @@ def still_circles(state: State, event: Position) -> bool:
     flight = state.flight
     if not flight.circling or flight.leg is None:
         return False
-    limits = state.task.limits
-    return not may_leave(flight.leg, event.position_nea_m, event.velocity_nea_m_s, limits)
+    at_m, limits = flight.reference.length_m, state.task.limits
+    return not may_leave(flight.leg, at_m, event.position_nea_m, event.velocity_nea_m_s, limits)
 
 
 def is_not_taken(state: State) -> bool:
@@ -166,6 +167,8 @@ def is_stopped(state: State, flight: Flight) -> bool:
         return not joins and is_at_end(flight.reference, leg, until_m=flight.stop_at_m)
     if flight.stop_at_m is not None:
         return True  # it circles where it was to stop
+    if leg.reaches_target:  # it passes it, and circles it then
+        return is_at_end(flight.reference, leg)
     left_m = leg.subpath.length_m - flight.reference.length_m
     return left_m < _AT_END * state.task.limits.loiter_radius_m
 
@@ -176,8 +179,11 @@ def setpoint(state: State, event: Position, context: Context) -> tuple[Flight, l
     if not is_due(state):
         return flight, []
     pose, speed, at_end = _pose_sent(state)
+    leg, stays = flight.leg, at_end and not vehicle.hovers
     position = pose.position_nea_m
     velocity = speed * pose.tangent_nea
+    if stays and leg is not None and leg.reaches_target:
+        position, stays = position + _beyond_m(state) * pose.tangent_nea, False
     if flight.offset is not None:
         position = position + flight.offset.position_nea_m
         velocity = velocity + flight.offset.velocity_nea_m_s
@@ -188,10 +194,18 @@ def setpoint(state: State, event: Position, context: Context) -> tuple[Flight, l
         position_nea_m=_vector(position),
         velocity_nea_m_s=_vector(velocity),
         yaw_rad=along if yaw is None else yaw,
-        stay=at_end and not vehicle.hovers,
+        stay=stays,
     )
     flight = replace(flight, sent_nea_m=sent.position_nea_m, sent_at_s=state.now_s)
     return flight, [sent]
+
+
+def _beyond_m(state: State) -> float:
+    """How far beyond its target a plane is sent: sent to the target itself it swerves aside."""
+    flight = state.flight
+    assert flight.leg is not None
+    over_m = sent_at_m(state) - flight.leg.subpath.length_m
+    return min(over_m, _BEYOND * state.task.limits.loiter_radius_m)
 
 
 def is_due(state: State) -> bool:

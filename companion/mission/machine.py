@@ -175,7 +175,8 @@ def _enter(
     match state.phase:
         case Phase.PREPARING:
             says: list[Command] = [Say(text=f"mission {context.mission.name}")]
-            says += [Say(text=state.news, warning=True)] if state.news else []
+            news = (stopped.landing_words(state, context), state.news)
+            says += [Say(text=text, warning=True) for text in news if text]
             return replace(state, news=""), [*commands, RequestStreams(), *says]
         case Phase.FLYING | Phase.LANDING | Phase.RETURNING:
             return _set_out(state, commands)
@@ -183,8 +184,8 @@ def _enter(
             return _hold(state, commands)
         case Phase.ARRIVED:
             flight = following.at_rest_at_end(state.flight)
-            reached = Say(text="target reached", about="phase")
-            return replace(state, flight=flight), [*commands, reached]
+            state = replace(state, flight=flight)
+            return state, [*commands, stopped.reached(state)]
         case Phase.DONE | Phase.FAULTED:
             return state, [*commands, *_ending(before, trigger, context)]
         case _:
@@ -247,6 +248,11 @@ def _end_of(before: State, trigger: Trigger) -> End:
     """How the mission ended, in words."""
     fallen_back = before.flight.fallen_back
     if trigger in _AS_IT_SHOULD:
+        off_m = stopped.landed_off_m(before) if trigger is Trigger.LANDED else 0.0
+        if fallen_back is None and off_m > stopped.lands_within_m(before):
+            remedy = "Land it by a landing pattern of its autopilot, or set end.action to hold."
+            far = f"landed {off_m:.0f} m from where it was to land"
+            return End(outcome=Outcome.FAILED, reason=far, remedy=remedy)
         if fallen_back is None:
             return End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")
         how = _AS_IT_SHOULD[trigger]

@@ -80,6 +80,8 @@ _SINKING_M_S = 0.1
 _ANSWER_S = 60.0
 _ASKS_ABOUT = 2
 _CIRCLES = 2.5  # loiter radii: what circles its target is there
+_TOLD_TO_STAY_S = 1.0  # a setpoint may be lost: an end in guided mode is told several times
+_LANDS_WITHIN = 1.5  # loiter radii
 
 
 def holding(state: State, event: Event, context: Context) -> Step:
@@ -314,7 +316,10 @@ def _must_stop_first(state: State) -> bool:
 
 
 def _ask_for_guided(state: State, event: Event, context: Context) -> Step:
-    """Ask for guided mode, with setpoints for where it is: some autopilots want them first."""
+    """Ask for guided mode; with setpoints for where it is, of autopilots that want them first."""
+    driving = state.vehicle.driving
+    if driving is not None and not (driving.hovers or driving.streams_first):
+        return ask(state, SetMode(mode=Mode.GUIDED))  # refused before (ardupilot.md 7)
     if not isinstance(event, Position):
         return state, [], None
     hover, limits = state.flight.hover_nea_m, state.task.limits
@@ -367,11 +372,54 @@ def _end(state: State, context: Context, commands: list[Command]) -> Step:
         state, asking, _ = returning.ask(state, context)
         return state, [*commands, *asking], None
     if driving.holds_in_guided:
-        return state, commands, Trigger.END_HOLD
+        told = in_phase_s(state) > _TOLD_TO_STAY_S
+        return state, commands, Trigger.END_HOLD if told else None
     # an autopilot may refuse to hold about a point (its own fence): then anywhere
     about = state.flight.hover_nea_m if state.asks < _ASKS_ABOUT else None
     state, asking, _ = ask(state, SetMode(mode=Mode.HOLD, at_nea_m=about))
     return state, [*commands, *asking], None
+
+
+def reached(state: State) -> Say:
+    """What is said at a target: of a plane that has passed it farther away than it should, that."""
+    limits, here, there = state.task.limits, state.vehicle.position_nea_m, state.flight.hover_nea_m
+    if not state.vehicle.hovers and here is not None and there is not None:
+        off_m = math.dist(here[:2], there[:2])
+        if off_m > limits.tracking_error_m:
+            text = f"target reached: passed {off_m:.0f} m away"
+            return Say(text=text, warning=True, about="phase")
+    return Say(text="target reached", about="phase")
+
+
+def lands_within_m(state: State) -> float:
+    """How near to a place the vehicle comes down where it is told to land there.
+
+    PX4's planes land on a circle about where the mode begins (px4.md 10).
+    """
+    return math.inf if state.vehicle.hovers else _LANDS_WITHIN * state.task.limits.loiter_radius_m
+
+
+def landed_off_m(state: State) -> float:
+    """How far from its last target, or from where it was to return to, metres."""
+    here, flight = state.vehicle.position_nea_m, state.flight
+    if here is None or not state.targets_ne_m:
+        return 0.0
+    place = state.targets_ne_m[flight.target]
+    if flight.returning and flight.flown:
+        north, east, _ = flight.flown[0].control_nea_m[0]
+        place = (float(north), float(east))
+    return math.dist(here[:2], place)
+
+
+def landing_words(state: State, context: Context) -> str:
+    """What a person should know before take-off of a landing at the target; "": nothing."""
+    driving = state.vehicle.driving
+    if context.mission.end_action is not EndAction.LAND or driving is None or driving.hovers:
+        return ""
+    if not driving.lands:
+        return f"{driving.name} is not told to land: it circles the last target"
+    within_m = lands_within_m(state)
+    return f"{driving.name} lands on a circle: up to {within_m:.0f} m from the target"
 
 
 def _stands_at_target(state: State, event: Position) -> bool:

@@ -29,7 +29,7 @@ _CHORDS = 32  # of the part of the path on which the nearest point is looked for
 _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
 _FINE_M = 5.0
 _LEAVES_RAD = math.radians(25.0)  # a plane leaves its circle when its course is so near the path's
-_ON_CIRCLE = 1.5  # loiter radii
+_ON_CIRCLE = 2.0  # tracking errors beyond the circle: at three a plane has left its path
 
 
 @final
@@ -177,23 +177,33 @@ def sent_pose(
     return leg.subpath.pose(at_m)
 
 
+def is_on_circle(
+    centre_nea_m: tuple[float, float, float],
+    position_nea_m: tuple[float, float, float],
+    limits: Limits,
+) -> bool:
+    """Whether a plane flies about a place where it was told to: not whether it goes there."""
+    most_m = limits.loiter_radius_m + _ON_CIRCLE * limits.tracking_error_m
+    return math.dist(centre_nea_m, position_nea_m) <= most_m
+
+
 def may_leave(
     leg: Leg,
+    at_m: float,
     position_nea_m: tuple[float, float, float],
     velocity_nea_m_s: tuple[float, float, float],
     limits: Limits,
 ) -> bool:
-    """Whether a plane that circles the start of a leg flies the way that the leg begins.
+    """Whether a plane that circles a point of a leg is on that circle and flies the leg's way.
 
     It does so once in each turn, and is then no farther aside than its circle: what it flies until
     it is on the path lies within the circles about the path's points, which are proven.
     """
-    pose = leg.subpath.pose(0.0)
+    pose = leg.subpath.pose(at_m)
     north, east = velocity_nea_m_s[0], velocity_nea_m_s[1]
     along = north * float(pose.tangent_nea[0]) + east * float(pose.tangent_nea[1])
     level = math.hypot(float(pose.tangent_nea[0]), float(pose.tangent_nea[1]))
-    beside = math.dist(position_nea_m[:2], pose.point_nea_m[:2])
-    near = beside <= _ON_CIRCLE * limits.loiter_radius_m + limits.tracking_error_m
+    near = is_on_circle(pose.point_nea_m, position_nea_m, limits)
     return near and along >= math.cos(_LEAVES_RAD) * level * math.hypot(north, east) > 0.0
 
 

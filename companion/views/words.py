@@ -46,6 +46,9 @@ def _targets(mission: Mission) -> str:
         EndAction.LAND: "land there",
         EndAction.RETURN: "come back along the flown path",
     }[mission.end_action]
+    limits = mission.task.limits
+    if not limits.hovers:
+        last += f"; each is passed within {_m(limits.tracking_error_m)}, then circled"
     if mission.targets_from_vehicle:
         return f"Go to the waypoints of the vehicle's own mission, and {last}."
     places = [

@@ -220,6 +220,27 @@ def test_a_fence_far_enough_from_its_circle_changes_nothing(driving: Driving, ga
     assert (plane.state.flight.hover_nea_m == HOVER) is (gap_m > 0.0)
 
 
+@PLANES
+@pytest.mark.parametrize("beyond", [1.9, 2.1])
+def test_no_leg_is_planned_from_a_circle_that_the_plane_is_not_on(
+    driving: Driving, beyond: float
+) -> None:
+    """Dense about the limit: two tracking errors outside of the circle."""
+    plane = Circling(driving, known_m=0.0)
+    plane.fly(1.0)
+    away_m = LOITER_M + beyond * TASK.limits.tracking_error_m
+    north, east, _ = plane.here
+    hover = (north + away_m, east, plane.here[2])
+    flight = replace(plane.state.flight, hover_nea_m=hover)
+    plane.state = replace(plane.state, flight=flight)
+    commands: list[Command] = []
+    for time_s in (plane.now_s + 0.1, plane.now_s + 0.2):
+        commands += plane.take(
+            Position(time_s=time_s, position_nea_m=plane.here, velocity_nea_m_s=(V, 0.0, 0.0))
+        )
+    assert any(isinstance(c, StartScan) for c in commands) is (beyond < 2.0)
+
+
 def test_what_hovers_and_what_somebody_else_flies_are_left_alone() -> None:
     for driving, mode in ((PX4_MULTICOPTER.driving, Mode.GUIDED), (ARDUPLANE.driving, Mode.OTHER)):
         craft = Circling(driving, known_m=0.0)

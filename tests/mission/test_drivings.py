@@ -72,8 +72,12 @@ def test_no_setpoint_is_sent_before_it_is_in_the_air_and_ours_or_held(driving: D
 @pytest.mark.parametrize("end", list(EndAction), ids=lambda end: end.value)
 def test_a_mission_arrives_and_ends_as_it_should(driving: Driving, end: EndAction) -> None:
     wild = Wild.calmly(driving, end_action=end).fly_to(Phase.DONE)
-    assert the_end(wild).outcome is Outcome.ARRIVED
-    target = wild.mission.targets_ne_m[0]
+    target, home = wild.mission.targets_ne_m[0], wild.state.flight.flown[0].control_nea_m[0, :2]
+    there, within_m = target if end is EndAction.LAND else home, math.inf
+    if wild.landed is Landed.ON_GROUND and not driving.hovers:
+        within_m = 1.5 * wild.mission.task.limits.loiter_radius_m
+    is_near = math.dist(wild.here[:2], there) <= within_m
+    assert (the_end(wild).outcome is Outcome.ARRIVED) is is_near
     near_m = 5.0 if driving.hovers else 3.0 * wild.mission.task.limits.loiter_radius_m
     stops = [c.position_nea_m for c in wild.sent(Setpoint) if c.stay]
     assert min(math.dist(stop[:2], target) for stop in stops) < 1.0

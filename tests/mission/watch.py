@@ -313,6 +313,8 @@ class Watch:
         allowed_m = max(self._joining(before, 0), self._joining(after, 0))
         if after.flight.leg is None:  # ended in this step, and with it the join
             allowed_m += 0.3 * self._joining(before, 1)
+        if any(leg is not None and leg.reaches_target for leg in legs):
+            allowed_m += 0.25 * before.task.limits.loiter_radius_m  # a plane passes its target
         assert min(off_m, default=math.inf) <= allowed_m, "led beside every proven path"
 
     def _legs(self, before: State, event: Event, after: State) -> None:

@@ -260,28 +260,48 @@ def test_the_point_that_is_sent_runs_over_onto_the_next_leg_and_stays_at_an_end(
 
 
 def test_a_plane_leaves_its_circle_once_in_a_turn_and_joins_the_path_within_its_circle() -> None:
-    """A point mass that turns at most at LOITER / 2 flies to the point ahead of it (L1's aim)."""
+    """A point mass that turns at most at LOITER / 2 flies to the point ahead of it (L1's aim).
+
+    About the start of a leg, or, taken over late, about any other point of it.
+    """
     leg = a_leg(turn_rad=0.6)
-    for sense in (1.0, -1.0):
-        for first in np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False):
-            assert widest_m(leg, sense, float(first)) <= LOITER + 3.0 * LIMITS.tracking_error_m
+    for at_m in (0.0, 0.5 * leg.subpath.length_m):
+        for sense in (1.0, -1.0):
+            for first in np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False):
+                widest = widest_m(leg, at_m, sense, float(first))
+                assert widest <= LOITER + 3.0 * LIMITS.tracking_error_m
 
 
-def widest_m(leg: Leg, sense: float, angle: float) -> float:
+def test_a_plane_that_is_not_on_its_circle_does_not_leave_it() -> None:
+    """It would be off its path at once; the way it flies does not matter."""
+    leg = a_leg()
+    pose = leg.subpath.pose(0.0)
+    north, east, _ = (V * float(value) for value in pose.tangent_nea)
+    beside = np.array([-east, north, 0.0]) / V
+    most_m = LOITER + 2.0 * LIMITS.tracking_error_m
+    for off_m, leaves in ((0.5 * LOITER, True), (most_m - 1.0, True), (most_m + 1.0, False)):
+        here = pose.position_nea_m + off_m * beside
+        place = (float(here[0]), float(here[1]), float(here[2]))
+        assert may_leave(leg, 0.0, place, (north, east, 0.0), LIMITS) is leaves
+
+
+def widest_m(leg: Leg, at_m: float, sense: float, angle: float) -> float:
     """How far off the path the plane comes once it has left the circle."""
-    start, step_s = leg.subpath.pose(0.0).position_nea_m, 0.1
+    start, step_s = leg.subpath.pose(at_m).position_nea_m, 0.1
     for _ in range(math.ceil(2.2 * math.pi * LOITER / V / step_s)):
         angle += sense * V / LOITER * step_s
         here = start + LOITER * np.array([math.cos(angle), math.sin(angle), 0.0])
         course = angle + sense * math.pi / 2.0
         velocity = (V * math.cos(course), V * math.sin(course), 0.0)
-        if may_leave(leg, (here[0], here[1], here[2]), velocity, LIMITS):
+        if may_leave(leg, at_m, (here[0], here[1], here[2]), velocity, LIMITS):
             break
     else:
         pytest.fail("it never left its circle")
-    reference, widest = Reference(), 0.0
+    reference, widest = Reference(length_m=at_m), 0.0
     for _ in range(400):
         reference = follow(reference, leg, here, LIMITS)
+        if leg.subpath.length_m - reference.length_m < 1.2 * LOITER:
+            break  # it circles the end
         aim = sent_pose(reference, leg, None, LIMITS.lead_m, TASK).position_nea_m - here
         error = (math.atan2(aim[1], aim[0]) - course + math.pi) % (2.0 * math.pi) - math.pi
         most = V / (LOITER / 2.0) * step_s
