@@ -152,7 +152,7 @@ def test_a_scan_is_answered_block_by_block(flown: Pair) -> None:
 
 
 def test_how_it_ended_is_the_last_text_of_all(flown: Pair) -> None:
-    assert flown.sent("STATUSTEXT")[-1].text == "mission over: target reached"
+    assert flown.sent("STATUSTEXT")[-1].text == "ended, arrived: target reached"
 
 
 # --- the same bytes in, the same bytes out
