@@ -172,17 +172,15 @@ def fly_command(
         mission = _as_begun(mission, out)
     chosen = _for_system(load_mission(mission, profile and profile.value), system)
     _say_notes(chosen, console)
-    began = datetime.now(UTC)
-    folder_path = out or Path("runs") / f"{began:%Y%m%d-%H%M%S}-{chosen.name}"
+    folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
     key = None if signing_key is None else SigningKey(signing_key)
-    signing = None if key is None else key.signing(clock_s=_clock_s())
     recalled = _recalled(folder_path, chosen, console) if resume else None
     session = Session(
         chosen,
         seed=seed,
         lockstep=lockstep,
         shadow=shadow,
-        signing=signing,
+        signing=key and key.signing(clock_s=_clock_s()),
         resume=recalled and recalled.resume,
         has_ground=bool(ground),
         version=version("companion"),

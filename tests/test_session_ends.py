@@ -123,7 +123,7 @@ def test_no_plan_at_all() -> None:
     it = pair()
     it.planner = refuses
     it.run_until(ended)
-    assert texts(it.frames)[-1] == "ended, failed: no safe subpath was found; told to hold"
+    assert texts(it.frames)[-1] == "ended, failed: landed: no safe subpath was found"
     must_be_said(it)
 
 
@@ -132,7 +132,7 @@ def test_a_return_that_cannot_be_flown() -> None:
     it.planner = refuses
     ask(it, wire.MAV_CMD_NAV_RETURN_TO_LAUNCH)
     it.run_until(ended)
-    assert texts(it.frames)[-1] == "ended, failed: told to return; its autopilot returns it"
+    assert texts(it.frames)[-1] == "ended, stopped: landed: told to return"
     must_be_said(it)
 
 

@@ -116,7 +116,7 @@ def test_a_second_companion_is_noticed_there_too() -> None:
     for _ in range(40):
         it.hear(wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), sender=(1, 195))
         it.tick()
-    assert it.session.warning.startswith(Reason.NOT_ALONE.text)
+    assert it.session.warned[1].startswith(Reason.NOT_ALONE.text)
 
 
 def test_garbage_there_is_passed_over_and_cuts_no_message_of_the_vehicle() -> None:

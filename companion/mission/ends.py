@@ -4,7 +4,7 @@
 |---|---|---|---|
 | may still be led, and a way back is proven | flies it, and lands | lands where it is | holds |
 | does not do as it is told, or there is no way back | its autopilot's own return | lands | holds |
-| is above where it took off | lands | lands | holds |
+| is above where it took off, or does not know where it is | lands | lands | holds |
 | cannot be told to land (ArduPlane) | its autopilot's own return | the same | holds |
 
 The first line is `stopped`'s; all that gives up besides comes through here (`instead`).  What does
@@ -31,6 +31,7 @@ from companion.mission.decisions import (
     words,
 )
 from companion.mission.events import Event, Mode, Say, SetMode
+from companion.mission.health import distrust
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason, State, Trigger
@@ -60,7 +61,8 @@ def instead(state: State, context: Context) -> Step:
     in_vain = flight.in_vain
     if (mode := _MODES.get(state.phase)) is not None:
         in_vain |= {mode}
-    lands = fallback is Fallback.LAND or _is_above_home(state)
+    lost = distrust(state.vehicle, state.now_s, state.task.limits) is not None
+    lands = fallback is Fallback.LAND or lost or _is_above_home(state)
     order = (Mode.LAND, Mode.RETURN) if lands else (Mode.RETURN, Mode.LAND)
     ways = [
         mode for mode in order if mode not in in_vain and (mode is Mode.RETURN or driving.lands)

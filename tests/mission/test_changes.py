@@ -274,11 +274,11 @@ def test_the_same_fence_told_again_is_no_other_and_stops_nobody() -> None:
 def test_what_a_path_was_proven_under_outlives_the_companion_and_no_other_mission() -> None:
     craft, _ = on_its_way_out()
     values = json.loads(json.dumps(checkpoint.values_of(craft.state)))
-    known, stricter = craft.state.flight.known, replace(MISSION.task.settings, scan_time_s=5.0)
+    known, stricter = craft.state.flight.known, replace(MISSION.task.limits, dead_man_s=9.0)
     again = checkpoint.restored(MISSION, known, values)
     assert again.flight.leg is not None
     assert again.flight.leg.rules == again.task == craft.state.task
-    other = replace(MISSION, task=replace(MISSION.task, settings=stricter))
+    other = replace(MISSION, task=replace(MISSION.task, limits=stricter))
     leg = checkpoint.restored(other, known, values).flight.leg
     assert leg is not None
     assert leg.rules is None

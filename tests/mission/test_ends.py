@@ -75,7 +75,7 @@ def test_what_a_mission_falls_back_on_by_itself_ends_on_the_ground() -> None:
     assert load_mission("environment-1").fallback is Fallback.RETURN
 
 
-@pytest.mark.parametrize("failure", FAILURES)
+@pytest.mark.parametrize("failure", [each for each in FAILURES if each is not no_position])
 def test_a_flight_that_fails_is_left_to_its_autopilots_return_where_no_way_back_is_proven(
     failure: Callable[[Mission], Craft],
 ) -> None:
@@ -106,6 +106,12 @@ def test_it_hovers_in_the_end_only_where_the_mission_says_hold(
     assert craft.armed
 
 
+def test_a_vehicle_that_does_not_know_where_it_is_lands_and_is_not_sent_home() -> None:
+    craft = no_position(AWAY).fly_to(Phase.DONE)
+    assert not craft.armed
+    assert Mode.RETURN not in modes(craft)
+
+
 @pytest.mark.parametrize("failure", FAILURES)
 def test_what_will_be_done_and_why_is_said_before_it_is_done(
     failure: Callable[[Mission], Craft],
@@ -113,9 +119,12 @@ def test_what_will_be_done_and_why_is_said_before_it_is_done(
     craft = failure(AWAY).fly_to(Phase.DONE)
     reason = craft.state.flight.fallen_back
     assert reason is not None
-    said = f"{reason.text}: its autopilot is told to return"
+    mode, how = Mode.RETURN, "its autopilot is told to return"
+    if failure is no_position:
+        mode, how = Mode.LAND, "landing here"
+    said = f"{reason.text}: {how}"
     assert said in warnings(craft)
-    order = [c for c in craft.commands if c == SetMode(mode=Mode.RETURN) or isinstance(c, Say)]
+    order = [c for c in craft.commands if c == SetMode(mode=mode) or isinstance(c, Say)]
     told = next(k for k, each in enumerate(order) if isinstance(each, SetMode))
     assert any(isinstance(each, Say) and each.text == said for each in order[:told])
 

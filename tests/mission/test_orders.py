@@ -327,8 +327,8 @@ def test_an_accepted_return_that_cannot_be_flown_is_left_to_the_autopilots_own(
     assert craft.sent(SetMode)[-1].mode is Mode.RETURN
     assert craft.mode is Mode.RETURN
     [end] = craft.sent(End)
-    assert end.outcome is Outcome.FAILED
-    assert end.reason == "told to return; its autopilot returns it"
+    assert end.outcome is Outcome.STOPPED
+    assert end.reason == "its autopilot returns by itself: told to return"
 
 
 def test_so_is_one_that_finds_no_way_home_from_where_the_proven_one_ends() -> None:
@@ -352,13 +352,15 @@ def test_so_is_one_that_finds_no_way_home_from_where_the_proven_one_ends() -> No
     assert craft.mode is Mode.RETURN
 
 
-def test_a_position_that_cannot_be_trusted_is_no_reason_to_be_sent_home_by_it() -> None:
+def test_a_vehicle_that_is_not_where_it_believes_to_be_lands_and_is_not_sent_home() -> None:
     craft = flying(two_legs_away(), plan=no_way_back)
     tell(craft, OrderKind.RETURN)
     craft.run_until(lambda craft: craft.phase is HOLDING)
     craft.fix = False
     craft.run_until(ended)
-    assert craft.mode is Mode.HOLD
+    asked = [command.mode for command in craft.sent(SetMode)]
+    assert Mode.LAND in asked
+    assert Mode.RETURN not in asked
 
 
 def test_under_stricter_rules_the_way_back_is_the_one_that_was_flown_by_the_old_ones() -> None:

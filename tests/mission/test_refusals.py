@@ -41,7 +41,7 @@ def test_a_hold_for_want_of_a_plan_says_why_and_the_end_what_helps(refusal: Refu
     if refusal is not Refusal.NOTHING_SAFE:
         said = f"{said}: {why}"
     assert f"hold: {said}" in warned(craft)
-    assert craft.end().reason == said
+    assert craft.end().reason == f"landed: {said}"
     assert craft.end().remedy.lower() == f"{remedy}.".lower()
     assert craft.end().remedy != Reason.NO_PLAN.remedy
 

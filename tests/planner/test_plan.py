@@ -470,7 +470,7 @@ def test_a_proven_way_up_to_the_target_is_taken_though_a_near_end_looks_cheaper(
     )
     known = true_map(PeakTerrain(peaks=(hill,), ground_amsl_m=100.0), blank)
     target = (4_000.0 - down_m, 4_000.0)
-    start = (target[0] - away_m, 4_000.0, 310.0)
+    start = (target[0] - away_m, 4_000.0, 310.001)
     pose = Pose(position_nea_m=np.array(start), **heading_to(20.0))
     request = ask(
         replace(task, zones=(), radars=()), known, start=pose, scan_nea_m=start, from_rest=False

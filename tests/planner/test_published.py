@@ -64,7 +64,8 @@ def test_it_follows_the_papers_tangents(papers: Task, truth: KnownMap) -> None:
     scan, target = (5_000.0, 2_000.0, 450.0), (7_500.0, 4_000.0)
     outcome = planned(papers, truth, scan_nea_m=scan, start=hover_pose(scan), target_ne_m=target)
     guide = tangent_guide_rad(scan[:2], target, papers.radars, papers.settings.overlap_m)
-    assert outcome.guide_rad == guide != math.atan2(2_000.0, 2_500.0)  # a radar is in the way
+    assert outcome.guide_rad == pytest.approx(guide, abs=1e-8)  # a micrometre aside
+    assert abs(guide - math.atan2(2_000.0, 2_500.0)) > 0.1  # a radar is in the way
     leaving = outcome.subpath.control_nea_m[1] - outcome.subpath.control_nea_m[0]
     assert math.atan2(leaving[1], leaving[0]) == pytest.approx(guide)
 
