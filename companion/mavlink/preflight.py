@@ -76,7 +76,7 @@ class Heard(Protocol):
 class Preflight:
     """`fly` on the ground: the radar looks, then every check must pass before it is armed.
 
-    A radar that did not answer, or not all of it, may have just been switched on: it looks again.
+    A radar that did not answer may have just been switched on: it looks again.
     """
 
     def __init__(self) -> None:
@@ -336,9 +336,12 @@ def _radar(session: Heard) -> Iterator[Check]:
         what = f"the terrain radar, component {component}, did not answer TERRAIN_REQUEST"
         yield _check("radar", False, what, _NO_RADAR)
     else:
-        share = scan.answered / max(scan.asked, 1)
         what = f"{scan.answered} of {scan.asked} blocks answered"
-        yield _check("radar", share >= _FEWEST_ANSWERS, what, "Give its link more bandwidth.")
+        if scan.answered >= _FEWEST_ANSWERS * scan.asked:
+            yield _check("radar", True, what)
+        else:  # what is left out stays unknown, and is asked for again in flight
+            remedy = "Give its link more bandwidth, or raise planner.scan_time_s."
+            yield _note("radar", f"{what} in time: it sees less at once", remedy)
 
 
 # --- signing and clock

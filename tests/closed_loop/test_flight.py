@@ -178,6 +178,6 @@ def test_nothing_is_flown_on_sight_that_the_radar_does_not_have(
     flight.wait()
     assert flight.companion.returncode == 1
     assert "radar sees 8.0 km of R = 20.0 km" in [entry.get("text") for entry in flight.journal]
-    assert flight.truth[-1]["mode"] == "BRAKE"
+    assert flight.truth[-1]["mode"] == "LAND"
     here = (flight.truth[-1]["north_m"], flight.truth[-1]["east_m"])
     assert max(map(abs, here)) < 1.0  # it did not leave
