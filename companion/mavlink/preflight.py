@@ -162,7 +162,7 @@ def _check(name: str, passed: bool, what: str, remedy: str = "") -> Check:
     return Check(name=name, verdict=verdict, what=what, remedy="" if passed else remedy)
 
 
-def _note(name: str, what: str, remedy: str = "") -> Check:
+def _remark(name: str, what: str, remedy: str = "") -> Check:
     return Check(name=name, verdict=Verdict.NOTED, what=what, remedy=remedy)
 
 
@@ -193,7 +193,7 @@ def _link(session: Heard, vehicle: VehicleSide) -> Iterator[Check]:
     yield _check("messages", not missing, what, "Give the link more bandwidth, or check its rates.")
     delay_s = vehicle.round_trip_s
     if delay_s is None:
-        yield _note("link delay", "the vehicle does not answer TIMESYNC: taken as none")
+        yield _remark("link delay", "the vehicle does not answer TIMESYNC: taken as none")
     else:
         what = f"{delay_s * 1e3:.0f} ms there and back"
         ok = delay_s <= _LONG_DELAY_S
@@ -205,7 +205,7 @@ def _link(session: Heard, vehicle: VehicleSide) -> Iterator[Check]:
         yield _check("link delay", ok, what, "Use a faster link.")
     passed = session.receiver.passed.total() - session.receiver.passed[Passed.UNKNOWN]
     if passed:
-        yield _note("noise", f"{passed} times something that is no message was passed over")
+        yield _remark("noise", f"{passed} times something that is no message was passed over")
 
 
 def _alone(vehicle: VehicleSide, state: State) -> Check:
@@ -245,7 +245,7 @@ def _fence(session: Heard, vehicle: VehicleSide) -> Iterator[Check]:
         yield _check("fence", False, f"not read: {waiting}", "Check the link.")
         return
     if not mission.fence_from_vehicle:
-        yield _note("fence", "the vehicle's own fence is left out, as the mission says")
+        yield _remark("fence", "the vehicle's own fence is left out, as the mission says")
     elif vehicle.fence is not None:
         yield from _against_fence(vehicle.fence, session)
     targets = len(state.targets_ne_m)
@@ -253,7 +253,7 @@ def _fence(session: Heard, vehicle: VehicleSide) -> Iterator[Check]:
     yield _check("targets", targets > 0, f"{targets} targets", remedy)
     landing = stopped.landing_words(state, session.context)
     if landing:
-        yield _note("landing", landing)
+        yield _remark("landing", landing)
 
 
 def _against_fence(drawn: fence.Fence, session: Heard) -> Iterator[Check]:
@@ -262,7 +262,7 @@ def _against_fence(drawn: fence.Fence, session: Heard) -> Iterator[Check]:
         what, _, remedy = line.rpartition(". ")
         yield _check("fence", False, what, f"{remedy}.")
     for line in drawn.said:
-        yield _note("fence", line)
+        yield _remark("fence", line)
     if not against:
         yield _check("fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to")
 
@@ -315,7 +315,7 @@ def _datum(session: Heard, here_nea_m: tuple[float, float, float]) -> Iterator[C
 def _battery(session: Heard, state: State) -> Iterator[Check]:
     left, mission = state.vehicle.battery, session.mission
     if left is None:
-        yield _note("battery", "the vehicle does not say what is left")
+        yield _remark("battery", "the vehicle does not say what is left")
         return
     what = f"{left:.0%} left, reserve {mission.reserve:.0%}"
     if mission.endurance_s is None:
@@ -328,9 +328,9 @@ def _battery(session: Heard, state: State) -> Iterator[Check]:
 def _radar(session: Heard) -> Iterator[Check]:
     scan, mission = session.last_scan, session.mission
     if mission.scanner_component_id is None:
-        yield _note("radar", "none: only terrain that is known in advance is flown over")
+        yield _remark("radar", "none: only terrain that is known in advance is flown over")
     elif not session.state.targets_ne_m or session.state.vehicle.position_nea_m is None:
-        yield _note("radar", "not asked: where from and where to is not known")
+        yield _remark("radar", "not asked: where from and where to is not known")
     elif scan is None or not scan.answered:
         component = mission.scanner_component_id
         what = f"the terrain radar, component {component}, did not answer TERRAIN_REQUEST"
@@ -341,7 +341,7 @@ def _radar(session: Heard) -> Iterator[Check]:
             yield _check("radar", True, what)
         else:  # what is left out stays unknown, and is asked for again in flight
             remedy = "Give its link more bandwidth, or raise planner.scan_time_s."
-            yield _note("radar", f"{what} in time: it sees less at once", remedy)
+            yield _remark("radar", f"{what} in time: it sees less at once", remedy)
 
 
 # --- signing and clock
@@ -354,7 +354,7 @@ def _signing(session: Heard) -> Iterator[Check]:
             remedy = "Give the key with --signing-key."
             yield _check("signing", False, "the vehicle signs, and no key was given", remedy)
         else:
-            yield _note("signing", "the link is not signed")
+            yield _remark("signing", "the link is not signed")
         return
     refused = sum(session.signing.refused.values())
     what = f"{signed} signed frames accepted, {refused} refused"
@@ -382,5 +382,5 @@ def as_flown(session: Heard) -> Check:
         remedy = after.remedy or after.reason.remedy
         return _check("ready", False, f"{after.reason.text}{after.detail}", remedy)
     if trigger is not Trigger.READY:
-        return _note("ready", "it is in the air: it would be taken over there")
+        return _remark("ready", "it is in the air: it would be taken over there")
     return _check("ready", True, "it would be armed and take off")

@@ -81,9 +81,11 @@ def test_a_journal_that_is_gone_is_said(copy: Path) -> None:
 
 
 def test_a_journal_that_is_wrong_is_said_with_its_line(copy: Path) -> None:
-    with (copy / "journal.jsonl").open("ab") as out:
+    journal = copy / "journal.jsonl"
+    lines = len(journal.read_bytes().splitlines())
+    with journal.open("ab") as out:
         out.write(b'{"t_s":"x","kind":"arm"}\n')
-    assert "line 40: t_s = 'x'" in refused(copy, Format.CSV)
+    assert f"line {lines + 1}: t_s = 'x'" in refused(copy, Format.CSV)
 
 
 @pytest.mark.parametrize("name", ["flight.tlog", "journal.jsonl", "mission.toml", "run.json"])
@@ -139,7 +141,7 @@ def test_a_flight_that_was_cut_off_anywhere_is_exported_as_far_as_it_goes(
             export(copy, to)
             assert (copy / f"flight.{to.value}").is_file()
         if share > 0.5:
-            assert len(flight.track) > 0.4 * len(whole.track)
+            assert len(flight.track) > 0.3 * len(whole.track)
             torn = any("last line is not whole" in note for note in notes)
             assert torn is not kept.endswith(b"\n")
 

@@ -67,7 +67,7 @@ def never() -> bool:
 
 def kernel_of(outcome: PlanOutcome) -> str:
     assert isinstance(outcome, Planned)
-    return outcome.kernel
+    return outcome.kernel.split()[0]  # without the digest of its arithmetic
 
 
 @pytest.fixture
