@@ -189,6 +189,8 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         if flight.leg is not None or not flight.failures:
             return _no_successor(replace(state, flight=flight), Reason.RADAR_SILENT)
         flight = replace(flight, shortfall=Reason.RADAR_SILENT)  # on what is known already
+    elif flight.shortfall is Reason.RADAR_SILENT:
+        flight = replace(flight, shortfall=Reason.NO_PLAN)  # it answers again
     task, leg = state.task, flight.leg
     start = hover_pose(scanned_from)
     if leg is not None:
@@ -339,6 +341,7 @@ def _accepted(state: State, planned: Planned) -> Flight:
     )
     if flight.leg is not None:
         return replace(flight, next_leg=leg)
+    blind = flight.shortfall is Reason.RADAR_SILENT and not flight.homeward
     return replace(
         flight,
         leg=leg,
@@ -346,7 +349,7 @@ def _accepted(state: State, planned: Planned) -> Flight:
         joined_m=0.0,
         circling=not hovers and not planned.is_escape,  # out of trouble at once
         tried=False,
-        failures=0,
+        failures=flight.failures if blind else 0,  # about what is known it could fly for ever
         shortfall=Reason.NO_PLAN,
         legs_flown=flight.legs_flown + 1,
     )
