@@ -11,7 +11,6 @@ import pytest
 from cut_logs import (
     MISSIONS,
     STATION,
-    TELEMETRY,
     changed,
     packed,
     recorded,
@@ -19,6 +18,7 @@ from cut_logs import (
     written,
 )
 from log_files import bin_of, fmt_entries
+from recordings import recording
 
 from companion.config import load_mission
 from companion.mavlink.dialect import Message, wire
@@ -143,7 +143,7 @@ def again(content: bytes, by_us: int) -> bytes:
 
 def test_a_bin_that_records_only_while_armed_is_not_silent_in_between(tmp_path: Path) -> None:
     """Three flights in one file, five minutes apart."""
-    whole = bin_of(TELEMETRY / COPTER, most=5000)
+    whole = bin_of(recording(COPTER), most=5000)
     head = len(fmt_entries())
     path, once = tmp_path / "armed.bin", tmp_path / "once.bin"
     once.write_bytes(whole)
