@@ -230,6 +230,8 @@ def test_whole_numbers_of_px4(connect: Any) -> None:
     Not much faster than real time: MAVProxy cannot read 5000 messages a second, and loses some.
     """
     _, ground = connect("udpin", "--autopilot", "px4", speedup=2)
+    # what it asked for before the first heartbeat told it of PX4, it has read as floats: 0.0
+    ground.ask("param fetch COM_OBL_RC_ACT", r"COM_OBL_RC_ACT = 0\s")
     ground.ask("param show COM_OBL_RC_ACT", r"COM_OBL_RC_ACT\s+0\s")
     ground.type("param set COM_OBL_RC_ACT 5")
     while ground.ask("param fetch COM_OBL_RC_ACT", r"COM_OBL_RC_ACT = ([\d.]+)")[1] == "0":
