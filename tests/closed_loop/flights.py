@@ -14,7 +14,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent
-_PATIENCE_S = 120.0
+_PATIENCE_S = 400.0
 _ENVIRONMENT = dict(os.environ)
 """As it was before any test: a kernel that is loaded within the tests moves numba's cache."""
 

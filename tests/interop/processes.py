@@ -82,7 +82,7 @@ class Program:
         self.process.stdin.write(f"{line}\n".encode())
         self.process.stdin.flush()
 
-    def expect(self, pattern: str, within_s: float = 15.0) -> "re.Match[str]":
+    def expect(self, pattern: str, within_s: float = 60.0) -> "re.Match[str]":
         """Wait until it prints this; what comes after it is left for the next time."""
         deadline_s = time.monotonic() + within_s
         with self._news:
@@ -98,7 +98,7 @@ class Program:
         state = "ended" if self._ended else f"{within_s:g} s passed"
         pytest.fail(f"{self.name} has not printed {pattern!r} ({state}):\n{self.transcript}")
 
-    def ask(self, line: str, pattern: str, within_s: float = 15.0) -> "re.Match[str]":
+    def ask(self, line: str, pattern: str, within_s: float = 60.0) -> "re.Match[str]":
         """Enter a line and wait for this answer."""
         self.type(line)
         return self.expect(pattern, within_s)
@@ -157,7 +157,7 @@ class Vehicle:
         return [row for row in rows if "t_s" in row]
 
     def wait_until(
-        self, reached: Callable[[dict[str, Any]], bool], within_s: float = 15.0
+        self, reached: Callable[[dict[str, Any]], bool], within_s: float = 60.0
     ) -> dict[str, Any]:
         """Wait until the truth is so."""
         deadline_s = time.monotonic() + within_s
