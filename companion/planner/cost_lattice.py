@@ -10,9 +10,11 @@ floor of the band, so that they add to the cost of a subpath.  Per metre of way:
 - 300 where a zone forbids to be or where terrain reaches above the ceiling: finite, so that there
   is always a way out, and it is the short one.
 
-Ground that no scan has seen counts as free (design 5.2), also where a sight line bounds it: that
-bound grows with distance and would make a wall of every shadow.  But next to terrain that has been
-seen it is thought to fall away from there no faster than mountains do.
+Ground that no scan has seen counts as it is guessed (`companion.world.guess`); where nothing is
+guessed it is free, also where a sight line bounds it: that bound grows with distance and would make
+a wall of every shadow.  Unseen ground that has to be flown over counts as if that took the ceiling:
+what is behind a saddle is proven only from above it, so ways over it are flown high and in short
+legs, and a way round is rarely dearer.
 """
 
 import math
@@ -34,8 +36,6 @@ IndexArray = npt.NDArray[np.int32]
 
 MOST_CELLS = 160  # across; a larger map is coarse beyond a window of this size
 _BLOCKED = 300.0  # cost per metre where nothing may fly
-_SLOPE = 0.5  # at which terrain that is not seen is thought to fall behind terrain that is
-_MOST_STEPS = 40
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
 _MOST_PIECES = 400  # of a straight line
 
@@ -121,10 +121,13 @@ def _sampled(field: FloatArray, place: FloatArray) -> FloatArray:
     return scipy.ndimage.map_coordinates(field, place, order=1, mode="nearest")
 
 
-def lattice_of(known: KnownMap, task: Task, here_ne_m: Place, cells: int) -> Lattice:
+def lattice_of(
+    known: KnownMap, believed_m: FloatArray, task: Task, here_ne_m: Place, cells: int
+) -> Lattice:
     """Costs on a lattice of samples `cells` cells of the map apart, aligned with the map.
 
     The whole map, or a window about here if that is more than 160 cells across.
+    believed_m: the terrain of all cells as it is guessed where it was not seen (`world.guess`).
     """
     first, count, whole = [], [], True
     for axis, here in enumerate(known.cell_of(*here_ne_m)):
@@ -135,8 +138,7 @@ def lattice_of(known: KnownMap, task: Task, here_ne_m: Place, cells: int) -> Lat
         count.append(2 * size + 1)
         whole &= size == across
     step = cells * known.cell_m
-    lowest = _lowest_m(known, task, first, count, cells)
-    lowest = _continued(lowest, _seen(known, first, count, cells), step, task.limits.floor_amsl_m)
+    lowest = _lowest_m(known, believed_m, task, first, count, cells)
     north_min = known.north_min_m + first[0] * known.cell_m
     east_min = known.east_min_m + first[1] * known.cell_m
     north = north_min + step * np.arange(count[0])[:, None]
@@ -146,12 +148,17 @@ def lattice_of(known: KnownMap, task: Task, here_ne_m: Place, cells: int) -> Lat
     per_height = weights.height / per_length
     band = limits.ceiling_amsl_m - limits.floor_amsl_m
     inset = task.search_clearance_m - task.settings.safety_distance_m  # as from the terrain
+    unproven = (lowest > limits.floor_amsl_m) & ~_seen(known, first, count, cells)
     above = np.maximum(lowest - (limits.ceiling_amsl_m - inset), 0.0) / band
     altitude = np.clip(lowest, limits.floor_amsl_m, limits.ceiling_amsl_m)
     fraction = (altitude - limits.floor_amsl_m) / band
     seen = _detection(task, north, east, altitude, step)
     blocked = (above > 0.0) | _in_zone(task, north, east)
-    cost = 1.0 + per_height * fraction + 3.0 * weights.radar / per_length * seen
+    cost = (
+        1.0
+        + per_height * np.where(unproven, 1.0, fraction)
+        + 3.0 * weights.radar / per_length * seen
+    )
     return Lattice(
         north_min_m=north_min,
         east_min_m=east_min,
@@ -186,32 +193,15 @@ def _seen(known: KnownMap, first: list[int], count: list[int], cells: int) -> Bo
     return result
 
 
-def _continued(
-    lowest_m: FloatArray, seen: BoolArray, step_m: float, floor_amsl_m: float
-) -> FloatArray:
-    """Let mountains go on behind what has been seen of them, falling by _SLOPE from there.
-
-    Else the way would always seem to lead right behind the ridge that hides it (decision 0009).
-    """
-    highest = float(lowest_m.max(initial=-np.inf))
-    if seen.all() or highest <= floor_amsl_m:
-        return lowest_m
-    fall = _SLOPE * step_m * np.hypot(*np.ogrid[-1:2, -1:2])
-    result = np.maximum(lowest_m, -1e6)  # -inf less a fall would be no number
-    for _ in range(min(math.ceil((highest - floor_amsl_m) / (_SLOPE * step_m)), _MOST_STEPS)):
-        around = np.pad(result, 1, mode="edge")
-        rows, columns = result.shape
-        parts = [
-            around[i : i + rows, j : j + columns] - fall[i, j] for i in range(3) for j in range(3)
-        ]
-        result = np.where(seen, result, np.maximum.reduce(parts))
-    return result
-
-
 def _lowest_m(
-    known: KnownMap, task: Task, first: list[int], count: list[int], cells: int
+    known: KnownMap,
+    believed_m: FloatArray,
+    task: Task,
+    first: list[int],
+    count: list[int],
+    cells: int,
 ) -> FloatArray:
-    """The lowest altitude that keeps the clearance from terrain that has been seen, AMSL.
+    """The lowest altitude that keeps the clearance from terrain as it is believed to be, AMSL.
 
     At vertices of the map's cells, every `cells` of them from `first`; cells count with their
     highest terrain over their whole square.  -> count; -inf where nothing is near.
@@ -228,7 +218,7 @@ def _lowest_m(
             for axis in (0, 1)
         )
     )
-    upper = np.where(known.firm[window], known.upper_m[window], -np.inf).astype(np.float32)
+    upper = believed_m[window].astype(np.float32)
     lowest, part = np.full((2, count[0], count[1]), -np.inf, dtype=np.float32)
     if not (upper > task.limits.floor_amsl_m - clearance).any():
         return lowest.astype(np.float64)

@@ -236,7 +236,7 @@ class _Plan:
     def outcome(self) -> Planned | NotPlanned:
         best = self._attempt(_FIRST)
         if best is None or self._excess(best) > _DEARER:
-            best = self._best(best, _OTHER_WAYS)
+            best = self._best(best, (*self._to_edge_of_sight(), *_OTHER_WAYS))
         if best is None or self._excess(best) > _MUCH_DEARER:
             best = self._best(best, _ANY_WAY + (_ALL_ROUND if self._request.from_rest else ()))
         if best is None:
@@ -249,6 +249,21 @@ class _Plan:
         if (excess > _STOP and not often) or overrun > (_NOWHERE if often else _ADDED_UP):
             return self._refused(Refusal.BETTER_TO_STOP)
         return replace(best, overrun=overrun)
+
+    def _to_edge_of_sight(self) -> tuple[_Try, ...]:
+        """To end where the cheapest way leaves what can be proven: not beyond sight, not within L."""
+        scene, scan = self._scene, np.array(self._request.scan_nea_m[:2])
+        route = np.array(self._field.route_ne_m)
+        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
+        at = np.arange(0.0, min(along[-1], 2.0 * scene.end_radius_m), self._request.known.cell_m)
+        points = np.stack([np.interp(at, along, route[:, k]) for k in (0, 1)], axis=-1)
+        lowest = scene.surface.altitude_m(points[:, 0], points[:, 1])
+        barred = np.flatnonzero(lowest > scene.band_amsl_m[1])
+        away = np.hypot(*(points[: barred[0] if len(barred) else None] - scan).T)
+        far_m = float(away.max(initial=0.0))
+        if not self._request.task.scan_distance_m < far_m < scene.end_radius_m:
+            return ()
+        return (_Try(reach=far_m / scene.end_radius_m, handicap=_NEAR_END),)
 
     def _refused(self, refusal: Refusal) -> NotPlanned:
         return NotPlanned(

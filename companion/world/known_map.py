@@ -57,6 +57,8 @@ class KnownMap:
     """How far the terrain of a cell may lie from it."""
     given: BoolArray | None = None
     """(rows, columns), cells whose terrain was known in advance, though scans may know better."""
+    guess_m: FloatArray | None = None
+    """(rows, columns), the terrain as a file tells it for guidance alone; NaN: it does not."""
 
     @property
     def firm(self) -> BoolArray:
@@ -114,6 +116,7 @@ class KnownMap:
             upper_m=self.upper_m[rows, columns],
             seen=self.seen[rows, columns],
             given=None if self.given is None else self.given[rows, columns],
+            guess_m=None if self.guess_m is None else self.guess_m[rows, columns],
         )
 
     def middles_m(

@@ -1,0 +1,120 @@
+"""The best guess of terrain that nobody has seen: what guidance reads, and no proof ever does.
+
+Where the mission gives terrain for guidance (`KnownMap.guess_m`), that.  Else what has been seen is
+continued: Gaussian-process regression (kriging) with a squared exponential covariance, which gives
+of all surfaces through what was seen the smoothest one, and falls back to the plain where nothing
+is near (Rasmussen and Williams 2006, algorithm 2.1; the peaks of eq. 1 have this very shape).
+A sight line that bounds hidden ground bounds the guess too.  Decision 0021.
+"""
+
+import numpy as np
+import scipy.linalg
+import scipy.ndimage
+from numpy.typing import NDArray
+
+from companion.geodesy import BoolArray, FloatArray
+from companion.world.known_map import KnownMap
+
+_REACH = 1.6  # of R about here: what lies farther away is as it was seen, or plain
+_BLOCK = 0.05  # of R: what was seen is averaged over such squares
+_RIM = 0.2  # of R: what was seen farther inside says nothing of what was not
+_MOST_BLOCKS = 300  # the nearest of them; the work grows with the third power
+_SCALES = (0.15, 0.2, 0.27)  # of R: lengths of the covariance, the likeliest is taken
+_NOISE = 0.02  # of the amplitude: cells are as high as the highest in them, not as their middle
+_PLAIN = 0.02  # quantile of what was seen: the plain that mountains stand on
+
+
+def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -> FloatArray:
+    """The highest terrain of every cell: as seen, or as guessed.  (rows, columns), metres AMSL.
+
+    -inf where nothing is guessed.  range_m is R: seen terrain is continued within 1.6 R of here.
+    """
+    firm = known.firm
+    if firm.all():
+        return known.upper_m
+    if known.guess_m is not None:
+        guess = np.where(np.isnan(known.guess_m), -np.inf, known.guess_m)
+    else:
+        guess = np.full(firm.shape, -np.inf)
+        reach = round(_REACH * range_m / known.cell_m)
+        near = tuple(
+            slice(max(at - reach, 0), max(at + reach, 0)) for at in known.cell_of(*here_ne_m)
+        )
+        part = known.part(*near)
+        if part.firm.any():
+            guess[near] = continued_m(part, range_m, here_ne_m)
+    return np.where(firm, known.upper_m, np.minimum(guess, known.upper_m))
+
+
+def continued_m(known: KnownMap, range_m: float, here_ne_m: tuple[float, float]) -> FloatArray:
+    """What was seen of the terrain, continued where it was not; the plain far from it.
+
+    -> (rows, columns), metres AMSL, at the middles of the cells.
+    """
+    size = max(round(_BLOCK * range_m / known.cell_m), 1)
+    height, seen = _blocks(known, size)
+    if not seen.any():
+        return np.full(known.upper_m.shape, -np.inf)
+    plain = float(np.quantile(height[seen], _PLAIN))
+    across = size * known.cell_m
+    chosen = _rim(seen, _RIM * range_m / across, known, across, here_ne_m)
+    if len(chosen) == 0:
+        return np.full(known.upper_m.shape, plain)
+    rise = height[chosen[:, 0], chosen[:, 1]] - plain
+    middles = known.north_min_m, known.east_min_m
+    points = (chosen + 0.5) * across + middles  # (K, 2)
+    scale, weights = _likeliest(points, rise, range_m)
+    north, east = known.middles_m(0, 0, (known.upper_m.shape[0], known.upper_m.shape[1]))
+    along = _covariance(north.ravel(), points[:, 0], scale) * weights
+    return plain + along @ _covariance(east.ravel(), points[:, 1], scale).T
+
+
+def _blocks(known: KnownMap, size: int) -> tuple[FloatArray, BoolArray]:
+    """Means over squares of size x size cells, and whether half of a square was seen."""
+    firm = known.firm
+    rows, columns = (-(-count // size) for count in firm.shape)
+    padding = [(0, n * size - count) for n, count in zip((rows, columns), firm.shape, strict=True)]
+    shape = rows, size, columns, size
+    count = np.pad(firm, padding).reshape(shape).sum(axis=(1, 3))
+    total = np.pad(np.where(firm, known.upper_m, 0.0), padding).reshape(shape).sum(axis=(1, 3))
+    return total / np.maximum(count, 1), count >= 0.5 * size * size
+
+
+def _rim(
+    seen: BoolArray, most: float, known: KnownMap, across_m: float, here_ne_m: tuple[float, float]
+) -> NDArray[np.intp]:
+    """The seen blocks next to what was not seen: all at the rim, every other behind.  (K, 2)."""
+    inside = scipy.ndimage.distance_transform_edt(seen)
+    if seen.all():
+        return np.empty((0, 2), dtype=np.intp)
+    row, column = np.indices(seen.shape)
+    use = seen & (inside <= most) & ((inside <= 1.5) | ((row + column) % 2 == 0))
+    chosen = np.argwhere(use)
+    here = (np.array(here_ne_m) - (known.north_min_m, known.east_min_m)) / across_m - 0.5
+    away = ((chosen - here) ** 2).sum(axis=1)
+    return chosen[np.argsort(away, kind="stable")[:_MOST_BLOCKS]]
+
+
+def _likeliest(
+    points_ne_m: FloatArray, rise_m: FloatArray, range_m: float
+) -> tuple[float, FloatArray]:
+    """The length scale under which what was seen is likeliest, metres, and the weights.  (K,)."""
+    best, result = -np.inf, (0.0, rise_m)
+    for scale in _SCALES:
+        covariance = _covariance(points_ne_m[:, 0], points_ne_m[:, 0], scale * range_m)
+        covariance *= _covariance(points_ne_m[:, 1], points_ne_m[:, 1], scale * range_m)
+        covariance[np.diag_indices(len(rise_m))] += _NOISE**2
+        factor = scipy.linalg.cho_factor(covariance, lower=True, check_finite=False)
+        weights = scipy.linalg.cho_solve(factor, rise_m, check_finite=False)
+        amplitude2 = max(float(rise_m @ weights) / len(rise_m), 1e-12)
+        likelihood = -0.5 * len(rise_m) * np.log(amplitude2) - np.log(np.diag(factor[0])).sum()
+        if likelihood > best:
+            best, result = likelihood, (scale * range_m, weights)
+    return result
+
+
+def _covariance(at_m: FloatArray, of_m: FloatArray, scale_m: float) -> FloatArray:
+    """(K,), (J,) -> (K, J)."""
+    apart = (at_m[:, None] - of_m[None, :]) / scale_m
+    result: FloatArray = np.exp(-0.5 * apart * apart)
+    return result
