@@ -15,12 +15,12 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from companion.geodesy import BoolArray, FloatArray
+from companion.world.rays import Lattice, Rays
 
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
 
 _ON_EDGE_M = 1e-3
-_RAY_CELLS = 0.3  # between neighbouring rays at the farthest point
 _GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1  # radars this close count as one
 
 
@@ -62,6 +62,16 @@ class KnownMap:
     def firm(self) -> BoolArray:
         """The cells in which `upper_m` is terrain: seen, or known in advance; not a sight line."""
         return self.seen if self.given is None else self.seen | self.given
+
+    @property
+    def lattice(self) -> Lattice:
+        """Where the cells are."""
+        return Lattice(
+            cell_m=self.cell_m,
+            north_min_m=self.north_min_m,
+            east_min_m=self.east_min_m,
+            shape=_shape(self.upper_m),
+        )
 
     def cell_of(self, north_m: float, east_m: float) -> tuple[int, int]:
         """Row and column of the cell that holds a point (may lie outside the lattice).
@@ -270,30 +280,16 @@ def _line_from_one_m(
 ) -> FloatArray:
     """`sight_line_m` from one radar, over cells that hold the highest within the slack.
 
-    One march along rays whose ends are _RAY_CELLS apart serves all points: each takes the ray
+    One march along rays whose ends are RAY_CELLS apart serves all points: each takes the ray
     nearest to it, half of that beside it at most.  A line to anywhere in a cell (0.71 cells
     beside its middle) and between two steps (0.5) is then less than a cell from what the march
     looks at in north and in east, which is what the slack of 1.5 cells of a scan leaves for it.
     """
     cell = highest.cell_m
-    away = points_ne_m - radar_nea_m[:2]
-    distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)
-    farthest = max(float(distance.max()), cell)
-    steps = np.arange(1.0, max(math.ceil(farthest / cell), 2))
-    apart_rad = _RAY_CELLS * cell / farthest
-    index = np.rint(np.arctan2(away[:, 1], away[:, 0]) / apart_rad).astype(np.intp)
-    first = int(index.min())
-    used = np.bincount(index - first) > 0
-    ray_of = (np.cumsum(used) - 1)[index - first]
-    azimuth = (np.flatnonzero(used) + first) * apart_rad
-    rows, columns = highest.upper_m.shape
-    row = np.multiply.outer(steps, np.cos(azimuth))  # (steps, rays); in place from here on
-    row += (radar_nea_m[0] - highest.north_min_m) / cell
-    column = np.multiply.outer(steps, np.sin(azimuth))
-    column += (radar_nea_m[1] - highest.east_min_m) / cell
-    flat = np.clip(row, 0, rows - 1, out=row).astype(np.intp)
-    flat *= columns
-    flat += np.clip(column, 0, columns - 1, out=column).astype(np.intp)
+    rays = Rays.towards(points_ne_m, radar_nea_m[:2], cell)
+    distance = rays.distance_m
+    steps = np.arange(1.0, max(math.ceil(rays.farthest_m / cell), 2))
+    flat = highest.lattice.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
     rise = highest.upper_m.ravel().take(flat)
     rise -= radar_nea_m[2]
     nearest = np.maximum(steps * cell - slack_m, 0.5 * cell)
@@ -302,7 +298,7 @@ def _line_from_one_m(
     np.maximum(steepest, rise, out=steepest)
     np.maximum.accumulate(steepest, axis=0, out=steepest)
     before = np.ceil((distance - stop_short_m) / cell).astype(np.intp) - 1
-    slope = steepest[np.clip(before, 1, len(steps)) - 1, ray_of]
+    slope = steepest[np.clip(before, 1, len(steps)) - 1, rays.ray_of]
     slope = np.where(before > 0, slope, -np.inf)
     run = np.where(slope > 0, distance + slack_m, np.maximum(distance - slack_m, 0.0))
     finite = np.isfinite(slope)
