@@ -15,7 +15,7 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from companion.geodesy import BoolArray, FloatArray
-from companion.world.rays import Lattice, Rays
+from companion.world.rays import Lattice, Rays, overlooking_line_m
 
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
@@ -41,6 +41,8 @@ class Scan:
     """How wrong `radar_nea_m` may be."""
     registration_m: float
     """How far an answered cell may lie from its lattice cell (true north is not grid north)."""
+    complete: bool = True
+    """Whether the radar shows every cell in range of which any ground is in its line of sight."""
 
 
 @final
@@ -103,7 +105,10 @@ class KnownMap:
         now_seen = np.isfinite(scan.heights_m)
         np.copyto(upper, scan.heights_m, where=now_seen)
         seen |= now_seen
-        np.copyto(upper, np.minimum(upper, _hidden_bound_m(after, scan)), where=~seen)
+        bound = _hidden_bound_m(after, scan)
+        if not scan.complete:
+            bound = np.maximum(bound, _overlooked_bound_m(after, scan))
+        np.copyto(upper, np.minimum(upper, bound), where=~seen)
         return after
 
     def grown(self, by_m: float) -> "KnownMap":
@@ -187,6 +192,36 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
         obstacles[not_seen & np.isinf(obstacles)] = -np.inf  # it hides nothing
         bound = sight_line_m(around, radars, middles, slack)
         result[hidden] = np.where(np.isneginf(bound), np.inf, np.ceil(bound))
+    return result
+
+
+def _overlooked_bound_m(after: KnownMap, scan: Scan) -> FloatArray:
+    """Upper bound of what the radar looked across without seeing it, at ground beyond.
+
+    If all cells of a strip as wide as the cell were seen at some distance behind it, the lines of
+    sight to them passed over the cell, whatever it hides or has lost.  -> (rows, columns) of the
+    scan's window; +inf where there is no such strip.
+    """
+    result = np.full(scan.heights_m.shape, np.inf)
+    answered = np.nonzero(~np.isnan(scan.heights_m))
+    if not len(answered[0]):
+        return result
+    north, east = after.middles_m(scan.row, scan.column, _shape(scan.heights_m))
+    middles = np.stack([north[answered[0], 0], east[0, answered[1]]], axis=-1)
+    slack = 1.5 * after.cell_m + scan.drift_m + scan.registration_m
+    window = after.part(*_window(scan)).lattice
+    for radar_nea_m, above_m, spread_m, members in _groups(
+        scan.radar_nea_m[answered], after.cell_m
+    ):
+        rows, columns = answered[0][members], answered[1][members]
+        top = np.full(result.shape, np.inf)  # beyond what was not seen from here nothing is proven
+        top[rows, columns] = scan.heights_m[rows, columns]
+        top[np.isneginf(top)] = np.inf
+        unseen = np.isinf(top[rows, columns])
+        if unseen.any() and not unseen.all():
+            radar = (*radar_nea_m[:2], radar_nea_m[2] + above_m)
+            line = overlooking_line_m(window, top, radar, middles[members][unseen], slack + spread_m)
+            result[rows[unseen], columns[unseen]] = np.ceil(line)
     return result
 
 

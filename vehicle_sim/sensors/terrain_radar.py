@@ -1,13 +1,17 @@
 """The terrain radar: which cells it sees from where the vehicle is, and how high they are.
 
-A cell's height is that of its highest true terrain, rounded up to the metre.  A cell is seen if one
-of six points of it (its corners, its middle, its highest point) has a free line of sight to the
-radar, and its middle is not farther than the radar's range.
+A cell's height is that of its highest true terrain, rounded up to the metre.  A cell is seen if any
+point of it may have a free line of sight to the radar, and its middle is not farther than the
+radar's range.  So a cell within range that is not seen is hidden, every point of it: whoever reads
+the scan may conclude that.
 
-Lines of sight are marched through a grid of lower bounds of the terrain.  What blocks a line there
-blocks it in truth, so a cell is never called hidden that is not; a line that passes within a grid
-cell of a ridge may count as free though it is not, which only reports one true height more.  The
-curvature of the earth is left out: height in the local frame over horizontal distance.
+Lines are marched through a grid of lower bounds: of the terrain in a grid cell and in the eight
+around it.  Across a cell lines go out so close to each other that every line to a point of it lies
+within a grid cell of one of them, all the way.  They are as steep as a line to any point of the
+cell can be, so if all are blocked before they reach the cell, each of its points is hidden in
+truth.  A line that passes within two grid cells of a ridge may count as free though it is not,
+which only reports one true height more.  The curvature of the earth is left out: height in the
+local frame over horizontal distance.
 """
 
 import math
@@ -64,7 +68,10 @@ class Viewpoint:
 
 @final
 class _Grid:
-    """Lower bounds of the terrain around a point, found where a line passes; nothing outside."""
+    """Lower bounds of the terrain in and next to the cells of a grid around a point.
+
+    They are found where a line passes.  Outside there is nothing.
+    """
 
     def __init__(
         self, terrain: Terrain, *, south_m: float, west_m: float, cell_m: float, tiles: int
@@ -88,12 +95,15 @@ class _Grid:
             self._find(top + int(row), left + int(column))
 
     def _find(self, row: int, column: int) -> None:
-        edges = np.arange(_TILE_CELLS + 1.0)
+        edges = np.arange(-1.0, _TILE_CELLS + 2.0)
         north = self.south_m + (row * _TILE_CELLS + edges) * self.cell_m
         east = self.west_m + (column * _TILE_CELLS + edges) * self.cell_m
         start = row * _TILE_CELLS, column * _TILE_CELLS
         tile = tuple(slice(first, first + _TILE_CELLS) for first in start)
-        self.lowest_amsl_m[tile] = self._terrain.lowest_in_grid_amsl_m(north, east)
+        lowest = self._terrain.lowest_in_grid_amsl_m(north, east)
+        lowest = np.minimum(np.minimum(lowest[:-2], lowest[1:-1]), lowest[2:])
+        lowest = np.minimum(np.minimum(lowest[:, :-2], lowest[:, 1:-1]), lowest[:, 2:])
+        self.lowest_amsl_m[tile] = lowest
         self._found[row, column] = True
         for edge in (0, -1):  # lines beyond the edge are looked up there
             self.lowest_amsl_m[edge, tile[1]] = self.lowest_amsl_m[tile[0], edge] = -np.inf
@@ -122,8 +132,8 @@ class TerrainRadar:
         heights = np.full(len(north), UNSEEN_M, dtype=np.int64)
         near = np.flatnonzero(self._within_range(request, view, north, east))
         if len(near):
-            highest, place_ne_m = self._terrain.highest_in_quads_amsl_m(corners_ne_m[near])
-            seen = self._seen(corners_ne_m[near], place_ne_m, view)
+            highest, _ = self._terrain.highest_in_quads_amsl_m(corners_ne_m[near])
+            seen = self._seen(corners_ne_m[near], highest, view)
             rounded = np.clip(np.ceil(highest[seen]), _LOWEST_M, _HIGHEST_M)
             heights[near[seen]] = rounded.astype(np.int64)
         blocks = heights.reshape(len(bits), BLOCK_CELLS * BLOCK_CELLS).tolist()
@@ -176,35 +186,51 @@ class TerrainRadar:
         return away_m <= self._range_m
 
     def _seen(
-        self, corners_ne_m: FloatArray, highest_ne_m: FloatArray, view: Viewpoint
+        self, corners_ne_m: FloatArray, highest_amsl_m: FloatArray, view: Viewpoint
     ) -> NDArray[np.bool_]:
-        """Whether any tested point of each cell is in sight.  (C, 4, 2), (C, 2) -> (C,)."""
+        """Whether some point of each cell may be in sight.  (C, 4, 2), (C,) -> (C,)."""
         north_m, east_m = self._frame.to_local(view.latitude_deg, view.longitude_deg)
         eye = (north_m, east_m, view.altitude_amsl_m)
-        seen = self._in_sight(eye, highest_ne_m)  # the likeliest point first: few need the others
-        hidden = np.flatnonzero(~seen)
-        if len(hidden):
-            corners = corners_ne_m[hidden]
-            others = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
-            free = self._in_sight(eye, others.reshape(-1, 2)).reshape(-1, 5)
-            seen[hidden] = free.any(axis=1)
+        grid = self._grid_about(north_m, east_m)
+        away = corners_ne_m - np.array(eye[:2])
+        middle = away.mean(axis=1)
+        half_m = np.hypot(*np.moveaxis(away - middle[:, None], -1, 0)).max(axis=1)
+        middle_m = np.hypot(middle[:, 0], middle[:, 1])
+        nearest_m = np.maximum(middle_m - half_m, grid.cell_m)
+        seen = middle_m <= 2.0 * half_m + 2.0 * grid.cell_m  # next to the eye
+        rise_m = highest_amsl_m - eye[2]
+        slope = rise_m / np.where(rise_m > 0.0, nearest_m, middle_m + half_m)
+        count = np.maximum(np.ceil(half_m / grid.cell_m), 1.0)
+        across_rad = np.arcsin(np.minimum(half_m / np.maximum(middle_m, 1e-9), 1.0))
+        bearing_rad = np.arctan2(middle[:, 1], middle[:, 0])
+        for k in range(int(np.max(count[~seen], initial=0.0))):  # from the middle outwards
+            left = np.flatnonzero(~seen & (k < count))
+            if len(left):
+                at = bearing_rad[left] + across_rad[left] * _share(k, count[left])
+                run = nearest_m[left, None] * np.stack([np.cos(at), np.sin(at)], axis=-1)
+                seen[left] = self._free(eye, run, eye[2] + slope[left] * nearest_m[left])
         return seen
 
     def _in_sight(
         self, eye: tuple[float, float, float], points_ne_m: FloatArray
     ) -> NDArray[np.bool_]:
         """Whether each point of the surface has a free line to the eye.  (K, 2) -> (K,)."""
-        grid = self._grid_about(eye[0], eye[1])
         top_m = self._terrain.height_amsl_m(points_ne_m[:, 0], points_ne_m[:, 1])
-        offset = points_ne_m - np.array(eye[:2])
-        farthest_m = float(np.max(np.hypot(offset[:, 0], offset[:, 1]), initial=0.0))
+        return self._free(eye, points_ne_m - np.array(eye[:2]), top_m)
+
+    def _free(
+        self, eye: tuple[float, float, float], offset_ne_m: FloatArray, top_amsl_m: FloatArray
+    ) -> NDArray[np.bool_]:
+        """Whether nothing rises above each line from the eye.  (K, 2), (K,) -> (K,)."""
+        grid = self._grid_about(eye[0], eye[1])
+        farthest_m = float(np.max(np.hypot(offset_ne_m[:, 0], offset_ne_m[:, 1]), initial=0.0))
         count = max(math.ceil(farthest_m / grid.cell_m), 1)
         share = ((np.arange(count) + 0.5) / count)[:, None]  # (S, 1) of the way to the point
-        free = np.arange(len(points_ne_m))
+        free = np.arange(len(offset_ne_m))
         for k in range(_PASSES):  # most of what is hidden is so for more than one sample
-            lines = _Lines(eye=eye, offset_ne_m=offset[free], top_amsl_m=top_m[free])
+            lines = _Lines(eye=eye, offset_ne_m=offset_ne_m[free], top_amsl_m=top_amsl_m[free])
             free = free[~lines.blocked(grid, share[k::_PASSES])]
-        seen = np.zeros(len(points_ne_m), dtype=bool)
+        seen = np.zeros(len(offset_ne_m), dtype=bool)
         seen[free] = True
         return seen
 
@@ -260,6 +286,16 @@ class _Lines:
         line_m = self.eye[2] + share * (self.top_amsl_m - self.eye[2])
         found: NDArray[np.bool_] = (grid.lowest_amsl_m[row, column] > line_m).any(axis=0)
         return found
+
+
+def _share(k: int, count: FloatArray) -> FloatArray:
+    """Place k of `count` evenly spaced ones from -1 to 1, half a space from the ends: (C,) -> (C,).
+
+    The middle ones come first.
+    """
+    from_middle = (k + count % 2) // 2 * 2 - (count % 2) + 1
+    sign = np.where((k + count) % 2 == 0, -1.0, 1.0)
+    return sign * from_middle / count
 
 
 def _cells_of(bits: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
