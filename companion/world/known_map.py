@@ -43,6 +43,8 @@ class Scan:
     """How far an answered cell may lie from its lattice cell (true north is not grid north)."""
     complete: bool = True
     """Whether the radar shows every cell in range of which any ground is in its line of sight."""
+    whole_width: bool = False
+    """Whether each cell that it shows was seen in every direction in which the cell lies."""
 
 
 @final
@@ -105,10 +107,10 @@ class KnownMap:
         now_seen = np.isfinite(scan.heights_m)
         np.copyto(upper, scan.heights_m, where=now_seen)
         seen |= now_seen
-        bound = _hidden_bound_m(after, scan)
-        if not scan.complete:
-            bound = np.maximum(bound, _overlooked_bound_m(after, scan))
-        np.copyto(upper, np.minimum(upper, bound), where=~seen)
+        if scan.complete:
+            np.copyto(upper, np.minimum(upper, _hidden_bound_m(after, scan)), where=~seen)
+        elif scan.whole_width:
+            np.copyto(upper, np.minimum(upper, _overlooked_bound_m(after, scan)), where=~seen)
         return after
 
     def grown(self, by_m: float) -> "KnownMap":
@@ -220,7 +222,9 @@ def _overlooked_bound_m(after: KnownMap, scan: Scan) -> FloatArray:
         unseen = np.isinf(top[rows, columns])
         if unseen.any() and not unseen.all():
             radar = (*radar_nea_m[:2], radar_nea_m[2] + above_m)
-            line = overlooking_line_m(window, top, radar, middles[members][unseen], slack + spread_m)
+            line = overlooking_line_m(
+                window, top, radar, middles[members][unseen], slack + spread_m
+            )
             result[rows[unseen], columns[unseen]] = np.ceil(line)
     return result
 

@@ -68,7 +68,7 @@ class Rays:
         first = int(index.min())
         used = np.bincount(index - first) > 0
         return cls(
-            azimuth_rad=(np.flatnonzero(used) + first) * apart_rad,
+            azimuth_rad=np.asarray((np.flatnonzero(used) + first) * apart_rad, dtype=np.float64),
             distance_m=distance,
             ray_of=(np.cumsum(used) - 1)[index - first],
             farthest_m=farthest,
@@ -78,7 +78,7 @@ class Rays:
 def all_round(cell_m: float, farthest_m: float) -> FloatArray:
     """Azimuths of rays in all directions, RAY_CELLS apart at the farthest.  -> (rays,), radians."""
     count = math.ceil(2.0 * math.pi * farthest_m / (RAY_CELLS * cell_m))
-    return np.arange(count) * (2.0 * math.pi / count)
+    return np.arange(float(count)) * (2.0 * math.pi / count)
 
 
 _WIDER = 1.5

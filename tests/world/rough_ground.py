@@ -6,14 +6,12 @@ rises above all that is nearer to the radar in its direction.
 """
 
 import math
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map
-from companion.world.simulated_scan import simulated_scan
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -168,6 +166,8 @@ class Sight:
     """Some of the cell in each direction that it lies in."""
     middle: BoolArray
     """The sample nearest to its middle."""
+    met_m: FloatArray
+    """The highest of its samples; -inf: none."""
 
 
 def sight_of(place: Ground, radar_nea_m: tuple[float, float, float]) -> Sight:
@@ -178,7 +178,8 @@ def sight_of(place: Ground, radar_nea_m: tuple[float, float, float]) -> Sight:
     away = np.arange(1.0, far / CELL_M / _BETWEEN_STEPS) * _BETWEEN_STEPS * CELL_M
     north = radar_nea_m[0] + np.multiply.outer(away, np.cos(azimuth))
     east = radar_nea_m[1] + np.multiply.outer(away, np.sin(azimuth))
-    slope = (place.height_m(north, east) - radar_nea_m[2]) / away[:, None]
+    height = place.height_m(north, east)
+    slope = (height - radar_nea_m[2]) / away[:, None]
     inside = (north >= 0.0) & (north < ROWS * CELL_M) & (east >= 0.0) & (east < COLUMNS * CELL_M)
     slope[~inside] = -np.inf
     free = (slope >= np.maximum.accumulate(slope, axis=0)) & inside
@@ -192,11 +193,15 @@ def sight_of(place: Ground, radar_nea_m: tuple[float, float, float]) -> Sight:
     somewhere = free_pairs.reshape(count, size).any(axis=0)
     across = somewhere & ~(crossed & ~free_pairs).reshape(count, size).any(axis=0)
     off = np.hypot(north - (row + 0.5) * CELL_M, east - (column + 0.5) * CELL_M)
-    order = np.argsort(-off[inside], kind="stable")  # the nearest is written last and stays
+    nearest = np.full(size, np.inf)
+    np.minimum.at(nearest, cell.ravel(), np.where(inside, off, np.inf).ravel())
     middle = np.zeros(size, dtype=bool)
-    middle[cell[inside][order]] = free[inside][order]
+    middle[cell[free & (off <= nearest[cell])]] = True
+    met = np.full(size, -np.inf)
+    np.maximum.at(met, cell.ravel(), height.ravel())
     shape = (ROWS, COLUMNS)
-    return Sight(*(each[:-1].reshape(shape) for each in (somewhere, across, middle)))
+    seen = (each[:-1].reshape(shape) for each in (somewhere, across, middle))
+    return Sight(*seen, met[:-1].reshape(shape))
 
 
 def blank() -> KnownMap:

@@ -5,13 +5,14 @@ point of it may have a free line of sight to the radar, and its middle is not fa
 radar's range.  So a cell within range that is not seen is hidden, every point of it: whoever reads
 the scan may conclude that.
 
-Lines are marched through a grid of lower bounds: of the terrain in a grid cell and in the eight
-around it.  Across a cell lines go out so close to each other that every line to a point of it lies
-within a grid cell of one of them, all the way.  They are as steep as a line to any point of the
-cell can be, so if all are blocked before they reach the cell, each of its points is hidden in
-truth.  A line that passes within two grid cells of a ridge may count as free though it is not,
-which only reports one true height more.  The curvature of the earth is left out: height in the
-local frame over horizontal distance.
+Lines of sight are marched through a grid of lower bounds of the terrain: what blocks a line there
+blocks it in truth.  A cell is seen if its highest point, its middle or a corner
+has a free line.  Of the others, each part
+is taken to be as high as its highest all over, and lines go out across it so close to each other
+that every line to a point of it lies within a grid cell of one of them; only what is higher on all
+of that strip blocks it.  So a cell is never called hidden that is not.  What passes within two grid
+cells of a ridge may count as seen though it is not, which only reports one true height more.  The
+curvature of the earth is left out: height in the local frame over horizontal distance.
 """
 
 import math
@@ -32,6 +33,8 @@ _GRID_CELLS_PER_RANGE = 400
 _GRID_MARGIN = 0.25
 _TILE_CELLS = 100
 _PASSES = 4
+_PARTS = 3  # a side
+_MOST_DIVISIONS = 2
 _LOWEST_M, _HIGHEST_M = -32767.0, 32767.0
 
 
@@ -68,10 +71,7 @@ class Viewpoint:
 
 @final
 class _Grid:
-    """Lower bounds of the terrain in and next to the cells of a grid around a point.
-
-    They are found where a line passes.  Outside there is nothing.
-    """
+    """Lower bounds of the terrain around a point, found where a line passes; nothing outside."""
 
     def __init__(
         self, terrain: Terrain, *, south_m: float, west_m: float, cell_m: float, tiles: int
@@ -79,6 +79,8 @@ class _Grid:
         self.south_m, self.west_m, self.cell_m = south_m, west_m, cell_m
         self.size = tiles * _TILE_CELLS
         self.lowest_amsl_m = np.empty((self.size, self.size))
+        self.lowest_around_amsl_m = np.empty((self.size, self.size))
+        """Of each cell and the eight around it."""
         self._terrain = terrain
         self._found = np.zeros((tiles, tiles), dtype=bool)
 
@@ -101,12 +103,14 @@ class _Grid:
         start = row * _TILE_CELLS, column * _TILE_CELLS
         tile = tuple(slice(first, first + _TILE_CELLS) for first in start)
         lowest = self._terrain.lowest_in_grid_amsl_m(north, east)
+        self.lowest_amsl_m[tile] = lowest[1:-1, 1:-1]
         lowest = np.minimum(np.minimum(lowest[:-2], lowest[1:-1]), lowest[2:])
         lowest = np.minimum(np.minimum(lowest[:, :-2], lowest[:, 1:-1]), lowest[:, 2:])
-        self.lowest_amsl_m[tile] = lowest
+        self.lowest_around_amsl_m[tile] = lowest
         self._found[row, column] = True
         for edge in (0, -1):  # lines beyond the edge are looked up there
-            self.lowest_amsl_m[edge, tile[1]] = self.lowest_amsl_m[tile[0], edge] = -np.inf
+            for lowest in (self.lowest_amsl_m, self.lowest_around_amsl_m):
+                lowest[edge, tile[1]] = lowest[tile[0], edge] = -np.inf
 
 
 @final
@@ -132,8 +136,8 @@ class TerrainRadar:
         heights = np.full(len(north), UNSEEN_M, dtype=np.int64)
         near = np.flatnonzero(self._within_range(request, view, north, east))
         if len(near):
-            highest, _ = self._terrain.highest_in_quads_amsl_m(corners_ne_m[near])
-            seen = self._seen(corners_ne_m[near], highest, view)
+            highest, place_ne_m = self._terrain.highest_in_quads_amsl_m(corners_ne_m[near])
+            seen = self._seen(corners_ne_m[near], highest, place_ne_m, view)
             rounded = np.clip(np.ceil(highest[seen]), _LOWEST_M, _HIGHEST_M)
             heights[near[seen]] = rounded.astype(np.int64)
         blocks = heights.reshape(len(bits), BLOCK_CELLS * BLOCK_CELLS).tolist()
@@ -186,15 +190,52 @@ class TerrainRadar:
         return away_m <= self._range_m
 
     def _seen(
-        self, corners_ne_m: FloatArray, highest_amsl_m: FloatArray, view: Viewpoint
+        self,
+        corners_ne_m: FloatArray,
+        highest_amsl_m: FloatArray,
+        highest_ne_m: FloatArray,
+        view: Viewpoint,
     ) -> NDArray[np.bool_]:
-        """Whether some point of each cell may be in sight.  (C, 4, 2), (C,) -> (C,)."""
+        """Whether some point of each cell may be in sight.  (C, 4, 2), (C,), (C, 2) -> (C,)."""
         north_m, east_m = self._frame.to_local(view.latitude_deg, view.longitude_deg)
         eye = (north_m, east_m, view.altitude_amsl_m)
-        grid = self._grid_about(north_m, east_m)
+        seen = self._in_sight(eye, highest_ne_m)  # the likeliest point first: few need more
+        left = np.flatnonzero(~seen)
+        left = left[self._may_be_seen(eye, corners_ne_m[left], highest_amsl_m[left])]
+        if len(left):
+            corners = corners_ne_m[left]
+            others = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
+            free = self._in_sight(eye, others.reshape(-1, 2)).reshape(-1, 5)
+            seen[left] = free.any(axis=1)
+            left = left[~seen[left]]
+        quads, of = corners_ne_m[left], left
+        for _ in range(self._divisions(eye, quads)):
+            quads, of = _divided(quads), np.repeat(of, _PARTS * _PARTS)
+            highest, _ = self._terrain.highest_in_quads_amsl_m(quads)
+            may_be = self._may_be_seen(eye, quads, highest)
+            quads, of = quads[may_be], of[may_be]
+        seen[of] = True
+        return seen
+
+    def _divisions(self, eye: tuple[float, float, float], quads_ne_m: FloatArray) -> int:
+        """How often to divide quadrilaterals until they are about two cells of the grid wide."""
+        if not len(quads_ne_m):
+            return 0
+        side_m = float(np.hypot(*(quads_ne_m[:, 1] - quads_ne_m[:, 0]).T).max())
+        times = math.log(max(0.5 * side_m / self._grid_about(*eye[:2]).cell_m, 1.0), _PARTS)
+        return min(math.ceil(times - 1e-9), _MOST_DIVISIONS)
+
+    def _may_be_seen(
+        self, eye: tuple[float, float, float], corners_ne_m: FloatArray, highest_amsl_m: FloatArray
+    ) -> NDArray[np.bool_]:
+        """Whether a line to some point of each quadrilateral may be free.  (K, 4, 2), (K,) -> (K,).
+
+        Taken to be as high as its highest all over the circle around it.
+        """
+        grid = self._grid_about(eye[0], eye[1])
         away = corners_ne_m - np.array(eye[:2])
         middle = away.mean(axis=1)
-        half_m = np.hypot(*np.moveaxis(away - middle[:, None], -1, 0)).max(axis=1)
+        half_m = np.hypot(*np.moveaxis(away - middle[:, None], -1, 0)).max(axis=1, initial=0.0)
         middle_m = np.hypot(middle[:, 0], middle[:, 1])
         nearest_m = np.maximum(middle_m - half_m, grid.cell_m)
         seen = middle_m <= 2.0 * half_m + 2.0 * grid.cell_m  # next to the eye
@@ -203,12 +244,13 @@ class TerrainRadar:
         count = np.maximum(np.ceil(half_m / grid.cell_m), 1.0)
         across_rad = np.arcsin(np.minimum(half_m / np.maximum(middle_m, 1e-9), 1.0))
         bearing_rad = np.arctan2(middle[:, 1], middle[:, 0])
-        for k in range(int(np.max(count[~seen], initial=0.0))):  # from the middle outwards
+        for k in range(int(np.max(count[~seen], initial=0.0))):
             left = np.flatnonzero(~seen & (k < count))
-            if len(left):
-                at = bearing_rad[left] + across_rad[left] * _share(k, count[left])
-                run = nearest_m[left, None] * np.stack([np.cos(at), np.sin(at)], axis=-1)
-                seen[left] = self._free(eye, run, eye[2] + slope[left] * nearest_m[left])
+            share = (2.0 * k + 1.0) / count[left] - 1.0  # of the way from the middle to the side
+            at = bearing_rad[left] + across_rad[left] * share
+            run = nearest_m[left, None] * np.stack([np.cos(at), np.sin(at)], axis=-1)
+            top_m = eye[2] + slope[left] * nearest_m[left]
+            seen[left] = self._free(eye, run, top_m, around=True)
         return seen
 
     def _in_sight(
@@ -216,12 +258,20 @@ class TerrainRadar:
     ) -> NDArray[np.bool_]:
         """Whether each point of the surface has a free line to the eye.  (K, 2) -> (K,)."""
         top_m = self._terrain.height_amsl_m(points_ne_m[:, 0], points_ne_m[:, 1])
-        return self._free(eye, points_ne_m - np.array(eye[:2]), top_m)
+        return self._free(eye, points_ne_m - np.array(eye[:2]), top_m, around=False)
 
     def _free(
-        self, eye: tuple[float, float, float], offset_ne_m: FloatArray, top_amsl_m: FloatArray
+        self,
+        eye: tuple[float, float, float],
+        offset_ne_m: FloatArray,
+        top_amsl_m: FloatArray,
+        *,
+        around: bool,
     ) -> NDArray[np.bool_]:
-        """Whether nothing rises above each line from the eye.  (K, 2), (K,) -> (K,)."""
+        """Whether nothing blocks each line from the eye, or some line around it.
+
+        Around: within a cell of the grid.  (K, 2), (K,) -> (K,).
+        """
         grid = self._grid_about(eye[0], eye[1])
         farthest_m = float(np.max(np.hypot(offset_ne_m[:, 0], offset_ne_m[:, 1]), initial=0.0))
         count = max(math.ceil(farthest_m / grid.cell_m), 1)
@@ -229,7 +279,7 @@ class TerrainRadar:
         free = np.arange(len(offset_ne_m))
         for k in range(_PASSES):  # most of what is hidden is so for more than one sample
             lines = _Lines(eye=eye, offset_ne_m=offset_ne_m[free], top_amsl_m=top_amsl_m[free])
-            free = free[~lines.blocked(grid, share[k::_PASSES])]
+            free = free[~lines.blocked(grid, share[k::_PASSES], around=around)]
         seen = np.zeros(len(offset_ne_m), dtype=bool)
         seen[free] = True
         return seen
@@ -267,7 +317,7 @@ class _Lines:
     top_amsl_m: FloatArray
     """Of the ground at the points.  (K,)."""
 
-    def blocked(self, grid: _Grid, share: FloatArray) -> NDArray[np.bool_]:
+    def blocked(self, grid: _Grid, share: FloatArray, *, around: bool) -> NDArray[np.bool_]:
         """Whether the ground rises above each line at shares of the way.  (S, 1) -> (K,)."""
         if not share.size or not self.top_amsl_m.size:
             return np.zeros(len(self.top_amsl_m), dtype=bool)
@@ -284,18 +334,19 @@ class _Lines:
         ends = [(int(each.min()), int(each.max())) for each in (row, column)]
         grid.find(ends[0], ends[1])
         line_m = self.eye[2] + share * (self.top_amsl_m - self.eye[2])
-        found: NDArray[np.bool_] = (grid.lowest_amsl_m[row, column] > line_m).any(axis=0)
+        lowest_amsl_m = grid.lowest_around_amsl_m if around else grid.lowest_amsl_m
+        found: NDArray[np.bool_] = (lowest_amsl_m[row, column] > line_m).any(axis=0)
         return found
 
 
-def _share(k: int, count: FloatArray) -> FloatArray:
-    """Place k of `count` evenly spaced ones from -1 to 1, half a space from the ends: (C,) -> (C,).
-
-    The middle ones come first.
-    """
-    from_middle = (k + count % 2) // 2 * 2 - (count % 2) + 1
-    sign = np.where((k + count) % 2 == 0, -1.0, 1.0)
-    return sign * from_middle / count
+def _divided(corners_ne_m: FloatArray) -> FloatArray:
+    """Quadrilaterals divided into parts.  (K, 4, 2) -> (K _PARTS^2, 4, 2)."""
+    share = np.linspace(0.0, 1.0, _PARTS + 1)[:, None]
+    u, v = share[:, None], share[None]
+    sw, se, ne, nw = (corners_ne_m[:, k, None, None] for k in range(4))
+    at = (1 - u) * ((1 - v) * sw + v * se) + u * ((1 - v) * nw + v * ne)  # (K, n + 1, n + 1, 2)
+    parts = np.stack([at[:, :-1, :-1], at[:, :-1, 1:], at[:, 1:, 1:], at[:, 1:, :-1]], axis=3)
+    return parts.reshape(-1, 4, 2)
 
 
 def _cells_of(bits: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
