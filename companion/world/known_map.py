@@ -2,8 +2,9 @@
 
 The map is a lattice of square cells over the mission's area, in the local frame.  Each cell
 holds an upper bound of the terrain in it: the highest terrain where a scan saw the cell, the
-sight line over what hides it where a scan could not see it, infinity where nothing is known
-(design section 4).
+sight line over what hides it where a scan could not see it, infinity where nothing is known.
+What may be concluded from a cell that was not seen follows from what the radar promises (design
+section 4, decision 0020).
 """
 
 import math
@@ -42,7 +43,10 @@ class Scan:
     registration_m: float
     """How far an answered cell may lie from its lattice cell (true north is not grid north)."""
     complete: bool = True
-    """Whether the radar shows every cell in range of which any ground is in its line of sight."""
+    """Whether the radar shows every cell in range of which any ground is in its line of sight.
+
+    Then what it does not show is hidden; else nothing follows from that alone.
+    """
     whole_width: bool = False
     """Whether each cell that it shows was seen in every direction in which the cell lies."""
 
@@ -170,12 +174,25 @@ def _distances_m(known: KnownMap, scan: Scan) -> FloatArray:
 
 
 def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
-    """Upper bound of what the radar could not see although it was within range.
+    """Upper bound of what a complete radar could not see although it was within range.
 
-    The steepest sight line from the radar over known terrain before the cell: what hides the
-    cell is itself seen, so whatever is hidden lies below.  -> (rows, columns) of the scan's
-    window; +inf where the cell was seen, not answered or perhaps out of range, and
+    The steepest sight line from the radar over known terrain before the cell.  -> (rows, columns)
+    of the scan's window; +inf where the cell was seen, not answered or perhaps out of range, and
     where ground that is neither known nor hidden may be what hides it.
+
+    Proof.  Let p be any point of the ground in such a cell, and go out from the radar towards it.
+    Of all ground met up to p let q be the point that looks highest, the nearest one if there are
+    several.  Nothing before q looks as high, so q is in sight.  p is not, or its cell would have
+    been shown: so q lies before p and looks higher.  q's cell is within range, for it is hardly
+    farther than p's, so a complete radar shows it, no lower than q, or does not answer for it.
+    Then p is below the line from the radar over the cell of q, which is known or +inf here; and
+    cells that were not shown need not be looked at, except as high as is known from elsewhere.
+    No step leans on the bound of another hidden cell, so nothing adds up along the ray.
+
+    On the lattice p is up to 0.71 cells from the middle of its cell and the ray up to 0.15 beside
+    that, and q up to half a cell from a step of the march: less than a cell together in north and
+    in east, and less than 1.5 along the ray.  The march looks at all cells within the slack, and
+    takes each as near or as far as the slack allows, whichever is steeper.
     """
     north, east = seen.middles_m(scan.row, scan.column, _shape(scan.heights_m))
     slack = 1.5 * seen.cell_m + scan.drift_m + scan.registration_m
@@ -198,11 +215,13 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
 
 
 def _overlooked_bound_m(after: KnownMap, scan: Scan) -> FloatArray:
-    """Upper bound of what the radar looked across without seeing it, at ground beyond.
+    """Upper bound of what a radar passed over that is not complete but shows whole cells only.
 
-    If all cells of a strip as wide as the cell were seen at some distance behind it, the lines of
-    sight to them passed over the cell, whatever it hides or has lost.  -> (rows, columns) of the
-    scan's window; +inf where there is no such strip.
+    Proof.  Let p be any point of the ground in a cell that was not shown.  If all cells that lines
+    over the cell can reach at some distance behind it were shown, the line over p leads to one of
+    them, and to a point q of it that was seen.  Nothing stands in the way from the radar to q, so p
+    is below that line, and q is no higher than its cell.  -> (rows, columns) of the scan's window;
+    +inf where nothing behind the cell was seen all across.
     """
     result = np.full(scan.heights_m.shape, np.inf)
     answered = np.nonzero(~np.isnan(scan.heights_m))
@@ -252,15 +271,13 @@ def sight_line_m(
     radars_nea_m: FloatArray,
     points_ne_m: FloatArray,
     slack_m: float,
-    stop_short_m: float = 0.0,
 ) -> FloatArray:
     """Altitude of the highest sight line from radars to points over the terrain between.
 
     radars_nea_m (K, 3), points_ne_m (K, 2) -> (K,), metres AMSL; +inf over unknown ground, -inf
     where nothing lies between.  Never too low if the terrain, the radar and the point are known
-    to slack_m: the march looks at every cell within the slack of the line.  It ends stop_short_m
-    before the point, so that a cell need not hide itself.  What rises above a radar is taken to be
-    half a cell away from it at least (the safety distance sees to that).
+    to slack_m: the march looks at every cell within the slack of the line.  What rises above a
+    radar is taken to be half a cell away from it at least (the safety distance sees to that).
 
     Radars that are close to each other, as on a flight along, count as one in the middle of
     them; how far they are from it is added to the slack.
@@ -273,9 +290,7 @@ def sight_line_m(
     result = np.empty(len(points_ne_m))
     for radar_nea_m, sink, _, members in groups:
         points = points_ne_m[members]
-        result[members] = sink + _line_from_one_m(
-            filtered, radar_nea_m, points, slack, stop_short_m
-        )
+        result[members] = sink + _line_from_one_m(filtered, radar_nea_m, points, slack)
     return result
 
 
@@ -315,7 +330,6 @@ def _line_from_one_m(
     radar_nea_m: tuple[float, float, float],
     points_ne_m: FloatArray,
     slack_m: float,
-    stop_short_m: float,
 ) -> FloatArray:
     """`sight_line_m` from one radar, over cells that hold the highest within the slack.
 
@@ -336,7 +350,7 @@ def _line_from_one_m(
     rise /= nearest[:, None]
     np.maximum(steepest, rise, out=steepest)
     np.maximum.accumulate(steepest, axis=0, out=steepest)
-    before = np.ceil((distance - stop_short_m) / cell).astype(np.intp) - 1
+    before = np.ceil(distance / cell).astype(np.intp) - 1
     slope = steepest[np.clip(before, 1, len(steps)) - 1, rays.ray_of]
     slope = np.where(before > 0, slope, -np.inf)
     run = np.where(slope > 0, distance + slack_m, np.maximum(distance - slack_m, 0.0))

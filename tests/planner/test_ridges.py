@@ -1,5 +1,6 @@
 """Steep ridges seen at a grazing angle, and flights round their ends."""
 
+import functools
 import itertools
 from dataclasses import replace
 
@@ -9,6 +10,8 @@ from numpy.typing import NDArray
 
 from companion.config import load_mission
 from companion.planner.offline import fly_offline
+from companion.planner.plan import plan
+from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
@@ -70,6 +73,7 @@ def test_no_leg_comes_near_a_ridge_whose_faces_are_seen_at_a_grazing_angle(
         start_nea_m=(5_000.0, MIDDLE_M, mission.take_off_amsl_m),
         targets_ne_m=((SIDE_M - 5_000.0, MIDDLE_M),),
         seed=seed,
+        planner=functools.partial(plan, kernel=load_kernel()),
     )
     assert flight.legs
     for leg, first in itertools.product(flight.legs, range(0, 40_000, 2_000)):
