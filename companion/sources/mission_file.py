@@ -120,8 +120,6 @@ def mission_of(
     check_task(task, f"{where}: ")
     zones, far = zones_of(model, task, frame, where)
     task = replace(task, zones=zones)
-    targets = _targets(model, task, frame, where)
-    known = _known_map(model, task, frame, where)
     defaults = (
         {} if link.commanders is None else {"commanders": _commanders(link.commanders, where)}
     )
@@ -129,7 +127,7 @@ def mission_of(
     mission = Mission(
         name=model.name,
         frame=frame,
-        targets_ne_m=targets,
+        targets_ne_m=_targets(model, task, frame, where),
         altitudes_amsl_m=carried_on([table.altitude_amsl_m for table in tables]),
         task=task,
         end_action=EndAction(model.end.action),
@@ -143,7 +141,7 @@ def mission_of(
         yaw_rad=None if vehicle.yaw_deg is None else wrap_rad(math.radians(vehicle.yaw_deg)),
         fallback=Fallback(model.fallback.action),
         attempts=model.fallback.attempts,
-        known=known,
+        known=_known_map(model, task, frame, where),
         reserve=model.battery.reserve_percent / 100.0,
         endurance_s=model.battery.endurance_s,
         targets_from_vehicle=model.from_vehicle.targets,
