@@ -91,7 +91,7 @@ def _sight(mission: Mission) -> str:
         bounds = (
             "only lines of sight to ground beyond bound"
             if mission.scanner_whole_width
-            else ("nothing bounds")
+            else "nothing bounds"
         )
         gaps = f" It may miss ground in its sight: {bounds} what it does not show."
     return (

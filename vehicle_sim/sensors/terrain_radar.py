@@ -210,6 +210,8 @@ class TerrainRadar:
             left = left[~seen[left]]
         quads, of = corners_ne_m[left], left
         for _ in range(self._divisions(eye, quads)):
+            if not len(quads):
+                break
             quads, of = _divided(quads), np.repeat(of, _PARTS * _PARTS)
             highest, _ = self._terrain.highest_in_quads_amsl_m(quads)
             may_be = self._may_be_seen(eye, quads, highest)
