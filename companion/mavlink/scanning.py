@@ -35,6 +35,8 @@ class Scanning:
             deadline_s=now_s + task.settings.scan_time_s,
             drift_m=_TICKS / mission.position_rate_hz * task.limits.speed_m_s,
             frame=mission.frame,
+            complete=mission.scanner_complete,
+            whole_width=mission.scanner_whole_width,
         )
         return self._download.asked
 

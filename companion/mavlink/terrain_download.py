@@ -134,13 +134,19 @@ class TerrainDownload:
         deadline_s: float,
         drift_m: float,
         frame: LocalFrame,
+        complete: bool = True,
+        whole_width: bool = False,
     ) -> None:
-        """towards_ne_m: where the vehicle is going: what lies there is asked for first."""
+        """towards_ne_m: where the vehicle is going: what lies there is asked for first.
+
+        complete, whole_width: what the radar promises, as in `Scan`.
+        """
         self._known = known
         ahead_ne_m = _ahead_ne_m(centre_ne_m, towards_ne_m, 0.5 * range_m)
         self._range_m = range_m
         self._deadline_s = deadline_s
         self._drift_m = drift_m
+        self._complete, self._whole_width = complete, whole_width
         self._waiting = sorted(
             areas(known, centre_ne_m, range_m, frame),
             key=lambda area: _order(known, area, ahead_ne_m),
@@ -247,6 +253,8 @@ class TerrainDownload:
             range_m=self._range_m,
             drift_m=self._drift_m,
             registration_m=self._registration_m,
+            complete=self._complete,
+            whole_width=self._whole_width,
         )
 
 

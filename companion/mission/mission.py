@@ -49,6 +49,10 @@ class Mission:
     """ "copter" or "plane"."""
     scanner_component_id: int | None = 100
     """MAVLink component id of its terrain radar; None: it has none."""
+    scanner_complete: bool = True
+    """Whether what the radar does not show is hidden (`Scan.complete`)."""
+    scanner_whole_width: bool = False
+    """If it is not complete: whether lines of sight bound what they pass (`Scan.whole_width`)."""
     position_rate_hz: float = 10.0
     """Rate at which the vehicle's position is asked for; one setpoint answers each position."""
     yaw_rad: float | None = None

@@ -22,7 +22,12 @@ from companion.sources.altitudes import about_altitudes, carried_on
 from companion.sources.assumed import with_plan
 from companion.sources.elevation import read_known_map
 from companion.sources.files import RawTable, plain
-from companion.sources.mission_schema import KnownTerrainTable, MissionTable, MissionVehicleTable
+from companion.sources.mission_schema import (
+    KnownTerrainTable,
+    MissionTable,
+    MissionVehicleTable,
+    ScannerTable,
+)
 from companion.sources.places import Place, place_of, radar_of, zones_of
 from companion.sources.plan_file import read_plan
 from companion.sources.threat_file import read_threats
@@ -115,8 +120,6 @@ def mission_of(
     check_task(task, f"{where}: ")
     zones, far = zones_of(model, task, frame, where)
     task = replace(task, zones=zones)
-    targets = _targets(model, task, frame, where)
-    known = _known_map(model, task, frame, where)
     defaults = (
         {} if link.commanders is None else {"commanders": _commanders(link.commanders, where)}
     )
@@ -124,7 +127,7 @@ def mission_of(
     mission = Mission(
         name=model.name,
         frame=frame,
-        targets_ne_m=targets,
+        targets_ne_m=_targets(model, task, frame, where),
         altitudes_amsl_m=carried_on([table.altitude_amsl_m for table in tables]),
         task=task,
         end_action=EndAction(model.end.action),
@@ -132,11 +135,13 @@ def mission_of(
         autopilot=vehicle.autopilot,
         kind=vehicle.kind,
         scanner_component_id=_scanner_id(vehicle),
+        scanner_complete=model.scanner.complete,
+        scanner_whole_width=model.scanner.whole_width,
         position_rate_hz=vehicle.position_rate_hz,
         yaw_rad=None if vehicle.yaw_deg is None else wrap_rad(math.radians(vehicle.yaw_deg)),
         fallback=Fallback(model.fallback.action),
         attempts=model.fallback.attempts,
-        known=known,
+        known=_known_map(model, task, frame, where),
         reserve=model.battery.reserve_percent / 100.0,
         endurance_s=model.battery.endurance_s,
         targets_from_vehicle=model.from_vehicle.targets,
@@ -163,6 +168,9 @@ def _check_kind(model: MissionTable, where: str) -> None:
         rule = "scanner = false says that there is no terrain radar"
         value = vehicle.scanner_component_id
         raise InputError(f"{field}.scanner_component_id", value, rule, "Remove one of them.")
+    if not vehicle.scanner and model.scanner != ScannerTable():
+        rule = "vehicle.scanner = false says that there is no terrain radar"
+        raise InputError(f"{where}: scanner", dict(model.scanner), rule, "Remove one of them.")
     if vehicle.kind == "copter":
         if vehicle.loiter_radius_m is not None:
             rule = "a copter stops where it holds: it needs no circle"

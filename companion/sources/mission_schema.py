@@ -90,6 +90,15 @@ class MissionVehicleTable(Table):
     yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
 
 
+class ScannerTable(Table):
+    """What the terrain radar promises."""
+
+    complete: bool = True
+    """Whether it shows every cell in range of which any ground is in sight."""
+    whole_width: bool = False
+    """Whether each cell that it shows was seen in every direction in which the cell lies."""
+
+
 class WeightsTable(Table):
     """a_1 .. a_6 of eq. 5."""
 
@@ -176,6 +185,7 @@ class MissionTable(Table):
     altitude: BandTable
     targets: Annotated[list[TargetTable], Field(min_length=1)] | None = None
     vehicle: MissionVehicleTable
+    scanner: ScannerTable = ScannerTable()
     planner: PlannerTable
     end: EndTable
     fallback: FallbackTable = FallbackTable()

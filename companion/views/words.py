@@ -86,9 +86,17 @@ def _sight(mission: Mission) -> str:
         known = f" Terrain of {share:.0%} of the map is known in advance."
     if mission.scanner_component_id is None:
         return f"There is no terrain radar: only known terrain is flown over.{known}"
+    gaps = ""
+    if not mission.scanner_complete:
+        bounds = (
+            "only lines of sight to ground beyond bound"
+            if mission.scanner_whole_width
+            else "nothing bounds"
+        )
+        gaps = f" It may miss ground in its sight: {bounds} what it does not show."
     return (
-        f"The radar sees {_m(settings.scan_range_m)} (R). {_m(task.scan_distance_m)} (L) before "
-        f"the end of each subpath it scans for up to {settings.scan_time_s:g} s, plans for "
+        f"The radar sees {_m(settings.scan_range_m)} (R).{gaps} {_m(task.scan_distance_m)} (L) "
+        f"before the end of each subpath it scans for up to {settings.scan_time_s:g} s, plans for "
         f"{settings.planning_time_s:g} s (T), and goes over to the next subpath "
         f"{_m(task.tail_m)} before the end.{known}"
     )

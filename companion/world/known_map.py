@@ -2,8 +2,9 @@
 
 The map is a lattice of square cells over the mission's area, in the local frame.  Each cell
 holds an upper bound of the terrain in it: the highest terrain where a scan saw the cell, the
-sight line over what hides it where a scan could not see it, infinity where nothing is known
-(design section 4).
+sight line over what hides it where a scan could not see it, infinity where nothing is known.
+What may be concluded from a cell that was not seen follows from what the radar promises (design
+section 4, decision 0020).
 """
 
 import math
@@ -15,12 +16,12 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from companion.geodesy import BoolArray, FloatArray
+from companion.world.rays import Lattice, Rays, overlooking_line_m
 
 NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
 
 _ON_EDGE_M = 1e-3
-_RAY_CELLS = 0.3  # between neighbouring rays at the farthest point
 _GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1  # radars this close count as one
 
 
@@ -41,6 +42,13 @@ class Scan:
     """How wrong `radar_nea_m` may be."""
     registration_m: float
     """How far an answered cell may lie from its lattice cell (true north is not grid north)."""
+    complete: bool = True
+    """Whether the radar shows every cell in range of which any ground is in its line of sight.
+
+    Then what it does not show is hidden; else nothing follows from that alone.
+    """
+    whole_width: bool = False
+    """Whether each cell that it shows was seen in every direction in which the cell lies."""
 
 
 @final
@@ -64,6 +72,16 @@ class KnownMap:
     def firm(self) -> BoolArray:
         """The cells in which `upper_m` is terrain: seen, or known in advance; not a sight line."""
         return self.seen if self.given is None else self.seen | self.given
+
+    @property
+    def lattice(self) -> Lattice:
+        """Where the cells are."""
+        return Lattice(
+            cell_m=self.cell_m,
+            north_min_m=self.north_min_m,
+            east_min_m=self.east_min_m,
+            shape=_shape(self.upper_m),
+        )
 
     def cell_of(self, north_m: float, east_m: float) -> tuple[int, int]:
         """Row and column of the cell that holds a point (may lie outside the lattice).
@@ -95,7 +113,10 @@ class KnownMap:
         now_seen = np.isfinite(scan.heights_m)
         np.copyto(upper, scan.heights_m, where=now_seen)
         seen |= now_seen
-        np.copyto(upper, np.minimum(upper, _hidden_bound_m(after, scan)), where=~seen)
+        if scan.complete:
+            np.copyto(upper, np.minimum(upper, _hidden_bound_m(after, scan)), where=~seen)
+        elif scan.whole_width:
+            np.copyto(upper, np.minimum(upper, _overlooked_bound_m(after, scan)), where=~seen)
         return after
 
     def grown(self, by_m: float) -> "KnownMap":
@@ -156,12 +177,25 @@ def _distances_m(known: KnownMap, scan: Scan) -> FloatArray:
 
 
 def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
-    """Upper bound of what the radar could not see although it was within range.
+    """Upper bound of what a complete radar could not see although it was within range.
 
-    The steepest sight line from the radar over known terrain before the cell: what hides the
-    cell is itself seen, so whatever is hidden lies below.  -> (rows, columns) of the scan's
-    window; +inf where the cell was seen, not answered or perhaps out of range, and
+    The steepest sight line from the radar over known terrain before the cell.  -> (rows, columns)
+    of the scan's window; +inf where the cell was seen, not answered or perhaps out of range, and
     where ground that is neither known nor hidden may be what hides it.
+
+    Proof.  Let p be any point of the ground in such a cell, and go out from the radar towards it.
+    Of all ground met up to p let q be the point that looks highest, the nearest one if there are
+    several.  Nothing before q looks as high, so q is in sight.  p is not, or its cell would have
+    been shown: so q lies before p and looks higher.  q's cell is within range, for it is hardly
+    farther than p's, so a complete radar shows it, no lower than q, or does not answer for it.
+    Then p is below the line from the radar over the cell of q, which is known or +inf here; and
+    cells that were not shown need not be looked at, except as high as is known from elsewhere.
+    No step leans on the bound of another hidden cell, so nothing adds up along the ray.
+
+    On the lattice p is up to 0.71 cells from the middle of its cell and the ray up to 0.15 beside
+    that, and q up to half a cell from a step of the march: less than a cell together in north and
+    in east, and less than 1.5 along the ray.  The march looks at all cells within the slack, and
+    takes each as near or as far as the slack allows, whichever is steeper.
     """
     north, east = seen.middles_m(scan.row, scan.column, _shape(scan.heights_m))
     slack = 1.5 * seen.cell_m + scan.drift_m + scan.registration_m
@@ -180,6 +214,40 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
         obstacles[not_seen & np.isinf(obstacles)] = -np.inf  # it hides nothing
         bound = sight_line_m(around, radars, middles, slack)
         result[hidden] = np.where(np.isneginf(bound), np.inf, np.ceil(bound))
+    return result
+
+
+def _overlooked_bound_m(after: KnownMap, scan: Scan) -> FloatArray:
+    """Upper bound of what a radar passed over that is not complete but shows whole cells only.
+
+    Proof.  Let p be any point of the ground in a cell that was not shown.  If all cells that lines
+    over the cell can reach at some distance behind it were shown, the line over p leads to one of
+    them, and to a point q of it that was seen.  Nothing stands in the way from the radar to q, so p
+    is below that line, and q is no higher than its cell.  -> (rows, columns) of the scan's window;
+    +inf where nothing behind the cell was seen all across.
+    """
+    result = np.full(scan.heights_m.shape, np.inf)
+    answered = np.nonzero(~np.isnan(scan.heights_m))
+    if not len(answered[0]):
+        return result
+    north, east = after.middles_m(scan.row, scan.column, _shape(scan.heights_m))
+    middles = np.stack([north[answered[0], 0], east[0, answered[1]]], axis=-1)
+    slack = 1.5 * after.cell_m + scan.drift_m + scan.registration_m
+    window = after.part(*_window(scan)).lattice
+    for radar_nea_m, above_m, spread_m, members in _groups(
+        scan.radar_nea_m[answered], after.cell_m
+    ):
+        rows, columns = answered[0][members], answered[1][members]
+        top = np.full(result.shape, np.inf)  # beyond what was not seen from here nothing is proven
+        top[rows, columns] = scan.heights_m[rows, columns]
+        top[np.isneginf(top)] = np.inf
+        unseen = np.isinf(top[rows, columns])
+        if unseen.any() and not unseen.all():
+            radar = (*radar_nea_m[:2], radar_nea_m[2] + above_m)
+            line = overlooking_line_m(
+                window, top, radar, middles[members][unseen], slack + spread_m
+            )
+            result[rows[unseen], columns[unseen]] = np.ceil(line)
     return result
 
 
@@ -206,15 +274,13 @@ def sight_line_m(
     radars_nea_m: FloatArray,
     points_ne_m: FloatArray,
     slack_m: float,
-    stop_short_m: float = 0.0,
 ) -> FloatArray:
     """Altitude of the highest sight line from radars to points over the terrain between.
 
     radars_nea_m (K, 3), points_ne_m (K, 2) -> (K,), metres AMSL; +inf over unknown ground, -inf
     where nothing lies between.  Never too low if the terrain, the radar and the point are known
-    to slack_m: the march looks at every cell within the slack of the line.  It ends stop_short_m
-    before the point, so that a cell need not hide itself.  What rises above a radar is taken to be
-    half a cell away from it at least (the safety distance sees to that).
+    to slack_m: the march looks at every cell within the slack of the line.  What rises above a
+    radar is taken to be half a cell away from it at least (the safety distance sees to that).
 
     Radars that are close to each other, as on a flight along, count as one in the middle of
     them; how far they are from it is added to the slack.
@@ -227,9 +293,7 @@ def sight_line_m(
     result = np.empty(len(points_ne_m))
     for radar_nea_m, sink, _, members in groups:
         points = points_ne_m[members]
-        result[members] = sink + _line_from_one_m(
-            filtered, radar_nea_m, points, slack, stop_short_m
-        )
+        result[members] = sink + _line_from_one_m(filtered, radar_nea_m, points, slack)
     return result
 
 
@@ -269,34 +333,19 @@ def _line_from_one_m(
     radar_nea_m: tuple[float, float, float],
     points_ne_m: FloatArray,
     slack_m: float,
-    stop_short_m: float,
 ) -> FloatArray:
     """`sight_line_m` from one radar, over cells that hold the highest within the slack.
 
-    One march along rays whose ends are _RAY_CELLS apart serves all points: each takes the ray
+    One march along rays whose ends are RAY_CELLS apart serves all points: each takes the ray
     nearest to it, half of that beside it at most.  A line to anywhere in a cell (0.71 cells
     beside its middle) and between two steps (0.5) is then less than a cell from what the march
     looks at in north and in east, which is what the slack of 1.5 cells of a scan leaves for it.
     """
     cell = highest.cell_m
-    away = points_ne_m - radar_nea_m[:2]
-    distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)
-    farthest = max(float(distance.max()), cell)
-    steps = np.arange(1.0, max(math.ceil(farthest / cell), 2))
-    apart_rad = _RAY_CELLS * cell / farthest
-    index = np.rint(np.arctan2(away[:, 1], away[:, 0]) / apart_rad).astype(np.intp)
-    first = int(index.min())
-    used = np.bincount(index - first) > 0
-    ray_of = (np.cumsum(used) - 1)[index - first]
-    azimuth = (np.flatnonzero(used) + first) * apart_rad
-    rows, columns = highest.upper_m.shape
-    row = np.multiply.outer(steps, np.cos(azimuth))  # (steps, rays); in place from here on
-    row += (radar_nea_m[0] - highest.north_min_m) / cell
-    column = np.multiply.outer(steps, np.sin(azimuth))
-    column += (radar_nea_m[1] - highest.east_min_m) / cell
-    flat = np.clip(row, 0, rows - 1, out=row).astype(np.intp)
-    flat *= columns
-    flat += np.clip(column, 0, columns - 1, out=column).astype(np.intp)
+    rays = Rays.towards(points_ne_m, radar_nea_m[:2], cell)
+    distance = rays.distance_m
+    steps = np.arange(1.0, max(math.ceil(rays.farthest_m / cell), 2))
+    flat = highest.lattice.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
     rise = highest.upper_m.ravel().take(flat)
     rise -= radar_nea_m[2]
     nearest = np.maximum(steps * cell - slack_m, 0.5 * cell)
@@ -304,8 +353,8 @@ def _line_from_one_m(
     rise /= nearest[:, None]
     np.maximum(steepest, rise, out=steepest)
     np.maximum.accumulate(steepest, axis=0, out=steepest)
-    before = np.ceil((distance - stop_short_m) / cell).astype(np.intp) - 1
-    slope = steepest[np.clip(before, 1, len(steps)) - 1, ray_of]
+    before = np.ceil(distance / cell).astype(np.intp) - 1
+    slope = steepest[np.clip(before, 1, len(steps)) - 1, rays.ray_of]
     slope = np.where(before > 0, slope, -np.inf)
     run = np.where(slope > 0, distance + slack_m, np.maximum(distance - slack_m, 0.0))
     finite = np.isfinite(slope)

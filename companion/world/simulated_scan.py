@@ -1,13 +1,17 @@
 """A scan of a world that is known: what the radar would show, for planning without a vehicle."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self, final
 
 import numpy as np
 
-from companion.world.known_map import NOT_SEEN, KnownMap, Scan, sight_line_m
+from companion.geodesy import BoolArray
+from companion.world.known_map import NOT_SEEN, KnownMap, Scan
+from companion.world.rays import Rays
 from companion.world.terrain import Terrain
+
+_NEAR_CELLS = 2.0  # what is so near is always seen: no ray has a step before it
 
 
 @final
@@ -63,7 +67,7 @@ def true_map(terrain: Terrain, like: KnownMap) -> KnownMap:
 def simulated_scan(
     truth: KnownMap | Truth, radar_nea_m: tuple[float, float, float], range_m: float
 ) -> Scan:
-    """What a radar at a point sees of the truth: cells in range that nothing hides."""
+    """What a complete radar at a point sees of the truth (design section 4)."""
     rows, columns = truth.shape if isinstance(truth, Truth) else truth.upper_m.shape
     row = math.floor((radar_nea_m[0] - truth.north_min_m) / truth.cell_m)
     column = math.floor((radar_nea_m[1] - truth.east_min_m) / truth.cell_m)
@@ -71,22 +75,53 @@ def simulated_scan(
     south, north = np.clip([row - half, row + half + 1], 0, rows).tolist()
     west, east = np.clip([column - half, column + half + 1], 0, columns).tolist()
     here = truth.part(slice(south, north), slice(west, east))
-    heights = here.upper_m.copy()
-    north_m, east_m = here.middles_m(0, 0, (heights.shape[0], heights.shape[1]))
-    in_range = np.hypot(north_m - radar_nea_m[0], east_m - radar_nea_m[1]) <= range_m
-    at_row, at_column = np.nonzero(in_range)
-    middles = np.stack([north_m[at_row, 0], east_m[0, at_column]], axis=-1)
-    radars = np.broadcast_to(np.asarray(radar_nea_m), (len(at_row), 3))
-    line = sight_line_m(here, radars, middles, 0.0, stop_short_m=truth.cell_m)
-    seen = np.zeros(heights.shape, dtype=bool)
-    seen[in_range] = heights[in_range] >= line
-    heights[~seen] = NOT_SEEN
+    north_m, east_m = here.middles_m(0, 0, (north - south, east - west))
+    away_m = np.hypot(north_m - radar_nea_m[0], east_m - radar_nea_m[1])
+    in_range = away_m <= range_m
+    seen = in_range & (away_m <= _NEAR_CELLS * here.cell_m)
+    if in_range.any():
+        seen |= in_range & _in_sight(here, radar_nea_m, in_range)
     return Scan(
         row=south,
         column=west,
-        heights_m=heights,
-        radar_nea_m=np.broadcast_to(np.asarray(radar_nea_m), (*heights.shape, 3)),
+        heights_m=np.where(seen, here.upper_m, NOT_SEEN),
+        radar_nea_m=np.broadcast_to(np.asarray(radar_nea_m), (*seen.shape, 3)),
         range_m=range_m,
         drift_m=0.0,
         registration_m=0.0,
     )
+
+
+def _in_sight(
+    here: KnownMap,
+    radar_nea_m: tuple[float, float, float],
+    wanted: BoolArray,
+) -> BoolArray:
+    """The cells that rise above all before them on some ray.  (rows, columns).
+
+    The ground here is as high as the highest of its cell at every step of a ray.  A cell is seen
+    if it is no lower, as the radar looks, than all that the same ray crosses before; so of a cell
+    that is not seen each ray across it has been over one that is, and that one hides it
+    (`hidden_bound_m` builds on it).  On the face of a mountain a ray may meet hardly anything but
+    such cells, or none but the first and the last.  Every wanted cell is crossed by a ray: they
+    are RAY_CELLS apart at most, and steps of a cell do not jump over one.
+    """
+    rows, columns = np.nonzero(wanted)
+    north, east = here.middles_m(0, 0, wanted.shape)
+    middles = np.stack([north[rows, 0], east[0, columns]], axis=-1)
+    rays = Rays.towards(middles, radar_nea_m[:2], here.cell_m)
+    steps = np.arange(1.0, math.ceil(rays.farthest_m / here.cell_m) + 2)
+    top = np.pad(here.upper_m, 1, constant_values=-np.inf)  # beyond the edge there is nothing
+    lattice = replace(
+        here.lattice,
+        north_min_m=here.north_min_m - here.cell_m,
+        east_min_m=here.east_min_m - here.cell_m,
+        shape=top.shape,
+    )
+    crossed = lattice.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
+    slope = top.ravel().take(crossed)
+    slope -= radar_nea_m[2]
+    slope /= steps[:, None]
+    seen = np.zeros(top.shape, dtype=bool)
+    seen.ravel()[crossed[slope >= np.maximum.accumulate(slope, axis=0)]] = True
+    return seen[1:-1, 1:-1]

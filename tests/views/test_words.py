@@ -126,3 +126,15 @@ def test_every_plan_has_a_row_with_its_length_its_clearance_and_its_tightest_tur
 )
 def test_a_mission_in_words_says_whether_paths_are_proven(profile: str, words: str) -> None:
     assert words in mission_words(load_mission("environment-1", profile))
+
+
+@pytest.mark.parametrize(
+    ("whole_width", "words"), [(False, "nothing bounds"), (True, "only lines of sight")]
+)
+def test_a_mission_in_words_says_what_an_incomplete_radar_proves(
+    *, whole_width: bool, words: str
+) -> None:
+    mission = load_mission("environment-1")
+    assert "may miss ground" not in " ".join(mission_words(mission).split())
+    told = replace(mission, scanner_complete=False, scanner_whole_width=whole_width)
+    assert words in " ".join(mission_words(told).split())

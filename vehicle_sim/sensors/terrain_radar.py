@@ -1,12 +1,17 @@
 """The terrain radar: which cells it sees from where the vehicle is, and how high they are.
 
-A cell's height is that of its highest true terrain, rounded up to the metre.  A cell is seen if one
-of six points of it (its corners, its middle, its highest point) has a free line of sight to the
-radar, and its middle is not farther than the radar's range.
+A cell's height is that of its highest true terrain, rounded up to the metre.  A cell is seen if any
+point of it may have a free line of sight to the radar, and its middle is not farther than the
+radar's range.  So a cell within range that is not seen is hidden, every point of it: whoever reads
+the scan may conclude that.
 
-Lines of sight are marched through a grid of lower bounds of the terrain.  What blocks a line there
-blocks it in truth, so a cell is never called hidden that is not; a line that passes within a grid
-cell of a ridge may count as free though it is not, which only reports one true height more.  The
+Lines of sight are marched through a grid of lower bounds of the terrain: what blocks a line there
+blocks it in truth.  A cell is seen if its highest point, its middle or a corner
+has a free line.  Of the others, each part
+is taken to be as high as its highest all over, and lines go out across it so close to each other
+that every line to a point of it lies within a grid cell of one of them; only what is higher on all
+of that strip blocks it.  So a cell is never called hidden that is not.  What passes within two grid
+cells of a ridge may count as seen though it is not, which only reports one true height more.  The
 curvature of the earth is left out: height in the local frame over horizontal distance.
 """
 
@@ -28,6 +33,8 @@ _GRID_CELLS_PER_RANGE = 400
 _GRID_MARGIN = 0.25
 _TILE_CELLS = 100
 _PASSES = 4
+_PARTS = 3  # a side
+_MOST_DIVISIONS = 2
 _LOWEST_M, _HIGHEST_M = -32767.0, 32767.0
 
 
@@ -72,6 +79,8 @@ class _Grid:
         self.south_m, self.west_m, self.cell_m = south_m, west_m, cell_m
         self.size = tiles * _TILE_CELLS
         self.lowest_amsl_m = np.empty((self.size, self.size))
+        self.lowest_around_amsl_m = np.empty((self.size, self.size))
+        """Of each cell and the eight around it."""
         self._terrain = terrain
         self._found = np.zeros((tiles, tiles), dtype=bool)
 
@@ -88,15 +97,20 @@ class _Grid:
             self._find(top + int(row), left + int(column))
 
     def _find(self, row: int, column: int) -> None:
-        edges = np.arange(_TILE_CELLS + 1.0)
+        edges = np.arange(-1.0, _TILE_CELLS + 2.0)
         north = self.south_m + (row * _TILE_CELLS + edges) * self.cell_m
         east = self.west_m + (column * _TILE_CELLS + edges) * self.cell_m
         start = row * _TILE_CELLS, column * _TILE_CELLS
         tile = tuple(slice(first, first + _TILE_CELLS) for first in start)
-        self.lowest_amsl_m[tile] = self._terrain.lowest_in_grid_amsl_m(north, east)
+        lowest = self._terrain.lowest_in_grid_amsl_m(north, east)
+        self.lowest_amsl_m[tile] = lowest[1:-1, 1:-1]
+        lowest = np.minimum(np.minimum(lowest[:-2], lowest[1:-1]), lowest[2:])
+        lowest = np.minimum(np.minimum(lowest[:, :-2], lowest[:, 1:-1]), lowest[:, 2:])
+        self.lowest_around_amsl_m[tile] = lowest
         self._found[row, column] = True
         for edge in (0, -1):  # lines beyond the edge are looked up there
-            self.lowest_amsl_m[edge, tile[1]] = self.lowest_amsl_m[tile[0], edge] = -np.inf
+            for lowest in (self.lowest_amsl_m, self.lowest_around_amsl_m):
+                lowest[edge, tile[1]] = lowest[tile[0], edge] = -np.inf
 
 
 @final
@@ -123,7 +137,7 @@ class TerrainRadar:
         near = np.flatnonzero(self._within_range(request, view, north, east))
         if len(near):
             highest, place_ne_m = self._terrain.highest_in_quads_amsl_m(corners_ne_m[near])
-            seen = self._seen(corners_ne_m[near], place_ne_m, view)
+            seen = self._seen(corners_ne_m[near], highest, place_ne_m, view)
             rounded = np.clip(np.ceil(highest[seen]), _LOWEST_M, _HIGHEST_M)
             heights[near[seen]] = rounded.astype(np.int64)
         blocks = heights.reshape(len(bits), BLOCK_CELLS * BLOCK_CELLS).tolist()
@@ -176,35 +190,99 @@ class TerrainRadar:
         return away_m <= self._range_m
 
     def _seen(
-        self, corners_ne_m: FloatArray, highest_ne_m: FloatArray, view: Viewpoint
+        self,
+        corners_ne_m: FloatArray,
+        highest_amsl_m: FloatArray,
+        highest_ne_m: FloatArray,
+        view: Viewpoint,
     ) -> NDArray[np.bool_]:
-        """Whether any tested point of each cell is in sight.  (C, 4, 2), (C, 2) -> (C,)."""
+        """Whether some point of each cell may be in sight.  (C, 4, 2), (C,), (C, 2) -> (C,)."""
         north_m, east_m = self._frame.to_local(view.latitude_deg, view.longitude_deg)
         eye = (north_m, east_m, view.altitude_amsl_m)
-        seen = self._in_sight(eye, highest_ne_m)  # the likeliest point first: few need the others
-        hidden = np.flatnonzero(~seen)
-        if len(hidden):
-            corners = corners_ne_m[hidden]
+        seen = self._in_sight(eye, highest_ne_m)  # the likeliest point first: few need more
+        left = np.flatnonzero(~seen)
+        left = left[self._may_be_seen(eye, corners_ne_m[left], highest_amsl_m[left])]
+        if len(left):
+            corners = corners_ne_m[left]
             others = np.concatenate([corners, corners.mean(axis=1, keepdims=True)], axis=1)
             free = self._in_sight(eye, others.reshape(-1, 2)).reshape(-1, 5)
-            seen[hidden] = free.any(axis=1)
+            seen[left] = free.any(axis=1)
+            left = left[~seen[left]]
+        quads, of = corners_ne_m[left], left
+        for _ in range(self._divisions(eye, quads)):
+            if not len(quads):
+                break
+            quads, of = _divided(quads), np.repeat(of, _PARTS * _PARTS)
+            highest, _ = self._terrain.highest_in_quads_amsl_m(quads)
+            may_be = self._may_be_seen(eye, quads, highest)
+            quads, of = quads[may_be], of[may_be]
+        seen[of] = True
+        return seen
+
+    def _divisions(self, eye: tuple[float, float, float], quads_ne_m: FloatArray) -> int:
+        """How often to divide quadrilaterals until they are about two cells of the grid wide."""
+        if not len(quads_ne_m):
+            return 0
+        side_m = float(np.hypot(*(quads_ne_m[:, 1] - quads_ne_m[:, 0]).T).max())
+        times = math.log(max(0.5 * side_m / self._grid_about(*eye[:2]).cell_m, 1.0), _PARTS)
+        return min(math.ceil(times - 1e-9), _MOST_DIVISIONS)
+
+    def _may_be_seen(
+        self, eye: tuple[float, float, float], corners_ne_m: FloatArray, highest_amsl_m: FloatArray
+    ) -> NDArray[np.bool_]:
+        """Whether a line to some point of each quadrilateral may be free.  (K, 4, 2), (K,) -> (K,).
+
+        Taken to be as high as its highest all over the circle around it.
+        """
+        grid = self._grid_about(eye[0], eye[1])
+        away = corners_ne_m - np.array(eye[:2])
+        middle = away.mean(axis=1)
+        half_m = np.hypot(*np.moveaxis(away - middle[:, None], -1, 0)).max(axis=1, initial=0.0)
+        middle_m = np.hypot(middle[:, 0], middle[:, 1])
+        nearest_m = np.maximum(middle_m - half_m, grid.cell_m)
+        seen = middle_m <= 2.0 * half_m + 2.0 * grid.cell_m  # next to the eye
+        rise_m = highest_amsl_m - eye[2]
+        slope = rise_m / np.where(rise_m > 0.0, nearest_m, middle_m + half_m)
+        count = np.maximum(np.ceil(half_m / grid.cell_m), 1.0)
+        across_rad = np.arcsin(np.minimum(half_m / np.maximum(middle_m, 1e-9), 1.0))
+        bearing_rad = np.arctan2(middle[:, 1], middle[:, 0])
+        for k in range(int(np.max(count[~seen], initial=0.0))):
+            left = np.flatnonzero(~seen & (k < count))
+            share = (2.0 * k + 1.0) / count[left] - 1.0  # of the way from the middle to the side
+            at = bearing_rad[left] + across_rad[left] * share
+            run = nearest_m[left, None] * np.stack([np.cos(at), np.sin(at)], axis=-1)
+            top_m = eye[2] + slope[left] * nearest_m[left]
+            seen[left] = self._free(eye, run, top_m, around=True)
         return seen
 
     def _in_sight(
         self, eye: tuple[float, float, float], points_ne_m: FloatArray
     ) -> NDArray[np.bool_]:
         """Whether each point of the surface has a free line to the eye.  (K, 2) -> (K,)."""
-        grid = self._grid_about(eye[0], eye[1])
         top_m = self._terrain.height_amsl_m(points_ne_m[:, 0], points_ne_m[:, 1])
-        offset = points_ne_m - np.array(eye[:2])
-        farthest_m = float(np.max(np.hypot(offset[:, 0], offset[:, 1]), initial=0.0))
+        return self._free(eye, points_ne_m - np.array(eye[:2]), top_m, around=False)
+
+    def _free(
+        self,
+        eye: tuple[float, float, float],
+        offset_ne_m: FloatArray,
+        top_amsl_m: FloatArray,
+        *,
+        around: bool,
+    ) -> NDArray[np.bool_]:
+        """Whether nothing blocks each line from the eye, or some line around it.
+
+        Around: within a cell of the grid.  (K, 2), (K,) -> (K,).
+        """
+        grid = self._grid_about(eye[0], eye[1])
+        farthest_m = float(np.max(np.hypot(offset_ne_m[:, 0], offset_ne_m[:, 1]), initial=0.0))
         count = max(math.ceil(farthest_m / grid.cell_m), 1)
         share = ((np.arange(count) + 0.5) / count)[:, None]  # (S, 1) of the way to the point
-        free = np.arange(len(points_ne_m))
+        free = np.arange(len(offset_ne_m))
         for k in range(_PASSES):  # most of what is hidden is so for more than one sample
-            lines = _Lines(eye=eye, offset_ne_m=offset[free], top_amsl_m=top_m[free])
-            free = free[~lines.blocked(grid, share[k::_PASSES])]
-        seen = np.zeros(len(points_ne_m), dtype=bool)
+            lines = _Lines(eye=eye, offset_ne_m=offset_ne_m[free], top_amsl_m=top_amsl_m[free])
+            free = free[~lines.blocked(grid, share[k::_PASSES], around=around)]
+        seen = np.zeros(len(offset_ne_m), dtype=bool)
         seen[free] = True
         return seen
 
@@ -241,7 +319,7 @@ class _Lines:
     top_amsl_m: FloatArray
     """Of the ground at the points.  (K,)."""
 
-    def blocked(self, grid: _Grid, share: FloatArray) -> NDArray[np.bool_]:
+    def blocked(self, grid: _Grid, share: FloatArray, *, around: bool) -> NDArray[np.bool_]:
         """Whether the ground rises above each line at shares of the way.  (S, 1) -> (K,)."""
         if not share.size or not self.top_amsl_m.size:
             return np.zeros(len(self.top_amsl_m), dtype=bool)
@@ -258,8 +336,19 @@ class _Lines:
         ends = [(int(each.min()), int(each.max())) for each in (row, column)]
         grid.find(ends[0], ends[1])
         line_m = self.eye[2] + share * (self.top_amsl_m - self.eye[2])
-        found: NDArray[np.bool_] = (grid.lowest_amsl_m[row, column] > line_m).any(axis=0)
+        lowest_amsl_m = grid.lowest_around_amsl_m if around else grid.lowest_amsl_m
+        found: NDArray[np.bool_] = (lowest_amsl_m[row, column] > line_m).any(axis=0)
         return found
+
+
+def _divided(corners_ne_m: FloatArray) -> FloatArray:
+    """Quadrilaterals divided into parts.  (K, 4, 2) -> (K _PARTS^2, 4, 2)."""
+    share = np.linspace(0.0, 1.0, _PARTS + 1)[:, None]
+    u, v = share[:, None], share[None]
+    sw, se, ne, nw = (corners_ne_m[:, k, None, None] for k in range(4))
+    at = (1 - u) * ((1 - v) * sw + v * se) + u * ((1 - v) * nw + v * ne)  # (K, n + 1, n + 1, 2)
+    parts = np.stack([at[:, :-1, :-1], at[:, :-1, 1:], at[:, 1:, 1:], at[:, 1:, :-1]], axis=3)
+    return parts.reshape(-1, 4, 2)
 
 
 def _cells_of(bits: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

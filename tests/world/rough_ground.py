@@ -1,0 +1,230 @@
+"""Random ground of all sorts, and what scanners see of it, written apart from the product's code.
+
+Ground is bilinear between nodes, so the highest of a cell is exactly the highest of its nodes.
+Lines of sight are marched outward in all directions, several to a cell; a point is in sight if it
+rises above all that is nearer to the radar in its direction.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.world.known_map import NOT_SEEN, KnownMap, Scan, empty_map
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+CELL_M = 100.0
+ROWS, COLUMNS = 56, 64  # as many as 2 x 2 requests to the simulator's radar have
+NODES = 4  # a cell and side
+RANGE_M = 4_800.0
+_STEP_M = CELL_M / NODES
+_BETWEEN_RAYS = 0.12  # of a cell, at the farthest
+_BETWEEN_STEPS = 0.23  # of a cell
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Heights at nodes, from the south-west corner of the map."""
+
+    nodes_m: FloatArray  # (ROWS * NODES + 1, COLUMNS * NODES + 1)
+
+    def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Between the nodes.  (...), (...) -> (...)."""
+        rows, columns = self.nodes_m.shape
+        row = np.clip(north_m / _STEP_M, 0.0, rows - 1.000001)
+        column = np.clip(east_m / _STEP_M, 0.0, columns - 1.000001)
+        i, j = row.astype(np.intp), column.astype(np.intp)
+        u, v = row - i, column - j
+        flat, first = self.nodes_m.ravel(), i * columns + j
+        south = flat[first] * (1.0 - v) + flat[first + 1] * v
+        north = flat[first + columns] * (1.0 - v) + flat[first + columns + 1] * v
+        return np.asarray(south * (1.0 - u) + north * u)
+
+    def tops_m(self) -> FloatArray:
+        """The highest of each cell.  -> (ROWS, COLUMNS)."""
+        result = np.full((ROWS, COLUMNS), -np.inf)
+        for i in range(NODES + 1):
+            for j in range(NODES + 1):
+                part = self.nodes_m[i : i + ROWS * NODES : NODES, j : j + COLUMNS * NODES : NODES]
+                np.maximum(result, part, out=result)
+        return result
+
+
+# --- sorts of ground, all of slopes of 10 to 85 degrees
+
+
+def _axes() -> tuple[FloatArray, FloatArray]:
+    north = np.arange(ROWS * NODES + 1) * _STEP_M
+    east = np.arange(COLUMNS * NODES + 1) * _STEP_M
+    return north[:, None], east[None, :]
+
+
+def _slope(rng: np.random.Generator) -> float:
+    return math.tan(math.radians(float(rng.uniform(10.0, 85.0))))
+
+
+def _somewhere(rng: np.random.Generator) -> tuple[float, float]:
+    return float(rng.uniform(0.0, ROWS * CELL_M)), float(rng.uniform(0.0, COLUMNS * CELL_M))
+
+
+def peaks(rng: np.random.Generator) -> FloatArray:
+    """Mountains of eq. 1, whose steepest slope is 0.858 x height / spread."""
+    north, east = _axes()
+    result = np.full(np.broadcast_shapes(north.shape, east.shape), 0.0)
+    for _ in range(int(rng.integers(1, 12))):
+        n, e = _somewhere(rng)
+        height = float(rng.uniform(100.0, 3_000.0))
+        spread = max(0.858 * height / _slope(rng), 60.0)
+        x, y = (north - n) / spread, (east - e) / (spread * float(rng.uniform(1.0, 3.0)))
+        np.maximum(result, height * np.exp(-x * x - y * y), out=result)
+    return result
+
+
+def ridges(rng: np.random.Generator) -> FloatArray:
+    """Long crests in any direction, side by side or crossing, some with gaps."""
+    north, east = _axes()
+    result = np.full(np.broadcast_shapes(north.shape, east.shape), 0.0)
+    height, slope = float(rng.uniform(200.0, 3_000.0)), _slope(rng)
+    for _ in range(int(rng.integers(1, 5))):
+        n, e = _somewhere(rng)
+        bearing = float(rng.uniform(0.0, math.pi))
+        aside = (north - n) * math.cos(bearing) + (east - e) * math.sin(bearing)
+        along = (east - e) * math.cos(bearing) - (north - n) * math.sin(bearing)
+        crest = height * (1.0 + float(rng.uniform(0.0, 0.1)) * np.sin(along / 300.0))
+        if rng.random() < 0.5:
+            crest = np.where(np.abs(along) < float(rng.uniform(100.0, 1_000.0)), 0.0, crest)
+        np.maximum(result, crest - slope * np.abs(aside), out=result)
+    return result
+
+
+def walls(rng: np.random.Generator) -> FloatArray:
+    """Walls from one node to several cells thick, towers, and pits."""
+    north, east = _axes()
+    result = np.full(np.broadcast_shapes(north.shape, east.shape), 0.0)
+    for _ in range(int(rng.integers(2, 14))):
+        n, e = _somewhere(rng)
+        half = rng.choice([12.0, 30.0, 80.0, 200.0, 900.0], 2)
+        inside = (np.abs(north - n) <= half[0]) & (np.abs(east - e) <= half[1])
+        result[inside] = float(rng.uniform(-300.0, 2_000.0))
+    return result
+
+
+def steps(rng: np.random.Generator) -> FloatArray:
+    """Terraces."""
+    north, east = _axes()
+    bearing, slope = float(rng.uniform(0.0, 2.0 * math.pi)), _slope(rng)
+    rise = slope * (north * math.cos(bearing) + east * math.sin(bearing))
+    height = float(rng.uniform(30.0, 600.0))
+    return np.asarray(np.floor((rise - rise.min()) / height) % float(rng.integers(2, 9)) * height)
+
+
+def relief(rng: np.random.Generator) -> FloatArray:
+    """Gaussian relief as the earth has it: amplitude as the wave number to the power of -2."""
+    shape = (ROWS * NODES + 1, COLUMNS * NODES + 1)
+    wave = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.fftfreq(shape[1])[None, :])
+    wave[0, 0] = np.inf
+    noise = np.fft.fft2(rng.normal(size=shape))
+    heights = np.fft.ifft2(noise / np.maximum(wave, 0.004) ** float(rng.uniform(1.4, 2.2))).real
+    return np.asarray(
+        (heights - heights.min()) / np.ptp(heights) * float(rng.uniform(300.0, 4_000.0))
+    )
+
+
+SORTS = (peaks, ridges, walls, steps, relief)
+
+
+def ground(number: int) -> tuple[Ground, np.random.Generator]:
+    """Terrain number so and so, always the same, and chance for what is done with it."""
+    rng = np.random.default_rng([20, number])
+    nodes = SORTS[number % len(SORTS)](rng)
+    if rng.random() < 0.3:
+        nodes = np.maximum(nodes, SORTS[int(rng.integers(len(SORTS)))](rng))
+    return Ground(nodes + 50.0), rng
+
+
+def radar_over(tops_m: FloatArray, rng: np.random.Generator) -> tuple[float, float, float]:
+    """A place on the map that no ground within a cell of its own rises above."""
+    n, e = (float(x) for x in rng.uniform(0.1, 0.9, 2) * (ROWS * CELL_M, COLUMNS * CELL_M))
+    row, column = int(n / CELL_M), int(e / CELL_M)
+    near = tops_m[row - 1 : row + 2, column - 1 : column + 2]
+    return n, e, float(near.max() + rng.choice([5.0, 60.0, 300.0, 1_500.0]))
+
+
+# --- scanners
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What is in sight from a point.  (ROWS, COLUMNS) each."""
+
+    somewhere: BoolArray
+    """Some of the cell."""
+    across: BoolArray
+    """Some of the cell in each direction that it lies in."""
+    middle: BoolArray
+    """The sample nearest to its middle."""
+    met_m: FloatArray
+    """The highest of its samples; -inf: none."""
+
+
+def sight_of(place: Ground, radar_nea_m: tuple[float, float, float]) -> Sight:
+    """By marching over the ground."""
+    far = RANGE_M + CELL_M
+    count = math.ceil(2.0 * math.pi * far / (_BETWEEN_RAYS * CELL_M))
+    azimuth = np.arange(count) * (2.0 * math.pi / count)
+    away = np.arange(1.0, far / CELL_M / _BETWEEN_STEPS) * _BETWEEN_STEPS * CELL_M
+    north = radar_nea_m[0] + np.multiply.outer(away, np.cos(azimuth))
+    east = radar_nea_m[1] + np.multiply.outer(away, np.sin(azimuth))
+    height = place.height_m(north, east)
+    slope = (height - radar_nea_m[2]) / away[:, None]
+    inside = (north >= 0.0) & (north < ROWS * CELL_M) & (east >= 0.0) & (east < COLUMNS * CELL_M)
+    slope[~inside] = -np.inf
+    free = (slope >= np.maximum.accumulate(slope, axis=0)) & inside
+    row, column = (north / CELL_M).astype(np.intp), (east / CELL_M).astype(np.intp)
+    cell = np.where(inside, row * COLUMNS + column, ROWS * COLUMNS)
+    size = ROWS * COLUMNS + 1
+    ray = np.broadcast_to(np.arange(count), cell.shape)
+    pair = ray * size + cell
+    crossed, free_pairs = np.zeros(count * size, dtype=bool), np.zeros(count * size, dtype=bool)
+    crossed[pair], free_pairs[pair[free]] = True, True
+    somewhere = free_pairs.reshape(count, size).any(axis=0)
+    across = somewhere & ~(crossed & ~free_pairs).reshape(count, size).any(axis=0)
+    off = np.hypot(north - (row + 0.5) * CELL_M, east - (column + 0.5) * CELL_M)
+    nearest = np.full(size, np.inf)
+    np.minimum.at(nearest, cell.ravel(), np.where(inside, off, np.inf).ravel())
+    middle = np.zeros(size, dtype=bool)
+    middle[cell[free & (off <= nearest[cell])]] = True
+    met = np.full(size, -np.inf)
+    np.maximum.at(met, cell.ravel(), height.ravel())
+    shape = (ROWS, COLUMNS)
+    seen = (each[:-1].reshape(shape) for each in (somewhere, across, middle))
+    return Sight(*seen, met[:-1].reshape(shape))
+
+
+def blank() -> KnownMap:
+    """Nothing is known."""
+    return empty_map(CELL_M, (0.0, ROWS * CELL_M), (0.0, COLUMNS * CELL_M))
+
+
+def scan_of(tops_m: FloatArray, seen: BoolArray, radar_nea_m: tuple[float, float, float]) -> Scan:
+    """The answers of a radar that saw these cells, within range."""
+    north, east = blank().middles_m(0, 0, (ROWS, COLUMNS))
+    near = np.hypot(north - radar_nea_m[0], east - radar_nea_m[1]) <= RANGE_M
+    return Scan(
+        row=0,
+        column=0,
+        heights_m=np.where(seen & near, np.ceil(tops_m), NOT_SEEN),
+        radar_nea_m=np.broadcast_to(np.array(radar_nea_m), (ROWS, COLUMNS, 3)),
+        range_m=RANGE_M,
+        drift_m=0.0,
+        registration_m=0.0,
+    )
+
+
+def with_losses(scan: Scan, rng: np.random.Generator, share: float) -> Scan:
+    """Returns of single cells are lost, and the radar does not say so."""
+    lost = rng.random(scan.heights_m.shape) < share
+    return replace(scan, heights_m=np.where(lost, NOT_SEEN, scan.heights_m), complete=False)
