@@ -251,7 +251,7 @@ class _Plan:
         return replace(best, overrun=overrun)
 
     def _to_edge_of_sight(self) -> tuple[_Try, ...]:
-        """To end where the cheapest way leaves what can be proven: not beyond sight, not within L."""
+        """To end where the cheapest way leaves what can be proven, beyond L and within sight."""
         scene, scan = self._scene, np.array(self._request.scan_nea_m[:2])
         route = np.array(self._field.route_ne_m)
         along = np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))

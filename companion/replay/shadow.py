@@ -113,7 +113,8 @@ def _shadowed(given: Mission | None, look: "_Look", *, plans: bool) -> _Shadowed
     if not plans:
         chosen = replace(chosen, targets_ne_m=(), targets_from_vehicle=False)
     chosen = replace(chosen, system_id=look.heartbeat.get_srcSystem())
-    blind = chosen.known is not None and chosen.scanner_component_id is not None
+    charted = chosen.known is not None and bool(chosen.known.firm.any())
+    blind = charted and chosen.scanner_component_id is not None
     if blind:  # what a radar answered then, it did not answer to these questions
         chosen = replace(chosen, scanner_component_id=None)
     return _Shadowed(given=given, mission=chosen, plans=plans, blind=blind)

@@ -108,7 +108,7 @@ def _resume_of(start: Start, mission: Mission) -> Resume | None:
     try:
         known = None if start.known is None else unpacked_map(start.known)
         if known is not None:
-            known = replace(known, given=checkpoint.blank(mission, start.resume).given)
+            known = known.with_what_was_given(checkpoint.blank(mission, start.resume))
         resume = start.resume, known
         checkpoint.beginning(mission, resume)
     except checkpoint.NOT_SUCH as error:

@@ -280,12 +280,16 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
             raise InputError(f"{where}: vehicle.scanner", False, rule, remedy)
         return None
     _check_terrain(table, where)
+    if table.trust == "guidance" and not model.vehicle.scanner:
+        rule = "without a terrain radar nothing would be proven, as guidance proves nothing"
+        remedy = 'Write terrain.trust = "proof", or remove scanner = false.'
+        raise InputError(f"{where}: terrain.trust", table.trust, rule, remedy)
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
     if table.highest_amsl_m is not None:
         return _level(blank, table.highest_amsl_m, may_be_scanned=model.vehicle.scanner)
     assert table.file is not None
     assert table.vertical_datum is not None
-    return read_known_map(
+    told = read_known_map(
         Path(table.file),
         frame,
         blank,
@@ -295,6 +299,9 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
         may_be_scanned=model.vehicle.scanner,
         field=f"{where}: terrain.file",
     )
+    if table.trust != "guidance":
+        return told
+    return replace(blank, guess_m=np.where(told.firm, told.upper_m, np.nan))
 
 
 def _stated_ground(model: MissionTable) -> float | None:
@@ -318,6 +325,7 @@ def _check_terrain(table: KnownTerrainTable, where: str) -> None:
         "vertical_datum": table.vertical_datum,
         "nodata": table.nodata,
         "datum_error_m": table.datum_error_m,
+        "trust": table.trust,
     }
     for key, value in of_files.items():
         if value is not None:

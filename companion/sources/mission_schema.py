@@ -171,6 +171,8 @@ class KnownTerrainTable(Table):
     nodata: Nodata | None = None
     """What lies where the file has no height.  Left out: unknown until it has been scanned."""
     datum_error_m: NotNegative | None = None
+    trust: Literal["proof", "guidance"] | None = None
+    """What reads the file: certificates too, or only the choice of the way; left out: proof."""
 
 
 class MissionTable(Table):

@@ -7,7 +7,7 @@ vehicle is never armed, as it may have flown.
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
@@ -58,7 +58,7 @@ def recall(folder: Path, mission: Mission) -> Recalled:
         values = checkpoint.without_map(values, f"{_MAP}: {_why(error)}")
         said = tuple(checkpoint.news_of(values))
         return Recalled(resume=Checkpoint(values, None), said=said, unreadable=(_MAP,))
-    return Recalled(resume=Checkpoint(values, replace(known, given=blank.given)))
+    return Recalled(resume=Checkpoint(values, known.with_what_was_given(blank)))
 
 
 def _values(folder: Path, mission: Mission) -> checkpoint.Values:

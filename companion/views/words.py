@@ -84,6 +84,9 @@ def _sight(mission: Mission) -> str:
     if mission.known is not None:
         share = float(np.isfinite(mission.known.upper_m).mean())
         known = f" Terrain of {share:.0%} of the map is known in advance."
+        if mission.known.guess_m is not None:
+            share = float(np.isfinite(mission.known.guess_m).mean())
+            known = f" A file guides over {share:.0%} of the map, and proves nothing."
     if mission.scanner_component_id is None:
         return f"There is no terrain radar: only known terrain is flown over.{known}"
     gaps = ""

@@ -61,12 +61,13 @@ def continued_m(known: KnownMap, range_m: float, here_ne_m: tuple[float, float])
     if len(chosen) == 0:
         return np.full(known.upper_m.shape, plain)
     rise = height[chosen[:, 0], chosen[:, 1]] - plain
-    middles = known.north_min_m, known.east_min_m
-    points = (chosen + 0.5) * across + middles  # (K, 2)
+    corner = np.array([known.north_min_m, known.east_min_m])
+    points: FloatArray = (chosen + 0.5) * across + corner  # (K, 2)
     scale, weights = _likeliest(points, rise, range_m)
     north, east = known.middles_m(0, 0, (known.upper_m.shape[0], known.upper_m.shape[1]))
     along = _covariance(north.ravel(), points[:, 0], scale) * weights
-    return plain + along @ _covariance(east.ravel(), points[:, 1], scale).T
+    result: FloatArray = plain + along @ _covariance(east.ravel(), points[:, 1], scale).T
+    return result
 
 
 def _blocks(known: KnownMap, size: int) -> tuple[FloatArray, BoolArray]:

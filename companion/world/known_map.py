@@ -119,6 +119,10 @@ class KnownMap:
             np.copyto(upper, np.minimum(upper, _overlooked_bound_m(after, scan)), where=~seen)
         return after
 
+    def with_what_was_given(self, blank: "KnownMap") -> "KnownMap":
+        """The same map, and what the blank one was given in advance: files keep only the rest."""
+        return replace(self, given=blank.given, guess_m=blank.guess_m)
+
     def grown(self, by_m: float) -> "KnownMap":
         """The same map for a vehicle that may be so far aside of where it is said to be.
 

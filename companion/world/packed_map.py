@@ -43,6 +43,8 @@ def digest_of(known: KnownMap) -> str:
     digest.update(_millimetres(known.upper_m).astype("<i8").tobytes())
     for cells in (known.seen, known.firm):
         digest.update(np.packbits(cells).tobytes())
+    if known.guess_m is not None:
+        digest.update(_millimetres(known.guess_m).astype("<i8").tobytes())
     return digest.hexdigest()
 
 

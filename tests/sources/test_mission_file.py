@@ -436,6 +436,28 @@ def test_the_datum_error_is_added_to_the_terrain_and_to_nothing_else(folder: Pat
     assert mission.task == exact.task
 
 
+def test_a_file_for_guidance_is_no_knowledge(folder: Path) -> None:
+    terrain(folder / "dem.tif")
+    proof, guidance = (load(folder, f'{KNOWN}trust = "{t}"\n').known for t in ("proof", "guidance"))
+    assert proof is not None
+    assert guidance is not None
+    assert guidance.guess_m is not None
+    assert np.isinf(guidance.upper_m).all()
+    assert not guidance.firm.any()
+    np.testing.assert_array_equal(guidance.guess_m, proof.upper_m)
+
+
+def test_a_file_for_guidance_needs_a_radar_and_is_a_file(folder: Path) -> None:
+    terrain(folder / "dem.tif")
+    guidance = 'trust = "guidance"\n'
+    assert "guidance proves nothing" in refused(
+        folder, vehicle("scanner = false", KNOWN + guidance)
+    )
+    stated = COPTER + "[terrain]\nhighest_amsl_m = 100.0\n" + guidance
+    assert "mission.toml: terrain.trust = 'guidance'" in refused(folder, stated)
+    assert "terrain.trust" in refused(folder, KNOWN + 'trust = "hope"\n')
+
+
 def test_without_a_radar_the_known_terrain_is_all_there_is(folder: Path) -> None:
     terrain(folder / "dem.tif")
     mission = load(folder, vehicle("scanner = false", KNOWN))

@@ -1,0 +1,129 @@
+"""The guess of unseen terrain: what it agrees with, what bounds it, and that no proof reads it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import RBFInterpolator
+
+from companion.config import load_mission
+from companion.geodesy import BoolArray, FloatArray
+from companion.path.certificate import pack_surroundings
+from companion.world import guess
+from companion.world.clearance import safe_surface
+from companion.world.guess import guessed_m
+from companion.world.known_map import KnownMap, empty_map
+
+R = 20_000.0
+CELL = 250.0
+HERE = (15e3, 15e3)
+BLANK = empty_map(CELL, (0.0, 40e3), (0.0, 40e3))
+NORTH, EAST = BLANK.middles_m(0, 0, (160, 160))
+
+
+def peak(north: float, east: float, height: float, spread: float) -> FloatArray:
+    """Eq. 1."""
+    square = ((NORTH - north) ** 2 + (EAST - east) ** 2) / spread**2
+    return np.asarray(height * np.exp(-square), dtype=np.float64)
+
+
+def seen_where(terrain: FloatArray, where: BoolArray) -> KnownMap:
+    return replace(BLANK, upper_m=np.where(where, terrain, np.inf), seen=where)
+
+
+def disc(radius: float) -> BoolArray:
+    return np.asarray(np.hypot(NORTH - HERE[0], EAST - HERE[1]) < radius)
+
+
+def test_what_was_seen_is_believed_as_it_was_seen() -> None:
+    terrain = peak(20e3, 22e3, 4e3, 5e3)
+    known = seen_where(terrain, disc(9e3))
+    believed = guessed_m(known, HERE, R)
+    np.testing.assert_array_equal(believed[known.seen], terrain[known.seen])
+
+
+def test_of_nothing_nothing_is_guessed() -> None:
+    assert np.isneginf(guessed_m(BLANK, HERE, R)).all()
+
+
+@pytest.mark.parametrize("spread", [4e3, 5.5e3, 7e3])
+def test_a_mountain_seen_to_its_crest_has_another_side(spread: float) -> None:
+    """Guessed to within a fifth of its height, where a plain would be wrong by nearly all of it."""
+    terrain = peak(22e3, 22e3, 4e3, spread)
+    front = (NORTH + EAST) < 44.5e3
+    believed = guessed_m(seen_where(terrain, front & disc(19e3)), HERE, R)
+    behind = ~front & (np.hypot(NORTH - 22e3, EAST - 22e3) < 0.7 * spread)
+    assert np.abs(believed - terrain)[behind].max() < 0.2 * 4e3
+    assert terrain[behind].min() > 0.6 * 4e3
+
+
+def test_far_from_all_that_was_seen_lies_the_plain() -> None:
+    terrain = 300.0 + peak(20e3, 20e3, 3e3, 4e3)
+    known = seen_where(terrain, (NORTH < 20e3) & (EAST < 20e3))
+    believed = guessed_m(known, HERE, R)
+    assert believed[-1, -1] == pytest.approx(300.0, abs=30.0)
+
+
+def test_it_is_the_kriging_of_another_implementation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """scipy's radial basis functions of a Gaussian, with the noise as smoothing."""
+    monkeypatch.setattr(guess, "_SCALES", (0.2,))
+    terrain = peak(20e3, 24e3, 4e3, 5e3) + peak(12e3, 20e3, 2e3, 4e3)
+    known = seen_where(terrain, disc(8e3))
+    size = 4  # cells, a twentieth of R
+    seen = known.seen.reshape(40, size, 40, size).sum(axis=(1, 3))
+    total = (terrain * known.seen).reshape(40, size, 40, size).sum(axis=(1, 3))
+    height = total / np.maximum(seen, 1)
+    chosen = np.argwhere(seen >= 0.5 * size * size)
+    rise = height[tuple(chosen.T)]
+    plain = np.quantile(rise, 0.02)
+    monkeypatch.setattr(guess, "_rim", lambda seen, *_: np.argwhere(seen))  # not thinned
+    ours = guessed_m(known, HERE, R)
+    theirs = RBFInterpolator(
+        (chosen + 0.5) * size * CELL,
+        rise - plain,
+        kernel="gaussian",
+        epsilon=1.0 / (math.sqrt(2.0) * 0.2 * R),
+        smoothing=0.02**2,
+        degree=-1,
+    )
+    points = np.stack([np.broadcast_to(NORTH, (160, 160)), np.broadcast_to(EAST, (160, 160))], -1)
+    unseen = ~known.seen & disc(14e3)
+    np.testing.assert_allclose(ours[unseen], plain + theirs(points[unseen]), atol=0.01)
+
+
+def test_a_sight_line_bounds_the_guess() -> None:
+    terrain = peak(22e3, 22e3, 4e3, 5e3)
+    known = seen_where(terrain, disc(9e3))
+    bound = 900.0
+    below = replace(known, upper_m=np.where(known.seen, known.upper_m, bound))
+    assert guessed_m(known, HERE, R)[~known.seen].max() > bound
+    assert guessed_m(below, HERE, R)[~known.seen].max() <= bound
+
+
+def test_a_file_for_guidance_is_believed_until_a_scan_knows_better() -> None:
+    told = peak(25e3, 25e3, 4e3, 5e3)
+    told[:, :20] = np.nan
+    known = replace(seen_where(np.full((160, 160), 100.0), disc(5e3)), guess_m=told)
+    believed = guessed_m(known, HERE, R)
+    assert (believed[known.seen] == 100.0).all()
+    unseen = ~known.seen & np.isfinite(told)
+    np.testing.assert_array_equal(believed[unseen], told[unseen])
+    assert np.isneginf(believed[~known.seen & np.isnan(told)]).all()
+
+
+def test_no_proof_reads_a_guess() -> None:
+    known = seen_where(peak(20e3, 20e3, 3e3, 4e3), disc(9e3))
+    guessed = replace(known, guess_m=np.full((160, 160), -500.0))
+    for one, other in zip(read_by_proofs(known), read_by_proofs(guessed), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert not guessed.is_known(39e3, 39e3)
+
+
+def read_by_proofs(known: KnownMap) -> list[FloatArray]:
+    task = load_mission("environment-1").task
+    safe = safe_surface(known, centre_ne_m=HERE, reach_m=R, clearance_m=500.0, unknown_m=5_000.0)
+    around = pack_surroundings(
+        known, task.limits, (), (), task.margins, centre_ne_m=HERE, reach_m=R
+    )
+    return [safe.vertex_m, around.heights_m, around.blocks_m, known.firm]
