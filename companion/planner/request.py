@@ -136,6 +136,10 @@ class Refusal(enum.Enum):
         "a turn of vehicle.turn_radius_m does not fit into planner.scan_range_m; "
         "lower the one or raise the other"
     )
+    TOO_MANY_LEGS = (
+        "the target was not reached with the most legs that were allowed, without a vehicle; "
+        "allow more (most_legs), or look where it goes to and fro"
+    )
 
 
 @final

@@ -103,7 +103,7 @@ def best_of(world: BenchmarkWorld) -> optimum.Optimum | None:
 @functools.cache
 def _store() -> Path:
     digest = hashlib.sha256()
-    for module in (*_SOLVER, families):
+    for module in _SOLVER:
         digest.update(Path(str(module.__file__)).read_bytes())
     return Path(user_cache_dir("companion")) / f"optima-{digest.hexdigest()[:16]}"
 

@@ -27,7 +27,7 @@ IntArray = NDArray[np.intp]
 
 _CELLS_PER_RANGE = 40
 _FINE = 4  # points of the fine lattice to a cell
-_SPARE = 0.02  # kept beside the required clearance, for what lies between the points
+_SPARE = 0.03  # kept beside the required clearance, for what lies between the points
 _OFTEN = 0.375  # of R: how far it flies from one look ahead to the next
 _STRAIGHT = 2.0  # of R: how far ahead the way is pulled straight
 _MOST_PLANS = 3_000
@@ -261,12 +261,10 @@ class Rival:
             if self._need_at(point[None, :])[0] > self.world.ceiling_amsl_m:
                 break
             done.append(point)
-        else:
-            return done
         return done
 
     def _need_at(self, at_ne_m: FloatArray) -> FloatArray:
-        """Lowest safe altitude, the highest of the four fine points around.  (S, 2) -> (S,)."""
+        """Lowest safe altitude between the fine points.  (S, 2) -> (S,)."""
         last = np.array(self.need_m.shape) - 2
         index = np.clip(np.floor((at_ne_m - self.corner_ne_m) / self.fine_m), 0, last)
         i, j = index.astype(np.intp).T

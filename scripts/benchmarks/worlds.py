@@ -300,40 +300,44 @@ def axes_m(world: BenchmarkWorld, cell_m: float) -> tuple[FloatArray, FloatArray
     )
 
 
-def lowest_safe_m(world: BenchmarkWorld, cell_m: float, clearance_m: float) -> FloatArray:
+def lowest_safe_m(
+    world: BenchmarkWorld, cell_m: float, clearance_m: float, aside_m: float = 0.0
+) -> FloatArray:
     """Lowest altitude at lattice points that is clearance_m from the terrain, to metres.
 
-    The terrain of a lattice, dilated by a ball; too low by at most about
+    The terrain of a lattice, dilated by a disc of aside_m and a ball; too low by at most about
     cell^2 / (8 clearance), so a metre or two at cells of 100 m.  -> (rows, columns).
     """
     north, east = axes_m(world, cell_m)
-    reach = math.ceil(clearance_m / cell_m)
+    reach = math.ceil((clearance_m + aside_m) / cell_m)
     outer_n = north[0] + cell_m * np.arange(-reach, len(north) + reach)
     outer_e = east[0] + cell_m * np.arange(-reach, len(east) + reach)
     height = height_m(world.terrain, outer_n[:, None], outer_e[None, :])
     result = np.full((len(north), len(east)), -np.inf)
     for i in range(-reach, reach + 1):
         for j in range(-reach, reach + 1):
-            left2 = clearance_m**2 - (i * i + j * j) * cell_m**2
+            left2 = clearance_m**2 - max(math.hypot(i, j) * cell_m - aside_m, 0.0) ** 2
             if left2 >= 0.0:
                 shifted = height[reach + i :, reach + j :][: len(north), : len(east)]
                 np.maximum(result, shifted + math.sqrt(left2), out=result)
     return result
 
 
+@functools.lru_cache(maxsize=4)
 def free_at_floor(world: BenchmarkWorld) -> BoolArray:
     """Lattice points that are clear of terrain, radars and keep-outs at the floor of the band."""
     cell = _cell_m(world)
     north, east = (axis.reshape(shape) for axis, shape in
                    zip(axes_m(world, cell), ((-1, 1), (1, -1)), strict=True))  # fmt: skip
-    need = lowest_safe_m(world, cell, world.task.required_clearance_m + 0.5 * cell)
+    clearance, aside = world.task.required_clearance_m, world.task.limits.loiter_radius_m
+    need = lowest_safe_m(world, cell, clearance + 0.5 * cell, aside)
     free = need <= world.floor_amsl_m
     for radar in world.task.radars:
         n, e, altitude = radar.centre_nea_m
         squared = (north - n) ** 2 + (east - e) ** 2 + (world.floor_amsl_m - altitude) ** 2
         free &= squared > radar.range_m**2
     for zone in world.task.zones:
-        free &= zone.distance_m(*np.broadcast_arrays(north, east)) > world.task.required_clearance_m
+        free &= zone.distance_m(*np.broadcast_arrays(north, east)) > clearance + aside
     return free
 
 
