@@ -168,8 +168,8 @@ class Rival:
         )
         if math.dist(at_ne_m, target) < 3.0 * self.cell_m:
             direct = np.array([at_ne_m, target])
-            if math.isfinite(self._line_cost(rate, *direct)):
-                return self._even(direct)
+            if math.isfinite(self.line_cost(rate, *direct)):
+                return self.even(direct)
         here = np.rint((at_ne_m - self.corner_ne_m) / self.cell_m).astype(int)
         best, first = math.inf, -1
         for row in range(max(here[0] - 2, 0), min(here[0] + 3, rows)):
@@ -177,7 +177,7 @@ class Rival:
                 node = row * columns + column
                 total = costs[node]
                 if total < best:
-                    total += self._line_cost(rate, at_ne_m, self._place(node))
+                    total += self.line_cost(rate, at_ne_m, self._place(node))
                     if total < best:
                         best, first = total, node
         if first < 0:
@@ -187,7 +187,7 @@ class Rival:
             nodes.append(int(before[nodes[-1]]))
         route = np.array([at_ne_m, *(self._place(node) for node in nodes)])
         route[-1] = target
-        return self._even(self._straight(rate, route))
+        return self.even(self._straight(rate, route))
 
     def _graph(self, rate: FloatArray) -> csr_array:
         """Edges to 16 neighbours, each with its mean rate at quarters of the edge."""
@@ -214,21 +214,27 @@ class Rival:
         """The way with lines in place of its bends where they cost no more, near its beginning."""
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=-1))])
         last = int(np.searchsorted(along, _STRAIGHT * self.range_m))
-        pieces = [self._line_cost(rate, a, b) for a, b in pairwise(route)]
+        pieces = [self.line_cost(rate, a, b) for a, b in pairwise(route)]
         cost = np.concatenate([[0.0], np.cumsum(pieces)])
         kept, here = [0], 0
         while here < min(last, len(route) - 1):
             ends = range(min(last, len(route) - 1), here + 1, -1)
             there = next(
                 (k for k in ends
-                 if self._line_cost(rate, route[here], route[k]) <= cost[k] - cost[here]),
+                 if self.line_cost(rate, route[here], route[k]) <= cost[k] - cost[here]),
                 here + 1,
             )  # fmt: skip
             kept.append(there)
             here = there
         return np.concatenate([route[kept], route[here + 1 :]])
 
-    def _line_cost(self, rate: FloatArray, a: FloatArray, b: FloatArray) -> float:
+    def rate_at(self, rate: FloatArray, at_ne_m: FloatArray) -> float:
+        """Cost per metre at the fine point nearest to a place."""
+        row, column = self._fine_index(at_ne_m).tolist()
+        return float(rate[row, column])
+
+    def line_cost(self, rate: FloatArray, a: FloatArray, b: FloatArray) -> float:
+        """Cost of a straight line, in metres of level flight; infinite: it is not free."""
         length = float(np.linalg.norm(b - a))
         count = max(math.ceil(length / self.fine_m), 2)
         points = a + np.linspace(0.0, 1.0, count + 1)[:, None] * (b - a)
@@ -242,7 +248,7 @@ class Rival:
 
     # --- flying
 
-    def _even(self, route: FloatArray) -> FloatArray:
+    def even(self, route: FloatArray) -> FloatArray:
         """The same way in steps of half the fine lattice."""
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=-1))])
         count = max(math.ceil(along[-1] / (0.5 * self.fine_m)), 1)
