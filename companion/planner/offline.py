@@ -17,12 +17,16 @@ from companion.planner.request import (
     WayBack,
 )
 from companion.planner.settings import Task
-from companion.world.known_map import KnownMap
+from companion.world.known_map import KnownMap, Scan
 from companion.world.simulated_scan import simulated_scan
 
 _LEAST_MOST_LEGS = 60
 _TIMES_AS_MANY = 6  # legs as a straight way of legs of full length has
 _MOST_ATTEMPTS = 4  # from one place, each with a wider search
+
+
+Scanner = Callable[[KnownMap, tuple[float, float, float], float], Scan]
+"""What is seen of the truth from a point (north, east, altitude) with a range, metres."""
 
 
 @final
@@ -51,6 +55,7 @@ def fly_offline(
     targets_ne_m: tuple[tuple[float, float], ...],
     seed: int,
     planner: Callable[[PlanRequest], PlanOutcome] = plan,
+    scanner: Scanner = simulated_scan,
     most_legs: int | None = None,
 ) -> OfflineFlight:
     """Scan, plan, go on to p_prog, until the last target is reached or nothing can be planned.
@@ -66,7 +71,7 @@ def fly_offline(
         most_legs = usual_most_legs(task, start_nea_m, targets_ne_m)
     flight = _Flight(task, blank, start_nea_m, targets_ne_m, most_legs)
     while not flight.is_over:
-        flight.scan(truth)
+        flight.scan(truth, scanner)
         flight.take(planner(flight.request(seed)))
     return flight.result()
 
@@ -111,10 +116,10 @@ class _Flight:
         spent = len(self._legs) >= self._most_legs or self._attempt == _MOST_ATTEMPTS
         return not self._left or spent
 
-    def scan(self, truth: KnownMap) -> None:
+    def scan(self, truth: KnownMap, scanner: Scanner) -> None:
         range_m = self._task.settings.scan_range_m
         self._scans.append(self._scan_nea_m)
-        self._known = self._known.with_scan(simulated_scan(truth, self._scan_nea_m, range_m))
+        self._known = self._known.with_scan(scanner(truth, self._scan_nea_m, range_m))
 
     def request(self, seed: int) -> PlanRequest:
         self._requests += 1

@@ -137,8 +137,8 @@ class Refusal(enum.Enum):
         "lower the one or raise the other"
     )
     TOO_MANY_LEGS = (
-        "the target was not reached with the most legs that were allowed, without a vehicle; "
-        "allow more (most_legs), or look where it goes to and fro"
+        "the target was not reached with as many legs as are allowed without a vehicle; "
+        "look at its path for a trap, or allow more (most_legs)"
     )
 
 
