@@ -5,8 +5,8 @@ See docs/library.md.  Deterministic: the same arguments, the same flight.
 
 import functools
 import warnings
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import final
@@ -86,9 +86,8 @@ def fly(
     Parameters
     ----------
     world
-        The truth: a bundled name or a world.toml, a `Terrain`, or heights AMSL (rows to the
-        north, columns to the east), `spacing_m` apart, the first at `corner_ne_m` (by default the
-        south-west corner of the mission's map).
+        The truth: a bundled name, a world.toml, a `Terrain`, or heights AMSL (rows to the north,
+        columns to the east), `spacing_m` apart from `corner_ne_m` (the map's south-west corner).
     mission
         A bundled name or a mission file, or a `Task`, which needs a start and targets.
     start_nea_m, targets_ne_m
@@ -110,14 +109,9 @@ def fly(
     """
     task, start_nea_m, targets, known = _mission(world, mission, start_nea_m, targets_ne_m, known)
     terrain = _terrain(world, task, spacing_m, corner_ne_m)
-    limits = task.limits
-    blank = known or empty_map(task.cell_m, limits.north_m, limits.east_m)
+    blank = known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
     kernel = _kernel() if compiled else NUMPY
-    if isinstance(optimiser, str) and optimiser not in OPTIMISERS:
-        raise InputError("optimiser", optimiser, "there is none", f"One of {list(OPTIMISERS)}.")
-    with nullcontext(optimiser) if not callable(optimiser) else lent(optimiser) as name:
-        if name is not None:
-            task = replace(task, settings=replace(task.settings, optimiser=name))
+    with _searched_with(optimiser, task) as task:
         flight = fly_offline(
             task,
             blank=blank,
@@ -130,6 +124,17 @@ def fly(
             most_legs=most_legs,
         )
     return _flown(flight, task, kernel)
+
+
+@contextmanager
+def _searched_with(optimiser: str | Maker | None, task: Task) -> Iterator[Task]:
+    """The task, with another optimiser if one is given."""
+    if isinstance(optimiser, str) and optimiser not in OPTIMISERS:
+        raise InputError("optimiser", optimiser, "there is none", f"One of {list(OPTIMISERS)}.")
+    with lent(optimiser) if callable(optimiser) else nullcontext(optimiser) as name:
+        yield (
+            task if name is None else replace(task, settings=replace(task.settings, optimiser=name))
+        )
 
 
 @functools.cache
