@@ -26,6 +26,8 @@ FloatArray = NDArray[np.float64]
 _STEEPEST = math.sqrt(2.0) * math.exp(-0.5)  # of exp(-x^2), times height over spread: 0.858
 _NEWTON_STEPS = 25
 _CONVERGED_M = 1e-3
+_PART = 4_000
+"""Points that are looked at together."""
 
 
 @final
@@ -105,10 +107,20 @@ def terrain_distance_m(
     """Distance of points to the ground, at most up_to_m; negative inside.  (S, 3) -> (S,)."""
     if isinstance(terrain, ArrayTerrain):
         return _array_distance_m(points_nea_m, terrain, up_to_m)
+    parts = range(0, len(points_nea_m), _PART)
+    return np.concatenate(
+        [_peaks_distance_m(points_nea_m[k : k + _PART], terrain, up_to_m) for k in parts]
+    )
+
+
+def _peaks_distance_m(points_nea_m: FloatArray, terrain: PeakTerrain, up_to_m: float) -> FloatArray:
+    """As above, of points that are near to each other: most peaks are too far to look at."""
     result = np.minimum(points_nea_m[:, 2] - terrain.ground_amsl_m, up_to_m)
     low = float(points_nea_m[:, 2].min())
+    box = points_nea_m[:, :2].min(axis=0) - up_to_m, points_nea_m[:, :2].max(axis=0) + up_to_m
     for peak in terrain.peaks:
-        if peak.height_amsl_m < low - up_to_m:
+        nearest = np.clip((peak.north_m, peak.east_m), *box)
+        if _peak_height_m(peak, nearest[None, :])[0] < low - up_to_m:
             continue
         steepest = _STEEPEST * peak.height_amsl_m / min(peak.spread_north_m, peak.spread_east_m)
         above = points_nea_m[:, 2] - _peak_height_m(peak, points_nea_m[:, :2])
