@@ -137,12 +137,18 @@ def measured(family: str, index: int, options: Options) -> FamilyResult:
 def run(
     names: Sequence[str], count: int, jobs: int, options: Options, console: Console
 ) -> list[FamilyResult]:
-    """Fly and measure all worlds, in their order."""
+    """Fly and measure all worlds, in their order; what raises is said and left out."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # one core for each job
+    results = []
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(measured, n, k, options) for n in names for k in range(count)]
-        return [f.result() for f in track(futures, "worlds", console=console, transient=True)]
+        todo = [(n, k, pool.submit(measured, n, k, options)) for n in names for k in range(count)]
+        for name, index, future in track(todo, "worlds", console=console, transient=True):
+            try:
+                results.append(future.result())
+            except Exception as error:  # noqa: BLE001 - the other worlds are still worth measuring
+                console.print(f"{name} seed {options.seed} world {index}: {error!r}", style="red")
+    return results
 
 
 # --- what is said about them
@@ -225,12 +231,15 @@ def lines(results: Sequence[FamilyResult], seed: int) -> list[str]:
 def report(
     names: Sequence[str], count: int, jobs: int, options: Options, console: Console
 ) -> tuple[dict[str, Any], bool]:
-    """Fly, print, and give back the numbers and whether all arrived without a violation."""
+    """Fly all; the numbers, and whether every mission arrived without a violation."""
     results = run(names, count, jobs, options, console)
-    groups = {name: summary([r for r in results if r.family == name]) for name in names}
-    return {
+    of = {name: [r for r in results if r.family == name] for name in names}
+    groups = {name: summary(found) for name, found in of.items() if found}
+    kept = all(r.ours.arrived and not r.ours.violations for r in results)
+    found = {
         "seed": options.seed,
         "summary": groups,
         "missions": [asdict(r) | {"ratio": r.ours.ratio} for r in results],
         "lines": lines(results, options.seed),
-    }, all(s["arrived"] == s["missions"] and not s["missions_violating"] for s in groups.values())
+    }
+    return found, kept and len(results) == len(names) * count
