@@ -27,10 +27,11 @@ IntArray = NDArray[np.intp]
 
 _CELLS_PER_RANGE = 40
 _FINE = 4  # points of the fine lattice to a cell
-_SPARE = 0.03  # kept beside the required clearance, for what lies between the points
+_SPARE = 0.35  # of a fine cell, kept beside the required clearance
 _OFTEN = 0.375  # of R: how far it flies from one look ahead to the next
 _STRAIGHT = 2.0  # of R: how far ahead the way is pulled straight
-_MOST_PLANS = 3_000
+_NOT_FREE = 1e12  # metres of level flight
+_MOST_IN_VAIN = 50  # plans in a row that lead nowhere
 _OFFSETS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 
 
@@ -62,14 +63,15 @@ def fly(world: BenchmarkWorld) -> RivalFlight:
     """The rival's flight to the only target of a world."""
     rival = Rival(world)
     at = np.array(world.start_nea_m[:2])
-    flown, plans = [at], 0
-    while plans < _MOST_PLANS:
+    flown, plans, in_vain = [at], 0, 0
+    while in_vain < _MOST_IN_VAIN:
         rival.look(at)
         plans += 1
         ahead = rival.way(at)
         if ahead is None:
             break
         done = rival.follow(ahead)
+        in_vain = in_vain + 1 if len(done) == 1 else 0
         flown += done[1:]
         at = flown[-1]
         if len(done) == len(ahead):
@@ -92,12 +94,13 @@ class Rival:
         fine_n, fine_e = worlds.axes_m(world, self.fine_m)
         fine = (_FINE * (len(north) - 1) + 1, _FINE * (len(east) - 1) + 1)
         self.fine_n, self.fine_e = fine_n[: fine[0], None], fine_e[None, : fine[1]]
-        clearance = (1.0 + _SPARE) * world.task.required_clearance_m
+        clearance = world.task.required_clearance_m + _SPARE * self.fine_m
         need = worlds.lowest_safe_m(world, self.fine_m, clearance)
         self.need_m = need[: fine[0], : fine[1]]
         self.height_m = truth.height_m(world.terrain, self.fine_n[::2], self.fine_e[:, ::2])
         self.seen = np.zeros(self.height_m.shape, dtype=bool)
         self.closed = np.zeros(fine, dtype=bool)
+        self.balked = self.closed.copy()  # a way over the lattice led there, but not through
         for zone in world.task.zones:
             away = zone.distance_m(*np.broadcast_arrays(self.fine_n, self.fine_e))
             self.closed |= away < clearance
@@ -140,7 +143,7 @@ class Rival:
 
     # --- searching
 
-    def rate(self) -> FloatArray:
+    def rate(self, at_ne_m: FloatArray | None = None) -> FloatArray:
         """Cost per metre at the fine points, in metres of level flight; infinite: closed."""
         world, need = self.world, self.known_need_m
         band = world.ceiling_amsl_m - world.floor_amsl_m
@@ -151,12 +154,15 @@ class Rival:
             away2 = (self.fine_n - n) ** 2 + (self.fine_e - e) ** 2 + (altitude - z) ** 2
             ratio2 = away2 / radar.range_m**2
             rate += np.where(ratio2 <= 1.0, self.rates.radar / (1.0 + ratio2**2), 0.0)
-        rate[self.closed | (need > world.ceiling_amsl_m)] = np.inf
+        closed = self.closed | self.balked | (need > world.ceiling_amsl_m)
+        if at_ne_m is not None:
+            closed[tuple(self._fine_index(at_ne_m))] = False  # it is there
+        rate[closed] = np.inf
         return rate
 
     def way(self, at_ne_m: FloatArray) -> FloatArray | None:
         """The cheapest way to the target by what is known, at even steps; None: there is none."""
-        rate = self.rate()
+        rate = self.rate(at_ne_m)
         target = np.array(self.world.targets_ne_m[0])
         rows, columns = self.shape
         end = np.rint((target - self.corner_ne_m) / self.cell_m).astype(int)
@@ -215,6 +221,7 @@ class Rival:
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=-1))])
         last = int(np.searchsorted(along, _STRAIGHT * self.range_m))
         pieces = [self.line_cost(rate, a, b) for a, b in pairwise(route)]
+        pieces = np.minimum(pieces, _NOT_FREE)  # between the points that the lattice looks at
         cost = np.concatenate([[0.0], np.cumsum(pieces)])
         kept, here = [0], 0
         while here < min(last, len(route) - 1):
@@ -236,7 +243,7 @@ class Rival:
     def line_cost(self, rate: FloatArray, a: FloatArray, b: FloatArray) -> float:
         """Cost of a straight line, in metres of level flight; infinite: it is not free."""
         length = float(np.linalg.norm(b - a))
-        count = max(math.ceil(length / self.fine_m), 2)
+        count = max(math.ceil(length / (0.5 * self.fine_m)), 2)
         points = a + np.linspace(0.0, 1.0, count + 1)[:, None] * (b - a)
         index = self._fine_index(points)
         values = rate[index[:, 0], index[:, 1]]
@@ -264,7 +271,9 @@ class Rival:
             if not self.seen[row, column]:
                 self.look(done[-1])
                 self.seen[row, column] = True  # right ahead of it
-            if self._need_at(point[None, :])[0] > self.world.ceiling_amsl_m:
+            i, j = self._fine_index(point).tolist()
+            if self.closed[i, j] or self.need_m[i, j] > self.world.ceiling_amsl_m:
+                self.balked[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2] = True
                 break
             done.append(point)
         return done
