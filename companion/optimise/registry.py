@@ -1,6 +1,7 @@
 """Every optimiser by the name under which a task asks for it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -59,3 +60,14 @@ OPTIMISERS: dict[str, Maker] = {
     "pso": _particle_swarm,
     "ga": _genetic,
 }
+
+
+@contextmanager
+def lent(make: Maker) -> Iterator[str]:
+    """One more optimiser as long as it is needed: -> the name under which a task asks for it."""
+    name = f"own {id(make):x}"
+    OPTIMISERS[name] = make
+    try:
+        yield name
+    finally:
+        OPTIMISERS.pop(name, None)

@@ -1,18 +1,32 @@
 """The online procedure without a vehicle: simulated scans and perfect tracking."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import final
 
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
-from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, WayBack
+from companion.planner.request import (
+    NotPlanned,
+    Planned,
+    PlanOutcome,
+    PlanRequest,
+    Refusal,
+    WayBack,
+)
 from companion.planner.settings import Task
-from companion.world.known_map import KnownMap
+from companion.world.known_map import KnownMap, Scan
 from companion.world.simulated_scan import simulated_scan
 
-_MOST_LEGS = 60
+_LEAST_MOST_LEGS = 60
+_TIMES_AS_MANY = 6  # legs as a straight way of legs of full length has
 _MOST_ATTEMPTS = 4  # from one place, each with a wider search
+
+
+Scanner = Callable[[KnownMap, tuple[float, float, float], float], Scan]
+"""What is seen of the truth from a point (north, east, altitude) with a range, metres."""
 
 
 @final
@@ -27,7 +41,7 @@ class OfflineFlight:
     scans_nea_m: tuple[tuple[float, float, float], ...]
     known: KnownMap
     failure: NotPlanned | None
-    """Why it ended before the target."""
+    """Why it ended before the target; None: it did not."""
     holds: int
     """How often it had to stop at the end of a leg, for want of a successor."""
 
@@ -41,17 +55,37 @@ def fly_offline(
     targets_ne_m: tuple[tuple[float, float], ...],
     seed: int,
     planner: Callable[[PlanRequest], PlanOutcome] = plan,
+    scanner: Scanner = simulated_scan,
+    most_legs: int | None = None,
 ) -> OfflineFlight:
     """Scan, plan, go on to p_prog, until the last target is reached or nothing can be planned.
+
+    most_legs: it gives up after so many, with `TOO_MANY_LEGS`; None: six times as many as a
+    straight way has, or 60 if that is more.  From one place it asks four times, each time with a
+    wider search.
 
     As in flight: at a target that is not the last the vehicle stops and begins again, and a leg
     that has no successor is flown to its end, where the vehicle stops, looks and plans anew.
     """
-    flight = _Flight(task, blank, start_nea_m, targets_ne_m)
+    if most_legs is None:
+        most_legs = usual_most_legs(task, start_nea_m, targets_ne_m)
+    flight = _Flight(task, blank, start_nea_m, targets_ne_m, most_legs)
     while not flight.is_over:
-        flight.scan(truth)
+        flight.scan(truth, scanner)
         flight.take(planner(flight.request(seed)))
     return flight.result()
+
+
+def usual_most_legs(
+    task: Task,
+    start_nea_m: tuple[float, float, float],
+    targets_ne_m: tuple[tuple[float, float], ...],
+) -> int:
+    """How many legs a flight may have before it counts as one that does not get there."""
+    places = [start_nea_m[:2], *targets_ne_m]
+    leg_m = max(task.end_radius_m - task.tail_m, 0.1 * task.settings.scan_range_m)
+    legs = sum(math.ceil(math.dist(a, b) / leg_m) for a, b in pairwise(places))
+    return max(_LEAST_MOST_LEGS, _TIMES_AS_MANY * legs)
 
 
 @final
@@ -64,7 +98,9 @@ class _Flight:
         blank: KnownMap,
         start_nea_m: tuple[float, float, float],
         targets_ne_m: tuple[tuple[float, float], ...],
+        most_legs: int,
     ) -> None:
+        self._most_legs = most_legs
         self._task, self._known, self._left = task, blank, list(targets_ne_m)
         self._pose, self._scan_nea_m, self._from_rest = hover_pose(start_nea_m), start_nea_m, True
         self._route: tuple[tuple[float, float], ...] = ()
@@ -77,12 +113,13 @@ class _Flight:
 
     @property
     def is_over(self) -> bool:
-        return not self._left or len(self._legs) == _MOST_LEGS or self._attempt == _MOST_ATTEMPTS
+        spent = len(self._legs) >= self._most_legs or self._attempt == _MOST_ATTEMPTS
+        return not self._left or spent
 
-    def scan(self, truth: KnownMap) -> None:
+    def scan(self, truth: KnownMap, scanner: Scanner) -> None:
         range_m = self._task.settings.scan_range_m
         self._scans.append(self._scan_nea_m)
-        self._known = self._known.with_scan(simulated_scan(truth, self._scan_nea_m, range_m))
+        self._known = self._known.with_scan(scanner(truth, self._scan_nea_m, range_m))
 
     def request(self, seed: int) -> PlanRequest:
         self._requests += 1
@@ -140,12 +177,15 @@ class _Flight:
         self._pose, self._from_rest = hover_pose(self._scan_nea_m), True
 
     def result(self) -> OfflineFlight:
+        failure = self._failure
+        if self._left and failure is None:
+            failure = NotPlanned(plan_id=self._requests, refusal=Refusal.TOO_MANY_LEGS)
         return OfflineFlight(
             legs=tuple(self._legs),
             flown_m=tuple(self._flown_m),
             plans=tuple(self._plans),
             scans_nea_m=tuple(self._scans),
             known=self._known,
-            failure=self._failure,
+            failure=failure,
             holds=self._holds,
         )

@@ -136,6 +136,10 @@ class Refusal(enum.Enum):
         "a turn of vehicle.turn_radius_m does not fit into planner.scan_range_m; "
         "lower the one or raise the other"
     )
+    TOO_MANY_LEGS = (
+        "the target was not reached with as many legs as are allowed without a vehicle; "
+        "look at its path for a trap, or allow more (most_legs)"
+    )
 
 
 @final

@@ -144,7 +144,7 @@ class GridTerrain:
 
     def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Terrain height, metres AMSL.  (...) x2 -> (...)."""
-        return self._at(*self._nodes(np.asarray(north_m), np.asarray(east_m)))
+        return _bilinear_m(self.heights_m, *self._nodes(np.asarray(north_m), np.asarray(east_m)))
 
     def highest_in_box_m(
         self,
@@ -161,35 +161,7 @@ class GridTerrain:
         nodes in and next to it.
         """
         low, high = self._outlines(north_min, north_max, east_min, east_max)
-        lines = [
-            int(np.max(np.ceil(b) - np.floor(a) - 1, initial=0))
-            for a, b in zip(low, high, strict=True)
-        ]
-        if max(lines) > _FINE_LINES:
-            return self._highest_node_m(low, high)
-        u, v = (
-            [a, *(np.clip(np.floor(a) + k, a, b) for k in range(1, count + 1)), b]
-            for a, b, count in zip(low, high, lines, strict=True)
-        )
-        result = np.full(np.shape(low[0]), -np.inf)
-        for row in u:
-            for column in v:
-                np.maximum(result, self._at(row, column), out=result)
-        return result
-
-    def _at(self, row: FloatArray, column: FloatArray) -> FloatArray:
-        """Height at fractional nodes.  (...) x2 -> (...)."""
-        rows, columns = self.heights_m.shape
-        row, column = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
-        i = np.minimum(row.astype(np.intp), max(rows - 2, 0))
-        j = np.minimum(column.astype(np.intp), max(columns - 2, 0))
-        u, v = row - i, column - j
-        i_next, j_next = np.minimum(i + 1, rows - 1), np.minimum(j + 1, columns - 1)
-        sw, se = self.heights_m[i, j].astype(float), self.heights_m[i, j_next].astype(float)
-        nw, ne = self.heights_m[i_next, j], self.heights_m[i_next, j_next]
-        south = sw + v * (se - sw)
-        north = nw * (1.0 - v) + v * ne
-        return np.asarray(south + u * (north - south))
+        return _highest_between_m(self.heights_m, low, high)
 
     def _nodes(self, north_m: FloatArray, east_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Fractional row and column of points.  (...) x2 -> (...) x2."""
@@ -245,32 +217,106 @@ class GridTerrain:
             (rows.max(axis=0) + slack_row, columns.max(axis=0) + slack_column),
         )
 
-    def _highest_node_m(
-        self, low: tuple[FloatArray, FloatArray], high: tuple[FloatArray, FloatArray]
-    ) -> FloatArray:
-        """Highest node in and next to boxes of fractional nodes.  2 x (...) x2 -> (...).
 
-        Maxima over squares of 2^k nodes, doubled up once for all boxes, then a few squares a box.
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArrayTerrain:
+    """Heights at the nodes of a square lattice in the local frame, bilinear between them.
+
+    Beyond its edge the terrain goes on as at the edge.
+    """
+
+    heights_m: npt.NDArray[Any]
+    """(rows, columns) AMSL; rows to the north, columns to the east."""
+    spacing_m: float
+    south_m: float = 0.0
+    """North of the nodes of row 0."""
+    west_m: float = 0.0
+    """East of the nodes of column 0."""
+
+    def height_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Terrain height, metres AMSL.  (...) x2 -> (...)."""
+        return _bilinear_m(self.heights_m, *self._nodes(north_m, east_m))
+
+    def highest_in_box_m(
+        self,
+        north_min: FloatArray,
+        north_max: FloatArray,
+        east_min: FloatArray,
+        east_max: FloatArray,
+    ) -> FloatArray:
+        """Upper bound of the terrain in axis-aligned boxes, metres AMSL.  (...) x4 -> (...).
+
+        Exact in boxes of up to three cells; of larger ones the nodes in and next to them.
         """
-        first, last, count = [], [], []
-        for a, b, size in zip(low, high, self.heights_m.shape, strict=True):
-            first.append(np.clip(np.floor(a).astype(np.intp), 0, size - 1))
-            last.append(np.clip(np.ceil(b).astype(np.intp), 0, size - 1))
-            count.append(last[-1] - first[-1] + 1)
-        start = [int(index.min()) for index in first]
-        window = np.asarray(
-            self.heights_m[start[0] : last[0].max() + 1, start[1] : last[1].max() + 1]
-        )
-        width = [1 << (int(c.min()).bit_length() - 1) for c in count]
-        for axis, wanted in enumerate(width):
-            window = _running_maximum(window, wanted, axis)
-        result = np.full(first[0].shape, -np.inf)
-        for i in range(0, int(count[0].max()), width[0]):
-            row = np.minimum(first[0] + i, last[0] + 1 - width[0]) - start[0]
-            for j in range(0, int(count[1].max()), width[1]):
-                column = np.minimum(first[1] + j, last[1] + 1 - width[1]) - start[1]
-                np.maximum(result, window[row, column], out=result)
-        return result
+        low, high = self._nodes(north_min, east_min), self._nodes(north_max, east_max)
+        return _highest_between_m(self.heights_m, low, high)
+
+    def _nodes(self, north_m: FloatArray, east_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Fractional row and column of points.  (...) x2 -> (...) x2."""
+        north, east = np.broadcast_arrays(north_m, east_m)
+        return (north - self.south_m) / self.spacing_m, (east - self.west_m) / self.spacing_m
+
+
+_Nodes = tuple[FloatArray, FloatArray]
+"""Fractional rows and columns of a grid."""
+
+
+def _bilinear_m(heights_m: npt.NDArray[Any], row: FloatArray, column: FloatArray) -> FloatArray:
+    """Height at fractional nodes.  (rows, columns), (...) x2 -> (...)."""
+    rows, columns = heights_m.shape
+    row, column = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
+    i = np.minimum(row.astype(np.intp), max(rows - 2, 0))
+    j = np.minimum(column.astype(np.intp), max(columns - 2, 0))
+    u, v = row - i, column - j
+    i_next, j_next = np.minimum(i + 1, rows - 1), np.minimum(j + 1, columns - 1)
+    sw, se = heights_m[i, j].astype(float), heights_m[i, j_next].astype(float)
+    nw, ne = heights_m[i_next, j], heights_m[i_next, j_next]
+    south = sw + v * (se - sw)
+    north = nw * (1.0 - v) + v * ne
+    return np.asarray(south + u * (north - south))
+
+
+def _highest_between_m(heights_m: npt.NDArray[Any], low: _Nodes, high: _Nodes) -> FloatArray:
+    """Highest of a bilinear surface in boxes of fractional nodes.  2 x (...) x2 -> (...)."""
+    lines = [
+        int(np.max(np.ceil(b) - np.floor(a) - 1, initial=0)) for a, b in zip(low, high, strict=True)
+    ]
+    if max(lines) > _FINE_LINES:
+        return _highest_node_m(heights_m, low, high)
+    u, v = (
+        [a, *(np.clip(np.floor(a) + k, a, b) for k in range(1, count + 1)), b]
+        for a, b, count in zip(low, high, lines, strict=True)
+    )
+    result = np.full(np.shape(low[0]), -np.inf)
+    for row in u:
+        for column in v:
+            np.maximum(result, _bilinear_m(heights_m, row, column), out=result)
+    return result
+
+
+def _highest_node_m(heights_m: npt.NDArray[Any], low: _Nodes, high: _Nodes) -> FloatArray:
+    """Highest node in and next to boxes of fractional nodes.  2 x (...) x2 -> (...).
+
+    Maxima over squares of 2^k nodes, doubled up once for all boxes, then a few squares a box.
+    """
+    first, last, count = [], [], []
+    for a, b, size in zip(low, high, heights_m.shape, strict=True):
+        first.append(np.clip(np.floor(a).astype(np.intp), 0, size - 1))
+        last.append(np.clip(np.ceil(b).astype(np.intp), 0, size - 1))
+        count.append(last[-1] - first[-1] + 1)
+    start = [int(index.min()) for index in first]
+    window = np.asarray(heights_m[start[0] : last[0].max() + 1, start[1] : last[1].max() + 1])
+    width = [1 << (int(c.min()).bit_length() - 1) for c in count]
+    for axis, wanted in enumerate(width):
+        window = _running_maximum(window, wanted, axis)
+    result = np.full(first[0].shape, -np.inf)
+    for i in range(0, int(count[0].max()), width[0]):
+        row = np.minimum(first[0] + i, last[0] + 1 - width[0]) - start[0]
+        for j in range(0, int(count[1].max()), width[1]):
+            column = np.minimum(first[1] + j, last[1] + 1 - width[1]) - start[1]
+            np.maximum(result, window[row, column], out=result)
+    return result
 
 
 def _running_maximum(values: npt.NDArray[Any], width: int, axis: int) -> npt.NDArray[Any]:

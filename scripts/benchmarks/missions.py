@@ -2,10 +2,12 @@
 
     python scripts/benchmarks/missions.py [--worlds 100] [--seeds 20] [--jobs 2] [--json FILE]
                                           [--only dense|bundled|sparse] [--profile paper]
+    python scripts/benchmarks/missions.py --family gathered [--seed 7] [--worlds 20] [--each]
 
 Every mission is flown without a vehicle (simulated scans, perfect tracking); its cost is compared
 with the full-knowledge optimum of `optimum`, and every metre of every subpath, its tail included,
-is measured against the true world by `truth`: the planner's own figures are not asked.
+is measured against the true world by `truth`: the planner's own figures are not asked.  With
+--family they are those of `families`, beside a rival that knows as little (`family_missions`).
 """
 
 import argparse
@@ -25,6 +27,7 @@ import numpy as np
 import optimum
 import truth
 import worlds
+from families import FAMILIES, SEED
 from lattice import curve_cost
 from numpy.typing import NDArray
 from rich.console import Console
@@ -406,18 +409,58 @@ def kept(figures: dict[str, Any]) -> bool:
     )
 
 
-def main() -> int:
-    """Run the missions, print the tables; 1 if a bar is missed."""
+def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--worlds", type=int, default=100, help="dense worlds, one seed each")
+    parser.add_argument("--worlds", type=int, help="how many; 100 dense ones, 20 of a family")
     parser.add_argument("--seeds", type=int, default=20, help="of the bundled environments")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", choices=("dense", "bundled", "sparse"), default="")
     parser.add_argument("--profile", choices=tuple(PROFILES), default="flight")
     parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
+    parser.add_argument(
+        "--family",
+        action="append",
+        choices=("all", *FAMILIES),
+        help="worlds of this family, beside a rival; more than once: several",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=SEED, help="of a family: which worlds are drawn"
+    )
+    parser.add_argument("--each", action="store_true", help="a line for each world of a family")
+    parser.add_argument(
+        "--ompl",
+        action="store_true",
+        help="beside RRT* with full knowledge, if the package ompl is there",
+    )
+    return parser.parse_args()  # fmt: skip
+
+
+def _by_family(options: argparse.Namespace, console: Console) -> int:
+    """Fly worlds of families; 1 if one does not arrive or breaks a bound."""
+    import family_missions
+
+    names = FAMILIES if "all" in options.family else tuple(dict.fromkeys(options.family))
+    how = family_missions.Options(
+        seed=options.seed, profile=options.profile, reference=options.ompl
+    )
+    found, kept_all = family_missions.report(
+        names, options.worlds or 20, options.jobs, how, console
+    )
+    if options.each:
+        console.print("\n".join(found["lines"]), soft_wrap=True)
+    console.print(family_missions.table(found["summary"], options.seed))
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    return 0 if kept_all else 1
+
+
+def main() -> int:
+    """Run the missions, print the tables; 1 if a bar is missed."""
+    options = _options()
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
-    todo = missions(options.only, options.worlds, options.seeds)
+    if options.family:
+        return _by_family(options, console)
+    todo = missions(options.only, options.worlds or 100, options.seeds)
     results = run(todo, options.jobs, options.profile, console)
     groups = {
         group: summary([r for r in results if _group(r.world) == group])

@@ -40,6 +40,7 @@ from companion.world.threats import Radar
 
 FloatArray = NDArray[np.float64]
 
+_USUAL_SIDE_M = 150_000.0  # of a world; in a larger one curves get more control points
 OPTIMA = Path(__file__).with_name("optima.json")
 
 
@@ -74,7 +75,10 @@ class Solver:
             raise ValueError("the optimum is that of one start and one target")
         self.world = world
         self.ends_ne_m = (world.start_nea_m[:2], world.targets_ne_m[0])
-        self.lattice = Lattice(world)
+        limits = world.task.limits
+        side = max(limits.north_m[1] - limits.north_m[0], limits.east_m[1] - limits.east_m[0])
+        self.finer = max(1.0, side / _USUAL_SIDE_M)
+        self.lattice = Lattice(world, GRID_M * max(round(side / 180_000.0), 1))
         north, east = worlds.axes_m(world, SURFACE_M)
         need = worlds.lowest_safe_m(world, SURFACE_M, world.task.required_clearance_m)
         self.surface = Smooth(north, east, need)
@@ -121,7 +125,7 @@ class Solver:
             radar
             for radar in self.world.task.radars
             if np.linalg.norm(points - np.asarray(radar.centre_nea_m), axis=-1).min()
-            < radar.range_m - 0.5 * GRID_M
+            < radar.range_m - 0.5 * self.lattice.cell_m
         )
 
     def improved(
@@ -229,8 +233,9 @@ def optimum(world: BenchmarkWorld, *, effort: int = 1) -> Optimum:
         if unit * grid_m * (1.0 - 0.004 * effort) > best:
             break
         for soft in {(), solver.entered(route)}:
-            control = solver.improved(solver.curve(route, 30), soft, 5, 100)
-            finer = solver.improved(refined(control, 60 * effort), soft, 5, 120 * effort)
+            few, many = round(30 * solver.finer), round(60 * solver.finer) * effort
+            control = solver.improved(solver.curve(route, few), soft, 5, 100)
+            finer = solver.improved(refined(control, many), soft, 5, 120 * effort)
             rough = curve_cost(truth.sampled(finer, 50.0), world)
             if rough > 1.01 * best:
                 continue

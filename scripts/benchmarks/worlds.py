@@ -13,7 +13,7 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,8 @@ from truth import height_m
 
 from companion.config import load_mission, load_world
 from companion.planner.settings import Task
-from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import Radar
+from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
+from companion.world.threats import CircleZone, Radar, Zone
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -32,7 +32,7 @@ SPARE_M = 750.0
 """Half the width of the way through, beside the required clearance."""
 BAND_INSET = 1.1
 """How far inside the band plans keep, in tracking and navigation errors (`Task.band_amsl_m`)."""
-_CELL_M = 250.0
+_CELLS_PER_RANGE = 80
 _Ring = tuple[float, float, float]
 """Least and greatest north and east, and half the side of the hollow square about the origin."""
 _SQUARE: _Ring = (0.0, 100_000.0, 0.0)
@@ -46,7 +46,7 @@ class BenchmarkWorld:
     """A world and the mission in it."""
 
     name: str
-    terrain: PeakTerrain
+    terrain: PeakTerrain | ArrayTerrain
     task: Task
     start_nea_m: tuple[float, float, float]
     targets_ne_m: tuple[tuple[float, float], ...]
@@ -66,9 +66,7 @@ class BenchmarkWorld:
         """A hash of all that the optimum depends on."""
         task, limits, weights = self.task, self.task.limits, self.task.settings.weights
         facts = (
-            [(p.north_m, p.east_m, p.height_amsl_m, p.spread_north_m, p.spread_east_m)
-             for p in self.terrain.peaks],
-            self.terrain.ground_amsl_m,
+            *_terrain_facts(self.terrain),
             [(r.centre_nea_m, r.range_m) for r in task.radars],
             [repr(zone) for zone in task.zones],
             (limits.turn_radius_m, limits.climb_angle_rad, limits.dive_angle_rad),
@@ -78,6 +76,17 @@ class BenchmarkWorld:
             (self.start_nea_m, self.targets_ne_m),
         )  # fmt: skip
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]
+
+
+def _terrain_facts(terrain: PeakTerrain | ArrayTerrain) -> tuple[Any, ...]:
+    if isinstance(terrain, ArrayTerrain):
+        heights = hashlib.sha256(np.ascontiguousarray(terrain.heights_m).tobytes()).hexdigest()
+        return heights, (terrain.spacing_m, terrain.south_m, terrain.west_m)
+    rows = [
+        (p.north_m, p.east_m, p.height_amsl_m, p.spread_north_m, p.spread_east_m)
+        for p in terrain.peaks
+    ]
+    return rows, terrain.ground_amsl_m
 
 
 @functools.cache
@@ -93,14 +102,14 @@ def bundled(name: str) -> BenchmarkWorld:
     )
 
 
-def dense(number: int) -> BenchmarkWorld:
+def dense(number: int, seed: int = 0) -> BenchmarkWorld:
     """12 to 28 mountains and 10 to 14 radars."""
-    return _drawn("dense", number, (12, 28), (10, 14), (6_000.0, 11_000.0))
+    return _drawn("dense", number, seed, (12, 28), (10, 14), (6_000.0, 11_000.0))
 
 
-def sparse(number: int) -> BenchmarkWorld:
+def sparse(number: int, seed: int = 0) -> BenchmarkWorld:
     """4 to 8 mountains and 3 to 5 radars."""
-    return _drawn("sparse", number, (4, 8), (3, 5), (9_000.0, 15_000.0))
+    return _drawn("sparse", number, seed, (4, 8), (3, 5), (9_000.0, 15_000.0))
 
 
 def by_name(name: str) -> BenchmarkWorld:
@@ -148,11 +157,14 @@ def spread_out(count: int, variant: int = 0) -> BenchmarkWorld:
 def _drawn(
     kind: str,
     number: int,
+    seed: int,
     mountains: tuple[int, int],
     radars: tuple[int, int],
     range_m: tuple[float, float],
 ) -> BenchmarkWorld:
-    rng = np.random.default_rng((_STREAMS[kind], number))
+    rng = np.random.default_rng(
+        (_STREAMS[kind], number, seed) if seed else (_STREAMS[kind], number)
+    )
     base = bundled("environment-2")
     ends = [(*base.start_nea_m[:2], 6_000.0), (*base.targets_ne_m[0], 6_000.0)]
     while True:
@@ -160,7 +172,7 @@ def _drawn(
         threats = _radars(rng, int(rng.integers(*radars, endpoint=True)), range_m, _SQUARE, ends)
         world = replace(
             base,
-            name=f"{kind}-{number}",
+            name=f"{kind}-{seed}-{number}" if seed else f"{kind}-{number}",
             terrain=PeakTerrain(peaks=peaks, ground_amsl_m=0.0),
             task=replace(base.task, radars=threats, zones=()),
         )
@@ -215,6 +227,67 @@ def _somewhere(rng: np.random.Generator, ring: _Ring) -> tuple[float, float]:
             return north, east
 
 
+def scaled(world: BenchmarkWorld, by: float) -> BenchmarkWorld:
+    """The same world at another size: lengths and speeds times a factor.  J stays what it is."""
+    terrain, task = world.terrain, world.task
+    limits, settings = task.limits, task.settings
+    lengths = {
+        name: getattr(limits, name) * by
+        for name in ("speed_m_s", "acceleration_m_s2", "climb_rate_m_s", "turn_radius_m",
+                     "floor_amsl_m", "ceiling_amsl_m", "tracking_error_m", "navigation_error_m",
+                     "loiter_radius_m")
+    }  # fmt: skip
+    north, east = ((low * by, high * by) for low, high in (limits.north_m, limits.east_m))
+    return replace(
+        world,
+        terrain=_scaled_terrain(terrain, by),
+        task=replace(
+            task,
+            limits=replace(limits, **lengths, north_m=north, east_m=east),
+            settings=replace(
+                settings,
+                scan_range_m=settings.scan_range_m * by,
+                safety_distance_m=settings.safety_distance_m * by,
+                overlap_m=settings.overlap_m * by,
+            ),
+            radars=tuple(
+                replace(r, centre_nea_m=_times(r.centre_nea_m, by), range_m=r.range_m * by)
+                for r in task.radars
+            ),
+            zones=tuple(_scaled_zone(zone, by) for zone in task.zones),
+        ),
+        start_nea_m=_times(world.start_nea_m, by),
+        targets_ne_m=tuple((n * by, e * by) for n, e in world.targets_ne_m),
+    )
+
+
+def _times(point: tuple[float, float, float], by: float) -> tuple[float, float, float]:
+    return point[0] * by, point[1] * by, point[2] * by
+
+
+def _scaled_zone(zone: Zone, by: float) -> Zone:
+    if isinstance(zone, CircleZone):
+        return replace(
+            zone, north_m=zone.north_m * by, east_m=zone.east_m * by, radius_m=zone.radius_m * by
+        )
+    return replace(zone, vertices_ne_m=tuple((n * by, e * by) for n, e in zone.vertices_ne_m))
+
+
+def _scaled_terrain(terrain: PeakTerrain | ArrayTerrain, by: float) -> PeakTerrain | ArrayTerrain:
+    if isinstance(terrain, ArrayTerrain):
+        return ArrayTerrain(
+            heights_m=terrain.heights_m * by,
+            spacing_m=terrain.spacing_m * by,
+            south_m=terrain.south_m * by,
+            west_m=terrain.west_m * by,
+        )
+    peaks = tuple(
+        Peak(**{name: getattr(peak, name) * by for name in Peak.__slots__})
+        for peak in terrain.peaks
+    )
+    return PeakTerrain(peaks=peaks, ground_amsl_m=terrain.ground_amsl_m * by)
+
+
 # --- the proof that there is a way
 
 
@@ -227,51 +300,60 @@ def axes_m(world: BenchmarkWorld, cell_m: float) -> tuple[FloatArray, FloatArray
     )
 
 
-def lowest_safe_m(world: BenchmarkWorld, cell_m: float, clearance_m: float) -> FloatArray:
+def lowest_safe_m(
+    world: BenchmarkWorld, cell_m: float, clearance_m: float, aside_m: float = 0.0
+) -> FloatArray:
     """Lowest altitude at lattice points that is clearance_m from the terrain, to metres.
 
-    The terrain of a lattice, dilated by a ball; too low by at most about
+    The terrain of a lattice, dilated by a disc of aside_m and a ball; too low by at most about
     cell^2 / (8 clearance), so a metre or two at cells of 100 m.  -> (rows, columns).
     """
     north, east = axes_m(world, cell_m)
-    reach = math.ceil(clearance_m / cell_m)
+    reach = math.ceil((clearance_m + aside_m) / cell_m)
     outer_n = north[0] + cell_m * np.arange(-reach, len(north) + reach)
     outer_e = east[0] + cell_m * np.arange(-reach, len(east) + reach)
     height = height_m(world.terrain, outer_n[:, None], outer_e[None, :])
     result = np.full((len(north), len(east)), -np.inf)
     for i in range(-reach, reach + 1):
         for j in range(-reach, reach + 1):
-            left2 = clearance_m**2 - (i * i + j * j) * cell_m**2
+            left2 = clearance_m**2 - max(math.hypot(i, j) * cell_m - aside_m, 0.0) ** 2
             if left2 >= 0.0:
                 shifted = height[reach + i :, reach + j :][: len(north), : len(east)]
                 np.maximum(result, shifted + math.sqrt(left2), out=result)
     return result
 
 
+@functools.lru_cache(maxsize=4)
 def free_at_floor(world: BenchmarkWorld) -> BoolArray:
     """Lattice points that are clear of terrain, radars and keep-outs at the floor of the band."""
+    cell = _cell_m(world)
     north, east = (axis.reshape(shape) for axis, shape in
-                   zip(axes_m(world, _CELL_M), ((-1, 1), (1, -1)), strict=True))  # fmt: skip
-    need = lowest_safe_m(world, _CELL_M, world.task.required_clearance_m + 0.5 * _CELL_M)
+                   zip(axes_m(world, cell), ((-1, 1), (1, -1)), strict=True))  # fmt: skip
+    clearance, aside = world.task.required_clearance_m, world.task.limits.loiter_radius_m
+    need = lowest_safe_m(world, cell, clearance + 0.5 * cell, aside)
     free = need <= world.floor_amsl_m
     for radar in world.task.radars:
         n, e, altitude = radar.centre_nea_m
         squared = (north - n) ** 2 + (east - e) ** 2 + (world.floor_amsl_m - altitude) ** 2
         free &= squared > radar.range_m**2
     for zone in world.task.zones:
-        free &= zone.distance_m(*np.broadcast_arrays(north, east)) > world.task.required_clearance_m
+        free &= zone.distance_m(*np.broadcast_arrays(north, east)) > clearance + aside
     return free
+
+
+def _cell_m(world: BenchmarkWorld) -> float:
+    return world.task.settings.scan_range_m / _CELLS_PER_RANGE
 
 
 def has_way_through(world: BenchmarkWorld, spare_m: float) -> bool:
     """Whether a disc of radius spare_m can be moved from start to target at the floor."""
-    free = free_at_floor(world)
-    wide = distance_transform_edt(np.pad(free, 1), sampling=_CELL_M)[1:-1, 1:-1] > spare_m
+    free, cell = free_at_floor(world), _cell_m(world)
+    wide = distance_transform_edt(np.pad(free, 1), sampling=cell)[1:-1, 1:-1] > spare_m
     pools, _ = label(wide, structure=np.ones((3, 3)))
     ends = [world.start_nea_m[:2], *world.targets_ne_m]
     corner = (world.task.limits.north_m[0], world.task.limits.east_m[0])
     found = {
-        int(pools[tuple(round((p - c) / _CELL_M) for p, c in zip(end, corner, strict=True))])
+        int(pools[tuple(round((p - c) / cell) for p, c in zip(end, corner, strict=True))])
         for end in ends
     }
     return len(found) == 1 and found != {0}
@@ -281,5 +363,5 @@ def is_straight_line_free(world: BenchmarkWorld) -> bool:
     """Whether the line from start to target is free at the floor."""
     corner = (world.task.limits.north_m[0], world.task.limits.east_m[0])
     line = np.linspace(world.start_nea_m[:2], world.targets_ne_m[0], 2_000)
-    rows, columns = np.round((line - corner) / _CELL_M).astype(np.intp).T
+    rows, columns = np.round((line - corner) / _cell_m(world)).astype(np.intp).T
     return bool(free_at_floor(world)[rows, columns].all())

@@ -1,6 +1,7 @@
 import math
 from dataclasses import replace
 
+import family_missions
 import missions
 import numpy as np
 import pytest
@@ -92,3 +93,33 @@ def test_violating_subpaths_are_counted_once_each() -> None:
     assert figures["subpaths_violating"] == 2
     assert figures["missions_violating"] == 1
     assert figures["violations"] == {"climb angle": 1, "turn radius": 2}
+
+
+def beside(index: int, rival_cost: float, **changes: object) -> family_missions.FamilyResult:
+    return family_missions.FamilyResult(
+        family="gathered", index=index, ours=result(**changes), rival_cost=rival_cost,
+        rival_clearance_m=530.0, rival_plans=20, reference_cost=math.nan,
+    )  # fmt: skip
+
+
+def test_the_rival_is_beaten_where_ours_arrives_no_dearer_or_alone() -> None:
+    results = [
+        beside(0, 31.0),
+        beside(1, 29.0),
+        beside(2, math.nan, cost=40.0),
+        beside(3, 31.0, arrived=False, failure="TOO_MANY_LEGS: "),
+    ]
+    figures = family_missions.summary(results)
+    assert figures["cheaper_than_rival"] == 0.5
+    assert figures["rival_arrived"] == 3
+    assert figures["rival_worst"] == pytest.approx(31.0 / 30.0)
+    assert figures["arrived"] == 3
+    said = family_missions.lines(results, 7)
+    assert "seed 7 world 2: J/J* 1.3333" in said[2]
+    assert "did not arrive (TOO_MANY_LEGS: )" in said[3]
+
+
+def test_a_family_can_be_told_in_a_table_without_any_optimum() -> None:
+    figures = family_missions.summary([beside(0, 31.0, best_cost=math.nan)])
+    assert figures["without_optimum"] == 1
+    assert family_missions.table({"gathered": figures}, 7).row_count == 10

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.offline import OfflineFlight, fly_offline, usual_most_legs
 from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
@@ -195,6 +195,23 @@ def test_a_flight_that_finds_no_way_gives_up_after_four_attempts_each_wider(
     assert flight.scans_nea_m == (START,) * 4
     assert [request.attempt for request in planner.requests] == [0, 1, 2, 3]
     assert len({request.plan_id for request in planner.requests}) == 4
+
+
+def test_a_flight_that_runs_out_of_legs_says_so_and_how_to_go_on(
+    task: Task, blank: KnownMap, truth: KnownMap, flight: OfflineFlight
+) -> None:
+    cut = fly_offline(
+        task, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=(TARGET,), seed=3,
+        most_legs=2,
+    )  # fmt: skip
+    assert cut.failure is not None
+    assert cut.failure.refusal is Refusal.TOO_MANY_LEGS
+    assert "most_legs" in cut.failure.refusal.value
+    assert len(cut.legs) == 2
+    assert np.array_equal(cut.legs[1].subpath.control_nea_m, flight.legs[1].subpath.control_nea_m)
+    assert len(flight.legs) < usual_most_legs(task, START, (TARGET,))
+    far = ((TARGET[0] + 1e6, TARGET[1]), TARGET)
+    assert usual_most_legs(task, START, far) > 2e6 / task.settings.scan_range_m
 
 
 def test_a_leg_without_a_successor_is_flown_to_its_end_and_the_flight_goes_on_from_there(

@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyproj import Geod
+from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
 
 from companion.geodesy import FloatArray, LocalFrame
-from companion.world.terrain import GridTerrain, Peak, PeakTerrain
+from companion.world.terrain import ArrayTerrain, GridTerrain, Peak, PeakTerrain
 
 FIELDS = ("north_m", "east_m", "height_amsl_m", "spread_north_m", "spread_east_m")
 peaks = st.builds(
@@ -234,3 +235,33 @@ def test_beyond_its_edge_a_height_grid_goes_on_as_at_the_edge() -> None:
     corners = terrain.height_m(far, far)
     assert corners.tolist() == [terrain.heights_m[0, 0], terrain.heights_m[-1, -1]]
     assert terrain.highest_in_box_m(far, far + 19.0, far, far + 19.0).tolist() == corners.tolist()
+
+
+def lattice_terrain(spacing_m: float = 40.0) -> ArrayTerrain:
+    heights = np.random.default_rng(5).uniform(0.0, 300.0, (12, 15))
+    return ArrayTerrain(heights_m=heights, spacing_m=spacing_m, south_m=-100.0, west_m=70.0)
+
+
+def test_an_array_of_heights_is_bilinear_between_its_nodes_and_goes_on_beyond_them() -> None:
+    terrain = lattice_terrain()
+    own = RegularGridInterpolator(
+        (-100.0 + 40.0 * np.arange(12), 70.0 + 40.0 * np.arange(15)), terrain.heights_m
+    )
+    at = np.random.default_rng(6).uniform((-100.0, 70.0), (340.0, 630.0), (200, 2))
+    np.testing.assert_allclose(terrain.height_m(at[:, 0], at[:, 1]), own(at), atol=1e-9)
+    corner = terrain.height_m(np.array([900.0]), np.array([900.0]))
+    assert corner[0] == pytest.approx(terrain.heights_m[-1, -1], abs=1e-9)
+
+
+@pytest.mark.parametrize("side_m", [0.0, 11.0, 39.0, 95.0, 260.0])
+def test_nothing_in_a_box_of_an_array_is_higher_than_its_highest(side_m: float) -> None:
+    terrain = lattice_terrain()
+    low = np.random.default_rng(7).uniform((-150.0, 30.0), (340.0, 630.0), (60, 2))
+    found = terrain.highest_in_box_m(low[:, 0], low[:, 0] + side_m, low[:, 1], low[:, 1] + side_m)
+    inner = side_m * np.linspace(0.0, 1.0, 41)
+    inside = terrain.height_m(
+        low[:, 0, None, None] + inner[:, None], low[:, 1, None, None] + inner[None, :]
+    ).max(axis=(1, 2))
+    assert (found >= inside - 1e-9).all()
+    if side_m < 40.0:  # then it is the highest point, of which the steps may miss a little
+        assert (found <= inside + 2.0 * 300.0 / 40.0 * side_m / 80.0 + 1e-9).all()

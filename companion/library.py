@@ -1,0 +1,235 @@
+"""The planner without MAVLink: one call flies a mission through a world that only scans show.
+
+See docs/library.md.  Deterministic: the same arguments, the same flight.
+"""
+
+import functools
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import final
+
+import numpy as np
+
+from companion.config import load_mission, load_world
+from companion.errors import InputError
+from companion.geodesy import FloatArray
+from companion.objective.scene import PROFILES
+from companion.optimise.registry import OPTIMISERS, Maker, lent
+from companion.path.certificate import Certificate
+from companion.path.limits import Limits
+from companion.planner.kernels import NUMPY, Kernel
+from companion.planner.offline import OfflineFlight, Scanner, fly_offline
+from companion.planner.plan import plan
+from companion.planner.settings import PlannerSettings, Task
+from companion.runtime.compiler import load_kernel
+from companion.world.known_map import NO_ANSWER, NOT_SEEN, KnownMap, Scan, empty_map
+from companion.world.simulated_scan import simulated_scan, true_map
+from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain, Terrain
+from companion.world.threats import CircleZone, PolygonZone, Radar, detection_probability
+
+__all__ = [
+    "NOT_SEEN", "NO_ANSWER", "OPTIMISERS", "PROFILES", "ArrayTerrain", "CircleZone", "Flown",
+    "InputError", "KnownMap", "Limits", "Maker", "Peak", "PeakTerrain", "PlannerSettings",
+    "PolygonZone", "Radar", "Scan", "Scanner", "Task", "Terrain", "fly", "simulated_scan",
+]  # fmt: skip
+
+_SPACING = 400  # points of the flown path to a scan range
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Flown:
+    """A mission that was flown, or how far it came."""
+
+    arrived: bool
+    why: str
+    """Why it did not arrive, and what helps; empty if it did."""
+    points_nea_m: FloatArray
+    """(S, 3) north, east, altitude along what was flown, R / 400 apart or less."""
+    length_m: float
+    """Of what was flown."""
+    terms: dict[str, float]
+    """`length`, `height` and `radar` of eq. 5, along what was flown."""
+    certificates: tuple[Certificate, ...]
+    """The proof of each subpath; `certificate.broken` says what was not proven (`paper`)."""
+    kernel: str
+    """What computed it: `numba`, or `numpy`, which is some thirty times slower."""
+    details: OfflineFlight
+    """Everything: legs, plans with the cost terms of each search, scans, the known map."""
+
+    @property
+    def cost(self) -> float:
+        """J, the sum of the terms: what docs/benchmarks.md compares with the optimum."""
+        return sum(self.terms.values())
+
+
+def fly(
+    world: str | Terrain | FloatArray,
+    mission: str | Task,
+    *,
+    start_nea_m: tuple[float, float, float] | None = None,
+    targets_ne_m: Sequence[tuple[float, float]] = (),
+    spacing_m: float | None = None,
+    corner_ne_m: tuple[float, float] | None = None,
+    known: KnownMap | None = None,
+    scanner: Scanner = simulated_scan,
+    optimiser: str | Maker | None = None,
+    seed: int = 1,
+    compiled: bool = True,
+    most_legs: int | None = None,
+) -> Flown:
+    """Fly a mission: scan, plan a subpath, fly it, and again, until the last target.
+
+    Parameters
+    ----------
+    world
+        The truth: a bundled name, a world.toml, a `Terrain`, or heights AMSL (rows to the north,
+        columns to the east), `spacing_m` apart from `corner_ne_m` (the map's south-west corner).
+    mission
+        A bundled name or a mission file, or a `Task`, which needs a start and targets.
+    start_nea_m, targets_ne_m
+        North, east (and altitude AMSL) in metres; by default those of the files.
+    known
+        Terrain known in advance; None: that of the mission file, or nothing.
+    scanner
+        What is seen of the truth from a point with a range: `simulated_scan`, or your own.
+    optimiser
+        A name in `OPTIMISERS`, or your own: what makes one; None: the mission's.
+    seed
+        Of every search.
+    compiled
+        With numba, loaded once (ten seconds the first time ever); False: with numpy.
+    most_legs
+        After how many it gives up; None: six times as many as a straight way has, at least 60.
+
+    InputError: an argument is not understood.
+    """
+    task, start_nea_m, targets, known = _mission(world, mission, start_nea_m, targets_ne_m, known)
+    terrain = _terrain(world, task, spacing_m, corner_ne_m)
+    blank = known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
+    kernel = _kernel() if compiled else NUMPY
+    with _searched_with(optimiser, task) as task:
+        flight = fly_offline(
+            task,
+            blank=blank,
+            truth=true_map(terrain, blank),
+            start_nea_m=start_nea_m,
+            targets_ne_m=targets,
+            seed=seed,
+            planner=partial(plan, kernel=kernel),
+            scanner=scanner,
+            most_legs=most_legs,
+        )
+    return _flown(flight, task, kernel)
+
+
+@contextmanager
+def _searched_with(optimiser: str | Maker | None, task: Task) -> Iterator[Task]:
+    """The task, with another optimiser if one is given."""
+    if isinstance(optimiser, str) and optimiser not in OPTIMISERS:
+        raise InputError("optimiser", optimiser, "there is none", f"One of {list(OPTIMISERS)}.")
+    with lent(optimiser) if callable(optimiser) else nullcontext(optimiser) as name:
+        yield (
+            task if name is None else replace(task, settings=replace(task.settings, optimiser=name))
+        )
+
+
+@functools.cache
+def _kernel() -> Kernel:
+    kernel = load_kernel()
+    if kernel is NUMPY:
+        text = "numba is not there or does not work: numpy plans, some thirty times slower"
+        warnings.warn(text, RuntimeWarning, stacklevel=3)
+    return kernel
+
+
+_Mission = tuple[Task, tuple[float, float, float], tuple[tuple[float, float], ...], KnownMap | None]
+
+
+def _mission(
+    world: str | Terrain | FloatArray,
+    mission: str | Task,
+    start_nea_m: tuple[float, float, float] | None,
+    targets_ne_m: Sequence[tuple[float, float]],
+    known: KnownMap | None,
+) -> _Mission:
+    """The task, start, targets and what is known, from files where they are not given."""
+    targets = tuple((float(north), float(east)) for north, east in targets_ne_m)
+    if isinstance(mission, str):
+        read = load_mission(mission)
+        task, targets, known = read.task, targets or read.targets_ne_m, known or read.known
+        if start_nea_m is None and isinstance(world, str):
+            start_nea_m = (*load_world(world).start_ne_m, read.take_off_amsl_m)
+    else:
+        task = mission
+    if start_nea_m is None:
+        raise InputError("start_nea_m", None, "it is not known", "Give north, east, altitude.")
+    if not targets:
+        raise InputError("targets_ne_m", (), "there is none", "Give (north, east) of each.")
+    return task, start_nea_m, targets, known
+
+
+def _terrain(
+    world: str | Terrain | FloatArray,
+    task: Task,
+    spacing_m: float | None,
+    corner_ne_m: tuple[float, float] | None,
+) -> Terrain:
+    if isinstance(world, str):
+        return load_world(world).terrain
+    if not isinstance(world, np.ndarray):
+        return world
+    if spacing_m is None or not spacing_m > 0.0:
+        raise InputError("spacing_m", spacing_m, "heights need one", "Give it in metres.")
+    if world.ndim != 2 or 0 in world.shape or not np.isfinite(world).all():
+        raise InputError("world", world.shape, "heights are finite, (rows, columns)", "Fill gaps.")
+    south, west = corner_ne_m or (task.limits.north_m[0], task.limits.east_m[0])
+    return ArrayTerrain(heights_m=world, spacing_m=spacing_m, south_m=south, west_m=west)
+
+
+def _flown(flight: OfflineFlight, task: Task, kernel: Kernel) -> Flown:
+    points, failure = _points_nea_m(flight, task), flight.failure
+    why = ""
+    if failure is not None:
+        broken = f" ({', '.join(failure.broken)})" if failure.broken else ""
+        why = f"{failure.refusal.name}: {failure.refusal.value}{broken}"
+    return Flown(
+        arrived=failure is None,
+        why=why,
+        points_nea_m=points,
+        length_m=sum(flight.flown_m),
+        terms=_terms(points, task),
+        certificates=tuple(planned.certificate for planned in flight.plans),
+        kernel=kernel.name,
+        details=flight,
+    )
+
+
+def _points_nea_m(flight: OfflineFlight, task: Task) -> FloatArray:
+    """Each subpath as far as it was flown.  -> (S, 3)."""
+    pieces = [np.array([flight.scans_nea_m[0]])]
+    for leg, flown_m in zip(flight.legs, flight.flown_m, strict=True):
+        count = max(int(np.ceil(flown_m * _SPACING / task.settings.scan_range_m)), 1)
+        pieces.append(leg.subpath.points_nea_m(np.linspace(0.0, flown_m, count + 1)[1:]))
+    return np.concatenate(pieces)
+
+
+def _terms(points_nea_m: FloatArray, task: Task) -> dict[str, float]:
+    """Eq. 5 to 7 and 10 as integrals along a path, scaled as of subpaths (planner-numbers A)."""
+    weights, unit = task.settings.weights, 100.0 / task.settings.scan_range_m
+    middle = 0.5 * (points_nea_m[1:] + points_nea_m[:-1])
+    step = np.linalg.norm(np.diff(points_nea_m, axis=0), axis=-1)
+    floor, ceiling = task.band_amsl_m
+    detection = np.zeros(len(middle))
+    for radar in task.radars:
+        detection += detection_probability(radar.distance_m(middle), radar.range_m)
+    return {
+        "length": float(weights.length * unit / 2.4 * step.sum()),
+        "height": float(
+            weights.height * unit * (step @ (middle[:, 2] - floor)) / (ceiling - floor)
+        ),
+        "radar": float(weights.radar * 3.0 * unit * (step @ detection)),
+    }

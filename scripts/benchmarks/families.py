@@ -1,0 +1,388 @@
+"""Families of random worlds to measure missions in, each world from (family, seed, index) alone.
+
+The default seed draws what the tables of docs/benchmarks.md were measured in; another seed draws
+worlds that nobody has seen.  Every world has a way through at the floor of the band, outside all
+radars and keep-outs, by a flood fill that knows nothing of planners, and its straight line is
+barred; what has not is drawn again.
+"""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import optimum
+import worlds
+from matplotlib.cbook import get_sample_data
+from numpy.typing import NDArray
+from scipy.ndimage import label, map_coordinates, maximum_filter
+from worlds import BenchmarkWorld
+
+from companion.path.limits import Limits
+from companion.planner.settings import PlannerSettings, Task
+from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
+from companion.world.threats import CircleZone, Radar
+
+FloatArray = NDArray[np.float64]
+
+SEED = 0
+"""The default: the families `dense` and `sparse` are then what they have always been."""
+_SPARE = 0.0375  # of R: half the width of the way through, beside the clearance
+_MOST_DRAWS = 2_000
+_SOLVER_SIDE_M, _SOLVER_CLEARANCE_M = 110_000.0, 260.0
+
+
+@functools.cache
+def world(family: str, seed: int, index: int) -> BenchmarkWorld:
+    """One world, always the same for the same three."""
+    if family in ("dense", "sparse"):
+        return (worlds.dense if family == "dense" else worlds.sparse)(index, seed)
+    stream, draw = _FAMILIES[family]
+    rng = np.random.default_rng((stream, seed, index))
+    for _ in range(_MOST_DRAWS):
+        drawn = draw(rng, f"{family}-{seed}-{index}")
+        if drawn is not None and has_way(drawn) and not worlds.is_straight_line_free(drawn):
+            return drawn
+    raise AssertionError(f"{family}: no world {index} of seed {seed} in {_MOST_DRAWS} draws")
+
+
+def has_way(drawn: BenchmarkWorld) -> bool:
+    """Whether there is a way through with some room."""
+    return worlds.has_way_through(drawn, _SPARE * drawn.task.settings.scan_range_m)
+
+
+# --- 100 km x 100 km, the mission of environment-2
+
+
+def _gathered(rng: np.random.Generator, name: str) -> BenchmarkWorld:
+    """12 mountains and 10 radars gathered about the straight line, where the mission must pass."""
+    base = worlds.bundled("environment-2")
+    peaks: list[Peak] = []
+    while len(peaks) < 12:
+        north, east = _beside_the_line(rng, base, 18_000.0)
+        height = float(rng.uniform(3_400.0, 6_000.0))
+        spreads = rng.uniform(4_000.0, 8_000.0, 2).tolist()
+        if _leaves_ends(base, (north, east), max(spreads) * math.sqrt(math.log(height / 2_400.0))):
+            peaks.append(_mountain(north, east, height, (spreads[0], spreads[1])))
+    radars = _radars(rng, base, 10, (6_000.0, 11_000.0), 20_000.0)
+    return replace(
+        base,
+        name=name,
+        terrain=PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0),
+        task=replace(base.task, radars=radars, zones=()),
+    )
+
+
+def _walls(rng: np.random.Generator, name: str) -> BenchmarkWorld:
+    """Ridges across the way, each with a gap and a saddle, and pockets that open to the start."""
+    base = worlds.bundled("environment-2")
+    peaks: list[Peak] = []
+    for middle in (37_000.0, 74_000.0, 108_000.0):
+        if rng.uniform() < 0.8:
+            slant = rng.uniform(-0.45, 0.45)
+            gap, saddle = rng.uniform(-45_000.0, 45_000.0, 2)
+            along = np.arange(-75_000.0, 75_000.0, 2_000.0)
+            along = along[np.abs(along - gap) > rng.uniform(5_200.0, 8_000.0)]
+            low = np.abs(along - saddle) < 5_000.0
+            top = np.where(low, rng.uniform(3_300.0, 4_300.0), rng.uniform(5_400.0, 6_400.0))
+            line = np.stack([middle + slant * along, along], axis=-1)
+            peaks += _ridge(base, line, top * rng.uniform(0.98, 1.02, len(top)))
+    for _ in range(rng.integers(1, 3)):
+        end, side = rng.uniform(30_000.0, 115_000.0), rng.uniform(-10_000.0, 10_000.0)
+        half, deep = rng.uniform(7_000.0, 14_000.0), rng.uniform(8_000.0, 18_000.0)
+        across = np.arange(-half, half + 1.0, 2_000.0)
+        back = np.arange(0.0, deep, 2_000.0)
+        line = np.concatenate([
+            np.stack([np.full_like(across, end), side + across], axis=-1),
+            *(np.stack([end - back, np.full_like(back, side + s * half)], -1) for s in (-1, 1)),
+        ])  # fmt: skip
+        peaks += _ridge(base, line, np.full(len(line), rng.uniform(5_400.0, 6_400.0)))
+    radars = _radars(rng, base, 3, (5_000.0, 9_000.0), 35_000.0)
+    terrain = PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0)
+    return replace(base, name=name, terrain=terrain,
+                   task=replace(base.task, radars=radars, zones=()))  # fmt: skip
+
+
+def _ridge(base: BenchmarkWorld, line_m: FloatArray, top_m: FloatArray) -> list[Peak]:
+    """Mountains in a row: (N, 2) metres along the straight line and aside of it."""
+    found = []
+    for (along, aside), top in zip(line_m.tolist(), top_m.tolist(), strict=True):
+        north, east = _at(base, along, aside)
+        if _leaves_ends(base, (north, east), 6_000.0):
+            found.append(_mountain(north, east, top, (3_000.0, 3_000.0)))
+    return found
+
+
+# --- real relief
+
+
+@functools.cache
+def _relief_m() -> FloatArray:
+    """Real heights about a fault in Tennessee, 80 m apart: matplotlib's sample."""
+    with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as data:
+        heights = np.asarray(data["elevation"], dtype=np.float64)[::-1]
+        latitude = math.radians(0.5 * float(data["ymin"] + data["ymax"]))
+        step_n, step_e = 111_200.0 * float(data["dy"]), 111_200.0 * float(data["dx"])
+    step_e *= math.cos(latitude)
+    rows = np.arange(0.0, step_n * (heights.shape[0] - 1), 80.0) / step_n
+    columns = np.arange(0.0, step_e * (heights.shape[1] - 1), 80.0) / step_e
+    return np.asarray(map_coordinates(heights, np.meshgrid(rows, columns, indexing="ij"), order=1))
+
+
+def _relief(rng: np.random.Generator, name: str) -> BenchmarkWorld | None:
+    """A crop of real relief, turned, mirrored and enlarged, much of it above the ceiling."""
+    grown, steeper = rng.uniform(1.2, 2.5), rng.uniform(1.0, 1.5)
+    whole, nodes = _relief_m(), 261
+    turn, half = rng.uniform(0.0, 2.0 * math.pi), 0.5 * (nodes - 1) * math.sqrt(2.0)
+    middle = [rng.uniform(half, size - 1 - half) if size - 1 > 2 * half else 0.5 * (size - 1)
+              for size in whole.shape]  # fmt: skip
+    n, e = np.meshgrid(*2 * [np.arange(nodes) - 0.5 * (nodes - 1)], indexing="ij")
+    mirror = 1.0 if rng.uniform() < 0.5 else -1.0
+    rows = middle[0] + math.cos(turn) * n - mirror * math.sin(turn) * e
+    columns = middle[1] + math.sin(turn) * n + mirror * math.cos(turn) * e
+    heights = map_coordinates(whole, (rows, columns), order=1, mode="nearest") * grown * steeper
+    terrain = ArrayTerrain(heights_m=heights, spacing_m=80.0 * grown)
+    side = terrain.spacing_m * (nodes - 1)
+    range_m = side / rng.uniform(5.0, 8.0)
+    low, high = np.percentile(heights, rng.uniform(25.0, 55.0) + np.array([0.0, 35.0]))
+    room = math.ceil(0.15 * range_m / terrain.spacing_m)
+    open_ = maximum_filter(heights, 2 * room + 1) < low
+    inside = slice(nodes // 16, -(nodes // 16))
+    pools, _ = label(heights < low)
+    nodes_open = np.argwhere(open_[inside, inside]) + nodes // 16
+    if not len(nodes_open):
+        return None
+    first = nodes_open[rng.integers(len(nodes_open))]
+    far_off = np.linalg.norm(nodes_open - first, axis=-1) > 0.65 * nodes
+    others = nodes_open[far_off & (pools[tuple(nodes_open.T)] == pools[tuple(first)])]
+    if not len(others):
+        return None
+    start, target = (
+        first * terrain.spacing_m,
+        others[rng.integers(len(others))] * terrain.spacing_m,
+    )
+    area = ((0.0, side), (0.0, side))
+    limits = _limits(45.0, 0.1 * range_m, 10.0)
+    drawn = _own(name, terrain, (start, target), area, range_m, limits, safety_m=0.02 * range_m)
+    drawn = _with_band(drawn, low + drawn.task.required_clearance_m, high)
+    reach = (0.2 * range_m, 0.4 * range_m)
+    radars = _radars(rng, drawn, int(rng.integers(0, 4)), reach, 0.2 * side, ground=True)
+    return replace(drawn, task=replace(drawn.task, radars=radars))
+
+
+# --- small vehicles
+
+
+def _copter(rng: np.random.Generator, name: str) -> BenchmarkWorld:
+    """Hills, towers and keep-outs for a copter of 8 to 12 m/s that sees 300 to 1,500 m."""
+    range_m = float(rng.uniform(300.0, 1_500.0))
+    limits = replace(
+        _limits(float(rng.uniform(8.0, 12.0)), float(rng.uniform(20.0, 40.0)), 12.0),
+        acceleration_m_s2=2.5, climb_rate_m_s=2.0, tracking_error_m=1.5, navigation_error_m=2.0,
+    )  # fmt: skip
+    away_m = min(float(rng.uniform(4_000.0, 10_000.0)), 14.0 * range_m)
+    return _small(rng, name, limits, range_m, away_m, band_m=(40.0, 110.0),
+                  tops_m=(50.0, 190.0), towers=(12.0, 25.0), safety_m=float(rng.uniform(5.0, 10.0)),
+                  times_s=(1.0, 2.0))  # fmt: skip
+
+
+def _plane(rng: np.random.Generator, name: str) -> BenchmarkWorld:
+    """Hills, masts and keep-outs for a plane of 22 m/s that sees 3 to 5 km."""
+    range_m = float(rng.uniform(3_000.0, 5_000.0))
+    limits = replace(
+        _limits(22.0, float(rng.uniform(110.0, 150.0)), 7.0),
+        climb_rate_m_s=2.5, dive_angle_rad=math.radians(5.0), loiter_radius_m=100.0,
+    )  # fmt: skip
+    return _small(rng, name, limits, range_m, float(rng.uniform(15_000.0, 30_000.0)),
+                  band_m=(120.0, 350.0), tops_m=(150.0, 700.0), towers=(60.0, 120.0),
+                  safety_m=float(rng.uniform(30.0, 50.0)), times_s=(3.0, 4.0))  # fmt: skip
+
+
+def _small(
+    rng: np.random.Generator,
+    name: str,
+    limits: Limits,
+    range_m: float,
+    away_m: float,
+    *,
+    band_m: tuple[float, float],
+    tops_m: tuple[float, float],
+    towers: tuple[float, float],
+    safety_m: float,
+    times_s: tuple[float, float],
+) -> BenchmarkWorld:
+    """Hills and towers (radius at the ground) about a straight line of any bearing."""
+    bearing, ground = rng.uniform(0.0, 2.0 * math.pi), float(rng.uniform(100.0, 700.0))
+    margin = 1.5 * range_m
+    target = away_m * np.array([abs(math.cos(bearing)), abs(math.sin(bearing))])
+    ends = ((margin, margin), (margin + float(target[0]), margin + float(target[1])))
+    size = ((0.0, 2.0 * margin + float(target[0])), (0.0, 2.0 * margin + float(target[1])))
+    terrain = PeakTerrain(peaks=(), ground_amsl_m=ground)
+    base = _own(name, terrain, ends, size, range_m, limits, safety_m=safety_m, times_s=times_s)
+    base = _with_band(base, ground + band_m[0], ground + band_m[1])
+    count = round(rng.uniform(2.0, 4.0) * away_m / range_m) + 4
+    hills = rng.uniform(0.12, 0.45, count) * range_m
+    feet = np.concatenate([hills, rng.uniform(*towers, count)]).tolist()
+    peaks: list[Peak] = []
+    while len(peaks) < len(feet):
+        at, foot = _beside_the_line(rng, base, range_m), feet[len(peaks)]
+        if _leaves_ends(base, at, foot):
+            high = ground + float(rng.uniform(*tops_m))
+            spread = foot / math.sqrt(math.log(high / ground))
+            peaks.append(_mountain(*at, high, (spread, spread)))
+    zones: list[CircleZone] = []
+    while len(zones) < 3:
+        at, radius = _beside_the_line(rng, base, range_m), float(rng.uniform(0.1, 0.3) * range_m)
+        if _leaves_ends(base, at, radius):
+            zones.append(CircleZone(name=f"zone {len(zones) + 1}", north_m=at[0], east_m=at[1],
+                                    radius_m=radius))  # fmt: skip
+    radars = _radars(rng, base, 2, (0.2 * range_m, 0.5 * range_m), range_m, ground=True)
+    return replace(
+        base,
+        terrain=replace(terrain, peaks=tuple(peaks)),
+        task=replace(base.task, zones=tuple(zones), radars=radars),
+    )
+
+
+# --- what they are made of
+
+
+def _mountain(north: float, east: float, top: float, spreads: tuple[float, float]) -> Peak:
+    return Peak(north_m=north, east_m=east, height_amsl_m=top,
+                spread_north_m=spreads[0], spread_east_m=spreads[1])  # fmt: skip
+
+
+def _limits(speed_m_s: float, turn_radius_m: float, climb_deg: float) -> Limits:
+    """Of a vehicle in a map and a band that are still to be drawn."""
+    return Limits(
+        speed_m_s=speed_m_s,
+        acceleration_m_s2=3.0,
+        climb_rate_m_s=speed_m_s * math.sin(math.radians(climb_deg)),
+        turn_radius_m=turn_radius_m,
+        climb_angle_rad=math.radians(climb_deg),
+        dive_angle_rad=math.radians(climb_deg),
+        floor_amsl_m=0.0,
+        ceiling_amsl_m=1.0,
+        north_m=(0.0, 1.0),
+        east_m=(0.0, 1.0),
+    )
+
+
+def _own(
+    name: str,
+    terrain: PeakTerrain | ArrayTerrain,
+    ends_ne_m: Sequence[Sequence[float]],
+    edges_m: tuple[tuple[float, float], tuple[float, float]],
+    range_m: float,
+    limits: Limits,
+    *,
+    safety_m: float,
+    times_s: tuple[float, float] = (3.0, 3.0),
+) -> BenchmarkWorld:
+    """A world whose mission is not that of a bundled one."""
+    settings = PlannerSettings(
+        scan_range_m=range_m,
+        safety_distance_m=safety_m,
+        planning_time_s=times_s[0],
+        scan_time_s=times_s[1],
+        overlap_m=0.1 * range_m,
+    )
+    (start_n, start_e), (target_n, target_e) = ends_ne_m
+    return BenchmarkWorld(
+        name=name,
+        terrain=terrain,
+        task=Task(limits=replace(limits, north_m=edges_m[0], east_m=edges_m[1]), settings=settings),
+        start_nea_m=(float(start_n), float(start_e), 0.0),
+        targets_ne_m=((float(target_n), float(target_e)),),
+    )
+
+
+def _with_band(drawn: BenchmarkWorld, floor_m: float, ceiling_m: float) -> BenchmarkWorld:
+    """The same world between these altitudes; the start is a little above the lowest."""
+    limits = replace(
+        drawn.task.limits, floor_amsl_m=float(floor_m), ceiling_amsl_m=float(ceiling_m)
+    )
+    drawn = replace(drawn, task=replace(drawn.task, limits=limits))
+    north, east, _ = drawn.start_nea_m
+    return replace(drawn, start_nea_m=(north, east, drawn.floor_amsl_m + 0.1 * drawn.task.error_m))
+
+
+def _radars(
+    rng: np.random.Generator,
+    base: BenchmarkWorld,
+    count: int,
+    range_m: tuple[float, float],
+    aside_m: float,
+    *,
+    ground: bool = False,
+) -> tuple[Radar, ...]:
+    """Radars about the straight line that see neither end; on the ground, or at sea level."""
+    radars: list[Radar] = []
+    while len(radars) < count:
+        north, east = _beside_the_line(rng, base, aside_m)
+        reach = float(rng.uniform(*range_m))
+        if _leaves_ends(base, (north, east), reach):
+            at = np.array([north]), np.array([east])
+            high = float(base.terrain.height_m(*at)[0]) if ground else 0.0
+            radars.append(Radar(name=f"radar {len(radars) + 1}",
+                                centre_nea_m=(north, east, high), range_m=reach))  # fmt: skip
+    return tuple(radars)
+
+
+def _at(base: BenchmarkWorld, along_m: float, aside_m: float) -> tuple[float, float]:
+    """A place so far along the straight line from the start, and so far to the right of it."""
+    start, target = np.array(base.start_nea_m[:2]), np.array(base.targets_ne_m[0])
+    ahead = (target - start) / np.linalg.norm(target - start)
+    at = start + along_m * ahead + aside_m * np.array([-ahead[1], ahead[0]])
+    return float(at[0]), float(at[1])
+
+
+def _beside_the_line(
+    rng: np.random.Generator, base: BenchmarkWorld, aside_m: float
+) -> tuple[float, float]:
+    """A place about the middle three quarters of the straight line, normally so far aside."""
+    way = math.dist(base.start_nea_m[:2], base.targets_ne_m[0])
+    return _at(base, float(rng.uniform(0.125, 0.875)) * way, float(rng.normal(0.0, aside_m)))
+
+
+def _leaves_ends(base: BenchmarkWorld, at_ne_m: tuple[float, float], reach_m: float) -> bool:
+    """Whether something so large leaves 0.15 R about the start and the target."""
+    room = 0.15 * base.task.settings.scan_range_m + base.task.limits.loiter_radius_m
+    ends = (base.start_nea_m[:2], base.targets_ne_m[0])
+    return all(math.dist(at_ne_m, end) >= reach_m + room for end in ends)
+
+
+# --- the optimum
+
+
+def best(drawn: BenchmarkWorld) -> optimum.Optimum:
+    """The full-knowledge optimum, found in the world at the size that its solver is made for.
+
+    J is the same at every size.  ValueError: none was found.
+    """
+    limits = drawn.task.limits
+    side = max(limits.north_m[1] - limits.north_m[0], limits.east_m[1] - limits.east_m[0])
+    scale = max(_SOLVER_SIDE_M / side, _SOLVER_CLEARANCE_M / drawn.task.required_clearance_m)
+    if abs(scale - 1.0) < 1e-9:
+        return optimum.optimum(drawn)
+    found = optimum.optimum(worlds.scaled(drawn, scale))
+    return replace(
+        found,
+        fingerprint=drawn.fingerprint,
+        length_m=found.length_m / scale,
+        shortest_m=found.shortest_m / scale,
+        radar_m=found.radar_m / scale,
+        control_nea_m=tuple((n / scale, e / scale, a / scale) for n, e, a in found.control_nea_m),
+    )
+
+
+_Draw = Callable[[np.random.Generator, str], BenchmarkWorld | None]
+_FAMILIES: dict[str, tuple[int, _Draw]] = {
+    "gathered": (11, _gathered),
+    "walls": (12, _walls),
+    "relief": (13, _relief),
+    "copter": (14, _copter),
+    "plane": (15, _plane),
+}
+FAMILIES = ("dense", "sparse", *_FAMILIES)

@@ -1,0 +1,164 @@
+"""The planner as researchers call it: docs/library.md runs, and what it returns was flown."""
+
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion import library
+from companion.errors import InputError
+from companion.library import OPTIMISERS, Flown, Task, fly
+from companion.objective.scene import PROFILES
+from companion.path.certificate import Certificate
+from companion.world.known_map import KnownMap, Scan
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts" / "benchmarks"))
+import truth
+import worlds
+from lattice import curve_cost
+
+PAGE = Path(__file__).parents[1] / "docs" / "library.md"
+WHERE: dict[str, Any] = {
+    "spacing_m": 50.0,
+    "start_nea_m": (500.0, 500.0, 260.0),
+    "targets_ne_m": [(7_300.0, 7_300.0)],
+}
+
+
+@pytest.fixture(scope="module")
+def page() -> dict[str, Any]:
+    """What the names of the page are after all of its code has run."""
+    names: dict[str, Any] = {}
+    code = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.M | re.S)
+    assert len(code) == 3
+    exec("\n".join(code), names)
+    return names
+
+
+def test_the_page_shows_a_flight_that_arrives_compiled_and_proven(page: dict[str, Any]) -> None:
+    for name in ("flown", "short_sighted", "half_blind", "swarm", "random"):
+        flown: Flown = page[name]
+        assert flown.arrived, f"{name}: {flown.why}"
+        assert flown.why == ""
+        assert flown.kernel == "numba"
+        assert all(certificate.proven for certificate in flown.certificates)
+        assert len(flown.certificates) == len(flown.details.legs)
+
+
+def test_the_points_are_the_flight_from_start_to_target(page: dict[str, Any]) -> None:
+    flown: Flown = page["flown"]
+    assert flown.points_nea_m[0] == pytest.approx(WHERE["start_nea_m"])
+    assert flown.points_nea_m[-1, :2] == pytest.approx(WHERE["targets_ne_m"][0])
+    steps = np.linalg.norm(np.diff(flown.points_nea_m, axis=0), axis=-1)
+    assert steps.max() <= 1.001 * 2_500.0 / 400.0
+    assert steps.sum() == pytest.approx(flown.length_m, rel=1e-5)
+
+
+def test_every_flown_point_keeps_the_distance_of_the_task_to_the_heights(
+    page: dict[str, Any],
+) -> None:
+    terrain = library.ArrayTerrain(heights_m=page["heights"], spacing_m=50.0)
+    need = page["task"].required_clearance_m
+    for name in ("flown", "short_sighted", "half_blind"):
+        points = page[name].points_nea_m
+        assert truth.terrain_distance_m(points, terrain, 2.0 * need).min() >= need
+
+
+def test_the_cost_is_that_of_the_benchmarks(page: dict[str, Any]) -> None:
+    world = worlds.bundled("environment-1")
+    flown: Flown = page["swarm"]
+    whole = sum(
+        curve_cost(truth.sampled(leg.subpath.control_nea_m, 5.0), world, far)
+        for leg, far in zip(flown.details.legs, flown.details.flown_m, strict=True)
+    )
+    assert flown.cost == pytest.approx(whole, rel=1e-4)
+    assert set(flown.terms) == {"length", "height", "radar"}
+
+
+def test_the_same_arguments_fly_the_same_flight_and_another_seed_another(
+    page: dict[str, Any],
+) -> None:
+    again, other = (fly(page["heights"], page["task"], seed=seed, **WHERE) for seed in (1, 2))
+    assert again.points_nea_m.tobytes() == page["flown"].points_nea_m.tobytes()
+    assert other.points_nea_m.tobytes() != again.points_nea_m.tobytes()
+
+
+def test_a_scanner_is_asked_once_for_each_scan_and_nothing_else_is_seen(
+    page: dict[str, Any],
+) -> None:
+    asked = []
+
+    def noted(there: KnownMap, at: tuple[float, float, float], range_m: float) -> Scan:
+        asked.append((at, range_m))
+        return library.simulated_scan(there, at, range_m)
+
+    flown = fly(page["heights"], page["task"], scanner=noted, **WHERE)
+    assert tuple(at for at, _ in asked) == flown.details.scans_nea_m
+    assert {range_m for _, range_m in asked} == {2_500.0}
+    blind = fly(page["heights"], page["task"], scanner=nothing, **WHERE)
+    assert not blind.arrived
+    assert blind.why.startswith("START_NEAR_UNKNOWN") or blind.why.startswith("NOTHING_SEEN")
+    assert len(blind.points_nea_m) == 1
+    assert blind.length_m == blind.cost == 0.0
+
+
+def nothing(there: KnownMap, at: tuple[float, float, float], range_m: float) -> Scan:
+    scan = library.simulated_scan(there, at, range_m)
+    return replace(scan, heights_m=np.full_like(scan.heights_m, library.NO_ANSWER))
+
+
+def test_an_own_optimiser_is_lent_to_one_flight_only(page: dict[str, Any]) -> None:
+    before = dict(OPTIMISERS)
+    made = []
+
+    def make(*given: Any) -> Any:
+        made.append(given)
+        return page["RandomSearch"](*given)
+
+    fly("environment-1", "environment-1", optimiser=make, most_legs=1)
+    assert made
+    assert before == OPTIMISERS
+
+
+def test_no_limit_is_silent() -> None:
+    cut = fly("environment-1", "environment-1", most_legs=2)
+    assert not cut.arrived
+    assert cut.why.startswith("TOO_MANY_LEGS: ")
+    assert "most_legs" in cut.why
+    assert len(cut.certificates) == 2
+
+
+def test_numpy_flies_only_where_it_is_asked_for(page: dict[str, Any]) -> None:
+    task: Task = page["task"]
+    settings = replace(task.settings, profile=PROFILES["paper"], evaluations=200)
+    flown = fly(page["heights"], replace(task, settings=settings), compiled=False, **WHERE)
+    assert flown.kernel == "numpy"
+    assert all(isinstance(each, Certificate) for each in flown.certificates)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"start_nea_m": None}, "start_nea_m"),
+        ({"targets_ne_m": ()}, "targets_ne_m"),
+        ({"spacing_m": None}, "spacing_m"),
+        ({"optimiser": "hope"}, "optimiser"),
+    ],
+)
+def test_what_is_not_understood_is_named(
+    page: dict[str, Any], changes: dict[str, Any], field: str
+) -> None:
+    with pytest.raises(InputError) as refused:
+        fly(page["heights"], page["task"], **WHERE | changes)
+    assert refused.value.field == field
+
+
+def test_heights_with_gaps_are_refused(page: dict[str, Any]) -> None:
+    holed = page["heights"].copy()
+    holed[3, 4] = np.nan
+    with pytest.raises(InputError, match="finite"):
+        fly(holed, page["task"], **WHERE)
