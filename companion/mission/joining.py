@@ -12,7 +12,7 @@ from companion.planner.procedure import Leg, Reference
 
 _SPACING_M = 1.0
 _MOST_SAMPLES = 1000
-_ROUNDS, _FINER = 3, 41
+_ROUNDS, _LEAST_BEND = 6, 0.25
 _FRESH_S = 1.0
 _ON_CIRCLE = 1.5  # loiter radii: a plane may be circling there
 
@@ -86,11 +86,12 @@ def nearest(leg: Leg, point_nea_m: Vector) -> tuple[float, float]:
     points = leg.subpath.sampled(spacing_m).points_nea_m
     distance = np.linalg.norm(points - np.asarray(point_nea_m), axis=-1)
     k = int(distance.argmin())
-    lengths = np.linspace(0.0, length_m, len(points))
-    for _ in range(_ROUNDS):
-        low, high = float(lengths[max(k - 1, 0)]), float(lengths[min(k + 1, len(lengths) - 1)])
-        lengths = np.linspace(low, high, _FINER)
-        points = leg.subpath.points_nea_m(lengths)
-        distance = np.linalg.norm(points - np.asarray(point_nea_m), axis=-1)
-        k = int(distance.argmin())
-    return float(distance[k]), float(lengths[k])
+    at_m, step_m = length_m * k / (len(points) - 1), length_m / (len(points) - 1)
+    low_m, high_m = max(at_m - step_m, 0.0), min(at_m + step_m, length_m)
+    for _ in range(_ROUNDS):  # of Newton's method, which no last digit leads elsewhere
+        pose = leg.subpath.pose(at_m)
+        offset = np.asarray(point_nea_m) - pose.position_nea_m
+        bend = max(1.0 - float(offset @ pose.curvature_nea_1_m), _LEAST_BEND)
+        at_m = min(max(at_m + float(offset @ pose.tangent_nea) / bend, low_m), high_m)
+    there = leg.subpath.pose(at_m).position_nea_m
+    return float(np.linalg.norm(np.asarray(point_nea_m) - there)), at_m
