@@ -158,18 +158,29 @@ def summary(results: Sequence[FamilyResult]) -> dict[str, Any]:
     """The figures of one family."""
     figures = missions.summary([r.ours for r in results])
     ratios = np.array([r.rival_ratio for r in results if math.isfinite(r.rival_ratio)])
+    pairs = [r.ours.cost / r.rival_cost for r in results if r.ours.arrived]
     references = np.array(
         [r.reference_cost / r.ours.best_cost for r in results if math.isfinite(r.reference_cost)]
     )
-    return figures | {
-        "rival_arrived": sum(math.isfinite(r.rival_cost) for r in results),
-        "rival_clearance_least_m": min(r.rival_clearance_m for r in results),
-        "cheaper_than_rival": sum(r.is_cheaper for r in results) / len(results),
-        "highest_amsl_m": max(r.ours.highest_amsl_m for r in results),
-        "without_optimum": sum(not math.isfinite(r.ours.best_cost) for r in results),
-    } | {f"rival_{k}": v for k, v in _spread(ratios).items()} | {
-        f"reference_{k}": v for k, v in _spread(references).items()
-    }  # fmt: skip
+    return (
+        figures
+        | {
+            "rival_arrived": sum(math.isfinite(r.rival_cost) for r in results),
+            "rival_clearance_least_m": min(r.rival_clearance_m for r in results),
+            "cheaper_than_rival": sum(r.is_cheaper for r in results) / len(results),
+            "highest_amsl_m": max(r.ours.highest_amsl_m for r in results),
+            "without_optimum": sum(not math.isfinite(r.ours.best_cost) for r in results),
+        }
+        | {
+            f"{name}_{k}": v
+            for name, values in (
+                ("rival", ratios),
+                ("pair", np.array([pair for pair in pairs if math.isfinite(pair)])),
+                ("reference", references),
+            )
+            for k, v in _spread(values).items()
+        }
+    )
 
 
 def _spread(ratios: FloatArray) -> dict[str, float]:
@@ -196,6 +207,7 @@ def table(groups: dict[str, dict[str, Any]], seed: int) -> Table:
             [str(s["missions_violating"]), *(f"{k} {v}" for k, v in s["violations"].items())])),
         ("J / J*: median, mean, 90 %, worst", _four("ratio")),
         ("rival's J / J*", _four("rival")),
+        ("J / the rival's J", _four("pair")),
         ("rival arrived", lambda s: f"{s['rival_arrived']} of {s['missions']}"),
         ("ours no dearer than the rival", lambda s: f"{100 * s['cheaper_than_rival']:.0f} %"),
         ("stops on the way", lambda s: str(s["stops"])),
@@ -221,9 +233,11 @@ def lines(results: Sequence[FamilyResult], seed: int) -> list[str]:
         o = r.ours
         end = "arrived" if o.arrived else f"did not arrive ({o.failure or 'no reason given'})"
         said.append(
-            f"{r.family} seed {seed} world {r.index}: J/J* {o.ratio:.4f}, rival {r.rival_ratio:.4f}"
-            f", legs {o.subpaths}, holds {o.stops}, highest {o.highest_amsl_m:.0f} m, "
-            f"radar {o.radar_m:.0f} m, {end}{'; ' if o.violations else ''}{'; '.join(o.violations)}"
+            f"{r.family} seed {seed} world {r.index}: "
+            f"J/J* {o.ratio:.4f}, rival {r.rival_ratio:.4f}, J {o.cost:.3f}, rival "
+            f"{r.rival_cost:.3f}, legs {o.subpaths}, holds {o.stops}, "
+            f"highest {o.highest_amsl_m:.0f} m, radar {o.radar_m:.0f} m, "
+            + "; ".join([end, *o.violations])
         )
     return said
 
