@@ -56,19 +56,20 @@ def test_the_radars_of_figure_4_overlap_by_more_than_one_d_overlap_and_less_than
 
 @pytest.mark.parametrize("effect", [effects.figure_3(), effects.figure_4()], ids=lambda e: e.name)
 def test_the_paper_s_way_is_flown_in_both_settings(effect: effects.Effect) -> None:
-    flown = [fly(case) for case in effects.cases(effect, 1, 1)]
+    flown = [fly(case) for case in effects.cases(effect, 3, 1)]
     found = effects.outcomes(effect, flown)
-    assert [outcome.as_the_paper for outcome in found] == [1, 1]
+    assert min(outcome.as_the_paper for outcome in found) >= 2  # a search of chance: nearly always
     assert {outcome.setting.papers_way for outcome in found} == {effect.across, effect.round}
     assert all(run.arrived for run in flown)
     facts = json.loads(json.dumps(effects.facts(effect, found), allow_nan=False))
-    assert [each["ways"] for each in facts] == [[s.papers_way] for s in effect.settings]
+    assert [each["ways"] for each in facts] == [list(outcome.ways) for outcome in found]
+    one, other = (outcome.shown for outcome in found)
     if effect.name == "figure-3":  # over: higher and shorter
-        (over,), (past,) = (outcome.runs for outcome in found)
+        over, past = one, other
         assert over.route_nea_m[:, 2].max() > past.route_nea_m[:, 2].max() + 300.0
         assert over.length_m < past.length_m
     else:  # between: through what both radars see
-        (past,), (between,) = (outcome.runs for outcome in found)
+        past, between = one, other
         assert past.violations.radar_m == 0.0
         assert between.violations.radar_m > 5_000.0
 
