@@ -53,14 +53,16 @@ def connect(fly: Any, mavproxy: Any) -> Any:
     def start(
         how: str, *arguments: object, speedup: float = SPEEDUP, ready: bool = True
     ) -> tuple[Vehicle, Program]:
+        # what it fetches as a file it asks for once: of a fast vehicle the refusal may be lost
+        plainly = () if speedup < SPEEDUP else ("--cmd=set param_ftp False",)
         here = f"127.0.0.1:{free_port(socket.SOCK_STREAM if how == 'tcpin' else socket.SOCK_DGRAM)}"
         if how == "udpout":
-            ground = mavproxy(f"udp:{here}")
+            ground = mavproxy(f"udp:{here}", *plainly)
             ground.expect("Waiting for heartbeat")
             vehicle = fly("--connect", f"udpout:{here}", *arguments, speedup=speedup)
         else:
             vehicle = fly("--connect", f"{how}:{here}", *arguments, speedup=speedup)
-            ground = mavproxy(f"{'tcp' if how == 'tcpin' else 'udpout'}:{here}")
+            ground = mavproxy(f"{'tcp' if how == 'tcpin' else 'udpout'}:{here}", *plainly)
         ground.expect("online system 1")
         if ready:
             ground.expect(r"Received (\d+) parameters")
