@@ -17,7 +17,7 @@ pytestmark = pytest.mark.closed_loop
 
 TARGETS_NE_M = {1: (90.0, 0.0), 2: (-60.0, 110.0)}
 COMPANION = 195
-PATIENCE_S = 150.0
+PATIENCE_S = 400.0
 WORLD = """
 schema = 1
 name = "meadow"
