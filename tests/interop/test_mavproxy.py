@@ -143,7 +143,8 @@ def test_parameters(connect: Any, tmp_path: Path) -> None:
 
 
 def test_mission_fence_and_rally_come_back_as_they_went(connect: Any, tmp_path: Path) -> None:
-    vehicle, ground = connect("udpin")
+    """Not much faster than real time: the vehicle waits 8 s of its own for each item."""
+    vehicle, ground = connect("udpin", speedup=2)
     files = write(tmp_path, mission=MISSION, fence=FENCE, rally=RALLY)
     for command, name in (("wp", "mission"), ("fence", "fence"), ("rally", "rally")):
         ground.ask(
