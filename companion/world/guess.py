@@ -32,10 +32,9 @@ def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -
     firm = known.firm
     if firm.all():
         return known.upper_m
-    if known.guess_m is not None:
-        guess = np.where(np.isnan(known.guess_m), -np.inf, known.guess_m)
-    else:
-        guess = np.full(firm.shape, -np.inf)
+    told = np.zeros_like(firm) if known.guess_m is None else ~np.isnan(known.guess_m)
+    guess = np.full(firm.shape, -np.inf)
+    if not (firm | told).all():
         reach = round(_REACH * range_m / known.cell_m)
         near = tuple(
             slice(max(at - reach, 0), max(at + reach, 0)) for at in known.cell_of(*here_ne_m)
@@ -43,6 +42,8 @@ def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -
         part = known.part(*near)
         if part.firm.any():
             guess[near] = continued_m(part, range_m, here_ne_m)
+    if known.guess_m is not None:
+        np.copyto(guess, known.guess_m, where=told)
     return np.where(firm, known.upper_m, np.minimum(guess, known.upper_m))
 
 
