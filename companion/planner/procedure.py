@@ -27,7 +27,6 @@ _LEAD_S = 1.0  # the reference point waits when it is this far ahead of the vehi
 _ARRIVED_M = 0.05  # what is left of the speed there is worth no mention
 _CHORDS = 32  # of the part of the path on which the nearest point is looked for
 _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
-_FINE_M = 5.0
 _LEAVES_RAD = math.radians(25.0)  # a plane leaves its circle when its course is so near the path's
 _ON_CIRCLE = 2.0  # tracking errors beyond the circle: at three a plane has left its path
 
@@ -137,16 +136,6 @@ def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, limits: Li
     until_m = min(reference.length_m + ahead_m, leg.subpath.length_m)
     at_m = _nearest_m(leg, vehicle_nea_m, reference.length_m, until_m, _CHORDS)
     return Reference(length_m=at_m, speed_m_s=limits.speed_m_s)
-
-
-def locate(leg: Leg, vehicle_nea_m: FloatArray) -> Reference:
-    """The nearest point of a whole leg, seen from above: where a vehicle is that was not followed.
-
-    At rest: what hovers speeds up from there.
-    """
-    chords = max(math.ceil(leg.subpath.length_m / _FINE_M), 1)
-    at_m = _nearest_m(leg, vehicle_nea_m, 0.0, leg.subpath.length_m, chords)
-    return Reference(length_m=at_m, speed_m_s=0.0)
 
 
 def _nearest_m(

@@ -19,7 +19,6 @@ from companion.planner.procedure import (
     Reference,
     follow,
     hover_pose,
-    locate,
     may_leave,
     off_path_m,
     sent_pose,
@@ -201,12 +200,9 @@ def test_the_reference_is_the_nearest_point_of_the_path(
     pose = leg.subpath.pose(length_m)
     across = np.array([-pose.tangent_nea[1], pose.tangent_nea[0], 0.0])
     vehicle = pose.position_nea_m + aside_m * across / np.linalg.norm(across)
-    for reference in (
-        follow(Reference(length_m=max(length_m - 40.0, 0.0)), leg, vehicle, LIMITS),
-        locate(leg, vehicle),
-    ):
-        assert reference.length_m == pytest.approx(length_m, abs=0.5)
-        assert off_path_m(reference, leg, vehicle) == pytest.approx(abs(aside_m), abs=0.5)
+    reference = follow(Reference(length_m=max(length_m - 40.0, 0.0)), leg, vehicle, LIMITS)
+    assert reference.length_m == pytest.approx(length_m, abs=0.5)
+    assert off_path_m(reference, leg, vehicle) == pytest.approx(abs(aside_m), abs=0.5)
 
 
 def test_the_reference_never_goes_back_and_comes_to_the_end() -> None:
