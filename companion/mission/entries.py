@@ -52,6 +52,7 @@ def of_event(event: Event, state: State) -> Entry | None:
                 "reason": refused.refusal.name,
                 "broken": list(refused.broken),
                 "evaluations": refused.evaluations,
+                **({} if refused.place_ne_m is None else {"place_ne_m": refused.place_ne_m}),
             }
         case PlanLate(plan_id=plan_id):
             return {"kind": "plan late", "plan_id": plan_id}

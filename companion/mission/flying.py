@@ -241,7 +241,11 @@ def on_plan(state: State, event: PlanReady) -> Step:
         refusal = outcome.refusal if isinstance(outcome, NotPlanned) else None
         state = replace(state, flight=replace(state.flight, refusal=refusal))
         silent = flight.shortfall is Reason.RADAR_SILENT
-        return _no_successor(state, Reason.RADAR_SILENT if silent else Reason.NO_PLAN)
+        reason = Reason.RADAR_SILENT if silent else Reason.NO_PLAN
+        state, commands, trigger = _no_successor(state, reason)
+        if isinstance(outcome, NotPlanned) and refusal is not flight.refusal:
+            commands = [*_closed(outcome), *commands]
+        return state, commands, trigger
     leg = flight.leg
     late = leg is not None and following.sent_at_m(state) > leg.successor_at_m(state.task)
     if late:
@@ -253,6 +257,14 @@ def on_plan(state: State, event: PlanReady) -> Step:
     margin_m = min(outcome.certificate.clearance_m, outcome.certificate.keep_out_m)
     text = f"subpath {number}: {margin_m:.0f} m clear, cost {outcome.cost:.2f}"
     return replace(state, flight=flight), [Say(text=text, about="plan")], None
+
+
+def _closed(outcome: NotPlanned) -> list[Command]:
+    """Where there is no way on, if that is proven."""
+    if outcome.place_ne_m is None:
+        return []
+    north, east = (each / 1000.0 for each in outcome.place_ne_m)
+    return [Say(text=f"no way: closed {north:.1f} km N, {east:.1f} km E of origin", warning=True)]
 
 
 def on_late_plan(state: State, event: PlanLate) -> Step:

@@ -35,7 +35,7 @@ Place = tuple[float, float]
 IndexArray = npt.NDArray[np.int32]
 
 MOST_CELLS = 160  # across; a larger map is coarse beyond a window of this size
-_BLOCKED = 300.0  # cost per metre where nothing may fly
+BLOCKED = 300.0  # cost per metre where nothing may fly
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
 _MOST_PIECES = 400  # of a straight line
 
@@ -163,7 +163,7 @@ def lattice_of(
         north_min_m=north_min,
         east_min_m=east_min,
         step_m=step,
-        cost=cost + _BLOCKED * (blocked + above),
+        cost=cost + BLOCKED * (blocked + above),
         height=per_height * fraction,
         ramp_m=0.5 * per_height * fraction**2 * band / math.tan(limits.climb_angle_rad),
         costly=blocked | (seen > 0.0),

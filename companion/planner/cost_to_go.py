@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.cost_lattice import (
+    BLOCKED,
     MOST_CELLS,
     IndexArray,
     Lattice,
@@ -67,6 +68,8 @@ class CostToGo:
     """
     route_ne_m: tuple[Place, ...]
     """The cheapest way from here to the target."""
+    is_barred: bool
+    """Whether even that leads through what may not be flown."""
 
     def at_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Cost from points to the target.  (...) x2 -> (...).  Bilinear, clamped at the edges."""
@@ -137,7 +140,13 @@ def cost_to_go(
         cell_m=2.0 * near.step_m,
         value_m=_smooth_edges(solved),
         route_ne_m=route,
+        is_barred=_is_barred(near, np.array(route)),
     )
+
+
+def _is_barred(lattice: Lattice, route_ne_m: FloatArray) -> bool:
+    cost_m = line_cost_m(lattice, route_ne_m[:-1], route_ne_m[1:])
+    return float(cost_m.sum()) >= BLOCKED * lattice.step_m
 
 
 @final

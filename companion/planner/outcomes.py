@@ -43,6 +43,7 @@ def values_of(outcome: PlanOutcome) -> Values:
                 "plan_id": outcome.plan_id,
                 "refusal": outcome.refusal.name,
                 "broken": list(outcome.broken),
+                "place_ne_m": None if outcome.place_ne_m is None else list(outcome.place_ne_m),
                 "evaluations": int(outcome.evaluations),
                 "stopped_after": outcome.stopped_after,
             }
@@ -84,6 +85,7 @@ def outcome_of(values: Values) -> PlanOutcome:
             plan_id=plan_id,
             refusal=Refusal[values["refusal"]],
             broken=tuple(values["broken"]),
+            place_ne_m=_place(values.get("place_ne_m")),  # older ones have none
             evaluations=int(values["evaluations"]),
             stopped_after=_count(values["stopped_after"]),
         )
@@ -95,6 +97,10 @@ def outcome_of(values: Values) -> PlanOutcome:
             reaches_start=bool(values["reaches_start"]),
         )
     raise ValueError(f"no kind of answer: {kind!r}")
+
+
+def _place(value: Any) -> tuple[float, float] | None:
+    return None if value is None else (float(value[0]), float(value[1]))
 
 
 def _count(value: Any) -> int | None:

@@ -20,6 +20,7 @@ from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import certify, pack_surroundings
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
+from companion.planner.closed import closed_at
 from companion.planner.cost_lattice import descent_m
 from companion.planner.cost_to_go import CostToGo, cost_to_go
 from companion.planner.escape import Trouble, trouble, way_out
@@ -234,6 +235,17 @@ class _Plan:
         self._broken: tuple[str, ...] = ()
 
     def outcome(self) -> Planned | NotPlanned:
+        """The best subpath that is proven, or why there is none."""
+        request = self._request
+        closed = closed_at(
+            request.known,
+            request.task,
+            self._field,
+            request.start.point_nea_m[:2],
+            request.target_ne_m,
+        )
+        if closed is not None:
+            return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NO_WAY, place_ne_m=closed)
         best = self._attempt(_FIRST)
         if best is None or self._excess(best) > _DEARER:
             best = self._best(best, (*self._to_edge_of_sight(), *_OTHER_WAYS))

@@ -116,6 +116,10 @@ class Refusal(enum.Enum):
         "the target is where a zone forbids to be (inside a keep-out, outside a keep-in), or too "
         "near to it; move the target, or remove the zone"
     )
+    NO_WAY = (
+        "what is known of terrain and zones leaves no way to the target; "
+        "move the target, raise altitude.ceiling_amsl_m, or lower planner.safety_distance_m"
+    )
     START_NEAR_UNKNOWN = (
         "the ground near the vehicle is unknown, or the map ends there; "
         "fly it to where its radar sees, or widen [area]"
@@ -150,6 +154,8 @@ class NotPlanned:
     plan_id: int
     refusal: Refusal
     broken: tuple[str, ...] = ()
+    place_ne_m: tuple[float, float] | None = None
+    """Where it is closed, if it is (`NO_WAY`)."""
     evaluations: int = 0
     stopped_after: int | None = None
     """As of Planned."""
