@@ -507,7 +507,12 @@ def test_on_a_large_map_terrain_near_here_counts_in_full() -> None:
 def test_the_route_leaves_a_circle_where_it_crosses_it_outwards_first() -> None:
     route = ((0.0, 0.0), (0.0, 8.0), (8.0, 8.0), (8.0, 30.0))
     field = CostToGo(
-        north_min_m=0.0, east_min_m=0.0, cell_m=1.0, value_m=np.zeros((2, 2)), route_ne_m=route
+        north_min_m=0.0,
+        east_min_m=0.0,
+        cell_m=1.0,
+        value_m=np.zeros((2, 2)),
+        route_ne_m=route,
+        is_barred=False,
     )
     assert field.leaving_rad((0.0, 0.0), 5.0) == pytest.approx(math.pi / 2)
     assert field.leaving_rad((0.0, 0.0), 10.0) == pytest.approx(math.atan2(8.0, 6.0))
