@@ -231,6 +231,9 @@ class _Plan:
         self._scene = _scene(request, self._field)
         limits = request.task.limits
         self._shortest_m = max(limits.stopping_m(limits.speed_m_s), limits.lead_m)
+        settings = request.task.settings
+        self._per_metre = settings.weights.length * 100.0 / (2.4 * settings.scan_range_m)
+        self._last_climb_m = self._climb_to_target_m()
         self._evaluations = self._tries = 0
         self._broken: tuple[str, ...] = ()
 
@@ -287,23 +290,41 @@ class _Plan:
 
     def _best(self, best: Planned | None, ways: tuple[_Try, ...]) -> Planned | None:
         """The cheapest of what is at hand and what other ways of asking give."""
-        least = math.inf if best is None else _price(best)
+        least = math.inf if best is None else self._price(best)
         for how in ways:
             if self._stop():
                 break
             planned = self._attempt(how)
-            if planned is not None and _price(planned) + how.handicap < least:
-                best, least = planned, _price(planned) + how.handicap
+            if planned is not None and self._price(planned) + how.handicap < least:
+                best, least = planned, self._price(planned) + how.handicap
         return best
+
+    def _price(self, planned: Planned) -> float:
+        """By which ways are compared."""
+        return self._total(planned) + (0.0 if planned.reaches_target else _IN_HAND)
+
+    def _total(self, planned: Planned) -> float:
+        """What it costs to the target, as far as is known."""
+        if planned.reaches_target:
+            return planned.cost
+        return planned.cost + planned.to_go + self._last_climb_m * self._per_metre
 
     def _excess(self, planned: Planned) -> float:
         """How much dearer a subpath and what follows are than promised, in costs of R."""
-        settings = self._request.task.settings
+        range_m = self._request.task.settings.scan_range_m
+        cost_of_r = self._per_metre * range_m
         north, east, altitude = self._request.start.point_nea_m
         promised_m = float(self._field.at_m(np.asarray(north), np.asarray(east)))
-        promised_m += descent_m(altitude, self._request.task)
-        cost_of_r = settings.weights.length * 100.0 / 2.4
-        return _total(planned) / max(cost_of_r, 1e-9) - promised_m / settings.scan_range_m
+        promised_m += descent_m(altitude, self._request.task) + self._last_climb_m
+        return self._total(planned) / max(cost_of_r, 1e-9) - promised_m / range_m
+
+    def _climb_to_target_m(self) -> float:
+        """What it costs to climb to where the target can be proven, which the lattice ignores."""
+        north, east = self._request.target_ne_m
+        if not self._request.known.is_known(north, east):
+            return 0.0
+        lowest_m = self._scene.surface.altitude_m(np.array([north]), np.array([east]))
+        return descent_m(float(lowest_m[0]), self._request.task)
 
     def _attempt(self, how: _Try) -> Planned | None:
         """One search, and the best of its candidates that has a certificate."""
@@ -377,15 +398,6 @@ class _Plan:
             guide_share=self._scene.guide_share,
         )
         return {name: float(value[0]) for name, value in flight.cost_table(x[None], guided).items()}
-
-
-def _total(planned: Planned) -> float:
-    return planned.cost + planned.to_go
-
-
-def _price(planned: Planned) -> float:
-    """By which ways are compared."""
-    return _total(planned) + (0.0 if planned.reaches_target else _IN_HAND)
 
 
 def _seeds(scene: FlightScene) -> FloatArray:

@@ -1,4 +1,7 @@
-"""That there is no way is said only where there is none, and where there is none, at once."""
+"""That there is no way is said only where there is none, and where there is none, at once.
+
+And a way that only looks dear is taken.
+"""
 
 import math
 from dataclasses import replace
@@ -181,3 +184,20 @@ def test_a_closed_world_is_given_up_once_it_has_been_seen() -> None:
     assert flight.failure.refusal is Refusal.NO_WAY
     assert sum(flight.flown_m) < 3.0 * SIZE_M
     assert math.dist(HERE, TARGET) < SIZE_M
+
+
+def test_a_target_that_needs_a_climb_at_its_end_is_flown_to_straight() -> None:
+    """600 m from two edges of the map the search stays high: once it flew past, again and again."""
+    target = (SIZE_M - 600.0, SIZE_M - 600.0)
+    terrain = ArrayTerrain(heights_m=wall() * 0.0, spacing_m=CELL_M, south_m=125.0, west_m=125.0)
+    flight = fly_offline(
+        TASK,
+        blank=BLANK,
+        truth=true_map(terrain, BLANK),
+        start_nea_m=(5e3, 5e3, 3_100.0),
+        targets_ne_m=(target,),
+        seed=1,
+        planner=partial(plan, kernel=load_kernel()),
+    )
+    assert flight.failure is None
+    assert sum(flight.flown_m) < 1.02 * math.dist((5e3, 5e3), target)
