@@ -140,6 +140,8 @@ class PlanRefused(TimedLine):
     """Bounds that the best candidate breaks."""
     evaluations: int
     """Candidates that were looked at."""
+    place_ne_m: tuple[float, float] | None = None
+    """North and east of where the way is closed; with NO_WAY only."""
 
 
 @final

@@ -25,7 +25,8 @@ from companion.mission.events import (
 )
 from companion.path.certificate import Certificate, certify, pack_surroundings
 from companion.path.subpath import Pose, Subpath
-from companion.planner.request import PlanRequest
+from companion.planner.request import NotPlanned, PlanRequest, Refusal
+from companion.telemetry.journal_plans import PlanRefused
 from companion.world.known_map import KnownMap
 
 STATE = fresh()
@@ -132,6 +133,12 @@ def test_a_refusal_is_told_with_its_reason_and_the_bounds_that_were_broken() -> 
         "broken": ["floor"],
         "evaluations": 60,
     }
+
+
+def test_where_a_way_is_closed_is_told_as_the_journal_reads_it() -> None:
+    refused = NotPlanned(plan_id=7, refusal=Refusal.NO_WAY, place_ne_m=(120.0, -40.0))
+    entry = told(PlanReady(time_s=1.0, outcome=refused))
+    assert PlanRefused.model_validate({**entry, "at_s": 1.0}).place_ne_m == (120.0, -40.0)
 
 
 @pytest.mark.parametrize(
