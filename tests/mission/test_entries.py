@@ -138,7 +138,7 @@ def test_a_refusal_is_told_with_its_reason_and_the_bounds_that_were_broken() -> 
 def test_where_a_way_is_closed_is_told_as_the_journal_reads_it() -> None:
     refused = NotPlanned(plan_id=7, refusal=Refusal.NO_WAY, place_ne_m=(120.0, -40.0))
     entry = told(PlanReady(time_s=1.0, outcome=refused))
-    assert PlanRefused.model_validate({**entry, "at_s": 1.0}).place_ne_m == (120.0, -40.0)
+    assert PlanRefused.model_validate({**entry, "t_s": 1.0}).place_ne_m == (120.0, -40.0)
 
 
 @pytest.mark.parametrize(
