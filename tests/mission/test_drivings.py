@@ -11,8 +11,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from wild import HOME_AMSL_M, Wild
 
-from companion.mavlink.autopilots import ALL
-from companion.mission import machine
+from companion.mavlink.autopilots import ALL, PX4_FIXED_WING
+from companion.mission import machine, stopped
 from companion.mission.driving import Driving, TakeOffWay
 from companion.mission.events import (
     Arm,
@@ -220,3 +220,28 @@ def test_what_the_vehicle_is_refused_for_is_said_with_its_remedy(driving: Drivin
     end = the_end(wild)
     assert end.reason == f"{Reason.REFUSED.text}: GUID_TIMEOUT = 60"
     assert end.remedy == "Set."
+
+
+def test_a_plane_that_lands_too_far_from_its_target_has_not_arrived() -> None:
+    wild = Wild.calmly(PX4_FIXED_WING.driving, end_action=EndAction.LAND).fly_to(Phase.LANDING)
+    within_m = stopped.lands_within_m(wild.state)
+    far = wild.here[0], wild.here[1] + 2.0 * within_m + 50.0
+    wild.state = replace(wild.state, targets_ne_m=(far,))
+    end = the_end(wild.fly_to(Phase.DONE))
+    off_m = math.dist(wild.here[:2], far)
+    assert off_m > within_m
+    assert end.outcome is Outcome.FAILED
+    assert end.reason == f"landed {off_m:.0f} m from where it was to land"
+
+
+def test_a_plane_that_passes_its_target_too_far_away_says_so() -> None:
+    wild = Wild.calmly(PX4_FIXED_WING.driving).fly_to(Phase.ARRIVED)
+    state, here = wild.state, wild.state.vehicle.position_nea_m
+    assert here is not None
+    for off_m in (0.9, 1.1):
+        off_m *= state.task.limits.tracking_error_m
+        place = (here[0] + off_m, here[1], here[2])
+        said = stopped.reached(replace(state, flight=replace(state.flight, hover_nea_m=place)))
+        far = off_m > state.task.limits.tracking_error_m
+        assert said.text == "target reached" + (f": passed {off_m:.0f} m away" if far else "")
+        assert said.warning is far
