@@ -319,7 +319,10 @@ class _Plan:
         return self._total(planned) / max(cost_of_r, 1e-9) - promised_m / range_m
 
     def _climb_to_target_m(self) -> float:
-        """What it costs to climb to where the target can be proven, which the lattice ignores."""
+        """What it costs to climb to where the target can be proven, in metres of level flight.
+
+        The lattice ignores it.  As steep as a descent: what counts is that it is not nothing.
+        """
         north, east = self._request.target_ne_m
         if not self._request.known.is_known(north, east):
             return 0.0
