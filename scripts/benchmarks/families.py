@@ -16,11 +16,13 @@ import optimum
 import worlds
 from matplotlib.cbook import get_sample_data
 from numpy.typing import NDArray
-from scipy.ndimage import label, map_coordinates, maximum_filter
+from scipy.ndimage import label, map_coordinates, maximum_filter, uniform_filter
 from worlds import BenchmarkWorld
 
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
+from companion.world.known_map import KnownMap, empty_map
+from companion.world.simulated_scan import Truth
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 from companion.world.threats import CircleZone, Radar
 
@@ -50,6 +52,42 @@ def world(family: str, seed: int, index: int) -> BenchmarkWorld:
 def has_way(drawn: BenchmarkWorld) -> bool:
     """Whether there is a way through with some room."""
     return worlds.has_way_through(drawn, _SPARE * drawn.task.settings.scan_range_m)
+
+
+# --- what is known of a world before the flight
+
+_FILE_SPACING_M, _FILE_BLUR, _FILE_SHIFT_M, _FILE_NOISE_M = 100.0, 5, 100.0, 30.0
+
+
+def unseen(world: BenchmarkWorld) -> KnownMap:
+    """The map of a world of which nothing is known."""
+    limits = world.task.limits
+    return empty_map(world.task.cell_m, limits.north_m, limits.east_m)
+
+
+def unseen_with_elevation(world: BenchmarkWorld, seed: int) -> KnownMap:
+    """The same with an elevation file for guidance: blurred to 500 m, 100 m off, 30 m of noise."""
+    blank, rng = unseen(world), np.random.default_rng(seed)
+    bearing = rng.uniform(0.0, 2.0 * math.pi)
+    sides_m = [count * blank.cell_m + 2.0 * _FILE_SPACING_M for count in blank.upper_m.shape]
+    north, east = (
+        low + np.arange(0.0, side, _FILE_SPACING_M)
+        for low, side in zip((blank.north_min_m, blank.east_min_m), sides_m, strict=True)
+    )
+    true_m = world.terrain.height_m(
+        north[:, None] + _FILE_SHIFT_M * math.cos(bearing),
+        east[None, :] + _FILE_SHIFT_M * math.sin(bearing),
+    )
+    file_m = uniform_filter(true_m, _FILE_BLUR, mode="nearest")
+    told = ArrayTerrain(
+        heights_m=file_m + rng.normal(0.0, _FILE_NOISE_M, file_m.shape),
+        spacing_m=_FILE_SPACING_M,
+        south_m=blank.north_min_m,
+        west_m=blank.east_min_m,
+    )
+    rows, columns = blank.upper_m.shape
+    whole = Truth.of(told, blank).part(slice(0, rows), slice(0, columns))
+    return replace(blank, guess_m=whole.upper_m)
 
 
 # --- 100 km x 100 km, the mission of environment-2

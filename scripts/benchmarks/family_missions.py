@@ -1,6 +1,7 @@
 """Missions in families of random worlds, each beside a rival and the full-knowledge optimum.
 
     scripts/bench missions --family gathered [--seed 7] [--worlds 20] [--jobs 2] [--each] [--ompl]
+                           [--elevation]
 
 The planner flies what its scans show; so does the rival (`rival`); the optimum knows everything.
 All three are costed by the same measure along what they fly, and every metre of every subpath is
@@ -77,6 +78,8 @@ class Options:
     seed: int
     profile: str
     reference: bool
+    elevation: bool
+    """Whether ours is given an elevation file for guidance."""
 
 
 def best_of(world: BenchmarkWorld) -> optimum.Optimum | None:
@@ -123,10 +126,11 @@ def measured(family: str, index: int, options: Options) -> FamilyResult:
         reference = ompl_reference.cost(world)
     settings = replace(world.task.settings, profile=PROFILES[options.profile])
     flown = replace(world, task=replace(world.task, settings=settings))
+    blank = families.unseen_with_elevation(flown, index) if options.elevation else None
     return FamilyResult(
         family=family,
         index=index,
-        ours=missions.measured(flown, _PLAN_SEED, best),
+        ours=missions.measured(flown, _PLAN_SEED, best, blank),
         rival_cost=flight.cost(world) if flight.arrived else math.nan,
         rival_clearance_m=float(clearance.min()),
         rival_plans=flight.plans,
