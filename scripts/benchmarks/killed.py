@@ -30,7 +30,7 @@ from rich.console import Console
 
 from vehicle_sim.geodesy import metres_per_degree
 
-_LAPS = 2
+_KILLS_A_LAP = 20.0
 _LIFE_S = (0.3, 16.0)
 _PATIENCE_S = 1800.0
 _JUMP_M, _JUMP_M_S = 1.0, 1.0
@@ -112,11 +112,11 @@ def _apart_m_s(one: Sequence[float], other: Sequence[float]) -> float:
     return math.dist(one[3:6], other[3:6])
 
 
-def scene_of(autopilot: str) -> pair_worlds.Scene:
-    """There and back, again and again."""
+def scene_of(autopilot: str, kills: int) -> pair_worlds.Scene:
+    """There and back, as often as so many kills take."""
     scene = pair_worlds.scene(autopilot, "copter", 4)  # type: ignore[arg-type]
     there = scene.mission.targets_ne_m[-1]
-    targets = (there, (0.0, 0.0)) * _LAPS
+    targets = (there, (0.0, 0.0)) * math.ceil(kills / _KILLS_A_LAP)
     return dataclasses.replace(
         scene, mission=dataclasses.replace(scene.mission, targets_ne_m=targets)
     )
@@ -125,7 +125,7 @@ def scene_of(autopilot: str) -> pair_worlds.Scene:
 def fly(autopilot: str, kills: int, seed: int, folder: Path, console: Console) -> Watcher:
     """One mission with so many kills; SystemExit if it does not arrive."""
     rng = np.random.default_rng(seed)
-    mission, world = pair_files.write(scene_of(autopilot), folder)
+    mission, world = pair_files.write(scene_of(autopilot, kills), folder)
     watcher = Watcher(flies_on_s=_FLIES_ON_S[autopilot])
     tap, log = Tap(watcher.seen), folder / "companion.log"
     out = folder / "run"
