@@ -25,6 +25,7 @@ from companion.planner.cost_lattice import descent_m
 from companion.planner.cost_to_go import CostToGo, cost_to_go
 from companion.planner.escape import Trouble, trouble, way_out
 from companion.planner.kernels import NUMPY, Kernel
+from companion.planner.procedure import Leg
 from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
@@ -301,7 +302,11 @@ class _Plan:
 
     def _price(self, planned: Planned) -> float:
         """By which ways are compared."""
-        return self._total(planned) + (0.0 if planned.reaches_target else _IN_HAND)
+        price = self._total(planned)
+        if not planned.reaches_target:
+            task, leg = self._request.task, Leg.of(planned, number=1)
+            price += _IN_HAND + (0.0 if leg.can_be_left(task) else task.stop_m * self._per_metre)
+        return price
 
     def _total(self, planned: Planned) -> float:
         """What it costs to the target, as far as is known."""

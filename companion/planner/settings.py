@@ -92,6 +92,13 @@ class Task:
         stop_m = self.limits.stopping_m(speed) + self.limits.lead_m + settings.safety_distance_m
         return max(0.15 * settings.scan_range_m, stop_m, self.limits.reach_m(speed))
 
+    @property
+    def stop_m(self) -> float:
+        """What a stop, a scan and a plan from rest cost of time, as metres flown meanwhile."""
+        limits, settings = self.limits, self.settings
+        time_s = limits.speed_m_s / limits.acceleration_m_s2
+        return limits.speed_m_s * (time_s + settings.scan_time_s + settings.planning_time_s)
+
     @cached_property
     def shortest_scan_distance_m(self) -> float:
         """The least L: V (T + t_scan) and the tail (eq. 4, with the time that a scan takes).
