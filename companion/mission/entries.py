@@ -139,7 +139,7 @@ def of_request(request: PlanRequest, due_s: float) -> Entry:
         "plan_id": request.plan_id,
         "due_s": due_s,
         "attempt": request.attempt,
-        "stops": request.stops,
+        "rest": None if request.rest is None else asdict(request.rest),
         "from_rest": request.from_rest,
         "scan_nea_m": list(request.scan_nea_m),
         "start_nea_m": request.start.position_nea_m.tolist(),

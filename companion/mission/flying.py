@@ -205,8 +205,7 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         from_rest=leg is None,
         target_ne_m=state.targets_ne_m[flight.target],
         route_ne_m=flight.route_ne_m,
-        stops=flight.stops,
-        overrun=flight.overrun,
+        rest=None if leg is None else leg.rest(task),
         attempt=flight.failures,
     )
     flight = replace(flight, plan_id=request.plan_id, planning=True, asked_of=task, scans_again=0)
@@ -348,7 +347,6 @@ def _accepted(state: State, planned: Planned) -> Flight:
     flight = replace(
         flight,
         route_ne_m=() if planned.reaches_target else planned.route_ne_m,
-        overrun=planned.overrun,
         refusal=flight.refusal if flight.homeward else None,  # why it goes home
     )
     if flight.leg is not None:

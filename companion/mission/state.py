@@ -323,8 +323,6 @@ class Flight(Renewed):
     legs_flown: int = 0
     stops: int = 0
     """How often the vehicle has stopped at the end of a leg that was not the last."""
-    overrun: float = 0.0
-    """Of the newest plan: how much dearer than promised it has become since the vehicle stood."""
     departures: int = 0
     """How often the vehicle has left its path, or has not been led along it."""
     troubles: int = 0

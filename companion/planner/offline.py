@@ -104,7 +104,7 @@ class _Flight:
         self._task, self._known, self._left = task, blank, list(targets_ne_m)
         self._pose, self._scan_nea_m, self._from_rest = hover_pose(start_nea_m), start_nea_m, True
         self._route: tuple[tuple[float, float], ...] = ()
-        self._attempt = self._holds = self._stops = self._requests = 0
+        self._attempt = self._holds = self._requests = 0
         self._failure: NotPlanned | None = None
         self._legs: list[Leg] = []
         self._flown_m: list[float] = []
@@ -133,8 +133,7 @@ class _Flight:
             from_rest=self._from_rest,
             target_ne_m=self._left[0],
             route_ne_m=self._route,
-            stops=self._stops,
-            overrun=self._plans[-1].overrun if self._plans else 0.0,
+            rest=None if self._from_rest else self._legs[-1].rest(self._task),
             attempt=self._attempt,
         )
 
@@ -156,7 +155,6 @@ class _Flight:
         self._flown_m.append(leg.subpath.length_m)
         if leg.reaches_target:
             self._left.pop(0)
-            self._stops = 0
             self._route = ()
             self._stop_at_end()
         elif not leg.can_be_left(self._task):
@@ -168,7 +166,6 @@ class _Flight:
 
     def _hold_at_end(self) -> None:
         self._holds += 1
-        self._stops += 1
         self._stop_at_end()
 
     def _stop_at_end(self) -> None:

@@ -27,7 +27,6 @@ def values_of(outcome: PlanOutcome) -> Values:
                 "reaches_target": outcome.reaches_target,
                 "cost": float(outcome.cost),
                 "to_go": float(outcome.to_go),
-                "overrun": float(outcome.overrun),
                 "terms": {name: float(value) for name, value in outcome.terms.items()},
                 "certificate": asdict(outcome.certificate),
                 "guide_rad": float(outcome.guide_rad),
@@ -70,7 +69,6 @@ def outcome_of(values: Values) -> PlanOutcome:
             reaches_target=bool(values["reaches_target"]),
             cost=float(values["cost"]),
             to_go=float(values["to_go"]),
-            overrun=float(values.get("overrun", 0.0)),  # older ones have none
             terms={str(name): float(value) for name, value in values["terms"].items()},
             certificate=Certificate(**certificate),
             guide_rad=float(values["guide_rad"]),

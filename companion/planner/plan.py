@@ -25,7 +25,7 @@ from companion.planner.cost_lattice import descent_m
 from companion.planner.cost_to_go import CostToGo, cost_to_go
 from companion.planner.escape import Trouble, trouble, way_out
 from companion.planner.kernels import NUMPY, Kernel
-from companion.planner.procedure import Leg
+from companion.planner.procedure import Leg, hover_pose
 from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
@@ -43,14 +43,9 @@ _CERTIFIED = 16  # candidates of a search that are tried
 _GUIDE_SHARE = 0.2  # of a_3 that the angle of eq. 8 keeps: the cost-to-go does the rest
 _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
 _MUCH_DEARER = 0.5  # then every other way is tried
-_STOP = 1.2  # then the vehicle rather stops at the end of its leg, where it can leave any way
-_USUAL = 0.1  # of the cost of R: what a subpath may cost more without adding up with others
-_ADDED_UP = 2.0  # of these together: then it stops as well
-_NOWHERE = 8.0  # and then it does however often it has stopped: the mission counts these
 _NEAR_END = 0.5  # cost: near ends look too cheap, as the cost-to-go knows nothing of turns
 _IN_HAND = 2.0  # cost: what only may lead to the target is cheaper by this than what is proven to
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
-_MOST_STOPS = 4  # on the way to one target: more would be going back and forth
 _IN_REACH = 1.5  # of R: threats farther away concern no subpath
 _SEARCH = refined_de.Settings()
 
@@ -257,14 +252,25 @@ class _Plan:
             best = self._best(best, _ANY_WAY + (_ALL_ROUND if self._request.from_rest else ()))
         if best is None:
             return self._refused(Refusal.NOTHING_SAFE)
-        if self._request.from_rest:
-            return best
-        excess = self._excess(best)
-        overrun = max(self._request.overrun + excess - _USUAL, 0.0)
-        often = self._request.stops >= _MOST_STOPS
-        if (excess > _STOP and not often) or overrun > (_NOWHERE if often else _ADDED_UP):
+        if self._is_better_to_stop(best):
             return self._refused(Refusal.BETTER_TO_STOP)
-        return replace(best, overrun=overrun)
+        return best
+
+    def _is_better_to_stop(self, best: Planned) -> bool:
+        """Whether it costs less to stop at the end of the leg in flight and to leave from there.
+
+        What leaves from there is planned over the same ground, and ends on the same circle.
+        """
+        rest, task = self._request.rest, self._request.task
+        if rest is None:
+            return False
+        stop = (rest.length_m + task.stop_m) * self._per_metre
+        end = self._promised_m(rest.end_nea_m) * self._per_metre
+        if self._price(best) <= stop + end or self._stop():
+            return False
+        start = facing(hover_pose(rest.end_nea_m), self._scene.guide_rad)
+        leaving = self._attempt(_FIRST, replace(self._scene, start=start, from_rest=True))
+        return leaving is not None and self._price(leaving) + stop < self._price(best)
 
     def _to_edge_of_sight(self) -> tuple[_Try, ...]:
         """To end where the cheapest way leaves what can be proven, beyond L and within sight."""
@@ -318,10 +324,14 @@ class _Plan:
         """How much dearer a subpath and what follows are than promised, in costs of R."""
         range_m = self._request.task.settings.scan_range_m
         cost_of_r = self._per_metre * range_m
-        north, east, altitude = self._request.start.point_nea_m
-        promised_m = float(self._field.at_m(np.asarray(north), np.asarray(east)))
-        promised_m += descent_m(altitude, self._request.task) + self._last_climb_m
+        promised_m = self._promised_m(self._request.start.point_nea_m)
         return self._total(planned) / max(cost_of_r, 1e-9) - promised_m / range_m
+
+    def _promised_m(self, place_nea_m: tuple[float, float, float]) -> float:
+        """The least that it costs to the target from a place, in metres of level flight."""
+        north, east, altitude = place_nea_m
+        level_m = float(self._field.at_m(np.asarray(north), np.asarray(east)))
+        return level_m + descent_m(altitude, self._request.task) + self._last_climb_m
 
     def _climb_to_target_m(self) -> float:
         """What it costs to climb to where the target can be proven, in metres of level flight.
@@ -334,10 +344,10 @@ class _Plan:
         lowest_m = self._scene.surface.altitude_m(np.array([north]), np.array([east]))
         return descent_m(float(lowest_m[0]), self._request.task)
 
-    def _attempt(self, how: _Try) -> Planned | None:
+    def _attempt(self, how: _Try, scene: FlightScene | None = None) -> Planned | None:
         """One search, and the best of its candidates that has a certificate."""
         self._tries += 1
-        scene = _vary(self._scene, self._request, how)
+        scene = _vary(scene or self._scene, how)
         return self._first_proven(self._search(scene, how.budget), scene)
 
     def _search(self, scene: FlightScene, budget: int) -> FloatArray:
@@ -368,12 +378,12 @@ class _Plan:
         request = self._request
         for rank, x in enumerate(candidates[:_CERTIFIED]):
             subpath = Subpath(control_nea_m=control_points(x[None], scene)[0])
-            if not request.from_rest and subpath.length_m < self._shortest_m:
+            if not scene.from_rest and subpath.length_m < self._shortest_m:
                 continue  # the certificate is about a vehicle that can stop (or hold) at the end
             certificate = certify(
                 subpath,
                 self._surroundings,
-                from_rest=request.from_rest,
+                from_rest=scene.from_rest,
                 prover=self._kernel.prove,
             )
             if certificate.proven:
@@ -490,7 +500,7 @@ def _end(request: PlanRequest) -> tuple[bool, float]:
     return False, min(reach, max(left - 0.35 * reach, 0.5 * reach))
 
 
-def _vary(scene: FlightScene, request: PlanRequest, how: _Try) -> FlightScene:
+def _vary(scene: FlightScene, how: _Try) -> FlightScene:
     """The scene as one try sees it; tries that are not straight do not end at the target.
 
     A turned guide pulls by itself: the cost-to-go would lead back to where nothing was found.
@@ -507,7 +517,7 @@ def _vary(scene: FlightScene, request: PlanRequest, how: _Try) -> FlightScene:
         to_go=anywhere if how.turn_rad else scene.to_go,
         end_radius_m=scene.end_radius_m * how.reach,
         final_ne_m=None,
-        start=facing(scene.start, guide) if request.from_rest else scene.start,
+        start=facing(scene.start, guide) if scene.from_rest else scene.start,
     )
 
 

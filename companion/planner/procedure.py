@@ -20,7 +20,7 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.path.limits import Limits
 from companion.path.subpath import Pose, Subpath
-from companion.planner.request import Planned
+from companion.planner.request import Planned, Rest
 from companion.planner.settings import Task
 
 _LEAD_S = 1.0  # the reference point waits when it is this far ahead of the vehicle, at full speed
@@ -68,6 +68,12 @@ class Leg:
             return self.subpath.length_m
         earliest = self.scan_at_m(task) + task.shortest_scan_distance_m - task.tail_m
         return min(max(self.subpath.length_m - task.tail_m, earliest), self.subpath.length_m)
+
+    def rest(self, task: Task) -> Rest:
+        """What is left of it beyond p_prog."""
+        length_m = self.subpath.length_m
+        left_m = length_m - self.successor_at_m(task)
+        return Rest(length_m=left_m, end_nea_m=self.subpath.pose(length_m).point_nea_m)
 
     def can_be_left(self, task: Task) -> bool:
         """Whether a successor may take over in flight.

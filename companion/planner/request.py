@@ -22,6 +22,15 @@ class Stretch:
 
 
 @final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rest:
+    """What is left of the leg in flight beyond p_prog: at its end the vehicle can stop."""
+
+    length_m: float
+    end_nea_m: tuple[float, float, float]
+
+
+@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlanRequest:
     """The question: everything that the answer depends on."""
@@ -39,10 +48,8 @@ class PlanRequest:
     target_ne_m: tuple[float, float]
     route_ne_m: tuple[tuple[float, float], ...] = ()
     """The way to the target that the last plan had in mind: not left for a trifle."""
-    stops: int = 0
-    """How often the vehicle has stopped on the way to this target, to leave another way."""
-    overrun: float = 0.0
-    """That of the subpath which this one is to follow."""
+    rest: Rest | None = None
+    """Of the leg in flight; None: the vehicle stands, or nothing is known of it."""
     flown: tuple[Stretch, ...] | None = None
     """What was flown: the way back along it is asked for; None: the next subpath."""
     attempt: int = 0
@@ -71,9 +78,6 @@ class Planned:
     rank: int
     """Position among the candidates by cost: 0 is the best, more if better ones were unproven."""
     tries: int
-    overrun: float = 0.0
-    """How much dearer than promised this one and those before it were, but for what is usual, since
-    the subpath on which the vehicle left its place: costs of R."""
     stopped_after: int | None = None
     """How often the search was allowed to go on before its time was up; None: it never was.
 

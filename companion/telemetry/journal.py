@@ -42,7 +42,14 @@ def _with_code(entry: _Raw) -> _Raw:
     return entry
 
 
-_TO_NEXT: dict[int, Callable[[_Raw], _Raw]] = {1: _with_code}
+def _without_stops(entry: _Raw) -> _Raw:
+    """Version 2 to 3: the planner is not told how often the vehicle has stopped."""
+    if entry.get("kind") == "plan asked":
+        entry.pop("stops", None)
+    return entry
+
+
+_TO_NEXT: dict[int, Callable[[_Raw], _Raw]] = {1: _with_code, 2: _without_stops}
 """How an entry of a version becomes one of the next."""
 
 

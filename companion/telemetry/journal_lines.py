@@ -9,7 +9,7 @@ from typing import Literal, final
 from pydantic import BaseModel, ConfigDict, Field
 
 SCHEMA = "companion-journal"
-VERSION = 2
+VERSION = 3
 """The newest.  What has changed: `journal._TO_NEXT`."""
 
 NorthEast = tuple[float, float]

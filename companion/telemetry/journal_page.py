@@ -37,6 +37,7 @@ no new version: readers pass over what they do not know, and say so. Everything 
 |---|---|---|
 | 1 | | |
 | 2 | `phase` has `code` | looked up by the words of `reason`, null if these have changed since |
+| 3 | `plan asked` has `rest` in place of `stops` | null |
 """
 
 _CHAPTERS: tuple[tuple[str, tuple[type[BaseModel], ...]], ...] = (

@@ -34,6 +34,14 @@ class ScanDone(TimedLine):
 
 
 @final
+class RestOfLeg(Line):
+    """What is left of the subpath in flight beyond p_prog: the vehicle can stop at its end."""
+
+    length_m: float
+    end_nea_m: NorthEastAltitude
+
+
+@final
 class PlanAsked(TimedLine):
     """The next subpath is asked for."""
 
@@ -44,8 +52,8 @@ class PlanAsked(TimedLine):
     """Vehicle time at which the answer counts, never before."""
     attempt: int
     """How often this was asked in vain."""
-    stops: int
-    """How often the vehicle has stopped on the way to this target."""
+    rest: RestOfLeg | None = None
+    """The other choice: to fly that, to stop, and to leave from there; null: it stands."""
     from_rest: bool
     """Whether it hovers at the start, and may leave in any direction."""
     scan_nea_m: NorthEastAltitude

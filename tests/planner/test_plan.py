@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from companion.optimise.registry import OPTIMISERS
 from companion.path.subpath import Pose
-from companion.planner import plan as planning
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
-from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
+from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal, Rest
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
@@ -404,16 +403,48 @@ def test_the_check_of_every_metre_finds_what_is_wrong(task: Task, truth: KnownMa
     assert over[0] == pytest.approx(40.0, abs=5.0)
 
 
-def test_a_vehicle_stops_rather_than_take_a_dear_way_but_not_for_ever(
-    task: Task, truth: KnownMap, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("rest_m", "stops"), [(300.0, True), (1_600.0, False)])
+def test_it_stops_where_flying_back_from_there_is_shorter_than_the_way_round(
+    task: Task, truth: KnownMap, rest_m: float, stops: bool
 ) -> None:
-    monkeypatch.setattr(planning, "_STOP", -math.inf)  # every way is too dear
-    pose = Pose(position_nea_m=np.array(START), **heading_to(45.0))
-    first = plan(ask(task, truth, start=pose, from_rest=False))
-    assert isinstance(first, NotPlanned)
-    assert first.refusal is Refusal.BETTER_TO_STOP
-    planned(ask(task, truth, start=pose, from_rest=False, stops=4))
-    planned(ask(task, truth, start=pose, from_rest=True))  # it has stopped: there it goes on
+    """Between two walls there is no room to turn; round them to the target it is some 4 km."""
+    level = replace(truth, upper_m=np.full_like(truth.upper_m, 100.0))
+    gap_m = task.zone_search_clearance_m + 30.0
+    walls = tuple(
+        PolygonZone(
+            name=f"wall {side}",
+            vertices_ne_m=tuple(
+                (north, 4_000.0 + side * (gap_m + thick))
+                for north, thick in ((2e3, 0.0), (3.5e3, 0.0), (3.5e3, 60.0), (2e3, 60.0))
+            ),
+        )
+        for side in (-1, 1)
+    )
+    alone = replace(task, radars=(), zones=walls)
+    here = (3_000.0, 4_000.0, 320.0)
+    request = ask(
+        alone, level, from_rest=False, scan_nea_m=here, target_ne_m=(1_000.0, 4_000.0),
+        start=Pose(position_nea_m=np.array(here), **heading_to(0.0)),
+        rest=Rest(length_m=rest_m, end_nea_m=(here[0] + rest_m, *here[1:])),
+    )  # fmt: skip
+    outcome = plan(request)
+    if stops:
+        assert isinstance(outcome, NotPlanned)
+        assert outcome.refusal is Refusal.BETTER_TO_STOP
+    else:
+        assert isinstance(outcome, Planned)
+    going_on = planned(replace(request, rest=None))
+    metre = 2.4 * task.settings.scan_range_m / (100.0 * task.settings.weights.length)
+    assert (going_on.cost + going_on.to_go) * metre > 3_500.0
+
+
+def test_what_a_stop_costs_is_what_is_not_flown_meanwhile(task: Task) -> None:
+    """Braking and setting out again at the mission's acceleration, and a scan and a plan."""
+    limits, step_s = task.limits, 1e-3
+    speeds = np.arange(0.0, limits.speed_m_s, limits.acceleration_m_s2 * step_s)
+    lost_m = 2.0 * float(np.sum(limits.speed_m_s - speeds)) * step_s
+    stands_s = task.settings.scan_time_s + task.settings.planning_time_s
+    assert task.stop_m == pytest.approx(lost_m + limits.speed_m_s * stands_s, rel=1e-3)
 
 
 def subpaths_until_it_arrives(task: Task, known: KnownMap, start: Pose, most: int) -> int:
@@ -428,8 +459,7 @@ def subpaths_until_it_arrives(task: Task, known: KnownMap, start: Pose, most: in
         if isinstance(outcome, NotPlanned):
             assert outcome.refusal is Refusal.BETTER_TO_STOP
             request = replace(
-                request, start=hover_pose(end), scan_nea_m=end, from_rest=True,
-                stops=request.stops + 1,
+                request, start=hover_pose(end), scan_nea_m=end, from_rest=True, rest=None
             )  # fmt: skip
             continue
         assert isinstance(outcome, Planned)
@@ -443,7 +473,7 @@ def subpaths_until_it_arrives(task: Task, known: KnownMap, start: Pose, most: in
             scan_nea_m=leg.subpath.pose(leg.scan_at_m(task)).point_nea_m,
             from_rest=False,
             route_ne_m=outcome.route_ne_m,
-            overrun=outcome.overrun,
+            rest=leg.rest(task),
         )
     return most + 1
 
@@ -452,7 +482,7 @@ def subpaths_until_it_arrives(task: Task, known: KnownMap, start: Pose, most: in
 def test_no_vehicle_circles_a_target_that_its_turns_are_too_wide_for(
     task: Task, truth: KnownMap, beside_m: float
 ) -> None:
-    """Each subpath is hardly dearer than promised: together they are, and then it stops."""
+    """Each subpath is hardly dearer than promised, but it could stop and leave for the target."""
     level = replace(truth, upper_m=np.full_like(truth.upper_m, 100.0))
     alone = replace(task, zones=(), radars=())
     start = Pose(position_nea_m=np.array([4_000.0, 4_000.0 + beside_m, 320.0]), **heading_to(0.0))
@@ -477,24 +507,6 @@ def test_a_proven_way_up_to_the_target_is_taken_though_a_near_end_looks_cheaper(
         replace(task, zones=(), radars=()), known, start=pose, scan_nea_m=start, from_rest=False
     )
     assert planned(replace(request, target_ne_m=target)).reaches_target
-
-
-def test_only_subpaths_in_flight_add_up_and_for_ever_they_do_not(
-    task: Task, truth: KnownMap, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pose = Pose(position_nea_m=np.array(START), **heading_to(45.0))
-    fair = ask(task, truth, start=pose, from_rest=False)
-    monkeypatch.setattr(planning, "_USUAL", -0.3)  # each is dearer by that
-    standing = planned(replace(fair, start=hover_pose(START), from_rest=True, overrun=9.0))
-    assert standing.overrun == 0.0  # a stop would not help: it has just stood there
-    first = planned(fair)
-    second = planned(replace(fair, overrun=first.overrun))
-    assert 0.0 < first.overrun < second.overrun == pytest.approx(2.0 * first.overrun)
-    for stops, most in ((0, 2.0), (3, 2.0), (4, 8.0), (11, 8.0)):
-        planned(replace(fair, stops=stops, overrun=most - 1.1 * first.overrun))
-        outcome = plan(replace(fair, stops=stops, overrun=most - 0.9 * first.overrun))
-        assert isinstance(outcome, NotPlanned)
-        assert outcome.refusal is Refusal.BETTER_TO_STOP
 
 
 # --- zones to stay inside of

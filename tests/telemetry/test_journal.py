@@ -198,7 +198,7 @@ def test_it_can_be_read_again(tmp_path: Path) -> None:
 REFUSED: list[tuple[list[Any], str]] = [
     ([LEG], r"line 1 = .*: a journal begins with a header"),
     ([b"\n"], r"line 1 = '.*': a journal begins with a header"),
-    ([{**HEADER, "version": VERSION + 1}], r"line 1: version = 3: versions 1 to 2 can be read"),
+    ([{**HEADER, "version": VERSION + 1}], r"line 1: version = 4: versions 1 to 3 can be read"),
     ([{**HEADER, "version": "1"}], r"version = '1': versions 1 to"),
     ([{**HEADER, "version": True}], r"version = True: versions 1 to"),
     ([{**HEADER, "schema": "x"}], r"schema = 'x': only 'companion-journal' can be read"),
