@@ -66,7 +66,10 @@ def joined(state: State) -> Flight | None:
 
 
 def _led_nea_m(state: State) -> Vector | None:
-    """Where we sent it lately; else where its autopilot says that it flies to; else where it is."""
+    """Where we sent it lately; else where its autopilot says that it flies to; else where it is.
+
+    What the autopilot has said is some tenths of a second old: its target has moved on since.
+    """
     vehicle, flight = state.vehicle, state.flight
     here, echo = vehicle.position_nea_m, vehicle.echo_nea_m
     if here is None or not vehicle.hovers:
@@ -74,9 +77,11 @@ def _led_nea_m(state: State) -> Vector | None:
     if flight.sent_nea_m is not None and state.now_s - flight.sent_at_s < _FRESH_S:
         return flight.sent_nea_m
     near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
-    if echo is None or state.now_s - vehicle.echo_at_s > _FRESH_S:
+    age_s = state.now_s - vehicle.echo_at_s
+    if echo is None or age_s > _FRESH_S or math.dist(echo, here) >= near_m:
         return here
-    return echo if math.dist(echo, here) < near_m else here
+    north, east, up = (at + age_s * v for at, v in zip(echo, vehicle.velocity_nea_m_s, strict=True))
+    return north, east, up
 
 
 def nearest(leg: Leg, point_nea_m: Vector) -> tuple[float, float]:

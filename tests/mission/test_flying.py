@@ -213,6 +213,25 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
     assert math.hypot(*sent[-1].velocity_nea_m_s) < 0.1
 
 
+@pytest.mark.parametrize("age_s", [0.0, 0.1, 0.4])
+def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_s: float) -> None:
+    state = two_legs().state
+    assert state.flight.leg is not None
+    curve, at_m = state.flight.leg.subpath, 1_000.0
+    velocity = SPEED_M_S * curve.pose(at_m).tangent_nea
+    told_m = at_m - age_s * SPEED_M_S
+    vehicle = replace(
+        state.vehicle,
+        position_nea_m=curve.pose(at_m).point_nea_m,
+        velocity_nea_m_s=(float(velocity[0]), float(velocity[1]), float(velocity[2])),
+        echo_nea_m=curve.pose(told_m).point_nea_m,
+        echo_at_s=state.now_s - age_s,
+    )
+    went_on = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent_nea_m=None)))
+    assert went_on is not None
+    assert went_on.reference.length_m == pytest.approx(at_m, abs=0.1)
+
+
 @pytest.mark.parametrize(("above_m", "proven"), [(0.5, True), (-0.5, False)])
 def test_a_subpath_that_begins_too_low_is_not_flown_and_no_made_up_planner_proves_it(
     above_m: float, proven: bool
