@@ -78,6 +78,8 @@ class FlightScene:
     """Cost to the target from each place, in metres of level flight at the floor of the band."""
     look_ahead_m: float
     """The cost-to-go counts so far straight on from the end: an end that faces terrain is dear."""
+    descent_m: float
+    """What it costs to come down from the ceiling to the floor, in metres of level flight."""
     final_ne_m: tuple[float, float] | None
     """The target, when this subpath ends there."""
     safety_distance_m: float
@@ -189,13 +191,16 @@ def _length(points: FloatArray, scene: FlightScene) -> FloatArray:
 
 
 def _to_go_m(control: FloatArray, scene: FlightScene) -> FloatArray:
-    """What is left to fly, from a place straight on from the end, and the way there."""
+    """What is left to fly, from a place straight on from the end, and the way there and down."""
     if scene.final_ne_m is not None:
         return np.zeros(len(control))
+    low, high = scene.band_amsl_m
+    above = np.maximum(control[:, -1, 2] - low, 0.0) / (high - low)
     leg = control[:, -1, :2] - control[:, -2, :2]
     leg = leg / np.maximum(np.linalg.norm(leg, axis=-1), 1e-9)[:, None]
     there = control[:, -1, :2] + scene.look_ahead_m * leg
-    return scene.to_go.altitude_m(there[:, 0], there[:, 1]) + scene.look_ahead_m
+    to_go_m = scene.to_go.altitude_m(there[:, 0], there[:, 1])
+    return to_go_m + scene.look_ahead_m + scene.descent_m * above**2
 
 
 def _height(points: FloatArray, scene: FlightScene) -> FloatArray:

@@ -47,7 +47,8 @@ LOW, HIGH, SOUTH, NORTH, WEST, EAST = range(15, 21)
 TURN_RADIUS, CLIMB, DIVE, SPEED, ACCELERATION, DEAD_MAN_S, GUIDE_SHARE = range(21, 28)
 SURFACE_AT, CONTACT_AT, TO_GO_AT = 28, 31, 34  # each: south-west vertex north, east, and cell
 NEAR_AT = 37  # likewise, of the cells' corner
-_COUNT = 40
+DESCENT = 40
+_COUNT = 41
 
 
 def pack(scene: FlightScene) -> Pack:
@@ -112,9 +113,10 @@ def _numbers(scene: FlightScene) -> FloatArray:
     numbers[SURFACE_AT:NEAR_AT] = [
         v for s in lattices for v in (s.north_min_m, s.east_min_m, s.cell_m)
     ]
-    near, numbers[NEAR_AT:] = scene.near_polygons, 1.0
+    near, numbers[NEAR_AT:DESCENT] = scene.near_polygons, 1.0
     if near is not None:
-        numbers[NEAR_AT:] = near.north_min_m, near.east_min_m, near.cell_m
+        numbers[NEAR_AT:DESCENT] = near.north_min_m, near.east_min_m, near.cell_m
+    numbers[DESCENT] = scene.descent_m
     return numbers
 
 
@@ -197,14 +199,16 @@ def sample(points: FloatArray, control: FloatArray, basis: FloatArray) -> None:
 
 
 def remaining_m(control: FloatArray, to_go: FloatArray, numbers: FloatArray) -> float:
-    """The cost-to-go straight on from the end, and the way there."""
+    """The cost-to-go straight on from the end, and the way there and down."""
     if numbers[IS_FINAL] > 0.0:
         return 0.0
     last = len(control) - 1
     north, east = control[last, 0] - control[last - 1, 0], control[last, 1] - control[last - 1, 1]
     scale = numbers[LOOK_AHEAD] / max(math.sqrt(north * north + east * east), 1e-9)
     there_n, there_e = control[last, 0] + scale * north, control[last, 1] + scale * east
-    return lattice_m(to_go, numbers, TO_GO_AT, there_n, there_e) + numbers[LOOK_AHEAD]
+    above = max(control[last, 2] - numbers[LOW], 0.0) / (numbers[HIGH] - numbers[LOW])
+    to_go_m = lattice_m(to_go, numbers, TO_GO_AT, there_n, there_e)
+    return to_go_m + numbers[LOOK_AHEAD] + numbers[DESCENT] * above * above
 
 
 def height(points: FloatArray, numbers: FloatArray) -> float:

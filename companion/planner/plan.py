@@ -273,7 +273,10 @@ class _Plan:
         return leaving is not None and self._price(leaving) + stop < self._price(best)
 
     def _to_edge_of_sight(self) -> tuple[_Try, ...]:
-        """To end where the cheapest way leaves what can be proven, beyond L and within sight."""
+        """To end where the cheapest way leaves what can be proven, within sight.
+
+        Beyond L; what stands may also fly less, and stop again.
+        """
         scene, scan = self._scene, np.array(self._request.scan_nea_m[:2])
         route = np.array(self._field.route_ne_m)
         along = np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
@@ -283,7 +286,8 @@ class _Plan:
         barred = np.flatnonzero(lowest > scene.band_amsl_m[1])
         away = np.hypot(*(points[: barred[0] if len(barred) else None] - scan).T)
         far_m = float(away.max(initial=0.0))
-        if not self._request.task.scan_distance_m < far_m < scene.end_radius_m:
+        least_m = self._shortest_m if scene.from_rest else self._request.task.scan_distance_m
+        if not least_m < far_m < scene.end_radius_m:
             return ()
         return (_Try(reach=far_m / scene.end_radius_m, handicap=_NEAR_END),)
 
@@ -465,6 +469,7 @@ def _scene(request: PlanRequest, field: CostToGo) -> FlightScene:
             vertex_m=field.value_m,
         ),
         look_ahead_m=task.limits.turn_radius_m,
+        descent_m=descent_m(task.limits.ceiling_amsl_m, task),
         final_ne_m=request.target_ne_m if final else None,
         safety_distance_m=settings.safety_distance_m,
         clearance_m=task.zone_search_clearance_m,

@@ -240,7 +240,9 @@ def expected_to_go_m(control: FloatArray, scene: FlightScene) -> float:
     heading = math.atan2(*(control[-1, :2] - control[-2, :2])[::-1])
     ahead = scene.look_ahead_m
     there = control[-1, 0] + ahead * math.cos(heading), control[-1, 1] + ahead * math.sin(heading)
-    return ahead + bilinear_m(scene.to_go, *there)
+    low, high = scene.band_amsl_m
+    down = scene.descent_m * max((control[-1, 2] - low) / (high - low), 0.0) ** 2
+    return float(ahead + bilinear_m(scene.to_go, *there) + down)
 
 
 def expected_crash(

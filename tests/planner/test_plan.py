@@ -319,12 +319,24 @@ def test_boxed_in_by_what_is_unknown_there_is_no_plan_but_a_reason(
     task: Task, blank: KnownMap
 ) -> None:
     known = empty_map(blank.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
-    known.upper_m[32:48, 32:48] = 100.0  # 200 m around the start
+    known.upper_m[36:44, 36:44] = 100.0  # 100 m around the start
     outcome = plan(ask(with_budget(task, 40), known))
     assert isinstance(outcome, NotPlanned)
     assert outcome.refusal is Refusal.NOTHING_SAFE
     assert "terrain clearance" in outcome.broken
     assert outcome.evaluations > 10 * 40
+
+
+def test_what_stands_flies_less_than_l_where_no_more_is_seen(task: Task, blank: KnownMap) -> None:
+    """It will stop there, and see on; in flight there would be no time for that."""
+    known = empty_map(blank.cell_m, (0.0, 8_000.0), (0.0, 8_000.0))
+    known.upper_m[28:52, 28:52] = 100.0  # 300 m around the start
+    alone = replace(task, zones=(), radars=())
+    short = planned(ask(alone, known))
+    assert 50.0 < short.subpath.length_m < task.scan_distance_m
+    assert violations(short.subpath.control_nea_m, alone, known, from_rest=True) == []
+    pose = Pose(position_nea_m=np.array(START), **heading_to(45.0))
+    assert isinstance(plan(ask(alone, known, start=pose, from_rest=False)), NotPlanned)
 
 
 def hover(north: float, east: float, altitude: float) -> dict[str, object]:
