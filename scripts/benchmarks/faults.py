@@ -102,7 +102,7 @@ def fly(flight: Flight) -> tuple[Flown, Result]:
     for at_s, happening in trial.draw(rng, scene):
         pair.at(at_s, happening)
     slower = 1.5 if scene.kind == "plane" else 1.0
-    flown = pair.fly(limit_s=slower * trial.limit_s)
+    flown = pair.fly(limit_s=slower * trial.limit_s, patient=True)
     result = Result(
         flight=flight,
         verdict=faults_judge.judge(flown),

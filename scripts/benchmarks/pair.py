@@ -244,14 +244,23 @@ class Pair:
 
     # --- time
 
-    def fly(self, *, limit_s: float = 300.0) -> Flown:
-        """From the boot to what the companion leaves behind."""
+    def fly(self, *, limit_s: float = 300.0, patient: bool = False) -> Flown:
+        """From the boot to what the companion leaves behind.
+
+        patient: at the limit a vehicle that is still on its way gets another minute, and one more
+        each time that it has come nearer to its last target meanwhile.
+        """
         self._boot()
         self.brain = self.new_brain()
         self.brain.begin(self.now_s)
-        began_s = self.now_s
+        until_s, left_m = self.now_s + limit_s, math.inf
         try:
-            while self.now_s - began_s < limit_s:
+            while True:
+                if self.now_s >= until_s:
+                    was_m, left_m = left_m, self._left_m()
+                    if not patient or left_m >= was_m:
+                        break
+                    until_s += 60.0
                 self._step()
                 self._happen()
                 if self.each_minute is not None and self.simulation.now_us % _MINUTE_US == 0:
@@ -280,6 +289,10 @@ class Pair:
                 self._step()
         self.simulation.take_truth()
         self.simulation.take_notices()
+
+    def _left_m(self) -> float:
+        """Straight on to the last target."""
+        return math.dist(self.where()[:2], self.scene.mission.targets_ne_m[-1])
 
     def _waits_in_vain(self) -> bool:
         """Whether it has held for so long, with nothing to come, that it will go on holding."""
