@@ -146,6 +146,8 @@ class Echo:
 
     time_s: float
     position_nea_m: Vector
+    velocity_nea_m_s: Vector | None = None
+    """How that place moves; None: it does not say."""
 
 
 @final

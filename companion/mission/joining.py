@@ -23,9 +23,10 @@ def joined(state: State) -> Flight | None:
     None if that is farther from the path than the vehicle was certified to be.
     """
     vehicle, flight = state.vehicle, state.flight
-    velocity, led = vehicle.velocity_nea_m_s, _led_nea_m(state)
-    if led is None or flight.leg is None:
+    target = _target(state)
+    if target is None or flight.leg is None:
         return None
+    led, velocity = target
     best: tuple[float, Leg, float] | None = None
     for leg in (flight.leg, flight.next_leg):
         if leg is not None:
@@ -65,23 +66,28 @@ def joined(state: State) -> Flight | None:
     return flight
 
 
-def _led_nea_m(state: State) -> Vector | None:
-    """Where we sent it lately; else where its autopilot says that it flies to; else where it is.
+def _target(state: State) -> tuple[Vector, Vector] | None:
+    """Where its autopilot leads the vehicle now, and how fast.  -> metres, m/s.
 
-    What the autopilot has said is some tenths of a second old: its target has moved on since.
+    Where we sent it lately; else where the autopilot says that it flies to; else where it is.
+    What it has said is some tenths of a second old: its target has moved on since, unless it
+    stands: ArduPilot's does when it has waited for setpoints in vain.
     """
     vehicle, flight = state.vehicle, state.flight
-    here, echo = vehicle.position_nea_m, vehicle.echo_nea_m
-    if here is None or not vehicle.hovers:
-        return here
+    here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo_nea_m
+    if here is None:
+        return None
+    if not vehicle.hovers:
+        return here, velocity
     if flight.sent_nea_m is not None and state.now_s - flight.sent_at_s < _FRESH_S:
-        return flight.sent_nea_m
+        return flight.sent_nea_m, velocity
     near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
     age_s = state.now_s - vehicle.echo_at_s
     if echo is None or age_s > _FRESH_S or math.dist(echo, here) >= near_m:
-        return here
-    north, east, up = (at + age_s * v for at, v in zip(echo, vehicle.velocity_nea_m_s, strict=True))
-    return north, east, up
+        return here, velocity
+    velocity = vehicle.echo_nea_m_s or velocity
+    north, east, up = (at + age_s * v for at, v in zip(echo, velocity, strict=True))
+    return (north, east, up), velocity
 
 
 def nearest(leg: Leg, point_nea_m: Vector) -> tuple[float, float]:

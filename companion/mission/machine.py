@@ -111,8 +111,13 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
             vehicle = replace(vehicle, round_trip_s=round_trip_s)
         case Battery():
             vehicle = with_battery(state, event, context.mission)
-        case Echo(position_nea_m=echo):
-            vehicle = replace(vehicle, echo_nea_m=echo, echo_at_s=event.time_s)
+        case Echo():
+            vehicle = replace(
+                vehicle,
+                echo_nea_m=event.position_nea_m,
+                echo_nea_m_s=event.velocity_nea_m_s,
+                echo_at_s=event.time_s,
+            )
             flight = following.with_echo(replace(state, now_s=now_s, vehicle=vehicle))
         case Namesake(certain=certain):
             state = replace(state, namesake=certain, namesake_at_s=now_s)

@@ -249,6 +249,8 @@ class Vehicle(Renewed):
     round_trip_s: float = 0.0
     """Of the link."""
     echo_nea_m: Vector | None = None
+    echo_nea_m_s: Vector | None = None
+    """The velocity of its target."""
     echo_at_s: float = -1e9
     position_nea_m: Vector | None = None
     velocity_nea_m_s: Vector = (0.0, 0.0, 0.0)

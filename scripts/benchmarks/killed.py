@@ -5,8 +5,9 @@
 Real processes, real time: `kill -9` at random moments of its life, start-up included, then
 `companion fly MISSION --out RUN --resume`.  A tap on the wire watches the setpoints.  Each should
 be where the autopilot's own target is: at the setpoint before, advanced by its velocity for as long
-as the autopilot does that, or at the vehicle.  The bar: it arrives; no setpoint, the first of a
-life or any other, jumps by more than 1 m or 1 m/s.
+as the autopilot does that, from then on (it brakes) where it tells that its target is, or at the
+vehicle.  The bar: it arrives; no setpoint, the first of a life or any other, jumps by more than 1 m
+or 1 m/s.
 """
 
 import argparse
@@ -25,7 +26,7 @@ import numpy as np
 import pair_files
 import pair_processes as processes
 import pair_worlds
-from pair_processes import POSITION, SETPOINT, TO_COMPANION, Tap, frames
+from pair_processes import ORIGIN, POSITION, SETPOINT, TARGET, TO_COMPANION, Tap, frames
 from rich.console import Console
 
 from vehicle_sim.geodesy import metres_per_degree
@@ -64,11 +65,19 @@ class Watcher:
     _last: tuple[float, tuple[float, ...]] | None = None
     _last_life: int = -1
     _vehicle: tuple[float, ...] | None = None
+    _origin: tuple[float, float, float] | None = None
+    _target: tuple[float, tuple[float, ...]] | None = None
 
     def seen(self, way: int, at_s: float, datagram: bytes) -> None:
         for number, frame in frames(datagram):
             if way == TO_COMPANION and number == POSITION:
                 self._vehicle = processes.position_of(frame)[1]
+            elif way == TO_COMPANION and number == ORIGIN:
+                self._origin = processes.origin_of(frame)
+            elif way == TO_COMPANION and number == TARGET and self._origin is not None:
+                place_ned_m, velocity = processes.target_of(frame)
+                there = _moved((*self._origin, *place_ned_m), 1.0)[:3]
+                self._target = at_s, (*there, *velocity)
             elif way != TO_COMPANION and number == SETPOINT:
                 self._on_setpoint(at_s, processes.setpoint_of(frame)[1])
 
@@ -80,6 +89,9 @@ class Watcher:
             before = self._last[1]
             moved = _moved(before, min(gap_s, self.flies_on_s))
             near.append((_apart_m(now, moved), _apart_m_s(now, before), gap_s))
+        if self._target is not None and gap_s > self.flies_on_s > 0.0:
+            moved = _moved(self._target[1], at_s - self._target[0])
+            near.append((_apart_m(now, moved), _apart_m_s(now, moved), gap_s))
         if self._vehicle is not None:
             near.append((_apart_m(now, self._vehicle), _apart_m_s(now, self._vehicle), gap_s))
         if near:

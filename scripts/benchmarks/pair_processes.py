@@ -15,7 +15,7 @@ BIN = Path(sys.executable).parent
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = dict(os.environ)
 TO_COMPANION, TO_VEHICLE = 0, 1
-POSITION, SETPOINT, HEARTBEAT = 33, 86, 0
+POSITION, SETPOINT, HEARTBEAT, TARGET, ORIGIN = 33, 86, 0, 85, 49
 Seen = Callable[[int, float, bytes], None]
 """Direction, time (monotonic seconds), datagram."""
 
@@ -39,6 +39,18 @@ def setpoint_of(frame: bytes) -> tuple[int, tuple[float, ...]]:
     """time_boot_ms; latitude, longitude (degrees), altitude, velocity NED of message 86."""
     time_ms, lat, lon, alt, *velocity = struct.unpack_from("<Iii4f", payload(frame, 53))
     return time_ms, (lat * 1e-7, lon * 1e-7, alt, *velocity)
+
+
+def target_of(frame: bytes) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Position (NED, metres from the origin) and velocity of message 85."""
+    values = struct.unpack_from("<I6f", payload(frame, 51))
+    return values[1:4], values[4:7]
+
+
+def origin_of(frame: bytes) -> tuple[float, float, float]:
+    """Latitude, longitude (degrees), altitude AMSL of message 49."""
+    lat, lon, alt_mm = struct.unpack_from("<iii", payload(frame, 20))
+    return lat * 1e-7, lon * 1e-7, alt_mm * 1e-3
 
 
 def position_of(frame: bytes) -> tuple[int, tuple[float, ...]]:

@@ -232,6 +232,27 @@ def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_
     assert went_on.reference.length_m == pytest.approx(at_m, abs=0.1)
 
 
+def test_it_goes_on_from_a_target_that_stands_as_slowly_as_the_target() -> None:
+    state = two_legs().state
+    assert state.flight.leg is not None
+    pose = state.flight.leg.subpath.pose(1_000.0)
+    north, east, up = (float(each) for each in 0.6 * SPEED_M_S * pose.tangent_nea)
+    vehicle = replace(
+        state.vehicle,
+        position_nea_m=state.flight.leg.subpath.pose(1_000.0 - 0.6 * SPEED_M_S).point_nea_m,
+        velocity_nea_m_s=(north, east, up),
+        echo_nea_m=pose.point_nea_m,
+        echo_nea_m_s=(0.0, 0.0, 0.0),
+        echo_at_s=state.now_s - 0.4,
+    )
+    went_on = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent_nea_m=None)))
+    assert went_on is not None
+    assert went_on.offset is not None
+    assert went_on.reference.length_m == pytest.approx(1_000.0, abs=0.01)
+    assert went_on.reference.speed_m_s == 0.0
+    assert np.linalg.norm(went_on.offset.velocity_nea_m_s) == 0.0
+
+
 @pytest.mark.parametrize(("above_m", "proven"), [(0.5, True), (-0.5, False)])
 def test_a_subpath_that_begins_too_low_is_not_flown_and_no_made_up_planner_proves_it(
     above_m: float, proven: bool

@@ -16,6 +16,11 @@ _NEEDED = (
 )
 _BAD = wire.EKF_CONST_POS_MODE | wire.EKF_UNINITIALIZED | wire.EKF_GPS_GLITCHING
 _REJECTED = 1.0
+_NO_VELOCITY = (
+    wire.POSITION_TARGET_TYPEMASK_VX_IGNORE
+    | wire.POSITION_TARGET_TYPEMASK_VY_IGNORE
+    | wire.POSITION_TARGET_TYPEMASK_VZ_IGNORE
+)
 """Innovation over its gate: from here on the estimator throws the measurements away, and will give
 in to them 10 s later with a jump.  Healthy flights stay below 0.1 (recorded)."""
 _M_PER_DEG = 111_318.84502145034
@@ -88,7 +93,10 @@ def local_echo(
         return None
     latitude, longitude = frame.to_geodetic_deg(origin_nea_m[0], origin_nea_m[1])
     place = _offset_deg((latitude, longitude), message.x, message.y)
-    return echo_at(place, origin_nea_m[2] - message.z, now_s, frame)
+    velocity = (message.vx, message.vy, -message.vz)
+    told = message.type_mask & _NO_VELOCITY == 0 and all(map(math.isfinite, velocity))
+    altitude_m = origin_nea_m[2] - message.z
+    return echo_at(place, altitude_m, now_s, frame, velocity if told else None)
 
 
 def _offset_deg(

@@ -72,6 +72,7 @@ def echo_at(
     altitude_amsl_m: float,
     now_s: float,
     frame: LocalFrame,
+    velocity_nea_m_s: Vector | None = None,
 ) -> Echo | None:
     """An echo of a setpoint there; None if it is no place."""
     latitude, longitude = place_deg
@@ -82,7 +83,8 @@ def echo_at(
     north_m, east_m = frame.to_local_m(latitude, longitude)
     if not (math.isfinite(north_m) and math.isfinite(east_m)):
         return None
-    return Echo(time_s=now_s, position_nea_m=(north_m, east_m, altitude_amsl_m))
+    place = north_m, east_m, altitude_amsl_m
+    return Echo(time_s=now_s, position_nea_m=place, velocity_nea_m_s=velocity_nea_m_s)
 
 
 def _battery(message: Message, now_s: float) -> Battery | None:
