@@ -42,7 +42,7 @@ _CHUNK = 300  # evaluations between two looks at the clock
 _CERTIFIED = 16  # candidates of a search that are tried
 _GUIDE_SHARE = 0.2  # of a_3 that the angle of eq. 8 keeps: the cost-to-go does the rest
 _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
-_MUCH_DEARER = 0.5  # then every other way is tried
+_MUCH_DEARER = 0.5  # of the cost of R: then the search is given more, and what stands looks around
 _NEAR_END = 0.5  # cost: near ends look too cheap, as the cost-to-go knows nothing of turns
 _IN_HAND = 2.0  # cost: what only may lead to the target is cheaper by this than what is proven to
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
@@ -69,12 +69,12 @@ _OTHER_WAYS = (
     *(_Try(reach=reach, handicap=_NEAR_END) for reach in (0.7, 0.45)),
 )
 """What is tried as well when the first answer is dearer than the cost-to-go had promised."""
-_ANY_WAY = (
-    _Try(points=6, budget=2),
-    *(_Try(turn_rad=side * turn, budget=2) for turn in (0.35, 0.7, 1.1) for side in (1, -1)),
-    *(_Try(points=6, reach=reach, budget=2) for reach in (0.7, 0.45)),
-    *(_Try(turn_rad=side * turn, reach=0.6, budget=2) for turn in (0.7, 1.4) for side in (1, -1)),
+_HARDER = tuple(_Try(points=6, reach=reach, budget=2) for reach in (1.0, 0.7, 0.45))
+"""What is tried when that is much dearer, or nothing was proven."""
+_ANY_WAY = tuple(
+    _Try(turn_rad=side * turn, reach=0.6, budget=2) for turn in (0.7, 1.4) for side in (1, -1)
 )
+"""What is tried when still nothing was proven, or what stands would have to go far about."""
 _ALL_ROUND = tuple(_Try(turn_rad=turn, budget=2) for turn in (2.2, -2.2, math.pi))
 
 
@@ -249,7 +249,9 @@ class _Plan:
         if best is None or self._excess(best) > _DEARER:
             best = self._best(best, (*self._to_edge_of_sight(), *_OTHER_WAYS))
         if best is None or self._excess(best) > _MUCH_DEARER:
-            best = self._best(best, _ANY_WAY + (_ALL_ROUND if self._request.from_rest else ()))
+            best = self._best(best, _HARDER)
+            if best is None or self._request.from_rest:
+                best = self._best(best, _ANY_WAY + (_ALL_ROUND if self._request.from_rest else ()))
         if best is None:
             return self._refused(Refusal.NOTHING_SAFE)
         if self._is_better_to_stop(best):
