@@ -22,7 +22,7 @@ from pair_station import CHATTER, COMPONENT, SYSTEM, Station
 from pair_worlds import Scene
 from pymavlink.dialects.v20 import all as wire
 
-from companion.mavlink.outbox import Output
+from companion.mavlink.outbox import Input, Output
 from companion.mission.state import Phase
 from companion.planner.kernels import Kernel
 from companion.planner.plan import plan
@@ -101,6 +101,8 @@ class Flown:
     """What the ground station read: component and text."""
     target_ne_m: tuple[float, float] | None = None
     """Where it was told to go in flight, if it was."""
+    inputs: list[Input] | None = None
+    """All that the companion was told, if a list is there for it."""
 
     def track(self) -> tuple[FloatArray, FloatArray]:
         """True times (N,) and positions (N, 3)."""
@@ -170,6 +172,8 @@ class Brain:
         for entry in out.journal:
             entry.setdefault("at_s", round(now_s, 2))
         flown.journal += out.journal
+        if flown.inputs is not None:
+            flown.inputs += out.inputs
         self._settled = out.settled
         if out.checkpoint is not None:
             self.checkpoint = out.checkpoint

@@ -9,11 +9,19 @@ import socket
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts/benchmarks"))
+import faults_trials
+import pair_files
+import pair_worlds
 from golden import GOLDENS, NAMES, decisions_of, differences, expected
+from pair import Pair
 from recordings import recording
 
 from companion.config import load_mission
@@ -59,6 +67,9 @@ def _record(folder: Path, how: dict[str, Any]) -> None:
         if "log" in how:
             _watch(folder, how)
             return
+        if "trial" in how:
+            _try_out(folder, how, Path(scratch))
+            return
         _fly(how, Path(scratch), run)
         shutil.copy(run / "mission.toml", folder / "mission.toml")
         _cut(run, folder / inputs.FILE, float(how["until_s"]))
@@ -74,6 +85,21 @@ def _watch(folder: Path, how: dict[str, Any]) -> None:
 
     mission = load_mission(str(folder / "mission.toml"))
     watch(recording(how["log"]), mission, kernel=load_kernel(), on_output=keep)
+    (folder / inputs.FILE).write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
+
+
+def _try_out(folder: Path, how: dict[str, Any], scratch: Path) -> None:
+    """One flight of `scripts/bench faults`: what it makes happen, at the times that are drawn."""
+    trial = next(each for each in faults_trials.trials() if each.name == how["trial"])
+    scene = pair_worlds.scene(how["autopilot"], how["kind"], how["world"])
+    pair_files.write(scene, scratch)
+    shutil.copy(scratch / "mission.toml", folder / "mission.toml")
+    scene = replace(scene, mission=load_mission(str(folder / "mission.toml")))
+    pair = Pair(scene, seed=how["seed"], kernel=load_kernel())
+    pair.flown.inputs = told = []
+    for at_s, happening in trial.draw(np.random.default_rng(how["seed"]), scene):
+        pair.at(at_s, happening)
+    pair.fly(limit_s=how["until_s"])
     (folder / inputs.FILE).write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
 
 
