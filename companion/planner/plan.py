@@ -261,7 +261,8 @@ class _Plan:
     def _is_better_to_stop(self, best: Planned) -> bool:
         """Whether it costs less to stop at the end of the leg in flight and to leave from there.
 
-        What leaves from there is planned over the same ground, and ends on the same circle.
+        What leaves from there is planned over the same ground, and ends on the same circle; all
+        round, where to go on is much dearer than was promised.
         """
         rest, task = self._request.rest, self._request.task
         if rest is None:
@@ -271,8 +272,12 @@ class _Plan:
         if self._price(best) <= stop + end or self._stop():
             return False
         start = facing(hover_pose(rest.end_nea_m), self._scene.guide_rad)
-        leaving = self._attempt(_FIRST, replace(self._scene, start=start, from_rest=True))
-        return leaving is not None and self._price(leaving) + stop < self._price(best)
+        scene = replace(self._scene, start=start, from_rest=True)
+        ways: tuple[_Try, ...] = (_FIRST,)
+        if self._excess(best) > _MUCH_DEARER:
+            ways += _ANY_WAY + _ALL_ROUND
+        leaving = (self._attempt(how, scene) for how in ways)
+        return any(each and self._price(each) + stop < self._price(best) for each in leaving)
 
     def _to_edge_of_sight(self) -> tuple[_Try, ...]:
         """To end where the cheapest way leaves what can be proven, within sight.
