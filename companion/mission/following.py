@@ -36,6 +36,7 @@ _LONGEST_DELAY_S = 0.5  # of a link that setpoints are sent ahead for
 
 _ROUNDING_M = 1e-6
 _SENT_LATELY_S = 1.0
+_AT_TARGET_M = 1.0  # nearer to it, the direction to it is that of an error
 _LONGEST_LEAD = 1.3  # of what the path's tail was made for
 _AT_END = 1.2  # loiter radii
 _BEYOND = 0.25  # loiter radii: if it is left there, the circle that it then flies is proven
@@ -196,7 +197,12 @@ def setpoint(state: State, event: Position, context: Context) -> tuple[Flight, l
         yaw_rad=along if yaw is None else yaw,
         stay=stays,
     )
-    flight = replace(flight, sent_nea_m=sent.position_nea_m, sent_at_s=state.now_s)
+    flight = replace(
+        flight,
+        sent_nea_m=sent.position_nea_m,
+        sent_yaw_rad=sent.yaw_rad,
+        sent_at_s=state.now_s,
+    )
     return flight, [sent]
 
 
@@ -322,8 +328,7 @@ def hold_setpoint(state: State, time_s: float, context: Context) -> tuple[Flight
         return flight, []
     yaw = context.mission.yaw_rad
     if yaw is None:
-        target = state.targets_ne_m[flight.target]
-        yaw = math.atan2(target[1] - here[1], target[0] - here[0])
+        yaw = _towards_target_rad(state, here)
     there = _on_the_way(state, here)
     stay = Setpoint(
         time_s=time_s,
@@ -332,7 +337,18 @@ def hold_setpoint(state: State, time_s: float, context: Context) -> tuple[Flight
         yaw_rad=yaw,
         stay=True,
     )
-    return replace(flight, sent_nea_m=there, sent_at_s=state.now_s), [stay]
+    flight = replace(flight, sent_nea_m=there, sent_yaw_rad=yaw, sent_at_s=state.now_s)
+    return flight, [stay]
+
+
+def _towards_target_rad(state: State, here_nea_m: Vector) -> float:
+    """Where a vehicle that stays looks; at the target itself, where it has looked."""
+    flight, target = state.flight, state.targets_ne_m[state.flight.target]
+    north_m, east_m = target[0] - here_nea_m[0], target[1] - here_nea_m[1]
+    looked = flight.sent_yaw_rad
+    if looked is not None and math.hypot(north_m, east_m) < _AT_TARGET_M:
+        return looked
+    return math.atan2(east_m, north_m)
 
 
 def _on_the_way(state: State, here_nea_m: Vector) -> Vector:

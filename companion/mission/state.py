@@ -337,6 +337,7 @@ class Flight(Renewed):
     """What a person has asked for; the mission's own speed holds as well."""
     sent_nea_m: Vector | None = None
     """The last setpoint."""
+    sent_yaw_rad: float | None = None
     sent_at_s: float = -1e9
     echoed_at_s: float = 0.0
     """When the autopilot's echo last agreed with what it was sent."""
