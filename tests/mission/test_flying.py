@@ -253,6 +253,14 @@ def test_it_goes_on_from_a_target_that_stands_as_slowly_as_the_target() -> None:
     assert np.linalg.norm(went_on.offset.velocity_nea_m_s) == 0.0
 
 
+def test_at_its_target_it_looks_where_it_has_flown_to() -> None:
+    craft = Craft(near_target()).fly_to(Phase.ARRIVED).run_for(1.0)
+    *flown, stays = craft.sent(Setpoint)
+    assert stays.velocity_nea_m_s == (0.0, 0.0, 0.0)
+    last = next(each for each in reversed(flown) if any(each.velocity_nea_m_s))
+    assert stays.yaw_rad == pytest.approx(last.yaw_rad, abs=0.02)
+
+
 @pytest.mark.parametrize(("above_m", "proven"), [(0.5, True), (-0.5, False)])
 def test_a_subpath_that_begins_too_low_is_not_flown_and_no_made_up_planner_proves_it(
     above_m: float, proven: bool
