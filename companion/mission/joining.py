@@ -23,10 +23,10 @@ def joined(state: State) -> Flight | None:
     None if that is farther from the path than the vehicle was certified to be.
     """
     vehicle, flight = state.vehicle, state.flight
-    target = _target(state)
-    if target is None or flight.leg is None:
+    led_so = _led(state)
+    if led_so is None or flight.leg is None:
         return None
-    led, velocity = target
+    led, velocity = led_so
     best: tuple[float, Leg, float] | None = None
     for leg in (flight.leg, flight.next_leg):
         if leg is not None:
@@ -66,7 +66,7 @@ def joined(state: State) -> Flight | None:
     return flight
 
 
-def _target(state: State) -> tuple[Vector, Vector] | None:
+def _led(state: State) -> tuple[Vector, Vector] | None:
     """Where its autopilot leads the vehicle now, and how fast.  -> metres, m/s.
 
     Where we sent it lately; else where the autopilot says that it flies to; else where it is.

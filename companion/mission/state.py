@@ -338,6 +338,7 @@ class Flight(Renewed):
     sent_nea_m: Vector | None = None
     """The last setpoint."""
     sent_yaw_rad: float | None = None
+    """Of the last setpoint."""
     sent_at_s: float = -1e9
     echoed_at_s: float = 0.0
     """When the autopilot's echo last agreed with what it was sent."""

@@ -269,14 +269,14 @@ class _Plan:
             return False
         stop = (rest.length_m + task.stop_m) * self._per_metre
         end = self._promised_m(rest.end_nea_m) * self._per_metre
-        if self._price(best) <= stop + end or self._stop():
+        if self._price(best) <= stop + end:
             return False
         start = facing(hover_pose(rest.end_nea_m), self._scene.guide_rad)
         scene = replace(self._scene, start=start, from_rest=True)
         ways: tuple[_Try, ...] = (_FIRST,)
         if self._excess(best) > _MUCH_DEARER:
             ways += _ANY_WAY + _ALL_ROUND
-        leaving = (self._attempt(how, scene) for how in ways)
+        leaving = (None if self._stop() else self._attempt(how, scene) for how in ways)
         return any(each and self._price(each) + stop < self._price(best) for each in leaving)
 
     def _to_edge_of_sight(self) -> tuple[_Try, ...]:

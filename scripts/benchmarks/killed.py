@@ -76,7 +76,7 @@ class Watcher:
                 self._origin = processes.origin_of(frame)
             elif way == TO_COMPANION and number == TARGET and self._origin is not None:
                 place_ned_m, velocity = processes.target_of(frame)
-                there = _moved((*self._origin, *place_ned_m), 1.0)[:3]
+                there = _moved((*self._origin, *place_ned_m), 1.0)[:3]  # metres: 1 s at m/s
                 self._target = at_s, (*there, *velocity)
             elif way != TO_COMPANION and number == SETPOINT:
                 self._on_setpoint(at_s, processes.setpoint_of(frame)[1])

@@ -16,13 +16,13 @@ _NEEDED = (
 )
 _BAD = wire.EKF_CONST_POS_MODE | wire.EKF_UNINITIALIZED | wire.EKF_GPS_GLITCHING
 _REJECTED = 1.0
+"""Innovation over its gate: from here on the estimator throws the measurements away, and will give
+in to them 10 s later with a jump.  Healthy flights stay below 0.1 (recorded)."""
 _NO_VELOCITY = (
     wire.POSITION_TARGET_TYPEMASK_VX_IGNORE
     | wire.POSITION_TARGET_TYPEMASK_VY_IGNORE
     | wire.POSITION_TARGET_TYPEMASK_VZ_IGNORE
 )
-"""Innovation over its gate: from here on the estimator throws the measurements away, and will give
-in to them 10 s later with a jump.  Healthy flights stay below 0.1 (recorded)."""
 _M_PER_DEG = 111_318.84502145034
 """Of ArduPilot's flat earth: one degree of latitude, anywhere."""
 _LEAST_SCALE = 0.01
