@@ -191,7 +191,10 @@ def _length(points: FloatArray, scene: FlightScene) -> FloatArray:
 
 
 def _to_go_m(control: FloatArray, scene: FlightScene) -> FloatArray:
-    """What is left to fly, from a place straight on from the end, and the way there and down."""
+    """What is left to fly, from a place straight on from the end, and the way there and down.
+
+    No less than from the end itself: straight on may be on the far side of a wall.
+    """
     if scene.final_ne_m is not None:
         return np.zeros(len(control))
     low, high = scene.band_amsl_m
@@ -199,8 +202,9 @@ def _to_go_m(control: FloatArray, scene: FlightScene) -> FloatArray:
     leg = control[:, -1, :2] - control[:, -2, :2]
     leg = leg / np.maximum(np.linalg.norm(leg, axis=-1), 1e-9)[:, None]
     there = control[:, -1, :2] + scene.look_ahead_m * leg
-    to_go_m = scene.to_go.altitude_m(there[:, 0], there[:, 1])
-    return to_go_m + scene.look_ahead_m + scene.descent_m * above**2
+    to_go_m = scene.to_go.altitude_m(there[:, 0], there[:, 1]) + scene.look_ahead_m
+    here_m = scene.to_go.altitude_m(control[:, -1, 0], control[:, -1, 1])
+    return np.maximum(to_go_m, here_m) + scene.descent_m * above**2
 
 
 def _height(points: FloatArray, scene: FlightScene) -> FloatArray:

@@ -199,7 +199,7 @@ def sample(points: FloatArray, control: FloatArray, basis: FloatArray) -> None:
 
 
 def remaining_m(control: FloatArray, to_go: FloatArray, numbers: FloatArray) -> float:
-    """The cost-to-go straight on from the end, and the way there and down."""
+    """The cost-to-go straight on from the end, and the way there and down; no less than at it."""
     if numbers[IS_FINAL] > 0.0:
         return 0.0
     last = len(control) - 1
@@ -207,8 +207,9 @@ def remaining_m(control: FloatArray, to_go: FloatArray, numbers: FloatArray) -> 
     scale = numbers[LOOK_AHEAD] / max(math.sqrt(north * north + east * east), 1e-9)
     there_n, there_e = control[last, 0] + scale * north, control[last, 1] + scale * east
     above = max(control[last, 2] - numbers[LOW], 0.0) / (numbers[HIGH] - numbers[LOW])
-    to_go_m = lattice_m(to_go, numbers, TO_GO_AT, there_n, there_e)
-    return to_go_m + numbers[LOOK_AHEAD] + numbers[DESCENT] * above * above
+    to_go_m = lattice_m(to_go, numbers, TO_GO_AT, there_n, there_e) + numbers[LOOK_AHEAD]
+    here_m = lattice_m(to_go, numbers, TO_GO_AT, control[last, 0], control[last, 1])
+    return max(to_go_m, here_m) + numbers[DESCENT] * above * above
 
 
 def height(points: FloatArray, numbers: FloatArray) -> float:

@@ -43,8 +43,6 @@ _CERTIFIED = 16  # candidates of a search that are tried
 _GUIDE_SHARE = 0.2  # of a_3 that the angle of eq. 8 keeps: the cost-to-go does the rest
 _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
 _MUCH_DEARER = 0.5  # of the cost of R: then the search is given more, and what stands looks around
-_NEAR_END = 0.5  # cost: near ends look too cheap, as the cost-to-go knows nothing of turns
-_IN_HAND = 2.0  # cost: what only may lead to the target is cheaper by this than what is proven to
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
 _IN_REACH = 1.5  # of R: threats farther away concern no subpath
 _SEARCH = refined_de.Settings()
@@ -53,29 +51,21 @@ _SEARCH = refined_de.Settings()
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Try:
-    """One way of asking: more control points, the guide turned, a nearer end, a larger budget."""
+    """One way of asking: more control points, the guide turned, a nearer end."""
 
     points: int = 5
     turn_rad: float = 0.0
     reach: float = 1.0
-    budget: int = 1
-    handicap: float = 0.0
-    """What its answer must be cheaper by than another way's."""
 
 
 _FIRST = _Try()
-_OTHER_WAYS = (
-    _Try(points=6),
-    *(_Try(reach=reach, handicap=_NEAR_END) for reach in (0.7, 0.45)),
-)
+_OTHER_WAYS = (_Try(points=6), _Try(reach=0.7), _Try(reach=0.45))
 """What is tried as well when the first answer is dearer than the cost-to-go had promised."""
-_HARDER = tuple(_Try(points=6, reach=reach, budget=2) for reach in (1.0, 0.7, 0.45))
+_HARDER = tuple(_Try(points=6, reach=reach) for reach in (0.7, 0.45))
 """What is tried when that is much dearer, or nothing was proven."""
-_ANY_WAY = tuple(
-    _Try(turn_rad=side * turn, reach=0.6, budget=2) for turn in (0.7, 1.4) for side in (1, -1)
-)
+_ANY_WAY = tuple(_Try(turn_rad=side * turn, reach=0.6) for turn in (0.7, 1.4) for side in (1, -1))
 """What is tried when still nothing was proven, or what stands would have to go far about."""
-_ALL_ROUND = tuple(_Try(turn_rad=turn, budget=2) for turn in (2.2, -2.2, math.pi))
+_ALL_ROUND = tuple(_Try(turn_rad=turn) for turn in (2.2, -2.2, math.pi))
 
 
 def plan(
@@ -245,13 +235,12 @@ class _Plan:
         )
         if closed is not None:
             return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NO_WAY, place_ne_m=closed)
-        best = self._attempt(_FIRST)
-        if best is None or self._excess(best) > _DEARER:
-            best = self._best(best, (*self._to_edge_of_sight(), *_OTHER_WAYS))
-        if best is None or self._excess(best) > _MUCH_DEARER:
-            best = self._best(best, _HARDER)
-            if best is None or self._request.from_rest:
-                best = self._best(best, _ANY_WAY + (_ALL_ROUND if self._request.from_rest else ()))
+        ways = (_FIRST, *self._to_edge_of_sight(), *_OTHER_WAYS)
+        best = self._best(None, ways, enough=_DEARER)
+        best = self._best(best, _HARDER, enough=_MUCH_DEARER)
+        if best is None or request.from_rest:
+            ways = _ANY_WAY + (_ALL_ROUND if request.from_rest else ())
+            best = self._best(best, ways, enough=_MUCH_DEARER)
         if best is None:
             return self._refused(Refusal.NOTHING_SAFE)
         if self._is_better_to_stop(best):
@@ -268,8 +257,7 @@ class _Plan:
         if rest is None:
             return False
         stop = (rest.length_m + task.stop_m) * self._per_metre
-        end = self._promised_m(rest.end_nea_m) * self._per_metre
-        if self._price(best) <= stop + end:
+        if self._price(best) <= stop + self._promised_m(rest.end_nea_m) * self._per_metre:
             return False
         start = facing(hover_pose(rest.end_nea_m), self._scene.guide_rad)
         scene = replace(self._scene, start=start, from_rest=True)
@@ -296,7 +284,7 @@ class _Plan:
         least_m = self._shortest_m if scene.from_rest else self._request.task.scan_distance_m
         if not least_m < far_m < scene.end_radius_m:
             return ()
-        return (_Try(reach=far_m / scene.end_radius_m, handicap=_NEAR_END),)
+        return (_Try(reach=far_m / scene.end_radius_m),)
 
     def _refused(self, refusal: Refusal) -> NotPlanned:
         return NotPlanned(
@@ -306,24 +294,29 @@ class _Plan:
             evaluations=self._evaluations,
         )
 
-    def _best(self, best: Planned | None, ways: tuple[_Try, ...]) -> Planned | None:
-        """The cheapest of what is at hand and what other ways of asking give."""
-        least = math.inf if best is None else self._price(best)
+    def _best(
+        self, best: Planned | None, ways: tuple[_Try, ...], *, enough: float
+    ) -> Planned | None:
+        """The cheapest of what is at hand and what ways of asking give, until it is cheap enough.
+
+        enough: how much dearer than promised, in costs of R.
+        """
         for how in ways:
-            if self._stop():
+            if best is not None and self._excess(best) <= enough:
+                break
+            if self._tries and self._stop():
                 break
             planned = self._attempt(how)
-            if planned is not None and self._price(planned) + how.handicap < least:
-                best, least = planned, self._price(planned) + how.handicap
+            if best is None or (planned and self._price(planned) < self._price(best)):
+                best = planned
         return best
 
     def _price(self, planned: Planned) -> float:
         """By which ways are compared."""
-        price = self._total(planned)
-        if not planned.reaches_target:
-            task, leg = self._request.task, Leg.of(planned, number=1)
-            price += _IN_HAND + (0.0 if leg.can_be_left(task) else task.stop_m * self._per_metre)
-        return price
+        task, total = self._request.task, self._total(planned)
+        if planned.reaches_target or Leg.of(planned, number=1).can_be_left(task):
+            return total
+        return total + task.stop_m * self._per_metre
 
     def _total(self, planned: Planned) -> float:
         """What it costs to the target, as far as is known."""
@@ -359,15 +352,15 @@ class _Plan:
         """One search, and the best of its candidates that has a certificate."""
         self._tries += 1
         scene = _vary(scene or self._scene, how)
-        return self._first_proven(self._search(scene, how.budget), scene)
+        return self._first_proven(self._search(scene), scene)
 
-    def _search(self, scene: FlightScene, budget: int) -> FloatArray:
+    def _search(self, scene: FlightScene) -> FloatArray:
         """The candidates of one search, best first.  -> (M, D)."""
         request, settings = self._request, self._request.task.settings
         rng = np.random.default_rng(
             [request.seed, STREAM_PLAN, request.plan_id, request.attempt, self._tries]
         )
-        evaluations = budget * (1 + request.attempt) * settings.evaluations
+        evaluations = (1 + request.attempt) * settings.evaluations
         name, seeds = settings.optimiser or settings.profile.optimiser, _seeds(scene)
         if name != "refined-de":
             optimiser = OPTIMISERS[name](scene.variables, evaluations, rng, seeds)

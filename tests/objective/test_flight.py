@@ -242,7 +242,8 @@ def expected_to_go_m(control: FloatArray, scene: FlightScene) -> float:
     there = control[-1, 0] + ahead * math.cos(heading), control[-1, 1] + ahead * math.sin(heading)
     low, high = scene.band_amsl_m
     down = scene.descent_m * max((control[-1, 2] - low) / (high - low), 0.0) ** 2
-    return float(ahead + bilinear_m(scene.to_go, *there) + down)
+    here_m = bilinear_m(scene.to_go, control[-1, 0], control[-1, 1])
+    return float(max(ahead + bilinear_m(scene.to_go, *there), here_m) + down)
 
 
 def expected_crash(

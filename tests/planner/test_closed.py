@@ -201,3 +201,33 @@ def test_a_target_that_needs_a_climb_at_its_end_is_flown_to_straight() -> None:
     )
     assert flight.failure is None
     assert sum(flight.flown_m) < 1.02 * math.dist((5e3, 5e3), target)
+
+
+def test_the_gap_of_a_keep_out_wall_is_flown_through() -> None:
+    """An end beside the wall looked through it: the wall was flown along, again and again."""
+    size_m, start, gap, target = 100e3, (0.0, 0.0), (50e3, 60e3), (95e3, 95e3)
+    area = (-5e3, size_m)
+    task = replace(TASK, limits=replace(TASK.limits, north_m=area, east_m=area))
+    half = task.zone_search_clearance_m + 150.0
+    walls = tuple(
+        PolygonZone(
+            name=f"wall from {low:.0f}",
+            vertices_ne_m=((50e3, low), (50e3, high), (50.1e3, high), (50.1e3, low)),
+        )
+        for low, high in ((-6e3, gap[1] - half), (gap[1] + half, size_m + 1e3))
+    )
+    blank = empty_map(task.cell_m, area, area)
+    terrain = ArrayTerrain(
+        heights_m=np.zeros((3, 3)), spacing_m=size_m, south_m=-size_m, west_m=-size_m
+    )
+    flight = fly_offline(
+        replace(task, zones=walls),
+        blank=blank,
+        truth=true_map(terrain, blank),
+        start_nea_m=(*start, 3_100.0),
+        targets_ne_m=(target,),
+        seed=1,
+        planner=partial(plan, kernel=load_kernel()),
+    )
+    assert flight.failure is None
+    assert sum(flight.flown_m) < 1.1 * (math.dist(start, gap) + math.dist(gap, target))
