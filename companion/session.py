@@ -18,7 +18,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, final
 
 from companion.mavlink.autopilots import described
-from companion.mavlink.citizen import Citizen
+from companion.mavlink.citizen import SERVED, Citizen
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.inbox import VEHICLE, Inbox
 from companion.mavlink.latch import Latch
@@ -31,8 +31,8 @@ from companion.mavlink.signing import Signing
 from companion.mavlink.statustext import StatusTexts, last_words, severity_of
 from companion.mavlink.time_answers import TimeAnswers
 from companion.mavlink.vehicle import Told, VehicleSide
+from companion.mavlink.vehicle_clock import MERE_CLOCKS, Reading, VehicleClock
 from companion.mavlink.vehicle_clock import MESSAGES as CLOCKS
-from companion.mavlink.vehicle_clock import Reading, VehicleClock
 from companion.mission import changes, checkpoint, entries, events, machine
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, is_led
 from companion.mission.events import End, Mode, SetMode, Vector
@@ -44,6 +44,7 @@ from companion.mission.state import Phase
 from companion.planner import outcomes
 from companion.planner.request import PlanOutcome
 
+_TIMED = frozenset({*CLOCKS, "TIMESYNC", "HEARTBEAT"})
 _MODE_AGAIN_S = 1.0
 _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
@@ -227,47 +228,49 @@ class Session:
 
     def _on_message(self, message: Message, at_s: float | None, link: int) -> None:
         """Over a link to ground stations what is asked of us counts, and no word of a vehicle."""
-        of_vehicle = link == VEHICLE and self.latch.is_ours(message)
-        tells = not of_vehicle or self.clock.is_told_by(message)
-        needed = not isinstance(message, Unread) and tells
+        kind, needed = message.get_type(), not isinstance(message, Unread)
         if needed and link == VEHICLE:
-            self._read_time(message)
+            if kind in MERE_CLOCKS and self.latch.is_ours(message):
+                needed = self.clock.is_told_by(message)
+            if needed:
+                self._read_time(message, kind)
         if (namesake := self._outbox.note_received(message, self.now_s)) is not None:
             self._handle(namesake)
-        if needed:
-            self._serve(message, link)
-        if not needed or link != VEHICLE or message.get_srcSystem() != self.latch.system_id:
+        if not needed:
             return
-        if message.get_srcComponent() == AUTOPILOT_COMPONENT:
-            self._from_autopilot(message, at_s)
-        elif message.get_srcComponent() == self.mission.scanner_component_id:
-            self._scanning.on_message(message, self.state.vehicle.position_nea_m)
-            self._scan_on()
+        if kind in SERVED:
+            self._serve(message, link)
+        if link == VEHICLE and message.get_srcSystem() == self.latch.system_id:
+            component = message.get_srcComponent()
+            if component == AUTOPILOT_COMPONENT:
+                self._from_autopilot(message, kind, at_s)
+            elif component == self.mission.scanner_component_id:
+                self._scanning.on_message(message, self.state.vehicle.position_nea_m)
+                self._scan_on()
 
-    def _read_time(self, message: Message) -> None:
+    def _read_time(self, message: Message, kind: str) -> None:
         """Whose it is, and how late."""
-        if self.latch.on_message(message) and self.latch.system_id is not None:
+        if kind == "HEARTBEAT" and self.latch.on_message(message):
+            assert self.latch.system_id is not None
             self._outbox.speak_as(self.latch.system_id)
         elif name := self.latch.ambiguity:
             found = events.VehicleFound(time_s=self.now_s, system_id=0, driving=None, name=name)
             self._handle(found)
-        if self.latch.is_ours(message):
-            kind = message.get_type()
-            if kind in CLOCKS:
-                self._on_time(message.time_boot_ms * 1e-3, ticks=kind != "GLOBAL_POSITION_INT")
-            elif self._lockstep and kind == "TIMESYNC" and message.tc1 == 0:
-                self._on_time(message.ts1 * 1e-9)
-            elif kind == "HEARTBEAT" and not self.context.shadow and self.clock.beat(message):
+        if kind not in _TIMED or not self.latch.is_ours(message):
+            return
+        if kind in CLOCKS:
+            self._on_time(message.time_boot_ms * 1e-3, ticks=kind != "GLOBAL_POSITION_INT")
+        elif kind == "HEARTBEAT":
+            if not self.context.shadow and self.clock.beat(message):
                 self._handle(events.Tick(time_s=self.clock.going_on_s))
+        elif self._lockstep and message.tc1 == 0:
+            self._on_time(message.ts1 * 1e-9)
 
-    def _from_autopilot(self, message: Message, at_s: float | None) -> None:
-        kind = message.get_type()
-        if self.vehicle is None:
-            if kind != "HEARTBEAT":
-                return self._answer_time(message)
+    def _from_autopilot(self, message: Message, kind: str, at_s: float | None) -> None:
+        if self.vehicle is None and kind == "HEARTBEAT":
             self._find(message)
-            if self.vehicle is None:
-                return None
+        if self.vehicle is None:
+            return self._answer_time(message)
         vehicle, due = self.vehicle, kind == "GLOBAL_POSITION_INT"
         if due and not self.context.shadow and (answer := self._plan.take(self.now_s)) is not None:
             self._handle(answer)
@@ -288,7 +291,7 @@ class Session:
         self._housekeeping()
         if (noted := vehicle.entry_of(message)) is not None:
             self._note(**noted)
-        return self._answer_time(message)
+        return self._answer_time(message) if kind == "TIMESYNC" else None
 
     def _find(self, message: Message) -> None:
         """The first heartbeat of our autopilot: which one it is decides how it is flown."""
@@ -314,9 +317,9 @@ class Session:
 
     def _serve(self, message: Message, link: int) -> None:
         """What others ask of the companion itself."""
-        citizen = self._citizen
-        if citizen is None or (served := citizen.on_message(message, self.now_s)) is None:
+        if (citizen := self._citizen) is None:
             return
+        served = citizen.on_message(message, self.now_s)
         reply = self._send_all if link == VEHICLE else self._outbox.tell_ground
         (self._tell_all if served.is_for_all else reply)(served.replies)
         if served.note is not None:
@@ -395,8 +398,9 @@ class Session:
     # --- plans and scans
 
     def _must_wait_for_plan(self, message: Message) -> bool:
-        is_clock = message.get_type() == "GLOBAL_POSITION_INT" and self.latch.is_ours(message)
-        if not (is_clock and self._plan.is_missing(message.time_boot_ms * 1e-3)):
+        if message.get_type() != "GLOBAL_POSITION_INT" or not self.latch.is_ours(message):
+            return False
+        if not self._plan.is_missing(message.time_boot_ms * 1e-3):
             return False
         if not self._lockstep and self._plan.tell_late():
             self._handle(events.PlanLate(time_s=self.now_s, plan_id=self.state.flight.plan_id))

@@ -21,6 +21,8 @@ from companion.planner.settings import Task
 
 _COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 _PARAMETERS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
+SERVED = frozenset({*_COMMANDS, *_PARAMETERS})
+"""What may be asked of the companion."""
 
 
 @final
@@ -64,10 +66,9 @@ class Citizen:
         self._parameters.task = task
         self._parameters.charted = mission.known is not None
 
-    def on_message(self, message: Message, now_s: float) -> Served | None:
-        """A message of anybody; most are not for us: None."""
-        kind = message.get_type()
-        if kind in _COMMANDS:
+    def on_message(self, message: Message, now_s: float) -> Served:
+        """One of `SERVED`, of anybody; perhaps not for us."""
+        if message.get_type() in _COMMANDS:
             answer = self._commands.on_message(message, now_s)
             return Served(
                 replies=answer.replies,
@@ -76,16 +77,14 @@ class Citizen:
                 text=answer.text,
                 task=self._parameters.task,
             )
-        if kind in _PARAMETERS:
-            replies = self._parameters.on_message(message, now_s)
-            return Served(
-                replies=replies,
-                is_for_all=True,
-                text=self._parameters.refused or "",
-                changed=self._parameters.changed,
-                task=self._parameters.task,
-            )
-        return None
+        replies = self._parameters.on_message(message, now_s)
+        return Served(
+            replies=replies,
+            is_for_all=True,
+            text=self._parameters.refused or "",
+            changed=self._parameters.changed,
+            task=self._parameters.task,
+        )
 
     def order_done(self, order: Order, verdict: Verdict) -> Sequence[Message]:
         """The acknowledgement of an order, once it is known what becomes of it."""

@@ -2,9 +2,10 @@
 
 That one reads the header and checks the checksum again, and puts each field in its place in a loop:
 it was the largest single part of all that a session does.  What is uncommon is left to it: kinds
-with arrays or texts, and frames that are not as they should be.
+with texts, and frames that are not as they should be.
 """
 
+from collections.abc import Callable, Sequence
 from functools import cache
 from operator import itemgetter
 from struct import Struct
@@ -47,10 +48,23 @@ class Decoder:
 
 
 @cache
-def _in_order(kind: Any) -> "itemgetter[Any] | None":
+def _in_order(kind: Any) -> Callable[[tuple[Any, ...]], Sequence[Any]] | None:
     """The fields of a kind from the order of the wire in that of its arguments.
 
-    None: it has arrays, texts, or a single field.
+    None: it has texts, or a single field.
     """
-    plain = all(length == 1 for length in kind.lengths) and b"c" not in kind.native_format
-    return itemgetter(*kind.orders) if plain and len(kind.orders) > 1 else None
+    lengths = kind.lengths
+    if len(kind.orders) == 1 or b"c" in kind.native_format:
+        return None
+    at = [sum(lengths[:order]) for order in kind.orders]
+    if sum(lengths) == len(lengths):
+        return itemgetter(*at)
+    fields = itemgetter(
+        *(
+            slice(first, first + lengths[order]) if lengths[order] > 1 else first
+            for first, order in zip(at, kind.orders, strict=True)
+        )
+    )
+    return lambda values: [
+        list(field) if isinstance(field, tuple) else field for field in fields(values)
+    ]

@@ -14,6 +14,7 @@ from typing import Final, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 
+MESSAGES: Final = ("PARAM_VALUE", "PARAM_ERROR", "AUTOPILOT_VERSION")
 ANSWER_S: Final = 0.5
 """How long an answer may take before it is asked for again."""
 _MOST_TRIES: Final = 5
@@ -141,7 +142,8 @@ class ParameterClient:
         self._reads: dict[str, _Ask] = {}
         self._sets: dict[str, _Set] = {}
         self._lossy = False
-        self._heard_s = -math.inf
+        self.heard_s = -math.inf
+        """When the autopilot was heard last: while it is silent nothing is taken for missing."""
         self.restart()
 
     @property
@@ -166,7 +168,7 @@ class ParameterClient:
 
     def by_another_clock(self, shift_s: float) -> None:
         """Go on by a clock that shows so much more."""
-        self._heard_s += shift_s
+        self.heard_s += shift_s
         for ask in [*self._reads.values(), *(each.ask for each in self._sets.values())]:
             ask.asked_s += shift_s
 
@@ -186,14 +188,11 @@ class ParameterClient:
     # --- in -----------------------------------------------------------------------------------
 
     def on_message(self, message: Message, now_s: float) -> list[Message]:
-        """Take what the autopilot says, asked or not; only what is its own counts.
-
-        Give it every message: while the autopilot is silent nothing is taken for missing.
-        """
+        """Take what the autopilot says, asked or not; only what is its own counts."""
         source = (message.get_srcSystem(), message.get_srcComponent())
         if source != (self._system_id, AUTOPILOT_COMPONENT):
             return []
-        self._heard_s = now_s
+        self.heard_s = now_s
         match message.get_type():
             case "PARAM_VALUE":
                 self._on_value(message)
@@ -262,6 +261,8 @@ class ParameterClient:
 
     def on_time(self, now_s: float) -> list[Message]:
         """The requests that are due: new ones, and those whose answer has not come."""
+        if self.is_done:
+            return []
         self._look_at_tries(now_s)
         asks = self._asks()
         free = _OUTSTANDING - sum(1 for _, ask in asks if now_s - ask.asked_s < ANSWER_S)
@@ -271,7 +272,7 @@ class ParameterClient:
         )
         messages = []
         for name, ask in due[: max(free, 0)]:
-            ask.again(now_s, self._heard_s)
+            ask.again(now_s, self.heard_s)
             messages.append(self._request(name))
         return [message for message in messages if message is not None]
 
@@ -313,7 +314,7 @@ class ParameterClient:
     def _is_over(self, ask: _Ask, most: int, now_s: float) -> bool:
         """Whether the last try has had its time, and the autopilot has been heard since."""
         waited = now_s - ask.asked_s >= ANSWER_S
-        return ask.tries >= most and waited and self._heard_s > ask.asked_s
+        return ask.tries >= most and waited and self.heard_s > ask.asked_s
 
     def _give_up_reading(self, name: str) -> None:
         if self._reads.pop(name, None) is None:

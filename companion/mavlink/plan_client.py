@@ -18,6 +18,7 @@ FENCE: Final = wire.MAV_MISSION_TYPE_FENCE
 RALLY: Final = wire.MAV_MISSION_TYPE_RALLY
 KINDS: Final = (FENCE, RALLY, MISSION)
 """In the order in which they are read: what is safety first."""
+MESSAGES: Final = ("MISSION_CURRENT", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK")
 LOOK_S: Final = 4.0
 """Between two looks at how many items there are."""
 READ_ALL_S: Final = 30.0
@@ -124,8 +125,8 @@ class _Watch:
 class PlanClient:
     """Reads the three lists of one autopilot, one after the other, for ever.  Sans-IO.
 
-    After each message and each tick send what is returned; give it every message.  Only what is
-    addressed to us counts: others may transfer on the same link.  A download that is not complete
+    After each of its MESSAGES and each tick send what is returned.  Only what is addressed to us
+    counts: others may transfer on the same link.  A download that is not complete
     changes nothing.
     """
 

@@ -8,7 +8,7 @@ import re
 from dataclasses import replace
 from typing import Any, final
 
-from companion.mavlink import fence
+from companion.mavlink import fence, parameter_client, plan_client
 from companion.mavlink.autopilots import Autopilot, Here, autopilot_of, heading_rad
 from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
 from companion.mavlink.judgement import Finding, Severity, judge, names_of
@@ -81,6 +81,13 @@ class VehicleSide:
             system_id, names_of(autopilot.rules), bytewise=is_bytewise(number)
         )
         self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
+        self._clients: dict[str, ParameterClient | PlanClient] = {
+            **dict.fromkeys(parameter_client.MESSAGES, self.parameters),
+            **dict.fromkeys(plan_client.MESSAGES, self.plans),
+        }
+        """Whom a message is for, by its type."""
+        self._is_news = True
+        """Whether something was read since the parameters and lists were last looked at."""
         self.findings: list[Finding] = []
         """Of the parameters, as they were judged last."""
         self.origin_nea_m: Vector | None = None
@@ -166,40 +173,40 @@ class VehicleSide:
     # --- in
 
     def on_message(self, message: Message, now_s: float) -> list[Message]:
-        """Whatever the autopilot says."""
+        """Whatever the autopilot says; the replies."""
         self.streams.on_message(message)
-        replies = self.parameters.on_message(message, now_s)
-        return [*replies, *self.plans.on_message(message, now_s)]
+        self.parameters.heard_s = now_s
+        client = self._clients.get(message.get_type())
+        if client is None:
+            return []
+        self._is_news = True
+        return client.on_message(message, now_s)
 
     def event_of(self, message: Message, now_s: float) -> Event | None:
         """What a message of it means for the mission; None: nothing."""
-        if message.get_type() == "GLOBAL_POSITION_INT":
-            heading = heading_rad(message)
-            self._heading_rad = self._heading_rad if heading is None else heading
-        elif message.get_type() == "GPS_RAW_INT" and message.alt_ellipsoid:
-            self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
-        elif message.get_type() == "COMMAND_ACK":
-            self._on_acknowledged(message)
-            if message.command == wire.MAV_CMD_NAV_TAKEOFF:
-                taken = message.result == wire.MAV_RESULT_ACCEPTED
-                return TakeOffTaken(time_s=now_s) if taken else None
-        if self._tells_of_breach(message):
-            return FenceBreach(time_s=now_s)
+        match message.get_type():
+            case "GLOBAL_POSITION_INT":
+                heading = heading_rad(message)
+                self._heading_rad = self._heading_rad if heading is None else heading
+            case "GPS_RAW_INT" if message.alt_ellipsoid:
+                self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
+            case "COMMAND_ACK":
+                self._on_acknowledged(message)
+                if message.command == wire.MAV_CMD_NAV_TAKEOFF:
+                    taken = message.result == wire.MAV_RESULT_ACCEPTED
+                    return TakeOffTaken(time_s=now_s) if taken else None
+            case "STATUSTEXT" if _BREACHED.search(message.text) is not None:
+                return FenceBreach(time_s=now_s)
+            case "FENCE_STATUS":
+                before, self._breaches = self._breaches, message.breach_count
+                if message.breach_status and message.breach_count != before:
+                    return FenceBreach(time_s=now_s)
+            case _:
+                pass
         frame = self._mission.frame
         event = self.autopilot.event_of(message, now_s, frame, self.origin_nea_m)
         self._remember(event)
         return event
-
-    def _tells_of_breach(self, message: Message) -> bool:
-        """Whether the autopilot says that the vehicle has just left what its own fence allows."""
-        match message.get_type():
-            case "STATUSTEXT":
-                return _BREACHED.search(message.text) is not None
-            case "FENCE_STATUS":
-                before, self._breaches = self._breaches, message.breach_count
-                return bool(message.breach_status) and message.breach_count != before
-            case _:
-                return False
 
     def _on_acknowledged(self, message: Message) -> None:
         """Whether it will fly as fast as it was told: turns and reach are proven for that speed."""
@@ -219,7 +226,7 @@ class VehicleSide:
         elif isinstance(event, Home):
             before = self._home_nea_m
             if before is None or _apart(before, event.position_nea_m):
-                self._home_nea_m = event.position_nea_m
+                self._home_nea_m, self._is_news = event.position_nea_m, True
         elif isinstance(event, Origin):
             moved = self.origin_nea_m is not None and _apart(
                 self.origin_nea_m, event.position_nea_m
@@ -294,6 +301,7 @@ class VehicleSide:
         if self._speed and now_s - self._speed_told_s >= _TELL_SPEED_S:
             self._speed_told_s = now_s
             asked += self._speed
+        self._is_news = self._is_news or not self.parameters.is_done  # it may give one up
         asked += self.parameters.on_time(now_s)
         asked += self.plans.on_time(now_s)
         if at_s is not None and not self._lockstep:
@@ -312,8 +320,9 @@ class VehicleSide:
 
     def events(self, now_s: float) -> list[Event]:
         """What has become known since the last time."""
-        if not self._began:
+        if not self._began or not (self._is_news or self._drawing):
             return []
+        self._is_news = False
         return self._judged_parameters(now_s) + self._read_plans(now_s)
 
     def _judged_parameters(self, now_s: float) -> list[Event]:

@@ -11,7 +11,8 @@ from companion.mavlink.dialect import Message
 _REBOOT_S = 2.0  # a clock that falls by more has begun again
 _BEAT_S = 1.0  # between two heartbeats of an autopilot
 _OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
-_MERE_CLOCKS = frozenset({"ATTITUDE", "LOCAL_POSITION_NED"})  # nothing else is read of them
+MERE_CLOCKS = frozenset({"ATTITUDE", "LOCAL_POSITION_NED"})
+"""Nothing else is read of them."""
 MESSAGES = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE", "SYSTEM_TIME")
 """Those whose time_boot_ms is the time at which they were sent."""
 
@@ -48,13 +49,11 @@ class VehicleClock:
         return self.now_s + self._idle_s
 
     def is_told_by(self, message: Message) -> bool:
-        """Whether a message of the autopilot says more than another of its kind did just before.
+        """Whether a mere clock of the autopilot says more than another of its kind did just before.
 
-        That one is remembered.  What is not a mere clock always says more.
+        That one is remembered.
         """
         kind = message.get_type()
-        if kind not in _MERE_CLOCKS:
-            return True
         before_ms = self._told_ms.get(kind)
         if before_ms is not None and 0 <= message.time_boot_ms - before_ms < _OFTEN_MS:
             return False

@@ -6,7 +6,9 @@ vehicle in the air is taken over all the same, without them (`forgotten`).
 """
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
+from operator import attrgetter
 from typing import Any, final
 
 import numpy as np
@@ -17,7 +19,7 @@ from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, Flight, Phase, Reason, State
 from companion.path.subpath import Subpath
 from companion.planner import adjustable
-from companion.planner.procedure import Leg, Reference
+from companion.planner.procedure import Leg
 from companion.planner.request import Refusal, Stretch
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
@@ -29,6 +31,25 @@ Values = dict[str, Any]
 NOT_SUCH = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 """What values that are no checkpoint may raise when they are restored."""
 _PERIOD_S, _LONGEST_S = 1.0, 10.0
+_OF_STATE: dict[str, Callable[[Any], Any]] = dict.fromkeys(
+    ("airborne", "taken", "armed_by_us"), bool
+)
+_OF_FLIGHT: dict[str, Callable[[Any], Any]] = {
+    **dict.fromkeys(("target", "plan_id", "legs_flown", "stops", "departures"), int),
+    "joined_m": float,
+    **dict.fromkeys(("returning", "homeward"), bool),
+}
+"""Fields that are kept as they are, and of what type."""
+_kept_of_state = attrgetter(
+    *_OF_STATE,
+    *("phase", "obeyed", "standing", "set_aside", "targets_ne_m", "given", "flown_under", "fence"),
+)
+_kept_of_flight = attrgetter(
+    *_OF_FLIGHT,
+    *("leg", "next_leg", "route_ne_m", "speed_limit_m_s", "flown", "back"),
+    *("refusal", "fallen_back"),
+)
+"""All that a checkpoint is made of, but for the time."""
 
 
 def values_of(state: State) -> Values:
@@ -38,32 +59,23 @@ def values_of(state: State) -> Values:
         "t_s": state.now_s,
         "phase": state.phase.name,
         "sank": state.phase is Phase.LANDING and state.obeyed,
-        "airborne": state.airborne,
+        **{name: getattr(state, name) for name in _OF_STATE},
         "standing": None if state.standing is None else state.standing.name,
         "set_aside": None if state.set_aside is None else state.set_aside.name,
-        "taken": state.taken,
-        "armed_by_us": state.armed_by_us,
         "targets_ne_m": [list(target) for target in state.targets_ne_m],
         "settings": adjustable.values_of(state.given),
         "flown_under": state.flown_under and adjustable.values_of(state.flown_under),
         "fence": None if state.fence is None else _of_fence(state.fence),
-        "target": flight.target,
+        **{name: getattr(flight, name) for name in _OF_FLIGHT},
         "leg": _of_leg(flight.leg),
         "next_leg": _of_leg(flight.next_leg),
-        "joined_m": flight.joined_m,
         "route_ne_m": [list(place) for place in flight.route_ne_m],
-        "plan_id": flight.plan_id,
-        "legs_flown": flight.legs_flown,
-        "stops": flight.stops,
-        "departures": flight.departures,
         "speed_limit_m_s": flight.speed_limit_m_s if np.isfinite(flight.speed_limit_m_s) else None,
         "flown": [
             [stretch.control_nea_m.tolist(), stretch.from_m, stretch.until_m]
             for stretch in flight.flown
         ],
         "back": [_of_leg(leg) for leg in flight.back],
-        "returning": flight.returning,
-        "homeward": flight.homeward,
         "refusal": None if flight.refusal is None else flight.refusal.name,
         "fallen_back": None if flight.fallen_back is None else flight.fallen_back.name,
     }
@@ -145,24 +157,16 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     rules = state.task
     flight = Flight(
         known=known,
-        target=int(values["target"]),
+        **{name: kind(values[name]) for name, kind in _OF_FLIGHT.items()},
         leg=_leg(values["leg"], rules),
         next_leg=_leg(values["next_leg"], rules),
-        reference=Reference(),
-        joined_m=float(values["joined_m"]),
         route_ne_m=_places(values["route_ne_m"]),
-        plan_id=int(values["plan_id"]),
-        legs_flown=int(values["legs_flown"]),
-        stops=int(values["stops"]),
-        departures=int(values["departures"]),
         speed_limit_m_s=np.inf if limit is None else float(limit),
         flown=tuple(
             Stretch(control_nea_m=_control(control), from_m=float(low), until_m=float(high))
             for control, low, high in values["flown"]
         ),
         back=tuple(leg for each in values["back"] if (leg := _leg(each, rules)) is not None),
-        returning=bool(values["returning"]),
-        homeward=bool(values["homeward"]),
         refusal=None if values.get("refusal") is None else Refusal[values["refusal"]],
         fallen_back=_reason(values["fallen_back"]),
     )
@@ -176,11 +180,9 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         since_s=time_s,
         landing=values["phase"] == Phase.LANDING.name,
         sank=bool(values.get("sank", False)),
-        airborne=bool(values["airborne"]),
+        **{name: kind(values[name]) for name, kind in _OF_STATE.items()},
         standing=_reason(values["standing"]),
         set_aside=_reason(values.get("set_aside")),
-        taken=bool(values["taken"]),
-        armed_by_us=bool(values["armed_by_us"]),
         flown_under=None if under is None else _task(mission, under),
         targets_ne_m=targets_ne_m,
         flight=flight,
@@ -289,7 +291,7 @@ class Keeper:
 
     def __init__(self) -> None:
         self._kept_at_s = -math.inf
-        self._kept: Values = {}
+        self._kept: tuple[Any, ...] = ()
         self._known: KnownMap | None = None
 
     def due(
@@ -302,10 +304,8 @@ class Keeper:
         since_s = now_s - self._kept_at_s
         if 0.0 <= since_s < _PERIOD_S and not (grown or at_once):
             return None, None
-        values = values_of(state)
-        same = {**values, "t_s": None} == self._kept
-        if same and 0.0 <= since_s < _LONGEST_S and not (grown or at_once):
+        kept = (_kept_of_state(state), _kept_of_flight(state.flight))
+        if kept == self._kept and 0.0 <= since_s < _LONGEST_S and not (grown or at_once):
             return None, None
-        self._kept_at_s, self._known = now_s, state.flight.known
-        self._kept = {**values, "t_s": None}
-        return values, self._known if grown else None
+        self._kept_at_s, self._known, self._kept = now_s, state.flight.known, kept
+        return values_of(state), self._known if grown else None

@@ -16,6 +16,7 @@ from companion.mission.events import (
     PlanLate,
     PlannerDied,
     PlanReady,
+    Position,
     Prepared,
     Rebooted,
     ScanDone,
@@ -24,6 +25,7 @@ from companion.mission.events import (
     StopAsked,
     TakeOff,
     TargetsChanged,
+    Tick,
 )
 from companion.mission.state import State
 from companion.planner.request import NotPlanned, Planned, PlanRequest
@@ -34,6 +36,8 @@ Entry = dict[str, Any]
 
 def of_event(event: Event, state: State) -> Entry | None:
     """The entry of an event, None for those that the telemetry log holds; state: after it."""
+    if isinstance(event, Position | Tick):
+        return None
     match event:
         case ScanDone():
             return {
