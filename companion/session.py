@@ -271,19 +271,20 @@ class Session:
             self._find(message)
         if self.vehicle is None:
             return self._answer_time(message)
-        vehicle, due = self.vehicle, kind == "GLOBAL_POSITION_INT"
-        if due and not self.context.shadow and (answer := self._plan.take(self.now_s)) is not None:
+        vehicle, now_s = self.vehicle, self.now_s
+        due = kind == "GLOBAL_POSITION_INT"
+        if due and not self.context.shadow and (answer := self._plan.take(now_s)) is not None:
             self._handle(answer)
-        self._send_all(vehicle.on_message(message, self.now_s))
-        if (event := vehicle.event_of(message, self.now_s)) is not None:
+        self._send_all(vehicle.on_message(message, now_s))
+        if (event := vehicle.event_of(message, now_s)) is not None:
             self._handle(event)
-        if due and self.context.shadow and (answer := self._plan.take(self.now_s)) is not None:
+        if due and self.context.shadow and (answer := self._plan.take(now_s)) is not None:
             self._handle(answer)  # the position before may be a second old
         if kind == "TIMESYNC" and message.tc1 != 0 and at_s is not None:
-            delay = vehicle.on_answered_time(message, self.now_s, at_s)
+            delay = vehicle.on_answered_time(message, now_s, at_s)
             if delay is not None:
                 self._handle(delay)
-        for event in vehicle.events(self.now_s):
+        for event in vehicle.events(now_s):
             self._handle(event)
         if due:
             self._check()

@@ -37,6 +37,8 @@ class Subpath:
     """A clamped cubic B-spline and its arc length."""
 
     control_nea_m: FloatArray  # (points, 3)
+    length_m: float = field(init=False)
+    """Of the curve."""
     _length_at_m: FloatArray = field(init=False, repr=False)  # (_TABLE + 1,) at uniform u
     _cubics: Cubics = field(init=False, repr=False)
     _newest: list[tuple[float, Pose]] = field(init=False, repr=False, default_factory=list)
@@ -45,13 +47,10 @@ class Subpath:
     def __post_init__(self) -> None:
         points = uniform_basis(_TABLE, len(self.control_nea_m)).value @ self.control_nea_m
         chords = np.linalg.norm(np.diff(points, axis=0), axis=-1)
-        object.__setattr__(self, "_length_at_m", np.concatenate([[0.0], np.cumsum(chords)]))
+        length_at_m = np.concatenate([[0.0], np.cumsum(chords)])
+        object.__setattr__(self, "_length_at_m", length_at_m)
+        object.__setattr__(self, "length_m", float(length_at_m[-1]))
         object.__setattr__(self, "_cubics", Cubics(self.control_nea_m))
-
-    @property
-    def length_m(self) -> float:
-        """Length of the curve, metres."""
-        return float(self._length_at_m[-1])
 
     def _basis_at(self, lengths_m: FloatArray) -> Basis:
         u = np.interp(lengths_m, self._length_at_m, _PARAMETERS)
