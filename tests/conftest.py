@@ -1,6 +1,7 @@
 """Hypothesis profiles: `dev` by default, `--hypothesis-profile=ci` searches longer.
 
-`--all`, and the seed of a nudge: what tests of decisions are also flown under.
+`--all`, and the seed of a nudge: what tests of decisions are also flown under.  A test that is
+marked `nightly` states a law that others state with fewer draws: it runs with `--all` alone.
 """
 
 import zlib
@@ -19,8 +20,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--all",
         action="store_true",
-        help="fly tests of decisions under all ten nudges, and more of them in other arithmetic",
+        help="fly tests of decisions under all ten nudges, and more of them in other arithmetic; "
+        "and what is marked nightly",
     )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Without --all nothing nightly runs."""
+    if config.getoption("--all"):
+        return
+    nightly = [item for item in items if item.get_closest_marker("nightly")]
+    config.hook.pytest_deselected(items=nightly)
+    items[:] = [item for item in items if not item.get_closest_marker("nightly")]
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

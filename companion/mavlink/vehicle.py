@@ -81,11 +81,6 @@ class VehicleSide:
             system_id, names_of(autopilot.rules), bytewise=is_bytewise(number)
         )
         self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
-        self._clients: dict[str, ParameterClient | PlanClient] = {
-            **dict.fromkeys(parameter_client.MESSAGES, self.parameters),
-            **dict.fromkeys(plan_client.MESSAGES, self.plans),
-        }
-        """Whom a message is for, by its type."""
         self._is_news = True
         """Whether something was read since the parameters and lists were last looked at."""
         self.findings: list[Finding] = []
@@ -176,11 +171,14 @@ class VehicleSide:
         """Whatever the autopilot says; the replies."""
         self.streams.on_message(message)
         self.parameters.heard_s = now_s
-        client = self._clients.get(message.get_type())
-        if client is None:
-            return []
-        self._is_news = True
-        return client.on_message(message, now_s)
+        kind = message.get_type()
+        if kind in parameter_client.MESSAGES:
+            self._is_news = True
+            return self.parameters.on_message(message, now_s)
+        if kind in plan_client.MESSAGES:
+            self._is_news = True
+            return self.plans.on_message(message, now_s)
+        return []
 
     def event_of(self, message: Message, now_s: float) -> Event | None:
         """What a message of it means for the mission; None: nothing."""

@@ -1,4 +1,4 @@
-"""What never happens, whatever happens: 1,200,000 events of random programs (issue 5, must show 2).
+"""What never happens, whatever happens: 240,000 events of random programs, 1,200,000 with `--all`.
 
 `wild` makes the programs: every driving and mission, vehicles that lie, jump, freeze, reboot, fall
 silent or do not obey, people who take over, give back, order and draw fences, plans that are late,
@@ -41,6 +41,8 @@ from companion.mission.events import (
 from companion.mission.state import Phase, Reason
 
 SHARDS, EVENTS = 60, 20_000
+AT_ONCE = 12
+"""So many shards run without `--all`."""
 LONGEST = 6_000
 """Events of one program."""
 SAID = {Arm, End, Plan, RequestStreams, Say, SetMode, Setpoint, SetSpeed, StartScan, TakeOff}
@@ -85,8 +87,11 @@ def shard(number: int, events: int = EVENTS) -> list[Watch]:
     return watches
 
 
-@pytest.mark.parametrize("number", range(SHARDS))
-def test_nothing_that_must_never_happen_happens_in_1200000_events(number: int) -> None:
+@pytest.mark.parametrize(
+    "number",
+    [pytest.param(n, marks=pytest.mark.nightly if n >= AT_ONCE else ()) for n in range(SHARDS)],
+)
+def test_nothing_happens_that_must_never_happen(number: int) -> None:
     watches = shard(number)
     assert sum(watch.setpoints for watch in watches) > 0
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from companion.planner.procedure import (
 from companion.planner.refuge import Circler, loiter_point
 from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
 from companion.planner.settings import PlannerSettings, Task
+from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import PeakTerrain
@@ -81,7 +83,13 @@ def truth(terrain: PeakTerrain, blank: KnownMap) -> KnownMap:
 @pytest.fixture(scope="module")
 def flight(blank: KnownMap, truth: KnownMap) -> OfflineFlight:
     return fly_offline(
-        TASK, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=(TARGET,), seed=3
+        TASK,
+        blank=blank,
+        truth=truth,
+        start_nea_m=START,
+        targets_ne_m=(TARGET,),
+        seed=3,
+        planner=partial(plan, kernel=load_kernel()),
     )
 
 
