@@ -153,7 +153,7 @@ def lattice_of(
     altitude = np.clip(lowest, limits.floor_amsl_m, limits.ceiling_amsl_m)
     fraction = (altitude - limits.floor_amsl_m) / band
     seen = _detection(task, north, east, altitude, step)
-    blocked = (above > 0.0) | _in_zone(task, north, east)
+    blocked = (above > 0.0) | _in_zone(task, north, east) | _at_edge(known, task, north, east)
     cost = (
         1.0
         + per_height * np.where(unproven, 1.0, fraction)
@@ -262,6 +262,16 @@ def _detection(
             squared += (north[rows] - centre[0]) ** 2 + (east[:, columns] - centre[1]) ** 2
             total[rows, columns] += detection_probability(np.sqrt(squared), radar.range_m, margin)
     return total
+
+
+def _at_edge(known: KnownMap, task: Task, north: FloatArray, east: FloatArray) -> BoolArray:
+    """Where the map ends nearer than the clearance: what lies beyond counts as terrain."""
+    rows, columns = known.upper_m.shape
+    gap_m = [
+        np.minimum(at - low, low + count * known.cell_m - at)
+        for at, low, count in ((north, known.north_min_m, rows), (east, known.east_min_m, columns))
+    ]
+    return np.asarray(np.minimum(*gap_m) < task.search_clearance_m)
 
 
 def _in_zone(task: Task, north: FloatArray, east: FloatArray) -> BoolArray:

@@ -250,7 +250,8 @@ def test_values_are_those_of_a_fine_eikonal_solver(seed: int) -> None:
     )
     need = np.clip(high + task.search_clearance_m, FLOOR, CEILING)
     slowness = 1.0 + HEIGHT * (need - FLOOR) / 2e3
-    inside = np.zeros(slowness.shape, dtype=bool)
+    edge_m = np.minimum(np.minimum(north, 60e3 - north), np.minimum(east, 60e3 - east))
+    inside = edge_m < task.search_clearance_m + CELL
     for each in radars:
         a, b, _ = each.centre_nea_m
         d = np.sqrt((north - a) ** 2 + (east - b) ** 2 + need**2)
@@ -263,6 +264,21 @@ def test_values_are_those_of_a_fine_eikonal_solver(seed: int) -> None:
     assert ratio.min() > 0.97
     assert ratio.max() < 1.05
     assert abs(np.median(ratio) - 1.0) < 0.01
+
+
+def test_along_the_edge_of_the_map_there_is_no_way() -> None:
+    """What lies beyond counts as terrain: the vehicle was led there again and again."""
+    task = a_task()
+    n, e = middles(task)
+    wall = np.where((np.abs(n - 30e3) < 2e3) & (e > 4e3), 9e3, 0.0)  # nearer to the edge: free
+    here, target = (10e3, 3e3), (50e3, 3e3)
+    free_m = cost_to_go(seen(task, wall), task, here, target).at_m(*map(np.asarray, here))
+    barred = np.where(
+        np.abs(n - 30e3) < 2e3, np.where(e > 1.5 * task.search_clearance_m, 9e3, 0.0), 0.0
+    )
+    along_m = cost_to_go(seen(task, barred), task, here, target).at_m(*map(np.asarray, here))
+    assert free_m < 50e3
+    assert along_m > 10 * free_m
 
 
 def a_scene(seed: int) -> tuple[Task, KnownMap]:
@@ -471,12 +487,17 @@ def test_a_map_of_any_size_has_a_field(range_m: float, size_m: float) -> None:
         task,
         settings=replace(task.settings, scan_range_m=range_m, safety_distance_m=0.02 * range_m),
     )
-    target = (0.9 * size_m, 0.8 * size_m)
-    field = cost_to_go(seen(task, 500.0), task, (0.0, 0.0), target)
+    here, target = (0.3 * size_m, 0.1 * size_m), (0.9 * size_m, 0.8 * size_m)
+    field = cost_to_go(seen(task, 500.0), task, here, target)
     assert np.isfinite(field.value_m).all()
     assert max(field.value_m.shape) <= 161
-    apart = math.hypot(*target)
-    assert value(field, (0.0, 0.0)) == pytest.approx(apart, rel=0.05, abs=2.0 * field.cell_m)
+    apart = math.dist(here, target)
+    has_room = 0.1 * size_m > task.search_clearance_m + field.cell_m  # else all of it is edge
+    if has_room:
+        assert value(field, here) == pytest.approx(apart, rel=0.05, abs=2.0 * field.cell_m)
+    else:
+        assert value(field, here) > apart
+    assert has_room or size_m < 2.0 * range_m
 
 
 def test_on_a_large_map_the_route_goes_round_what_is_beyond_the_window() -> None:
