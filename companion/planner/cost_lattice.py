@@ -265,7 +265,10 @@ def _detection(
 
 
 def _at_edge(known: KnownMap, task: Task, north: FloatArray, east: FloatArray) -> BoolArray:
-    """Where the map ends nearer than the clearance: what lies beyond counts as terrain."""
+    """Where the map ends nearer than the clearance: what lies beyond counts as terrain.
+
+    North (rows, 1), east (1, columns) -> (rows, columns).
+    """
     rows, columns = known.upper_m.shape
     gap_m = [
         np.minimum(at - low, low + count * known.cell_m - at)

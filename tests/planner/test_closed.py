@@ -16,15 +16,13 @@ from companion.config import load_mission
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.closed import closed_at
 from companion.planner.cost_to_go import cost_to_go
-from companion.planner.offline import fly_offline
+from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
 from companion.planner.request import NotPlanned, PlanRequest, Refusal
 from companion.planner.settings import Task
 from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.simulated_scan import true_map
-from companion.world.terrain import ArrayTerrain
 from companion.world.threats import CircleZone, PolygonZone, Zone
 
 _BASE = load_mission("environment-1").task
@@ -169,17 +167,26 @@ def test_a_plan_says_so_and_where() -> None:
     assert outcome.place_ne_m is not None
 
 
-def test_a_closed_world_is_given_up_once_it_has_been_seen() -> None:
-    terrain = ArrayTerrain(heights_m=wall(), spacing_m=CELL_M, south_m=125.0, west_m=125.0)
-    flight = fly_offline(
-        TASK,
-        blank=BLANK,
-        truth=true_map(terrain, BLANK),
-        start_nea_m=(*HERE, 3_100.0),
-        targets_ne_m=(TARGET,),
+def fly(
+    task: Task, height_m: FloatArray, start: tuple[float, float], target: tuple[float, float]
+) -> OfflineFlight:
+    """From 3,100 m over the start; height_m: of the cells of the task's map, or one for all."""
+    limits = task.limits
+    blank = empty_map(CELL_M, limits.north_m, limits.east_m)
+    truth = replace(blank, upper_m=np.broadcast_to(height_m, blank.upper_m.shape).astype(float))
+    return fly_offline(
+        task,
+        blank=blank,
+        truth=replace(truth, seen=np.ones_like(blank.seen)),
+        start_nea_m=(*start, 3_100.0),
+        targets_ne_m=(target,),
         seed=1,
         planner=partial(plan, kernel=load_kernel()),
     )
+
+
+def test_a_closed_world_is_given_up_once_it_has_been_seen() -> None:
+    flight = fly(TASK, wall(), HERE, TARGET)
     assert flight.failure is not None
     assert flight.failure.refusal is Refusal.NO_WAY
     assert sum(flight.flown_m) < 3.0 * SIZE_M
@@ -188,19 +195,10 @@ def test_a_closed_world_is_given_up_once_it_has_been_seen() -> None:
 
 def test_a_target_that_needs_a_climb_at_its_end_is_flown_to_straight() -> None:
     """600 m from two edges of the map the search stays high: once it flew past, again and again."""
-    target = (SIZE_M - 600.0, SIZE_M - 600.0)
-    terrain = ArrayTerrain(heights_m=wall() * 0.0, spacing_m=CELL_M, south_m=125.0, west_m=125.0)
-    flight = fly_offline(
-        TASK,
-        blank=BLANK,
-        truth=true_map(terrain, BLANK),
-        start_nea_m=(5e3, 5e3, 3_100.0),
-        targets_ne_m=(target,),
-        seed=1,
-        planner=partial(plan, kernel=load_kernel()),
-    )
+    start, target = (5e3, 5e3), (SIZE_M - 600.0, SIZE_M - 600.0)
+    flight = fly(TASK, np.array(0.0), start, target)
     assert flight.failure is None
-    assert sum(flight.flown_m) < 1.02 * math.dist((5e3, 5e3), target)
+    assert sum(flight.flown_m) < 1.02 * math.dist(start, target)
 
 
 def test_the_gap_of_a_keep_out_wall_is_flown_through() -> None:
@@ -216,18 +214,6 @@ def test_the_gap_of_a_keep_out_wall_is_flown_through() -> None:
         )
         for low, high in ((-6e3, gap[1] - half), (gap[1] + half, size_m + 1e3))
     )
-    blank = empty_map(task.cell_m, area, area)
-    terrain = ArrayTerrain(
-        heights_m=np.zeros((3, 3)), spacing_m=size_m, south_m=-size_m, west_m=-size_m
-    )
-    flight = fly_offline(
-        replace(task, zones=walls),
-        blank=blank,
-        truth=true_map(terrain, blank),
-        start_nea_m=(*start, 3_100.0),
-        targets_ne_m=(target,),
-        seed=1,
-        planner=partial(plan, kernel=load_kernel()),
-    )
+    flight = fly(replace(task, zones=walls), np.array(0.0), start, target)
     assert flight.failure is None
     assert sum(flight.flown_m) < 1.1 * (math.dist(start, gap) + math.dist(gap, target))
