@@ -76,6 +76,8 @@ class FlightScene:
     """How much of the guide's pull counts, beside the cost-to-go."""
     to_go: Surface
     """Cost to the target from each place, in metres of level flight at the floor of the band."""
+    needed: Surface
+    """The lowest altitude at each place from which the way on can be climbed, AMSL."""
     look_ahead_m: float
     """The cost-to-go counts so far straight on from the end: an end that faces terrain is dear."""
     descent_m: float
@@ -193,18 +195,24 @@ def _length(points: FloatArray, scene: FlightScene) -> FloatArray:
 def _to_go_m(control: FloatArray, scene: FlightScene) -> FloatArray:
     """What is left to fly, from a place straight on from the end, and the way there and down.
 
-    No less than from the end itself: straight on may be on the far side of a wall.
+    No less than from the end itself: straight on may be on the far side of a wall.  Where the end
+    is too low for what follows, the way about that it takes to climb; the height that what follows
+    needs is no height to come down from.
     """
     if scene.final_ne_m is not None:
         return np.zeros(len(control))
     low, high = scene.band_amsl_m
-    above = np.maximum(control[:, -1, 2] - low, 0.0) / (high - low)
+    end = control[:, -1]
+    needed_m = scene.needed.altitude_m(end[:, 0], end[:, 1])
+    above, needed = (np.maximum(z - low, 0.0) / (high - low) for z in (end[:, 2], needed_m))
+    climb_m = np.maximum(needed_m - end[:, 2], 0.0) / math.tan(scene.limits.climb_angle_rad)
     leg = control[:, -1, :2] - control[:, -2, :2]
     leg = leg / np.maximum(np.linalg.norm(leg, axis=-1), 1e-9)[:, None]
-    there = control[:, -1, :2] + scene.look_ahead_m * leg
+    there = end[:, :2] + scene.look_ahead_m * leg
     to_go_m = scene.to_go.altitude_m(there[:, 0], there[:, 1]) + scene.look_ahead_m
-    here_m = scene.to_go.altitude_m(control[:, -1, 0], control[:, -1, 1])
-    return np.maximum(to_go_m, here_m) + scene.descent_m * above**2
+    here_m = scene.to_go.altitude_m(end[:, 0], end[:, 1])
+    descent_m = scene.descent_m * np.maximum(above**2 - needed**2, 0.0)
+    return np.maximum(to_go_m, here_m) + descent_m + climb_m
 
 
 def _height(points: FloatArray, scene: FlightScene) -> FloatArray:

@@ -31,6 +31,7 @@ class Pack(NamedTuple):
     surface: FloatArray  # vertices of the lattices; where they lie is among the numbers
     contact: FloatArray
     to_go: FloatArray
+    needed: FloatArray
     radars: FloatArray  # (n, 5): north, east, altitude, range, range and margin
     zones: ZoneTable
     gaps: FloatArray  # (n,), workspace: distance of the point before from each polygon
@@ -45,10 +46,10 @@ UNIT, AHEAD, FROM_REST, RANGE, LOOK_AHEAD, SAFETY, CLEARANCE, MARGIN = range(8)
 SCAN_N, SCAN_E, END_RADIUS, IS_FINAL, FINAL_N, FINAL_E, GUIDE = range(8, 15)
 LOW, HIGH, SOUTH, NORTH, WEST, EAST = range(15, 21)
 TURN_RADIUS, CLIMB, DIVE, SPEED, ACCELERATION, DEAD_MAN_S, GUIDE_SHARE = range(21, 28)
-SURFACE_AT, CONTACT_AT, TO_GO_AT = 28, 31, 34  # each: south-west vertex north, east, and cell
-NEAR_AT = 37  # likewise, of the cells' corner
-DESCENT = 40
-_COUNT = 41
+SURFACE_AT, CONTACT_AT, TO_GO_AT, NEEDED_AT = range(28, 40, 3)  # SW vertex north, east, and cell
+NEAR_AT = 40  # likewise, of the cells' corner
+DESCENT, STEEPEST = 43, 44
+_COUNT = 45
 
 
 def pack(scene: FlightScene) -> Pack:
@@ -68,6 +69,7 @@ def pack(scene: FlightScene) -> Pack:
         surface=np.ascontiguousarray(scene.surface.vertex_m),
         contact=np.ascontiguousarray(scene.contact.vertex_m),
         to_go=np.ascontiguousarray(scene.to_go.vertex_m),
+        needed=np.ascontiguousarray(scene.needed.vertex_m),
         radars=_rows([[*r.centre_nea_m, r.range_m, r.range_m + margin_m] for r in scene.radars], 5),
         zones=zones,
         gaps=np.empty(len(zones.polygons)),
@@ -109,14 +111,14 @@ def _numbers(scene: FlightScene) -> FloatArray:
         limits.dead_man_s if limits.hovers else -1.0,
         scene.guide_share,
     )
-    lattices = (scene.surface, scene.contact, scene.to_go)
+    lattices = (scene.surface, scene.contact, scene.to_go, scene.needed)
     numbers[SURFACE_AT:NEAR_AT] = [
         v for s in lattices for v in (s.north_min_m, s.east_min_m, s.cell_m)
     ]
     near, numbers[NEAR_AT:DESCENT] = scene.near_polygons, 1.0
     if near is not None:
         numbers[NEAR_AT:DESCENT] = near.north_min_m, near.east_min_m, near.cell_m
-    numbers[DESCENT] = scene.descent_m
+    numbers[DESCENT], numbers[STEEPEST] = scene.descent_m, math.tan(limits.climb_angle_rad)
     return numbers
 
 
@@ -130,7 +132,7 @@ def cost(x: FloatArray, bound: float, pack: Pack) -> float:
     each = flight.PER_SAMPLE / (len(points) - 1)
     place_control_points(x, control, pack.start, numbers)
     sample(points, control, pack.basis)
-    to_go_m = remaining_m(control, pack.to_go, numbers)
+    to_go_m = remaining_m(control, pack.to_go, pack.needed, numbers)
     per_metre = 100.0 / (2.4 * numbers[RANGE])
     total = weights[0] * points[-1, 3] * per_metre + weights[6] * to_go_m * per_metre
     total += weights[1] * height(points, numbers) + weights[2] * guide(control, numbers)
@@ -198,18 +200,25 @@ def sample(points: FloatArray, control: FloatArray, basis: FloatArray) -> None:
         points[j, 3] = flown
 
 
-def remaining_m(control: FloatArray, to_go: FloatArray, numbers: FloatArray) -> float:
-    """The cost-to-go straight on from the end, and the way there and down; no less than at it."""
+def remaining_m(
+    control: FloatArray, to_go: FloatArray, needed: FloatArray, numbers: FloatArray
+) -> float:
+    """`flight._to_go_m` of one candidate."""
     if numbers[IS_FINAL] > 0.0:
         return 0.0
     last = len(control) - 1
     north, east = control[last, 0] - control[last - 1, 0], control[last, 1] - control[last - 1, 1]
     scale = numbers[LOOK_AHEAD] / max(math.sqrt(north * north + east * east), 1e-9)
     there_n, there_e = control[last, 0] + scale * north, control[last, 1] + scale * east
-    above = max(control[last, 2] - numbers[LOW], 0.0) / (numbers[HIGH] - numbers[LOW])
+    needed_m = lattice_m(needed, numbers, NEEDED_AT, control[last, 0], control[last, 1])
+    band_m = numbers[HIGH] - numbers[LOW]
+    above = max(control[last, 2] - numbers[LOW], 0.0) / band_m
+    asked = max(needed_m - numbers[LOW], 0.0) / band_m
+    descent_m = numbers[DESCENT] * max(above * above - asked * asked, 0.0)
+    climb_m = max(needed_m - control[last, 2], 0.0) / numbers[STEEPEST]
     to_go_m = lattice_m(to_go, numbers, TO_GO_AT, there_n, there_e) + numbers[LOOK_AHEAD]
     here_m = lattice_m(to_go, numbers, TO_GO_AT, control[last, 0], control[last, 1])
-    return max(to_go_m, here_m) + numbers[DESCENT] * above * above
+    return max(to_go_m, here_m) + descent_m + climb_m
 
 
 def height(points: FloatArray, numbers: FloatArray) -> float:

@@ -55,6 +55,8 @@ class Lattice:
     """The part of `cost` that is due to height."""
     ramp_m: FloatArray
     """What the height of the steepest climb from the floor to here costs."""
+    lowest_m: FloatArray
+    """The altitude that the terrain asks for, within the limits, AMSL."""
     costly: BoolArray
     """Blocked, or seen by a radar."""
     covers_map: bool
@@ -166,6 +168,7 @@ def lattice_of(
         cost=cost + BLOCKED * (blocked + above),
         height=per_height * fraction,
         ramp_m=0.5 * per_height * fraction**2 * band / math.tan(limits.climb_angle_rad),
+        lowest_m=altitude,
         costly=blocked | (seen > 0.0),
         covers_map=whole,
     )

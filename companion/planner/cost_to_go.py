@@ -45,6 +45,7 @@ _OFFSETS = tuple(
     for east in range(-4, 5)
     if math.gcd(north, east) == 1 and (north > 0 or east > 0)
 )  # one of each pair of opposite directions: 24
+_PARTS = 8  # of an edge, at whose ends its ground is looked at
 _ONE_SIDE_CELLS = 4.0  # free neighbours of a point differ by less if they are on one side of it
 _NOT_ZERO_M = 1e-9  # an edge of a sparse graph that costs nothing may be taken for none
 
@@ -66,19 +67,34 @@ class CostToGo:
     Points inside threats and blocked terrain that border on free ones hold the cost of these, so
     that interpolation near an edge stays true.
     """
+    needed_m: FloatArray
+    """(rows, columns), AMSL: the lowest altitude from which the way on can be climbed."""
     route_ne_m: tuple[Place, ...]
     """The cheapest way from here to the target."""
     is_barred: bool
     """Whether even that leads through what may not be flown."""
 
-    def at_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
-        """Cost from points to the target.  (...) x2 -> (...).  Bilinear, clamped at the edges."""
+    @property
+    def value(self) -> Surface:
+        """The cost, bilinear between lattice points and clamped at the edges."""
+        return self._surface(self.value_m)
+
+    @property
+    def needed(self) -> Surface:
+        """The lowest altitude from which the way on can be climbed, likewise."""
+        return self._surface(self.needed_m)
+
+    def _surface(self, vertex_m: FloatArray) -> Surface:
         return Surface(
             north_min_m=self.north_min_m,
             east_min_m=self.east_min_m,
             cell_m=self.cell_m,
-            vertex_m=self.value_m,
-        ).altitude_m(north_m, east_m)
+            vertex_m=vertex_m,
+        )
+
+    def at_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        """Cost from points to the target.  (...) x2 -> (...)."""
+        return self.value.altitude_m(north_m, east_m)
 
     def leaving_rad(self, centre_ne_m: Place, radius_m: float) -> float:
         """Bearing, from the centre of a circle, of the point where the route first leaves it.
@@ -139,6 +155,7 @@ def cost_to_go(
         east_min_m=near.east_min_m,
         cell_m=2.0 * near.step_m,
         value_m=_smooth_edges(solved),
+        needed_m=_needed_m(solved, target_ne_m, task),
         route_ne_m=route,
         is_barred=_is_barred(near, np.array(route)),
     )
@@ -424,6 +441,43 @@ def _smooth_edges(solved: _Solved) -> FloatArray:
     one_side = highest - lowest < _ONE_SIDE_CELLS * 2.0 * solved.lattice.step_m
     beside = np.where(one_side, total / np.maximum(count, 1.0), highest)
     return np.where(costly & (count > 0.0), np.minimum(value, beside), value)
+
+
+def _needed_m(solved: _Solved, target_ne_m: Place, task: Task) -> FloatArray:
+    """The lowest altitude at each point from which its cheapest way can be climbed.
+
+    What the way asks for later, less what can be climbed until then; at blocked points, the least
+    of those about.  -> (rows, columns).
+    """
+    lattice, limits = solved.lattice, task.limits
+    count = len(solved.cost_m)
+    steepness = math.tan(limits.climb_angle_rad)
+    leads_on = np.flatnonzero(solved.next_index < count)
+    after = solved.next_index[leads_on]
+    columns, across = lattice.shape[1], lattice.lowest_m.shape[1]
+    begin, end = (2 * np.stack(np.divmod(index, columns)) for index in (leads_on, after))
+    step, lowest_m = end - begin, lattice.lowest_m.ravel()
+    climb_m = lattice.step_m * steepness * np.hypot(*step)
+    needed_m = np.full(count, limits.floor_amsl_m)
+    if lattice.holds(target_ne_m):
+        last = np.flatnonzero(solved.next_index >= count).astype(np.int32)
+        row, column = np.rint(lattice.sample_of(np.array(target_ne_m))).astype(int)
+        away_m = np.hypot(*(lattice.points_m(last) - target_ne_m).T)
+        at_target_m = lattice.lowest_m[row, column] - steepness * away_m
+        needed_m[last] = np.maximum(at_target_m, limits.floor_amsl_m)
+    on_the_way_m = np.full(len(after), -np.inf)
+    for part in range(1, _PARTS + 1):
+        row, column = begin + (part * step + _PARTS // 2) // _PARTS
+        asked_m = lowest_m[row * across + column] - part / _PARTS * climb_m
+        np.maximum(on_the_way_m, asked_m, out=on_the_way_m)
+    while (on_the_way_m > needed_m[leads_on]).any():
+        needed_m[leads_on] = np.maximum(on_the_way_m, needed_m[leads_on])
+        on_the_way_m = needed_m[after] - climb_m
+    needed_m = needed_m.reshape(lattice.shape)
+    blocked = lattice.cost[::2, ::2] >= BLOCKED
+    free_m = np.where(blocked, limits.ceiling_amsl_m, needed_m)
+    about_m = scipy.ndimage.minimum_filter(free_m, 3, mode="nearest")
+    return np.asarray(np.where(blocked, about_m, needed_m))
 
 
 def _disputed(route: tuple[Place, ...], previous: tuple[Place, ...], corridor_m: float) -> bool:

@@ -44,6 +44,7 @@ _GUIDE_SHARE = 0.2  # of a_3 that the angle of eq. 8 keeps: the cost-to-go does 
 _RADAR_MARGIN = 1.0 / 800.0  # of R, for what lies between samples
 _MUCH_DEARER = 0.5  # of the cost of R: then the search is given more, and what stands looks around
 _DEARER = 0.05  # of the cost of R: what a first answer may cost more than was promised
+_ENDS_SHORT = 0.25  # of what an end lies short of R: from there, less is seen than is hoped for
 _IN_REACH = 1.5  # of R: threats farther away concern no subpath
 _SEARCH = refined_de.Settings()
 
@@ -219,7 +220,6 @@ class _Plan:
         self._shortest_m = max(limits.stopping_m(limits.speed_m_s), limits.lead_m)
         settings = request.task.settings
         self._per_metre = settings.weights.length * 100.0 / (2.4 * settings.scan_range_m)
-        self._last_climb_m = self._climb_to_target_m()
         self._evaluations = self._tries = 0
         self._broken: tuple[str, ...] = ()
 
@@ -313,40 +313,30 @@ class _Plan:
 
     def _price(self, planned: Planned) -> float:
         """By which ways are compared."""
-        task, total = self._request.task, self._total(planned)
-        if planned.reaches_target or Leg.of(planned, number=1).can_be_left(task):
-            return total
-        return total + task.stop_m * self._per_metre
-
-    def _total(self, planned: Planned) -> float:
-        """What it costs to the target, as far as is known."""
+        task, total = self._request.task, planned.cost + planned.to_go
         if planned.reaches_target:
-            return planned.cost
-        return planned.cost + planned.to_go + self._last_climb_m * self._per_metre
+            return total
+        scan, end = self._request.scan_nea_m, planned.subpath.control_nea_m[-1]
+        short_m = self._scene.end_radius_m - math.hypot(end[0] - scan[0], end[1] - scan[1])
+        stop_m = 0.0 if Leg.of(planned, number=1).can_be_left(task) else task.stop_m
+        return total + (stop_m + _ENDS_SHORT * short_m) * self._per_metre
 
     def _excess(self, planned: Planned) -> float:
         """How much dearer a subpath and what follows are than promised, in costs of R."""
         range_m = self._request.task.settings.scan_range_m
         cost_of_r = self._per_metre * range_m
         promised_m = self._promised_m(self._request.start.point_nea_m)
-        return self._total(planned) / max(cost_of_r, 1e-9) - promised_m / range_m
+        return (planned.cost + planned.to_go) / max(cost_of_r, 1e-9) - promised_m / range_m
 
     def _promised_m(self, place_nea_m: tuple[float, float, float]) -> float:
         """The least that it costs to the target from a place, in metres of level flight."""
         north, east, altitude = place_nea_m
-        level_m = float(self._field.at_m(np.asarray(north), np.asarray(east)))
-        return level_m + descent_m(altitude, self._request.task) + self._last_climb_m
-
-    def _climb_to_target_m(self) -> float:
-        """What it costs to climb to where the target can be proven, in metres of level flight.
-
-        The lattice ignores it.  As steep as a descent: what counts is that it is not nothing.
-        """
-        north, east = self._request.target_ne_m
-        if not self._request.known.is_known(north, east):
-            return 0.0
-        lowest_m = self._scene.surface.altitude_m(np.array([north]), np.array([east]))
-        return descent_m(float(lowest_m[0]), self._request.task)
+        here, task = (np.array(north), np.array(east)), self._request.task
+        level_m = float(self._field.at_m(*here))
+        needed_m = float(self._field.needed.altitude_m(*here))
+        down_m = max(descent_m(altitude, task) - descent_m(needed_m, task), 0.0)
+        climb_m = max(needed_m - altitude, 0.0) / math.tan(task.limits.climb_angle_rad)
+        return level_m + down_m + climb_m
 
     def _attempt(self, how: _Try, scene: FlightScene | None = None) -> Planned | None:
         """One search, and the best of its candidates that has a certificate."""
@@ -416,6 +406,7 @@ class _Plan:
         guided = replace(
             scene,
             to_go=self._scene.to_go,
+            needed=self._scene.needed,
             guide_rad=self._scene.guide_rad,
             guide_share=self._scene.guide_share,
         )
@@ -462,12 +453,8 @@ def _scene(request: PlanRequest, field: CostToGo) -> FlightScene:
         end_radius_m=end_radius,
         guide_rad=guide,
         guide_share=_GUIDE_SHARE,
-        to_go=Surface(
-            north_min_m=field.north_min_m,
-            east_min_m=field.east_min_m,
-            cell_m=field.cell_m,
-            vertex_m=field.value_m,
-        ),
+        to_go=field.value,
+        needed=field.needed,
         look_ahead_m=task.limits.turn_radius_m,
         descent_m=descent_m(task.limits.ceiling_amsl_m, task),
         final_ne_m=request.target_ne_m if final else None,
@@ -515,11 +502,13 @@ def _vary(scene: FlightScene, how: _Try) -> FlightScene:
         return scene
     guide = wrap_rad(scene.guide_rad + how.turn_rad)
     anywhere = replace(scene.to_go, vertex_m=np.zeros_like(scene.to_go.vertex_m))
+    to_go, needed = (anywhere, anywhere) if how.turn_rad else (scene.to_go, scene.needed)
     return replace(
         scene,
         guide_rad=guide,
         guide_share=1.0,
-        to_go=anywhere if how.turn_rad else scene.to_go,
+        to_go=to_go,
+        needed=needed,
         end_radius_m=scene.end_radius_m * how.reach,
         final_ne_m=None,
         start=facing(scene.start, guide) if scene.from_rest else scene.start,

@@ -86,6 +86,7 @@ def random_scene(
         guide_rad=rng.uniform(-math.pi, math.pi),
         guide_share=rng.choice([0.2, 1.0]),
         to_go=lattice(rng, 100.0, 4_000.0),
+        needed=lattice(rng, 90.0, 900.0),
         look_ahead_m=400.0,
         descent_m=900.0,
         final_ne_m=(north + rng.uniform(-1e3, 1e3), east + 400.0) if is_final else None,

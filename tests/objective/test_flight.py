@@ -241,9 +241,12 @@ def expected_to_go_m(control: FloatArray, scene: FlightScene) -> float:
     ahead = scene.look_ahead_m
     there = control[-1, 0] + ahead * math.cos(heading), control[-1, 1] + ahead * math.sin(heading)
     low, high = scene.band_amsl_m
-    down = scene.descent_m * max((control[-1, 2] - low) / (high - low), 0.0) ** 2
+    altitude, needed = control[-1, 2], bilinear_m(scene.needed, control[-1, 0], control[-1, 1])
+    above, asked = (max((z - low) / (high - low), 0.0) for z in (altitude, needed))
+    down = scene.descent_m * max(above**2 - asked**2, 0.0)
+    up = max(needed - altitude, 0.0) / math.tan(scene.limits.climb_angle_rad)
     here_m = bilinear_m(scene.to_go, control[-1, 0], control[-1, 1])
-    return float(max(ahead + bilinear_m(scene.to_go, *there), here_m) + down)
+    return float(max(ahead + bilinear_m(scene.to_go, *there), here_m) + down + up)
 
 
 def expected_crash(

@@ -138,6 +138,21 @@ def test_a_cliff_costs_the_ramp_that_leads_up_to_it(rise_m: float) -> None:
     assert value(field, here) == pytest.approx(level + ramp, rel=0.03)
 
 
+def test_before_a_plateau_the_altitude_needed_falls_with_the_steepest_climb() -> None:
+    task = a_task()
+    north, _ = middles(task)
+    rise_m, foot_m = 1_000.0, 30e3
+    lowest_m = FLOOR + rise_m
+    known = seen(task, np.where(north > foot_m, lowest_m - task.search_clearance_m, 0.0))
+    field = cost_to_go(known, task, (5e3, 30e3), (55e3, 30e3))
+    coarse_m = 0.75 * CELL * math.tan(CLIMB)  # the lattice's, of where the cliff stands
+    for away_m in np.arange(-10e3, 12e3, 500.0):
+        needed_m = float(field.needed.altitude_m(np.array(foot_m - away_m), np.array(30e3)))
+        before_m = max(away_m - task.search_clearance_m, 0.0)
+        on_the_ramp_m = max(lowest_m - before_m * math.tan(CLIMB), FLOOR)
+        assert needed_m == pytest.approx(on_the_ramp_m, abs=coarse_m)
+
+
 def test_a_slope_that_the_vehicle_can_climb_costs_its_height_only() -> None:
     task = a_task()
     north, _ = middles(task)
@@ -532,6 +547,7 @@ def test_the_route_leaves_a_circle_where_it_crosses_it_outwards_first() -> None:
         east_min_m=0.0,
         cell_m=1.0,
         value_m=np.zeros((2, 2)),
+        needed_m=np.zeros((2, 2)),
         route_ne_m=route,
         is_barred=False,
     )
