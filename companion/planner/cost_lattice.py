@@ -8,7 +8,7 @@ floor of the band, so that they add to the cost of a subpath.  Per metre of way:
   it rises faster than the vehicle climbs, the height of the ramp before and behind it;
 - radars (f5: a_5 300 / R per unit of eq. 3, at that height);
 - 300 where a zone forbids to be or where terrain reaches above the ceiling: finite, so that there
-  is always a way out, and it is the short one.
+  is always a way out, and it is the short one; 30 where that terrain is only guessed.
 
 Ground that no scan has seen counts as it is guessed (`companion.world.guess`); where nothing is
 guessed it is free, also where a sight line bounds it: that bound grows with distance and would make
@@ -36,6 +36,9 @@ IndexArray = npt.NDArray[np.int32]
 
 MOST_CELLS = 160  # across; a larger map is coarse beyond a window of this size
 BLOCKED = 300.0  # cost per metre where nothing may fly
+_GUESSED_BLOCKED = (
+    30.0  # and where that is only guessed: if all is blocked, that is looked at first
+)
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
 _MOST_PIECES = 400  # of a straight line
 
@@ -155,7 +158,8 @@ def lattice_of(
     altitude = np.clip(lowest, limits.floor_amsl_m, limits.ceiling_amsl_m)
     fraction = (altitude - limits.floor_amsl_m) / band
     seen = _detection(task, north, east, altitude, step)
-    blocked = (above > 0.0) | _in_zone(task, north, east) | _at_edge(known, task, north, east)
+    shut = _in_zone(task, north, east) | _at_edge(known, task, north, east)
+    blocked = (above > 0.0) | shut
     cost = (
         1.0
         + per_height * np.where(unproven, 1.0, fraction)
@@ -165,7 +169,7 @@ def lattice_of(
         north_min_m=north_min,
         east_min_m=east_min,
         step_m=step,
-        cost=cost + BLOCKED * (blocked + above),
+        cost=cost + np.where(unproven & ~shut, _GUESSED_BLOCKED, BLOCKED) * (blocked + above),
         height=per_height * fraction,
         ramp_m=0.5 * per_height * fraction**2 * band / math.tan(limits.climb_angle_rad),
         lowest_m=altitude,

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import pytest
 import scipy.ndimage
 from hypothesis import given
 from hypothesis import strategies as st
@@ -199,6 +200,20 @@ def test_a_target_that_needs_a_climb_at_its_end_is_flown_to_straight() -> None:
     flight = fly(TASK, np.array(0.0), start, target)
     assert flight.failure is None
     assert sum(flight.flown_m) < 1.02 * math.dist(start, target)
+
+
+@pytest.mark.parametrize(
+    ("crest_m", "east_m", "half_width_m"), [(4_000.0, 30e3, 4e3), (3_200.0, 20e3, 2e3)]
+)
+def test_the_saddle_of_a_ridge_is_climbed_to_and_crossed(
+    crest_m: float, east_m: float, half_width_m: float
+) -> None:
+    """Too high for a climb at its foot; and its far side is guessed to be as high as the ridge."""
+    crest = np.where(np.abs(EAST - east_m) < 3e3, crest_m, 6e3)
+    ridge = crest * np.maximum(1.0 - np.abs(NORTH - 20e3) / half_width_m, 0.0)
+    flight = fly(TASK, ridge, HERE, TARGET)
+    assert flight.failure is None
+    assert sum(flight.flown_m) < 2.5 * 2.0 * math.dist(HERE, (20e3, east_m))
 
 
 def test_the_gap_of_a_keep_out_wall_is_flown_through() -> None:
