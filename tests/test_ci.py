@@ -1,8 +1,10 @@
 """The command that CI runs: the tests of a clone that has nothing but the commit."""
 
 import os
+import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -53,3 +55,28 @@ def test_a_clone_is_tested_that_has_nothing_but_the_commit(checkout: Path, tmp_p
     assert not [line for line in lines if "elsewhere" in line or line.startswith("VENV=")]
     assert "shared" not in "".join(lines[3:6])
     assert list(scratch.iterdir()) == []  # nothing is left behind
+
+
+def test_tests_of_one_group_are_run_by_one_worker(tmp_path: Path) -> None:
+    """With pytest 9.2 they are not, and nothing says so: flights are then flown once a worker."""
+    for name in ("one", "two"):
+        (tmp_path / f"test_{name}.py").write_text(
+            "import pytest\n"
+            "@pytest.mark.parametrize('n', [\n"
+            "    pytest.param(n, marks=pytest.mark.xdist_group(str(n))) for n in range(9)])\n"
+            "def test_it(n): pass\n",
+            encoding="utf-8",
+        )
+    options = ("-n", "2", "--dist", "loadgroup", "-v", "-p", "no:cacheprovider")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, tmp_path],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    workers: dict[str, set[str]] = {}
+    for worker, number in re.findall(r"\[(gw\d)\].* PASSED .*\[(\d)\]", done.stdout):
+        workers.setdefault(number, set()).add(worker)
+    assert [len(each) for each in workers.values()] == [1] * 9
+    assert set.union(*workers.values()) == {"gw0", "gw1"}

@@ -7,16 +7,37 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent
 _PATIENCE_S = 400.0
 _ENVIRONMENT = dict(os.environ)
 """As it was before any test: a kernel that is loaded within the tests moves numba's cache."""
+
+
+def each(*names: str, nightly: Container[str] = ()) -> pytest.MarkDecorator:
+    """A test for each name; one worker runs all that look at the same flight, by its name.
+
+    nightly: those that are flown with `--all` alone.
+    """
+    marks = {
+        name: [pytest.mark.xdist_group(name), *([pytest.mark.nightly] if name in nightly else [])]
+        for name in names
+    }
+    return pytest.mark.parametrize(
+        "name", [pytest.param(name, marks=marks[name]) for name in names]
+    )
+
+
+EACH_ENVIRONMENT = each("environment-1", "environment-2", "valley", nightly=["environment-2"])
+NIGHTLY_AUTOPILOTS = ("sitl-px4", "sitl-arduplane")
+"""The others are of both makers, and of both kinds."""
 
 
 @dataclass(kw_only=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import true_track
-from flights import BIN, ROOT, Flight, Launch, free_port, interrupt
+from flights import BIN, EACH_ENVIRONMENT, ROOT, Flight, Launch, free_port, interrupt
 
 pytestmark = pytest.mark.closed_loop
 
@@ -25,13 +25,7 @@ def wait_for(flight: Flight, text: str) -> None:
     pytest.fail(f"the companion ended without saying {text!r}")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(each, marks=pytest.mark.xdist_group(each))
-        for each in ("environment-1", "environment-2", "valley")
-    ],
-)
+@EACH_ENVIRONMENT
 def test_a_flight_arrives_and_its_true_track_keeps_every_bound(flown: Launch, name: str) -> None:
     flight = flown(name, name)
     assert flight.companion.returncode == 0, flight.said["companion"]

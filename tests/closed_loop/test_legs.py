@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import true_track
-from flights import ROOT, Launch
+from flights import EACH_ENVIRONMENT, ROOT, Launch
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq
@@ -21,13 +21,6 @@ FloatArray = NDArray[np.float64]
 pytestmark = pytest.mark.closed_loop
 
 ENVIRONMENTS = ROOT / "companion" / "environments"
-EVERY_NAME = pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(each, marks=pytest.mark.xdist_group(each))
-        for each in ("environment-1", "environment-2", "valley")
-    ],
-)
 EXACT = 1e-6
 _TO_THE_WIRE_M = 0.01
 
@@ -92,7 +85,7 @@ def mission_of(name: str) -> dict[str, Any]:
     return tomllib.loads((ENVIRONMENTS / name / "mission.toml").read_text(encoding="utf-8"))
 
 
-@EVERY_NAME
+@EACH_ENVIRONMENT
 def test_no_leg_is_flown_without_a_proven_certificate(flown: Launch, name: str) -> None:
     flight = flown(name, name)
     legs = legs_of(flight.folder)
@@ -113,7 +106,7 @@ def test_no_leg_is_flown_without_a_proven_certificate(flown: Launch, name: str) 
         assert certificate["off_map_m"] <= EXACT
 
 
-@EVERY_NAME
+@EACH_ENVIRONMENT
 def test_every_leg_is_the_work_of_the_compiled_kernel(flown: Launch, name: str) -> None:
     """In lockstep the first plan waits for it; so the same seed is the same flight."""
     pytest.importorskip("numba")
@@ -122,7 +115,7 @@ def test_every_leg_is_the_work_of_the_compiled_kernel(flown: Launch, name: str) 
     }
 
 
-@EVERY_NAME
+@EACH_ENVIRONMENT
 def test_position_tangent_and_curvature_go_on_from_leg_to_leg(flown: Launch, name: str) -> None:
     legs = legs_of(flown(name, name).folder)
     turn_radius_m = mission_of(name)["vehicle"]["turn_radius_m"]
@@ -140,7 +133,7 @@ def test_position_tangent_and_curvature_go_on_from_leg_to_leg(flown: Launch, nam
     assert max(bends) > 1e-3 / turn_radius_m  # not all of them on straight lines
 
 
-@EVERY_NAME
+@EACH_ENVIRONMENT
 def test_no_certificate_promises_more_than_the_true_world_keeps(flown: Launch, name: str) -> None:
     world = tomllib.loads((ENVIRONMENTS / name / "world.toml").read_text(encoding="utf-8"))
     surface = true_track.surface_of(world, ENVIRONMENTS / name)

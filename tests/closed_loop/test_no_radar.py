@@ -85,8 +85,15 @@ def test_the_same_plan_over_stated_ground_is_flown_at_its_altitudes(
     assert heights_m(flight)[-1] < 1.0
 
 
-@AUTOPILOTS
-@pytest.mark.parametrize("fault", ["radar_off", "battery 12 %"])
+@pytest.mark.parametrize(
+    ("autopilot", "fault"),
+    [
+        ("ardupilot", "radar_off"),
+        ("px4", "battery 12 %"),
+        pytest.param("ardupilot", "battery 12 %", marks=pytest.mark.nightly),
+        pytest.param("px4", "radar_off", marks=pytest.mark.nightly),
+    ],
+)
 def test_a_flight_that_fails_comes_back_the_way_it_came_and_lands(
     start: Launch, tmp_path: Path, autopilot: str, fault: str
 ) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, final
 
 import pytest
-from flights import ROOT, Flight, free_port, run, warm_up
+from flights import NIGHTLY_AUTOPILOTS, ROOT, Flight, each, free_port, run, warm_up
 from ground_station import Box, Circle, GroundStation
 
 pytestmark = pytest.mark.closed_loop
@@ -57,9 +57,7 @@ CASES = {
         near_m=120.0,
     ),
 }
-EACH = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in CASES]
-)
+EACH = each(*CASES, nightly=NIGHTLY_AUTOPILOTS)
 
 
 @final

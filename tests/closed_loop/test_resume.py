@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, final
 
 import pytest
-from flights import ROOT, Flight, free_port, run, warm_up
+from flights import NIGHTLY_AUTOPILOTS, ROOT, Flight, each, free_port, run, warm_up
 from pymavlink.dialects.v20 import all as wire
 from pyproj import Geod
 
@@ -204,14 +204,11 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., K
             process.communicate()
 
 
-def each(*names: str) -> Any:
-    return pytest.mark.parametrize(
-        "name", [pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in names]
-    )
-
-
-COPTERS = each("sitl-arducopter", "sitl-px4")
-ALL = each("sitl-arducopter", "sitl-px4", "sitl-arduplane", "sitl-px4-plane")
+COPTERS = each("sitl-arducopter", "sitl-px4", nightly=NIGHTLY_AUTOPILOTS)
+ALL = each(
+    *("sitl-arducopter", "sitl-px4", "sitl-arduplane", "sitl-px4-plane"),
+    nightly=NIGHTLY_AUTOPILOTS,
+)
 
 
 def logged(folder: Path) -> list[tuple[float, Any]]:

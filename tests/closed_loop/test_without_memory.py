@@ -70,8 +70,8 @@ def logged(folder: Path) -> list[Any]:
 @pytest.mark.parametrize(
     ("name", "damage"),
     [
-        pytest.param(name, damage, marks=pytest.mark.xdist_group(f"lost {name}"))
-        for name, damage in (("sitl-arducopter", truncate), ("sitl-px4", another_version))
+        ("sitl-arducopter", truncate),
+        pytest.param("sitl-px4", another_version, marks=pytest.mark.nightly),
     ],
 )
 def test_it_takes_over_says_so_never_arms_and_arrives(

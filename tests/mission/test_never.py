@@ -41,7 +41,7 @@ from companion.mission.events import (
 from companion.mission.state import Phase, Reason
 
 SHARDS, EVENTS = 60, 20_000
-AT_ONCE = 12
+AT_ONCE = 6
 """So many shards run without `--all`."""
 LONGEST = 6_000
 """Events of one program."""

@@ -197,8 +197,15 @@ def test_every_fault_is_flown() -> None:
     assert set(LINES) == {fault.name for fault in FAULTS}
 
 
-@pytest.mark.parametrize("kind", ["copter", "plane"])
-@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+@pytest.mark.parametrize(
+    ("firmware", "kind"),
+    [
+        ("ardupilot", "copter"),
+        ("px4", "plane"),
+        pytest.param("ardupilot", "plane", marks=pytest.mark.nightly),
+        pytest.param("px4", "copter", marks=pytest.mark.nightly),
+    ],
+)
 def test_two_runs_with_every_fault_say_the_same_bytes(
     firmware: Firmware, kind: VehicleKind
 ) -> None:
