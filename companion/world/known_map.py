@@ -193,7 +193,8 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
     been shown: so q lies before p and looks higher.  q's cell is within range, for it is hardly
     farther than p's, so a complete radar shows it, no lower than q, or does not answer for it.
     Then p is below the line from the radar over the cell of q, which is known or +inf here; and
-    cells that were not shown need not be looked at, except as high as is known from elsewhere.
+    cells that were not shown are not looked at, whatever bound an earlier scan has left there: it
+    would lie within the slack of their own line, and stay for ever.
     No step leans on the bound of another hidden cell, so nothing adds up along the ray.
 
     On the lattice p is up to 0.71 cells from the middle of its cell and the ray up to 0.15 beside
@@ -215,7 +216,7 @@ def _hidden_bound_m(seen: KnownMap, scan: Scan) -> FloatArray:
         south, west, around = _around(seen, scan, radars, slack)
         here = replace(scan, row=scan.row - south, column=scan.column - west)
         obstacles = around.upper_m[_window(here)]  # a view of a copy
-        obstacles[not_seen & np.isinf(obstacles)] = -np.inf  # it hides nothing
+        obstacles[not_seen] = -np.inf  # it hides nothing
         bound = sight_line_m(around, radars, middles, slack)
         result[hidden] = np.where(np.isneginf(bound), np.inf, np.ceil(bound))
     return result

@@ -22,7 +22,7 @@ from rough_ground import (
     with_losses,
 )
 
-from companion.world.known_map import Scan
+from companion.world.known_map import KnownMap, Scan
 from companion.world.simulated_scan import simulated_scan
 from vehicle_sim.geodesy import LocalFrame, metres_per_degree
 from vehicle_sim.grid import GridTerrain
@@ -43,13 +43,14 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("first", range(0, blocks * BLOCK, BLOCK))
 
 
-def check(scan: Scan, truth_m: FloatArray, what: str) -> None:
+def check(scan: Scan, truth_m: FloatArray, what: str, before: KnownMap | None = None) -> KnownMap:
     """truth_m: heights of ground in each cell, as high as it is or was looked at."""
-    known = blank().with_scan(scan)
+    known = (before or blank()).with_scan(scan)
     deep_m = truth_m - known.upper_m
     assert deep_m.max() <= _ROUNDING_M, f"{what}: {deep_m.max():.1f} m, {(deep_m > 0).sum()} cells"
     if not scan.complete and not scan.whole_width:
         assert (np.isfinite(known.upper_m) == known.seen).all()
+    return known
 
 
 def test_what_the_offline_scan_does_not_see_is_below_its_bound(first: int) -> None:
@@ -59,8 +60,14 @@ def test_what_the_offline_scan_does_not_see_is_below_its_bound(first: int) -> No
         radar = radar_over(tops, rng)
         truth = replace(blank(), upper_m=np.ceil(tops))
         scan = simulated_scan(truth, radar, RANGE_M)
-        check(scan, truth.upper_m, f"terrain {number}")
+        known = check(scan, truth.upper_m, f"terrain {number}")
         check(with_losses(scan, rng, 0.1), truth.upper_m, f"terrain {number}, with losses")
+        for _ in range(2):
+            after = simulated_scan(truth, radar_over(tops, rng), RANGE_M)
+            alone = blank().with_scan(after)
+            both = check(after, truth.upper_m, f"terrain {number}, several scans", known)
+            assert (both.upper_m <= np.minimum(known.upper_m, alone.upper_m)).all()
+            known = both
 
 
 def test_what_a_scanner_that_keeps_its_promise_does_not_show_is_below_its_bound(
@@ -92,8 +99,10 @@ def test_what_the_simulators_radar_does_not_see_is_below_its_bound(first: int) -
     tops = place.tops_m()
     radar = radar_over(tops, rng)
     scan = simulators_scan(place, radar)
-    check(scan, tops, f"terrain {first}")
+    known = check(scan, tops, f"terrain {first}")
     check(with_losses(scan, rng, 0.1), tops, f"terrain {first}, with losses")
+    again = simulators_scan(place, radar_over(tops, rng))
+    check(again, tops, f"terrain {first}, two scans", known)
 
 
 def simulators_scan(place: Ground, radar_nea_m: Point) -> Scan:
