@@ -12,9 +12,9 @@ floor of the band, so that they add to the cost of a subpath.  Per metre of way:
 
 Ground that no scan has seen counts as it is guessed (`companion.world.guess`); where nothing is
 guessed it is free, also where a sight line bounds it: that bound grows with distance and would make
-a wall of every shadow.  Unseen ground that has to be flown over counts as if that took the ceiling:
-what is behind a saddle is proven only from above it, so ways over it are flown high and in short
-legs, and a way round is rarely dearer.
+a wall of every shadow.  Unseen ground that has to be flown over costs the altitude that its bound
+asks for, the ceiling where it has none: what is behind a saddle is proven only from above it, so
+ways over it are flown high and in short legs, and a way round is rarely dearer.
 """
 
 import math
@@ -144,6 +144,7 @@ def lattice_of(
         whole &= size == across
     step = cells * known.cell_m
     lowest = _lowest_m(known, believed_m, task, first, count, cells)
+    proven = _lowest_m(known, known.upper_m, task, first, count, cells)
     north_min = known.north_min_m + first[0] * known.cell_m
     east_min = known.east_min_m + first[1] * known.cell_m
     north = north_min + step * np.arange(count[0])[:, None]
@@ -157,12 +158,13 @@ def lattice_of(
     above = np.maximum(lowest - (limits.ceiling_amsl_m - inset), 0.0) / band
     altitude = np.clip(lowest, limits.floor_amsl_m, limits.ceiling_amsl_m)
     fraction = (altitude - limits.floor_amsl_m) / band
+    flown_m = np.where(unproven, np.clip(proven, altitude, limits.ceiling_amsl_m), altitude)
     seen = _detection(task, north, east, altitude, step)
     shut = _in_zone(task, north, east) | _at_edge(known, task, north, east)
     blocked = (above > 0.0) | shut
     cost = (
         1.0
-        + per_height * np.where(unproven, 1.0, fraction)
+        + per_height * (flown_m - limits.floor_amsl_m) / band
         + 3.0 * weights.radar / per_length * seen
     )
     return Lattice(

@@ -126,6 +126,23 @@ def test_a_plateau_costs_its_height(height_m: float) -> None:
     assert value(field, (5e3, 7e3)) == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.parametrize("bound_m", [3_500.0, np.inf])
+def test_unseen_ground_that_has_to_be_flown_over_costs_the_altitude_of_its_bound(
+    bound_m: float,
+) -> None:
+    task, here, there = a_task(), (5e3, 7e3), (50e3, 40e3)
+    hidden = seen(task, np.inf, where=False)
+    hidden = replace(
+        hidden,
+        upper_m=np.full_like(hidden.upper_m, bound_m),
+        guess_m=np.full_like(hidden.upper_m, 2_800.0),
+    )
+    field = cost_to_go(hidden, task, here, there)
+    flown_m = min(bound_m + task.search_clearance_m, CEILING)
+    expected = math.dist(here, there) * (1 + HEIGHT * (flown_m - FLOOR) / 2e3)
+    assert value(field, here) == pytest.approx(expected, rel=0.01)
+
+
 @pytest.mark.parametrize("rise_m", [400.0, 900.0, 1_500.0])
 def test_a_cliff_costs_the_ramp_that_leads_up_to_it(rise_m: float) -> None:
     task = a_task()
