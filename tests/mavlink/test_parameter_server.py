@@ -19,9 +19,10 @@ from companion.errors import InputError
 from companion.mavlink.parameter_server import ParameterServer
 from companion.mission.events import FenceChanged
 from companion.objective.scene import Weights
+from companion.path.limits import Limits
 from companion.planner.adjustable import PARAMETERS, Parameter
 from companion.planner.rules import check_task
-from companion.planner.settings import Task
+from companion.planner.settings import PlannerSettings, Task
 from companion.sources.mission_schema import MissionVehicleTable, PlannerTable, WeightsTable
 from companion.world.threats import CircleZone
 
@@ -59,7 +60,7 @@ def test_names_are_short_and_different() -> None:
 
 
 def test_the_table_has_every_weight() -> None:
-    weights = {parameter.field for parameter in PARAMETERS if parameter.part == "weights"}
+    weights = {parameter.field for parameter in PARAMETERS if parameter.part is Weights}
     assert weights == {field.name for field in fields(Weights)}
 
 
@@ -320,10 +321,10 @@ def test_a_parameter_that_there_is_not_is_refused() -> None:
 
 
 def rule_of(parameter: Parameter) -> TypeAdapter[Any]:
-    tables: dict[str, Any] = {
-        "settings": PlannerTable,
-        "weights": WeightsTable,
-        "limits": MissionVehicleTable,
+    tables: dict[type, Any] = {
+        PlannerSettings: PlannerTable,
+        Weights: WeightsTable,
+        Limits: MissionVehicleTable,
     }
     info = tables[parameter.part].model_fields[parameter.field]
     kind = info.annotation
