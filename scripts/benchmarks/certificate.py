@@ -3,8 +3,6 @@
 python scripts/benchmarks/certificate.py [--cases 10000] [--seed 1] [--json FILE]
 """
 
-import argparse
-import json
 import math
 import sys
 import time
@@ -13,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import running
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "path"))
 from brute_force import (
@@ -40,6 +39,7 @@ from companion.path.certificate import (
 from companion.path.limits import Limits
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
+from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
@@ -60,17 +60,6 @@ class Tally:
     """By the same truth that the proof is about (columns), without any allowance."""
     safe_at_all_rejected: int = 0
     pieces: list[int] = field(default_factory=list)
-
-
-def compiled() -> Prover | None:
-    """The prover in machine code, or None without numba."""
-    try:
-        import numba
-    except ImportError:
-        return None
-    for helper in proof.HELPERS:
-        numba.extending.register_jitable(helper)
-    return numba.njit(nogil=True)(proof.ENTRY)  # type: ignore[no-any-return]
 
 
 def optimistic(case: Case, told: Certificate, real: Truth) -> list[str]:
@@ -286,12 +275,9 @@ def rows(tally: Tally, times: dict[str, list[float]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
-    fast = compiled()
+    asked, _ = running.begin(__doc__, cases=10_000, seed=1)
+    kernel = load_kernel()
+    fast = None if kernel.name == "numpy" else kernel.prove
     tally = Tally()
     for k in range(asked.cases):
         measure(random_case(np.random.default_rng([asked.seed, k])), fast or proof.prove, tally)
@@ -305,8 +291,7 @@ def main() -> None:
         table["compiled and plain apart by"] = largest_difference(fast, proof.prove, 200)
     for name, value in table.items():
         print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")
-    if asked.json is not None:
-        asked.json.write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
+    running.store(asked.json, table)
 
 
 if __name__ == "__main__":

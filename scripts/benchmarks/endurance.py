@@ -11,13 +11,11 @@ The bar: from the first hour to the last, what is in use grows by less than 10 M
 added.
 """
 
-import argparse
 import contextlib
 import ctypes
 import dataclasses
 import functools
 import gc
-import json
 import os
 import sys
 import time
@@ -27,6 +25,7 @@ from typing import final
 
 import numpy as np
 import pair_worlds
+import running
 from faults import WORLDS
 from faults_trials import trials
 from pair import Flown, Pair
@@ -128,13 +127,7 @@ def fly(hours: float, vehicle: str, seed: int, console: Console) -> Diary:
 
 def main() -> int:
     """Fly; 1 if it grows."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--hours", type=float, default=24.0)
-    parser.add_argument("--vehicle", default="px4-copter")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    options, console = running.begin(__doc__, hours=24.0, vehicle="px4-copter", seed=1)
     began_s = time.perf_counter()
     diary = fly(options.hours, options.vehicle, options.seed, console)
     took_s = time.perf_counter() - began_s
@@ -149,11 +142,8 @@ def main() -> int:
         f"{before_mb:.1f} MB in use after {diary.settles_h:g} h, {now_mb:.1f} MB at the end "
         f"({least_mb:.0f} to {most_mb:.0f} MB resident), {more:+d} handles"
     )
-    if options.json:
-        options.json.write_text(json.dumps(diary.rows) + "\n", encoding="utf-8")
-    bad = growth_mb > _GROWTH_MB or more > 0
-    console.print("the bar is broken" if bad else "the bar is kept", style="bold")
-    return 1 if bad else 0
+    running.store(options.json, diary.rows)
+    return running.ended(console, kept=growth_mb <= _GROWTH_MB and more <= 0)
 
 
 if __name__ == "__main__":

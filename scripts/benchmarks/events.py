@@ -9,23 +9,20 @@ each fence as it is drawn, of checkpoints, and of each whole turn of the session
 left out: it has a process of its own.  1 if an event took longer than the bar.
 """
 
-import argparse
-import json
 import math
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 import pair_worlds
+import running
 from numpy.typing import NDArray
 from pair import Pair
-from rich.console import Console
 from rich.table import Table
 
 from companion.mavlink.vehicle import VehicleSide
@@ -159,13 +156,8 @@ def table_of(vehicle: str, times: Times) -> Table:
 
 def main() -> int:
     """Fly with each vehicle."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--zones", type=int, default=50)
-    parser.add_argument("--corners", type=int, default=100)
-    parser.add_argument("--vehicle", nargs="+", choices=VEHICLES, default=VEHICLES)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    each = {"nargs": "+", "choices": VEHICLES, "default": VEHICLES}
+    options, console = running.begin(__doc__, zones=50, corners=100, vehicle=each)
     every: dict[str, dict[str, list[float]]] = {}
     slow = False
     for vehicle in options.vehicle:
@@ -178,8 +170,7 @@ def main() -> int:
         slow |= any(max(taken) > 1e-3 * _BAR_MS for taken in times.values())
         if pair.flown.died:
             return 1
-    if options.json:
-        options.json.write_text(json.dumps(every) + "\n", encoding="utf-8")
+    running.store(options.json, every)
     return int(slow)
 
 

@@ -5,7 +5,6 @@ python scripts/benchmarks/logs.py [--megabytes 250] [--only tlog|bin|ulg|rivals]
 The log is a recorded one over and over, with time going on; each reader runs in its own process.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -13,6 +12,8 @@ import sys
 import tempfile
 from pathlib import Path
 from typing import Any
+
+import running
 
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "tests" / "fuzz"), str(ROOT / "tests" / "recordings")]
@@ -134,11 +135,8 @@ def line(name: str, figures: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--megabytes", type=float, default=250.0)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--only", choices=[*WRITERS, "rivals"])
-    wanted = parser.parse_args()
+    only = {"choices": [*WRITERS, "rivals"]}
+    wanted, _ = running.begin(__doc__, megabytes=250.0, only=only)
     size, results = round(wanted.megabytes * 1e6), dict[str, Any]()
     with tempfile.TemporaryDirectory() as folder:
         for kind, write in WRITERS.items():
@@ -158,8 +156,7 @@ def main() -> None:
         for name, program in programs.items():
             results[name] = measured(program, part)
             print(line(f".tlog, {name}", results[name]), flush=True)
-    if wanted.json:
-        wanted.json.write_text(json.dumps(results, indent=1), encoding="utf-8")
+    running.store(wanted.json, results)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,14 @@
 """A scene as the two files that the programs read: mission.toml and world.toml."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from pair_worlds import Scene
 
+from companion.sources.files import toml_text
 from companion.world.threats import CircleZone, Radar, Zone
 
 
@@ -15,8 +16,8 @@ def write(scene: Scene, folder: Path, **vehicle: Any) -> tuple[Path, Path]:
     """mission.toml and world.toml of a scene; `vehicle` overrides keys of the mission's table."""
     folder.mkdir(parents=True, exist_ok=True)
     mission, world = folder / "mission.toml", folder / "world.toml"
-    mission.write_text(_toml(_mission(scene, vehicle)), encoding="utf-8")
-    world.write_text(_toml(_world(scene)), encoding="utf-8")
+    mission.write_text(toml_text(_mission(scene, vehicle)), encoding="utf-8")
+    world.write_text(toml_text(_world(scene)), encoding="utf-8")
     return mission, world
 
 
@@ -43,7 +44,7 @@ def _mission(scene: Scene, vehicle: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "schema": 1,
         "name": mission.name,
-        "origin": _fields(scene.world.origin),
+        "origin": asdict(scene.world.origin),
         "area": {
             "north_min_m": limits.north_m[0],
             "north_max_m": limits.north_m[1],
@@ -81,45 +82,13 @@ def _zone(zone: Zone) -> dict[str, Any]:
 
 
 def _world(scene: Scene) -> dict[str, Any]:
-    world = scene.world
-    terrain = _fields(world.terrain)
-    terrain["peaks"] = [_fields(peak) for peak in world.terrain.peaks]
+    """What is left out is None, or an empty list."""
+    return _filled(asdict(scene.world) | {"schema": 1})
+
+
+def _filled(table: dict[str, Any]) -> dict[str, Any]:
     return {
-        "schema": 1,
-        "name": world.name,
-        "origin": _fields(world.origin),
-        "terrain": terrain,
-        "vehicle": _fields(world.vehicle),
-        "scanner": _fields(world.scanner),
-        "radars": [_fields(radar) for radar in world.radars],
+        key: _filled(value) if isinstance(value, dict) else value
+        for key, value in table.items()
+        if value is not None and value not in ((), [], {})
     }
-
-
-def _fields(value: Any) -> dict[str, Any]:
-    return {each.name: getattr(value, each.name) for each in fields(value)}
-
-
-def _toml(table: Mapping[str, Any], path: str = "") -> str:
-    """TOML of plain values, tables, and arrays of tables; None and empty ones are left out."""
-    plain, below = [], []
-    for key, value in table.items():
-        name = f"{path}.{key}".lstrip(".")
-        if value is None or (isinstance(value, Sequence | Mapping) and not len(value)):
-            continue
-        if isinstance(value, Mapping):
-            below.append(f"\n[{name}]\n{_toml(value, name)}")
-        elif isinstance(value, Sequence) and isinstance(value[0], Mapping):
-            below += [f"\n[[{name}]]\n{_toml(row, name)}" for row in value]
-        else:
-            plain.append(f"{key} = {_value(value)}")
-    return "\n".join(plain) + "\n" + "".join(below)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, str):
-        return f'"{value}"'
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, Sequence):
-        return f"[{', '.join(_value(each) for each in value)}]"
-    return repr(value)

@@ -3,8 +3,6 @@
 python scripts/benchmarks/simulator.py [--seconds 300] [--hours 10] [--json FILE]
 """
 
-import argparse
-import json
 import multiprocessing
 import resource
 import socket
@@ -13,9 +11,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
+import running
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.simulation import Simulation
@@ -154,13 +152,11 @@ def memory_mb(hours: float) -> list[tuple[float, float]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--seconds", type=float, default=300.0, help="of vehicle time for each speed"
+    wanted, _ = running.begin(
+        __doc__,
+        seconds=(300.0, "of vehicle time for each speed"),
+        hours=(10.0, "of vehicle time for the memory"),
     )
-    parser.add_argument("--hours", type=float, default=10.0, help="of vehicle time for the memory")
-    parser.add_argument("--json", type=Path)
-    wanted = parser.parse_args()
     seconds = wanted.seconds
     bare = with_client(lambda port: bare_server(port, seconds), takeoff=False)
     ground = with_client(lambda port: lockstep(port, seconds), takeoff=False)
@@ -174,11 +170,8 @@ def main() -> None:
     memory = memory_mb(wanted.hours)
     for hours, size in memory:
         print(f"resident after {hours:4.1f} simulated hours           {size:6.1f} MB")
-    if wanted.json:
-        figures = {"bare": bare, "ground": ground, "flying": flying, "fleets": fleets}
-        wanted.json.write_text(
-            json.dumps({**figures, "memory": memory}, indent=1), encoding="utf-8"
-        )
+    figures = {"bare": bare, "ground": ground, "flying": flying, "fleets": fleets}
+    running.store(wanted.json, {**figures, "memory": memory})
 
 
 if __name__ == "__main__":
