@@ -194,19 +194,56 @@ class Pace:
         return True
 
 
-def texts(text: str, severity: int, number: int) -> list[Message]:
-    """STATUSTEXTs of a text of any length; number: of the text, for those in several chunks."""
-    content = "".join(c for c in text if c.isprintable()).encode("ascii", "replace")
-    content = content[: _MOST_CHUNKS * _TEXT_BYTES - 1]
-    if len(content) <= _TEXT_BYTES:
-        return [wire.MAVLink_statustext_message(severity, content)] if content else []
-    identity = number % 0xFFFF + 1
+@final
+@dataclass(slots=True)
+class Told:
+    """What every log has in the same form: parameters and texts, which are numbered."""
+
+    parameters: int
+    """How many there are."""
+    _indices: dict[str, int] = field(default_factory=dict)
+    _texts: int = 0
+
+    def parameter(
+        self, name: str, value: float, kind: int = wire.MAV_PARAM_TYPE_REAL32
+    ) -> list[Message]:
+        """PARAM_VALUE."""
+        index = self._indices.setdefault(name, len(self._indices))
+        said = name.encode("ascii", "replace")[:16]
+        return [wire.MAVLink_param_value_message(said, value, kind, self.parameters, index)]
+
+    def text(self, text: str, severity: int) -> list[Message]:
+        """STATUSTEXTs of a text of any length."""
+        self._texts += 1
+        content = "".join(c for c in text if c.isprintable()).encode("ascii", "replace")
+        content = content[: _MOST_CHUNKS * _TEXT_BYTES - 1]
+        if len(content) <= _TEXT_BYTES:
+            return [wire.MAVLink_statustext_message(severity, content)] if content else []
+        identity = self._texts % 0xFFFF + 1
+        return [
+            wire.MAVLink_statustext_message(
+                severity, content[begin : begin + _TEXT_BYTES], identity, begin // _TEXT_BYTES
+            )
+            for begin in range(0, len(content) + 1, _TEXT_BYTES)
+        ]
+
+
+def battery(
+    volts: float, centi_a: int, used_mah: int, percent: int, *, load: int = 0
+) -> list[Message]:
+    """SYS_STATUS and BATTERY_STATUS; -1: not known.  load: of the processor, in tenths of a %."""
+    milli_v = whole(volts * 1e3, 0, 65534)
+    cells = [milli_v, *[65535] * 9]
     return [
-        wire.MAVLink_statustext_message(
-            severity, content[begin : begin + _TEXT_BYTES], identity, begin // _TEXT_BYTES
-        )
-        for begin in range(0, len(content) + 1, _TEXT_BYTES)
+        wire.MAVLink_sys_status_message(0, 0, 0, load, milli_v, centi_a, percent, *[0] * 6),
+        wire.MAVLink_battery_status_message(0, 0, 0, 32767, cells, centi_a, used_mah, -1, percent),
     ]
+
+
+def system_time(epoch_us: int | None, boot_us: int) -> Message:
+    """SYSTEM_TIME; epoch_us: when it booted, microseconds since 1970."""
+    unix_us = 0 if epoch_us is None else epoch_us + boot_us
+    return wire.MAVLink_system_time_message(unix_us, boot_ms(boot_us))
 
 
 def boot_ms(boot_us: int) -> int:
