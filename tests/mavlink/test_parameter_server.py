@@ -332,6 +332,17 @@ def rule_of(parameter: Parameter) -> TypeAdapter[Any]:
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=NAMES)
+def test_its_row_of_the_page_has_its_key_and_range(parameter: Parameter) -> None:
+    page = Path(__file__).parents[2] / "docs" / "ground-station.md"
+    row = next(r for r in page.read_text("utf-8").splitlines() if f"`{parameter.name}`" in r)
+    least = "above" if parameter.above_low else "or more"
+    assert f"| `{parameter.key}` |" in row
+    assert least in row
+    assert f"{parameter.low:g}" in row
+    assert ("on the ground only" in row) == parameter.on_ground
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS, ids=NAMES)
 def test_bounds_are_those_of_a_mission_file(parameter: Parameter) -> None:
     edges = (-1.0, 0.0, 1e-9, 1.0, 59.0, 60.0, 61.0, 200_000.0, 200_001.0, 1e6, 1.1e6)
     for value in edges:

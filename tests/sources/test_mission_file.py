@@ -4,7 +4,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from importlib import resources
 from pathlib import Path
@@ -17,6 +17,7 @@ import rasterio
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 from rasterio.transform import Affine
 
 from companion.config import bundled, load_mission, mission_text
@@ -648,25 +649,40 @@ def test_any_value_anywhere_is_taken_or_an_input_error(folder: Path, data: st.Da
         mission_text(str(folder / "mission.toml"))
 
 
-def test_the_page_of_files_names_every_key() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "files.md").read_text(encoding="utf-8")
-    missing = [key for key in keys_of(MissionTable) if key not in page]
-    assert not missing
+PAGE = (Path(__file__).parents[2] / "docs" / "files.md").read_text(encoding="utf-8")
 
 
-def keys_of(table: type[BaseModel]) -> set[str]:
-    found: set[str] = set()
+def test_the_page_of_files_has_every_key_and_the_default_that_it_is_declared_with() -> None:
+    said = {}
+    for line in re.findall(r"^\| `.*\|$", PAGE, re.MULTILINE):
+        keys, *_, default = (cell.strip(' `"|') for cell in line.split(" | "))
+        said |= dict.fromkeys(re.findall(r"[a-z]\w*\.\w+", keys), default)
+    for key, field in keys_of(MissionTable):
+        assert key.rpartition(".")[2] in PAGE
+        if field.is_required():
+            assert said.get(key, "") == "", key
+        elif field.default is not None and not key.startswith("planner.weights."):
+            value = field.default
+            shown = f"{value:g}" if isinstance(value, float) else str(value)
+            assert said[key] == (shown.lower() if isinstance(value, bool) else shown), key
+
+
+def keys_of(table: type[BaseModel], path: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """Every key with its tables, and how it is declared."""
     for name, field in table.model_fields.items():
-        found.add(field.alias or name)
-        for inner in tables_in(field.annotation):
-            found |= keys_of(inner)
-    return found
+        key = path + (field.alias or name)
+        tables = list(tables_in(field.annotation))
+        for inner in tables:
+            yield from keys_of(inner, f"{key}.")
+        if not tables:
+            yield key, field
 
 
-def tables_in(annotation: Any) -> list[type[BaseModel]]:
+def tables_in(annotation: Any) -> Iterator[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [found for part in get_args(annotation) for found in tables_in(part)]
+        yield annotation
+    for part in get_args(annotation):
+        yield from tables_in(part)
 
 
 @given(
