@@ -3,6 +3,7 @@ import itertools
 import json
 import math
 import re
+import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import fields
@@ -19,6 +20,9 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from rasterio.transform import Affine
+
+sys.path.insert(0, str(Path(__file__).parent))
+from spoiled import replace_somewhere
 
 from companion.config import bundled, load_mission, mission_text
 from companion.errors import InputError
@@ -65,6 +69,7 @@ PLANE = (
     .replace("speed_m_s = 8.0", "speed_m_s = 18.0")
     .replace("turn_radius_m = 25.0", "turn_radius_m = 80.0")
 )
+TRIANGLE = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 GEOD = pyproj.Geod(ellps="WGS84")
 Write = Callable[..., Path]
@@ -304,6 +309,10 @@ def test_an_edge_across_the_date_line_takes_the_short_way(folder: Path) -> None:
         ("vertices_m = [[0.0, 0.0], [9.0, 9.0], [9.0, 0.0], [0.0, 9.0]]", "cross"),
         ("north_m = 1.0\neast_m = 1.0", "a circle or a polygon"),
         ("radius_m = 1.0", "a circle or a polygon"),
+        ("", "a circle or a polygon"),
+        (f"north_m = 1.0\nvertices_m = {TRIANGLE}", "a circle or a polygon"),
+        (f"radius_m = 3.0\nvertices_m = {TRIANGLE}", "a circle or a polygon"),
+        (f"vertices_deg = {TRIANGLE}\nvertices_m = []", "a circle or a polygon"),
     ],
 )
 @pytest.mark.parametrize("kind", ["keep_outs", "keep_ins"])
@@ -596,9 +605,6 @@ def test_a_statement_about_the_ground_stands_alone(folder: Path, text: str, word
 
 # --- whatever is written
 
-JUNK = st.sampled_from(
-    [True, 0, -1, 1e308, 2**62, 91.0, 1e-300, "", "x\ny", [], {}, [[]], [{}], "dem.tif", "x.plan"]
-)
 EVERYTHING = """
 threats = "threats.geojson"
 [fallback]
@@ -634,16 +640,7 @@ def test_any_value_anywhere_is_taken_or_an_input_error(folder: Path, data: st.Da
     threats(folder)
     table: Any = tomllib.loads(COPTER) | tomllib.loads(EVERYTHING)
     for _ in range(data.draw(st.integers(1, 3))):
-        here = table
-        while True:
-            keys = list(here) if isinstance(here, dict) else list(range(len(here)))
-            if not keys:
-                break
-            key = data.draw(st.sampled_from(keys))
-            if not isinstance(here[key], dict | list) or data.draw(st.integers(0, 4)) == 0:
-                here[key] = json.loads(json.dumps(data.draw(JUNK)))
-                break
-            here = here[key]
+        replace_somewhere(table, data)
     with contextlib.suppress(InputError):
         load(folder, toml_text(table))
         mission_text(str(folder / "mission.toml"))
