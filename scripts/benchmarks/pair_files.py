@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from pair_worlds import Scene
+from pydantic import BaseModel
 
 from companion.sources.files import toml_text
+from companion.sources.mission_schema import MissionVehicleTable, PlannerTable
 from companion.world.threats import CircleZone, Radar, Zone
 
 
@@ -24,20 +26,9 @@ def write(scene: Scene, folder: Path, **vehicle: Any) -> tuple[Path, Path]:
 def _mission(scene: Scene, vehicle: Mapping[str, Any]) -> dict[str, Any]:
     mission, task = scene.mission, scene.mission.task
     limits, settings = task.limits, task.settings
-    of_vehicle = {
-        "kind": scene.kind,
-        "autopilot": scene.autopilot,
-        "system_id": mission.system_id,
-        "speed_m_s": limits.speed_m_s,
-        "acceleration_m_s2": limits.acceleration_m_s2,
-        "climb_rate_m_s": limits.climb_rate_m_s,
-        "turn_radius_m": limits.turn_radius_m,
+    of_vehicle = _keys(MissionVehicleTable, mission, limits) | {
         "climb_angle_deg": math.degrees(limits.climb_angle_rad),
         "dive_angle_deg": math.degrees(limits.dive_angle_rad),
-        "tracking_error_m": limits.tracking_error_m,
-        "navigation_error_m": limits.navigation_error_m,
-        "dead_man_s": limits.dead_man_s,
-        "position_rate_hz": mission.position_rate_hz,
         "loiter_radius_m": limits.loiter_radius_m or None,
         **vehicle,
     }
@@ -54,17 +45,22 @@ def _mission(scene: Scene, vehicle: Mapping[str, Any]) -> dict[str, Any]:
         "altitude": {"floor_amsl_m": limits.floor_amsl_m, "ceiling_amsl_m": limits.ceiling_amsl_m},
         "targets": [{"north_m": n, "east_m": e} for n, e in mission.targets_ne_m],
         "vehicle": of_vehicle,
-        "planner": {
-            "scan_range_m": settings.scan_range_m,
-            "safety_distance_m": settings.safety_distance_m,
-            "planning_time_s": settings.planning_time_s,
-            "scan_time_s": settings.scan_time_s,
-            "evaluations": settings.evaluations,
-        },
+        "planner": _keys(PlannerTable, settings)
+        | {"profile": settings.profile.name, "weights": asdict(settings.weights)},
         "end": {"action": mission.end_action.value},
         "radars": [_radar(radar) for radar in task.radars],
         "keep_outs": [_zone(zone) for zone in task.zones if not zone.keep_in],
         "keep_ins": [_zone(zone) for zone in task.zones if zone.keep_in],
+    }
+
+
+def _keys(table: type[BaseModel], *holders: Any) -> dict[str, Any]:
+    """Of a table of mission.toml, what these have under the same name."""
+    return {
+        name: getattr(holder, name)
+        for holder in holders
+        for name in table.model_fields
+        if hasattr(holder, name)
     }
 
 
