@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import running
+from truth import mountain
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "path"))
 from brute_force import (
@@ -27,6 +28,7 @@ from brute_force import (
     truth,
 )
 
+from companion.config import load_mission
 from companion.path import proof
 from companion.path.certificate import (
     Certificate,
@@ -36,13 +38,12 @@ from companion.path.certificate import (
     cubics_of,
     pack_surroundings,
 )
-from companion.path.limits import Limits
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
-from companion.world.terrain import Peak, PeakTerrain
+from companion.world.terrain import PeakTerrain
 from companion.world.threats import CircleZone, PolygonZone, Radar
 
 _AT_MOST = ("climb_angle_rad", "dive_angle_rad", "highest_amsl_m", "off_map_m", "detection")
@@ -187,26 +188,15 @@ def typical_surroundings(rng: np.random.Generator) -> Surroundings:
     """Mountains about a scan circle of 20 km, as dense as in environment-2."""
     size = 5e4
     peaks = tuple(
-        Peak(
-            north_m=rng.uniform(0, size),
-            east_m=rng.uniform(0, size),
-            height_amsl_m=rng.uniform(500, 2_500),
-            spread_north_m=rng.uniform(2_000, 6_000),
-            spread_east_m=rng.uniform(2_000, 6_000),
-        )
+        mountain(*rng.uniform(0, size, 2), rng.uniform(500, 2_500), rng.uniform(2_000, 6_000, 2))
         for _ in range(25)
     )
     like = empty_map(250.0, (0.0, size), (0.0, size))
     square = tuple((2.5e4 + n, 2.5e4 + e) for n, e in ((0, 0), (0, 2e3), (2e3, 2e3), (2e3, 0)))
     return pack_surroundings(
         true_map(PeakTerrain(peaks=peaks, ground_amsl_m=0.0), like),
-        Limits(
-            speed_m_s=150.0,
-            acceleration_m_s2=5.0,
-            climb_rate_m_s=20.0,
-            turn_radius_m=2_500.0,
-            climb_angle_rad=0.17,
-            dive_angle_rad=0.17,
+        replace(
+            load_mission("environment-2").task.limits,
             floor_amsl_m=0.0,
             ceiling_amsl_m=4_000.0,
             north_m=(0.0, size),

@@ -25,6 +25,7 @@ from matplotlib.cbook import get_sample_data
 from numpy.typing import NDArray
 from platformdirs import user_cache_dir
 from scipy.ndimage import label, map_coordinates, maximum_filter, uniform_filter
+from truth import mountain
 from worlds import BenchmarkWorld
 
 from companion.path.limits import Limits
@@ -111,7 +112,7 @@ def _gathered(rng: np.random.Generator, name: str) -> BenchmarkWorld:
         height = float(rng.uniform(3_400.0, 6_000.0))
         spreads = rng.uniform(4_000.0, 8_000.0, 2).tolist()
         if _leaves_ends(base, (north, east), max(spreads) * math.sqrt(math.log(height / 2_400.0))):
-            peaks.append(_mountain(north, east, height, (spreads[0], spreads[1])))
+            peaks.append(mountain(north, east, height, (spreads[0], spreads[1])))
     radars = _radars(rng, base, 10, (6_000.0, 11_000.0), 20_000.0)
     return replace(
         base,
@@ -157,7 +158,7 @@ def _ridge(base: BenchmarkWorld, line_m: FloatArray, top_m: FloatArray) -> list[
     for (along, aside), top in zip(line_m.tolist(), top_m.tolist(), strict=True):
         north, east = _at(base, along, aside)
         if _leaves_ends(base, (north, east), 6_000.0):
-            found.append(_mountain(north, east, top, (3_000.0, 3_000.0)))
+            found.append(mountain(north, east, top, (3_000.0, 3_000.0)))
     return found
 
 
@@ -277,7 +278,7 @@ def _small(
         if _leaves_ends(base, at, foot):
             high = ground + float(rng.uniform(*tops_m))
             spread = foot / math.sqrt(math.log(high / ground))
-            peaks.append(_mountain(*at, high, (spread, spread)))
+            peaks.append(mountain(*at, high, (spread, spread)))
     zones: list[CircleZone] = []
     while len(zones) < 3:
         at, radius = _beside_the_line(rng, base, range_m), float(rng.uniform(0.1, 0.3) * range_m)
@@ -293,11 +294,6 @@ def _small(
 
 
 # --- what they are made of
-
-
-def _mountain(north: float, east: float, top: float, spreads: tuple[float, float]) -> Peak:
-    return Peak(north_m=north, east_m=east, height_amsl_m=top,
-                spread_north_m=spreads[0], spread_east_m=spreads[1])  # fmt: skip
 
 
 def _limits(speed_m_s: float, turn_radius_m: float, climb_deg: float) -> Limits:

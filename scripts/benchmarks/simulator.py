@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 import running
+from pair_processes import frames, payload
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.simulation import Simulation
@@ -21,7 +22,7 @@ from vehicle_sim.world import flat_world
 
 TICK_HZ = 20
 HOME = {"latitude_deg": 47.397742, "longitude_deg": 8.545594, "altitude_amsl_m": 488.0}
-MARKER, TIMESYNC, HEARTBEAT_EVERY = 0xFD, 111, TICK_HZ
+TIMESYNC, HEARTBEAT_EVERY = 111, TICK_HZ
 
 
 def frame(mav: Any, message: Any) -> bytes:
@@ -32,15 +33,12 @@ def frame(mav: Any, message: Any) -> bytes:
 
 def time_syncs(datagram: bytes) -> int | None:
     """ts1 of a TIMESYNC question in this datagram."""
-    at, found = 0, None
-    while at + 12 <= len(datagram) and datagram[at] == MARKER:
-        size = datagram[at + 1]
-        if int.from_bytes(datagram[at + 7 : at + 10], "little") == TIMESYNC:
-            payload = datagram[at + 10 : at + 10 + size].ljust(16, b"\0")
-            tc1, ts1 = struct.unpack("<qq", payload[:16])
-            found = ts1 if tc1 == 0 else found
-        at += size + 12
-    return found
+    asked = [
+        struct.unpack_from("<qq", payload(each, 16))
+        for number, each in frames(datagram)
+        if number == TIMESYNC
+    ]
+    return next((ts1 for tc1, ts1 in reversed(asked) if tc1 == 0), None)
 
 
 def trivial_client(link: socket.socket, takeoff: bool) -> None:

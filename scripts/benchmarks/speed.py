@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import running
 from rich.table import Table
+from truth import mountain
 
 from companion.config import load_mission
 from companion.path.subpath import Pose
@@ -26,7 +27,7 @@ from companion.planner.request import Planned, PlanRequest
 from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import simulated_scan, true_map
-from companion.world.terrain import Peak, PeakTerrain
+from companion.world.terrain import PeakTerrain
 from companion.world.threats import CircleZone, Radar
 
 _SIDE_M = 60_000.0
@@ -51,12 +52,8 @@ def request(number: int) -> PlanRequest:
     here = 0.5 * _SIDE_M
     places = [_around(rng, here) for _ in range(_PEAKS + _RADARS + _KEEP_OUTS)]
     peaks = tuple(
-        Peak(
-            north_m=north,
-            east_m=east,
-            height_amsl_m=float(rng.uniform(2_500.0, 5_500.0)),
-            spread_north_m=float(rng.uniform(1_000.0, 2_500.0)),
-            spread_east_m=float(rng.uniform(1_000.0, 2_500.0)),
+        mountain(
+            north, east, rng.uniform(2_500.0, 5_500.0), tuple(rng.uniform(1_000.0, 2_500.0, 2))
         )
         for north, east in places[:_PEAKS]
     )
