@@ -7,7 +7,6 @@ import time
 import traceback
 from dataclasses import replace
 from datetime import UTC, datetime
-from enum import StrEnum
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +24,7 @@ from companion.mission.events import Outcome
 from companion.mission.mission import Mission
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
-from companion.replay.command import replay_command
+from companion.replay.command import ProfileName, replay_command
 from companion.replay.export_command import export
 from companion.runtime.compiler import Planner, load_kernel
 from companion.runtime.keys import SigningKey
@@ -67,13 +66,6 @@ app = typer.Typer(
 app.add_typer(compare_app, name="compare")
 app.command("replay")(replay_command)
 app.command("export")(export)
-
-
-class ProfileName(StrEnum):
-    """How the planner takes the paper."""
-
-    FLIGHT = "flight"
-    PAPER = "paper"
 
 
 MissionArgument = Annotated[

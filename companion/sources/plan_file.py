@@ -134,6 +134,14 @@ class Plan:
         """The file's name without its ending: what a mission is called that has no other name."""
         return Path(self.name).stem
 
+    def add_zone(self, name: str, shape: RawTable, *, inside: bool) -> None:
+        """A circle (latitude_deg, longitude_deg, radius_m) or a polygon (vertices_deg)."""
+        (self.keep_ins if inside else self.keep_outs).append({"name": name, **shape})
+
+    def add_rally_point(self, latitude_deg: float, longitude_deg: float) -> None:
+        """A place to return to."""
+        self.rally_points.append({"latitude_deg": latitude_deg, "longitude_deg": longitude_deg})
+
 
 def read_plan(path: Path, where: str) -> Plan:
     """The plan in a file.
@@ -181,24 +189,20 @@ def _add_fences(plan: Plan, content: _Plan) -> None:
     for number, circle in enumerate(content.fence.circles):
         latitude, longitude = circle.circle.center[:2]
         check_place(latitude, longitude, f"{plan.name}: geoFence.circles[{number}]")
-        zone = {
-            "name": f"fence circle {number + 1}",
-            "latitude_deg": latitude,
-            "longitude_deg": longitude,
-            "radius_m": circle.circle.radius,
-        }
-        (plan.keep_ins if circle.inclusion else plan.keep_outs).append(zone)
+        place = {"latitude_deg": latitude, "longitude_deg": longitude}
+        shape = place | {"radius_m": circle.circle.radius}
+        plan.add_zone(f"fence circle {number + 1}", shape, inside=circle.inclusion)
     for number, polygon in enumerate(content.fence.polygons):
         for corner in polygon.polygon:
             check_place(corner[0], corner[1], f"{plan.name}: geoFence.polygons[{number}]")
         corners = [corner[:2] for corner in polygon.polygon]
-        zone = {"name": f"fence polygon {number + 1}", "vertices_deg": corners}
-        (plan.keep_ins if polygon.inclusion else plan.keep_outs).append(zone)
+        name, shape = f"fence polygon {number + 1}", {"vertices_deg": corners}
+        plan.add_zone(name, shape, inside=polygon.inclusion)
     if len(plan.keep_ins) > 1:
         plan.notes.append(f"the vehicle keeps inside of all {len(plan.keep_ins)} inclusion fences")
     for number, point in enumerate(content.rally.points):
         check_place(point[0], point[1], f"{plan.name}: rallyPoints.points[{number}]")
-        plan.rally_points.append({"latitude_deg": point[0], "longitude_deg": point[1]})
+        plan.add_rally_point(point[0], point[1])
 
 
 @final

@@ -34,7 +34,6 @@ from vehicle_sim.plans import PlanItem, PlanKind
 
 VEHICLES = ("ardupilot-plane", "ardupilot-copter", "px4-plane", "px4-copter")
 _BAR_MS = 20.0
-_EXCLUSION = 5002
 _FIRST_S, _AROUND_S, _NONE_S = 5.0, 75.0, 140.0
 """After it began to fly; the companion reads a hundred items a second here."""
 
@@ -72,23 +71,20 @@ def draw(zones: int, corners: int, *, ahead: bool) -> Callable[[Pair], None]:
     """Give the vehicle a fence at once, as if it had been uploaded."""
 
     def happen(pair: Pair) -> None:
-        frame, items = pair.scene.world.frame, []
         about = np.array(pair.where()[:2])
         drawn = polygons(pair.scene, about, zones, corners, ahead=ahead) if zones else []
         pair.flown.fences.append((pair.now_s, tuple(drawn)))
-        for zone in drawn:
-            for corner in zone.vertices_ne_m:
-                latitude, longitude = frame.to_geographic(*corner)
-                items.append(
-                    PlanItem(
-                        frame=0,
-                        command=_EXCLUSION,
-                        parameters=(float(corners), 0.0, 0.0, 0.0),
-                        x=round(latitude * 1e7),
-                        y=round(longitude * 1e7),
-                    )
-                )
-        pair.simulation.plans[PlanKind.FENCE] = tuple(items)
+        items = [item for zone in drawn for item in pair.station.items_of(zone)]
+        pair.simulation.plans[PlanKind.FENCE] = tuple(
+            PlanItem(
+                frame=0,
+                command=command,
+                parameters=(first, 0.0, 0.0, 0.0),
+                x=round(latitude * 1e7),
+                y=round(longitude * 1e7),
+            )
+            for command, first, latitude, longitude in items
+        )
         pair.note(f"{zones} zones of {corners} corners")
 
     return happen
