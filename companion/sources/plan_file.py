@@ -196,8 +196,8 @@ def _add_fences(plan: Plan, content: _Plan) -> None:
         for corner in polygon.polygon:
             check_place(corner[0], corner[1], f"{plan.name}: geoFence.polygons[{number}]")
         corners = [corner[:2] for corner in polygon.polygon]
-        name, shape = f"fence polygon {number + 1}", {"vertices_deg": corners}
-        plan.add_zone(name, shape, inside=polygon.inclusion)
+        outline = {"vertices_deg": corners}
+        plan.add_zone(f"fence polygon {number + 1}", outline, inside=polygon.inclusion)
     if len(plan.keep_ins) > 1:
         plan.notes.append(f"the vehicle keeps inside of all {len(plan.keep_ins)} inclusion fences")
     for number, point in enumerate(content.rally.points):
