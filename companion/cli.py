@@ -259,13 +259,8 @@ def plan_command(
         length_m = draw_offline(flight, chosen, truth, out)
     except (OSError, ValueError) as error:
         raise InputError("--out", str(out), f"no picture ({error})", "Give a .png file.") from error
-    console.print(
-        f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s; "
-        f"picture: {out}",
-        highlight=False,
-        soft_wrap=True,
-        markup=False,
-    )
+    said = f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
+    console.out(f"{said}; picture: {out}", highlight=False)
     _exit_as_planned(flight)
 
 
@@ -331,7 +326,7 @@ def _for_system(mission: Mission, system: int | None) -> Mission:
 def _say_notes(mission: Mission, console: Console) -> None:
     """What was assumed or left out when the mission was read."""
     for note in mission.notes:
-        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
+        console.out(f"note: {note}", highlight=False)
 
 
 def _as_begun(mission: str, folder: Path) -> str:
@@ -350,7 +345,7 @@ def _recalled(folder: Path, mission: Mission, console: Console) -> Recalled:
     """What a companion before this one has left, and what of it could not be read."""
     recalled = recall(folder, mission)
     for line in recalled.said:
-        console.print(f"warning: {line}", highlight=False, markup=False, soft_wrap=True)
+        console.out(f"warning: {line}", highlight=False)
     return recalled
 
 
@@ -433,7 +428,7 @@ def _show(flown: Flown, folder: RunFolder, console: Console) -> None:
         lines.insert(0, f"no picture: {error}")
     with contextlib.suppress(OSError):
         for line in lines:
-            console.print(line, soft_wrap=True, highlight=False, markup=False)
+            console.out(line, highlight=False)
 
 
 def _exit_as_it_ended(flown: Flown, connect: str) -> None:
