@@ -10,3 +10,5 @@ from annotated_types import Ge, Gt, Le
 
 Positive = Annotated[float, Gt(0.0), Le(1e6)]
 NotNegative = Annotated[float, Ge(0.0), Le(1e6)]
+Latitude = Annotated[float, Ge(-90.0), Le(90.0)]
+Longitude = Annotated[float, Ge(-180.0), Le(180.0)]

@@ -10,7 +10,7 @@ from companion.objective.scene import Weights
 from companion.optimise.registry import OPTIMISERS
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings
-from companion.ranges import NotNegative, Positive
+from companion.ranges import Latitude, Longitude, NotNegative, Positive
 from companion.sources.elevation import VerticalDatum
 from companion.sources.schema import (
     Altitude,
@@ -23,8 +23,6 @@ from companion.sources.schema import (
 )
 
 Slope = Annotated[float, Field(gt=0.0, lt=90.0)]
-Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
-Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 FileName = Annotated[str, Field(min_length=1, max_length=1000)]
 Sender = Annotated[str, Field(pattern=r"^\d{1,3}/\d{1,3}$")]

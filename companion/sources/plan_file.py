@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from companion.errors import InputError
 from companion.mavlink.dialect import wire
+from companion.ranges import Longitude, Positive
 from companion.sources.files import RawTable, json_table
 from companion.sources.schema import validated
 
@@ -33,8 +34,6 @@ class _Json(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
 
-Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
-Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
 _Corner = Annotated[list[Longitude], Field(min_length=2, max_length=3)]
 _Number = float | None
 
@@ -70,7 +69,7 @@ class _Mission(_Json):
 
 class _Circle(_Json):
     center: _Corner
-    radius: Annotated[float, Field(gt=0.0, le=1e6)]
+    radius: Positive
 
 
 class _FenceCircle(_Json):

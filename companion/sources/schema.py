@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 from pydantic_core import ErrorDetails
 
 from companion.errors import InputError
-from companion.ranges import Positive
+from companion.ranges import Longitude, Positive
 from companion.sources.elevation import VerticalDatum
 
 Horizontal = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -49,7 +49,7 @@ class OriginTable(Table):
     """Where the local frame has its origin."""
 
     latitude_deg: Annotated[float, Field(ge=-85.0, le=85.0)]
-    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)]
+    longitude_deg: Longitude
 
 
 class AreaTable(Table):
