@@ -13,7 +13,6 @@ added.
 
 import contextlib
 import ctypes
-import dataclasses
 import functools
 import gc
 import os
@@ -62,15 +61,6 @@ def handles() -> int:
     return sum(1 for _ in Path("/proc/self/fd").iterdir())
 
 
-def scene_of(vehicle: str, number: int) -> pair_worlds.Scene:
-    """Back and forth."""
-    autopilot, kind = vehicle.split("-")
-    scene = pair_worlds.scene(autopilot, kind, number)  # type: ignore[arg-type]
-    there = scene.mission.targets_ne_m[-1]
-    mission = dataclasses.replace(scene.mission, targets_ne_m=(there, (0.0, 0.0)) * (_TARGETS // 2))
-    return dataclasses.replace(scene, mission=mission)
-
-
 def forget(flown: Flown) -> None:
     """What a runtime would have written to disk by now."""
     for kept in (flown.sent, flown.received_s, flown.journal, flown.samples, flown.done):
@@ -112,7 +102,9 @@ def fly(hours: float, vehicle: str, seed: int, console: Console) -> Diary:
     diary = Diary(console, min(_SETTLES_H, hours / 4))
     rows_of = {trial.name: trial for trial in trials()}
     while diary.flown_s < 3600.0 * hours:
-        scene = scene_of(vehicle, diary.missions % WORLDS)
+        scene = pair_worlds.scene_of(vehicle, diary.missions % WORLDS)
+        there = scene.mission.targets_ne_m[-1]
+        scene = scene.through(*(there, (0.0, 0.0)) * (_TARGETS // 2))
         pair = Pair(scene, seed=seed * 1000 + diary.missions, kernel=kernel)
         for k in range(1, round(_MISSION_S / _EVERY_S)):
             for after_s, happening in rows_of[str(rng.choice(_FAULTS))].draw(rng, scene):

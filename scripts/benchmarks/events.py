@@ -14,7 +14,6 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 from unittest.mock import patch
 
@@ -32,7 +31,6 @@ from companion.session import Session
 from companion.world.threats import PolygonZone
 from vehicle_sim.plans import PlanItem, PlanKind
 
-VEHICLES = ("ardupilot-plane", "ardupilot-copter", "px4-plane", "px4-copter")
 _BAR_MS = 20.0
 _FIRST_S, _AROUND_S, _NONE_S = 5.0, 75.0, 140.0
 """After it began to fly; the companion reads a hundred items a second here."""
@@ -105,12 +103,9 @@ def timed(times: Times, name: Callable[..., str], function: Callable[..., Any]) 
 
 def fly(vehicle: str, zones: int, corners: int, limit_s: float = 400.0) -> tuple[Times, Pair]:
     """One flight: processor times in seconds, by what they were taken for."""
-    autopilot, kind = vehicle.split("-")
-    scene = pair_worlds.scene(autopilot, kind, 1)  # type: ignore[arg-type]
+    scene = pair_worlds.scene_of(vehicle, 1)
     (target,) = scene.mission.targets_ne_m
-    there_and_back = replace(scene.mission, targets_ne_m=(target, (0.0, 0.0), target))
-    scene = replace(scene, mission=there_and_back)
-    pair = Pair(scene, seed=1, kernel=load_kernel())
+    pair = Pair(scene.through(target, (0.0, 0.0), target), seed=1, kernel=load_kernel())
     pair.at(_FIRST_S, draw(zones, corners, ahead=True))
     pair.at(_AROUND_S, draw(zones, corners, ahead=False))
     pair.at(_NONE_S, draw(0, 0, ahead=False))
@@ -152,7 +147,7 @@ def table_of(vehicle: str, times: Times) -> Table:
 
 def main() -> int:
     """Fly with each vehicle."""
-    each = {"nargs": "+", "choices": VEHICLES, "default": VEHICLES}
+    each = {"nargs": "+", "choices": pair_worlds.VEHICLES, "default": pair_worlds.VEHICLES}
     options, console = running.begin(__doc__, zones=50, corners=100, vehicle=each)
     every: dict[str, dict[str, list[float]]] = {}
     slow = False

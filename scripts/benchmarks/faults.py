@@ -21,17 +21,16 @@ from typing import final
 
 import faults_judge
 import numpy as np
-import pair_worlds
 import running
 from faults_judge import Verdict
 from faults_trials import trials
 from pair import Flown, Pair
+from pair_worlds import VEHICLES, scene_of
 from rich.console import Console
 from rich.table import Table
 
 from companion.runtime.compiler import load_kernel
 
-VEHICLES = ("ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane")
 WORLDS = 9
 
 
@@ -66,7 +65,7 @@ def table_of(count: int, seed: int, vehicles: Sequence[str], only: str = "") -> 
         (trial.name, vehicle)
         for trial in trials()
         for vehicle in vehicles
-        if re.search(only, trial.name) and trial.applies(_scene(vehicle, 0))
+        if re.search(only, trial.name) and trial.applies(scene_of(vehicle, 0))
     ]
     return [
         Flight(
@@ -81,15 +80,10 @@ def table_of(count: int, seed: int, vehicles: Sequence[str], only: str = "") -> 
     ]
 
 
-def _scene(vehicle: str, world: int) -> pair_worlds.Scene:
-    autopilot, kind = vehicle.split("-")
-    return pair_worlds.scene(autopilot, kind, world)  # type: ignore[arg-type]
-
-
 def fly(flight: Flight) -> tuple[Flown, Result]:
     """One flight, from the boot to what is left of it."""
     began_s = time.perf_counter()
-    scene = _scene(flight.vehicle, flight.world)
+    scene = scene_of(flight.vehicle, flight.world)
     trial = next(each for each in trials() if each.name == flight.trial)
     rng = np.random.default_rng([flight.seed, flight.index, 1])
     pair = Pair(scene, seed=1000 * flight.seed + flight.index, kernel=load_kernel())

@@ -127,10 +127,7 @@ def scene_of(autopilot: str, kills: int) -> pair_worlds.Scene:
     """There and back, as often as so many kills take."""
     scene = pair_worlds.scene(autopilot, "copter", 4)  # type: ignore[arg-type]
     there = scene.mission.targets_ne_m[-1]
-    targets = (there, (0.0, 0.0)) * math.ceil(kills / _KILLS_A_LAP)
-    return dataclasses.replace(
-        scene, mission=dataclasses.replace(scene.mission, targets_ne_m=targets)
-    )
+    return scene.through(*(there, (0.0, 0.0)) * math.ceil(kills / _KILLS_A_LAP))
 
 
 def fly(autopilot: str, kills: int, seed: int, folder: Path, console: Console) -> Watcher:

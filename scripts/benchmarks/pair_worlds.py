@@ -10,7 +10,7 @@ line, is drawn again.
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Literal, final
 
 import numpy as np
@@ -128,10 +128,23 @@ class Scene:
             scanner=sim.Scanner(component_id=100, range_m=self.mission.task.settings.scan_range_m),
         )
 
+    def through(self, *targets_ne_m: tuple[float, float]) -> "Scene":
+        """The same world, with a mission to these targets."""
+        return replace(self, mission=replace(self.mission, targets_ne_m=targets_ne_m))
+
     @property
     def safety_m(self) -> float:
         """d_s."""
         return self.mission.task.settings.safety_distance_m
+
+
+VEHICLES = ("ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane")
+
+
+def scene_of(vehicle: str, number: int) -> Scene:
+    """World `number` for one of `VEHICLES`."""
+    autopilot, kind = vehicle.split("-")
+    return scene(autopilot, kind, number)  # type: ignore[arg-type]
 
 
 @functools.cache
