@@ -7,7 +7,6 @@ import time
 import traceback
 from dataclasses import replace
 from datetime import UTC, datetime
-from enum import StrEnum
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +24,7 @@ from companion.mission.events import Outcome
 from companion.mission.mission import Mission
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
-from companion.replay.command import replay_command
+from companion.replay.command import ProfileName, replay_command
 from companion.replay.export_command import export
 from companion.runtime.compiler import Planner, load_kernel
 from companion.runtime.keys import SigningKey
@@ -67,13 +66,6 @@ app = typer.Typer(
 app.add_typer(compare_app, name="compare")
 app.command("replay")(replay_command)
 app.command("export")(export)
-
-
-class ProfileName(StrEnum):
-    """How the planner takes the paper."""
-
-    FLIGHT = "flight"
-    PAPER = "paper"
 
 
 MissionArgument = Annotated[
@@ -267,13 +259,8 @@ def plan_command(
         length_m = draw_offline(flight, chosen, truth, out)
     except (OSError, ValueError) as error:
         raise InputError("--out", str(out), f"no picture ({error})", "Give a .png file.") from error
-    console.print(
-        f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s; "
-        f"picture: {out}",
-        highlight=False,
-        soft_wrap=True,
-        markup=False,
-    )
+    said = f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
+    console.out(f"{said}; picture: {out}", highlight=False)
     _exit_as_planned(flight)
 
 
@@ -339,7 +326,7 @@ def _for_system(mission: Mission, system: int | None) -> Mission:
 def _say_notes(mission: Mission, console: Console) -> None:
     """What was assumed or left out when the mission was read."""
     for note in mission.notes:
-        console.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
+        console.out(f"note: {note}", highlight=False)
 
 
 def _as_begun(mission: str, folder: Path) -> str:
@@ -358,7 +345,7 @@ def _recalled(folder: Path, mission: Mission, console: Console) -> Recalled:
     """What a companion before this one has left, and what of it could not be read."""
     recalled = recall(folder, mission)
     for line in recalled.said:
-        console.print(f"warning: {line}", highlight=False, markup=False, soft_wrap=True)
+        console.out(f"warning: {line}", highlight=False)
     return recalled
 
 
@@ -441,7 +428,7 @@ def _show(flown: Flown, folder: RunFolder, console: Console) -> None:
         lines.insert(0, f"no picture: {error}")
     with contextlib.suppress(OSError):
         for line in lines:
-            console.print(line, soft_wrap=True, highlight=False, markup=False)
+            console.out(line, highlight=False)
 
 
 def _exit_as_it_ended(flown: Flown, connect: str) -> None:

@@ -67,13 +67,6 @@ def test_wrong_input_is_one_line_and_exit_code_2(arguments: tuple[str, ...], wor
     assert words in done.stderr
 
 
-@pytest.mark.parametrize("command", ["fly", "plan", "check"])
-def test_every_command_has_a_page_of_help(command: str) -> None:
-    done = run(command, "--help")
-    assert done.returncode == 0
-    assert "MISSION" in done.stdout
-
-
 # --- the other ways of flying
 
 
@@ -225,60 +218,6 @@ def test_a_key_that_cannot_be(
     line = refused(command, "environment-1", "--signing-key", key)
     assert words in line
     assert "hush hush" not in line
-
-
-# --- missions from other files
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("a.plan", ""),
-        ("a.plan", "{"),
-        ("a.plan", "[]"),
-        ("a.plan", '{"fileType": "Plan", "version": 1}'),
-        ("a.plan", '{"fileType": "Plan", "version": 1, "mission": {"items": [{}]}}'),
-        ("a.plan", '{"fileType": "Plan", "mission": {"items": 5}, "version": "x"}'),
-        ("a.toml", ""),
-        ("a.toml", "schema = 1\nname = "),
-        ("a.toml", "schema = 99\n"),
-        ("a.txt", "hello"),
-    ],
-)
-@pytest.mark.parametrize("command", ["check", "fly", "preflight"])
-def test_a_mission_file_that_is_none(tmp_path: Path, name: str, text: str, command: str) -> None:
-    file = tmp_path / name
-    file.write_text(text, encoding="utf-8")
-    assert name in refused(command, file)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "{",
-        "[]",
-        '{"type": "FeatureCollection", "features": 5}',
-        '{"type": "FeatureCollection", "features": [{"type": "Feature"}]}',
-        '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {}, '
-        '"geometry": {"type": "Polygon", "coordinates": [[[8.0, 47.0], [8.1, 47.0]]]}}]}',
-    ],
-)
-def test_threats_that_are_none(tmp_path: Path, text: str) -> None:
-    (tmp_path / "threats.geojson").write_text(text, encoding="utf-8")
-    mission = (HILLS / "mission.toml").read_text(encoding="utf-8")
-    file = tmp_path / "mission.toml"
-    file.write_text(
-        mission.replace('name = "hills"', 'name = "hills"\nthreats = "threats.geojson"')
-    )
-    assert "threats" in refused("check", file)
-
-
-def test_threats_that_are_not_there(tmp_path: Path) -> None:
-    mission = (HILLS / "mission.toml").read_text(encoding="utf-8")
-    file = tmp_path / "mission.toml"
-    file.write_text(mission.replace('name = "hills"', 'name = "hills"\nthreats = "no.geojson"'))
-    assert "no.geojson" in refused("check", file)
 
 
 # --- help

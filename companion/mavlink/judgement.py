@@ -11,6 +11,9 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from companion.mission.mission import Mission
+from companion.path.limits import Limits
+
+ALL_THE_SAME: Final = 1e-6
 
 
 class Severity(enum.Enum):
@@ -77,30 +80,38 @@ class Case:
         value = self.read(name)
         return otherwise if value is None else value
 
+    @property
+    def limits(self) -> Limits:
+        """The mission's."""
+        return self.mission.task.limits
 
-Judge = Callable[[float, Case], Verdict | None]
+
+Check = Callable[[float, Case], Verdict | None]
+"""What is thought of a value in SI (angles in degrees); None: it will do."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ParameterRule:
     """One parameter that matters for a mission."""
 
     name: str
-    scale: float = 1.0
-    """The value times this is in SI."""
-    aliases: tuple[Alias, ...] = ()
     meaning: str
     """What it does to a mission, for people."""
-    judge: Judge | None = None
-    """None: it is only read, for the fence or for other rules."""
-    if_missing: Severity | None = Severity.NOTE
+    checks: tuple[Check, ...] = ()
+    """The first that has something to say counts; (): it is only read, for the fence or others."""
+    if_missing: Severity | None = None
     """What it means that the autopilot does not have it; None: nothing."""
+    scale: float = 1.0
+    """The value times this is in SI."""
+    also: Alias | None = None
+    """Its older or newer name."""
 
     @property
     def names(self) -> tuple[Alias, ...]:
         """All names, the usual one first."""
-        return (Alias(self.name, self.scale), *self.aliases)
+        usual = Alias(self.name, self.scale)
+        return (usual,) if self.also is None else (usual, self.also)
 
     def found(self, values: Mapping[str, float]) -> tuple[Alias, float] | None:
         """The name that this autopilot has it under, and its value in SI."""
@@ -142,9 +153,7 @@ def judge(
     if rules and not any(rule.found(values) for rule in rules):
         return [_NOTHING]
     case = Case(
-        mission=mission,
-        home_amsl_m=home_amsl_m,
-        read=lambda name: value_of(rules, values, name),
+        mission=mission, home_amsl_m=home_amsl_m, read=lambda name: value_of(rules, values, name)
     )
     found = (_judged(rule, values, case) for rule in rules)
     order = list(Severity)
@@ -167,10 +176,9 @@ def _judged(rule: ParameterRule, values: Mapping[str, float], case: Case) -> Fin
     found = rule.found(values)
     if found is None:
         return _missing(rule)
-    if rule.judge is None:
-        return None
     alias, value = found
-    verdict = rule.judge(value, case)
+    said = (check(value, case) for check in rule.checks)
+    verdict = next((each for each in said if each is not None), None)
     if verdict is None:
         return None
     set_to = None if verdict.set_to is None else _as_written(verdict.set_to / alias.scale)
@@ -224,3 +232,68 @@ def to_set(value: float, rule: str) -> Verdict:
 def note(rule: str, remedy: str = "") -> Verdict:
     """A person ought to know."""
     return Verdict(severity=Severity.NOTE, rule=rule, remedy=remedy)
+
+
+# --- checks that compare: texts have {value}, {planned} and {up}, the planned one up to tenths ----
+
+
+def least(
+    planned: Callable[[Limits], float],
+    rule: str,
+    remedy: str = "",
+    *,
+    says: Severity = Severity.REFUSE,
+    share: float = 1.0,
+) -> Check:
+    """For what must be no less than (a share of) what the mission plans with."""
+
+    def check(value: float, case: Case) -> Verdict | None:
+        needed = planned(case.limits)
+        is_enough = value >= share * needed - ALL_THE_SAME
+        return None if is_enough else _said(says, rule, remedy, value, needed)
+
+    return check
+
+
+def most(planned: Callable[[Limits], float], rule: str, remedy: str) -> Check:
+    """For what must be no more than what the mission plans with."""
+
+    def check(value: float, case: Case) -> Verdict | None:
+        needed = planned(case.limits)
+        if value <= needed + ALL_THE_SAME:
+            return None
+        return _said(Severity.REFUSE, rule, remedy, value, needed)
+
+    return check
+
+
+def _said(says: Severity, rule: str, remedy: str, value: float, planned: float) -> Verdict:
+    known = {"value": value, "planned": planned, "up": up_to_tenths(planned)}
+    return Verdict(severity=says, rule=rule.format_map(known), remedy=remedy.format_map(known))
+
+
+def up_to_tenths(value: float) -> float:
+    """Rounded up, but not for the noise of its last digits."""
+    return math.ceil(value * 10.0 - ALL_THE_SAME) / 10.0
+
+
+def when(
+    wrong: Callable[[float, Case], object],
+    rule: str,
+    remedy: str = "",
+    *,
+    says: Severity = Severity.NOTE,
+) -> Check:
+    """For what is wrong if this is true."""
+    verdict = Verdict(severity=says, rule=rule, remedy=remedy)
+    return lambda value, case: verdict if wrong(value, case) else None
+
+
+def is_set(rule: str) -> Check:
+    """To be noted of what is not 0, as of a failsafe."""
+    return when(lambda value, _: value, rule)
+
+
+def is_zero(rule: str, remedy: str, *, says: Severity = Severity.NOTE) -> Check:
+    """To be said of what ought not to be 0."""
+    return when(lambda value, _: not value, rule, remedy, says=says)

@@ -2,10 +2,13 @@
 
 import enum
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Annotated, Literal, final
+
+from annotated_types import Ge, Le
 
 from companion.geodesy import LocalFrame
 from companion.planner.settings import Task
+from companion.ranges import Positive
 from companion.world.known_map import KnownMap
 
 
@@ -41,10 +44,10 @@ class Mission:
     any altitude of the band.  Empty: of none of them."""
     task: Task
     end_action: EndAction
-    system_id: int | None = None
+    system_id: Annotated[int, Ge(1), Le(255)] | None = None
     """MAVLink system id of the vehicle; None: the one autopilot that is heard."""
-    autopilot: str | None = None
-    """ "ardupilot" or "px4" if the mission is for one of them only."""
+    autopilot: Literal["ardupilot", "px4"] | None = None
+    """If the mission is for one of them only."""
     kind: str = "copter"
     """ "copter" or "plane"."""
     scanner_component_id: int | None = 100
@@ -53,18 +56,18 @@ class Mission:
     """Whether what the radar does not show is hidden (`Scan.complete`)."""
     scanner_whole_width: bool = False
     """If it is not complete: whether lines of sight bound what they pass (`Scan.whole_width`)."""
-    position_rate_hz: float = 10.0
+    position_rate_hz: Annotated[float, Ge(2.0), Le(200.0)] = 10.0
     """Rate at which the vehicle's position is asked for; one setpoint answers each position."""
     yaw_rad: float | None = None
     """Where the nose points, in the local frame; None: along the path."""
     fallback: Fallback = Fallback.RETURN
-    attempts: int = 4
+    attempts: Annotated[int, Ge(1), Le(100)] = 4
     """Plans in a row, from rest, that may fail before the fallback."""
     known: KnownMap | None = None
     """Terrain known in advance; None: none."""
     reserve: float = 0.2
     """Share of the battery that must be left at the target."""
-    endurance_s: float | None = None
+    endurance_s: Positive | None = None
     """How long a full battery lasts in flight, if that is known in advance."""
     commanders: tuple[tuple[int, int], ...] = ((255, 0), (254, 0))
     """System and component ids (0: any) whose commands the companion obeys."""

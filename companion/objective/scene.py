@@ -9,6 +9,7 @@ import numpy as np
 from companion.geodesy import FloatArray
 from companion.path.limits import Limits
 from companion.path.subpath import Pose
+from companion.ranges import NotNegative
 from companion.world.clearance import Surface
 from companion.world.threats import Radar, Zone
 
@@ -20,12 +21,12 @@ VARIABLES = 6  # r2, r3, phi3, z3, phi4, z4
 class Weights:
     """a_1 .. a_6 of eq. 5; the paper's Fig. 3 (a)."""
 
-    length: float = 0.1
-    height: float = 0.15
-    guide: float = 0.15
-    crash: float = 0.3
-    radar: float = 0.3
-    constraints: float = 1.0
+    length: NotNegative = 0.1
+    height: NotNegative = 0.15
+    guide: NotNegative = 0.15
+    crash: NotNegative = 0.3
+    radar: NotNegative = 0.3
+    constraints: NotNegative = 1.0
 
 
 @final

@@ -4,16 +4,18 @@ import math
 from dataclasses import dataclass
 from typing import final
 
+from companion.ranges import NotNegative, Positive
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
     """Flight constraints; altitudes in metres AMSL, angles positive."""
 
-    speed_m_s: float
-    acceleration_m_s2: float
-    climb_rate_m_s: float
-    turn_radius_m: float
+    speed_m_s: Positive
+    acceleration_m_s2: Positive
+    climb_rate_m_s: Positive
+    turn_radius_m: Positive
     climb_angle_rad: float
     dive_angle_rad: float
     floor_amsl_m: float
@@ -22,11 +24,11 @@ class Limits:
     """Southern and northern edge of the map."""
     east_m: tuple[float, float]
     """Western and eastern edge of the map."""
-    tracking_error_m: float = 10.0
+    tracking_error_m: Positive = 10.0
     """How far the vehicle may be from the point that it was told to be at."""
-    navigation_error_m: float = 5.0
+    navigation_error_m: NotNegative = 5.0
     """How wrong its position may be: the estimator's error, and that of the altitude datum."""
-    dead_man_s: float = 3.5
+    dead_man_s: NotNegative = 3.5
     """How long it flies straight on after the last setpoint, before it brakes."""
     loiter_radius_m: float = 0.0
     """Of a plane, which cannot stand still: it holds on circles of at most this radius, and so

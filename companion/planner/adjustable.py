@@ -2,18 +2,28 @@
 
 One table for all who change them or keep them: a ground station (`mavlink.parameter_server`), and a
 companion that goes on with the flight of another (`mission.checkpoint`).  What a value on its own
-may be stands here, and agrees with `sources.mission_schema`; what the values of a task may be
-together stands in `planner.rules`.
+may be stands with the field that holds it; what the values of a task may be together stands in
+`planner.rules`.
 """
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import final
+from types import NoneType
+from typing import Any, Final, final, get_args, get_type_hints
 
-from companion.planner.settings import Task
+from annotated_types import Gt
 
-_MOST = 1e6
+from companion.objective.scene import Weights
+from companion.path.limits import Limits
+from companion.planner.settings import PlannerSettings, Task
+
+_TABLES: Final[dict[type, str]] = {
+    PlannerSettings: "planner",
+    Weights: "planner.weights",
+    Limits: "vehicle",
+}
+"""The parts of a task that have settings, and the tables of mission.toml with the same keys."""
 
 
 @final
@@ -23,43 +33,36 @@ class Parameter:
 
     name: str
     """At most 16 characters."""
-    meaning: str
-    part: str
-    """Of a task: "settings", "weights" or "limits"."""
+    part: type
+    """Of a task: one of `_TABLES`."""
     field: str
-    """The key in mission.toml is the same, in [planner], [planner.weights] or [vehicle]."""
-    low: float = 0.0
-    high: float = _MOST
-    positive: bool = True
+    low: float
+    high: float
+    above_low: bool
     """Whether low itself is not allowed."""
-    whole: bool = False
-    unset: bool = False
+    whole: bool
+    unset: bool
     """Whether 0 stands for "as the rules have it"."""
-    on_ground: bool = False
+    on_ground: bool
     """Whether it can be set only before take-off."""
 
     @property
     def key(self) -> str:
         """Where it stands in mission.toml."""
-        table = {"settings": "planner", "weights": "planner.weights", "limits": "vehicle"}
-        return f"{table[self.part]}.{self.field}"
+        return f"{_TABLES[self.part]}.{self.field}"
 
     def value(self, task: Task) -> float:
         """As it is."""
-        holder = {"settings": task.settings, "weights": task.settings.weights}
-        value = getattr(holder.get(self.part, task.limits), self.field)
+        value = getattr(_parts(task)[self.part], self.field)
         return 0.0 if value is None else float(value)
 
     def changed(self, task: Task, value: float) -> Task:
         """The task with another value."""
         number = None if self.unset and value == 0.0 else round(value) if self.whole else value
-        change = {self.field: number}
-        if self.part == "limits":
-            return replace(task, limits=replace(task.limits, **change))  # type: ignore[arg-type]
-        if self.part == "weights":
-            weights = replace(task.settings.weights, **change)  # type: ignore[arg-type]
-            return replace(task, settings=replace(task.settings, weights=weights))
-        return replace(task, settings=replace(task.settings, **change))  # type: ignore[arg-type]
+        part: Any = replace(_parts(task)[self.part], **{self.field: number})
+        if self.part is Weights:
+            part = replace(task.settings, weights=part)
+        return replace(task, **{"limits" if self.part is Limits else "settings": part})
 
     def refusal(self, value: float) -> str:
         """The rule of its own that a value breaks; empty if it breaks none."""
@@ -67,10 +70,15 @@ class Parameter:
             return ""
         if not math.isfinite(value):
             return "it must be a finite number"
-        if not self.low <= value <= self.high or (self.positive and value == self.low):
-            least = f"more than {self.low:g}" if self.positive else f"{self.low:g} or more"
+        if not self.low <= value <= self.high or (self.above_low and value == self.low):
+            least = f"more than {self.low:g}" if self.above_low else f"{self.low:g} or more"
             return f"it must be {least}, at most {self.high:g}"
         return "it must be a whole number" if self.whole and value != round(value) else ""
+
+
+def _parts(task: Task) -> dict[type, Any]:
+    settings = task.settings
+    return {PlannerSettings: settings, Weights: settings.weights, Limits: task.limits}
 
 
 def loosest(task: Task, other: Task) -> Task:
@@ -105,91 +113,47 @@ def with_values(task: Task, values: Mapping[str, float]) -> Task:
     return task
 
 
-def _weight(name: str, field: str, meaning: str) -> Parameter:
+def _parameter(name: str, part: type, field: str, *, on_ground: bool = False) -> Parameter:
+    """A row: its range is that of the field."""
+    kinds = get_args(hint := get_type_hints(part, include_extras=True)[field])
+    unset = NoneType in kinds
+    number, least, most = get_args(kinds[0] if unset else hint)
+    above_low = isinstance(least, Gt)
     return Parameter(
-        name=name, field=field, part="weights", meaning=f"weight of {meaning}", positive=False
+        name=name,
+        part=part,
+        field=field,
+        low=least.gt if above_low else least.ge,
+        high=most.le,
+        above_low=above_low,
+        whole=number is int,
+        unset=unset,
+        on_ground=on_ground,
     )
 
 
-PARAMETERS: tuple[Parameter, ...] = (
-    _weight("PLN_W_LENGTH", "length", "the path's length (f1)"),
-    _weight("PLN_W_HEIGHT", "height", "its height (f2)"),
-    _weight("PLN_W_GUIDE", "guide", "the guide direction (f3)"),
-    _weight("PLN_W_CRASH", "crash", "nearness to terrain (f4)"),
-    _weight("PLN_W_RADAR", "radar", "exposure to radars (f5)"),
-    _weight("PLN_W_CONSTR", "constraints", "broken constraints (f6)"),
-    Parameter(
-        name="PLN_SCAN_RANGE",
-        part="settings",
-        field="scan_range_m",
-        meaning="R, how far the terrain radar sees [m]",
-        on_ground=True,
-    ),
-    Parameter(
-        name="PLN_SCAN_DIST",
-        part="settings",
-        field="scan_distance_m",
-        meaning="L, the scan's distance before a subpath's end [m]; 0: as short as eq. 4 allows",
-        unset=True,
-    ),
-    Parameter(
-        name="PLN_SCAN_TIME",
-        part="settings",
-        field="scan_time_s",
-        meaning="longest time that a scan may take [s]",
-    ),
-    Parameter(
-        name="PLN_SAFE_DIST",
-        part="settings",
-        field="safety_distance_m",
-        meaning="d_s, the distance kept from terrain and zones [m]",
-    ),
-    Parameter(
-        name="PLN_PLAN_TIME",
-        part="settings",
-        field="planning_time_s",
-        meaning="T, the time that a plan is given [s]",
-    ),
-    Parameter(
-        name="PLN_OVERLAP",
-        part="settings",
-        field="overlap_m",
-        meaning="d_overlap of the guide function [m]",
-        positive=False,
-    ),
-    Parameter(
-        name="PLN_EVALS",
-        part="settings",
-        field="evaluations",
-        meaning="candidates evaluated for a subpath",
-        low=60.0,
-        high=200_000.0,
-        positive=False,
-        whole=True,
-    ),
-    Parameter(
-        name="PLN_SPEED",
-        part="limits",
-        field="speed_m_s",
-        meaning="V, the cruising speed [m/s]; never above the mission's own",
-    ),
-    Parameter(
-        name="PLN_ERR_TRACK",
-        part="limits",
-        field="tracking_error_m",
-        meaning="how far the vehicle may be from its point on the path [m]",
-    ),
-    Parameter(
-        name="PLN_ERR_NAV",
-        part="limits",
-        field="navigation_error_m",
-        meaning="how wrong its position may be [m]",
-        positive=False,
-    ),
+PARAMETERS: Final = (
+    _parameter("PLN_W_LENGTH", Weights, "length"),
+    _parameter("PLN_W_HEIGHT", Weights, "height"),
+    _parameter("PLN_W_GUIDE", Weights, "guide"),
+    _parameter("PLN_W_CRASH", Weights, "crash"),
+    _parameter("PLN_W_RADAR", Weights, "radar"),
+    _parameter("PLN_W_CONSTR", Weights, "constraints"),
+    _parameter("PLN_SCAN_RANGE", PlannerSettings, "scan_range_m", on_ground=True),
+    _parameter("PLN_SCAN_DIST", PlannerSettings, "scan_distance_m"),
+    _parameter("PLN_SCAN_TIME", PlannerSettings, "scan_time_s"),
+    _parameter("PLN_SAFE_DIST", PlannerSettings, "safety_distance_m"),
+    _parameter("PLN_PLAN_TIME", PlannerSettings, "planning_time_s"),
+    _parameter("PLN_OVERLAP", PlannerSettings, "overlap_m"),
+    _parameter("PLN_EVALS", PlannerSettings, "evaluations"),
+    _parameter("PLN_SPEED", Limits, "speed_m_s"),
+    _parameter("PLN_ERR_TRACK", Limits, "tracking_error_m"),
+    _parameter("PLN_ERR_NAV", Limits, "navigation_error_m"),
 )
-"""The order is that of param_index, and part of the protocol: add at the end."""
+"""The order is that of param_index, and part of the protocol: add at the end.  What they mean
+stands in docs/ground-station.md."""
 
-BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
-_MARGINS = [
+BY_NAME: Final = {parameter.name: parameter for parameter in PARAMETERS}
+_MARGINS: Final = [
     BY_NAME[name] for name in ("PLN_SAFE_DIST", "PLN_ERR_TRACK", "PLN_ERR_NAV", "PLN_SPEED")
 ]

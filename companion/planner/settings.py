@@ -4,14 +4,16 @@ import hashlib
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
+from annotated_types import Ge, Le
 
 from companion.geodesy import FloatArray
 from companion.objective.scene import FLIGHT, Profile, Weights
 from companion.path.certificate import Margins
 from companion.path.limits import Limits
+from companion.ranges import NotNegative, Positive
 from companion.world.threats import Radar, Zone
 
 _CELLS_PER_RANGE = 80  # design 5.3: cells of R / 80
@@ -22,21 +24,21 @@ _CELLS_PER_RANGE = 80  # design 5.3: cells of R / 80
 class PlannerSettings:
     """Distances in metres, times in seconds; letters are the paper's."""
 
-    scan_range_m: float
+    scan_range_m: Positive
     """R."""
-    safety_distance_m: float
+    safety_distance_m: Positive
     """d_s."""
-    planning_time_s: float
+    planning_time_s: Positive
     """T."""
-    scan_time_s: float = 4.0
+    scan_time_s: Positive = 4.0
     """Longest time that a scan may take; what has not been answered by then stays unknown."""
-    scan_distance_m: float | None = None
+    scan_distance_m: Positive | None = None
     """L, the distance of the scan before the end of the subpath; None: as short as eq. 4 allows."""
     position_period_s: float = 0.1
     """Time between two positions of the vehicle."""
-    overlap_m: float = 2000.0
+    overlap_m: NotNegative = 2000.0
     """d_overlap."""
-    evaluations: int = 3000
+    evaluations: Annotated[int, Ge(60), Le(200_000)] = 3000
     """Candidates evaluated for one subpath."""
     profile: Profile = FLIGHT
     weights: Weights = field(default_factory=Weights)

@@ -120,9 +120,14 @@ def mission_of(
     check_task(task, f"{where}: ")
     zones, far = zones_of(model, task, frame, where)
     task = replace(task, zones=zones)
-    defaults = (
-        {} if link.commanders is None else {"commanders": _commanders(link.commanders, where)}
-    )
+    as_written = {
+        key: value
+        for table in (vehicle, model.fallback, model.battery, link)
+        for key, value in table.of(Mission).items()
+        if key not in ("commanders", "scanner_component_id")
+    }
+    if link.commanders is not None:
+        as_written["commanders"] = _commanders(link.commanders, where)
     tables = model.targets or []
     mission = Mission(
         name=model.name,
@@ -131,29 +136,22 @@ def mission_of(
         altitudes_amsl_m=carried_on([table.altitude_amsl_m for table in tables]),
         task=task,
         end_action=EndAction(model.end.action),
-        system_id=vehicle.system_id,
-        autopilot=vehicle.autopilot,
-        kind=vehicle.kind,
         scanner_component_id=_scanner_id(vehicle),
         scanner_complete=model.scanner.complete,
         scanner_whole_width=model.scanner.whole_width,
-        position_rate_hz=vehicle.position_rate_hz,
         yaw_rad=None if vehicle.yaw_deg is None else wrap_rad(math.radians(vehicle.yaw_deg)),
         fallback=Fallback(model.fallback.action),
-        attempts=model.fallback.attempts,
         known=_known_map(model, task, frame, where),
         reserve=model.battery.reserve_percent / 100.0,
-        endurance_s=model.battery.endurance_s,
         targets_from_vehicle=model.from_vehicle.targets,
         fence_from_vehicle=model.from_vehicle.fence,
-        sets_parameters=link.sets_parameters,
         sends_obstacles=link.obstacle_distance,
         rally_ne_m=tuple(
             place_of(point, frame, f"{where}: rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
         ),
         notes=tuple(note for note in (*notes, far, _about_terrain(model)) if note),
-        **defaults,
+        **as_written,
     )
     return replace(mission, notes=(*mission.notes, *about_altitudes(mission, tables, where)))
 
@@ -234,38 +232,26 @@ def _commanders(texts: list[str], where: str) -> tuple[tuple[int, int], ...]:
 def _limits(model: MissionTable) -> Limits:
     vehicle, area, band = model.vehicle, model.area, model.altitude
     return Limits(
-        speed_m_s=vehicle.speed_m_s,
-        acceleration_m_s2=vehicle.acceleration_m_s2,
-        climb_rate_m_s=vehicle.climb_rate_m_s,
-        turn_radius_m=vehicle.turn_radius_m,
         climb_angle_rad=math.radians(vehicle.climb_angle_deg),
         dive_angle_rad=math.radians(vehicle.dive_angle_deg),
         floor_amsl_m=band.floor_amsl_m,
         ceiling_amsl_m=band.ceiling_amsl_m,
         north_m=(area.north_min_m, area.north_max_m),
         east_m=(area.east_min_m, area.east_max_m),
-        tracking_error_m=vehicle.tracking_error_m,
-        navigation_error_m=vehicle.navigation_error_m,
-        dead_man_s=vehicle.dead_man_s,
-        loiter_radius_m=vehicle.loiter_radius_m or 0.0,
+        **vehicle.of(Limits) | {"loiter_radius_m": vehicle.loiter_radius_m or 0.0},
     )
 
 
 def _settings(model: MissionTable, profile: str | None) -> PlannerSettings:
     planner = model.planner
-    return PlannerSettings(
-        scan_range_m=planner.scan_range_m,
-        safety_distance_m=planner.safety_distance_m,
-        planning_time_s=planner.planning_time_s,
-        scan_time_s=planner.scan_time_s,
-        scan_distance_m=planner.scan_distance_m,
-        position_period_s=1.0 / model.vehicle.position_rate_hz,
-        overlap_m=0.1 * planner.scan_range_m if planner.overlap_m is None else planner.overlap_m,
-        evaluations=planner.evaluations,
-        profile=PROFILES[profile or planner.profile],
-        optimiser=planner.optimiser,
-        weights=replace(Weights(), **dict(planner.weights)),
-    )
+    as_written = planner.of(PlannerSettings) | {
+        "position_period_s": 1.0 / model.vehicle.position_rate_hz,
+        "profile": PROFILES[profile or planner.profile],
+        "weights": Weights(**planner.weights.of(Weights)),
+    }
+    if planner.overlap_m is None:
+        as_written["overlap_m"] = 0.1 * planner.scan_range_m
+    return PlannerSettings(**as_written)
 
 
 def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> KnownMap | None:

@@ -1,27 +1,28 @@
 """The tables of mission files.  What they mean together is `mission_file`'s part."""
 
+from dataclasses import fields
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from companion.mission.mission import EndAction, Fallback
+from companion.mission.mission import EndAction, Fallback, Mission
 from companion.objective.scene import Weights
 from companion.optimise.registry import OPTIMISERS
+from companion.path.limits import Limits
+from companion.planner.settings import PlannerSettings
+from companion.ranges import Latitude, Longitude, NotNegative, Positive
 from companion.sources.elevation import VerticalDatum
 from companion.sources.schema import (
     Altitude,
     AreaTable,
     Horizontal,
     Nodata,
-    NotNegative,
     OriginTable,
-    Positive,
     Table,
+    keys_of,
 )
 
 Slope = Annotated[float, Field(gt=0.0, lt=90.0)]
-Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
-Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 FileName = Annotated[str, Field(min_length=1, max_length=1000)]
 Sender = Annotated[str, Field(pattern=r"^\d{1,3}/\d{1,3}$")]
@@ -68,25 +69,22 @@ class ZoneTable(PlaceTable):
     """Latitude, longitude of each corner."""
 
 
-class MissionVehicleTable(Table):
+_SPEEDS = ("speed_m_s", "acceleration_m_s2", "climb_rate_m_s", "turn_radius_m")
+_ERRORS = ("tracking_error_m", "navigation_error_m", "dead_man_s")
+
+
+class MissionVehicleTable(
+    keys_of(Mission, "autopilot", "system_id", "position_rate_hz"),  # type: ignore[misc]
+    keys_of(Limits, *_SPEEDS, *_ERRORS),  # type: ignore[misc]
+):
     """What the vehicle can fly, and how it is to be flown."""
 
     kind: Literal["copter", "plane"]
-    autopilot: Literal["ardupilot", "px4"] | None = None
-    system_id: Annotated[int, Field(ge=1, le=255)] | None = None
     scanner: bool = True
     scanner_component_id: Annotated[int, Field(ge=2, le=250)] | None = None
-    speed_m_s: Positive
-    acceleration_m_s2: Positive
-    climb_rate_m_s: Positive
-    turn_radius_m: Positive
     loiter_radius_m: Positive | None = None
     climb_angle_deg: Slope
     dive_angle_deg: Slope
-    tracking_error_m: Positive = 10.0
-    navigation_error_m: NotNegative = 5.0
-    dead_man_s: NotNegative = 3.5
-    position_rate_hz: Annotated[float, Field(ge=2.0, le=200.0)] = 10.0
     yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
 
 
@@ -99,27 +97,18 @@ class ScannerTable(Table):
     """Whether each cell that it shows was seen in every direction in which the cell lies."""
 
 
-class WeightsTable(Table):
+class WeightsTable(keys_of(Weights, *(each.name for each in fields(Weights)))):  # type: ignore[misc]
     """a_1 .. a_6 of eq. 5."""
 
-    length: NotNegative = Weights().length
-    height: NotNegative = Weights().height
-    guide: NotNegative = Weights().guide
-    crash: NotNegative = Weights().crash
-    radar: NotNegative = Weights().radar
-    constraints: NotNegative = Weights().constraints
+
+_DISTANCES = ("scan_range_m", "safety_distance_m", "scan_distance_m")
+_TIMES = ("planning_time_s", "scan_time_s")
 
 
-class PlannerTable(Table):
+class PlannerTable(keys_of(PlannerSettings, *_DISTANCES, *_TIMES, "evaluations")):  # type: ignore[misc]
     """Distances and times of the online procedure, and the budget of the search."""
 
-    scan_range_m: Positive
-    safety_distance_m: Positive
-    planning_time_s: Positive
-    scan_time_s: Positive = 4.0
-    scan_distance_m: Positive | None = None
     overlap_m: NotNegative | None = None
-    evaluations: Annotated[int, Field(ge=60, le=200_000)] = 3000
     profile: Literal["flight", "paper"] = "flight"
     optimiser: Literal[tuple(OPTIMISERS)] | None = None  # type: ignore[valid-type]
     weights: WeightsTable = WeightsTable()
@@ -131,25 +120,22 @@ class EndTable(Table):
     action: Literal[tuple(action.value for action in EndAction)]  # type: ignore[valid-type]
 
 
-class FallbackTable(Table):
+class FallbackTable(keys_of(Mission, "attempts")):  # type: ignore[misc]
     """What to do when no way on is found, or the battery will not last."""
 
     action: Literal[tuple(action.value for action in Fallback)] = "return"  # type: ignore[valid-type]
-    attempts: Annotated[int, Field(ge=1, le=100)] = 4
 
 
-class BatteryTable(Table):
+class BatteryTable(keys_of(Mission, "endurance_s")):  # type: ignore[misc]
     """What must be left, and how long a full one lasts."""
 
     reserve_percent: Annotated[float, Field(ge=0.0, lt=100.0)] = 20.0
-    endurance_s: Positive | None = None
 
 
-class LinkTable(Table):
+class LinkTable(keys_of(Mission, "sets_parameters")):  # type: ignore[misc]
     """Who may command the companion, and what it may say to the autopilot."""
 
     commanders: list[Sender] | None = None
-    sets_parameters: bool = True
     obstacle_distance: bool = False
 
 

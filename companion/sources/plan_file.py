@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from companion.errors import InputError
 from companion.mavlink.dialect import wire
+from companion.ranges import Longitude, Positive
 from companion.sources.files import RawTable, json_table
 from companion.sources.schema import validated
 
@@ -33,8 +34,6 @@ class _Json(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
 
-Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
-Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
 _Corner = Annotated[list[Longitude], Field(min_length=2, max_length=3)]
 _Number = float | None
 
@@ -70,7 +69,7 @@ class _Mission(_Json):
 
 class _Circle(_Json):
     center: _Corner
-    radius: Annotated[float, Field(gt=0.0, le=1e6)]
+    radius: Positive
 
 
 class _FenceCircle(_Json):
@@ -134,6 +133,14 @@ class Plan:
         """The file's name without its ending: what a mission is called that has no other name."""
         return Path(self.name).stem
 
+    def add_zone(self, name: str, shape: RawTable, *, inside: bool) -> None:
+        """A circle (latitude_deg, longitude_deg, radius_m) or a polygon (vertices_deg)."""
+        (self.keep_ins if inside else self.keep_outs).append({"name": name, **shape})
+
+    def add_rally_point(self, latitude_deg: float, longitude_deg: float) -> None:
+        """A place to return to."""
+        self.rally_points.append({"latitude_deg": latitude_deg, "longitude_deg": longitude_deg})
+
 
 def read_plan(path: Path, where: str) -> Plan:
     """The plan in a file.
@@ -181,24 +188,20 @@ def _add_fences(plan: Plan, content: _Plan) -> None:
     for number, circle in enumerate(content.fence.circles):
         latitude, longitude = circle.circle.center[:2]
         check_place(latitude, longitude, f"{plan.name}: geoFence.circles[{number}]")
-        zone = {
-            "name": f"fence circle {number + 1}",
-            "latitude_deg": latitude,
-            "longitude_deg": longitude,
-            "radius_m": circle.circle.radius,
-        }
-        (plan.keep_ins if circle.inclusion else plan.keep_outs).append(zone)
+        place = {"latitude_deg": latitude, "longitude_deg": longitude}
+        shape = place | {"radius_m": circle.circle.radius}
+        plan.add_zone(f"fence circle {number + 1}", shape, inside=circle.inclusion)
     for number, polygon in enumerate(content.fence.polygons):
         for corner in polygon.polygon:
             check_place(corner[0], corner[1], f"{plan.name}: geoFence.polygons[{number}]")
         corners = [corner[:2] for corner in polygon.polygon]
-        zone = {"name": f"fence polygon {number + 1}", "vertices_deg": corners}
-        (plan.keep_ins if polygon.inclusion else plan.keep_outs).append(zone)
+        outline = {"vertices_deg": corners}
+        plan.add_zone(f"fence polygon {number + 1}", outline, inside=polygon.inclusion)
     if len(plan.keep_ins) > 1:
         plan.notes.append(f"the vehicle keeps inside of all {len(plan.keep_ins)} inclusion fences")
     for number, point in enumerate(content.rally.points):
         check_place(point[0], point[1], f"{plan.name}: rallyPoints.points[{number}]")
-        plan.rally_points.append({"latitude_deg": point[0], "longitude_deg": point[1]})
+        plan.add_rally_point(point[0], point[1])
 
 
 @final

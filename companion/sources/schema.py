@@ -8,32 +8,48 @@ value, rule, remedy.
 import difflib
 import types
 import typing
+from dataclasses import MISSING, fields
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 from pydantic_core import ErrorDetails
 
 from companion.errors import InputError
+from companion.ranges import Longitude, Positive
 from companion.sources.elevation import VerticalDatum
 
-Positive = Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
-Horizontal = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
-Altitude = Annotated[float, Field(ge=-500.0, le=50_000.0, allow_inf_nan=False)]
+Horizontal = Annotated[float, Field(ge=-1e6, le=1e6)]
+Altitude = Annotated[float, Field(ge=-500.0, le=50_000.0)]
 Nodata = Literal["sea"] | Altitude
 
 
 class Table(BaseModel):
     """A table of a file: its keys and no others, each of its own type."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    def of(self, kind: type) -> dict[str, Any]:
+        """The fields of a dataclass that the table has too, with its values."""
+        names = {each.name for each in fields(kind)} & type(self).model_fields.keys()
+        return {name: getattr(self, name) for name in names}
+
+
+def keys_of(kind: type, *names: str) -> Any:
+    """A table with these fields of a dataclass: type, range and default are said there."""
+    types_of = typing.get_type_hints(kind, include_extras=True)
+    defaults = {each.name: each.default for each in fields(kind)}
+    keys: Any = {
+        name: (types_of[name], ... if defaults[name] is MISSING else defaults[name])
+        for name in names
+    }
+    return create_model(f"Keys of {kind.__name__}", __base__=Table, **keys)
 
 
 class OriginTable(Table):
     """Where the local frame has its origin."""
 
     latitude_deg: Annotated[float, Field(ge=-85.0, le=85.0)]
-    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)]
+    longitude_deg: Longitude
 
 
 class AreaTable(Table):

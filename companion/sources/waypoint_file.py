@@ -171,18 +171,12 @@ class _Fence:
             radius_m = row.parameters[0]
             if radius_m <= 0.0:
                 raise InputError(row.label, radius_m, "a circle has a radius above 0", _REMEDY)
-            zones = plan.keep_ins if command == _CIRCLE_IN else plan.keep_outs
-            zones.append(
-                {
-                    "name": f"fence circle {self._number()}",
-                    "latitude_deg": latitude,
-                    "longitude_deg": longitude,
-                    "radius_m": radius_m,
-                }
-            )
+            place = {"latitude_deg": latitude, "longitude_deg": longitude}
+            shape = place | {"radius_m": radius_m}
+            name = f"fence circle {self._number()}"
+            plan.add_zone(name, shape, inside=command == _CIRCLE_IN)
         elif command == _RALLY:
-            latitude, longitude = row.place_deg
-            plan.rally_points.append({"latitude_deg": latitude, "longitude_deg": longitude})
+            plan.add_rally_point(*row.place_deg)
         else:
             return command == _RETURN_POINT
         return True
@@ -204,9 +198,8 @@ class _Fence:
         self._corners.append(list(row.place_deg))
         if len(self._corners) == first.parameters[0]:
             name = f"fence polygon {self._number()}"
-            inside = first.command == _CORNER_IN
-            zones = self._plan.keep_ins if inside else self._plan.keep_outs
-            zones.append({"name": name, "vertices_deg": self._corners})
+            shape = {"vertices_deg": self._corners}
+            self._plan.add_zone(name, shape, inside=first.command == _CORNER_IN)
             self._corners, self._first = [], None
 
     def _number(self) -> int:

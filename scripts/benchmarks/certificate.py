@@ -3,8 +3,6 @@
 python scripts/benchmarks/certificate.py [--cases 10000] [--seed 1] [--json FILE]
 """
 
-import argparse
-import json
 import math
 import sys
 import time
@@ -13,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import running
+from truth import mountain
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "path"))
 from brute_force import (
@@ -28,6 +28,7 @@ from brute_force import (
     truth,
 )
 
+from companion.config import load_mission
 from companion.path import proof
 from companion.path.certificate import (
     Certificate,
@@ -37,12 +38,12 @@ from companion.path.certificate import (
     cubics_of,
     pack_surroundings,
 )
-from companion.path.limits import Limits
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
+from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
-from companion.world.terrain import Peak, PeakTerrain
+from companion.world.terrain import PeakTerrain
 from companion.world.threats import CircleZone, PolygonZone, Radar
 
 _AT_MOST = ("climb_angle_rad", "dive_angle_rad", "highest_amsl_m", "off_map_m", "detection")
@@ -60,17 +61,6 @@ class Tally:
     """By the same truth that the proof is about (columns), without any allowance."""
     safe_at_all_rejected: int = 0
     pieces: list[int] = field(default_factory=list)
-
-
-def compiled() -> Prover | None:
-    """The prover in machine code, or None without numba."""
-    try:
-        import numba
-    except ImportError:
-        return None
-    for helper in proof.HELPERS:
-        numba.extending.register_jitable(helper)
-    return numba.njit(nogil=True)(proof.ENTRY)  # type: ignore[no-any-return]
 
 
 def optimistic(case: Case, told: Certificate, real: Truth) -> list[str]:
@@ -198,26 +188,15 @@ def typical_surroundings(rng: np.random.Generator) -> Surroundings:
     """Mountains about a scan circle of 20 km, as dense as in environment-2."""
     size = 5e4
     peaks = tuple(
-        Peak(
-            north_m=rng.uniform(0, size),
-            east_m=rng.uniform(0, size),
-            height_amsl_m=rng.uniform(500, 2_500),
-            spread_north_m=rng.uniform(2_000, 6_000),
-            spread_east_m=rng.uniform(2_000, 6_000),
-        )
+        mountain(*rng.uniform(0, size, 2), rng.uniform(500, 2_500), rng.uniform(2_000, 6_000, 2))
         for _ in range(25)
     )
     like = empty_map(250.0, (0.0, size), (0.0, size))
     square = tuple((2.5e4 + n, 2.5e4 + e) for n, e in ((0, 0), (0, 2e3), (2e3, 2e3), (2e3, 0)))
     return pack_surroundings(
         true_map(PeakTerrain(peaks=peaks, ground_amsl_m=0.0), like),
-        Limits(
-            speed_m_s=150.0,
-            acceleration_m_s2=5.0,
-            climb_rate_m_s=20.0,
-            turn_radius_m=2_500.0,
-            climb_angle_rad=0.17,
-            dive_angle_rad=0.17,
+        replace(
+            load_mission("environment-2").task.limits,
             floor_amsl_m=0.0,
             ceiling_amsl_m=4_000.0,
             north_m=(0.0, size),
@@ -286,12 +265,9 @@ def rows(tally: Tally, times: dict[str, list[float]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
-    fast = compiled()
+    asked, _ = running.begin(__doc__, cases=10_000, seed=1)
+    kernel = load_kernel()
+    fast = None if kernel.name == "numpy" else kernel.prove
     tally = Tally()
     for k in range(asked.cases):
         measure(random_case(np.random.default_rng([asked.seed, k])), fast or proof.prove, tally)
@@ -305,8 +281,7 @@ def main() -> None:
         table["compiled and plain apart by"] = largest_difference(fast, proof.prove, 200)
     for name, value in table.items():
         print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")
-    if asked.json is not None:
-        asked.json.write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
+    running.store(asked.json, table)
 
 
 if __name__ == "__main__":

@@ -11,13 +11,10 @@ The bar: from the first hour to the last, what is in use grows by less than 10 M
 added.
 """
 
-import argparse
 import contextlib
 import ctypes
-import dataclasses
 import functools
 import gc
-import json
 import os
 import sys
 import time
@@ -27,6 +24,7 @@ from typing import final
 
 import numpy as np
 import pair_worlds
+import running
 from faults import WORLDS
 from faults_trials import trials
 from pair import Flown, Pair
@@ -61,15 +59,6 @@ def in_use_mb() -> float:
 def handles() -> int:
     """Open file descriptors of this process."""
     return sum(1 for _ in Path("/proc/self/fd").iterdir())
-
-
-def scene_of(vehicle: str, number: int) -> pair_worlds.Scene:
-    """Back and forth."""
-    autopilot, kind = vehicle.split("-")
-    scene = pair_worlds.scene(autopilot, kind, number)  # type: ignore[arg-type]
-    there = scene.mission.targets_ne_m[-1]
-    mission = dataclasses.replace(scene.mission, targets_ne_m=(there, (0.0, 0.0)) * (_TARGETS // 2))
-    return dataclasses.replace(scene, mission=mission)
 
 
 def forget(flown: Flown) -> None:
@@ -113,7 +102,9 @@ def fly(hours: float, vehicle: str, seed: int, console: Console) -> Diary:
     diary = Diary(console, min(_SETTLES_H, hours / 4))
     rows_of = {trial.name: trial for trial in trials()}
     while diary.flown_s < 3600.0 * hours:
-        scene = scene_of(vehicle, diary.missions % WORLDS)
+        scene = pair_worlds.scene_of(vehicle, diary.missions % WORLDS)
+        there = scene.mission.targets_ne_m[-1]
+        scene = scene.through(*(there, (0.0, 0.0)) * (_TARGETS // 2))
         pair = Pair(scene, seed=seed * 1000 + diary.missions, kernel=kernel)
         for k in range(1, round(_MISSION_S / _EVERY_S)):
             for after_s, happening in rows_of[str(rng.choice(_FAULTS))].draw(rng, scene):
@@ -128,13 +119,7 @@ def fly(hours: float, vehicle: str, seed: int, console: Console) -> Diary:
 
 def main() -> int:
     """Fly; 1 if it grows."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--hours", type=float, default=24.0)
-    parser.add_argument("--vehicle", default="px4-copter")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    options, console = running.begin(__doc__, hours=24.0, vehicle="px4-copter", seed=1)
     began_s = time.perf_counter()
     diary = fly(options.hours, options.vehicle, options.seed, console)
     took_s = time.perf_counter() - began_s
@@ -149,11 +134,8 @@ def main() -> int:
         f"{before_mb:.1f} MB in use after {diary.settles_h:g} h, {now_mb:.1f} MB at the end "
         f"({least_mb:.0f} to {most_mb:.0f} MB resident), {more:+d} handles"
     )
-    if options.json:
-        options.json.write_text(json.dumps(diary.rows) + "\n", encoding="utf-8")
-    bad = growth_mb > _GROWTH_MB or more > 0
-    console.print("the bar is broken" if bad else "the bar is kept", style="bold")
-    return 1 if bad else 0
+    running.store(options.json, diary.rows)
+    return running.ended(console, kept=growth_mb <= _GROWTH_MB and more <= 0)
 
 
 if __name__ == "__main__":

@@ -9,23 +9,19 @@ each fence as it is drawn, of checkpoints, and of each whole turn of the session
 left out: it has a process of its own.  1 if an event took longer than the bar.
 """
 
-import argparse
-import json
 import math
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 import pair_worlds
+import running
 from numpy.typing import NDArray
 from pair import Pair
-from rich.console import Console
 from rich.table import Table
 
 from companion.mavlink.vehicle import VehicleSide
@@ -35,9 +31,7 @@ from companion.session import Session
 from companion.world.threats import PolygonZone
 from vehicle_sim.plans import PlanItem, PlanKind
 
-VEHICLES = ("ardupilot-plane", "ardupilot-copter", "px4-plane", "px4-copter")
 _BAR_MS = 20.0
-_EXCLUSION = 5002
 _FIRST_S, _AROUND_S, _NONE_S = 5.0, 75.0, 140.0
 """After it began to fly; the companion reads a hundred items a second here."""
 
@@ -75,23 +69,20 @@ def draw(zones: int, corners: int, *, ahead: bool) -> Callable[[Pair], None]:
     """Give the vehicle a fence at once, as if it had been uploaded."""
 
     def happen(pair: Pair) -> None:
-        frame, items = pair.scene.world.frame, []
         about = np.array(pair.where()[:2])
         drawn = polygons(pair.scene, about, zones, corners, ahead=ahead) if zones else []
         pair.flown.fences.append((pair.now_s, tuple(drawn)))
-        for zone in drawn:
-            for corner in zone.vertices_ne_m:
-                latitude, longitude = frame.to_geographic(*corner)
-                items.append(
-                    PlanItem(
-                        frame=0,
-                        command=_EXCLUSION,
-                        parameters=(float(corners), 0.0, 0.0, 0.0),
-                        x=round(latitude * 1e7),
-                        y=round(longitude * 1e7),
-                    )
-                )
-        pair.simulation.plans[PlanKind.FENCE] = tuple(items)
+        items = [item for zone in drawn for item in pair.station.items_of(zone)]
+        pair.simulation.plans[PlanKind.FENCE] = tuple(
+            PlanItem(
+                frame=0,
+                command=command,
+                parameters=(first, 0.0, 0.0, 0.0),
+                x=round(latitude * 1e7),
+                y=round(longitude * 1e7),
+            )
+            for command, first, latitude, longitude in items
+        )
         pair.note(f"{zones} zones of {corners} corners")
 
     return happen
@@ -112,12 +103,9 @@ def timed(times: Times, name: Callable[..., str], function: Callable[..., Any]) 
 
 def fly(vehicle: str, zones: int, corners: int, limit_s: float = 400.0) -> tuple[Times, Pair]:
     """One flight: processor times in seconds, by what they were taken for."""
-    autopilot, kind = vehicle.split("-")
-    scene = pair_worlds.scene(autopilot, kind, 1)  # type: ignore[arg-type]
+    scene = pair_worlds.scene_of(vehicle, 1)
     (target,) = scene.mission.targets_ne_m
-    there_and_back = replace(scene.mission, targets_ne_m=(target, (0.0, 0.0), target))
-    scene = replace(scene, mission=there_and_back)
-    pair = Pair(scene, seed=1, kernel=load_kernel())
+    pair = Pair(scene.through(target, (0.0, 0.0), target), seed=1, kernel=load_kernel())
     pair.at(_FIRST_S, draw(zones, corners, ahead=True))
     pair.at(_AROUND_S, draw(zones, corners, ahead=False))
     pair.at(_NONE_S, draw(0, 0, ahead=False))
@@ -159,13 +147,8 @@ def table_of(vehicle: str, times: Times) -> Table:
 
 def main() -> int:
     """Fly with each vehicle."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--zones", type=int, default=50)
-    parser.add_argument("--corners", type=int, default=100)
-    parser.add_argument("--vehicle", nargs="+", choices=VEHICLES, default=VEHICLES)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    each = {"nargs": "+", "choices": pair_worlds.VEHICLES, "default": pair_worlds.VEHICLES}
+    options, console = running.begin(__doc__, zones=50, corners=100, vehicle=each)
     every: dict[str, dict[str, list[float]]] = {}
     slow = False
     for vehicle in options.vehicle:
@@ -178,8 +161,7 @@ def main() -> int:
         slow |= any(max(taken) > 1e-3 * _BAR_MS for taken in times.values())
         if pair.flown.died:
             return 1
-    if options.json:
-        options.json.write_text(json.dumps(every) + "\n", encoding="utf-8")
+    running.store(options.json, every)
     return int(slow)
 
 

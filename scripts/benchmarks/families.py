@@ -7,16 +7,25 @@ barred; what has not is drawn again.
 """
 
 import functools
+import hashlib
+import json
 import math
+import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
+from pathlib import Path
 
+import descent
+import lattice
 import numpy as np
 import optimum
+import truth
 import worlds
 from matplotlib.cbook import get_sample_data
 from numpy.typing import NDArray
+from platformdirs import user_cache_dir
 from scipy.ndimage import label, map_coordinates, maximum_filter, uniform_filter
+from truth import mountain
 from worlds import BenchmarkWorld
 
 from companion.path.limits import Limits
@@ -32,6 +41,7 @@ SEED = 0
 """The default: the families `dense` and `sparse` are then what they have always been."""
 _SPARE = 0.0375  # of R: half the width of the way through, beside the clearance
 _MOST_DRAWS = 2_000
+_SOLVER = (optimum, descent, lattice, truth)
 _SOLVER_SIDE_M, _SOLVER_CLEARANCE_M = 110_000.0, 260.0
 
 
@@ -102,7 +112,7 @@ def _gathered(rng: np.random.Generator, name: str) -> BenchmarkWorld:
         height = float(rng.uniform(3_400.0, 6_000.0))
         spreads = rng.uniform(4_000.0, 8_000.0, 2).tolist()
         if _leaves_ends(base, (north, east), max(spreads) * math.sqrt(math.log(height / 2_400.0))):
-            peaks.append(_mountain(north, east, height, (spreads[0], spreads[1])))
+            peaks.append(mountain(north, east, height, (spreads[0], spreads[1])))
     radars = _radars(rng, base, 10, (6_000.0, 11_000.0), 20_000.0)
     return replace(
         base,
@@ -148,7 +158,7 @@ def _ridge(base: BenchmarkWorld, line_m: FloatArray, top_m: FloatArray) -> list[
     for (along, aside), top in zip(line_m.tolist(), top_m.tolist(), strict=True):
         north, east = _at(base, along, aside)
         if _leaves_ends(base, (north, east), 6_000.0):
-            found.append(_mountain(north, east, top, (3_000.0, 3_000.0)))
+            found.append(mountain(north, east, top, (3_000.0, 3_000.0)))
     return found
 
 
@@ -268,7 +278,7 @@ def _small(
         if _leaves_ends(base, at, foot):
             high = ground + float(rng.uniform(*tops_m))
             spread = foot / math.sqrt(math.log(high / ground))
-            peaks.append(_mountain(*at, high, (spread, spread)))
+            peaks.append(mountain(*at, high, (spread, spread)))
     zones: list[CircleZone] = []
     while len(zones) < 3:
         at, radius = _beside_the_line(rng, base, range_m), float(rng.uniform(0.1, 0.3) * range_m)
@@ -284,11 +294,6 @@ def _small(
 
 
 # --- what they are made of
-
-
-def _mountain(north: float, east: float, top: float, spreads: tuple[float, float]) -> Peak:
-    return Peak(north_m=north, east_m=east, height_amsl_m=top,
-                spread_north_m=spreads[0], spread_east_m=spreads[1])  # fmt: skip
 
 
 def _limits(speed_m_s: float, turn_radius_m: float, climb_deg: float) -> Limits:
@@ -413,6 +418,33 @@ def best(drawn: BenchmarkWorld) -> optimum.Optimum:
         radar_m=found.radar_m / scale,
         control_nea_m=tuple((n / scale, e / scale, a / scale) for n, e, a in found.control_nea_m),
     )
+
+
+def best_of(world: BenchmarkWorld) -> optimum.Optimum | None:
+    """The optimum, from the store of this solver or found now; None if none was found."""
+    known = optimum.load().get(world.fingerprint)
+    if known is not None:
+        return known
+    stored = _store() / f"{world.fingerprint}.json"
+    if stored.is_file():
+        return optimum.of_row(json.loads(stored.read_text(encoding="utf-8")))
+    try:
+        found = best(world)
+    except ValueError:
+        return None
+    stored.parent.mkdir(parents=True, exist_ok=True)
+    part = stored.with_suffix(f".{os.getpid()}")
+    part.write_text(json.dumps(asdict(found)), encoding="utf-8")
+    part.replace(stored)
+    return found
+
+
+@functools.cache
+def _store() -> Path:
+    digest = hashlib.sha256()
+    for module in _SOLVER:
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return Path(user_cache_dir("companion")) / f"optima-{digest.hexdigest()[:16]}"
 
 
 _Draw = Callable[[np.random.Generator, str], BenchmarkWorld | None]

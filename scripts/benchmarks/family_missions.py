@@ -8,39 +8,26 @@ All three are costed by the same measure along what they fly, and every metre of
 checked against the true world.  Optima are kept in the user's cache by a hash of world and solver.
 """
 
-import functools
-import hashlib
-import json
 import math
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any, final
 
-import descent
 import families
-import lattice
 import missions
 import numpy as np
-import optimum
 import rival
+import running
 import truth
 from missions import MissionResult
 from numpy.typing import NDArray
-from platformdirs import user_cache_dir
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
-from worlds import BenchmarkWorld
 
 from companion.objective.scene import PROFILES
 
 FloatArray = NDArray[np.float64]
 
-_SOLVER = (optimum, descent, lattice, truth)
 _PLAN_SEED = 1
 
 
@@ -82,39 +69,10 @@ class Options:
     """Whether ours is given an elevation file for guidance."""
 
 
-def best_of(world: BenchmarkWorld) -> optimum.Optimum | None:
-    """The optimum, from the store of this solver or found now; None if none was found."""
-    known = optimum.load().get(world.fingerprint)
-    if known is not None:
-        return known
-    stored = _store() / f"{world.fingerprint}.json"
-    if stored.is_file():
-        row = json.loads(stored.read_text(encoding="utf-8"))
-        points = tuple(tuple(point) for point in row.pop("control_nea_m"))
-        return optimum.Optimum(**row, control_nea_m=points)
-    try:
-        found = families.best(world)
-    except ValueError:
-        return None
-    stored.parent.mkdir(parents=True, exist_ok=True)
-    part = stored.with_suffix(f".{os.getpid()}")
-    part.write_text(json.dumps(asdict(found)), encoding="utf-8")
-    part.replace(stored)
-    return found
-
-
-@functools.cache
-def _store() -> Path:
-    digest = hashlib.sha256()
-    for module in _SOLVER:
-        digest.update(Path(str(module.__file__)).read_bytes())
-    return Path(user_cache_dir("companion")) / f"optima-{digest.hexdigest()[:16]}"
-
-
 def measured(family: str, index: int, options: Options) -> FamilyResult:
     """Fly one world's mission, and the rival's."""
     world = families.world(family, options.seed, index)
-    best = best_of(world)
+    best = families.best_of(world)
     flight = rival.fly(world)
     clearance = truth.terrain_distance_m(
         flight.points_nea_m, world.terrain, 2.0 * world.task.required_clearance_m
@@ -142,16 +100,13 @@ def run(
     names: Sequence[str], count: int, jobs: int, options: Options, console: Console
 ) -> list[FamilyResult]:
     """Fly and measure all worlds, in their order; what raises is said and left out."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # one core for each job
     results = []
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        todo = [(n, k, pool.submit(measured, n, k, options)) for n in names for k in range(count)]
-        for name, index, future in track(todo, "worlds", console=console, transient=True):
-            try:
-                results.append(future.result())
-            except Exception as error:  # noqa: BLE001 - the other worlds are still worth measuring
-                console.print(f"{name} seed {options.seed} world {index}: {error!r}", style="red")
+    todo = [(name, index, options) for name in names for index in range(count)]
+    for (name, index, _), flown in running.in_processes(measured, todo, jobs, "worlds", console):
+        try:
+            results.append(flown.result())
+        except Exception as error:  # noqa: BLE001 - the other worlds are still worth measuring
+            console.print(f"{name} seed {options.seed} world {index}: {error!r}", style="red")
     return results
 
 

@@ -10,34 +10,27 @@ The bar: no distance below d_s that the companion could know of, and no ending w
 What it could know stands in `faults_judge`.  1 if the bar is broken.
 """
 
-import argparse
-import json
 import math
-import os
 import re
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
-from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import faults_judge
 import numpy as np
-import pair_worlds
+import running
 from faults_judge import Verdict
 from faults_trials import trials
 from pair import Flown, Pair
+from pair_worlds import VEHICLES, scene_of
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from companion.runtime.compiler import load_kernel
 
-VEHICLES = ("ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane")
 WORLDS = 9
 
 
@@ -72,7 +65,7 @@ def table_of(count: int, seed: int, vehicles: Sequence[str], only: str = "") -> 
         (trial.name, vehicle)
         for trial in trials()
         for vehicle in vehicles
-        if re.search(only, trial.name) and trial.applies(_scene(vehicle, 0))
+        if re.search(only, trial.name) and trial.applies(scene_of(vehicle, 0))
     ]
     return [
         Flight(
@@ -87,15 +80,10 @@ def table_of(count: int, seed: int, vehicles: Sequence[str], only: str = "") -> 
     ]
 
 
-def _scene(vehicle: str, world: int) -> pair_worlds.Scene:
-    autopilot, kind = vehicle.split("-")
-    return pair_worlds.scene(autopilot, kind, world)  # type: ignore[arg-type]
-
-
 def fly(flight: Flight) -> tuple[Flown, Result]:
     """One flight, from the boot to what is left of it."""
     began_s = time.perf_counter()
-    scene = _scene(flight.vehicle, flight.world)
+    scene = scene_of(flight.vehicle, flight.world)
     trial = next(each for each in trials() if each.name == flight.trial)
     rng = np.random.default_rng([flight.seed, flight.index, 1])
     pair = Pair(scene, seed=1000 * flight.seed + flight.index, kernel=load_kernel())
@@ -118,22 +106,13 @@ def _job(flight: Flight) -> Result:
 
 
 def run(flights: Sequence[Flight], jobs: int, console: Console) -> list[Result]:
-    """Fly them all, in their order."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # one core for each job
+    """Fly them all, in their order; what breaks the bar is said at once."""
     load_kernel()  # fills the cache on disk once, before all jobs look into it
-    if jobs == 1:
-        return _collected(map(_job, flights), len(flights), console)
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        return _collected(pool.map(_job, flights), len(flights), console)
-
-
-def _collected(results: Iterable[Result], count: int, console: Console) -> list[Result]:
-    """All results; what breaks the bar is said at once."""
     collected = []
-    for result in track(results, "flights", count, console=console, transient=True):
-        collected.append(result)
-        for line in broken([result]):
+    todo = [(flight,) for flight in flights]
+    for _, flown in running.in_processes(_job, todo, jobs, "flights", console):
+        collected.append(flown.result())
+        for line in broken(collected[-1:]):
             console.print(line, markup=False, soft_wrap=True)
     return collected
 
@@ -221,16 +200,16 @@ def show(flight: Flight, console: Console) -> None:
 
 def main() -> int:
     """Fly them, print the table; 1 if the bar is broken."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--flights", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--only", default="", help="rows whose name this pattern matches")
-    parser.add_argument("--vehicle", nargs="+", choices=VEHICLES, default=list(VEHICLES))
-    parser.add_argument("--show", type=int, help="fly this one again, and print its journal")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 200)
+    options, console = running.begin(
+        __doc__,
+        width=200,
+        flights=500,
+        seed=1,
+        jobs=2,
+        only=("", "rows whose name this pattern matches"),
+        vehicle={"nargs": "+", "choices": VEHICLES, "default": list(VEHICLES)},
+        show=(int, "fly this one again, and print its journal"),
+    )
     count = options.flights if options.show is None else options.show + 1
     flights = table_of(count, options.seed, options.vehicle, options.only)
     if options.show is not None:
@@ -247,11 +226,8 @@ def main() -> int:
         f"{len(results)} flights, {vehicle_s / 3600:.1f} h of vehicle time in "
         f"{took_s / 60:.1f} min; {vehicle_s / wall_s:.0f} x real time on each core"
     )
-    if options.json:
-        rows: list[dict[str, Any]] = [asdict(r) for r in results]
-        options.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    console.print("the bar is kept" if not lines else "the bar is broken", style="bold")
-    return 1 if lines else 0
+    running.store(options.json, [asdict(r) for r in results])
+    return running.ended(console, kept=not lines)
 
 
 if __name__ == "__main__":

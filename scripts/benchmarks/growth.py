@@ -12,10 +12,7 @@ Timed, the median of all scenes, each the best of some repetitions: `world` (rea
 the known map), `scan` (taking it into the known map), `guidance` (`cost_to_go`), `plan` (all).
 """
 
-import argparse
-import json
 import math
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -24,9 +21,9 @@ from pathlib import Path
 from typing import Any, TypeVar, final
 
 import numpy as np
+import running
 import worlds
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.table import Table
 from worlds import BenchmarkWorld
 
@@ -277,13 +274,13 @@ def table(rows: list[Row], title: str, what: str) -> Table:
 
 def main() -> None:
     """Measure, print, store."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--most", type=int, default=100_000, help="obstacles")
-    parser.add_argument("--cells", type=float, default=100.0, help="of the DEM, in millions")
-    parser.add_argument("--scenes", type=int, default=5)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
+    options, console = running.begin(
+        __doc__,
+        width=120,
+        most=(100_000, "obstacles"),
+        cells=(100.0, "of the DEM, in millions"),
+        scenes=5,
+    )
     kernel = load_kernel()
     smallest = worlds.spread_out(10)
     measured(smallest, near(smallest), kernel, seed=1)  # compiles
@@ -291,9 +288,8 @@ def main() -> None:
     console.print(table(grown, "Growth with the obstacles at equal density", "obstacles"))
     read = elevations(options.cells, options.scenes, kernel)
     console.print(table(read, "Growth with the elevation file", "cells of the DEM"))
-    if options.json:
-        rows = {"obstacles": [asdict(r) for r in grown], "elevation": [asdict(r) for r in read]}
-        options.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    rows = {"obstacles": [asdict(r) for r in grown], "elevation": [asdict(r) for r in read]}
+    running.store(options.json, rows)
 
 
 if __name__ == "__main__":

@@ -10,9 +10,7 @@ vehicle.  The bar: it arrives; no setpoint, the first of a life or any other, ju
 or 1 m/s.
 """
 
-import argparse
 import dataclasses
-import json
 import math
 import sys
 import tempfile
@@ -26,6 +24,7 @@ import numpy as np
 import pair_files
 import pair_processes as processes
 import pair_worlds
+import running
 from pair_processes import ORIGIN, POSITION, SETPOINT, TARGET, TO_COMPANION, Tap, frames
 from rich.console import Console
 
@@ -128,10 +127,7 @@ def scene_of(autopilot: str, kills: int) -> pair_worlds.Scene:
     """There and back, as often as so many kills take."""
     scene = pair_worlds.scene(autopilot, "copter", 4)  # type: ignore[arg-type]
     there = scene.mission.targets_ne_m[-1]
-    targets = (there, (0.0, 0.0)) * math.ceil(kills / _KILLS_A_LAP)
-    return dataclasses.replace(
-        scene, mission=dataclasses.replace(scene.mission, targets_ne_m=targets)
-    )
+    return scene.through(*(there, (0.0, 0.0)) * math.ceil(kills / _KILLS_A_LAP))
 
 
 def fly(autopilot: str, kills: int, seed: int, folder: Path, console: Console) -> Watcher:
@@ -171,13 +167,8 @@ def fly(autopilot: str, kills: int, seed: int, folder: Path, console: Console) -
 
 def main() -> int:
     """Fly it; 1 if a setpoint jumps."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    autopilots = ["ardupilot", "px4"]
+    options, console = running.begin(__doc__, kills=50, autopilot=autopilots, seed=1)
     with tempfile.TemporaryDirectory() as folder:
         watcher = fly(options.autopilot, options.kills, options.seed, Path(folder), console)
     bad = False
@@ -189,11 +180,8 @@ def main() -> int:
         speed = max((j.speed_m_s for j in jumps), default=0.0)
         bad = bad or metres > _JUMP_M or speed > _JUMP_M_S
         console.print(f"{name}: {len(jumps)}; largest jump {metres:.2f} m and {speed:.2f} m/s")
-    if options.json:
-        rows = [dataclasses.asdict(jump) for jump in watcher.jumps]
-        options.json.write_text(json.dumps(rows) + "\n", encoding="utf-8")
-    console.print("the bar is broken" if bad else "it arrived; the bar is kept", style="bold")
-    return 1 if bad else 0
+    running.store(options.json, [dataclasses.asdict(jump) for jump in watcher.jumps])
+    return running.ended(console, kept=not bad)
 
 
 if __name__ == "__main__":

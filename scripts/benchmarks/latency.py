@@ -10,7 +10,6 @@ same size.  What the companion itself measured, from the datagram's arrival to t
 departure, stands in its run.json.
 """
 
-import argparse
 import json
 import multiprocessing
 import select
@@ -26,9 +25,9 @@ import numpy as np
 import pair_files
 import pair_processes as processes
 import pair_worlds
+import running
 from numpy.typing import NDArray
 from pair_processes import POSITION, SETPOINT, TO_COMPANION, Tap, frames
-from rich.console import Console
 from rich.table import Table
 
 FloatArray = NDArray[np.float64]
@@ -160,13 +159,12 @@ def table_of(rows: list[dict[str, Any]]) -> Table:
 
 def main() -> int:
     """Fly one mission for each rate."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot")
-    parser.add_argument("--rates", type=float, nargs="+", default=[20.0, 200.0])
-    parser.add_argument("--idle", action="store_true", help="leave the other core alone")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    options, console = running.begin(
+        __doc__,
+        autopilot=["ardupilot", "px4"],
+        rates={"type": float, "nargs": "+", "default": [20.0, 200.0]},
+        idle=(False, "leave the other core alone"),
+    )
     rows = []
     for rate_hz in options.rates:
         with tempfile.TemporaryDirectory() as folder:
@@ -174,8 +172,7 @@ def main() -> int:
     console.print(table_of(rows))
     for row in rows:
         console.print(f"inside the companion, {row['rate_hz']:g} Hz: {json.dumps(row['inside'])}")
-    if options.json:
-        options.json.write_text(json.dumps(rows) + "\n", encoding="utf-8")
+    running.store(options.json, rows)
     return 0
 
 

@@ -5,7 +5,6 @@ python scripts/benchmarks/logs.py [--megabytes 250] [--only tlog|bin|ulg|rivals]
 The log is a recorded one over and over, with time going on; each reader runs in its own process.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -13,6 +12,8 @@ import sys
 import tempfile
 from pathlib import Path
 from typing import Any
+
+import running
 
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "tests" / "fuzz"), str(ROOT / "tests" / "recordings")]
@@ -23,42 +24,45 @@ PARTS = {
     "bin": "arducopter-gps-loss.tlog",
     "ulg": "px4-offboard-short.ulg",
 }
-READS = """
-import json, resource, sys, time
+_READER = """
+import json, sys, time
 from pathlib import Path
-from companion.telemetry.logs import open_log
-began_s, began_cpu_s = time.perf_counter(), time.process_time()
-log = open_log(Path(sys.argv[1]))
-opened_s = time.perf_counter()
-count = sum(1 for _ in log.records())
+began_s, began_cpu_s, opened_s, findings = time.perf_counter(), time.process_time(), None, []
+{}
 done_s = time.perf_counter()
-print(json.dumps({
-    "records": count, "open_s": opened_s - began_s, "read_s": done_s - opened_s,
-    "cpu_s": time.process_time() - began_cpu_s,
-    "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-    "findings": [str(each) for each in log.findings],
-}))
+status = Path("/proc/self/status").read_text()  # ru_maxrss would begin with the parent's
+print(json.dumps({{
+    "records": count, "open_s": (opened_s or began_s) - began_s,
+    "read_s": done_s - (opened_s or began_s), "cpu_s": time.process_time() - began_cpu_s,
+    "peak_mb": int(status.partition("VmHWM:")[2].split()[0]) / 1024, "findings": findings,
+}}))
 """
-DECODES = READS.replace(
-    "count = sum(1 for _ in log.records())",
-    "from companion.mavlink.receiver import Receiver\n"
-    "receiver = Receiver()\n"
-    "count = sum(len(receiver.feed(each.frame)) for each in log.records())",
+_OPENS = """from companion.telemetry.logs import open_log
+from companion.mavlink.receiver import Receiver
+receiver, log = Receiver(), open_log(Path(sys.argv[1]))
+opened_s = time.perf_counter()
+count = {}
+findings = [str(each) for each in log.findings]"""
+READS = _READER.format(_OPENS.format("sum(1 for _ in log.records())"))
+DECODES = _READER.format(
+    _OPENS.format("sum(len(receiver.feed(each.frame)) for each in log.records())")
 )
-PYMAVLINK = """
-import json, resource, sys, time
-from pymavlink import mavutil
+ROWS = _READER.format("""from companion.telemetry.logs import dataflash, ulog
+from companion.telemetry.logs.findings import Findings
+from companion.telemetry.logs.window import Window
+class All:
+    __contains__ = lambda self, name: name != "FMT"
+reader = ulog if sys.argv[1].endswith("ulg") else dataflash
+with Window(Path(sys.argv[1])) as window:
+    count = sum(1 for _ in reader.rows(window, Findings(), All()))""")
+PYMAVLINK = _READER.format("""from pymavlink import mavutil
 mavutil.set_dialect("all")
-began_s, began_cpu_s = time.perf_counter(), time.process_time()
 log, count = mavutil.mavlink_connection(sys.argv[1]), 0
 while log.recv_msg() is not None:
-    count += 1
-print(json.dumps({
-    "records": count, "open_s": 0.0, "read_s": time.perf_counter() - began_s,
-    "cpu_s": time.process_time() - began_cpu_s,
-    "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "findings": [],
-}))
-"""
+    count += 1""")
+PYULOG = _READER.format("""from pyulog import ULog
+count = sum(len(each.data["timestamp"]) for each in ULog(sys.argv[1]).data_list)""")
+RIVALS = {"bin": ("DFReader", PYMAVLINK), "ulg": ("pyulog", PYULOG)}
 
 
 def tlog_of(path: Path, size: int) -> None:
@@ -95,15 +99,18 @@ def bin_of_size(path: Path, size: int) -> None:
 
 
 def ulg_of_size(path: Path, size: int) -> None:
-    """The data of a flight again and again."""
-    content = recording(PARTS["ulg"]).read_bytes()
-    at = 16
-    while content[at + 2 : at + 3] != b"A":
-        at += 3 + int.from_bytes(content[at : at + 2], "little")
+    """The data of a flight again and again, after all that describes it."""
+    content, at = recording(PARTS["ulg"]).read_bytes(), 16
+    head, data = bytearray(content[:at]), bytearray()
+    while at < len(content):
+        end = at + 3 + int.from_bytes(content[at : at + 2], "little")
+        kept = data if content[at + 2] == ord("D") else head
+        kept += content[at:end]
+        at = end
     with path.open("wb") as file:
-        file.write(content)
+        file.write(head)
         while file.tell() < size:
-            file.write(content[at:])
+            file.write(data)
 
 
 WRITERS = {"tlog": tlog_of, "bin": bin_of_size, "ulg": ulg_of_size}
@@ -134,11 +141,8 @@ def line(name: str, figures: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--megabytes", type=float, default=250.0)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--only", choices=[*WRITERS, "rivals"])
-    wanted = parser.parse_args()
+    only = {"choices": [*WRITERS, "rivals"]}
+    wanted, _ = running.begin(__doc__, megabytes=250.0, only=only)
     size, results = round(wanted.megabytes * 1e6), dict[str, Any]()
     with tempfile.TemporaryDirectory() as folder:
         for kind, write in WRITERS.items():
@@ -149,6 +153,10 @@ def main() -> None:
             results[kind] = measured(READS, path)
             bar = "   (bar 30,000 /s, 300 MB)" if kind == "tlog" else ""
             print(line(f".{kind}, opened and read", results[kind]) + bar, flush=True)
+            if kind in RIVALS:
+                for name, program in (("every row", ROWS), RIVALS[kind]):
+                    results[f"{kind}, {name}"] = measured(program, path)
+                    print(line(f".{kind}, {name}", results[f"{kind}, {name}"]), flush=True)
             path.unlink()
         programs = {"and decoded (Receiver)": DECODES, "pymavlink": PYMAVLINK}
         if wanted.only not in (None, "rivals"):
@@ -158,8 +166,7 @@ def main() -> None:
         for name, program in programs.items():
             results[name] = measured(program, part)
             print(line(f".tlog, {name}", results[name]), flush=True)
-    if wanted.json:
-        wanted.json.write_text(json.dumps(results, indent=1), encoding="utf-8")
+    running.store(wanted.json, results)
 
 
 if __name__ == "__main__":

@@ -11,27 +11,22 @@ is measured against the true world by `truth`: the planner's own figures are not
 """
 
 import argparse
-import json
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 import optimum
+import running
 import truth
 import worlds
-from families import FAMILIES, SEED, unseen
+from families import FAMILIES, SEED, best_of, unseen
 from lattice import curve_cost
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from worlds import BenchmarkWorld
 
@@ -264,12 +259,12 @@ def _tangent_curvature(curve: Any, u: float) -> tuple[FloatArray, FloatArray]:
 # --- all of them
 
 
-def _job(name: str, seed: int, profile: str, best: optimum.Optimum | None) -> MissionResult:
+def _job(name: str, seed: int, profile: str) -> MissionResult:
     world = worlds.by_name(name)
     if profile != world.task.settings.profile.name:
         settings = replace(world.task.settings, profile=PROFILES[profile])
         world = replace(world, task=replace(world.task, settings=settings))
-    return measured(world, seed, best)
+    return measured(world, seed, best_of(world))
 
 
 def missions(only: str, count: int, seeds: int) -> list[tuple[str, int]]:
@@ -289,13 +284,9 @@ def run(
     todo: Sequence[tuple[str, int]], jobs: int, profile: str, console: Console
 ) -> list[MissionResult]:
     """Fly and measure missions, in their order."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # one core for each job
-    known = optimum.load()
-    bests = {name: known.get(worlds.by_name(name).fingerprint) for name, _ in todo}
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(_job, n, s, profile, bests[n]) for n, s in todo]
-        return [f.result() for f in track(futures, "missions", console=console, transient=True)]
+    todo = [(name, seed, profile) for name, seed in todo]
+    done = running.in_processes(_job, todo, jobs, "missions", console)
+    return [flown.result() for _, flown in done]
 
 
 # --- what is said about them
@@ -416,35 +407,24 @@ def kept(figures: dict[str, Any]) -> bool:
     )
 
 
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--worlds", type=int, help="how many; 100 dense ones, 20 of a family")
-    parser.add_argument("--seeds", type=int, default=20, help="of the bundled environments")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--only", choices=("dense", "bundled", "sparse"), default="")
-    parser.add_argument("--profile", choices=tuple(PROFILES), default="flight")
-    parser.add_argument("--json", type=Path)
-    parser.add_argument(
-        "--family",
-        action="append",
-        choices=("all", *FAMILIES),
-        help="worlds of this family, beside a rival; more than once: several",
+def _options() -> tuple[argparse.Namespace, Console]:
+    family = {"action": "append", "choices": ("all", *FAMILIES)}
+    return running.begin(
+        __doc__,
+        worlds=(int, "how many; 100 dense ones, 20 of a family"),
+        seeds=(20, "of the bundled environments"),
+        jobs=1,
+        only=["", "dense", "bundled", "sparse"],
+        profile=[*PROFILES],
+        family=(family, "worlds of this family, beside a rival; more than once: several"),
+        seed=(SEED, "of a family: which worlds are drawn"),
+        elevation=(
+            False,
+            "of a family: an elevation file for guidance, blurred, off by 100 m and noisy",
+        ),
+        each=(False, "a line for each world of a family"),
+        ompl=(False, "beside RRT* with full knowledge, if the package ompl is there"),
     )
-    parser.add_argument(
-        "--seed", type=int, default=SEED, help="of a family: which worlds are drawn"
-    )
-    parser.add_argument(
-        "--elevation",
-        action="store_true",
-        help="of a family: an elevation file for guidance, blurred, off by 100 m and noisy",
-    )
-    parser.add_argument("--each", action="store_true", help="a line for each world of a family")
-    parser.add_argument(
-        "--ompl",
-        action="store_true",
-        help="beside RRT* with full knowledge, if the package ompl is there",
-    )
-    return parser.parse_args()  # fmt: skip
 
 
 def _by_family(options: argparse.Namespace, console: Console) -> int:
@@ -464,15 +444,13 @@ def _by_family(options: argparse.Namespace, console: Console) -> int:
     if options.each:
         console.print("\n".join(found["lines"]), soft_wrap=True)
     console.print(family_missions.table(found["summary"], options.seed))
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    running.store(options.json, found)
     return 0 if kept_all else 1
 
 
 def main() -> int:
     """Run the missions, print the tables; 1 if a bar is missed."""
-    options = _options()
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 140)
+    options, console = _options()
     if options.family:
         return _by_family(options, console)
     todo = missions(options.only, options.worlds or 100, options.seeds)
@@ -485,13 +463,9 @@ def main() -> int:
         groups["all"] = summary(results)
     console.print(summary_table(groups))
     console.print(worst_table(results))
-    if options.json:
-        rows = [asdict(r) | {"ratio": r.ratio} for r in results]
-        text = json.dumps({"summary": groups, "missions": rows}, indent=1)
-        options.json.write_text(text + "\n", encoding="utf-8")
-    passed = all(kept(figures) for figures in groups.values())
-    console.print("all bars kept" if passed else "a bar is missed", style="bold")
-    return 0 if passed else 1
+    rows = [asdict(r) | {"ratio": r.ratio} for r in results]
+    running.store(options.json, {"summary": groups, "missions": rows})
+    return running.ended(console, kept=all(kept(figures) for figures in groups.values()))
 
 
 if __name__ == "__main__":

@@ -9,22 +9,17 @@
    keep-outs. The best are refined with more control points.
 3. What comes out is checked densely with `truth`; where it breaks a bound by a little, the bound is
    drawn in by as much and step 2 goes on. Only a feasible route counts, so the cost found is an
-   upper bound of the optimum's. How close: `--refine` (finer curves, more starts) and the grid's
+   upper bound of the optimum's. How close: effort 2 (finer curves, more starts) and the grid's
    cost, which leaves turn radius and climb limit out.
 
-    python scripts/benchmarks/optimum.py [--worlds 100] [--jobs 1] [--refine 3] [--again]
+`families.best_of` looks for it where it was found before.
 """
 
-import argparse
 import json
 import math
-import os
-import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import truth
@@ -32,8 +27,6 @@ import worlds
 from descent import Margins, Problem, Smooth
 from lattice import GRID_M, SURFACE_M, Lattice, Rates, curve_cost
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 from worlds import BenchmarkWorld
 
 from companion.world.threats import Radar
@@ -290,87 +283,9 @@ def load() -> dict[str, Optimum]:
     if not OPTIMA.is_file():
         return {}
     rows = json.loads(OPTIMA.read_text(encoding="utf-8"))
-    return {
-        row["fingerprint"]: Optimum(
-            **{**row, "control_nea_m": tuple(tuple(p) for p in row["control_nea_m"])}
-        )
-        for row in rows.values()
-    }
+    return {row["fingerprint"]: of_row(row) for row in rows.values()}
 
 
-def store(name: str, found: Optimum) -> None:
-    """Add one optimum to the file, by the world's name."""
-    rows = json.loads(OPTIMA.read_text(encoding="utf-8")) if OPTIMA.is_file() else {}
-    rows[name] = {key: getattr(found, key) for key in Optimum.__slots__}
-    ordered = {key: rows[key] for key in sorted(rows, key=_in_order)}
-    lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(row)}" for key, row in ordered.items())
-    OPTIMA.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
-
-
-def _in_order(name: str) -> tuple[str, int]:
-    kind, _, number = name.rpartition("-")
-    return kind, int(number)
-
-
-def _job(name: str, effort: int) -> tuple[str, Optimum | str, float]:
-    began_s = time.perf_counter()
-    try:
-        found: Optimum | str = optimum(worlds.by_name(name), effort=effort)
-    except ValueError as error:
-        found = str(error)
-    return name, found, time.perf_counter() - began_s
-
-
-def compute(names: list[str], jobs: int, effort: int, console: Console) -> dict[str, Optimum]:
-    """Find and store the optima of worlds; a better one that is stored already stays."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # the matrices are small: threads only get in the way
-    results: dict[str, Optimum] = {}
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        for future in [pool.submit(_job, name, effort) for name in names]:
-            name, found, took_s = future.result()
-            if isinstance(found, str):
-                console.print(f"[red]{found}[/red]")
-                continue
-            known = load().get(found.fingerprint)
-            if known is None or found.cost < known.cost:
-                store(name, found)
-            results[name] = found
-            console.print(
-                f"{name}: J* = {found.cost:.4f} ({found.length_m / 1000:.2f} km, "
-                f"grid {found.grid_cost:.4f}, {found.starts} curves, {took_s:.0f} s)"
-            )
-    return results
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--worlds", type=int, default=100, help="dense worlds")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--refine", type=int, default=0, metavar="N",
-                        help="search N worlds again, harder, and compare")  # fmt: skip
-    parser.add_argument("--again", action="store_true", help="search again what is stored")
-    options = parser.parse_args()
-    console = Console(highlight=False)
-    names = ["environment-1", "environment-2", *(f"dense-{k}" for k in range(options.worlds))]
-    known = load()
-    todo = [n for n in names if options.again or worlds.by_name(n).fingerprint not in known]
-    compute(todo, options.jobs, 1, console)
-    if options.refine:
-        first = load()
-        harder = compute(names[1 : 1 + options.refine], options.jobs, 2, console)
-        table = Table("world", "J*", "J*, harder", "by which it was too high", "over the grid")
-        for name, found in harder.items():
-            before = first[found.fingerprint].cost
-            table.add_row(
-                name,
-                f"{before:.4f}",
-                f"{found.cost:.4f}",
-                f"{100.0 * (before / found.cost - 1.0):.3f} %",
-                f"{100.0 * (before / found.grid_cost - 1.0):+.2f} %",
-            )
-        console.print(table)
-
-
-if __name__ == "__main__":
-    main()
+def of_row(row: dict[str, Any]) -> Optimum:
+    """As JSON has it."""
+    return Optimum(**row | {"control_nea_m": tuple(map(tuple, row["control_nea_m"]))})

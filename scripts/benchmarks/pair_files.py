@@ -1,13 +1,16 @@
 """A scene as the two files that the programs read: mission.toml and world.toml."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from pair_worlds import Scene
+from pydantic import BaseModel
 
+from companion.sources.files import toml_text
+from companion.sources.mission_schema import MissionVehicleTable, PlannerTable
 from companion.world.threats import CircleZone, Radar, Zone
 
 
@@ -15,35 +18,24 @@ def write(scene: Scene, folder: Path, **vehicle: Any) -> tuple[Path, Path]:
     """mission.toml and world.toml of a scene; `vehicle` overrides keys of the mission's table."""
     folder.mkdir(parents=True, exist_ok=True)
     mission, world = folder / "mission.toml", folder / "world.toml"
-    mission.write_text(_toml(_mission(scene, vehicle)), encoding="utf-8")
-    world.write_text(_toml(_world(scene)), encoding="utf-8")
+    mission.write_text(toml_text(_mission(scene, vehicle)), encoding="utf-8")
+    world.write_text(toml_text(_world(scene)), encoding="utf-8")
     return mission, world
 
 
 def _mission(scene: Scene, vehicle: Mapping[str, Any]) -> dict[str, Any]:
     mission, task = scene.mission, scene.mission.task
     limits, settings = task.limits, task.settings
-    of_vehicle = {
-        "kind": scene.kind,
-        "autopilot": scene.autopilot,
-        "system_id": mission.system_id,
-        "speed_m_s": limits.speed_m_s,
-        "acceleration_m_s2": limits.acceleration_m_s2,
-        "climb_rate_m_s": limits.climb_rate_m_s,
-        "turn_radius_m": limits.turn_radius_m,
+    of_vehicle = _keys(MissionVehicleTable, mission, limits) | {
         "climb_angle_deg": math.degrees(limits.climb_angle_rad),
         "dive_angle_deg": math.degrees(limits.dive_angle_rad),
-        "tracking_error_m": limits.tracking_error_m,
-        "navigation_error_m": limits.navigation_error_m,
-        "dead_man_s": limits.dead_man_s,
-        "position_rate_hz": mission.position_rate_hz,
         "loiter_radius_m": limits.loiter_radius_m or None,
         **vehicle,
     }
     return {
         "schema": 1,
         "name": mission.name,
-        "origin": _fields(scene.world.origin),
+        "origin": asdict(scene.world.origin),
         "area": {
             "north_min_m": limits.north_m[0],
             "north_max_m": limits.north_m[1],
@@ -53,17 +45,22 @@ def _mission(scene: Scene, vehicle: Mapping[str, Any]) -> dict[str, Any]:
         "altitude": {"floor_amsl_m": limits.floor_amsl_m, "ceiling_amsl_m": limits.ceiling_amsl_m},
         "targets": [{"north_m": n, "east_m": e} for n, e in mission.targets_ne_m],
         "vehicle": of_vehicle,
-        "planner": {
-            "scan_range_m": settings.scan_range_m,
-            "safety_distance_m": settings.safety_distance_m,
-            "planning_time_s": settings.planning_time_s,
-            "scan_time_s": settings.scan_time_s,
-            "evaluations": settings.evaluations,
-        },
+        "planner": _keys(PlannerTable, settings)
+        | {"profile": settings.profile.name, "weights": asdict(settings.weights)},
         "end": {"action": mission.end_action.value},
         "radars": [_radar(radar) for radar in task.radars],
         "keep_outs": [_zone(zone) for zone in task.zones if not zone.keep_in],
         "keep_ins": [_zone(zone) for zone in task.zones if zone.keep_in],
+    }
+
+
+def _keys(table: type[BaseModel], *holders: Any) -> dict[str, Any]:
+    """Of a table of mission.toml, what these have under the same name."""
+    return {
+        name: getattr(holder, name)
+        for holder in holders
+        for name in table.model_fields
+        if hasattr(holder, name)
     }
 
 
@@ -81,45 +78,13 @@ def _zone(zone: Zone) -> dict[str, Any]:
 
 
 def _world(scene: Scene) -> dict[str, Any]:
-    world = scene.world
-    terrain = _fields(world.terrain)
-    terrain["peaks"] = [_fields(peak) for peak in world.terrain.peaks]
+    """What is left out is None, or an empty list."""
+    return _filled(asdict(scene.world) | {"schema": 1})
+
+
+def _filled(table: dict[str, Any]) -> dict[str, Any]:
     return {
-        "schema": 1,
-        "name": world.name,
-        "origin": _fields(world.origin),
-        "terrain": terrain,
-        "vehicle": _fields(world.vehicle),
-        "scanner": _fields(world.scanner),
-        "radars": [_fields(radar) for radar in world.radars],
+        key: _filled(value) if isinstance(value, dict) else value
+        for key, value in table.items()
+        if value is not None and value not in ((), [], {})
     }
-
-
-def _fields(value: Any) -> dict[str, Any]:
-    return {each.name: getattr(value, each.name) for each in fields(value)}
-
-
-def _toml(table: Mapping[str, Any], path: str = "") -> str:
-    """TOML of plain values, tables, and arrays of tables; None and empty ones are left out."""
-    plain, below = [], []
-    for key, value in table.items():
-        name = f"{path}.{key}".lstrip(".")
-        if value is None or (isinstance(value, Sequence | Mapping) and not len(value)):
-            continue
-        if isinstance(value, Mapping):
-            below.append(f"\n[{name}]\n{_toml(value, name)}")
-        elif isinstance(value, Sequence) and isinstance(value[0], Mapping):
-            below += [f"\n[[{name}]]\n{_toml(row, name)}" for row in value]
-        else:
-            plain.append(f"{key} = {_value(value)}")
-    return "\n".join(plain) + "\n" + "".join(below)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, str):
-        return f'"{value}"'
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, Sequence):
-        return f"[{', '.join(_value(each) for each in value)}]"
-    return repr(value)

@@ -80,7 +80,7 @@ class Station:
 
     def upload(self, zones: Sequence[Zone], uploaded: Callable[[], None]) -> None:
         """Give the vehicle this fence, and say when it has it."""
-        self._items = [item for zone in zones for item in self._items_of(zone)]
+        self._items = [item for zone in zones for item in self.items_of(zone)]
         self._uploaded, self._begin = uploaded, True
 
     def command(self, command: int, *parameters: float, component: int = PLANNER_COMPONENT) -> None:
@@ -130,7 +130,7 @@ class Station:
         if self._uploaded is not None:
             self._uploaded()
 
-    def _items_of(self, zone: Zone) -> list[tuple[Any, ...]]:
+    def items_of(self, zone: Zone) -> list[tuple[Any, ...]]:
         """Command, first parameter, latitude and longitude of each item of a zone."""
         if isinstance(zone, CircleZone):
             place = self._frame.to_geographic(zone.north_m, zone.east_m)

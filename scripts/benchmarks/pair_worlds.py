@@ -10,7 +10,7 @@ line, is drawn again.
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Literal, final
 
 import numpy as np
@@ -103,16 +103,7 @@ class Scene:
     @functools.cached_property
     def world(self) -> sim.World:
         """What the simulator flies in."""
-        peaks = tuple(
-            sim.Peak(
-                north_m=p.north_m,
-                east_m=p.east_m,
-                height_amsl_m=p.height_amsl_m,
-                spread_north_m=p.spread_north_m,
-                spread_east_m=p.spread_east_m,
-            )
-            for p in self.terrain.peaks
-        )
+        peaks = tuple(sim.Peak(**asdict(peak)) for peak in self.terrain.peaks)
         return sim.World(
             schema=1,
             name=self.name,
@@ -137,10 +128,23 @@ class Scene:
             scanner=sim.Scanner(component_id=100, range_m=self.mission.task.settings.scan_range_m),
         )
 
+    def through(self, *targets_ne_m: tuple[float, float]) -> "Scene":
+        """The same world, with a mission to these targets."""
+        return replace(self, mission=replace(self.mission, targets_ne_m=targets_ne_m))
+
     @property
     def safety_m(self) -> float:
         """d_s."""
         return self.mission.task.settings.safety_distance_m
+
+
+VEHICLES = ("ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane")
+
+
+def scene_of(vehicle: str, number: int) -> Scene:
+    """World `number` for one of `VEHICLES`."""
+    autopilot, kind = vehicle.split("-")
+    return scene(autopilot, kind, number)  # type: ignore[arg-type]
 
 
 @functools.cache
@@ -228,13 +232,7 @@ def _hill(at_ne_m: FloatArray, top_m: float, foot_m: float) -> Peak:
     """A mountain of eq. 1 that rises out of the ground at this radius."""
     height = GROUND_AMSL_M + top_m
     spread = foot_m / math.sqrt(math.log(height / GROUND_AMSL_M))
-    return Peak(
-        north_m=float(at_ne_m[0]),
-        east_m=float(at_ne_m[1]),
-        height_amsl_m=height,
-        spread_north_m=spread,
-        spread_east_m=spread,
-    )
+    return truth.mountain(float(at_ne_m[0]), float(at_ne_m[1]), height, (spread, spread))
 
 
 def _fence(

@@ -9,17 +9,15 @@ the best of them), the unit cube as bounds, and the budget to the evaluation; po
 its authors recommend, or (`-60`) 60. Intervals: 95 %, by resampling problems and seeds.
 """
 
-import argparse
 import contextlib
-import json
 import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
+import running
 import subpaths
 from numpy.typing import NDArray
 from rich.console import Console
@@ -280,16 +278,16 @@ def search_long(
 
 def main() -> int:
     """Run the comparison, print the tables; 1 if a bar is missed."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--slow-seeds", type=int, default=2, help=f"for {' and '.join(_SLOW)}")
-    parser.add_argument("--only", nargs="*", default=[OURS, *RIVALS], choices=[OURS, *RIVALS])
-    parser.add_argument("--all", action="store_true", help="with the problems used for tuning")
-    parser.add_argument("--record", action="store_true", help="fly the missions anew")
-    parser.add_argument("--best-known", type=int, default=0, metavar="RUNS", help="long searches")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 150)
+    options, console = running.begin(
+        __doc__,
+        width=150,
+        seeds=10,
+        slow_seeds=(2, f"for {' and '.join(_SLOW)}"),
+        only={"nargs": "*", "default": [OURS, *RIVALS], "choices": [OURS, *RIVALS]},
+        all=(False, "with the problems used for tuning"),
+        record=(False, "fly the missions anew"),
+        best_known=(0, "runs of long searches"),
+    )
     kernel = kernels.compiled(cache=None)
     data = subpaths.record(kernel) if options.record else subpaths.load()
     problems = subpaths.problems(data)
@@ -312,16 +310,13 @@ def main() -> int:
     if hard.any():
         names = ", ".join(p.name for p, drop in zip(problems, hard, strict=True) if drop)
         console.print(table(f"without {hard.sum()} needles ({names})", easier))
-    if options.json:
-        text = json.dumps({"all": rows(figures), "without_needles": rows(easier)}, indent=1)
-        options.json.write_text(text + "\n", encoding="utf-8")
+    running.store(options.json, {"all": rows(figures), "without_needles": rows(easier)})
     passed = all(
         easier[OURS, budget].success >= bar
         for budget, bar in _BARS.items()
         if (OURS, budget) in easier
     )
-    console.print("all bars kept" if passed else "a bar is missed", style="bold")
-    return 0 if passed else 1
+    return running.ended(console, kept=passed)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ of those the companion is killed once and started again.  Each run folder is the
 differ in their last bits and decisions may not.
 """
 
-import argparse
 import json
 import re
 import signal
@@ -17,14 +16,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
+import running
 from pair_processes import BIN, ENVIRONMENT, ROOT, end, free_port, start_companion, start_vehicle
-from rich.console import Console
 from rich.table import Table
 
 _WORLDS = ("environment-1", "environment-2")
@@ -151,18 +149,16 @@ def replayed(run: Path, *options: str) -> dict[str, Any]:
     return {**found, "code": done.returncode}
 
 
-def main(arguments: Sequence[str]) -> int:
+def main() -> int:
     """Fly, replay, and say how many were identical."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    options, console = running.begin(
+        __doc__,
+        flights=20,
+        seed=1,
+        only={"type": int, "nargs": "*"},
+        keep=(Path, "where run folders stay"),
     )
-    parser.add_argument("--flights", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", type=int, nargs="*", help="numbers of flights")
-    parser.add_argument("--keep", type=Path, help="where run folders stay")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args(arguments)
-    console, rows = Console(), []
+    rows = []
     table = Table("flight", "world", "autopilot", "clock", "faults", "ended", "identical", "speed")
     table.add_column("numpy: decisions, plans that differ")
     with tempfile.TemporaryDirectory() as scratch:
@@ -179,8 +175,7 @@ def main(arguments: Sequence[str]) -> int:
     same = sum(row["replay"]["identical"] for row in rows)
     decisions = sum(row["numpy"]["difference"] is None for row in rows)
     console.print(f"{same} of {len(rows)} identical; with numpy {decisions} decide the same")
-    if options.json is not None:
-        options.json.write_text(json.dumps(rows, indent=2, default=str) + "\n", encoding="utf-8")
+    running.store(options.json, rows)
     return 0 if same == decisions == len(rows) else 1
 
 
@@ -203,4 +198,4 @@ def _cells(case: Case, run: Path, found: dict[str, Any], numpy: dict[str, Any]) 
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

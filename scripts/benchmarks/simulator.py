@@ -3,8 +3,6 @@
 python scripts/benchmarks/simulator.py [--seconds 300] [--hours 10] [--json FILE]
 """
 
-import argparse
-import json
 import multiprocessing
 import resource
 import socket
@@ -13,9 +11,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
+import running
+from pair_processes import frames, payload
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.simulation import Simulation
@@ -23,7 +22,7 @@ from vehicle_sim.world import flat_world
 
 TICK_HZ = 20
 HOME = {"latitude_deg": 47.397742, "longitude_deg": 8.545594, "altitude_amsl_m": 488.0}
-MARKER, TIMESYNC, HEARTBEAT_EVERY = 0xFD, 111, TICK_HZ
+TIMESYNC, HEARTBEAT_EVERY = 111, TICK_HZ
 
 
 def frame(mav: Any, message: Any) -> bytes:
@@ -34,15 +33,12 @@ def frame(mav: Any, message: Any) -> bytes:
 
 def time_syncs(datagram: bytes) -> int | None:
     """ts1 of a TIMESYNC question in this datagram."""
-    at, found = 0, None
-    while at + 12 <= len(datagram) and datagram[at] == MARKER:
-        size = datagram[at + 1]
-        if int.from_bytes(datagram[at + 7 : at + 10], "little") == TIMESYNC:
-            payload = datagram[at + 10 : at + 10 + size].ljust(16, b"\0")
-            tc1, ts1 = struct.unpack("<qq", payload[:16])
-            found = ts1 if tc1 == 0 else found
-        at += size + 12
-    return found
+    asked = [
+        struct.unpack_from("<qq", payload(each, 16))
+        for number, each in frames(datagram)
+        if number == TIMESYNC
+    ]
+    return next((ts1 for tc1, ts1 in reversed(asked) if tc1 == 0), None)
 
 
 def trivial_client(link: socket.socket, takeoff: bool) -> None:
@@ -154,13 +150,11 @@ def memory_mb(hours: float) -> list[tuple[float, float]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--seconds", type=float, default=300.0, help="of vehicle time for each speed"
+    wanted, _ = running.begin(
+        __doc__,
+        seconds=(300.0, "of vehicle time for each speed"),
+        hours=(10.0, "of vehicle time for the memory"),
     )
-    parser.add_argument("--hours", type=float, default=10.0, help="of vehicle time for the memory")
-    parser.add_argument("--json", type=Path)
-    wanted = parser.parse_args()
     seconds = wanted.seconds
     bare = with_client(lambda port: bare_server(port, seconds), takeoff=False)
     ground = with_client(lambda port: lockstep(port, seconds), takeoff=False)
@@ -174,11 +168,8 @@ def main() -> None:
     memory = memory_mb(wanted.hours)
     for hours, size in memory:
         print(f"resident after {hours:4.1f} simulated hours           {size:6.1f} MB")
-    if wanted.json:
-        figures = {"bare": bare, "ground": ground, "flying": flying, "fleets": fleets}
-        wanted.json.write_text(
-            json.dumps({**figures, "memory": memory}, indent=1), encoding="utf-8"
-        )
+    figures = {"bare": bare, "ground": ground, "flying": flying, "fleets": fleets}
+    running.store(wanted.json, {**figures, "memory": memory})
 
 
 if __name__ == "__main__":

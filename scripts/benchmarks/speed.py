@@ -5,20 +5,18 @@ certificate of what it finds.  What comes before it once per scan is timed besid
 usage: python scripts/benchmarks/speed.py [--scenes 60] [--repeats 5] [--json FILE]
 """
 
-import argparse
-import json
 import math
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
+import running
 from rich.table import Table
+from truth import mountain
 
 from companion.config import load_mission
 from companion.path.subpath import Pose
@@ -29,7 +27,7 @@ from companion.planner.request import Planned, PlanRequest
 from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import simulated_scan, true_map
-from companion.world.terrain import Peak, PeakTerrain
+from companion.world.terrain import PeakTerrain
 from companion.world.threats import CircleZone, Radar
 
 _SIDE_M = 60_000.0
@@ -54,12 +52,8 @@ def request(number: int) -> PlanRequest:
     here = 0.5 * _SIDE_M
     places = [_around(rng, here) for _ in range(_PEAKS + _RADARS + _KEEP_OUTS)]
     peaks = tuple(
-        Peak(
-            north_m=north,
-            east_m=east,
-            height_amsl_m=float(rng.uniform(2_500.0, 5_500.0)),
-            spread_north_m=float(rng.uniform(1_000.0, 2_500.0)),
-            spread_east_m=float(rng.uniform(1_000.0, 2_500.0)),
+        mountain(
+            north, east, rng.uniform(2_500.0, 5_500.0), tuple(rng.uniform(1_000.0, 2_500.0, 2))
         )
         for north, east in places[:_PEAKS]
     )
@@ -172,11 +166,7 @@ def _first_plan_s() -> dict[str, Any]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=60)
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--json", type=Path)
-    given = parser.parse_args()
+    given, console = running.begin(__doc__, scenes=60, repeats=5)
     found = measure(given.scenes, given.repeats)
     table = Table(
         title="time of a plan, ms",
@@ -190,7 +180,6 @@ def main() -> int:
         figures = (medians[0], slowest[0], medians[1], slowest[1])
         bar = f"{_BARS_MS[0]:g}, {_BARS_MS[1]:g}" if name == compiled else ""
         table.add_row(name, *(f"{each:.2f}" for each in figures), f"{len(times)}", bar)
-    console = Console()
     console.print(table)
     fast, slowest = (np.quantile(found["times_ms"][compiled], q, axis=0)[0] for q in (0.5, 0.99))
     ratio = np.median(found["times_ms"]["plan, numpy"], axis=0)[0] / fast
@@ -200,8 +189,7 @@ def main() -> int:
         f"{found['first_plan_s']:.2f} s (bar: {_FIRST_PLAN_BAR_S:g} s)"
     )
     console.print(f"first search proven in {found['proven']} of {found['scenes']} scenes")
-    if given.json:
-        given.json.write_text(json.dumps(found, indent=1))
+    running.store(given.json, found)
     kept = fast <= _BARS_MS[0] and slowest <= _BARS_MS[1] and ratio >= _BAR_RATIO
     return 0 if kept and found["first_plan_s"] <= _FIRST_PLAN_BAR_S else 1
 

@@ -81,6 +81,17 @@ def sampled(control_nea_m: FloatArray, spacing_m: float) -> Curve:
 # --- terrain
 
 
+def mountain(north: float, east: float, top: float, spreads: tuple[float, float]) -> Peak:
+    """A mountain of eq. 1: its place, its height AMSL, and how wide it is to the north and east."""
+    return Peak(
+        north_m=north,
+        east_m=east,
+        height_amsl_m=top,
+        spread_north_m=spreads[0],
+        spread_east_m=spreads[1],
+    )
+
+
 def height_m(
     terrain: PeakTerrain | ArrayTerrain, north_m: FloatArray, east_m: FloatArray
 ) -> FloatArray:

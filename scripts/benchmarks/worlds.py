@@ -18,7 +18,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
-from truth import height_m
+from truth import height_m, mountain
 
 from companion.config import load_mission, load_world
 from companion.planner.settings import Task
@@ -190,15 +190,7 @@ def _peaks(
         height = float(np.round(rng.uniform(3_600.0, 6_000.0), -1))
         spreads = [float(v) for v in np.round(rng.uniform(3_000.0, 5_500.0, 2), -1)]
         if all(math.hypot(north - n, east - e) >= far + max(spreads) for n, e, far in ends):
-            result.append(
-                Peak(
-                    north_m=north,
-                    east_m=east,
-                    height_amsl_m=height,
-                    spread_north_m=spreads[0],
-                    spread_east_m=spreads[1],
-                )
-            )
+            result.append(mountain(north, east, height, (spreads[0], spreads[1])))
     return tuple(result)
 
 

@@ -118,7 +118,7 @@ def test_a_finer_curve_is_the_same_curve() -> None:
 def test_stored_optima_are_feasible_and_cost_what_is_said(name: str) -> None:
     world = worlds.by_name(name)
     known = optimum.load()
-    assert world.fingerprint in known, "the world has changed: run scripts/benchmarks/optimum.py"
+    assert world.fingerprint in known, "the world has changed: its row is stale"
     found = known[world.fingerprint]
     curve = truth.sampled(np.array(found.control_nea_m), 10.0)
     solver = optimum.Solver(world)

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.mavlink.dialect import wire
+from companion.mavlink.judgement import names_of
 from companion.mavlink.parameter_client import (
     ANSWER_S,
     ParameterClient,
@@ -22,7 +23,6 @@ from companion.mavlink.parameter_rules import (
     ARDUPLANE_RULES,
     PX4_FIXED_WING_RULES,
     PX4_MULTICOPTER_RULES,
-    names_of,
 )
 
 ALL_FOUR = pytest.mark.parametrize(("firmware", "kind"), FOUR)

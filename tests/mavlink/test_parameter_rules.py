@@ -14,17 +14,20 @@ from hypothesis import strategies as st
 
 from companion.config import bundled, load_mission
 from companion.geodesy import LocalFrame
-from companion.mavlink.judgement import Finding, ParameterRule
+from companion.mavlink.judgement import (
+    Finding,
+    ParameterRule,
+    Severity,
+    judge,
+    names_of,
+    value_of,
+)
 from companion.mavlink.parameter_client import ParameterClient
 from companion.mavlink.parameter_rules import (
     ARDUCOPTER_RULES,
     ARDUPLANE_RULES,
     PX4_FIXED_WING_RULES,
     PX4_MULTICOPTER_RULES,
-    Severity,
-    judge,
-    names_of,
-    value_of,
 )
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits

@@ -19,9 +19,10 @@ from companion.errors import InputError
 from companion.mavlink.parameter_server import ParameterServer
 from companion.mission.events import FenceChanged
 from companion.objective.scene import Weights
+from companion.path.limits import Limits
 from companion.planner.adjustable import PARAMETERS, Parameter
 from companion.planner.rules import check_task
-from companion.planner.settings import Task
+from companion.planner.settings import PlannerSettings, Task
 from companion.sources.mission_schema import MissionVehicleTable, PlannerTable, WeightsTable
 from companion.world.threats import CircleZone
 
@@ -59,7 +60,7 @@ def test_names_are_short_and_different() -> None:
 
 
 def test_the_table_has_every_weight() -> None:
-    weights = {parameter.field for parameter in PARAMETERS if parameter.part == "weights"}
+    weights = {parameter.field for parameter in PARAMETERS if parameter.part is Weights}
     assert weights == {field.name for field in fields(Weights)}
 
 
@@ -320,14 +321,25 @@ def test_a_parameter_that_there_is_not_is_refused() -> None:
 
 
 def rule_of(parameter: Parameter) -> TypeAdapter[Any]:
-    tables: dict[str, Any] = {
-        "settings": PlannerTable,
-        "weights": WeightsTable,
-        "limits": MissionVehicleTable,
+    tables: dict[type, Any] = {
+        PlannerSettings: PlannerTable,
+        Weights: WeightsTable,
+        Limits: MissionVehicleTable,
     }
     info = tables[parameter.part].model_fields[parameter.field]
     kind = info.annotation
     return TypeAdapter(Annotated[kind, *info.metadata] if info.metadata else kind)
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS, ids=NAMES)
+def test_its_row_of_the_page_has_its_key_and_range(parameter: Parameter) -> None:
+    page = Path(__file__).parents[2] / "docs" / "ground-station.md"
+    row = next(r for r in page.read_text("utf-8").splitlines() if f"`{parameter.name}`" in r)
+    least = "above" if parameter.above_low else "or more"
+    assert f"| `{parameter.key}` |" in row
+    assert least in row
+    assert f"{parameter.low:g}" in row
+    assert ("on the ground only" in row) == parameter.on_ground
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=NAMES)

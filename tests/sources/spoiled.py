@@ -1,4 +1,4 @@
-"""Files of JSON that people may give, and what is said of those that cannot be taken."""
+"""Files that people may give, and what is said of those that cannot be taken."""
 
 import copy
 from collections.abc import Callable
@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from companion.errors import InputError
 
-NUMBERS = [True, 0, -1, 1e308, 10**400, 91.0, 16, 20, 177]
-OTHERS = [None, "", "x\ny", "radar", [], {}, [[]], [8.0, 47.0], {"type": 1}]
+NUMBERS = [True, 0, -1, 1e308, 1e-300, 2**62, 10**400, 91.0, 16, 20, 177]
+OTHERS = [None, "", "x\ny", "radar", "x.plan", [], {}, [[]], [{}], [8.0, 47.0], {"type": 1}]
 JUNK = st.sampled_from([*NUMBERS, *OTHERS])
 
 
@@ -25,7 +25,7 @@ def refusal(read: Callable[[Path, Any], object], path: Path, content: Any) -> st
 
 
 def replace_somewhere(content: Any, data: st.DataObject) -> None:
-    """Put something else into a place of a JSON value, at any depth."""
+    """Put something else into a place of a JSON or TOML value, at any depth."""
     here = content
     while keys := list(here) if isinstance(here, dict) else list(range(len(here))):
         key = data.draw(st.sampled_from(keys))

@@ -3,8 +3,9 @@ import itertools
 import json
 import math
 import re
+import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from importlib import resources
 from pathlib import Path
@@ -17,7 +18,11 @@ import rasterio
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 from rasterio.transform import Affine
+
+sys.path.insert(0, str(Path(__file__).parent))
+from spoiled import replace_somewhere
 
 from companion.config import bundled, load_mission, mission_text
 from companion.errors import InputError
@@ -64,6 +69,7 @@ PLANE = (
     .replace("speed_m_s = 8.0", "speed_m_s = 18.0")
     .replace("turn_radius_m = 25.0", "turn_radius_m = 80.0")
 )
+TRIANGLE = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
 GEOD = pyproj.Geod(ellps="WGS84")
 Write = Callable[..., Path]
@@ -303,6 +309,10 @@ def test_an_edge_across_the_date_line_takes_the_short_way(folder: Path) -> None:
         ("vertices_m = [[0.0, 0.0], [9.0, 9.0], [9.0, 0.0], [0.0, 9.0]]", "cross"),
         ("north_m = 1.0\neast_m = 1.0", "a circle or a polygon"),
         ("radius_m = 1.0", "a circle or a polygon"),
+        ("", "a circle or a polygon"),
+        (f"north_m = 1.0\nvertices_m = {TRIANGLE}", "a circle or a polygon"),
+        (f"radius_m = 3.0\nvertices_m = {TRIANGLE}", "a circle or a polygon"),
+        (f"vertices_deg = {TRIANGLE}\nvertices_m = []", "a circle or a polygon"),
     ],
 )
 @pytest.mark.parametrize("kind", ["keep_outs", "keep_ins"])
@@ -595,9 +605,6 @@ def test_a_statement_about_the_ground_stands_alone(folder: Path, text: str, word
 
 # --- whatever is written
 
-JUNK = st.sampled_from(
-    [True, 0, -1, 1e308, 2**62, 91.0, 1e-300, "", "x\ny", [], {}, [[]], [{}], "dem.tif", "x.plan"]
-)
 EVERYTHING = """
 threats = "threats.geojson"
 [fallback]
@@ -633,40 +640,46 @@ def test_any_value_anywhere_is_taken_or_an_input_error(folder: Path, data: st.Da
     threats(folder)
     table: Any = tomllib.loads(COPTER) | tomllib.loads(EVERYTHING)
     for _ in range(data.draw(st.integers(1, 3))):
-        here = table
-        while True:
-            keys = list(here) if isinstance(here, dict) else list(range(len(here)))
-            if not keys:
-                break
-            key = data.draw(st.sampled_from(keys))
-            if not isinstance(here[key], dict | list) or data.draw(st.integers(0, 4)) == 0:
-                here[key] = json.loads(json.dumps(data.draw(JUNK)))
-                break
-            here = here[key]
+        replace_somewhere(table, data)
     with contextlib.suppress(InputError):
         load(folder, toml_text(table))
         mission_text(str(folder / "mission.toml"))
 
 
-def test_the_page_of_files_names_every_key() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "files.md").read_text(encoding="utf-8")
-    missing = [key for key in keys_of(MissionTable) if key not in page]
-    assert not missing
+PAGE = (Path(__file__).parents[2] / "docs" / "files.md").read_text(encoding="utf-8")
 
 
-def keys_of(table: type[BaseModel]) -> set[str]:
-    found: set[str] = set()
+def test_the_page_of_files_has_every_key_and_the_default_that_it_is_declared_with() -> None:
+    said = {}
+    for line in re.findall(r"^\| `.*\|$", PAGE, re.MULTILINE):
+        keys, *_, default = (cell.strip(' `"|') for cell in line.split(" | "))
+        said |= dict.fromkeys(re.findall(r"[a-z]\w*\.\w+", keys), default)
+    for key, field in keys_of(MissionTable):
+        assert key.rpartition(".")[2] in PAGE
+        if field.is_required():
+            assert said.get(key, "") == "", key
+        elif field.default is not None and not key.startswith("planner.weights."):
+            value = field.default
+            shown = f"{value:g}" if isinstance(value, float) else str(value)
+            assert said[key] == (shown.lower() if isinstance(value, bool) else shown), key
+
+
+def keys_of(table: type[BaseModel], path: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """Every key with its tables, and how it is declared."""
     for name, field in table.model_fields.items():
-        found.add(field.alias or name)
-        for inner in tables_in(field.annotation):
-            found |= keys_of(inner)
-    return found
+        key = path + (field.alias or name)
+        tables = list(tables_in(field.annotation))
+        for inner in tables:
+            yield from keys_of(inner, f"{key}.")
+        if not tables:
+            yield key, field
 
 
-def tables_in(annotation: Any) -> list[type[BaseModel]]:
+def tables_in(annotation: Any) -> Iterator[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [found for part in get_args(annotation) for found in tables_in(part)]
+        yield annotation
+    for part in get_args(annotation):
+        yield from tables_in(part)
 
 
 @given(

@@ -10,7 +10,7 @@ from companion.telemetry.logs import dataflash
 from companion.telemetry.logs.ardupilot_rows import ROWS, ArduPilotRows, Vehicle
 from companion.telemetry.logs.findings import Findings, Oddity
 from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, earliest
-from companion.telemetry.logs.translated import Row, Translator
+from companion.telemetry.logs.translated import Row, Source
 from companion.telemetry.logs.window import Window
 
 _GPS_EPOCH_US: Final = 315_964_800_000_000
@@ -53,59 +53,58 @@ _WORDS: Final = {
 """What VER.FWS, and the greeting in MSG, begin with."""
 
 
-@final
-class ArduPilotLog:
-    """See `translated.Source`."""
+def look(path: Path) -> Source:
+    """Look through a log once."""
+    looked = _Look()
+    with Window(path) as window:
+        for row in dataflash.rows(window, Findings(), _TELLING, looked.counts):
+            looked.at_row(row)
+    counts = looked.counts
+    vehicle = Vehicle(
+        mav_type=looked.mav_type,
+        has_position=counts["POS"] > 0,
+        has_velocity=counts["XKF1"] + counts["NKF1"] > 0,
+        has_ekf3=counts["XKF1"] > 0,
+        parameters=len(looked.parameters),
+    )
+    return Source(
+        kind="bin",
+        autopilot=int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA),
+        system_id=looked.system_id,
+        entries=sum(counts[name] for name in ROWS),
+        epoch_us=looked.epoch_us,
+        start_us=earliest(looked.times_us) if looked.times_us else 0,
+        substitutes=tuple(_substitutes(looked, vehicle)),
+        rows=_rows,
+        translator=lambda: ArduPilotRows(vehicle, looked.epoch_us).on_row,
+    )
 
-    autopilot = int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA)
 
-    def __init__(self, path: Path) -> None:
-        looked = _Look()
-        with Window(path) as window:
-            for row in dataflash.rows(window, Findings(), _TELLING, looked.counts):
-                looked.at_row(row)
-        self.entries = sum(looked.counts[name] for name in ROWS)
-        """How many entries of use there are."""
-        self.system_id = looked.system_id
-        self.epoch_us = looked.epoch_us
-        self.start_us = earliest(looked.times_us) if looked.times_us else 0
-        self._vehicle = Vehicle(
-            mav_type=looked.mav_type,
-            has_position=looked.counts["POS"] > 0,
-            has_velocity=looked.counts["XKF1"] + looked.counts["NKF1"] > 0,
-            has_ekf3=looked.counts["XKF1"] > 0,
-            parameters=len(looked.parameters),
-        )
-        self.substitutes = tuple(self._substitutes(looked))
+def _rows(window: Window, findings: Findings) -> Iterator[Row]:
+    """What is translated; what the logger could not write is noted."""
+    dropped = 0
+    for row in dataflash.rows(window, findings, ROWS | {_STATISTICS}):
+        if row.name != _STATISTICS:
+            yield row
+            continue
+        count = row.values.get("Dp")
+        if isinstance(count, int) and count > dropped:
+            findings.note(Oddity.LOST_ENTRIES, row.byte, None, count - dropped)
+            dropped = count
 
-    def rows(self, window: Window, findings: Findings) -> Iterator[Row]:
-        """The entries that are translated, in the order of the file."""
-        dropped = 0
-        for row in dataflash.rows(window, findings, ROWS | {_STATISTICS}):
-            if row.name != _STATISTICS:
-                yield row
-                continue
-            count = row.values.get("Dp")
-            if isinstance(count, int) and count > dropped:
-                findings.note(Oddity.LOST_ENTRIES, row.byte, None, count - dropped)
-                dropped = count
 
-    def translator(self) -> Translator:
-        """A new one."""
-        return ArduPilotRows(self._vehicle, self.epoch_us)
-
-    def _substitutes(self, looked: "_Look") -> Iterator[str]:
-        counts, vehicle = looked.counts, self._vehicle
-        if vehicle.mav_type is None:
-            yield "no entry (VER, MSG) tells which kind of vehicle it is: no HEARTBEAT is made"
-        if counts["GPS"] and not looked.times_us:
-            yield "no entry tells the time since boot: all of it is told at one time"
-        if not counts["ARM"] and not counts["EV"] and not counts["STAT"]:
-            yield "no entry (ARM, EV, STAT) tells whether it is armed: taken for disarmed"
-        if counts["GPS"] and not vehicle.has_position:
-            yield "positions are those of the GPS: there is no POS"
-        if counts["GPS"] and not vehicle.has_velocity:
-            yield "velocities are those of the GPS: there is no XKF1"
+def _substitutes(looked: "_Look", vehicle: Vehicle) -> Iterator[str]:
+    counts = looked.counts
+    if vehicle.mav_type is None:
+        yield "no entry (VER, MSG) tells which kind of vehicle it is: no HEARTBEAT is made"
+    if counts["GPS"] and not looked.times_us:
+        yield "no entry tells the time since boot: all of it is told at one time"
+    if not counts["ARM"] and not counts["EV"] and not counts["STAT"]:
+        yield "no entry (ARM, EV, STAT) tells whether it is armed: taken for disarmed"
+    if counts["GPS"] and not vehicle.has_position:
+        yield "positions are those of the GPS: there is no POS"
+    if counts["GPS"] and not vehicle.has_velocity:
+        yield "velocities are those of the GPS: there is no XKF1"
 
 
 @final

@@ -9,7 +9,15 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from companion.mavlink.dialect import Message, wire
-from companion.telemetry.logs.translated import Pace, Row, boot_ms, texts, whole
+from companion.telemetry.logs.translated import (
+    Pace,
+    Row,
+    Told,
+    battery,
+    boot_ms,
+    system_time,
+    whole,
+)
 
 _SECOND_US: Final = 1_000_000
 _FAST_US: Final = 19_000
@@ -75,8 +83,7 @@ class ArduPilotRows:
         self._accuracy: Mapping[str, Any] = {}
         self._capacity_mah = 0.0
         self._load = 0
-        self._parameters: dict[str, int] = {}
-        self._texts = 0
+        self._told = Told(vehicle.parameters)
 
     def on_row(self, row: Row, boot_us: int) -> list[Message]:
         """What one entry makes it say."""
@@ -84,7 +91,7 @@ class ArduPilotRows:
             return []
         said = _HANDLERS[row.name](self, row.values, boot_us)
         if self._pace.is_due("heartbeat", boot_us, _SECOND_US):
-            said += [*self._heartbeat(), *self._ground(), self._system_time(boot_us)]
+            said += [*self._heartbeat(), *self._ground(), system_time(self._epoch_us, boot_us)]
         return said
 
     # --- its state
@@ -116,17 +123,11 @@ class ArduPilotRows:
             wire.MAVLink_extended_sys_state_message(wire.MAV_VTOL_STATE_UNDEFINED, self._landed)
         ]
 
-    def _system_time(self, boot_us: int) -> Message:
-        unix_us = 0 if self._epoch_us is None else self._epoch_us + boot_us
-        return wire.MAVLink_system_time_message(unix_us, boot_ms(boot_us))
-
-    def _on_mode(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_mode(self, values: Mapping[str, Any], _: int) -> list[Message]:
         self._mode = int(values["ModeNum"] if "ModeNum" in values else values["Mode"])
         return self._heartbeat()
 
-    def _on_arm(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_arm(self, values: Mapping[str, Any], _: int) -> list[Message]:
         return self._set_armed(bool(values["ArmState"]))
 
     def _set_armed(self, armed: bool) -> list[Message]:
@@ -135,8 +136,7 @@ class ArduPilotRows:
         self._armed = armed
         return self._heartbeat()
 
-    def _on_event(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_event(self, values: Mapping[str, Any], _: int) -> list[Message]:
         match values["Id"]:
             case event if event in (_ARMED, _AUTO_ARMED):
                 return self._set_armed(True)
@@ -154,15 +154,13 @@ class ArduPilotRows:
         self._landed = landed
         return self._ground()
 
-    def _on_plane(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
+    def _on_plane(self, values: Mapping[str, Any], _: int) -> list[Message]:
         """STAT, of a plane."""
-        del boot_us
         flies = bool(values["isFlying"])
         landed = wire.MAV_LANDED_STATE_IN_AIR if flies else wire.MAV_LANDED_STATE_ON_GROUND
         return [*self._set_armed(bool(values["Armed"])), *self._set_landed(landed)]
 
-    def _on_error(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_error(self, values: Mapping[str, Any], _: int) -> list[Message]:
         subsystem = values["Subsys"]
         if subsystem not in _FAILSAFES:
             return []
@@ -185,8 +183,7 @@ class ArduPilotRows:
         turned = math.remainder(yaw, math.tau)
         return [wire.MAVLink_attitude_message(boot_ms(boot_us), roll, pitch, turned, *self._gyro)]
 
-    def _on_gyro(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_gyro(self, values: Mapping[str, Any], _: int) -> list[Message]:
         if values.get("I", 0) == 0:
             self._gyro = (values["GyrX"], values["GyrY"], values["GyrZ"])
         return []
@@ -268,8 +265,7 @@ class ArduPilotRows:
             said += self._position(values, above_m, velocity, boot_us)
         return said
 
-    def _on_accuracy(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_accuracy(self, values: Mapping[str, Any], _: int) -> list[Message]:
         if values.get("I", 0) == 0:
             self._accuracy = values
         return []
@@ -306,48 +302,22 @@ class ArduPilotRows:
             percent = whole(100 * (full - used_mah) / full, 0, 100) if full > 0 else -1
         elif not 0 <= percent <= 100:
             percent = -1
-        milli_v = whole(values["Volt"] * 1e3, 0, 65534)
         centi_a = whole(values.get("Curr", 0.0) * 100, -1, 32767)
-        cells = [milli_v, *[65535] * 9]
-        return [
-            wire.MAVLink_sys_status_message(
-                0, 0, 0, self._load, milli_v, centi_a, percent, 0, 0, 0, 0, 0, 0
-            ),
-            wire.MAVLink_battery_status_message(
-                0, 0, 0, 32767, cells, centi_a, whole(used_mah, -1, 1 << 30), -1, percent
-            ),
-        ]
+        used = whole(used_mah, -1, 1 << 30)
+        return battery(values["Volt"], centi_a, used, percent, load=self._load)
 
-    def _on_load(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_load(self, values: Mapping[str, Any], _: int) -> list[Message]:
         self._load = whole(values.get("Load", 0), 0, 1000)
         return []
 
-    def _on_parameter(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_parameter(self, values: Mapping[str, Any], _: int) -> list[Message]:
         name, value = values["Name"], values["Value"]
         if name == "BATT_CAPACITY" and math.isfinite(value):
             self._capacity_mah = value
-        index = self._parameters.setdefault(name, len(self._parameters))
-        return [
-            wire.MAVLink_param_value_message(
-                name.encode("ascii", "replace")[:16],
-                value,
-                wire.MAV_PARAM_TYPE_REAL32,
-                self._vehicle.parameters,
-                index,
-            )
-        ]
+        return self._told.parameter(name, value)
 
-    def _on_text(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
-        self._texts += 1
-        return texts(values["Message"], wire.MAV_SEVERITY_INFO, self._texts)
-
-    def _on_nothing(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        """An entry that only tells beforehand (VER)."""
-        del values, boot_us
-        return []
+    def _on_text(self, values: Mapping[str, Any], _: int) -> list[Message]:
+        return self._told.text(values["Message"], wire.MAV_SEVERITY_INFO)
 
 
 _HANDLERS: Final[Mapping[str, Callable[[ArduPilotRows, Mapping[str, Any], int], list[Message]]]] = {
@@ -368,7 +338,7 @@ _HANDLERS: Final[Mapping[str, Callable[[ArduPilotRows, Mapping[str, Any], int], 
     "PM": ArduPilotRows._on_load,
     "POS": ArduPilotRows._on_position,
     "STAT": ArduPilotRows._on_plane,
-    "VER": ArduPilotRows._on_nothing,
+    "VER": lambda *_: [],  # it tells beforehand
     "XKF1": ArduPilotRows._on_estimate,
     "XKF4": ArduPilotRows._on_filter,
 }

@@ -1,19 +1,18 @@
 """Opens a log of any kind, by what is in it."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from companion.errors import InputError
 from companion.mavlink.frames import LONGEST
-from companion.telemetry.logs import dataflash, ulog
-from companion.telemetry.logs.ardupilot_log import ArduPilotLog
-from companion.telemetry.logs.px4_log import Px4Log
+from companion.telemetry.logs import ardupilot_log, dataflash, px4_log, ulog
 from companion.telemetry.logs.record import Kind, Log
 from companion.telemetry.logs.search import first_frame
 from companion.telemetry.logs.survey import survey
 from companion.telemetry.logs.tlog import Tlog, chosen
-from companion.telemetry.logs.translated import TranslatedLog
+from companion.telemetry.logs.translated import Source, TranslatedLog
 from companion.telemetry.logs.window import Window
 
 _HEAD_BYTES: Final = 4096
@@ -80,20 +79,15 @@ def _open_tlog(path: Path, size: int, system_id: int | None) -> Log | None:
     return None if looked is None else Tlog(path, size, looked, system_id)
 
 
-def _open_bin(path: Path, size: int, system_id: int | None) -> Log | None:
-    source = ArduPilotLog(path)
+def _open_own(
+    look: Callable[[Path], Source], path: Path, size: int, system_id: int | None
+) -> Log | None:
+    """A log that an autopilot has written itself."""
+    source = look(path)
     if not source.entries:
         return None
     chosen(path, (source.system_id,), system_id)
-    return TranslatedLog("bin", path, size, source)
-
-
-def _open_ulg(path: Path, size: int, system_id: int | None) -> Log | None:
-    source = Px4Log(path)
-    if not source.entries:
-        return None
-    chosen(path, (source.system_id,), system_id)
-    return TranslatedLog("ulg", path, size, source)
+    return TranslatedLog(path, size, source)
 
 
 _SIGNS: Final[dict[Kind, Callable[[bytes], int | None]]] = {
@@ -106,6 +100,6 @@ a frame whose checksum is right."""
 _SIGN_BYTES: Final = max(LONGEST, ulog.SIGN_BYTES, dataflash.SIGN_BYTES)
 _OPENERS: Final[dict[Kind, Callable[[Path, int, int | None], Log | None]]] = {
     "tlog": _open_tlog,
-    "bin": _open_bin,
-    "ulg": _open_ulg,
+    "bin": partial(_open_own, ardupilot_log.look),
+    "ulg": partial(_open_own, px4_log.look),
 }

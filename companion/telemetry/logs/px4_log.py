@@ -12,7 +12,7 @@ from companion.telemetry.logs import ulog
 from companion.telemetry.logs.findings import Findings
 from companion.telemetry.logs.px4_rows import TOPICS, Px4Rows, Vehicle
 from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, earliest
-from companion.telemetry.logs.translated import LONGEST_US, Row, Translator
+from companion.telemetry.logs.translated import LONGEST_US, Row, Source
 from companion.telemetry.logs.window import Window
 
 _FLAGS_AT: Final = ulog.HEADER_BYTES + 3
@@ -23,49 +23,34 @@ _TELLING: Final = frozenset({"sensor_gps", "vehicle_gps_position", "vehicle_stat
 """Topics that tell of the whole log, or when it began."""
 
 
-@final
-class Px4Log:
-    """See `translated.Source`."""
+def look(path: Path) -> Source:
+    """Look through a log once.  InputError if it is of a later format."""
+    looked = _Look()
+    with Window(path) as window:
+        window.more(0)
+        _check_flags(path, window.data)
+        begun_us = int.from_bytes(window.data[8:16].ljust(8, b"\0"), "little")
+        for row in ulog.rows(window, Findings(), _TELLING, looked.counts):
+            looked.at_row(row)
+    times = sorted(looked.times_us)
+    sane = bool(times) and 0 <= times[len(times) // 2] - begun_us < LONGEST_US
+    fallback_us = earliest(looked.times_us) if times else 0
+    start_us = begun_us if sane else fallback_us
+    # what the vehicle's clock says at the time that is taken for its boot
+    zero_us = start_us if start_us >= YEAR_2000_US else 0
+    epoch_us = looked.epoch_us
+    if zero_us and epoch_us is None:
+        epoch_us = zero_us
+    counts = looked.counts
+    vehicle = Vehicle(
+        has_global_position=counts["vehicle_global_position"] > 0,
+        has_sensor_gps=counts["sensor_gps"] > 0,
+        has_estimator_status=counts["estimator_status"] > 0,
+        parameters=len(looked.parameters),
+    )
 
-    autopilot = int(wire.MAV_AUTOPILOT_PX4)
-
-    def __init__(self, path: Path) -> None:
-        """InputError if it is of a later format."""
-        looked = _Look()
-        with Window(path) as window:
-            window.more(0)
-            _check_flags(path, window.data)
-            begun_us = int.from_bytes(window.data[8:16].ljust(8, b"\0"), "little")
-            for row in ulog.rows(window, Findings(), _TELLING, looked.counts):
-                looked.at_row(row)
-        self.entries = sum(looked.counts[name] for name in TOPICS)
-        """How many entries of use there are."""
-        self.system_id = looked.system_id
-        self.epoch_us = looked.epoch_us
-        times = sorted(looked.times_us)
-        sane = bool(times) and 0 <= times[len(times) // 2] - begun_us < LONGEST_US
-        fallback_us = earliest(looked.times_us) if times else 0
-        start_us = begun_us if sane else fallback_us
-        self._zero_us = start_us if start_us >= YEAR_2000_US else 0
-        """What the vehicle's clock says at the time that is taken for its boot."""
-        self.start_us = start_us - self._zero_us
-        if self._zero_us and self.epoch_us is None:
-            self.epoch_us = self._zero_us
-        counts = looked.counts
-        self._vehicle = Vehicle(
-            has_global_position=counts["vehicle_global_position"] > 0,
-            has_sensor_gps=counts["sensor_gps"] > 0,
-            has_estimator_status=counts["estimator_status"] > 0,
-            parameters=len(looked.parameters),
-        )
-        self.substitutes = tuple(self._substitutes(counts))
-
-    def rows(self, window: Window, findings: Findings) -> Iterator[Row]:
-        """The entries that are translated, in the order of the file.
-
-        What was published before the log began is told at its beginning.
-        """
-        zero_us, start_us = self._zero_us, self._zero_us + self.start_us
+    def rows(window: Window, findings: Findings) -> Iterator[Row]:
+        """What was published before the log began is told at its beginning."""
         for row in ulog.rows(window, findings, TOPICS):
             if row.time_us is None or not (zero_us or row.time_us < start_us):
                 yield row
@@ -73,24 +58,32 @@ class Px4Log:
                 early = row.time_us < start_us
                 yield row._replace(time_us=None if early else row.time_us - zero_us)
 
-    def translator(self) -> Translator:
-        """A new one."""
-        return Px4Rows(self._vehicle, self.epoch_us)
+    return Source(
+        kind="ulg",
+        autopilot=int(wire.MAV_AUTOPILOT_PX4),
+        system_id=looked.system_id,
+        entries=sum(counts[name] for name in TOPICS),
+        epoch_us=epoch_us,
+        start_us=start_us - zero_us,
+        substitutes=tuple(_substitutes(counts, vehicle, has_date=bool(zero_us))),
+        rows=rows,
+        translator=lambda: Px4Rows(vehicle, epoch_us).on_row,
+    )
 
-    def _substitutes(self, counts: Counter[str]) -> Iterator[str]:
-        vehicle = self._vehicle
-        if self._zero_us:
-            yield "the vehicle's clock is a date: its boot is taken to be the log's beginning"
-        if counts["vehicle_local_position"]:
-            if not vehicle.has_global_position:
-                yield "positions are those of vehicle_local_position, about its origin"
-            if not vehicle.has_estimator_status:
-                yield (
-                    "ESTIMATOR_STATUS is made of vehicle_local_position and "
-                    "estimator_status_flags: there is no estimator_status"
-                )
-        if counts["vehicle_gps_position"] and not vehicle.has_sensor_gps:
-            yield "GPS_RAW_INT is made of vehicle_gps_position: there is no sensor_gps"
+
+def _substitutes(counts: Counter[str], vehicle: Vehicle, *, has_date: bool) -> Iterator[str]:
+    if has_date:
+        yield "the vehicle's clock is a date: its boot is taken to be the log's beginning"
+    if counts["vehicle_local_position"]:
+        if not vehicle.has_global_position:
+            yield "positions are those of vehicle_local_position, about its origin"
+        if not vehicle.has_estimator_status:
+            yield (
+                "ESTIMATOR_STATUS is made of vehicle_local_position and "
+                "estimator_status_flags: there is no estimator_status"
+            )
+    if counts["vehicle_gps_position"] and not vehicle.has_sensor_gps:
+        yield "GPS_RAW_INT is made of vehicle_gps_position: there is no sensor_gps"
 
 
 def _check_flags(path: Path, head: bytes) -> None:

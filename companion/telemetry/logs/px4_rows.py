@@ -13,7 +13,15 @@ from pyproj import Proj
 
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import encoded
-from companion.telemetry.logs.translated import Pace, Row, boot_ms, texts, whole
+from companion.telemetry.logs.translated import (
+    Pace,
+    Row,
+    Told,
+    battery,
+    boot_ms,
+    system_time,
+    whole,
+)
 from companion.telemetry.logs.ulog import INFORMATION, PARAMETER, TEXT
 
 _SECOND_US: Final = 1_000_000
@@ -80,20 +88,18 @@ class Px4Rows:
         self._projection: Proj | None = None
         self._flags: Mapping[str, Any] = {}
         self._rates = (math.nan, math.nan, math.nan)
-        self._parameters: dict[str, int] = {}
-        self._texts = 0
+        self._told = Told(vehicle.parameters)
 
     def on_row(self, row: Row, boot_us: int) -> list[Message]:
         """What one entry makes it say."""
         said = _HANDLERS[row.name](self, row.values, boot_us)
         if self._status and self._pace.is_due("heartbeat", boot_us, _SECOND_US):
-            said += [*self._heartbeat(), *self._ground(), self._system_time(boot_us)]
+            said += [*self._heartbeat(), *self._ground(), system_time(self._epoch_us, boot_us)]
         return said
 
     # --- its state
 
-    def _on_status(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_status(self, values: Mapping[str, Any], _: int) -> list[Message]:
         seen = ("nav_state", "arming_state", "failsafe")
         changed = any(values.get(each) != self._status.get(each) for each in seen)
         self._status = values
@@ -123,12 +129,7 @@ class Px4Rows:
             )
         ]
 
-    def _system_time(self, boot_us: int) -> Message:
-        unix_us = 0 if self._epoch_us is None else self._epoch_us + boot_us
-        return wire.MAVLink_system_time_message(unix_us, boot_ms(boot_us))
-
-    def _on_landed(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_landed(self, values: Mapping[str, Any], _: int) -> list[Message]:
         before, self._landed = self._landed, bool(values["landed"])
         return self._ground() if before != self._landed else []
 
@@ -240,8 +241,7 @@ class Px4Rows:
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         return [wire.MAVLink_attitude_message(boot_ms(boot_us), roll, pitch, yaw, *self._rates)]
 
-    def _on_rates(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_rates(self, values: Mapping[str, Any], _: int) -> list[Message]:
         self._rates = values["xyz"]
         return []
 
@@ -307,8 +307,7 @@ class Px4Rows:
             )
         ]
 
-    def _on_flags(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_flags(self, values: Mapping[str, Any], _: int) -> list[Message]:
         self._flags = values
         return []
 
@@ -355,53 +354,29 @@ class Px4Rows:
         percent = -1
         if values.get("connected", True) and 0.0 <= values["remaining"] <= 1.0:
             percent = math.ceil(values["remaining"] * 100)
-        milli_v = whole(values["voltage_v"] * 1e3, 0, 65534)
-        current = values["current_a"]
+        current, used = values["current_a"], values["discharged_mah"]
         centi_a = whole(current * 100, -1, 32767) if current >= 0.0 else -1
-        used = values["discharged_mah"]
         used_mah = whole(used, 0, 1 << 30) if used >= 0.0 else -1
-        cells = [milli_v, *[65535] * 9]
-        return [
-            wire.MAVLink_sys_status_message(
-                0, 0, 0, 0, milli_v, centi_a, percent, 0, 0, 0, 0, 0, 0
-            ),
-            wire.MAVLink_battery_status_message(
-                0, 0, 0, 32767, cells, centi_a, used_mah, -1, percent
-            ),
-        ]
+        return battery(values["voltage_v"], centi_a, used_mah, percent)
 
-    def _on_acknowledged(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_acknowledged(self, values: Mapping[str, Any], _: int) -> list[Message]:
         return [
             wire.MAVLink_command_ack_message(
                 values["command"], values["result"], target_system=values["target_system"]
             )
         ]
 
-    def _on_parameter(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
+    def _on_parameter(self, values: Mapping[str, Any], _: int) -> list[Message]:
         name, value = values["key"], values["value"]
         kind = wire.MAV_PARAM_TYPE_REAL32
         if isinstance(value, int):
             kind = wire.MAV_PARAM_TYPE_INT32
             value = encoded(value, kind, bytewise=True)
-        index = self._parameters.setdefault(name, len(self._parameters))
-        return [
-            wire.MAVLink_param_value_message(
-                name.encode("ascii", "replace")[:16], value, kind, self._vehicle.parameters, index
-            )
-        ]
+        return self._told.parameter(name, value, kind)
 
-    def _on_text(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        del boot_us
-        self._texts += 1
+    def _on_text(self, values: Mapping[str, Any], _: int) -> list[Message]:
         severity = min(max(values["level"] - ord("0"), 0), wire.MAV_SEVERITY_DEBUG)
-        return texts(_COLOURS.sub("", values["text"]), severity, self._texts)
-
-    def _on_nothing(self, values: Mapping[str, Any], boot_us: int) -> list[Message]:
-        """What only tells beforehand."""
-        del values, boot_us
-        return []
+        return self._told.text(_COLOURS.sub("", values["text"]), severity)
 
 
 def _direction(angle_rad: float) -> int:
@@ -424,7 +399,7 @@ def _mav_type(status: Mapping[str, Any]) -> int:
 _HANDLERS: Final[Mapping[str, Callable[[Px4Rows, Mapping[str, Any], int], list[Message]]]] = {
     PARAMETER: Px4Rows._on_parameter,
     TEXT: Px4Rows._on_text,
-    INFORMATION: Px4Rows._on_nothing,
+    INFORMATION: lambda *_: [],  # it tells beforehand
     "battery_status": Px4Rows._on_battery,
     "estimator_status": Px4Rows._on_estimator,
     "estimator_status_flags": Px4Rows._on_flags,

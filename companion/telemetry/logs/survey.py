@@ -2,12 +2,13 @@
 
 import enum
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, final
 
 from companion.mavlink.dialect import wire
-from companion.mavlink.frames import LONGEST, V2, intact_end, payload_of, sender_of
+from companion.mavlink.frames import LONGEST, intact_end, payload_of, sender_of
 from companion.telemetry.logs.search import STAMP_BYTES, find_intact
 from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, earliest
 from companion.telemetry.logs.window import Window
@@ -112,35 +113,30 @@ def _is_date(time_us: int) -> bool:
 def _autopilots_of(path: Path) -> dict[int, int]:
     """System id -> MAV_AUTOPILOT of who sends an autopilot's heartbeat, anywhere in the file."""
     found: dict[int, int] = {}
-    with Window(path) as window:
-        while True:
-            data = window.data
-            for match in _HEARTBEAT.finditer(data):
-                at = match.start()
-                if (data[at + 5] if data[at] == V2 else data[at + 3]) in found:
-                    continue
-                frame = data[at : intact_end(data, at)]
-                if not frame:
-                    continue
-                payload = payload_of(frame, 9)
-                if payload[4] not in _NO_AUTOPILOTS and payload[5] != wire.MAV_AUTOPILOT_INVALID:
-                    found[sender_of(frame)[0]] = payload[5]
-            if not window.more(max(len(data) - LONGEST, 0)):
-                return found
+    for frame in _frames(path, _HEARTBEAT):
+        payload = payload_of(frame, 9)
+        if payload[4] not in _NO_AUTOPILOTS and payload[5] != wire.MAV_AUTOPILOT_INVALID:
+            found.setdefault(sender_of(frame)[0], payload[5])
+    return found
 
 
 def _boot_us(path: Path) -> int | None:
     """When the vehicle booted by the first SYSTEM_TIME that knows the date."""
+    for frame in _frames(path, _SYSTEM_TIME):
+        payload = payload_of(frame, 12)
+        unix_us = int.from_bytes(payload[:8], "little")
+        if _is_date(unix_us):
+            return unix_us - int.from_bytes(payload[8:12], "little") * 1000
+    return None
+
+
+def _frames(path: Path, head: "re.Pattern[bytes]") -> Iterator[bytes]:
+    """The intact frames that begin like this, anywhere in the file."""
     with Window(path) as window:
         while True:
             data = window.data
-            for match in _SYSTEM_TIME.finditer(data):
-                frame = data[match.start() : intact_end(data, match.start())]
-                if not frame:
-                    continue
-                payload = payload_of(frame, 12)
-                unix_us = int.from_bytes(payload[:8], "little")
-                if _is_date(unix_us):
-                    return unix_us - int.from_bytes(payload[8:12], "little") * 1000
+            for match in head.finditer(data):
+                if frame := data[match.start() : intact_end(data, match.start())]:
+                    yield frame
             if not window.more(max(len(data) - LONGEST, 0)):
-                return None
+                return

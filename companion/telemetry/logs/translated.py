@@ -1,10 +1,10 @@
 """Logs that autopilots write themselves, told as the MAVLink messages that they would have sent."""
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, Protocol, final
+from typing import Any, Final, Literal, NamedTuple, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.telemetry.logs.findings import Finding, Findings, Oddity
@@ -31,66 +31,42 @@ class Row(NamedTuple):
     """Where in the file it begins."""
 
 
-class Translator(Protocol):
-    """What the vehicle would have said, entry by entry."""
+OnRow = Callable[[Row, int], list[Message]]
+"""What one entry makes the vehicle say; the number: microseconds since boot, now.
 
-    def on_row(self, row: Row, boot_us: int) -> list[Message]:
-        """What one entry makes it say; boot_us: the time now, microseconds since boot.
-
-        ValueError, KeyError, TypeError, ArithmeticError or struct.error if an entry cannot be so.
-        """
-        ...
+ValueError, KeyError, TypeError, ArithmeticError or struct.error if an entry cannot be so.
+"""
 
 
-class Source(Protocol):
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
     """One log of an autopilot, looked through once."""
 
-    @property
-    def system_id(self) -> int:
-        """Of the vehicle."""
-        ...
-
-    @property
-    def autopilot(self) -> int:
-        """MAV_AUTOPILOT."""
-        ...
-
-    @property
-    def epoch_us(self) -> int | None:
-        """When it booted, microseconds since 1970; None: nothing tells."""
-        ...
-
-    @property
-    def start_us(self) -> int:
-        """When the log begins, microseconds since boot."""
-        ...
-
-    @property
-    def substitutes(self) -> tuple[str, ...]:
-        """What is made of something else than usual."""
-        ...
-
-    def rows(self, window: Window, findings: Findings) -> Iterator[Row]:
-        """The entries that are translated, in the order of the file."""
-        ...
-
-    def translator(self) -> Translator:
-        """A new one."""
-        ...
+    kind: Literal["bin", "ulg"]
+    autopilot: int
+    """MAV_AUTOPILOT."""
+    system_id: int
+    entries: int
+    """How many of use there are."""
+    epoch_us: int | None
+    """When it booted, microseconds since 1970; None: nothing tells."""
+    start_us: int
+    """When the log begins, microseconds since boot."""
+    substitutes: tuple[str, ...]
+    """What is made of something else than usual."""
+    rows: Callable[[Window, Findings], Iterator[Row]]
+    """The entries that are translated, in the order of the file."""
+    translator: Callable[[], OnRow]
+    """A new one, for a pass through the file."""
 
 
 @final
 class TranslatedLog:
     """See `record.Log`."""
 
-    def __init__(
-        self,
-        kind: Literal["bin", "ulg"],
-        path: Path,
-        size_bytes: int,
-        source: Source,
-    ) -> None:
-        self.kind = kind
+    def __init__(self, path: Path, size_bytes: int, source: Source) -> None:
+        self.kind = source.kind
         self.path, self.size_bytes = path, size_bytes
         self.systems: tuple[int, ...] = (source.system_id,)
         self.system_id: int | None = source.system_id
@@ -142,13 +118,13 @@ class _Telling:
 
     def __init__(
         self,
-        translator: Translator,
+        on_row: OnRow,
         system_id: int,
         epoch_us: int,
         findings: Findings,
         heard: set[str],
     ) -> None:
-        self._translator, self._findings, self._heard = translator, findings, heard
+        self._on_row, self._findings, self._heard = on_row, findings, heard
         self._codec = wire.MAVLink(None, srcSystem=system_id, srcComponent=AUTOPILOT_COMPONENT)
         self._epoch_us = epoch_us
 
@@ -160,7 +136,7 @@ class _Telling:
             if not believed:
                 return []
         try:
-            messages = self._translator.on_row(row, time_us - self._epoch_us)
+            messages = self._on_row(row, time_us - self._epoch_us)
             if not messages:
                 return []
             frames = [self._packed(message) for message in messages]
@@ -194,19 +170,56 @@ class Pace:
         return True
 
 
-def texts(text: str, severity: int, number: int) -> list[Message]:
-    """STATUSTEXTs of a text of any length; number: of the text, for those in several chunks."""
-    content = "".join(c for c in text if c.isprintable()).encode("ascii", "replace")
-    content = content[: _MOST_CHUNKS * _TEXT_BYTES - 1]
-    if len(content) <= _TEXT_BYTES:
-        return [wire.MAVLink_statustext_message(severity, content)] if content else []
-    identity = number % 0xFFFF + 1
+@final
+@dataclass(slots=True)
+class Told:
+    """What every log has in the same form: parameters and texts, which are numbered."""
+
+    parameters: int
+    """How many there are."""
+    _indices: dict[str, int] = field(default_factory=dict)
+    _texts: int = 0
+
+    def parameter(
+        self, name: str, value: float, kind: int = wire.MAV_PARAM_TYPE_REAL32
+    ) -> list[Message]:
+        """PARAM_VALUE."""
+        index = self._indices.setdefault(name, len(self._indices))
+        said = name.encode("ascii", "replace")[:16]
+        return [wire.MAVLink_param_value_message(said, value, kind, self.parameters, index)]
+
+    def text(self, text: str, severity: int) -> list[Message]:
+        """STATUSTEXTs of a text of any length."""
+        self._texts += 1
+        content = "".join(c for c in text if c.isprintable()).encode("ascii", "replace")
+        content = content[: _MOST_CHUNKS * _TEXT_BYTES - 1]
+        if len(content) <= _TEXT_BYTES:
+            return [wire.MAVLink_statustext_message(severity, content)] if content else []
+        identity = self._texts % 0xFFFF + 1
+        return [
+            wire.MAVLink_statustext_message(
+                severity, content[begin : begin + _TEXT_BYTES], identity, begin // _TEXT_BYTES
+            )
+            for begin in range(0, len(content) + 1, _TEXT_BYTES)
+        ]
+
+
+def battery(
+    volts: float, centi_a: int, used_mah: int, percent: int, *, load: int = 0
+) -> list[Message]:
+    """SYS_STATUS and BATTERY_STATUS; -1: not known.  load: of the processor, in tenths of a %."""
+    milli_v = whole(volts * 1e3, 0, 65534)
+    cells = [milli_v, *[65535] * 9]
     return [
-        wire.MAVLink_statustext_message(
-            severity, content[begin : begin + _TEXT_BYTES], identity, begin // _TEXT_BYTES
-        )
-        for begin in range(0, len(content) + 1, _TEXT_BYTES)
+        wire.MAVLink_sys_status_message(0, 0, 0, load, milli_v, centi_a, percent, *[0] * 6),
+        wire.MAVLink_battery_status_message(0, 0, 0, 32767, cells, centi_a, used_mah, -1, percent),
     ]
+
+
+def system_time(epoch_us: int | None, boot_us: int) -> Message:
+    """SYSTEM_TIME; epoch_us: when it booted, microseconds since 1970."""
+    unix_us = 0 if epoch_us is None else epoch_us + boot_us
+    return wire.MAVLink_system_time_message(unix_us, boot_ms(boot_us))
 
 
 def boot_ms(boot_us: int) -> int:

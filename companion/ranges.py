@@ -1,0 +1,14 @@
+"""What a number may be by itself, said once: in the type of the field that holds it.
+
+Mission files (`sources`) and the parameters of a ground station (`planner.adjustable`) are held to
+it.  No number may be infinite, or none at all.
+"""
+
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Le
+
+Positive = Annotated[float, Gt(0.0), Le(1e6)]
+NotNegative = Annotated[float, Ge(0.0), Le(1e6)]
+Latitude = Annotated[float, Ge(-90.0), Le(90.0)]
+Longitude = Annotated[float, Ge(-180.0), Le(180.0)]
