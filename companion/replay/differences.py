@@ -173,8 +173,10 @@ class Recording:
             return _difference(time_s, "journal", "line", recorded[:_SHOWN_BYTES], kind)
         if was.get("kind") != kind:
             return _difference(time_s, "journal", "kind", was.get("kind"), kind)
-        field, old, new = next(_values_differ("", was, now), ("", was, now))
-        return _difference(time_s, kind, field, old, new)
+        if (differs := values_differ(was, now)) is None:  # written by an older companion
+            self.entries += 1
+            return None
+        return _difference(time_s, kind, *differs)
 
 
 def _difference(time_s: float, what: str, field: str, was: Any, now: Any) -> Difference:

@@ -18,7 +18,6 @@ so that a power cut does not take them, except where the vehicle is simulated an
 
 import io
 import json
-import math
 import os
 import struct
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -26,9 +25,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple, Self, final
 
+import msgspec
+
 from companion.errors import InputError
+from companion.mission.journal import SCHEMA, VERSION, plain
 from companion.telemetry import inputs
-from companion.telemetry.journal_lines import SCHEMA, VERSION
 from companion.world.known_map import KnownMap
 from companion.world.packed_map import packed_map, unpacked_map
 
@@ -189,9 +190,9 @@ class RunFolder:
 
     def run_json(self, values: Mapping[str, Any]) -> None:
         """What differs from run to run."""
-        text = json.dumps(_plain({**values, **self.facts}), indent=2, default=float) + "\n"
+        text = msgspec.json.format(journal_line({**values, **self.facts}), indent=2) + b"\n"
         if self.failure is None:
-            self.failure = self._replace("run.json", text.encode)
+            self.failure = self._replace("run.json", lambda: text)
 
     def _replace(self, name: str, content: Callable[[], bytes]) -> str | None:
         try:
@@ -408,17 +409,5 @@ def _drop_torn(file: io.FileIO, records: Sequence[bytes], written: int) -> None:
 
 
 def journal_line(entry: Mapping[str, Any]) -> bytes:
-    """An entry as a line of the journal."""
-    text = json.dumps(_plain(entry), separators=(",", ":"), allow_nan=False, default=float)
-    return text.encode() + b"\n"
-
-
-def _plain(value: Any) -> Any:
-    """The value with null for numbers that JSON does not have: infinite, or none at all."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return value
+    """An entry as a line of the journal: null for numbers that JSON does not have."""
+    return msgspec.json.encode(entry, enc_hook=plain) + b"\n"

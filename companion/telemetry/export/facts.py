@@ -1,5 +1,6 @@
 """What is written beside a shape, for people who click on it: names with units, plain values."""
 
+import math
 from collections.abc import Iterator
 
 from companion.telemetry.export import shapes
@@ -35,7 +36,7 @@ def _segment_facts(track: Track, part: slice) -> Facts:
 def plan_facts(planned: PlannedSubpath) -> Facts:
     """Of a subpath: what it costs, and what is proven of it."""
     plan, proven = planned.plan, planned.plan.certificate
-    return {
+    facts: Facts = {
         "plan_id": plan.plan_id,
         "leg": planned.leg,
         "flown": planned.leg is not None,
@@ -56,6 +57,12 @@ def plan_facts(planned: PlannedSubpath) -> Facts:
         "radar_m": proven.radar_m,
         "broken": ", ".join(proven.broken),
     }
+    return {name: None if _is_unbounded(fact) else fact for name, fact in facts.items()}
+
+
+def _is_unbounded(fact: object) -> bool:
+    """Whether it is a number that JSON does not have."""
+    return isinstance(fact, float) and not math.isfinite(fact)
 
 
 def moment_facts(moment: Moment) -> Facts:
