@@ -295,7 +295,7 @@ def _values_differ(path: str, was: Any, now: Any) -> Iterator[tuple[str, Any, An
         for key in [*was, *(key for key in now if key not in was)]:
             inner = f"{path}.{key}" if path else str(key)
             yield from _values_differ(inner, was.get(key, NOTHING), now.get(key, NOTHING))
-    elif isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
+    elif isinstance(was, list | tuple) and isinstance(now, list | tuple) and len(was) == len(now):
         for index, (old, new) in enumerate(zip(was, now, strict=True)):
             yield from _values_differ(f"{path}[{index}]", old, new)
     elif was != now:
