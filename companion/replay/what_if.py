@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, final
+from typing import TypeVar, final
 
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
@@ -58,10 +58,6 @@ class Subpath:
             refusal="",
         )
 
-    def as_json(self) -> dict[str, Any]:
-        """For a file."""
-        return dataclasses.asdict(self)
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,19 +65,10 @@ class WhatIf:
     """A subpath as it was flown, and as it would have been."""
 
     plan_id: int
-    time_s: float
+    t_s: float
     """When it was asked for, vehicle time."""
     flown: Subpath
     now: Subpath
-
-    def as_json(self) -> dict[str, Any]:
-        """For a file."""
-        return {
-            "plan_id": self.plan_id,
-            "t_s": self.time_s,
-            "flown": self.flown.as_json(),
-            "now": self.now.as_json(),
-        }
 
 
 def what_if(
@@ -121,7 +108,7 @@ def what_if(
         again = plan(other, kernel=kernel)
         yield WhatIf(
             plan_id=recorded.plan_id,
-            time_s=time_s,
+            t_s=time_s,
             flown=Subpath.of(recorded, request.task.limits.speed_m_s),
             now=Subpath.of(again, other.task.limits.speed_m_s),
         )
