@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import rasterio
 from rasterio.transform import Affine
-from short_flight import EPOCH_US, fly_short, rewritten, short_mission
+from short_flight import EPOCH_US, fly_short, replayed, rewritten, short_mission
 
 from companion.cli import main
 from companion.config import load_mission
@@ -22,7 +22,6 @@ from companion.mavlink.dialect import codec, wire
 from companion.mission.start import Start
 from companion.planner.kernels import NUMPY
 from companion.replay.differences import Recording
-from companion.replay.same import Replay, Replayed
 from companion.replay.told import TornError, session_of, start_of, tell
 from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
 from companion.telemetry.run_folder import recorded_frames
@@ -66,16 +65,6 @@ class Replays:
 @pytest.fixture
 def replays(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Replays:
     return Replays(capsys, monkeypatch)
-
-
-def replayed(path: Path, **options: Any) -> Replayed:
-    def mission_of(start: Start) -> Any:
-        return load_mission(str(path / "mission.toml"), start.profile)
-
-    replay = Replay(path, mission_of, **{"kernel": None, **options})
-    for _ in replay.steps():
-        pass
-    return replay.found
 
 
 def flown_s(stamp_us: int) -> float:
