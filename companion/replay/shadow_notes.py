@@ -6,7 +6,7 @@ Lists are kept up to a limit, and what is beyond is counted: a log of days takes
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final, final
 
 import numpy as np
@@ -68,8 +68,8 @@ class Notes:
     def __init__(self, report: ShadowReport, frame: LocalFrame, *, checks_area: bool) -> None:
         """report: what is noted goes there; checks_area: there is a mission with an area."""
         self.report = report
-        self.health = _Spans(report.health, report.left_out)
-        self.outside = _Spans(report.outside, report.left_out)
+        self.health = _Spans(report.health, report.left_out, self._place)
+        self.outside = _Spans(report.outside, report.left_out, self._place)
         self.unanswered_scans = 0
         self.refusals: Counter[str] = Counter()
         self.ends: Counter[str] = Counter()
@@ -301,9 +301,8 @@ class Notes:
             **{kind: ready and doubt is reason for reason, kind in _DOUBTS.items()},
         }
         for kind, on in now.items():
-            if self.health.differs(kind, on=on):
-                place = self._place(vehicle.position_nea_m)
-                self.health.set(kind, on=on, at_s=at_s, in_air=in_air, place=place)
+            here = vehicle.position_nea_m
+            self.health.set(kind, on=on, at_s=at_s, in_air=in_air, here=here)
 
     def _on_position(self, at_s: float, state: State, doubt: Reason | None) -> None:
         vehicle, here, before = state.vehicle, state.vehicle.position_nea_m, self._position
@@ -321,11 +320,8 @@ class Notes:
             return
         if self._checks_area:
             for kind, off_m in _out_by_m(here, state):
-                place = self._place(here) if off_m > 0.0 else None
-                if off_m > 0.0 or self.outside.differs(kind, on=False):
-                    self.outside.set(
-                        kind, on=off_m > 0.0, at_s=at_s, in_air=True, place=place, worst_m=off_m
-                    )
+                on = off_m > 0.0
+                self.outside.set(kind, on=on, at_s=at_s, in_air=True, here=here, worst_m=off_m)
         if state.phase is Phase.SHADOW and state.reason not in _DISTRUST:
             self._on_way(at_s, here, state)
 
@@ -361,11 +357,9 @@ class Notes:
 
     def _note_at(self, kind: str, at_s: float, state: State, worst_m: float | None = None) -> None:
         """Something that takes no time."""
-        in_air, place = is_in_air(state.vehicle), self._place(state.vehicle.position_nea_m)
-        noted = Observed(
-            kind=kind, from_s=at_s, until_s=at_s, in_air=in_air, worst_m=worst_m, place=place
-        )
-        self._keep(self.report.health, noted, kind)
+        in_air, here = is_in_air(state.vehicle), state.vehicle.position_nea_m
+        self.health.set(kind, on=True, at_s=at_s, in_air=in_air, here=here, worst_m=worst_m)
+        self.health.set(kind, on=False, at_s=at_s)
 
     def _place(self, point_nea_m: Vector | None) -> Place | None:
         return None if point_nea_m is None else self._place_of(point_nea_m)
@@ -392,14 +386,14 @@ class Notes:
 class _Spans:
     """Times during which something was so."""
 
-    def __init__(self, kept: list[Observed], left_out: Counter[str]) -> None:
-        self._kept = kept
+    def __init__(
+        self,
+        kept: list[Observed],
+        left_out: Counter[str],
+        place: Callable[[Vector | None], Place | None],
+    ) -> None:
+        self._kept, self._left_out, self._place = kept, left_out, place
         self._open: dict[str, Observed] = {}
-        self._left_out = left_out
-
-    def differs(self, kind: str, *, on: bool) -> bool:
-        """Whether this is news."""
-        return on is not (kind in self._open)
 
     def end_all(self, at_s: float) -> None:
         """None of it is so any more."""
@@ -413,14 +407,14 @@ class _Spans:
         on: bool,
         at_s: float,
         in_air: bool = False,
-        place: Place | None = None,
+        here: Vector | None = None,
         worst_m: float | None = None,
     ) -> None:
         """It is so from now on, or not any more."""
         span = self._open.get(kind)
         if on and span is None:
             span = self._open[kind] = Observed(
-                kind=kind, from_s=at_s, in_air=in_air, place=place, worst_m=worst_m
+                kind=kind, from_s=at_s, in_air=in_air, place=self._place(here), worst_m=worst_m
             )
             if len(self._kept) < MOST:
                 self._kept.append(span)

@@ -14,8 +14,9 @@ where it does no harm (a kind or a field that is not known), a finding.
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
-from typing import Any, NoReturn, final
+from typing import Any, NoReturn, final, get_type_hints
 
 import msgspec
 from msgspec import ValidationError
@@ -120,15 +121,15 @@ class Journal:
             raw = _decoded(text, where)
             for step in steps if isinstance(raw, dict) else ():
                 raw = step(raw)
-            kind = raw.get("kind") if isinstance(raw, dict) else raw
-            if isinstance(kind, str) and kind not in KINDS:
-                self._unknown[f"kind {kind!r}, which is not known"] += 1
-                return None
             try:
                 entry = entry_of(raw)
             except (ValidationError, LookupError, TypeError) as error:
+                kind = raw.get("kind") if isinstance(raw, dict) else None
+                if isinstance(kind, str) and kind not in KINDS:
+                    self._unknown[f"kind {kind!r}, which is not known"] += 1
+                    return None
                 raise _refused(raw, error, where) from None
-            self._count_unknown(raw, entry, entry.kind)
+            self._count_unknown(raw, entry, raw["kind"])
             return entry
 
         return read
@@ -137,13 +138,21 @@ class Journal:
         """Count the fields of an object, and of those in it, that it is not declared with."""
         if isinstance(raw, list):
             for each, made in zip(raw, value, strict=True):
-                self._count_unknown(each, made, name)
-        elif isinstance(raw, dict) and not isinstance(value, dict):
-            for field, inner in raw.items():
-                if hasattr(value, field):
-                    self._count_unknown(inner, getattr(value, field), f"{name}.{field}")
-                else:
+                if isinstance(each, dict):
+                    self._count_unknown(each, made, name)
+        elif not isinstance(value, dict):
+            known = _fields_of(value.__class__)
+            if not raw.keys() <= known:
+                for field in raw.keys() - known:
                     self._unknown[f"field {name}.{field}, which is not known"] += 1
+            for field, inner in raw.items():
+                if isinstance(inner, dict | list) and field in known:
+                    self._count_unknown(inner, getattr(value, field), f"{name}.{field}")
+
+
+@cache
+def _fields_of(declared: type) -> frozenset[str]:
+    return frozenset({*get_type_hints(declared), "kind"})
 
 
 def _header_of(raw: Any, where: str) -> Header:
