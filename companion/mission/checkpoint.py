@@ -45,7 +45,6 @@ def values_of(state: State) -> Values:
         "settings": adjustable.values_of(state.given),
         "flown_under": state.flown_under and adjustable.values_of(state.flown_under),
         **{name: _plain(getattr(state, name)) for name in _OF_STATE},
-        "fence": None if state.fence is None else _of_fence(state.fence),
         **{name: _plain(getattr(flight, name)) for name in (*_OF_FLIGHT, *_LEGS)},
     }
 
@@ -63,6 +62,9 @@ def _plain(value: Any) -> Any:
                 "rules": None if value.rules is None else value.rules.digest,
                 "control_nea_m": value.subpath.control_nea_m.tolist(),
             }
+        case FenceChanged():
+            limits = {name: getattr(value, name) for name in ("floor_amsl_m", "ceiling_amsl_m")}
+            return {"zones": [_of_zone(zone) for zone in value.zones], **limits}
         case Stretch():
             return [value.control_nea_m.tolist(), value.from_m, value.until_m]
         case float():
@@ -140,10 +142,9 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     What the vehicle does now is not in it: the vehicle is prepared again.
     """
     _must_be_finite(values)
-    fence, under = values["fence"], values.get("flown_under")
-    state = State.of(mission, known).with_rules(
-        _task(mission, values.get("settings")), None if fence is None else _fence(fence)
-    )
+    kept, under = _read(values, _OF_STATE), values.get("flown_under")
+    given = _task(mission, values.get("settings"))
+    state = State.of(mission, known).with_rules(given, kept["fence"])
     flight = replace(state.flight, **_read(values, _OF_FLIGHT))
     rules = state.task
     flight = replace(
@@ -161,7 +162,7 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         sank=bool(values.get("sank", False)),
         flown_under=None if under is None else _task(mission, under),
         flight=flight,
-        **_read(values, _OF_STATE),
+        **kept,
     )
     if not 0 <= flight.target < max(len(state.targets_ne_m), 1):
         raise ValueError(f"target {flight.target} of {len(state.targets_ne_m)}")
@@ -213,15 +214,9 @@ def _leg(values: Values | None, rules: Task) -> Leg | None:
     )
 
 
-def _of_fence(fence: FenceChanged) -> Values:
-    return {
-        "zones": _of_zones(fence.zones),
-        "floor_amsl_m": fence.floor_amsl_m,
-        "ceiling_amsl_m": fence.ceiling_amsl_m,
-    }
-
-
-def _fence(values: Values) -> FenceChanged:
+def _fence(values: Values | None) -> FenceChanged | None:
+    if values is None:
+        return None
     return FenceChanged(
         time_s=0.0,
         zones=tuple(_zone(each) for each in values["zones"]),
@@ -230,13 +225,9 @@ def _fence(values: Values) -> FenceChanged:
     )
 
 
-@lru_cache(maxsize=2)
-def _of_zones(zones: tuple[Zone, ...]) -> list[Values]:
-    """Kept, not to be changed: it is asked for every second, and the same for a whole flight."""
-    return [_of_zone(zone) for zone in zones]
-
-
+@lru_cache(maxsize=1024)
 def _of_zone(zone: Zone) -> Values:
+    """Kept, not to be changed: it is asked for every second, and the same for a whole flight."""
     values: Values = {"name": zone.name, "keep_in": zone.keep_in}
     if isinstance(zone, CircleZone):
         return {**values, "circle": [zone.north_m, zone.east_m, zone.radius_m]}
@@ -257,6 +248,7 @@ _OF_STATE: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("airborne", "taken", "armed_by_us"), bool),
     **dict.fromkeys(("standing", "set_aside"), _reason),
     "targets_ne_m": _places,
+    "fence": _fence,
 }
 _OF_FLIGHT: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("target", "plan_id", "legs_flown", "stops", "departures"), int),
@@ -274,7 +266,7 @@ _OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
 }
 """Fields that are kept, and what makes them of what `_plain` has made of them."""
 _LEGS: Final = ("leg", "next_leg", "back")
-_kept_of_state = attrgetter(*_OF_STATE, "phase", "obeyed", "given", "flown_under", "fence")
+_kept_of_state = attrgetter(*_OF_STATE, "phase", "obeyed", "given", "flown_under")
 _kept_of_flight = attrgetter(*_OF_FLIGHT, *_LEGS)
 """All that a checkpoint is made of, but for the time."""
 

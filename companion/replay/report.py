@@ -10,7 +10,7 @@ from rich.text import Text
 
 from companion.replay.differences import Difference
 from companion.replay.same import PlanDiffers, Replayed
-from companion.replay.what_if import Subpath, WhatIf
+from companion.replay.what_if import Figures, WhatIf
 
 _MOST_PLANS = 5
 _LATE_S = 10.0
@@ -136,8 +136,8 @@ def _terms(was: dict[str, float], now: dict[str, float]) -> str:
     return ", ".join(f"{name} {old} -> {new}" for name, old, new in shown if old != new)
 
 
-def _sums(subpaths: Sequence[Subpath]) -> str:
-    cost = sum(each.cost or 0.0 for each in subpaths)
-    length_m = sum(each.length_m or 0.0 for each in subpaths)
-    least_m = min((each.clearance_m or 0.0 for each in subpaths), default=0.0)
+def _sums(figures: Sequence[Figures]) -> str:
+    cost = sum(each.cost or 0.0 for each in figures)
+    length_m = sum(each.length_m or 0.0 for each in figures)
+    least_m = min((each.clearance_m or 0.0 for each in figures), default=0.0)
     return f"cost {cost:.2f}, {length_m / 1000:,.2f} km, least proven clearance {least_m:,.0f} m"

@@ -5,7 +5,7 @@ Nothing is flown by it: each plan starts where the recorded one started, and kno
 
 import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar, final
 
@@ -14,7 +14,7 @@ from companion.mission.renewed import replace
 from companion.planner.kernels import Kernel
 from companion.planner.outcomes import outcome_of
 from companion.planner.plan import plan
-from companion.planner.request import Planned, PlanOutcome, PlanRequest, WayBack
+from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, WayBack
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.replay.same import Replay
@@ -25,37 +25,35 @@ _Part = TypeVar("_Part")
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Subpath:
+class Figures:
     """What one answer gives, in figures."""
 
-    cost: float | None
+    cost: float | None = None
     """Eq. 5; None: there is no subpath."""
-    terms: dict[str, float]
+    terms: dict[str, float] = field(default_factory=dict)
     """Of the cost, unweighted."""
-    clearance_m: float | None
+    clearance_m: float | None = None
     """As proven."""
-    length_m: float | None
-    time_s: float | None
+    length_m: float | None = None
+    time_s: float | None = None
     """At V."""
-    refusal: str
+    refusal: str = ""
     """Why there is none."""
 
     @staticmethod
-    def of(outcome: PlanOutcome, speed_m_s: float) -> "Subpath":
+    def of(outcome: PlanOutcome, speed_m_s: float) -> "Figures":
         """The figures of an answer."""
-        if not isinstance(outcome, Planned):
-            name = "" if isinstance(outcome, WayBack) else outcome.refusal.name
-            return Subpath(
-                cost=None, terms={}, clearance_m=None, length_m=None, time_s=None, refusal=name
-            )
+        if isinstance(outcome, WayBack):
+            return Figures()
+        if isinstance(outcome, NotPlanned):
+            return Figures(refusal=outcome.refusal.name)
         length_m = outcome.subpath.length_m
-        return Subpath(
+        return Figures(
             cost=outcome.cost,
             terms=outcome.terms,
             clearance_m=outcome.certificate.clearance_m,
             length_m=length_m,
             time_s=length_m / speed_m_s,
-            refusal="",
         )
 
 
@@ -67,8 +65,8 @@ class WhatIf:
     plan_id: int
     t_s: float
     """When it was asked for, vehicle time."""
-    flown: Subpath
-    now: Subpath
+    flown: Figures
+    now: Figures
 
 
 def what_if(
@@ -109,8 +107,8 @@ def what_if(
         yield WhatIf(
             plan_id=recorded.plan_id,
             t_s=time_s,
-            flown=Subpath.of(recorded, request.task.limits.speed_m_s),
-            now=Subpath.of(again, other.task.limits.speed_m_s),
+            flown=Figures.of(recorded, request.task.limits.speed_m_s),
+            now=Figures.of(again, other.task.limits.speed_m_s),
         )
 
 
