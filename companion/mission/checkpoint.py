@@ -7,18 +7,18 @@ vehicle in the air is taken over all the same, without them (`forgotten`).
 
 import math
 from collections.abc import Callable
+from enum import Enum
 from functools import lru_cache
 from operator import attrgetter
-from typing import Any, final
-
-import numpy as np
+from typing import Any, Final, final
 
 from companion.mission.events import FenceChanged
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
-from companion.mission.state import IN_AIR, Flight, Phase, Reason, State
+from companion.mission.state import IN_AIR, Phase, Reason, State
 from companion.path.subpath import Subpath
 from companion.planner import adjustable
+from companion.planner.outcomes import control_points
 from companion.planner.procedure import Leg
 from companion.planner.request import Refusal, Stretch
 from companion.planner.rules import newly_broken
@@ -31,25 +31,8 @@ Values = dict[str, Any]
 NOT_SUCH = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 """What values that are no checkpoint may raise when they are restored."""
 _PERIOD_S, _LONGEST_S = 1.0, 10.0
-_OF_STATE: dict[str, Callable[[Any], Any]] = dict.fromkeys(
-    ("airborne", "taken", "armed_by_us"), bool
-)
-_OF_FLIGHT: dict[str, Callable[[Any], Any]] = {
-    **dict.fromkeys(("target", "plan_id", "legs_flown", "stops", "departures"), int),
-    "joined_m": float,
-    **dict.fromkeys(("returning", "homeward"), bool),
-}
-"""Fields that are kept as they are, and of what type."""
-_kept_of_state = attrgetter(
-    *_OF_STATE,
-    *("phase", "obeyed", "standing", "set_aside", "targets_ne_m", "given", "flown_under", "fence"),
-)
-_kept_of_flight = attrgetter(
-    *_OF_FLIGHT,
-    *("leg", "next_leg", "route_ne_m", "speed_limit_m_s", "flown", "back"),
-    *("refusal", "fallen_back"),
-)
-"""All that a checkpoint is made of, but for the time."""
+_LATER = ("set_aside", "refusal")
+"""Fields that older checkpoints do not have."""
 
 
 def values_of(state: State) -> Values:
@@ -59,26 +42,35 @@ def values_of(state: State) -> Values:
         "t_s": state.now_s,
         "phase": state.phase.name,
         "sank": state.phase is Phase.LANDING and state.obeyed,
-        **{name: getattr(state, name) for name in _OF_STATE},
-        "standing": None if state.standing is None else state.standing.name,
-        "set_aside": None if state.set_aside is None else state.set_aside.name,
-        "targets_ne_m": [list(target) for target in state.targets_ne_m],
         "settings": adjustable.values_of(state.given),
         "flown_under": state.flown_under and adjustable.values_of(state.flown_under),
-        "fence": None if state.fence is None else _of_fence(state.fence),
-        **{name: getattr(flight, name) for name in _OF_FLIGHT},
-        "leg": _of_leg(flight.leg),
-        "next_leg": _of_leg(flight.next_leg),
-        "route_ne_m": [list(place) for place in flight.route_ne_m],
-        "speed_limit_m_s": flight.speed_limit_m_s if np.isfinite(flight.speed_limit_m_s) else None,
-        "flown": [
-            [stretch.control_nea_m.tolist(), stretch.from_m, stretch.until_m]
-            for stretch in flight.flown
-        ],
-        "back": [_of_leg(leg) for leg in flight.back],
-        "refusal": None if flight.refusal is None else flight.refusal.name,
-        "fallen_back": None if flight.fallen_back is None else flight.fallen_back.name,
+        **{name: _plain(getattr(state, name)) for name in _OF_STATE},
+        **{name: _plain(getattr(flight, name)) for name in (*_OF_FLIGHT, *_LEGS)},
     }
+
+
+def _plain(value: Any) -> Any:
+    """Enumerations by their names, null for a limit that there is not."""
+    match value:
+        case Enum():
+            return value.name
+        case tuple():
+            return [_plain(each) for each in value]
+        case Leg():
+            return {
+                **{name: getattr(value, name) for name in _OF_LEG},
+                "rules": None if value.rules is None else value.rules.digest,
+                "control_nea_m": value.subpath.control_nea_m.tolist(),
+            }
+        case FenceChanged():
+            limits = {name: getattr(value, name) for name in ("floor_amsl_m", "ceiling_amsl_m")}
+            return {"zones": [_of_zone(zone) for zone in value.zones], **limits}
+        case Stretch():
+            return [value.control_nea_m.tolist(), value.from_m, value.until_m]
+        case float():
+            return value if math.isfinite(value) else None
+        case _:
+            return value
 
 
 def beginning(mission: Mission, resume: tuple[Values, KnownMap | None] | None) -> State:
@@ -150,43 +142,40 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     What the vehicle does now is not in it: the vehicle is prepared again.
     """
     _must_be_finite(values)
-    limit, fence = values["speed_limit_m_s"], values["fence"]
-    given, under = _task(mission, values.get("settings")), values.get("flown_under")
-    state = State.of(mission, known)
-    state = state.with_rules(given, None if fence is None else _fence(fence))
+    kept, under = _read(values, _OF_STATE), values.get("flown_under")
+    given = _task(mission, values.get("settings"))
+    state = State.of(mission, known).with_rules(given, kept["fence"])
+    flight = replace(state.flight, **_read(values, _OF_FLIGHT))
     rules = state.task
-    flight = Flight(
-        known=known,
-        **{name: kind(values[name]) for name, kind in _OF_FLIGHT.items()},
+    flight = replace(
+        flight,
         leg=_leg(values["leg"], rules),
         next_leg=_leg(values["next_leg"], rules),
-        route_ne_m=_places(values["route_ne_m"]),
-        speed_limit_m_s=np.inf if limit is None else float(limit),
-        flown=tuple(
-            Stretch(control_nea_m=_control(control), from_m=float(low), until_m=float(high))
-            for control, low, high in values["flown"]
-        ),
         back=tuple(leg for each in values["back"] if (leg := _leg(each, rules)) is not None),
-        refusal=None if values.get("refusal") is None else Refusal[values["refusal"]],
-        fallen_back=_reason(values["fallen_back"]),
     )
-    targets_ne_m = _places(values["targets_ne_m"])
-    if not 0 <= flight.target < max(len(targets_ne_m), 1):
-        raise ValueError(f"target {flight.target} of {len(targets_ne_m)}")
     time_s = float(values["t_s"])
-    return replace(
+    state = replace(
         state,
         now_s=time_s,
         since_s=time_s,
         landing=values["phase"] == Phase.LANDING.name,
         sank=bool(values.get("sank", False)),
-        **{name: kind(values[name]) for name, kind in _OF_STATE.items()},
-        standing=_reason(values["standing"]),
-        set_aside=_reason(values.get("set_aside")),
         flown_under=None if under is None else _task(mission, under),
-        targets_ne_m=targets_ne_m,
         flight=flight,
+        **kept,
     )
+    if not 0 <= flight.target < max(len(state.targets_ne_m), 1):
+        raise ValueError(f"target {flight.target} of {len(state.targets_ne_m)}")
+    return state
+
+
+def _read(values: Values, kinds: dict[str, Callable[[Any], Any]]) -> Values:
+    """Fields of a state, of their types."""
+    return {
+        name: kind(values[name])
+        for name, kind in kinds.items()
+        if name in values or name not in _LATER
+    }
 
 
 def _must_be_finite(value: Any) -> None:
@@ -207,24 +196,11 @@ def _places(values: list[list[float]]) -> tuple[tuple[float, float], ...]:
     return tuple((float(north), float(east)) for north, east in values)
 
 
-def _control(values: list[list[float]]) -> np.ndarray:
-    control = np.array(values, dtype=np.float64)
-    if control.ndim != 2 or control.shape[1] != 3 or len(control) < 4:
-        raise ValueError("control points are rows of north, east, altitude")
-    return control
-
-
-def _of_leg(leg: Leg | None) -> Values | None:
-    if leg is None:
-        return None
-    return {
-        "number": leg.number,
-        "plan_id": leg.plan_id,
-        "reaches_target": leg.reaches_target,
-        "through": leg.through,
-        "rules": None if leg.rules is None else leg.rules.digest,
-        "control_nea_m": leg.subpath.control_nea_m.tolist(),
-    }
+def _stretches(values: list[Any]) -> tuple[Stretch, ...]:
+    return tuple(
+        Stretch(control_nea_m=control_points(control), from_m=float(low), until_m=float(high))
+        for control, low, high in values
+    )
 
 
 def _leg(values: Values | None, rules: Task) -> Leg | None:
@@ -232,24 +208,15 @@ def _leg(values: Values | None, rules: Task) -> Leg | None:
     if values is None:
         return None
     return Leg(
-        number=int(values["number"]),
-        plan_id=int(values["plan_id"]),
-        subpath=Subpath(control_nea_m=_control(values["control_nea_m"])),
-        reaches_target=bool(values["reaches_target"]),
-        through=bool(values["through"]),
+        **_read(values, _OF_LEG),
+        subpath=Subpath(control_nea_m=control_points(values["control_nea_m"])),
         rules=rules if values.get("rules") == rules.digest else None,
     )
 
 
-def _of_fence(fence: FenceChanged) -> Values:
-    return {
-        "zones": _of_zones(fence.zones),
-        "floor_amsl_m": fence.floor_amsl_m,
-        "ceiling_amsl_m": fence.ceiling_amsl_m,
-    }
-
-
-def _fence(values: Values) -> FenceChanged:
+def _fence(values: Values | None) -> FenceChanged | None:
+    if values is None:
+        return None
     return FenceChanged(
         time_s=0.0,
         zones=tuple(_zone(each) for each in values["zones"]),
@@ -258,13 +225,9 @@ def _fence(values: Values) -> FenceChanged:
     )
 
 
-@lru_cache(maxsize=2)
-def _of_zones(zones: tuple[Zone, ...]) -> list[Values]:
-    """Kept, not to be changed: it is asked for every second, and the same for a whole flight."""
-    return [_of_zone(zone) for zone in zones]
-
-
+@lru_cache(maxsize=1024)
 def _of_zone(zone: Zone) -> Values:
+    """Kept, not to be changed: it is asked for every second, and the same for a whole flight."""
     values: Values = {"name": zone.name, "keep_in": zone.keep_in}
     if isinstance(zone, CircleZone):
         return {**values, "circle": [zone.north_m, zone.east_m, zone.radius_m]}
@@ -279,6 +242,33 @@ def _zone(values: Values) -> Zone:
             name=name, north_m=north_m, east_m=east_m, radius_m=radius_m, keep_in=keep_in
         )
     return PolygonZone(name=name, vertices_ne_m=_places(values["vertices_ne_m"]), keep_in=keep_in)
+
+
+_OF_STATE: Final[dict[str, Callable[[Any], Any]]] = {
+    **dict.fromkeys(("airborne", "taken", "armed_by_us"), bool),
+    **dict.fromkeys(("standing", "set_aside"), _reason),
+    "targets_ne_m": _places,
+    "fence": _fence,
+}
+_OF_FLIGHT: Final[dict[str, Callable[[Any], Any]]] = {
+    **dict.fromkeys(("target", "plan_id", "legs_flown", "stops", "departures"), int),
+    "joined_m": float,
+    **dict.fromkeys(("returning", "homeward"), bool),
+    "route_ne_m": _places,
+    "speed_limit_m_s": lambda value: math.inf if value is None else float(value),
+    "flown": _stretches,
+    "refusal": lambda name: None if name is None else Refusal[name],
+    "fallen_back": _reason,
+}
+_OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
+    **dict.fromkeys(("number", "plan_id"), int),
+    **dict.fromkeys(("reaches_target", "through"), bool),
+}
+"""Fields that are kept, and what makes them of what `_plain` has made of them."""
+_LEGS: Final = ("leg", "next_leg", "back")
+_kept_of_state = attrgetter(*_OF_STATE, "phase", "obeyed", "given", "flown_under")
+_kept_of_flight = attrgetter(*_OF_FLIGHT, *_LEGS)
+"""All that a checkpoint is made of, but for the time."""
 
 
 @final

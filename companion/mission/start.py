@@ -1,7 +1,9 @@
 """What a session is made of, as plain values: the first of its inputs."""
 
-from dataclasses import asdict, dataclass
-from typing import Any, final
+from typing import Annotated, Any, final
+
+import msgspec
+from msgspec import Meta
 
 from companion.mission.checkpoint import Values
 from companion.mission.decisions import Context
@@ -13,9 +15,12 @@ Resume = tuple[Values, KnownMap | None]
 """What a companion before this one has left: its checkpoint, and its map if that can be read."""
 
 
+SystemId = Annotated[int, Meta(ge=1, le=255)]
+"""Of a MAVLink vehicle."""
+
+
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
+class Start(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What makes one session out of a mission; the mission itself is kept elsewhere."""
 
     companion: str
@@ -23,9 +28,9 @@ class Start:
     mission: str
     """Name."""
     profile: str
-    system_id: int | None
+    system_id: SystemId | None
     """Of the vehicle, if that is known in advance."""
-    seed: int
+    seed: Annotated[int, Meta(ge=0)]
     lockstep: bool
     shadow: bool
     resume: Values | None
@@ -62,7 +67,7 @@ class Start:
 
     def values(self) -> dict[str, Any]:
         """For a file."""
-        return asdict(self)
+        return msgspec.structs.asdict(self)
 
 
 def terrain_of(mission: Mission) -> str:

@@ -61,18 +61,21 @@ class Certificate:
 
     Of a plane the distance of its circle about each point; `keep_out_m` likewise."""
     keep_out_m: float
-    """Least horizontal distance to zones, negative where they forbid to be."""
+    """Least horizontal distance to zones, negative where they forbid to be; inf without zones."""
     dead_man_m: float
     """Least distance of the dead-man stretches to terrain and zones; not above 0 inside.
 
     Of a plane, that of its circles."""
     turn_radius_m: float
-    """The ground track is nowhere tighter."""
+    """The ground track is nowhere tighter; inf where it is straight."""
     climb_angle_rad: float
     """The curve is nowhere steeper upwards."""
     dive_angle_rad: float
+    """Nor downwards."""
     lowest_amsl_m: float
+    """Nowhere lower."""
     highest_amsl_m: float
+    """Nowhere higher."""
     off_map_m: float
     """How far it leaves the map at most; 0: never."""
     radar_m: float

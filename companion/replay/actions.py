@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, final
 
+import msgspec
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
@@ -207,7 +208,7 @@ def changed(
             found.append(each)
             show(0, f"planned again: {len(found)}")
     console.print(what_if_table(found))
-    _write([each.as_json() for each in found], json_file)
+    _write(found, json_file)
 
 
 def shadow(
@@ -289,7 +290,8 @@ def _write(values: Any, json_file: Path | None) -> None:
     if json_file is None:
         return
     try:
-        json_file.write_text(json.dumps(values, indent=2, default=str) + "\n", encoding="utf-8")
+        plain = msgspec.to_builtins(values, enc_hook=str, builtin_types=(bytes,))
+        json_file.write_text(json.dumps(plain, indent=2, default=str) + "\n", encoding="utf-8")
     except OSError as error:
         rule = f"not written ({error.strerror})"
         raise InputError("--json", str(json_file), rule, "Give a file that can be.") from error

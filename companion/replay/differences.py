@@ -173,8 +173,10 @@ class Recording:
             return _difference(time_s, "journal", "line", recorded[:_SHOWN_BYTES], kind)
         if was.get("kind") != kind:
             return _difference(time_s, "journal", "kind", was.get("kind"), kind)
-        field, old, new = next(_values_differ("", was, now), ("", was, now))
-        return _difference(time_s, kind, field, old, new)
+        if (differs := values_differ(was, now)) is None:  # written by an older companion
+            self.entries += 1
+            return None
+        return _difference(time_s, kind, *differs)
 
 
 def _difference(time_s: float, what: str, field: str, was: Any, now: Any) -> Difference:
@@ -293,7 +295,7 @@ def _values_differ(path: str, was: Any, now: Any) -> Iterator[tuple[str, Any, An
         for key in [*was, *(key for key in now if key not in was)]:
             inner = f"{path}.{key}" if path else str(key)
             yield from _values_differ(inner, was.get(key, NOTHING), now.get(key, NOTHING))
-    elif isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
+    elif isinstance(was, list | tuple) and isinstance(now, list | tuple) and len(was) == len(now):
         for index, (old, new) in enumerate(zip(was, now, strict=True)):
             yield from _values_differ(f"{path}[{index}]", old, new)
     elif was != now:

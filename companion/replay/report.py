@@ -1,14 +1,16 @@
 """What a replay has shown, for people."""
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import fields
+from typing import Any, Final
 
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from companion.replay.same import Replayed
-from companion.replay.what_if import Subpath, WhatIf
+from companion.replay.differences import Difference
+from companion.replay.same import PlanDiffers, Replayed
+from companion.replay.what_if import Figures, WhatIf
 
 _MOST_PLANS = 5
 _LATE_S = 10.0
@@ -61,43 +63,30 @@ def _verdict(found: Replayed) -> str:
 
 def same_json(found: Replayed) -> dict[str, Any]:
     """How the replay of a flight compares, for a file."""
-    difference = found.difference
-    return {
+    values: dict[str, Any] = {
         "identical": found.is_identical,
-        "difference": None
-        if difference is None
-        else {
-            "t_s": difference.time_s,
-            "what": difference.what,
-            "field": difference.field,
-            "recorded": difference.recorded,
-            "replayed": difference.replayed,
-            "before": list(difference.before),
-        },
-        "frames": found.frames,
-        "entries": found.entries,
-        "starts": found.starts,
         "inputs": found.told,
-        "plans": found.plans,
-        "plans_computed": found.plans_computed,
-        "plans_differ": [
-            {
-                "plan_id": each.plan_id,
-                "t_s": each.time_s,
-                "field": each.field,
-                "recorded": each.recorded,
-                "computed": each.replayed,
-                "words": each.words,
-                "kernels": list(each.kernels),
-            }
-            for each in found.plans_differ
-        ],
-        "unrecorded": found.unrecorded,
-        "torn": found.torn,
-        "damaged": found.damaged,
         "ended_by": None if found.ended_by is None else found.ended_by.error,
-        "flown_s": found.flown_s,
-        "took_s": found.took_s,
+        "difference": None if found.difference is None else _renamed(found.difference),
+        "plans_differ": [_renamed(each) for each in found.plans_differ],
+    }
+    return values | {name: getattr(found, name) for name in _SAME_NAMES}
+
+
+_SAME_NAMES: Final = (
+    *("frames", "entries", "starts", "plans", "plans_computed"),
+    *("unrecorded", "torn", "damaged", "flown_s", "took_s"),
+)
+
+
+def _renamed(differs: Difference | PlanDiffers) -> dict[str, Any]:
+    """Its fields, by the names that they have in a file."""
+    names = {
+        "time_s": "t_s",
+        **({"replayed": "computed"} if isinstance(differs, PlanDiffers) else {}),
+    }
+    return {
+        names.get(each.name, each.name): getattr(differs, each.name) for each in fields(differs)
     }
 
 
@@ -111,7 +100,7 @@ def what_if_table(found: Sequence[WhatIf]) -> RenderableType:
         flown, now = each.flown, each.now
         table.add_row(
             f"{each.plan_id}",
-            f"{each.time_s:,.0f} s",
+            f"{each.t_s:,.0f} s",
             _both(flown.cost, now.cost, "{:.2f}", flown.refusal, now.refusal),
             _both(flown.clearance_m, now.clearance_m, "{:,.0f} m"),
             _both(_km(flown.length_m), _km(now.length_m), "{:,.2f} km"),
@@ -147,8 +136,8 @@ def _terms(was: dict[str, float], now: dict[str, float]) -> str:
     return ", ".join(f"{name} {old} -> {new}" for name, old, new in shown if old != new)
 
 
-def _sums(subpaths: Sequence[Subpath]) -> str:
-    cost = sum(each.cost or 0.0 for each in subpaths)
-    length_m = sum(each.length_m or 0.0 for each in subpaths)
-    least_m = min((each.clearance_m or 0.0 for each in subpaths), default=0.0)
+def _sums(figures: Sequence[Figures]) -> str:
+    cost = sum(each.cost or 0.0 for each in figures)
+    length_m = sum(each.length_m or 0.0 for each in figures)
+    least_m = min((each.clearance_m or 0.0 for each in figures), default=0.0)
     return f"cost {cost:.2f}, {length_m / 1000:,.2f} km, least proven clearance {least_m:,.0f} m"

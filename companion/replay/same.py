@@ -304,10 +304,10 @@ class Replay:
         if request is None or self._kernel is None:
             return
         self.found.plans_computed += 1
-        values, stopped_after = _plain(answer), getattr(answer, "stopped_after", None)
+        values, stopped_after = values_of(answer), getattr(answer, "stopped_after", None)
         name = self._kernel.signature
         try:
-            again = _plain(computed_again(request, stopped_after, self._kernel))
+            again = values_of(computed_again(request, stopped_after, self._kernel))
         except Exception as error:  # noqa: BLE001 - the planner's own: in flight it had an answer
             words = "it cannot be computed"
             differs = "error", NOTHING, f"{type(error).__name__}: {error}"
@@ -368,15 +368,6 @@ def _apart(recorded: dict[str, Any], computed: dict[str, Any]) -> str:
     farthest_m = float(np.linalg.norm(was - now, axis=-1).max())
     apart = f"{farthest_m:,.0f}" if farthest_m >= 10.0 else f"{farthest_m:.2g}"
     return f"{costs}, control points up to {apart} m apart"
-
-
-def _plain(outcome: PlanOutcome) -> dict[str, Any]:
-    """As it is read back from a file: lists instead of tuples."""
-    values = values_of(outcome)
-    if isinstance(values.get("certificate"), dict):
-        certificate = values["certificate"]
-        values["certificate"] = {**certificate, "broken": list(certificate["broken"])}
-    return values
 
 
 def _in_words(event: tuple[float, Input]) -> str:

@@ -7,7 +7,7 @@ The log is read once, in bounded memory, after a first look at whose it is and w
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -78,7 +78,15 @@ def watch(
     log = open_log(path, system_id=wanted)
     look = _look(log)
     shadowed = _shadowed(mission, look, plans=kernel is not None)
-    notes = Notes(shadowed.mission.frame, checks_area=mission is not None)
+    report = ShadowReport(
+        file=log.path.name,
+        kind=log.kind,
+        system_id=look.heartbeat.get_srcSystem(),
+        vehicle=described(look.heartbeat),
+        mission=None if mission is None else mission.name,
+        planned=shadowed.plans,
+    )
+    notes = Notes(report, shadowed.mission.frame, checks_area=mission is not None)
     watching = Watch(
         shadowed.mission,
         look.heartbeat,
@@ -89,8 +97,8 @@ def watch(
         aboard=log.kind != "tlog",
         on_output=on_output,
     )
-    run = _run(log, watching, on_progress)
-    report = _report(log, look, shadowed, watching, notes, run)
+    _run(log, watching, on_progress, report)
+    _conclude(report, log, shadowed, watching, notes)
     report.took_s = time.perf_counter() - began_s
     return report
 
@@ -120,61 +128,36 @@ def _shadowed(given: Mission | None, look: "_Look", *, plans: bool) -> _Shadowed
     return _Shadowed(given=given, mission=chosen, plans=plans, blind=blind)
 
 
-def _report(
-    log: Log, look: "_Look", shadowed: _Shadowed, watching: Watch, notes: Notes, run: "_Run"
-) -> ShadowReport:
-    missing, given = log.missing(), shadowed.given
-    return ShadowReport(
-        file=log.path.name,
-        kind=log.kind,
-        system_id=look.heartbeat.get_srcSystem(),
-        vehicle=described(look.heartbeat),
-        mission=None if given is None else given.name,
-        planned=shadowed.plans,
-        began_us=run.first_us,
-        length_s=run.length_s,
-        in_air_s=notes.in_air_s,
-        watched_from_s=notes.watched_from_s,
-        records=run.records,
-        heard=watching.heard,
-        position_rate_hz=_rate_hz(watching),
-        holds=notes.holds,
-        health=sorted(notes.health.all, key=lambda each: each.from_s),
-        outside=sorted(notes.outside.all, key=lambda each: each.from_s),
-        plans=notes.plans,
-        said=notes.said,
-        could_not=_could_not(shadowed.mission, watching, notes, missing, plans=shadowed.plans),
-        missing=missing,
-        log_findings=log.findings,
-        notes=_notes(given, notes, blind=shadowed.blind and shadowed.plans),
-        left_out=dict(notes.left_out),
-    )
+def _conclude(
+    report: ShadowReport, log: Log, shadowed: _Shadowed, watching: Watch, notes: Notes
+) -> None:
+    """What there is to say once the log has ended."""
+    for seen in (report.health, report.outside):
+        seen.sort(key=lambda each: each.from_s)
+    report.heard = watching.heard
+    if watching.positions_s > 0.0:
+        report.position_rate_hz = watching.heard_of[POSITION] / watching.positions_s
+    report.missing, report.log_findings = log.missing(), log.findings
+    report.could_not = list(_could_not(shadowed, watching, notes))
+    report.notes = _notes(shadowed, notes)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Run:
-    """How much there was."""
-
-    first_us: int
-    length_s: float
-    records: int
-
-
-def _run(log: Log, watching: Watch, on_progress: Callable[[int, int], None]) -> _Run:
-    first_us, now_us, records, shown = None, 0, 0, 0
+def _run(
+    log: Log, watching: Watch, on_progress: Callable[[int, int], None], report: ShadowReport
+) -> None:
+    first_us, now_us, shown = None, 0, 0
     for record in log.records():
         now_us = record.time_us
         first_us = now_us if first_us is None else first_us
-        records += 1
+        report.records += 1
         watching.on_record(record, (now_us - first_us) * 1e-6)
         if log.read_bytes - shown >= _SHOWN_BYTES:
             shown = log.read_bytes
             on_progress(shown, log.size_bytes)
-    length_s = 0.0 if first_us is None else (now_us - first_us) * 1e-6
-    watching.finish(length_s)
+    report.began_us = first_us or 0
+    report.length_s = 0.0 if first_us is None else (now_us - first_us) * 1e-6
+    watching.finish(report.length_s)
     on_progress(log.size_bytes, log.size_bytes)
-    return _Run(first_us=first_us or 0, length_s=length_s, records=records)
 
 
 # --- the first look
@@ -312,16 +295,9 @@ def _m(value_m: float) -> str:
 # --- what there is to say besides
 
 
-def _rate_hz(watching: Watch) -> float | None:
-    count = watching.heard_of[POSITION]
-    return count / watching.positions_s if watching.positions_s > 0.0 else None
-
-
-def _notes(mission: Mission | None, notes: Notes, *, blind: bool) -> list[str]:
-    said: list[str] = []
-    if mission is not None:
-        said += mission.notes
-    if blind:
+def _notes(shadowed: _Shadowed, notes: Notes) -> list[str]:
+    said = [] if shadowed.given is None else [*shadowed.given.notes]
+    if shadowed.blind and shadowed.plans:
         said.append("planned on the terrain of the mission alone, without its radar")
     said += notes.judged
     for why, count in notes.ends.items():
@@ -329,63 +305,46 @@ def _notes(mission: Mission | None, notes: Notes, *, blind: bool) -> list[str]:
     return said
 
 
-def _could_not(
-    mission: Mission,
-    watching: Watch,
-    notes: Notes,
-    missing: tuple[Missing, ...],
-    *,
-    plans: bool,
-) -> list[CouldNot]:
+def _could_not(shadowed: _Shadowed, watching: Watch, notes: Notes) -> Iterator[CouldNot]:
     """What the companion could not do, besides what follows from each missing message."""
-    found = []
-    remedies = {name: each.remedy for each in missing for name in each.message.split(" or ")}
+    report, rate_hz = notes.report, shadowed.mission.position_rate_hz
+    remedies = {name: each.remedy for each in report.missing for name in each.message.split(" or ")}
     for name, since_s in watching.stood_in.items():
         what = "the GPS" if name == "GPS_RAW_INT" else "its estimator"
-        found.append(
-            CouldNot(
-                what=f"tell whether {what} is to be believed",
-                because=f"{name} is missing: from {since_s:.0f} s on it was taken to be good "
-                "(in flight the companion would not have begun)",
-                remedy=remedies.get(name, "It came later in the log"),
-                message=name,
-            )
+        yield CouldNot(
+            what=f"tell whether {what} is to be believed",
+            because=f"{name} is missing: from {since_s:.0f} s on it was taken to be good "
+            "(in flight the companion would not have begun)",
+            remedy=remedies.get(name, "It came later in the log"),
+            message=name,
         )
     if watching.slow_s > 0.0:
-        found.append(
-            CouldNot(
-                what="tell in time that a position is missing",
-                because=f"GLOBAL_POSITION_INT comes at {1.0 / watching.slowest_s:.1f} Hz for "
-                f"{watching.slow_s:.0f} s: in flight the companion asks for "
-                f"{mission.position_rate_hz:g} Hz, and takes 0.5 s without one for a fault",
-                remedy="Record it at 5 Hz or more",
-                message="GLOBAL_POSITION_INT",
-            )
+        yield CouldNot(
+            what="tell in time that a position is missing",
+            because=f"GLOBAL_POSITION_INT comes at {1.0 / watching.slowest_s:.1f} Hz for "
+            f"{watching.slow_s:.0f} s: in flight the companion asks for "
+            f"{rate_hz:g} Hz, and takes 0.5 s without one for a fault",
+            remedy="Record it at 5 Hz or more",
+            message="GLOBAL_POSITION_INT",
         )
-    if notes.watched_from_s is None:
-        found.append(
-            CouldNot(
-                what="begin",
-                because="the position was never one to be believed",
-                remedy="See what is missing, and the vehicle's health",
-            )
+    if report.watched_from_s is None:
+        yield CouldNot(
+            what="begin",
+            because="the position was never one to be believed",
+            remedy="See what is missing, and the vehicle's health",
         )
-    if plans:
-        found += _unplanned(mission, watching, notes)
-    return found
+    if shadowed.plans:
+        yield from _unplanned(shadowed.mission, watching, notes)
 
 
-def _unplanned(mission: Mission, watching: Watch, notes: Notes) -> list[CouldNot]:
+def _unplanned(mission: Mission, watching: Watch, notes: Notes) -> Iterator[CouldNot]:
     """Why there are no plans, or not all of them."""
-    found = []
     if mission.targets_from_vehicle:
-        found.append(
-            CouldNot(
-                what="plan to the targets of the vehicle's own mission",
-                because="a log does not answer questions: MISSION_ITEM_INT is not heard",
-                remedy="Give a mission with [[targets]]",
-                message="MISSION_ITEM_INT",
-            )
+        yield CouldNot(
+            what="plan to the targets of the vehicle's own mission",
+            because="a log does not answer questions: MISSION_ITEM_INT is not heard",
+            remedy="Give a mission with [[targets]]",
+            message="MISSION_ITEM_INT",
         )
     if notes.unanswered_scans and mission.scanner_component_id is not None:
         if watching.heard_of[_TERRAIN]:
@@ -393,13 +352,10 @@ def _unplanned(mission: Mission, watching: Watch, notes: Notes) -> list[CouldNot
         else:
             because = "TERRAIN_DATA is missing: nothing is known of the ground"
         refused = notes.refusals["NOTHING_SEEN"] + notes.refusals["START_NEAR_UNKNOWN"]
-        found.append(
-            CouldNot(
-                what=f"plan as it would ({notes.unanswered_scans} scans unanswered, "
-                f"{refused} plans refused for it)",
-                because=because,
-                remedy="Give the mission [terrain]: an elevation file, or highest_amsl_m",
-                message="TERRAIN_DATA",
-            )
+        yield CouldNot(
+            what=f"plan as it would ({notes.unanswered_scans} scans unanswered, "
+            f"{refused} plans refused for it)",
+            because=because,
+            remedy="Give the mission [terrain]: an elevation file, or highest_amsl_m",
+            message="TERRAIN_DATA",
         )
-    return found

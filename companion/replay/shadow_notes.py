@@ -6,7 +6,7 @@ Lists are kept up to a limit, and what is beyond is counted: a log of days takes
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final, final
 
 import numpy as np
@@ -14,13 +14,24 @@ import numpy as np
 from companion.geodesy import FloatArray, LocalFrame
 from companion.mavlink.judgement import Severity
 from companion.mavlink.vehicle import VehicleSide
+from companion.mission import journal
+from companion.mission.entries import Entry
 from companion.mission.events import Item, Landed, Vector
 from companion.mission.health import distrust
 from companion.mission.state import Phase, Reason, State, Vehicle
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.planner.request import Refusal
-from companion.replay.shadow_report import Asked, Hold, Observed, Off, Place, Said, Why
+from companion.replay.shadow_report import (
+    Asked,
+    Hold,
+    Observed,
+    Off,
+    Place,
+    Said,
+    ShadowReport,
+    Why,
+)
 from companion.session import Session
 
 MOST: Final = 2000
@@ -54,16 +65,11 @@ became of each plan stands beside it."""
 class Notes:
     """What one flight in shadow has shown so far."""
 
-    def __init__(self, frame: LocalFrame, *, checks_area: bool) -> None:
-        """checks_area: whether there is a mission that says where the vehicle may be."""
-        self.holds: list[Hold] = []
-        self.plans: list[Asked] = []
-        self.said: list[Said] = []
-        self.left_out: Counter[str] = Counter()
-        self.health = _Spans(self.left_out)
-        self.outside = _Spans(self.left_out)
-        self.watched_from_s: float | None = None
-        self.in_air_s = 0.0
+    def __init__(self, report: ShadowReport, frame: LocalFrame, *, checks_area: bool) -> None:
+        """report: what is noted goes there; checks_area: there is a mission with an area."""
+        self.report = report
+        self.health = _Spans(report.health, report.left_out, self._place)
+        self.outside = _Spans(report.outside, report.left_out, self._place)
         self.unanswered_scans = 0
         self.refusals: Counter[str] = Counter()
         self.ends: Counter[str] = Counter()
@@ -120,21 +126,21 @@ class Notes:
 
     def say(self, said: Said) -> None:
         """The vehicle has said something."""
-        self._keep(self.said, said, "said")
+        self._keep(self.report.said, said, "said")
 
-    def on_output(self, at_s: float, session: Session, journal: list[dict[str, Any]]) -> None:
+    def on_output(self, at_s: float, session: Session, entries: list[Entry]) -> None:
         """The session has been run.  at_s: of the log."""
         self._state = state = session.state
-        for entry in journal:
-            self._on_entry(at_s, entry, state)
-            if entry["kind"] == "prepared" and session.vehicle is not None:
+        for values in entries:
+            self._on_entry(at_s, entry := journal.entry_of(values), state)
+            if isinstance(entry, journal.Prepared) and session.vehicle is not None:
                 self._on_parameters(session.vehicle)
         if self._silent:  # what it was when it was last heard is not known to go on
             self._on_hold(at_s, state, None)
             return
         in_air = is_in_air(state.vehicle)
         if self._at_s is not None and in_air:
-            self.in_air_s += at_s - self._at_s
+            self.report.in_air_s += at_s - self._at_s
         self._at_s = at_s
         if in_air is not self._was_in_air:
             if self._was_in_air is not None or in_air:
@@ -152,8 +158,8 @@ class Notes:
         watching = state.phase is Phase.SHADOW
         if not self._is_ready:
             self._is_ready = watching and state.reason not in _DISTRUST
-            if self._is_ready and self.watched_from_s is None:
-                self.watched_from_s = at_s
+            if self._is_ready and self.report.watched_from_s is None:
+                self.report.watched_from_s = at_s
             return
         reason = self._reason(state, watching=watching)
         hold = self._hold
@@ -184,7 +190,7 @@ class Notes:
             if asked.outcome == "unanswered":
                 asked.outcome = "given up"
         self._forget_paths()
-        self._keep(self.holds, hold, "holds")
+        self._keep(self.report.holds, hold, "holds")
         return hold
 
     def _reason(self, state: State, *, watching: bool) -> Reason | None:
@@ -198,69 +204,65 @@ class Notes:
             return Reason[before.why[-1].code]
         return state.reason or Reason.REBOOTED
 
-    def _on_entry(self, at_s: float, entry: dict[str, Any], state: State) -> None:
-        match entry["kind"]:
-            case "plan asked":
+    def _on_entry(self, at_s: float, entry: journal.Entry, state: State) -> None:
+        match entry:
+            case journal.PlanAsked():
                 self._on_asked(at_s, entry, state)
-            case "plan ready":
+            case journal.PlanReady():
                 self._on_ready(entry)
-            case "plan refused":
+            case journal.PlanRefused():
                 self._on_refused(entry)
-            case "plan late":
-                if (asked := self._open.get(entry["plan_id"])) is not None:
+            case journal.PlanLate(plan_id=plan_id):
+                if (asked := self._open.get(plan_id)) is not None:
                     asked.outcome = "late"
                 self._cause = "the last came too late"
-            case "scan done":
-                self.unanswered_scans += entry["blocks_asked"] > 0 == entry["blocks_answered"]
-            case "link lost":
-                began_s = at_s - entry["silent_s"]
+            case journal.ScanDone(blocks_asked=asked_for, blocks_answered=answered):
+                self.unanswered_scans += asked_for > 0 == answered
+            case journal.LinkLost(silent_s=silent_s):
+                began_s = at_s - silent_s
                 if not self._silent:
                     self._end_all(began_s)
                 self._silent = True
                 in_air = is_in_air(state.vehicle)
                 self.health.set("silence", on=True, at_s=began_s, in_air=in_air)
-            case "prepared" if entry["item"] != Item.PARAMETERS.value and entry["refusal"]:
-                self._judge(f"would have refused the flight: {entry['refusal']}")
-            case "end" if self._is_ready:
-                self.ends[entry["reason"]] += 1
+            case journal.Prepared(item=item, refusal=refusal):
+                if item != Item.PARAMETERS.value and refusal:
+                    self._judge(f"would have refused the flight: {refusal}")
+            case journal.End(reason=reason) if self._is_ready:
+                self.ends[reason] += 1
             case _:
                 pass
 
-    def _on_asked(self, at_s: float, entry: dict[str, Any], state: State) -> None:
-        north, east, altitude = entry["scan_nea_m"]
-        place = self._place((north, east, altitude))
-        assert place is not None
-        goes_on = not entry["from_rest"]
+    def _on_asked(self, at_s: float, entry: journal.PlanAsked, state: State) -> None:
+        goes_on = not entry.from_rest
         asked = Asked(
-            plan_id=entry["plan_id"],
+            plan_id=entry.plan_id,
             at_s=at_s,
             vehicle_s=state.now_s,
-            place=place,
+            place=self._place_of(entry.scan_nea_m),
             why="the next subpath" if goes_on else self._cause,
             goes_on=goes_on,
         )
-        self._keep(self.plans, asked, "plans")
+        self._keep(self.report.plans, asked, "plans")
         self._open[asked.plan_id] = asked
         if len(self._open) > _MOST_OPEN:
             del self._open[next(iter(self._open))]
 
-    def _on_ready(self, entry: dict[str, Any]) -> None:
-        plan_id = entry["plan_id"]
-        asked = self._open.get(plan_id)
+    def _on_ready(self, plan: journal.PlanReady) -> None:
+        asked = self._open.get(plan.plan_id)
         if asked is not None:
-            path = _Path(plan_id, Subpath(control_nea_m=np.array(entry["control_nea_m"])))
+            path = _Path(plan.plan_id, Subpath(control_nea_m=np.array(plan.control_nea_m)))
             asked.off = path.off
             if asked.goes_on and self._path is not None:
-                self._paths = {self._path.plan_id: self._path, plan_id: path}
+                self._paths = {self._path.plan_id: self._path, path.plan_id: path}
             else:
-                self._path, self._paths = path, {plan_id: path}
-            asked.outcome, asked.length_m = "ready", entry["length_m"]
-            asked.reaches_target = entry["reaches_target"]
-            proven = entry["certificate"]
-            asked.clearance_m = None if proven["broken"] else proven["clearance_m"]
+                self._path, self._paths = path, {path.plan_id: path}
+            asked.outcome, asked.length_m = "ready", plan.length_m
+            asked.reaches_target = plan.reaches_target
+            asked.clearance_m = plan.certificate.clearance_m if plan.certificate.proven else None
 
-    def _on_refused(self, entry: dict[str, Any]) -> None:
-        asked, reason = self._open.get(entry["plan_id"]), entry["reason"]
+    def _on_refused(self, refused: journal.PlanRefused) -> None:
+        asked, reason = self._open.get(refused.plan_id), refused.reason
         self.refusals[reason] += 1
         self._cause = "the last was refused"
         if asked is not None:
@@ -299,9 +301,8 @@ class Notes:
             **{kind: ready and doubt is reason for reason, kind in _DOUBTS.items()},
         }
         for kind, on in now.items():
-            if self.health.differs(kind, on=on):
-                place = self._place(vehicle.position_nea_m)
-                self.health.set(kind, on=on, at_s=at_s, in_air=in_air, place=place)
+            here = vehicle.position_nea_m
+            self.health.set(kind, on=on, at_s=at_s, in_air=in_air, here=here)
 
     def _on_position(self, at_s: float, state: State, doubt: Reason | None) -> None:
         vehicle, here, before = state.vehicle, state.vehicle.position_nea_m, self._position
@@ -319,11 +320,8 @@ class Notes:
             return
         if self._checks_area:
             for kind, off_m in _out_by_m(here, state):
-                place = self._place(here) if off_m > 0.0 else None
-                if off_m > 0.0 or self.outside.differs(kind, on=False):
-                    self.outside.set(
-                        kind, on=off_m > 0.0, at_s=at_s, in_air=True, place=place, worst_m=off_m
-                    )
+                on = off_m > 0.0
+                self.outside.set(kind, on=on, at_s=at_s, in_air=True, here=here, worst_m=off_m)
         if state.phase is Phase.SHADOW and state.reason not in _DISTRUST:
             self._on_way(at_s, here, state)
 
@@ -359,15 +357,14 @@ class Notes:
 
     def _note_at(self, kind: str, at_s: float, state: State, worst_m: float | None = None) -> None:
         """Something that takes no time."""
-        in_air, place = is_in_air(state.vehicle), self._place(state.vehicle.position_nea_m)
-        noted = Observed(
-            kind=kind, from_s=at_s, until_s=at_s, in_air=in_air, worst_m=worst_m, place=place
-        )
-        self._keep(self.health.all, noted, kind)
+        in_air, here = is_in_air(state.vehicle), state.vehicle.position_nea_m
+        self.health.set(kind, on=True, at_s=at_s, in_air=in_air, here=here, worst_m=worst_m)
+        self.health.set(kind, on=False, at_s=at_s)
 
     def _place(self, point_nea_m: Vector | None) -> Place | None:
-        if point_nea_m is None:
-            return None
+        return None if point_nea_m is None else self._place_of(point_nea_m)
+
+    def _place_of(self, point_nea_m: Vector) -> Place:
         north_m, east_m, altitude_m = point_nea_m
         latitude, longitude = self._frame.to_geodetic_deg(north_m, east_m)
         return Place(
@@ -382,21 +379,21 @@ class Notes:
         if len(kept) < MOST:
             kept.append(new)
         else:
-            self.left_out[kind] += 1
+            self.report.left_out[kind] += 1
 
 
 @final
 class _Spans:
     """Times during which something was so."""
 
-    def __init__(self, left_out: Counter[str]) -> None:
-        self.all: list[Observed] = []
+    def __init__(
+        self,
+        kept: list[Observed],
+        left_out: Counter[str],
+        place: Callable[[Vector | None], Place | None],
+    ) -> None:
+        self._kept, self._left_out, self._place = kept, left_out, place
         self._open: dict[str, Observed] = {}
-        self._left_out = left_out
-
-    def differs(self, kind: str, *, on: bool) -> bool:
-        """Whether this is news."""
-        return on is not (kind in self._open)
 
     def end_all(self, at_s: float) -> None:
         """None of it is so any more."""
@@ -410,17 +407,17 @@ class _Spans:
         on: bool,
         at_s: float,
         in_air: bool = False,
-        place: Place | None = None,
+        here: Vector | None = None,
         worst_m: float | None = None,
     ) -> None:
         """It is so from now on, or not any more."""
         span = self._open.get(kind)
         if on and span is None:
             span = self._open[kind] = Observed(
-                kind=kind, from_s=at_s, in_air=in_air, place=place, worst_m=worst_m
+                kind=kind, from_s=at_s, in_air=in_air, place=self._place(here), worst_m=worst_m
             )
-            if len(self.all) < MOST:
-                self.all.append(span)
+            if len(self._kept) < MOST:
+                self._kept.append(span)
             else:
                 self._left_out[kind] += 1
         elif on and span is not None and worst_m is not None:
@@ -443,16 +440,7 @@ class _Path:
         self._starts, self._along = points[:-1], np.diff(points, axis=0)
         self._squares = np.maximum(np.einsum("sk,sk->s", self._along, self._along), 1e-12)
         self.last_m = self._at_m = 0.0
-        self.off = Off(
-            from_s=math.inf,
-            until_s=-math.inf,
-            positions=0,
-            max_m=0.0,
-            max_at_s=math.nan,
-            squares_m2=0.0,
-            from_m=math.inf,
-            until_m=-math.inf,
-        )
+        self.off = Off()
 
     @property
     def has_ended(self) -> bool:

@@ -1,8 +1,12 @@
 """What a shadow has seen of somebody else's flight, as values: for people and for files."""
 
 import math
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, final
+
+import msgspec
 
 from companion.telemetry.logs import Finding, Missing
 
@@ -99,16 +103,16 @@ class Asked:
 class Off:
     """How far the flown track was from a planned subpath."""
 
-    from_s: float
-    until_s: float
-    positions: int
-    max_m: float
-    max_at_s: float
-    squares_m2: float
+    from_s: float = math.inf
+    until_s: float = -math.inf
+    positions: int = 0
+    max_m: float = 0.0
+    max_at_s: float = math.nan
+    squares_m2: float = 0.0
     """Sum over all positions."""
-    from_m: float
+    from_m: float = math.inf
     """Part of the subpath that it was nearest to, lengths along it."""
-    until_m: float
+    until_m: float = -math.inf
 
     @property
     def rms_m(self) -> float:
@@ -117,18 +121,27 @@ class Off:
 
     def as_json(self) -> dict[str, Any] | None:
         """For `--json`; None: it was never compared."""
-        if not self.positions:
+        values: dict[str, Any] = msgspec.to_builtins(self) | {"rms_m": self.rms_m}
+        del values["squares_m2"]
+        return values if self.positions else None
+
+    @staticmethod
+    def of_all(parts: Iterable["Off | None"]) -> "Off | None":
+        """Of one part after the other; None: there were none."""
+        there = [part for part in parts if part is not None and part.positions]
+        if not there:
             return None
-        return {
-            "from_s": self.from_s,
-            "until_s": self.until_s,
-            "positions": self.positions,
-            "max_m": self.max_m,
-            "max_at_s": self.max_at_s,
-            "rms_m": self.rms_m,
-            "from_m": self.from_m,
-            "until_m": self.until_m,
-        }
+        farthest = max(there, key=lambda each: each.max_m)
+        return Off(
+            from_s=there[0].from_s,
+            until_s=there[-1].until_s,
+            positions=sum(each.positions for each in there),
+            max_m=farthest.max_m,
+            max_at_s=farthest.max_at_s,
+            squares_m2=sum(each.squares_m2 for each in there),
+            from_m=min(each.from_m for each in there),
+            until_m=max(each.until_m for each in there),
+        )
 
 
 @final
@@ -173,48 +186,37 @@ class ShadowReport:
     """Its name; None: health alone."""
     planned: bool
     """Whether plans were computed."""
-    began_us: int
+    began_us: int = 0
     """Time of the first record, microseconds since 1970."""
-    length_s: float
-    in_air_s: float
-    watched_from_s: float | None
+    length_s: float = 0.0
+    in_air_s: float = 0.0
+    watched_from_s: float | None = None
     """When the companion would have been ready; None: never."""
-    records: int
-    heard: int
+    records: int = 0
+    heard: int = 0
     """Records that were of use."""
-    position_rate_hz: float | None
-    holds: list[Hold]
-    health: list[Observed]
-    outside: list[Observed]
+    position_rate_hz: float | None = None
+    holds: list[Hold] = field(default_factory=list)
+    health: list[Observed] = field(default_factory=list)
+    outside: list[Observed] = field(default_factory=list)
     """Where the vehicle was when the mission does not allow that."""
-    plans: list[Asked]
-    said: list[Said]
-    could_not: list[CouldNot]
-    missing: tuple[Missing, ...]
-    log_findings: tuple[Finding, ...]
-    notes: list[str]
-    left_out: dict[str, int]
+    plans: list[Asked] = field(default_factory=list)
+    said: list[Said] = field(default_factory=list)
+    could_not: list[CouldNot] = field(default_factory=list)
+    missing: tuple[Missing, ...] = ()
+    log_findings: tuple[Finding, ...] = ()
+    notes: list[str] = field(default_factory=list)
+    left_out: Counter[str] = field(default_factory=Counter)
     """How many more there were of what is kept up to a limit."""
     took_s: float = 0.0
 
     @property
     def own_path(self) -> Off | None:
         """How far the flown track was from all planned subpaths together; None: there were none."""
-        parts = [asked.off for asked in self.plans if asked.off is not None]
-        parts = [part for part in parts if part.positions]
-        if not parts:
-            return None
-        farthest = max(parts, key=lambda each: each.max_m)
-        return Off(
-            from_s=parts[0].from_s,
-            until_s=parts[-1].until_s,
-            positions=sum(each.positions for each in parts),
-            max_m=farthest.max_m,
-            max_at_s=farthest.max_at_s,
-            squares_m2=sum(each.squares_m2 for each in parts),
-            from_m=0.0,
-            until_m=sum(each.until_m - each.from_m for each in parts),
-        )
+        parts = [each.off for each in self.plans if each.off is not None and each.off.positions]
+        flown_m = sum(part.until_m - part.from_m for part in parts)
+        whole = Off.of_all(parts)
+        return None if whole is None else replace(whole, from_m=0.0, until_m=flown_m)
 
     @property
     def times_real_time(self) -> float:
@@ -223,35 +225,10 @@ class ShadowReport:
 
     def as_json(self) -> dict[str, Any]:
         """For `--json`: plain values, units in the names."""
+        values: dict[str, Any] = {"schema": SCHEMA} | msgspec.to_builtins(self)
+        for plan, asked in zip(values["plans"], self.plans, strict=True):
+            plan["off"] = None if asked.off is None else asked.off.as_json()
         own = self.own_path
-        return {
-            "schema": SCHEMA,
-            "file": self.file,
-            "kind": self.kind,
-            "system_id": self.system_id,
-            "vehicle": self.vehicle,
-            "mission": self.mission,
-            "planned": self.planned,
-            "began_us": self.began_us,
-            "length_s": self.length_s,
-            "in_air_s": self.in_air_s,
-            "watched_from_s": self.watched_from_s,
-            "records": self.records,
-            "heard": self.heard,
-            "position_rate_hz": self.position_rate_hz,
-            "holds": [asdict(each) for each in self.holds],
-            "health": [asdict(each) for each in self.health],
-            "outside": [asdict(each) for each in self.outside],
-            "plans": [
-                asdict(each) | {"off": each.off.as_json() if each.off else None}
-                for each in self.plans
-            ],
-            "own_path": None if own is None else own.as_json(),
-            "said": [asdict(each) for each in self.said],
-            "could_not": [asdict(each) for each in self.could_not],
-            "missing": [asdict(each) for each in self.missing],
-            "log_findings": [each.as_json() for each in self.log_findings],
-            "notes": self.notes,
-            "left_out": self.left_out,
-            "took_s": self.took_s,
-        }
+        values["own_path"] = None if own is None else own.as_json()
+        values["log_findings"] = [each.as_json() for each in self.log_findings]
+        return values

@@ -30,10 +30,6 @@ POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS: Final = wire.MAVLINK_MSG_ID_GPS_RAW_INT
 STATUSTEXT: Final = wire.MAVLINK_MSG_ID_STATUSTEXT
 _LANDED: Final = wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
-_ESTIMATORS: Final = {
-    wire.MAV_AUTOPILOT_ARDUPILOTMEGA: wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
-    wire.MAV_AUTOPILOT_PX4: wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
-}
 _CLOCKS: Final = frozenset(
     {
         wire.MAVLINK_MSG_ID_ATTITUDE,
@@ -60,7 +56,8 @@ LISTENED: Final = frozenset(
         wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
         wire.MAVLINK_MSG_ID_PARAM_VALUE,
         wire.MAVLINK_MSG_ID_FENCE_STATUS,
-        *_ESTIMATORS.values(),
+        wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+        wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
     }
 )
 """Of the autopilot, besides the clocks.  Who only watches needs no battery, and echoes of setpoints
@@ -134,7 +131,7 @@ class Watch:
         self._slow_since_s: float | None = None
         self._first_position_s: float | None = None
         self._stand_in_s = -1e9
-        self._stand_ins = _StandIns(heartbeat)
+        self._stand_ins = _all_is_well(heartbeat)
         self.heard = 0
         """Frames that were of use."""
         self.heard_of: Counter[int] = Counter()
@@ -295,11 +292,11 @@ class Watch:
         if at_s - self._stand_in_s < _STAND_IN_S:
             return
         self._stand_in_s = at_s
-        for number in self._stand_ins.numbers:
+        for number, frame in self._stand_ins.items():
             if not self.heard_of[number]:
                 name = wire.mavlink_map[number].msgname
                 self.stood_in.setdefault(name, at_s)
-                self._feed(self._stand_ins.frame(number), wall_s, at_s)
+                self._feed(frame, wall_s, at_s)
 
     # --- what the vehicle does by itself
 
@@ -324,26 +321,16 @@ class Watch:
                 self._notes.say(Said(at_s=at_s, what="says", text=text))
 
 
-@final
-class _StandIns:
-    """Messages that say that all is well, for logs that say nothing of it."""
-
-    def __init__(self, heartbeat: Message) -> None:
-        self._codec = wire.MAVLink(
-            None, srcSystem=heartbeat.get_srcSystem(), srcComponent=AUTOPILOT_COMPONENT
-        )
-        self.numbers: tuple[int, ...] = (GPS, _ESTIMATORS[heartbeat.autopilot])
-
-    def frame(self, number: int) -> bytes:
-        """One such message."""
-        if number == GPS:
-            message = wire.MAVLink_gps_raw_int_message(
-                0, wire.GPS_FIX_TYPE_3D_FIX, 0, 0, 0, 65535, 65535, 65535, 65535, 255
-            )
-        elif number == wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT:
-            message = wire.MAVLink_ekf_status_report_message(_SURE, 0.0, 0.0, 0.0, 0.0, 0.0)
-        else:
-            message = wire.MAVLink_estimator_status_message(
-                0, _SURE_PX4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            )
-        return bytes(message.pack(self._codec))
+def _all_is_well(heartbeat: Message) -> dict[int, bytes]:
+    """By their numbers, frames that say so of GPS and estimator, for logs that say nothing."""
+    codec = wire.MAVLink(
+        None, srcSystem=heartbeat.get_srcSystem(), srcComponent=AUTOPILOT_COMPONENT
+    )
+    fix = wire.MAVLink_gps_raw_int_message(
+        0, wire.GPS_FIX_TYPE_3D_FIX, 0, 0, 0, 65535, 65535, 65535, 65535, 255
+    )
+    if heartbeat.autopilot == wire.MAV_AUTOPILOT_PX4:
+        sure = wire.MAVLink_estimator_status_message(0, _SURE_PX4, *[0.0] * 8)
+    else:
+        sure = wire.MAVLink_ekf_status_report_message(_SURE, *[0.0] * 5)
+    return {each.get_msgId(): bytes(each.pack(codec)) for each in (fix, sure)}

@@ -1,6 +1,5 @@
 """What a shadow has seen of somebody else's flight, for people."""
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
@@ -67,9 +66,10 @@ def _began(report: ShadowReport) -> str:
 
 def _holds(report: ShadowReport) -> Table:
     """When it would have let go, and what the vehicle did about it."""
-    table = Table(title="where it would have held", title_justify="left")
-    for heading in ("let go", "why", "position good", "goes on", "the vehicle itself"):
-        table.add_column(heading)
+    headings = ("let go", "why", "position good", "goes on", "the vehicle itself")
+    table = _table(
+        "where it would have held", headings, len(report.holds), report.left_out["holds"]
+    )
     for hold in report.holds[:_MOST_ROWS]:
         table.add_row(
             f"{hold.let_go_s:,.2f} s" + ("" if hold.in_air else "\n(on the ground)"),
@@ -78,7 +78,6 @@ def _holds(report: ShadowReport) -> Table:
             "never" if hold.went_on_s is None else f"{hold.went_on_s:,.1f} s",
             Text(_itself(hold, report)),
         )
-    _more(table, len(report.holds) + report.left_out.get("holds", 0))
     return table
 
 
@@ -119,10 +118,9 @@ def _said(said: Said) -> str:
 
 def _observed(title: str, found: Sequence[Observed], report: ShadowReport) -> Table:
     """Times at which something was so; those of one kind that follow at once are one row."""
-    table = Table(title=title, title_justify="left")
-    for heading, side in (("from", "right"), ("to", "right"), ("what", "left"), ("where", "left")):
-        table.add_column(heading, justify="right" if side == "right" else "left")
     rows = list(_rows(found))
+    table = _table(title, ("from", "to", "what", "where"), len(rows))
+    table.columns[0].justify = table.columns[1].justify = "right"
     for first, last, count, worst_m in rows[:_MOST_ROWS]:
         far = "" if worst_m is None else f", by {worst_m:,.1f} m" + " at most" * (count > 1)
         times = f", {count} times" if count > 1 else ""
@@ -136,7 +134,6 @@ def _observed(title: str, found: Sequence[Observed], report: ShadowReport) -> Ta
             Text(f"{first.kind}{far}{times}{ground}"),
             _where(first.place),
         )
-    _more(table, len(rows))
     return table
 
 
@@ -164,24 +161,17 @@ def _plans(report: ShadowReport) -> Table:
 
     Plans one after the other for the same reason, with the same answer, are one row.
     """
-    table = Table(title="where it would have planned", title_justify="left")
-    for heading in ("at", "where", "why", "answer", "flown track off it, max / rms"):
-        table.add_column(heading)
     runs = [list(run) for _, run in groupby(report.plans, key=_alike)]
+    headings = ("at", "where", "why", "answer", "flown track off it, max / rms")
+    title = "where it would have planned"
+    table = _table(title, headings, len(runs), report.left_out["plans"])
     for run in runs[:_MOST_ROWS]:
         first, last = run[0], run[-1]
         at = f"{first.at_s:,.1f} s"
         if len(run) > 1:
             at += f" to {last.at_s:,.1f} s\n{len(run)} times"
-        parts = [asked.off for asked in run if asked.off is not None and asked.off.positions]
-        table.add_row(
-            at,
-            _where(first.place),
-            Text(_reasons(run)),
-            Text(_answers(run)),
-            _off_words(parts),
-        )
-    _more(table, len(runs) + report.left_out.get("plans", 0))
+        off = _off_words(Off.of_all(asked.off for asked in run))
+        table.add_row(at, _where(first.place), Text(_reasons(run)), Text(_answers(run)), off)
     return table
 
 
@@ -210,14 +200,12 @@ def _answers(run: list[Asked]) -> str:
     return words + (f", clear by {min(clear):,.0f} m" if clear else "")
 
 
-def _off_words(parts: list[Off]) -> str:
-    if not parts:
+def _off_words(off: Off | None) -> str:
+    if off is None:
         return ""
-    most, positions = max(part.max_m for part in parts), sum(part.positions for part in parts)
-    rms = math.sqrt(sum(part.squares_m2 for part in parts) / positions)
     return (
-        f"{most:,.1f} / {rms:,.1f} m\n{parts[0].from_s:,.1f} to {parts[-1].until_s:,.1f} s, "
-        f"{min(part.from_m for part in parts):,.0f} to {max(part.until_m for part in parts):,.0f} m"
+        f"{off.max_m:,.1f} / {off.rms_m:,.1f} m\n{off.from_s:,.1f} to {off.until_s:,.1f} s, "
+        f"{off.from_m:,.0f} to {off.until_m:,.0f} m"
     )
 
 
@@ -255,6 +243,9 @@ def _where(place: Place | None) -> str:
     return f"{place.latitude_deg:.5f}, {place.longitude_deg:.5f}, {place.altitude_amsl_m:,.0f} m"
 
 
-def _more(table: Table, count: int) -> None:
-    if count > _MOST_ROWS:
-        table.caption = f"{count - _MOST_ROWS} more: --json has them"
+def _table(title: str, headings: Sequence[str], rows: int, left_out: int = 0) -> Table:
+    """An empty table for the first of so many rows."""
+    table = Table(*headings, title=title, title_justify="left")
+    if (more := rows + left_out - _MOST_ROWS) > 0:
+        table.caption = f"{more} more: --json has them"
+    return table

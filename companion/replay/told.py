@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
+import msgspec
+
 from companion.mavlink.inbox import VEHICLE
 from companion.mavlink.outbox import Input, Output
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
-from companion.mission.start import Resume, Start
+from companion.mission.start import Resume, Start, SystemId
 from companion.objective.scene import PROFILES
 from companion.planner.outcomes import outcome_of
 from companion.planner.request import PlanOutcome
@@ -28,9 +30,6 @@ TOLD = frozenset(
     }
 )
 """The calls of a session that are inputs."""
-_LARGEST_ID = 255
-
-
 MissionOf = Callable[[Start], Mission]
 """The mission that a session flew: by its profile, from wherever it is kept."""
 
@@ -64,24 +63,12 @@ class Raised:
 def start_of(told: Input) -> Start:
     """What a session was made of, of a recorded input.  TornError: it is none."""
     try:
-        start = Start(**told[1])
-    except (IndexError, TypeError) as error:
+        start = msgspec.convert(told[1], Start)
+        msgspec.convert((start.resume or {}).get("system_id"), SystemId | None)
+    except (IndexError, msgspec.ValidationError) as error:
         raise TornError(f"a start that is none ({error})") from error
-    resume = start.resume
-    ids = (start.system_id, None if not isinstance(resume, dict) else resume.get("system_id"))
-    whole = (
-        all(isinstance(each, str) for each in (start.companion, start.mission, start.profile))
-        and all(type(each) is bool for each in (start.lockstep, start.shadow, start.has_ground))
-        and all(each is None or _is_id(each) for each in ids)
-        and type(start.seed) is int
-        and start.seed >= 0
-        and isinstance(resume, dict | None)
-        and isinstance(start.known, bytes | None)
-        and isinstance(start.terrain, str | None)
-        and start.profile in PROFILES
-    )
-    if not whole:
-        raise TornError("a start that is none (one of its values)")
+    if start.profile not in PROFILES:
+        raise TornError(f"a start that is none (profile {start.profile!r:.40})")
     return start
 
 
@@ -160,7 +147,3 @@ def answer_of(values: Any) -> PlanOutcome:
 
 def _is_time(value: Any) -> bool:
     return type(value) in (float, int) and math.isfinite(value)
-
-
-def _is_id(value: Any) -> bool:
-    return type(value) is int and 1 <= value <= _LARGEST_ID

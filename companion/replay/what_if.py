@@ -5,16 +5,16 @@ Nothing is flown by it: each plan starts where the recorded one started, and kno
 
 import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar, final
+from typing import TypeVar, final
 
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
 from companion.planner.kernels import Kernel
 from companion.planner.outcomes import outcome_of
 from companion.planner.plan import plan
-from companion.planner.request import Planned, PlanOutcome, PlanRequest, WayBack
+from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, WayBack
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.replay.same import Replay
@@ -25,42 +25,36 @@ _Part = TypeVar("_Part")
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Subpath:
+class Figures:
     """What one answer gives, in figures."""
 
-    cost: float | None
+    cost: float | None = None
     """Eq. 5; None: there is no subpath."""
-    terms: dict[str, float]
+    terms: dict[str, float] = field(default_factory=dict)
     """Of the cost, unweighted."""
-    clearance_m: float | None
+    clearance_m: float | None = None
     """As proven."""
-    length_m: float | None
-    time_s: float | None
+    length_m: float | None = None
+    time_s: float | None = None
     """At V."""
-    refusal: str
+    refusal: str = ""
     """Why there is none."""
 
     @staticmethod
-    def of(outcome: PlanOutcome, speed_m_s: float) -> "Subpath":
+    def of(outcome: PlanOutcome, speed_m_s: float) -> "Figures":
         """The figures of an answer."""
-        if not isinstance(outcome, Planned):
-            name = "" if isinstance(outcome, WayBack) else outcome.refusal.name
-            return Subpath(
-                cost=None, terms={}, clearance_m=None, length_m=None, time_s=None, refusal=name
-            )
+        if isinstance(outcome, WayBack):
+            return Figures()
+        if isinstance(outcome, NotPlanned):
+            return Figures(refusal=outcome.refusal.name)
         length_m = outcome.subpath.length_m
-        return Subpath(
+        return Figures(
             cost=outcome.cost,
             terms=outcome.terms,
             clearance_m=outcome.certificate.clearance_m,
             length_m=length_m,
             time_s=length_m / speed_m_s,
-            refusal="",
         )
-
-    def as_json(self) -> dict[str, Any]:
-        """For a file."""
-        return dataclasses.asdict(self)
 
 
 @final
@@ -69,19 +63,10 @@ class WhatIf:
     """A subpath as it was flown, and as it would have been."""
 
     plan_id: int
-    time_s: float
+    t_s: float
     """When it was asked for, vehicle time."""
-    flown: Subpath
-    now: Subpath
-
-    def as_json(self) -> dict[str, Any]:
-        """For a file."""
-        return {
-            "plan_id": self.plan_id,
-            "t_s": self.time_s,
-            "flown": self.flown.as_json(),
-            "now": self.now.as_json(),
-        }
+    flown: Figures
+    now: Figures
 
 
 def what_if(
@@ -121,9 +106,9 @@ def what_if(
         again = plan(other, kernel=kernel)
         yield WhatIf(
             plan_id=recorded.plan_id,
-            time_s=time_s,
-            flown=Subpath.of(recorded, request.task.limits.speed_m_s),
-            now=Subpath.of(again, other.task.limits.speed_m_s),
+            t_s=time_s,
+            flown=Figures.of(recorded, request.task.limits.speed_m_s),
+            now=Figures.of(again, other.task.limits.speed_m_s),
         )
 
 

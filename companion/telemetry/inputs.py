@@ -18,6 +18,7 @@ It ends with the last whole record, however the flight ended.
 """
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -100,11 +101,9 @@ def whole_inputs(path: Path, start: int = 0) -> int:
         file.seek(at)
         unpacker = msgpack.Unpacker(file, read_size=_PORTION, max_buffer_size=_LONGEST)
         end = 0
-        try:
+        with suppress(*_UNREADABLE):
             for _ in unpacker:
                 end = unpacker.tell()
-        except _UNREADABLE:
-            pass
     return at + end
 
 

@@ -11,27 +11,25 @@ stops before it.  Anything else that is not as documented is an InputError that 
 where it does no harm (a kind or a field that is not known), a finding.
 """
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
-from typing import Any, NoReturn, final
+from typing import Any, NoReturn, final, get_type_hints
 
-from pydantic import TypeAdapter, ValidationError
-from pydantic_core import from_json
+import msgspec
+from msgspec import ValidationError
 
 from companion.errors import InputError
+from companion.mission.journal import KINDS, SCHEMA, VERSION, Entry, Header, entry_of
 from companion.mission.state import Reason
-from companion.telemetry.journal_entries import Entry, Fence
-from companion.telemetry.journal_lines import SCHEMA, VERSION, Header, Line
-from companion.telemetry.journal_plans import PlanReady
 
 _HEADER = b'{"schema":'
 _MOST_BYTES = 64 * 2**20  # of a line: a fence of 100,000 corners takes 4 MB
 _AS_WRITTEN = "Give the journal as the companion has written it."
 
 _Raw = dict[str, Any]
-_ENTRY: TypeAdapter[Entry] = TypeAdapter(Entry)
-
 _CODES = {reason.text: reason.name for reason in Reason}
 
 
@@ -86,9 +84,9 @@ class Journal:
         for number, text in enumerate(self._whole_lines(), start=1):
             where = f"{self.path.name} line {number}"
             if text.startswith(_HEADER):
-                header = _header_of(text, where)
+                header = _header_of(raw := _decoded(text, where), where)
                 read = self._reader_of(header.version)
-                self._count_unknown(header, "header")
+                self._count_unknown(raw, header, "header")
                 self.headers.append(header)
                 yield header
             elif (entry := read(text, where)) is not None:
@@ -120,81 +118,84 @@ class Journal:
         steps = [_TO_NEXT[each] for each in range(version, VERSION)]
 
         def read(text: bytes, where: str) -> Entry | None:
+            raw = _decoded(text, where)
+            for step in steps if isinstance(raw, dict) else ():
+                raw = step(raw)
             try:
-                if not steps:
-                    return self._known(_ENTRY.validate_json(text))
-                raw = from_json(text)
-                for step in steps if isinstance(raw, dict) else ():
-                    raw = step(raw)
-                return self._known(_ENTRY.validate_python(raw))
-            except ValidationError as error:
-                self._pass_over(error, text, where)
-                return None
-            except ValueError as error:
-                raise _not_json(text, where, error) from None
+                entry = entry_of(raw)
+            except (ValidationError, LookupError, TypeError) as error:
+                kind = raw.get("kind") if isinstance(raw, dict) else None
+                if isinstance(kind, str) and kind not in KINDS:
+                    self._unknown[f"kind {kind!r}, which is not known"] += 1
+                    return None
+                raise _refused(raw, error, where) from None
+            self._count_unknown(raw, entry, raw["kind"])
+            return entry
 
         return read
 
-    def _known(self, entry: Entry) -> Entry:
-        self._count_unknown(entry, entry.kind)
-        if isinstance(entry, PlanReady):
-            self._count_unknown(entry.certificate, "plan ready.certificate")
-        elif isinstance(entry, Fence):
-            for zone in entry.zones:
-                self._count_unknown(zone, "fence.zones")
-        return entry
-
-    def _count_unknown(self, line: Line, name: str) -> None:
-        for field in line.model_extra or ():
-            self._unknown[f"field {name}.{field}, which is not known"] += 1
-
-    def _pass_over(self, error: ValidationError, text: bytes, where: str) -> None:
-        """Pass over an entry of a kind that is not known; raise InputError for any other."""
-        first = error.errors(include_url=False)[0]
-        if first["type"] == "union_tag_invalid":
-            kind = first["ctx"]["tag"]
-            self._unknown[f"kind {kind!r}, which is not known"] += 1
-            return
-        if first["type"] == "json_invalid":
-            raise _not_json(text, where, first["ctx"]["error"]) from None
-        raise _refused(first, where) from None
+    def _count_unknown(self, raw: Any, value: Any, name: str) -> None:
+        """Count the fields of an object, and of those in it, that it is not declared with."""
+        if isinstance(raw, list):
+            for each, made in zip(raw, value, strict=True):
+                if isinstance(each, dict):
+                    self._count_unknown(each, made, name)
+        elif not isinstance(value, dict):
+            known = _fields_of(value.__class__)
+            if not raw.keys() <= known:
+                for field in raw.keys() - known:
+                    self._unknown[f"field {name}.{field}, which is not known"] += 1
+            for field, inner in raw.items():
+                if isinstance(inner, dict | list) and field in known:
+                    self._count_unknown(inner, getattr(value, field), f"{name}.{field}")
 
 
-def _header_of(text: bytes, where: str) -> Header:
+@cache
+def _fields_of(declared: type) -> frozenset[str]:
+    return frozenset({*get_type_hints(declared), "kind"})
+
+
+def _header_of(raw: Any, where: str) -> Header:
     """The header in a line, of a version that can be read."""
-    try:
-        raw = from_json(text)
-    except ValueError as error:
-        raise _not_json(text, where, error) from None
-    if raw.get("schema") != SCHEMA:
+    if raw["schema"] != SCHEMA:
         rule = f"only {SCHEMA!r} can be read"
-        raise InputError(f"{where}: schema", raw.get("schema"), rule, _AS_WRITTEN)
+        raise InputError(f"{where}: schema", raw["schema"], rule, _AS_WRITTEN)
     version = raw.get("version")
     if type(version) is not int or not 1 <= version <= VERSION:
         rule = f"versions 1 to {VERSION} can be read"
         remedy = "Read it with a companion as new as the one that has written it."
         raise InputError(f"{where}: version", version, rule, remedy)
     try:
-        return Header.model_validate(raw)
+        return msgspec.convert(raw, Header)
     except ValidationError as error:
-        raise _refused(error.errors(include_url=False)[0], where) from None
+        raise _refused(raw, error, where) from None
 
 
-def _refused(first: Any, where: str) -> InputError:
+def _refused(raw: Any, error: Exception, where: str) -> InputError:
     """The error about the first rule that a line breaks."""
-    names = [str(part) for part in first["loc"]]
-    if len(names) > 1 and names[0] in _KINDS:
-        names = names[1:]  # the kind, which pydantic puts in front
-    field = ".".join(names) or "kind"
-    if first["type"] in ("missing", "union_tag_not_found"):
+    if isinstance(raw, dict) and "kind" not in raw and "schema" not in raw:
+        return InputError(f"{where}: kind", None, "it is missing", _AS_WRITTEN)
+    words, _, path = str(error).partition(" - at `$")
+    names = re.findall(r"\w+", path)
+    if missing := re.search("missing required field `(.*)`", words):
+        field = ".".join([*names, missing[1]])
         return InputError(f"{where}: {field}", None, "it is missing", _AS_WRITTEN)
-    rule = str(first["msg"])
-    return InputError(f"{where}: {field}", first["input"], rule[:1].lower() + rule[1:], _AS_WRITTEN)
+    value = raw
+    for name in names:
+        value = value[int(name) if isinstance(value, list) else name]
+    if not isinstance(error, ValidationError):
+        words = "an entry is an object with a kind"
+    rule = words[:1].lower() + words[1:]
+    return InputError(f"{where}: {'.'.join(names) or 'kind'}", value, rule, _AS_WRITTEN)
+
+
+def _decoded(text: bytes, where: str) -> Any:
+    try:
+        return msgspec.json.decode(text)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise _not_json(text, where, error) from None
 
 
 def _not_json(text: bytes, where: str, error: object) -> InputError:
     shown = text[:80].decode(errors="replace").rstrip("\n")
     return InputError(where, shown, f"it is not JSON ({error})", _AS_WRITTEN)
-
-
-_KINDS = frozenset(_ENTRY.json_schema()["discriminator"]["mapping"])

@@ -1,23 +1,29 @@
-"""docs/journal.md, made from the models that the journal is read with: `scripts/docs` writes it."""
+"""docs/journal.md, made from what the journal is declared with: `scripts/docs` writes it."""
 
+import ast
+import inspect
+import textwrap
 import types
 from collections.abc import Iterator
-from typing import Any, Literal, get_args, get_origin
+from itertools import pairwise
+from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel
-from pydantic.fields import FieldInfo
+from msgspec import Struct, structs
 
-from companion.telemetry import journal_entries, journal_lines, journal_plans
+from companion.mission import journal
+from companion.mission.journal import KINDS, VERSION
+from companion.path.certificate import Certificate
+from companion.world.threats import CircleZone, PolygonZone
 
 _HEAD = f"""# The journal
 
-Made from `companion/telemetry/journal_*.py` by `scripts/docs`; do not edit.
+Made from `companion/mission/journal.py` by `scripts/docs`; do not edit.
 
 `journal.jsonl` of a run folder says what happened and what was decided: UTF-8, one JSON object a
 line. The first line is a header, and so is one more for each time that the companion was started
 again in the flight; all others are entries, in the order in which they happened: `t_s`, `kind`, and
 the fields of that kind. What is sent many times a second, setpoints above all, is in `flight.tlog`.
-`companion.telemetry.journal.Journal` reads it. This page is about version {journal_lines.VERSION}.
+`companion.telemetry.journal.Journal` reads it. This page is about version {VERSION}.
 
 - **Time**: `t_s` is the vehicle's clock, seconds since its boot (until that is known, since the
   companion's start). It begins again when the autopilot reboots. Nothing in a journal depends on
@@ -40,110 +46,66 @@ no new version: readers pass over what they do not know, and say so. Everything 
 | 3 | `plan asked` has `rest` in place of `stops` | null |
 """
 
-_CHAPTERS: tuple[tuple[str, tuple[type[BaseModel], ...]], ...] = (
-    (
-        "The mission",
-        (
-            journal_entries.Phase,
-            journal_entries.LegBegun,
-            journal_entries.Resumed,
-            journal_entries.StopAsked,
-            journal_entries.End,
-        ),
-    ),
-    (
-        "Scans and subpaths",
-        (
-            journal_plans.ScanAsked,
-            journal_plans.ScanDone,
-            journal_plans.PlanAsked,
-            journal_plans.PlanReady,
-            journal_plans.CertificateGiven,
-            journal_plans.PlanRefused,
-            journal_plans.PlanLate,
-        ),
-    ),
-    (
-        "What others want",
-        (
-            journal_entries.Fence,
-            journal_entries.CircleGiven,
-            journal_entries.PolygonGiven,
-            journal_entries.Targets,
-            journal_entries.Setting,
-            journal_entries.CommandHeard,
-            journal_entries.OrderGiven,
-        ),
-    ),
-    (
-        "The vehicle",
-        (
-            journal_entries.VehicleFound,
-            journal_entries.Prepared,
-            journal_entries.VehicleSays,
-            journal_entries.Acknowledged,
-            journal_entries.VehicleRebooted,
-            journal_entries.LinkDelay,
-            journal_entries.LinkLost,
-            journal_entries.AnotherCompanion,
-            journal_entries.MessagesDropped,
-        ),
-    ),
-    (
-        "What the companion does",
-        (
-            journal_entries.ModeAsked,
-            journal_entries.ArmAsked,
-            journal_entries.TakeOffAsked,
-            journal_entries.SetpointRefused,
-            journal_entries.Said,
-            journal_entries.PartDied,
-        ),
-    ),
-)
+_CHAPTERS: Final[dict[type, str]] = {
+    journal.Phase: "The mission",
+    journal.ScanAsked: "Scans and subpaths",
+    journal.Fence: "What others want",
+    journal.VehicleFound: "The vehicle",
+    journal.ModeAsked: "What the companion does",
+}
+"""By the first of their kinds."""
+_PARTS: Final[dict[type, dict[str, type]]] = {
+    journal.PlanReady: {"A `certificate`": Certificate},
+    journal.Fence: {"A circle of `zones`": CircleZone, "A polygon of `zones`": PolygonZone},
+}
+"""Objects in entries that are explained after them."""
 
 
 def journal_markdown() -> str:
     """The page: every kind of line with its fields, their types and what they mean."""
-    lines = [_HEAD, "## Header", "", *_section(journal_lines.Header)]
-    for title, models in _CHAPTERS:
-        lines += [f"## {title}", ""]
-        for model in models:
-            lines += [f"### {name_of(model)}", "", *_section(model)]
+    lines = [_HEAD, "## Header", "", *_section(journal.Header)]
+    for name, kind in KINDS.items():
+        if kind in _CHAPTERS:
+            lines += [f"## {_CHAPTERS[kind]}", ""]
+        lines += [f"### `{name}`", "", *_section(kind)]
+        for title, part in _PARTS.get(kind, {}).items():
+            lines += [f"### {title}", "", *_section(part)]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def name_of(model: type[BaseModel]) -> str:
-    """What the page calls a model: the kind of its entries, or its place in them."""
-    if (kind := model.model_fields.get("kind")) is not None:
-        return f"`{get_args(kind.annotation)[0]}`"
-    return {
-        journal_plans.CertificateGiven: "A `certificate`",
-        journal_entries.CircleGiven: "A circle of `zones`",
-        journal_entries.PolygonGiven: "A polygon of `zones`",
-    }[model]
-
-
-def _section(model: type[BaseModel]) -> Iterator[str]:
-    yield " ".join((model.__doc__ or "").split())
+def _section(kind: type) -> Iterator[str]:
+    yield " ".join((kind.__doc__ or "").split())
     yield ""
-    fields = {
-        field.alias or name: field
-        for name, field in model.model_fields.items()
-        if name not in ("t_s", "kind")
-    }
+    hints, words = get_type_hints(kind, include_extras=True), words_of(kind)
+    fields = [name for name in hints if name != "t_s"]
+    declared = structs.fields(kind) if issubclass(kind, Struct) else ()
+    optional = {field.name for field in declared if not field.required}
     if fields:
         yield from ("| field | type | |", "|---|---|---|")
-    for name, field in fields.items():
-        words = " ".join((field.description or "").split())
-        yield f"| `{name}` | {_type(field)} | {words} |"
+    for name in fields:
+        text = _words(hints[name])
+        if kind is Certificate and text == _PLAIN[float]:
+            text += " or null"
+        if name in optional:
+            text = f"{text.removesuffix(' or null')}, may be left out"
+        yield f"| `{name}` | {text} | {words.get(name, '')} |"
     if fields:
         yield ""
 
 
-def _type(field: FieldInfo) -> str:
-    text = _words(field.annotation)
-    return text if field.is_required() else f"{text.removesuffix(' or null')}, may be left out"
+def words_of(kind: type) -> dict[str, str]:
+    """What stands below each field of a class."""
+    [declared] = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(declared, ast.ClassDef)
+    return {
+        field.target.id: " ".join(text.value.value.split())
+        for field, text in pairwise(declared.body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(field.target, ast.Name)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+        and isinstance(text.value.value, str)
+    }
 
 
 def _words(kind: Any) -> str:
@@ -151,6 +113,8 @@ def _words(kind: Any) -> str:
     origin, inner = get_origin(kind), get_args(kind)
     if kind in _PLAIN:
         return _PLAIN[kind]
+    if origin is Annotated:
+        return _words(inner[0])
     if origin is Literal:
         return ", ".join(f"`{value}`" for value in inner)
     if origin is types.UnionType:
@@ -169,6 +133,6 @@ _PLAIN: dict[Any, str] = {
     str: "text",
     bool: "true or false",
     type(None): "null",
-    journal_lines.NorthEast: "[north, east]",
-    journal_lines.NorthEastAltitude: "[north, east, altitude]",
+    journal.NorthEast: "[north, east]",
+    journal.NorthEastAltitude: "[north, east, altitude]",
 }

@@ -15,8 +15,9 @@ import numpy as np
 
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
+from companion.mission.start import Resume
 from companion.mission.state import IN_AIR
-from companion.telemetry.run_folder import Checkpoint, known_map, resume_head
+from companion.telemetry.run_folder import known_map, resume_head
 from companion.world.known_map import KnownMap
 
 _CHECKPOINT, _MAP = "resume.json", "known.npz"
@@ -31,7 +32,7 @@ _LARGEST_ID, _LARGEST_PLAN = 255, 2**31
 class Recalled:
     """What there is to go on with."""
 
-    resume: Checkpoint | None = None
+    resume: Resume | None = None
     """None: no flight has begun here."""
     said: tuple[str, ...] = ()
     """What could not be restored, for people."""
@@ -57,13 +58,13 @@ def recall(folder: Path, mission: Mission) -> Recalled:
     except (OSError, ValueError) as error:
         values = checkpoint.without_map(values, f"{_MAP}: {_why(error)}")
         said = tuple(checkpoint.news_of(values))
-        return Recalled(resume=Checkpoint(values, None), said=said, unreadable=(_MAP,))
-    return Recalled(resume=Checkpoint(values, known.with_what_was_given(blank)))
+        return Recalled(resume=(values, None), said=said, unreadable=(_MAP,))
+    return Recalled(resume=(values, known.with_what_was_given(blank)))
 
 
 def _values(folder: Path, mission: Mission) -> checkpoint.Values:
     """The checkpoint, once it is known that it can be gone on with."""
-    values: checkpoint.Values = resume_head(folder)["values"]
+    values: checkpoint.Values = resume_head(folder).values
     try:
         checkpoint.restored(mission, checkpoint.blank(mission), values)
     except checkpoint.NOT_SUCH as error:
@@ -111,7 +112,7 @@ def _forgotten(history: _History, why: str) -> Recalled:
         why, system_id=history.system_id, time_s=history.time_s, plan_id=history.plan_id
     )
     said = tuple(checkpoint.news_of(values))
-    return Recalled(resume=Checkpoint(values, None), said=said, unreadable=(_CHECKPOINT, _MAP))
+    return Recalled(resume=(values, None), said=said, unreadable=(_CHECKPOINT, _MAP))
 
 
 def _history(folder: Path) -> _History:

@@ -18,24 +18,26 @@ so that a power cut does not take them, except where the vehicle is simulated an
 
 import io
 import json
-import math
 import os
 import struct
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, NamedTuple, Self, final
+from typing import IO, Annotated, Any, Self, final
+
+import msgspec
+from msgspec import Meta, Struct
 
 from companion.errors import InputError
+from companion.mission.journal import SCHEMA, VERSION, plain
 from companion.telemetry import inputs
-from companion.telemetry.journal_lines import SCHEMA, VERSION
 from companion.world.known_map import KnownMap
 from companion.world.packed_map import packed_map, unpacked_map
 
 RESUME_SCHEMA = "companion-resume"
 RESUME_VERSION = 1
 _WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json", inputs.FILE)
-_MOST = 2**62
 _STAMP_BYTES, _HEAD_BYTES = 8, 11
 _PORTION = 2**20
 LONGEST_RECORD = 288  # bytes, of the telemetry log
@@ -43,11 +45,22 @@ _LONGEST_TORN = 2**26  # a start with a large map
 _SIGNED, _SIGNATURE_BYTES = 0x01, 13
 
 
-class Checkpoint(NamedTuple):
-    """What a companion that is started again in flight finds in its run folder."""
+_MOST = 2**62
+_Count = Annotated[int, Meta(ge=0, lt=_MOST)]
 
+
+@final
+class ResumeHead(Struct, frozen=True, kw_only=True):
+    """What resume.json holds."""
+
+    schema: str = RESUME_SCHEMA
+    version: int = RESUME_VERSION
+    epoch_us: _Count
+    starts: _Count
+    tlog_bytes: _Count
+    inputs_bytes: _Count = 0
     values: dict[str, Any]
-    known: KnownMap | None
+    """Where the mission stands (`mission.checkpoint`); what they mean is not looked at here."""
 
 
 @final
@@ -109,22 +122,24 @@ class RunFolder:
     def _go_on(self, set_aside: Sequence[str]) -> None:
         """Cut what a companion that was killed has left half written."""
         tlog, journal = self.path / "flight.tlog", self.path / "journal.jsonl"
-        try:
+        head: ResumeHead | None = None
+        with suppress(OSError, ValueError):
             head = resume_head(self.path)
-        except (OSError, ValueError):
-            head = {}
-        self.epoch_us = head.get("epoch_us") or _first_stamp_us(tlog) or self.epoch_us
-        self._starts = head["starts"] + 1 if head else starts_of(journal)
+        epoch_us, tlog_bytes, inputs_bytes = (
+            (0, 0, 0) if head is None else (head.epoch_us, head.tlog_bytes, head.inputs_bytes)
+        )
+        self.epoch_us = epoch_us or _first_stamp_us(tlog) or self.epoch_us
+        self._starts = starts_of(journal) if head is None else head.starts + 1
         for name in set_aside:
             keep_aside(self.path / name)
         if tlog.exists():
-            whole = whole_records(tlog, head.get("tlog_bytes", 0))
+            whole = whole_records(tlog, tlog_bytes)
             _cut(tlog, whole, longest_torn=LONGEST_RECORD)
         if journal.exists():
             _cut(journal, _whole_lines(journal))
         told = self.path / inputs.FILE
         if told.exists():
-            _cut(told, inputs.whole_inputs(told, head.get("inputs_bytes", 0)))
+            _cut(told, inputs.whole_inputs(told, inputs_bytes))
 
     # --- what grows
 
@@ -172,15 +187,13 @@ class RunFolder:
 
     def checkpoint(self, values: Mapping[str, Any]) -> None:
         """Where the mission stands.  A disk that is full leaves the one before."""
-        head = {
-            "schema": RESUME_SCHEMA,
-            "version": RESUME_VERSION,
-            "epoch_us": self.epoch_us,
-            "starts": self._starts,
-            "tlog_bytes": 0 if self._tlog is None else self._tlog.tell(),
-            "inputs_bytes": 0 if self._inputs is None else self._inputs.tell(),
-            "values": values,
-        }
+        head = ResumeHead(
+            epoch_us=self.epoch_us,
+            starts=self._starts,
+            tlog_bytes=0 if self._tlog is None else self._tlog.tell(),
+            inputs_bytes=0 if self._inputs is None else self._inputs.tell(),
+            values=dict(values),
+        )
         self._replace("resume.json", lambda: journal_line(head))
 
     def known_map(self, known: KnownMap) -> None:
@@ -189,9 +202,9 @@ class RunFolder:
 
     def run_json(self, values: Mapping[str, Any]) -> None:
         """What differs from run to run."""
-        text = json.dumps(_plain({**values, **self.facts}), indent=2, default=float) + "\n"
+        text = msgspec.json.format(journal_line({**values, **self.facts}), indent=2) + b"\n"
         if self.failure is None:
-            self.failure = self._replace("run.json", text.encode)
+            self.failure = self._replace("run.json", lambda: text)
 
     def _replace(self, name: str, content: Callable[[], bytes]) -> str | None:
         try:
@@ -221,24 +234,8 @@ class RunFolder:
 # --- reading it again
 
 
-def read_checkpoint(path: Path) -> Checkpoint | None:
-    """What a run folder says about where its mission stands; None if it says nothing."""
-    try:
-        values = resume_head(path)["values"]
-    except (OSError, ValueError):
-        return None
-    try:
-        known = known_map(path)
-    except (OSError, ValueError):
-        known = None
-    return Checkpoint(values=values, known=known)
-
-
-def resume_head(path: Path) -> dict[str, Any]:
-    """What resume.json holds.  OSError; ValueError, saying what is wrong with it.
-
-    Its "values" are an object and its numbers are in range; what the values mean is not looked at.
-    """
+def resume_head(path: Path) -> ResumeHead:
+    """What resume.json holds.  OSError; ValueError, saying what is wrong with it."""
     data = (path / "resume.json").read_bytes()
     try:
         head = json.loads(data)
@@ -248,13 +245,10 @@ def resume_head(path: Path) -> dict[str, Any]:
         raise ValueError("it is no checkpoint of a flight")
     if head.get("version") != RESUME_VERSION:
         raise ValueError(f"it is of version {head.get('version')!s:.20}, not {RESUME_VERSION}")
-    head = {"inputs_bytes": 0, **head}
-    names = ("epoch_us", "starts", "tlog_bytes", "inputs_bytes")
-    numbers = [head.get(name) for name in names]
-    whole = all(type(each) is int and 0 <= each < _MOST for each in numbers)
-    if not whole or not isinstance(head.get("values"), dict):
-        raise ValueError("something in it is missing or out of range")
-    return head
+    try:
+        return msgspec.convert(head, ResumeHead)
+    except msgspec.ValidationError as error:
+        raise ValueError("something in it is missing or out of range") from error
 
 
 def starts_of(journal: Path) -> int:
@@ -407,18 +401,6 @@ def _drop_torn(file: io.FileIO, records: Sequence[bytes], written: int) -> None:
         return  # whoever reads it stops at the last whole record
 
 
-def journal_line(entry: Mapping[str, Any]) -> bytes:
-    """An entry as a line of the journal."""
-    text = json.dumps(_plain(entry), separators=(",", ":"), allow_nan=False, default=float)
-    return text.encode() + b"\n"
-
-
-def _plain(value: Any) -> Any:
-    """The value with null for numbers that JSON does not have: infinite, or none at all."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return value
+def journal_line(entry: Mapping[str, Any] | ResumeHead) -> bytes:
+    """An entry as a line of the journal: null for numbers that JSON does not have."""
+    return msgspec.json.encode(entry, enc_hook=plain) + b"\n"

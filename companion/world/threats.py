@@ -45,10 +45,15 @@ class CircleZone:
     """A circle that the vehicle must stay out of, or inside of."""
 
     name: str
+    """For people."""
     north_m: float
+    """Of its centre."""
     east_m: float
+    """Of its centre."""
     radius_m: float
+    """Of the circle."""
     keep_in: bool = False
+    """Whether to stay inside, instead of outside."""
 
     def distance_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Horizontal distance to the edge, negative where it is forbidden, metres.
@@ -65,8 +70,11 @@ class PolygonZone:
     """A simple polygon that the vehicle must stay out of, or inside of."""
 
     name: str
+    """For people."""
     vertices_ne_m: tuple[tuple[float, float], ...]
+    """Its corners."""
     keep_in: bool = False
+    """Whether to stay inside, instead of outside."""
 
     def distance_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Horizontal distance to the edge, negative where it is forbidden, metres.

@@ -170,7 +170,7 @@ def straight_plan(request: PlanRequest) -> PlanOutcome:
         return WayBack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
     start = np.asarray(request.start.position_nea_m, dtype=np.float64)
     target = np.array([*request.target_ne_m, start[2]])
-    far = {"keep_out_m": math.inf, "turn_radius_m": math.inf, "broken": ()}
+    far = {"keep_out_m": math.inf, "turn_radius_m": math.inf, "pieces": 1, "broken": ()}
     return Planned(
         plan_id=request.plan_id,
         kernel="none",

@@ -13,7 +13,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import MISSION, certificate, fresh, not_planned, planned, position, scan_done, status
 
-from companion.mission import entries
+from companion.mission import entries, journal
 from companion.mission.events import (
     Event,
     LinkLost,
@@ -26,7 +26,6 @@ from companion.mission.events import (
 from companion.path.certificate import Certificate, certify, pack_surroundings
 from companion.path.subpath import Pose, Subpath
 from companion.planner.request import NotPlanned, PlanRequest, Refusal
-from companion.telemetry.journal_plans import PlanRefused
 from companion.world.known_map import KnownMap
 
 STATE = fresh()
@@ -138,7 +137,9 @@ def test_a_refusal_is_told_with_its_reason_and_the_bounds_that_were_broken() -> 
 def test_where_a_way_is_closed_is_told_as_the_journal_reads_it() -> None:
     refused = NotPlanned(plan_id=7, refusal=Refusal.NO_WAY, place_ne_m=(120.0, -40.0))
     entry = told(PlanReady(time_s=1.0, outcome=refused))
-    assert PlanRefused.model_validate({**entry, "t_s": 1.0}).place_ne_m == (120.0, -40.0)
+    read = journal.entry_of({**entry, "t_s": 1.0})
+    assert isinstance(read, journal.PlanRefused)
+    assert read.place_ne_m == (120.0, -40.0)
 
 
 @pytest.mark.parametrize(

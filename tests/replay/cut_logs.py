@@ -6,14 +6,32 @@ from pathlib import Path
 
 from recordings import recording
 
+from companion.config import load_mission
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.frames import number_of, sender_of
+from companion.mission.mission import Mission
+from companion.mission.renewed import replace
+from companion.replay.shadow import watch
+from companion.replay.shadow_report import ShadowReport
 from companion.telemetry.logs import Record, open_log
 
 MISSIONS = Path(__file__).parent / "missions"
 VEHICLE = (1, 1)
 COMPANION = (1, 191)
 STATION = (255, 190)
+
+
+def alone(path: Path, system_id: int | None = None) -> ShadowReport:
+    """The health of a log."""
+    return watch(path, None, kernel=None, system_id=system_id)
+
+
+def mission(name: str, *, evaluations: int | None = None) -> Mission:
+    """A mission for a recorded flight, with so many candidates to a plan."""
+    chosen = load_mission(str(MISSIONS / f"{name}.toml"))
+    settings = chosen.task.settings
+    quick = replace(settings, evaluations=evaluations or settings.evaluations)
+    return replace(chosen, task=replace(chosen.task, settings=quick))
 
 
 def recorded(name: str, *, from_s: float = 0.0, until_s: float = 1e9) -> Iterator[Record]:

@@ -10,6 +10,10 @@ from scripted_vehicle import Vehicle, straight_plan
 from test_loop import ScriptedLink
 
 from companion.config import load_mission, mission_text
+from companion.mission.mission import Mission
+from companion.mission.start import Start
+from companion.planner.kernels import Kernel
+from companion.replay.same import Replay, Replayed
 from companion.runtime import loop
 from companion.session import Session
 from companion.sources.files import toml_table, toml_text
@@ -54,6 +58,19 @@ def fly_short(
         )
 
 
+def replayed(path: Path, kernel: Kernel | None = None, **options: Any) -> Replayed:
+    """What the replay of a run folder finds."""
+    replay = Replay(path, mission_of(path), kernel=kernel, **options)
+    for _ in replay.steps():
+        pass
+    return replay.found
+
+
+def mission_of(path: Path) -> Callable[[Start], Mission]:
+    """The mission of a run folder, as it was flown."""
+    return lambda start: load_mission(str(path / "mission.toml"), start.profile)
+
+
 def rewritten(path: Path, change: Callable[[list[Input]], None]) -> None:
     """Change what the session of a recorded flight was told."""
     told = list(InputsFile(path / FILE))
@@ -61,4 +78,13 @@ def rewritten(path: Path, change: Callable[[list[Input]], None]) -> None:
     (path / FILE).write_bytes(b"".join(packed((HEADER, *told))))
 
 
-__all__ = ["EPOCH_US", "ScriptedLink", "Vehicle", "fly_short", "rewritten", "short_mission"]
+__all__ = [
+    "EPOCH_US",
+    "ScriptedLink",
+    "Vehicle",
+    "fly_short",
+    "mission_of",
+    "replayed",
+    "rewritten",
+    "short_mission",
+]

@@ -6,16 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from short_flight import ScriptedLink, Vehicle, fly_short, rewritten
+from short_flight import ScriptedLink, Vehicle, fly_short, replayed, rewritten
 
 from companion.config import load_mission
 from companion.mission import machine
 from companion.mission.events import Outcome
-from companion.mission.mission import Mission
-from companion.mission.start import Start
 from companion.planner.kernels import NUMPY
 from companion.replay.report import same_json, same_words
-from companion.replay.same import Replay, Replayed
 from companion.replay.what_if import what_if
 from companion.telemetry.inputs import FILE, Input, InputsFile
 from companion.telemetry.run_folder import recorded_frames
@@ -34,20 +31,6 @@ def bug(monkeypatch: pytest.MonkeyPatch) -> None:
         return step(state, event, context)
 
     monkeypatch.setattr(machine, "step", breaks)
-
-
-def mission_of(path: Path) -> Mission:
-    return load_mission(str(path / "mission.toml"))
-
-
-def replayed(path: Path) -> Replayed:
-    def as_flown(_: Start) -> Mission:
-        return mission_of(path)
-
-    replay = Replay(path, as_flown, kernel=None)
-    for _ in replay.steps():
-        pass
-    return replay.found
 
 
 class Paced(ScriptedLink):
@@ -128,7 +111,7 @@ def test_an_error_where_the_flight_had_none_is_a_difference(ended: Path) -> None
 
 @LOCKSTEP
 def test_what_if_ends_with_the_flight(ended: Path) -> None:
-    mission = mission_of(ended)
+    mission = load_mission(str(ended / "mission.toml"))
     made = list(what_if(ended, lambda _: mission, mission, seed=None, kernel=NUMPY))
     assert [each.plan_id for each in made] == [1]
 

@@ -7,24 +7,22 @@ import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from flights import launch
 from pymavlink import mavutil  # noqa: TID251 - counts the frames independently
 from pymavlink.dialects.v20 import all as wire
+from short_flight import mission_of, replayed, rewritten
 
 from companion.cli import main
 from companion.config import load_mission
 from companion.errors import InputError
-from companion.mission.start import Start
-from companion.planner.kernels import NUMPY, Kernel
+from companion.planner.kernels import NUMPY
 from companion.replay.differences import message_of
 from companion.replay.from_log import LogReplay
-from companion.replay.same import Replay, Replayed
 from companion.replay.what_if import what_if
 from companion.runtime.compiler import load_kernel
-from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
+from companion.telemetry.inputs import FILE, Input, packed
 from companion.telemetry.run_folder import recorded_frames
 
 pytestmark = pytest.mark.closed_loop
@@ -54,23 +52,6 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def copy(run_dir: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(run_dir, tmp_path / "run"))
-
-
-def mission_of(folder: Path) -> Callable[[Start], Any]:
-    return lambda start: load_mission(str(folder / "mission.toml"), start.profile)
-
-
-def replayed(folder: Path, kernel: Kernel | None = None, **options: Any) -> Replayed:
-    replay = Replay(folder, mission_of(folder), kernel=kernel, **options)
-    for _ in replay.steps():
-        pass
-    return replay.found
-
-
-def rewritten(folder: Path, change: Callable[[list[Input]], None]) -> None:
-    told = list(InputsFile(folder / FILE))
-    change(told)
-    (folder / FILE).write_bytes(b"".join(packed((HEADER, *told))))
 
 
 # --- the same

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cut_logs
 import numpy as np
 import pytest
-from cut_logs import COMPANION, MISSIONS, VEHICLE, recorded, written
+from cut_logs import COMPANION, VEHICLE, recorded, written
 from recordings import recording
 from rich.console import Console
 
-from companion.config import load_mission
 from companion.mavlink.autopilots import ALL
 from companion.mavlink.dialect import wire
 from companion.mavlink.frames import sender_of
@@ -140,15 +140,13 @@ class Sent:
 
 def mission(name: str, *, evaluations: int = 100) -> Mission:
     """The mission about a recording, with a search that takes no time."""
-    found = load_mission(str(MISSIONS / f"{MISSION_OF[name]}.toml"))
-    settings = replace(found.task.settings, evaluations=evaluations)
-    return replace(found, task=replace(found.task, settings=settings))
+    return cut_logs.mission(MISSION_OF[name], evaluations=evaluations)
 
 
 @functools.cache
 def report_of(name: str) -> ShadowReport:
     """Its health alone."""
-    return watch(recording(name), None, kernel=None)
+    return cut_logs.alone(recording(name))
 
 
 @functools.cache

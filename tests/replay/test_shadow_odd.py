@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 from cut_logs import (
-    MISSIONS,
     VEHICLE,
+    alone,
     changed,
+    mission,
     packed,
     recorded,
     thinned,
@@ -19,14 +20,13 @@ from cut_logs import (
 )
 from recordings import recording
 
-from companion.config import load_mission
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
 from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
-from companion.replay.shadow_report import Hold, ShadowReport
+from companion.replay.shadow_report import Hold
 from companion.telemetry.logs import Record
 
 ARDUPILOT, PX4 = "arducopter-gps-loss.tlog", "px4-gps-loss.tlog"
@@ -39,15 +39,6 @@ CLOCKS = (
     wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
     wire.MAVLINK_MSG_ID_SYSTEM_TIME,
 )
-
-
-def alone(path: Path, system_id: int | None = None) -> ShadowReport:
-    """The health of a log."""
-    return watch(path, None, kernel=None, system_id=system_id)
-
-
-def mission(name: str) -> Mission:
-    return load_mission(str(MISSIONS / f"{name}.toml"))
 
 
 def times(holds: list[Hold]) -> list[tuple[float, float, str]]:
@@ -313,9 +304,7 @@ def test_with_nothing_known_of_the_ground_it_says_so_and_tells_the_rest(tmp_path
 
 def test_what_is_known_of_the_ground_stands_in_for_a_radar(tmp_path: Path) -> None:
     path = written(tmp_path / "part.tlog", recorded(PX4, from_s=40.0, until_s=60.0))
-    chosen = mission("copter-zurich")
-    fast = replace(chosen.task.settings, evaluations=100)
-    chosen = replace(chosen, scanner_component_id=100, task=replace(chosen.task, settings=fast))
+    chosen = replace(mission("copter-zurich", evaluations=100), scanner_component_id=100)
     report = watch(path, chosen, kernel=NUMPY)
     assert "ready" in {asked.outcome for asked in report.plans}
     assert any("terrain of the mission alone" in note for note in report.notes)

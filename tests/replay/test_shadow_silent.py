@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 from cut_logs import (
-    MISSIONS,
     STATION,
+    alone,
     changed,
+    mission,
     packed,
     recorded,
     thinned,
@@ -20,9 +21,7 @@ from cut_logs import (
 from log_files import bin_of, fmt_entries
 from recordings import recording
 
-from companion.config import load_mission
 from companion.mavlink.dialect import Message, wire
-from companion.mission.renewed import replace
 from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import Observed, ShadowReport
@@ -34,10 +33,6 @@ COPTER = "arducopter-guided-10mps.tlog"
 HEARTBEAT = wire.MAVLINK_MSG_ID_HEARTBEAT
 POSITION = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS = wire.MAVLINK_MSG_ID_GPS_RAW_INT
-
-
-def alone(path: Path) -> ShadowReport:
-    return watch(path, None, kernel=None)
 
 
 def of(report: ShadowReport, kind: str) -> list[Observed]:
@@ -117,10 +112,7 @@ def test_a_mission_adds_no_holds_to_those_of_the_vehicle(tmp_path: Path, every: 
     """Positions 0.6 s and 1.2 s apart are no loss of them, whenever a plan comes."""
     records = thinned(recorded(HEALTHY, from_s=20.0, until_s=70.0), POSITION, every)
     path = written(tmp_path / "few.tlog", records)
-    chosen = load_mission(str(MISSIONS / "copter-zurich.toml"))
-    settings = replace(chosen.task.settings, evaluations=100)
-    chosen = replace(chosen, task=replace(chosen.task, settings=settings))
-    report = watch(path, chosen, kernel=NUMPY)
+    report = watch(path, mission("copter-zurich", evaluations=100), kernel=NUMPY)
     assert len([each for each in report.plans if each.outcome == "ready"]) > 5
     assert [each.let_go_s for each in report.holds] == [each.let_go_s for each in alone(path).holds]
     assert len(report.holds) <= 1

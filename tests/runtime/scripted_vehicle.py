@@ -48,7 +48,7 @@ def straight_plan(request: PlanRequest, _stop: object = None) -> Planned:
     target = np.array([*request.target_ne_m, start[2]])
     left_m = float(np.linalg.norm(target - start))
     share = min(17_000.0 / left_m, 1.0)
-    far = {"keep_out_m": math.inf, "turn_radius_m": math.inf, "broken": ()}
+    far = {"keep_out_m": math.inf, "turn_radius_m": math.inf, "pieces": 1, "broken": ()}
     return Planned(
         plan_id=request.plan_id,
         kernel="none",

@@ -1,6 +1,8 @@
 """What is written beside a shape, for people who click on it: names with units, plain values."""
 
+import math
 from collections.abc import Iterator
+from typing import Final
 
 from companion.telemetry.export import shapes
 from companion.telemetry.export.flight import Moment, PlannedSubpath, RecordedFlight
@@ -9,6 +11,13 @@ from companion.world.threats import CircleZone, Radar, Zone
 
 Facts = dict[str, str | int | float | bool | None]
 """None: not known, or there is none."""
+
+
+_OF_PLAN: Final = ("length_m", "cost", "evaluations", "reaches_target")
+_OF_PROOF: Final = (
+    *("clearance_m", "keep_out_m", "dead_man_m", "turn_radius_m", "climb_angle_rad"),
+    *("dive_angle_rad", "lowest_amsl_m", "highest_amsl_m", "radar_m"),
+)
 
 
 def drawn_track(flight: RecordedFlight) -> Iterator[tuple[str, Track, Facts]]:
@@ -35,27 +44,22 @@ def _segment_facts(track: Track, part: slice) -> Facts:
 def plan_facts(planned: PlannedSubpath) -> Facts:
     """Of a subpath: what it costs, and what is proven of it."""
     plan, proven = planned.plan, planned.plan.certificate
-    return {
+    facts: Facts = {
         "plan_id": plan.plan_id,
         "leg": planned.leg,
         "flown": planned.leg is not None,
         "ready_s": plan.t_s,
         "begun_s": planned.begun_s,
-        "length_m": plan.length_m,
-        "cost": plan.cost,
-        "evaluations": plan.evaluations,
-        "reaches_target": plan.reaches_target,
-        "clearance_m": proven.clearance_m,
-        "keep_out_m": proven.keep_out_m,
-        "dead_man_m": proven.dead_man_m,
-        "turn_radius_m": proven.turn_radius_m,
-        "climb_angle_rad": proven.climb_angle_rad,
-        "dive_angle_rad": proven.dive_angle_rad,
-        "lowest_amsl_m": proven.lowest_amsl_m,
-        "highest_amsl_m": proven.highest_amsl_m,
-        "radar_m": proven.radar_m,
+        **{name: getattr(plan, name) for name in _OF_PLAN},
+        **{name: getattr(proven, name) for name in _OF_PROOF},
         "broken": ", ".join(proven.broken),
     }
+    return {name: None if _is_unbounded(fact) else fact for name, fact in facts.items()}
+
+
+def _is_unbounded(fact: object) -> bool:
+    """Whether it is a number that JSON does not have."""
+    return isinstance(fact, float) and not math.isfinite(fact)
 
 
 def moment_facts(moment: Moment) -> Facts:

@@ -13,15 +13,13 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
+from companion.mission import journal as noted
+from companion.mission.journal import Entry, Header, PlanReady
 from companion.mission.mission import Mission
 from companion.mission.state import Phase as MissionPhase
 from companion.path.subpath import Subpath
-from companion.telemetry import journal_entries as noted
 from companion.telemetry.export.track import IntArray, Track
-from companion.telemetry.journal_entries import Entry
-from companion.telemetry.journal_lines import Header
-from companion.telemetry.journal_plans import PlanReady
-from companion.world.threats import CircleZone, PolygonZone, Zone
+from companion.world.threats import Zone
 
 _BEFORE = "waiting"
 _LATER_S = 60.0  # an autopilot that was restarted while no companion ran has a clock that fell
@@ -145,7 +143,7 @@ class FlightBuilder:
             case noted.OrderGiven(target_ne_m=(north_m, east_m)):
                 self._targets = ((north_m, east_m),)
             case noted.Fence():
-                self._own_zones = tuple(_zone(each) for each in line.zones)
+                self._own_zones = line.zones
             case _:
                 pass
         if isinstance(line, _SHOWN):
@@ -239,15 +237,3 @@ def _words(entry: Entry) -> tuple[str, str]:
             return "end", f"{outcome}: {reason}"
         case _:
             return entry.kind, ""
-
-
-def _zone(given: noted.CircleGiven | noted.PolygonGiven) -> Zone:
-    if isinstance(given, noted.CircleGiven):
-        return CircleZone(
-            name=given.name,
-            north_m=given.north_m,
-            east_m=given.east_m,
-            radius_m=given.radius_m,
-            keep_in=given.keep_in,
-        )
-    return PolygonZone(name=given.name, vertices_ne_m=given.vertices_ne_m, keep_in=given.keep_in)

@@ -18,6 +18,7 @@ from lxml import etree
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
+from companion.mission.journal import PlanReady
 from companion.replay.exporting import recorded
 from companion.sources.geojson import read_geojson
 from companion.sources.plan_file import read_plan
@@ -26,7 +27,6 @@ from companion.telemetry.export.kml import write_kml
 from companion.telemetry.export.plan import write_plan
 from companion.telemetry.export.table import COLUMNS, write_csv
 from companion.telemetry.journal import Journal
-from companion.telemetry.journal_plans import PlanReady
 
 SCHEMAS = Path(fastkml.validator.__file__).parent / "schema"
 KML = {"k": "http://www.opengis.net/kml/2.2", "gx": "http://www.google.com/kml/ext/2.2"}

@@ -10,12 +10,12 @@ from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
-from companion.telemetry import journal_entries as noted
+from companion.mission import journal as noted
+from companion.mission.journal import Header
 from companion.telemetry.export import shapes
 from companion.telemetry.export.flight import FlightBuilder, RecordedFlight
 from companion.telemetry.export.kml import write_kml
 from companion.telemetry.export.track import Track, track_of
-from companion.telemetry.journal_lines import Header
 from companion.telemetry.logs import Record
 
 EPOCH_US = 1_790_000_000_000_000
@@ -108,12 +108,12 @@ def built(track: Track, *lines: Any) -> RecordedFlight:
 
 
 def phase(time_s: float, name: str, reason: str | None = None) -> Any:
-    return noted.Phase(t_s=time_s, kind="phase", phase=name, was="", reason=reason, code=None)
+    return noted.Phase(t_s=time_s, phase=name, was="", reason=reason, code=None)
 
 
 def header(**more: Any) -> Header:
     facts = {"version": 1, "mission": "m", "seed": 1, "profile": "flight", "lockstep": True}
-    return Header.model_validate({"schema": "companion-journal", **facts, **more})
+    return Header(**{"schema": "companion-journal", **facts, **more})
 
 
 def test_phases_begin_at_the_position_of_their_time() -> None:
@@ -123,7 +123,7 @@ def test_phases_begin_at_the_position_of_their_time() -> None:
 
 
 def test_after_a_reboot_times_count_from_the_new_boot() -> None:
-    reboot = noted.VehicleRebooted(t_s=0.4, kind="vehicle rebooted")
+    reboot = noted.VehicleRebooted(t_s=0.4)
     lines = [phase(100.0, "flying"), reboot, phase(0.4, "preparing"), phase(0.6, "holding", "x")]
     flight = built(at(99.0, 100.0, 101.0, 0.5, 0.6), *lines)
     assert flight.phase_of_positions() == ["waiting", "flying", "flying", "preparing", "holding"]
@@ -156,16 +156,14 @@ def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
     order = {"t_s": 3.0, "kind": "order", "sender": "255/190", "speed_m_s": None}
     flight = built(
         at(1.0),
-        noted.Fence.model_validate({**fence, "zones": [circle, circle]}),
-        noted.Fence.model_validate({**fence, "zones": [circle]}),
-        noted.Targets(t_s=1.0, kind="targets", targets_ne_m=((5.0, 6.0), (7.0, 8.0))),
+        noted.entry_of({**fence, "zones": [circle, circle]}),
+        noted.entry_of({**fence, "zones": [circle]}),
+        noted.Targets(t_s=1.0, targets_ne_m=((5.0, 6.0), (7.0, 8.0))),
     )
     assert flight.targets_ne_m == ((5.0, 6.0), (7.0, 8.0))
     assert len(flight.zones) == 1
-    there = noted.OrderGiven.model_validate(
-        {**order, "order": "REPOSITION", "target_ne_m": [9.0, 10.0]}
-    )
-    pause = noted.OrderGiven.model_validate({**order, "order": "PAUSE", "target_ne_m": None})
+    there = noted.entry_of({**order, "order": "REPOSITION", "target_ne_m": [9.0, 10.0]})
+    pause = noted.entry_of({**order, "order": "PAUSE", "target_ne_m": None})
     assert built(at(1.0), there, pause).targets_ne_m == ((9.0, 10.0),)
 
 
