@@ -7,10 +7,11 @@ from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Ack, Event, Reboot, Result, Say, Send
 from vehicle_sim.autopilots.px4 import health
+from vehicle_sim.autopilots.px4.commander import parameter_rows
 from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, Mode, base_mode, mode_of
-from vehicle_sim.autopilots.px4.parameters import COMMON, MULTICOPTER, table
 from vehicle_sim.autopilots.px4.pilot import Pilot
 from vehicle_sim.autopilots.px4.style import RATES_HZ, style
+from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Kind
 
 UP = (0.0, 0.0, -10.0)
@@ -61,7 +62,7 @@ def test_base_modes_are_the_recorded_ones() -> None:
 
 
 def test_parameters_have_legal_names_and_are_in_order() -> None:
-    rows = table(COMMON, MULTICOPTER)
+    rows = parameter_rows("px4/common", "px4/multicopter")[: -len(SIM_PARAMETERS_PX4)]
     names = [row.name for row in rows]
     assert names == sorted(set(names))
     assert all(len(name) <= 16 for name in names)

@@ -36,7 +36,6 @@ from vehicle_sim.autopilots.ardupilot.plane_modes import (
     NAMES,
     Mode,
 )
-from vehicle_sim.autopilots.ardupilot.plane_parameters import TABLE
 from vehicle_sim.autopilots.ardupilot.style import (
     GPS_GLOBAL_ORIGIN,
     HEARTBEAT,
@@ -50,12 +49,14 @@ from vehicle_sim.autopilots.attitude import (
     attitude_of,
     finite,
 )
+from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.faults import SIM_PARAMETERS
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
+TABLE = (*table("ardupilot/shared", "ardupilot/plane"), *SIM_PARAMETERS)
 CAPABILITIES = 62319
 READY_US = 1_727_000
 ORIGIN_SAID_US = 2_261_000
@@ -143,7 +144,7 @@ class ArduPlane(ArduPilot):
     ) -> None:
         super().__init__(
             plane,
-            Parameters((*TABLE, *SIM_PARAMETERS), parameters),
+            Parameters(TABLE, parameters),
             plans,
             timing=TIMING,
             boot=_boot(),

@@ -75,39 +75,6 @@ def clipped(north: float, east: float, most: float) -> tuple[float, float]:
 class PositionControl:
     """Desired state and the controllers behind it.  Mutable, plain floats: the inner loop."""
 
-    __slots__ = (
-        "_derivative_east",
-        "_derivative_north",
-        "_error_east",
-        "_error_north",
-        "_integral_east",
-        "_integral_north",
-        "_lean_east",
-        "_lean_north",
-        "_limited_east",
-        "_limited_north",
-        "_metres_east",
-        "_metres_north",
-        "_resets",
-        "_target_east",
-        "_target_north",
-        "acceleration_east",
-        "acceleration_north",
-        "acceleration_up",
-        "altitude_amsl_m",
-        "copter",
-        "estimate",
-        "latitude_deg",
-        "longitude_deg",
-        "speed_down_m_s",
-        "speed_m_s",
-        "speed_up_m_s",
-        "tuning",
-        "velocity_east",
-        "velocity_north",
-        "velocity_up",
-    )
-
     def __init__(self, copter: Copter, estimate: Estimate, tuning: Tuning) -> None:
         self.copter = copter
         self.estimate = estimate

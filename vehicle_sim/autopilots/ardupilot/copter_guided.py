@@ -39,24 +39,6 @@ class Submode(enum.Enum):
 class Guided:
     """The target, and what it makes the position controller do."""
 
-    __slots__ = (
-        "_angle",
-        "_climb_m_s",
-        "_thrust",
-        "_was_tracking",
-        "acceleration",
-        "altitude_amsl_m",
-        "control",
-        "latitude_deg",
-        "longitude_deg",
-        "paused",
-        "received_us",
-        "submode",
-        "timeout_us",
-        "tracker",
-        "velocity",
-    )
-
     def __init__(self, control: PositionControl, timeout_s: float) -> None:
         self.control = control
         copter = control.copter

@@ -34,8 +34,6 @@ class Tracker:
     has: held still, it would saw the acceleration up and down at the rate of the stream.
     """
 
-    __slots__ = ("_interval_s", "_limits", "_slope", "received_us")
-
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self.received_us = 0

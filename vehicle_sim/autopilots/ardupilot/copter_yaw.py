@@ -15,8 +15,6 @@ _MOVING_SHARE = 0.05
 class Yaw:
     """The commanded yaw, if there is one."""
 
-    __slots__ = ("angle_rad", "rate_rad_s")
-
     def __init__(self) -> None:
         self.angle_rad: float | None = None
         self.rate_rad_s: float | None = None

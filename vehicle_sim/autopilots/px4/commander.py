@@ -21,6 +21,7 @@ from vehicle_sim.autopilots import (
     Style,
 )
 from vehicle_sim.autopilots.attitude import AttitudeTarget
+from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.autopilots.px4 import health
 from vehicle_sim.autopilots.px4.diary import Diary
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
@@ -54,6 +55,7 @@ from vehicle_sim.autopilots.px4.setpoints import (
 )
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
+from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Parameter, Parameters
 from vehicle_sim.plans import Plans
 
@@ -69,6 +71,11 @@ _STILL_US: Final = 2_000_000
 """Disarmed to the estimator's constant-position mode."""
 _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
+
+
+def parameter_rows(*names: str) -> tuple[Parameter, ...]:
+    """Those of these tables in the alphabetic order that PX4 numbers them in, then the faults'."""
+    return (*sorted(table(*names), key=lambda row: row.name), *SIM_PARAMETERS_PX4)
 
 
 class Commander(abc.ABC):
@@ -89,14 +96,14 @@ class Commander(abc.ABC):
         parameters: Mapping[str, float],
         plans: Plans,
         *,
-        table: tuple[Parameter, ...],
+        tables: tuple[str, ...],
         style: Style,
         hardware_id: int,
         rng: np.random.Generator,
         airspeed_sensor: bool = False,
     ) -> None:
         self.vehicle = vehicle
-        self.parameters = Parameters(table, parameters)
+        self.parameters = Parameters(parameter_rows(*tables), parameters)
         self.plans = plans
         self.style = style
         self.hardware_id = hardware_id

@@ -69,30 +69,6 @@ class _Kind(enum.Enum):
 class Course:
     """Where to, how high, how fast; and the commands of the moment.  Mutable."""
 
-    __slots__ = (
-        "_a",
-        "_altitude_m",
-        "_at_once",
-        "_b",
-        "_bank_wanted_rad",
-        "_energy",
-        "_kind",
-        "_plane",
-        "_settling",
-        "_wind_east_m_s",
-        "_wind_north_m_s",
-        "airspeed_m_s",
-        "bank_most_rad",
-        "bank_rad",
-        "climb_rate_m_s",
-        "curvature_1_m",
-        "landing",
-        "limits",
-        "nearest",
-        "radius_m",
-        "throttle",
-    )
-
     def __init__(self, plane: Plane, limits: Limits) -> None:
         self._plane = plane
         self.limits = limits

@@ -9,9 +9,28 @@ import numpy as np
 
 from vehicle_sim.autopilots import Reply, SayParameter
 from vehicle_sim.autopilots.px4 import health
-from vehicle_sim.autopilots.px4.parameters import AFTER_FLIGHT, LEARNT, LEARNT_M_S2, UNASKED
 from vehicle_sim.parameters import Parameters
 
+_BAROMETER: Final = ("CAL_BARO0_ID", "CAL_BARO0_OFF", "CAL_BARO0_PRIO")
+_AT_BOOT: Final = (
+    *("CAL_ACC0_ID", "CAL_ACC1_ID", "CAL_ACC2_ID", *_BAROMETER),
+    *("CAL_GYRO0_ID", "CAL_GYRO1_ID", "CAL_GYRO2_ID"),
+    *("CAL_MAG0_ID", "CAL_MAG0_PRIO", "CAL_MAG1_ID", "CAL_MAG1_PRIO"),
+    *("COM_OBL_RC_ACT", "EKF2_MAG_DECL", "SENS_BOARD_X_OFF", "SENS_DPRES_OFF"),
+    *("SIH_KDV", "SIH_LOC_H0", "SYS_AUTOCONFIG", "SYS_AUTOSTART"),
+)
+UNASKED: Final = ((1_000_000, _AT_BOOT), (5_360_000, _BAROMETER))
+"""What is said unasked, and when after boot (px4-offboard-short.tlog)."""
+LEARNT: Final = ("CAL_ACC0_XOFF", "CAL_ACC0_YOFF", "CAL_ACC0_ZOFF")
+"""What a long flight teaches, m/s^2."""
+LEARNT_M_S2: Final = 0.03
+"""Standard deviation of it (px4-offboard-8mps.tlog: -0.038, -0.039, 0.009)."""
+AFTER_FLIGHT: Final = (
+    *("CAL_ACC0_ID", "CAL_ACC0_PRIO", "CAL_ACC0_ROT", "CAL_ACC0_XOFF", "CAL_ACC0_XSCALE"),
+    *("CAL_ACC0_YOFF", "CAL_ACC0_YSCALE", "CAL_ACC0_ZOFF", "CAL_ACC0_ZSCALE", *_BAROMETER),
+    *("COM_FLIGHT_UUID", "LND_FLIGHT_T_HI", "LND_FLIGHT_T_LO"),
+)
+"""What is said on disarming when the accelerometer has been calibrated in flight."""
 _LOG_US: Final = 700_000
 """Boot to the first line of a log that begins there: 0.77 s in px4-offboard-short.tlog."""
 _CALIBRATED_US: Final = 240_000_000
@@ -21,8 +40,6 @@ _CALIBRATED_US: Final = 240_000_000
 @final
 class Diary:
     """One boot's.  Mutable."""
-
-    __slots__ = ("_log_due", "_parameters", "_rng", "_unasked")
 
     def __init__(self, parameters: Parameters, rng: np.random.Generator) -> None:
         self._parameters = parameters

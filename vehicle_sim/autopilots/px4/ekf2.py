@@ -72,37 +72,6 @@ _DRIFT_M_S2: Final = 0.05
 class Ekf2:
     """The estimator: steps an Estimate along with the truth."""
 
-    __slots__ = (
-        "_booted",
-        "_climb_m_s",
-        "_drift_east",
-        "_drift_north",
-        "_drifting",
-        "_east_m",
-        "_fix_us",
-        "_good_us",
-        "_held_east_m",
-        "_held_north_m",
-        "_held_up_m",
-        "_holding",
-        "_judge_us",
-        "_metres_east",
-        "_metres_north",
-        "_noise",
-        "_north_m",
-        "_rate_east_m_s",
-        "_rate_north_m_s",
-        "_refused_us",
-        "_returned_us",
-        "_rng",
-        "_seen_us",
-        "_up_m",
-        "estimate",
-        "fusing",
-        "lag_s",
-        "resets",
-    )
-
     def __init__(self, vehicle: Vehicle, rng: np.random.Generator) -> None:
         self._rng = rng
         self.lag_s = 0.0

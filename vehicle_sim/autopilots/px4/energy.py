@@ -34,8 +34,6 @@ def true_airspeed_m_s(equivalent_m_s: float, altitude_amsl_m: float) -> float:
 class Energy:
     """Climb and airspeed to fly.  Mutable."""
 
-    __slots__ = ("airspeed_m_s", "climb_m_s")
-
     def __init__(self) -> None:
         self.airspeed_m_s = 0.0
         """To command."""

@@ -39,8 +39,6 @@ def inside_polygon(north_m: float, east_m: float, corners: tuple[tuple[float, fl
 class Fence:
     """The fence as it stands, and whether the vehicle is outside of what it allows."""
 
-    __slots__ = ("_plans", "_projection", "_version", "_zones", "breached", "breaches")
-
     def __init__(self, plans: Plans) -> None:
         self._plans = plans
         self._version = -1

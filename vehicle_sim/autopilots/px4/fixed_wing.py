@@ -22,9 +22,7 @@ from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.course import Course, Limits
 from vehicle_sim.autopilots.px4.firmware import Px4
 from vehicle_sim.autopilots.px4.fixed_wing_mission import MissionFlight
-from vehicle_sim.autopilots.px4.fixed_wing_parameters import FIXED_WING_PARAMETERS
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
-from vehicle_sim.autopilots.px4.parameters import COMMON, table
 from vehicle_sim.autopilots.px4.runway import (
     CLEARED,
     CLIMB_OUT_M_S,
@@ -48,7 +46,6 @@ from vehicle_sim.autopilots.px4.runway import (
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
 from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ, style
 from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane, PlaneLimits
-from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.plans import Plans
 
 SIH_AIRPLANE: Final = PlaneLimits(
@@ -100,7 +97,7 @@ class Px4FixedWing(Px4):
             plane,
             parameters,
             plans,
-            table=(*table(COMMON, FIXED_WING_PARAMETERS), *SIM_PARAMETERS_PX4),
+            tables=("px4/common", "px4/fixed_wing"),
             style=style(vehicle_type=_AEROPLANE, rates_hz=FIXED_WING_RATES_HZ),
             hardware_id=hardware_id,
             rng=rng,

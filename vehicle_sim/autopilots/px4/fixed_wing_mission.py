@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 class MissionFlight:
     """The leg that is flown.  Mutable."""
 
-    __slots__ = ("_aimed", "_arrived_us", "_leg", "_px4")
-
     def __init__(self, px4: "Px4FixedWing") -> None:
         self._px4 = px4
         self._aimed = False

@@ -34,8 +34,6 @@ def _command(number: int, confirmation: int, *parameters: float) -> Any:
 class Gimbal:
     """Acquires control, turns the gimbal straight, releases it; repeats while nobody answers."""
 
-    __slots__ = ("_due_us", "_sent")
-
     def __init__(self) -> None:
         self._due_us: int | None = None
         self._sent = 0

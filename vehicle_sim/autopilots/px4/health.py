@@ -85,16 +85,6 @@ def _date(days: int) -> tuple[int, int, int]:
 class Checks:
     """The results of the arming checks, and when they were last told.  Mutable."""
 
-    __slots__ = (
-        "_airspeed",
-        "_reported",
-        "_reported_us",
-        "logs_always",
-        "reported_fusing",
-        "reported_position_ok",
-        "reported_signal",
-    )
-
     def __init__(self, *, airspeed: bool) -> None:
         self._airspeed = airspeed
         """Has an airspeed sensor."""

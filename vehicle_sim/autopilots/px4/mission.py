@@ -42,8 +42,6 @@ class Leg(NamedTuple):
 class Mission:
     """Which item is flown, and what that means.  Mutable."""
 
-    __slots__ = ("_active", "_arrived_us", "_done", "_jumps", "_px4", "current", "leg")
-
     def __init__(self, px4: "Commander") -> None:
         self._px4 = px4
         self.current = 0

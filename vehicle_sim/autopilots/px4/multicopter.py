@@ -14,13 +14,11 @@ from vehicle_sim.autopilots.px4.firmware import Px4
 from vehicle_sim.autopilots.px4.hand import Wanted, by_hand, sink, turning_rad_s
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, NAVIGATED, Mode
 from vehicle_sim.autopilots.px4.orbit import HERE
-from vehicle_sim.autopilots.px4.parameters import COMMON, MULTICOPTER, table
 from vehicle_sim.autopilots.px4.position_control import Gains, PositionControl
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
 from vehicle_sim.autopilots.px4.style import RATES_HZ, style
 from vehicle_sim.autopilots.px4.trajectory import Trajectory, stopping_point
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
-from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.plans import Plans
 
 _QUADROTOR: Final = 2
@@ -71,7 +69,7 @@ class Px4Multicopter(Px4):
             copter,
             parameters,
             plans,
-            table=(*table(COMMON, MULTICOPTER), *SIM_PARAMETERS_PX4),
+            tables=("px4/common", "px4/multicopter"),
             style=style(vehicle_type=_QUADROTOR, rates_hz=RATES_HZ),
             hardware_id=hardware_id,
             rng=rng,

@@ -15,8 +15,6 @@ _NEAR_RAD = 1e-9
 class Projection:
     """North and east metres about an origin."""
 
-    __slots__ = ("_cosine", "_latitude_rad", "_longitude_rad", "_sine")
-
     def __init__(self, latitude_deg: float, longitude_deg: float) -> None:
         self._latitude_rad = math.radians(latitude_deg)
         self._longitude_rad = math.radians(longitude_deg)

@@ -31,8 +31,6 @@ def stopping_point(position: Vector, velocity: Vector, parameters: Parameters) -
 class Trajectory:
     """Position, velocity and acceleration of the point: north, east, down.  Mutable."""
 
-    __slots__ = ("a", "jerk", "most", "most_up", "p", "v")
-
     def __init__(self) -> None:
         self.p = [0.0, 0.0, 0.0]
         self.v = [0.0, 0.0, 0.0]
