@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from tracking_copter import ALL, POSITION, VELOCITY, Flown
 
 from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.ardupilot.fence import Fence, Polygon, shapes
+from vehicle_sim.autopilots.ardupilot.fence import Fence, edge_m
 from vehicle_sim.autopilots.ardupilot.flat_earth import offset
+from vehicle_sim.autopilots.zones import Zone, zones_of
 from vehicle_sim.plans import PlanItem, PlanKind
 
 HOME = Place(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=500.0)
@@ -75,19 +76,19 @@ def test_inside_is_a_winding_number_that_is_not_zero_for_convex_polygons(
     angles: list[float], north: float, east: float
 ) -> None:
     corners = [(math.cos(a), math.sin(a)) for a in sorted(angles)]
-    fence = Polygon(vertices_deg=tuple(corners), inclusion=True)
+    fence = Zone(keeps_in=True, corners=tuple(corners))
     turned = 0.0
     for (n0, e0), (n1, e1) in zip(corners, [*corners[1:], corners[0]], strict=True):
         before = math.atan2(e0 - east, n0 - north)
         turned += math.remainder(math.atan2(e1 - east, n1 - north) - before, math.tau)
         if abs((n1 - n0) * (east - e0) - (e1 - e0) * (north - n0)) < 1e-6:
             return  # on the line of an edge: either answer will do
-    assert fence.contains(north, east) == (abs(turned) > math.pi)
+    assert fence.surrounds((north, east)) == (abs(turned) > math.pi)
 
 
 def test_the_distance_to_an_edge_is_that_of_many_points_on_it() -> None:
     corners = ((0.0, 0.0), (80.0, 10.0), (60.0, 90.0), (-20.0, 70.0))
-    (fence,), _ = shapes(polygon(5001, *corners))
+    (fence,) = zones_of(polygon(5001, *corners))
     place = offset(HOME, 25.0, 30.0)
     points = np.concatenate(
         [
@@ -96,9 +97,7 @@ def test_the_distance_to_an_edge_is_that_of_many_points_on_it() -> None:
         ]
     )
     nearest_m = np.hypot(points[:, 0] - 25.0, points[:, 1] - 30.0).min()
-    assert fence.edge_m(place.latitude_deg, place.longitude_deg) == pytest.approx(
-        nearest_m, abs=0.05
-    )
+    assert edge_m(fence, place) == pytest.approx(nearest_m, abs=0.05)
 
 
 @pytest.mark.parametrize(

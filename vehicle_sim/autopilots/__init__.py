@@ -7,7 +7,7 @@ them share, and their parts, are beside them.
 
 import enum
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, final
 
 from vehicle_sim.autopilots.attitude import AttitudeTarget
@@ -199,6 +199,10 @@ class Place:
     latitude_deg: float
     longitude_deg: float
     altitude_amsl_m: float
+
+    def at(self, altitude_amsl_m: float) -> "Place":
+        """Above or below it."""
+        return replace(self, altitude_amsl_m=altitude_amsl_m)
 
 
 @final

@@ -1,7 +1,7 @@
 """ArduCopter 4.7 as measured: modes, arming, take-off, commands, setpoints, failsafes.
 
 Source: ardupilot.md 2 to 5 and the recorded flights.  How it flies is in copter_flight.py,
-copter_guided.py and copter_control.py; what it shares with ArduPlane is in firmware.py and core.py.
+copter_guided.py and copter_control.py; what it shares with ArduPlane is in autopilot.py.
 """
 
 import math
@@ -18,12 +18,14 @@ from vehicle_sim.autopilots import (
     Result,
     Setpoint,
     State,
+    Status,
     Style,
     TargetEcho,
     Text,
     Waypoint,
 )
 from vehicle_sim.autopilots.ardupilot import copter_table as modes
+from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_flight import FAILSAFE_PAUSE_US, Flight
 from vehicle_sim.autopilots.ardupilot.copter_guided import NOTHING, Submode
 from vehicle_sim.autopilots.ardupilot.copter_setpoints import (
@@ -37,7 +39,6 @@ from vehicle_sim.autopilots.ardupilot.copter_setpoints import (
     Target,
     read_setpoint,
 )
-from vehicle_sim.autopilots.ardupilot.firmware import ArduPilot
 from vehicle_sim.autopilots.ardupilot.flat_earth import (
     FLAT_EARTH_M_PER_DEG,
     bearing_rad,
@@ -57,6 +58,8 @@ from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import PlanKind, Plans
 
+EKF_CHECKS = 10
+"""In a row, ten a second, before the failsafe acts."""
 READY_US = 2_450_000
 """From here on the heartbeat says STANDBY."""
 ABOVE_HOME_FRAME = 3
@@ -85,6 +88,7 @@ class ArduCopter(ArduPilot):
     )
     MODES: ClassVar[Mapping[int, str]] = modes.MODES
     PREARM_US: ClassVar[int] = 23_300_000
+    GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
 
     def __init__(
         self,
@@ -109,6 +113,7 @@ class ArduCopter(ArduPilot):
         self.flight = Flight(self, copter)
         self.mode = modes.STABILIZE
         self._refused_text: str | None = None
+        self._ekf_failures = 0
         self._was_glitching = False
         self._was_aiding = False
         self._aligned_in_flight = False
@@ -126,7 +131,7 @@ class ArduCopter(ArduPilot):
     def slow(self) -> None:
         """Ten times a second."""
         super().slow()
-        self.check_ekf()
+        self._check_ekf()
         ekf = self.ekf
         if ekf.glitching is not self._was_glitching:
             self._was_glitching = ekf.glitching
@@ -164,7 +169,24 @@ class ArduCopter(ArduPilot):
         self.flight.begin(mode)
         return None
 
-    def on_ekf_failsafe(self) -> None:
+    def _check_ekf(self) -> None:
+        """It cannot fly without a position."""
+        if self.armed and self.ekf.origin is not None and not self.ekf.position_ok:
+            if self._ekf_failures < EKF_CHECKS:
+                self._ekf_failures += 1
+                if self._ekf_failures == EKF_CHECKS - 1 and self.ekf.primary == 0:
+                    self.ekf.switch_lane(1)
+                elif self._ekf_failures == EKF_CHECKS:
+                    self.say(2, "EKF variance")
+                    self.failsafe = True
+                    self._on_ekf_failsafe()
+        elif self._ekf_failures:
+            self._ekf_failures -= 1
+            if self._ekf_failures == 0 and self.failsafe:
+                self.failsafe = False
+                self.say(2, "EKF Failsafe Cleared")
+
+    def _on_ekf_failsafe(self) -> None:
         """FS_EKF_ACTION 1: land, wherever it is."""
         if self.mode in (*modes.NEED_POSITION, modes.LAND) and self.parameters["FS_EKF_ACTION"]:
             self.set_mode(modes.LAND)
@@ -522,10 +544,21 @@ class ArduCopter(ArduPilot):
         )
 
     def mission_state(self) -> int:
-        """MISSION_STATE."""
+        """MISSION_STATE: 1 no mission, 2 not started, 3 active, 4 paused, 5 complete."""
         if len(self.plans[PlanKind.MISSION]) < 2:
             return 1
         auto = self.flight.auto
         if self.mode != modes.AUTO:
             return 5 if auto.complete else 2
         return 4 if auto.paused else 5 if auto.complete else 3
+
+    def status(self) -> Status:
+        """What there is to tell."""
+        return self.status_with(
+            base_mode=self.base_mode(),
+            system_status=self.system_status(),
+            landed_state=self.landed_state(),
+            target=self.target_echo(),
+            waypoint=self.waypoint(),
+            mission_state=self.mission_state(),
+        )

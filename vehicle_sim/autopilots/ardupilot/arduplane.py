@@ -6,19 +6,15 @@ arduplane-guided-reposition.tlog.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import ClassVar, final
 
 import numpy as np
-from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import (
     Command,
-    Landed,
     Place,
     Reply,
     Result,
-    Say,
     SayParameter,
     Setpoint,
     State,
@@ -26,8 +22,8 @@ from vehicle_sim.autopilots import (
     Text,
     Waypoint,
 )
+from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, Due
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
-from vehicle_sim.autopilots.ardupilot.firmware import ArduPilot, Due
 from vehicle_sim.autopilots.ardupilot.plane_flight import Flight
 from vehicle_sim.autopilots.ardupilot.plane_guided import Forced
 from vehicle_sim.autopilots.ardupilot.plane_modes import (
@@ -132,6 +128,7 @@ class ArduPlane(ArduPilot):
     style = style(vehicle_type=1, capabilities=CAPABILITIES, rates_hz=_RATES_HZ)
     MODES: ClassVar[Mapping[int, str]] = NAMES
     PREARM_US: ClassVar[int] = 22_800_000
+    GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
 
     def __init__(
         self,
@@ -221,16 +218,6 @@ class ArduPlane(ArduPilot):
         return self._flight.flying
 
     # --- failsafes ----------------------------------------------------------------------------
-
-    @property
-    def gcs_failsafe_enabled(self) -> bool:
-        """Whether a lost ground station matters."""
-        return bool(self.parameters["FS_GCS_ENABL"])
-
-    @property
-    def gcs_timeout_s(self) -> float:
-        """How long it may be silent."""
-        return self.parameters["FS_LONG_TIMEOUT"] - 0.1
 
     def on_gcs_failsafe(self) -> None:
         """FS_LONG_ACTN: 0 goes on in AUTO and returns otherwise, 1 returns."""
@@ -332,7 +319,7 @@ class ArduPlane(ArduPilot):
         if self.mode not in (Mode.GUIDED, Mode.AUTO):
             return Result.FAILED
         p = command.parameters
-        return Result.ACCEPTED if self._flight.change_speed(p[0], p[1]) else Result.FAILED
+        return Result.ACCEPTED if self._flight.guided.change_speed(p[0], p[1]) else Result.FAILED
 
     def _do_change_altitude(self, command: Command) -> Result:
         frame = command.parameters[1]
@@ -471,10 +458,6 @@ class ArduPlane(ArduPilot):
         self._flight.takeoff.abandon()
         self.say(6, "Throttle disarmed")
 
-    def reached(self, number: int) -> None:
-        """MISSION_ITEM_REACHED, to everybody."""
-        self.reply(Say(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
-
     # --- telling --------------------------------------------------------------------------------
 
     def base_mode(self) -> int:
@@ -494,17 +477,20 @@ class ArduPlane(ArduPilot):
             return State.EMERGENCY
         return State.ACTIVE if self.flying else State.STANDBY
 
-    def landed_state(self) -> Landed:
-        """What EXTENDED_SYS_STATE says."""
-        return self._flight.landed_state()
-
     def waypoint(self) -> Waypoint | None:
         """Where it goes; MANUAL says nothing."""
         return None if self.mode not in BY_ITSELF else self._flight.waypoint()
 
     def status(self) -> Status:
         """What there is to tell."""
-        return replace(super().status(), airspeed_m_s=self._flight.indicated_m_s)
+        return self.status_with(
+            base_mode=self.base_mode(),
+            system_status=self.system_status(),
+            landed_state=self._flight.landed_state(),
+            waypoint=self.waypoint(),
+            mission_state=self.mission_state(),
+            airspeed_m_s=self._flight.indicated_m_s,
+        )
 
     def local_ned_m(self) -> tuple[float, float, float] | None:
         """Also before the EKF flies: then the simpler estimator's, about home."""

@@ -3,9 +3,7 @@
 import math
 from typing import TYPE_CHECKING, final
 
-from pymavlink.dialects.v20 import all as mavlink
-
-from vehicle_sim.autopilots import Place, Say
+from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot.copter_mission import (
     CONDITION_YAW,
     DO_CHANGE_SPEED,
@@ -95,7 +93,7 @@ class Auto:
         assert goal is not None
         host = self._flight.host
         host.say(6, f"Reached command #{goal.number}")
-        host.reply(Say(message=mavlink.MAVLink_mission_item_reached_message(seq=goal.number)))
+        host.reached(goal.number)
         self._advance(goal.number)
 
     @property

@@ -11,11 +11,11 @@ from typing import final
 
 from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot import copter_table as modes
+from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_auto import Auto
 from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl, Tuning, sqrt_controller
 from vehicle_sim.autopilots.ardupilot.copter_guided import Guided, Submode, fly_to
 from vehicle_sim.autopilots.ardupilot.copter_yaw import Yaw
-from vehicle_sim.autopilots.ardupilot.firmware import ArduPilot
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, distance_m, offset
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
 from vehicle_sim.parameters import Parameters

@@ -3,8 +3,8 @@
 from typing import Final
 
 from vehicle_sim.autopilots import Text
+from vehicle_sim.autopilots.ardupilot.autopilot import Due
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
-from vehicle_sim.autopilots.ardupilot.firmware import Due
 from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.faults import SIM_PARAMETERS
 
