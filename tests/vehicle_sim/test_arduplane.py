@@ -82,7 +82,7 @@ def test_take_off_takes_as_long_and_says_the_same_as_the_recorded_one() -> None:
     began_s, states = rig.time_s, list[Landed]()
 
     def watch() -> None:
-        state = rig.autopilot.landed_state()
+        state = rig.autopilot.status().landed_state
         if not states or states[-1] is not state:
             states.append(state)
 

@@ -190,8 +190,8 @@ class ArduCopter(ArduPilot):
         """FS_EKF_ACTION 1: land, wherever it is."""
         if self.mode in (*modes.NEED_POSITION, modes.LAND) and self.parameters["FS_EKF_ACTION"]:
             self.set_mode(modes.LAND)
-            self.flight.lands_with_position = False
-            self.flight.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
+            self.flight.motion.lands_with_position = False
+            self.flight.motion.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
             self.say(2, "EKF Failsafe: changed to LAND Mode")
 
     def on_gcs_failsafe(self) -> None:
@@ -218,7 +218,7 @@ class ArduCopter(ArduPilot):
             self.disarm()
         elif land or not self.set_mode(modes.RTL):
             self.set_mode(modes.LAND)
-            self.flight.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
+            self.flight.motion.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: LOITER."""
@@ -279,7 +279,7 @@ class ArduCopter(ArduPilot):
             return Result.DENIED
         flight, home = self.flight, self.home
         ready = self.armed and self.landed and self.mode == modes.GUIDED and home is not None
-        if not ready or flight.takeoff_us is not None or not self.ekf.position_ok:
+        if not ready or flight.motion.takeoff_us is not None or not self.ekf.position_ok:
             return Result.FAILED
         assert home is not None
         altitude_amsl_m = home.altitude_amsl_m + command.parameters[6]
@@ -429,7 +429,7 @@ class ArduCopter(ArduPilot):
         if target.place is not None and self.fence.outside(target.place, self.home):
             return False
         flight = self.flight
-        if flight.takeoff_us is not None:
+        if flight.motion.takeoff_us is not None:
             flight.abandon_takeoff()
         if target.place is None and self.fence.enabled:
             target = self._kept_inside(target)
@@ -478,7 +478,7 @@ class ArduCopter(ArduPilot):
         if self.now_us < READY_US:
             holds = True
         elif mode == modes.LAND:
-            holds = self.flight.lands_with_position
+            holds = self.flight.motion.lands_with_position
         elif mode in (modes.RTL, modes.SMART_RTL):
             holds = armed
         else:
@@ -532,7 +532,7 @@ class ArduCopter(ArduPilot):
         elif self.mode == modes.AUTO and flight.auto.goal is not None:
             place = flight.auto.goal.place
         elif self.mode in (modes.RTL, modes.SMART_RTL):
-            place = flight.return_place
+            place = flight.motion.return_place
         if place is None:
             return None
         here = self.estimate.place

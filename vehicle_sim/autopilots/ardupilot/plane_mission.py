@@ -11,11 +11,12 @@ from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.flat_earth import bearing_rad, offset
 from vehicle_sim.autopilots.ardupilot.plane_guided import Guided
 from vehicle_sim.autopilots.ardupilot.plane_navigation import Navigation
+from vehicle_sim.autopilots.jumps import DO_JUMP, Jumps
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.plans import PlanItem, PlanKind
 
-WAYPOINT, UNLIMITED, TURNS, TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
-CHANGE_ALTITUDE, TO_ALTITUDE, JUMP, CHANGE_SPEED, LAND_START = 30, 31, 177, 178, 189
+WAYPOINT, UNLIMITED, TURNS, TIME, RETURN, LAND, TAKEOFF = range(16, 23)
+CHANGE_ALTITUDE, TO_ALTITUDE, CHANGE_SPEED, LAND_START = 30, 31, 178, 189
 _NAVIGATES = frozenset(
     {WAYPOINT, UNLIMITED, TURNS, TIME, RETURN, LAND, TAKEOFF, CHANGE_ALTITUDE, TO_ALTITUDE}
 )
@@ -30,7 +31,7 @@ _NAMES = {
     TAKEOFF: "Takeoff",
     CHANGE_ALTITUDE: "ContinueAndChangeAlt",
     TO_ALTITUDE: "LoitAltitude",
-    JUMP: "Jump",
+    DO_JUMP: "Jump",
     CHANGE_SPEED: "ChangeSpeed",
     LAND_START: "LandStart",
 }
@@ -52,7 +53,7 @@ class Mission:
         self._guided = guided
         self.item: PlanItem | None = None
         """What is flown now; None: the mission is over, or has not begun."""
-        self._jumps: dict[int, int] = {}
+        self._jumps = Jumps(1)
         self._since_us: int | None = None
         self._turned_rad = 0.0
         self._bearing_rad = 0.0
@@ -79,7 +80,7 @@ class Mission:
 
     def begin(self, number: int | None = None) -> None:
         """Fly from this item on, or from where it was; the leg begins here."""
-        self._jumps.clear()
+        self._jumps.forget()
         number = self._host.mission_current if number is None else number
         self._go_to(max(number, 1), None)
 
@@ -89,29 +90,16 @@ class Mission:
     def _go_to(self, number: int, before: Place | None) -> None:
         """The next item that navigates, from this one on; the others are done on the way."""
         items = self._items()
-        for _ in range(len(items) + _JUMPS_MOST):
-            if number >= len(items):
-                break
-            item = items[number]
+        for at, item in self._jumps.walk(items, number, len(items) + _JUMPS_MOST):
             if item.command in _NAVIGATES:
-                self._fly(number, item, before)
+                self._fly(at, item, before)
                 return
-            number = self._do(number, item)
+            self._announce(at, item)
+            if item.command == CHANGE_SPEED:
+                self._guided.change_speed(item.parameters[0], item.parameters[1])
         self.item = None
         if items:
             self._host.mission_current = len(items) - 1
-
-    def _do(self, number: int, item: PlanItem) -> int:
-        """An item that only does something; which is next."""
-        self._announce(number, item)
-        if item.command == JUMP:
-            done, (target, times, _, _) = self._jumps.get(number, 0), item.parameters
-            if (times < 0.0 or done < times) and 0.0 < target < len(self._items()):
-                self._jumps[number] = done + 1
-                return int(target)
-        elif item.command == CHANGE_SPEED:
-            self._guided.change_speed(item.parameters[0], item.parameters[1])
-        return number + 1
 
     def _announce(self, number: int, item: PlanItem) -> None:
         name = _NAMES.get(item.command, f"ID={item.command}")
