@@ -7,7 +7,7 @@ from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Ack, Event, Reboot, Result, Say, Send
 from vehicle_sim.autopilots.px4 import health
-from vehicle_sim.autopilots.px4.commander import parameter_rows
+from vehicle_sim.autopilots.px4.autopilot import parameter_rows
 from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, Mode, base_mode, mode_of
 from vehicle_sim.autopilots.px4.pilot import Pilot
 from vehicle_sim.autopilots.px4.style import RATES_HZ, style

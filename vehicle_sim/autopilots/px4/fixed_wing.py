@@ -19,8 +19,9 @@ import numpy as np
 from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission
+from vehicle_sim.autopilots.px4.autopilot import Px4
+from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.course import Course, Limits
-from vehicle_sim.autopilots.px4.firmware import Px4
 from vehicle_sim.autopilots.px4.fixed_wing_mission import MissionFlight
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
 from vehicle_sim.autopilots.px4.runway import (
@@ -83,6 +84,7 @@ class Px4FixedWing(Px4):
     """The aeroplane of PX4's SIH simulator, or one with other limits."""
 
     vehicle: Plane
+    HANDLERS = HANDLERS
 
     def __init__(
         self,
@@ -492,10 +494,6 @@ class Px4FixedWing(Px4):
             bearing_rad=math.atan2(east_m - self.local_m[1], north_m - self.local_m[0]),
             radius_m=course.radius_m if course.circling else 0.0,
         )
-
-    def _above_ground_m(self) -> float | None:
-        """SIH's distance sensor."""
-        return max(self.vehicle.altitude_amsl_m - self.ground_amsl_m, 0.0)
 
 
 def _bend(target: Target) -> float:

@@ -10,14 +10,21 @@ import numpy as np
 from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission
-from vehicle_sim.autopilots.px4.firmware import Px4
-from vehicle_sim.autopilots.px4.hand import Wanted, by_hand, sink, turning_rad_s
+from vehicle_sim.autopilots.px4.autopilot import Px4
+from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, NAVIGATED, Mode
-from vehicle_sim.autopilots.px4.orbit import HERE
 from vehicle_sim.autopilots.px4.position_control import Gains, PositionControl
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
 from vehicle_sim.autopilots.px4.style import RATES_HZ, style
-from vehicle_sim.autopilots.px4.trajectory import Trajectory, stopping_point
+from vehicle_sim.autopilots.px4.trajectory import (
+    HERE,
+    Trajectory,
+    Wanted,
+    by_hand,
+    sink,
+    stopping_point,
+    turning_rad_s,
+)
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
 from vehicle_sim.plans import Plans
 
@@ -54,6 +61,7 @@ class Px4Multicopter(Px4):
     """A quadcopter of PX4's SIH simulator: 1 kg, drag SIH_KDV."""
 
     vehicle: Copter
+    HANDLERS = HANDLERS
     learns = orbits = True
 
     def __init__(
@@ -378,7 +386,7 @@ class Px4Multicopter(Px4):
     def _land_speed_m_s(self) -> float:
         """MPC_LAND_ALT1 to 3: from MPC_Z_V_AUTO_DN to MPC_LAND_SPEED to MPC_LAND_CRWL."""
         parameters = self.parameters
-        height_m = self._above_ground_m() or 0.0
+        height_m = self._height_m
         slow = parameters["MPC_LAND_SPEED"]
         if height_m < parameters["MPC_LAND_ALT3"]:
             return min(slow, parameters["MPC_LAND_CRWL"])
@@ -545,7 +553,3 @@ class Px4Multicopter(Px4):
         n, e, d = (_NAN,) * 3 if self.mode is Mode.LAND else self._goal
         m_n, m_e, m_d = self._began_m
         return n if n == n else m_n, e if e == e else m_e, d if d == d else m_d
-
-    def _above_ground_m(self) -> float | None:
-        """SIH's distance sensor."""
-        return max(self.vehicle.altitude_amsl_m - self.ground_amsl_m, 0.0)
