@@ -15,14 +15,13 @@ from vehicle_sim.autopilots import (
     Place,
     Reply,
     Result,
-    SayParameter,
     Setpoint,
     State,
     Status,
     Text,
     Waypoint,
 )
-from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, Due
+from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, boot_of
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
 from vehicle_sim.autopilots.ardupilot.plane_flight import Flight
 from vehicle_sim.autopilots.ardupilot.plane_guided import Forced
@@ -74,53 +73,6 @@ _RATES_HZ = dict.fromkeys(map(int, _STREAMED.split()), 1.0) | {111: 0.1}
 """What a fresh link gets unasked."""
 
 
-def _boot() -> list[Due]:
-    """What is said by itself after power-up, as in the recorded flight."""
-
-    def parameters(at_us: int, *values: tuple[str, float]) -> list[Due]:
-        return [(at_us, value) for value in values]
-
-    def texts(at_us: int, severity: int, *lines: str) -> list[Due]:
-        return [(at_us, Text(severity=severity, text=line)) for line in lines]
-
-    return [
-        *[
-            (133_000, SayParameter(name=name))
-            for name in ("CAM1_TYPE", "CAM2_TYPE", "INS_GYR_ID", "INS_ACC_ID", "INS_GYR2_ID")
-        ],
-        (134_000, SayParameter(name="INS_ACC2_ID")),
-        (134_000, SayParameter(name="BARO_ALT_OFFSET")),
-        *texts(139_000, 6, "Ground start"),
-        *texts(139_000, 1, "Skipping INS calibration"),
-        *texts(139_000, 6, "Calibrating barometer"),
-        *texts(203_000, 7, "RCInput: decoding UDP (Pulses)"),
-        *texts(
-            READY_US,
-            6,
-            "Barometer 1 calibration complete",
-            "Barometer 2 calibration complete",
-            "Airspeed 1 calibration started",
-            "ArduPilot Ready",
-            "AHRS: DCM active",
-        ),
-        *parameters(READY_US, ("BARO1_GND_PRESS", 94501.734375), ("BARO2_GND_PRESS", 94503.234375)),
-        *texts(1_746_000, 4, "Throttle failsafe off"),
-        (2_745_000, SayParameter(name="EK3_SRC1_POSXY")),
-        *texts(3_408_000, 6, "Airspeed 1 calibrated"),
-        *parameters(3_408_000, ("ARSPD_OFFSET", 2013.9466552734375)),
-        *texts(9_055_000, 6, "GPS 1: probing for u-blox at 230400 baud", "GPS 1: detected u-blox"),
-        *texts(9_506_000, 6, *(f"EKF2 IMU{k} MAG0 initial yaw alignment complete" for k in (0, 1))),
-        *texts(10_266_000, 6, *(f"EKF3 IMU{k} initialised" for k in (0, 1))),
-        *texts(12_148_000, 6, *(f"EKF3 IMU{k} tilt alignment complete" for k in (0, 1))),
-        *texts(
-            12_226_000, 6, *(f"EKF3 IMU{k} MAG0 initial yaw alignment complete" for k in (0, 1))
-        ),
-        *texts(14_750_000, 6, *(f"EKF2 IMU{k} tilt alignment complete" for k in (0, 1))),
-        *parameters(15_710_000, ("BARO1_GND_PRESS", 94504.5625), ("BARO2_GND_PRESS", 94505.0625)),
-        *texts(44_559_000, 6, *(f"EKF2 IMU{k} is using GPS" for k in (0, 1))),
-    ]
-
-
 @final
 class ArduPlane(ArduPilot):
     """One vehicle's autopilot; steers the plane that it is given."""
@@ -144,7 +96,7 @@ class ArduPlane(ArduPilot):
             Parameters(TABLE, parameters),
             plans,
             timing=TIMING,
-            boot=_boot(),
+            boot=boot_of("plane"),
             hardware_id=hardware_id,
             rng=rng,
         )

@@ -41,6 +41,7 @@ from vehicle_sim.autopilots.ardupilot.style import (
     HEARTBEAT,
     HOME_POSITION,
 )
+from vehicle_sim.autopilots.parameters import lines_of
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.parameters import Parameters
@@ -56,6 +57,17 @@ FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
 RECOVERY_US = 10_000_000
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
 _FRAMES_AMSL, _FRAMES_ABOVE_HOME, _FRAMES_TERRAIN = (0, 5), (3, 6), (10, 11)
+
+
+def boot_of(name: str) -> list[Due]:
+    """What a vehicle says by itself while it boots: the rows of its `.boot`."""
+    rows: list[Due] = []
+    for at, first, *rest in lines_of(f"ardupilot/{name}.boot", 2):
+        if first.isdigit():
+            rows.append((int(at), Text(severity=int(first), text=rest[0])))
+        else:
+            rows.append((int(at), (first, float(rest[0])) if rest else SayParameter(name=first)))
+    return rows
 
 
 class ArduPilot(abc.ABC):

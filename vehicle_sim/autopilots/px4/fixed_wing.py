@@ -18,32 +18,11 @@ import numpy as np
 
 from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
-from vehicle_sim.autopilots.px4 import mission
+from vehicle_sim.autopilots.px4 import mission, runway
 from vehicle_sim.autopilots.px4.autopilot import Px4
 from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.course import Course, Limits
-from vehicle_sim.autopilots.px4.fixed_wing_mission import MissionFlight
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
-from vehicle_sim.autopilots.px4.runway import (
-    CLEARED,
-    CLIMB_OUT_M_S,
-    FLARE_BRAKES_M_S,
-    FLARE_SINKS_M_S,
-    FLARING,
-    LANDING_SEEN_M_S,
-    LANDS_FASTER_M_S,
-    LIFTS_OFF_AT,
-    ON_RUNWAY,
-    ROTATES_AT,
-    ROTATING,
-    SINKS_FASTER_1_S,
-    SLOPE_FLOWN,
-    TAKEOFF_SEEN_M_S,
-    bank_near_ground_rad,
-    flare_sink_m_s,
-    roll_out_m_s2,
-    take_off_m_s2,
-)
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
 from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ, style
 from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane, PlaneLimits
@@ -112,7 +91,10 @@ class Px4FixedWing(Px4):
         self._steps = 0
         self._seen: Target | None = None
         """The setpoint that the course was made of."""
-        self._legs = MissionFlight(self)
+        self._leg: mission.Leg | None = None
+        self._leg_aimed = False
+        self._leg_reached_us: int | None = None
+        """When it came to the circle of a loiter with turns."""
         self._began_us = 0
         """When the mode began."""
         self._runway_said = self._rotated = False
@@ -128,7 +110,7 @@ class Px4FixedWing(Px4):
         self._began_us = self.now_us
         self._seen = self._flare_us = None
         self._follows_path = self._runway_said = self._rotated = False
-        self._legs.forget()
+        self._leg_aimed, self._leg = False, None
         course = self.course
         if mode is Mode.OFFBOARD:
             return  # the last commands stay until a setpoint comes
@@ -216,7 +198,7 @@ class Px4FixedWing(Px4):
     def start_landing(self, centre_north_m: float, centre_east_m: float) -> None:
         """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
         course = self.course
-        course.airspeed_m_s = self._true(self._landing_airspeed_m_s()) + LANDS_FASTER_M_S
+        course.airspeed_m_s = self._true(self._landing_airspeed_m_s()) + runway.LANDS_FASTER_M_S
         course.loiter(centre_north_m, centre_east_m, self.loiter_radius_m)
         self._glide()
 
@@ -263,7 +245,7 @@ class Px4FixedWing(Px4):
         elif mode is Mode.TAKEOFF:
             self._climb_out()
         elif mode is Mode.MISSION:
-            self._legs.follow()
+            self._follow_mission()
         elif mode is Mode.LAND:
             self.land()
         elif mode is Mode.RTL:
@@ -276,7 +258,7 @@ class Px4FixedWing(Px4):
         if mode in (Mode.TAKEOFF, Mode.LAND):
             height_m = self.estimate.altitude_amsl_m - self.ground_amsl_m
             parameters = self.parameters
-            course.bank_most_rad = bank_near_ground_rad(
+            course.bank_most_rad = runway.bank_near_ground_rad(
                 height_m, parameters["FW_WING_HEIGHT"], parameters["FW_WING_SPAN"]
             )
         course.steer(self.local_m, self.estimate, dt_s)
@@ -330,11 +312,11 @@ class Px4FixedWing(Px4):
         """Up to the take-off's height, then Hold; for good if it was not told where to."""
         course, goal_m = self.course, self._takeoff_altitude_m()
         if self.estimate.altitude_amsl_m < goal_m:
-            course.climb_out(CLIMB_OUT_M_S)
+            course.climb_out(runway.CLIMB_OUT_M_S)
             course.airspeed_m_s = self.cruise_m_s(Mode.TAKEOFF)
             return
         if not course.holds_altitude:
-            self.say(CLEARED)
+            self.say(runway.CLEARED)
         course.hold_altitude(goal_m + _CLEARED_M)
         place = self.takeoff_place
         if place is not None and math.isfinite(place[0]) and math.isfinite(place[1]):
@@ -368,23 +350,23 @@ class Px4FixedWing(Px4):
                 self._glide()
                 return
             self._flare_us, self._flare_from_m_s = self.now_us, sink_m_s
-            self.say(FLARING)
+            self.say(runway.FLARING)
         since_s = (self.now_us - self._flare_us) * 1e-6
-        course.airspeed_m_s = FLARE_BRAKES_M_S
+        course.airspeed_m_s = runway.FLARE_BRAKES_M_S
         course.climb_out(
-            -flare_sink_m_s(
+            -runway.flare_sink_m_s(
                 since_s,
                 parameters["FW_LND_FL_TIME"],
                 self._flare_from_m_s,
-                max(parameters["FW_LND_FL_SINK"], FLARE_SINKS_M_S),
+                max(parameters["FW_LND_FL_SINK"], runway.FLARE_SINKS_M_S),
             )
         )
 
     def _glide(self) -> None:
         """Down the slope of FW_LND_ANG, steeper while it is too fast."""
-        glide = SLOPE_FLOWN * math.sin(math.radians(self.parameters["FW_LND_ANG"]))
+        glide = runway.SLOPE_FLOWN * math.sin(math.radians(self.parameters["FW_LND_ANG"]))
         too_fast_m_s = max(self.vehicle.airspeed_m_s - self.course.airspeed_m_s, 0.0)
-        sink_m_s = self._landing_airspeed_m_s() * glide + SINKS_FASTER_1_S * too_fast_m_s
+        sink_m_s = self._landing_airspeed_m_s() * glide + runway.SINKS_FASTER_1_S * too_fast_m_s
         self.course.climb(-sink_m_s)
 
     def _by_hand(self) -> None:
@@ -402,6 +384,77 @@ class Px4FixedWing(Px4):
         elif not course.holds_altitude:
             course.hold_altitude(self.estimate.altitude_amsl_m)
 
+    # --- missions -----------------------------------------------------------------------------
+
+    def _follow_mission(self) -> None:
+        """Fly on along the leg; tell the mission when it is done."""
+        leg = self._aim_leg()
+        if leg is None:
+            return
+        if leg.command == mission.TAKEOFF:
+            if self.estimate.altitude_amsl_m >= leg.altitude_amsl_m:
+                self.say(runway.CLEARED)
+                self.mission.arrived()
+        elif leg.command == mission.LAND:
+            self.land()
+        elif self._has_arrived(leg):
+            self.mission.arrived()
+
+    def _aim_leg(self) -> mission.Leg | None:
+        """The leg of now, with the course set to it."""
+        leg = self.mission.leg
+        if leg is not self._leg or not self._leg_aimed:
+            before, self._leg, self._leg_aimed = self._leg, leg, True
+            self._leg_reached_us = None
+            self._set_course(leg, before)
+        return leg
+
+    def _set_course(self, leg: mission.Leg | None, before: mission.Leg | None) -> None:
+        """Along the line from the last waypoint, or about the leg's place."""
+        course = self.course
+        course.airspeed_m_s = self.cruise_m_s(Mode.MISSION)
+        if leg is None:
+            self.start_hold(Mode.MISSION)
+            return
+        north_m, east_m = self.projection.to_local(leg.latitude_deg, leg.longitude_deg)
+        here_n, here_e, _ = self.local_m
+        if leg.command == mission.TAKEOFF:
+            way_rad = self.vehicle.heading_rad
+            if math.hypot(north_m - here_n, east_m - here_e) > 1.0:
+                way_rad = math.atan2(east_m - here_e, north_m - here_n)
+            course.straight(self.local_m, way_rad)
+            course.climb_out(runway.CLIMB_OUT_M_S)
+        elif leg.command == mission.LAND:
+            self.start_landing(north_m, east_m)
+        elif leg.command == mission.WAYPOINT and leg.hold_s == 0.0:
+            if before is not None and before.command == mission.WAYPOINT:
+                here_n, here_e = self.projection.to_local(before.latitude_deg, before.longitude_deg)
+            course.fly_leg(here_n, here_e, north_m, east_m, self.loiter_radius_m)
+            course.hold_altitude(leg.altitude_amsl_m)
+        else:
+            radius_m = leg.radius_m if abs(leg.radius_m) > 1.0 else self.loiter_radius_m
+            course.loiter(north_m, east_m, radius_m)
+            course.hold_altitude(leg.altitude_amsl_m)
+
+    def _has_arrived(self, leg: mission.Leg) -> bool:
+        """Near enough in distance and height; of a loiter with turns after these."""
+        course, estimate = self.course, self.estimate
+        off_m = abs(estimate.altitude_amsl_m - leg.altitude_amsl_m)
+        if not off_m < self.parameters["NAV_FW_ALT_RAD"]:
+            return False
+        if not course.circling:
+            near_m = course.switch_m(estimate)
+            if leg.acceptance_m > near_m:
+                near_m = leg.acceptance_m
+            return course.distance_m(self.local_m) < near_m
+        if self._leg_reached_us is None:
+            if not course.on_circle(self.local_m):
+                return False
+            self._leg_reached_us = self.now_us
+        speed_m_s = math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
+        round_s = math.tau * abs(course.radius_m) / max(speed_m_s, 1.0)
+        return (self.now_us - self._leg_reached_us) * 1e-6 >= leg.turns * round_s
+
     # --- on the wheels ------------------------------------------------------------------------
 
     def _roll(self, dt_s: float) -> None:
@@ -412,15 +465,15 @@ class Px4FixedWing(Px4):
         if self.armed and self._wants_up():
             since_s = (self.now_us - max(self._armed_us, self._began_us)) * 1e-6
             ramp_s = self.parameters["RWTO_RAMP_TIME"]
-            plane.roll_on_ground(take_off_m_s2(since_s, ramp_s), dt_s)
+            plane.roll_on_ground(runway.take_off_m_s2(since_s, ramp_s), dt_s)
             plane.throttle = min(since_s / max(ramp_s, 0.1), 1.0)
             self._run_up(plane.airspeed_m_s)
             return
         plane.throttle = 0.0
         if speed_m_s > 0.0:
-            plane.roll_on_ground(roll_out_m_s2(speed_m_s), dt_s)
+            plane.roll_on_ground(runway.roll_out_m_s2(speed_m_s), dt_s)
         if self.armed:
-            self._contact(pressed=speed_m_s < LANDING_SEEN_M_S)
+            self._contact(pressed=speed_m_s < runway.LANDING_SEEN_M_S)
         elif speed_m_s == 0.0:
             self.landed = True
 
@@ -430,21 +483,21 @@ class Px4FixedWing(Px4):
             return self.landed or self._runway_said
         if self.mode is not Mode.MISSION:
             return False
-        leg = self._legs.aim()
+        leg = self._aim_leg()
         return leg is not None and leg.command == mission.TAKEOFF
 
     def _run_up(self, airspeed_m_s: float) -> None:
         """Tell of the take-off, and leave the ground at its airspeed."""
         if not self._runway_said and self.now_us - self._armed_us >= _RUNWAY_US:
             self._runway_said = True
-            self.say(ON_RUNWAY)
-        if airspeed_m_s >= TAKEOFF_SEEN_M_S:
+            self.say(runway.ON_RUNWAY)
+        if airspeed_m_s >= runway.TAKEOFF_SEEN_M_S:
             self._took_off()
         takeoff_m_s = self._takeoff_airspeed_m_s()
-        if airspeed_m_s >= ROTATES_AT * takeoff_m_s and not self._rotated:
+        if airspeed_m_s >= runway.ROTATES_AT * takeoff_m_s and not self._rotated:
             self._rotated = True
-            self.say(ROTATING)
-        if airspeed_m_s >= LIFTS_OFF_AT * takeoff_m_s:
+            self.say(runway.ROTATING)
+        if airspeed_m_s >= runway.LIFTS_OFF_AT * takeoff_m_s:
             self._took_off()
             self._wheels = False
             self.course.start(airspeed_m_s)
