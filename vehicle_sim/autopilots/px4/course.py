@@ -151,13 +151,13 @@ class Course:
         self.limits = limits
         self._energy = Energy()
         self._kind = _Kind.STAY
-        self._a = self._b = (0.0, 0.0)
+        self._a = self._b = 0j
         """Centre, target or end of the leg; tangent, direction or start of the leg."""
         self._altitude_m = 0.0
         self._bank_wanted_rad = 0.0
         self._settling = False
         """At its point but not at its height: circles until it is."""
-        self._wind_north_m_s = self._wind_east_m_s = 0.0
+        self._wind_m_s = 0j
         self._at_once = False
         self.climb_rate_m_s = math.nan
         """What to climb; NaN: what leads to the altitude."""
@@ -169,7 +169,7 @@ class Course:
         """Near the ground."""
         self.bank_rad = 0.0
         self.throttle = 0.0
-        self.nearest = (0.0, 0.0)
+        self.nearest_m = 0j
         """Of the path, in the local frame."""
         self.landing = False
 
@@ -190,39 +190,31 @@ class Course:
     def straight(self, from_m: Vector, way_rad: float) -> None:
         """Along the line through a point."""
         self._kind = _Kind.LINE
-        self._a, self._b = (from_m[0], from_m[1]), (math.cos(way_rad), math.sin(way_rad))
+        self._a = complex(from_m[0], from_m[1])
+        self._b = complex(math.cos(way_rad), math.sin(way_rad))
 
-    def loiter(self, north_m: float, east_m: float, radius_m: float) -> None:
+    def loiter(self, centre_m: complex, radius_m: float) -> None:
         """About a place; a negative radius: to the left."""
         self._kind, self.landing = _Kind.CIRCLE, False
-        self._a, self.radius_m = (north_m, east_m), radius_m
+        self._a, self.radius_m = centre_m, radius_m
 
-    def aim_at(self, north_m: float, east_m: float, radius_m: float) -> None:
+    def aim_at(self, point_m: complex, radius_m: float) -> None:
         """Straight at a point; about it if there but not at its height."""
         if self._kind is not _Kind.POINT:
             self._settling = False
         self._kind = _Kind.POINT
-        self._a, self.radius_m = (north_m, east_m), radius_m
+        self._a, self.radius_m = point_m, radius_m
 
-    def fly_leg(
-        self,
-        start_north_m: float,
-        start_east_m: float,
-        north_m: float,
-        east_m: float,
-        radius_m: float,
-    ) -> None:
+    def fly_leg(self, start_m: complex, end_m: complex, radius_m: float) -> None:
         """From one waypoint to the next; about that if there but not at its height."""
         self._kind, self._settling = _Kind.LEG, False
-        self._a, self._b = (north_m, east_m), (start_north_m, start_east_m)
+        self._a, self._b = end_m, start_m
         self.radius_m = radius_m
 
-    def follow(
-        self, north_m: float, east_m: float, v_north: float, v_east: float, curvature_1_m: float
-    ) -> None:
+    def follow(self, point_m: complex, velocity_m_s: complex, curvature_1_m: float) -> None:
         """A path: a point of it, its tangent there and its curvature."""
         self._kind = _Kind.PATH
-        self._a, self._b, self.curvature_1_m = (north_m, east_m), (v_north, v_east), curvature_1_m
+        self._a, self._b, self.curvature_1_m = point_m, velocity_m_s, curvature_1_m
 
     # --- how high -----------------------------------------------------------------------------
 
@@ -262,7 +254,7 @@ class Course:
         return self._altitude_m if self.holds_altitude or not self.circling else 0.0
 
     @property
-    def centre(self) -> tuple[float, float]:
+    def centre_m(self) -> complex:
         """Of the circle, or the place to fly to."""
         return self._a
 
@@ -278,7 +270,7 @@ class Course:
 
     def distance_m(self, local_m: Vector) -> float:
         """To the place."""
-        return math.hypot(self._a[0] - local_m[0], self._a[1] - local_m[1])
+        return guidance.size(self._a - complex(local_m[0], local_m[1]))
 
     def on_circle(self, local_m: Vector) -> bool:
         """It circles, and is where the circle is."""
@@ -302,28 +294,24 @@ class Course:
         """It has left the ground at this airspeed."""
         self._energy.airspeed_m_s = airspeed_m_s
         self.bank_rad = self._bank_wanted_rad = 0.0
-        self._wind_north_m_s = self._wind_east_m_s = 0.0
+        self._wind_m_s = 0j
 
     def steer(self, local_m: Vector, estimate: Estimate, dt_s: float) -> None:
         """New commands."""
         plane, limits = self._plane, self.limits
         airspeed = max(plane.airspeed_m_s, 1.0)
-        heading_n, heading_e = math.cos(plane.heading_rad), math.sin(plane.heading_rad)
-        v_n, v_e = estimate.velocity_north_m_s, estimate.velocity_east_m_s
-        share = dt_s / _WIND_S
-        self._wind_north_m_s += (v_n - airspeed * heading_n - self._wind_north_m_s) * share
-        self._wind_east_m_s += (v_e - airspeed * heading_e - self._wind_east_m_s) * share
-        wind_n, wind_e = self._wind_north_m_s, self._wind_east_m_s
+        heading = complex(math.cos(plane.heading_rad), math.sin(plane.heading_rad))
+        velocity = complex(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
+        here, gains = complex(local_m[0], local_m[1]), limits.gains
+        self._wind_m_s += (velocity - airspeed * heading - self._wind_m_s) * (dt_s / _WIND_S)
+        wind = self._wind_m_s
 
-        path = self._path(local_m, v_n, v_e, estimate.altitude_amsl_m)
+        path = self._path(here, velocity, estimate.altitude_amsl_m)
         if path is not None:
-            self.nearest = (path.north_m, path.east_m)
-            course_n, course_e, lateral = guidance.bearing(
-                path, local_m[0], local_m[1], v_n, v_e, wind_n, wind_e, limits.gains
-            )
-            nose_n, nose_e = guidance.heading_for(course_n, course_e, wind_n, wind_e, airspeed)
-            gain = limits.gains.turn_1_s
-            lateral += guidance.turn_m_s2(heading_n, heading_e, nose_n, nose_e, airspeed, gain)
+            self.nearest_m = path.point_m
+            course, lateral = guidance.bearing(path, here, velocity, wind, gains)
+            nose = guidance.heading_for(course, wind, airspeed)
+            lateral += guidance.turn_m_s2(heading, nose, airspeed, gains.turn_1_s)
             self._bank_wanted_rad = guidance.bank_rad(lateral, limits.bank_most_rad)
         most = self.bank_most_rad
         wanted = min(max(self._bank_wanted_rad, -most), most)
@@ -353,30 +341,26 @@ class Course:
         effort += 1.0 + energy.climb_m_s * _CLIMB_THROTTLE_S_M
         self.throttle = min(max(effort, 0.0), 1.0)
 
-    def _path(
-        self, local_m: Vector, v_n: float, v_e: float, altitude_m: float
-    ) -> guidance.Path | None:
+    def _path(self, here: complex, velocity: complex, altitude_m: float) -> guidance.Path | None:
         """The path at this place; None: keep the bank."""
-        kind, north_m, east_m = self._kind, local_m[0], local_m[1]
-        (a_n, a_e), (b_n, b_e) = self._a, self._b
+        kind = self._kind
         if kind is _Kind.PATH:
-            return guidance.along(a_n, a_e, b_n, b_e, self.curvature_1_m)
+            return guidance.along(self._a, self._b, self.curvature_1_m)
         if kind is _Kind.LINE:
-            return guidance.line(north_m, east_m, a_n, a_e, b_n, b_e)
+            return guidance.line(here, self._a, self._b)
         if kind in (_Kind.STAY, _Kind.BLIND):
             return None
-        if kind is not _Kind.CIRCLE and not self._settles(local_m, v_n, v_e, altitude_m):
-            if kind is _Kind.POINT:
-                return guidance.towards(north_m, east_m, a_n, a_e)
-            switch_m = self.limits.gains.switch_m(math.hypot(v_n, v_e))
-            return guidance.leg(north_m, east_m, b_n, b_e, a_n, a_e, switch_m)
-        return guidance.circle(north_m, east_m, a_n, a_e, self.radius_m, v_n, v_e)
+        if kind is _Kind.CIRCLE:
+            return guidance.circle(here, self._a, self.radius_m, velocity)
+        switch_m = self.limits.gains.switch_m(guidance.size(velocity))
+        if self._settles(guidance.size(self._a - here) < switch_m, altitude_m):
+            return guidance.circle(here, self._a, self.radius_m, velocity)
+        if kind is _Kind.POINT:
+            return guidance.towards(here, self._a)
+        return guidance.leg(here, self._b, self._a, switch_m)
 
-    def _settles(self, local_m: Vector, v_n: float, v_e: float, altitude_m: float) -> bool:
+    def _settles(self, near: bool, altitude_m: float) -> bool:
         """At its point but off its height by more than NAV_FW_ALT_RAD: circle until it is not."""
         off_m = abs(altitude_m - self._altitude_m) if self.holds_altitude else 0.0
-        near_m = self.limits.gains.switch_m(math.hypot(v_n, v_e))
-        self._settling = off_m > self.limits.altitude_reached_m and (
-            self._settling or self.distance_m(local_m) < near_m
-        )
+        self._settling = off_m > self.limits.altitude_reached_m and (self._settling or near)
         return self._settling

@@ -10,6 +10,7 @@ The recorded aeroplane sank to the ground after its take-off (px4-fixedwing-offb
 150 s).  This one does not.
 """
 
+import cmath
 import math
 from collections.abc import Mapping
 from typing import Final, final
@@ -22,6 +23,7 @@ from vehicle_sim.autopilots.px4 import mission, runway
 from vehicle_sim.autopilots.px4.autopilot import Px4
 from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.course import Course, Limits
+from vehicle_sim.autopilots.px4.guidance import size
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
 from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ, style
@@ -122,14 +124,21 @@ class Px4FixedWing(Px4):
         elif mode is Mode.RTL:
             self.start_return()
         elif mode is Mode.LAND:
-            north_m, east_m, _ = self.local_m
-            self.start_landing(north_m, east_m)
+            self.start_landing(self._here_m)
         elif mode in MANUAL_MODES:
             course.straight(self.local_m, self.vehicle.heading_rad)
             course.hold_altitude(self.estimate.altitude_amsl_m)
         elif mode is Mode.DESCEND:
             course.circle_blindly(math.radians(self.parameters["NAV_GPSF_R"]))
             course.climb(0.0)
+
+    @property
+    def _here_m(self) -> complex:
+        """In the local frame: north + east j, as all places in the plane."""
+        return complex(self.local_m[0], self.local_m[1])
+
+    def _local_m(self, latitude_deg: float, longitude_deg: float) -> complex:
+        return complex(*self.projection.to_local(latitude_deg, longitude_deg))
 
     def cruise_m_s(self, mode: Mode) -> float:
         """True airspeed: FW_AIRSPD_TRIM, or DO_CHANGE_SPEED's in the modes that know it."""
@@ -163,7 +172,7 @@ class Px4FixedWing(Px4):
 
     def start_hold(self, before: Mode) -> None:
         """A circle: about DO_REPOSITION's place, the take-off's, or here at this height."""
-        north_m, east_m, _ = self.local_m
+        centre_m = self._here_m
         altitude_m = self.estimate.altitude_amsl_m
         place: tuple[float, float, float] | None = None
         radius_m = self.loiter_radius_m
@@ -176,9 +185,9 @@ class Px4FixedWing(Px4):
         if place is not None:
             latitude_deg, longitude_deg, wanted_m = place
             if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
-                north_m, east_m = self.projection.to_local(latitude_deg, longitude_deg)
+                centre_m = self._local_m(latitude_deg, longitude_deg)
             altitude_m = wanted_m if math.isfinite(wanted_m) else altitude_m
-        self.course.loiter(north_m, east_m, radius_m)
+        self.course.loiter(centre_m, radius_m)
         self.course.hold_altitude(altitude_m)
 
     @property
@@ -190,16 +199,16 @@ class Px4FixedWing(Px4):
     def start_return(self) -> None:
         """Home, at RTL_RETURN_ALT or above; there it circles."""
         home = self.home or self._reference
-        north_m, east_m = self.projection.to_local(home.latitude_deg, home.longitude_deg)
+        centre_m = self._local_m(home.latitude_deg, home.longitude_deg)
         height_m = home.altitude_amsl_m + self.parameters["RTL_RETURN_ALT"]
-        self.course.loiter(north_m, east_m, self.loiter_radius_m)
+        self.course.loiter(centre_m, self.loiter_radius_m)
         self.course.hold_altitude(max(height_m, self.estimate.altitude_amsl_m))
 
-    def start_landing(self, centre_north_m: float, centre_east_m: float) -> None:
+    def start_landing(self, centre_m: complex) -> None:
         """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
         course = self.course
         course.airspeed_m_s = self._true(self._landing_airspeed_m_s()) + runway.LANDS_FASTER_M_S
-        course.loiter(centre_north_m, centre_east_m, self.loiter_radius_m)
+        course.loiter(centre_m, self.loiter_radius_m)
         self._glide()
 
     def _landing_airspeed_m_s(self) -> float:
@@ -297,9 +306,9 @@ class Px4FixedWing(Px4):
             return
         self._follows_path = moves
         if moves:
-            course.follow(north_m, east_m, v_n, v_e, _bend(target))
+            course.follow(complex(north_m, east_m), complex(v_n, v_e), _bend(target))
         else:
-            course.aim_at(north_m, east_m, self.loiter_radius_m)
+            course.aim_at(complex(north_m, east_m), self.loiter_radius_m)
         course.airspeed_m_s = self.cruise_m_s(Mode.OFFBOARD)
         if down_m == down_m:
             course.hold_altitude(self._reference.altitude_amsl_m - down_m)
@@ -335,8 +344,7 @@ class Px4FixedWing(Px4):
         low = abs(self.estimate.altitude_amsl_m - height_m) < parameters["NAV_FW_ALT_RAD"]
         delay_s = parameters["RTL_LAND_DELAY"]
         if low and delay_s >= 0.0 and self._since_s > delay_s:
-            north_m, east_m = self.projection.to_local(home.latitude_deg, home.longitude_deg)
-            self.start_landing(north_m, east_m)
+            self.start_landing(self._local_m(home.latitude_deg, home.longitude_deg))
             course.landing = True
 
     def land(self) -> None:
@@ -416,24 +424,24 @@ class Px4FixedWing(Px4):
         if leg is None:
             self.start_hold(Mode.MISSION)
             return
-        north_m, east_m = self.projection.to_local(leg.latitude_deg, leg.longitude_deg)
-        here_n, here_e, _ = self.local_m
+        place_m = self._local_m(leg.latitude_deg, leg.longitude_deg)
+        from_m = self._here_m
         if leg.command == mission.TAKEOFF:
             way_rad = self.vehicle.heading_rad
-            if math.hypot(north_m - here_n, east_m - here_e) > 1.0:
-                way_rad = math.atan2(east_m - here_e, north_m - here_n)
+            if size(place_m - from_m) > 1.0:
+                way_rad = cmath.phase(place_m - from_m)
             course.straight(self.local_m, way_rad)
             course.climb_out(runway.CLIMB_OUT_M_S)
         elif leg.command == mission.LAND:
-            self.start_landing(north_m, east_m)
+            self.start_landing(place_m)
         elif leg.command == mission.WAYPOINT and leg.hold_s == 0.0:
             if before is not None and before.command == mission.WAYPOINT:
-                here_n, here_e = self.projection.to_local(before.latitude_deg, before.longitude_deg)
-            course.fly_leg(here_n, here_e, north_m, east_m, self.loiter_radius_m)
+                from_m = self._local_m(before.latitude_deg, before.longitude_deg)
+            course.fly_leg(from_m, place_m, self.loiter_radius_m)
             course.hold_altitude(leg.altitude_amsl_m)
         else:
             radius_m = leg.radius_m if abs(leg.radius_m) > 1.0 else self.loiter_radius_m
-            course.loiter(north_m, east_m, radius_m)
+            course.loiter(place_m, radius_m)
             course.hold_altitude(leg.altitude_amsl_m)
 
     def _has_arrived(self, leg: mission.Leg) -> bool:
@@ -512,13 +520,13 @@ class Px4FixedWing(Px4):
         if mode is Mode.OFFBOARD and (self._follows_path or self._seen is None):
             return None
         course = self.course
-        north_m = east_m = altitude_m = 0.0
+        nearest_m, altitude_m = 0j, 0.0
         if self.armed:
-            north_m, east_m = course.nearest
+            nearest_m = course.nearest_m
             altitude_m = course.told_altitude_m
         down_m = self._reference.altitude_amsl_m - altitude_m
         return TargetEcho(
-            position_ned_m=(north_m, east_m, down_m),
+            position_ned_m=(nearest_m.real, nearest_m.imag, down_m),
             velocity_ned_m_s=NOTHING,
             acceleration_ned_m_s2=NOTHING,
             yaw_rad=_NAN,
@@ -531,20 +539,21 @@ class Px4FixedWing(Px4):
         if not self.armed:
             return None
         course = self.course
-        north_m, east_m = course.centre
+        goal_m = course.centre_m
         altitude_m = course.told_altitude_m
         place = self.takeoff_place
         if self.mode is Mode.TAKEOFF and place is not None and math.isfinite(place[0]):
-            north_m, east_m = self.projection.to_local(place[0], place[1])
-        latitude_deg, longitude_deg = self.projection.to_geographic(north_m, east_m)
+            goal_m = self._local_m(place[0], place[1])
+        latitude_deg, longitude_deg = self.projection.to_geographic(goal_m.real, goal_m.imag)
+        way_m = goal_m - self._here_m
         return Waypoint(
             place=Place(
                 latitude_deg=latitude_deg,
                 longitude_deg=longitude_deg,
                 altitude_amsl_m=altitude_m,
             ),
-            distance_m=math.hypot(north_m - self.local_m[0], east_m - self.local_m[1]),
-            bearing_rad=math.atan2(east_m - self.local_m[1], north_m - self.local_m[0]),
+            distance_m=size(way_m),
+            bearing_rad=cmath.phase(way_m),
             radius_m=course.radius_m if course.circling else 0.0,
         )
 

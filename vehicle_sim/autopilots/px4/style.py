@@ -20,9 +20,7 @@ _BY_RATE: Final = {
     50.0: (31, 33, 105),
     100.0: (30,),
 }
-RATES_HZ: Final = {
-    number: hz for number, hz in sorted((n, hz) for hz, ns in _BY_RATE.items() for n in ns)
-}
+RATES_HZ: Final = dict(sorted((n, hz) for hz, ns in _BY_RATE.items() for n in ns))
 """What a fresh onboard link gets, by message number, in Hz of vehicle time."""
 FIXED_WING_RATES_HZ: Final = RATES_HZ | {231: 10.0, 360: 5.0}
 """WIND_COV as well, and ORBIT_EXECUTION_STATUS while it circles."""
