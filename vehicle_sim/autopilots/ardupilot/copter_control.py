@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import final
 
 from vehicle_sim.autopilots import Estimate
+from vehicle_sim.autopilots.ardupilot.flat_earth import Vector
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.geodesy import metres_per_degree
 
@@ -62,29 +63,32 @@ def sqrt_controller(error: float, gain: float, limit: float, dt_s: float) -> flo
     return rate
 
 
-def clipped(north: float, east: float, most: float) -> tuple[float, float]:
+def length(vector: complex) -> float:
+    """Of a horizontal vector, north + east j."""
+    return math.sqrt(vector.real * vector.real + vector.imag * vector.imag)
+
+
+def dot(one: complex, other: complex) -> float:
+    """Inner product."""
+    return one.real * other.real + one.imag * other.imag
+
+
+def clipped(vector: complex, most: float) -> complex:
     """The vector, no longer than this."""
-    square = north * north + east * east
-    if square <= most * most:
-        return north, east
-    share = most / math.sqrt(square)
-    return north * share, east * share
+    square = dot(vector, vector)
+    return vector if square <= most * most else vector * (most / math.sqrt(square))
 
 
 @final
 class PositionControl:
-    """Desired state and the controllers behind it.  Mutable, plain floats: the inner loop."""
+    """Desired state and the controllers behind it.  Horizontal vectors are north + east j."""
 
     def __init__(self, copter: Copter, estimate: Estimate, tuning: Tuning) -> None:
         self.copter = copter
         self.estimate = estimate
         self.tuning = tuning
-        self.speed_m_s = tuning.speed_m_s
-        self.speed_up_m_s = tuning.speed_up_m_s
-        self.speed_down_m_s = tuning.speed_down_m_s
         self._metres_north = self._metres_east = 1.0
-        self._lean_north = self._lean_east = 0.0
-        self._target_north = self._target_east = 0.0
+        self._lean = self._target = 0j
         self.start()
 
     def start(self) -> None:
@@ -99,13 +103,11 @@ class PositionControl:
         """The horizontal half: the integrator takes over all of the present lean."""
         e = self.estimate
         self.latitude_deg, self.longitude_deg = e.latitude_deg, e.longitude_deg
-        self.velocity_north, self.velocity_east = e.velocity_north_m_s, e.velocity_east_m_s
-        self.acceleration_north = self.acceleration_east = 0.0
-        self._integral_north, self._integral_east = self._target_north, self._target_east
-        self._derivative_north = self._derivative_east = 0.0
+        self.velocity = complex(e.velocity_north_m_s, e.velocity_east_m_s)
+        self.acceleration = 0j
+        self._integral = self._target
+        self._derivative = self._error = self._limited = 0j
         self._resets = True
-        self._error_north = self._error_east = 0.0
-        self._limited_north = self._limited_east = 0.0
 
     def start_vertical(self) -> None:
         """The vertical half."""
@@ -113,118 +115,83 @@ class PositionControl:
         self.velocity_up = self.estimate.velocity_up_m_s
         self.acceleration_up = 0.0
 
-    def follow(self, a_north: float, a_east: float) -> None:
+    def follow(self, acceleration: complex) -> None:
         """Go on from an acceleration that something else has commanded, with nothing to unlearn."""
         self.start_level()
-        self.acceleration_north, self.acceleration_east = a_north, a_east
-        self._lean_north, self._lean_east = a_north, a_east
-        self._integral_north = self._integral_east = 0.0
+        self.acceleration = self._lean = acceleration
+        self._integral = 0j
 
     def rest(self) -> None:
         """On the ground: nothing leans, nothing is remembered."""
-        self._lean_north = self._lean_east = self._target_north = self._target_east = 0.0
+        self._lean = self._target = 0j
         self.start_level()
         self.start_vertical()
 
     # --- what is asked for -------------------------------------------------------------------
 
+    def away_m(self, latitude_deg: float, longitude_deg: float) -> complex:
+        """From the desired position to there."""
+        return complex(
+            (latitude_deg - self.latitude_deg) * self._metres_north,
+            (longitude_deg - self.longitude_deg) * self._metres_east,
+        )
+
+    def _ahead_m(self) -> complex:
+        """From the vehicle to the desired position."""
+        e = self.estimate
+        return complex(
+            (self.latitude_deg - e.latitude_deg) * self._metres_north,
+            (self.longitude_deg - e.longitude_deg) * self._metres_east,
+        )
+
     def moved(self, dt_s: float) -> None:
         """The desired state one step on."""
-        estimate = self.estimate
-        metres_north, metres_east = metres_per_degree(estimate.latitude_deg)
+        metres_north, metres_east = metres_per_degree(self.estimate.latitude_deg)
         self._metres_north, self._metres_east = metres_north, metres_east
-        half = 0.5 * dt_s * dt_s
-        a_n, a_e = self.acceleration_north, self.acceleration_east
-        move_n = self.velocity_north * dt_s + a_n * half
-        move_e = self.velocity_east * dt_s + a_e * half
-        limited_n, limited_e = self._limited_north, self._limited_east
-        if limited_n or limited_e:
-            error_n = (self.latitude_deg - estimate.latitude_deg) * metres_north
-            error_e = (self.longitude_deg - estimate.longitude_deg) * metres_east
+        acceleration, limited = self.acceleration, self._limited
+        move = self.velocity * dt_s + acceleration * (0.5 * dt_s * dt_s)
+        if limited:
+            if dot(move, limited) > 0.0 and dot(self._ahead_m(), limited) > 0.0:
+                move = 0j
             if (
-                move_n * limited_n + move_e * limited_e > 0.0
-                and error_n * limited_n + error_e * limited_e > 0.0
+                dot(acceleration, limited) > 0.0
+                and dot(self._error, limited) > 0.0
+                and dot(self.velocity, limited) >= 0.0
             ):
-                move_n = move_e = 0.0
-            if (
-                a_n * limited_n + a_e * limited_e > 0.0
-                and self._error_north * limited_n + self._error_east * limited_e > 0.0
-                and self.velocity_north * limited_n + self.velocity_east * limited_e >= 0.0
-            ):
-                a_n = a_e = 0.0
-        self.latitude_deg += move_n / metres_north
-        self.longitude_deg += move_e / metres_east
-        self.velocity_north += a_n * dt_s
-        self.velocity_east += a_e * dt_s
+                acceleration = 0j
+        self.latitude_deg += move.real / metres_north
+        self.longitude_deg += move.imag / metres_east
+        self.velocity += acceleration * dt_s
 
-    def towards_velocity(
-        self, north: float, east: float, a_north: float, a_east: float, dt_s: float
-    ) -> None:
+    def towards_velocity(self, velocity: complex, acceleration: complex, dt_s: float) -> None:
         """Shape the desired acceleration so that the desired velocity becomes this one."""
-        tuning = self.tuning
-        most, jerk = tuning.acceleration_m_s2, tuning.jerk_m_s3
-        error_n, error_e = north - self.velocity_north, east - self.velocity_east
-        size = math.sqrt(error_n * error_n + error_e * error_e)
+        most, jerk = self.tuning.acceleration_m_s2, self.tuning.jerk_m_s3
+        error, wanted = velocity - self.velocity, 0j
+        size = length(error)
         if size > 1e-9:
             share = sqrt_controller(size, jerk / most, jerk, dt_s) / size
-            wanted_n, wanted_e = self._cornered(error_n * share, error_e * share, north, east, most)
-        else:
-            wanted_n = wanted_e = 0.0
-        step_n = wanted_n + a_north - self.acceleration_north
-        step_e = wanted_e + a_east - self.acceleration_east
-        step_n, step_e = clipped(step_n, step_e, jerk * dt_s)
-        self.acceleration_north += step_n
-        self.acceleration_east += step_e
-
-    def _cornered(
-        self, north: float, east: float, way_n: float, way_e: float, most: float
-    ) -> tuple[float, float]:
-        """Limit an acceleration so that enough is left for turning (limit_accel_corner_xy)."""
-        speed = math.sqrt(way_n * way_n + way_e * way_e)
-        if speed < 1e-6:
-            return clipped(north, east, most)
-        way_n, way_e = way_n / speed, way_e / speed
-        along = north * way_n + east * way_e
-        across_n, across_e = north - along * way_n, east - along * way_e
-        square = across_n * across_n + across_e * across_e
-        if along * along <= square:
-            return clipped(north, east, most)
-        across_n, across_e = clipped(across_n, across_e, CORNER_SHARE * most)
-        square = across_n * across_n + across_e * across_e
-        room = math.sqrt(max(most * most - square, 0.0))
-        along = min(max(along, -room), room)
-        return across_n + along * way_n, across_e + along * way_e
+            wanted = _cornered(error * share, velocity, most)
+        self.acceleration += clipped(wanted + acceleration - self.acceleration, jerk * dt_s)
 
     def towards_place(
         self,
         latitude_deg: float,
         longitude_deg: float,
-        velocity: tuple[float, float],
-        acceleration: tuple[float, float],
+        velocity: complex,
+        acceleration: complex,
         speed_m_s: float,
         dt_s: float,
     ) -> None:
         """Shape towards a place that moves like this; the way there no faster than this speed."""
         tuning = self.tuning
-        north_m = (latitude_deg - self.latitude_deg) * self._metres_north
-        east_m = (longitude_deg - self.longitude_deg) * self._metres_east
-        distance_m = math.sqrt(north_m * north_m + east_m * east_m)
-        v_n, v_e = velocity
+        way_m = self.away_m(latitude_deg, longitude_deg)
+        distance_m = length(way_m)
         if distance_m > 1e-6:
             most = tuning.acceleration_m_s2
             gain = _TIME_CONSTANT_SHARE * tuning.jerk_m_s3 / most
             speed = sqrt_controller(distance_m, gain, _TIME_CONSTANT_SHARE * most, dt_s)
-            share = min(speed, speed_m_s) / distance_m
-            v_n += north_m * share
-            v_e += east_m * share
-        self.towards_velocity(v_n, v_e, acceleration[0], acceleration[1], dt_s)
-
-    def distance_m(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
-        """From the desired position to there, north and east."""
-        return (
-            (latitude_deg - self.latitude_deg) * self._metres_north,
-            (longitude_deg - self.longitude_deg) * self._metres_east,
-        )
+            velocity += way_m * (min(speed, speed_m_s) / distance_m)
+        self.towards_velocity(velocity, acceleration, dt_s)
 
     def towards_climb(self, up_m_s: float, a_up: float, dt_s: float) -> None:
         """Shape towards a vertical velocity, and move the desired height."""
@@ -249,79 +216,60 @@ class PositionControl:
 
     # --- following ----------------------------------------------------------------------------
 
-    def wanted_level(self, dt_s: float) -> tuple[float, float]:
-        """Horizontal acceleration that the lean gives, one step on: north, east."""
+    def wanted(self, dt_s: float) -> Vector:
+        """Acceleration north, east and up that lean and thrust give, one step on."""
         e, most = self.estimate, self.tuning.lean_m_s2
-        error_n = (self.latitude_deg - e.latitude_deg) * self._metres_north
-        error_e = (self.longitude_deg - e.longitude_deg) * self._metres_east
-        size = math.sqrt(error_n * error_n + error_e * error_e)
+        error = self._ahead_m()
+        size = length(error)
         if size > 1e-9:
             accel = self.tuning.acceleration_m_s2
-            share = sqrt_controller(size, POSITION_P, accel, dt_s) / size
-            error_n, error_e = error_n * share, error_e * share
-        error_n += self.velocity_north - e.velocity_north_m_s
-        error_e += self.velocity_east - e.velocity_east_m_s
+            error *= sqrt_controller(size, POSITION_P, accel, dt_s) / size
+        error += self.velocity - complex(e.velocity_north_m_s, e.velocity_east_m_s)
         if self._resets:
             self._resets = False
-            self._error_north, self._error_east = error_n, error_e
+            self._error = error
         else:
             blend = dt_s / (FILTER_S + dt_s)
-            step_n = blend * (error_n - self._error_north)
-            step_e = blend * (error_e - self._error_east)
-            self._error_north = error_n = self._error_north + step_n
-            self._error_east = error_e = self._error_east + step_e
-            self._derivative_north += blend * (step_n / dt_s - self._derivative_north)
-            self._derivative_east += blend * (step_e / dt_s - self._derivative_east)
-        self._integrate(error_n, error_e, dt_s)
-        a_n = VELOCITY_P * error_n + self._integral_north + self.acceleration_north
-        a_e = VELOCITY_P * error_e + self._integral_east + self.acceleration_east
-        a_n += VELOCITY_D * self._derivative_north
-        a_e += VELOCITY_D * self._derivative_east
-        square = a_n * a_n + a_e * a_e
-        if square > most * most:
-            self._limited_north, self._limited_east = a_n, a_e
-            a_n, a_e = self._leaned(a_n, a_e, most)
-        else:
-            self._limited_north = self._limited_east = 0.0
-        self._target_north, self._target_east = a_n, a_e
-        lean = dt_s / (LEAN_S + dt_s)
-        self._lean_north += lean * (a_n - self._lean_north)
-        self._lean_east += lean * (a_e - self._lean_east)
-        return self._lean_north, self._lean_east
+            step = blend * (error - self._error)
+            self._error = error = self._error + step
+            self._derivative += blend * (step / dt_s - self._derivative)
+        self._integrate(error, dt_s)
+        target = VELOCITY_P * error + self._integral + self.acceleration
+        target += VELOCITY_D * self._derivative
+        self._limited = 0j
+        if dot(target, target) > most * most:
+            self._limited = target
+            target = self._leaned(target, most)
+        self._target = target
+        self._lean += dt_s / (LEAN_S + dt_s) * (target - self._lean)
+        return self._lean.real, self._lean.imag, self.wanted_up()
 
-    def _leaned(self, north: float, east: float, most: float) -> tuple[float, float]:
+    def _leaned(self, acceleration: complex, most: float) -> complex:
         """Limit an acceleration by the lean: what turns goes before what drives or brakes."""
-        v_n, v_e = self.velocity_north, self.velocity_east
-        speed = math.sqrt(v_n * v_n + v_e * v_e)
+        speed = length(self.velocity)
         if speed < 1e-3:
-            return clipped(north, east, most)
-        v_n, v_e = v_n / speed, v_e / speed
-        along = north * v_n + east * v_e
-        across_n, across_e = north - along * v_n, east - along * v_e
-        square = across_n * across_n + across_e * across_e
+            return clipped(acceleration, most)
+        way = self.velocity / speed
+        along = dot(acceleration, way)
+        across = acceleration - along * way
+        square = dot(across, across)
         if square >= most * most:
-            share = most / math.sqrt(square)
-            return across_n * share, across_e * share
+            return across * (most / math.sqrt(square))
         room = math.sqrt(most * most - square)
-        along = min(max(along, -room), room)
-        return across_n + along * v_n, across_e + along * v_e
+        return across + min(max(along, -room), room) * way
 
-    def _integrate(self, error_n: float, error_e: float, dt_s: float) -> None:
-        before_n, before_e = self._integral_north, self._integral_east
-        step_n, step_e = VELOCITY_I * error_n * dt_s, VELOCITY_I * error_e * dt_s
-        i_n, i_e = clipped(before_n + step_n, before_e + step_e, INTEGRATOR_M_S2)
-        if step_n * self._limited_north + step_e * self._limited_east > 0.0:
+    def _integrate(self, error: complex, dt_s: float) -> None:
+        before, step = self._integral, VELOCITY_I * error * dt_s
+        self._integral = clipped(before + step, INTEGRATOR_M_S2)
+        if dot(step, self._limited) > 0.0:
             # a limited output may turn it, but not make it longer
-            i_n, i_e = clipped(i_n, i_e, math.sqrt(before_n * before_n + before_e * before_e))
-        self._integral_north, self._integral_east = i_n, i_e
+            self._integral = clipped(self._integral, length(before))
 
-    def levelled(self, dt_s: float) -> tuple[float, float]:
+    def levelled(self, dt_s: float) -> Vector:
         """Without a position: no lean is asked for."""
-        lean = dt_s / (LEAN_S + dt_s)
-        self._lean_north -= lean * self._lean_north
-        self._lean_east -= lean * self._lean_east
-        self._target_north, self._target_east = self._lean_north, self._lean_east
-        return self._lean_north, self._lean_east
+        self._lean -= dt_s / (LEAN_S + dt_s) * self._lean
+        self._target = self._lean
+        return self._lean.real, self._lean.imag, self.wanted_up()
 
     def wanted_up(self) -> float:
         """Vertical acceleration."""
@@ -329,3 +277,18 @@ class PositionControl:
         error_m = self.altitude_amsl_m - e.altitude_amsl_m
         error_m_s = error_m + self.velocity_up - e.velocity_up_m_s
         return VELOCITY_UP_P * error_m_s + self.acceleration_up
+
+
+def _cornered(acceleration: complex, way: complex, most: float) -> complex:
+    """Limit an acceleration so that enough is left for turning (limit_accel_corner_xy)."""
+    speed = length(way)
+    if speed < 1e-6:
+        return clipped(acceleration, most)
+    way /= speed
+    along = dot(acceleration, way)
+    across = acceleration - along * way
+    if along * along <= dot(across, across):
+        return clipped(acceleration, most)
+    across = clipped(across, CORNER_SHARE * most)
+    room = math.sqrt(max(most * most - dot(across, across), 0.0))
+    return across + min(max(along, -room), room) * way

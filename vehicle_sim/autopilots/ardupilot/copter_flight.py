@@ -125,9 +125,9 @@ class Flight:
             north, east, up = self._runs[host.mode](dt_s)
             copter.advance(north, east, up, dt_s)
             control, tracker = self.control, self.guided.tracker
-            way = (control.velocity_north, control.velocity_east)
+            way = control.velocity
             if tracker is not None:
-                way = (copter.velocity_north_m_s, copter.velocity_east_m_s)
+                way = complex(copter.velocity_north_m_s, copter.velocity_east_m_s)
             copter.heading_rad = self.yaw.turned(
                 copter.heading_rad, way, control.tuning.speed_m_s, dt_s, ahead=self._looks_ahead()
             )
@@ -239,7 +239,7 @@ class Flight:
         drag, share = copter.drag_1_s, min(most, 4.0 * speed) / speed
         north = (drag - share) * e.velocity_north_m_s
         east = (drag - share) * e.velocity_east_m_s
-        control.follow(north, east)
+        control.follow(complex(north, east))
         return north, east, control.wanted_up()
 
     def _run_loiter(self, dt_s: float) -> Vector:
@@ -256,7 +256,7 @@ class Flight:
     def _fall(self, dt_s: float) -> Vector:
         """Nobody holds the sticks: the motors idle."""
         copter = self.copter
-        north, east = self.control.levelled(dt_s)
+        north, east, _ = self.control.levelled(dt_s)
         most = copter.limits.speed_vertical_m_s
         return north, east, FALL_1_S * (-most - copter.velocity_up_m_s)
 

@@ -72,25 +72,22 @@ class Motion:
         """Come to a standstill, climbing at this rate."""
         control = self.control
         control.moved(dt_s)
-        control.towards_velocity(0.0, 0.0, 0.0, 0.0, dt_s)
+        control.towards_velocity(0j, 0j, dt_s)
         control.towards_climb(climb_m_s, 0.0, dt_s)
-        north, east = control.wanted_level(dt_s)
-        return north, east, control.wanted_up()
+        return control.wanted(dt_s)
 
     def level_out(self, climb_m_s: float, dt_s: float) -> Vector:
         """Without a position there is nothing to hold: only the lean goes."""
         control = self.control
         control.towards_climb(climb_m_s, 0.0, dt_s)
-        north, east = control.levelled(dt_s)
-        return north, east, control.wanted_up()
+        return control.levelled(dt_s)
 
     def go(self, place: Place, dt_s: float) -> Vector:
         """Fly to a place that does not move."""
         control = self.control
         control.moved(dt_s)
         fly_to(control, place.latitude_deg, place.longitude_deg, place.altitude_amsl_m, dt_s)
-        north, east = control.wanted_level(dt_s)
-        return north, east, control.wanted_up()
+        return control.wanted(dt_s)
 
     def run_landing(self, dt_s: float) -> Vector:
         """Down at WPNAV_SPEED_DN, the last LAND_ALT_LOW at LAND_SPEED."""
@@ -126,14 +123,13 @@ class Motion:
         control.towards_place(
             place.latitude_deg,
             place.longitude_deg,
-            (-speed * sine, speed * cosine),
-            (-inward * cosine, -inward * sine),
+            complex(-speed * sine, speed * cosine),
+            complex(-inward * cosine, -inward * sine),
             control.speed_m_s,
             dt_s,
         )
         control.towards_climb(climb_m_s, 0.0, dt_s)
-        north, east = control.wanted_level(dt_s)
-        return north, east, control.wanted_up()
+        return control.wanted(dt_s)
 
     # --- returning ----------------------------------------------------------------------------
 
