@@ -67,13 +67,6 @@ def test_a_mission_is_flown_from_take_off_to_landing() -> None:
     ]
 
 
-def test_there_is_no_auto_without_a_mission() -> None:
-    it = Flown(ANGLE_MAX=4500.0).airborne(20.0)
-    assert it.command(176, 1, AUTO) == 4
-    assert it.autopilot.mode_name == "GUIDED"
-    assert it.texts[-1][1].startswith("Mode change to AUTO failed")
-
-
 def test_a_landing_item_comes_down_where_it_says() -> None:
     it = planned(item(22, z_m=10.0), item(21, 30.0, 0.0))
     it.command(176, 1, 4)

@@ -141,30 +141,6 @@ def test_it_disarms_in_flight_only_by_force() -> None:
 # --- GUIDED: points ----------------------------------------
 
 
-@pytest.mark.parametrize(("asked_m", "flown_m"), [(40.0, 60.0), (80.0, 97.0), (150.0, 167.0)])
-@pytest.mark.parametrize("ccw", [0.0, 1.0])
-def test_circles_are_as_much_wider_as_measured(asked_m: float, flown_m: float, ccw: float) -> None:
-    rig = flying()
-    assert rig.reposition(0.0, 0.0, 80.0, asked_m, ccw) is Result.ACCEPTED
-    rig.fly(90.0)
-    bearings = []
-    for _ in range(10):
-        rig.fly(1.0)
-        assert math.hypot(*rig.ne_m) == pytest.approx(flown_m, abs=2.0)
-        bearings.append(math.atan2(rig.ne_m[1], rig.ne_m[0]))
-    turned = math.remainder(bearings[1] - bearings[0], math.tau)
-    assert (turned < 0.0) == bool(ccw)
-
-
-def test_a_radius_of_nought_less_or_nan_keeps_the_one_before() -> None:
-    rig = flying()
-    rig.reposition(0.0, 0.0, 80.0, 150.0)
-    for radius_m in (0.0, -40.0, math.nan):
-        assert rig.reposition(0.0, 0.0, 80.0, radius_m) is Result.ACCEPTED
-    rig.fly(90.0)
-    assert math.hypot(*rig.ne_m) == pytest.approx(167.0, abs=2.0)
-
-
 def test_reposition_is_a_command_int_with_a_place() -> None:
     rig = flying()
     latitude_deg, longitude_deg = rig.frame.to_geographic(300.0, 0.0)
@@ -311,17 +287,6 @@ def test_of_a_global_setpoint_only_the_height_is_taken() -> None:
     assert rig.texts()[-1].startswith("SIM:")
     rig.fly(20.0)
     assert rig.height_m == pytest.approx(90.0, abs=1.0)
-
-
-def test_local_offsets_add_up_and_other_frames_do_nothing() -> None:
-    rig = flying()
-    rig.fly(30.0)
-    for _ in range(5):
-        rig.take(rig.autopilot.on_setpoint(setpoint(7, -1.0, is_global=False)))
-    rig.take(rig.autopilot.on_setpoint(setpoint(1, -50.0, is_global=False)))
-    assert rig.texts()[-1] == "Change alt to 85.0"
-    rig.fly(40.0)
-    assert rig.height_m == pytest.approx(85.0, abs=1.0)
 
 
 @pytest.mark.parametrize("kind", [0.0, 1.0])

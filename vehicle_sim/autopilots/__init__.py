@@ -192,7 +192,7 @@ Reply = Ack | Text | Event | Send | Say | SayParameter | Reboot
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Place:
     """A point on or above the earth."""
 
@@ -238,11 +238,7 @@ class Estimate:
     @property
     def place(self) -> Place:
         """A copy of the position."""
-        return Place(
-            latitude_deg=self.latitude_deg,
-            longitude_deg=self.longitude_deg,
-            altitude_amsl_m=self.altitude_amsl_m,
-        )
+        return Place(self.latitude_deg, self.longitude_deg, self.altitude_amsl_m)
 
 
 @final

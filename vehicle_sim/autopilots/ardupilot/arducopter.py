@@ -6,6 +6,7 @@ copter_guided.py and copter_control.py; what it shares with ArduPlane is in auto
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar, final
 
 import numpy as np
@@ -24,27 +25,17 @@ from vehicle_sim.autopilots import (
     Text,
     Waypoint,
 )
+from vehicle_sim.autopilots.ardupilot import copter_setpoints as setpoints
 from vehicle_sim.autopilots.ardupilot import copter_table as modes
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_flight import FAILSAFE_PAUSE_US, Flight
 from vehicle_sim.autopilots.ardupilot.copter_guided import NOTHING, Submode
-from vehicle_sim.autopilots.ardupilot.copter_setpoints import (
-    IGNORE_ACCELERATION,
-    IGNORE_POSITION,
-    IGNORE_VELOCITY,
-    IGNORE_YAW,
-    IGNORE_YAW_RATE,
-    Bearings,
-    Stop,
-    Target,
-    read_setpoint,
-)
+from vehicle_sim.autopilots.ardupilot.copter_setpoints import Bearings, Stop, Target, read_setpoint
 from vehicle_sim.autopilots.ardupilot.flat_earth import (
-    FLAT_EARTH_M_PER_DEG,
     bearing_rad,
     distance_m,
     flat_earth_ned_m,
-    longitude_scale,
+    offset,
 )
 from vehicle_sim.autopilots.ardupilot.style import HEARTBEAT, TIMESYNC, style
 from vehicle_sim.autopilots.attitude import (
@@ -55,7 +46,6 @@ from vehicle_sim.autopilots.attitude import (
     finite,
 )
 from vehicle_sim.dynamics.copter import Copter
-from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import PlanKind, Plans
 
 EKF_CHECKS = 10
@@ -66,15 +56,15 @@ ABOVE_HOME_FRAME = 3
 IN_FLIGHT_ALIGNMENT_M = 2.9
 AVOIDANCE_1_S = 0.5
 SMART_RTL_GIVES_UP_US = 7_120_000
-_IGNORE_YAWS = IGNORE_YAW | IGNORE_YAW_RATE
+_IGNORE_YAWS = setpoints.IGNORE_YAW | setpoints.IGNORE_YAW_RATE
 THRUST_AS_THRUST = 8
 """GUID_OPTIONS: the thrust of SET_ATTITUDE_TARGET is one, and no climb rate."""
 ECHO_MASKS = {
-    Submode.TAKEOFF: IGNORE_VELOCITY | IGNORE_ACCELERATION | _IGNORE_YAWS,
-    Submode.POSITION: IGNORE_VELOCITY | IGNORE_ACCELERATION | _IGNORE_YAWS,
+    Submode.TAKEOFF: setpoints.IGNORE_VELOCITY | setpoints.IGNORE_ACCELERATION | _IGNORE_YAWS,
+    Submode.POSITION: setpoints.IGNORE_VELOCITY | setpoints.IGNORE_ACCELERATION | _IGNORE_YAWS,
     Submode.POSITION_VELOCITY: _IGNORE_YAWS,
-    Submode.VELOCITY: IGNORE_POSITION | _IGNORE_YAWS,
-    Submode.ACCELERATION: IGNORE_POSITION | IGNORE_VELOCITY | _IGNORE_YAWS,
+    Submode.VELOCITY: setpoints.IGNORE_POSITION | _IGNORE_YAWS,
+    Submode.ACCELERATION: setpoints.IGNORE_POSITION | setpoints.IGNORE_VELOCITY | _IGNORE_YAWS,
 }
 """type_mask of POSITION_TARGET_LOCAL_NED: 0xDF8, 0xC00, 0xC07, 0xC3F."""
 
@@ -87,6 +77,8 @@ class ArduCopter(ArduPilot):
         vehicle_type=2, capabilities=64495, rates_hz={HEARTBEAT: 1.0, TIMESYNC: 0.1}
     )
     MODES: ClassVar[Mapping[int, str]] = modes.MODES
+    TABLE = modes.TABLE
+    TIMING = modes.TIMING
     PREARM_US: ClassVar[int] = 23_300_000
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
 
@@ -100,15 +92,8 @@ class ArduCopter(ArduPilot):
         rng: np.random.Generator,
     ) -> None:
         pressure_pa = 101325.0 * (1.0 - 2.25577e-5 * copter.altitude_amsl_m) ** 5.25588
-        super().__init__(
-            copter,
-            Parameters(modes.TABLE, parameters),
-            plans,
-            timing=modes.TIMING,
-            boot=modes.boot(pressure_pa),
-            hardware_id=hardware_id,
-            rng=rng,
-        )
+        boot = modes.boot(pressure_pa)
+        super().__init__(copter, parameters, plans, boot=boot, hardware_id=hardware_id, rng=rng)
         self.copter = copter
         self.flight = Flight(self, copter)
         self.mode = modes.STABILIZE
@@ -451,24 +436,14 @@ class ArduCopter(ArduPilot):
         if speed < 1e-3 or not math.isfinite(room_m):
             return target
         ahead_m = max(room_m, 0.0) + 1.0
-        scale = FLAT_EARTH_M_PER_DEG * longitude_scale(here.latitude_deg)
-        ahead = Place(
-            latitude_deg=here.latitude_deg + north / speed * ahead_m / FLAT_EARTH_M_PER_DEG,
-            longitude_deg=here.longitude_deg + east / speed * ahead_m / scale,
-            altitude_amsl_m=here.altitude_amsl_m,
-        )
+        ahead = offset(here, north / speed * ahead_m, east / speed * ahead_m)
         if not self.fence.outside(ahead, self.home):
             return target
         left_m = max(room_m - self.parameters["FENCE_MARGIN"], 0.0)
         slow_m_s = math.sqrt(self.flight.control.tuning.acceleration_m_s2 * left_m)
         share = min(slow_m_s / speed, AVOIDANCE_1_S * left_m / speed, 1.0)
-        return Target(
-            place=None,
-            velocity_neu_m_s=(north * share, east * share, up),
-            acceleration_neu_m_s2=NOTHING,
-            yaw_rad=target.yaw_rad,
-            yaw_rate_rad_s=target.yaw_rate_rad_s,
-        )
+        slowed = (north * share, east * share, up)
+        return replace(target, velocity_neu_m_s=slowed, acceleration_neu_m_s2=NOTHING)
 
     # --- telling --------------------------------------------------------------------------------
 

@@ -47,7 +47,6 @@ from vehicle_sim.autopilots.attitude import (
 from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.faults import SIM_PARAMETERS
-from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
@@ -79,6 +78,8 @@ class ArduPlane(ArduPilot):
 
     style = style(vehicle_type=1, capabilities=CAPABILITIES, rates_hz=_RATES_HZ)
     MODES: ClassVar[Mapping[int, str]] = NAMES
+    TABLE = TABLE
+    TIMING = TIMING
     PREARM_US: ClassVar[int] = 22_800_000
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
 
@@ -91,15 +92,8 @@ class ArduPlane(ArduPilot):
         hardware_id: int,
         rng: np.random.Generator,
     ) -> None:
-        super().__init__(
-            plane,
-            Parameters(TABLE, parameters),
-            plans,
-            timing=TIMING,
-            boot=boot_of("plane"),
-            hardware_id=hardware_id,
-            rng=rng,
-        )
+        boot = boot_of("plane")
+        super().__init__(plane, parameters, plans, boot=boot, hardware_id=hardware_id, rng=rng)
         self.mode = Mode.INITIALISING
         self._plane = plane
         self._first_fix_us: int | None = None
@@ -133,11 +127,7 @@ class ArduPlane(ArduPilot):
         if self._first_fix_us is None:
             self._first_fix_us = now_us
         elif now_us - self._first_fix_us >= HOME_SET_US:
-            self.home = Place(
-                latitude_deg=fix.latitude_deg,
-                longitude_deg=fix.longitude_deg,
-                altitude_amsl_m=fix.altitude_amsl_m,
-            )
+            self.home = Place(fix.latitude_deg, fix.longitude_deg, fix.altitude_amsl_m)
             self.send(HOME_POSITION)
             self.change_parameter("MIS_TOTAL", max(len(self.plans[PlanKind.MISSION]), 1))
 

@@ -44,7 +44,7 @@ from vehicle_sim.autopilots.ardupilot.style import (
 from vehicle_sim.autopilots.parameters import lines_of
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
-from vehicle_sim.parameters import Parameters
+from vehicle_sim.parameters import Parameter, Parameters
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
@@ -76,6 +76,8 @@ class ArduPilot(abc.ABC):
     style: Style
     MODES: ClassVar[Mapping[int, str]]
     """Names of the modes by number."""
+    TABLE: ClassVar[tuple[Parameter, ...]]
+    TIMING: ClassVar[Timing]
     PREARM_US: ClassVar[int]
     """When the PREARM_CHECK bit gets healthy."""
     GCS_FAILSAFE: ClassVar[tuple[str, str]]
@@ -84,16 +86,15 @@ class ArduPilot(abc.ABC):
     def __init__(
         self,
         vehicle: Vehicle,
-        parameters: Parameters,
+        parameters: Mapping[str, float],
         plans: Plans,
         *,
-        timing: Timing,
         boot: Sequence[Due],
         hardware_id: int,
         rng: np.random.Generator,
     ) -> None:
         self.vehicle = vehicle
-        self.parameters = parameters
+        self.parameters = Parameters(self.TABLE, parameters)
         self.plans = plans
         self.hardware_id = hardware_id
         self.rng = rng
@@ -101,8 +102,8 @@ class ArduPilot(abc.ABC):
         """What the power module measures; whoever drains it puts it here."""
         self.estimate = Estimate(latitude_deg=0.0, longitude_deg=0.0, altitude_amsl_m=0.0)
         self._out: list[Reply] = []
-        self.ekf = Ekf3(self.estimate, timing, self._out, rng)
-        self.fence = Fence(parameters, plans)
+        self.ekf = Ekf3(self.estimate, self.TIMING, self._out, rng)
+        self.fence = Fence(self.parameters, plans)
         self.now_us = 0
         self.mode = 0
         self.armed = False
@@ -122,7 +123,7 @@ class ArduPilot(abc.ABC):
         self._battery_low_since_us: int | None = None
         self._battery_acted = 0
         self._fence_left_alone_us = 0
-        self._parameters_version = parameters.version
+        self._parameters_version = self.parameters.version
         self._handlers = self.handlers()
 
     # --- saying things ----------------------------------------------------------------------------
@@ -391,9 +392,7 @@ class ArduPilot(abc.ABC):
             altitude_m += self.home.altitude_amsl_m
         elif frame not in (*_FRAMES_AMSL, *_FRAMES_TERRAIN):
             return Result.UNSUPPORTED_FRAME
-        return Place(
-            latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_amsl_m=altitude_m
-        )
+        return Place(latitude_deg, longitude_deg, altitude_m)
 
     def _do_set_home(self, command: Command) -> Result:
         if self.ekf.origin is None:

@@ -75,9 +75,9 @@ def place_of(item: PlanItem, here: Place, home: Place) -> Place:
         altitude_m += home.altitude_amsl_m
     somewhere = (item.x != 0 or item.y != 0) and abs(item.x) <= 900_000_000
     return Place(
-        latitude_deg=item.x * 1e-7 if somewhere else here.latitude_deg,
-        longitude_deg=item.y * 1e-7 if somewhere else here.longitude_deg,
-        altitude_amsl_m=altitude_m,
+        item.x * 1e-7 if somewhere else here.latitude_deg,
+        item.y * 1e-7 if somewhere else here.longitude_deg,
+        altitude_m,
     )
 
 

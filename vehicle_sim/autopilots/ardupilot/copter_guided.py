@@ -88,11 +88,7 @@ class Guided:
     @property
     def place(self) -> Place:
         """Where the target is."""
-        return Place(
-            latitude_deg=self.latitude_deg,
-            longitude_deg=self.longitude_deg,
-            altitude_amsl_m=self.altitude_amsl_m,
-        )
+        return Place(self.latitude_deg, self.longitude_deg, self.altitude_amsl_m)
 
     def take(self, target: Target, now_us: int) -> None:
         """Steer for this from now on."""

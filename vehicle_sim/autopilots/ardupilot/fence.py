@@ -27,7 +27,7 @@ _LOADING_US = 450_000
 def _depth_m(circle: Zone, place: Place) -> float:
     """How far inside; negative outside."""
     latitude_deg, longitude_deg = circle.corners[0]
-    centre = Place(latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_amsl_m=0.0)
+    centre = Place(latitude_deg, longitude_deg, 0.0)
     return circle.radius_m - distance_m(centre, place)
 
 

@@ -116,9 +116,7 @@ class Mission:
             latitude_deg, longitude_deg = here.latitude_deg, here.longitude_deg
         else:
             latitude_deg, longitude_deg = item.x * 1e-7, item.y * 1e-7
-        return Place(
-            latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_amsl_m=altitude_m
-        )
+        return Place(latitude_deg, longitude_deg, altitude_m)
 
     def _fly(self, number: int, item: PlanItem, before: Place | None) -> None:
         host, navigation = self._host, self._navigation

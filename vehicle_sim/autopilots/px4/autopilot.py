@@ -31,21 +31,10 @@ from vehicle_sim.autopilots import (
 )
 from vehicle_sim.autopilots.attitude import AttitudeTarget, attitude_of, finite
 from vehicle_sim.autopilots.parameters import table
-from vehicle_sim.autopilots.px4 import health
+from vehicle_sim.autopilots.px4 import failsafe, health
 from vehicle_sim.autopilots.px4.diary import Diary, Gimbal
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
-from vehicle_sim.autopilots.px4.failsafe import (
-    FENCE,
-    LINK_LOSS,
-    MODES,
-    OFFBOARD_LOSS,
-    Action,
-    Cause,
-    Incidents,
-    battery_action,
-    can_run,
-    instead_of,
-)
+from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents
 from vehicle_sim.autopilots.px4.fence import Fence
 from vehicle_sim.autopilots.px4.health import text
 from vehicle_sim.autopilots.px4.mission import Mission, Surroundings
@@ -356,14 +345,8 @@ class Px4(abc.ABC):
         """Fault: the estimator's origin moves."""
         if self.origin is None:
             return ()
-        latitude_deg, longitude_deg = self.projection.to_geographic(north_m, east_m)
-        self._set_origin(
-            Place(
-                latitude_deg=latitude_deg,
-                longitude_deg=longitude_deg,
-                altitude_amsl_m=self.origin.altitude_amsl_m + up_m,
-            )
-        )
+        altitude_m = self.origin.altitude_amsl_m + up_m
+        self._set_origin(self.projection.place(north_m, east_m, altitude_m))
         return ()
 
     def status(self) -> Status:
@@ -497,11 +480,11 @@ class Px4(abc.ABC):
         loss_s = parameters["COM_RC_LOSS_T"]
         if pilot.at_arming and not pilot.present(now_us, loss_s) and not self._excepted():
             silent_s = (now_us - (pilot.heard_us or 0)) * 1e-6 - loss_s
-            action = LINK_LOSS.get(int(parameters["NAV_RCL_ACT"]), Action.NONE)
+            action = failsafe.LINK_LOSS.get(int(parameters["NAV_RCL_ACT"]), Action.NONE)
             if silent_s < parameters["COM_FAIL_ACT_T"] and action > Action.HOLD:
                 action = Action.HOLD
         self._incidents.note(Cause.PILOT_LOST, action)
-        chosen = LINK_LOSS.get(int(parameters["NAV_DLL_ACT"]), Action.NONE)
+        chosen = failsafe.LINK_LOSS.get(int(parameters["NAV_DLL_ACT"]), Action.NONE)
         lost = pilot.ground_station_lost(now_us, parameters["COM_DL_LOSS_T"])
         self._incidents.note(Cause.GROUND_STATION_LOST, chosen if lost else Action.NONE)
 
@@ -524,7 +507,11 @@ class Px4(abc.ABC):
             home=(away_m, self.estimate.altitude_amsl_m - home.altitude_amsl_m),
             limits=(parameters["GF_MAX_HOR_DIST"], parameters["GF_MAX_VER_DIST"]),
         )
-        action = FENCE.get(int(parameters["GF_ACTION"]), Action.WARN) if breached else Action.NONE
+        action = (
+            failsafe.FENCE.get(int(parameters["GF_ACTION"]), Action.WARN)
+            if breached
+            else Action.NONE
+        )
         if self._incidents.note(Cause.FENCE, action):
             self.say(text(4, "Geofence: approaching or outside geofence"))
 
@@ -532,7 +519,7 @@ class Px4(abc.ABC):
         parameters = self.parameters
         thresholds = (parameters["BAT_CRIT_THR"], parameters["BAT_EMERGEN_THR"])
         choice = int(parameters["COM_LOW_BAT_ACT"])
-        action = battery_action(self.battery.remaining, thresholds, choice)
+        action = failsafe.battery_action(self.battery.remaining, thresholds, choice)
         if self._incidents.note(Cause.BATTERY, action):
             self.say(text(2, "Critical battery level, land now"))
 
@@ -541,10 +528,10 @@ class Px4(abc.ABC):
         intended, position_ok = self.intended, self.estimate.position_ok
         action = Action.NONE
         if self.armed:
-            action = instead_of(
+            action = failsafe.instead_of(
                 intended,
                 self._incidents.worst(),
-                offboard_loss=OFFBOARD_LOSS.get(
+                offboard_loss=failsafe.OFFBOARD_LOSS.get(
                     int(self.parameters["COM_OBL_RC_ACT"]), Action.POSITION
                 ),
                 offboard_signal=self.offboard_signal,
@@ -560,7 +547,7 @@ class Px4(abc.ABC):
         if action in (Action.DISARM, Action.TERMINATE):
             self.disarm(health.DISARMED_BY_COMMAND)
             return
-        mode = MODES.get(action, intended)
+        mode = failsafe.MODES.get(action, intended)
         if mode is not self.mode:
             self._change(mode)
 
@@ -571,7 +558,7 @@ class Px4(abc.ABC):
             Event(number=number, log_levels=health.CRITICAL, arguments=arguments),
             text(2, "Failsafe activated"),
         )
-        by_hand = MODES.get(action) in MANUAL_MODES
+        by_hand = failsafe.MODES.get(action) in MANUAL_MODES
         if by_hand and not self.pilot.present(self.now_us, self.parameters["COM_RC_LOSS_T"]):
             self.say(text(4, "Matching flight task was not able to run"))
 
@@ -621,7 +608,9 @@ class Px4(abc.ABC):
         """Whether it has what the mode needs."""
         precise = self.ekf.precise(self.now_us)
         steerable = precise or self.needs_no_position
-        return can_run(mode, position_ok=precise, offboard_ok=self.offboard_signal and steerable)
+        return failsafe.can_run(
+            mode, position_ok=precise, offboard_ok=self.offboard_signal and steerable
+        )
 
     def _can_arm(self, position_ok: bool, signal: bool) -> bool:
         """Whether the mode now flown can be armed in."""

@@ -175,13 +175,7 @@ def _set_home(px4: Px4, command: Command) -> Result:
             return Result.DENIED
         if abs(altitude_m) > HIGHEST_HOME_M:
             return Result.DENIED
-        px4.set_home(
-            Place(
-                latitude_deg=latitude_deg,
-                longitude_deg=longitude_deg,
-                altitude_amsl_m=altitude_m,
-            )
-        )
+        px4.set_home(Place(latitude_deg, longitude_deg, altitude_m))
     px4.say(Send(message=242))
     return Result.ACCEPTED
 

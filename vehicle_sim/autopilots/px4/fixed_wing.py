@@ -17,7 +17,7 @@ from typing import Final, final
 
 import numpy as np
 
-from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
+from vehicle_sim.autopilots import TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission, runway
 from vehicle_sim.autopilots.px4.autopilot import Px4
@@ -544,14 +544,9 @@ class Px4FixedWing(Px4):
         place = self.takeoff_place
         if self.mode is Mode.TAKEOFF and place is not None and math.isfinite(place[0]):
             goal_m = self._local_m(place[0], place[1])
-        latitude_deg, longitude_deg = self.projection.to_geographic(goal_m.real, goal_m.imag)
         way_m = goal_m - self._here_m
         return Waypoint(
-            place=Place(
-                latitude_deg=latitude_deg,
-                longitude_deg=longitude_deg,
-                altitude_amsl_m=altitude_m,
-            ),
+            place=self.projection.place(goal_m.real, goal_m.imag, altitude_m),
             distance_m=size(way_m),
             bearing_rad=cmath.phase(way_m),
             radius_m=course.radius_m if course.circling else 0.0,

@@ -7,7 +7,7 @@ from typing import Final, final
 
 import numpy as np
 
-from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
+from vehicle_sim.autopilots import TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.autopilot import Px4
@@ -537,13 +537,8 @@ class Px4Multicopter(Px4):
 
     def _waypoint(self) -> Waypoint | None:
         goal_n, goal_e, goal_d = self._aim
-        latitude_deg, longitude_deg = self.projection.to_geographic(goal_n, goal_e)
         return Waypoint(
-            place=Place(
-                latitude_deg=latitude_deg,
-                longitude_deg=longitude_deg,
-                altitude_amsl_m=self._reference.altitude_amsl_m - goal_d,
-            ),
+            place=self.projection.place(goal_n, goal_e, self._reference.altitude_amsl_m - goal_d),
             distance_m=math.hypot(goal_n - self.local_m[0], goal_e - self.local_m[1]),
         )
 
