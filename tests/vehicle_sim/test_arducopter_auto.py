@@ -38,7 +38,7 @@ def planned(*items: PlanItem) -> Flown:
 
 
 def said(it: Flown) -> list[str]:
-    return [text for _, text in it.texts if text.startswith(("Mission", "Reached"))]
+    return [text for text in it.texts if text.startswith(("Mission", "Reached"))]
 
 
 def test_a_mission_is_flown_from_take_off_to_landing() -> None:
