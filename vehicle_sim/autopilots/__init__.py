@@ -7,7 +7,7 @@ them share, and their parts, are beside them.
 
 import enum
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, final
 
 from vehicle_sim.autopilots.attitude import AttitudeTarget
@@ -202,7 +202,7 @@ class Place:
 
     def at(self, altitude_amsl_m: float) -> "Place":
         """Above or below it."""
-        return replace(self, altitude_amsl_m=altitude_amsl_m)
+        return Place(self.latitude_deg, self.longitude_deg, altitude_amsl_m)
 
 
 @final

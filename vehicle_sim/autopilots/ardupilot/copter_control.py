@@ -65,7 +65,8 @@ def sqrt_controller(error: float, gain: float, limit: float, dt_s: float) -> flo
 
 def length(vector: complex) -> float:
     """Of a horizontal vector, north + east j."""
-    return math.sqrt(vector.real * vector.real + vector.imag * vector.imag)
+    north, east = vector.real, vector.imag
+    return math.sqrt(north * north + east * east)
 
 
 def dot(one: complex, other: complex) -> float:
@@ -75,7 +76,8 @@ def dot(one: complex, other: complex) -> float:
 
 def clipped(vector: complex, most: float) -> complex:
     """The vector, no longer than this."""
-    square = dot(vector, vector)
+    north, east = vector.real, vector.imag
+    square = north * north + east * east
     return vector if square <= most * most else vector * (most / math.sqrt(square))
 
 
@@ -233,11 +235,15 @@ class PositionControl:
             step = blend * (error - self._error)
             self._error = error = self._error + step
             self._derivative += blend * (step / dt_s - self._derivative)
-        self._integrate(error, dt_s)
-        target = VELOCITY_P * error + self._integral + self.acceleration
-        target += VELOCITY_D * self._derivative
+        step = VELOCITY_I * dt_s * error
+        integral = clipped(self._integral + step, INTEGRATOR_M_S2)
+        if self._limited and dot(step, self._limited) > 0.0:
+            # a limited output may turn it, but not make it longer
+            integral = clipped(integral, length(self._integral))
+        self._integral = integral
+        target = VELOCITY_P * error + integral + self.acceleration + VELOCITY_D * self._derivative
         self._limited = 0j
-        if dot(target, target) > most * most:
+        if target.real * target.real + target.imag * target.imag > most * most:
             self._limited = target
             target = self._leaned(target, most)
         self._target = target
@@ -257,13 +263,6 @@ class PositionControl:
             return across * (most / math.sqrt(square))
         room = math.sqrt(most * most - square)
         return across + min(max(along, -room), room) * way
-
-    def _integrate(self, error: complex, dt_s: float) -> None:
-        before, step = self._integral, VELOCITY_I * error * dt_s
-        self._integral = clipped(before + step, INTEGRATOR_M_S2)
-        if dot(step, self._limited) > 0.0:
-            # a limited output may turn it, but not make it longer
-            self._integral = clipped(self._integral, length(before))
 
     def levelled(self, dt_s: float) -> Vector:
         """Without a position: no lean is asked for."""
