@@ -63,34 +63,26 @@ def sqrt_controller(error: float, gain: float, limit: float, dt_s: float) -> flo
     return rate
 
 
-def length(vector: complex) -> float:
-    """Of a horizontal vector, north + east j."""
-    north, east = vector.real, vector.imag
-    return math.sqrt(north * north + east * east)
-
-
-def dot(one: complex, other: complex) -> float:
-    """Inner product."""
-    return one.real * other.real + one.imag * other.imag
-
-
-def clipped(vector: complex, most: float) -> complex:
+def clipped(north: float, east: float, most: float) -> tuple[float, float]:
     """The vector, no longer than this."""
-    north, east = vector.real, vector.imag
     square = north * north + east * east
-    return vector if square <= most * most else vector * (most / math.sqrt(square))
+    if square <= most * most:
+        return north, east
+    share = most / math.sqrt(square)
+    return north * share, east * share
 
 
 @final
 class PositionControl:
-    """Desired state and the controllers behind it.  Horizontal vectors are north + east j."""
+    """Desired state and the controllers behind it.  Mutable, plain floats: the inner loop."""
 
     def __init__(self, copter: Copter, estimate: Estimate, tuning: Tuning) -> None:
         self.copter = copter
         self.estimate = estimate
         self.tuning = tuning
         self._metres_north = self._metres_east = 1.0
-        self._lean = self._target = 0j
+        self._lean_north = self._lean_east = 0.0
+        self._target_north = self._target_east = 0.0
         self.start()
 
     def start(self) -> None:
@@ -105,11 +97,13 @@ class PositionControl:
         """The horizontal half: the integrator takes over all of the present lean."""
         e = self.estimate
         self.latitude_deg, self.longitude_deg = e.latitude_deg, e.longitude_deg
-        self.velocity = complex(e.velocity_north_m_s, e.velocity_east_m_s)
-        self.acceleration = 0j
-        self._integral = self._target
-        self._derivative = self._error = self._limited = 0j
+        self.velocity_north, self.velocity_east = e.velocity_north_m_s, e.velocity_east_m_s
+        self.acceleration_north = self.acceleration_east = 0.0
+        self._integral_north, self._integral_east = self._target_north, self._target_east
+        self._derivative_north = self._derivative_east = 0.0
         self._resets = True
+        self._error_north = self._error_east = 0.0
+        self._limited_north = self._limited_east = 0.0
 
     def start_vertical(self) -> None:
         """The vertical half."""
@@ -117,83 +111,118 @@ class PositionControl:
         self.velocity_up = self.estimate.velocity_up_m_s
         self.acceleration_up = 0.0
 
-    def follow(self, acceleration: complex) -> None:
+    def follow(self, a_north: float, a_east: float) -> None:
         """Go on from an acceleration that something else has commanded, with nothing to unlearn."""
         self.start_level()
-        self.acceleration = self._lean = acceleration
-        self._integral = 0j
+        self.acceleration_north, self.acceleration_east = a_north, a_east
+        self._lean_north, self._lean_east = a_north, a_east
+        self._integral_north = self._integral_east = 0.0
 
     def rest(self) -> None:
         """On the ground: nothing leans, nothing is remembered."""
-        self._lean = self._target = 0j
+        self._lean_north = self._lean_east = self._target_north = self._target_east = 0.0
         self.start_level()
         self.start_vertical()
 
     # --- what is asked for -------------------------------------------------------------------
 
-    def away_m(self, latitude_deg: float, longitude_deg: float) -> complex:
-        """From the desired position to there."""
-        return complex(
-            (latitude_deg - self.latitude_deg) * self._metres_north,
-            (longitude_deg - self.longitude_deg) * self._metres_east,
-        )
-
-    def _ahead_m(self) -> complex:
-        """From the vehicle to the desired position."""
-        e = self.estimate
-        return complex(
-            (self.latitude_deg - e.latitude_deg) * self._metres_north,
-            (self.longitude_deg - e.longitude_deg) * self._metres_east,
-        )
-
     def moved(self, dt_s: float) -> None:
         """The desired state one step on."""
-        metres_north, metres_east = metres_per_degree(self.estimate.latitude_deg)
+        estimate = self.estimate
+        metres_north, metres_east = metres_per_degree(estimate.latitude_deg)
         self._metres_north, self._metres_east = metres_north, metres_east
-        acceleration, limited = self.acceleration, self._limited
-        move = self.velocity * dt_s + acceleration * (0.5 * dt_s * dt_s)
-        if limited:
-            if dot(move, limited) > 0.0 and dot(self._ahead_m(), limited) > 0.0:
-                move = 0j
+        half = 0.5 * dt_s * dt_s
+        a_n, a_e = self.acceleration_north, self.acceleration_east
+        move_n = self.velocity_north * dt_s + a_n * half
+        move_e = self.velocity_east * dt_s + a_e * half
+        limited_n, limited_e = self._limited_north, self._limited_east
+        if limited_n or limited_e:
+            error_n = (self.latitude_deg - estimate.latitude_deg) * metres_north
+            error_e = (self.longitude_deg - estimate.longitude_deg) * metres_east
             if (
-                dot(acceleration, limited) > 0.0
-                and dot(self._error, limited) > 0.0
-                and dot(self.velocity, limited) >= 0.0
+                move_n * limited_n + move_e * limited_e > 0.0
+                and error_n * limited_n + error_e * limited_e > 0.0
             ):
-                acceleration = 0j
-        self.latitude_deg += move.real / metres_north
-        self.longitude_deg += move.imag / metres_east
-        self.velocity += acceleration * dt_s
+                move_n = move_e = 0.0
+            if (
+                a_n * limited_n + a_e * limited_e > 0.0
+                and self._error_north * limited_n + self._error_east * limited_e > 0.0
+                and self.velocity_north * limited_n + self.velocity_east * limited_e >= 0.0
+            ):
+                a_n = a_e = 0.0
+        self.latitude_deg += move_n / metres_north
+        self.longitude_deg += move_e / metres_east
+        self.velocity_north += a_n * dt_s
+        self.velocity_east += a_e * dt_s
 
-    def towards_velocity(self, velocity: complex, acceleration: complex, dt_s: float) -> None:
+    def towards_velocity(
+        self, north: float, east: float, a_north: float, a_east: float, dt_s: float
+    ) -> None:
         """Shape the desired acceleration so that the desired velocity becomes this one."""
-        most, jerk = self.tuning.acceleration_m_s2, self.tuning.jerk_m_s3
-        error, wanted = velocity - self.velocity, 0j
-        size = length(error)
+        tuning = self.tuning
+        most, jerk = tuning.acceleration_m_s2, tuning.jerk_m_s3
+        error_n, error_e = north - self.velocity_north, east - self.velocity_east
+        size = math.sqrt(error_n * error_n + error_e * error_e)
         if size > 1e-9:
             share = sqrt_controller(size, jerk / most, jerk, dt_s) / size
-            wanted = _cornered(error * share, velocity, most)
-        self.acceleration += clipped(wanted + acceleration - self.acceleration, jerk * dt_s)
+            wanted_n, wanted_e = self._cornered(error_n * share, error_e * share, north, east, most)
+        else:
+            wanted_n = wanted_e = 0.0
+        step_n = wanted_n + a_north - self.acceleration_north
+        step_e = wanted_e + a_east - self.acceleration_east
+        step_n, step_e = clipped(step_n, step_e, jerk * dt_s)
+        self.acceleration_north += step_n
+        self.acceleration_east += step_e
+
+    def _cornered(
+        self, north: float, east: float, way_n: float, way_e: float, most: float
+    ) -> tuple[float, float]:
+        """Limit an acceleration so that enough is left for turning (limit_accel_corner_xy)."""
+        speed = math.sqrt(way_n * way_n + way_e * way_e)
+        if speed < 1e-6:
+            return clipped(north, east, most)
+        way_n, way_e = way_n / speed, way_e / speed
+        along = north * way_n + east * way_e
+        across_n, across_e = north - along * way_n, east - along * way_e
+        square = across_n * across_n + across_e * across_e
+        if along * along <= square:
+            return clipped(north, east, most)
+        across_n, across_e = clipped(across_n, across_e, CORNER_SHARE * most)
+        square = across_n * across_n + across_e * across_e
+        room = math.sqrt(max(most * most - square, 0.0))
+        along = min(max(along, -room), room)
+        return across_n + along * way_n, across_e + along * way_e
 
     def towards_place(
         self,
         latitude_deg: float,
         longitude_deg: float,
-        velocity: complex,
-        acceleration: complex,
+        velocity: tuple[float, float],
+        acceleration: tuple[float, float],
         speed_m_s: float,
         dt_s: float,
     ) -> None:
         """Shape towards a place that moves like this; the way there no faster than this speed."""
         tuning = self.tuning
-        way_m = self.away_m(latitude_deg, longitude_deg)
-        distance_m = length(way_m)
+        north_m = (latitude_deg - self.latitude_deg) * self._metres_north
+        east_m = (longitude_deg - self.longitude_deg) * self._metres_east
+        distance_m = math.sqrt(north_m * north_m + east_m * east_m)
+        v_n, v_e = velocity
         if distance_m > 1e-6:
             most = tuning.acceleration_m_s2
             gain = _TIME_CONSTANT_SHARE * tuning.jerk_m_s3 / most
             speed = sqrt_controller(distance_m, gain, _TIME_CONSTANT_SHARE * most, dt_s)
-            velocity += way_m * (min(speed, speed_m_s) / distance_m)
-        self.towards_velocity(velocity, acceleration, dt_s)
+            share = min(speed, speed_m_s) / distance_m
+            v_n += north_m * share
+            v_e += east_m * share
+        self.towards_velocity(v_n, v_e, acceleration[0], acceleration[1], dt_s)
+
+    def distance_m(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+        """From the desired position to there, north and east."""
+        return (
+            (latitude_deg - self.latitude_deg) * self._metres_north,
+            (longitude_deg - self.longitude_deg) * self._metres_east,
+        )
 
     def towards_climb(self, up_m_s: float, a_up: float, dt_s: float) -> None:
         """Shape towards a vertical velocity, and move the desired height."""
@@ -221,54 +250,76 @@ class PositionControl:
     def wanted(self, dt_s: float) -> Vector:
         """Acceleration north, east and up that lean and thrust give, one step on."""
         e, most = self.estimate, self.tuning.lean_m_s2
-        error = self._ahead_m()
-        size = length(error)
+        error_n = (self.latitude_deg - e.latitude_deg) * self._metres_north
+        error_e = (self.longitude_deg - e.longitude_deg) * self._metres_east
+        size = math.sqrt(error_n * error_n + error_e * error_e)
         if size > 1e-9:
             accel = self.tuning.acceleration_m_s2
-            error *= sqrt_controller(size, POSITION_P, accel, dt_s) / size
-        error += self.velocity - complex(e.velocity_north_m_s, e.velocity_east_m_s)
+            share = sqrt_controller(size, POSITION_P, accel, dt_s) / size
+            error_n, error_e = error_n * share, error_e * share
+        error_n += self.velocity_north - e.velocity_north_m_s
+        error_e += self.velocity_east - e.velocity_east_m_s
         if self._resets:
             self._resets = False
-            self._error = error
+            self._error_north, self._error_east = error_n, error_e
         else:
             blend = dt_s / (FILTER_S + dt_s)
-            step = blend * (error - self._error)
-            self._error = error = self._error + step
-            self._derivative += blend * (step / dt_s - self._derivative)
-        step = VELOCITY_I * dt_s * error
-        integral = clipped(self._integral + step, INTEGRATOR_M_S2)
-        if self._limited and dot(step, self._limited) > 0.0:
-            # a limited output may turn it, but not make it longer
-            integral = clipped(integral, length(self._integral))
-        self._integral = integral
-        target = VELOCITY_P * error + integral + self.acceleration + VELOCITY_D * self._derivative
-        self._limited = 0j
-        if target.real * target.real + target.imag * target.imag > most * most:
-            self._limited = target
-            target = self._leaned(target, most)
-        self._target = target
-        self._lean += dt_s / (LEAN_S + dt_s) * (target - self._lean)
-        return self._lean.real, self._lean.imag, self.wanted_up()
+            step_n = blend * (error_n - self._error_north)
+            step_e = blend * (error_e - self._error_east)
+            self._error_north = error_n = self._error_north + step_n
+            self._error_east = error_e = self._error_east + step_e
+            self._derivative_north += blend * (step_n / dt_s - self._derivative_north)
+            self._derivative_east += blend * (step_e / dt_s - self._derivative_east)
+        self._integrate(error_n, error_e, dt_s)
+        a_n = VELOCITY_P * error_n + self._integral_north + self.acceleration_north
+        a_e = VELOCITY_P * error_e + self._integral_east + self.acceleration_east
+        a_n += VELOCITY_D * self._derivative_north
+        a_e += VELOCITY_D * self._derivative_east
+        square = a_n * a_n + a_e * a_e
+        if square > most * most:
+            self._limited_north, self._limited_east = a_n, a_e
+            a_n, a_e = self._leaned(a_n, a_e, most)
+        else:
+            self._limited_north = self._limited_east = 0.0
+        self._target_north, self._target_east = a_n, a_e
+        lean = dt_s / (LEAN_S + dt_s)
+        self._lean_north += lean * (a_n - self._lean_north)
+        self._lean_east += lean * (a_e - self._lean_east)
+        return self._lean_north, self._lean_east, self.wanted_up()
 
-    def _leaned(self, acceleration: complex, most: float) -> complex:
+    def _leaned(self, north: float, east: float, most: float) -> tuple[float, float]:
         """Limit an acceleration by the lean: what turns goes before what drives or brakes."""
-        speed = length(self.velocity)
+        v_n, v_e = self.velocity_north, self.velocity_east
+        speed = math.sqrt(v_n * v_n + v_e * v_e)
         if speed < 1e-3:
-            return clipped(acceleration, most)
-        way = self.velocity / speed
-        along = dot(acceleration, way)
-        across = acceleration - along * way
-        square = dot(across, across)
+            return clipped(north, east, most)
+        v_n, v_e = v_n / speed, v_e / speed
+        along = north * v_n + east * v_e
+        across_n, across_e = north - along * v_n, east - along * v_e
+        square = across_n * across_n + across_e * across_e
         if square >= most * most:
-            return across * (most / math.sqrt(square))
+            share = most / math.sqrt(square)
+            return across_n * share, across_e * share
         room = math.sqrt(most * most - square)
-        return across + min(max(along, -room), room) * way
+        along = min(max(along, -room), room)
+        return across_n + along * v_n, across_e + along * v_e
+
+    def _integrate(self, error_n: float, error_e: float, dt_s: float) -> None:
+        before_n, before_e = self._integral_north, self._integral_east
+        step_n, step_e = VELOCITY_I * error_n * dt_s, VELOCITY_I * error_e * dt_s
+        i_n, i_e = clipped(before_n + step_n, before_e + step_e, INTEGRATOR_M_S2)
+        if step_n * self._limited_north + step_e * self._limited_east > 0.0:
+            # a limited output may turn it, but not make it longer
+            i_n, i_e = clipped(i_n, i_e, math.sqrt(before_n * before_n + before_e * before_e))
+        self._integral_north, self._integral_east = i_n, i_e
 
     def levelled(self, dt_s: float) -> Vector:
         """Without a position: no lean is asked for."""
-        self._lean -= dt_s / (LEAN_S + dt_s) * self._lean
-        self._target = self._lean
-        return self._lean.real, self._lean.imag, self.wanted_up()
+        lean = dt_s / (LEAN_S + dt_s)
+        self._lean_north -= lean * self._lean_north
+        self._lean_east -= lean * self._lean_east
+        self._target_north, self._target_east = self._lean_north, self._lean_east
+        return self._lean_north, self._lean_east, self.wanted_up()
 
     def wanted_up(self) -> float:
         """Vertical acceleration."""
@@ -276,18 +327,3 @@ class PositionControl:
         error_m = self.altitude_amsl_m - e.altitude_amsl_m
         error_m_s = error_m + self.velocity_up - e.velocity_up_m_s
         return VELOCITY_UP_P * error_m_s + self.acceleration_up
-
-
-def _cornered(acceleration: complex, way: complex, most: float) -> complex:
-    """Limit an acceleration so that enough is left for turning (limit_accel_corner_xy)."""
-    speed = length(way)
-    if speed < 1e-6:
-        return clipped(acceleration, most)
-    way /= speed
-    along = dot(acceleration, way)
-    across = acceleration - along * way
-    if along * along <= dot(across, across):
-        return clipped(acceleration, most)
-    across = clipped(across, CORNER_SHARE * most)
-    room = math.sqrt(max(most * most - dot(across, across), 0.0))
-    return across + min(max(along, -room), room) * way

@@ -125,9 +125,9 @@ class Flight:
             north, east, up = self._runs[host.mode](dt_s)
             copter.advance(north, east, up, dt_s)
             control, tracker = self.control, self.guided.tracker
-            way = control.velocity
+            way = (control.velocity_north, control.velocity_east)
             if tracker is not None:
-                way = complex(copter.velocity_north_m_s, copter.velocity_east_m_s)
+                way = (copter.velocity_north_m_s, copter.velocity_east_m_s)
             copter.heading_rad = self.yaw.turned(
                 copter.heading_rad, way, control.tuning.speed_m_s, dt_s, ahead=self._looks_ahead()
             )
@@ -239,7 +239,7 @@ class Flight:
         drag, share = copter.drag_1_s, min(most, 4.0 * speed) / speed
         north = (drag - share) * e.velocity_north_m_s
         east = (drag - share) * e.velocity_east_m_s
-        control.follow(complex(north, east))
+        control.follow(north, east)
         return north, east, control.wanted_up()
 
     def _run_loiter(self, dt_s: float) -> Vector:

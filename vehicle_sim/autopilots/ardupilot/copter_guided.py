@@ -8,7 +8,7 @@ import math
 from typing import final
 
 from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl, length
+from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl
 from vehicle_sim.autopilots.ardupilot.copter_setpoints import Target
 from vehicle_sim.autopilots.ardupilot.copter_tracker import Tracker
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector
@@ -71,7 +71,7 @@ class Guided:
         if self.tracker is not None:
             self.tracker.forget()
             copter = control.copter
-            control.follow(complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2))
+            control.follow(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
         self._was_tracking = False
 
     def take_off(self, place: Place) -> None:
@@ -148,7 +148,7 @@ class Guided:
         else:
             thrust_m_s2 = GRAVITY_M_S2 * max(thrust, 0.0) / copter.hover_throttle
         north, east, up = held.acceleration_neu_m_s2(thrust_m_s2)
-        control.follow(complex(north, east))
+        control.follow(north, east)
         return (north, east, up), held.yaw_rad
 
     def lapsed(self, now_us: int) -> bool:
@@ -188,14 +188,12 @@ class Guided:
                 self._was_tracking = False
                 copter = control.copter
                 control.start_vertical()
-                control.follow(
-                    complex(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
-                )
+                control.follow(copter.acceleration_north_m_s2, copter.acceleration_east_m_s2)
         control.moved(dt_s)
         if self.paused or submode is Submode.VELOCITY:
             north, east, up = NOTHING if self.paused else self.velocity
             a_n, a_e, a_u = NOTHING if self.paused else self.acceleration
-            control.towards_velocity(complex(north, east), complex(a_n, a_e), dt_s)
+            control.towards_velocity(north, east, a_n, a_e, dt_s)
             control.towards_climb(up, a_u, dt_s)
         elif submode is Submode.ACCELERATION:
             self._accelerate(dt_s)
@@ -205,8 +203,8 @@ class Guided:
             control.towards_place(
                 self.latitude_deg,
                 self.longitude_deg,
-                complex(north, east),
-                complex(a_n, a_e),
+                (north, east),
+                (a_n, a_e),
                 control.speed_m_s,
                 dt_s,
             )
@@ -229,9 +227,12 @@ class Guided:
     def _accelerate(self, dt_s: float) -> None:
         control = self.control
         a_n, a_e, a_u = self.acceleration
-        step = complex(a_n, a_e) - control.acceleration
-        size, jerk = math.hypot(step.real, step.imag), control.tuning.jerk_m_s3 * dt_s
-        control.acceleration += step * (1.0 if size <= jerk else jerk / size)
+        jerk = control.tuning.jerk_m_s3 * dt_s
+        step_n, step_e = a_n - control.acceleration_north, a_e - control.acceleration_east
+        size = math.hypot(step_n, step_e)
+        share = 1.0 if size <= jerk else jerk / size
+        control.acceleration_north += step_n * share
+        control.acceleration_east += step_e * share
         control.towards_climb(control.velocity_up, a_u, dt_s)
 
 
@@ -249,7 +250,8 @@ def fly_to(
     dt_s: float,
 ) -> None:
     """Steer for a place that does not move: the climb and the way there in proportion."""
-    level_m = length(control.away_m(latitude_deg, longitude_deg))
+    north_m, east_m = control.distance_m(latitude_deg, longitude_deg)
+    level_m = math.sqrt(north_m * north_m + east_m * east_m)
     up_m = altitude_amsl_m - control.altitude_amsl_m
     speed_m_s, most_up = control.speed_m_s, control.speed_up_m_s
     if up_m < 0.0:
@@ -260,7 +262,7 @@ def fly_to(
         speed_m_s = level_m * most_up / up_m
     elif level_m > 1e-6:
         most_up = max(up_m * speed_m_s / level_m, 1e-3)
-    control.towards_place(latitude_deg, longitude_deg, 0j, 0j, speed_m_s, dt_s)
+    control.towards_place(latitude_deg, longitude_deg, (0.0, 0.0), (0.0, 0.0), speed_m_s, dt_s)
     up, down = control.speed_up_m_s, control.speed_down_m_s
     control.speed_up_m_s, control.speed_down_m_s = min(up, most_up), min(down, most_up)
     control.towards_altitude(altitude_amsl_m, 0.0, 0.0, dt_s)

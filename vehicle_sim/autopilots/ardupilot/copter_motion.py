@@ -72,7 +72,7 @@ class Motion:
         """Come to a standstill, climbing at this rate."""
         control = self.control
         control.moved(dt_s)
-        control.towards_velocity(0j, 0j, dt_s)
+        control.towards_velocity(0.0, 0.0, 0.0, 0.0, dt_s)
         control.towards_climb(climb_m_s, 0.0, dt_s)
         return control.wanted(dt_s)
 
@@ -123,8 +123,8 @@ class Motion:
         control.towards_place(
             place.latitude_deg,
             place.longitude_deg,
-            complex(-speed * sine, speed * cosine),
-            complex(-inward * cosine, -inward * sine),
+            (-speed * sine, speed * cosine),
+            (-inward * cosine, -inward * sine),
             control.speed_m_s,
             dt_s,
         )

@@ -74,7 +74,7 @@ class Tracker:
         north_m = (place[0] - estimate.latitude_deg) * metres_north
         east_m = (place[1] - estimate.longitude_deg) * metres_east
         up_m = place[2] - estimate.altitude_amsl_m
-        level = clipped(complex(north_m * KP_1_S2, east_m * KP_1_S2), KV_1_S * speeds_m_s[0])
+        north, east = clipped(north_m * KP_1_S2, east_m * KP_1_S2, KV_1_S * speeds_m_s[0])
         most_up = KV_1_S * speeds_m_s[1]
         up = min(max(up_m * KP_1_S2, -most_up), most_up)
         age_s = (now_us - self.received_us) * 1e-6
@@ -83,7 +83,7 @@ class Tracker:
         s_n, s_e, s_u = self._slope
         a_n, a_e, a_u = acceleration
         return (
-            level.real + KV_1_S * (v_n + s_n * ahead_s - estimate.velocity_north_m_s) + a_n,
-            level.imag + KV_1_S * (v_e + s_e * ahead_s - estimate.velocity_east_m_s) + a_e,
+            north + KV_1_S * (v_n + s_n * ahead_s - estimate.velocity_north_m_s) + a_n,
+            east + KV_1_S * (v_e + s_e * ahead_s - estimate.velocity_east_m_s) + a_e,
             up + KV_1_S * (v_u + s_u * ahead_s - estimate.velocity_up_m_s) + a_u,
         )

@@ -1,10 +1,7 @@
 """Where ArduCopter's nose points: along the way, to a commanded yaw, or turning at a rate."""
 
-import cmath
 import math
 from typing import final
-
-from vehicle_sim.autopilots.ardupilot.copter_control import dot
 
 SLEW_RAD_S = math.radians(60.0)
 """ATC_SLEW_YAW."""
@@ -41,7 +38,7 @@ class Yaw:
     def turned(
         self,
         heading_rad: float,
-        way_m_s: complex,
+        way_m_s: tuple[float, float],
         speed_m_s: float,
         dt_s: float,
         *,
@@ -52,10 +49,11 @@ class Yaw:
             return (heading_rad + self.rate_rad_s * dt_s) % math.tau
         wanted_rad = self.angle_rad
         if wanted_rad is None:
+            north, east = way_m_s
             least = _MOVING_SHARE * speed_m_s
-            if not ahead or dot(way_m_s, way_m_s) < least * least:
+            if not ahead or north * north + east * east < least * least:
                 return heading_rad
-            wanted_rad = cmath.phase(way_m_s)
+            wanted_rad = math.atan2(east, north)
         rate = GAIN_1_S * math.remainder(wanted_rad - heading_rad, math.tau)
         rate = min(max(rate, -SLEW_RAD_S), SLEW_RAD_S)
         return (heading_rad + rate * dt_s) % math.tau

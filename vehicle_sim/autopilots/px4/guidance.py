@@ -113,9 +113,12 @@ def leg(here_m: complex, start_m: complex, end_m: complex, switch_m: float) -> P
 def circle(here_m: complex, centre_m: complex, radius_m: float, velocity_m_s: complex) -> Path:
     """About a centre, clockwise, or anticlockwise with a negative radius; never a radius of 0."""
     out = here_m - centre_m
-    if size(out) < 0.1:
-        out = velocity_m_s if size(velocity_m_s) >= 0.1 else 1.0 + 0.0j
-    out /= size(out)
+    away_m = size(out)
+    if away_m < 0.1:
+        out, away_m = velocity_m_s, size(velocity_m_s)
+        if away_m < 0.1:
+            out, away_m = 1.0 + 0.0j, 1.0
+    out /= away_m
     radius_size_m, way = abs(radius_m), math.copysign(1.0, radius_m)
     return Path(centre_m + out * radius_size_m, way * (1j * out), way / radius_size_m)
 
