@@ -146,8 +146,7 @@ class ArduPlane(ArduPilot):
         super().slow()
         if self._origin_due_us is not None and self.now_us >= self._origin_due_us:
             self._origin_due_us = None
-            self.send(GPS_GLOBAL_ORIGIN)
-            self.send(HOME_POSITION)
+            self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
         self._flight.navigate()
 
     def read_parameters(self) -> None:

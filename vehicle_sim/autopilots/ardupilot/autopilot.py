@@ -132,9 +132,9 @@ class ArduPilot(abc.ABC):
         """A STATUSTEXT."""
         self._out.append(Text(severity=severity, text=text))
 
-    def send(self, message: int) -> None:
-        """One stream message out of turn, to everybody."""
-        self._out.append(Send(message=message))
+    def send(self, *messages: int) -> None:
+        """These stream messages out of turn, to everybody."""
+        self._out.extend(Send(message=message) for message in messages)
 
     def reply(self, reply: Reply) -> None:
         """Anything else."""
@@ -227,8 +227,7 @@ class ArduPilot(abc.ABC):
     def _on_origin(self) -> None:
         """The estimator's origin is set, and home with it."""
         self.home = self.ekf.origin
-        self.send(GPS_GLOBAL_ORIGIN)
-        self.send(HOME_POSITION)
+        self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
         self.say(6, "EKF3 IMU0 origin set")
         self.change_parameter("MIS_TOTAL", max(len(self.plans[PlanKind.MISSION]), 1))
 
@@ -409,8 +408,7 @@ class ArduPilot(abc.ABC):
             if abs(place.altitude_amsl_m) > HIGHEST_HOME_M:
                 return Result.FAILED
             self.home = place
-        self.send(HOME_POSITION)
-        self.send(GPS_GLOBAL_ORIGIN)
+        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         return Result.ACCEPTED
 
     def _do_fence_enable(self, command: Command) -> Result:
@@ -449,8 +447,7 @@ class ArduPilot(abc.ABC):
         del command
         if self.home is None:
             return Result.FAILED
-        self.send(HOME_POSITION)
-        self.send(GPS_GLOBAL_ORIGIN)
+        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         return Result.ACCEPTED
 
     def _capabilities(self, command: Command) -> Result:
@@ -488,8 +485,7 @@ class ArduPilot(abc.ABC):
         self.armed = self._was_armed = True
         if self.ekf.position_ok:
             self.home = self.estimate.place
-        self.send(HOME_POSITION)
-        self.send(GPS_GLOBAL_ORIGIN)
+        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         self.on_armed()
         return Result.ACCEPTED
 

@@ -129,14 +129,15 @@ class Px4Multicopter(Px4):
         elif mode is Mode.LOITER:
             self._goal = self._began_m
             if self.reposition is not None:
-                self._aim_reposition()
+                *place, self._aim_yaw_rad = self.reposition
+                self._goal = self._given(*place)
         elif mode is Mode.LAND and self.land_place is not None:
             north_m, east_m = self.projection.to_local(*self.land_place)
             self._goal = (north_m, east_m, _NAN)
         elif mode is Mode.RTL:
             self._aim_return()
         elif mode is Mode.ORBIT:
-            self._aim_orbit()
+            self._goal = self._given(*(self.orbit or HERE)[:3])  # its centre
         self._held = Attitude(0.0, 0.0, self.vehicle.heading_rad)
 
     @property
@@ -158,25 +159,12 @@ class Px4Multicopter(Px4):
         north_m, east_m, _ = self.local_m
         self._goal = (north_m, east_m, self._down(altitude_m))
 
-    def _aim_reposition(self) -> None:
-        latitude_deg, longitude_deg, altitude_m, yaw_rad = self.reposition or (_NAN,) * 4
+    def _given(self, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Vector:
+        """A place in the local frame; what is not given of it is where it is."""
         north_m, east_m, down_m = self.local_m
         if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
             north_m, east_m = self.projection.to_local(latitude_deg, longitude_deg)
-        if math.isfinite(altitude_m):
-            down_m = self._down(altitude_m)
-        self._goal = (north_m, east_m, down_m)
-        self._aim_yaw_rad = yaw_rad
-
-    def _aim_orbit(self) -> None:
-        """The goal is the centre; what DO_ORBIT leaves out is where it is."""
-        north_m, east_m, down_m = self.local_m
-        orbit = self.orbit or HERE
-        if math.isfinite(orbit.latitude_deg) and math.isfinite(orbit.longitude_deg):
-            north_m, east_m = self.projection.to_local(orbit.latitude_deg, orbit.longitude_deg)
-        if math.isfinite(orbit.altitude_amsl_m):
-            down_m = self._down(orbit.altitude_amsl_m)
-        self._goal = (north_m, east_m, down_m)
+        return north_m, east_m, self._down(altitude_m) if math.isfinite(altitude_m) else down_m
 
     def _aim_return(self) -> None:
         """First straight up: to RTL_RETURN_ALT, less within the cone about home."""
