@@ -7,8 +7,7 @@ from typing import final
 
 from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot.copter_guided import Guided
-from vehicle_sim.autopilots.ardupilot.copter_motion import Motion
-from vehicle_sim.autopilots.ardupilot.copter_yaw import Yaw
+from vehicle_sim.autopilots.ardupilot.copter_motion import Motion, Yaw
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, bearing_rad, distance_m, offset
 from vehicle_sim.autopilots.jumps import DO_JUMP, Jumps
 from vehicle_sim.plans import PlanItem, PlanKind
