@@ -32,7 +32,7 @@ from companion.mavlink.parameter_rules import (
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
-from vehicle_sim.autopilots.ardupilot.plane_parameters import TABLE as PLANE
+from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
 
@@ -389,7 +389,7 @@ def test_newer_names_have_other_units_and_mean_the_same() -> None:
 
 
 def test_older_planes_have_centidegrees_and_centimetres() -> None:
-    older = {row.name: row.default for row in PLANE}
+    older = {row.name: row.default for row in table("ardupilot/shared", "ardupilot/plane")}
     older["LIM_ROLL_CD"] = older.pop("ROLL_LIMIT_DEG") * 100.0
     older["TRIM_ARSPD_CM"] = older.pop("AIRSPEED_CRUISE") * 100.0
     flown = mission("plane", speed_m_s=22.0, turn_radius_m=200.0, climb_angle_rad=0.1)

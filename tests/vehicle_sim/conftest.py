@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,20 +16,19 @@ from typing import Any
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
+from rig import Rig
 
-from vehicle_sim.autopilots import Ack, Command, Reply, Sender, Setpoint, Text
 from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.errors import SimulatorError
 from vehicle_sim.links import Endpoint, open_link
 from vehicle_sim.plans import Plans
-from vehicle_sim.sensors.gps import ARDUCOPTER, Gps, GpsConditions
+from vehicle_sim.sensors.gps import ARDUCOPTER, Gps
 from vehicle_sim.server import Server, Settings, Station, Stop
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import parse_world
 
 ROOT = Path(__file__).parents[2]
-STEP_US = 10_000
 ORIGIN_DEG = (47.0, 8.0)
 METRES_PER_DEG_NORTH = 111_181.0  # of the meridian near 47 N: the tests stay within 1 km of it
 WORLD: dict[str, Any] = {
@@ -103,7 +102,7 @@ def world_file(tmp_path: Path) -> Path:
     return path
 
 
-class Pilot:
+class Pilot(Rig):
     """An ArduCopter over level ground at 0 m, told what to do by values."""
 
     def __init__(
@@ -114,7 +113,6 @@ class Pilot:
         down_m_s: float | None = None,
         ground_amsl_m: float = 0.0,
     ) -> None:
-        self.ground_amsl_m = ground_amsl_m
         self.copter = Copter(
             latitude_deg=ORIGIN_DEG[0],
             longitude_deg=ORIGIN_DEG[1],
@@ -136,53 +134,8 @@ class Pilot:
             "ANGLE_MAX": 8000.0,
         }
         rng = np.random.default_rng(1)
-        self.autopilot = ArduCopter(self.copter, parameters, Plans(), hardware_id=1, rng=rng)
-        self._gps = Gps(ARDUCOPTER, rng)
-        self._clear = GpsConditions()
-        self.now_us = 0
-        self.texts: list[str] = []
-
-    @property
-    def now_s(self) -> float:
-        return self.now_us * 1e-6
-
-    def _note(self, replies: Sequence[Reply]) -> None:
-        self.texts += [reply.text for reply in replies if isinstance(reply, Text)]
-
-    def step(self) -> None:
-        self.now_us += STEP_US
-        fix = self._gps.step(self.now_us, self.copter, self._clear)
-        self._note(self.autopilot.step(self.now_us, 0.01, self.ground_amsl_m, fix))
-
-    def run(self, seconds: float) -> None:
-        for _ in range(round(seconds * 100)):
-            self.step()
-
-    def run_until(self, reached: Callable[[], bool], within_s: float) -> float:
-        """Fly until this is so; returns how long it took, in seconds."""
-        start_us = self.now_us
-        while not reached():
-            assert self.now_us - start_us < within_s * 1e6, "it never came to that"
-            self.step()
-        return (self.now_us - start_us) * 1e-6
-
-    def command(self, number: int, *parameters: float, **fields: Any) -> int:
-        padded = (*parameters, *[0.0] * (7 - len(parameters)))
-        sender = Sender(system=1, component=195)
-        replies = self.autopilot.on_command(
-            Command(
-                sender=sender,
-                target_component=fields.get("target_component", 1),
-                number=number,
-                parameters=padded,  # type: ignore[arg-type]
-                frame=fields.get("frame"),
-            )
-        )
-        self._note(replies)
-        (answer,) = [reply for reply in replies if isinstance(reply, Ack)]
-        assert answer.to == sender
-        assert answer.command == number
-        return answer.result
+        autopilot = ArduCopter(self.copter, parameters, Plans(), hardware_id=1, rng=rng)
+        super().__init__(autopilot, ground_amsl_m, Gps(ARDUCOPTER, rng))
 
     def setpoint(
         self,
@@ -195,18 +148,14 @@ class Pilot:
         acceleration_ned_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0),
         yaw_rad: float = 0.0,
     ) -> None:
-        self._note(
-            self.autopilot.on_setpoint(
-                Setpoint(
-                    is_global=is_global,
-                    frame=frame,
-                    type_mask=mask,
-                    position=position,
-                    velocity_ned_m_s=velocity_ned_m_s,
-                    acceleration_ned_m_s2=acceleration_ned_m_s2,
-                    yaw_rad=yaw_rad,
-                )
-            )
+        self.give(
+            position,
+            velocity_ned_m_s,
+            acceleration_ned_m_s2,
+            mask=mask,
+            frame=frame,
+            is_global=is_global,
+            yaw_rad=yaw_rad,
         )
 
     def north_m(self) -> float:

@@ -1,17 +1,17 @@
 """The fence: its shapes against brute force, and what flying into it does."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tracking_copter import ALL, POSITION, VELOCITY, Flown
+from tracking_copter import Flown
 
 from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.ardupilot.fence import Fence, Polygon, shapes
+from vehicle_sim.autopilots.ardupilot.fence import Fence, edge_m
 from vehicle_sim.autopilots.ardupilot.flat_earth import offset
+from vehicle_sim.autopilots.zones import Zone, zones_of
 from vehicle_sim.plans import PlanItem, PlanKind
 
 HOME = Place(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=500.0)
@@ -49,23 +49,6 @@ def fenced(*items: PlanItem, **parameters: float) -> Flown:
     return it.airborne(30.0)
 
 
-def stream(it: Flown, speed_m_s: float, seconds: float, mask: int, east_m: float = 0.0) -> float:
-    """Northwards from home; returns how far north it got at most."""
-    north_m = most_m = 0.0
-    for k in range(round(seconds * 100)):
-        v = min(k * 0.02, speed_m_s)
-        if k % 10 == 0:
-            it.setpoint((north_m, east_m, -30.0), (v, 0.0, 0.0), mask=mask)
-        it.step()
-        north_m += v * 0.01
-        most_m = max(most_m, it.local_m()[0])
-    return most_m
-
-
-def said(it: Flown) -> list[str]:
-    return [text for _, text in it.texts]
-
-
 @given(
     angles=st.lists(st.floats(0.0, 6.28), min_size=3, max_size=8, unique=True),
     north=st.floats(-1.5, 1.5),
@@ -75,19 +58,19 @@ def test_inside_is_a_winding_number_that_is_not_zero_for_convex_polygons(
     angles: list[float], north: float, east: float
 ) -> None:
     corners = [(math.cos(a), math.sin(a)) for a in sorted(angles)]
-    fence = Polygon(vertices_deg=tuple(corners), inclusion=True)
+    fence = Zone(keeps_in=True, corners=tuple(corners))
     turned = 0.0
     for (n0, e0), (n1, e1) in zip(corners, [*corners[1:], corners[0]], strict=True):
         before = math.atan2(e0 - east, n0 - north)
         turned += math.remainder(math.atan2(e1 - east, n1 - north) - before, math.tau)
         if abs((n1 - n0) * (east - e0) - (e1 - e0) * (north - n0)) < 1e-6:
             return  # on the line of an edge: either answer will do
-    assert fence.contains(north, east) == (abs(turned) > math.pi)
+    assert fence.surrounds((north, east)) == (abs(turned) > math.pi)
 
 
 def test_the_distance_to_an_edge_is_that_of_many_points_on_it() -> None:
     corners = ((0.0, 0.0), (80.0, 10.0), (60.0, 90.0), (-20.0, 70.0))
-    (fence,), _ = shapes(polygon(5001, *corners))
+    (fence,) = zones_of(polygon(5001, *corners))
     place = offset(HOME, 25.0, 30.0)
     points = np.concatenate(
         [
@@ -96,9 +79,7 @@ def test_the_distance_to_an_edge_is_that_of_many_points_on_it() -> None:
         ]
     )
     nearest_m = np.hypot(points[:, 0] - 25.0, points[:, 1] - 30.0).min()
-    assert fence.edge_m(place.latitude_deg, place.longitude_deg) == pytest.approx(
-        nearest_m, abs=0.05
-    )
+    assert edge_m(fence, place) == pytest.approx(nearest_m, abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -121,69 +102,6 @@ def test_each_kind_of_fence_is_where_its_parameters_say(
     it.autopilot.plans[PlanKind.FENCE] = (circle(100.0, 0.0, 10.0),)
     fence = Fence(it.autopilot.parameters, it.autopilot.plans)
     assert fence.outside(offset(HOME, *place), HOME) == found
-
-
-def test_a_fence_that_is_not_enabled_does_nothing() -> None:
-    it = fenced(circle(60.0, 0.0, 15.0), FENCE_ENABLE=0.0)
-    assert stream(it, 8.0, 15.0, ALL) > 80.0
-    assert it.autopilot.mode_name == "GUIDED"
-
-
-def test_setpoints_inside_an_exclusion_are_dropped_and_it_runs_into_it_and_returns() -> None:
-    it = fenced(circle(80.0, 0.0, 15.0))
-    most_m = stream(it, 8.0, 25.0, ALL)
-    assert "Polygon fence breached" in said(it)
-    assert it.autopilot.mode_name == "RTL"
-    assert most_m - 65.0 == pytest.approx(14.5, abs=4.0)  # deep in the circle
-
-
-def test_a_position_beyond_an_exclusion_is_flown_straight_through_it() -> None:
-    it = fenced(circle(80.0, 0.0, 15.0))
-    for _ in range(200):
-        it.setpoint((140.0, 0.0, -30.0), mask=POSITION)
-        it.run(0.1)
-    assert "Polygon fence breached" in said(it)
-    assert it.autopilot.mode_name == "RTL"
-
-
-def test_a_target_inside_is_dropped_in_silence_and_the_old_one_kept() -> None:
-    it = fenced(circle(80.0, 0.0, 15.0))
-    it.setpoint((20.0, 0.0, -30.0), mask=POSITION)
-    before = it.autopilot.target_echo()
-    for target in ((80.0, 0.0, -30.0), (75.0, 3.0, -30.0)):
-        it.setpoint(target, mask=POSITION)
-    after: Any = it.autopilot.target_echo()
-    assert after == before
-    assert said(it)[-1].startswith("EKF3 IMU1 MAG0")  # nothing was said
-
-
-def test_a_velocity_alone_is_stopped_before_the_edge() -> None:
-    it = fenced(circle(80.0, 0.0, 15.0))
-    most_m = 0.0
-    for _ in range(300):
-        it.setpoint((0.0, 0.0, 0.0), (6.0, 0.0, 0.0), mask=VELOCITY)
-        it.run(0.1)
-        most_m = max(most_m, it.local_m()[0])
-    assert 65.0 - most_m == pytest.approx(1.8, abs=1.0)
-    assert it.autopilot.mode_name == "GUIDED"
-
-
-def test_passing_a_metre_outside_the_edge_is_no_breach() -> None:
-    it = fenced(circle(80.0, 0.0, 15.0))
-    stream(it, 8.0, 20.0, ALL, east_m=16.5)
-    assert it.autopilot.mode_name == "GUIDED"
-
-
-def test_a_fence_uploaded_about_the_vehicle_is_a_breach_at_once_and_can_be_left_by_hand() -> None:
-    it = fenced()
-    it.autopilot.plans[PlanKind.FENCE] = (circle(0.0, 0.0, 30.0),)
-    it.autopilot.on_plan(PlanKind.FENCE)
-    it.run(0.5)
-    assert it.autopilot.mode_name == "RTL"
-    assert it.command(176, 1, 4) == 0
-    assert said(it)[-1] == "Manual recovery started"
-    it.run(5.0)
-    assert it.autopilot.mode_name == "GUIDED"
 
 
 @pytest.mark.parametrize(("action", "mode"), [(0, "GUIDED"), (1, "RTL"), (2, "LAND")])

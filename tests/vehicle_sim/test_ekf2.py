@@ -101,28 +101,6 @@ def loss() -> Loss:
     return Loss()
 
 
-def test_the_fix_is_gone_at_once_and_offboard_goes_on(loss: Loss) -> None:
-    assert loss.at(1.0)[3] is Mode.OFFBOARD
-    assert loss.at(4.9)[1] == 0x37F
-
-
-def test_after_5_seconds_it_descends(loss: Loss) -> None:
-    assert loss.when(Mode.DESCEND) == pytest.approx(5.1, abs=0.2)
-    assert loss.event(health.DISENGAGED) == [pytest.approx(5.1, abs=0.2)]
-    assert loss.at(6.0)[1] == 0x365
-
-
-def test_after_7_seconds_fusion_stops(loss: Loss) -> None:
-    assert loss.event(health.FUSION_STOPPED) == [pytest.approx(7.2, abs=0.2)]
-    assert loss.at(8.0)[1] == 0x65
-
-
-def test_it_sinks_blind(loss: Loss) -> None:
-    """px4.md 8: 0.6 to 1.0 m/s."""
-    sunk_m = loss.at(8.0)[5] - loss.at(20.0)[5]
-    assert sunk_m / 12.0 == pytest.approx(0.75, abs=0.2)
-
-
 def test_it_comes_back_and_flies_on_by_itself(loss: Loss) -> None:
     """px4.md 8: fusion after 1.2 s, OFFBOARD after 2.4 s, by way of Land."""
     assert loss.event(health.FUSION_STARTED) == [pytest.approx(_LOST_S + 1.3, abs=0.3)]

@@ -59,7 +59,7 @@ def test_when_the_stream_stops_it_flies_on_and_comes_back_as_measured(
     assert (it.now_us - last_us) * 1e-6 == pytest.approx(brakes_s, abs=0.4)
     it.run_until(lambda: it.copter.velocity_north_m_s < 0.1, within_s=10)
     assert (it.now_us - last_us) * 1e-6 == pytest.approx(still_s, abs=1.0)
-    assert beyond() == pytest.approx(furthest_m, rel=0.06)  # without drag; with: test_tracking.py
+    assert beyond() == pytest.approx(furthest_m, rel=0.06)  # without drag
     it.run(60)
     assert beyond() == pytest.approx(ends_m, abs=0.2)
     assert it.autopilot.mode_name == "GUIDED"
@@ -149,17 +149,6 @@ def test_explicit_zero_velocity_holds_the_point(pilot: Make) -> None:
     assert it.north_m() == pytest.approx(50.0, abs=0.1)
     it.run(30.0)  # and the time-out changes nothing
     assert it.north_m() == pytest.approx(50.0, abs=0.05)
-
-
-def test_the_echo_runs_on_between_setpoints_and_stands_after_the_time_out(pilot: Make) -> None:
-    it = pilot().airborne(1000.0)
-    it.setpoint(at(0.0, 0.0), (10.0, 0.0, 0.0))
-    it.run(2.0)
-    assert it.target().position_ned_m[0] == pytest.approx(20.0, abs=0.2)
-    assert it.target().velocity_ned_m_s == (10.0, 0.0, 0.0)
-    it.run(3.0)
-    assert it.target().position_ned_m[0] == pytest.approx(30.0, abs=0.2)
-    assert it.target().velocity_ned_m_s == (0.0, 0.0, 0.0)
 
 
 def test_a_position_alone_is_reached_without_overshoot(pilot: Make) -> None:

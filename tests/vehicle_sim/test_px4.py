@@ -7,10 +7,11 @@ from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Ack, Event, Reboot, Result, Say, Send
 from vehicle_sim.autopilots.px4 import health
-from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, Mode, base_mode, mode_of
-from vehicle_sim.autopilots.px4.parameters import COMMON, MULTICOPTER, table
+from vehicle_sim.autopilots.px4.autopilot import parameter_rows
+from vehicle_sim.autopilots.px4.modes import Mode, base_mode
 from vehicle_sim.autopilots.px4.pilot import Pilot
 from vehicle_sim.autopilots.px4.style import RATES_HZ, style
+from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Kind
 
 UP = (0.0, 0.0, -10.0)
@@ -33,26 +34,6 @@ def _events(rig: Rig, number: int) -> list[tuple[float, bytes]]:
 # --- numbers --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("mode", "number"),
-    [
-        (Mode.OFFBOARD, 0x00060000),
-        (Mode.POSCTL, 0x00030000),
-        (Mode.ALTCTL, 0x00020000),
-        (Mode.TAKEOFF, 0x02040000),
-        (Mode.LOITER, 0x03040000),
-        (Mode.MISSION, 0x04040000),
-        (Mode.RTL, 0x05040000),
-        (Mode.LAND, 0x06040000),
-        (Mode.DESCEND, 0x06040000),
-    ],
-)
-def test_custom_modes(mode: Mode, number: int) -> None:
-    assert CUSTOM_MODES[mode] == number
-    if mode is not Mode.DESCEND:
-        assert mode_of(number >> 16 & 0xFF, number >> 24) is mode
-
-
 def test_base_modes_are_the_recorded_ones() -> None:
     assert base_mode(Mode.LOITER, armed=False) == 29
     assert base_mode(Mode.OFFBOARD, armed=False) == 17
@@ -61,7 +42,7 @@ def test_base_modes_are_the_recorded_ones() -> None:
 
 
 def test_parameters_have_legal_names_and_are_in_order() -> None:
-    rows = table(COMMON, MULTICOPTER)
+    rows = parameter_rows("px4/common", "px4/multicopter")[: -len(SIM_PARAMETERS_PX4)]
     names = [row.name for row in rows]
     assert names == sorted(set(names))
     assert all(len(name) <= 16 for name in names)
@@ -128,19 +109,6 @@ def test_it_cannot_be_armed_while_it_boots() -> None:
 # --- modes and arming -----------------------------------------------------------------------------
 
 
-def test_set_mode_is_acknowledged_twice() -> None:
-    """px4.md 1, item 1: ACCEPTED at once, the real result some milliseconds later."""
-    rig = Rig()
-    rig.take_off(10.0)
-    rig.command(176, 1.0, 4.0, 3.0)
-    rig.run(3.0)
-    rig.said.clear()
-    assert rig.command(176, 1.0, 6.0) == [Result.ACCEPTED]
-    rig.step()
-    assert _acks(rig, 176) == [Result.ACCEPTED, Result.TEMPORARILY_REJECTED]
-    assert rig.px4.mode is Mode.LOITER
-
-
 def test_while_disarmed_every_mode_is_accepted_but_not_armed_in() -> None:
     """px4.md 1, item 2."""
     rig = Rig()
@@ -173,18 +141,6 @@ def test_a_mode_that_is_not_custom_is_refused(flags: float) -> None:
     rig.command(176, flags, 6.0)
     rig.step()
     assert _acks(rig, 176) == [Result.ACCEPTED, Result.TEMPORARILY_REJECTED]
-
-
-def test_arming_without_taking_off_ends_by_itself() -> None:
-    """px4.md 3: COM_DISARM_PRFLT 10 s."""
-    rig = Rig()
-    rig.run(6.0)
-    assert rig.command(400, 1.0, *(math.nan,) * 6) == [Result.ACCEPTED]
-    armed_s = rig.now_s
-    while rig.px4.armed and rig.now_s < 30.0:
-        rig.step()
-    assert rig.now_s - armed_s == pytest.approx(10.0, abs=0.05)
-    assert _events(rig, health.DISARMED)[0][1] == bytes((health.DISARMED_UNFLOWN,))
 
 
 def test_it_does_not_disarm_in_the_air_unless_forced() -> None:
@@ -257,15 +213,6 @@ def test_home_can_be_moved() -> None:
         result = rig.command(179, 0.0, 0.0, 0.0, 0.0, 47.4, 8.55, altitude_m, frame=0)
         assert result == [Result.DENIED]
     assert rig.px4.status().home == home
-
-
-def test_a_change_of_speed_means_nothing_to_offboard() -> None:
-    """px4.md 3: ACK 0, no effect."""
-    rig = Rig()
-    rig.take_off(10.0)
-    assert rig.command(178, 1.0, 1.0, -1.0) == [Result.ACCEPTED]
-    rig.stream(5.0, velocity=(6.0, 0.0, 0.0))
-    assert rig.speed_m_s == pytest.approx(6.0, abs=0.5)
 
 
 def test_a_reposition_switches_to_hold() -> None:

@@ -98,55 +98,6 @@ def test_kinds_of_setpoints_are_as_good_and_as_bad_in_the_order_measured(
 # --- OFFBOARD -------------------------------------------------------------------------------------
 
 
-def test_point_is_flown_at_and_then_circled_tightly_without_end() -> None:
-    rig = Rig()
-    rig.put(0.0, 0.0, 68.0, 0.0)
-    streaming(rig, 300.0, 100.0)
-    closest = math.inf
-    for i in range(9000):
-        if i % 10 == 0:
-            rig.send(POSITION_ONLY, (300.0, 100.0, -70.0))
-        rig.step()
-        away_m = math.hypot(rig.px4.local_m[0] - 300.0, rig.px4.local_m[1] - 100.0)
-        closest = min(closest, away_m)
-        if i > 4500:
-            assert away_m < 35.0
-    assert closest < 10.0
-    assert rig.px4.status().mode == OFFBOARD
-
-
-def test_point_at_another_height_is_loitered_about_until_that_is_reached() -> None:
-    rig = Rig()
-    rig.put(-150.0, 0.0, 68.0, 0.0)
-    streaming(rig, 200.0, 0.0)
-    away, closest = list[float](), math.inf
-    for i in range(14000):
-        if i % 10 == 0:
-            rig.send(POSITION_ONLY, (200.0, 0.0, -250.0))
-        rig.step()
-        off_m = math.hypot(rig.px4.local_m[0] - 200.0, rig.px4.local_m[1])
-        if i > 5000 and rig.height_m < 235.0:
-            away.append(off_m)
-        elif rig.height_m > 240.5:
-            closest = min(closest, off_m)
-    assert max(abs(off_m - 80.0) for off_m in away) < 1.0
-    assert closest < 35.0  # at its height, it flies at the point again
-
-
-def test_size_of_the_velocity_is_ignored() -> None:
-    ends = []
-    for speed_m_s in (3.0, 20.0):
-        rig = Rig()
-        rig.put(0.0, 20.0, 68.0, 0.0)
-        streaming(rig, 0.0, 0.0, mask=POSITION_VELOCITY)
-        for _ in range(150):
-            rig.send(POSITION_VELOCITY, (0.0, 0.0, -70.0), (speed_m_s, 0.0, 0.0))
-            rig.run(0.1)
-        ends.append((*rig.px4.local_m, rig.speed_m_s))
-    assert ends[0] == ends[1]
-    assert abs(ends[0][1]) < 1.0
-
-
 @pytest.mark.parametrize(("mask", "name"), [(VELOCITY_ONLY, "velocity"), (0xC3F, "acceleration")])
 def test_without_a_position_the_last_commands_stay(mask: int, name: str) -> None:
     rig, curve, index = Rig(), Curve(), 2186  # the last commands are those of a straight stretch
@@ -193,15 +144,6 @@ def test_speed_is_the_parameter_whatever_is_commanded() -> None:
     assert rig.plane.airspeed_m_s == pytest.approx(12.0 * 1.027, abs=0.1)
 
 
-def test_height_stands_two_metres_low_where_the_airspeed_is_not_reached() -> None:
-    rig = Rig()
-    rig.put(0.0, 0.0, 70.0, 0.0)
-    rig.command(192, -1.0, 1.0, 0.0, NAN, *rig.place(0.0, 0.0, 70.0), frame=5)
-    rig.run(90.0)
-    assert rig.plane.airspeed_m_s == pytest.approx(13.95, abs=0.05)
-    assert 70.0 - rig.height_m == pytest.approx(2.2, abs=0.6)
-
-
 def test_path_is_held_in_wind() -> None:
     rig = Rig()
     rig.put(0.0, 40.0, 68.0, 0.0)
@@ -230,23 +172,6 @@ def test_loiter_radius_is_held(radius_m: float) -> None:
     north_m, east_m, _ = rig.px4.local_m
     v_n, v_e = rig.plane.velocity_north_m_s, rig.plane.velocity_east_m_s
     assert ((north_m - 200.0) * v_e - (east_m - 100.0) * v_n) * radius_m > 0.0
-
-
-def test_stream_that_stops_ends_in_a_circle_and_comes_back_by_itself() -> None:
-    rig = Rig()
-    rig.put(0.0, 0.0, 68.0, 0.0)
-    streaming(rig, 5000.0, 0.0)
-    rig.send(POSITION_ONLY, (5000.0, 0.0, -70.0))
-    assert until(rig, HOLD) == pytest.approx(1.1, abs=0.12)
-    assert rig.px4.status().intended_mode == OFFBOARD
-    assert rig.px4.status().system_status == 5
-    north_m, east_m, down_m = rig.px4.local_m
-    rig.run(60.0)
-    assert max(abs(away - 80.0) for away in radii(rig, north_m, east_m, 30.0)) < 0.5
-    assert -rig.px4.local_m[2] == pytest.approx(-down_m - 2.2, abs=1.0)
-    rig.send(POSITION_ONLY, (5000.0, 0.0, -70.0))
-    assert until(rig, OFFBOARD) < 0.2
-    assert rig.px4.status().system_status == 4
 
 
 def test_without_pilot_position_mode_flies_straight_on() -> None:

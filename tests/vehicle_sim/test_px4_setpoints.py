@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tracking_px4 import Rig, Vector
 
-from vehicle_sim.autopilots import Place, Setpoint
+from vehicle_sim.autopilots import Setpoint
 from vehicle_sim.autopilots.px4.modes import Mode
 from vehicle_sim.autopilots.px4.projection import Projection
 from vehicle_sim.autopilots.px4.setpoints import Bearings, Target, flyable, read_setpoint
@@ -212,31 +212,6 @@ def _hover() -> Rig:
     return rig
 
 
-@pytest.mark.parametrize("frame", [7, 9, 12])
-def test_unknown_frames_lose_offboard_after_a_second(frame: int) -> None:
-    rig = _hover()
-    for _ in range(30):
-        rig.send(None, (1.0, 0.0, 0.0), frame=frame)
-        for _ in range(5):
-            rig.step()
-    assert rig.px4.mode is Mode.LOITER
-
-
-def test_half_a_position_brakes_and_hovers_in_offboard() -> None:
-    """px4.md 4: stays in OFFBOARD, "Failsafe: stop and wait"."""
-    rig = _hover()
-    rig.stream(4.0, velocity=(6.0, 0.0, 0.0))
-    assert rig.speed_m_s > 5.0
-    height_m = rig.height_m
-    for _ in range(120):
-        rig.send((500.0, 0.0, -12.0), mask=0xFFE & ~0x200)
-        for _ in range(5):
-            rig.step()
-    assert rig.px4.mode is Mode.OFFBOARD
-    assert rig.speed_m_s < 0.5
-    assert rig.height_m == pytest.approx(height_m, abs=1.0)
-
-
 def test_a_setpoint_before_offboard_is_a_sign_of_life_only() -> None:
     """px4.md 3: its value is dropped."""
     rig = _hover()
@@ -249,21 +224,3 @@ def test_a_setpoint_before_offboard_is_a_sign_of_life_only() -> None:
     assert rig.px4.mode is Mode.OFFBOARD
     assert rig.px4.target is None
     assert rig.speed_m_s < 0.6
-
-
-def test_a_global_setpoint_is_flown_to() -> None:
-    rig = _hover()
-    goal = Place(latitude_deg=47.398, longitude_deg=8.5458, altitude_amsl_m=505.0)
-    for _ in range(400):
-        rig.send(
-            (goal.latitude_deg, goal.longitude_deg, goal.altitude_amsl_m),
-            frame=5,
-            is_global=True,
-            mask=0xFF8 & ~0x200,
-        )
-        for _ in range(5):
-            rig.step()
-    estimate = rig.px4.estimate
-    assert estimate.latitude_deg == pytest.approx(goal.latitude_deg, abs=5e-6)
-    assert estimate.longitude_deg == pytest.approx(goal.longitude_deg, abs=5e-6)
-    assert estimate.altitude_amsl_m == pytest.approx(505.0, abs=0.4)

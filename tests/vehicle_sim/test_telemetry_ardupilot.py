@@ -19,7 +19,7 @@ def report_of(it: Flown, **fields: Any) -> Report:
         unix_us=0,
         vehicle=it.copter,
         estimate=autopilot.estimate,
-        fix=fields.get("fix", it._fix),
+        fix=fields.get("fix", it.fix),
         battery=Battery(),
         status=autopilot.status(),
         style=autopilot.style,

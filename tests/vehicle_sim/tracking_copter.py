@@ -5,12 +5,12 @@ the document with its figures and this vehicle's, for tests and for whoever prin
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from rig import STEP_S, Rig
 
-from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Text
 from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
 from vehicle_sim.autopilots.ardupilot.flat_earth import flat_earth_place
 from vehicle_sim.dynamics.copter import Copter, Limits
@@ -18,9 +18,7 @@ from vehicle_sim.geodesy import metres_per_degree
 from vehicle_sim.plans import Plans
 from vehicle_sim.sensors.gps import Fix
 
-STEP_US, STEP_S = 10_000, 0.01
 HOME_DEG, GROUND_M = (47.0, 8.0), 500.0
-SENDER = Sender(system=1, component=195)
 LIMITS = Limits(
     speed_m_s=60.0,
     acceleration_m_s2=30.0,
@@ -56,7 +54,7 @@ def fix_of(copter: Copter, now_us: int) -> Fix:
     )
 
 
-class Flown:
+class Flown(Rig):
     """An ArduCopter over level ground, told what to do by values."""
 
     def __init__(self, **parameters: float) -> None:
@@ -68,56 +66,18 @@ class Flown:
             drag_1_s=DRAG_1_S,
             drag_1_m=DRAG_1_M,
         )
-        self.autopilot = ArduCopter(
-            self.copter, parameters, Plans(), hardware_id=1, rng=np.random.default_rng(1)
-        )
-        self.now_us = 0
-        self.texts: list[tuple[float, str]] = []
+        rng = np.random.default_rng(1)
+        autopilot = ArduCopter(self.copter, parameters, Plans(), hardware_id=1, rng=rng)
+        super().__init__(autopilot, GROUND_M)
         self.wind_m_s = (0.0, 0.0)
-        self._fix = Fix()
 
-    @property
-    def now_s(self) -> float:
-        """Since boot."""
-        return self.now_us * 1e-6
+    def receive(self) -> Fix:
+        """Five fixes a second."""
+        return fix_of(self.copter, self.now_us) if self.now_us % 200_000 == 0 else self.fix
 
     def step(self) -> None:
-        """One hundredth of a second."""
-        self.now_us += STEP_US
         self.copter.wind_north_m_s, self.copter.wind_east_m_s = self.wind_m_s
-        if self.now_us % 200_000 == 0:
-            self._fix = fix_of(self.copter, self.now_us)
-        for reply in self.autopilot.step(self.now_us, STEP_S, GROUND_M, self._fix):
-            if isinstance(reply, Text):
-                self.texts.append((self.now_s, reply.text))
-
-    def run(self, seconds: float) -> None:
-        """Fly on."""
-        for _ in range(round(seconds / STEP_S)):
-            self.step()
-
-    def run_until(self, reached: Callable[[], bool], within_s: float) -> float:
-        """Fly until this is so; returns how long it took, in seconds."""
-        start_us = self.now_us
-        while not reached():
-            assert self.now_us - start_us < within_s * 1e6, "it never came to that"
-            self.step()
-        return (self.now_us - start_us) * 1e-6
-
-    def command(self, number: int, *parameters: float) -> int:
-        """A COMMAND_LONG; returns its result."""
-        p = (*parameters, *[0.0] * (7 - len(parameters)))
-        replies = self.autopilot.on_command(
-            Command(
-                sender=SENDER,
-                target_component=1,
-                number=number,
-                parameters=(p[0], p[1], p[2], p[3], p[4], p[5], p[6]),
-            )
-        )
-        self.texts += [(self.now_s, r.text) for r in replies if isinstance(r, Text)]
-        (answer,) = [reply for reply in replies if isinstance(reply, Ack)]
-        return answer.result
+        super().step()
 
     def setpoint(
         self,
@@ -135,18 +95,14 @@ class Flown:
             assert origin is not None
             there = flat_earth_place(origin, ned_m)
             position, frame = (there.latitude_deg, there.longitude_deg, -ned_m[2]), 6
-        replies = self.autopilot.on_setpoint(
-            Setpoint(
-                is_global=is_global,
-                frame=frame,
-                type_mask=mask,
-                position=position,
-                velocity_ned_m_s=velocity_ned_m_s,
-                acceleration_ned_m_s2=acceleration_ned_m_s2,
-                yaw_rad=0.0,
-            )
+        self.give(
+            position,
+            velocity_ned_m_s,
+            acceleration_ned_m_s2,
+            mask=mask,
+            frame=frame,
+            is_global=is_global,
         )
-        self.texts += [(self.now_s, r.text) for r in replies if isinstance(r, Text)]
 
     def local_m(self) -> tuple[float, float, float]:
         """North, east, up of the start: on the autopilot's flat earth, as setpoints are."""

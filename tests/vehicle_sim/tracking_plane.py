@@ -1,19 +1,19 @@
 """Flies an ArduPlane without wire and server: for tests, and for tables of how well it follows."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
+import rig
+from rig import STEP_S
 
-from vehicle_sim.autopilots import Ack, Command, Reply, Result, Say, Sender, Text
+from vehicle_sim.autopilots import Result, Say
 from vehicle_sim.autopilots.ardupilot.arduplane import ArduPlane
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.plans import Plans
-from vehicle_sim.sensors.gps import ARDUPLANE, Gps, GpsConditions
+from vehicle_sim.sensors.gps import ARDUPLANE, Gps
 
-STEP_US, STEP_S = 10_000, 0.01
-COMPANION = Sender(system=1, component=191)
 LATITUDE_DEG, LONGITUDE_DEG, GROUND_M = -35.3632621, 149.1652370, 584.09
 REPOSITION, CHANGE_SPEED, CHANGE_ALTITUDE, CHANGE_HEADING = 192, 43000, 43001, 43002
 GUIDED, TAKEOFF = 15, 13
@@ -23,7 +23,7 @@ AGE_STEPS = 15
 """A client knows where the vehicle was 0.15 s ago: telemetry at 10 Hz, and its own time."""
 
 
-class Rig:
+class Rig(rig.Rig):
     """A plane over flat ground at home, with its autopilot and its receiver."""
 
     def __init__(self, parameters: dict[str, float] | None = None, *, heading_deg: float = 0.0):
@@ -35,59 +35,9 @@ class Rig:
         )
         self.plans = Plans()
         rng = np.random.default_rng(1)
-        self.autopilot = ArduPlane(self.plane, parameters or {}, self.plans, hardware_id=1, rng=rng)
-        self.gps = Gps(ARDUPLANE, rng)
-        self.conditions = GpsConditions()
+        autopilot = ArduPlane(self.plane, parameters or {}, self.plans, hardware_id=1, rng=rng)
+        super().__init__(autopilot, GROUND_M, Gps(ARDUPLANE, rng))
         self.frame = LocalFrame(latitude_deg=LATITUDE_DEG, longitude_deg=LONGITUDE_DEG)
-        self.now_us = 0
-        self.said: list[tuple[float, Reply]] = []
-
-    @property
-    def time_s(self) -> float:
-        return self.now_us * 1e-6
-
-    def take(self, replies: Sequence[Reply]) -> Sequence[Reply]:
-        self.said.extend((self.time_s, reply) for reply in replies)
-        return replies
-
-    def step(self) -> None:
-        self.now_us += STEP_US
-        fix = self.gps.step(self.now_us, self.plane, self.conditions)
-        self.take(self.autopilot.step(self.now_us, STEP_S, GROUND_M, fix))
-
-    def fly(self, seconds: float, watch: Callable[[], None] | None = None) -> None:
-        for _ in range(round(seconds / STEP_S)):
-            self.step()
-            if watch is not None:
-                watch()
-
-    def fly_until(self, done: Callable[[], bool], at_most_s: float = 300.0) -> float:
-        """Seconds that it took."""
-        began_us = self.now_us
-        while not done():
-            self.step()
-            assert self.now_us - began_us < at_most_s * 1e6, "it never came to pass"
-        return (self.now_us - began_us) * 1e-6
-
-    def command(self, number: int, *p: float, frame: int | None = None) -> Result:
-        values = (*p, *([0.0] * (7 - len(p))))
-        command = Command(
-            sender=COMPANION,
-            target_component=1,
-            number=number,
-            parameters=(
-                values[0],
-                values[1],
-                values[2],
-                values[3],
-                values[4],
-                values[5],
-                values[6],
-            ),
-            frame=frame,
-        )
-        replies = self.take(self.autopilot.on_command(command))
-        return next(Result(r.result) for r in replies if isinstance(r, Ack))
 
     def set_mode(self, mode: int) -> Result:
         return self.command(176, 1.0, mode)
@@ -102,27 +52,16 @@ class Rig:
 
     def into_the_air(self, height_m: float = 80.0) -> None:
         """Take off by TAKEOFF, then GUIDED, on the way to this height above home."""
-        if self.time_s < 24.0:
-            self.fly(24.0 - self.time_s)
+        if self.now_s < 24.0:
+            self.run(24.0 - self.now_s)
         assert self.set_mode(TAKEOFF) is Result.ACCEPTED
         assert self.command(400, 1.0) is Result.ACCEPTED
-        self.fly_until(lambda: self.height_m > 48.0)
+        self.run_until(lambda: self.height_m > 48.0)
         assert self.reposition(0.0, 0.0, height_m) is Result.ACCEPTED
-
-    @property
-    def height_m(self) -> float:
-        return self.plane.altitude_amsl_m - GROUND_M
 
     @property
     def ne_m(self) -> tuple[float, float]:
         return self.frame.to_local(self.plane.latitude_deg, self.plane.longitude_deg)
-
-    @property
-    def speed_m_s(self) -> float:
-        return math.hypot(self.plane.velocity_north_m_s, self.plane.velocity_east_m_s)
-
-    def texts(self) -> list[str]:
-        return [reply.text for _, reply in self.said if isinstance(reply, Text)]
 
     def reached(self) -> list[float]:
         """When MISSION_ITEM_REACHED was said."""
@@ -204,9 +143,9 @@ def off_path_m(law: Law, lateral_m_s2: float, *, hz: float = 4.0) -> tuple[float
     # the route begins 400 m south of home, where the plane goes first
     route.north_m -= 400.0
     rig.reposition(-900.0, 0.0, 80.0, 10.0)
-    rig.fly_until(lambda: rig.ne_m[0] < -800.0)
+    rig.run_until(lambda: rig.ne_m[0] < -800.0)
     rig.reposition(-200.0, 0.0, 80.0, 10.0)
-    rig.fly_until(lambda: rig.ne_m[0] > -410.0)
+    rig.run_until(lambda: rig.ne_m[0] > -410.0)
     known = nearest = 0
     errors_m = list[float]()
     every = round(1.0 / hz / STEP_S)

@@ -6,20 +6,19 @@ with 3 m of height up and down.  Errors are taken against the estimator's positi
 
 import math
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import Any, Literal, final
 
 import numpy as np
+import rig
+from rig import STEP_US, ZERO, Vector
 
-from vehicle_sim.autopilots import Ack, Command, Reply, Sender, Setpoint
 from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.plans import Plans
-from vehicle_sim.sensors.gps import PX4, Fix, Gps, GpsConditions
+from vehicle_sim.sensors.gps import PX4, Gps, GpsConditions
 
 Kind = Literal["position", "position + velocity", "pos + vel + acc", "velocity"]
-Vector = tuple[float, float, float]
 
-STEP_US = 10_000
 LENGTH_M = 756.0
 GROUND_AMSL_M = 488.0
 _SWING_RAD = 2.404825557695773
@@ -35,11 +34,10 @@ _LIMITS = Limits(
     speed_vertical_m_s=10.0,
     acceleration_vertical_m_s2=9.0,
 )
-COMPANION = Sender(system=1, component=191)
 
 
 @final
-class Rig:
+class Rig(rig.Rig):
     """One PX4 multicopter in still air, without links: what goes in and what comes out."""
 
     def __init__(self, seed: int = 1, **parameters: float) -> None:
@@ -54,54 +52,12 @@ class Rig:
         self.px4 = Px4Multicopter(
             self.copter, given, self.plans, hardware_id=1, rng=np.random.default_rng(seed)
         )
-        self.now_us = 0
-        self.gps_conditions = GpsConditions(fix_type=3, lag_s=0.0)
-        self.fix = Fix()
-        self.said: list[tuple[float, Reply]] = []
-        """With the time in seconds."""
-        self._gps = Gps(PX4, np.random.default_rng(seed + 1000))
+        gps = Gps(PX4, np.random.default_rng(seed + 1000))
+        super().__init__(self.px4, GROUND_AMSL_M, gps, GpsConditions(fix_type=3, lag_s=0.0))
 
-    @property
-    def now_s(self) -> float:
-        """Since boot."""
-        return self.now_us * 1e-6
-
-    @property
-    def height_m(self) -> float:
-        """Above the ground, truly."""
-        return self.copter.altitude_amsl_m - GROUND_AMSL_M
-
-    @property
-    def speed_m_s(self) -> float:
-        """Over the ground, truly."""
-        return math.hypot(self.copter.velocity_north_m_s, self.copter.velocity_east_m_s)
-
-    def step(self) -> None:
-        """One step of 10 ms."""
-        self.now_us += STEP_US
-        self.fix = self._gps.step(self.now_us, self.copter, self.gps_conditions)
-        replies = self.px4.step(self.now_us, STEP_US * 1e-6, GROUND_AMSL_M, self.fix)
-        self.said += [(self.now_s, reply) for reply in replies]
-
-    def run(self, seconds: float) -> None:
-        """Let time pass."""
-        for _ in range(round(seconds * 1e6 / STEP_US)):
-            self.step()
-
-    def command(self, number: int, *parameters: float, frame: int | None = None) -> list[int]:
-        """Command it; the results that came at once."""
-        p1, p2, p3, p4, p5, p6, p7 = (*parameters, *(0.0,) * (7 - len(parameters)))
-        replies = self.px4.on_command(
-            Command(
-                sender=COMPANION,
-                target_component=1,
-                number=number,
-                parameters=(p1, p2, p3, p4, p5, p6, p7),
-                frame=frame,
-            )
-        )
-        self.said += [(self.now_s, reply) for reply in replies]
-        return [reply.result for reply in replies if isinstance(reply, Ack)]
+    def command(self, number: int, *parameters: float, **fields: Any) -> list[int]:
+        """The results that came at once: PX4 does not answer everything."""
+        return self.answers(number, *parameters, **fields)
 
     def send(
         self,
@@ -120,17 +76,14 @@ class Rig:
         wanted |= 0 if velocity else 0x038
         wanted |= 0 if acceleration else 0x1C0
         wanted |= 0x400 if yaw_rad is None else 0
-        nothing = (0.0, 0.0, 0.0)
-        self.px4.on_setpoint(
-            Setpoint(
-                is_global=is_global,
-                frame=frame,
-                type_mask=wanted if mask is None else mask,
-                position=position or nothing,
-                velocity_ned_m_s=velocity or nothing,
-                acceleration_ned_m_s2=acceleration or nothing,
-                yaw_rad=yaw_rad or 0.0,
-            )
+        self.give(
+            position or ZERO,
+            velocity or ZERO,
+            acceleration or ZERO,
+            mask=wanted if mask is None else mask,
+            frame=frame,
+            is_global=is_global,
+            yaw_rad=yaw_rad or 0.0,
         )
 
     def stream(self, seconds: float, rate_hz: float = 20.0, **setpoint: Vector) -> None:

@@ -6,17 +6,17 @@ lies ``lead_m`` further on.
 """
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, final
 
 import numpy as np
+import rig
 
-from vehicle_sim.autopilots import Ack, Command, Reply, Sender, Setpoint
+from vehicle_sim.autopilots import Sender
 from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.plans import Plans
-from vehicle_sim.sensors.gps import PX4, Fix, Gps, GpsConditions
+from vehicle_sim.sensors.gps import PX4, Gps, GpsConditions
 
 Kind = Literal["pos + vel", "pos + vel + acc", "pos + vel - acc", "position", "reposition"]
 
@@ -39,7 +39,7 @@ _LEAD_IN_S, _RUN_S = 25.0, 70.0
 
 
 @final
-class Rig:
+class Rig(rig.Rig):
     """One PX4 aeroplane, without links: what goes in and what comes out."""
 
     def __init__(self, seed: int = 1, **parameters: float) -> None:
@@ -57,57 +57,8 @@ class Rig:
             hardware_id=1,
             rng=np.random.default_rng(seed),
         )
-        self.now_us = 0
-        self.gps_conditions = GpsConditions(fix_type=3, lag_s=0.0)
-        self.said: list[tuple[float, Reply]] = []
-        """With the time in seconds."""
-        self._gps = Gps(PX4, np.random.default_rng(seed + 1000))
-
-    @property
-    def now_s(self) -> float:
-        """Since boot."""
-        return self.now_us * 1e-6
-
-    @property
-    def height_m(self) -> float:
-        """Above the ground, truly."""
-        return self.plane.altitude_amsl_m - GROUND_AMSL_M
-
-    @property
-    def speed_m_s(self) -> float:
-        """Over the ground, truly."""
-        return math.hypot(self.plane.velocity_north_m_s, self.plane.velocity_east_m_s)
-
-    def step(self) -> None:
-        """One step of 10 ms."""
-        self.now_us += STEP_US
-        fix: Fix = self._gps.step(self.now_us, self.plane, self.gps_conditions)
-        self._take(self.px4.step(self.now_us, 0.01, GROUND_AMSL_M, fix))
-
-    def run(self, seconds: float, each: Callable[[], None] | None = None) -> None:
-        """Steps, with something to do before each."""
-        for _ in range(round(seconds * 100.0)):
-            if each is not None:
-                each()
-            self.step()
-
-    def _take(self, replies: Sequence[Reply]) -> None:
-        self.said.extend((self.now_s, reply) for reply in replies)
-
-    def command(self, number: int, *parameters: float, frame: int | None = None) -> int:
-        """Send one; the first answer."""
-        padded = (*parameters, *([0.0] * (7 - len(parameters))))
-        replies = self.px4.on_command(
-            Command(
-                sender=COMPANION,
-                target_component=1,
-                number=number,
-                parameters=padded,  # type: ignore[arg-type]
-                frame=frame,
-            )
-        )
-        self._take(replies)
-        return next(reply.result for reply in replies if isinstance(reply, Ack))
+        gps = Gps(PX4, np.random.default_rng(seed + 1000))
+        super().__init__(self.px4, GROUND_AMSL_M, gps, GpsConditions(fix_type=3, lag_s=0.0))
 
     def mode(self, main: int, sub: int = 0) -> int:
         """DO_SET_MODE."""
@@ -121,17 +72,7 @@ class Rig:
         acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
         """SET_POSITION_TARGET_LOCAL_NED, frame LOCAL_NED."""
-        self.px4.on_setpoint(
-            Setpoint(
-                is_global=False,
-                frame=1,
-                type_mask=mask,
-                position=position,
-                velocity_ned_m_s=velocity,
-                acceleration_ned_m_s2=acceleration,
-                yaw_rad=0.0,
-            )
-        )
+        self.give(position, velocity, acceleration, mask=mask)
 
     def place(self, north_m: float, east_m: float, height_m: float) -> tuple[float, float, float]:
         """Latitude, longitude and altitude AMSL of a point of the local frame."""

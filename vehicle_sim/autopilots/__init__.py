@@ -2,7 +2,8 @@
 
 wire/ turns frames into these and these into frames.  One module a personality:
 ardupilot/arducopter.py, ardupilot/arduplane.py, px4/multicopter.py, px4/fixed_wing.py; what two of
-them share, and their parts, are beside them.
+them share, and their parts, are beside them.  Parameters and what is said at boot are data: *.parm
+and *.boot.  What all four share is here: parameters.py, zones.py (fences), jumps.py (missions).
 """
 
 import enum
@@ -192,13 +193,17 @@ Reply = Ack | Text | Event | Send | Say | SayParameter | Reboot
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Place:
     """A point on or above the earth."""
 
     latitude_deg: float
     longitude_deg: float
     altitude_amsl_m: float
+
+    def at(self, altitude_amsl_m: float) -> "Place":
+        """Above or below it."""
+        return Place(self.latitude_deg, self.longitude_deg, altitude_amsl_m)
 
 
 @final
@@ -234,11 +239,7 @@ class Estimate:
     @property
     def place(self) -> Place:
         """A copy of the position."""
-        return Place(
-            latitude_deg=self.latitude_deg,
-            longitude_deg=self.longitude_deg,
-            altitude_amsl_m=self.altitude_amsl_m,
-        )
+        return Place(self.latitude_deg, self.longitude_deg, self.altitude_amsl_m)
 
 
 @final

@@ -1,4 +1,4 @@
 """ArduPilot 4.7 as measured: arducopter.py, arduplane.py, and what they share.
 
-For both: firmware.py over core.py, ekf3.py, fence.py.  copter_*.py and plane_*.py fly.
+For both: autopilot.py, ekf3.py, fence.py.  copter_*.py and plane_*.py fly.
 """

@@ -1,11 +1,12 @@
 """ArduCopter 4.7 as measured: modes, arming, take-off, commands, setpoints, failsafes.
 
 Source: ardupilot.md 2 to 5 and the recorded flights.  How it flies is in copter_flight.py,
-copter_guided.py and copter_control.py; what it shares with ArduPlane is in firmware.py and core.py.
+copter_guided.py and copter_control.py; what it shares with ArduPlane is in autopilot.py.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar, final
 
 import numpy as np
@@ -18,32 +19,23 @@ from vehicle_sim.autopilots import (
     Result,
     Setpoint,
     State,
+    Status,
     Style,
     TargetEcho,
     Text,
     Waypoint,
 )
+from vehicle_sim.autopilots.ardupilot import copter_setpoints as setpoints
 from vehicle_sim.autopilots.ardupilot import copter_table as modes
+from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_flight import FAILSAFE_PAUSE_US, Flight
 from vehicle_sim.autopilots.ardupilot.copter_guided import NOTHING, Submode
-from vehicle_sim.autopilots.ardupilot.copter_setpoints import (
-    IGNORE_ACCELERATION,
-    IGNORE_POSITION,
-    IGNORE_VELOCITY,
-    IGNORE_YAW,
-    IGNORE_YAW_RATE,
-    Bearings,
-    Stop,
-    Target,
-    read_setpoint,
-)
-from vehicle_sim.autopilots.ardupilot.firmware import ArduPilot
+from vehicle_sim.autopilots.ardupilot.copter_setpoints import Bearings, Stop, Target, read_setpoint
 from vehicle_sim.autopilots.ardupilot.flat_earth import (
-    FLAT_EARTH_M_PER_DEG,
     bearing_rad,
     distance_m,
     flat_earth_ned_m,
-    longitude_scale,
+    offset,
 )
 from vehicle_sim.autopilots.ardupilot.style import HEARTBEAT, TIMESYNC, style
 from vehicle_sim.autopilots.attitude import (
@@ -54,24 +46,25 @@ from vehicle_sim.autopilots.attitude import (
     finite,
 )
 from vehicle_sim.dynamics.copter import Copter
-from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import PlanKind, Plans
 
+EKF_CHECKS = 10
+"""In a row, ten a second, before the failsafe acts."""
 READY_US = 2_450_000
 """From here on the heartbeat says STANDBY."""
 ABOVE_HOME_FRAME = 3
 IN_FLIGHT_ALIGNMENT_M = 2.9
 AVOIDANCE_1_S = 0.5
 SMART_RTL_GIVES_UP_US = 7_120_000
-_IGNORE_YAWS = IGNORE_YAW | IGNORE_YAW_RATE
+_IGNORE_YAWS = setpoints.IGNORE_YAW | setpoints.IGNORE_YAW_RATE
 THRUST_AS_THRUST = 8
 """GUID_OPTIONS: the thrust of SET_ATTITUDE_TARGET is one, and no climb rate."""
 ECHO_MASKS = {
-    Submode.TAKEOFF: IGNORE_VELOCITY | IGNORE_ACCELERATION | _IGNORE_YAWS,
-    Submode.POSITION: IGNORE_VELOCITY | IGNORE_ACCELERATION | _IGNORE_YAWS,
+    Submode.TAKEOFF: setpoints.IGNORE_VELOCITY | setpoints.IGNORE_ACCELERATION | _IGNORE_YAWS,
+    Submode.POSITION: setpoints.IGNORE_VELOCITY | setpoints.IGNORE_ACCELERATION | _IGNORE_YAWS,
     Submode.POSITION_VELOCITY: _IGNORE_YAWS,
-    Submode.VELOCITY: IGNORE_POSITION | _IGNORE_YAWS,
-    Submode.ACCELERATION: IGNORE_POSITION | IGNORE_VELOCITY | _IGNORE_YAWS,
+    Submode.VELOCITY: setpoints.IGNORE_POSITION | _IGNORE_YAWS,
+    Submode.ACCELERATION: setpoints.IGNORE_POSITION | setpoints.IGNORE_VELOCITY | _IGNORE_YAWS,
 }
 """type_mask of POSITION_TARGET_LOCAL_NED: 0xDF8, 0xC00, 0xC07, 0xC3F."""
 
@@ -84,7 +77,10 @@ class ArduCopter(ArduPilot):
         vehicle_type=2, capabilities=64495, rates_hz={HEARTBEAT: 1.0, TIMESYNC: 0.1}
     )
     MODES: ClassVar[Mapping[int, str]] = modes.MODES
+    TABLE = modes.TABLE
+    TIMING = modes.TIMING
     PREARM_US: ClassVar[int] = 23_300_000
+    GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
 
     def __init__(
         self,
@@ -96,19 +92,13 @@ class ArduCopter(ArduPilot):
         rng: np.random.Generator,
     ) -> None:
         pressure_pa = 101325.0 * (1.0 - 2.25577e-5 * copter.altitude_amsl_m) ** 5.25588
-        super().__init__(
-            copter,
-            Parameters(modes.TABLE, parameters),
-            plans,
-            timing=modes.TIMING,
-            boot=modes.boot(pressure_pa),
-            hardware_id=hardware_id,
-            rng=rng,
-        )
+        boot = modes.boot(pressure_pa)
+        super().__init__(copter, parameters, plans, boot=boot, hardware_id=hardware_id, rng=rng)
         self.copter = copter
         self.flight = Flight(self, copter)
         self.mode = modes.STABILIZE
         self._refused_text: str | None = None
+        self._ekf_failures = 0
         self._was_glitching = False
         self._was_aiding = False
         self._aligned_in_flight = False
@@ -126,7 +116,7 @@ class ArduCopter(ArduPilot):
     def slow(self) -> None:
         """Ten times a second."""
         super().slow()
-        self.check_ekf()
+        self._check_ekf()
         ekf = self.ekf
         if ekf.glitching is not self._was_glitching:
             self._was_glitching = ekf.glitching
@@ -164,12 +154,29 @@ class ArduCopter(ArduPilot):
         self.flight.begin(mode)
         return None
 
-    def on_ekf_failsafe(self) -> None:
+    def _check_ekf(self) -> None:
+        """It cannot fly without a position."""
+        if self.armed and self.ekf.origin is not None and not self.ekf.position_ok:
+            if self._ekf_failures < EKF_CHECKS:
+                self._ekf_failures += 1
+                if self._ekf_failures == EKF_CHECKS - 1 and self.ekf.primary == 0:
+                    self.ekf.switch_lane(1)
+                elif self._ekf_failures == EKF_CHECKS:
+                    self.say(2, "EKF variance")
+                    self.failsafe = True
+                    self._on_ekf_failsafe()
+        elif self._ekf_failures:
+            self._ekf_failures -= 1
+            if self._ekf_failures == 0 and self.failsafe:
+                self.failsafe = False
+                self.say(2, "EKF Failsafe Cleared")
+
+    def _on_ekf_failsafe(self) -> None:
         """FS_EKF_ACTION 1: land, wherever it is."""
         if self.mode in (*modes.NEED_POSITION, modes.LAND) and self.parameters["FS_EKF_ACTION"]:
             self.set_mode(modes.LAND)
-            self.flight.lands_with_position = False
-            self.flight.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
+            self.flight.motion.lands_with_position = False
+            self.flight.motion.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
             self.say(2, "EKF Failsafe: changed to LAND Mode")
 
     def on_gcs_failsafe(self) -> None:
@@ -196,7 +203,7 @@ class ArduCopter(ArduPilot):
             self.disarm()
         elif land or not self.set_mode(modes.RTL):
             self.set_mode(modes.LAND)
-            self.flight.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
+            self.flight.motion.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: LOITER."""
@@ -257,7 +264,7 @@ class ArduCopter(ArduPilot):
             return Result.DENIED
         flight, home = self.flight, self.home
         ready = self.armed and self.landed and self.mode == modes.GUIDED and home is not None
-        if not ready or flight.takeoff_us is not None or not self.ekf.position_ok:
+        if not ready or flight.motion.takeoff_us is not None or not self.ekf.position_ok:
             return Result.FAILED
         assert home is not None
         altitude_amsl_m = home.altitude_amsl_m + command.parameters[6]
@@ -407,7 +414,7 @@ class ArduCopter(ArduPilot):
         if target.place is not None and self.fence.outside(target.place, self.home):
             return False
         flight = self.flight
-        if flight.takeoff_us is not None:
+        if flight.motion.takeoff_us is not None:
             flight.abandon_takeoff()
         if target.place is None and self.fence.enabled:
             target = self._kept_inside(target)
@@ -429,24 +436,14 @@ class ArduCopter(ArduPilot):
         if speed < 1e-3 or not math.isfinite(room_m):
             return target
         ahead_m = max(room_m, 0.0) + 1.0
-        scale = FLAT_EARTH_M_PER_DEG * longitude_scale(here.latitude_deg)
-        ahead = Place(
-            latitude_deg=here.latitude_deg + north / speed * ahead_m / FLAT_EARTH_M_PER_DEG,
-            longitude_deg=here.longitude_deg + east / speed * ahead_m / scale,
-            altitude_amsl_m=here.altitude_amsl_m,
-        )
+        ahead = offset(here, north / speed * ahead_m, east / speed * ahead_m)
         if not self.fence.outside(ahead, self.home):
             return target
         left_m = max(room_m - self.parameters["FENCE_MARGIN"], 0.0)
         slow_m_s = math.sqrt(self.flight.control.tuning.acceleration_m_s2 * left_m)
         share = min(slow_m_s / speed, AVOIDANCE_1_S * left_m / speed, 1.0)
-        return Target(
-            place=None,
-            velocity_neu_m_s=(north * share, east * share, up),
-            acceleration_neu_m_s2=NOTHING,
-            yaw_rad=target.yaw_rad,
-            yaw_rate_rad_s=target.yaw_rate_rad_s,
-        )
+        slowed = (north * share, east * share, up)
+        return replace(target, velocity_neu_m_s=slowed, acceleration_neu_m_s2=NOTHING)
 
     # --- telling --------------------------------------------------------------------------------
 
@@ -456,7 +453,7 @@ class ArduCopter(ArduPilot):
         if self.now_us < READY_US:
             holds = True
         elif mode == modes.LAND:
-            holds = self.flight.lands_with_position
+            holds = self.flight.motion.lands_with_position
         elif mode in (modes.RTL, modes.SMART_RTL):
             holds = armed
         else:
@@ -510,7 +507,7 @@ class ArduCopter(ArduPilot):
         elif self.mode == modes.AUTO and flight.auto.goal is not None:
             place = flight.auto.goal.place
         elif self.mode in (modes.RTL, modes.SMART_RTL):
-            place = flight.return_place
+            place = flight.motion.return_place
         if place is None:
             return None
         here = self.estimate.place
@@ -522,10 +519,21 @@ class ArduCopter(ArduPilot):
         )
 
     def mission_state(self) -> int:
-        """MISSION_STATE."""
+        """MISSION_STATE: 1 no mission, 2 not started, 3 active, 4 paused, 5 complete."""
         if len(self.plans[PlanKind.MISSION]) < 2:
             return 1
         auto = self.flight.auto
         if self.mode != modes.AUTO:
             return 5 if auto.complete else 2
         return 4 if auto.paused else 5 if auto.complete else 3
+
+    def status(self) -> Status:
+        """What there is to tell."""
+        return self.status_with(
+            base_mode=self.base_mode(),
+            system_status=self.system_status(),
+            landed_state=self.landed_state(),
+            target=self.target_echo(),
+            waypoint=self.waypoint(),
+            mission_state=self.mission_state(),
+        )

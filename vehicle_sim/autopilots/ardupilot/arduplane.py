@@ -6,28 +6,23 @@ arduplane-guided-reposition.tlog.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import ClassVar, final
 
 import numpy as np
-from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import (
     Command,
-    Landed,
     Place,
     Reply,
     Result,
-    Say,
-    SayParameter,
     Setpoint,
     State,
     Status,
     Text,
     Waypoint,
 )
+from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, boot_of
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
-from vehicle_sim.autopilots.ardupilot.firmware import ArduPilot, Due
 from vehicle_sim.autopilots.ardupilot.plane_flight import Flight
 from vehicle_sim.autopilots.ardupilot.plane_guided import Forced
 from vehicle_sim.autopilots.ardupilot.plane_modes import (
@@ -36,7 +31,6 @@ from vehicle_sim.autopilots.ardupilot.plane_modes import (
     NAMES,
     Mode,
 )
-from vehicle_sim.autopilots.ardupilot.plane_parameters import TABLE
 from vehicle_sim.autopilots.ardupilot.style import (
     GPS_GLOBAL_ORIGIN,
     HEARTBEAT,
@@ -50,12 +44,13 @@ from vehicle_sim.autopilots.attitude import (
     attitude_of,
     finite,
 )
+from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.faults import SIM_PARAMETERS
-from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
+TABLE = (*table("ardupilot/shared", "ardupilot/plane"), *SIM_PARAMETERS)
 CAPABILITIES = 62319
 READY_US = 1_727_000
 ORIGIN_SAID_US = 2_261_000
@@ -77,60 +72,16 @@ _RATES_HZ = dict.fromkeys(map(int, _STREAMED.split()), 1.0) | {111: 0.1}
 """What a fresh link gets unasked."""
 
 
-def _boot() -> list[Due]:
-    """What is said by itself after power-up, as in the recorded flight."""
-
-    def parameters(at_us: int, *values: tuple[str, float]) -> list[Due]:
-        return [(at_us, value) for value in values]
-
-    def texts(at_us: int, severity: int, *lines: str) -> list[Due]:
-        return [(at_us, Text(severity=severity, text=line)) for line in lines]
-
-    return [
-        *[
-            (133_000, SayParameter(name=name))
-            for name in ("CAM1_TYPE", "CAM2_TYPE", "INS_GYR_ID", "INS_ACC_ID", "INS_GYR2_ID")
-        ],
-        (134_000, SayParameter(name="INS_ACC2_ID")),
-        (134_000, SayParameter(name="BARO_ALT_OFFSET")),
-        *texts(139_000, 6, "Ground start"),
-        *texts(139_000, 1, "Skipping INS calibration"),
-        *texts(139_000, 6, "Calibrating barometer"),
-        *texts(203_000, 7, "RCInput: decoding UDP (Pulses)"),
-        *texts(
-            READY_US,
-            6,
-            "Barometer 1 calibration complete",
-            "Barometer 2 calibration complete",
-            "Airspeed 1 calibration started",
-            "ArduPilot Ready",
-            "AHRS: DCM active",
-        ),
-        *parameters(READY_US, ("BARO1_GND_PRESS", 94501.734375), ("BARO2_GND_PRESS", 94503.234375)),
-        *texts(1_746_000, 4, "Throttle failsafe off"),
-        (2_745_000, SayParameter(name="EK3_SRC1_POSXY")),
-        *texts(3_408_000, 6, "Airspeed 1 calibrated"),
-        *parameters(3_408_000, ("ARSPD_OFFSET", 2013.9466552734375)),
-        *texts(9_055_000, 6, "GPS 1: probing for u-blox at 230400 baud", "GPS 1: detected u-blox"),
-        *texts(9_506_000, 6, *(f"EKF2 IMU{k} MAG0 initial yaw alignment complete" for k in (0, 1))),
-        *texts(10_266_000, 6, *(f"EKF3 IMU{k} initialised" for k in (0, 1))),
-        *texts(12_148_000, 6, *(f"EKF3 IMU{k} tilt alignment complete" for k in (0, 1))),
-        *texts(
-            12_226_000, 6, *(f"EKF3 IMU{k} MAG0 initial yaw alignment complete" for k in (0, 1))
-        ),
-        *texts(14_750_000, 6, *(f"EKF2 IMU{k} tilt alignment complete" for k in (0, 1))),
-        *parameters(15_710_000, ("BARO1_GND_PRESS", 94504.5625), ("BARO2_GND_PRESS", 94505.0625)),
-        *texts(44_559_000, 6, *(f"EKF2 IMU{k} is using GPS" for k in (0, 1))),
-    ]
-
-
 @final
 class ArduPlane(ArduPilot):
     """One vehicle's autopilot; steers the plane that it is given."""
 
     style = style(vehicle_type=1, capabilities=CAPABILITIES, rates_hz=_RATES_HZ)
     MODES: ClassVar[Mapping[int, str]] = NAMES
+    TABLE = TABLE
+    TIMING = TIMING
     PREARM_US: ClassVar[int] = 22_800_000
+    GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
 
     def __init__(
         self,
@@ -141,15 +92,8 @@ class ArduPlane(ArduPilot):
         hardware_id: int,
         rng: np.random.Generator,
     ) -> None:
-        super().__init__(
-            plane,
-            Parameters((*TABLE, *SIM_PARAMETERS), parameters),
-            plans,
-            timing=TIMING,
-            boot=_boot(),
-            hardware_id=hardware_id,
-            rng=rng,
-        )
+        boot = boot_of("plane")
+        super().__init__(plane, parameters, plans, boot=boot, hardware_id=hardware_id, rng=rng)
         self.mode = Mode.INITIALISING
         self._plane = plane
         self._first_fix_us: int | None = None
@@ -183,11 +127,7 @@ class ArduPlane(ArduPilot):
         if self._first_fix_us is None:
             self._first_fix_us = now_us
         elif now_us - self._first_fix_us >= HOME_SET_US:
-            self.home = Place(
-                latitude_deg=fix.latitude_deg,
-                longitude_deg=fix.longitude_deg,
-                altitude_amsl_m=fix.altitude_amsl_m,
-            )
+            self.home = Place(fix.latitude_deg, fix.longitude_deg, fix.altitude_amsl_m)
             self.send(HOME_POSITION)
             self.change_parameter("MIS_TOTAL", max(len(self.plans[PlanKind.MISSION]), 1))
 
@@ -206,8 +146,7 @@ class ArduPlane(ArduPilot):
         super().slow()
         if self._origin_due_us is not None and self.now_us >= self._origin_due_us:
             self._origin_due_us = None
-            self.send(GPS_GLOBAL_ORIGIN)
-            self.send(HOME_POSITION)
+            self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
         self._flight.navigate()
 
     def read_parameters(self) -> None:
@@ -220,16 +159,6 @@ class ArduPlane(ArduPilot):
         return self._flight.flying
 
     # --- failsafes ----------------------------------------------------------------------------
-
-    @property
-    def gcs_failsafe_enabled(self) -> bool:
-        """Whether a lost ground station matters."""
-        return bool(self.parameters["FS_GCS_ENABL"])
-
-    @property
-    def gcs_timeout_s(self) -> float:
-        """How long it may be silent."""
-        return self.parameters["FS_LONG_TIMEOUT"] - 0.1
 
     def on_gcs_failsafe(self) -> None:
         """FS_LONG_ACTN: 0 goes on in AUTO and returns otherwise, 1 returns."""
@@ -331,7 +260,7 @@ class ArduPlane(ArduPilot):
         if self.mode not in (Mode.GUIDED, Mode.AUTO):
             return Result.FAILED
         p = command.parameters
-        return Result.ACCEPTED if self._flight.change_speed(p[0], p[1]) else Result.FAILED
+        return Result.ACCEPTED if self._flight.guided.change_speed(p[0], p[1]) else Result.FAILED
 
     def _do_change_altitude(self, command: Command) -> Result:
         frame = command.parameters[1]
@@ -470,10 +399,6 @@ class ArduPlane(ArduPilot):
         self._flight.takeoff.abandon()
         self.say(6, "Throttle disarmed")
 
-    def reached(self, number: int) -> None:
-        """MISSION_ITEM_REACHED, to everybody."""
-        self.reply(Say(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
-
     # --- telling --------------------------------------------------------------------------------
 
     def base_mode(self) -> int:
@@ -493,17 +418,20 @@ class ArduPlane(ArduPilot):
             return State.EMERGENCY
         return State.ACTIVE if self.flying else State.STANDBY
 
-    def landed_state(self) -> Landed:
-        """What EXTENDED_SYS_STATE says."""
-        return self._flight.landed_state()
-
     def waypoint(self) -> Waypoint | None:
         """Where it goes; MANUAL says nothing."""
         return None if self.mode not in BY_ITSELF else self._flight.waypoint()
 
     def status(self) -> Status:
         """What there is to tell."""
-        return replace(super().status(), airspeed_m_s=self._flight.indicated_m_s)
+        return self.status_with(
+            base_mode=self.base_mode(),
+            system_status=self.system_status(),
+            landed_state=self._flight.landed_state(),
+            waypoint=self.waypoint(),
+            mission_state=self.mission_state(),
+            airspeed_m_s=self._flight.indicated_m_s,
+        )
 
     def local_ned_m(self) -> tuple[float, float, float] | None:
         """Also before the EKF flies: then the simpler estimator's, about home."""

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import final
 
 from vehicle_sim.autopilots import Estimate
+from vehicle_sim.autopilots.ardupilot.flat_earth import Vector
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.geodesy import metres_per_degree
 
@@ -75,46 +76,10 @@ def clipped(north: float, east: float, most: float) -> tuple[float, float]:
 class PositionControl:
     """Desired state and the controllers behind it.  Mutable, plain floats: the inner loop."""
 
-    __slots__ = (
-        "_derivative_east",
-        "_derivative_north",
-        "_error_east",
-        "_error_north",
-        "_integral_east",
-        "_integral_north",
-        "_lean_east",
-        "_lean_north",
-        "_limited_east",
-        "_limited_north",
-        "_metres_east",
-        "_metres_north",
-        "_resets",
-        "_target_east",
-        "_target_north",
-        "acceleration_east",
-        "acceleration_north",
-        "acceleration_up",
-        "altitude_amsl_m",
-        "copter",
-        "estimate",
-        "latitude_deg",
-        "longitude_deg",
-        "speed_down_m_s",
-        "speed_m_s",
-        "speed_up_m_s",
-        "tuning",
-        "velocity_east",
-        "velocity_north",
-        "velocity_up",
-    )
-
     def __init__(self, copter: Copter, estimate: Estimate, tuning: Tuning) -> None:
         self.copter = copter
         self.estimate = estimate
         self.tuning = tuning
-        self.speed_m_s = tuning.speed_m_s
-        self.speed_up_m_s = tuning.speed_up_m_s
-        self.speed_down_m_s = tuning.speed_down_m_s
         self._metres_north = self._metres_east = 1.0
         self._lean_north = self._lean_east = 0.0
         self._target_north = self._target_east = 0.0
@@ -282,8 +247,8 @@ class PositionControl:
 
     # --- following ----------------------------------------------------------------------------
 
-    def wanted_level(self, dt_s: float) -> tuple[float, float]:
-        """Horizontal acceleration that the lean gives, one step on: north, east."""
+    def wanted(self, dt_s: float) -> Vector:
+        """Acceleration north, east and up that lean and thrust give, one step on."""
         e, most = self.estimate, self.tuning.lean_m_s2
         error_n = (self.latitude_deg - e.latitude_deg) * self._metres_north
         error_e = (self.longitude_deg - e.longitude_deg) * self._metres_east
@@ -320,7 +285,7 @@ class PositionControl:
         lean = dt_s / (LEAN_S + dt_s)
         self._lean_north += lean * (a_n - self._lean_north)
         self._lean_east += lean * (a_e - self._lean_east)
-        return self._lean_north, self._lean_east
+        return self._lean_north, self._lean_east, self.wanted_up()
 
     def _leaned(self, north: float, east: float, most: float) -> tuple[float, float]:
         """Limit an acceleration by the lean: what turns goes before what drives or brakes."""
@@ -348,13 +313,13 @@ class PositionControl:
             i_n, i_e = clipped(i_n, i_e, math.sqrt(before_n * before_n + before_e * before_e))
         self._integral_north, self._integral_east = i_n, i_e
 
-    def levelled(self, dt_s: float) -> tuple[float, float]:
+    def levelled(self, dt_s: float) -> Vector:
         """Without a position: no lean is asked for."""
         lean = dt_s / (LEAN_S + dt_s)
         self._lean_north -= lean * self._lean_north
         self._lean_east -= lean * self._lean_east
         self._target_north, self._target_east = self._lean_north, self._lean_east
-        return self._lean_north, self._lean_east
+        return self._lean_north, self._lean_east, self.wanted_up()
 
     def wanted_up(self) -> float:
         """Vertical acceleration."""

@@ -4,21 +4,18 @@ Source: ardupilot.md 2 and the recorded flights.  The autopilot steers by its es
 ground itself, and the height above it that a rangefinder would measure for landing, are true.
 """
 
-import enum
 import math
 from collections.abc import Callable
 from typing import final
 
 from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot import copter_table as modes
+from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_auto import Auto
-from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl, Tuning, sqrt_controller
-from vehicle_sim.autopilots.ardupilot.copter_guided import Guided, Submode, fly_to
-from vehicle_sim.autopilots.ardupilot.copter_yaw import Yaw
-from vehicle_sim.autopilots.ardupilot.firmware import ArduPilot
-from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, distance_m, offset
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
-from vehicle_sim.parameters import Parameters
+from vehicle_sim.autopilots.ardupilot.copter_guided import Guided, Submode
+from vehicle_sim.autopilots.ardupilot.copter_motion import Motion, Yaw, tuning_of
+from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, offset
+from vehicle_sim.dynamics.copter import Copter
 
 LIFTS_AFTER_ARMING_US = 3_430_000
 LIFTS_AFTER_COMMAND_US = 1_450_000
@@ -33,38 +30,6 @@ FAILSAFE_PAUSE_US = 4_000_000
 BRAKE_M_S2 = 7.5
 CRASH_M_S = 3.0
 FALL_1_S = 4.0
-RETURN_STAGE_US = 1_550_000
-"""The least that each of climbing and going home takes (stream-faults, 286.2 to 294.7 s)."""
-
-
-def tuning_of(parameters: Parameters, copter: Copter) -> Tuning:
-    """ArduPilot's parameters in SI units, within what the airframe can do."""
-    limits = copter.limits
-    lean_rad = math.radians(min(max(parameters["ANGLE_MAX"] / 100.0, 10.0), 85.0))
-    most_up = limits.speed_vertical_m_s
-    return Tuning(
-        speed_m_s=max(parameters["WPNAV_SPEED"], 10.0) / 100.0,
-        acceleration_m_s2=min(
-            max(parameters["WPNAV_ACCEL"], 10.0) / 100.0, limits.acceleration_m_s2
-        ),
-        jerk_m_s3=max(parameters["PSC_JERK_XY"], 1.0),
-        speed_up_m_s=min(max(parameters["WPNAV_SPEED_UP"], 10.0) / 100.0, most_up),
-        speed_down_m_s=min(max(parameters["WPNAV_SPEED_DN"], 10.0) / 100.0, most_up),
-        acceleration_up_m_s2=min(
-            max(parameters["WPNAV_ACCEL_Z"], 10.0) / 100.0, limits.acceleration_vertical_m_s2
-        ),
-        jerk_up_m_s3=max(parameters["PSC_JERK_Z"], 1.0),
-        lean_m_s2=min(GRAVITY_M_S2 * math.tan(lean_rad), limits.acceleration_m_s2),
-    )
-
-
-class Return(enum.Enum):
-    """Stages of RTL."""
-
-    CLIMB = enum.auto()
-    GO = enum.auto()
-    WAIT = enum.auto()
-    LAND = enum.auto()
 
 
 @final
@@ -74,33 +39,25 @@ class Flight:
     def __init__(self, host: ArduPilot, copter: Copter) -> None:
         self.host = host
         self.copter = copter
-        self.control = PositionControl(copter, host.estimate, tuning_of(host.parameters, copter))
+        motion = self.motion = Motion(host, copter)
+        self.control = motion.control
         self.guided = Guided(self.control, host.parameters["GUID_TIMEOUT"])
         self.yaw = Yaw()
-        self.auto = Auto(self)
+        self.auto = Auto(motion, self.guided, self.yaw)
         self.on_ground = True
-        self.ground_amsl_m = 0.0
-        self.takeoff_us: int | None = None
-        """When the take-off that is going on was commanded."""
         self.armed_us = 0
         self._reached_us: int | None = None
         self._touched_us: int | None = None
         self._landed_us: int | None = None
-        self.lands_with_position = True
-        self.pauses_until_us = 0
-        """A failsafe's landing waits before it goes down."""
-        self._returning = Return.CLIMB
-        self._stage_us = 0
-        self._return_amsl_m = 0.0
         self._circle_rad = 0.0
         self._circle_centre: Place | None = None
         self._runs: dict[int, Callable[[float], Vector]] = {
             modes.GUIDED: self._run_guided,
             modes.GUIDED_NOGPS: self._run_angle,
             modes.AUTO: self.auto.run,
-            modes.RTL: self.run_return,
-            modes.SMART_RTL: self.run_return,
-            modes.LAND: self.run_landing,
+            modes.RTL: motion.run_return,
+            modes.SMART_RTL: motion.run_return,
+            modes.LAND: motion.run_landing,
             modes.BRAKE: self._run_brake,
             modes.CIRCLE: self._run_circle,
             modes.LOITER: self._run_loiter,
@@ -124,9 +81,9 @@ class Flight:
         self.yaw.look_ahead()
         self.guided.stop()
         if mode == modes.LAND:
-            self.lands_with_position = self.host.ekf.position_ok
+            self.motion.lands_with_position = self.host.ekf.position_ok
         elif mode in (modes.RTL, modes.SMART_RTL):
-            self.begin_return(climb=mode == modes.RTL)
+            self.motion.begin_return(climb=mode == modes.RTL)
         elif mode == modes.CIRCLE:
             self._begin_circle()
         elif mode == modes.AUTO:
@@ -135,25 +92,19 @@ class Flight:
     def take_off(self, altitude_amsl_m: float) -> None:
         """Climb straight up to this height."""
         here = self.host.estimate.place
-        self.guided.take_off(
-            Place(
-                latitude_deg=here.latitude_deg,
-                longitude_deg=here.longitude_deg,
-                altitude_amsl_m=altitude_amsl_m,
-            )
-        )
-        self.takeoff_us, self._reached_us = self.host.now_us, None
+        self.guided.take_off(here.at(altitude_amsl_m))
+        self.motion.takeoff_us, self._reached_us = self.host.now_us, None
 
     def abandon_takeoff(self) -> None:
         """Whatever comes next is no take-off."""
-        self.takeoff_us = self._reached_us = None
+        self.motion.takeoff_us = self._reached_us = None
 
     @property
     def landing(self) -> bool:
         """Whether it comes down to land."""
         mode = self.host.mode
         if mode in (modes.RTL, modes.SMART_RTL):
-            return self._returning is Return.LAND
+            return self.motion.returned
         return mode == modes.LAND or (mode == modes.AUTO and self.auto.landing)
 
     # --- each step ----------------------------------------------------------------------------
@@ -161,7 +112,7 @@ class Flight:
     def step(self, dt_s: float, ground_amsl_m: float) -> None:
         """Fly on, over ground of this height."""
         host, copter = self.host, self.copter
-        self.ground_amsl_m = ground_amsl_m
+        self.motion.ground_amsl_m = ground_amsl_m
         if host.mode == modes.GUIDED and not self.guided.paused:
             self.guided.run(host.now_us, dt_s)
         if self.on_ground:
@@ -202,11 +153,9 @@ class Flight:
         if host.armed and by_angle and spun_up and not self.guided.lapsed(now_us):
             self._lift_off()
             return
-        if self.takeoff_us is not None and host.armed:
-            lifts_us = max(
-                self.takeoff_us + LIFTS_AFTER_COMMAND_US, self.armed_us + LIFTS_AFTER_ARMING_US
-            )
-            if now_us >= lifts_us:
+        if self.motion.takeoff_us is not None and host.armed:
+            since_us = now_us - self.motion.takeoff_us
+            if since_us >= LIFTS_AFTER_COMMAND_US and spun_up:
                 self._lift_off()
                 return
         if self._touched_us is not None and now_us - self._touched_us >= LANDED_AFTER_US:
@@ -254,12 +203,12 @@ class Flight:
     # --- modes ----------------------------------------------------------------------------------
 
     def _run_guided(self, dt_s: float) -> Vector:
-        if self.takeoff_us is not None:
+        if self.motion.takeoff_us is not None:
             self._watch_takeoff()
         if self.guided.submode is Submode.ANGLE:
             return self._run_angle(dt_s)
         if not self.host.ekf.aiding:
-            return self._level_out(0.0, dt_s)
+            return self.motion.level_out(0.0, dt_s)
         return self.guided.wanted(self.host.now_us, dt_s)
 
     def _run_angle(self, dt_s: float) -> Vector:
@@ -275,47 +224,7 @@ class Flight:
             if self.host.estimate.altitude_amsl_m > self.guided.altitude_amsl_m - REACHED_M:
                 self._reached_us = self.host.now_us
         elif self.host.now_us - self._reached_us >= REACHED_US:
-            self.takeoff_us = self._reached_us = None
-
-    def stop_level(self, climb_m_s: float, dt_s: float) -> Vector:
-        """Come to a standstill, climbing at this rate."""
-        control = self.control
-        control.moved(dt_s)
-        control.towards_velocity(0.0, 0.0, 0.0, 0.0, dt_s)
-        control.towards_climb(climb_m_s, 0.0, dt_s)
-        north, east = control.wanted_level(dt_s)
-        return north, east, control.wanted_up()
-
-    def _level_out(self, climb_m_s: float, dt_s: float) -> Vector:
-        """Without a position there is nothing to hold: only the lean goes."""
-        control = self.control
-        control.towards_climb(climb_m_s, 0.0, dt_s)
-        north, east = control.levelled(dt_s)
-        return north, east, control.wanted_up()
-
-    def go(self, place: Place, dt_s: float) -> Vector:
-        """Fly to a place that does not move."""
-        control = self.control
-        control.moved(dt_s)
-        fly_to(control, place.latitude_deg, place.longitude_deg, place.altitude_amsl_m, dt_s)
-        north, east = control.wanted_level(dt_s)
-        return north, east, control.wanted_up()
-
-    def run_landing(self, dt_s: float) -> Vector:
-        """Down at WPNAV_SPEED_DN, the last LAND_ALT_LOW at LAND_SPEED."""
-        parameters, tuning = self.host.parameters, self.control.tuning
-        low_m = max(parameters["LAND_ALT_LOW"], 100.0) / 100.0
-        height_m = self.copter.altitude_amsl_m - self.ground_amsl_m
-        slow = max(parameters["LAND_SPEED"], 20.0) / 100.0
-        fast = max(tuning.speed_down_m_s, slow)
-        rate = sqrt_controller(low_m - height_m, 1.0, tuning.acceleration_up_m_s2, dt_s)
-        rate = min(max(rate, -fast), -slow)
-        if self.host.now_us < self.pauses_until_us:
-            rate = 0.0
-        if self.lands_with_position and self.host.ekf.aiding:
-            return self.stop_level(rate, dt_s)
-        self.lands_with_position = False
-        return self._level_out(rate, dt_s)
+            self.motion.takeoff_us = self._reached_us = None
 
     def _run_brake(self, dt_s: float) -> Vector:
         copter, e = self.copter, self.host.estimate
@@ -323,7 +232,7 @@ class Flight:
         speed = math.hypot(e.velocity_north_m_s, e.velocity_east_m_s)
         control = self.control
         if speed < 0.5:
-            return self.stop_level(0.0, dt_s)
+            return self.motion.stop_level(0.0, dt_s)
         control.start_level()
         control.towards_climb(0.0, 0.0, dt_s)
         drag, share = copter.drag_1_s, min(most, 4.0 * speed) / speed
@@ -333,10 +242,10 @@ class Flight:
         return north, east, control.wanted_up()
 
     def _run_loiter(self, dt_s: float) -> Vector:
-        return self.stop_level(-self._pilot_down_m_s(), dt_s)
+        return self.motion.stop_level(-self._pilot_down_m_s(), dt_s)
 
     def _run_altitude_hold(self, dt_s: float) -> Vector:
-        return self._level_out(-self._pilot_down_m_s(), dt_s)
+        return self.motion.level_out(-self._pilot_down_m_s(), dt_s)
 
     def _pilot_down_m_s(self) -> float:
         """The stick is at its lower end."""
@@ -346,7 +255,7 @@ class Flight:
     def _fall(self, dt_s: float) -> Vector:
         """Nobody holds the sticks: the motors idle."""
         copter = self.copter
-        north, east = self.control.levelled(dt_s)
+        north, east, _ = self.control.levelled(dt_s)
         most = copter.limits.speed_vertical_m_s
         return north, east, FALL_1_S * (-most - copter.velocity_up_m_s)
 
@@ -366,104 +275,15 @@ class Flight:
         radius_m = parameters["CIRCLE_RADIUS"] / 100.0
         rate = math.radians(parameters["CIRCLE_RATE"])
         self._circle_rad += rate * dt_s
-        return self.circle(
+        return self.motion.circle(
             self._circle_centre, radius_m, self._circle_rad, rate, -self._pilot_down_m_s(), dt_s
-        )
-
-    def circle(
-        self,
-        centre: Place,
-        radius_m: float,
-        angle_rad: float,
-        rate_rad_s: float,
-        climb_m_s: float,
-        dt_s: float,
-    ) -> Vector:
-        """Be at this bearing from the centre, going round at this rate."""
-        control = self.control
-        control.moved(dt_s)
-        sine, cosine = math.sin(angle_rad), math.cos(angle_rad)
-        place = offset(centre, radius_m * cosine, radius_m * sine)
-        speed, inward = radius_m * rate_rad_s, radius_m * rate_rad_s * rate_rad_s
-        control.towards_place(
-            place.latitude_deg,
-            place.longitude_deg,
-            (-speed * sine, speed * cosine),
-            (-inward * cosine, -inward * sine),
-            control.speed_m_s,
-            dt_s,
-        )
-        control.towards_climb(climb_m_s, 0.0, dt_s)
-        north, east = control.wanted_level(dt_s)
-        return north, east, control.wanted_up()
-
-    # --- returning ----------------------------------------------------------------------------
-
-    def begin_return(self, *, climb: bool) -> None:
-        """Go home, first up to RTL_ALT."""
-        host = self.host
-        here = host.estimate.place
-        home_amsl_m = host.home.altitude_amsl_m if host.home is not None else 0.0
-        wanted_m = home_amsl_m + host.parameters["RTL_ALT"] / 100.0
-        self._return_amsl_m = max(here.altitude_amsl_m, wanted_m if climb else -math.inf)
-        self._returning, self._stage_us = Return.CLIMB, host.now_us
-        self._return_from = here
-        self.lands_with_position = True
-
-    def run_return(self, dt_s: float) -> Vector:
-        """Climb, go, wait above home, land."""
-        host, home = self.host, self.host.home
-        if not host.ekf.aiding or home is None:
-            return self._level_out(0.0, dt_s)
-        here = host.estimate.place
-        waited_us = host.now_us - self._stage_us
-        above = Place(
-            latitude_deg=home.latitude_deg,
-            longitude_deg=home.longitude_deg,
-            altitude_amsl_m=self._return_amsl_m,
-        )
-        match self._returning:
-            case Return.CLIMB:
-                target = Place(
-                    latitude_deg=self._return_from.latitude_deg,
-                    longitude_deg=self._return_from.longitude_deg,
-                    altitude_amsl_m=self._return_amsl_m,
-                )
-                there = abs(here.altitude_amsl_m - self._return_amsl_m) < 2.0
-                self._stage(Return.GO, reached=there and waited_us >= RETURN_STAGE_US)
-                return self.go(target, dt_s)
-            case Return.GO:
-                there = distance_m(here, home) < host.parameters["WPNAV_RADIUS"] / 100.0
-                self._stage(Return.WAIT, reached=there and waited_us >= RETURN_STAGE_US)
-                return self.go(above, dt_s)
-            case Return.WAIT:
-                waits_us = host.parameters["RTL_LOIT_TIME"] * 1e3
-                self._stage(Return.LAND, reached=waited_us >= waits_us)
-                return self.go(above, dt_s)
-            case Return.LAND:
-                return self.run_landing(dt_s)
-
-    def _stage(self, stage: Return, *, reached: bool) -> None:
-        if reached:
-            self._returning, self._stage_us = stage, self.host.now_us
-
-    @property
-    def return_place(self) -> Place | None:
-        """Where RTL flies to, until it lands."""
-        home = self.host.home
-        if home is None or self._returning is Return.LAND:
-            return None
-        return Place(
-            latitude_deg=home.latitude_deg,
-            longitude_deg=home.longitude_deg,
-            altitude_amsl_m=self._return_amsl_m,
         )
 
     @property
     def taking_off(self) -> bool:
         """Whether a take-off is going on, in GUIDED or AUTO."""
         in_auto = self.host.mode == modes.AUTO and self.auto.taking_off
-        return self.takeoff_us is not None or in_auto
+        return self.motion.takeoff_us is not None or in_auto
 
     @property
     def holds_place(self) -> bool:

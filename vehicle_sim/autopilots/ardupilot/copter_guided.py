@@ -7,17 +7,20 @@ import enum
 import math
 from typing import final
 
-from vehicle_sim.autopilots import Place
-from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl
+from vehicle_sim.autopilots import Estimate, Place
+from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl, clipped
 from vehicle_sim.autopilots.ardupilot.copter_setpoints import Target
-from vehicle_sim.autopilots.ardupilot.copter_tracker import Tracker
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector
 from vehicle_sim.autopilots.attitude import Attitude, AttitudeTarget, attitude_of
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Limits
 from vehicle_sim.geodesy import metres_per_degree
 
 LEAST_TIMEOUT_S = 0.1
 NOTHING: Vector = (0.0, 0.0, 0.0)
+KP_1_S2 = 0.75
+KV_1_S = 4.0
+"""Well damped (2.3): the vehicle's acceleration overshoots a step of the path's by 4 %."""
+_STREAM_GAP_S = 0.5
 RATES_LEAD_S = 0.1
 """Body rates are flown as the attitude that they lead to in this time."""
 
@@ -36,26 +39,79 @@ class Submode(enum.Enum):
 
 
 @final
+class Tracker:
+    """A law for airframes without drag, which ArduCopter's controller was never tuned for.
+
+    The bundled worlds fly a copter at 150 m/s with 9 m/s2 of lateral acceleration: no such vehicle
+    exists, and WPNAV_ACCEL would not let the real controller correct so hard.  With a position and
+    a velocity streamed it accelerates by the errors in both,
+
+        a = KP (p_target - p) + KV (v_target - v),
+
+    without a feed-forward of acceleration where ArduCopter drops it: in a steady turn it is a / KP
+    to the outside.
+    Between setpoints the velocity error is taken against a velocity that goes on changing as it
+    has: held still, it would saw the acceleration up and down at the rate of the stream.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self.received_us = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Whatever comes next is no stream."""
+        self._slope: Vector = (0.0, 0.0, 0.0)
+        self._interval_s = 0.0
+
+    def learn(self, before: Vector, velocity: Vector, now_us: int, *, streams: bool) -> None:
+        """A setpoint with this velocity, after one with that."""
+        gap_s = (now_us - self.received_us) * 1e-6
+        self.received_us = now_us
+        if gap_s < 1e-3:
+            return
+        limits = self._limits
+        slope = tuple((new - old) / gap_s for new, old in zip(velocity, before, strict=True))
+        smooth = math.hypot(slope[0], slope[1]) <= limits.acceleration_m_s2 and (
+            abs(slope[2]) <= limits.acceleration_vertical_m_s2
+        )
+        if streams and gap_s <= _STREAM_GAP_S and smooth:
+            self._slope, self._interval_s = (slope[0], slope[1], slope[2]), gap_s
+        else:
+            self.forget()
+
+    def wanted(
+        self,
+        estimate: Estimate,
+        place: Vector,
+        velocity: Vector,
+        acceleration: Vector,
+        speeds_m_s: tuple[float, float],
+        now_us: int,
+    ) -> Vector:
+        """Acceleration north, east, up towards a place (degrees, degrees, metres) that moves."""
+        metres_north, metres_east = metres_per_degree(estimate.latitude_deg)
+        north_m = (place[0] - estimate.latitude_deg) * metres_north
+        east_m = (place[1] - estimate.longitude_deg) * metres_east
+        up_m = place[2] - estimate.altitude_amsl_m
+        north, east = clipped(north_m * KP_1_S2, east_m * KP_1_S2, KV_1_S * speeds_m_s[0])
+        most_up = KV_1_S * speeds_m_s[1]
+        up = min(max(up_m * KP_1_S2, -most_up), most_up)
+        age_s = (now_us - self.received_us) * 1e-6
+        ahead_s = age_s if age_s <= 2.0 * self._interval_s else 0.0
+        v_n, v_e, v_u = velocity
+        s_n, s_e, s_u = self._slope
+        a_n, a_e, a_u = acceleration
+        return (
+            north + KV_1_S * (v_n + s_n * ahead_s - estimate.velocity_north_m_s) + a_n,
+            east + KV_1_S * (v_e + s_e * ahead_s - estimate.velocity_east_m_s) + a_e,
+            up + KV_1_S * (v_u + s_u * ahead_s - estimate.velocity_up_m_s) + a_u,
+        )
+
+
+@final
 class Guided:
     """The target, and what it makes the position controller do."""
-
-    __slots__ = (
-        "_angle",
-        "_climb_m_s",
-        "_thrust",
-        "_was_tracking",
-        "acceleration",
-        "altitude_amsl_m",
-        "control",
-        "latitude_deg",
-        "longitude_deg",
-        "paused",
-        "received_us",
-        "submode",
-        "timeout_us",
-        "tracker",
-        "velocity",
-    )
 
     def __init__(self, control: PositionControl, timeout_s: float) -> None:
         self.control = control
@@ -106,11 +162,7 @@ class Guided:
     @property
     def place(self) -> Place:
         """Where the target is."""
-        return Place(
-            latitude_deg=self.latitude_deg,
-            longitude_deg=self.longitude_deg,
-            altitude_amsl_m=self.altitude_amsl_m,
-        )
+        return Place(self.latitude_deg, self.longitude_deg, self.altitude_amsl_m)
 
     def take(self, target: Target, now_us: int) -> None:
         """Steer for this from now on."""
@@ -233,8 +285,7 @@ class Guided:
             control.towards_altitude(self.altitude_amsl_m, up, a_u, dt_s)
         else:
             fly_to(control, self.latitude_deg, self.longitude_deg, self.altitude_amsl_m, dt_s)
-        north, east = control.wanted_level(dt_s)
-        return north, east, control.wanted_up()
+        return control.wanted(dt_s)
 
     def _track(self, tracker: Tracker, now_us: int) -> Vector:
         control = self.control

@@ -124,7 +124,7 @@ def _place(setpoint: Setpoint, bearings: Bearings, *, use_velocity: bool) -> Pla
         # without terrain data the ground is taken to be at sea level: it flies into it
     elif setpoint.frame not in _FRAMES_AMSL:
         return Stop(text=f"Unknown mavlink coordinate frame {setpoint.frame}")
-    return Place(latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_amsl_m=altitude_m)
+    return Place(latitude_deg, longitude_deg, altitude_m)
 
 
 def _local_place(setpoint: Setpoint, bearings: Bearings) -> Place:

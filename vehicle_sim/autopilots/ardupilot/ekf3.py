@@ -94,13 +94,11 @@ class Ekf3:
         self._lanes: list[tuple[int, int]] = []
         self._aided_before = False
         self._timed_out = False
-        self._error_deg = (0.0, 0.0)
-        self._bias_m = (0.0, 0.0)
+        self._error_deg = 0j
+        """North + east j, as all horizontal vectors here."""
+        self._bias_m = 0j
         direction_rad = rng.uniform(0.0, math.tau)
-        self._drift_m_s2 = (
-            DRIFT_M_S2 * math.cos(direction_rad),
-            DRIFT_M_S2 * math.sin(direction_rad),
-        )
+        self._drift_m_s2 = DRIFT_M_S2 * complex(math.cos(direction_rad), math.sin(direction_rad))
         self._rng = rng
         self._due_texts: list[tuple[int, str]] = []
         estimate.flags = UNINITIALISED
@@ -137,9 +135,8 @@ class Ekf3:
         e.altitude_amsl_m = vehicle.altitude_amsl_m
         e.velocity_up_m_s = vehicle.velocity_up_m_s
         if self.aiding:
-            error_north_deg, error_east_deg = self._error_deg
-            e.latitude_deg = vehicle.latitude_deg + error_north_deg
-            e.longitude_deg = vehicle.longitude_deg + error_east_deg
+            e.latitude_deg = vehicle.latitude_deg + self._error_deg.real
+            e.longitude_deg = vehicle.longitude_deg + self._error_deg.imag
             e.velocity_north_m_s = vehicle.velocity_north_m_s
             e.velocity_east_m_s = vehicle.velocity_east_m_s
         elif self.origin is None and self._fix_since_us is None:
@@ -174,33 +171,31 @@ class Ekf3:
                 self.estimate.latitude_deg = fix.latitude_deg
                 self.estimate.longitude_deg = fix.longitude_deg
             return
-        north_m, east_m = self._innovations(vehicle, fix)
-        size_m = math.hypot(north_m, east_m)
+        off_m = self._innovation_m(vehicle, fix)
+        size_m = math.hypot(off_m.real, off_m.imag)
         rejected_us = self._rejected_since_us
         since_s = 0.0 if rejected_us is None else (now_us - rejected_us) * 1e-6
         gate_m = GATE_M + GATE_GROWTH_M_S * since_s
         self._tell(size_m / gate_m)
         back = gap_us > OUTAGE_US
         if size_m <= gate_m or back:
-            self._accept(now_us, north_m, east_m, 1.0 if back else FOLLOWS)
+            self._accept(now_us, off_m * (1.0 if back else FOLLOWS))
         elif rejected_us is None:
             self._reject(now_us)
 
-    def _innovations(self, vehicle: Vehicle, fix: Fix) -> tuple[float, float]:
-        """What the fix says beyond what was expected: metres north and east."""
+    def _innovation_m(self, vehicle: Vehicle, fix: Fix) -> complex:
+        """What the fix says beyond what was expected."""
         metres_north, metres_east = metres_per_degree(vehicle.latitude_deg)
-        error_north_deg, error_east_deg = self._error_deg
-        north_deg = fix.latitude_deg - vehicle.latitude_deg - error_north_deg
-        east_deg = math.remainder(fix.longitude_deg - vehicle.longitude_deg - error_east_deg, 360.0)
+        error_deg = self._error_deg
+        north_deg = fix.latitude_deg - vehicle.latitude_deg - error_deg.real
+        east_deg = math.remainder(fix.longitude_deg - vehicle.longitude_deg - error_deg.imag, 360.0)
         # half of what the velocity changed by since, since the fix is of a moment ago
         north_m_s = vehicle.velocity_north_m_s - 0.5 * LATENCY_S * vehicle.acceleration_north_m_s2
         east_m_s = vehicle.velocity_east_m_s - 0.5 * LATENCY_S * vehicle.acceleration_east_m_s2
-        return (
-            north_deg * metres_north + LATENCY_S * north_m_s + self._bias_m[0],
-            east_deg * metres_east + LATENCY_S * east_m_s + self._bias_m[1],
-        )
+        off_m = complex(north_deg * metres_north, east_deg * metres_east)
+        return off_m + LATENCY_S * complex(north_m_s, east_m_s) + self._bias_m
 
-    def _accept(self, now_us: int, north_m: float, east_m: float, share: float) -> None:
+    def _accept(self, now_us: int, shift_m: complex) -> None:
         if self._rejected_since_us is not None:
             self._rejected_since_us = None
             self._accepted_us = now_us
@@ -208,13 +203,12 @@ class Ekf3:
         if self._timed_out:
             self._timed_out = False
             self.estimate.flags = WITH_GPS
-        self._shift(share * north_m, share * east_m)
+        self._shift(shift_m)
 
-    def _shift(self, north_m: float, east_m: float) -> None:
+    def _shift(self, by_m: complex) -> None:
         """Move the error by this much."""
         metres_north, metres_east = metres_per_degree(self.estimate.latitude_deg)
-        north_deg, east_deg = self._error_deg
-        self._error_deg = (north_deg + north_m / metres_north, east_deg + east_m / metres_east)
+        self._error_deg += complex(by_m.real / metres_north, by_m.imag / metres_east)
 
     def _reject(self, now_us: int) -> None:
         self._rejected_since_us = now_us
@@ -256,8 +250,7 @@ class Ekf3:
     def _give_in(self, now_us: int, vehicle: Vehicle, fix: Fix) -> None:
         """Believe GPS again: the position jumps."""
         lanes = list(self._lanes)
-        north_m, east_m = self._innovations(vehicle, fix)
-        self._accept(now_us, north_m, east_m, 1.0)
+        self._accept(now_us, self._innovation_m(vehicle, fix))
         for _, lane in lanes[:1]:
             self.switch_lane(lane)
         self.estimate.flags = WITH_GPS | GLITCHING
@@ -270,9 +263,7 @@ class Ekf3:
 
     def _without_gps(self, now_us: int) -> None:
         since_us = now_us - self._heard_us
-        since_s = since_us * 1e-6
-        north_m_s2, east_m_s2 = self._drift_m_s2
-        self._shift(north_m_s2 * since_s * 0.01, east_m_s2 * since_s * 0.01)
+        self._shift(self._drift_m_s2 * (since_us * 1e-6) * 0.01)
         if since_us >= STOPS_US:
             self.aiding = False
             self._fix_since_us = None
@@ -311,9 +302,8 @@ class Ekf3:
         self.aiding = self.began_aiding = True
         self._aided_before = True
         self._timed_out = False
-        self._error_deg = (0.0, 0.0)
-        north_m, east_m = self._innovations(vehicle, fix)
-        self._shift(north_m, east_m)
+        self._error_deg = 0j
+        self._shift(self._innovation_m(vehicle, fix))
         self.follow(vehicle)
         self.estimate.flags = WITH_GPS
         self.estimate.position_ok = True
@@ -326,9 +316,8 @@ class Ekf3:
 
     def reset(self, north_m: float, east_m: float) -> None:
         """The position jumps by this much and stays there: GPS is now believed to be off by it."""
-        self._shift(north_m, east_m)
-        north_was_m, east_was_m = self._bias_m
-        self._bias_m = (north_was_m + north_m, east_was_m + east_m)
+        self._shift(complex(north_m, east_m))
+        self._bias_m += complex(north_m, east_m)
 
     def move_origin(self, north_m: float, east_m: float, up_m: float) -> None:
         """Put the origin elsewhere: local positions change, global ones do not."""

@@ -31,9 +31,9 @@ def flat_earth_place(origin: Place, ned_m: Vector) -> Place:
     north_deg = ned_m[0] / FLAT_EARTH_M_PER_DEG
     scale = longitude_scale(origin.latitude_deg + 0.5 * north_deg)
     return Place(
-        latitude_deg=origin.latitude_deg + north_deg,
-        longitude_deg=origin.longitude_deg + ned_m[1] / (FLAT_EARTH_M_PER_DEG * scale),
-        altitude_amsl_m=origin.altitude_amsl_m - ned_m[2],
+        origin.latitude_deg + north_deg,
+        origin.longitude_deg + ned_m[1] / (FLAT_EARTH_M_PER_DEG * scale),
+        origin.altitude_amsl_m - ned_m[2],
     )
 
 

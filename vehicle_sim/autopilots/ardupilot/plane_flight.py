@@ -7,6 +7,7 @@ import math
 from typing import final
 
 from vehicle_sim.autopilots import Landed, Place, Waypoint
+from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.flat_earth import distance_m, offset
 from vehicle_sim.autopilots.ardupilot.plane_guided import NOT_FORCED, Forced, Guided
 from vehicle_sim.autopilots.ardupilot.plane_heights import (
@@ -14,16 +15,15 @@ from vehicle_sim.autopilots.ardupilot.plane_heights import (
     indicated_airspeed_m_s,
     true_airspeed_m_s,
 )
-from vehicle_sim.autopilots.ardupilot.plane_landing import Landing
 from vehicle_sim.autopilots.ardupilot.plane_mission import Mission
 from vehicle_sim.autopilots.ardupilot.plane_modes import GLIDES, LOITERS, SLOW, Mode
 from vehicle_sim.autopilots.ardupilot.plane_navigation import NAVIGATION_S, Navigation
-from vehicle_sim.autopilots.ardupilot.plane_roles import Autopilot
-from vehicle_sim.autopilots.ardupilot.plane_takeoff import (
+from vehicle_sim.autopilots.ardupilot.plane_runway import (
     AIMED_M_S,
     CLIMB_AIRSPEED,
     CLIMB_M_S,
     FLYING_M_S,
+    Landing,
     Stage,
     Takeoff,
 )
@@ -45,14 +45,15 @@ CRASH_M_S = 4.0
 class Flight:
     """What the plane does now, and the numbers that it does it by."""
 
-    def __init__(self, autopilot: Autopilot, plane: Plane) -> None:
-        self._autopilot = autopilot
+    def __init__(self, host: ArduPilot, plane: Plane) -> None:
+        self._host = host
         self._plane = plane
         plane.turn_efficiency = TURN_EFFICIENCY
-        parameters = autopilot.parameters
-        self.navigation = Navigation(autopilot.estimate, parameters)
-        self.takeoff = Takeoff(parameters, autopilot.say)
-        self.mission = Mission(autopilot.plans, self)
+        parameters = host.parameters
+        self.navigation = Navigation(host.estimate, plane, parameters)
+        self.takeoff = Takeoff(parameters, host.say)
+        self.guided = Guided(parameters, host.say)
+        self.mission = Mission(host, plane, self.navigation, self.guided)
         self.heights = HeightControl(climb_max_m_s=5.0, sink_max_m_s=5.0)
         self.flying = False
         self.crashed = False
@@ -63,133 +64,45 @@ class Flight:
         self._speed_m_s = 0.0
         """True airspeed to hold now; it follows the demand as fast as the throttle can."""
         self._demand_m_s = 22.0
-        self._airspeed_m_s: float | None = None
-        """Of DO_CHANGE_SPEED, until the mode changes."""
-        self.guided = Guided()
         self._start: Place | None = None
         self._aimed = False
         """TAKEOFF has settled where it goes."""
         self._settling = False
         """Climbing on with the speed that is left from a take-off."""
-        self.landing = Landing(parameters, autopilot.say)
+        self.landing = Landing(parameters, host.say)
         self._still_us = 0
         self.read_parameters()
 
     def read_parameters(self) -> None:
         """Some parameter has changed."""
-        parameters = self._autopilot.parameters
+        parameters = self._host.parameters
         self.navigation.read_parameters()
         self.heights.climb_max_m_s = max(parameters["TECS_CLMB_MAX"], 0.1)
         self.heights.sink_max_m_s = max(parameters["TECS_SINK_MAX"], 0.1)
         self._bank_most_rad = math.radians(min(abs(parameters["ROLL_LIMIT_DEG"]), 80.0))
 
-    # --- what the mission asks for ------------------------------------------------------------
-
-    @property
-    def mission_current(self) -> int:
-        """Number of the item that is flown."""
-        return self._autopilot.mission_current
-
-    @mission_current.setter
-    def mission_current(self, number: int) -> None:
-        self._autopilot.mission_current = number
-
-    @property
-    def now_us(self) -> int:
-        """Vehicle time since boot."""
-        return self._autopilot.now_us
-
-    @property
-    def home(self) -> Place | None:
-        """Where it returns to."""
-        return self._autopilot.home
-
-    @property
-    def heading_rad(self) -> float:
-        """Where the nose points."""
-        return self._plane.heading_rad
-
-    @property
-    def pitch_rad(self) -> float:
-        """Nose up."""
-        return self._plane.pitch_rad
-
-    @property
-    def course_rad(self) -> float:
-        """Where it moves over the ground; standing, where the nose points."""
-        e = self._autopilot.estimate
-        if abs(e.velocity_north_m_s) + abs(e.velocity_east_m_s) < 0.5:
-            return self._plane.heading_rad
-        return math.atan2(e.velocity_east_m_s, e.velocity_north_m_s)
-
-    def here(self) -> Place:
-        """Where it believes to be."""
-        return self._autopilot.estimate.place
-
-    def say(self, severity: int, text: str) -> None:
-        """A STATUSTEXT."""
-        self._autopilot.say(severity, text)
-
-    def reached(self, number: int) -> None:
-        """MISSION_ITEM_REACHED."""
-        self._autopilot.reached(number)
-
-    def change_speed(self, kind: float, speed_m_s: float) -> bool:
-        """DO_CHANGE_SPEED: airspeed (0) within the limits; -2 restores the cruising speed."""
-        parameters = self._autopilot.parameters
-        if kind != 0.0:
-            return kind == 1.0
-        if speed_m_s == -2.0:
-            self._airspeed_m_s = None
-            return True
-        if not parameters["AIRSPEED_MIN"] <= speed_m_s <= parameters["AIRSPEED_MAX"]:
-            return False
-        self._airspeed_m_s = speed_m_s
-        self.say(6, f"Set airspeed {int(speed_m_s)} m/s")
-        return True
-
-    def return_home(self) -> None:
-        """To the height RTL_ALTITUDE above home, at once where it is below."""
-        home, here = self._autopilot.home, self.here()
-        if home is None:
-            return
-        above_m = self._autopilot.parameters["RTL_ALTITUDE"]
-        altitude_m = here.altitude_amsl_m if above_m < 0.0 else home.altitude_amsl_m + above_m
-        target = Place(
-            latitude_deg=home.latitude_deg,
-            longitude_deg=home.longitude_deg,
-            altitude_amsl_m=altitude_m,
-        )
-        self.navigation.start(here, target)
-        self.navigation.slope(descend_only=True)
-        radius_m = self._autopilot.parameters["RTL_RADIUS"]
-        self.navigation.active_radius_m = abs(radius_m)
-        if radius_m < 0.0:
-            self.navigation.direction = -1.0
-
     # --- modes and what GUIDED is told ----------------------------------------------------------
 
     def enter(self, mode: Mode) -> None:
         """Begin to fly in this mode; what GUIDED was told is forgotten."""
-        self._airspeed_m_s = None
         self.guided.forget()
         self.landing.flaring = False
         self.mission.stop()
-        navigation, here = self.navigation, self.here()
+        navigation, here = self.navigation, self._host.estimate.place
         navigation.l1.forget()
-        if not self._autopilot.landed and self.takeoff.stage is Stage.CLIMBING:
+        if not self._host.landed and self.takeoff.stage is Stage.CLIMBING:
             self._end_climb()
-        if self._autopilot.landed:
+        if self._host.landed:
             self.takeoff.abandon()
         self._start = here
         if mode is Mode.RTL:
-            self.return_home()
+            navigation.return_home(self._host.home)
             return
         if mode is Mode.AUTO:
             self.mission_over = False
             self.mission.begin()
             return
-        if mode is Mode.TAKEOFF and not self._autopilot.landed:
+        if mode is Mode.TAKEOFF and not self._host.landed:
             self._climb_on()
             return
         navigation.start(here, here)
@@ -198,26 +111,28 @@ class Flight:
 
     def _climb_on(self) -> None:
         """TAKEOFF in the air: to its height, ahead, then circle."""
-        navigation, here = self.navigation, self.here()
-        parameters, home = self._autopilot.parameters, self._autopilot.home
+        navigation, here = self.navigation, self._host.estimate.place
+        parameters, home = self._host.parameters, self._host.home
         above_m = here.altitude_amsl_m - (home.altitude_amsl_m if home else 0.0)
         missing_m = parameters["TKOFF_ALT"] - above_m
         navigation.active_radius_m = 0.0
         if missing_m <= 0.0:
-            self.say(6, "Above TKOFF alt - loitering")
+            self._host.say(6, "Above TKOFF alt - loitering")
             navigation.start(here, here)
             return
-        self.say(6, "Climbing to TKOFF alt then loitering")
-        navigation.start(here, self._ahead(here, parameters["TKOFF_DIST"], missing_m))
+        self._host.say(6, "Climbing to TKOFF alt then loitering")
+        self._aim_ahead(missing_m)
 
-    def _ahead(self, here: Place, distance_m: float, up_m: float) -> Place:
-        course = self.course_rad
-        north_m, east_m = distance_m * math.cos(course), distance_m * math.sin(course)
-        return offset(here, north_m, east_m, up_m)
+    def _aim_ahead(self, up_m: float) -> None:
+        """To the point TKOFF_DIST ahead and so much higher."""
+        here, course = self._host.estimate.place, self.navigation.course_rad
+        away_m = self._host.parameters["TKOFF_DIST"]
+        ahead = offset(here, away_m * math.cos(course), away_m * math.sin(course), up_m)
+        self.navigation.start(here, ahead)
 
     def reposition(self, place: Place, radius_m: float | None, *, counter_clockwise: bool) -> None:
         """DO_REPOSITION: without a radius the one before is kept."""
-        navigation, here = self.navigation, self.here()
+        navigation, here = self.navigation, self._host.estimate.place
         self.guided.holds_heading = False
         navigation.start(here, place, counter_clockwise=counter_clockwise)
         navigation.slope(descend_only=True)
@@ -230,24 +145,24 @@ class Flight:
 
     def navigate(self) -> None:
         """Where to, how high, how fast, and how to bank for it."""
-        autopilot, navigation = self._autopilot, self.navigation
-        if autopilot.ekf.aiding:
+        host, navigation = self._host, self.navigation
+        if host.ekf.aiding:
             self.ever_aided = True
         self._update_flying()
         self._demand()
-        if not autopilot.ekf.position_ok:
+        if not host.ekf.position_ok:
             self._bank_rad = 0.0
             return
         navigation.measure()
         self._bank_rad = self._wanted_bank()
-        crawling_m = self.guided.altitude_amsl_m(autopilot.estimate.altitude_amsl_m, NAVIGATION_S)
+        crawling_m = self.guided.altitude_amsl_m(host.estimate.altitude_amsl_m, NAVIGATION_S)
         if crawling_m is not None:
             navigation.target_amsl_m = crawling_m
-        elif autopilot.mode in LOITERS or autopilot.mode in (Mode.AUTO, Mode.TAKEOFF):
+        elif host.mode in LOITERS or host.mode in (Mode.AUTO, Mode.TAKEOFF):
             navigation.update_altitude()
 
     def _wanted_bank(self) -> float:
-        autopilot, mode = self._autopilot, self._autopilot.mode
+        host, mode = self._host, self._host.mode
         if mode == Mode.AUTO:
             return self._auto()
         if mode == Mode.CIRCLE:
@@ -256,43 +171,42 @@ class Flight:
             return self._take_off()
         if mode not in LOITERS:
             return 0.0
-        navigation, plane = self.navigation, self._plane
+        navigation = self.navigation
         if navigation.next is None:
             return 0.0
         if mode == Mode.GUIDED and self.guided.holds_heading:
             return self._bank_rad  # attitude follows the heading at each step
-        bank = navigation.circle(navigation.active_radius_m, plane.heading_rad, plane.pitch_rad)
+        bank = navigation.circle(navigation.active_radius_m)
         if not navigation.arrived and (navigation.l1.circling or navigation.along > 1.0):
             navigation.arrived = True
             if mode == Mode.GUIDED and self.flying:
-                autopilot.reached(0)
+                host.reached(0)
         return bank
 
     def _take_off(self) -> float:
         """TAKEOFF: to its point ahead, then circle it."""
-        navigation, autopilot, plane = self.navigation, self._autopilot, self._plane
-        parameters = autopilot.parameters
-        here = self.here()
+        navigation, host, plane = self.navigation, self._host, self._plane
+        parameters = host.parameters
+        here = self._host.estimate.place
         stage = self.takeoff.stage
-        if autopilot.landed and autopilot.armed:
+        if host.landed and host.armed:
             speed = math.hypot(plane.velocity_north_m_s, plane.velocity_east_m_s)
             if self._start is not None and stage is not Stage.RUNNING:
                 self._start = here
             if navigation.next is None or speed < AIMED_M_S or navigation.distance_m < 1.0:
-                distance_m_, up_m = parameters["TKOFF_DIST"], parameters["TKOFF_ALT"]
                 self._start = here
-                navigation.start(here, self._ahead(here, distance_m_, up_m))
+                self._aim_ahead(parameters["TKOFF_ALT"])
                 self._aimed = False
             elif not self._aimed:
                 self._aimed = True
-                course_deg = math.degrees(self.course_rad) % 360.0
-                self.say(
+                course_deg = math.degrees(self.navigation.course_rad) % 360.0
+                self._host.say(
                     6,
                     f"Takeoff to {parameters['TKOFF_ALT']:.0f}m for "
                     f"{parameters['TKOFF_DIST']:.1f}m heading {course_deg:.1f} deg",
                 )
             self.takeoff.tell_direction(plane, speed)
-        bank = navigation.circle(0.0, plane.heading_rad, plane.pitch_rad)
+        bank = navigation.circle(0.0)
         if stage is not Stage.CLIMBING or self._start is None:
             return bank
         climbed_m = here.altitude_amsl_m - self._start.altitude_amsl_m
@@ -305,20 +219,20 @@ class Flight:
 
     def _auto(self) -> float:
         """AUTO: the mission; without one it returns."""
-        autopilot, mission = self._autopilot, self.mission
-        if autopilot.landed and not mission.takes_off:
+        host, mission = self._host, self.mission
+        if host.landed and not mission.takes_off:
             return 0.0
         bank = mission.bank_rad()
-        if not mission.runs and autopilot.armed and not autopilot.landed:
+        if not mission.runs and host.armed and not host.landed:
             self.mission_over = True
-            autopilot.set_mode(Mode.RTL)
-            self.say(6, "Mission complete, changing mode to RTL")
+            host.set_mode(Mode.RTL)
+            self._host.say(6, "Mission complete, changing mode to RTL")
             return 0.0
         if self.takeoff.stage is Stage.CLIMBING:
             if not mission.takes_off:
                 self._end_climb()
             elif self._start is not None:
-                climbed_m = self.here().altitude_amsl_m - self._start.altitude_amsl_m
+                climbed_m = self._host.estimate.place.altitude_amsl_m - self._start.altitude_amsl_m
                 limit = self.takeoff.bank_limit_rad(climbed_m)
                 bank = min(max(bank, -limit), limit)
         return 0.0 if self.landing.flaring else bank
@@ -326,52 +240,54 @@ class Flight:
     def _end_climb(self) -> None:
         """From take-off to normal flight."""
         self.takeoff.abandon()
-        self.heights.begin(self._autopilot.estimate.altitude_amsl_m)
+        self.heights.begin(self._host.estimate.altitude_amsl_m)
         self._settling = True
 
     def _demand(self) -> None:
         """Airspeed to hold."""
-        autopilot = self._autopilot
-        parameters, mode = autopilot.parameters, autopilot.mode
+        host = self._host
+        parameters, mode = host.parameters, host.mode
         wanted = parameters["AIRSPEED_CRUISE"]
         if mode in SLOW or mode in GLIDES:
             wanted = parameters["AIRSPEED_MIN"]
         elif mode in (Mode.GUIDED, Mode.AUTO):
             guided = self.guided.airspeed_m_s(self._demand_m_s, NAVIGATION_S)
-            wanted = guided or self._airspeed_m_s or wanted
+            wanted = guided or self.guided.cruise_m_s or wanted
         self._demand_m_s = min(max(wanted, parameters["AIRSPEED_MIN"]), parameters["AIRSPEED_MAX"])
 
     def _update_flying(self) -> None:
         """What counts as flying: fast enough with the motor on, or in the air."""
-        autopilot = self._autopilot
-        if not autopilot.landed:
+        host = self._host
+        if not host.landed:
             self.flying = True
         elif self.flying or self.takeoff.stage is Stage.RUNNING:
-            e = autopilot.estimate
+            e = host.estimate
             speed = math.hypot(e.velocity_north_m_s, e.velocity_east_m_s)
-            self.flying = autopilot.armed and speed >= FLYING_M_S
+            self.flying = host.armed and speed >= FLYING_M_S
 
     # --- at every step ----------------------------------------------------------------------------
 
     def step(self, dt_s: float, ground_amsl_m: float) -> None:
         """Move the plane."""
-        autopilot, plane = self._autopilot, self._plane
-        if autopilot.landed:
+        host, plane = self._host, self._plane
+        if host.landed:
             self._on_ground(dt_s, ground_amsl_m)
             return
-        height_m = autopilot.estimate.altitude_amsl_m
+        height_m = host.estimate.altitude_amsl_m
         bank, guided = self._bank_rad, self.guided
         if guided.holds_heading:
-            bank = guided.bank_rad(self.course_rad if guided.of_course else plane.heading_rad, dt_s)
+            bank = guided.bank_rad(
+                self.navigation.course_rad if guided.of_course else plane.heading_rad, dt_s
+            )
         forced = NOT_FORCED
-        if autopilot.mode == Mode.GUIDED:
-            forced = guided.forced(autopilot.now_us)
+        if host.mode == Mode.GUIDED:
+            forced = guided.forced(host.now_us)
         if forced.roll_rad is not None:
             bank = forced.roll_rad
         most = self._bank_most_rad
         bank = -most if bank < -most else most if bank > most else bank
-        mode = autopilot.mode
-        if not autopilot.armed or mode in GLIDES:
+        mode = host.mode
+        if not host.armed or mode in GLIDES:
             self.heights.begin(height_m)
             speed = true_airspeed_m_s(self._demand_m_s, height_m)
             plane.advance(0.0 if mode in GLIDES else bank, -GLIDE_M_S, speed, dt_s)
@@ -386,7 +302,7 @@ class Flight:
             self.landing.step(
                 plane,
                 self.navigation,
-                autopilot.estimate,
+                host.estimate,
                 height_m=height_m - ground_amsl_m,
                 bank_rad=bank,
                 cruise_m_s=self._cruise_m_s(),
@@ -400,7 +316,7 @@ class Flight:
 
     def _cruise_m_s(self) -> float:
         """True airspeed for the one that is wanted."""
-        return true_airspeed_m_s(self._demand_m_s, self._autopilot.estimate.altitude_amsl_m)
+        return true_airspeed_m_s(self._demand_m_s, self._host.estimate.altitude_amsl_m)
 
     def _cruise(self, bank: float, height_m: float, forced: Forced, dt_s: float) -> None:
         plane = self._plane
@@ -413,7 +329,7 @@ class Flight:
                 climb = max(climb, EXCESS_CLIMB * excess)
             else:
                 self._settling = False
-        parameters, limits = self._autopilot.parameters, plane.limits
+        parameters, limits = self._host.parameters, plane.limits
         if forced.pitch_rad is not None:
             self.heights.begin(height_m)
             steepest, lowest = parameters["PTCH_LIM_MAX_DEG"], parameters["PTCH_LIM_MIN_DEG"]
@@ -432,16 +348,16 @@ class Flight:
     # --- on the ground ----------------------------------------------------------------------------
 
     def _on_ground(self, dt_s: float, ground_amsl_m: float) -> None:
-        autopilot, plane = self._autopilot, self._plane
+        host, plane = self._host, self._plane
         plane.altitude_amsl_m = ground_amsl_m
-        taking_off = autopilot.mode == Mode.TAKEOFF or (
-            autopilot.mode == Mode.AUTO and self.mission.takes_off
+        taking_off = host.mode == Mode.TAKEOFF or (
+            host.mode == Mode.AUTO and self.mission.takes_off
         )
-        if autopilot.armed and taking_off and autopilot.ekf.position_ok:
+        if host.armed and taking_off and host.ekf.position_ok:
             if self.takeoff.suppressed:
-                self._start = self.here()
+                self._start = self._host.estimate.place
             if self.takeoff.run(plane, self._cruise_m_s(), dt_s):
-                autopilot.landed = False
+                host.landed = False
                 self._speed_m_s = plane.airspeed_m_s
             return
         if not self.takeoff.suppressed:
@@ -452,36 +368,36 @@ class Flight:
             return
         plane.roll_on_ground(BRAKING_M_S2, dt_s)
         plane.throttle = 0.0
-        self._still_us = autopilot.now_us
+        self._still_us = host.now_us
 
     def _wait_to_disarm(self) -> None:
         """Some time after a landing."""
-        autopilot = self._autopilot
-        if not autopilot.armed or not self.landing.flaring:
+        host = self._host
+        if not host.armed or not self.landing.flaring:
             return
-        delay_us = autopilot.parameters["LAND_DISARMDELAY"] * 1e6
-        if delay_us > 0.0 and autopilot.now_us - self._still_us >= delay_us:
+        delay_us = host.parameters["LAND_DISARMDELAY"] * 1e6
+        if delay_us > 0.0 and host.now_us - self._still_us >= delay_us:
             self.landing.flaring = False
-            autopilot.disarm()
-            self.say(6, "Auto disarmed")
+            host.disarm()
+            self._host.say(6, "Auto disarmed")
 
     def _touch_down(self, ground_amsl_m: float) -> None:
         """Wheels or nose on the ground."""
-        autopilot, plane = self._autopilot, self._plane
+        host, plane = self._host, self._plane
         sink = -plane.velocity_up_m_s
         plane.touch_down(ground_amsl_m)
-        autopilot.landed = True
+        host.landed = True
         self.takeoff.abandon()
-        self._still_us = autopilot.now_us
+        self._still_us = host.now_us
         if not self.landing.flaring and sink > CRASH_M_S:
             self.crashed = True
             plane.stand(ground_amsl_m)
-            self.say(0, "Crash detected")
+            self._host.say(0, "Crash detected")
 
     @property
     def indicated_m_s(self) -> float:
         """What the pitot tube measures: less than the true airspeed, as it is calibrated."""
-        altitude_m = self._autopilot.estimate.altitude_amsl_m
+        altitude_m = self._host.estimate.altitude_amsl_m
         return indicated_airspeed_m_s(self._plane.airspeed_m_s, altitude_m)
 
     def waypoint(self) -> Waypoint | None:
@@ -494,5 +410,5 @@ class Flight:
             return Landed.ON_GROUND
         if self.takeoff.stage in (Stage.RUNNING, Stage.CLIMBING):
             return Landed.TAKEOFF
-        landing = self._autopilot.mode == Mode.AUTO and self.mission.lands
+        landing = self._host.mode == Mode.AUTO and self.mission.lands
         return Landed.LANDING if landing else Landed.IN_AIR

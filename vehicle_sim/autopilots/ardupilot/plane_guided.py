@@ -1,12 +1,14 @@
-"""What ArduPlane's GUIDED was told besides a point: speed, height by rate, heading.
+"""What ArduPlane was told besides a point: speed and, in GUIDED, height by rate and heading.
 
 All of it is forgotten when the mode changes.  Source: ardupilot.md 7.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple, final
 
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2
+from vehicle_sim.parameters import Parameters
 
 HEADING_GAIN = math.radians(50.0)
 """Bank for each radian of heading error: GUIDED_P 5000 hundredths of a degree."""
@@ -33,9 +35,13 @@ NOT_FORCED = Forced()
 
 @final
 class Guided:
-    """GUIDED_CHANGE_SPEED, _ALTITUDE and _HEADING."""
+    """DO_CHANGE_SPEED, GUIDED_CHANGE_SPEED, _ALTITUDE and _HEADING."""
 
-    def __init__(self) -> None:
+    def __init__(self, parameters: Parameters, say: Callable[[int, str], None]) -> None:
+        self._parameters = parameters
+        self._say = say
+        self.cruise_m_s: float | None = None
+        """Airspeed of DO_CHANGE_SPEED, in AUTO too."""
         self.holds_heading = False
         """For ever: there is no time-out."""
         self.of_course = True
@@ -53,10 +59,24 @@ class Guided:
     def forget(self) -> None:
         """The mode has changed."""
         self.holds_heading = False
-        self._airspeed_m_s = self._altitude_amsl_m = None
+        self._airspeed_m_s = self._altitude_amsl_m = self.cruise_m_s = None
         self._forced = NOT_FORCED
 
     # --- what it is told ----------------------------------------------------------------------
+
+    def change_speed(self, kind: float, speed_m_s: float) -> bool:
+        """DO_CHANGE_SPEED: airspeed (0) within the limits; -2 restores the cruising speed."""
+        parameters = self._parameters
+        if kind != 0.0:
+            return kind == 1.0
+        if speed_m_s == -2.0:
+            self.cruise_m_s = None
+            return True
+        if not parameters["AIRSPEED_MIN"] <= speed_m_s <= parameters["AIRSPEED_MAX"]:
+            return False
+        self.cruise_m_s = speed_m_s
+        self._say(6, f"Set airspeed {int(speed_m_s)} m/s")
+        return True
 
     def set_speed(self, airspeed_m_s: float, acceleration_m_s2: float) -> None:
         """GUIDED_CHANGE_SPEED; 0: as fast as it can."""

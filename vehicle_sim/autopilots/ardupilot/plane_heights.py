@@ -48,8 +48,6 @@ def indicated_airspeed_m_s(true_m_s: float, altitude_amsl_m: float) -> float:
 class HeightControl:
     """From a wanted height to a climb rate: limited in rate, then smoothed, then followed."""
 
-    __slots__ = ("_limited_m", "_smooth_m", "climb_max_m_s", "sink_max_m_s")
-
     def __init__(self, *, climb_max_m_s: float, sink_max_m_s: float) -> None:
         self.climb_max_m_s = climb_max_m_s
         self.sink_max_m_s = sink_max_m_s

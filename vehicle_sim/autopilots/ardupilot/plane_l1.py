@@ -23,19 +23,6 @@ _PAST_S = 3.0
 class L1:
     """The controller; remembers what it told of the last step."""
 
-    __slots__ = (
-        "_before_rad",
-        "_integral_rad",
-        "circling",
-        "cross_track_m",
-        "damping",
-        "integral_gain",
-        "length_m",
-        "nav_bearing_rad",
-        "period_s",
-        "target_bearing_rad",
-    )
-
     def __init__(self, *, period_s: float, damping: float, integral_gain: float) -> None:
         self.period_s = period_s
         self.damping = damping

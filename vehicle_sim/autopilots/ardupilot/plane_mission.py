@@ -7,12 +7,16 @@ import math
 from typing import final
 
 from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.flat_earth import bearing_rad, offset
-from vehicle_sim.autopilots.ardupilot.plane_roles import Pilot
-from vehicle_sim.plans import PlanItem, PlanKind, Plans
+from vehicle_sim.autopilots.ardupilot.plane_guided import Guided
+from vehicle_sim.autopilots.ardupilot.plane_navigation import Navigation
+from vehicle_sim.autopilots.jumps import DO_JUMP, Jumps
+from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.plans import PlanItem, PlanKind
 
-WAYPOINT, UNLIMITED, TURNS, TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
-CHANGE_ALTITUDE, TO_ALTITUDE, JUMP, CHANGE_SPEED, LAND_START = 30, 31, 177, 178, 189
+WAYPOINT, UNLIMITED, TURNS, TIME, RETURN, LAND, TAKEOFF = range(16, 23)
+CHANGE_ALTITUDE, TO_ALTITUDE, CHANGE_SPEED, LAND_START = 30, 31, 178, 189
 _NAVIGATES = frozenset(
     {WAYPOINT, UNLIMITED, TURNS, TIME, RETURN, LAND, TAKEOFF, CHANGE_ALTITUDE, TO_ALTITUDE}
 )
@@ -27,7 +31,7 @@ _NAMES = {
     TAKEOFF: "Takeoff",
     CHANGE_ALTITUDE: "ContinueAndChangeAlt",
     TO_ALTITUDE: "LoitAltitude",
-    JUMP: "Jump",
+    DO_JUMP: "Jump",
     CHANGE_SPEED: "ChangeSpeed",
     LAND_START: "LandStart",
 }
@@ -40,12 +44,16 @@ _JUMPS_MOST = 32
 class Mission:
     """Which item is flown, and whether it is done."""
 
-    def __init__(self, plans: Plans, pilot: Pilot) -> None:
-        self._plans = plans
-        self._pilot = pilot
+    def __init__(
+        self, host: ArduPilot, plane: Plane, navigation: Navigation, guided: Guided
+    ) -> None:
+        self._host = host
+        self._plane = plane
+        self._navigation = navigation
+        self._guided = guided
         self.item: PlanItem | None = None
         """What is flown now; None: the mission is over, or has not begun."""
-        self._jumps: dict[int, int] = {}
+        self._jumps = Jumps(1)
         self._since_us: int | None = None
         self._turned_rad = 0.0
         self._bearing_rad = 0.0
@@ -72,47 +80,34 @@ class Mission:
 
     def begin(self, number: int | None = None) -> None:
         """Fly from this item on, or from where it was; the leg begins here."""
-        self._jumps.clear()
-        number = self._pilot.mission_current if number is None else number
+        self._jumps.forget()
+        number = self._host.mission_current if number is None else number
         self._go_to(max(number, 1), None)
 
     def _items(self) -> tuple[PlanItem, ...]:
-        return self._plans[PlanKind.MISSION]
+        return self._host.plans[PlanKind.MISSION]
 
     def _go_to(self, number: int, before: Place | None) -> None:
         """The next item that navigates, from this one on; the others are done on the way."""
         items = self._items()
-        for _ in range(len(items) + _JUMPS_MOST):
-            if number >= len(items):
-                break
-            item = items[number]
+        for at, item in self._jumps.walk(items, number, len(items) + _JUMPS_MOST):
             if item.command in _NAVIGATES:
-                self._fly(number, item, before)
+                self._fly(at, item, before)
                 return
-            number = self._do(number, item)
+            self._announce(at, item)
+            if item.command == CHANGE_SPEED:
+                self._guided.change_speed(item.parameters[0], item.parameters[1])
         self.item = None
         if items:
-            self._pilot.mission_current = len(items) - 1
-
-    def _do(self, number: int, item: PlanItem) -> int:
-        """An item that only does something; which is next."""
-        self._announce(number, item)
-        if item.command == JUMP:
-            done, (target, times, _, _) = self._jumps.get(number, 0), item.parameters
-            if (times < 0.0 or done < times) and 0.0 < target < len(self._items()):
-                self._jumps[number] = done + 1
-                return int(target)
-        elif item.command == CHANGE_SPEED:
-            self._pilot.change_speed(item.parameters[0], item.parameters[1])
-        return number + 1
+            self._host.mission_current = len(items) - 1
 
     def _announce(self, number: int, item: PlanItem) -> None:
         name = _NAMES.get(item.command, f"ID={item.command}")
-        self._pilot.say(6, f"Mission: {number} {name}")
+        self._host.say(6, f"Mission: {number} {name}")
 
     def place_of(self, item: PlanItem) -> Place:
         """Where the item is; of 0, 0 where the vehicle is."""
-        here, home = self._pilot.here(), self._pilot.home
+        here, home = self._host.estimate.place, self._host.home
         above = item.frame not in _FRAMES_AMSL and home is not None
         altitude_m = item.z_m if math.isfinite(item.z_m) else 0.0
         if above and home is not None:
@@ -121,31 +116,22 @@ class Mission:
             latitude_deg, longitude_deg = here.latitude_deg, here.longitude_deg
         else:
             latitude_deg, longitude_deg = item.x * 1e-7, item.y * 1e-7
-        return Place(
-            latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_amsl_m=altitude_m
-        )
+        return Place(latitude_deg, longitude_deg, altitude_m)
 
     def _fly(self, number: int, item: PlanItem, before: Place | None) -> None:
-        pilot, navigation = self._pilot, self._pilot.navigation
-        pilot.mission_current, self.item = number, item
+        host, navigation = self._host, self._navigation
+        host.mission_current, self.item = number, item
         self._since_us, self._turned_rad = None, 0.0
         self._announce(number, item)
-        here, target = pilot.here(), self.place_of(item)
+        here, target = host.estimate.place, self.place_of(item)
         if item.command == RETURN:
-            pilot.return_home()
+            navigation.return_home(host.home)
             return
         if item.command == TAKEOFF:
-            target = offset(
-                Place(
-                    latitude_deg=here.latitude_deg,
-                    longitude_deg=here.longitude_deg,
-                    altitude_amsl_m=target.altitude_amsl_m,
-                ),
-                1000.0 * math.cos(pilot.heading_rad),
-                1000.0 * math.sin(pilot.heading_rad),
-            )
+            nose_rad, above = self._plane.heading_rad, here.at(target.altitude_amsl_m)
+            target = offset(above, 1000.0 * math.cos(nose_rad), 1000.0 * math.sin(nose_rad))
         elif item.command == CHANGE_ALTITUDE:
-            course = pilot.course_rad
+            course = navigation.course_rad
             target = offset(target, 1e4 * math.cos(course), 1e4 * math.sin(course))
         navigation.start(before or here, target, counter_clockwise=_turns_left(item))
         navigation.active_radius_m = _radius_m(item)
@@ -155,71 +141,70 @@ class Mission:
 
     def _acceptance_m(self, number: int, target: Place) -> float:
         """How near the point is near enough, by the turn that follows it."""
-        before = self._pilot.navigation.before
+        before = self._navigation.before
         following = next((i for i in self._items()[number + 1 :] if i.command in _HAS_PLACE), None)
         if before is None or following is None:
             return 0.0
         turn_rad = bearing_rad(target, self.place_of(following)) - bearing_rad(before, target)
         turn_rad = math.remainder(turn_rad, math.tau)
-        return self._pilot.navigation.acceptance_m(turn_rad)
+        return self._navigation.acceptance_m(turn_rad)
 
     def bank_rad(self) -> float:
         """Ten times a second: go on with the item, and how to bank for it."""
-        pilot, item = self._pilot, self.item
+        host, navigation, item = self._host, self._navigation, self.item
         if item is None:
             return 0.0
         if self._done(item):
-            number, before = pilot.mission_current, pilot.navigation.next
-            pilot.reached(number)
+            number, before = host.mission_current, navigation.next
+            host.reached(number)
             carries = item.command in (WAYPOINT, LAND)
             self._go_to(number + 1, before if carries else None)
             if self.item is None:
                 return 0.0
             item = self.item
-        navigation = pilot.navigation
         circles = item.command in (UNLIMITED, TURNS, TIME, TO_ALTITUDE, RETURN)
         if circles and navigation.distance_m < 3.0 * navigation.radius_m(_radius_m(item)):
-            return navigation.circle(_radius_m(item), pilot.heading_rad, pilot.pitch_rad)
-        return navigation.leg(pilot.heading_rad, pilot.pitch_rad)
+            return navigation.circle(_radius_m(item))
+        return navigation.leg()
 
     def _done(self, item: PlanItem) -> bool:
-        pilot, navigation = self._pilot, self._pilot.navigation
+        host, navigation = self._host, self._navigation
         if item.command == WAYPOINT:
             return self._passed(item)
         if item.command == TAKEOFF:
-            climbed_m = pilot.here().altitude_amsl_m
+            climbed_m = host.estimate.place.altitude_amsl_m
             if navigation.next is None or climbed_m < navigation.next.altitude_amsl_m:
                 return False
-            above_m = climbed_m - (pilot.home or pilot.here()).altitude_amsl_m
-            pilot.say(6, f"Takeoff complete at {above_m:.2f}m")
+            above_m = climbed_m - (host.home or host.estimate.place).altitude_amsl_m
+            host.say(6, f"Takeoff complete at {above_m:.2f}m")
             return True
-        to_go_m = abs(navigation.target_amsl_m - pilot.here().altitude_amsl_m)
+        to_go_m = abs(navigation.target_amsl_m - host.estimate.place.altitude_amsl_m)
         if item.command == CHANGE_ALTITUDE:
             return to_go_m < 5.0
         return self._circled(item, to_go_m)
 
     def _passed(self, item: PlanItem) -> bool:
         """Near a waypoint, or beyond it."""
-        pilot, navigation = self._pilot, self._pilot.navigation
-        number, distance_m = pilot.mission_current, navigation.distance_m
+        host, navigation = self._host, self._navigation
+        number, distance_m = host.mission_current, navigation.distance_m
         asked_m = item.parameters[1]
         accept_m = asked_m if math.isfinite(asked_m) and asked_m > 0.0 else self._accept_m
         if distance_m <= accept_m:
-            pilot.say(6, f"Reached waypoint #{number} dist {int(distance_m)}m")
+            host.say(6, f"Reached waypoint #{number} dist {int(distance_m)}m")
             return True
         if navigation.along >= 1.0:
-            pilot.say(6, f"Passed waypoint #{number} dist {int(distance_m)}m")
+            host.say(6, f"Passed waypoint #{number} dist {int(distance_m)}m")
             return True
         return False
 
     def _circled(self, item: PlanItem, to_go_m: float) -> bool:
         """Long enough about the point, or at its height."""
-        pilot, l1 = self._pilot, self._pilot.navigation.l1
+        host, l1 = self._host, self._navigation.l1
         if item.command not in (TURNS, TIME, TO_ALTITUDE):
             return False
         if self._since_us is None:
             if l1.circling:
-                self._since_us, self._bearing_rad = pilot.now_us, l1.target_bearing_rad
+                self._since_us, self._bearing_rad = host.now_us, l1.target_bearing_rad
             return False
         change = math.remainder(l1.target_bearing_rad - self._bearing_rad, math.tau)
         self._bearing_rad = l1.target_bearing_rad
@@ -228,7 +213,7 @@ class Mission:
             return to_go_m < 5.0
         if item.command == TURNS:
             return self._turned_rad >= item.parameters[0] * math.tau
-        return pilot.now_us - self._since_us >= item.parameters[0] * 1e6
+        return host.now_us - self._since_us >= item.parameters[0] * 1e6
 
 
 def _radius_m(item: PlanItem) -> float:

@@ -10,6 +10,7 @@ from vehicle_sim.autopilots import Estimate, Place, Waypoint
 from vehicle_sim.autopilots.ardupilot.flat_earth import FLAT_EARTH_M_PER_DEG, longitude_scale
 from vehicle_sim.autopilots.ardupilot.plane_heights import eas_to_tas
 from vehicle_sim.autopilots.ardupilot.plane_l1 import L1, bank_rad, scaled_radius_m
+from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import Parameters
 
 NAVIGATION_S = 0.1
@@ -20,8 +21,9 @@ _USUAL_RADIUS_M = 60.0
 class Navigation:
     """One plane's way; the estimate that it is made with is live."""
 
-    def __init__(self, estimate: Estimate, parameters: Parameters) -> None:
+    def __init__(self, estimate: Estimate, plane: Plane, parameters: Parameters) -> None:
         self._estimate = estimate
+        self._plane = plane
         self._parameters = parameters
         self.l1 = L1(period_s=15.0, damping=0.75, integral_gain=0.0)
         self.before: Place | None = None
@@ -69,12 +71,29 @@ class Navigation:
     def set_altitude(self, altitude_amsl_m: float) -> None:
         """Keep the point, change its height."""
         if self.next is not None:
-            self.next = Place(
-                latitude_deg=self.next.latitude_deg,
-                longitude_deg=self.next.longitude_deg,
-                altitude_amsl_m=altitude_amsl_m,
-            )
+            self.next = self.next.at(altitude_amsl_m)
             self._slope_m = 0.0
+
+    def return_home(self, home: Place | None) -> None:
+        """To the height RTL_ALTITUDE above home, at once where it is below."""
+        here, parameters = self._estimate.place, self._parameters
+        if home is None:
+            return
+        above_m, radius_m = parameters["RTL_ALTITUDE"], parameters["RTL_RADIUS"]
+        altitude_m = here.altitude_amsl_m if above_m < 0.0 else home.altitude_amsl_m + above_m
+        self.start(here, home.at(altitude_m))
+        self.slope(descend_only=True)
+        self.active_radius_m = abs(radius_m)
+        if radius_m < 0.0:
+            self.direction = -1.0
+
+    @property
+    def course_rad(self) -> float:
+        """Where it moves over the ground; standing, where the nose points."""
+        e = self._estimate
+        if abs(e.velocity_north_m_s) + abs(e.velocity_east_m_s) < 0.5:
+            return self._plane.heading_rad
+        return math.atan2(e.velocity_east_m_s, e.velocity_north_m_s)
 
     def _ne_m(self, origin: Place) -> tuple[float, float]:
         """Where the vehicle is, from there."""
@@ -115,7 +134,7 @@ class Navigation:
         usual_m = abs(self._parameters["WP_LOITER_RAD"])
         return usual_m if usual_m > 1.0 else _USUAL_RADIUS_M
 
-    def circle(self, asked_m: float, heading_rad: float, pitch_rad: float) -> float:
+    def circle(self, asked_m: float) -> float:
         """Bank to and around the next point."""
         following = self.next
         if following is None:
@@ -136,11 +155,11 @@ class Navigation:
             radius_m,
             self.direction,
             (e.velocity_north_m_s, e.velocity_east_m_s),
-            heading_rad,
+            self._plane.heading_rad,
         )
-        return bank_rad(lateral, pitch_rad)
+        return bank_rad(lateral, self._plane.pitch_rad)
 
-    def leg(self, heading_rad: float, pitch_rad: float) -> float:
+    def leg(self) -> float:
         """Bank to follow the straight way from the last point to the next."""
         before, following = self.before, self.next
         if before is None or following is None:
@@ -152,10 +171,10 @@ class Navigation:
             here,
             (here[0] - there[0], here[1] - there[1]),
             (e.velocity_north_m_s, e.velocity_east_m_s),
-            heading_rad,
+            self._plane.heading_rad,
             NAVIGATION_S,
         )
-        return bank_rad(lateral, pitch_rad)
+        return bank_rad(lateral, self._plane.pitch_rad)
 
     def acceptance_m(self, turn_rad: float) -> float:
         """How near a waypoint counts as reached, with this turn to come."""

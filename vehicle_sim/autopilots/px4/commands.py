@@ -6,18 +6,15 @@ gimbals get no answer at all.
 """
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from vehicle_sim.autopilots import HIGHEST_HOME_M, Command, Event, Place, Reboot, Result, Send
 from vehicle_sim.autopilots.px4 import health
+from vehicle_sim.autopilots.px4.autopilot import Handler, Px4
 from vehicle_sim.autopilots.px4.health import text
 from vehicle_sim.autopilots.px4.modes import MAIN_AUTO, MANUAL_MODES, Mode, mode_of
-from vehicle_sim.autopilots.px4.orbit import HERE, Orbit
 from vehicle_sim.autopilots.px4.setpoints import height_of
-
-if TYPE_CHECKING:
-    from vehicle_sim.autopilots.px4.firmware import Px4
+from vehicle_sim.autopilots.px4.trajectory import HERE, Orbit
 
 _FORCE: Final = 21196.0
 _HIGHEST_M: Final = 1e5
@@ -32,15 +29,7 @@ _WELL, _OFF = 0, 1  # FAILURE_TYPE
 _SATELLITES: Final = 10.0
 
 
-def obey(px4: "Px4", command: Command) -> Result | None:
-    """Do it; the result, or None where nobody answers."""
-    if command.number in _UNANSWERED:
-        return None
-    handler = _HANDLERS.get(command.number)
-    return Result.UNSUPPORTED if handler is None else handler(px4, command)
-
-
-def _place(px4: "Px4", command: Command) -> tuple[float, float, float]:
+def _place(px4: Px4, command: Command) -> tuple[float, float, float]:
     """Latitude, longitude and altitude AMSL of p5 to p7; NaN: not given."""
     latitude_deg, longitude_deg, altitude_m = command.parameters[4:]
     nowhere = latitude_deg == longitude_deg == 0.0
@@ -55,7 +44,7 @@ def _place(px4: "Px4", command: Command) -> tuple[float, float, float]:
     return latitude_deg, longitude_deg, altitude_m
 
 
-def _set_mode(px4: "Px4", command: Command) -> Result:
+def _set_mode(px4: Px4, command: Command) -> Result:
     """DO_SET_MODE: p1 bit 0 says that p2 and p3 are PX4's own numbers."""
     flags, main, sub = command.parameters[:3]
     if not all(map(math.isfinite, (flags, main, sub))) or not int(flags) & 1:
@@ -68,7 +57,7 @@ def _set_mode(px4: "Px4", command: Command) -> Result:
     return px4.command_mode(mode)
 
 
-def _arm(px4: "Px4", command: Command) -> Result:
+def _arm(px4: Px4, command: Command) -> Result:
     wanted, force = command.parameters[:2]
     if wanted not in (0.0, 1.0):
         return Result.UNSUPPORTED
@@ -81,7 +70,7 @@ def _arm(px4: "Px4", command: Command) -> Result:
     return Result.ACCEPTED
 
 
-def _take_off(px4: "Px4", command: Command) -> Result:
+def _take_off(px4: Px4, command: Command) -> Result:
     place = _place(px4, command)
     result = px4.command_mode(Mode.TAKEOFF, takeoff=place)
     if result is not Result.ACCEPTED:
@@ -89,7 +78,7 @@ def _take_off(px4: "Px4", command: Command) -> Result:
     return result
 
 
-def _land(px4: "Px4", command: Command) -> Result:
+def _land(px4: Px4, command: Command) -> Result:
     latitude_deg, longitude_deg, _ = _place(px4, command)
     given = math.isfinite(latitude_deg) and math.isfinite(longitude_deg)
     result = px4.command_mode(Mode.LAND, land=(latitude_deg, longitude_deg) if given else None)
@@ -101,14 +90,14 @@ def _land(px4: "Px4", command: Command) -> Result:
     return result
 
 
-def _return(px4: "Px4", _: Command) -> Result:
+def _return(px4: Px4, _: Command) -> Result:
     result = px4.command_mode(Mode.RTL)
     if result is Result.ACCEPTED:
         px4.say(text(6, "Returning to launch"))
     return result
 
 
-def _reposition(px4: "Px4", command: Command) -> Result:
+def _reposition(px4: Px4, command: Command) -> Result:
     """DO_REPOSITION: p2 bit 0 changes to Hold; a target outside of the fence is refused."""
     latitude_deg, longitude_deg, altitude_m = _place(px4, command)
     if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
@@ -124,7 +113,7 @@ def _reposition(px4: "Px4", command: Command) -> Result:
     return px4.command_mode(Mode.LOITER, reposition=target)
 
 
-def _change_altitude(px4: "Px4", command: Command) -> Result:
+def _change_altitude(px4: Px4, command: Command) -> Result:
     """DO_CHANGE_ALTITUDE: Hold here, at another height."""
     altitude_m = command.parameters[0]
     if not math.isfinite(altitude_m):
@@ -133,7 +122,7 @@ def _change_altitude(px4: "Px4", command: Command) -> Result:
     return px4.command_mode(Mode.LOITER, reposition=target)
 
 
-def _change_speed(px4: "Px4", command: Command) -> Result:
+def _change_speed(px4: Px4, command: Command) -> Result:
     """DO_CHANGE_SPEED: accepted always, of effect in AUTO modes only (px4.md 3)."""
     speed_m_s = command.parameters[1]
     if math.isfinite(speed_m_s):
@@ -141,7 +130,7 @@ def _change_speed(px4: "Px4", command: Command) -> Result:
     return Result.ACCEPTED
 
 
-def _orbit(px4: "Px4", command: Command) -> Result:
+def _orbit(px4: Px4, command: Command) -> Result:
     """DO_ORBIT: p1 radius, p2 speed; a fixed wing circles in Hold."""
     latitude_deg, longitude_deg, altitude_m = _place(px4, command)
     radius_m, speed_m_s = command.parameters[:2]
@@ -160,7 +149,7 @@ def _orbit(px4: "Px4", command: Command) -> Result:
     return result
 
 
-def _inject_failure(px4: "Px4", command: Command) -> Result:
+def _inject_failure(px4: Px4, command: Command) -> Result:
     """INJECT_FAILURE of GPS: off, or well again, as PX4's simulator bridge has it.
 
     SIH, which was measured, does not answer at all (px4.md 8): there is nothing to be learnt from
@@ -175,7 +164,7 @@ def _inject_failure(px4: "Px4", command: Command) -> Result:
     return Result.ACCEPTED
 
 
-def _set_home(px4: "Px4", command: Command) -> Result:
+def _set_home(px4: Px4, command: Command) -> Result:
     if command.parameters[0] == 1.0:
         if not px4.estimate.position_ok:
             return Result.TEMPORARILY_REJECTED
@@ -186,18 +175,12 @@ def _set_home(px4: "Px4", command: Command) -> Result:
             return Result.DENIED
         if abs(altitude_m) > HIGHEST_HOME_M:
             return Result.DENIED
-        px4.set_home(
-            Place(
-                latitude_deg=latitude_deg,
-                longitude_deg=longitude_deg,
-                altitude_amsl_m=altitude_m,
-            )
-        )
+        px4.set_home(Place(latitude_deg, longitude_deg, altitude_m))
     px4.say(Send(message=242))
     return Result.ACCEPTED
 
 
-def _start_mission(px4: "Px4", command: Command) -> Result:
+def _start_mission(px4: Px4, command: Command) -> Result:
     """MISSION_START: AUTO:MISSION, and arm if need be."""
     if not px4.mission.items:
         return Result.DENIED
@@ -208,20 +191,20 @@ def _start_mission(px4: "Px4", command: Command) -> Result:
     return px4.arm(forced=False) if result is Result.ACCEPTED else result
 
 
-def _pause(px4: "Px4", command: Command) -> Result:
+def _pause(px4: Px4, command: Command) -> Result:
     """DO_PAUSE_CONTINUE: Hold, or on with the mission."""
     if command.parameters[0] == 0.0:
         return px4.command_mode(Mode.LOITER)
     return px4.command_mode(Mode.MISSION) if px4.mission.items else Result.DENIED
 
 
-def _set_current(px4: "Px4", command: Command) -> Result:
+def _set_current(px4: Px4, command: Command) -> Result:
     number = command.parameters[0]
     known = math.isfinite(number) and px4.mission.jump(int(number))
     return Result.ACCEPTED if known else Result.DENIED
 
 
-def _reboot(px4: "Px4", command: Command) -> Result:
+def _reboot(px4: Px4, command: Command) -> Result:
     """PREFLIGHT_REBOOT_SHUTDOWN: only while disarmed."""
     first = command.parameters[0]
     if px4.armed:
@@ -231,31 +214,32 @@ def _reboot(px4: "Px4", command: Command) -> Result:
     return Result.ACCEPTED if first in (0.0, 1.0, 3.0) else Result.DENIED
 
 
-def _terminate(px4: "Px4", command: Command) -> Result:
+def _terminate(px4: Px4, command: Command) -> Result:
     if command.parameters[0] > 0.5:
         px4.disarm(health.DISARMED_BY_COMMAND)
     return Result.ACCEPTED
 
 
-def _disarmed_only(px4: "Px4", _: Command) -> Result:
+def _disarmed_only(px4: Px4, _: Command) -> Result:
     return Result.DENIED if px4.armed else Result.ACCEPTED
 
 
-def _accept(_px4: "Px4", _command: Command) -> Result:
+def _accept(_px4: Px4, _command: Command) -> Result:
     return Result.ACCEPTED
 
 
-def _answer(message: int) -> Callable[["Px4", Command], Result]:
+def _answer(message: int) -> Handler:
     """An old command that asks for one message."""
 
-    def send(px4: "Px4", command: Command) -> Result:
+    def send(px4: Px4, command: Command) -> Result:
         px4.say(Send(message=message, to=command.sender))
         return Result.ACCEPTED
 
     return send
 
 
-_HANDLERS: Final[dict[int, Callable[["Px4", Command], Result]]] = {
+HANDLERS: Final[dict[int, Handler | None]] = {
+    **dict.fromkeys(_UNANSWERED),
     20: _return,
     21: _land,
     22: _take_off,

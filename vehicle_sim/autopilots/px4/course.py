@@ -1,8 +1,14 @@
 """What a fixed wing of PX4 flies at the moment, and the commands that fly it.
 
 Modes put in where to go (Course.loiter, follow, aim_at, ...) and how high; Course.steer turns that
-into a bank, a climb and an airspeed, by the guidance (guidance.py) and the energy control
-(energy.py).  What it knows of itself is the estimate, its heading and its airspeed.
+into a bank, a climb and an airspeed, by the guidance (guidance.py) and the energy control.  What it
+knows of itself is the estimate, its heading and its airspeed.
+
+Energy is PX4's total energy control (TECS) as far as it can be seen from outside: height and speed
+are one account.  An aeroplane that cannot reach the airspeed that it is told (PX4's simulated one
+flies 13.9 m/s at full throttle, FW_AIRSPD_TRIM is 15) stands low by what the missing speed is
+worth, about 2 m; and after a climb it takes most of a minute to get to its speed, because only an
+integrator finds the last of the throttle.
 """
 
 import enum
@@ -11,10 +17,81 @@ from typing import NamedTuple, final
 
 from vehicle_sim.autopilots import Estimate
 from vehicle_sim.autopilots.px4 import guidance
-from vehicle_sim.autopilots.px4.energy import Energy, true_airspeed_m_s
 from vehicle_sim.autopilots.px4.setpoints import Vector
+from vehicle_sim.dynamics.copter import GRAVITY_M_S2
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import Parameters
+
+CLIMB_COSTS = 0.45
+"""Airspeed lost for each m/s of climb at full throttle: 12.8 m/s at 2.5 m/s of climb, 13.95 level
+(px4-fixedwing-offboard.tlog, 6-25 s and 230-355 s)."""
+RECOVERY_M_S2 = 0.033
+"""The integrator's speed: 12.3 m/s at 175 s, 14.0 at 230 s of that log."""
+RECOVERS_AT_ONCE_M_S = 1.6
+"""What is further off than this is found without the integrator."""
+AHEAD_M_S = 0.05
+"""What is told is no more than this above what is flown."""
+SLOWS_DOWN_S = 2.0
+"""Time constant: 13.8 to 11.5 m/s in 4.5 s when the landing begins."""
+MOST_TRADED_M = 15.0
+
+
+def true_airspeed_m_s(equivalent_m_s: float, altitude_amsl_m: float) -> float:
+    """Airspeed parameters are equivalent ones: in the standard atmosphere, at this height."""
+    return equivalent_m_s / math.sqrt(max(1.0 - 2.25577e-5 * altitude_amsl_m, 0.1) ** 4.2559)
+
+
+@final
+class Energy:
+    """Climb and airspeed to fly.  Mutable."""
+
+    def __init__(self) -> None:
+        self.airspeed_m_s = 0.0
+        """To command."""
+        self.climb_m_s = 0.0
+
+    def speed_up(
+        self,
+        wanted_m_s: float,
+        level_most_m_s: float,
+        airspeed_m_s: float,
+        dt_s: float,
+        *,
+        at_once: bool,
+    ) -> None:
+        """Airspeed towards the wanted one, with what the climb leaves of the level flight's.
+
+        at_once: full throttle or none, not what the integrator finds.
+        """
+        reach = level_most_m_s - CLIMB_COSTS * max(self.climb_m_s, 0.0)
+        reach = min(wanted_m_s, reach)
+        if at_once:
+            self.airspeed_m_s = reach
+            return
+        speed = min(self.airspeed_m_s, airspeed_m_s + AHEAD_M_S)
+        if speed > reach:
+            self.airspeed_m_s = speed + (reach - speed) * min(dt_s / SLOWS_DOWN_S, 1.0)
+        else:
+            speed += RECOVERY_M_S2 * dt_s
+            self.airspeed_m_s = min(max(speed, reach - RECOVERS_AT_ONCE_M_S), reach)
+
+    def climb_to(
+        self,
+        altitude_amsl_m: float,
+        here_amsl_m: float,
+        *,
+        wanted_m_s: float,
+        airspeed_m_s: float,
+        response_s: float,
+        climb_most_m_s: float,
+        sink_most_m_s: float,
+    ) -> None:
+        """Climb or sink towards a height, less what the airspeed lacks of the wanted one."""
+        lacking_m = (wanted_m_s * wanted_m_s - airspeed_m_s * airspeed_m_s) / (2.0 * GRAVITY_M_S2)
+        lacking_m = min(max(lacking_m, -MOST_TRADED_M), MOST_TRADED_M)
+        climb = (altitude_amsl_m - lacking_m - here_amsl_m) / response_s
+        self.climb_m_s = min(max(climb, -sink_most_m_s), climb_most_m_s)
+
 
 _WIND_S = 5.0
 """Time constant of the wind estimate."""
@@ -69,42 +146,18 @@ class _Kind(enum.Enum):
 class Course:
     """Where to, how high, how fast; and the commands of the moment.  Mutable."""
 
-    __slots__ = (
-        "_a",
-        "_altitude_m",
-        "_at_once",
-        "_b",
-        "_bank_wanted_rad",
-        "_energy",
-        "_kind",
-        "_plane",
-        "_settling",
-        "_wind_east_m_s",
-        "_wind_north_m_s",
-        "airspeed_m_s",
-        "bank_most_rad",
-        "bank_rad",
-        "climb_rate_m_s",
-        "curvature_1_m",
-        "landing",
-        "limits",
-        "nearest",
-        "radius_m",
-        "throttle",
-    )
-
     def __init__(self, plane: Plane, limits: Limits) -> None:
         self._plane = plane
         self.limits = limits
         self._energy = Energy()
         self._kind = _Kind.STAY
-        self._a = self._b = (0.0, 0.0)
+        self._a = self._b = 0j
         """Centre, target or end of the leg; tangent, direction or start of the leg."""
         self._altitude_m = 0.0
         self._bank_wanted_rad = 0.0
         self._settling = False
         """At its point but not at its height: circles until it is."""
-        self._wind_north_m_s = self._wind_east_m_s = 0.0
+        self._wind_m_s = 0j
         self._at_once = False
         self.climb_rate_m_s = math.nan
         """What to climb; NaN: what leads to the altitude."""
@@ -116,7 +169,7 @@ class Course:
         """Near the ground."""
         self.bank_rad = 0.0
         self.throttle = 0.0
-        self.nearest = (0.0, 0.0)
+        self.nearest_m = 0j
         """Of the path, in the local frame."""
         self.landing = False
 
@@ -137,39 +190,31 @@ class Course:
     def straight(self, from_m: Vector, way_rad: float) -> None:
         """Along the line through a point."""
         self._kind = _Kind.LINE
-        self._a, self._b = (from_m[0], from_m[1]), (math.cos(way_rad), math.sin(way_rad))
+        self._a = complex(from_m[0], from_m[1])
+        self._b = complex(math.cos(way_rad), math.sin(way_rad))
 
-    def loiter(self, north_m: float, east_m: float, radius_m: float) -> None:
+    def loiter(self, centre_m: complex, radius_m: float) -> None:
         """About a place; a negative radius: to the left."""
         self._kind, self.landing = _Kind.CIRCLE, False
-        self._a, self.radius_m = (north_m, east_m), radius_m
+        self._a, self.radius_m = centre_m, radius_m
 
-    def aim_at(self, north_m: float, east_m: float, radius_m: float) -> None:
+    def aim_at(self, point_m: complex, radius_m: float) -> None:
         """Straight at a point; about it if there but not at its height."""
         if self._kind is not _Kind.POINT:
             self._settling = False
         self._kind = _Kind.POINT
-        self._a, self.radius_m = (north_m, east_m), radius_m
+        self._a, self.radius_m = point_m, radius_m
 
-    def fly_leg(
-        self,
-        start_north_m: float,
-        start_east_m: float,
-        north_m: float,
-        east_m: float,
-        radius_m: float,
-    ) -> None:
+    def fly_leg(self, start_m: complex, end_m: complex, radius_m: float) -> None:
         """From one waypoint to the next; about that if there but not at its height."""
         self._kind, self._settling = _Kind.LEG, False
-        self._a, self._b = (north_m, east_m), (start_north_m, start_east_m)
+        self._a, self._b = end_m, start_m
         self.radius_m = radius_m
 
-    def follow(
-        self, north_m: float, east_m: float, v_north: float, v_east: float, curvature_1_m: float
-    ) -> None:
+    def follow(self, point_m: complex, velocity_m_s: complex, curvature_1_m: float) -> None:
         """A path: a point of it, its tangent there and its curvature."""
         self._kind = _Kind.PATH
-        self._a, self._b, self.curvature_1_m = (north_m, east_m), (v_north, v_east), curvature_1_m
+        self._a, self._b, self.curvature_1_m = point_m, velocity_m_s, curvature_1_m
 
     # --- how high -----------------------------------------------------------------------------
 
@@ -209,7 +254,7 @@ class Course:
         return self._altitude_m if self.holds_altitude or not self.circling else 0.0
 
     @property
-    def centre(self) -> tuple[float, float]:
+    def centre_m(self) -> complex:
         """Of the circle, or the place to fly to."""
         return self._a
 
@@ -225,7 +270,7 @@ class Course:
 
     def distance_m(self, local_m: Vector) -> float:
         """To the place."""
-        return math.hypot(self._a[0] - local_m[0], self._a[1] - local_m[1])
+        return guidance.size(self._a - complex(local_m[0], local_m[1]))
 
     def on_circle(self, local_m: Vector) -> bool:
         """It circles, and is where the circle is."""
@@ -249,28 +294,24 @@ class Course:
         """It has left the ground at this airspeed."""
         self._energy.airspeed_m_s = airspeed_m_s
         self.bank_rad = self._bank_wanted_rad = 0.0
-        self._wind_north_m_s = self._wind_east_m_s = 0.0
+        self._wind_m_s = 0j
 
     def steer(self, local_m: Vector, estimate: Estimate, dt_s: float) -> None:
         """New commands."""
         plane, limits = self._plane, self.limits
         airspeed = max(plane.airspeed_m_s, 1.0)
-        heading_n, heading_e = math.cos(plane.heading_rad), math.sin(plane.heading_rad)
-        v_n, v_e = estimate.velocity_north_m_s, estimate.velocity_east_m_s
-        share = dt_s / _WIND_S
-        self._wind_north_m_s += (v_n - airspeed * heading_n - self._wind_north_m_s) * share
-        self._wind_east_m_s += (v_e - airspeed * heading_e - self._wind_east_m_s) * share
-        wind_n, wind_e = self._wind_north_m_s, self._wind_east_m_s
+        heading = complex(math.cos(plane.heading_rad), math.sin(plane.heading_rad))
+        velocity = complex(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
+        here, gains = complex(local_m[0], local_m[1]), limits.gains
+        self._wind_m_s += (velocity - airspeed * heading - self._wind_m_s) * (dt_s / _WIND_S)
+        wind = self._wind_m_s
 
-        path = self._path(local_m, v_n, v_e, estimate.altitude_amsl_m)
+        path = self._path(here, velocity, estimate.altitude_amsl_m)
         if path is not None:
-            self.nearest = (path.north_m, path.east_m)
-            course_n, course_e, lateral = guidance.bearing(
-                path, local_m[0], local_m[1], v_n, v_e, wind_n, wind_e, limits.gains
-            )
-            nose_n, nose_e = guidance.heading_for(course_n, course_e, wind_n, wind_e, airspeed)
-            gain = limits.gains.turn_1_s
-            lateral += guidance.turn_m_s2(heading_n, heading_e, nose_n, nose_e, airspeed, gain)
+            self.nearest_m = path.point_m
+            course, lateral = guidance.bearing(path, here, velocity, wind, gains)
+            nose = guidance.heading_for(course, wind, airspeed)
+            lateral += guidance.turn_m_s2(heading, nose, airspeed, gains.turn_1_s)
             self._bank_wanted_rad = guidance.bank_rad(lateral, limits.bank_most_rad)
         most = self.bank_most_rad
         wanted = min(max(self._bank_wanted_rad, -most), most)
@@ -300,30 +341,26 @@ class Course:
         effort += 1.0 + energy.climb_m_s * _CLIMB_THROTTLE_S_M
         self.throttle = min(max(effort, 0.0), 1.0)
 
-    def _path(
-        self, local_m: Vector, v_n: float, v_e: float, altitude_m: float
-    ) -> guidance.Path | None:
+    def _path(self, here: complex, velocity: complex, altitude_m: float) -> guidance.Path | None:
         """The path at this place; None: keep the bank."""
-        kind, north_m, east_m = self._kind, local_m[0], local_m[1]
-        (a_n, a_e), (b_n, b_e) = self._a, self._b
+        kind = self._kind
         if kind is _Kind.PATH:
-            return guidance.along(a_n, a_e, b_n, b_e, self.curvature_1_m)
+            return guidance.along(self._a, self._b, self.curvature_1_m)
         if kind is _Kind.LINE:
-            return guidance.line(north_m, east_m, a_n, a_e, b_n, b_e)
+            return guidance.line(here, self._a, self._b)
         if kind in (_Kind.STAY, _Kind.BLIND):
             return None
-        if kind is not _Kind.CIRCLE and not self._settles(local_m, v_n, v_e, altitude_m):
-            if kind is _Kind.POINT:
-                return guidance.towards(north_m, east_m, a_n, a_e)
-            switch_m = self.limits.gains.switch_m(math.hypot(v_n, v_e))
-            return guidance.leg(north_m, east_m, b_n, b_e, a_n, a_e, switch_m)
-        return guidance.circle(north_m, east_m, a_n, a_e, self.radius_m, v_n, v_e)
+        if kind is _Kind.CIRCLE:
+            return guidance.circle(here, self._a, self.radius_m, velocity)
+        switch_m = self.limits.gains.switch_m(guidance.size(velocity))
+        if self._settles(guidance.size(self._a - here) < switch_m, altitude_m):
+            return guidance.circle(here, self._a, self.radius_m, velocity)
+        if kind is _Kind.POINT:
+            return guidance.towards(here, self._a)
+        return guidance.leg(here, self._b, self._a, switch_m)
 
-    def _settles(self, local_m: Vector, v_n: float, v_e: float, altitude_m: float) -> bool:
+    def _settles(self, near: bool, altitude_m: float) -> bool:
         """At its point but off its height by more than NAV_FW_ALT_RAD: circle until it is not."""
         off_m = abs(altitude_m - self._altitude_m) if self.holds_altitude else 0.0
-        near_m = self.limits.gains.switch_m(math.hypot(v_n, v_e))
-        self._settling = off_m > self.limits.altitude_reached_m and (
-            self._settling or self.distance_m(local_m) < near_m
-        )
+        self._settling = off_m > self.limits.altitude_reached_m and (self._settling or near)
         return self._settling

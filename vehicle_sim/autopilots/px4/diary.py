@@ -1,17 +1,39 @@
 """What PX4 says and writes down on its own: its log, parameters it has changed, its flights.
 
-Times and lists are those of the recorded flights.
+Times and lists are those of the recorded flights.  Gimbal: the commands that it broadcasts when it
+lands, not for anybody who is here.
 """
 
-from typing import Final, final
+import math
+from typing import Any, Final, final
 
 import numpy as np
+from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Reply, SayParameter
+from vehicle_sim.autopilots import Reply, Say, SayParameter
 from vehicle_sim.autopilots.px4 import health
-from vehicle_sim.autopilots.px4.parameters import AFTER_FLIGHT, LEARNT, LEARNT_M_S2, UNASKED
 from vehicle_sim.parameters import Parameters
 
+_BAROMETER: Final = ("CAL_BARO0_ID", "CAL_BARO0_OFF", "CAL_BARO0_PRIO")
+_AT_BOOT: Final = (
+    *("CAL_ACC0_ID", "CAL_ACC1_ID", "CAL_ACC2_ID", *_BAROMETER),
+    *("CAL_GYRO0_ID", "CAL_GYRO1_ID", "CAL_GYRO2_ID"),
+    *("CAL_MAG0_ID", "CAL_MAG0_PRIO", "CAL_MAG1_ID", "CAL_MAG1_PRIO"),
+    *("COM_OBL_RC_ACT", "EKF2_MAG_DECL", "SENS_BOARD_X_OFF", "SENS_DPRES_OFF"),
+    *("SIH_KDV", "SIH_LOC_H0", "SYS_AUTOCONFIG", "SYS_AUTOSTART"),
+)
+UNASKED: Final = ((1_000_000, _AT_BOOT), (5_360_000, _BAROMETER))
+"""What is said unasked, and when after boot (px4-offboard-short.tlog)."""
+LEARNT: Final = ("CAL_ACC0_XOFF", "CAL_ACC0_YOFF", "CAL_ACC0_ZOFF")
+"""What a long flight teaches, m/s^2."""
+LEARNT_M_S2: Final = 0.03
+"""Standard deviation of it (px4-offboard-8mps.tlog: -0.038, -0.039, 0.009)."""
+AFTER_FLIGHT: Final = (
+    *("CAL_ACC0_ID", "CAL_ACC0_PRIO", "CAL_ACC0_ROT", "CAL_ACC0_XOFF", "CAL_ACC0_XSCALE"),
+    *("CAL_ACC0_YOFF", "CAL_ACC0_YSCALE", "CAL_ACC0_ZOFF", "CAL_ACC0_ZSCALE", *_BAROMETER),
+    *("COM_FLIGHT_UUID", "LND_FLIGHT_T_HI", "LND_FLIGHT_T_LO"),
+)
+"""What is said on disarming when the accelerometer has been calibrated in flight."""
 _LOG_US: Final = 700_000
 """Boot to the first line of a log that begins there: 0.77 s in px4-offboard-short.tlog."""
 _CALIBRATED_US: Final = 240_000_000
@@ -21,8 +43,6 @@ _CALIBRATED_US: Final = 240_000_000
 @final
 class Diary:
     """One boot's.  Mutable."""
-
-    __slots__ = ("_log_due", "_parameters", "_rng", "_unasked")
 
     def __init__(self, parameters: Parameters, rng: np.random.Generator) -> None:
         self._parameters = parameters
@@ -65,3 +85,55 @@ class Diary:
         for name in LEARNT:
             parameters[name] = float(self._rng.normal(0.0, LEARNT_M_S2))
         return [SayParameter(name=name) for name in AFTER_FLIGHT]
+
+
+_FIRST_US: Final = 250_000
+_AGAIN_US: Final = (1_000_000, 510_000, 510_000)
+"""After the one before: nobody has answered (px4-gps-loss.tlog, 174.84 s and on)."""
+_NAN: Final = math.nan
+
+
+def _command(number: int, confirmation: int, *parameters: float) -> Any:
+    p1, p2, p3, p4, p5, p6, p7 = (*parameters, *(0.0,) * (7 - len(parameters)))
+    return mavlink.MAVLink_command_long_message(
+        target_system=1,
+        target_component=0,
+        command=number,
+        confirmation=confirmation,
+        param1=p1,
+        param2=p2,
+        param3=p3,
+        param4=p4,
+        param5=p5,
+        param6=p6,
+        param7=p7,
+    )
+
+
+@final
+class Gimbal:
+    """Acquires control, turns the gimbal straight, releases it; repeats while nobody answers."""
+
+    def __init__(self) -> None:
+        self._due_us: int | None = None
+        self._sent = 0
+
+    def straighten(self, now_us: int) -> None:
+        """A landing begins."""
+        self._due_us = now_us + _FIRST_US
+        self._sent = 0
+
+    def due(self, now_us: int) -> bool:
+        """Whether there is something to take."""
+        return self._due_us is not None and now_us >= self._due_us
+
+    def take(self, now_us: int) -> list[Say]:
+        """What is due now."""
+        acquire = _command(1001, self._sent, 1.0, 1.0, -1.0, -1.0)
+        said = [Say(message=acquire)]
+        if self._sent == 0:
+            said.append(Say(message=_command(1000, 0, _NAN, _NAN, _NAN, _NAN, 2.0)))
+            said.append(Say(message=_command(1001, 0, -3.0, -3.0, -1.0, -1.0)))
+        self._due_us = now_us + _AGAIN_US[self._sent] if self._sent < len(_AGAIN_US) else None
+        self._sent += 1
+        return said

@@ -44,7 +44,6 @@ GATE_M: Final = 5.0
 """Innovation that is refused: about EKF2_GPS_P_GATE (5) standard deviations of what is recorded."""
 _GAIN: Final = 0.06
 """Share of an innovation that one fix corrects at 8 Hz: smooths over about two seconds."""
-_GAIN_VERTICAL: Final = 0.06
 _JUMP_S: Final = 0.25
 """The output follows a reset of the state with this time constant (recorded: 31 m in a second)."""
 _SINK_M_S: Final = -0.05
@@ -72,47 +71,17 @@ _DRIFT_M_S2: Final = 0.05
 class Ekf2:
     """The estimator: steps an Estimate along with the truth."""
 
-    __slots__ = (
-        "_booted",
-        "_climb_m_s",
-        "_drift_east",
-        "_drift_north",
-        "_drifting",
-        "_east_m",
-        "_fix_us",
-        "_good_us",
-        "_held_east_m",
-        "_held_north_m",
-        "_held_up_m",
-        "_holding",
-        "_judge_us",
-        "_metres_east",
-        "_metres_north",
-        "_noise",
-        "_north_m",
-        "_rate_east_m_s",
-        "_rate_north_m_s",
-        "_refused_us",
-        "_returned_us",
-        "_rng",
-        "_seen_us",
-        "_up_m",
-        "estimate",
-        "fusing",
-        "lag_s",
-        "resets",
-    )
-
     def __init__(self, vehicle: Vehicle, rng: np.random.Generator) -> None:
         self._rng = rng
         self.lag_s = 0.0
         """What it takes the receiver's latency for: EKF2_GPS_DELAY."""
-        self._north_m = self._east_m = self._up_m = 0.0
-        self._held_north_m = self._held_east_m = self._held_up_m = 0.0
+        self._error_m, self._error_up_m = 0j, 0.0
+        """Of the position, north + east j as all horizontal vectors here, and of the height."""
+        self._held_m, self._held_up_m = 0j, 0.0
+        """What the output has still to make of a jump."""
         self._holding = False
-        self._rate_north_m_s = self._rate_east_m_s = 0.0
-        self._climb_m_s = 0.0
-        self._drift_north = self._drift_east = 0.0
+        self._rate_m_s, self._climb_m_s = 0j, 0.0
+        self._drift_m_s2 = 0j
         self._drifting = False
         self._noise: list[float] = []
         self._metres_north, self._metres_east = metres_per_degree(vehicle.latitude_deg)
@@ -161,19 +130,18 @@ class Ekf2:
         if self._booted:
             if now_us - self._good_us > _GAP_US:
                 self._drift(dt_s)
-            self._north_m += self._rate_north_m_s * dt_s
-            self._east_m += self._rate_east_m_s * dt_s
-            self._up_m += self._climb_m_s * dt_s
-        north_m, east_m, up_m = self._north_m, self._east_m, self._up_m
+            self._error_m += self._rate_m_s * dt_s
+            self._error_up_m += self._climb_m_s * dt_s
+        error_m, up_m = self._error_m, self._error_up_m
         if self._holding:
-            left = self._let_go(dt_s)
-            north_m, east_m, up_m = north_m + left[0], east_m + left[1], up_m + left[2]
-        estimate = self.estimate
-        estimate.latitude_deg = vehicle.latitude_deg + north_m / self._metres_north
-        estimate.longitude_deg = vehicle.longitude_deg + east_m / self._metres_east
+            self._let_go(dt_s)
+            error_m, up_m = error_m + self._held_m, up_m + self._held_up_m
+        estimate, rate_m_s = self.estimate, self._rate_m_s
+        estimate.latitude_deg = vehicle.latitude_deg + error_m.real / self._metres_north
+        estimate.longitude_deg = vehicle.longitude_deg + error_m.imag / self._metres_east
         estimate.altitude_amsl_m = vehicle.altitude_amsl_m + up_m
-        estimate.velocity_north_m_s = vehicle.velocity_north_m_s + self._rate_north_m_s
-        estimate.velocity_east_m_s = vehicle.velocity_east_m_s + self._rate_east_m_s
+        estimate.velocity_north_m_s = vehicle.velocity_north_m_s + rate_m_s.real
+        estimate.velocity_east_m_s = vehicle.velocity_east_m_s + rate_m_s.imag
         estimate.velocity_up_m_s = vehicle.velocity_up_m_s + self._climb_m_s
 
     def precise(self, now_us: int) -> bool:
@@ -184,39 +152,39 @@ class Ekf2:
 
     def shift(self, north_m: float, east_m: float) -> None:
         """Fault: the position jumps by this much at once."""
-        self._north_m += north_m
-        self._east_m += east_m
+        self._error_m += complex(north_m, east_m)
         self.resets += 1
 
     def _take(self, now_us: int, vehicle: Vehicle, fix: Fix) -> None:
         """A new fix."""
         lag_s = self.lag_s
         # Where the receiver says to be, less where the filter says: to be corrected.
-        north_m = (fix.latitude_deg - vehicle.latitude_deg) * self._metres_north
-        east_m = (fix.longitude_deg - vehicle.longitude_deg) * self._metres_east
-        north_m += fix.velocity_north_m_s * lag_s
-        east_m += fix.velocity_east_m_s * lag_s
+        error_m = complex(
+            (fix.latitude_deg - vehicle.latitude_deg) * self._metres_north,
+            (fix.longitude_deg - vehicle.longitude_deg) * self._metres_east,
+        )
+        error_m += complex(fix.velocity_north_m_s, fix.velocity_east_m_s) * lag_s
         up_m = fix.altitude_amsl_m + fix.velocity_up_m_s * lag_s - vehicle.altitude_amsl_m
         if not self.estimate.position_ok:
-            self._wait(now_us, north_m, east_m, up_m)
+            self._wait(now_us, error_m, up_m)
             return
-        away_m = math.hypot(north_m - self._north_m, east_m - self._east_m)
+        innovation_m = error_m - self._error_m
+        away_m = math.hypot(innovation_m.real, innovation_m.imag)
         gate_m = GATE_M + 3.0 * (now_us - self._good_us) * 1e-6
         self.estimate.horizontal_variance = away_m / gate_m
         if away_m > gate_m and now_us - self._refused_us < RESET_US:
             self._good_us = now_us  # the receiver's velocity is believed meanwhile
             return
         if away_m > gate_m:
-            self._reset(north_m, east_m, up_m)
+            self._reset(error_m, up_m)
         self._good_us = self._refused_us = now_us
         if self._drifting:
             self._drifting = False
-            self._rate_north_m_s = self._rate_east_m_s = 0.0
-        self._north_m += _GAIN * (north_m - self._north_m)
-        self._east_m += _GAIN * (east_m - self._east_m)
-        self._up_m += _GAIN_VERTICAL * (up_m - self._up_m)
+            self._rate_m_s = 0j
+        self._error_m += _GAIN * (error_m - self._error_m)
+        self._error_up_m += _GAIN * (up_m - self._error_up_m)
 
-    def _wait(self, now_us: int, north_m: float, east_m: float, up_m: float) -> None:
+    def _wait(self, now_us: int, error_m: complex, up_m: float) -> None:
         """A fix while there is no position: some are wanted before one is believed."""
         if self.fusing and self._returned_us is not None:
             self._good_us = self._refused_us = now_us
@@ -227,24 +195,22 @@ class Ekf2:
         if now_us < due_us:
             return
         if self._booted:
-            self._reset(north_m, east_m, up_m)
+            self._reset(error_m, up_m)
             self._returned_us = now_us
         else:
             self._booted = True
-            self._north_m, self._east_m = _GAIN * north_m, _GAIN * east_m
-            self._up_m = _GAIN * up_m
+            self._error_m, self._error_up_m = _GAIN * error_m, _GAIN * up_m
             self.estimate.position_ok = True
         self.fusing = True
         self._good_us = self._refused_us = now_us
 
-    def _reset(self, north_m: float, east_m: float, up_m: float) -> None:
+    def _reset(self, error_m: complex, up_m: float) -> None:
         """The state jumps to this error; the output follows it."""
-        self._held_north_m += self._north_m - north_m
-        self._held_east_m += self._east_m - east_m
-        self._held_up_m += self._up_m - up_m
+        self._held_m += self._error_m - error_m
+        self._held_up_m += self._error_up_m - up_m
         self._holding = True
-        self._north_m, self._east_m, self._up_m = north_m, east_m, up_m
-        self._rate_north_m_s = self._rate_east_m_s = self._climb_m_s = 0.0
+        self._error_m, self._error_up_m = error_m, up_m
+        self._rate_m_s, self._climb_m_s = 0j, 0.0
         self._drifting = False
         self._refused_us = self._fix_us
         self.resets += 1
@@ -255,8 +221,8 @@ class Ekf2:
             self._noise = self._rng.standard_normal(3 * _BLOCK).tolist()
         draw = self._noise.pop
         size = _NOISE_ON_GROUND if still else 1.0
-        self._rate_north_m_s = _KEPT * self._rate_north_m_s + size * _FRESH_M_S * draw()
-        self._rate_east_m_s = _KEPT * self._rate_east_m_s + size * _FRESH_M_S * draw()
+        fresh_m_s = complex(size * _FRESH_M_S * draw(), size * _FRESH_M_S * draw())
+        self._rate_m_s = _KEPT * self._rate_m_s + fresh_m_s
         self._climb_m_s = _KEPT_UP * self._climb_m_s + size * _FRESH_UP_M_S * draw()
 
     def _drift(self, dt_s: float) -> None:
@@ -265,23 +231,17 @@ class Ekf2:
             self._drifting = True
             angle_rad = float(self._rng.uniform(0.0, math.tau))
             size = float(self._rng.uniform(0.85, 1.15))
-            north, east = size * math.cos(angle_rad), size * math.sin(angle_rad)
-            self._rate_north_m_s, self._rate_east_m_s = north * _DRIFT_M_S, east * _DRIFT_M_S
-            self._drift_north, self._drift_east = north * _DRIFT_M_S2, east * _DRIFT_M_S2
+            way = complex(size * math.cos(angle_rad), size * math.sin(angle_rad))
+            self._rate_m_s, self._drift_m_s2 = way * _DRIFT_M_S, way * _DRIFT_M_S2
             self._climb_m_s = _SINK_M_S
-        self._rate_north_m_s += self._drift_north * dt_s
-        self._rate_east_m_s += self._drift_east * dt_s
+        self._rate_m_s += self._drift_m_s2 * dt_s
 
-    def _let_go(self, dt_s: float) -> tuple[float, float, float]:
-        """What is left of a jump that the output has still to make."""
+    def _let_go(self, dt_s: float) -> None:
+        """The output makes its jump."""
         share = math.exp(-dt_s / _JUMP_S)
-        north_m, east_m = self._held_north_m * share, self._held_east_m * share
-        up_m = self._held_up_m * share
-        if abs(north_m) + abs(east_m) + abs(up_m) < 1e-3:
-            north_m = east_m = up_m = 0.0
-            self._holding = False
-        self._held_north_m, self._held_east_m, self._held_up_m = north_m, east_m, up_m
-        return north_m, east_m, up_m
+        self._held_m, self._held_up_m = self._held_m * share, self._held_up_m * share
+        if abs(self._held_m.real) + abs(self._held_m.imag) + abs(self._held_up_m) < 1e-3:
+            self._held_m, self._held_up_m, self._holding = 0j, 0.0, False
 
     def _judge(self, now_us: int, *, still: bool, low: bool) -> None:
         """Flags and accuracies, ten times a second."""
@@ -307,7 +267,7 @@ class Ekf2:
             0.29 * grown + settling + 0.28 * (1.0 - math.exp(-gap_s / 6.0))
         )
         nothing = not self.fusing
-        north, east = abs(self._rate_north_m_s), abs(self._rate_east_m_s)
+        north, east = abs(self._rate_m_s.real), abs(self._rate_m_s.imag)
         estimate.velocity_variance = math.nan
         if nothing:
             estimate.horizontal_variance = math.nan

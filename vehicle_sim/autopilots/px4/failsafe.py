@@ -118,8 +118,6 @@ def possible(action: Action, *, position_ok: bool, precise: bool) -> Action:
 class Incidents:
     """What has happened and is still acted upon.  Mutable."""
 
-    __slots__ = ("_actions", "_active")
-
     def __init__(self) -> None:
         self._actions: dict[Cause, Action] = {}
         self._active: set[Cause] = set()

@@ -10,45 +10,24 @@ The recorded aeroplane sank to the ground after its take-off (px4-fixedwing-offb
 150 s).  This one does not.
 """
 
+import cmath
 import math
 from collections.abc import Mapping
 from typing import Final, final
 
 import numpy as np
 
-from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
+from vehicle_sim.autopilots import TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
-from vehicle_sim.autopilots.px4 import mission
+from vehicle_sim.autopilots.px4 import mission, runway
+from vehicle_sim.autopilots.px4.autopilot import Px4
+from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.course import Course, Limits
-from vehicle_sim.autopilots.px4.firmware import Px4
-from vehicle_sim.autopilots.px4.fixed_wing_mission import MissionFlight
-from vehicle_sim.autopilots.px4.fixed_wing_parameters import FIXED_WING_PARAMETERS
+from vehicle_sim.autopilots.px4.guidance import size
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
-from vehicle_sim.autopilots.px4.parameters import COMMON, table
-from vehicle_sim.autopilots.px4.runway import (
-    CLEARED,
-    CLIMB_OUT_M_S,
-    FLARE_BRAKES_M_S,
-    FLARE_SINKS_M_S,
-    FLARING,
-    LANDING_SEEN_M_S,
-    LANDS_FASTER_M_S,
-    LIFTS_OFF_AT,
-    ON_RUNWAY,
-    ROTATES_AT,
-    ROTATING,
-    SINKS_FASTER_1_S,
-    SLOPE_FLOWN,
-    TAKEOFF_SEEN_M_S,
-    bank_near_ground_rad,
-    flare_sink_m_s,
-    roll_out_m_s2,
-    take_off_m_s2,
-)
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
 from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ, style
 from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane, PlaneLimits
-from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.plans import Plans
 
 SIH_AIRPLANE: Final = PlaneLimits(
@@ -86,6 +65,7 @@ class Px4FixedWing(Px4):
     """The aeroplane of PX4's SIH simulator, or one with other limits."""
 
     vehicle: Plane
+    HANDLERS = HANDLERS
 
     def __init__(
         self,
@@ -100,7 +80,7 @@ class Px4FixedWing(Px4):
             plane,
             parameters,
             plans,
-            table=(*table(COMMON, FIXED_WING_PARAMETERS), *SIM_PARAMETERS_PX4),
+            tables=("px4/common", "px4/fixed_wing"),
             style=style(vehicle_type=_AEROPLANE, rates_hz=FIXED_WING_RATES_HZ),
             hardware_id=hardware_id,
             rng=rng,
@@ -113,7 +93,10 @@ class Px4FixedWing(Px4):
         self._steps = 0
         self._seen: Target | None = None
         """The setpoint that the course was made of."""
-        self._legs = MissionFlight(self)
+        self._leg: mission.Leg | None = None
+        self._leg_aimed = False
+        self._leg_reached_us: int | None = None
+        """When it came to the circle of a loiter with turns."""
         self._began_us = 0
         """When the mode began."""
         self._runway_said = self._rotated = False
@@ -129,7 +112,7 @@ class Px4FixedWing(Px4):
         self._began_us = self.now_us
         self._seen = self._flare_us = None
         self._follows_path = self._runway_said = self._rotated = False
-        self._legs.forget()
+        self._leg_aimed, self._leg = False, None
         course = self.course
         if mode is Mode.OFFBOARD:
             return  # the last commands stay until a setpoint comes
@@ -141,14 +124,21 @@ class Px4FixedWing(Px4):
         elif mode is Mode.RTL:
             self.start_return()
         elif mode is Mode.LAND:
-            north_m, east_m, _ = self.local_m
-            self.start_landing(north_m, east_m)
+            self.start_landing(self._here_m)
         elif mode in MANUAL_MODES:
             course.straight(self.local_m, self.vehicle.heading_rad)
             course.hold_altitude(self.estimate.altitude_amsl_m)
         elif mode is Mode.DESCEND:
             course.circle_blindly(math.radians(self.parameters["NAV_GPSF_R"]))
             course.climb(0.0)
+
+    @property
+    def _here_m(self) -> complex:
+        """In the local frame: north + east j, as all places in the plane."""
+        return complex(self.local_m[0], self.local_m[1])
+
+    def _local_m(self, latitude_deg: float, longitude_deg: float) -> complex:
+        return complex(*self.projection.to_local(latitude_deg, longitude_deg))
 
     def cruise_m_s(self, mode: Mode) -> float:
         """True airspeed: FW_AIRSPD_TRIM, or DO_CHANGE_SPEED's in the modes that know it."""
@@ -182,7 +172,7 @@ class Px4FixedWing(Px4):
 
     def start_hold(self, before: Mode) -> None:
         """A circle: about DO_REPOSITION's place, the take-off's, or here at this height."""
-        north_m, east_m, _ = self.local_m
+        centre_m = self._here_m
         altitude_m = self.estimate.altitude_amsl_m
         place: tuple[float, float, float] | None = None
         radius_m = self.loiter_radius_m
@@ -195,9 +185,9 @@ class Px4FixedWing(Px4):
         if place is not None:
             latitude_deg, longitude_deg, wanted_m = place
             if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
-                north_m, east_m = self.projection.to_local(latitude_deg, longitude_deg)
+                centre_m = self._local_m(latitude_deg, longitude_deg)
             altitude_m = wanted_m if math.isfinite(wanted_m) else altitude_m
-        self.course.loiter(north_m, east_m, radius_m)
+        self.course.loiter(centre_m, radius_m)
         self.course.hold_altitude(altitude_m)
 
     @property
@@ -209,16 +199,16 @@ class Px4FixedWing(Px4):
     def start_return(self) -> None:
         """Home, at RTL_RETURN_ALT or above; there it circles."""
         home = self.home or self._reference
-        north_m, east_m = self.projection.to_local(home.latitude_deg, home.longitude_deg)
+        centre_m = self._local_m(home.latitude_deg, home.longitude_deg)
         height_m = home.altitude_amsl_m + self.parameters["RTL_RETURN_ALT"]
-        self.course.loiter(north_m, east_m, self.loiter_radius_m)
+        self.course.loiter(centre_m, self.loiter_radius_m)
         self.course.hold_altitude(max(height_m, self.estimate.altitude_amsl_m))
 
-    def start_landing(self, centre_north_m: float, centre_east_m: float) -> None:
+    def start_landing(self, centre_m: complex) -> None:
         """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
         course = self.course
-        course.airspeed_m_s = self._true(self._landing_airspeed_m_s()) + LANDS_FASTER_M_S
-        course.loiter(centre_north_m, centre_east_m, self.loiter_radius_m)
+        course.airspeed_m_s = self._true(self._landing_airspeed_m_s()) + runway.LANDS_FASTER_M_S
+        course.loiter(centre_m, self.loiter_radius_m)
         self._glide()
 
     def _landing_airspeed_m_s(self) -> float:
@@ -264,7 +254,7 @@ class Px4FixedWing(Px4):
         elif mode is Mode.TAKEOFF:
             self._climb_out()
         elif mode is Mode.MISSION:
-            self._legs.follow()
+            self._follow_mission()
         elif mode is Mode.LAND:
             self.land()
         elif mode is Mode.RTL:
@@ -277,7 +267,7 @@ class Px4FixedWing(Px4):
         if mode in (Mode.TAKEOFF, Mode.LAND):
             height_m = self.estimate.altitude_amsl_m - self.ground_amsl_m
             parameters = self.parameters
-            course.bank_most_rad = bank_near_ground_rad(
+            course.bank_most_rad = runway.bank_near_ground_rad(
                 height_m, parameters["FW_WING_HEIGHT"], parameters["FW_WING_SPAN"]
             )
         course.steer(self.local_m, self.estimate, dt_s)
@@ -316,9 +306,9 @@ class Px4FixedWing(Px4):
             return
         self._follows_path = moves
         if moves:
-            course.follow(north_m, east_m, v_n, v_e, _bend(target))
+            course.follow(complex(north_m, east_m), complex(v_n, v_e), _bend(target))
         else:
-            course.aim_at(north_m, east_m, self.loiter_radius_m)
+            course.aim_at(complex(north_m, east_m), self.loiter_radius_m)
         course.airspeed_m_s = self.cruise_m_s(Mode.OFFBOARD)
         if down_m == down_m:
             course.hold_altitude(self._reference.altitude_amsl_m - down_m)
@@ -331,11 +321,11 @@ class Px4FixedWing(Px4):
         """Up to the take-off's height, then Hold; for good if it was not told where to."""
         course, goal_m = self.course, self._takeoff_altitude_m()
         if self.estimate.altitude_amsl_m < goal_m:
-            course.climb_out(CLIMB_OUT_M_S)
+            course.climb_out(runway.CLIMB_OUT_M_S)
             course.airspeed_m_s = self.cruise_m_s(Mode.TAKEOFF)
             return
         if not course.holds_altitude:
-            self.say(CLEARED)
+            self.say(runway.CLEARED)
         course.hold_altitude(goal_m + _CLEARED_M)
         place = self.takeoff_place
         if place is not None and math.isfinite(place[0]) and math.isfinite(place[1]):
@@ -354,8 +344,7 @@ class Px4FixedWing(Px4):
         low = abs(self.estimate.altitude_amsl_m - height_m) < parameters["NAV_FW_ALT_RAD"]
         delay_s = parameters["RTL_LAND_DELAY"]
         if low and delay_s >= 0.0 and self._since_s > delay_s:
-            north_m, east_m = self.projection.to_local(home.latitude_deg, home.longitude_deg)
-            self.start_landing(north_m, east_m)
+            self.start_landing(self._local_m(home.latitude_deg, home.longitude_deg))
             course.landing = True
 
     def land(self) -> None:
@@ -369,23 +358,23 @@ class Px4FixedWing(Px4):
                 self._glide()
                 return
             self._flare_us, self._flare_from_m_s = self.now_us, sink_m_s
-            self.say(FLARING)
+            self.say(runway.FLARING)
         since_s = (self.now_us - self._flare_us) * 1e-6
-        course.airspeed_m_s = FLARE_BRAKES_M_S
+        course.airspeed_m_s = runway.FLARE_BRAKES_M_S
         course.climb_out(
-            -flare_sink_m_s(
+            -runway.flare_sink_m_s(
                 since_s,
                 parameters["FW_LND_FL_TIME"],
                 self._flare_from_m_s,
-                max(parameters["FW_LND_FL_SINK"], FLARE_SINKS_M_S),
+                max(parameters["FW_LND_FL_SINK"], runway.FLARE_SINKS_M_S),
             )
         )
 
     def _glide(self) -> None:
         """Down the slope of FW_LND_ANG, steeper while it is too fast."""
-        glide = SLOPE_FLOWN * math.sin(math.radians(self.parameters["FW_LND_ANG"]))
+        glide = runway.SLOPE_FLOWN * math.sin(math.radians(self.parameters["FW_LND_ANG"]))
         too_fast_m_s = max(self.vehicle.airspeed_m_s - self.course.airspeed_m_s, 0.0)
-        sink_m_s = self._landing_airspeed_m_s() * glide + SINKS_FASTER_1_S * too_fast_m_s
+        sink_m_s = self._landing_airspeed_m_s() * glide + runway.SINKS_FASTER_1_S * too_fast_m_s
         self.course.climb(-sink_m_s)
 
     def _by_hand(self) -> None:
@@ -403,6 +392,77 @@ class Px4FixedWing(Px4):
         elif not course.holds_altitude:
             course.hold_altitude(self.estimate.altitude_amsl_m)
 
+    # --- missions -----------------------------------------------------------------------------
+
+    def _follow_mission(self) -> None:
+        """Fly on along the leg; tell the mission when it is done."""
+        leg = self._aim_leg()
+        if leg is None:
+            return
+        if leg.command == mission.TAKEOFF:
+            if self.estimate.altitude_amsl_m >= leg.altitude_amsl_m:
+                self.say(runway.CLEARED)
+                self.mission.arrived()
+        elif leg.command == mission.LAND:
+            self.land()
+        elif self._has_arrived(leg):
+            self.mission.arrived()
+
+    def _aim_leg(self) -> mission.Leg | None:
+        """The leg of now, with the course set to it."""
+        leg = self.mission.leg
+        if leg is not self._leg or not self._leg_aimed:
+            before, self._leg, self._leg_aimed = self._leg, leg, True
+            self._leg_reached_us = None
+            self._set_course(leg, before)
+        return leg
+
+    def _set_course(self, leg: mission.Leg | None, before: mission.Leg | None) -> None:
+        """Along the line from the last waypoint, or about the leg's place."""
+        course = self.course
+        course.airspeed_m_s = self.cruise_m_s(Mode.MISSION)
+        if leg is None:
+            self.start_hold(Mode.MISSION)
+            return
+        place_m = self._local_m(leg.latitude_deg, leg.longitude_deg)
+        from_m = self._here_m
+        if leg.command == mission.TAKEOFF:
+            way_rad = self.vehicle.heading_rad
+            if size(place_m - from_m) > 1.0:
+                way_rad = cmath.phase(place_m - from_m)
+            course.straight(self.local_m, way_rad)
+            course.climb_out(runway.CLIMB_OUT_M_S)
+        elif leg.command == mission.LAND:
+            self.start_landing(place_m)
+        elif leg.command == mission.WAYPOINT and leg.hold_s == 0.0:
+            if before is not None and before.command == mission.WAYPOINT:
+                from_m = self._local_m(before.latitude_deg, before.longitude_deg)
+            course.fly_leg(from_m, place_m, self.loiter_radius_m)
+            course.hold_altitude(leg.altitude_amsl_m)
+        else:
+            radius_m = leg.radius_m if abs(leg.radius_m) > 1.0 else self.loiter_radius_m
+            course.loiter(place_m, radius_m)
+            course.hold_altitude(leg.altitude_amsl_m)
+
+    def _has_arrived(self, leg: mission.Leg) -> bool:
+        """Near enough in distance and height; of a loiter with turns after these."""
+        course, estimate = self.course, self.estimate
+        off_m = abs(estimate.altitude_amsl_m - leg.altitude_amsl_m)
+        if not off_m < self.parameters["NAV_FW_ALT_RAD"]:
+            return False
+        if not course.circling:
+            near_m = course.switch_m(estimate)
+            if leg.acceptance_m > near_m:
+                near_m = leg.acceptance_m
+            return course.distance_m(self.local_m) < near_m
+        if self._leg_reached_us is None:
+            if not course.on_circle(self.local_m):
+                return False
+            self._leg_reached_us = self.now_us
+        speed_m_s = math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
+        round_s = math.tau * abs(course.radius_m) / max(speed_m_s, 1.0)
+        return (self.now_us - self._leg_reached_us) * 1e-6 >= leg.turns * round_s
+
     # --- on the wheels ------------------------------------------------------------------------
 
     def _roll(self, dt_s: float) -> None:
@@ -413,15 +473,15 @@ class Px4FixedWing(Px4):
         if self.armed and self._wants_up():
             since_s = (self.now_us - max(self._armed_us, self._began_us)) * 1e-6
             ramp_s = self.parameters["RWTO_RAMP_TIME"]
-            plane.roll_on_ground(take_off_m_s2(since_s, ramp_s), dt_s)
+            plane.roll_on_ground(runway.take_off_m_s2(since_s, ramp_s), dt_s)
             plane.throttle = min(since_s / max(ramp_s, 0.1), 1.0)
             self._run_up(plane.airspeed_m_s)
             return
         plane.throttle = 0.0
         if speed_m_s > 0.0:
-            plane.roll_on_ground(roll_out_m_s2(speed_m_s), dt_s)
+            plane.roll_on_ground(runway.roll_out_m_s2(speed_m_s), dt_s)
         if self.armed:
-            self._contact(pressed=speed_m_s < LANDING_SEEN_M_S)
+            self._contact(pressed=speed_m_s < runway.LANDING_SEEN_M_S)
         elif speed_m_s == 0.0:
             self.landed = True
 
@@ -431,21 +491,21 @@ class Px4FixedWing(Px4):
             return self.landed or self._runway_said
         if self.mode is not Mode.MISSION:
             return False
-        leg = self._legs.aim()
+        leg = self._aim_leg()
         return leg is not None and leg.command == mission.TAKEOFF
 
     def _run_up(self, airspeed_m_s: float) -> None:
         """Tell of the take-off, and leave the ground at its airspeed."""
         if not self._runway_said and self.now_us - self._armed_us >= _RUNWAY_US:
             self._runway_said = True
-            self.say(ON_RUNWAY)
-        if airspeed_m_s >= TAKEOFF_SEEN_M_S:
+            self.say(runway.ON_RUNWAY)
+        if airspeed_m_s >= runway.TAKEOFF_SEEN_M_S:
             self._took_off()
         takeoff_m_s = self._takeoff_airspeed_m_s()
-        if airspeed_m_s >= ROTATES_AT * takeoff_m_s and not self._rotated:
+        if airspeed_m_s >= runway.ROTATES_AT * takeoff_m_s and not self._rotated:
             self._rotated = True
-            self.say(ROTATING)
-        if airspeed_m_s >= LIFTS_OFF_AT * takeoff_m_s:
+            self.say(runway.ROTATING)
+        if airspeed_m_s >= runway.LIFTS_OFF_AT * takeoff_m_s:
             self._took_off()
             self._wheels = False
             self.course.start(airspeed_m_s)
@@ -460,13 +520,13 @@ class Px4FixedWing(Px4):
         if mode is Mode.OFFBOARD and (self._follows_path or self._seen is None):
             return None
         course = self.course
-        north_m = east_m = altitude_m = 0.0
+        nearest_m, altitude_m = 0j, 0.0
         if self.armed:
-            north_m, east_m = course.nearest
+            nearest_m = course.nearest_m
             altitude_m = course.told_altitude_m
         down_m = self._reference.altitude_amsl_m - altitude_m
         return TargetEcho(
-            position_ned_m=(north_m, east_m, down_m),
+            position_ned_m=(nearest_m.real, nearest_m.imag, down_m),
             velocity_ned_m_s=NOTHING,
             acceleration_ned_m_s2=NOTHING,
             yaw_rad=_NAN,
@@ -479,26 +539,18 @@ class Px4FixedWing(Px4):
         if not self.armed:
             return None
         course = self.course
-        north_m, east_m = course.centre
+        goal_m = course.centre_m
         altitude_m = course.told_altitude_m
         place = self.takeoff_place
         if self.mode is Mode.TAKEOFF and place is not None and math.isfinite(place[0]):
-            north_m, east_m = self.projection.to_local(place[0], place[1])
-        latitude_deg, longitude_deg = self.projection.to_geographic(north_m, east_m)
+            goal_m = self._local_m(place[0], place[1])
+        way_m = goal_m - self._here_m
         return Waypoint(
-            place=Place(
-                latitude_deg=latitude_deg,
-                longitude_deg=longitude_deg,
-                altitude_amsl_m=altitude_m,
-            ),
-            distance_m=math.hypot(north_m - self.local_m[0], east_m - self.local_m[1]),
-            bearing_rad=math.atan2(east_m - self.local_m[1], north_m - self.local_m[0]),
+            place=self.projection.place(goal_m.real, goal_m.imag, altitude_m),
+            distance_m=size(way_m),
+            bearing_rad=cmath.phase(way_m),
             radius_m=course.radius_m if course.circling else 0.0,
         )
-
-    def _above_ground_m(self) -> float | None:
-        """SIH's distance sensor."""
-        return max(self.vehicle.altitude_amsl_m - self.ground_amsl_m, 0.0)
 
 
 def _bend(target: Target) -> float:

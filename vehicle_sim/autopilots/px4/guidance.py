@@ -1,7 +1,7 @@
 """How PX4 guides a fixed wing along a path: NPFG, from where it is to a bank angle.
 
-Pure functions on plain floats (the inner loop calls them a hundred times a second); north and east
-in metres, bearings as unit vectors, curvature and lateral acceleration positive to the right.
+Pure functions; places, velocities and directions in the plane are complex numbers, north + east j;
+curvature and lateral acceleration are positive to the right.
 
 The law is PX4's own (src/lib/npfg: DirectionalGuidance, CourseToAirspeedRefMapper,
 AirspeedDirectionController) without its adaptation of the period to curvature in wind, which the
@@ -58,102 +58,69 @@ def gains_of(period_s: float, damping: float, roll_response_s: float) -> Gains:
 
 @final
 class Path(NamedTuple):
-    """The nearest point of a path, its direction there and its curvature, 1/m."""
+    """The nearest point of a path, its direction there (of unit length) and its curvature, 1/m."""
 
-    north_m: float
-    east_m: float
-    along_north: float
-    along_east: float
+    point_m: complex
+    along: complex
     curvature_1_m: float = 0.0
 
 
-def towards(
-    north_m: float, east_m: float, point_north_m: float, point_east_m: float
-) -> Path | None:
+def size(vector: complex) -> float:
+    """Its length."""
+    return math.hypot(vector.real, vector.imag)
+
+
+def dot(one: complex, other: complex) -> float:
+    """Inner product."""
+    return one.real * other.real + one.imag * other.imag
+
+
+def cross(one: complex, other: complex) -> float:
+    """Positive where the other one lies to the right."""
+    return one.real * other.imag - one.imag * other.real
+
+
+def towards(here_m: complex, point_m: complex) -> Path | None:
     """Straight at a point, from here; None while standing on it."""
-    north, east = point_north_m - north_m, point_east_m - east_m
-    away_m = math.hypot(north, east)
-    if away_m < 1e-3:
-        return None
-    return Path(point_north_m, point_east_m, north / away_m, east / away_m)
+    away_m = size(point_m - here_m)
+    return None if away_m < 1e-3 else Path(point_m, (point_m - here_m) / away_m)
 
 
-def along(
-    point_north_m: float, point_east_m: float, v_north: float, v_east: float, curvature_1_m: float
-) -> Path | None:
+def along(point_m: complex, velocity_m_s: complex, curvature_1_m: float) -> Path | None:
     """A point on the path and its tangent, of any size but none; None for none."""
-    size = math.hypot(v_north, v_east)
-    if size < 1e-6:
-        return None
-    return Path(point_north_m, point_east_m, v_north / size, v_east / size, curvature_1_m)
+    speed = size(velocity_m_s)
+    return None if speed < 1e-6 else Path(point_m, velocity_m_s / speed, curvature_1_m)
 
 
-def line(
-    north_m: float,
-    east_m: float,
-    start_north_m: float,
-    start_east_m: float,
-    along_north: float,
-    along_east: float,
-) -> Path:
+def line(here_m: complex, start_m: complex, direction: complex) -> Path:
     """The straight line through a point in a direction (of unit length)."""
-    done_m = (north_m - start_north_m) * along_north + (east_m - start_east_m) * along_east
-    return Path(
-        start_north_m + done_m * along_north,
-        start_east_m + done_m * along_east,
-        along_north,
-        along_east,
-    )
+    return Path(start_m + dot(here_m - start_m, direction) * direction, direction)
 
 
-def leg(
-    north_m: float,
-    east_m: float,
-    start_north_m: float,
-    start_east_m: float,
-    end_north_m: float,
-    end_east_m: float,
-    switch_m: float,
-) -> Path | None:
+def leg(here_m: complex, start_m: complex, end_m: complex, switch_m: float) -> Path | None:
     """From waypoint to waypoint: first to the start if that lies ahead, back if past the end."""
-    leg_n, leg_e = end_north_m - start_north_m, end_east_m - start_east_m
-    size = math.hypot(leg_n, leg_e)
-    if size < 1e-3:
-        return towards(north_m, east_m, end_north_m, end_east_m)
-    from_n, from_e = north_m - start_north_m, east_m - start_east_m
-    if leg_n * from_n + leg_e * from_e < 0.0 and math.hypot(from_n, from_e) > switch_m:
-        return towards(north_m, east_m, start_north_m, start_east_m)
-    if leg_n * (north_m - end_north_m) + leg_e * (east_m - end_east_m) > 0.0:
-        return towards(north_m, east_m, end_north_m, end_east_m)
-    return line(north_m, east_m, start_north_m, start_east_m, leg_n / size, leg_e / size)
+    way_m, from_m = end_m - start_m, here_m - start_m
+    length_m = size(way_m)
+    if length_m < 1e-3:
+        return towards(here_m, end_m)
+    if dot(way_m, from_m) < 0.0 and size(from_m) > switch_m:
+        return towards(here_m, start_m)
+    if dot(way_m, here_m - end_m) > 0.0:
+        return towards(here_m, end_m)
+    return line(here_m, start_m, way_m / length_m)
 
 
-def circle(
-    north_m: float,
-    east_m: float,
-    centre_north_m: float,
-    centre_east_m: float,
-    radius_m: float,
-    v_north: float,
-    v_east: float,
-) -> Path:
+def circle(here_m: complex, centre_m: complex, radius_m: float, velocity_m_s: complex) -> Path:
     """About a centre, clockwise, or anticlockwise with a negative radius; never a radius of 0."""
-    out_n, out_e = north_m - centre_north_m, east_m - centre_east_m
-    away_m = math.hypot(out_n, out_e)
+    out = here_m - centre_m
+    away_m = size(out)
     if away_m < 0.1:
-        out_n, out_e = v_north, v_east
-        away_m = math.hypot(out_n, out_e)
+        out, away_m = velocity_m_s, size(velocity_m_s)
         if away_m < 0.1:
-            out_n, out_e, away_m = 1.0, 0.0, 1.0
-    out_n, out_e = out_n / away_m, out_e / away_m
-    size_m, way = abs(radius_m), math.copysign(1.0, radius_m)
-    return Path(
-        centre_north_m + out_n * size_m,
-        centre_east_m + out_e * size_m,
-        -way * out_e,
-        way * out_n,
-        way / size_m,
-    )
+            out, away_m = 1.0 + 0.0j, 1.0
+    out /= away_m
+    radius_size_m, way = abs(radius_m), math.copysign(1.0, radius_m)
+    return Path(centre_m + out * radius_size_m, way * (1j * out), way / radius_size_m)
 
 
 def _feasible(across: float, along: float, airspeed: float, wind: float) -> float:
@@ -164,78 +131,49 @@ def _feasible(across: float, along: float, airspeed: float, wind: float) -> floa
 
 
 def bearing(
-    path: Path,
-    north_m: float,
-    east_m: float,
-    v_north: float,
-    v_east: float,
-    wind_north: float,
-    wind_east: float,
-    gains: Gains,
-) -> tuple[float, float, float]:
+    path: Path, here_m: complex, velocity_m_s: complex, wind_m_s: complex, gains: Gains
+) -> tuple[complex, float]:
     """Course to fly (unit vector), and the lateral acceleration that the path's curvature takes.
 
-    Position, velocity over ground and wind, in metres and m/s.
+    Of position, velocity over ground and wind.
     """
-    tn, te = path.along_north, path.along_east
-    off_n, off_e = north_m - path.north_m, east_m - path.east_m
-    error_m = tn * off_e - te * off_n  # positive: right of the path
-    share = min(abs(error_m) / gains.pull_m(math.hypot(v_north, v_east)), 1.0)
+    tangent, curvature = path.along, path.curvature_1_m
+    error_m = cross(tangent, here_m - path.point_m)  # positive: right of the path
+    share = min(abs(error_m) / gains.pull_m(size(velocity_m_s)), 1.0)
     ahead_rad = 0.5 * math.pi * (share - 1.0) * (share - 1.0)
     sine, cosine = math.sin(ahead_rad), math.cos(ahead_rad)
     side = 1.0 if error_m < 0.0 else -1.0  # to the right, or left
-    course_n = sine * tn - cosine * side * te
-    course_e = sine * te + cosine * side * tn
-    curvature = path.curvature_1_m
+    course = sine * tangent + cosine * side * (1j * tangent)
     if curvature == 0.0:
-        return course_n, course_e, 0.0
+        return course, 0.0
 
-    air_n, air_e = v_north - wind_north, v_east - wind_east
-    airspeed, wind = math.hypot(air_n, air_e), math.hypot(wind_north, wind_east)
-    across = wind_north * te - wind_east * tn
-    tail = wind_north * tn + wind_east * te
+    airspeed, wind = size(velocity_m_s - wind_m_s), size(wind_m_s)
+    across, tail = cross(wind_m_s, tangent), dot(wind_m_s, tangent)
     feasible = _feasible(across, tail, airspeed, wind) * _feasible(
-        wind_north * course_e - wind_east * course_n,
-        wind_north * course_n + wind_east * course_e,
-        airspeed,
-        wind,
+        cross(wind_m_s, course), dot(wind_m_s, course), airspeed, wind
     )
     here = curvature / max(1.0 - curvature * error_m, abs(curvature) * LEAST_RADIUS_M)
-    rate_rad_s = here * max(v_north * tn + v_east * te, 0.0)
+    rate_rad_s = here * max(dot(velocity_m_s, tangent), 0.0)
     through_air = math.sqrt(max(airspeed * airspeed - across * across, 0.0))
     ratio = 1.0 + tail / max(through_air, 1e-6)
-    return course_n, course_e, airspeed * ratio * rate_rad_s * feasible * sine * sine
+    return course, airspeed * ratio * rate_rad_s * feasible * sine * sine
 
 
-def heading_for(
-    course_n: float, course_e: float, wind_north: float, wind_east: float, airspeed: float
-) -> tuple[float, float]:
+def heading_for(course: complex, wind_m_s: complex, airspeed: float) -> complex:
     """Direction of the nose (unit vector) that flies this course in this wind."""
-    across = wind_north * course_e - wind_east * course_n
-    tail = wind_north * course_n + wind_east * course_e
-    wind = math.hypot(wind_north, wind_east)
+    across, tail, wind = cross(wind_m_s, course), dot(wind_m_s, course), size(wind_m_s)
     if abs(across) < airspeed and (tail > 0.0 or wind < airspeed):
-        through = math.sqrt(airspeed * airspeed - across * across)
-        north = through * course_n - across * course_e
-        east = across * course_n + through * course_e
+        nose = math.sqrt(airspeed * airspeed - across * across) * course + across * (1j * course)
     else:
-        push = math.sqrt(max(wind * wind - airspeed * airspeed, 0.0))
-        north, east = push * course_n - wind_north, push * course_e - wind_east
-    size = math.hypot(north, east)
-    return (north / size, east / size) if size > 1e-9 else (course_n, course_e)
+        nose = math.sqrt(max(wind * wind - airspeed * airspeed, 0.0)) * course - wind_m_s
+    length = size(nose)
+    return nose / length if length > 1e-9 else course
 
 
-def turn_m_s2(
-    heading_n: float,
-    heading_e: float,
-    wanted_n: float,
-    wanted_e: float,
-    airspeed: float,
-    gain: float,
-) -> float:
+def turn_m_s2(heading: complex, wanted: complex, airspeed: float, gain: float) -> float:
     """Lateral acceleration that turns the nose to a direction: the most beyond a right angle."""
-    across = heading_n * wanted_e - heading_e * wanted_n
-    if heading_n * wanted_n + heading_e * wanted_e < 0.0:
+    across = cross(heading, wanted)
+    if dot(heading, wanted) < 0.0:
         across = -1.0 if across < 0.0 else 1.0
     return gain * airspeed * across
 

@@ -6,6 +6,8 @@ client reads them with the metadata of the firmware.
 
 from typing import Final, final
 
+import numpy as np
+
 from vehicle_sim.autopilots import Event, Text
 
 INFO, WARNING, CRITICAL, PROTOCOL = 0x66, 0x44, 0x42, 0x88
@@ -61,39 +63,14 @@ def text(severity: int, words: str) -> Text:
 
 def log_started(now_us: int) -> Event:
     """The logger names its file by the time: year, month, day, hour, minute, second."""
-    seconds = int(BOOT_UNIX_S + now_us * 1e-6)
-    year, month, day = _date(seconds // 86_400)
-    clock = (seconds // 3600 % 24, seconds // 60 % 60, seconds % 60)
-    arguments = year.to_bytes(2, "little") + bytes((month, day, *clock))
+    at = np.datetime64(int(BOOT_UNIX_S + now_us * 1e-6), "s").item().timetuple()
+    arguments = at.tm_year.to_bytes(2, "little") + bytes(at[1:6])
     return Event(number=LOG_STARTED, log_levels=INFO, arguments=arguments)
-
-
-def _date(days: int) -> tuple[int, int, int]:
-    """Year, month and day of a day since 1970, counted in years that begin in March."""
-    era, day_of_era = divmod(days + 719_468, 146_097)
-    year_of_era = (
-        day_of_era - day_of_era // 1460 + day_of_era // 36_524 - day_of_era // 146_096
-    ) // 365
-    day_of_year = day_of_era - (365 * year_of_era + year_of_era // 4 - year_of_era // 100)
-    march_month = (5 * day_of_year + 2) // 153
-    day = day_of_year - (153 * march_month + 2) // 5 + 1
-    month = march_month + 3 if march_month < 10 else march_month - 9
-    return year_of_era + era * 400 + (month <= 2), month, day
 
 
 @final
 class Checks:
     """The results of the arming checks, and when they were last told.  Mutable."""
-
-    __slots__ = (
-        "_airspeed",
-        "_reported",
-        "_reported_us",
-        "logs_always",
-        "reported_fusing",
-        "reported_position_ok",
-        "reported_signal",
-    )
 
     def __init__(self, *, airspeed: bool) -> None:
         self._airspeed = airspeed

@@ -1,22 +1,21 @@
 """PX4's missions: the list of items as legs to fly, one after the other (px4.md 7)."""
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple, final
+from collections.abc import Callable
+from typing import Final, NamedTuple, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Say
+from vehicle_sim.autopilots import Place, Reply, Say
+from vehicle_sim.autopilots.jumps import Jumps
 from vehicle_sim.autopilots.px4.modes import Mode
 from vehicle_sim.autopilots.px4.setpoints import height_of
-from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.plans import PlanItem, PlanKind, Plans
 
-if TYPE_CHECKING:
-    from vehicle_sim.autopilots.px4.commander import Commander
-
-WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
+WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
 _LEGS: Final = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, 31})
 _HIGHEST_M: Final = 1e5
-_JUMP, _CHANGE_SPEED = 177, 178
+_CHANGE_SPEED = 178
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5
 
 
@@ -39,25 +38,43 @@ class Leg(NamedTuple):
 
 
 @final
+class Surroundings(NamedTuple):
+    """What an item is measured from."""
+
+    now_us: int
+    here: Place
+    home: Place | None
+    ground_amsl_m: float
+
+
+@final
 class Mission:
     """Which item is flown, and what that means.  Mutable."""
 
-    __slots__ = ("_active", "_arrived_us", "_done", "_jumps", "_px4", "current", "leg")
-
-    def __init__(self, px4: "Commander") -> None:
-        self._px4 = px4
+    def __init__(
+        self,
+        plans: Plans,
+        surroundings: Callable[[], Surroundings],
+        say: Callable[[Reply], None],
+        obey: Callable[[Mode | float], None],
+    ) -> None:
+        """`obey`: a mode to fly, or a speed in m/s, that an item asks for."""
+        self._plans = plans
+        self._surroundings = surroundings
+        self._say = say
+        self._obey = obey
         self.current = 0
         """Item number, as in MISSION_CURRENT."""
         self.leg: Leg | None = None
         """What to fly now; None: nothing (hold)."""
         self._active = self._done = False
         self._arrived_us: int | None = None
-        self._jumps: dict[int, int] = {}
+        self._jumps = Jumps(0)
 
     @property
     def items(self) -> tuple[PlanItem, ...]:
         """As uploaded."""
-        return self._px4.plans[PlanKind.MISSION]
+        return self._plans[PlanKind.MISSION]
 
     @property
     def total(self) -> int:
@@ -79,7 +96,7 @@ class Mission:
         """Another list: from its beginning."""
         self.current = 0
         self._done = False
-        self._jumps.clear()
+        self._jumps.forget()
         if self._active:
             self.begin()
 
@@ -107,13 +124,14 @@ class Mission:
 
     def arrived(self) -> None:
         """The vehicle is at the leg's place (call it in every step there): wait, then go on."""
-        leg, now_us = self.leg, self._px4.now_us
+        leg = self.leg
         if leg is None:
             return
+        now_us = self._surroundings().now_us
         if self._arrived_us is None:
             self._arrived_us = now_us
             reached = mavlink.MAVLink_mission_item_reached_message(seq=self.current)
-            self._px4.say(Say(message=reached))
+            self._say(Say(message=reached))
         if now_us - self._arrived_us >= leg.hold_s * 1e6 and leg.command != LAND:
             self.next()
 
@@ -126,51 +144,33 @@ class Mission:
     def _seek(self) -> None:
         """Obey items that are no legs until one is, or the end."""
         items = self.items
-        for _ in range(2 * len(items) + 2):
-            if self.current >= len(items):
-                break
-            item = items[self.current]
+        for number, item in self._jumps.walk(items, self.current, 2 * len(items) + 2):
+            self.current = number
             if item.command == RETURN:
                 self.leg = None
-                self._px4.follow_item(Mode.RTL)
+                self._obey(Mode.RTL)
                 return
             if item.command in _LEGS:
                 self.leg = self._leg(item)
                 return
-            self._obey(item)
+            if item.command == _CHANGE_SPEED and item.parameters[1] > 0.0:
+                self._obey(item.parameters[1])
         self.current = max(len(items) - 1, 0)
         self.leg = None
         self._done = bool(items)
 
-    def _obey(self, item: PlanItem) -> None:
-        """DO_ items; those that mean nothing here are passed over."""
-        first, second = item.parameters[0], item.parameters[1]
-        if item.command == _CHANGE_SPEED and second > 0.0:
-            self._px4.speed_m_s = second
-        if item.command == _JUMP and math.isfinite(first) and math.isfinite(second):
-            done = self._jumps.get(self.current, 0)
-            if (second < 0 or done < second) and 0 <= first < len(self.items):
-                self._jumps[self.current] = done + 1
-                self.current = int(first)
-                return
-        self.current += 1
-
     def _leg(self, item: PlanItem) -> Leg:
         first, second, third, fourth = item.parameters
-        px4 = self._px4
-        estimate = px4.estimate
-        home = px4.home or estimate.place
+        _, here, home, ground_amsl_m = self._surroundings()
         z_m = item.z_m if abs(item.z_m) <= _HIGHEST_M else math.nan
-        height = height_of(item.frame, z_m, home, px4.ground_amsl_m)
+        height = height_of(item.frame, z_m, home or here, ground_amsl_m)
         hold = first if item.command in (WAYPOINT, LOITER_TIME) and first > 0.0 else 0.0
         somewhere = bool(item.x or item.y)
         return Leg(
             command=item.command,
-            latitude_deg=item.x * 1e-7 if somewhere else estimate.latitude_deg,
-            longitude_deg=item.y * 1e-7 if somewhere else estimate.longitude_deg,
-            altitude_amsl_m=estimate.altitude_amsl_m
-            if height is None or height != height
-            else height,
+            latitude_deg=item.x * 1e-7 if somewhere else here.latitude_deg,
+            longitude_deg=item.y * 1e-7 if somewhere else here.longitude_deg,
+            altitude_amsl_m=here.altitude_amsl_m if height is None or height != height else height,
             hold_s=math.inf if item.command == LOITER else hold,
             acceptance_m=second if item.command == WAYPOINT and second > 0.0 else math.nan,
             radius_m=third if item.command in (LOITER, LOITER_TURNS, LOITER_TIME) else 0.0,

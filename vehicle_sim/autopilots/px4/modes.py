@@ -5,72 +5,38 @@ from typing import Final
 
 
 class Mode(enum.Enum):
-    """What is flown.  DESCEND is a failsafe only, and is told as AUTO:LAND."""
+    """What is flown: its name, and main and sub mode.  DESCEND is a failsafe only."""
 
-    MANUAL = enum.auto()
-    ALTCTL = enum.auto()
-    POSCTL = enum.auto()
-    ACRO = enum.auto()
-    STABILIZED = enum.auto()
-    OFFBOARD = enum.auto()
-    TAKEOFF = enum.auto()
-    LOITER = enum.auto()
-    MISSION = enum.auto()
-    RTL = enum.auto()
-    LAND = enum.auto()
-    ORBIT = enum.auto()
-    DESCEND = enum.auto()
+    MANUAL = "Manual", 1, 0
+    ALTCTL = "Altitude", 2, 0
+    POSCTL = "Position", 3, 0
+    ACRO = "Acro", 5, 0
+    STABILIZED = "Stabilized", 7, 0
+    OFFBOARD = "Offboard", 6, 0
+    TAKEOFF = "Takeoff", 4, 2
+    LOITER = "Hold", 4, 3
+    MISSION = "Mission", 4, 4
+    RTL = "Return", 4, 5
+    LAND = "Land", 4, 6
+    ORBIT = "Orbit", 3, 1
+    DESCEND = "Descend", 4, 6
+    """Told as AUTO:LAND."""
 
 
-CUSTOM_MODES: Final = {
-    Mode.MANUAL: 0x00010000,
-    Mode.ALTCTL: 0x00020000,
-    Mode.POSCTL: 0x00030000,
-    Mode.ACRO: 0x00050000,
-    Mode.OFFBOARD: 0x00060000,
-    Mode.STABILIZED: 0x00070000,
-    Mode.TAKEOFF: 0x02040000,
-    Mode.LOITER: 0x03040000,
-    Mode.MISSION: 0x04040000,
-    Mode.RTL: 0x05040000,
-    Mode.LAND: 0x06040000,
-    Mode.ORBIT: 0x01030000,
-    Mode.DESCEND: 0x06040000,
-}
-"""custom_mode of the heartbeat: main mode << 16 | sub mode << 24."""
-
-MANUAL_MODES: Final = frozenset({Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.ACRO, Mode.STABILIZED})
-AUTO_MODES: Final = frozenset(
-    {Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND, Mode.ORBIT, Mode.DESCEND}
-)
-NAVIGATED: Final = AUTO_MODES - {Mode.DESCEND}
-"""Modes in which the navigator has a place to go to."""
-NEED_POSITION: Final = frozenset(
-    {Mode.POSCTL, Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND, Mode.ORBIT}
-)
-"""Modes that cannot run without a horizontal position (OFFBOARD: it depends on the setpoint)."""
-NAMES: Final = {
-    Mode.MANUAL: "Manual",
-    Mode.ALTCTL: "Altitude",
-    Mode.POSCTL: "Position",
-    Mode.ACRO: "Acro",
-    Mode.STABILIZED: "Stabilized",
-    Mode.OFFBOARD: "Offboard",
-    Mode.TAKEOFF: "Takeoff",
-    Mode.LOITER: "Hold",
-    Mode.MISSION: "Mission",
-    Mode.RTL: "Return",
-    Mode.LAND: "Land",
-    Mode.ORBIT: "Orbit",
-    Mode.DESCEND: "Descend",
-}
+CUSTOM_MODES: Final = {mode: mode.value[1] << 16 | mode.value[2] << 24 for mode in Mode}
+"""custom_mode of the heartbeat."""
+NAMES: Final = {mode: mode.value[0] for mode in Mode}
 """As users call them."""
+MANUAL_MODES: Final = frozenset({Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.ACRO, Mode.STABILIZED})
+NAVIGATED: Final = frozenset(
+    {Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND, Mode.ORBIT}
+)
+"""Modes in which the navigator has a place to go to."""
+AUTO_MODES: Final = NAVIGATED | {Mode.DESCEND}
+NEED_POSITION: Final = NAVIGATED | {Mode.POSCTL}
+"""Modes that cannot run without a horizontal position (OFFBOARD: it depends on the setpoint)."""
 
-_BY_NUMBERS: Final = {
-    (custom >> 16 & 0xFF, custom >> 24): mode
-    for mode, custom in CUSTOM_MODES.items()
-    if mode is not Mode.DESCEND
-}
+_BY_NUMBERS: Final = {mode.value[1:]: mode for mode in Mode if mode is not Mode.DESCEND}
 MAIN_AUTO: Final = 4
 
 

@@ -7,20 +7,25 @@ from typing import Final, final
 
 import numpy as np
 
-from vehicle_sim.autopilots import Place, TargetEcho, Waypoint
+from vehicle_sim.autopilots import TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.autopilots.px4 import mission
-from vehicle_sim.autopilots.px4.firmware import Px4
-from vehicle_sim.autopilots.px4.hand import Wanted, by_hand, sink, turning_rad_s
+from vehicle_sim.autopilots.px4.autopilot import Px4
+from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, NAVIGATED, Mode
-from vehicle_sim.autopilots.px4.orbit import HERE
-from vehicle_sim.autopilots.px4.parameters import COMMON, MULTICOPTER, table
 from vehicle_sim.autopilots.px4.position_control import Gains, PositionControl
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
 from vehicle_sim.autopilots.px4.style import RATES_HZ, style
-from vehicle_sim.autopilots.px4.trajectory import Trajectory, stopping_point
+from vehicle_sim.autopilots.px4.trajectory import (
+    HERE,
+    Trajectory,
+    Wanted,
+    by_hand,
+    sink,
+    stopping_point,
+    turning_rad_s,
+)
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
-from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.plans import Plans
 
 _QUADROTOR: Final = 2
@@ -56,6 +61,7 @@ class Px4Multicopter(Px4):
     """A quadcopter of PX4's SIH simulator: 1 kg, drag SIH_KDV."""
 
     vehicle: Copter
+    HANDLERS = HANDLERS
     learns = orbits = True
 
     def __init__(
@@ -71,7 +77,7 @@ class Px4Multicopter(Px4):
             copter,
             parameters,
             plans,
-            table=(*table(COMMON, MULTICOPTER), *SIM_PARAMETERS_PX4),
+            tables=("px4/common", "px4/multicopter"),
             style=style(vehicle_type=_QUADROTOR, rates_hz=RATES_HZ),
             hardware_id=hardware_id,
             rng=rng,
@@ -123,14 +129,15 @@ class Px4Multicopter(Px4):
         elif mode is Mode.LOITER:
             self._goal = self._began_m
             if self.reposition is not None:
-                self._aim_reposition()
+                *place, self._aim_yaw_rad = self.reposition
+                self._goal = self._given(*place)
         elif mode is Mode.LAND and self.land_place is not None:
             north_m, east_m = self.projection.to_local(*self.land_place)
             self._goal = (north_m, east_m, _NAN)
         elif mode is Mode.RTL:
             self._aim_return()
         elif mode is Mode.ORBIT:
-            self._aim_orbit()
+            self._goal = self._given(*(self.orbit or HERE)[:3])  # its centre
         self._held = Attitude(0.0, 0.0, self.vehicle.heading_rad)
 
     @property
@@ -152,25 +159,12 @@ class Px4Multicopter(Px4):
         north_m, east_m, _ = self.local_m
         self._goal = (north_m, east_m, self._down(altitude_m))
 
-    def _aim_reposition(self) -> None:
-        latitude_deg, longitude_deg, altitude_m, yaw_rad = self.reposition or (_NAN,) * 4
+    def _given(self, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Vector:
+        """A place in the local frame; what is not given of it is where it is."""
         north_m, east_m, down_m = self.local_m
         if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
             north_m, east_m = self.projection.to_local(latitude_deg, longitude_deg)
-        if math.isfinite(altitude_m):
-            down_m = self._down(altitude_m)
-        self._goal = (north_m, east_m, down_m)
-        self._aim_yaw_rad = yaw_rad
-
-    def _aim_orbit(self) -> None:
-        """The goal is the centre; what DO_ORBIT leaves out is where it is."""
-        north_m, east_m, down_m = self.local_m
-        orbit = self.orbit or HERE
-        if math.isfinite(orbit.latitude_deg) and math.isfinite(orbit.longitude_deg):
-            north_m, east_m = self.projection.to_local(orbit.latitude_deg, orbit.longitude_deg)
-        if math.isfinite(orbit.altitude_amsl_m):
-            down_m = self._down(orbit.altitude_amsl_m)
-        self._goal = (north_m, east_m, down_m)
+        return north_m, east_m, self._down(altitude_m) if math.isfinite(altitude_m) else down_m
 
     def _aim_return(self) -> None:
         """First straight up: to RTL_RETURN_ALT, less within the cone about home."""
@@ -380,7 +374,7 @@ class Px4Multicopter(Px4):
     def _land_speed_m_s(self) -> float:
         """MPC_LAND_ALT1 to 3: from MPC_Z_V_AUTO_DN to MPC_LAND_SPEED to MPC_LAND_CRWL."""
         parameters = self.parameters
-        height_m = self._above_ground_m() or 0.0
+        height_m = self._height_m
         slow = parameters["MPC_LAND_SPEED"]
         if height_m < parameters["MPC_LAND_ALT3"]:
             return min(slow, parameters["MPC_LAND_CRWL"])
@@ -531,13 +525,8 @@ class Px4Multicopter(Px4):
 
     def _waypoint(self) -> Waypoint | None:
         goal_n, goal_e, goal_d = self._aim
-        latitude_deg, longitude_deg = self.projection.to_geographic(goal_n, goal_e)
         return Waypoint(
-            place=Place(
-                latitude_deg=latitude_deg,
-                longitude_deg=longitude_deg,
-                altitude_amsl_m=self._reference.altitude_amsl_m - goal_d,
-            ),
+            place=self.projection.place(goal_n, goal_e, self._reference.altitude_amsl_m - goal_d),
             distance_m=math.hypot(goal_n - self.local_m[0], goal_e - self.local_m[1]),
         )
 
@@ -547,7 +536,3 @@ class Px4Multicopter(Px4):
         n, e, d = (_NAN,) * 3 if self.mode is Mode.LAND else self._goal
         m_n, m_e, m_d = self._began_m
         return n if n == n else m_n, e if e == e else m_e, d if d == d else m_d
-
-    def _above_ground_m(self) -> float | None:
-        """SIH's distance sensor."""
-        return max(self.vehicle.altitude_amsl_m - self.ground_amsl_m, 0.0)

@@ -14,15 +14,6 @@ _CENTRED: Final = Sticks(
 class Pilot:
     """The newest sticks and when they came.  Mutable."""
 
-    __slots__ = (
-        "_companion_us",
-        "_ground_station_us",
-        "_held",
-        "at_arming",
-        "heard_us",
-        "sticks",
-    )
-
     def __init__(self) -> None:
         self.sticks: Sticks | None = None
         self.heard_us: int | None = None

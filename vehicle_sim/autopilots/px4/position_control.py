@@ -19,22 +19,6 @@ _ATTITUDE_S: Final = 0.15
 class Gains:
     """The parameters that the controller reads, as they stand."""
 
-    __slots__ = (
-        "derivative",
-        "horizontal_m_s",
-        "integral",
-        "integral_down",
-        "most_down_m_s2",
-        "most_up_m_s2",
-        "position",
-        "position_down",
-        "proportional",
-        "proportional_down",
-        "tilt_m_s2",
-        "vertical_down_m_s",
-        "vertical_up_m_s",
-    )
-
     def __init__(self, parameters: Parameters) -> None:
         self.position = parameters["MPC_XY_P"]
         self.position_down = parameters["MPC_Z_P"]
@@ -56,8 +40,6 @@ class Gains:
 @final
 class PositionControl:
     """The controller and its integrals.  Mutable."""
-
-    __slots__ = ("_lean_e", "_lean_n", "acceleration", "gains", "integral", "velocity")
 
     def __init__(self, gains: Gains) -> None:
         self.gains = gains

@@ -7,6 +7,8 @@ SET_POSITION_TARGET_LOCAL_NED are in, and what GLOBAL_INT setpoints are converte
 import math
 from typing import final
 
+from vehicle_sim.autopilots import Place
+
 _RADIUS_M = 6_371_000.0
 _NEAR_RAD = 1e-9
 
@@ -14,8 +16,6 @@ _NEAR_RAD = 1e-9
 @final
 class Projection:
     """North and east metres about an origin."""
-
-    __slots__ = ("_cosine", "_latitude_rad", "_longitude_rad", "_sine")
 
     def __init__(self, latitude_deg: float, longitude_deg: float) -> None:
         self._latitude_rad = math.radians(latitude_deg)
@@ -53,3 +53,7 @@ class Projection:
         )
         longitude_deg = math.degrees(math.remainder(longitude_rad, math.tau))
         return math.degrees(latitude_rad), longitude_deg
+
+    def place(self, north_m: float, east_m: float, altitude_amsl_m: float) -> Place:
+        """A point, at this height."""
+        return Place(*self.to_geographic(north_m, east_m), altitude_amsl_m)

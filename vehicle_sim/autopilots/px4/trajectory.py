@@ -1,13 +1,16 @@
-"""The smooth motion of PX4's AUTO modes: a point that runs ahead within acceleration and jerk.
+"""The smooth motion of PX4's multicopters: a point that runs ahead within acceleration and jerk.
 
 The position controller follows it.  MPC_ACC_HOR 3 and MPC_JERK_AUTO 4 stop 12 m/s in 31 m
-(px4.md 4).
+(px4.md 4).  In Position and Altitude mode the sticks move it (px4.md 6), in DO_ORBIT a circle,
+whose limits are those of FlightTaskOrbit; how it goes round was not measured.
 """
 
 import math
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilots.px4.setpoints import Vector
+from vehicle_sim.autopilots import Sticks
+from vehicle_sim.autopilots.px4.setpoints import NOTHING, Vector
+from vehicle_sim.dynamics.copter import GRAVITY_M_S2
 from vehicle_sim.parameters import Parameters
 
 _STANDS_M_S: Final = 0.05
@@ -30,8 +33,6 @@ def stopping_point(position: Vector, velocity: Vector, parameters: Parameters) -
 @final
 class Trajectory:
     """Position, velocity and acceleration of the point: north, east, down.  Mutable."""
-
-    __slots__ = ("a", "jerk", "most", "most_up", "p", "v")
 
     def __init__(self) -> None:
         self.p = [0.0, 0.0, 0.0]
@@ -109,3 +110,96 @@ class Trajectory:
     def stands(self) -> bool:
         """The point has come to rest horizontally."""
         return math.hypot(self.v[0], self.v[1]) < _STANDS_M_S
+
+
+_NAN: Final = math.nan
+_DEAD: Final = 0.1
+"""MPC_HOLD_DZ: share of a stick's travel that means nothing."""
+
+Wanted = tuple[Vector, Vector, Vector]
+"""Position, velocity and acceleration; NaN: not given."""
+
+
+def sink(parameters: Parameters) -> Wanted:
+    """Without a pilot the flight tasks of these modes cannot run: level, and down."""
+    return NOTHING, (_NAN, _NAN, parameters["MPC_LAND_SPEED"]), NOTHING
+
+
+def turning_rad_s(sticks: Sticks, parameters: Parameters) -> float:
+    """Rate of the heading that the yaw stick asks for."""
+    return beyond(sticks.yaw) * math.radians(parameters["MPC_MAN_Y_MAX"])
+
+
+def by_hand(
+    sticks: Sticks,
+    path: Trajectory,
+    parameters: Parameters,
+    heading_rad: float,
+    dt_s: float,
+    *,
+    holds_position: bool,
+) -> Wanted:
+    """One step of Position mode (holds_position), or of the others as if they were Altitude."""
+    lift = 2.0 * sticks.throttle - 1.0
+    down_m_s = -beyond(lift) * parameters["MPC_Z_VEL_MAX_UP" if lift > 0.0 else "MPC_Z_VEL_MAX_DN"]
+    ahead, aside = beyond(sticks.pitch), beyond(sticks.roll)
+    sine, cosine = math.sin(heading_rad), math.cos(heading_rad)
+    north, east = ahead * cosine - aside * sine, ahead * sine + aside * cosine
+    if holds_position:
+        most = parameters["MPC_VEL_MANUAL"]
+        path.towards_speed(north * most, east * most, down_m_s, dt_s)
+        return path.wanted()
+    path.towards_speed(0.0, 0.0, down_m_s, dt_s)
+    lean = GRAVITY_M_S2 * math.tan(math.radians(parameters["MPC_MAN_TILT_MAX"]))
+    return (
+        (_NAN, _NAN, path.p[2]),
+        (_NAN, _NAN, path.v[2]),
+        (north * lean, east * lean, path.a[2]),
+    )
+
+
+def beyond(stick: float) -> float:
+    """A stick's deflection beyond its dead zone, -1 to 1."""
+    size = abs(stick)
+    return 0.0 if size < _DEAD else math.copysign(min((size - _DEAD) / (1 - _DEAD), 1.0), stick)
+
+
+_RADIUS_M: Final = (1.0, 1000.0)
+_MOST_M_S: Final = 10.0
+_MOST_M_S2: Final = 2.0
+_GAIN_1_S: Final = 0.5
+
+
+@final
+class Orbit(NamedTuple):
+    """A circle; what is not given of its centre is NaN."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+    radius_m: float = _RADIUS_M[0]
+    """Negative: counter-clockwise."""
+    speed_m_s: float = 1.0
+
+    @property
+    def flyable(self) -> bool:
+        """Whether a multicopter takes it."""
+        size_m, speed_m_s = abs(self.radius_m), abs(self.speed_m_s)
+        return (
+            _RADIUS_M[0] <= size_m <= _RADIUS_M[1]
+            and speed_m_s <= _MOST_M_S
+            and speed_m_s**2 <= _MOST_M_S2 * size_m
+        )
+
+    def velocity_m_s(self, north_m: float, east_m: float, cruise_m_s: float) -> tuple[float, float]:
+        """North and east, at this place from the centre: along the circle, and towards it."""
+        away_m = math.hypot(north_m, east_m)
+        out_n, out_e = (north_m / away_m, east_m / away_m) if away_m > 0.1 else (1.0, 0.0)
+        outward = _GAIN_1_S * (abs(self.radius_m) - away_m)
+        outward = min(max(outward, -cruise_m_s), cruise_m_s)
+        near = max(1.0 - abs(outward) / cruise_m_s, 0.0)
+        along = math.copysign(near * abs(self.speed_m_s), self.radius_m * self.speed_m_s)
+        return out_n * outward - out_e * along, out_e * outward + out_n * along
+
+
+HERE: Final = Orbit(math.nan, math.nan, math.nan)

@@ -1,61 +1,61 @@
-"""The commander of a simulated PX4: modes, arming, arming checks, failsafes.
+"""What every simulated PX4 has in common: modes, arming, checks, failsafes, and what it tells.
 
-What px4.md 3 and 6 to 8 and the recorded flights say; what flies the modes is elsewhere.
+What px4.md 1 to 3 and 6 to 8 and the recorded flights say; the vehicle kinds (multicopter.py,
+fixed_wing.py) fly the modes.
 """
 
 import abc
 import math
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar, Final
 
 import numpy as np
 
 from vehicle_sim.autopilots import (
+    Ack,
+    Command,
     Event,
     Landed,
     Place,
     Reply,
     Result,
     Send,
+    Sender,
+    Setpoint,
     State,
+    Status,
+    Sticks,
     Style,
+    TargetEcho,
+    Waypoint,
 )
-from vehicle_sim.autopilots.attitude import AttitudeTarget
-from vehicle_sim.autopilots.px4 import health
-from vehicle_sim.autopilots.px4.diary import Diary
+from vehicle_sim.autopilots.attitude import AttitudeTarget, attitude_of, finite
+from vehicle_sim.autopilots.parameters import table
+from vehicle_sim.autopilots.px4 import failsafe, health
+from vehicle_sim.autopilots.px4.diary import Diary, Gimbal
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
-from vehicle_sim.autopilots.px4.failsafe import (
-    FENCE,
-    LINK_LOSS,
-    MODES,
-    OFFBOARD_LOSS,
-    Action,
-    Cause,
-    Incidents,
-    battery_action,
-    can_run,
-    instead_of,
-)
+from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents
 from vehicle_sim.autopilots.px4.fence import Fence
-from vehicle_sim.autopilots.px4.gimbal import Gimbal
 from vehicle_sim.autopilots.px4.health import text
-from vehicle_sim.autopilots.px4.mission import Mission
+from vehicle_sim.autopilots.px4.mission import Mission, Surroundings
 from vehicle_sim.autopilots.px4.modes import (
     CUSTOM_MODES,
     MANUAL_MODES,
+    NAMES,
+    NAVIGATED,
     Mode,
+    base_mode,
 )
-from vehicle_sim.autopilots.px4.orbit import Orbit
 from vehicle_sim.autopilots.px4.pilot import Pilot
 from vehicle_sim.autopilots.px4.projection import Projection
-from vehicle_sim.autopilots.px4.setpoints import (
-    Target,
-    Vector,
-)
+from vehicle_sim.autopilots.px4.setpoints import Bearings, Target, Vector, read_setpoint
+from vehicle_sim.autopilots.px4.trajectory import Orbit
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
+from vehicle_sim.faults import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Parameter, Parameters
-from vehicle_sim.plans import Plans
+from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.sensors.gps import Fix
 
 ARMABLE_US: Final = 3_500_000
 """Boot to the first time that it can be armed: heartbeat 0 at 2.6 s, 3 at 3.6 s of the log."""
@@ -69,15 +69,27 @@ _STILL_US: Final = 2_000_000
 """Disarmed to the estimator's constant-position mode."""
 _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
+_CHECK_US: Final = 100_000
+_DO_SET_MODE: Final = 176
+_MOST_RAD_S: Final = 10.0
 
 
-class Commander(abc.ABC):
-    """Which mode is wanted and which is flown, and whether the motors may turn.
+def parameter_rows(*names: str) -> tuple[Parameter, ...]:
+    """Those of these tables in the alphabetic order that PX4 numbers them in, then the faults'."""
+    return (*sorted(table(*names), key=lambda row: row.name), *SIM_PARAMETERS_PX4)
 
-    A kind of vehicle implements _begin, and calls _took_off() once in the air and _contact() on
-    the ground.
+
+class Px4(abc.ABC):
+    """An autopilot of vehicle_sim.autopilots.Autopilot: all of it but how the vehicle flies.
+
+    A kind of vehicle implements _begin (a mode begins) and _fly (one step), calls _took_off() once
+    in the air and _contact() on the ground.  What it may read: mode, armed, landed, local_m,
+    target, estimate, home, and what was commanded (takeoff_place, reposition, land_place,
+    speed_m_s, mission).
     """
 
+    HANDLERS: ClassVar[Mapping[int, "Handler | None"]]
+    """What answers which MAV_CMD; None: nobody."""
     orbits = False
     """Flies DO_ORBIT in a mode of its own."""
     learns = False
@@ -89,14 +101,14 @@ class Commander(abc.ABC):
         parameters: Mapping[str, float],
         plans: Plans,
         *,
-        table: tuple[Parameter, ...],
+        tables: tuple[str, ...],
         style: Style,
         hardware_id: int,
         rng: np.random.Generator,
         airspeed_sensor: bool = False,
     ) -> None:
         self.vehicle = vehicle
-        self.parameters = Parameters(table, parameters)
+        self.parameters = Parameters(parameter_rows(*tables), parameters)
         self.plans = plans
         self.style = style
         self.hardware_id = hardware_id
@@ -133,7 +145,7 @@ class Commander(abc.ABC):
         """NAV_LAND's latitude and longitude."""
         self.speed_m_s: float | None = None
         """DO_CHANGE_SPEED, in AUTO modes."""
-        self.mission = Mission(self)
+        self.mission = Mission(plans, self._surroundings, self.say, self._obey_mission)
         self.fence = Fence(plans)
         self.pilot = Pilot()
         self.gimbal = Gimbal()
@@ -141,10 +153,6 @@ class Commander(abc.ABC):
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
         self._checks = health.Checks(airspeed=airspeed_sensor)
         self._diary = Diary(self.parameters, rng)
-        self._at_boot()
-
-    def _at_boot(self) -> None:
-        """What the commander remembers from one check to the next."""
         self._incidents = Incidents()
         self._signal_us: int | None = None
         self._after_disarming = Mode.LOITER
@@ -162,13 +170,229 @@ class Commander(abc.ABC):
         self._turning_rad, self._turning_s = (0.0, 0.0, 0.0), 0.01
         self._next_check_us = _CHECK_PHASE_US
 
-    @abc.abstractmethod
-    def _above_ground_m(self) -> float | None:
-        """What a distance sensor says."""
+    # --- what a kind of vehicle does ----------------------------------------------------------
 
     @abc.abstractmethod
     def _begin(self, mode: Mode, before: Mode) -> None:
         """The flown mode has changed (also: was armed in it; also: the same one, commanded)."""
+
+    @abc.abstractmethod
+    def _fly(self, dt_s: float) -> None:
+        """One step: steer by self.estimate, advance self.vehicle; on the ground too."""
+
+    @abc.abstractmethod
+    def _echo(self) -> TargetEcho | None:
+        """POSITION_TARGET_LOCAL_NED."""
+
+    @abc.abstractmethod
+    def _waypoint(self) -> Waypoint | None:
+        """POSITION_TARGET_GLOBAL_INT, in AUTO modes only."""
+
+    @property
+    def _height_m(self) -> float:
+        """Above the ground: SIH has a distance sensor."""
+        return max(self.vehicle.altitude_amsl_m - self.ground_amsl_m, 0.0)
+
+    def _surroundings(self) -> Surroundings:
+        return Surroundings(self.now_us, self.estimate.place, self.home, self.ground_amsl_m)
+
+    def _obey_mission(self, what: Mode | float) -> None:
+        """A mission item changes the mode, with the next step, or the speed."""
+        if not isinstance(what, Mode):
+            self.speed_m_s = what
+            return
+        self.intended = what
+        self._incidents.forgive()
+        self._select_due = True
+
+    # --- Autopilot ----------------------------------------------------------------------------
+
+    @property
+    def mode_name(self) -> str:
+        """The mode it flies in, as its users call it."""
+        return NAMES[self.mode]
+
+    def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
+        """Fly on to now_us."""
+        self.now_us = now_us
+        self.ground_amsl_m = ground_amsl_m
+        if self._pending:
+            self._said, self._pending = self._said + self._pending, []
+        self.ekf.step(now_us, dt_s, self.vehicle, fix, still=self._still, low=self._low)
+        estimate = self.estimate
+        if self.origin is None:
+            self._find_origin()
+        else:
+            north_m, east_m = self.projection.to_local(
+                estimate.latitude_deg, estimate.longitude_deg
+            )
+            down_m = self.origin.altitude_amsl_m - estimate.altitude_amsl_m
+            self.local_m = (north_m, east_m, down_m)
+        if self._select_due:
+            self._select_due = False
+            self._select()
+        if now_us >= self._next_check_us:
+            self._next_check_us = now_us + _CHECK_US
+            self._check()
+        self._fly(dt_s)
+        self._feel_turning(dt_s)
+        if self.armed:
+            self._disarm_by_itself()
+        if self.gimbal.due(now_us):
+            self.say(*self.gimbal.take(now_us))
+        if not self._said:
+            return ()
+        said, self._said = self._said, []
+        return said
+
+    def _feel_turning(self, dt_s: float) -> None:
+        """Angular rates, as gyroscopes feel them; a point mass has none of its own."""
+        vehicle = self.vehicle
+        roll, pitch, yaw = vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad
+        roll_before, pitch_before, yaw_before = self._attitude_rad
+        turn = yaw - yaw_before
+        if turn > math.pi or turn < -math.pi:
+            turn = math.remainder(turn, math.tau)
+        self._attitude_rad = (roll, pitch, yaw)
+        self._turning_rad = (roll - roll_before, pitch - pitch_before, turn)
+        self._turning_s = dt_s
+
+    @property
+    def _rates_rad_s(self) -> tuple[float, float, float]:
+        roll, pitch, yaw = self._turning_rad
+        scale = 1.0 / self._turning_s
+        return _bounded(roll * scale), _bounded(pitch * scale), _bounded(yaw * scale)
+
+    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
+        """Take a setpoint as a sign of life, and in OFFBOARD as what to fly."""
+        if self.origin is None and setpoint.is_global:
+            return ()
+        target = read_setpoint(
+            setpoint,
+            Bearings(
+                projection=self.projection,
+                origin_amsl_m=self._reference.altitude_amsl_m,
+                home_amsl_m=(self.home or self._reference).altitude_amsl_m,
+                ground_amsl_m=self.ground_amsl_m,
+                heading_rad=self.vehicle.heading_rad,
+            ),
+        )
+        if target is not None:
+            self._hear_offboard(by_attitude=False)
+            if self.mode is Mode.OFFBOARD:
+                self.target, self.attitude = target, None
+        return ()
+
+    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
+        """The same of a SET_ATTITUDE_TARGET, which asks for no position to fly by.
+
+        Source: MavlinkReceiver::handle_message_set_attitude_target; not measured.
+        """
+        known = target.by_rates or (
+            target.by_attitude and attitude_of(target.quaternion) is not None
+        )
+        if known and finite(target):
+            self._hear_offboard(by_attitude=True)
+            if self.mode is Mode.OFFBOARD:
+                self.target, self.attitude = None, target
+        return ()
+
+    def _hear_offboard(self, *, by_attitude: bool) -> None:
+        """A setpoint counts as a sign of life, whatever the mode."""
+        self._signal_us, self.needs_no_position = self.now_us, by_attitude
+        if not self.offboard_signal:  # the arming checks run at once for it
+            self.offboard_signal = self._select_due = True
+            self._next_check_us = self.now_us
+
+    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
+        """Somebody else is there."""
+        ours = sender.system == int(self.parameters["MAV_SYS_ID"])
+        self.pilot.hear(vehicle_type, self.now_us, ours=ours)
+        return ()
+
+    def on_sticks(self, sticks: Sticks) -> Sequence[Reply]:
+        """The pilot moves the sticks."""
+        first = self.pilot.take(sticks, self.now_us)
+        if first and not self.armed and self.intended is Mode.LOITER:
+            self.command_mode(Mode.POSCTL)
+        elif self._overrides():
+            self.command_mode(Mode.POSCTL)
+            self.say(text(6, "Pilot took over using sticks"))
+        return ()
+
+    def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - read live
+        """A parameter has been set from outside."""
+        return ()
+
+    def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
+        """A mission, fence or rally list has been replaced from outside."""
+        if kind is PlanKind.MISSION:
+            self.mission.restart()
+        return ()
+
+    def pilot_takes(self) -> Sequence[Reply]:
+        """Fault: the pilot changes to Position mode and holds the sticks centred."""
+        self.pilot.hold(self.now_us)
+        self.command_mode(Mode.POSCTL)
+        return ()
+
+    def reset_estimate(self, north_m: float, east_m: float) -> Sequence[Reply]:
+        """Fault: the estimator's position jumps."""
+        self.ekf.shift(north_m, east_m)
+        return ()
+
+    def move_origin(self, north_m: float, east_m: float, up_m: float) -> Sequence[Reply]:
+        """Fault: the estimator's origin moves."""
+        if self.origin is None:
+            return ()
+        altitude_m = self.origin.altitude_amsl_m + up_m
+        self._set_origin(self.projection.place(north_m, east_m, altitude_m))
+        return ()
+
+    def status(self) -> Status:
+        """What there is to tell."""
+        mode, armed = self.mode, self.armed
+        return Status(
+            mode=CUSTOM_MODES[mode],
+            base_mode=base_mode(mode, armed=armed),
+            system_status=self._system_status(),
+            landed_state=self._landed_state(),
+            prearm_ok=self.now_us >= ARMABLE_US
+            and self._can_arm(self._checks.reported_position_ok, self._checks.reported_signal),
+            home=self.home,
+            origin=self.origin,
+            local_ned_m=self.local_m,
+            target=self._echo(),
+            waypoint=self._waypoint() if armed and mode in NAVIGATED else None,
+            intended_mode=CUSTOM_MODES[self.intended],
+            mission_current=self.mission.current,
+            mission_state=self.mission.state,
+            mission_total=self.mission.total,
+            above_ground_m=self._height_m,
+            rates_rad_s=self._rates_rad_s,
+            fusing=self._checks.reported_fusing,
+            logs_always=self._checks.logs_always,
+            position_reported=self._checks.reported_position_ok,
+            fence_breached=self.fence.breached,
+            fence_breaches=self.fence.breaches,
+            failsafe=armed and self.action > Action.WARN,
+        )
+
+    # --- commands -----------------------------------------------------------------------------
+
+    def on_command(self, command: Command) -> Sequence[Reply]:
+        """Do what is asked, or say why not."""
+        handler = self.HANDLERS.get(command.number, _unsupported)
+        if handler is None:
+            return ()
+        result = handler(self, command)
+        said, self._said = self._said, []
+        ack = Ack(to=command.sender, command=command.number, result=result)
+        if command.number == _DO_SET_MODE:
+            # The receiver accepts whatever comes; the real result follows (px4.md 1, item 1).
+            self._pending += [ack, *said]
+            return [Ack(to=command.sender, command=command.number, result=Result.ACCEPTED)]
+        return [ack, *said]
 
     # --- what it tells them -------------------------------------------------------------------
 
@@ -216,9 +440,7 @@ class Commander(abc.ABC):
             self.say(text(2, "Connection to mission computer lost"))
         self._checks.logs_always = self._diary.logs_always
         self._still = not self.armed and now_us - self._disarmed_us >= _STILL_US
-        above_m = self._above_ground_m()
-        near = above_m is not None and above_m < _LOW_M
-        self._low = near and not self.landed and self.mode is not Mode.TAKEOFF
+        self._low = self._height_m < _LOW_M and not self.landed and self.mode is not Mode.TAKEOFF
         self.ekf.lag_s = parameters["EKF2_GPS_DELAY"] * 1e-3
         signal_us = self._signal_us
         lost_us = parameters["COM_OF_LOSS_T"] * 1e6
@@ -258,11 +480,11 @@ class Commander(abc.ABC):
         loss_s = parameters["COM_RC_LOSS_T"]
         if pilot.at_arming and not pilot.present(now_us, loss_s) and not self._excepted():
             silent_s = (now_us - (pilot.heard_us or 0)) * 1e-6 - loss_s
-            action = LINK_LOSS.get(int(parameters["NAV_RCL_ACT"]), Action.NONE)
+            action = failsafe.LINK_LOSS.get(int(parameters["NAV_RCL_ACT"]), Action.NONE)
             if silent_s < parameters["COM_FAIL_ACT_T"] and action > Action.HOLD:
                 action = Action.HOLD
         self._incidents.note(Cause.PILOT_LOST, action)
-        chosen = LINK_LOSS.get(int(parameters["NAV_DLL_ACT"]), Action.NONE)
+        chosen = failsafe.LINK_LOSS.get(int(parameters["NAV_DLL_ACT"]), Action.NONE)
         lost = pilot.ground_station_lost(now_us, parameters["COM_DL_LOSS_T"])
         self._incidents.note(Cause.GROUND_STATION_LOST, chosen if lost else Action.NONE)
 
@@ -285,7 +507,11 @@ class Commander(abc.ABC):
             home=(away_m, self.estimate.altitude_amsl_m - home.altitude_amsl_m),
             limits=(parameters["GF_MAX_HOR_DIST"], parameters["GF_MAX_VER_DIST"]),
         )
-        action = FENCE.get(int(parameters["GF_ACTION"]), Action.WARN) if breached else Action.NONE
+        action = (
+            failsafe.FENCE.get(int(parameters["GF_ACTION"]), Action.WARN)
+            if breached
+            else Action.NONE
+        )
         if self._incidents.note(Cause.FENCE, action):
             self.say(text(4, "Geofence: approaching or outside geofence"))
 
@@ -293,7 +519,7 @@ class Commander(abc.ABC):
         parameters = self.parameters
         thresholds = (parameters["BAT_CRIT_THR"], parameters["BAT_EMERGEN_THR"])
         choice = int(parameters["COM_LOW_BAT_ACT"])
-        action = battery_action(self.battery.remaining, thresholds, choice)
+        action = failsafe.battery_action(self.battery.remaining, thresholds, choice)
         if self._incidents.note(Cause.BATTERY, action):
             self.say(text(2, "Critical battery level, land now"))
 
@@ -302,10 +528,10 @@ class Commander(abc.ABC):
         intended, position_ok = self.intended, self.estimate.position_ok
         action = Action.NONE
         if self.armed:
-            action = instead_of(
+            action = failsafe.instead_of(
                 intended,
                 self._incidents.worst(),
-                offboard_loss=OFFBOARD_LOSS.get(
+                offboard_loss=failsafe.OFFBOARD_LOSS.get(
                     int(self.parameters["COM_OBL_RC_ACT"]), Action.POSITION
                 ),
                 offboard_signal=self.offboard_signal,
@@ -321,7 +547,7 @@ class Commander(abc.ABC):
         if action in (Action.DISARM, Action.TERMINATE):
             self.disarm(health.DISARMED_BY_COMMAND)
             return
-        mode = MODES.get(action, intended)
+        mode = failsafe.MODES.get(action, intended)
         if mode is not self.mode:
             self._change(mode)
 
@@ -332,7 +558,7 @@ class Commander(abc.ABC):
             Event(number=number, log_levels=health.CRITICAL, arguments=arguments),
             text(2, "Failsafe activated"),
         )
-        by_hand = MODES.get(action) in MANUAL_MODES
+        by_hand = failsafe.MODES.get(action) in MANUAL_MODES
         if by_hand and not self.pilot.present(self.now_us, self.parameters["COM_RC_LOSS_T"]):
             self.say(text(4, "Matching flight task was not able to run"))
 
@@ -378,17 +604,13 @@ class Commander(abc.ABC):
         self._intend(mode)
         return Result.ACCEPTED
 
-    def follow_item(self, mode: Mode) -> None:
-        """A mission item changes the mode: with the next step, for the mission is being read."""
-        self.intended = mode
-        self._incidents.forgive()
-        self._select_due = True
-
     def _can_run(self, mode: Mode) -> bool:
         """Whether it has what the mode needs."""
         precise = self.ekf.precise(self.now_us)
         steerable = precise or self.needs_no_position
-        return can_run(mode, position_ok=precise, offboard_ok=self.offboard_signal and steerable)
+        return failsafe.can_run(
+            mode, position_ok=precise, offboard_ok=self.offboard_signal and steerable
+        )
 
     def _can_arm(self, position_ok: bool, signal: bool) -> bool:
         """Whether the mode now flown can be armed in."""
@@ -504,3 +726,14 @@ class Commander(abc.ABC):
     def set_home(self, place: Place) -> None:
         """Home is here."""
         self.home = place
+
+
+Handler = Callable[[Px4, Command], Result]
+
+
+def _unsupported(_px4: Px4, _command: Command) -> Result:
+    return Result.UNSUPPORTED
+
+
+def _bounded(rate_rad_s: float) -> float:
+    return min(max(rate_rad_s, -_MOST_RAD_S), _MOST_RAD_S)

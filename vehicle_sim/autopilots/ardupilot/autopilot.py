@@ -1,37 +1,39 @@
-"""What ArduCopter and ArduPlane share: modes, commands, arming, and what there is to tell.
+"""What ArduCopter and ArduPlane share: modes, commands, arming, failsafes, what there is to tell.
 
-A personality derives from ArduPilot, adds its modes and flies; what runs by itself (boot,
-estimator, failsafes, fence, statistics) is in core.py.  Sources: ardupilot.md 1, 2, 4, 5
-and the recorded flights.
+A personality derives from ArduPilot, adds its modes and flies.  Times are microseconds since
+boot.  What it says (`say`, `send`, `change_parameter`) is collected, and goes out with the answer
+to what it is doing.  Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights.
 """
 
 import abc
+import bisect
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
+from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import (
     HIGHEST_HOME_M,
     Ack,
     Command,
-    Landed,
+    Estimate,
     Place,
     Reboot,
     Reply,
     Result,
+    Say,
     SayParameter,
     Send,
-    Setpoint,
-    State,
+    Sender,
     Status,
     Sticks,
-    TargetEcho,
-    Waypoint,
+    Style,
+    Text,
 )
-from vehicle_sim.autopilots.ardupilot.core import ArduPilotCore, Due
-from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
-from vehicle_sim.autopilots.ardupilot.fence import NAMES
+from vehicle_sim.autopilots.ardupilot.ekf3 import Ekf3, Timing
+from vehicle_sim.autopilots.ardupilot.fence import NAMES, Fence
 from vehicle_sim.autopilots.ardupilot.flat_earth import flat_earth_ned_m
 from vehicle_sim.autopilots.ardupilot.style import (
     AUTOPILOT_VERSION,
@@ -39,43 +41,272 @@ from vehicle_sim.autopilots.ardupilot.style import (
     HEARTBEAT,
     HOME_POSITION,
 )
-from vehicle_sim.autopilots.attitude import AttitudeTarget
+from vehicle_sim.autopilots.parameters import lines_of
 from vehicle_sim.dynamics import Vehicle
-from vehicle_sim.parameters import Parameters
+from vehicle_sim.dynamics.battery import Battery
+from vehicle_sim.parameters import Parameter, Parameters
 from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.sensors.gps import Fix
 
-__all__ = ["ArduPilot", "Due"]
+Due = tuple[int, Reply | tuple[str, float]]
+"""When since boot, and what: something to say, or a parameter that changes and is said."""
 
+SLOW_US = 100_000
+FIRST_STATISTICS_US, STATISTICS_US = 30_440_000, 31_010_000
 FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
 RECOVERY_US = 10_000_000
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
 _FRAMES_AMSL, _FRAMES_ABOVE_HOME, _FRAMES_TERRAIN = (0, 5), (3, 6), (10, 11)
 
 
-class ArduPilot(ArduPilotCore):
+def boot_of(name: str) -> list[Due]:
+    """What a vehicle says by itself while it boots: the rows of its `.boot`."""
+    rows: list[Due] = []
+    for at, first, *rest in lines_of(f"ardupilot/{name}.boot", 2):
+        if first.isdigit():
+            rows.append((int(at), Text(severity=int(first), text=rest[0])))
+        else:
+            rows.append((int(at), (first, float(rest[0])) if rest else SayParameter(name=first)))
+    return rows
+
+
+class ArduPilot(abc.ABC):
     """One vehicle's autopilot; a personality says what it flies like."""
+
+    style: Style
+    MODES: ClassVar[Mapping[int, str]]
+    """Names of the modes by number."""
+    TABLE: ClassVar[tuple[Parameter, ...]]
+    TIMING: ClassVar[Timing]
+    PREARM_US: ClassVar[int]
+    """When the PREARM_CHECK bit gets healthy."""
+    GCS_FAILSAFE: ClassVar[tuple[str, str]]
+    """The parameters that say whether a lost ground station matters, and after how long."""
 
     def __init__(
         self,
         vehicle: Vehicle,
-        parameters: Parameters,
+        parameters: Mapping[str, float],
         plans: Plans,
         *,
-        timing: Timing,
         boot: Sequence[Due],
         hardware_id: int,
         rng: np.random.Generator,
     ) -> None:
-        super().__init__(
-            vehicle,
-            parameters,
-            plans,
-            timing=timing,
-            boot=boot,
-            hardware_id=hardware_id,
-            rng=rng,
-        )
+        self.vehicle = vehicle
+        self.parameters = Parameters(self.TABLE, parameters)
+        self.plans = plans
+        self.hardware_id = hardware_id
+        self.rng = rng
+        self.battery: Battery | None = None
+        """What the power module measures; whoever drains it puts it here."""
+        self.estimate = Estimate(latitude_deg=0.0, longitude_deg=0.0, altitude_amsl_m=0.0)
+        self._out: list[Reply] = []
+        self.ekf = Ekf3(self.estimate, self.TIMING, self._out, rng)
+        self.fence = Fence(self.parameters, plans)
+        self.now_us = 0
+        self.mode = 0
+        self.armed = False
+        self.landed = True
+        self.home: Place | None = None
+        self.mission_current = 0
+        self.failsafe = False
+        self._was_armed = False
+        self._attitude_rad = (0.0, 0.0, 0.0)
+        self._due = sorted(boot, key=lambda row: row[0])
+        self._slow_us = SLOW_US
+        self._statistics_us = FIRST_STATISTICS_US
+        self._flown_us = 0
+        self._said_flown_s = 0
+        self._gcs_seen_us: int | None = None
+        self._gcs_lost = False
+        self._battery_low_since_us: int | None = None
+        self._battery_acted = 0
+        self._fence_left_alone_us = 0
+        self._parameters_version = self.parameters.version
         self._handlers = self.handlers()
+
+    # --- saying things ----------------------------------------------------------------------------
+
+    def say(self, severity: int, text: str) -> None:
+        """A STATUSTEXT."""
+        self._out.append(Text(severity=severity, text=text))
+
+    def send(self, *messages: int) -> None:
+        """These stream messages out of turn, to everybody."""
+        self._out.extend(Send(message=message) for message in messages)
+
+    def reply(self, reply: Reply) -> None:
+        """Anything else."""
+        self._out.append(reply)
+
+    def change_parameter(self, name: str, value: float) -> None:
+        """Set a parameter by itself and tell everybody."""
+        if name in self.parameters:
+            self.parameters[name] = value
+            self._out.append(SayParameter(name=name))
+
+    def later(self, after_us: int, what: Reply | tuple[str, float]) -> None:
+        """Say this so much later."""
+        bisect.insort(self._due, (self.now_us + after_us, what), key=lambda row: row[0])
+
+    def reached(self, number: int) -> None:
+        """MISSION_ITEM_REACHED, to everybody."""
+        self.reply(Say(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
+
+    def _taken(self) -> list[Reply]:
+        taken = self._out.copy()
+        self._out.clear()
+        return taken
+
+    # --- each step --------------------------------------------------------------------------------
+
+    def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
+        """Fly on to now_us, over ground of this height, with the newest GPS fix."""
+        self.now_us = now_us
+        ekf = self.ekf
+        ekf.step(now_us, self.vehicle, fix)
+        if ekf.became_origin:
+            self._on_origin()
+        if self._due and self._due[0][0] <= now_us:
+            self._say_due()
+        if self.parameters.version != self._parameters_version:
+            self._parameters_version = self.parameters.version
+            self.read_parameters()
+        if now_us >= self._slow_us:
+            self._slow_us += SLOW_US
+            self.slow()
+        self.fly(dt_s, ground_amsl_m)
+        ekf.follow(self.vehicle)
+        return self._taken() if self._out else ()
+
+    @abc.abstractmethod
+    def fly(self, dt_s: float, ground_amsl_m: float) -> None:
+        """Control and move the vehicle for one step, by the estimate."""
+
+    @abc.abstractmethod
+    def read_parameters(self) -> None:
+        """Some parameter has changed."""
+
+    def slow(self) -> None:
+        """Ten times a second: failsafes, fence, statistics."""
+        if self.armed and self.flying:
+            self._flown_us += SLOW_US
+        self._watch_attitude()
+        if self.now_us >= self._statistics_us:
+            first = self._statistics_us == FIRST_STATISTICS_US
+            self._statistics_us += 30_010_000 if first else STATISTICS_US
+            self.say_statistics()
+        self._check_fence()
+        self._check_gcs()
+        self._check_battery()
+
+    def _watch_attitude(self) -> None:
+        """Rates of turn, from where it pointed a tenth of a second ago."""
+        e, vehicle = self.estimate, self.vehicle
+        roll_rad, pitch_rad, yaw_rad = self._attitude_rad
+        e.roll_rate_rad_s = (vehicle.roll_rad - roll_rad) * 1e6 / SLOW_US
+        e.pitch_rate_rad_s = (vehicle.pitch_rad - pitch_rad) * 1e6 / SLOW_US
+        turned_rad = math.remainder(vehicle.heading_rad - yaw_rad, math.tau)
+        e.yaw_rate_rad_s = turned_rad * 1e6 / SLOW_US
+        self._attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
+
+    @property
+    def flying(self) -> bool:
+        """Whether flight time counts."""
+        return not self.landed
+
+    def _say_due(self) -> None:
+        while self._due and self._due[0][0] <= self.now_us:
+            what = self._due.pop(0)[1]
+            if isinstance(what, tuple):
+                self.change_parameter(*what)
+            else:
+                self._out.append(what)
+
+    def _on_origin(self) -> None:
+        """The estimator's origin is set, and home with it."""
+        self.home = self.ekf.origin
+        self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
+        self.say(6, "EKF3 IMU0 origin set")
+        self.change_parameter("MIS_TOTAL", max(len(self.plans[PlanKind.MISSION]), 1))
+
+    def say_statistics(self) -> None:
+        """Time flown, if it has changed, and time run: PARAM_VALUEs that nobody asked for."""
+        flown_s = self._flown_us // 1_000_000
+        if flown_s != self._said_flown_s:
+            self._said_flown_s = flown_s
+            self.change_parameter("STAT_FLTTIME", flown_s)
+        self.change_parameter("STAT_RUNTIME", self.now_us // 1_000_000)
+
+    # --- failsafes --------------------------------------------------------------------------------
+
+    def _check_gcs(self) -> None:
+        """After 4.9 s where 5 is set (measured)."""
+        enabled, timeout_s = (self.parameters[name] for name in self.GCS_FAILSAFE)
+        seen_us = self._gcs_seen_us
+        if seen_us is None or self._gcs_lost or not enabled:
+            return
+        if self.now_us - seen_us >= (timeout_s - 0.1) * 1e6 and self.armed:
+            self._gcs_lost = True
+            self.on_gcs_failsafe()
+
+    @abc.abstractmethod
+    def on_gcs_failsafe(self) -> None:
+        """The ground station has gone."""
+
+    def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
+        """Only those of MAV_GCS_SYSID count."""
+        del vehicle_type
+        if sender.system == self.parameters["MAV_GCS_SYSID"]:
+            self._gcs_seen_us = self.now_us
+            if self._gcs_lost:
+                self._gcs_lost = False
+                self.say(4, "GCS Failsafe Cleared")
+        return self._taken()
+
+    def _check_battery(self) -> None:
+        battery, parameters = self.battery, self.parameters
+        if battery is None or not parameters["BATT_MONITOR"] or self._battery_acted == 2:
+            return
+        left_mah = parameters["BATT_CAPACITY"] - battery.consumed_mah
+        for level, name, action in ((2, "CRT", "BATT_FS_CRT_ACT"), (1, "LOW", "BATT_FS_LOW_ACT")):
+            volts, mah = parameters[f"BATT_{name}_VOLT"], parameters[f"BATT_{name}_MAH"]
+            low = (volts > 0.0 and battery.voltage_v < volts) or (mah > 0.0 and left_mah < mah)
+            if not low or level <= self._battery_acted:
+                continue
+            if self._battery_low_since_us is None:
+                self._battery_low_since_us = self.now_us
+            if self.now_us - self._battery_low_since_us >= parameters["BATT_LOW_TIMER"] * 1e6:
+                self._battery_acted = level
+                how = "critical" if level == 2 else "low"
+                used = f"{battery.voltage_v:.2f}V used {battery.consumed_mah:.0f} mAh"
+                self.say(4, f"Battery 1 is {how} {used}")
+                if self.armed:
+                    self.on_battery_failsafe(int(parameters[action]))
+            return
+        self._battery_low_since_us = None
+
+    @abc.abstractmethod
+    def on_battery_failsafe(self, action: int) -> None:
+        """BATT_FS_LOW_ACT or BATT_FS_CRT_ACT."""
+
+    def _check_fence(self) -> None:
+        if not self.fence.enabled or self.home is None:
+            return
+        if not self.armed or self.landed or not self.ekf.position_ok:
+            self.fence.breached = 0
+            return
+        new = self.fence.check(self.estimate.place, self.home, self.now_us)
+        if new and self.now_us >= self._fence_left_alone_us:
+            names = [name for bit, name in NAMES.items() if new & bit]
+            joined = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+            self.say(5, f"{joined} fence{'s' if len(names) > 1 else ''} breached")
+            self.on_fence_breach(int(self.parameters["FENCE_ACTION"]))
+
+    @abc.abstractmethod
+    def on_fence_breach(self, action: int) -> None:
+        """FENCE_ACTION: 0 only says it."""
 
     # --- modes ------------------------------------------------------------------------------------
 
@@ -160,9 +391,7 @@ class ArduPilot(ArduPilotCore):
             altitude_m += self.home.altitude_amsl_m
         elif frame not in (*_FRAMES_AMSL, *_FRAMES_TERRAIN):
             return Result.UNSUPPORTED_FRAME
-        return Place(
-            latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_amsl_m=altitude_m
-        )
+        return Place(latitude_deg, longitude_deg, altitude_m)
 
     def _do_set_home(self, command: Command) -> Result:
         if self.ekf.origin is None:
@@ -179,8 +408,7 @@ class ArduPilot(ArduPilotCore):
             if abs(place.altitude_amsl_m) > HIGHEST_HOME_M:
                 return Result.FAILED
             self.home = place
-        self.send(HOME_POSITION)
-        self.send(GPS_GLOBAL_ORIGIN)
+        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         return Result.ACCEPTED
 
     def _do_fence_enable(self, command: Command) -> Result:
@@ -219,8 +447,7 @@ class ArduPilot(ArduPilotCore):
         del command
         if self.home is None:
             return Result.FAILED
-        self.send(HOME_POSITION)
-        self.send(GPS_GLOBAL_ORIGIN)
+        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         return Result.ACCEPTED
 
     def _capabilities(self, command: Command) -> Result:
@@ -258,8 +485,7 @@ class ArduPilot(ArduPilotCore):
         self.armed = self._was_armed = True
         if self.ekf.position_ok:
             self.home = self.estimate.place
-        self.send(HOME_POSITION)
-        self.send(GPS_GLOBAL_ORIGIN)
+        self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         self.on_armed()
         return Result.ACCEPTED
 
@@ -282,9 +508,9 @@ class ArduPilot(ArduPilotCore):
                 return "Vehicle breaching " + ", ".join(n for b, n in NAMES.items() if outside & b)
         return None
 
+    @abc.abstractmethod
     def on_armed(self) -> None:
         """The motors may turn: say so."""
-        return
 
     def disarm(self) -> None:
         """Stop the motors, wherever it is."""
@@ -292,14 +518,6 @@ class ArduPilot(ArduPilotCore):
         self.ekf.to_first_lane()
 
     # --- the rest of the protocol -----------------------------------------------------------------
-
-    @abc.abstractmethod
-    def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
-        """Steer for this from now on."""
-
-    @abc.abstractmethod
-    def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
-        """Fly at this attitude from now on."""
 
     def on_sticks(self, sticks: Sticks) -> Sequence[Reply]:
         """MANUAL_CONTROL is not flown."""
@@ -326,10 +544,6 @@ class ArduPilot(ArduPilotCore):
             self.change_parameter(name, count)
         return self._taken()
 
-    @abc.abstractmethod
-    def pilot_takes(self) -> Sequence[Reply]:
-        """Fault: the pilot changes to the mode that pilots hold the vehicle in."""
-
     def reset_estimate(self, north_m: float, east_m: float) -> Sequence[Reply]:
         """Fault: the estimator resets and its position jumps by this much."""
         self.ekf.reset(north_m, east_m)
@@ -343,26 +557,6 @@ class ArduPilot(ArduPilotCore):
 
     # --- telling ----------------------------------------------------------------------------------
 
-    @abc.abstractmethod
-    def base_mode(self) -> int:
-        """base_mode of the heartbeat."""
-
-    @abc.abstractmethod
-    def system_status(self) -> State:
-        """system_status of the heartbeat."""
-
-    @abc.abstractmethod
-    def landed_state(self) -> Landed:
-        """What EXTENDED_SYS_STATE says."""
-
-    def target_echo(self) -> TargetEcho | None:
-        """POSITION_TARGET_LOCAL_NED."""
-        return None
-
-    def waypoint(self) -> Waypoint | None:
-        """POSITION_TARGET_GLOBAL_INT."""
-        return None
-
     def local_ned_m(self) -> tuple[float, float, float] | None:
         """Position in the estimator's frame, while it has one."""
         origin = self.ekf.origin
@@ -370,21 +564,15 @@ class ArduPilot(ArduPilotCore):
             return None
         return flat_earth_ned_m(origin, self.estimate.place)
 
-    def status(self) -> Status:
-        """What there is to tell."""
+    def status_with(self, **own: Any) -> Status:
+        """What there is to tell; `own`: the fields that a personality fills in."""
         return Status(
             mode=self.mode,
-            base_mode=self.base_mode(),
-            system_status=self.system_status(),
-            landed_state=self.landed_state(),
             prearm_ok=self.now_us >= self.PREARM_US,
             home=self.home,
             origin=self.ekf.origin,
             local_ned_m=self.local_ned_m(),
-            target=self.target_echo(),
-            waypoint=self.waypoint(),
             mission_current=self.mission_current,
-            mission_state=self.mission_state(),
             mission_total=max(len(self.plans[PlanKind.MISSION]) - 1, 0),
             fence_breached=bool(self.fence.breached),
             fence_breaches=self.fence.breaches,
@@ -393,8 +581,5 @@ class ArduPilot(ArduPilotCore):
             fence_breach_ms=self.fence.breach_us // 1000,
             failsafe=self.failsafe,
             logging=self._was_armed,
+            **own,
         )
-
-    def mission_state(self) -> int:
-        """MISSION_STATE: 1 no mission, 2 not started, 3 active, 4 paused, 5 complete."""
-        return 1 if len(self.plans[PlanKind.MISSION]) < 2 else 2

@@ -1,6 +1,7 @@
-"""ArduPlane's take-off from a runway: waiting, the run, the climb and its texts.
+"""ArduPlane's take-off from a runway, and its landing: down the slope, a flare, what it says.
 
-Source: arduplane-guided-reposition.tlog, 26 to 35 s.
+Source of the take-off: arduplane-guided-reposition.tlog, 26 to 35 s.  The landing was not measured
+(ardupilot.md 8): the numbers are ArduPilot's defaults, the texts its sources'.
 """
 
 import enum
@@ -8,6 +9,9 @@ import math
 from collections.abc import Callable
 from typing import final
 
+from vehicle_sim.autopilots import Estimate
+from vehicle_sim.autopilots.ardupilot.flat_earth import distance_m
+from vehicle_sim.autopilots.ardupilot.plane_navigation import Navigation
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.parameters import Parameters
 
@@ -23,6 +27,11 @@ DIRECTED_M_S = 6.8
 CLIMB_AIRSPEED = 1.225
 """At full throttle and nose up, over cruising airspeed."""
 CLIMB_M_S = 9.9
+APPROACH_SPEED, FLARE_SPEED = 0.8, 0.64
+"""Of the cruising airspeed."""
+FLARE_SINK_M_S = 0.5
+ERROR_S = 3.0
+"""Time constant with which it gets back onto the slope."""
 ROLL_LEVEL_TO_FREE = 3.0
 """Wings are held level below TKOFF_LVL_ALT; above so many times that the bank is free."""
 
@@ -107,3 +116,47 @@ class Takeoff:
         share = 1.0 if free_m <= low_m else (climbed_m - low_m) / (free_m - low_m)
         level, free = parameters["LEVEL_ROLL_LIMIT"], parameters["ROLL_LIMIT_DEG"]
         return math.radians(level + min(max(share, 0.0), 1.0) * (free - level))
+
+
+@final
+class Landing:
+    """One landing after another."""
+
+    def __init__(self, parameters: Parameters, say: Callable[[int, str], None]) -> None:
+        self._parameters = parameters
+        self._say = say
+        self.flaring = False
+        """From the flare until it disarms by itself."""
+
+    def step(
+        self,
+        plane: Plane,
+        navigation: Navigation,
+        estimate: Estimate,
+        *,
+        height_m: float,
+        bank_rad: float,
+        cruise_m_s: float,
+        dt_s: float,
+    ) -> None:
+        """One step in the air; the height is that above the ground."""
+        speed = math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
+        if not self.flaring and height_m <= self._parameters["LAND_FLARE_ALT"]:
+            self.flaring = True
+            self._say(
+                6,
+                f"Flare {height_m:.1f}m sink={-estimate.velocity_up_m_s:.2f} "
+                f"speed={plane.airspeed_m_s:.1f} dist={navigation.distance_m:.1f}",
+            )
+        if self.flaring:
+            plane.advance(0.0, -FLARE_SINK_M_S, cruise_m_s * FLARE_SPEED, dt_s)
+            plane.throttle = 0.0
+            return
+        slope = 0.0
+        before, following = navigation.before, navigation.next
+        if before is not None and following is not None:
+            length_m = max(distance_m(before, following), 1.0)
+            slope = (following.altitude_amsl_m - before.altitude_amsl_m) / length_m
+        error_m = navigation.target_amsl_m - estimate.altitude_amsl_m
+        climb = slope * speed + error_m / ERROR_S
+        plane.advance(bank_rad, climb, cruise_m_s * APPROACH_SPEED, dt_s)
