@@ -42,11 +42,15 @@ def _builder(kind: Any, form: Form) -> Builder:
         b"" if code == "char" else [0] * lengths[name] if lengths[name] else 0
         for name, code in zip(kind.fieldnames, kind.fieldtypes, strict=True)
     ]
-    taken = list[tuple[tuple[int, ...], Callable[[Report], Any]]]()
+    singles = list[tuple[int, Callable[[Report], Any]]]()
+    groups = list[tuple[tuple[int, ...], Callable[[Report], Any]]]()
     for key, value in form.items():
         fields = tuple(places[name] for name in key.split())
         if callable(value):
-            taken.append((fields, value))
+            if len(fields) == 1:
+                singles.append((fields[0], value))
+            else:
+                groups.append((fields, value))
         elif len(fields) == 1:
             blank[fields[0]] = value
         else:
@@ -56,15 +60,16 @@ def _builder(kind: Any, form: Form) -> Builder:
 
     def build(report: Report) -> Any | None:
         values = blank.copy()
-        for fields, take in taken:
-            value = take(report)
+        for place, take in singles:
+            value = values[place] = take(report)
             if value is None:
                 return None
-            if len(fields) == 1:
-                values[fields[0]] = value
-            else:
-                for place, each in zip(fields, value, strict=True):
-                    values[place] = each
+        for fields, take in groups:
+            several = take(report)
+            if several is None:
+                return None
+            for place, each in zip(fields, several, strict=True):
+                values[place] = each
         return kind(*values)
 
     return build
