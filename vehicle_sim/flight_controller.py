@@ -31,7 +31,9 @@ from vehicle_sim.wire.answers import (
     PlanReplaced,
     Unacknowledged,
 )
-from vehicle_sim.wire.mission_protocol import mission_protocol
+from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
+from vehicle_sim.wire.mission_protocol import MissionProtocol
+from vehicle_sim.wire.mission_px4 import Px4Missions
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
 from vehicle_sim.wire.px4_messages import Events
 from vehicle_sim.wire.radio import Radio
@@ -53,6 +55,10 @@ _STREAM_PARAMETERS = {
     10: "EXTRA1",
     11: "EXTRA2",
     12: "EXTRA3",
+}
+_MISSIONS: dict[str, type[MissionProtocol]] = {
+    "ardupilot": ArduPilotMissions,
+    "px4": Px4Missions,
 }
 _TELEMETRY = {"ardupilot": telemetry_ardupilot.MESSAGES, "px4": telemetry_px4.MESSAGES}
 
@@ -82,7 +88,7 @@ class FlightController:
         self._now_us = boot_us
         self._messages = _TELEMETRY[style.firmware]
         self._parameter_protocol = ParameterProtocol(self.parameters, style)
-        self._mission_protocol = mission_protocol(autopilot)
+        self._mission_protocol = _MISSIONS[style.firmware](autopilot)
         self._events = Events()
         self._ground_stations = set[int]()
         self._told: dict[int, tuple[int, int | None, int]] = {}

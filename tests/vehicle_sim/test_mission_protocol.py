@@ -18,9 +18,9 @@ from vehicle_sim.autopilots import Autopilot, Place, Send, Sender, Text
 from vehicle_sim.plans import PlanItem, PlanKind, Plans
 from vehicle_sim.wire.answers import Answer, Deliver, PlanReplaced, Unacknowledged
 from vehicle_sim.wire.frames import Packer, StreamParser
+from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
 from vehicle_sim.wire.mission_items import MissionResult
-from vehicle_sim.wire.mission_protocol import mission_protocol
-from vehicle_sim.wire.mission_px4 import opaque_id
+from vehicle_sim.wire.mission_px4 import Px4Missions, opaque_id
 
 Firmware = Literal["ardupilot", "px4"]
 BOTH = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
@@ -43,7 +43,8 @@ class Vehicle:
             status=lambda: self.status,
             style=SimpleNamespace(firmware=firmware, requests_mission_int=firmware == "px4"),
         )
-        self.protocol = mission_protocol(cast(Autopilot, autopilot))
+        kind = Px4Missions if firmware == "px4" else ArduPilotMissions
+        self.protocol = kind(cast(Autopilot, autopilot))
         self.now_us = 0
         self.replaced: list[PlanKind] = []
         self.texts: list[str] = []

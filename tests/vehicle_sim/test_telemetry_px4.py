@@ -12,12 +12,7 @@ from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Battery, Event, Report
 from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ
-from vehicle_sim.wire.px4_messages import (
-    CurrentEventSequence,
-    EventMessage,
-    Events,
-    TimeEstimateToTarget,
-)
+from vehicle_sim.wire.px4_messages import Events, Lacking, event_message, time_estimate_to_target
 from vehicle_sim.wire.telemetry_px4 import MESSAGES
 
 _LOG = "px4-offboard-short.tlog"
@@ -51,11 +46,11 @@ def test_lacking_messages_are_the_recorded_bytes() -> None:
             event_id, boot_ms, sequence, _, _, levels = struct.unpack_from("<IIHBBB", payload)
             arguments = frame[10:-2][13:]
             event = Event(number=event_id, log_levels=levels, arguments=arguments)
-            message = EventMessage(event, sequence, boot_ms)
+            message = event_message(event, sequence, boot_ms)
         elif number == 411:
-            message = CurrentEventSequence(*struct.unpack_from("<HB", payload))
+            message = Lacking(411, *struct.unpack_from("<HB", payload))
         else:
-            message = TimeEstimateToTarget(struct.unpack_from("<i", payload)[0])
+            message = time_estimate_to_target(struct.unpack_from("<i", payload)[0])
         assert _packed(message, frame) == frame
         seen[number] += 1
     assert min(seen.values()) > 10

@@ -5,7 +5,6 @@ import itertools
 
 from vehicle_sim.conformance import answers, states, track, traffic
 from vehicle_sim.conformance.flights import Flight
-from vehicle_sim.conformance.known import reason_for
 from vehicle_sim.conformance.log import Recording
 from vehicle_sim.conformance.messages import Side
 from vehicle_sim.conformance.rows import Comparison, Row
@@ -30,7 +29,13 @@ def compare(recording: Recording, flight: Flight, simulated: Side) -> list[Row]:
     comparison = Comparison.of(recording, flight, simulated)
     rows = itertools.chain.from_iterable(make(comparison) for make in _ALL)
     return [
-        row if row.agrees else dataclasses.replace(row, reason=reason_for(recording.name, row))
+        row if row.agrees else dataclasses.replace(row, reason=_reason(row, flight))
         for row in rows
         if not comparison.is_left_out(row.at_s)
     ]
+
+
+def _reason(row: Row, flight: Flight) -> str | None:
+    """Why this row does not agree; None if nobody knows."""
+    found = (reason.why for reason in flight.reasons if row.is_explained_by(reason))
+    return next(found, None)

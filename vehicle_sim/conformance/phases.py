@@ -4,8 +4,7 @@ import bisect
 import enum
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 from vehicle_sim.conformance.rows import Comparison, changes
 
@@ -39,9 +38,7 @@ class Phase(enum.Enum):
     """Without satellites or with wrong ones, and until it is back."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Nearness:
+class Nearness(NamedTuple):
     """How near the simulated vehicle must be to the real one."""
 
     horizontal_m: float
@@ -52,96 +49,29 @@ class Nearness:
     tilt_deg: float
 
 
-_COPTER = {
-    Phase.GROUND: Nearness(
-        horizontal_m=2.0,
-        vertical_m=1.5,
-        speed_m_s=0.5,
-        climb_m_s=0.3,
-        heading_deg=10.0,
-        tilt_deg=2.0,
-    ),
-    Phase.TAKEOFF: Nearness(
-        horizontal_m=3.0,
-        vertical_m=3.0,
-        speed_m_s=1.0,
-        climb_m_s=0.7,
-        heading_deg=20.0,
-        tilt_deg=6.0,
-    ),
-    Phase.FLIGHT: Nearness(
-        horizontal_m=2.0,
-        vertical_m=1.5,
-        speed_m_s=1.0,
-        climb_m_s=0.7,
-        heading_deg=15.0,
-        tilt_deg=6.0,
-    ),
-    Phase.CHASE: Nearness(
-        horizontal_m=10.0,
-        vertical_m=2.0,
-        speed_m_s=2.5,
-        climb_m_s=1.0,
-        heading_deg=25.0,
-        tilt_deg=10.0,
-    ),
-    Phase.LANDING: Nearness(
-        horizontal_m=3.0,
-        vertical_m=3.0,
-        speed_m_s=1.0,
-        climb_m_s=0.7,
-        heading_deg=20.0,
-        tilt_deg=6.0,
-    ),
-    Phase.BLIND: Nearness(
-        horizontal_m=35.0,
-        vertical_m=6.0,
-        speed_m_s=4.0,
-        climb_m_s=1.5,
-        heading_deg=45.0,
-        tilt_deg=12.0,
-    ),
+_NEARNESS = {
+    "copter": {
+        Phase.GROUND: Nearness(2.0, 1.5, 0.5, 0.3, 10.0, 2.0),
+        Phase.TAKEOFF: Nearness(3.0, 3.0, 1.0, 0.7, 20.0, 6.0),
+        Phase.FLIGHT: Nearness(2.0, 1.5, 1.0, 0.7, 15.0, 6.0),
+        Phase.CHASE: Nearness(10.0, 2.0, 2.5, 1.0, 25.0, 10.0),
+        Phase.LANDING: Nearness(3.0, 3.0, 1.0, 0.7, 20.0, 6.0),
+        Phase.BLIND: Nearness(35.0, 6.0, 4.0, 1.5, 45.0, 12.0),
+    },
+    "plane": {
+        Phase.GROUND: Nearness(15.0, 3.0, 3.0, 0.5, 15.0, 6.0),
+        Phase.TAKEOFF: Nearness(25.0, 10.0, 3.0, 2.0, 20.0, 12.0),
+        Phase.FLIGHT: Nearness(20.0, 8.0, 2.5, 1.5, 20.0, 12.0),
+        **dict.fromkeys(
+            (Phase.CHASE, Phase.LANDING, Phase.BLIND), Nearness(25.0, 10.0, 3.0, 1.5, 30.0, 12.0)
+        ),
+    },
 }
-_PLANE = {
-    Phase.GROUND: Nearness(
-        horizontal_m=15.0,
-        vertical_m=3.0,
-        speed_m_s=3.0,
-        climb_m_s=0.5,
-        heading_deg=15.0,
-        tilt_deg=6.0,
-    ),
-    Phase.TAKEOFF: Nearness(
-        horizontal_m=25.0,
-        vertical_m=10.0,
-        speed_m_s=3.0,
-        climb_m_s=2.0,
-        heading_deg=20.0,
-        tilt_deg=12.0,
-    ),
-    Phase.FLIGHT: Nearness(
-        horizontal_m=20.0,
-        vertical_m=8.0,
-        speed_m_s=2.5,
-        climb_m_s=1.5,
-        heading_deg=20.0,
-        tilt_deg=12.0,
-    ),
-    Phase.LANDING: Nearness(
-        horizontal_m=25.0,
-        vertical_m=10.0,
-        speed_m_s=3.0,
-        climb_m_s=1.5,
-        heading_deg=30.0,
-        tilt_deg=12.0,
-    ),
-}
-_PLANE[Phase.BLIND] = _PLANE[Phase.CHASE] = _PLANE[Phase.LANDING]
 
 
 def nearness(kind: str, phase: Phase) -> Nearness:
     """The tolerance for a vehicle in a phase."""
-    return (_COPTER if kind == "copter" else _PLANE)[phase]
+    return _NEARNESS[kind][phase]
 
 
 @final

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, final
 
-from vehicle_sim.conformance.flights import Flight
+from vehicle_sim.conformance.flights import Flight, Reason
 from vehicle_sim.conformance.log import Recording
 from vehicle_sim.conformance.messages import Side, decoded
 
@@ -52,6 +52,10 @@ class Row:
     def agrees(self) -> bool:
         """Whether a client could not tell, within the tolerance."""
         return self.difference <= 1.0
+
+    def is_explained_by(self, reason: Reason) -> bool:
+        """Whether this is why it does not agree."""
+        return reason.explains(self.kind, self.name, self.simulated, self.difference)
 
 
 @final

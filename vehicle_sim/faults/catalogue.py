@@ -55,21 +55,44 @@ class Context:
     latitude_deg: float
 
 
+Make = Callable[[Numbers, Words, Context], float | None]
+Value = float | str | Make
+
+
 @final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Fault:
     """One kind of fault."""
 
     name: str
-    form: str = ""
+    form: str
     """What follows the name: CAPITALS are numbers or one of several words, [...] may be left out, a
     unit with a question mark too."""
     about: str
-    parameters: tuple[str, ...]
-    sets: Callable[[Numbers, Words, Context], Sets]
+    values: Mapping[str, Value]
+    """What it sets: parameter -> number, the placeholder whose number it is, or how it is made."""
     once: bool = False
     """It happens at a moment and has no length."""
     only: Firmware | None = None
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """All that it may set."""
+        return tuple(self.values)
+
+    def sets(self, numbers: Numbers, words: Words, context: Context) -> Sets:
+        """The parameters that such a line sets, in order."""
+        if "NAME" in words:
+            return {words["NAME"].upper(): numbers["VALUE"]}
+        sets = Sets()
+        for name, value in self.values.items():
+            if callable(value):
+                made = value(numbers, words, context)
+            else:
+                made = numbers.get(value) if isinstance(value, str) else value
+            if made is not None:
+                sets[name] = made
+        return sets
 
     @property
     def usage(self) -> str:
@@ -116,312 +139,245 @@ class Fault:
         return f"{context.firmware} has no such parameter", remedy
 
 
-def _fixed(**sets: float) -> Callable[[Numbers, Words, Context], Sets]:
-    return lambda _numbers, _words, _context: dict(sets)
+_UNIT = {
+    "north": (1.0, 0.0, 0.0),
+    "south": (-1.0, 0.0, 0.0),
+    "east": (0.0, 1.0, 0.0),
+    "west": (0.0, -1.0, 0.0),
+    "up": (0.0, 0.0, 1.0),
+    "down": (0.0, 0.0, -1.0),
+}
 
 
-def _scaled(parameter: str, placeholder: str) -> Callable[[Numbers, Words, Context], Sets]:
-    return lambda numbers, _words, _context: {parameter: numbers[placeholder]}
+def _along(
+    axis: int, length: str = "LENGTH", sign: float = 1.0
+) -> Callable[[Numbers, Words, Context], float]:
+    """North (0), east (1) or up (2) of "20 m north 5 m east"."""
+
+    def made(numbers: Numbers, words: Words, _: Context) -> float:
+        total = 0.0
+        for suffix in ("", "2"):
+            word = words.get(f"WHERE{suffix}") or words.get(f"SIDE{suffix}")
+            if word is not None:
+                total += _UNIT[word.lower()][axis] * numbers[length + suffix]
+        return sign * total
+
+    return made
 
 
-def _vector(numbers: Numbers, words: Words, length: str = "LENGTH") -> tuple[float, float, float]:
-    """North, east, up of "20 m north 5 m east"."""
-    unit = {
-        "north": (1.0, 0.0, 0.0),
-        "south": (-1.0, 0.0, 0.0),
-        "east": (0.0, 1.0, 0.0),
-        "west": (0.0, -1.0, 0.0),
-        "up": (0.0, 0.0, 1.0),
-        "down": (0.0, 0.0, -1.0),
-    }
-    total = [0.0, 0.0, 0.0]
-    for suffix in ("", "2"):
-        word = words.get(f"WHERE{suffix}") or words.get(f"SIDE{suffix}")
-        if word is not None:
-            for axis in range(3):
-                total[axis] += unit[word.lower()][axis] * numbers[length + suffix]
-    return total[0], total[1], total[2]
+def _degrees(axis: int) -> Make:
+    """The same as degrees of latitude or longitude."""
+    metres = _along(axis)
+    return lambda n, words, to: metres(n, words, to) / metres_per_degree(to.latitude_deg)[axis]
 
 
-def _gps_off(_numbers: Numbers, _words: Words, context: Context) -> Sets:
-    return {"SIM_GPS_USED": 0.0} if context.firmware == "px4" else {"SIM_GPS1_ENABLE": 0.0}
+def _on(firmware: Firmware, value: float | str) -> Make:
+    """For this firmware only: the number, or the placeholder's."""
+    return lambda numbers, _, to: (
+        None if to.firmware != firmware else numbers[value] if isinstance(value, str) else value
+    )
 
 
-def _gps_satellites(numbers: Numbers, _words: Words, context: Context) -> Sets:
-    name = "SIM_GPS_USED" if context.firmware == "px4" else "SIM_GPS1_NUMSATS"
-    return {name: numbers["COUNT"]}
+def _or_zero(placeholder: str) -> Make:
+    return lambda numbers, _words, _context: numbers.get(placeholder, 0.0)
 
 
-def _gps_glitch(numbers: Numbers, words: Words, context: Context) -> Sets:
-    north_m, east_m, up_m = _vector(numbers, words)
-    per_north_m, per_east_m = metres_per_degree(context.latitude_deg)
-    return {
-        "SIM_GPS1_GLTCH_X": north_m / per_north_m,
-        "SIM_GPS1_GLTCH_Y": east_m / per_east_m,
-        "SIM_GPS1_GLTCH_Z": up_m,
-    }
+def _way(_: Numbers, words: Words, __: Context) -> float:
+    """Not named: both ways, whatever was before."""
+    return {"": 0.0, "to_vehicle": 1.0, "from_vehicle": 2.0}[words.get("WAY", "").lower()]
 
 
-def _gps_drift(numbers: Numbers, words: Words, _context: Context) -> Sets:
-    north, east, up = _vector(numbers, words, "SPEED")
-    return {"SIM_GPS1_GLTV_X": north, "SIM_GPS1_GLTV_Y": east, "SIM_GPS1_GLTV_Z": -up}
+def _mask(numbers: Numbers, _: Words, __: Context) -> float:
+    """Not named: all links."""
+    return float(1 << round(numbers["LINK"])) if "LINK" in numbers else 0.0
 
 
-def _wind(numbers: Numbers, _words: Words, _context: Context) -> Sets:
-    sets = {"SIM_WIND_SPD": numbers["SPEED"], "SIM_WIND_DIR": numbers["DIRECTION"]}
-    sets["SIM_WIND_TURB"] = numbers.get("GUST", 0.0)
-    sets["SIM_WIND_DIR_Z"] = numbers.get("ANGLE", 0.0)
-    return sets
-
-
-def _link(**parameters: str) -> Callable[[Numbers, Words, Context], Sets]:
-    """A fault of the links: parameter by placeholder, and which way and link."""
-
-    def sets(numbers: Numbers, words: Words, _context: Context) -> Sets:
-        made = {p: numbers[key] for key, p in parameters.items() if key in numbers}
-        if not parameters:
-            made["SIM_LNK_OFF"] = 1.0
-        way = words.get("WAY", "").lower()  # not named: both ways, all links, whatever was before
-        made["SIM_LNK_WAY"] = {"": 0.0, "to_vehicle": 1.0, "from_vehicle": 2.0}[way]
-        made["SIM_LNK_MASK"] = float(1 << round(numbers["LINK"])) if "LINK" in numbers else 0.0
-        return made
-
-    return sets
-
-
-def _radar_noise(numbers: Numbers, words: Words, _context: Context) -> Sets:
-    return {"SIM_RDR_NOISE": -numbers["SIGMA"] if "SIGN" in words else numbers["SIGMA"]}
-
-
-def _estimator_reset(numbers: Numbers, words: Words, _context: Context) -> Sets:
-    north_m, east_m, _ = _vector(numbers, words)
-    return {"SIM_EKF_RST_N": north_m, "SIM_EKF_RST_E": east_m}
-
-
-def _origin_move(numbers: Numbers, words: Words, _context: Context) -> Sets:
-    north_m, east_m, up_m = _vector(numbers, words)
-    return {"SIM_ORG_MOV_N": north_m, "SIM_ORG_MOV_E": east_m, "SIM_ORG_MOV_U": up_m}
-
-
-def _set(numbers: Numbers, words: Words, _context: Context) -> Sets:
-    return {words["NAME"].upper(): numbers["VALUE"]}
+def _either_way(numbers: Numbers, words: Words, _: Context) -> float:
+    return -numbers["SIGMA"] if "SIGN" in words else numbers["SIGMA"]
 
 
 _ON = "[WAY] [on link LINK]"
-_WAY = ("SIM_LNK_WAY", "SIM_LNK_MASK")
+_WHICH: Mapping[str, Value] = {"SIM_LNK_WAY": _way, "SIM_LNK_MASK": _mask}
 
 FAULTS: tuple[Fault, ...] = (
     Fault(
-        name="gps_off",
-        about="The receiver loses its fix.",
-        parameters=("SIM_GPS1_ENABLE", "SIM_GPS_USED"),
-        sets=_gps_off,
+        "gps_off",
+        "",
+        "The receiver loses its fix.",
+        {"SIM_GPS1_ENABLE": _on("ardupilot", 0.0), "SIM_GPS_USED": _on("px4", 0.0)},
     ),
     Fault(
-        name="gps_glitch",
-        form="LENGTH m WHERE [LENGTH2 m WHERE2]",
-        about="The receiver's position is off by so much.",
-        parameters=("SIM_GPS1_GLTCH_X", "SIM_GPS1_GLTCH_Y", "SIM_GPS1_GLTCH_Z"),
-        sets=_gps_glitch,
+        "gps_glitch",
+        "LENGTH m WHERE [LENGTH2 m WHERE2]",
+        "The receiver's position is off by so much.",
+        {
+            "SIM_GPS1_GLTCH_X": _degrees(0),
+            "SIM_GPS1_GLTCH_Y": _degrees(1),
+            "SIM_GPS1_GLTCH_Z": _along(2),
+        },
     ),
     Fault(
-        name="gps_drift",
-        form="SPEED m/s WHERE",
-        about="The receiver's position wanders off at this speed, and its velocity says so.",
-        parameters=("SIM_GPS1_GLTV_X", "SIM_GPS1_GLTV_Y", "SIM_GPS1_GLTV_Z"),
-        sets=_gps_drift,
+        "gps_drift",
+        "SPEED m/s WHERE",
+        "The receiver's position wanders off at this speed, and its velocity says so.",
+        {
+            "SIM_GPS1_GLTV_X": _along(0, "SPEED"),
+            "SIM_GPS1_GLTV_Y": _along(1, "SPEED"),
+            "SIM_GPS1_GLTV_Z": _along(2, "SPEED", -1.0),
+        },
     ),
     Fault(
-        name="gps_jam",
-        about="The fix comes and goes, with wild positions and velocities.",
-        parameters=("SIM_GPS1_JAM",),
-        sets=_fixed(SIM_GPS1_JAM=1.0),
+        "gps_jam",
+        "",
+        "The fix comes and goes, with wild positions and velocities.",
+        {"SIM_GPS1_JAM": 1.0},
     ),
     Fault(
-        name="gps_noise",
-        form="SIGMA m",
-        about="A random error with this standard deviation on each horizontal axis, 1.5 times that "
+        "gps_noise",
+        "SIGMA m",
+        "A random error with this standard deviation on each horizontal axis, 1.5 times that "
         "in height, correlated over seconds.",
-        parameters=("SIM_GPS_SIGMA",),
-        sets=_scaled("SIM_GPS_SIGMA", "SIGMA"),
+        {"SIM_GPS_SIGMA": "SIGMA"},
     ),
     Fault(
-        name="gps_delay",
-        form="LAG ms",
-        about="The receiver's solutions are this old.",
-        parameters=("SIM_GPS1_LAG_MS",),
-        sets=_scaled("SIM_GPS1_LAG_MS", "LAG"),
+        "gps_delay", "LAG ms", "The receiver's solutions are this old.", {"SIM_GPS1_LAG_MS": "LAG"}
     ),
     Fault(
-        name="gps_satellites",
-        form="COUNT",
-        about="The receiver sees so many satellites; PX4 has no fix with fewer than 4.",
-        parameters=("SIM_GPS1_NUMSATS", "SIM_GPS_USED"),
-        sets=_gps_satellites,
+        "gps_satellites",
+        "COUNT",
+        "The receiver sees so many satellites; PX4 has no fix with fewer than 4.",
+        {"SIM_GPS1_NUMSATS": _on("ardupilot", "COUNT"), "SIM_GPS_USED": _on("px4", "COUNT")},
     ),
     Fault(
-        name="wind",
-        form="SPEED m/s from DIRECTION deg [turbulence GUST m/s?] [rising ANGLE deg]",
-        about="Wind from this true direction, full from 60 m above the ground on, with gusts of "
+        "wind",
+        "SPEED m/s from DIRECTION deg [turbulence GUST m/s?] [rising ANGLE deg]",
+        "Wind from this true direction, full from 60 m above the ground on, with gusts of "
         "this standard deviation, rising by this angle.",
-        parameters=("SIM_WIND_SPD", "SIM_WIND_DIR", "SIM_WIND_TURB", "SIM_WIND_DIR_Z"),
-        sets=_wind,
+        {
+            "SIM_WIND_SPD": "SPEED",
+            "SIM_WIND_DIR": "DIRECTION",
+            "SIM_WIND_TURB": _or_zero("GUST"),
+            "SIM_WIND_DIR_Z": _or_zero("ANGLE"),
+        },
+    ),
+    Fault("turbulence", "GUST m/s", "Gusts of this standard deviation.", {"SIM_WIND_TURB": "GUST"}),
+    Fault(
+        "battery",
+        "PERCENT %",
+        "No more than this is left in the battery.",
+        {"SIM_BATT_MOST": "PERCENT"},
     ),
     Fault(
-        name="turbulence",
-        form="GUST m/s",
-        about="Gusts of this standard deviation.",
-        parameters=("SIM_WIND_TURB",),
-        sets=_scaled("SIM_WIND_TURB", "GUST"),
-    ),
-    Fault(
-        name="battery",
-        form="PERCENT %",
-        about="No more than this is left in the battery.",
-        parameters=("SIM_BATT_MOST",),
-        sets=_scaled("SIM_BATT_MOST", "PERCENT"),
-    ),
-    Fault(
-        name="battery_voltage",
-        form="VOLTAGE V",
-        about="The battery's voltage at rest when full.",
-        parameters=("SIM_BATT_VOLTAGE",),
-        sets=_scaled("SIM_BATT_VOLTAGE", "VOLTAGE"),
+        "battery_voltage",
+        "VOLTAGE V",
+        "The battery's voltage at rest when full.",
+        {"SIM_BATT_VOLTAGE": "VOLTAGE"},
         only="ardupilot",
     ),
+    Fault("link_off", _ON, "Nothing passes.", {"SIM_LNK_OFF": 1.0, **_WHICH}),
     Fault(
-        name="link_off",
-        form=_ON,
-        about="Nothing passes.",
-        parameters=("SIM_LNK_OFF", *_WAY),
-        sets=_link(),
+        "link_loss",
+        f"PERCENT % {_ON}",
+        "This share of the frames is lost.",
+        {"SIM_LNK_LOSS": "PERCENT", **_WHICH},
     ),
     Fault(
-        name="link_loss",
-        form=f"PERCENT % {_ON}",
-        about="This share of the frames is lost.",
-        parameters=("SIM_LNK_LOSS", *_WAY),
-        sets=_link(PERCENT="SIM_LNK_LOSS"),
+        "link_delay",
+        f"DELAY ms [jitter JITTER ms] {_ON}",
+        "Every frame is late by the delay and up to the jitter more.",
+        {"SIM_LNK_DELAY": "DELAY", "SIM_LNK_JITTER": "JITTER", **_WHICH},
     ),
     Fault(
-        name="link_delay",
-        form=f"DELAY ms [jitter JITTER ms] {_ON}",
-        about="Every frame is late by the delay and up to the jitter more.",
-        parameters=("SIM_LNK_DELAY", "SIM_LNK_JITTER", *_WAY),
-        sets=_link(DELAY="SIM_LNK_DELAY", JITTER="SIM_LNK_JITTER"),
+        "link_duplication",
+        f"PERCENT % {_ON}",
+        "This share of the frames arrives twice.",
+        {"SIM_LNK_DUP": "PERCENT", **_WHICH},
     ),
     Fault(
-        name="link_duplication",
-        form=f"PERCENT % {_ON}",
-        about="This share of the frames arrives twice.",
-        parameters=("SIM_LNK_DUP", *_WAY),
-        sets=_link(PERCENT="SIM_LNK_DUP"),
+        "link_reordering",
+        f"PERCENT % {_ON}",
+        "This share of the frames is overtaken by those after it.",
+        {"SIM_LNK_REORD": "PERCENT", **_WHICH},
     ),
     Fault(
-        name="link_reordering",
-        form=f"PERCENT % {_ON}",
-        about="This share of the frames is overtaken by those after it.",
-        parameters=("SIM_LNK_REORD", *_WAY),
-        sets=_link(PERCENT="SIM_LNK_REORD"),
+        "link_corruption",
+        f"PERCENT % {_ON}",
+        "This share of the frames arrives with a few bits wrong.",
+        {"SIM_LNK_CORR": "PERCENT", **_WHICH},
     ),
     Fault(
-        name="link_corruption",
-        form=f"PERCENT % {_ON}",
-        about="This share of the frames arrives with a few bits wrong.",
-        parameters=("SIM_LNK_CORR", *_WAY),
-        sets=_link(PERCENT="SIM_LNK_CORR"),
+        "radar_off",
+        "",
+        "The radar falls silent: no answers, no heartbeat.",
+        {"SIM_RDR_OFF": 1.0},
+    ),
+    Fault("radar_blind", "", "The radar answers and sees nothing.", {"SIM_RDR_BLIND": 1.0}),
+    Fault(
+        "radar_drop",
+        "PERCENT %",
+        "This share of the cells in sight is not seen all the same.",
+        {"SIM_RDR_MISS": "PERCENT"},
     ),
     Fault(
-        name="radar_off",
-        about="The radar falls silent: no answers, no heartbeat.",
-        parameters=("SIM_RDR_OFF",),
-        sets=_fixed(SIM_RDR_OFF=1.0),
+        "radar_loss",
+        "PERCENT %",
+        "This share of the radar's TERRAIN_DATA is never sent.",
+        {"SIM_RDR_LOSS": "PERCENT"},
     ),
     Fault(
-        name="radar_blind",
-        about="The radar answers and sees nothing.",
-        parameters=("SIM_RDR_BLIND",),
-        sets=_fixed(SIM_RDR_BLIND=1.0),
-    ),
-    Fault(
-        name="radar_drop",
-        form="PERCENT %",
-        about="This share of the cells in sight is not seen all the same.",
-        parameters=("SIM_RDR_MISS",),
-        sets=_scaled("SIM_RDR_MISS", "PERCENT"),
-    ),
-    Fault(
-        name="radar_loss",
-        form="PERCENT %",
-        about="This share of the radar's TERRAIN_DATA is never sent.",
-        parameters=("SIM_RDR_LOSS",),
-        sets=_scaled("SIM_RDR_LOSS", "PERCENT"),
-    ),
-    Fault(
-        name="radar_noise",
-        form="SIGMA m [SIGN]",
-        about="Heights have an error of this size (standard deviation of the normal law it is "
+        "radar_noise",
+        "SIGMA m [SIGN]",
+        "Heights have an error of this size (standard deviation of the normal law it is "
         "drawn from), never downwards unless it says either_way.",
-        parameters=("SIM_RDR_NOISE",),
-        sets=_radar_noise,
+        {"SIM_RDR_NOISE": _either_way},
     ),
     Fault(
-        name="radar_delay",
-        form="DELAY ms",
-        about="The radar's answers are late by this.",
-        parameters=("SIM_RDR_DELAY",),
-        sets=_scaled("SIM_RDR_DELAY", "DELAY"),
+        "radar_delay",
+        "DELAY ms",
+        "The radar's answers are late by this.",
+        {"SIM_RDR_DELAY": "DELAY"},
     ),
     Fault(
-        name="radar_rate",
-        form="RATE Hz",
-        about="The radar answers this many requests a second.",
-        parameters=("SIM_RDR_HZ",),
-        sets=_scaled("SIM_RDR_HZ", "RATE"),
+        "radar_rate",
+        "RATE Hz",
+        "The radar answers this many requests a second.",
+        {"SIM_RDR_HZ": "RATE"},
     ),
     Fault(
-        name="setpoints_ignored",
-        about="The autopilot takes no setpoint, without a word.",
-        parameters=("SIM_SP_IGNORE",),
-        sets=_fixed(SIM_SP_IGNORE=1.0),
+        "setpoints_ignored",
+        "",
+        "The autopilot takes no setpoint, without a word.",
+        {"SIM_SP_IGNORE": 1.0},
     ),
     Fault(
-        name="estimator_reset",
-        form="LENGTH m SIDE [LENGTH2 m SIDE2]",
-        about="The estimator starts afresh, and its position jumps by this much.",
-        parameters=("SIM_EKF_RST_N", "SIM_EKF_RST_E"),
-        sets=_estimator_reset,
+        "estimator_reset",
+        "LENGTH m SIDE [LENGTH2 m SIDE2]",
+        "The estimator starts afresh, and its position jumps by this much.",
+        {"SIM_EKF_RST_N": _along(0), "SIM_EKF_RST_E": _along(1)},
         once=True,
     ),
     Fault(
-        name="origin_move",
-        form="LENGTH m WHERE [LENGTH2 m WHERE2]",
-        about="The origin of the estimator's local frame moves by this much.",
-        parameters=("SIM_ORG_MOV_N", "SIM_ORG_MOV_E", "SIM_ORG_MOV_U"),
-        sets=_origin_move,
+        "origin_move",
+        "LENGTH m WHERE [LENGTH2 m WHERE2]",
+        "The origin of the estimator's local frame moves by this much.",
+        {"SIM_ORG_MOV_N": _along(0), "SIM_ORG_MOV_E": _along(1), "SIM_ORG_MOV_U": _along(2)},
         once=True,
     ),
     Fault(
-        name="pilot",
-        about="The pilot takes the vehicle: the mode changes to the one that pilots hold it in.",
-        parameters=("SIM_PILOT",),
-        sets=_fixed(SIM_PILOT=1.0),
+        "pilot",
+        "",
+        "The pilot takes the vehicle: the mode changes to the one that pilots hold it in.",
+        {"SIM_PILOT": 1.0},
         once=True,
     ),
     Fault(
-        name="reboot",
-        about="The autopilot starts again, wherever it is.",
-        parameters=("SIM_REBOOT",),
-        sets=_fixed(SIM_REBOOT=1.0),
+        "reboot",
+        "",
+        "The autopilot starts again, wherever it is.",
+        {"SIM_REBOOT": 1.0},
         once=True,
     ),
-    Fault(
-        name="set",
-        form="NAME VALUE",
-        about="Any other parameter whose name begins with SIM_.",
-        parameters=(),
-        sets=_set,
-    ),
+    Fault("set", "NAME VALUE", "Any other parameter whose name begins with SIM_.", {}),
 )
 """In the order of the documentation."""
 

@@ -8,7 +8,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, final
+from typing import Any, Final, Literal, Protocol, final
 
 from vehicle_sim.dynamics.battery import BatteryConditions
 from vehicle_sim.dynamics.wind import WindConditions
@@ -45,85 +45,134 @@ class Settable(Readable, Protocol):
         ...
 
 
-def _switch(name: str, default: float = 0.0, most: float = 1.0) -> Parameter:
-    return Parameter(name=name, default=default, kind=Kind.INT8, least=0.0, most=most)
+@final
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """One parameter, and the field of Conditions that it sets."""
+
+    parameter: Parameter
+    field: str = ""
+    """SECTION.FIELD, or FIELD; none for what is read in a way of its own."""
+    scale: float = 1.0
+    """From the parameter's unit to the field's."""
 
 
-def _count(name: str, default: float = 0.0, most: float = 32767.0) -> Parameter:
-    return Parameter(name=name, default=default, kind=Kind.INT16, least=0.0, most=most)
+def _switch(name: str, field: str, default: float = 0.0, most: float = 1.0) -> _Row:
+    return _Row(Parameter(name=name, default=default, kind=Kind.INT8, least=0.0, most=most), field)
 
 
 def _real(
-    name: str, default: float = 0.0, least: float = -math.inf, most: float = math.inf
-) -> Parameter:
-    return Parameter(name=name, default=default, least=least, most=most)
+    name: str, field: str, default: float, least: float, most: float, *, scale: float = 1.0
+) -> _Row:
+    return _Row(Parameter(name=name, default=default, least=least, most=most), field, scale)
 
 
-def _share(name: str, default: float = 0.0) -> Parameter:
-    return _real(name, default, 0.0, 100.0)
+def _far(name: str, field: str = "") -> _Row:
+    return _real(name, field, 0.0, -_FARTHEST, _FARTHEST)
 
 
+def _share(name: str, field: str, default: float = 0.0) -> _Row:
+    return _real(name, field, default, 0.0, 100.0, scale=0.01)
+
+
+def _whole(
+    name: str,
+    field: str,
+    default: float,
+    kind: Kind,
+    least: float,
+    most: float,
+    *,
+    scale: float = 1.0,
+) -> _Row:
+    row = Parameter(name=name, default=default, kind=kind, least=least, most=most)
+    return _Row(row, field, scale)
+
+
+_AXES = (("X", "north"), ("Y", "east"), ("Z", "up"))
 _GPS = (
-    _switch("SIM_GPS1_ENABLE", 1),
-    _count("SIM_GPS1_LAG_MS", 100, 5000),
-    Parameter(name="SIM_GPS1_NUMSATS", default=10, kind=Kind.INT8, least=0, most=50),
-    _real("SIM_GPS1_GLTCH_X", 0.0, -90.0, 90.0),
-    _real("SIM_GPS1_GLTCH_Y", 0.0, -180.0, 180.0),
-    _real("SIM_GPS1_GLTCH_Z", 0.0, -_FARTHEST, _FARTHEST),
-    _real("SIM_GPS1_DRFTALT", 0.0, -_FARTHEST, _FARTHEST),
-    _real("SIM_GPS1_NOISE", 0.0, -_FARTHEST, _FARTHEST),
-    _count("SIM_GPS1_LCKTIME"),
-    Parameter(name="SIM_GPS1_ALT_OFS", default=0, kind=Kind.INT16, least=-32768, most=32767),
-    _real("SIM_GPS1_ACC", 0.3, 0.0, 1000.0),
-    *(_real(f"SIM_GPS1_VERR_{axis}", 0.0, -1000.0, 1000.0) for axis in "XYZ"),
-    _switch("SIM_GPS1_JAM"),
-    _switch("SIM_GPS1_FIXTYPE", 6, 6),
-    _real("SIM_GPS1_HNSE", 0.0, -_FARTHEST, _FARTHEST),
-    *(_real(f"SIM_GPS1_GLTV_{axis}", 0.0, -100.0, 100.0) for axis in "XYZ"),
-    _real("SIM_GPS_SIGMA", 0.0, 0.0, 1000.0),
+    _switch("SIM_GPS1_ENABLE", "gps.enabled", 1),
+    _whole("SIM_GPS1_LAG_MS", "gps.lag_s", 100, Kind.INT16, 0, 5000, scale=1e-3),
+    _whole("SIM_GPS1_NUMSATS", "gps.satellites", 10, Kind.INT8, 0, 50),
+    _real("SIM_GPS1_GLTCH_X", "gps.glitch_latitude_deg", 0.0, -90.0, 90.0),
+    _real("SIM_GPS1_GLTCH_Y", "gps.glitch_longitude_deg", 0.0, -180.0, 180.0),
+    _far("SIM_GPS1_GLTCH_Z", "gps.glitch_up_m"),
+    _far("SIM_GPS1_DRFTALT", "gps.swell_m"),
+    _far("SIM_GPS1_NOISE", "gps.wave_m"),
+    _whole("SIM_GPS1_LCKTIME", "gps.lock_s", 0, Kind.INT16, 0, 32767),
+    _whole("SIM_GPS1_ALT_OFS", "gps.offset_up_m", 0, Kind.INT16, -32768, 32767),
+    _real("SIM_GPS1_ACC", "gps.accuracy_m", 0.3, 0.0, 1000.0),
+    *(
+        _real(f"SIM_GPS1_VERR_{axis}", f"gps.velocity_error_{way}_m_s", 0.0, -1000.0, 1000.0)
+        for axis, way in _AXES
+    ),
+    _switch("SIM_GPS1_JAM", "gps.jammed"),
+    _switch("SIM_GPS1_FIXTYPE", "gps.fix_type", 6, 6),
+    _far("SIM_GPS1_HNSE", "gps.circle_m"),
+    *(
+        _real(
+            f"SIM_GPS1_GLTV_{axis}",
+            f"gps.drift_{way}_m_s",
+            0.0,
+            -100.0,
+            100.0,
+            scale=-1.0 if way == "up" else 1.0,
+        )
+        for axis, way in _AXES
+    ),
+    _real("SIM_GPS_SIGMA", "gps.sigma_m", 0.0, 0.0, 1000.0),
 )
+_RADIANS = math.pi / 180.0
 _WIND = (
-    _real("SIM_WIND_SPD", 0.0, 0.0, 100.0),
-    _real("SIM_WIND_DIR", 180.0, -3600.0, 3600.0),
-    _real("SIM_WIND_TURB", 0.0, 0.0, 50.0),
-    _real("SIM_WIND_DIR_Z", 0.0, -90.0, 90.0),
-    _switch("SIM_WIND_T"),
-    _real("SIM_WIND_T_ALT", 60.0, 0.0, _FARTHEST),
-    _real("SIM_WIND_TC", 5.0, 0.0, 60.0),
+    _real("SIM_WIND_SPD", "wind.speed_m_s", 0.0, 0.0, 100.0),
+    _real("SIM_WIND_DIR", "wind.from_rad", 180.0, -3600.0, 3600.0, scale=_RADIANS),
+    _real("SIM_WIND_TURB", "wind.turbulence_m_s", 0.0, 0.0, 50.0),
+    _real("SIM_WIND_DIR_Z", "wind.rising_rad", 0.0, -90.0, 90.0, scale=_RADIANS),
+    _switch("SIM_WIND_T", "wind.profile"),
+    _real("SIM_WIND_T_ALT", "wind.full_height_m", 60.0, 0.0, _FARTHEST),
+    _real("SIM_WIND_TC", "wind.settling_s", 5.0, 0.0, 60.0),
 )
 _BATTERY_ARDUPILOT = (
-    _real("SIM_BATT_VOLTAGE", 12.6, 0.0, 60.0),
-    _real("SIM_BATT_CAP_AH", 0.0, 0.0, 1000.0),
+    _real("SIM_BATT_VOLTAGE", "battery.voltage_v", 12.6, 0.0, 60.0),
+    _real("SIM_BATT_CAP_AH", "battery.capacity_ah", 0.0, 0.0, 1000.0),
 )
-_BATTERY_PX4 = (_real("SIM_BAT_DRAIN", 60.0, 1.0, 86400.0), _real("SIM_BAT_MIN_PCT", 50.0, 0, 100))
-_GPS_PX4 = (Parameter(name="SIM_GPS_USED", default=10, kind=Kind.INT32, least=0, most=50),)
+_BATTERY_PX4 = (
+    _real("SIM_BAT_DRAIN", "battery.drain_s", 60.0, 1.0, 86400.0),
+    _share("SIM_BAT_MIN_PCT", "battery.least", 50.0),
+)
+_GPS_PX4 = (_whole("SIM_GPS_USED", "gps.satellites", 10, Kind.INT32, 0, 50),)
 _OWN = (
-    _share("SIM_BATT_MOST", 100.0),
-    _switch("SIM_LNK_OFF"),
-    _share("SIM_LNK_LOSS"),
-    _real("SIM_LNK_DELAY", 0.0, 0.0, 60_000.0),
-    _real("SIM_LNK_JITTER", 0.0, 0.0, 60_000.0),
-    _share("SIM_LNK_DUP"),
-    _share("SIM_LNK_REORD"),
-    _share("SIM_LNK_CORR"),
-    _switch("SIM_LNK_WAY", 0.0, 2.0),
-    Parameter(name="SIM_LNK_MASK", default=0, kind=Kind.INT32, least=0, most=2**24 - 1),
-    _switch("SIM_RDR_OFF"),
-    _switch("SIM_RDR_BLIND"),
-    _share("SIM_RDR_MISS"),
-    _share("SIM_RDR_LOSS"),
-    _real("SIM_RDR_NOISE", 0.0, -10_000.0, 10_000.0),
-    _real("SIM_RDR_DELAY", 0.0, 0.0, 60_000.0),
-    _real("SIM_RDR_HZ", 0.0, 0.0, 100.0),
-    _switch("SIM_SP_IGNORE"),
-    _real("SIM_EKF_RST_N", 0.0, -_FARTHEST, _FARTHEST),
-    _real("SIM_EKF_RST_E", 0.0, -_FARTHEST, _FARTHEST),
-    *(_real(f"SIM_ORG_MOV_{axis}", 0.0, -_FARTHEST, _FARTHEST) for axis in "NEU"),
-    _switch("SIM_PILOT"),
-    _switch("SIM_REBOOT"),
+    _share("SIM_BATT_MOST", "battery.most", 100.0),
+    _switch("SIM_LNK_OFF", "link.off"),
+    _share("SIM_LNK_LOSS", "link.lost"),
+    _real("SIM_LNK_DELAY", "link.delay_us", 0.0, 0.0, 60_000.0, scale=1e3),
+    _real("SIM_LNK_JITTER", "link.jitter_us", 0.0, 0.0, 60_000.0, scale=1e3),
+    _share("SIM_LNK_DUP", "link.duplicated"),
+    _share("SIM_LNK_REORD", "link.reordered"),
+    _share("SIM_LNK_CORR", "link.corrupted"),
+    _switch("SIM_LNK_WAY", "", 0.0, 2.0),
+    _whole("SIM_LNK_MASK", "link.mask", 0, Kind.INT32, 0, 2**24 - 1),
+    _switch("SIM_RDR_OFF", "radar.silent"),
+    _switch("SIM_RDR_BLIND", "radar.blind"),
+    _share("SIM_RDR_MISS", "radar.cells_missed"),
+    _share("SIM_RDR_LOSS", "radar.frames_lost"),
+    _real("SIM_RDR_NOISE", "radar.noise_m", 0.0, -10_000.0, 10_000.0),
+    _real("SIM_RDR_DELAY", "radar.delay_s", 0.0, 0.0, 60_000.0, scale=1e-3),
+    _real("SIM_RDR_HZ", "radar.rate_hz", 0.0, 0.0, 100.0),
+    _switch("SIM_SP_IGNORE", "setpoints_ignored"),
+    _far("SIM_EKF_RST_N"),
+    _far("SIM_EKF_RST_E"),
+    *(_far(f"SIM_ORG_MOV_{axis}") for axis in "NEU"),
+    _switch("SIM_PILOT", ""),
+    _switch("SIM_REBOOT", ""),
 )
 
-SIM_PARAMETERS: tuple[Parameter, ...] = (*_GPS, *_WIND, *_BATTERY_ARDUPILOT, *_OWN)
+
+def _parameters(*rows: _Row) -> tuple[Parameter, ...]:
+    return tuple(row.parameter for row in rows)
+
+
+SIM_PARAMETERS = _parameters(*_GPS, *_WIND, *_BATTERY_ARDUPILOT, *_OWN)
 """What both ArduPilots' tables end with."""
 
 
@@ -135,9 +184,8 @@ def _as_px4(row: Parameter) -> Parameter:
 
 
 SIM_PARAMETERS_PX4: tuple[Parameter, ...] = (
-    *_GPS_PX4,
-    *_BATTERY_PX4,
-    *(_as_px4(row) for row in (*_GPS, *_WIND, *_OWN)),
+    *_parameters(*_GPS_PX4, *_BATTERY_PX4),
+    *(_as_px4(row) for row in _parameters(*_GPS, *_WIND, *_OWN)),
 )
 """What both PX4s' tables end with."""
 
@@ -188,15 +236,44 @@ class Conditions:
     setpoints_ignored: bool = False
 
 
+_FIELDS: Final = tuple(
+    row
+    for row in (*_GPS, *_WIND, *_BATTERY_ARDUPILOT, *_BATTERY_PX4, *_OWN, *_GPS_PX4)
+    if row.field
+)
+_FAIR: Final = Conditions()
+
+
 def conditions_of(parameters: Readable) -> Conditions:
     """What the parameters ask for now.  A parameter that the table lacks has no effect."""
+    asked: dict[str, dict[str, Any]] = {"gps": {}, "wind": {}, "battery": {}, "link": {}}
+    asked |= {"radar": {}, "": {}}
+    for row in _FIELDS:
+        section, _, name = row.field.rpartition(".")
+        value = value_of(parameters, row.parameter.name, math.nan)
+        if math.isnan(value):
+            continue
+        usual = getattr(getattr(_FAIR, section) if section else _FAIR, name)
+        if isinstance(usual, bool):
+            asked[section][name] = value != 0.0
+        else:
+            scaled = value * row.scale
+            asked[section][name] = round(scaled) if isinstance(usual, int) else scaled
+    gps, link = asked["gps"], asked["link"]
+    if "SIM_GPS_USED" in parameters and gps["satellites"] < _LEAST_SATELLITES:
+        gps["enabled"] = False
+    if "swell_m" in gps:
+        gps["swell_m"] = max(gps["swell_m"], 0.0)
+    way = round(value_of(parameters, "SIM_LNK_WAY"))
+    link["to_vehicle"], link["from_vehicle"] = way != 2, way != 1
+    gauge_mah = value_of(parameters, "BATT_CAPACITY", _FAIR.battery.gauge_mah)
     return Conditions(
-        gps=_gps(parameters),
-        wind=_wind(parameters),
-        battery=_battery(parameters),
-        link=_link(parameters),
-        radar=_radar(parameters),
-        setpoints_ignored=value_of(parameters, "SIM_SP_IGNORE") != 0.0,
+        gps=GpsConditions(**gps),
+        wind=WindConditions(**asked["wind"]),
+        battery=BatteryConditions(gauge_mah=gauge_mah, **asked["battery"]),
+        link=LinkConditions(**link),
+        radar=RadarConditions(**asked["radar"]),
+        **asked[""],
     )
 
 
@@ -207,91 +284,6 @@ def value_of(parameters: Readable, name: str, otherwise: float = 0.0) -> float:
     except KeyError:
         return otherwise
     return value if math.isfinite(value) else otherwise
-
-
-def _gps(parameters: Readable) -> GpsConditions:
-    used = round(
-        value_of(parameters, "SIM_GPS_USED", value_of(parameters, "SIM_GPS1_NUMSATS", 10.0))
-    )
-    enough = "SIM_GPS_USED" not in parameters or used >= _LEAST_SATELLITES
-
-    def of(name: str, otherwise: float = 0.0) -> float:
-        return value_of(parameters, f"SIM_GPS1_{name}", otherwise)
-
-    return GpsConditions(
-        enabled=of("ENABLE", 1.0) != 0.0 and enough,
-        satellites=used,
-        fix_type=round(of("FIXTYPE", 6.0)),
-        lock_s=of("LCKTIME"),
-        lag_s=of("LAG_MS", 100.0) * 1e-3,
-        jammed=of("JAM") != 0.0,
-        glitch_latitude_deg=of("GLTCH_X"),
-        glitch_longitude_deg=of("GLTCH_Y"),
-        glitch_up_m=of("GLTCH_Z"),
-        drift_north_m_s=of("GLTV_X"),
-        drift_east_m_s=of("GLTV_Y"),
-        drift_up_m_s=-of("GLTV_Z"),
-        circle_m=of("HNSE"),
-        wave_m=of("NOISE"),
-        swell_m=max(of("DRFTALT"), 0.0),
-        offset_up_m=of("ALT_OFS"),
-        accuracy_m=of("ACC", 0.3),
-        sigma_m=value_of(parameters, "SIM_GPS_SIGMA"),
-        velocity_error_north_m_s=of("VERR_X"),
-        velocity_error_east_m_s=of("VERR_Y"),
-        velocity_error_up_m_s=of("VERR_Z"),
-    )
-
-
-def _wind(parameters: Readable) -> WindConditions:
-    return WindConditions(
-        speed_m_s=value_of(parameters, "SIM_WIND_SPD"),
-        from_rad=math.radians(value_of(parameters, "SIM_WIND_DIR")),
-        rising_rad=math.radians(value_of(parameters, "SIM_WIND_DIR_Z")),
-        turbulence_m_s=value_of(parameters, "SIM_WIND_TURB"),
-        profile=round(value_of(parameters, "SIM_WIND_T")),
-        full_height_m=value_of(parameters, "SIM_WIND_T_ALT", 60.0),
-        settling_s=value_of(parameters, "SIM_WIND_TC", 5.0),
-    )
-
-
-def _battery(parameters: Readable) -> BatteryConditions:
-    return BatteryConditions(
-        voltage_v=value_of(parameters, "SIM_BATT_VOLTAGE", 12.6),
-        capacity_ah=value_of(parameters, "SIM_BATT_CAP_AH"),
-        gauge_mah=value_of(parameters, "BATT_CAPACITY", 3300.0),
-        drain_s=value_of(parameters, "SIM_BAT_DRAIN", 60.0),
-        least=value_of(parameters, "SIM_BAT_MIN_PCT", 50.0) * 0.01,
-        most=value_of(parameters, "SIM_BATT_MOST", 100.0) * 0.01,
-    )
-
-
-def _link(parameters: Readable) -> LinkConditions:
-    way = round(value_of(parameters, "SIM_LNK_WAY"))
-    return LinkConditions(
-        off=value_of(parameters, "SIM_LNK_OFF") != 0.0,
-        lost=value_of(parameters, "SIM_LNK_LOSS") * 0.01,
-        delay_us=round(value_of(parameters, "SIM_LNK_DELAY") * 1e3),
-        jitter_us=round(value_of(parameters, "SIM_LNK_JITTER") * 1e3),
-        duplicated=value_of(parameters, "SIM_LNK_DUP") * 0.01,
-        reordered=value_of(parameters, "SIM_LNK_REORD") * 0.01,
-        corrupted=value_of(parameters, "SIM_LNK_CORR") * 0.01,
-        to_vehicle=way != 2,
-        from_vehicle=way != 1,
-        mask=round(value_of(parameters, "SIM_LNK_MASK")),
-    )
-
-
-def _radar(parameters: Readable) -> RadarConditions:
-    return RadarConditions(
-        silent=value_of(parameters, "SIM_RDR_OFF") != 0.0,
-        blind=value_of(parameters, "SIM_RDR_BLIND") != 0.0,
-        cells_missed=value_of(parameters, "SIM_RDR_MISS") * 0.01,
-        frames_lost=value_of(parameters, "SIM_RDR_LOSS") * 0.01,
-        noise_m=value_of(parameters, "SIM_RDR_NOISE"),
-        delay_s=value_of(parameters, "SIM_RDR_DELAY") * 1e-3,
-        rate_hz=value_of(parameters, "SIM_RDR_HZ"),
-    )
 
 
 # --- what happens once ----------------------------------------------------------------------------

@@ -9,11 +9,10 @@ from vehicle_sim.autopilots import Autopilot, Command, Send, Sender, Text
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.wire import mission_items as wire
 from vehicle_sim.wire import mission_rules as rules
-from vehicle_sim.wire.answers import Answer, Deliver, PlanReplaced, Unacknowledged
-from vehicle_sim.wire.mission_items import MissionResult, Upload
+from vehicle_sim.wire.answers import Answer, Unacknowledged
+from vehicle_sim.wire.mission_items import MissionResult, Upload, ack
+from vehicle_sim.wire.mission_protocol import MissionProtocol
 
-ASK_AGAIN_US: Final = 1_000_000
-GIVE_UP_US: Final = 8_000_000
 ERASED_AFTER_US: Final = 30_000
 """Circles straight after a polygon: ACKed and within 50 ms erased (ardupilot.md 4, found bug)."""
 _MOST_ITEMS: Final = {PlanKind.MISSION: 724, PlanKind.FENCE: 255, PlanKind.RALLY: 100}
@@ -30,13 +29,14 @@ _INFO, _WARNING = 6, 4
 
 
 @final
-class ArduPilotMissions:
+class ArduPilotMissions(MissionProtocol):
     """Uploads and downloads of one autopilot's three lists, over all links."""
 
+    ask_again_us = 1_000_000
+    give_up_us = 8_000_000
+
     def __init__(self, autopilot: Autopilot) -> None:
-        self._autopilot = autopilot
-        self._plans = autopilot.plans
-        self._uploads: dict[PlanKind, Upload] = {}
+        super().__init__(autopilot)
         self._erase_fence_us: int | None = None
 
     @property
@@ -47,7 +47,7 @@ class ArduPilotMissions:
     # --- in -----------------------------------------------------------------------------------
 
     def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Answer]:
-        """Answer a message of mission_items.MESSAGES that is for the autopilot."""
+        """Answer a message of the mission protocol that is for the autopilot."""
         number = message.get_msgId()
         if number == wire.SET_CURRENT:
             # ground stations take a MISSION_CURRENT for the answer
@@ -61,7 +61,7 @@ class ArduPilotMissions:
         if number in (wire.ITEM, wire.ITEM_INT) and message.current in (_GUIDED, _ALTITUDE):
             return self._on_guided(message, sender)
         if kind is None:
-            return [_ack(MissionResult.UNSUPPORTED, message.mission_type, sender)]
+            return [ack(MissionResult.UNSUPPORTED, message.mission_type, sender)]
         match number:
             case wire.COUNT:
                 return self._on_count(message.count, kind, sender, now_us)
@@ -69,9 +69,8 @@ class ArduPilotMissions:
                 return self._on_item(message, kind, sender, now_us)
             case wire.REQUEST_LIST:
                 if kind in self._uploads:
-                    return [_ack(MissionResult.DENIED, kind, sender)]
-                count = wire.count_message(len(self._plans[kind]), kind, sender)
-                return [Deliver(message=count, to=sender)]
+                    return [ack(MissionResult.DENIED, kind, sender)]
+                return [wire.tell_count(len(self._plans[kind]), kind, sender)]
             case wire.REQUEST | wire.REQUEST_INT:
                 return self._on_request(message, kind, sender)
             case wire.WRITE_PARTIAL_LIST:
@@ -87,72 +86,62 @@ class ArduPilotMissions:
         if self._erase_fence_us is not None and now_us >= self._erase_fence_us:
             self._erase_fence_us = None
             answers += self._store(PlanKind.FENCE, ())
-        for kind, upload in list(self._uploads.items()):
-            if now_us - upload.heard_us > GIVE_UP_US:
-                del self._uploads[kind]
-                answers.append(Text(severity=_WARNING, text=f"{_NAMES[kind]} upload timeout"))
-                answers.append(_ack(MissionResult.OPERATION_CANCELLED, kind, upload.sender))
-            elif now_us - upload.asked_us > ASK_AGAIN_US:
-                answers.append(self._ask(upload, now_us))
-        return answers
+        return answers + self._repeat(now_us)
+
+    def _whole(self, upload: Upload) -> bool:
+        del upload
+        return self._autopilot.style.requests_mission_int
+
+    def _gave_up(self, upload: Upload) -> list[Answer]:
+        kind = upload.kind
+        text = Text(severity=_WARNING, text=f"{_NAMES[kind]} upload timeout")
+        return [text, ack(MissionResult.OPERATION_CANCELLED, kind, upload.sender)]
 
     # --- upload -------------------------------------------------------------------------------
 
     def _on_count(self, count: int, kind: PlanKind, sender: Sender, now_us: int) -> list[Answer]:
         running = self._uploads.get(kind)
         if running is not None and not running.is_from(sender):
-            return [_ack(MissionResult.DENIED, kind, sender)]
+            return [ack(MissionResult.DENIED, kind, sender)]
         self._uploads.pop(kind, None)  # whoever uploads may begin again
         if count > _MOST_ITEMS[kind]:
             text = f"Only {_MOST_ITEMS[kind]} items are supported"
             return [
-                _ack(MissionResult.NO_SPACE, kind, sender),
+                ack(MissionResult.NO_SPACE, kind, sender),
                 Text(severity=_WARNING, text=text),
             ]
         if count == 0:
             return self._complete(kind, (), sender, now_us)
-        upload = Upload(sender=sender, kind=kind, last=count - 1, heard_us=now_us, asked_us=now_us)
-        self._uploads[kind] = upload
-        return [self._ask(upload, now_us)]
+        return self._begin(kind, kind, count - 1, sender, now_us)
 
     def _on_partial(
         self, message: Any, kind: PlanKind, sender: Sender, now_us: int
     ) -> list[Answer]:
         """MISSION_WRITE_PARTIAL_LIST: some items of the list as it is are to be replaced."""
-        items, first, last = list(self._plans[kind]), message.start_index, message.end_index
+        items, first, last = self._plans[kind], message.start_index, message.end_index
         if kind in self._uploads:
-            return [_ack(MissionResult.DENIED, kind, sender)]
+            return [ack(MissionResult.DENIED, kind, sender)]
         if not 0 <= first <= last <= len(items):
             return [
                 Text(severity=_WARNING, text="Flight plan update rejected"),
-                _ack(MissionResult.ERROR, kind, sender),
+                ack(MissionResult.ERROR, kind, sender),
             ]
-        upload = Upload(
-            sender=sender,
-            kind=kind,
-            last=last,
-            heard_us=now_us,
-            asked_us=now_us,
-            next=first,
-            items=items,
-        )
-        self._uploads[kind] = upload
-        return [self._ask(upload, now_us)]
+        return self._begin(kind, kind, last, sender, now_us, first=first, items=items)
 
     def _on_item(self, message: Any, kind: PlanKind, sender: Sender, now_us: int) -> list[Answer]:
         upload = self._uploads.get(kind)
         if upload is None:
-            return [_ack(MissionResult.ERROR, kind, sender)]
+            return [ack(MissionResult.ERROR, kind, sender)]
         if message.seq != upload.next:
-            return [_ack(MissionResult.INVALID_SEQUENCE, kind, sender)]
+            return [ack(MissionResult.INVALID_SEQUENCE, kind, sender)]
         if not upload.is_from(sender):
-            return [_ack(MissionResult.DENIED, kind, sender)]
+            return [ack(MissionResult.DENIED, kind, sender)]
         item = wire.read_item(message)
         if isinstance(item, PlanItem):
             item = rules.stored(item, kind, upload.last)
         if isinstance(item, MissionResult):
             del self._uploads[kind]
-            return [_ack(item, kind, sender)]
+            return [ack(item, kind, sender)]
         upload.put(item)
         upload.heard_us = now_us
         if upload.next <= upload.last:
@@ -160,55 +149,46 @@ class ArduPilotMissions:
         del self._uploads[kind]
         return self._complete(kind, tuple(upload.items), sender, now_us)
 
-    def _ask(self, upload: Upload, now_us: int) -> Answer:
-        upload.asked_us = now_us
-        whole = self._autopilot.style.requests_mission_int
-        return Deliver(message=wire.request_message(upload, whole=whole), to=upload.sender)
-
     def _complete(
         self, kind: PlanKind, items: tuple[PlanItem, ...], sender: Sender, now_us: int
     ) -> list[Answer]:
         """All items are there: the old list goes, if the new one is good as a whole."""
         if kind is PlanKind.FENCE:
             if fault := rules.fence_fault(items):
-                return [fault, _ack(MissionResult.ERROR, kind, sender)]
+                return [fault, ack(MissionResult.ERROR, kind, sender)]
             if rules.is_circles_only(items) and rules.has_polygon(self._plans[kind]):
                 self._erase_fence_us = now_us + ERASED_AFTER_US
         answers = self._store(kind, items)
         if kind in _RECEIVED:
             answers.append(Text(severity=_INFO, text=_RECEIVED[kind]))
-        answers.append(_ack(MissionResult.ACCEPTED, kind, sender))
+        answers.append(ack(MissionResult.ACCEPTED, kind, sender))
         return answers
-
-    def _store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Answer]:
-        self._plans[kind] = items
-        return [PlanReplaced(kind=kind)]
 
     def _on_clear(self, kind: PlanKind, sender: Sender) -> list[Answer]:
         if kind in self._uploads:
-            return [_ack(MissionResult.ERROR, kind, sender)]
-        return [*self._store(kind, ()), _ack(MissionResult.ACCEPTED, kind, sender)]
+            return [ack(MissionResult.ERROR, kind, sender)]
+        return [*self._store(kind, ()), ack(MissionResult.ACCEPTED, kind, sender)]
 
     # --- download -----------------------------------------------------------------------------
 
     def _on_request(self, message: Any, kind: PlanKind, sender: Sender) -> list[Answer]:
         """Any item at any time, whether a list was asked for or not."""
         if kind in self._uploads:
-            return [_ack(MissionResult.DENIED, kind, sender)]
+            return [ack(MissionResult.DENIED, kind, sender)]
         seq, items = message.seq, self._plans[kind]
         if kind is PlanKind.MISSION and seq == 0:
             item = self._home_item()
         elif seq < len(items):
             item = items[seq]
         elif kind is PlanKind.MISSION:  # it tells the client how many there are
-            count = wire.count_message(len(items), kind, sender)
-            return [Deliver(message=count, to=sender), _ack(MissionResult.ERROR, kind, sender)]
+            count = wire.tell_count(len(items), kind, sender)
+            return [count, ack(MissionResult.ERROR, kind, sender)]
         else:
             beyond = kind is PlanKind.RALLY or seq > len(items)
             result = MissionResult.INVALID_SEQUENCE if beyond else MissionResult.ERROR
-            return [_ack(result, kind, sender)]
+            return [ack(result, kind, sender)]
         whole = message.get_msgId() == wire.REQUEST_INT
-        return [Deliver(message=wire.item_message(item, kind, seq, sender, whole=whole), to=sender)]
+        return [wire.tell_item(item, kind, seq, sender, whole=whole)]
 
     def _home_item(self) -> PlanItem:
         """Item 0 of a mission is home, whatever was uploaded; zero before there is one."""
@@ -229,11 +209,11 @@ class ArduPilotMissions:
         """A waypoint to fly to now, as old ground stations send it."""
         item = wire.read_item(message)
         if isinstance(item, MissionResult):
-            return [_ack(item, PlanKind.MISSION, sender)]
+            return [ack(item, PlanKind.MISSION, sender)]
         if item.frame not in wire.GLOBAL_FRAMES:
-            return [_ack(MissionResult.UNSUPPORTED_FRAME, PlanKind.MISSION, sender)]
+            return [ack(MissionResult.UNSUPPORTED_FRAME, PlanKind.MISSION, sender)]
         if message.current == _ALTITUDE:
-            return [_ack(MissionResult.UNSUPPORTED, PlanKind.MISSION, sender)]
+            return [ack(MissionResult.UNSUPPORTED, PlanKind.MISSION, sender)]
         place = (item.x / 1e7, item.y / 1e7, item.z_m)
         command = Command(
             sender=sender,
@@ -244,9 +224,5 @@ class ArduPilotMissions:
         )
         return [
             Unacknowledged(command=command),
-            _ack(MissionResult.ACCEPTED, PlanKind.MISSION, sender),
+            ack(MissionResult.ACCEPTED, PlanKind.MISSION, sender),
         ]
-
-
-def _ack(result: MissionResult, kind: int, to: Sender) -> Answer:
-    return Deliver(message=wire.ack_message(result, kind, to), to=to)

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Command, Sender
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.wire.answers import Unacknowledged
+from vehicle_sim.wire.answers import Deliver, Unacknowledged
 from vehicle_sim.wire.extensions import extended
 
 WRITE_PARTIAL_LIST: Final = 38
@@ -22,13 +22,6 @@ CLEAR_ALL: Final = 45
 ACK: Final = 47
 REQUEST_INT: Final = 51
 ITEM_INT: Final = 73
-MESSAGES: Final = frozenset(
-    {
-        *(WRITE_PARTIAL_LIST, ITEM, REQUEST, SET_CURRENT, REQUEST_LIST),
-        *(COUNT, CLEAR_ALL, ACK, REQUEST_INT, ITEM_INT),
-    }
-)
-"""What a mission protocol answers."""
 MISSION_CURRENT: Final = 42
 DO_SET_MISSION_CURRENT: Final = 224
 GLOBAL_FRAMES: Final = frozenset({0, 3, 5, 6, 10, 11})
@@ -111,9 +104,9 @@ def read_item(message: Any) -> PlanItem | MissionResult:
     )
 
 
-def item_message(
+def tell_item(
     item: PlanItem, kind: PlanKind, seq: int, to: Sender, *, whole: bool, current: bool = False
-) -> Any:
+) -> Deliver:
     """The item as a MISSION_ITEM_INT (whole), or as a MISSION_ITEM."""
     p1, p2, p3, p4 = item.parameters
     make: Any = mavlink.MAVLink_mission_item_int_message
@@ -121,7 +114,7 @@ def item_message(
     y: float = item.y
     if not whole:
         make, x, y = mavlink.MAVLink_mission_item_message, item.x * 1e-7, item.y * 1e-7
-    return make(
+    message = make(
         target_system=to.system,
         target_component=to.component,
         seq=seq,
@@ -138,47 +131,45 @@ def item_message(
         z=item.z_m,
         mission_type=int(kind),
     )
+    return Deliver(message=message, to=to)
 
 
-def request_message(upload: Upload, *, whole: bool) -> Any:
+def ask(upload: Upload, now_us: int, *, whole: bool) -> Deliver:
     """Ask for the next item: MISSION_REQUEST_INT (whole) or MISSION_REQUEST."""
-    make = (
-        mavlink.MAVLink_mission_request_int_message
-        if whole
-        else mavlink.MAVLink_mission_request_message
-    )
-    return make(
-        target_system=upload.sender.system,
-        target_component=upload.sender.component,
-        seq=upload.next,
-        mission_type=int(upload.kind),
-    )
+    upload.asked_us = now_us
+    make: Any = mavlink.MAVLink_mission_request_message
+    if whole:
+        make = mavlink.MAVLink_mission_request_int_message
+    to = upload.sender
+    return Deliver(message=make(to.system, to.component, upload.next, int(upload.kind)), to=to)
 
 
 _Count: Any = extended(mavlink.MAVLink_mission_count_message, opaque_id="I")
 _Ack: Any = extended(mavlink.MAVLink_mission_ack_message, opaque_id="I")
 
 
-def count_message(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> Any:
+def tell_count(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> Deliver:
     """MISSION_COUNT: so many items are there to be asked for."""
-    return _Count(
+    message = _Count(
         target_system=to.system,
         target_component=to.component,
         count=count,
         mission_type=int(kind),
         opaque_id=opaque_id,
     )
+    return Deliver(message=message, to=to)
 
 
-def ack_message(result: MissionResult, kind: int, to: Sender, opaque_id: int = 0) -> Any:
+def ack(result: MissionResult, kind: int, to: Sender, opaque_id: int = 0) -> Deliver:
     """MISSION_ACK: how it ended; the kind may be one that there is not."""
-    return _Ack(
+    message = _Ack(
         target_system=to.system,
         target_component=to.component,
         type=int(result),
         mission_type=kind,
         opaque_id=opaque_id,
     )
+    return Deliver(message=message, to=to)
 
 
 def make_current(seq: int, sender: Sender) -> Unacknowledged:

@@ -1,35 +1,90 @@
-"""The mission protocol of either firmware: what it takes in, what it says, and when."""
+"""The mission protocol: what is the same in either firmware, and which one speaks."""
 
-from typing import Any, Protocol
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
 
 from vehicle_sim.autopilots import Autopilot, Sender
-from vehicle_sim.wire.answers import Answer
-from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
-from vehicle_sim.wire.mission_items import MESSAGES
-from vehicle_sim.wire.mission_px4 import Px4Missions
-
-__all__ = ["MESSAGES", "MissionProtocol", "mission_protocol"]
+from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.wire import mission_items as wire
+from vehicle_sim.wire.answers import Answer, PlanReplaced
+from vehicle_sim.wire.mission_items import Upload
 
 
-class MissionProtocol(Protocol):
-    """Uploads and downloads of missions, fences and rally points on all links of one autopilot."""
+class MissionProtocol(ABC):
+    """Uploads and downloads of missions, fences and rally points on all links of one autopilot.
+
+    An upload has a slot: ArduPilot has one for each kind of list, PX4 one for each link.
+    """
+
+    ask_again_us: ClassVar[int]
+    """An item that does not come is asked for again after this time."""
+    give_up_us: ClassVar[int]
+    """The same of the whole upload, from what was heard last."""
+
+    def __init__(self, autopilot: Autopilot) -> None:
+        self._autopilot = autopilot
+        self._plans = autopilot.plans
+        self._uploads: dict[int, Upload] = {}
 
     @property
+    @abstractmethod
     def busy(self) -> bool:
         """Whether step() has anything to do."""
-        ...
 
+    @abstractmethod
     def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Answer]:
-        """Answer a message of MESSAGES that is for the autopilot."""
-        ...
+        """Answer a message of the mission protocol that is for the autopilot."""
 
+    @abstractmethod
     def step(self, now_us: int) -> list[Answer]:
         """Repeat requests, and give up, when it is time."""
-        ...
 
+    @abstractmethod
+    def _whole(self, upload: Upload) -> bool:
+        """Whether items are asked for as integers."""
 
-def mission_protocol(autopilot: Autopilot) -> MissionProtocol:
-    """As this autopilot's firmware speaks it; a new one after each boot."""
-    if autopilot.style.firmware == "px4":
-        return Px4Missions(autopilot)
-    return ArduPilotMissions(autopilot)
+    @abstractmethod
+    def _gave_up(self, upload: Upload) -> list[Answer]:
+        """What is said of an upload that was left."""
+
+    def _repeat(self, now_us: int) -> list[Answer]:
+        """Ask again for what did not come, and give up in the end."""
+        answers = list[Answer]()
+        for slot, upload in list(self._uploads.items()):
+            if now_us - upload.heard_us > self.give_up_us:
+                del self._uploads[slot]
+                answers += self._gave_up(upload)
+            elif now_us - upload.asked_us > self.ask_again_us:
+                answers.append(self._ask(upload, now_us))
+        return answers
+
+    def _begin(
+        self,
+        slot: int,
+        kind: PlanKind,
+        last: int,
+        sender: Sender,
+        now_us: int,
+        *,
+        first: int = 0,
+        items: tuple[PlanItem, ...] = (),
+    ) -> list[Answer]:
+        """An upload begins: ask for its first item."""
+        upload = Upload(
+            sender=sender,
+            kind=kind,
+            last=last,
+            heard_us=now_us,
+            asked_us=now_us,
+            next=first,
+            items=list(items),
+        )
+        self._uploads[slot] = upload
+        return [self._ask(upload, now_us)]
+
+    def _ask(self, upload: Upload, now_us: int) -> Answer:
+        return wire.ask(upload, now_us, whole=self._whole(upload))
+
+    def _store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Answer]:
+        self._plans[kind] = items
+        return [PlanReplaced(kind=kind)]

@@ -4,20 +4,18 @@ Every link has its own state, which is idle, receiving a list or handing one out
 received at a time on all links together.
 """
 
-import enum
 import struct
 import zlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
 from vehicle_sim.autopilots import Autopilot, Send, Sender, Text
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.wire import mission_items as wire
-from vehicle_sim.wire.answers import Answer, Deliver, PlanReplaced
-from vehicle_sim.wire.mission_items import MissionResult, Upload
+from vehicle_sim.wire.answers import Answer
+from vehicle_sim.wire.mission_items import MissionResult, Upload, ack
+from vehicle_sim.wire.mission_protocol import MissionProtocol
 
-ASK_AGAIN_US: Final = 250_000
-GIVE_UP_US: Final = 5_000_000
 _MOST_ITEMS: Final = {PlanKind.MISSION: 2000, PlanKind.FENCE: 256, PlanKind.RALLY: 128}
 _ALL_KINDS: Final = 255
 _MISSION_FRAME: Final = 2
@@ -44,38 +42,23 @@ _CRITICAL, _INFO = 2, 6
 """MAV_SEVERITY."""
 
 
-class _Doing(enum.Enum):
-    IDLE = enum.auto()
-    RECEIVING = enum.auto()
-    SENDING = enum.auto()
-
-
 @final
 @dataclass(slots=True)
 class _Link:
-    """What goes on on one link."""
+    """What goes on on one link, beside an upload."""
 
-    doing: _Doing = _Doing.IDLE
     partner: tuple[int, int] | None = None
     kind: PlanKind = PlanKind.MISSION
+    sending: bool = False
+    """A list is handed out."""
     next: int = 0
     """The item that is asked for next, by whichever side."""
     count: int = 0
     whole: bool = True
     """Whether items go as integers (MISSION_ITEM_INT) now."""
     heard_us: int = 0
-    upload: Upload | None = None
     last_id: int = 0
     """Of the list that was received last."""
-
-
-@final
-@dataclass(slots=True)
-class _Shared:
-    """What all links have in common."""
-
-    receiving: bool = False
-    ids: dict[PlanKind, int] = field(default_factory=lambda: dict.fromkeys(PlanKind, 0))
 
 
 def opaque_id(items: tuple[PlanItem, ...]) -> int:
@@ -100,191 +83,169 @@ def opaque_id(items: tuple[PlanItem, ...]) -> int:
 
 
 @final
-class Px4Missions:
+class Px4Missions(MissionProtocol):
     """Uploads and downloads of one autopilot's three lists, over all links."""
 
+    ask_again_us = 250_000
+    give_up_us = 5_000_000
+
     def __init__(self, autopilot: Autopilot) -> None:
-        self._autopilot = autopilot
-        self._plans = autopilot.plans
+        super().__init__(autopilot)
         self._links: dict[int, _Link] = {}
-        self._shared = _Shared(ids={kind: opaque_id(autopilot.plans[kind]) for kind in PlanKind})
+        self._ids = {kind: opaque_id(autopilot.plans[kind]) for kind in PlanKind}
 
     @property
     def busy(self) -> bool:
         """Whether step() has anything to do."""
-        return any(link.doing is not _Doing.IDLE for link in self._links.values())
+        return bool(self._uploads) or any(link.sending for link in self._links.values())
 
     # --- in -----------------------------------------------------------------------------------
 
     def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Answer]:
-        """Answer a message of mission_items.MESSAGES that is for the autopilot."""
+        """Answer a message of the mission protocol that is for the autopilot."""
         link = self._links.setdefault(sender.link, _Link())
+        upload = self._uploads.get(sender.link)
         match message.get_msgId():
             case wire.COUNT:
-                return self._on_count(link, message, sender, now_us)
-            case wire.ITEM | wire.ITEM_INT:
-                link.whole = message.get_msgId() == wire.ITEM_INT
-                return self._on_item(link, message, sender, now_us)
+                return self._on_count(link, upload, message, sender, now_us)
+            case wire.ITEM | wire.ITEM_INT as number:
+                link.whole = number == wire.ITEM_INT
+                return self._on_item(link, upload, message, sender, now_us)
             case wire.REQUEST_LIST:
-                return self._on_request_list(link, message, sender, now_us)
-            case wire.REQUEST | wire.REQUEST_INT:
-                link.whole = message.get_msgId() == wire.REQUEST_INT
-                return self._on_request(link, message, sender, now_us)
+                return self._on_request_list(link, upload, message, sender, now_us)
+            case wire.REQUEST | wire.REQUEST_INT as number:
+                link.whole = number == wire.REQUEST_INT
+                return self._on_request(link, upload, message, sender, now_us)
             case wire.ACK:
-                return self._on_ack(link, message, sender, now_us)
+                return self._on_ack(link, upload, message, sender, now_us)
+            case wire.CLEAR_ALL if upload or link.sending:
+                return [_critical("WPM: IGN CLEAR CMD: Busy")]
             case wire.CLEAR_ALL:
-                return self._on_clear(link, message, sender)
+                return self._on_clear(message, sender)
+            case wire.SET_CURRENT if upload or link.sending:
+                return [_critical("WPM: IGN WP CURR CMD: Busy")]
             case wire.SET_CURRENT:
-                return self._on_set_current(link, message, sender)
+                return self._on_set_current(message, sender)
             case _:
                 return []
 
     def step(self, now_us: int) -> list[Answer]:
-        """Ask again for what did not come, and give up in the end."""
-        answers = list[Answer]()
+        """Ask again for what did not come, and give up in the end; so with what is not fetched."""
+        answers = self._repeat(now_us)
         for link in self._links.values():
-            if link.doing is _Doing.IDLE:
-                continue
-            upload = link.upload
-            if now_us - link.heard_us > GIVE_UP_US:
-                self._end(link)
+            if link.sending and now_us - link.heard_us > self.give_up_us:
+                link.sending = False
                 answers.append(_critical("Operation timeout"))
-            elif upload is not None and now_us - upload.asked_us > ASK_AGAIN_US:
-                answers.append(self._ask(link, upload, now_us))
         return answers
 
-    def _end(self, link: _Link) -> None:
-        """To idle; what was half received is forgotten."""
-        if link.doing is _Doing.RECEIVING:
-            self._shared.receiving = False
-        link.doing, link.upload = _Doing.IDLE, None
+    def _whole(self, upload: Upload) -> bool:
+        return self._links[upload.sender.link].whole
+
+    def _gave_up(self, upload: Upload) -> list[Answer]:
+        del upload
+        return [_critical("Operation timeout")]
 
     # --- upload -------------------------------------------------------------------------------
 
-    def _on_count(self, link: _Link, message: Any, sender: Sender, now_us: int) -> list[Answer]:
+    def _on_count(
+        self, link: _Link, upload: Upload | None, message: Any, sender: Sender, now_us: int
+    ) -> list[Answer]:
         asked = message.mission_type
         source = (sender.system, sender.component)
+        refused = ack(MissionResult.ERROR, asked, sender)
         link.heard_us = now_us
-        if link.doing is _Doing.SENDING:
-            return [
-                _critical("WPM: IGN MISSION_COUNT: Busy"),
-                _ack(MissionResult.ERROR, asked, sender),
-            ]
-        if link.doing is _Doing.RECEIVING:
+        if link.sending:
+            return [_critical("WPM: IGN MISSION_COUNT: Busy"), refused]
+        if upload is not None:
+            upload.heard_us = now_us
             if source != link.partner:
-                return [_ack(MissionResult.ERROR, asked, sender)]
-            if link.upload is not None and link.upload.next == 0:
-                return [self._ask(link, link.upload, now_us)]  # the request was lost
-            return [
-                _critical("WPM: REJ. CMD: Busy"),
-                _ack(MissionResult.ERROR, asked, sender),
-            ]
-        if self._shared.receiving:  # on another link
-            return [_ack(MissionResult.ERROR, asked, sender)]
+                return [refused]
+            if upload.next == 0:
+                return [self._ask(upload, now_us)]  # the request was lost
+            return [_critical("WPM: REJ. CMD: Busy"), refused]
+        if self._uploads:  # on another link
+            return [refused]
         kind = wire.kind_of(message)
         if kind is None:
-            return [_ack(MissionResult.INVALID, asked, sender)]
+            return [ack(MissionResult.INVALID, asked, sender)]
         if message.count > _MOST_ITEMS[kind]:
-            return [_ack(MissionResult.NO_SPACE, asked, sender)]
+            return [ack(MissionResult.NO_SPACE, asked, sender)]
         link.partner, link.kind, link.next, link.count = source, kind, 0, message.count
         if message.count == 0:
-            return [*self._store(kind, ()), _ack(MissionResult.ACCEPTED, asked, sender)]
-        link.doing, self._shared.receiving = _Doing.RECEIVING, True
-        link.upload = Upload(
-            sender=sender,
-            kind=kind,
-            last=message.count - 1,
-            heard_us=now_us,
-            asked_us=now_us,
-        )
-        return [self._ask(link, link.upload, now_us)]
+            return [*self._store(kind, ()), ack(MissionResult.ACCEPTED, asked, sender)]
+        return self._begin(sender.link, kind, message.count - 1, sender, now_us)
 
-    def _ask(self, link: _Link, upload: Upload, now_us: int) -> Answer:
-        upload.asked_us = now_us
-        return Deliver(message=wire.request_message(upload, whole=link.whole), to=upload.sender)
-
-    def _on_item(self, link: _Link, message: Any, sender: Sender, now_us: int) -> list[Answer]:
+    def _on_item(
+        self, link: _Link, upload: Upload | None, message: Any, sender: Sender, now_us: int
+    ) -> list[Answer]:
         if (sender.system, sender.component) != link.partner:
             return [_critical("REJ. MIS ITEM: partner id mismatch")]
         asked = message.mission_type
         if asked != link.kind:
-            return [_ack(MissionResult.ERROR, link.kind, sender)]
-        upload = link.upload
+            return [ack(MissionResult.ERROR, link.kind, sender)]
         if upload is None:
-            if link.doing is _Doing.IDLE and link.next == message.seq + 1:
+            if not link.sending and link.next == message.seq + 1:
                 # the acknowledgement of the last item was lost
-                return [_ack(MissionResult.ACCEPTED, asked, sender, link.last_id)]
-            why = "No transfer" if link.doing is _Doing.IDLE else "Busy"
-            return [
-                _critical(f"IGN MISSION_ITEM: {why}"),
-                _ack(MissionResult.ERROR, asked, sender),
-            ]
-        link.heard_us = now_us
+                return [ack(MissionResult.ACCEPTED, asked, sender, link.last_id)]
+            why = "Busy" if link.sending else "No transfer"
+            refused = ack(MissionResult.ERROR, asked, sender)
+            return [_critical(f"IGN MISSION_ITEM: {why}"), refused]
+        upload.heard_us = now_us
         if message.seq != upload.next:
             return []  # the right one will be asked for again
         item = wire.read_item(message)
         result = item if isinstance(item, MissionResult) else _judge(item, link.kind)
         if isinstance(item, MissionResult) or result is not MissionResult.ACCEPTED:
-            self._end(link)
-            answers: list[Answer] = [_ack(MissionResult(result), asked, sender)]
+            del self._uploads[sender.link]
+            answers: list[Answer] = [ack(result, asked, sender)]
             if result is not MissionResult.ERROR:
                 answers.insert(0, _critical("IGN MISSION_ITEM: Invalid item"))
             return answers
         upload.put(item)
         link.next = upload.next
         if upload.next <= upload.last:
-            return [self._ask(link, upload, now_us)]
-        return self._complete(link, upload, sender)
-
-    def _complete(self, link: _Link, upload: Upload, sender: Sender) -> list[Answer]:
+            return [self._ask(upload, now_us)]
+        del self._uploads[sender.link]
         items = tuple(upload.items)
-        self._end(link)
         link.last_id = opaque_id(items)
         # the same list again changes nothing
-        changed = link.last_id != self._shared.ids[link.kind]
-        answers = self._store(link.kind, items) if changed else []
-        answers.append(_ack(MissionResult.ACCEPTED, link.kind, sender, link.last_id))
-        return answers
+        answers = self._store(link.kind, items) if link.last_id != self._ids[link.kind] else []
+        return [*answers, ack(MissionResult.ACCEPTED, link.kind, sender, link.last_id)]
 
     def _store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Answer]:
-        self._plans[kind] = items
-        self._shared.ids[kind] = opaque_id(items)
-        return [PlanReplaced(kind=kind)]
+        self._ids[kind] = opaque_id(items)
+        return super()._store(kind, items)
 
-    def _on_clear(self, link: _Link, message: Any, sender: Sender) -> list[Answer]:
-        asked = message.mission_type
-        if link.doing is not _Doing.IDLE:
-            return [_critical("WPM: IGN CLEAR CMD: Busy")]
-        kind = wire.kind_of(message)
+    def _on_clear(self, message: Any, sender: Sender) -> list[Answer]:
+        asked, kind = message.mission_type, wire.kind_of(message)
         kinds = list(PlanKind) if asked == _ALL_KINDS else [kind] if kind is not None else []
         answers = [answer for each in kinds for answer in self._store(each, ())]
-        return [*answers, _ack(MissionResult.ACCEPTED, asked, sender)]
+        return [*answers, ack(MissionResult.ACCEPTED, asked, sender)]
 
     # --- download -----------------------------------------------------------------------------
 
     def _on_request_list(
-        self, link: _Link, message: Any, sender: Sender, now_us: int
+        self, link: _Link, upload: Upload | None, message: Any, sender: Sender, now_us: int
     ) -> list[Answer]:
         source, kind = (sender.system, sender.component), wire.kind_of(message)
-        if link.doing is _Doing.SENDING and link.next == link.count:
-            self._end(link)  # all was sent; the acknowledgement never came
-        again = link.doing is _Doing.SENDING and (link.partner, link.kind) == (source, kind)
-        if kind is None or not (link.doing is _Doing.IDLE or again):
+        if link.sending and link.next == link.count:
+            link.sending = False  # all was sent; the acknowledgement never came
+        others = link.sending and (link.partner, link.kind) != (source, kind)
+        if kind is None or upload is not None or others:
             return [Text(severity=_INFO, text="Mission download request ignored, already active")]
-        link.doing, link.kind, link.partner, link.heard_us = _Doing.SENDING, kind, source, now_us
+        link.sending, link.kind, link.partner, link.heard_us = True, kind, source, now_us
         link.next, link.count = 0, len(self._plans[kind])
-        count = wire.count_message(link.count, kind, sender, self._shared.ids[kind])
-        return [Deliver(message=count, to=sender)]
+        return [wire.tell_count(link.count, kind, sender, self._ids[kind])]
 
-    def _on_request(self, link: _Link, message: Any, sender: Sender, now_us: int) -> list[Answer]:
+    def _on_request(
+        self, link: _Link, upload: Upload | None, message: Any, sender: Sender, now_us: int
+    ) -> list[Answer]:
         """In order, or the last one again."""
         if (sender.system, sender.component) != link.partner:
             return [_critical("WPM: REJ. CMD: partner id mismatch")]
-        if link.doing is _Doing.IDLE:
-            return []
-        if link.doing is _Doing.RECEIVING:
+        if upload is not None:
             return [_critical("WPM: REJ. CMD: Busy")]
-        if message.mission_type != link.kind:
+        if not link.sending or message.mission_type != link.kind:
             return []
         link.heard_us = now_us
         seq, items = message.seq, self._plans[link.kind]
@@ -293,34 +254,31 @@ class Px4Missions:
         elif seq != link.next - 1:
             seq = len(items)
         if seq >= len(items):
-            self._end(link)
-            return [
-                _ack(MissionResult.ERROR, link.kind, sender),
-                _critical("WPM: REJ. CMD: Req. WP was unexpected"),
-            ]
+            link.sending = False
+            refused = ack(MissionResult.ERROR, link.kind, sender)
+            return [refused, _critical("WPM: REJ. CMD: Req. WP was unexpected")]
         current = link.kind is PlanKind.MISSION and (
             self._autopilot.status().mission_current == seq
         )
         handed = _handed_out(items[seq], link.kind, whole=link.whole)
-        item = wire.item_message(handed, link.kind, seq, sender, whole=link.whole, current=current)
-        return [Deliver(message=item, to=sender)]
+        return [wire.tell_item(handed, link.kind, seq, sender, whole=link.whole, current=current)]
 
-    def _on_ack(self, link: _Link, message: Any, sender: Sender, now_us: int) -> list[Answer]:
+    def _on_ack(
+        self, link: _Link, upload: Upload | None, message: Any, sender: Sender, now_us: int
+    ) -> list[Answer]:
         if (sender.system, sender.component) != link.partner:
             return [_critical("REJ. WP CMD: partner id mismatch")]
-        if link.doing is _Doing.SENDING and message.mission_type == link.kind:
-            self._end(link)
-        elif link.upload is not None:
+        if link.sending and message.mission_type == link.kind:
+            link.sending = False
+        elif upload is not None:
             if message.type == MissionResult.UNSUPPORTED:  # the other form, then
                 link.whole = not link.whole
-                return [self._ask(link, link.upload, now_us)]
+                return [self._ask(upload, now_us)]
             if message.type == MissionResult.OPERATION_CANCELLED:
-                self._end(link)
+                del self._uploads[sender.link]
         return []
 
-    def _on_set_current(self, link: _Link, message: Any, sender: Sender) -> list[Answer]:
-        if link.doing is not _Doing.IDLE:
-            return [_critical("WPM: IGN WP CURR CMD: Busy")]
+    def _on_set_current(self, message: Any, sender: Sender) -> list[Answer]:
         if message.seq >= len(self._plans[PlanKind.MISSION]):
             return [_critical("WPM: WP CURR CMD: Not in list")]
         return [
@@ -365,7 +323,3 @@ def _handed_out(item: PlanItem, kind: PlanKind, *, whole: bool) -> PlanItem:
 def _critical(text: str) -> Text:
     """A text with the tab at its end that says that an event tells the same."""
     return Text(severity=_CRITICAL, text=text + "\t")
-
-
-def _ack(result: MissionResult, kind: int, to: Sender, opaque: int = 0) -> Answer:
-    return Deliver(message=wire.ack_message(result, kind, to, opaque), to=to)

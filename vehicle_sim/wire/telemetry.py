@@ -1,23 +1,86 @@
-"""An autopilot's report as MAVLink messages: one function a message, all conversions here.
+"""An autopilot's report as MAVLink messages: a table of what fills each field.
 
-What every personality says in the same way; telemetry_ardupilot.py and telemetry_px4.py add their
-own and replace what they say differently.
+Here is what every personality says in the same way; telemetry_ardupilot.py and telemetry_px4.py
+add their own and replace what they say differently.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Report
+from vehicle_sim.autopilots import Estimate, Place, Report
 from vehicle_sim.wire.frames import bounded, degrees_e7
 
 INT16, INT32, UINT16 = 32767, 2_147_483_647, 65535
+PLANE: Final = 1
+"""MAV_TYPE_FIXED_WING."""
 _IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
 _IGNORE_YAW_RATE = 0x800
 
 Builder = Callable[[Report], Any | None]
+Value = int | float | bytes | Sequence[int | float]
+Form = Mapping[str, Value | Callable[[Report], Any]]
+"""How a message is filled: name of a field -> its value, or where to take it from.
+
+A key may name several fields ("x y z"); then there are as many values.  What is not named is zero.
+A field that is None: there is nothing to say now.
+"""
+
+
+def builders(table: Mapping[str, Form]) -> dict[int, Builder]:
+    """What makes the messages of this table, by message number."""
+    kinds = {name: getattr(mavlink, f"MAVLink_{name.lower()}_message") for name in table}
+    return {kind.id: _builder(kind, table[name]) for name, kind in kinds.items()}
+
+
+def _builder(kind: Any, form: Form) -> Builder:
+    places = {name: place for place, name in enumerate(kind.fieldnames)}
+    lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
+    blank: list[Any] = [
+        b"" if code == "char" else [0] * lengths[name] if lengths[name] else 0
+        for name, code in zip(kind.fieldnames, kind.fieldtypes, strict=True)
+    ]
+    singles = list[tuple[int, Callable[[Report], Any]]]()
+    groups = list[tuple[tuple[int, ...], Callable[[Report], Any]]]()
+    for key, value in form.items():
+        fields = tuple(places[name] for name in key.split())
+        if callable(value):
+            if len(fields) == 1:
+                singles.append((fields[0], value))
+            else:
+                groups.append((fields, value))
+        elif len(fields) == 1:
+            blank[fields[0]] = value
+        else:
+            assert isinstance(value, Sequence)
+            for place, each in zip(fields, value, strict=True):
+                blank[place] = each
+
+    def build(report: Report) -> Any | None:
+        values = blank.copy()
+        for place, take in singles:
+            value = values[place] = take(report)
+            if value is None:
+                return None
+        for fields, take in groups:
+            several = take(report)
+            if several is None:
+                return None
+            for place, each in zip(fields, several, strict=True):
+                values[place] = each
+        return kind(*values)
+
+    return build
+
+
+# --- what fills the fields ------------------------------------------------------------------------
+
+
+def is_plane(report: Report) -> bool:
+    """A fixed wing."""
+    return report.style.vehicle_type == PLANE
 
 
 def boot_ms(report: Report) -> int:
@@ -25,41 +88,20 @@ def boot_ms(report: Report) -> int:
     return report.time_us // 1000 & 0xFFFFFFFF
 
 
+def time_us(report: Report) -> int:
+    """time_usec: since boot."""
+    return report.time_us
+
+
 def heading_cdeg(report: Report) -> int:
     """Where the nose points, 0 to 35999."""
     return round(math.degrees(report.vehicle.heading_rad) * 100.0) % 36000
 
 
-def heartbeat(report: Report) -> Any:
-    """HEARTBEAT of the autopilot."""
-    return mavlink.MAVLink_heartbeat_message(
-        type=report.style.vehicle_type,
-        autopilot=report.style.autopilot,
-        base_mode=report.status.base_mode,
-        custom_mode=report.status.mode,
-        system_status=report.status.system_status,
-        mavlink_version=3,
-    )
-
-
-def _system_time(report: Report) -> Any:
-    return mavlink.MAVLink_system_time_message(
-        time_unix_usec=report.unix_us, time_boot_ms=boot_ms(report)
-    )
-
-
-def attitude(report: Report) -> Any:
-    """ATTITUDE, without rates of turning."""
+def attitude_rad(report: Report) -> tuple[float, float, float]:
+    """Roll, pitch, yaw."""
     vehicle = report.vehicle
-    return mavlink.MAVLink_attitude_message(
-        time_boot_ms=boot_ms(report),
-        roll=vehicle.roll_rad,
-        pitch=vehicle.pitch_rad,
-        yaw=math.remainder(vehicle.heading_rad, math.tau),
-        rollspeed=0.0,
-        pitchspeed=0.0,
-        yawspeed=0.0,
-    )
+    return vehicle.roll_rad, vehicle.pitch_rad, math.remainder(vehicle.heading_rad, math.tau)
 
 
 def quaternion(report: Report) -> tuple[float, float, float, float]:
@@ -77,142 +119,149 @@ def quaternion(report: Report) -> tuple[float, float, float, float]:
     )
 
 
-def attitude_quaternion(report: Report) -> Any:
-    """ATTITUDE_QUATERNION, likewise."""
-    q1, q2, q3, q4 = quaternion(report)
-    return mavlink.MAVLink_attitude_quaternion_message(
-        time_boot_ms=boot_ms(report),
-        q1=q1,
-        q2=q2,
-        q3=q3,
-        q4=q4,
-        rollspeed=0.0,
-        pitchspeed=0.0,
-        yawspeed=0.0,
+def velocity_ned_m_s(report: Report) -> tuple[float, float, float]:
+    """The estimate's."""
+    estimate = report.estimate
+    return (
+        estimate.velocity_north_m_s,
+        estimate.velocity_east_m_s,
+        -estimate.velocity_up_m_s,
     )
 
 
-def _local_position(report: Report) -> Any | None:
-    local_ned_m, estimate = report.status.local_ned_m, report.estimate
-    if local_ned_m is None:
-        return None
-    x, y, z = local_ned_m
-    return mavlink.MAVLink_local_position_ned_message(
-        time_boot_ms=boot_ms(report),
-        x=x,
-        y=y,
-        z=z,
-        vx=estimate.velocity_north_m_s,
-        vy=estimate.velocity_east_m_s,
-        vz=-estimate.velocity_up_m_s,
+def ground_speed_m_s(report: Report) -> float:
+    """The estimate's, horizontal."""
+    return math.hypot(report.estimate.velocity_north_m_s, report.estimate.velocity_east_m_s)
+
+
+def throttle(report: Report) -> float:
+    """From 0 to 1."""
+    return min(max(report.vehicle.throttle, 0.0), 1.0)
+
+
+def per_cent_left(report: Report) -> float:
+    """Of the battery's charge."""
+    return min(max(report.battery.remaining, 0.0), 1.0) * 100.0
+
+
+def place_e7(place: Any) -> tuple[int, int]:
+    """Latitude and longitude of anything that has them."""
+    return degrees_e7(place.latitude_deg), degrees_e7(place.longitude_deg)
+
+
+def place_e7_mm(place: Place | Estimate | None) -> tuple[int, int, int] | None:
+    """Latitude, longitude and height above the sea."""
+    return (
+        None if place is None else (*place_e7(place), bounded(place.altitude_amsl_m * 1e3, INT32))
     )
 
 
-def global_position(report: Report) -> Any:
-    """GLOBAL_POSITION_INT: the estimate."""
-    estimate, home = report.estimate, report.status.home
-    above_home_m = 0.0 if home is None else estimate.altitude_amsl_m - home.altitude_amsl_m
-    return mavlink.MAVLink_global_position_int_message(
-        time_boot_ms=boot_ms(report),
-        lat=degrees_e7(estimate.latitude_deg),
-        lon=degrees_e7(estimate.longitude_deg),
-        alt=bounded(estimate.altitude_amsl_m * 1e3, INT32),
-        relative_alt=bounded(above_home_m * 1e3, INT32),
-        vx=bounded(estimate.velocity_north_m_s * 100.0, INT16),
-        vy=bounded(estimate.velocity_east_m_s * 100.0, INT16),
-        vz=bounded(-estimate.velocity_up_m_s * 100.0, INT16),
-        hdg=heading_cdeg(report),
+def _above_home_mm(report: Report) -> int:
+    home = report.status.home
+    above_m = 0.0 if home is None else report.estimate.altitude_amsl_m - home.altitude_amsl_m
+    return bounded(above_m * 1e3, INT32)
+
+
+def _velocity_cm_s(report: Report) -> tuple[int, ...]:
+    return tuple(bounded(v * 100.0, INT16) for v in velocity_ned_m_s(report))
+
+
+GPS_FIELDS: Final = "fix_type lat lon alt eph epv vel cog"
+
+
+def gps_solution(report: Report) -> tuple[int, ...]:
+    """GPS_FIELDS of GPS_RAW_INT."""
+    fix = report.fix
+    north, east = fix.velocity_north_m_s, fix.velocity_east_m_s
+    return (
+        fix.fix_type,
+        *place_e7(fix),
+        bounded(fix.altitude_amsl_m * 1e3, INT32),
+        min(round(fix.horizontal_dilution * 100.0), UINT16),
+        min(round(fix.vertical_dilution * 100.0), UINT16),
+        bounded(math.hypot(north, east) * 100.0, UINT16 - 1),
+        round(math.degrees(math.atan2(east, north)) * 100.0) % 36000,
     )
 
 
-def _gps_global_origin(report: Report) -> Any | None:
-    origin = report.status.origin
-    if origin is None:
-        return None
-    return mavlink.MAVLink_gps_global_origin_message(
-        latitude=degrees_e7(origin.latitude_deg),
-        longitude=degrees_e7(origin.longitude_deg),
-        altitude=bounded(origin.altitude_amsl_m * 1e3, INT32),
-        time_usec=report.time_us,
-    )
+def _gps_accuracies_mm(report: Report) -> tuple[int, ...]:
+    fix = report.fix
+    all_m = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
+    return tuple(bounded(each_m * 1e3, INT32) for each_m in all_m)
 
 
-def vfr_hud(report: Report) -> Any:
-    """VFR_HUD."""
-    estimate, vehicle = report.estimate, report.vehicle
-    return mavlink.MAVLink_vfr_hud_message(
-        airspeed=vehicle.airspeed_m_s,
-        groundspeed=math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s),
-        heading=heading_cdeg(report) // 100,
-        throttle=round(min(max(vehicle.throttle, 0.0), 1.0) * 100.0),
-        alt=estimate.altitude_amsl_m,
-        climb=estimate.velocity_up_m_s,
-    )
+TARGET_FIELDS: Final = "type_mask x y z vx vy vz afx afy afz yaw yaw_rate"
 
 
-def _position_target(report: Report) -> Any | None:
+def _target(report: Report) -> tuple[float, ...] | None:
     target = report.status.target
     if target is None:
         return None
-    x, y, z = target.position_ned_m or (0.0, 0.0, 0.0)
-    vx, vy, vz = target.velocity_ned_m_s or (0.0, 0.0, 0.0)
-    ax, ay, az = target.acceleration_ned_m_s2 or (0.0, 0.0, 0.0)
+    vectors = (target.position_ned_m, target.velocity_ned_m_s, target.acceleration_ned_m_s2)
     mask = target.type_mask
     if mask is None:
         mask = _IGNORE_YAW_RATE
-        mask |= 0 if target.position_ned_m else _IGNORE_POSITION
-        mask |= 0 if target.velocity_ned_m_s else _IGNORE_VELOCITY
-        mask |= 0 if target.acceleration_ned_m_s2 else _IGNORE_ACCELERATION
-    return mavlink.MAVLink_position_target_local_ned_message(
-        time_boot_ms=boot_ms(report),
-        coordinate_frame=mavlink.MAV_FRAME_LOCAL_NED,
-        type_mask=mask,
-        x=x,
-        y=y,
-        z=z,
-        vx=vx,
-        vy=vy,
-        vz=vz,
-        afx=ax,
-        afy=ay,
-        afz=az,
-        yaw=target.yaw_rad,
-        yaw_rate=target.yaw_rate_rad_s,
-    )
+        ignored = (_IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION)
+        mask |= sum(bits for bits, vector in zip(ignored, vectors, strict=True) if not vector)
+    numbers = (each for vector in vectors for each in vector or (0.0, 0.0, 0.0))
+    return (mask, *numbers, target.yaw_rad, target.yaw_rate_rad_s)
 
 
-def home_position(report: Report) -> Any | None:
-    """HOME_POSITION; x, y, z are the origin's view of it."""
-    home = report.status.home
-    if home is None:
-        return None
-    return mavlink.MAVLink_home_position_message(
-        latitude=degrees_e7(home.latitude_deg),
-        longitude=degrees_e7(home.longitude_deg),
-        altitude=bounded(home.altitude_amsl_m * 1e3, INT32),
-        x=0.0,
-        y=0.0,
-        z=0.0,
-        q=[1.0, 0.0, 0.0, 0.0],
-        approach_x=0.0,
-        approach_y=0.0,
-        approach_z=0.0,
-        time_usec=report.time_us,
-    )
+# --- the table ------------------------------------------------------------------------------------
 
-
-def _extended_sys_state(report: Report) -> Any:
-    return mavlink.MAVLink_extended_sys_state_message(
-        vtol_state=mavlink.MAV_VTOL_STATE_UNDEFINED, landed_state=report.status.landed_state
-    )
-
-
-MESSAGES: dict[int, Builder] = {
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
-    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _gps_global_origin,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _position_target,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _extended_sys_state,
+ATTITUDE: Final[Form] = {"time_boot_ms": boot_ms, "roll pitch yaw": attitude_rad}
+ATTITUDE_QUATERNION: Final[Form] = {"time_boot_ms": boot_ms, "q1 q2 q3 q4": quaternion}
+GLOBAL_POSITION_INT: Final[Form] = {
+    "time_boot_ms": boot_ms,
+    "lat lon alt": lambda r: place_e7_mm(r.estimate),
+    "relative_alt": _above_home_mm,
+    "vx vy vz": _velocity_cm_s,
+    "hdg": heading_cdeg,
 }
-"""What both say in the same way, by message number; None while there is nothing to say."""
+GPS_RAW_INT: Final[Form] = {
+    "time_usec": lambda r: r.fix.time_us,
+    GPS_FIELDS: gps_solution,
+    "satellites_visible": lambda r: min(r.fix.satellites, 255),
+    "alt_ellipsoid": lambda r: bounded(r.fix.altitude_amsl_m * 1e3, INT32),
+    "h_acc v_acc vel_acc": _gps_accuracies_mm,
+}
+VFR_HUD: Final[Form] = {
+    "airspeed": lambda r: r.vehicle.airspeed_m_s,
+    "groundspeed": ground_speed_m_s,
+    "heading": lambda r: heading_cdeg(r) // 100,
+    "throttle": lambda r: round(throttle(r) * 100.0),
+    "alt": lambda r: r.estimate.altitude_amsl_m,
+    "climb": lambda r: r.estimate.velocity_up_m_s,
+}
+MISSION_CURRENT: Final[Form] = {
+    "seq total": lambda r: (r.status.mission_current, r.status.mission_total),
+    "mission_state": lambda r: r.status.mission_state,
+}
+HOME_POSITION: Final[Form] = {
+    "latitude longitude altitude": lambda r: place_e7_mm(r.status.home),
+    "time_usec": time_us,
+}
+COMMON: Final[Mapping[str, Form]] = {
+    "HEARTBEAT": {
+        "type autopilot": lambda r: (r.style.vehicle_type, r.style.autopilot),
+        "base_mode custom_mode": lambda r: (r.status.base_mode, r.status.mode),
+        "system_status": lambda r: r.status.system_status,
+        "mavlink_version": 3,
+    },
+    "SYSTEM_TIME": {"time_unix_usec": lambda r: r.unix_us, "time_boot_ms": boot_ms},
+    "LOCAL_POSITION_NED": {
+        "time_boot_ms": boot_ms,
+        "x y z": lambda r: r.status.local_ned_m,
+        "vx vy vz": velocity_ned_m_s,
+    },
+    "GPS_GLOBAL_ORIGIN": {
+        "latitude longitude altitude": lambda r: place_e7_mm(r.status.origin),
+        "time_usec": time_us,
+    },
+    "POSITION_TARGET_LOCAL_NED": {
+        "time_boot_ms": boot_ms,
+        "coordinate_frame": mavlink.MAV_FRAME_LOCAL_NED,
+        TARGET_FIELDS: _target,
+    },
+    "EXTENDED_SYS_STATE": {"landed_state": lambda r: r.status.landed_state},
+}

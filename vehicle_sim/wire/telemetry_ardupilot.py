@@ -1,20 +1,30 @@
 """What ArduPilot says besides, and what it says differently: from the recorded flights.
 
-Sensors and the board are in telemetry_ardupilot_sensors.py.
+Sensors that nothing here models (magnetometer, temperatures) carry the values of a vehicle at
+rest.
 """
 
 import math
-from typing import Any
+from typing import Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Report
 from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import bounded, degrees_e7
-from vehicle_sim.wire.telemetry import INT16, INT32, Builder, boot_ms, heading_cdeg
-from vehicle_sim.wire.telemetry_ardupilot_sensors import SENSOR_MESSAGES, indicated_m_s
+from vehicle_sim.wire.telemetry import (
+    INT16,
+    INT32,
+    UINT16,
+    Form,
+    attitude_rad,
+    boot_ms,
+    is_plane,
+    place_e7,
+    throttle,
+    time_us,
+)
 
-_PLANE = 1
 _GPS, _ALTITUDE, _POSITION, _AHRS = 0x20, 0x2000, 0x4000, 0x20_0000
 _LOGGING, _PREARM_CHECK = 0x100_0000, 0x1000_0000
 _COPTER_PRESENT, _COPTER_ENABLED, _COPTER_HEALTH = 0x5371_FC0F, 0x5241_9C0F, 0x4751_9C0F
@@ -31,14 +41,32 @@ _WIND_ERROR_M_S = 0.77
 """A plane's estimator sees wind where there is none: the recorded one this much, from the south."""
 _NAN = float("nan")
 _NO_CELL = 65535
+_METRES_PER_DEG = 111318.84502145034
+_GRAVITY_M_S2 = 9.80665
+_ESC_US = 5_500_000
+_FIELD_MGAUSS: Final = (232, 52, -528)
+"""The magnetic field in milligauss."""
+
+
+# --- health and battery ---------------------------------------------------------------------------
 
 
 def _masks(report: Report) -> tuple[int, int, int]:
     """What is there, wanted and well."""
     status = report.status
     gps = _GPS if report.fix.fix_type > 0 else 0
-    if report.style.vehicle_type == _PLANE:
-        return _plane_masks(report, gps)
+    prearm = _PREARM_CHECK if status.prearm_ok else 0
+    if is_plane(report):
+        present = _PLANE_PRESENT | gps
+        if status.logging:
+            return present, present, _PLANE_ARMED_HEALTH | gps
+        ahrs = _AHRS if report.time_us >= _AHRS_US - 200_000 else 0
+        calibrated = _AIRSPEED if report.time_us >= _AIRSPEED_US else 0
+        return (
+            present,
+            _PLANE_ENABLED | gps | ahrs,
+            _PLANE_HEALTH | gps | ahrs | calibrated | prearm,
+        )
     armed = bool(status.base_mode & 0x80)
     holds = status.mode in _HOLDS_ALTITUDE and (armed or status.mode not in _RETURNS)
     control = _ALTITUDE if holds else 0
@@ -46,131 +74,30 @@ def _masks(report: Report) -> tuple[int, int, int]:
         control |= _POSITION
     ahrs = _AHRS if report.time_us >= _AHRS_US else 0
     enabled = _COPTER_ENABLED | gps | control | ahrs | (_LOGGING if status.logging else 0)
-    health = _COPTER_HEALTH | gps | control | ahrs | (_PREARM_CHECK if status.prearm_ok else 0)
-    return _COPTER_PRESENT | gps, enabled, health
-
-
-def _plane_masks(report: Report, gps: int) -> tuple[int, int, int]:
-    status = report.status
-    present = _PLANE_PRESENT | gps
-    ahrs = _AHRS if report.time_us >= _AHRS_US - 200_000 else 0
-    calibrated = _AIRSPEED if report.time_us >= _AIRSPEED_US else 0
-    enabled = _PLANE_ENABLED | gps | ahrs
-    health = _PLANE_HEALTH | gps | ahrs | calibrated | (_PREARM_CHECK if status.prearm_ok else 0)
-    if status.logging:
-        enabled = present
-        health = _PLANE_ARMED_HEALTH | gps
-    return present, enabled, health
-
-
-def _sys_status(report: Report) -> Any:
-    present, enabled, health = _masks(report)
-    battery = report.battery
-    return mavlink.MAVLink_sys_status_message(
-        onboard_control_sensors_present=present,
-        onboard_control_sensors_enabled=enabled,
-        onboard_control_sensors_health=health,
-        load=0,
-        voltage_battery=bounded(battery.voltage_v * 1000.0, INT16),
-        current_battery=bounded(battery.current_a * 100.0, INT16),
-        battery_remaining=_percent(report),
-        drop_rate_comm=0,
-        errors_comm=0,
-        errors_count1=0,
-        errors_count2=0,
-        errors_count3=0,
-        errors_count4=0,
-    )
+    return _COPTER_PRESENT | gps, enabled, _COPTER_HEALTH | gps | control | ahrs | prearm
 
 
 def _percent(report: Report) -> int:
-    return math.floor(min(max(report.battery.remaining, 0.0), 1.0) * 100.0 + 1e-9)
+    return math.floor(telemetry.per_cent_left(report) + 1e-9)
 
 
-def _battery_status(report: Report) -> Any:
+def _energy_hj(report: Report) -> int:
     battery = report.battery
-    used_mah = battery.consumed_mah
-    return mavlink.MAVLink_battery_status_message(
-        id=0,
-        battery_function=0,
-        type=0,
-        temperature=INT16,
-        voltages=[bounded(battery.voltage_v * 1000.0, INT16), *[_NO_CELL] * 9],
-        current_battery=bounded(battery.current_a * 100.0, INT16),
-        current_consumed=bounded(used_mah, INT32),
-        energy_consumed=bounded(used_mah * 0.0036 * battery.voltage_v * 10.0, INT32),
-        battery_remaining=_percent(report),
-        time_remaining=0,
-        charge_state=1,
-    )
+    return bounded(battery.consumed_mah * 0.0036 * battery.voltage_v * 10.0, INT32)
 
 
-def _gps_raw(report: Report) -> Any:
-    fix = report.fix
-    known = fix.fix_type >= 1
-    course_deg = math.degrees(math.atan2(fix.velocity_east_m_s, fix.velocity_north_m_s))
-    speed_cm_s = math.hypot(fix.velocity_north_m_s, fix.velocity_east_m_s) * 100.0
-    altitude_mm = bounded(fix.altitude_amsl_m * 1e3, INT32)
-    return mavlink.MAVLink_gps_raw_int_message(
-        time_usec=fix.time_us,
-        fix_type=fix.fix_type,
-        lat=degrees_e7(fix.latitude_deg) if known else 0,
-        lon=degrees_e7(fix.longitude_deg) if known else 0,
-        alt=altitude_mm if known else 0,
-        eph=min(round(fix.horizontal_dilution * 100.0), 65535) if known else 65535,
-        epv=min(round(fix.vertical_dilution * 100.0), 65535) if known else 65535,
-        vel=bounded(speed_cm_s, 65534) if known else 0,
-        cog=round(course_deg * 100.0) % 36000 if known else 0,
-        satellites_visible=fix.satellites,
-        alt_ellipsoid=altitude_mm if known else 0,
-        h_acc=bounded(fix.horizontal_accuracy_m * 1e3, INT32),
-        v_acc=bounded(fix.vertical_accuracy_m * 1e3, INT32),
-        vel_acc=bounded(fix.speed_accuracy_m_s * 1e3, INT32),
-        hdg_acc=0,
-        yaw=0,
-    )
+# --- position and attitude ------------------------------------------------------------------------
 
 
-def _vfr_hud(report: Report) -> Any:
-    estimate, vehicle = report.estimate, report.vehicle
-    ground_m_s = math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
-    known = report.fix.fix_type > 0 or report.time_us > 10_000_000
-    return mavlink.MAVLink_vfr_hud_message(
-        airspeed=indicated_m_s(report),
-        groundspeed=ground_m_s,
-        heading=heading_cdeg(report) // 100,
-        throttle=round(min(max(vehicle.throttle, 0.0), 1.0) * 100.0),
-        alt=round(_altitude_amsl_m(report), 2) if known else 0.0,
-        climb=estimate.velocity_up_m_s,
-    )
+def _gps_solution(report: Report) -> tuple[int, ...]:
+    """Nothing is known before the receiver speaks."""
+    known = report.fix.fix_type >= 1
+    return telemetry.gps_solution(report) if known else (0, 0, 0, 0, UINT16, UINT16, 0, 0)
 
 
-def _attitude(report: Report) -> Any:
-    vehicle, estimate = report.vehicle, report.estimate
-    return mavlink.MAVLink_attitude_message(
-        time_boot_ms=boot_ms(report),
-        roll=vehicle.roll_rad,
-        pitch=vehicle.pitch_rad,
-        yaw=math.remainder(vehicle.heading_rad, math.tau),
-        rollspeed=estimate.roll_rate_rad_s,
-        pitchspeed=estimate.pitch_rate_rad_s,
-        yawspeed=estimate.yaw_rate_rad_s,
-    )
-
-
-def _attitude_quaternion(report: Report) -> Any:
-    q1, q2, q3, q4 = telemetry.quaternion(report)
+def _rates_rad_s(report: Report) -> tuple[float, float, float]:
     estimate = report.estimate
-    return mavlink.MAVLink_attitude_quaternion_message(
-        time_boot_ms=boot_ms(report),
-        q1=q1,
-        q2=q2,
-        q3=q3,
-        q4=q4,
-        rollspeed=estimate.roll_rate_rad_s,
-        pitchspeed=estimate.pitch_rate_rad_s,
-        yawspeed=estimate.yaw_rate_rad_s,
-    )
+    return estimate.roll_rate_rad_s, estimate.pitch_rate_rad_s, estimate.yaw_rate_rad_s
 
 
 def _altitude_amsl_m(report: Report) -> float:
@@ -179,226 +106,278 @@ def _altitude_amsl_m(report: Report) -> float:
     return report.estimate.altitude_amsl_m if frozen_m is None else frozen_m
 
 
-def _global_position(report: Report) -> Any:
-    estimate, home = report.estimate, report.status.home
-    above_home_m = 0.0 if home is None else estimate.altitude_amsl_m - home.altitude_amsl_m
-    return mavlink.MAVLink_global_position_int_message(
-        time_boot_ms=boot_ms(report),
-        lat=degrees_e7(estimate.latitude_deg),
-        lon=degrees_e7(estimate.longitude_deg),
-        alt=bounded(_altitude_amsl_m(report) * 1e3, INT32),
-        relative_alt=bounded(above_home_m * 1e3, INT32),
-        vx=bounded(estimate.velocity_north_m_s * 100.0, INT16),
-        vy=bounded(estimate.velocity_east_m_s * 100.0, INT16),
-        vz=bounded(-estimate.velocity_up_m_s * 100.0, INT16),
-        hdg=heading_cdeg(report),
-    )
+def _place(report: Report) -> tuple[int, int, int]:
+    return *place_e7(report.estimate), bounded(_altitude_amsl_m(report) * 1e3, INT32)
 
 
-def _time_sync(report: Report) -> Any:
-    """ArduPilot asks every ten seconds; the last digit tells its questions from others."""
-    return mavlink.MAVLink_timesync_message(tc1=0, ts1=report.time_us * 1000 + 1)
+def _shown_altitude_m(report: Report) -> float:
+    known = report.fix.fix_type > 0 or report.time_us > 10_000_000
+    return round(_altitude_amsl_m(report), 2) if known else 0.0
 
 
-def _ekf_status(report: Report) -> Any:
-    estimate = report.estimate
-    plane = report.style.vehicle_type == _PLANE and report.status.logging
-    return mavlink.MAVLink_ekf_status_report_message(
-        flags=estimate.flags,
-        velocity_variance=estimate.velocity_variance,
-        pos_horiz_variance=estimate.horizontal_variance,
-        pos_vert_variance=estimate.vertical_variance,
-        compass_variance=estimate.compass_variance,
-        terrain_alt_variance=0.0,
-        airspeed_variance=2.0 * estimate.compass_variance if plane else 0.0,
-    )
+def _airspeed_variance(report: Report) -> float:
+    flies = is_plane(report) and report.status.logging
+    return 2.0 * report.estimate.compass_variance if flies else 0.0
 
 
-def _home_position(report: Report) -> Any | None:
-    """No attitude of the surface is known; x, y, z in the estimator's frame."""
+def _home_ned_m(report: Report) -> tuple[float, float, float]:
+    """In the estimator's frame."""
     home, origin = report.status.home, report.status.origin
-    if home is None:
-        return None
-    x, y, z = _NAN, _NAN, _NAN
-    if origin is not None:
-        north_deg = home.latitude_deg - origin.latitude_deg
-        east_deg = home.longitude_deg - origin.longitude_deg
-        x = north_deg * 111318.84502145034
-        y = east_deg * 111318.84502145034 * math.cos(math.radians(origin.latitude_deg))
-        z = origin.altitude_amsl_m - home.altitude_amsl_m
-    return mavlink.MAVLink_home_position_message(
-        latitude=degrees_e7(home.latitude_deg),
-        longitude=degrees_e7(home.longitude_deg),
-        altitude=bounded(home.altitude_amsl_m * 1e3, INT32),
-        x=x,
-        y=y,
-        z=z,
-        q=[_NAN] * 4,
-        approach_x=0.0,
-        approach_y=0.0,
-        approach_z=0.0,
-        time_usec=report.time_us,
+    if home is None or origin is None:
+        return _NAN, _NAN, _NAN
+    north_deg = home.latitude_deg - origin.latitude_deg
+    east_deg = home.longitude_deg - origin.longitude_deg
+    return (
+        north_deg * _METRES_PER_DEG,
+        east_deg * _METRES_PER_DEG * math.cos(math.radians(origin.latitude_deg)),
+        origin.altitude_amsl_m - home.altitude_amsl_m,
     )
 
 
-def _extended_sys_state(report: Report) -> Any:
-    plane = report.style.vehicle_type == _PLANE
-    return mavlink.MAVLink_extended_sys_state_message(
-        vtol_state=0 if plane else mavlink.MAV_VTOL_STATE_MC,
-        landed_state=report.status.landed_state,
-    )
+def _waypoint(report: Report) -> tuple[float, ...] | None:
+    waypoint = report.status.waypoint
+    return waypoint and (*place_e7(waypoint.place), waypoint.place.altitude_amsl_m)
 
 
-def _autopilot_version(report: Report) -> Any:
-    style, nothing = report.style, [0] * 8
-    unique = report.hardware_id.to_bytes(8, "little", signed=False)
-    return mavlink.MAVLink_autopilot_version_message(
-        capabilities=style.capabilities,
-        flight_sw_version=style.software_version,
-        middleware_sw_version=0,
-        os_sw_version=0,
-        board_version=0,
-        flight_custom_version=list(style.custom_version),
-        middleware_custom_version=nothing,
-        os_custom_version=nothing,
-        vendor_id=0,
-        product_id=0,
-        uid=0,
-        uid2=[*unique, *[0] * 10],
-    )
-
-
-# --- where it flies to ----------------------------------------------------------------------------
-
-
-def _position_target_global(report: Report) -> Any | None:
+def _navigation(report: Report) -> tuple[float, ...] | None:
+    """Bearing twice, distance, errors of height and airspeed, distance from the track."""
     waypoint = report.status.waypoint
     if waypoint is None:
-        return None
-    return mavlink.MAVLink_position_target_global_int_message(
-        time_boot_ms=boot_ms(report),
-        coordinate_frame=mavlink.MAV_FRAME_GLOBAL,
-        type_mask=_TARGET_MASK_GLOBAL,
-        lat_int=degrees_e7(waypoint.place.latitude_deg),
-        lon_int=degrees_e7(waypoint.place.longitude_deg),
-        alt=waypoint.place.altitude_amsl_m,
-        vx=0.0,
-        vy=0.0,
-        vz=0.0,
-        afx=0.0,
-        afy=0.0,
-        afz=0.0,
-        yaw=0.0,
-        yaw_rate=0.0,
+        return None if is_plane(report) else (0, 0, 0, 0.0, 0.0, 0.0)
+    bearing_deg = round(math.degrees(math.remainder(waypoint.bearing_rad, math.tau)))
+    return (
+        *(bearing_deg, bearing_deg, bounded(waypoint.distance_m, UINT16)),
+        *(waypoint.altitude_error_m, waypoint.airspeed_error_m_s * 100.0, waypoint.cross_track_m),
     )
 
 
-def _nav_controller(report: Report) -> Any | None:
-    waypoint, vehicle = report.status.waypoint, report.vehicle
-    bearing_deg, distance_m, up_m, cross_m = 0.0, 0.0, 0.0, 0.0
-    slow_m_s = 0.0
-    if waypoint is not None:
-        slow_m_s = waypoint.airspeed_error_m_s
-        bearing_deg = math.degrees(math.remainder(waypoint.bearing_rad, math.tau))
-        distance_m, up_m = waypoint.distance_m, waypoint.altitude_error_m
-        cross_m = waypoint.cross_track_m
-    elif report.style.vehicle_type == _PLANE:
-        return None
-    return mavlink.MAVLink_nav_controller_output_message(
-        nav_roll=math.degrees(vehicle.roll_rad),
-        nav_pitch=math.degrees(vehicle.pitch_rad),
-        nav_bearing=round(bearing_deg),
-        target_bearing=round(bearing_deg),
-        wp_dist=bounded(distance_m, 65535),
-        alt_error=up_m,
-        aspd_error=slow_m_s * 100.0,
-        xtrack_error=cross_m,
-    )
-
-
-def _mission_current(report: Report) -> Any:
-    status = report.status
-    return mavlink.MAVLink_mission_current_message(
-        seq=status.mission_current,
-        total=status.mission_total,
-        mission_state=status.mission_state,
-        mission_mode=0,
-    )
-
-
-def _fence_status(report: Report) -> Any | None:
+def _fence(report: Report) -> tuple[int, int, int, int] | None:
     status = report.status
     if not status.fence_present:
         return None
-    return mavlink.MAVLink_fence_status_message(
-        breach_status=int(status.fence_breached),
-        breach_count=status.fence_breaches,
-        breach_type=status.fence_breach_type,
-        breach_time=status.fence_breach_ms,
-        breach_mitigation=0,
+    return (
+        *(int(status.fence_breached), status.fence_breaches),
+        *(status.fence_breach_type, status.fence_breach_ms),
     )
 
 
-def _wind(report: Report) -> Any:
+def _wind(report: Report) -> tuple[float, float]:
     """The air as the estimator has it: what it does, as a direction that it comes from."""
     vehicle = report.vehicle
     north, east = vehicle.wind_north_m_s, vehicle.wind_east_m_s
-    if report.style.vehicle_type == _PLANE and report.status.logging:
+    if is_plane(report) and report.status.logging:
         north += _WIND_ERROR_M_S + report.estimate.velocity_variance
         east -= report.estimate.compass_variance
-    return mavlink.MAVLink_wind_message(
-        direction=math.degrees(math.atan2(-east, -north)) if north or east else -180.0,
-        speed=math.hypot(north, east),
-        speed_z=-vehicle.wind_up_m_s,
-    )
+    direction_deg = math.degrees(math.atan2(-east, -north)) if north or east else -180.0
+    return direction_deg, math.hypot(north, east)
 
 
-def _terrain_report(report: Report) -> Any:
-    """It has no terrain data and waits for some."""
-    estimate, known = report.estimate, report.status.origin is not None
-    return mavlink.MAVLink_terrain_report_message(
-        lat=degrees_e7(estimate.latitude_deg) if known else 0,
-        lon=degrees_e7(estimate.longitude_deg) if known else 0,
-        spacing=0 if known else 100,
-        terrain_height=0.0,
-        current_height=0.0,
-        pending=56,
-        loaded=0,
-    )
-
-
-def _terrain_request(report: Report) -> Any:
-    """It asks for the grid about home, which it remembers, until somebody answers."""
+def _terrain_wanted(report: Report) -> tuple[int, int]:
+    """The grid about home, which it remembers."""
     home = report.status.home or report.vehicle
-    return mavlink.MAVLink_terrain_request_message(
-        lat=degrees_e7(home.latitude_deg - 0.0115),
-        lon=degrees_e7(home.longitude_deg - 0.0104),
-        grid_spacing=100,
-        mask=(1 << 56) - 1,
-    )
+    return degrees_e7(home.latitude_deg - 0.0115), degrees_e7(home.longitude_deg - 0.0104)
 
 
-MESSAGES: dict[int, Builder] = {
-    **telemetry.MESSAGES,
-    **SENSOR_MESSAGES,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: _sys_status,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude_quaternion,
-    mavlink.MAVLINK_MSG_ID_TIMESYNC: _time_sync,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: _battery_status,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_raw,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: _vfr_hud,
-    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: _ekf_status,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home_position,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _extended_sys_state,
-    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _autopilot_version,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: _position_target_global,
-    mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: _nav_controller,
-    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: _mission_current,
-    mavlink.MAVLINK_MSG_ID_FENCE_STATUS: _fence_status,
-    mavlink.MAVLINK_MSG_ID_WIND: _wind,
-    mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT: _terrain_report,
-    mavlink.MAVLINK_MSG_ID_TERRAIN_REQUEST: _terrain_request,
+# --- sensors and the board ------------------------------------------------------------------------
+
+
+def _indicated_m_s(report: Report) -> float:
+    """A plane says its indicated airspeed."""
+    airspeed_m_s = report.status.airspeed_m_s
+    return report.vehicle.airspeed_m_s if airspeed_m_s is None else airspeed_m_s
+
+
+def _dynamic_pressure(report: Report, factor: float) -> float | None:
+    """Of planes."""
+    airspeed = _indicated_m_s(report)
+    return factor * airspeed * airspeed if is_plane(report) else None
+
+
+def _specific_force(report: Report) -> tuple[float, float, float]:
+    """What accelerometers measure at rest at this attitude: forward, right, down in m/s2."""
+    vehicle = report.vehicle
+    lift = _GRAVITY_M_S2 + vehicle.acceleration_up_m_s2
+    return 0.0, 0.0, -lift / max(math.cos(vehicle.roll_rad) * math.cos(vehicle.pitch_rad), 0.1)
+
+
+def _milli_g(report: Report) -> tuple[int, ...]:
+    scale = 1000.0 / _GRAVITY_M_S2
+    return tuple(bounded(each * scale, INT16) for each in _specific_force(report))
+
+
+def _pressure_hpa(report: Report) -> float:
+    """International standard atmosphere at the estimated height."""
+    return 1013.25 * (1.0 - 2.25577e-5 * min(report.estimate.altitude_amsl_m, 4e4)) ** 5.25588
+
+
+def _servos(report: Report) -> list[int]:
+    turning = round(1000.0 + 1000.0 * throttle(report))
+    if not is_plane(report):
+        return [turning] * 4
+    return [1500, 1500, turning, 1500] if report.status.base_mode & 0x80 else [0] * 4
+
+
+def _motors(report: Report) -> tuple[bytes, list[int], list[int], list[int], list[int], list[int]]:
+    """Temperatures, voltages, currents, charges, speeds and counters.
+
+    One motor of a plane, on the third output; four of a copter.
+    """
+    turning = round(7000.0 * throttle(report))
+    used = (0, 0, 1, 0) if is_plane(report) else (1, 1, 1, 1)
+    count = max(report.time_us - _ESC_US, 0) // 20_000 & 0xFFFF
+    _, *others = ([n * u for u in used] for n in (0, 1679, 80, 1, turning, count))
+    voltage, current, total, rpm, counts = others
+    return bytes(32 * u for u in used), voltage, current, total, rpm, counts
+
+
+_IMU: Final[Form] = {
+    "time_boot_ms": boot_ms,
+    "xacc yacc zacc": _milli_g,
+    "xmag ymag zmag": _FIELD_MGAUSS,
+    "temperature": 2512,
 }
+_RATES: Final[Form] = {"rollspeed pitchspeed yawspeed": _rates_rad_s}
+
+MESSAGES: Final = telemetry.builders(
+    {
+        **telemetry.COMMON,
+        "SYS_STATUS": {
+            "onboard_control_sensors_present onboard_control_sensors_enabled "
+            "onboard_control_sensors_health": _masks,
+            "voltage_battery": lambda r: bounded(r.battery.voltage_v * 1000.0, INT16),
+            "current_battery": lambda r: bounded(r.battery.current_a * 100.0, INT16),
+            "battery_remaining": _percent,
+        },
+        "ATTITUDE": {**telemetry.ATTITUDE, **_RATES},
+        "ATTITUDE_QUATERNION": {**telemetry.ATTITUDE_QUATERNION, **_RATES},
+        # its question, every ten seconds: the last digit tells it from those of others
+        "TIMESYNC": {"ts1": lambda r: r.time_us * 1000 + 1},
+        "GLOBAL_POSITION_INT": {**telemetry.GLOBAL_POSITION_INT, "lat lon alt": _place},
+        "BATTERY_STATUS": {
+            "temperature": INT16,
+            "voltages": lambda r: [bounded(r.battery.voltage_v * 1000.0, INT16), *[_NO_CELL] * 9],
+            "current_battery": lambda r: bounded(r.battery.current_a * 100.0, INT16),
+            "current_consumed": lambda r: bounded(r.battery.consumed_mah, INT32),
+            "energy_consumed": _energy_hj,
+            "battery_remaining": _percent,
+            "charge_state": 1,
+        },
+        "GPS_RAW_INT": {**telemetry.GPS_RAW_INT, telemetry.GPS_FIELDS: _gps_solution},
+        "VFR_HUD": {**telemetry.VFR_HUD, "airspeed": _indicated_m_s, "alt": _shown_altitude_m},
+        "EKF_STATUS_REPORT": {
+            "flags": lambda r: r.estimate.flags,
+            "velocity_variance": lambda r: r.estimate.velocity_variance,
+            "pos_horiz_variance": lambda r: r.estimate.horizontal_variance,
+            "pos_vert_variance": lambda r: r.estimate.vertical_variance,
+            "compass_variance": lambda r: r.estimate.compass_variance,
+            "airspeed_variance": _airspeed_variance,
+        },
+        # no attitude of the surface is known
+        "HOME_POSITION": {**telemetry.HOME_POSITION, "x y z": _home_ned_m, "q": [_NAN] * 4},
+        "EXTENDED_SYS_STATE": {
+            "vtol_state": lambda r: 0 if is_plane(r) else mavlink.MAV_VTOL_STATE_MC,
+            "landed_state": lambda r: r.status.landed_state,
+        },
+        "AUTOPILOT_VERSION": {
+            "capabilities": lambda r: r.style.capabilities,
+            "flight_sw_version": lambda r: r.style.software_version,
+            "flight_custom_version": lambda r: list(r.style.custom_version),
+            "uid2": lambda r: [*r.hardware_id.to_bytes(8, "little"), *[0] * 10],
+        },
+        "POSITION_TARGET_GLOBAL_INT": {
+            "time_boot_ms": boot_ms,
+            "coordinate_frame": mavlink.MAV_FRAME_GLOBAL,
+            "type_mask": _TARGET_MASK_GLOBAL,
+            "lat_int lon_int alt": _waypoint,
+        },
+        "NAV_CONTROLLER_OUTPUT": {
+            "nav_roll": lambda r: math.degrees(r.vehicle.roll_rad),
+            "nav_pitch": lambda r: math.degrees(r.vehicle.pitch_rad),
+            "nav_bearing target_bearing wp_dist alt_error aspd_error xtrack_error": _navigation,
+        },
+        "MISSION_CURRENT": telemetry.MISSION_CURRENT,
+        "FENCE_STATUS": {"breach_status breach_count breach_type breach_time": _fence},
+        "WIND": {"direction speed": _wind, "speed_z": lambda r: -r.vehicle.wind_up_m_s},
+        # it has no terrain data, and asks for some until somebody answers
+        "TERRAIN_REPORT": {
+            "lat lon": lambda r: place_e7(r.estimate) if r.status.origin else (0, 0),
+            "spacing": lambda r: 0 if r.status.origin else 100,
+            "pending": 56,
+        },
+        "TERRAIN_REQUEST": {
+            "lat lon": _terrain_wanted,
+            "grid_spacing": 100,
+            "mask": (1 << 56) - 1,
+        },
+        "RAW_IMU": {
+            "time_usec": time_us,
+            **{key: value for key, value in _IMU.items() if key != "time_boot_ms"},
+        },
+        "SCALED_IMU": _IMU,
+        "SCALED_IMU2": _IMU,
+        "SCALED_IMU3": {"time_boot_ms": boot_ms, "xmag ymag zmag": _FIELD_MGAUSS},
+        "SCALED_PRESSURE": {
+            "time_boot_ms": boot_ms,
+            "press_abs": _pressure_hpa,
+            "press_diff": lambda r: _dynamic_pressure(r, 0.005) or 0.0,
+            "temperature": 2540,
+        },
+        "SCALED_PRESSURE2": {
+            "time_boot_ms": boot_ms,
+            "press_abs": lambda r: _pressure_hpa(r) - 0.012,
+            "temperature": 2540,
+        },
+        # SITL's: sticks centred, throttle down
+        "RC_CHANNELS": {
+            "time_boot_ms": boot_ms,
+            "chancount": 8,
+            "chan1_raw chan2_raw chan3_raw chan4_raw": (1500, 1500, 1000, 1500),
+            "chan5_raw chan6_raw chan7_raw chan8_raw": (1800, 1000, 1000, 1800),
+            "rssi": 255,
+        },
+        "SERVO_OUTPUT_RAW": {
+            "time_usec": lambda r: r.time_us & 0xFFFFFFFF,
+            "servo1_raw servo2_raw servo3_raw servo4_raw": _servos,
+        },
+        "POWER_STATUS": {"Vcc": 5000},
+        "MEMINFO": {"freemem": 65535, "freemem32": 524288},
+        "HWSTATUS": {"Vcc": 5000},
+        "MCU_STATUS": {
+            "MCU_temperature": 2500,
+            "MCU_voltage MCU_voltage_min MCU_voltage_max": (3300, 3300, 3300),
+        },
+        "AHRS": {},
+        "AHRS2": {
+            "roll pitch yaw": attitude_rad,
+            "altitude": lambda r: r.estimate.altitude_amsl_m,
+            "lat lng": lambda r: place_e7(r.estimate),
+        },
+        # the truth: SITL says it too
+        "SIMSTATE": {
+            "roll pitch yaw": attitude_rad,
+            "xacc yacc zacc": _specific_force,
+            "lat lng": lambda r: place_e7(r.vehicle),
+        },
+        "VIBRATION": {
+            "time_usec": time_us,
+            "vibration_x vibration_y vibration_z": (0.02, 0.02, 0.02),
+        },
+        "AIRSPEED": {
+            "airspeed": _indicated_m_s,
+            "temperature": INT16,
+            "raw_press": lambda r: _dynamic_pressure(r, 0.5),
+            "flags": 2,
+        },
+        "AOA_SSA": {"time_usec": lambda r: r.time_us if is_plane(r) else None},
+        "ESC_TELEMETRY_1_TO_4": {
+            "temperature voltage current totalcurrent rpm count": lambda r: (
+                None if r.time_us < _ESC_US else _motors(r)
+            ),
+        },
+        "AVAILABLE_MODES": {
+            "number_modes mode_index": (1, 1),
+            "custom_mode": lambda r: r.status.mode,
+        },
+    }
+)
 """What can be said, by message number; None while there is nothing to say."""

@@ -1,11 +1,9 @@
 """Each recorded flight, flown by the simulator: at least 95 % agree, the others have reasons."""
 
-import fnmatch
 from collections.abc import Callable
 
 from vehicle_sim.conformance.compare import compare
 from vehicle_sim.conformance.flights import flight_of
-from vehicle_sim.conformance.known import REASONS
 from vehicle_sim.conformance.log import Recording
 from vehicle_sim.conformance.messages import Side
 from vehicle_sim.conformance.report import Summary
@@ -23,7 +21,6 @@ def test_the_simulated_autopilot_is_like_the_recorded_one(recorded: Recorded, na
     assert unexplained == []
     summary = Summary.of(rows)
     assert summary.share >= LEAST_SHARE, summary
-    needed = [reason for reason in REASONS if fnmatch.fnmatchcase(name, reason.recordings)]
     disagreeing = [row for row in rows if not row.agrees]
-    stale = [r for r in needed if not any(r.explains(name, row) for row in disagreeing)]
+    stale = [r for r in flight.reasons if not any(row.is_explained_by(r) for row in disagreeing)]
     assert stale == []

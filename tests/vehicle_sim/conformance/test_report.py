@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from vehicle_sim.conformance.known import REASONS
+from vehicle_sim.conformance.flights import Reason, flight_of
 from vehicle_sim.conformance.log import Recording
-from vehicle_sim.conformance.reasons import Reason
 from vehicle_sim.conformance.report import (
     Summary,
     as_json,
@@ -78,24 +77,31 @@ def test_the_file_has_every_row_and_is_plain_json(recorded: Recorded) -> None:
 
 
 @pytest.mark.parametrize(
-    ("reason", "explains"),
+    ("kind", "names", "shown", "most", "explains"),
     [
-        (Reason(recordings="px4-*", kind="text", names="known", why=""), True),
-        (Reason(recordings="px4-x", kind="text", names="known", why=""), False),
-        (Reason(recordings="px4-*", kind="mode", names="known", why=""), False),
-        (Reason(recordings="px4-*", kind="text", names="know", why=""), False),
-        (Reason(recordings="px4-*", kind="text", names="known", shown="3", why=""), False),
+        ("text", "known", ".*", math.inf, True),
+        ("mode", "known", ".*", math.inf, False),
+        ("text", "know", ".*", math.inf, False),
+        ("text", "known", "3", math.inf, False),
+        ("text", "known", ".*", 9.0, False),
     ],
 )
-def test_a_reason_must_match_as_a_whole(reason: Reason, explains: bool) -> None:
-    assert reason.explains("px4-short", ROWS[2]) is explains
+def test_a_reason_must_match_as_a_whole(
+    kind: str, names: str, shown: str, most: float, explains: bool
+) -> None:
+    reason = Reason(recordings="*", kind=kind, names=names, shown=shown, most=most, why="")
+    assert ROWS[2].is_explained_by(reason) is explains
 
 
-def test_reasons_are_narrow_and_say_something() -> None:
-    for reason in REASONS:
+def test_reasons_are_narrow_say_something_and_belong_to_their_recordings(
+    recorded: Recorded, name: str
+) -> None:
+    reasons = flight_of(recorded(name)).reasons
+    assert reasons
+    for reason in reasons:
         assert len(reason.why) > 20
         assert not (reason.names == ".*" and reason.shown == ".*")
-        assert reason.recordings != "*"
+        assert reason.recordings in (name, "*.tlog")
 
 
 def test_the_page_gets_its_tables_and_keeps_the_rest(recorded: Recorded) -> None:
