@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-from companion.mavlink.inbox import VEHICLE
-from companion.mavlink.outbox import Input, Output
+from companion.mavlink.link import VEHICLE, Input, Output
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace

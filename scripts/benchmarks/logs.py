@@ -41,7 +41,7 @@ print(json.dumps({
 """
 DECODES = READS.replace(
     "count = sum(1 for _ in log.records())",
-    "from companion.mavlink.receiver import Receiver\n"
+    "from companion.mavlink.frames import Receiver\n"
     "receiver = Receiver()\n"
     "count = sum(len(receiver.feed(each.frame)) for each in log.records())",
 )
