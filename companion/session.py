@@ -68,6 +68,8 @@ _ROUTINE: Final = (
     events.GpsFix,
     events.Estimator,
     events.Battery,
+    events.LandedState,
+    events.VehicleStatus,
 )
 """Events that come all the time: no entry is made of them, and housekeeping can wait."""
 
@@ -548,11 +550,11 @@ class Session:
 
     def _handle(self, event: events.Event) -> None:
         before = self.state
+        if isinstance(event, events.VehicleStatus):
+            self._mode = event.mode
         self.state, commands = machine.step(before, event, self.context)
         if type(event) not in _ROUTINE:
             self._due_s = -math.inf
-            if isinstance(event, events.VehicleStatus):
-                self._mode = event.mode
             if (noted := entries.of_event(event, self.state)) is not None:
                 self._note(**noted)
         after = self.state
@@ -561,6 +563,7 @@ class Session:
             or after.reason is not before.reason
             or after.flight.legs_flown != before.flight.legs_flown
             or after.targets_ne_m is not before.targets_ne_m
+            or after.airborne is not before.airborne
         ):
             self._due_s = -math.inf
             for moved in entries.of_change(before, after):
