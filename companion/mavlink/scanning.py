@@ -51,7 +51,7 @@ class Scanning:
         self._download = self._done = None
 
     def on_message(self, message: Message, here_nea_m: Vector | None) -> None:
-        """A message of the radar."""
+        """One of `MESSAGES`."""
         if here_nea_m is not None and self._download is not None:
             self._download.on_message(message, here_nea_m)
 

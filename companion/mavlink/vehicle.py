@@ -87,11 +87,6 @@ class VehicleSide:
         self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
         self.is_news = True
         """Whether something was read since the parameters and lists were last looked at."""
-        self._clients: dict[int, ParameterClient | PlanClient] = {
-            **dict.fromkeys(parameter_client.MESSAGES, self.parameters),
-            **dict.fromkeys(plan_client.MESSAGES, self.plans),
-        }
-        """Whose the messages are that answer a question of ours."""
         self.findings: list[Finding] = []
         """Of the parameters, as they were judged last."""
         self.origin_nea_m: Vector | None = None
@@ -181,7 +176,12 @@ class VehicleSide:
         number, count = message.get_msgId(), self.streams.count
         count[number] = count.get(number, 0) + 1
         self.parameters.heard_s = now_s
-        if (client := self._clients.get(number)) is None:
+        client: ParameterClient | PlanClient | None = None
+        if number in parameter_client.MESSAGES:
+            client = self.parameters
+        elif number in plan_client.MESSAGES:
+            client = self.plans
+        if client is None:
             return []
         self.is_news = True
         return client.on_message(message, now_s)
