@@ -445,7 +445,7 @@ def _exit_as_it_ended(flown: Flown, connect: str) -> None:
 
 def _not_heard(session: Session, connect: str) -> tuple[str, str]:
     """Why there is no vehicle, and what to do about it."""
-    others, wanted = sorted(session.latch.others), session.mission.system_id
+    others, wanted = sorted(session.selector.others), session.mission.system_id
     names = ", ".join(str(system) for system in others)
     if not others:
         reason = f"--connect = {connect!r}: no vehicle was heard within 10 s"

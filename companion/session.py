@@ -13,26 +13,32 @@ event at the first position at or after request + T, never earlier; in lockstep 
 that position until the plan is delivered (Output.awaits_plan), otherwise the plan is late.
 """
 
+import enum
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any, final
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final, final
 
 from companion.mavlink.autopilots import described
 from companion.mavlink.citizen import SERVED, Citizen
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.mavlink.inbox import VEHICLE, Inbox
-from companion.mavlink.latch import Latch
-from companion.mavlink.needless import Unread
-from companion.mavlink.outbox import Outbox, Output
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
+from companion.mavlink.link import (
+    MERE_CLOCKS,
+    VEHICLE,
+    Inbox,
+    Incoming,
+    Outbox,
+    Output,
+    Reading,
+    VehicleClock,
+    VehicleSelector,
+)
 from companion.mavlink.preflight import Preflight
 from companion.mavlink.presence import heartbeat
+from companion.mavlink.scanning import MESSAGES as TERRAIN
 from companion.mavlink.scanning import Scanning
 from companion.mavlink.signing import Signing
 from companion.mavlink.statustext import StatusTexts, last_words, severity_of
-from companion.mavlink.time_answers import TimeAnswers
 from companion.mavlink.vehicle import Told, VehicleSide
-from companion.mavlink.vehicle_clock import MERE_CLOCKS, Reading, VehicleClock
-from companion.mavlink.vehicle_clock import MESSAGES as CLOCKS
 from companion.mission import changes, checkpoint, entries, events, machine
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, is_led
 from companion.mission.events import End, Mode, SetMode, Vector
@@ -44,10 +50,35 @@ from companion.mission.state import Phase
 from companion.planner import outcomes
 from companion.planner.request import PlanOutcome
 
-_TIMED = frozenset({*CLOCKS, "TIMESYNC", "HEARTBEAT"})
+_HEARTBEAT: Final = wire.MAVLINK_MSG_ID_HEARTBEAT
+_POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+_TIMESYNC: Final = wire.MAVLINK_MSG_ID_TIMESYNC
+_LOCKSTEP = 50  # TIMESYNC in 10 s, of a simulator that waits; an autopilot's own come every 10 s
+_EARLY_S = 10.0
+_ROUNDING_S = 1e-6  # a deadline that is looked at too early costs nothing
 _MODE_AGAIN_S = 1.0
 _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
+
+
+_ROUTINE: Final = (
+    events.Position,
+    events.Tick,
+    events.Echo,
+    events.GpsFix,
+    events.Estimator,
+    events.Battery,
+    events.LandedState,
+    events.VehicleStatus,
+)
+"""Events that come all the time: no entry is made of them, and housekeeping can wait."""
+
+
+class Role(enum.Enum):
+    """Who of our vehicle speaks."""
+
+    AUTOPILOT = "its autopilot"
+    RADAR = "its terrain radar"
 
 
 @final
@@ -83,25 +114,34 @@ class Session:
         self.signing = signing
         self._lockstep, self._version = lockstep, version
         before = None if resume is None else resume[0].get("system_id")
-        self.latch = Latch(mission.system_id or before)
+        self.selector = VehicleSelector(mission.system_id or before)
         """Which of those that are heard is the vehicle."""
-        self._outbox = Outbox(self.latch.system_id, signing, has_ground=has_ground)
+        self._outbox = Outbox(self.selector.system_id, signing, has_ground=has_ground)
+        self._out = self._outbox.out
         self._texts = StatusTexts()
         self._scanning = Scanning(mission)
         self._preflight = Preflight()
         self._citizen: Citizen | None = None
-        self._out = Output()
-        self._times = TimeAnswers()
+        self._time_asked = 0
         self._plan = PendingPlan()
         self._keeper = checkpoint.Keeper()
         self._end: End | None = None
         self._confirming: SetMode | None = None
         self._mode: Mode | None = None
         self._mode_asked_at_s = self._kept_house_s = -math.inf
+        self._due_s = -math.inf
+        """When there is something to do in `_housekeeping`, at the latest; -inf: at once."""
+        self._due_at_s = math.inf
+        """The same by the clock of the outside."""
+        self._roles = {
+            mission.scanner_component_id: Role.RADAR,
+            AUTOPILOT_COMPONENT: Role.AUTOPILOT,
+        }
+        """Of the components of our vehicle."""
         self._silence_told_s = 0.0
         self._at_s: float | None = None
         start = Start.of(self.context, resume, version=version, has_ground=has_ground)
-        self._told("start", start.values())
+        self._out.inputs.append(("start", start.values()))
         if resume is not None:
             self._note("resumed", **checkpoint.told(resume[0]))
 
@@ -122,24 +162,25 @@ class Session:
         if self.signing is not None and at_s is not None:
             self.signing.on_time(at_s)
         messages = self._inbox.feed(data, at_s, link)
-        frames = b"".join(bytes(each.get_msgbuf()) for each in messages)
-        self._told("receive", frames, at_s, *([] if link == VEHICLE else [link]))
+        frames = b"".join([each.frame for each in messages])
+        which = ("receive", frames, at_s) if link == VEHICLE else ("receive", frames, at_s, link)
+        self._out.inputs.append(which)
         if self.signing is not None and (complaint := self.signing.complaint(self.now_s)):
             self.complain(complaint)
         if link != VEHICLE:
             return bool(messages)
-        if heard := any(map(self.latch.is_ours, messages)):
+        if heard := any(map(self.selector.is_ours, messages)):
             self._silence_told_s = 0.0
         return heard
 
     def deliver(self, outcome: PlanOutcome) -> None:
         """The answer to the last plan request."""
-        self._told("deliver", outcomes.values_of(outcome))
+        self._out.inputs.append(("deliver", outcomes.values_of(outcome)))
         self._plan.deliver(outcome, self.now_s)
 
     def part_died(self, part: str, error: str) -> None:
         """The planner raised instead of answering, or another part of the runtime has died."""
-        self._told("part_died", part, error)
+        self._out.inputs.append(("part_died", part, error))
         died = events.PlannerDied(time_s=self.now_s, error=f"{part}: {error}" if part else error)
         if part == "planner" and self._lockstep:
             self._plan.deliver(died, self.now_s)
@@ -148,22 +189,22 @@ class Session:
 
     def recording_stopped(self, why: str) -> None:
         """The disk has failed: the flight goes on, and people are told."""
-        self._told("recording_stopped", why)
+        self._out.inputs.append(("recording_stopped", why))
         self._say(f"not recorded any more: {why}", warning=True)
 
     def stop(self) -> None:
         """A person wants the mission to end."""
-        self._told("stop")
+        self._out.inputs.append(("stop",))
         self._handle(events.StopAsked(time_s=self.now_s))
 
     def complain(self, text: str) -> None:
         """Frames were refused: they are not among what was received."""
-        self._told("complain", text)
+        self._out.inputs.append(("complain", text))
         self._say(text, warning=True)
 
     def silence(self, silent_s: float) -> None:
         """The autopilot was not heard for so long; called again and again while it lasts."""
-        self._told("silence", silent_s)
+        self._out.inputs.append(("silence", silent_s))
         more_s = max(silent_s - self._silence_told_s, 0.0)
         waiting = self.state.phase is Phase.WAITING
         for limit in (_NO_VEHICLE_S,) if waiting else (_SILENT_S, GONE_S, GONE_IN_AIR_S):
@@ -177,27 +218,32 @@ class Session:
     def run(self) -> Output:
         """Handle what was received, as far as it goes."""
         if self._out.inputs:  # else it changes nothing
-            self._told("run")
-        if dropped := self._inbox.dropped():
+            self._out.inputs.append(("run",))
+        if dropped := self._inbox.dropped:
+            self._inbox.dropped = 0
             self._note("messages dropped", count=dropped)
-        while (heard := self._inbox.first()) is not None:
-            if heard.link == VEHICLE and self._must_wait_for_plan(heard.message):
+        waiting = self._inbox.waiting
+        while waiting:
+            if self._plan.due_s < math.inf and self._must_wait_for_plan(waiting[0]):
                 self._out.awaits_plan = True
                 break
-            self._on_message(*self._inbox.take())
-        self._keep()
+            self._on_message(waiting.popleft())
+        since_s, keeper = self.clock.now_s - self._keeper.kept_at_s, self._keeper
+        if not 0.0 <= since_s < checkpoint.PERIOD_S or self.state.flight.known is not keeper.known:
+            self._keep()
         return self.taken()
 
     def taken(self) -> Output:
         """What the outside is to do now; after an error, what had come of it until then."""
-        out, self._out = self._out, Output()
-        self._outbox.take_into(out)
-        out.end, out.settled = self._end, self._settled()
+        out = self._out
+        self._out = self._outbox.out = Output()
+        if self._end is not None:
+            out.end, out.settled = self._end, self._settled()
         return out
 
     def farewell(self) -> Output:
         """The last frames of a companion that ends; a vehicle that flies for us is told to hold."""
-        self._told("farewell")
+        self._out.inputs.append(("farewell",))
         self._send_all(self._holding())
         if self._end is None:
             self._tell_all(self._texts.last("ended: the companion was stopped"))
@@ -226,73 +272,120 @@ class Session:
 
     # --- messages
 
-    def _on_message(self, message: Message, at_s: float | None, link: int) -> None:
-        """Over a link to ground stations what is asked of us counts, and no word of a vehicle."""
-        kind, needed = message.get_type(), not isinstance(message, Unread)
-        if needed and link == VEHICLE:
-            if kind in MERE_CLOCKS and self.latch.is_ours(message):
-                needed = self.clock.is_told_by(message)
-            if needed:
-                self._read_time(message, kind)
-        if (namesake := self._outbox.note_received(message, self.now_s)) is not None:
-            self._handle(namesake)
-        if not needed:
-            return
-        if kind in SERVED:
-            self._serve(message, link)
-        if link == VEHICLE and message.get_srcSystem() == self.latch.system_id:
-            component = message.get_srcComponent()
-            if component == AUTOPILOT_COMPONENT:
-                self._from_autopilot(message, kind, at_s)
-            elif component == self.mission.scanner_component_id:
-                self._scanning.on_message(message, self.state.vehicle.position_nea_m)
-                self._scan_on()
+    def _on_message(self, heard: Incoming) -> None:
+        """What time it is, whether another companion speaks, and what the message means.
 
-    def _read_time(self, message: Message, kind: str) -> None:
-        """Whose it is, and how late."""
-        if kind == "HEARTBEAT" and self.latch.on_message(message):
-            assert self.latch.system_id is not None
-            self._outbox.speak_as(self.latch.system_id)
-        elif name := self.latch.ambiguity:
+        Over a link to ground stations what is asked of us counts, and no word of a vehicle.
+        """
+        number, role, is_read = heard.number, None, heard.message is not None
+        if heard.link == VEHICLE and is_read:
+            if number == _HEARTBEAT or self.selector.system_id is None:
+                self._select(heard)
+            if heard.system == self.selector.system_id:
+                role = self._roles.get(heard.component)
+            if role is not Role.AUTOPILOT:
+                pass
+            elif number == _POSITION:
+                self._on_time(heard.message.time_boot_ms * 1e-3, ticks=False)
+            elif (clock := _CLOCKS.get(number)) is not None:
+                is_read = clock(self, heard)
+        self._out.record.append((self.clock.now_s, heard.frame))
+        if heard.component == COMPANION_COMPONENT:
+            self._look_for_duplicates(heard)
+        if not is_read:
+            return
+        if number in SERVED:
+            self._serve(heard)
+        if role is not None:
+            handler = _HANDLERS.get((role, number)) or _OTHERS[role]
+            handler(self, heard)
+
+    def _look_for_duplicates(self, heard: Incoming) -> None:
+        """Whether another process with our ids has sent it."""
+        system_id = self.selector.system_id
+        found = self._outbox.duplicates.heard(heard.frame, system_id, self.now_s)
+        if found is not None:
+            self._handle(found)
+
+    def _select(self, heard: Incoming) -> None:
+        """Whose companion we are, as long as that is not known."""
+        if heard.number == _HEARTBEAT and self.selector.on_heartbeat(heard):
+            assert self.selector.system_id is not None
+            self._outbox.speak_as(self.selector.system_id)
+        elif name := self.selector.ambiguity:
             found = events.VehicleFound(time_s=self.now_s, system_id=0, driving=None, name=name)
             self._handle(found)
-        if kind not in _TIMED or not self.latch.is_ours(message):
-            return
-        if kind in CLOCKS:
-            self._on_time(message.time_boot_ms * 1e-3, ticks=kind != "GLOBAL_POSITION_INT")
-        elif kind == "HEARTBEAT":
-            if not self.context.shadow and self.clock.beat(message):
-                self._handle(events.Tick(time_s=self.clock.going_on_s))
-        elif self._lockstep and message.tc1 == 0:
-            self._on_time(message.ts1 * 1e-9)
 
-    def _from_autopilot(self, message: Message, kind: str, at_s: float | None) -> None:
-        if self.vehicle is None and kind == "HEARTBEAT":
-            self._find(message)
+    def _on_scan(self, heard: Incoming) -> None:
+        """What the radar sees."""
+        self._scanning.on_message(heard.message, self.state.vehicle.position_nea_m)
+        self._scan_on()
+
+    def _on_radar(self, _heard: Incoming) -> None:
+        """Anything else that it says."""
+        self._scan_on()
+
+    def _on_heartbeat(self, heard: Incoming) -> None:
         if self.vehicle is None:
-            return self._answer_time(message)
-        vehicle, now_s = self.vehicle, self.now_s
-        due = kind == "GLOBAL_POSITION_INT"
-        if due and not self.context.shadow and (answer := self._plan.take(now_s)) is not None:
+            self._find(heard.message)
+        self._on_autopilot(heard)
+
+    def _on_position(self, heard: Incoming) -> None:
+        """What a flight goes on by; a plan that is due counts before it."""
+        if (vehicle := self.vehicle) is None:
+            return
+        now_s, plan, shadow = self.clock.now_s, self._plan, self.context.shadow
+        if now_s >= plan.due_s and not shadow and (answer := plan.take(now_s)) is not None:
             self._handle(answer)
+        vehicle.on_message(heard.message, now_s)
+        if (event := vehicle.on_position(heard.message, now_s)) is not None:
+            self._handle(event)
+        if now_s >= plan.due_s and shadow and (answer := plan.take(now_s)) is not None:
+            self._handle(answer)  # the position before may be a second old
+        if vehicle.is_news:
+            self._look_at_news(vehicle)
+        if self.state.phase is Phase.PREPARING:
+            self._check()
+        if self._scanning.is_on:
+            self._scan_on()
+        self._housekeeping()
+
+    def _on_autopilot(self, heard: Incoming) -> None:
+        """Any other of its messages."""
+        if (vehicle := self.vehicle) is None:
+            return
+        message, now_s = heard.message, self.now_s
         self._send_all(vehicle.on_message(message, now_s))
         if (event := vehicle.event_of(message, now_s)) is not None:
             self._handle(event)
-        if due and self.context.shadow and (answer := self._plan.take(now_s)) is not None:
-            self._handle(answer)  # the position before may be a second old
-        if kind == "TIMESYNC" and message.tc1 != 0 and at_s is not None:
-            delay = vehicle.on_answered_time(message, now_s, at_s)
-            if delay is not None:
-                self._handle(delay)
-        for event in vehicle.events(now_s):
-            self._handle(event)
-        if due:
-            self._check()
-            self._scan_on()
+        if vehicle.is_news or vehicle.notes:
+            self._look_at_news(vehicle)
         self._housekeeping()
         if (noted := vehicle.entry_of(message)) is not None:
             self._note(**noted)
-        return self._answer_time(message) if kind == "TIMESYNC" else None
+
+    def _look_at_news(self, vehicle: VehicleSide) -> None:
+        """What has come of the answers to what was asked; what is asked next may be due."""
+        for event in vehicle.events(self.now_s):
+            self._handle(event)
+        self._due_s = -math.inf
+
+    def _on_timesync(self, heard: Incoming) -> None:
+        """An answer to ours, or a question: a simulator in lockstep goes on once it is answered."""
+        message = heard.message
+        if self.vehicle is not None and message.tc1 != 0 and heard.at_s is not None:
+            delay = self.vehicle.on_answered_time(message, self.now_s, heard.at_s)
+            if delay is not None:
+                self._handle(delay)
+        self._on_autopilot(heard)
+        if message.tc1 != 0:
+            return
+        self._time_asked += 1
+        self._send_all([wire.MAVLink_timesync_message(message.ts1, message.ts1)])
+        seldom = self.vehicle is not None and not self.vehicle.asks_time_often
+        often = self._time_asked == _LOCKSTEP and self.now_s < _EARLY_S
+        if seldom and often and not self._lockstep:
+            self._say("simulator in lockstep: use --lockstep here too", warning=True)
 
     def _find(self, message: Message) -> None:
         """The first heartbeat of our autopilot: which one it is decides how it is flown."""
@@ -307,21 +400,13 @@ class Session:
         self._note("vehicle found", **found)
         self._handle(events.VehicleFound(time_s=self.now_s, driving=driving, **found))
 
-    def _answer_time(self, message: Message) -> None:
-        """Answer a TIMESYNC, last of all: a simulator in lockstep goes on then."""
-        if (answer := self._times.of(message)) is None:
-            return
-        self._send_all([answer])
-        seldom = self.vehicle is not None and not self.vehicle.asks_time_often
-        if seldom and not self._lockstep and self._times.look_like_lockstep(self.now_s):
-            self._say("simulator in lockstep: use --lockstep here too", warning=True)
-
-    def _serve(self, message: Message, link: int) -> None:
+    def _serve(self, heard: Incoming) -> None:
         """What others ask of the companion itself."""
         if (citizen := self._citizen) is None:
             return
-        served = citizen.on_message(message, self.now_s)
-        reply = self._send_all if link == VEHICLE else self._outbox.tell_ground
+        self._due_s = -math.inf
+        served = citizen.on_message(heard.message, self.now_s)
+        reply = self._send_all if heard.link == VEHICLE else self._outbox.tell_ground
         (self._tell_all if served.is_for_all else reply)(served.replies)
         if served.note is not None:
             self._note(**served.note)
@@ -340,12 +425,33 @@ class Session:
 
     # --- the clock
 
+    def _on_mere_clock(self, heard: Incoming) -> bool:
+        """Whether it is news; of these messages nothing else is read."""
+        if news := self.clock.is_told_by(heard.number, heard.message.time_boot_ms):
+            self._on_time(heard.message.time_boot_ms * 1e-3)
+        return news
+
+    def _on_system_time(self, heard: Incoming) -> bool:
+        self._on_time(heard.message.time_boot_ms * 1e-3)
+        return True
+
+    def _on_simulated_time(self, heard: Incoming) -> bool:
+        if self._lockstep and heard.message.tc1 == 0:
+            self._on_time(heard.message.ts1 * 1e-9)
+        return True
+
+    def _on_beat(self, heard: Incoming) -> bool:
+        if not self.context.shadow and self.clock.beat(heard.message):
+            self._handle(events.Tick(time_s=self.clock.going_on_s))
+        return True
+
     def _on_time(self, time_s: float, *, ticks: bool = True) -> None:
         """The vehicle's clock says so; ticks: unless an event of the same time follows anyway."""
-        before_s = self.now_s
+        before_s = self.clock.now_s
         reading = self.clock.read(time_s)
         if reading is Reading.FIRST:  # waits go on by the new clock
             self.state = self.state.by_another_clock(time_s - before_s)
+            self._due_s = -math.inf
             if self.vehicle is not None:
                 self.vehicle.by_another_clock(time_s - before_s)
         elif reading is Reading.REBOOTED:
@@ -368,13 +474,17 @@ class Session:
         self._handle(events.Rebooted(time_s=self.now_s))
 
     def _housekeeping(self) -> None:
-        """What goes on whatever happens: heartbeat, texts, what is missing, the last mode."""
-        now_s = self.clock.going_on_s
-        if now_s == self._kept_house_s:
+        """What goes on whatever happens, when it is due: heartbeat, texts, what is missing."""
+        now_s, before_s, at_s = self.clock.going_on_s, self._kept_house_s, self._at_s
+        if now_s == before_s:
             return  # for a message of the same time
         self._kept_house_s = now_s
+        if before_s <= now_s < self._due_s - _ROUNDING_S and (
+            at_s is None or at_s < self._due_at_s - _ROUNDING_S
+        ):
+            return
         if self.vehicle is not None and self.state.phase is not Phase.WAITING:
-            self._send_all(self.vehicle.on_time(now_s, self._at_s))
+            self._send_all(self.vehicle.on_time(now_s, at_s))
             while self.vehicle.notes:
                 self._say(self.vehicle.notes.pop(0), warning=False)
         if self._citizen is not None:
@@ -387,6 +497,16 @@ class Session:
         left = self._confirming if self._end is not None and not self._settled() else None
         if left is not None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._command(left)
+        self._set_timer()
+
+    def _set_timer(self) -> None:
+        """When housekeeping is due again, if nothing happens before that."""
+        self._due_s, self._due_at_s = -math.inf, math.inf
+        vehicle, citizen = self.vehicle, self._citizen
+        if vehicle is None or citizen is None or self._end is not None or self._texts.is_waiting:
+            return
+        self._due_s = min(vehicle.due_s, citizen.due_s)
+        self._due_at_s = vehicle.due_at_s
 
     def _keep(self, *, at_once: bool = False) -> None:
         """A checkpoint when the mission has moved on, and the map when it has grown."""
@@ -394,14 +514,14 @@ class Session:
             return
         kept, self._out.known = self._keeper.due(self.state, self.now_s, at_once=at_once)
         if kept is not None:
-            self._out.checkpoint = {"system_id": self.latch.system_id, **kept}
+            self._out.checkpoint = {"system_id": self.selector.system_id, **kept}
 
     # --- plans and scans
 
-    def _must_wait_for_plan(self, message: Message) -> bool:
-        if message.get_type() != "GLOBAL_POSITION_INT" or not self.latch.is_ours(message):
+    def _must_wait_for_plan(self, heard: Incoming) -> bool:
+        if heard.number != _POSITION or heard.link != VEHICLE or not self.selector.is_ours(heard):
             return False
-        if not self._plan.is_missing(message.time_boot_ms * 1e-3):
+        if not self._plan.is_missing(heard.message.time_boot_ms * 1e-3):
             return False
         if not self._lockstep and self._plan.tell_late():
             self._handle(events.PlanLate(time_s=self.now_s, plan_id=self.state.flight.plan_id))
@@ -433,13 +553,29 @@ class Session:
         if isinstance(event, events.VehicleStatus):
             self._mode = event.mode
         self.state, commands = machine.step(before, event, self.context)
-        if (noted := entries.of_event(event, self.state)) is not None:
-            self._note(**noted)
-        for moved in entries.of_change(before, self.state):
-            self._note(**moved)
-        ends = any(isinstance(command, End) for command in commands)
+        if type(event) not in _ROUTINE:
+            self._due_s = -math.inf
+            if (noted := entries.of_event(event, self.state)) is not None:
+                self._note(**noted)
+        after = self.state
+        if (
+            after.phase is not before.phase
+            or after.reason is not before.reason
+            or after.flight.legs_flown != before.flight.legs_flown
+            or after.targets_ne_m is not before.targets_ne_m
+            or after.airborne is not before.airborne
+        ):
+            self._due_s = -math.inf
+            for moved in entries.of_change(before, after):
+                self._note(**moved)
+        ends = False
         for command in commands:
-            self._carry_out(command)
+            ends = ends or type(command) is End
+        for command in commands:
+            if type(command) is events.Setpoint and not self.context.shadow:
+                self._command(command)
+            else:
+                self._carry_out(command)
             if self._end is not None and not ends:
                 return  # it was refused, and that has ended the mission: the rest counts no more
         if ends:
@@ -449,6 +585,7 @@ class Session:
             self._say_end(self._end, held=any(each.mode is Mode.HOLD for each in modes))
 
     def _carry_out(self, command: events.Command) -> None:
+        self._due_s = -math.inf
         match command:
             case events.StartScan(centre_nea_m=centre):
                 self._start_scan(centre)
@@ -464,27 +601,29 @@ class Session:
             case events.RequestStreams():
                 if self.vehicle is not None:
                     self._send_all(self.vehicle.begin(self.now_s))
-            case (
-                SetMode() | events.SetSpeed() | events.Arm() | events.TakeOff() | events.Setpoint()
-            ):
+            case events.Setpoint():
+                pass  # in shadow
+            case SetMode() | events.SetSpeed() | events.Arm() | events.TakeOff():
                 if not self.context.shadow:
                     self._command(command)
 
     def _command(self, command: Told) -> None:
         """What the autopilot is told to do."""
         assert self.vehicle is not None
-        if isinstance(command, SetMode):
-            self._confirming, self._mode_asked_at_s = command, self.clock.going_on_s
-        if (noted := entries.of_command(command)) is not None:
-            self._note(**noted)
+        if type(command) is not events.Setpoint:
+            if isinstance(command, SetMode):
+                self._confirming, self._mode_asked_at_s = command, self.clock.going_on_s
+            if (noted := entries.of_command(command)) is not None:
+                self._note(**noted)
         if (messages := self.vehicle.told(command, self.state)) is None:
             self._note("setpoint refused", setpoint=repr(command))
             self._handle(events.PlannerDied(time_s=self.now_s, error="setpoint out of range"))
         else:
-            self._send_all(messages)
+            self._outbox.send(messages, self.clock.now_s)
 
     def _say(self, text: str, *, warning: bool, about: str = "") -> None:
         self._note("say", text=text, warning=warning)
+        self._due_s = -math.inf
         self.warned = (self.now_s, text) if warning else self.warned
         self._texts.say(text, severity_of(warning=warning), self.clock.going_on_s, about)
 
@@ -500,10 +639,6 @@ class Session:
         ours = self._mode in (Mode.GUIDED, Mode.TAKE_OFF)  # else it, or somebody, has chosen
         return gone or self._confirming is None or not ours
 
-    def _told(self, *what: Any) -> None:
-        """Keep what the session was told."""
-        self._out.inputs.append(what)
-
     def _send_all(self, messages: Iterable[Message]) -> None:
         self._outbox.send(messages, self.now_s)
 
@@ -512,3 +647,24 @@ class Session:
 
     def _note(self, kind: str, **values: Any) -> None:
         self._out.journal.append({"t_s": round(self.now_s, 6), "kind": kind, **values})
+
+
+_CLOCKS: Final[Mapping[int, Callable[[Session, Incoming], bool]]] = {
+    _HEARTBEAT: Session._on_beat,
+    _TIMESYNC: Session._on_simulated_time,
+    wire.MAVLINK_MSG_ID_SYSTEM_TIME: Session._on_system_time,
+    **dict.fromkeys(MERE_CLOCKS, Session._on_mere_clock),
+}
+"""What messages of the autopilot say of the time, besides its position; whether to read on."""
+
+_HANDLERS: Final[Mapping[tuple[Role, int], Callable[[Session, Incoming], None]]] = {
+    (Role.AUTOPILOT, _POSITION): Session._on_position,
+    (Role.AUTOPILOT, _HEARTBEAT): Session._on_heartbeat,
+    (Role.AUTOPILOT, _TIMESYNC): Session._on_timesync,
+    **{(Role.RADAR, number): Session._on_scan for number in TERRAIN},
+}
+_OTHERS: Final[Mapping[Role, Callable[[Session, Incoming], None]]] = {
+    Role.AUTOPILOT: Session._on_autopilot,
+    Role.RADAR: Session._on_radar,
+}
+"""Who handles what; what any other message of each means."""

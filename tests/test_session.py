@@ -356,7 +356,7 @@ def test_the_only_vehicle_that_is_heard_three_times_is_ours() -> None:
 def test_of_two_vehicles_none_is_taken_and_both_are_told_of() -> None:
     session = heard(Session(MISSION, seed=1, lockstep=False), 2, 3, heartbeats=4)
     assert session.state.phase is Phase.WAITING
-    assert session.latch.others == {2, 3}
+    assert session.selector.others == {2, 3}
     [ended] = [entry for entry in journal_of(session, 2, 3) if entry["kind"] == "end"]
     assert "systems 2, 3 are heard, choose one with --system" in ended["reason"]
 
@@ -375,7 +375,7 @@ def journal_of(session: Session, *systems: int) -> list[Any]:
 def test_the_vehicle_that_the_mission_names_is_ours_whoever_else_is_there() -> None:
     session = heard(Session(replace(MISSION, system_id=3), seed=1, lockstep=False), 2, 3)
     assert session.state.phase is Phase.PREPARING
-    assert session.latch.others == {2}
+    assert session.selector.others == {2}
 
 
 @pytest.mark.parametrize(("kind", "why"), [(1, "fixed wing"), (20, "VTOL"), (10, "rover")])

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import all as wire
 sys.path.insert(0, str(Path(__file__).parent / "runtime"))
 from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
-from companion.mavlink.outbox import Output
+from companion.mavlink.link import Output
 from companion.mission.state import Phase, Reason
 from companion.replay.told import session_of, start_of, tell
 from companion.session import Session

@@ -10,8 +10,8 @@ import pytest
 from companion_receive import mission, straight_plan
 from pymavlink.dialects.v20 import all as mavlink
 
-from companion.mavlink.outbox import Output
-from companion.mavlink.receiver import Receiver
+from companion.mavlink.frames import Receiver
+from companion.mavlink.link import Output
 from companion.mavlink.signing import Refusal, Signing, key_of, timestamp_of
 from companion.mission.events import Outcome
 from companion.mission.state import Phase

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as wire
 sys.path.insert(0, str(Path(__file__).parent / "runtime"))
 from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
-from companion.mavlink.outbox import Output
+from companion.mavlink.link import Output
 from companion.mavlink.preflight import Verdict, checks_of
 from companion.mission import checkpoint
 from companion.mission.events import Outcome

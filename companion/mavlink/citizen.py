@@ -19,10 +19,14 @@ from companion.mission.state import Phase, State
 from companion.mission.stopped import AS_TOLD
 from companion.planner.settings import Task
 
-_COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
-_PARAMETERS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
-SERVED = frozenset({*_COMMANDS, *_PARAMETERS})
-"""What may be asked of the companion."""
+_COMMANDS = (wire.MAVLINK_MSG_ID_COMMAND_LONG, wire.MAVLINK_MSG_ID_COMMAND_INT)
+SERVED = (
+    *_COMMANDS,
+    wire.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
+    wire.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
+    wire.MAVLINK_MSG_ID_PARAM_SET,
+)
+"""Messages by which something may be asked of the companion."""
 
 
 @final
@@ -68,7 +72,7 @@ class Citizen:
 
     def on_message(self, message: Message, now_s: float) -> Served:
         """One of `SERVED`, of anybody; perhaps not for us."""
-        if message.get_type() in _COMMANDS:
+        if message.get_msgId() in _COMMANDS:
             answer = self._commands.on_message(message, now_s)
             return Served(
                 replies=answer.replies,
@@ -93,6 +97,11 @@ class Citizen:
             accepted=verdict is Verdict.ACCEPTED,
             invalid=verdict is Verdict.INVALID,
         )
+
+    @property
+    def due_s(self) -> float:
+        """When `on_time` is due for the sake of time alone, at the latest."""
+        return min(self._presence.due_s, self._parameters.due_s)
 
     def on_time(self, now_s: float, state: State, *, faulted: bool) -> list[Message]:
         """What is due; a companion that is faulted, or done, has no heartbeat."""

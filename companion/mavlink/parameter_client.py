@@ -14,7 +14,11 @@ from typing import Final, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 
-MESSAGES: Final = ("PARAM_VALUE", "PARAM_ERROR", "AUTOPILOT_VERSION")
+MESSAGES: Final = (
+    wire.MAVLINK_MSG_ID_PARAM_VALUE,
+    wire.MAVLINK_MSG_ID_PARAM_ERROR,
+    wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+)
 ANSWER_S: Final = 0.5
 """How long an answer may take before it is asked for again."""
 _MOST_TRIES: Final = 5

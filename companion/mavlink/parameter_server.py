@@ -83,6 +83,11 @@ class ParameterServer:
         self._next, self._sent_at_s = self._next + 1, now_s
         return [self._value(self._next - 1)]
 
+    @property
+    def due_s(self) -> float:
+        """When the next value of a list is to be sent, at the latest."""
+        return self._sent_at_s + _PACE_S if self._next < len(PARAMETERS) else math.inf
+
     def follow(self, task: Task) -> list[Message]:
         """The task is so now; the values that somebody else has changed, for everybody."""
         changed = [] if task is self.task else differences(task, self.task)

@@ -18,7 +18,12 @@ FENCE: Final = wire.MAV_MISSION_TYPE_FENCE
 RALLY: Final = wire.MAV_MISSION_TYPE_RALLY
 KINDS: Final = (FENCE, RALLY, MISSION)
 """In the order in which they are read: what is safety first."""
-MESSAGES: Final = ("MISSION_CURRENT", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK")
+MESSAGES: Final = (
+    wire.MAVLINK_MSG_ID_MISSION_CURRENT,
+    wire.MAVLINK_MSG_ID_MISSION_COUNT,
+    wire.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+    wire.MAVLINK_MSG_ID_MISSION_ACK,
+)
 LOOK_S: Final = 4.0
 """Between two looks at how many items there are."""
 READ_ALL_S: Final = 30.0
@@ -323,6 +328,15 @@ class PlanClient:
             return [self._ask(transfer, now_s)]
         over = self._ack(transfer.kind, wire.MAV_MISSION_OPERATION_CANCELLED)
         return [over, *self._fail(transfer, "no answer", now_s)]
+
+    @property
+    def due_s(self) -> float:
+        """When `on_time` has something to do, at the latest."""
+        transfer = self._transfer
+        if transfer is None:
+            return min(watch.due_s for watch in self._watches.values())
+        wait_s = self._list_s if transfer.doing is _Doing.LOOKING else transfer.item_s
+        return transfer.asked_s + wait_s
 
     def _next(self, now_s: float) -> _Transfer | None:
         """The list whose turn it is: what was never read first, then the longest not looked at."""

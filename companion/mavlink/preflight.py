@@ -12,9 +12,9 @@ from typing import Protocol, final
 
 from companion.mavlink import fence
 from companion.mavlink.dialect import COMPANION_COMPONENT
+from companion.mavlink.frames import Passed, Receiver
 from companion.mavlink.judgement import Severity
-from companion.mavlink.latch import Latch
-from companion.mavlink.receiver import Passed, Receiver
+from companion.mavlink.link import VehicleSelector
 from companion.mavlink.signing import Signing, timestamp_of
 from companion.mavlink.vehicle import VehicleSide
 from companion.mission import ground, stopped
@@ -66,7 +66,7 @@ class Heard(Protocol):
     state: State
     vehicle: VehicleSide | None
     found: str
-    latch: Latch
+    selector: VehicleSelector
     receiver: Receiver
     signing: Signing | None
     last_scan: ScanDone | None
@@ -170,7 +170,7 @@ def _remark(name: str, what: str, remedy: str = "") -> Check:
 
 
 def _heard(session: Heard) -> Check:
-    vehicle, others = session.vehicle, sorted(session.latch.others)
+    vehicle, others = session.vehicle, sorted(session.selector.others)
     names = ", ".join(str(system) for system in others)
     if vehicle is not None:
         what = f"{vehicle.autopilot.name}, system {vehicle.system_id}"

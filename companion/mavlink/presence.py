@@ -153,6 +153,18 @@ class Presence:
             messages.append(obstacle_distance(around, now_s))
         return messages
 
+    @property
+    def due_s(self) -> float:
+        """When something is due, at the latest."""
+        if self._asked:
+            return -math.inf
+        periods_us = self._period_us.items()
+        return min(
+            self._sent_at_s.get(number, -math.inf) + period_us * 1e-6
+            for number, period_us in periods_us
+            if period_us is not None
+        )
+
     def _is_due(self, number: int, now_s: float) -> bool:
         """Whether to send it now; if so, it is taken as sent."""
         period_us, sent_at_s = self._period_us.get(number), self._sent_at_s.get(number, -math.inf)

@@ -2,14 +2,15 @@
 
 from typing import final
 
-from companion.mavlink.dialect import Message
+from companion.mavlink.dialect import Message, wire
 from companion.mavlink.terrain_download import TerrainDownload, no_scan
 from companion.mission.events import ScanDone, Vector
 from companion.mission.mission import Mission
 from companion.mission.state import State
 
 _TICKS = 2.0  # a radar's answer may be older by so many positions
-_KINDS = ("TERRAIN_DATA", "TERRAIN_REPORT")
+MESSAGES = (wire.MAVLINK_MSG_ID_TERRAIN_DATA, wire.MAVLINK_MSG_ID_TERRAIN_REPORT)
+"""What the radar says of a scan."""
 
 
 @final
@@ -20,6 +21,11 @@ class Scanning:
         self._mission = mission
         self._download: TerrainDownload | None = None
         self._done: ScanDone | None = None
+
+    @property
+    def is_on(self) -> bool:
+        """Whether there is a scan under way, or one that is over and was not told yet."""
+        return self._download is not None or self._done is not None
 
     def begin(self, centre_nea_m: Vector, state: State, now_s: float) -> int:
         """Look at what is within range of a point.  -> blocks of terrain to ask for."""
@@ -45,8 +51,8 @@ class Scanning:
         self._download = self._done = None
 
     def on_message(self, message: Message, here_nea_m: Vector | None) -> None:
-        """A message of the radar."""
-        if message.get_type() in _KINDS and here_nea_m is not None and self._download is not None:
+        """One of `MESSAGES`."""
+        if here_nea_m is not None and self._download is not None:
             self._download.on_message(message, here_nea_m)
 
     def on_time(self, now_s: float) -> Message | None:

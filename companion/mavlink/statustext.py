@@ -63,6 +63,11 @@ class StatusTexts:
         in_order = sorted([*others, new], key=lambda waiting: waiting.severity)
         self._waiting = in_order[:_MOST_WAITING]
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether there is something to say."""
+        return bool(self._waiting)
+
     def due(self, now_s: float) -> list[Message]:
         """The messages to send now: the gravest text that waits, if it is time for one."""
         if now_s < self._free_at_s - _MOST_CHUNKS * _PERIOD_S:  # the clock began again

@@ -9,7 +9,8 @@ import math
 from typing import final
 
 from companion.mavlink.autopilots import Autopilot
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.autopilots.messages import command_long
+from companion.mavlink.dialect import Message, wire
 
 _LOOK_S = 2.0
 _ENOUGH = 0.5  # of what was asked for: the rest may have been lost
@@ -26,35 +27,34 @@ class Streams:
             wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: position_rate_hz,
             **autopilot.streams_hz,
         }
-        self._heard: set[int] = set()
-        self._count: dict[int, int] = {}
-        """How often each has come since it was last looked at."""
+        self.count: dict[int, int] = {}
+        """How often each message has come since the autopilot began; whoever hears it counts."""
+        self._before: dict[int, int] = {}
+        """The same when it was last looked at."""
         self._asked_s: dict[int, float] = {}
         self._looked_s = -math.inf
         self._wanted = False
 
     def begin(self, now_s: float) -> list[Message]:
         """Ask for everything that does not come by itself."""
-        self._wanted, self._looked_s = True, now_s
-        self._count = {}
+        self._wanted, self._looked_s, self._before = True, now_s, dict(self.count)
         self._asked_s = dict.fromkeys(self._wanted_hz, now_s)
         asked = [self._request(each, rate_hz) for each, rate_hz in self._wanted_hz.items()]
         return asked + self._once()
 
     def forget(self) -> None:
         """The autopilot has rebooted: nothing that was asked for holds any more."""
-        self._heard, self._count, self._asked_s, self._looked_s = set(), {}, {}, -math.inf
+        self.count, self._before, self._asked_s, self._looked_s = {}, {}, {}, -math.inf
 
     def by_another_clock(self, shift_s: float) -> None:
         """Go on by a clock that shows so much more."""
         self._looked_s += shift_s
         self._asked_s = {key: at_s + shift_s for key, at_s in self._asked_s.items()}
 
-    def on_message(self, message: Message) -> None:
-        """A message of the autopilot."""
-        number = message.get_msgId()
-        self._heard.add(number)
-        self._count[number] = self._count.get(number, 0) + 1
+    @property
+    def due_s(self) -> float:
+        """When they are looked at again, at the latest."""
+        return self._looked_s + _LOOK_S if self._wanted else math.inf
 
     def on_time(self, now_s: float) -> list[Message]:
         """Requests for what is missing or comes too seldom, every two seconds."""
@@ -67,7 +67,7 @@ class Streams:
             for message_id, rate_hz in self._wanted_hz.items()
             if self._is_missing(message_id, rate_hz, since_s, now_s)
         ]
-        self._count = {}
+        self._before = dict(self.count)
         return asked + self._once()
 
     def _once(self) -> list[Message]:
@@ -75,7 +75,7 @@ class Streams:
         return [
             self._command(wire.MAV_CMD_REQUEST_MESSAGE, message_id)
             for message_id in self._autopilot.asked_once
-            if message_id not in self._heard
+            if message_id not in self.count
         ]
 
     @property
@@ -85,12 +85,13 @@ class Streams:
         return [
             wire.mavlink_map[message_id].msgname
             for message_id in self._wanted_hz
-            if message_id not in self._heard and message_id not in quiet
+            if message_id not in self.count and message_id not in quiet
         ]
 
     def _is_missing(self, message_id: int, rate_hz: float, since_s: float, now_s: float) -> bool:
         expected = _ENOUGH * rate_hz * min(since_s, _LOOK_S)
-        if self._count.get(message_id, 0) >= max(expected, 1.0):
+        came = self.count.get(message_id, 0) - self._before.get(message_id, 0)
+        if came >= max(expected, 1.0):
             return False
         again_s = _QUIET_S if message_id in self._autopilot.silent_at_times else _LOOK_S
         if now_s - self._asked_s.get(message_id, -math.inf) < again_s:
@@ -102,7 +103,4 @@ class Streams:
         return self._command(wire.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
 
     def _command(self, command: int, *parameters: float) -> Message:
-        padded = (*parameters, *([0.0] * (7 - len(parameters))))
-        return wire.MAVLink_command_long_message(
-            self._system_id, AUTOPILOT_COMPONENT, command, 0, *padded
-        )
+        return command_long(self._system_id, command, *parameters)

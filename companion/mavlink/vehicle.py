@@ -4,12 +4,15 @@ Streams, parameters, its own mission, fence and rally points, link delay.  Sans-
 messages and events out.
 """
 
+import math
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, final
+from typing import Any, Final, final
 
 from companion.mavlink import fence, parameter_client, plan_client
-from companion.mavlink.autopilots import Autopilot, Here, autopilot_of, heading_rad
+from companion.mavlink.autopilots import Autopilot, Here, autopilot_of
+from companion.mavlink.autopilots.messages import heading_rad, position
 from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
 from companion.mavlink.judgement import Finding, Severity, judge, names_of
 from companion.mavlink.parameter_client import ParameterClient, is_bytewise
@@ -21,6 +24,7 @@ from companion.mission.events import (
     Event,
     FenceBreach,
     FenceChanged,
+    GpsFix,
     Home,
     Item,
     LinkDelay,
@@ -81,7 +85,7 @@ class VehicleSide:
             system_id, names_of(autopilot.rules), bytewise=is_bytewise(number)
         )
         self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
-        self._is_news = True
+        self.is_news = True
         """Whether something was read since the parameters and lists were last looked at."""
         self.findings: list[Finding] = []
         """Of the parameters, as they were judged last."""
@@ -169,62 +173,67 @@ class VehicleSide:
 
     def on_message(self, message: Message, now_s: float) -> list[Message]:
         """Whatever the autopilot says; the replies."""
-        self.streams.on_message(message)
+        number, count = message.get_msgId(), self.streams.count
+        count[number] = count.get(number, 0) + 1
         self.parameters.heard_s = now_s
-        kind = message.get_type()
-        if kind in parameter_client.MESSAGES:
-            self._is_news = True
-            return self.parameters.on_message(message, now_s)
-        if kind in plan_client.MESSAGES:
-            self._is_news = True
-            return self.plans.on_message(message, now_s)
-        return []
+        client: ParameterClient | PlanClient | None = None
+        if number in parameter_client.MESSAGES:
+            client = self.parameters
+        elif number in plan_client.MESSAGES:
+            client = self.plans
+        if client is None:
+            return []
+        self.is_news = True
+        return client.on_message(message, now_s)
+
+    def on_position(self, message: Message, now_s: float) -> Position | None:
+        """What GLOBAL_POSITION_INT means, which comes most often of all."""
+        heading = heading_rad(message)
+        self._heading_rad = self._heading_rad if heading is None else heading
+        event = position(message, now_s, self._mission.frame)
+        if event is not None:
+            self.here_ne_m = event.position_nea_m[:2]
+        return event
 
     def event_of(self, message: Message, now_s: float) -> Event | None:
         """What a message of it means for the mission; None: nothing."""
-        match message.get_type():
-            case "GLOBAL_POSITION_INT":
-                heading = heading_rad(message)
-                self._heading_rad = self._heading_rad if heading is None else heading
-            case "GPS_RAW_INT" if message.alt_ellipsoid:
-                self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
-            case "COMMAND_ACK":
-                self._on_acknowledged(message)
-                if message.command == wire.MAV_CMD_NAV_TAKEOFF:
-                    taken = message.result == wire.MAV_RESULT_ACCEPTED
-                    return TakeOffTaken(time_s=now_s) if taken else None
-            case "STATUSTEXT" if _BREACHED.search(message.text) is not None:
-                return FenceBreach(time_s=now_s)
-            case "FENCE_STATUS":
-                before, self._breaches = self._breaches, message.breach_count
-                if message.breach_status and message.breach_count != before:
-                    return FenceBreach(time_s=now_s)
-            case _:
-                pass
+        number = message.get_msgId()
+        if (handler := _HANDLERS.get(number)) is not None:
+            return handler(self, message, now_s)
         frame = self._mission.frame
         event = self.autopilot.event_of(message, now_s, frame, self.origin_nea_m)
+        if isinstance(event, GpsFix) and message.alt_ellipsoid:
+            self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
         self._remember(event)
         return event
 
-    def _on_acknowledged(self, message: Message) -> None:
-        """Whether it will fly as fast as it was told: turns and reach are proven for that speed."""
+    def _on_command_ack(self, message: Message, now_s: float) -> Event | None:
+        """Of the speed, whether it will fly so fast: turns and reach are proven for that speed."""
         asked = any(message.command == each.command for each in self._speed)
-        if not asked or message.result in _NOT_YET:
-            return
-        self._speed = []
-        if message.result != wire.MAV_RESULT_ACCEPTED:
-            self.notes.append("the autopilot does not take the mission's speed")
+        if asked and message.result not in _NOT_YET:
+            self._speed = []
+            if message.result != wire.MAV_RESULT_ACCEPTED:
+                self.notes.append("the autopilot does not take the mission's speed")
+        accepted = message.result == wire.MAV_RESULT_ACCEPTED
+        if message.command == wire.MAV_CMD_NAV_TAKEOFF and accepted:
+            return TakeOffTaken(time_s=now_s)
+        return None
+
+    def _on_statustext(self, message: Message, now_s: float) -> Event | None:
+        return None if _BREACHED.search(message.text) is None else FenceBreach(time_s=now_s)
+
+    def _on_fence_status(self, message: Message, now_s: float) -> Event | None:
+        before, self._breaches = self._breaches, message.breach_count
+        news = message.breach_status and message.breach_count != before
+        return FenceBreach(time_s=now_s) if news else None
 
     def _remember(self, event: Event | None) -> None:
         if isinstance(event, VehicleStatus) and event.mode is not Mode.GUIDED:
             self._speed = []  # it, or somebody, chooses now
-        elif isinstance(event, Position):
-            north_m, east_m, _ = event.position_nea_m
-            self.here_ne_m = (north_m, east_m)
         elif isinstance(event, Home):
             before = self._home_nea_m
             if before is None or _apart(before, event.position_nea_m):
-                self._home_nea_m, self._is_news = event.position_nea_m, True
+                self._home_nea_m, self.is_news = event.position_nea_m, True
         elif isinstance(event, Origin):
             moved = self.origin_nea_m is not None and _apart(
                 self.origin_nea_m, event.position_nea_m
@@ -235,20 +244,15 @@ class VehicleSide:
 
     def entry_of(self, message: Message) -> dict[str, Any] | None:
         """What of a message belongs into the journal, besides what it means."""
-        match message.get_type():
-            case "STATUSTEXT":
-                return {"kind": "vehicle says", "text": message.text}
-            case "COMMAND_ACK" if (
-                message.command != wire.MAV_CMD_DO_REPOSITION
-                or self.autopilot.refuses_setpoint(message)
-            ):
-                return {
-                    "kind": "acknowledged",
-                    "command": message.command,
-                    "result": message.result,
-                }
-            case _:
-                return None
+        number = message.get_msgId()
+        if number == wire.MAVLINK_MSG_ID_STATUSTEXT:
+            return {"kind": "vehicle says", "text": message.text}
+        if number != wire.MAVLINK_MSG_ID_COMMAND_ACK or (
+            message.command == wire.MAV_CMD_DO_REPOSITION
+            and not self.autopilot.refuses_setpoint(message)
+        ):
+            return None
+        return {"kind": "acknowledged", "command": message.command, "result": message.result}
 
     def on_answered_time(self, message: Message, now_s: float, at_s: float) -> LinkDelay | None:
         """The answer to a TIMESYNC of ours, if it makes a difference.
@@ -291,6 +295,22 @@ class VehicleSide:
                 place = Here(position_nea_m=here, heading_rad=self._heading_rad)
                 return autopilot.take_off(command, place, frame, system)
 
+    @property
+    def due_s(self) -> float:
+        """When `on_time` has something to do, at the latest; -inf: at any time."""
+        if not self._began:
+            return math.inf
+        if self.notes or not self.parameters.is_done:
+            return -math.inf
+        speed_s = self._speed_told_s + _TELL_SPEED_S if self._speed else math.inf
+        return min(speed_s, self.streams.due_s, self.plans.due_s)
+
+    @property
+    def due_at_s(self) -> float:
+        """The same by the clock of the outside: when it is asked for the time again."""
+        asks = self._began and not self._lockstep
+        return self._asked_time_s + _ASK_TIME_S if asks else math.inf
+
     def on_time(self, now_s: float, at_s: float | None) -> list[Message]:
         """What is due; at_s: the clock of the outside, None in lockstep."""
         if not self._began:
@@ -299,7 +319,7 @@ class VehicleSide:
         if self._speed and now_s - self._speed_told_s >= _TELL_SPEED_S:
             self._speed_told_s = now_s
             asked += self._speed
-        self._is_news = self._is_news or not self.parameters.is_done  # it may give one up
+        self.is_news = self.is_news or not self.parameters.is_done  # it may give one up
         asked += self.parameters.on_time(now_s)
         asked += self.plans.on_time(now_s)
         if at_s is not None and not self._lockstep:
@@ -318,10 +338,11 @@ class VehicleSide:
 
     def events(self, now_s: float) -> list[Event]:
         """What has become known since the last time."""
-        if not self._began or not (self._is_news or self._drawing):
+        if not (self._began and self.is_news):
             return []
-        self._is_news = False
-        return self._judged_parameters(now_s) + self._read_plans(now_s)
+        events = self._judged_parameters(now_s) + self._read_plans(now_s)
+        self.is_news = self._drawing is not None  # some of a fence with each message
+        return events
 
     def _judged_parameters(self, now_s: float) -> list[Event]:
         client = self.parameters
@@ -435,3 +456,12 @@ class VehicleSide:
 
 def _apart(one: Vector, other: Vector) -> bool:
     return max(abs(a - b) for a, b in zip(one, other, strict=True)) > _HOME_MOVED_M
+
+
+_Handler = Callable[[VehicleSide, Message, float], Event | None]
+_HANDLERS: Final[Mapping[int, _Handler]] = {
+    wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: VehicleSide.on_position,
+    wire.MAVLINK_MSG_ID_COMMAND_ACK: VehicleSide._on_command_ack,
+    wire.MAVLINK_MSG_ID_STATUSTEXT: VehicleSide._on_statustext,
+    wire.MAVLINK_MSG_ID_FENCE_STATUS: VehicleSide._on_fence_status,
+}

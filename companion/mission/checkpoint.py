@@ -30,7 +30,7 @@ Values = dict[str, Any]
 
 NOT_SUCH = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 """What values that are no checkpoint may raise when they are restored."""
-_PERIOD_S, _LONGEST_S = 1.0, 10.0
+PERIOD_S, _LONGEST_S = 1.0, 10.0
 _LATER = ("set_aside", "refusal")
 """Fields that older checkpoints do not have."""
 
@@ -280,9 +280,9 @@ class Keeper:
     """
 
     def __init__(self) -> None:
-        self._kept_at_s = -math.inf
+        self.kept_at_s = -math.inf
         self._kept: tuple[Any, ...] = ()
-        self._known: KnownMap | None = None
+        self.known: KnownMap | None = None
 
     def due(
         self, state: State, now_s: float, *, at_once: bool = False
@@ -290,12 +290,12 @@ class Keeper:
         """The checkpoint, if it is time for one, and the map, if it has changed since the last."""
         if state.phase not in (*IN_AIR, Phase.PREPARING, Phase.ARMING):
             return None, None
-        grown = state.flight.known is not self._known
-        since_s = now_s - self._kept_at_s
-        if 0.0 <= since_s < _PERIOD_S and not (grown or at_once):
+        grown = state.flight.known is not self.known
+        since_s = now_s - self.kept_at_s
+        if 0.0 <= since_s < PERIOD_S and not (grown or at_once):
             return None, None
         kept = (_kept_of_state(state), _kept_of_flight(state.flight))
         if kept == self._kept and 0.0 <= since_s < _LONGEST_S and not (grown or at_once):
             return None, None
-        self._kept_at_s, self._known, self._kept = now_s, state.flight.known, kept
-        return values_of(state), self._known if grown else None
+        self.kept_at_s, self.known, self._kept = now_s, state.flight.known, kept
+        return values_of(state), self.known if grown else None

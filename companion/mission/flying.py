@@ -70,7 +70,8 @@ def flying(state: State, event: Event, context: Context) -> Step:
 
 def on_position(state: State, event: Position, context: Context) -> Step:
     """Move the reference point and send it; scan when its time has come."""
-    if runs_low(state):
+    is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
+    if is_short and runs_low(state):
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
@@ -104,7 +105,7 @@ def given_up_for_battery(state: State) -> State:
 def battery_warning(state: State, context: Context) -> tuple[State, list[Command]]:
     """Say that the battery will not last if it goes on like this, and that it does not: once."""
     flight, tells = state.flight, 0
-    if battery_is_short(state):
+    if state.vehicle.battery_short_at_s is not None and battery_is_short(state):
         tells = _TOLD_SHORT
     elif not battery_forecast(state, context.mission):
         tells = _TOLD_FORECAST

@@ -366,5 +366,5 @@ def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
 
 
 def _vector(values: np.ndarray) -> Vector:
-    north, east, up = (float(value) for value in values)
+    north, east, up = values.tolist()
     return north, east, up

@@ -77,9 +77,9 @@ def _has_jumped(vehicle: Vehicle, event: Position, elapsed_s: float, limits: Lim
         return True
     if elapsed_s > _STALE_S:
         return False
-    mean_m_s = math.hypot(*_mean_m_s(vehicle, event))
-    surprise_m = math.hypot(*_surprise_ne_m(vehicle, event, elapsed_s))
-    return surprise_m > _SURPRISE_M + _SURPRISE_SHARE * mean_m_s * elapsed_s
+    mean = _mean_m_s(vehicle, event)
+    surprise_m = math.hypot(*_surprise_ne_m(vehicle, event, elapsed_s, mean))
+    return surprise_m > _SURPRISE_M + _SURPRISE_SHARE * math.hypot(*mean) * elapsed_s
 
 
 def _flown_at_most_m(elapsed_s: float, limits: Limits) -> float:
@@ -91,12 +91,14 @@ def _mean_m_s(vehicle: Vehicle, event: Position) -> Vector:
     return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
 
 
-def _surprise_ne_m(vehicle: Vehicle, event: Position, elapsed_s: float) -> tuple[float, float]:
-    """How far from where the speeds lead a position is, north and east."""
-    before, mean = vehicle.position_nea_m, _mean_m_s(vehicle, event)
+def _surprise_ne_m(
+    vehicle: Vehicle, event: Position, elapsed_s: float, mean_m_s: Vector
+) -> tuple[float, float]:
+    """How far from where a mean speed leads a position is, north and east."""
+    before = vehicle.position_nea_m
     assert before is not None
     north, east, _ = event.position_nea_m
-    return north - before[0] - elapsed_s * mean[0], east - before[1] - elapsed_s * mean[1]
+    return north - before[0] - elapsed_s * mean_m_s[0], east - before[1] - elapsed_s * mean_m_s[1]
 
 
 def _reckoned(vehicle: Vehicle, event: Position, limits: Limits, *, jumps: bool) -> Vehicle:
@@ -118,7 +120,7 @@ def _reckoned(vehicle: Vehicle, event: Position, limits: Limits, *, jumps: bool)
     if moves and before[:2] == event.position_nea_m[:2]:
         return vehicle  # it tells nothing
     elapsed_s = event.time_s - vehicle.moved_at_s
-    surprise = _surprise_ne_m(vehicle, event, elapsed_s)
+    surprise = _surprise_ne_m(vehicle, event, elapsed_s, _mean_m_s(vehicle, event))
     if elapsed_s > _STALE_S:
         size_m = math.hypot(*surprise)
         share = max(size_m - _flown_at_most_m(elapsed_s, limits), 0.0) / max(size_m, 1e-9)
@@ -162,8 +164,9 @@ def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
 
 def _is_elsewhere(vehicle: Vehicle, now_s: float, limits: Limits) -> bool:
     """Whether all vouch again, not yet for long, for a position at which it cannot be."""
-    lately = now_s - vehicle.doubted_at_s < BELIEVED_AFTER_S
-    return lately and astray_m(vehicle) > _may_differ_m(vehicle, limits)
+    if now_s - vehicle.doubted_at_s >= BELIEVED_AFTER_S or vehicle.astray_ne_m == (0.0, 0.0):
+        return False
+    return astray_m(vehicle) > _may_differ_m(vehicle, limits)
 
 
 def _doubt(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:

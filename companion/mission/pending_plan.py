@@ -12,13 +12,14 @@ class PendingPlan:
     """At most one question to the planner, and its answer."""
 
     def __init__(self) -> None:
-        self._due_s = math.inf
+        self.due_s = math.inf
+        """When the answer counts; inf: nothing was asked."""
         self._answer: PlanOutcome | PlannerDied | None = None
         self._late_told = False
 
     def ask(self, due_s: float) -> None:
         """Another question; the answer to the one before is not wanted any more."""
-        self._due_s, self._answer, self._late_told = due_s, None, False
+        self.due_s, self._answer, self._late_told = due_s, None, False
 
     def forget(self) -> None:
         """No question."""
@@ -28,11 +29,11 @@ class PendingPlan:
         """The answer; that there will be none counts at once."""
         self._answer = answer
         if isinstance(answer, PlannerDied):
-            self._due_s = min(self._due_s, now_s)
+            self.due_s = min(self.due_s, now_s)
 
     def is_missing(self, at_s: float) -> bool:
         """Whether there is no answer by then though it is due."""
-        return self._answer is None and at_s >= self._due_s
+        return self._answer is None and at_s >= self.due_s
 
     def tell_late(self) -> bool:
         """Whether it is news that the answer is late."""
@@ -42,9 +43,9 @@ class PendingPlan:
     def take(self, now_s: float) -> PlanReady | PlannerDied | None:
         """The answer as an event, once it is due."""
         answer = self._answer
-        if answer is None or now_s < self._due_s:
+        if answer is None or now_s < self.due_s:
             return None
-        self._answer, self._due_s = None, math.inf
+        self._answer, self.due_s = None, math.inf
         if isinstance(answer, PlannerDied):
             return answer
         return PlanReady(time_s=now_s, outcome=answer)

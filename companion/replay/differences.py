@@ -9,8 +9,8 @@ from typing import Any, Final, final
 
 from companion.errors import InputError
 from companion.mavlink.dialect import Message
-from companion.mavlink.outbox import Stamped
-from companion.mavlink.receiver import Receiver
+from companion.mavlink.frames import Receiver
+from companion.mavlink.link import Stamped
 from companion.mission.entries import Entry
 from companion.sources.files import answer
 from companion.telemetry.inputs import is_hole

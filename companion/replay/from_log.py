@@ -14,7 +14,7 @@ from typing import Final, final
 from companion.errors import InputError
 from companion.mavlink.dialect import COMPANION_COMPONENT, wire
 from companion.mavlink.frames import number_of, sender_of
-from companion.mavlink.outbox import Output
+from companion.mavlink.link import Output
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
 from companion.planner.kernels import Kernel

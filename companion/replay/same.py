@@ -15,8 +15,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from companion.errors import InputError
-from companion.mavlink.outbox import Input, Output
-from companion.mavlink.receiver import Receiver
+from companion.mavlink.frames import Receiver
+from companion.mavlink.link import Input, Output
 from companion.mission.renewed import replace
 from companion.mission.start import Start
 from companion.planner.kernels import Kernel

@@ -16,10 +16,9 @@ from typing import Final, final
 from companion.errors import InputError
 from companion.geodesy import LocalFrame, deg
 from companion.mavlink.autopilots import NAMES, Autopilot, autopilot_of, described
-from companion.mavlink.autopilots.to_wire import is_nowhere
+from companion.mavlink.autopilots.messages import is_nowhere
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.mavlink.frames import number_of, sender_of
-from companion.mavlink.receiver import Receiver
+from companion.mavlink.frames import Receiver, number_of, sender_of
 from companion.mission.mission import EndAction, Mission
 from companion.mission.renewed import replace
 from companion.path.limits import Limits

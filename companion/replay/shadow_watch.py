@@ -13,8 +13,7 @@ from typing import Final, final
 from companion.mavlink.autopilots import Autopilot
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.frames import number_of, payload_of, sender_of
-from companion.mavlink.outbox import Output
-from companion.mavlink.vehicle_clock import Reading, VehicleClock
+from companion.mavlink.link import Output, Reading, VehicleClock
 from companion.mission.mission import Mission
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.replay.shadow_notes import Notes

@@ -9,8 +9,7 @@ from typing import Any, final
 
 import msgspec
 
-from companion.mavlink.inbox import VEHICLE
-from companion.mavlink.outbox import Input, Output
+from companion.mavlink.link import VEHICLE, Input, Output
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace

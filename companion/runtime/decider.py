@@ -8,8 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import final
 
-from companion.mavlink.inbox import VEHICLE
-from companion.mavlink.outbox import Output
+from companion.mavlink.link import VEHICLE, Output
 from companion.planner.request import Planned
 from companion.runtime.latency import StreamTimes
 from companion.runtime.link import GroundLinks, Link

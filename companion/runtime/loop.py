@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import final
 
-from companion.mavlink.inbox import VEHICLE
+from companion.mavlink.link import VEHICLE
 from companion.mavlink.signing import strip_signature
 from companion.mission.events import End, Outcome
 from companion.runtime.compiler import Planner

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
-from companion.mavlink.inbox import VEHICLE
+from companion.mavlink.link import VEHICLE
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime.compiler import Planner
 from companion.runtime.link import Link

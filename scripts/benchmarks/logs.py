@@ -38,7 +38,7 @@ print(json.dumps({{
 }}))
 """
 _OPENS = """from companion.telemetry.logs import open_log
-from companion.mavlink.receiver import Receiver
+from companion.mavlink.frames import Receiver
 receiver, log = Receiver(), open_log(Path(sys.argv[1]))
 opened_s = time.perf_counter()
 count = {}

@@ -22,7 +22,7 @@ from pair_station import CHATTER, COMPONENT, SYSTEM, Station
 from pair_worlds import Scene
 from pymavlink.dialects.v20 import all as wire
 
-from companion.mavlink.outbox import Input, Output
+from companion.mavlink.link import Input, Output
 from companion.mission.state import Phase
 from companion.planner.kernels import Kernel
 from companion.planner.plan import plan

@@ -23,8 +23,8 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import Autopilot
-from companion.mavlink.outbox import Output
-from companion.mavlink.receiver import Receiver
+from companion.mavlink.frames import Receiver
+from companion.mavlink.link import Output
 from companion.mission.decisions import Context
 from companion.mission.mission import EndAction, Mission
 from companion.path.certificate import Certificate

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.receiver import Receiver
+from companion.mavlink.frames import Receiver
 from companion.telemetry.logs import Record, open_log
 
 _GPS_EPOCH_S = 315_964_800

@@ -8,6 +8,7 @@ from recordings import recording
 from companion.mavlink.dialect import wire
 from companion.mavlink.frames import (
     LONGEST,
+    Receiver,
     claim,
     find_marker,
     intact_end,
@@ -16,7 +17,6 @@ from companion.mavlink.frames import (
     plausible_end,
     sender_of,
 )
-from companion.mavlink.receiver import Receiver
 
 
 def _packed(message: wire.MAVLink_message, *, first: bool = False) -> bytes:

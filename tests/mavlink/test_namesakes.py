@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.mavlink.dialect import codec, wire
-from companion.mavlink.namesakes import Namesakes
+from companion.mavlink.link import DuplicateIdDetector
 from companion.mission.events import Namesake
 
 SYSTEM = 7
@@ -37,16 +37,12 @@ class Speaker:
         )
 
 
-def received(frame: bytes) -> Any:
-    return wire.MAVLink(None).decode(bytearray(frame))
-
-
-def heard(it: Namesakes, frame: bytes, now_s: float, system: int | None = SYSTEM) -> Any:
-    return it.heard(received(frame), system, now_s)
+def heard(it: DuplicateIdDetector, frame: bytes, now_s: float, system: int | None = SYSTEM) -> Any:
+    return it.heard(frame, system, now_s)
 
 
 def test_whatever_is_reflected_however_often_and_late_is_no_stranger() -> None:
-    us, it = Speaker(), Namesakes()
+    us, it = Speaker(), DuplicateIdDetector()
     frames = []
     for tick in range(400):
         frame = us.beats() if tick % 10 == 0 else us.leads(tick * 100)
@@ -58,7 +54,7 @@ def test_whatever_is_reflected_however_often_and_late_is_no_stranger() -> None:
 
 
 def test_a_reflection_may_have_lost_its_signature_its_version_or_its_zeros() -> None:
-    us, it = Speaker(), Namesakes()
+    us, it = Speaker(), DuplicateIdDetector()
     us.link.signing.secret_key, us.link.signing.sign_outgoing = b"k" * 32, True
     it.sent(us.beats())
     other = Speaker()
@@ -68,7 +64,7 @@ def test_a_reflection_may_have_lost_its_signature_its_version_or_its_zeros() -> 
 
 
 def test_one_who_says_the_same_with_a_sequence_of_its_own_is_a_stranger() -> None:
-    us, them, it = Speaker(), Speaker(seq=100), Namesakes()
+    us, them, it = Speaker(), Speaker(seq=100), DuplicateIdDetector()
     told = []
     for second in range(6):
         it.sent(us.beats())
@@ -81,7 +77,7 @@ def test_one_who_says_the_same_with_a_sequence_of_its_own_is_a_stranger() -> Non
 
 
 def test_what_a_dead_companion_has_left_in_buffers_is_never_certain() -> None:
-    before, it = Speaker(seq=50), Namesakes()
+    before, it = Speaker(seq=50), DuplicateIdDetector()
     told = [heard(it, before.leads(tick), 10.0 + 0.01 * tick) for tick in range(140)]
     assert [event.certain for event in told if event is not None] == [False] * 3
     assert heard(it, before.beats(), 20.0) == Namesake(time_s=20.0, certain=False)
@@ -89,7 +85,7 @@ def test_what_a_dead_companion_has_left_in_buffers_is_never_certain() -> None:
 
 @pytest.mark.parametrize("rate_hz", [1, 20, 200])
 def test_a_stranger_that_streams_is_told_of_twice_a_second_at_most(rate_hz: int) -> None:
-    them, it = Speaker(), Namesakes()
+    them, it = Speaker(), DuplicateIdDetector()
     told = [heard(it, them.leads(tick), tick / rate_hz) for tick in range(10 * rate_hz)]
     told = [event for event in told if event is not None]
     assert 0 < len(told) <= 21
@@ -99,18 +95,18 @@ def test_a_stranger_that_streams_is_told_of_twice_a_second_at_most(rate_hz: int)
 
 
 def test_the_companion_of_another_vehicle_is_none_of_ours() -> None:
-    them, it = Speaker(system_id=8), Namesakes()
+    them, it = Speaker(system_id=8), DuplicateIdDetector()
     assert not any(heard(it, them.beats(), float(at)) for at in range(10))
 
 
 def test_what_was_heard_before_it_was_clear_whose_companion_we_are_counts_then() -> None:
-    them, it = Speaker(), Namesakes()
+    them, it = Speaker(), DuplicateIdDetector()
     assert not any(heard(it, them.beats(), float(at), None) for at in range(4))
     assert heard(it, them.beats(), 4.0) == Namesake(time_s=4.0, certain=True, news=True)
 
 
 def test_one_who_comes_back_is_news_again() -> None:
-    them, it = Speaker(), Namesakes()
+    them, it = Speaker(), DuplicateIdDetector()
     times = [*range(4), 10, *range(30, 34)]
     told = [heard(it, them.beats(), float(at)) for at in times]
     assert [event.time_s for event in told if event.news] == [2.0, 32.0]
@@ -119,7 +115,7 @@ def test_one_who_comes_back_is_news_again() -> None:
 @given(st.lists(st.tuples(st.booleans(), st.floats(0.0, 2.0)), max_size=60))
 def test_without_a_stranger_nothing_is_ever_told(steps: list[tuple[bool, float]]) -> None:
     """Whatever the link does with our frames: sends them back in any order, again, or late."""
-    us, it, now_s = Speaker(), Namesakes(), 0.0
+    us, it, now_s = Speaker(), DuplicateIdDetector(), 0.0
     frames = [us.beats()]
     it.sent(frames[0])
     for sends, wait_s in steps:

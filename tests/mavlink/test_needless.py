@@ -17,13 +17,12 @@ from companion.mavlink.autopilots.arducopter import ARDUCOPTER
 from companion.mavlink.autopilots.arduplane import ARDUPLANE
 from companion.mavlink.autopilots.px4_fixed_wing import PX4_FIXED_WING
 from companion.mavlink.autopilots.px4_multicopter import PX4_MULTICOPTER
-from companion.mavlink.needless import NEEDLESS
-from companion.mavlink.receiver import Receiver
-from companion.mavlink.vehicle_clock import VehicleClock
+from companion.mavlink.frames import NEEDLESS, Receiver
+from companion.mavlink.link import VehicleClock
 from companion.session import Session
 
 COMPANION = Path(__file__).parents[2] / "companion"
-READ_FROM_LOGS_ONLY = ("telemetry/logs", "mavlink/needless.py")
+READ_FROM_LOGS_ONLY = ("telemetry/logs", "mavlink/frames.py")
 
 
 def frame_of(number: int, rng: random.Random, system: int = 1, component: int = 1) -> bytes:
@@ -80,7 +79,7 @@ def test_who_says_only_such_things_is_there_all_the_same() -> None:
 def test_nothing_that_is_asked_for_goes_unread(autopilot: Autopilot) -> None:
     wanted = {*autopilot.streams_hz, *autopilot.asked_once, *autopilot.silent_at_times}
     assert not wanted & NEEDLESS
-    assert not {wire.mavlink_map[number].msgname for number in NEEDLESS} & set(autopilot.reads)
+    assert not NEEDLESS & set(autopilot.reads)
 
 
 def test_nothing_goes_unread_whose_name_stands_in_the_code() -> None:
@@ -115,11 +114,7 @@ def test_another_vehicles_time_does_not_hide_ours(behind_ms: int) -> None:
 def test_the_time_is_read_of_at_most_twenty_attitudes_a_second(rate_hz: int, read: int) -> None:
     clock = VehicleClock(0.0)
     times_ms = [round(k * 1000 / rate_hz) + 5000 for k in range(10 * rate_hz)]
-    needed = [
-        at_ms
-        for at_ms in times_ms
-        if clock.is_told_by(wire.MAVLink_attitude_message(at_ms, 0, 0, 0, 0, 0, 0))
-    ]
+    needed = [at_ms for at_ms in times_ms if clock.is_told_by(wire.MAVLINK_MSG_ID_ATTITUDE, at_ms)]
     assert len(needed) == pytest.approx(10 * read, abs=4)
     assert min((b - a for a, b in pairwise(needed)), default=1000) >= 50
 
@@ -127,4 +122,4 @@ def test_the_time_is_read_of_at_most_twenty_attitudes_a_second(rate_hz: int, rea
 def test_a_clock_that_has_begun_again_is_read_at_once() -> None:
     clock = VehicleClock(0.0)
     for at_ms in (5000, 10, 70):
-        assert clock.is_told_by(wire.MAVLink_attitude_message(at_ms, 0, 0, 0, 0, 0, 0))
+        assert clock.is_told_by(wire.MAVLINK_MSG_ID_ATTITUDE, at_ms)

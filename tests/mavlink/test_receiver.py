@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.mavlink import receiver as receiver_module
+from companion.mavlink import frames as receiver_module
 from companion.mavlink.dialect import codec, wire
-from companion.mavlink.receiver import Passed, Receiver
+from companion.mavlink.frames import Passed, Receiver
 from companion.mavlink.signing import Signing
 
 KINDS = [wire.mavlink_map[number] for number in sorted(wire.mavlink_map)]

@@ -9,7 +9,7 @@ from typing import Any, final
 import pytest
 
 from companion.mavlink.dialect import codec, wire
-from companion.mavlink.receiver import Passed, Receiver
+from companion.mavlink.frames import Passed, Receiver
 from companion.mavlink.signing import TICKS_PER_S, Refusal, Signing, key_of, timestamp_of
 from companion.runtime.keys import SigningKey
 from vehicle_sim.simulation import Simulation

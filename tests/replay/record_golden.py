@@ -25,7 +25,7 @@ from pair import Pair
 from recordings import recording
 
 from companion.config import load_mission
-from companion.mavlink.outbox import Output
+from companion.mavlink.link import Output
 from companion.replay.same import Replay
 from companion.replay.shadow import watch
 from companion.runtime.compiler import load_kernel

@@ -10,7 +10,7 @@ import pyproj
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
-from companion.mavlink.outbox import Output
+from companion.mavlink.link import Output
 from companion.mission.entries import Entry
 from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath

@@ -10,7 +10,7 @@ from typing import Any, cast
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
-from companion.mavlink.outbox import Output
+from companion.mavlink.link import Output
 from companion.mission.events import End, Outcome
 from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanRequest

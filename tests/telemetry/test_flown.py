@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from companion.config import load_mission
-from companion.mavlink.vehicle_clock import VehicleClock
+from companion.mavlink.link import VehicleClock
 from companion.mission.events import Position
 from companion.mission.state import Reason, Vehicle
 from companion.session import Session

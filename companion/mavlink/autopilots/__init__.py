@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from companion.mavlink.autopilots.arducopter import ARDUCOPTER
 from companion.mavlink.autopilots.arduplane import ARDUPLANE
 from companion.mavlink.autopilots.common import ROTORCRAFT, Autopilot, Here
-from companion.mavlink.autopilots.from_wire import heading_rad
+from companion.mavlink.autopilots.messages import heading_rad
 from companion.mavlink.autopilots.px4_fixed_wing import PX4_FIXED_WING
 from companion.mavlink.autopilots.px4_multicopter import PX4_MULTICOPTER
 from companion.mavlink.dialect import Message, wire

@@ -6,7 +6,7 @@ setpoints, which it does not acknowledge: the echo tells.  Measured: ardupilot.m
 """
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.autopilots import ardupilot, to_wire
+from companion.mavlink.autopilots import ardupilot, messages
 from companion.mavlink.autopilots.common import Autopilot, Here
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_rules import ARDUCOPTER_RULES
@@ -23,9 +23,9 @@ def _take_off(command: TakeOff, here: Here, frame: LocalFrame, system_id: int) -
     """
     del here, frame
     height_m = command.above_home_m
-    if not 0.0 < height_m < to_wire.HIGHEST_AMSL_M:
+    if not 0.0 < height_m < messages.HIGHEST_AMSL_M:
         return []
-    return [to_wire.command_long(system_id, wire.MAV_CMD_NAV_TAKEOFF, *([0.0] * 6), height_m)]
+    return [messages.command_long(system_id, wire.MAV_CMD_NAV_TAKEOFF, *([0.0] * 6), height_m)]
 
 
 ARDUCOPTER = Autopilot(
@@ -47,9 +47,9 @@ ARDUCOPTER = Autopilot(
     streams_hz=ardupilot.streams_hz(_ECHO, 5.0),
     silent_at_times=ardupilot.SILENT | {_ECHO},  # it comes only in GUIDED
     reads={
-        "EKF_STATUS_REPORT": ardupilot.estimator,
-        "POSITION_TARGET_LOCAL_NED": ardupilot.local_echo,
+        wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ardupilot.estimator,
+        wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: ardupilot.local_echo,
     },
     take_off=_take_off,
-    setpoint=to_wire.hovering_setpoint,
+    setpoint=messages.hovering_setpoint,
 )

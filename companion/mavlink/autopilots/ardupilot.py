@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.autopilots.from_wire import echo_at
+from companion.mavlink.autopilots.messages import echo_at
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import Echo, Estimator, Mode, Vector
 
@@ -44,7 +44,7 @@ def streams_hz(echo: int, echo_hz: float) -> Mapping[int, float]:
 
 @final
 class ArduPilotModes:
-    """One number each; see `modes.Modes`."""
+    """One number each; see `common.Modes`."""
 
     def __init__(self, enum: str, numbers: Mapping[Mode, tuple[int, ...]]) -> None:
         """

@@ -8,7 +8,7 @@ circles where it begins.  Measured: ardupilot.md 7.
 import math
 
 from companion.geodesy import LocalFrame, deg
-from companion.mavlink.autopilots import ardupilot, from_wire, to_wire
+from companion.mavlink.autopilots import ardupilot, messages
 from companion.mavlink.autopilots.common import Autopilot, Here
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_rules import ARDUPLANE_RULES
@@ -32,7 +32,7 @@ def _take_off(command: TakeOff, here: Here, frame: LocalFrame, system_id: int) -
     climbs in GUIDED, on a circle.
     """
     del command, here, frame
-    return [to_wire.set_mode(system_id, wire.PLANE_MODE_TAKEOFF)]
+    return [messages.set_mode(system_id, wire.PLANE_MODE_TAKEOFF)]
 
 
 def _set_speed(speed_m_s: float, system_id: int) -> list[Message]:
@@ -40,15 +40,15 @@ def _set_speed(speed_m_s: float, system_id: int) -> list[Message]:
     if not 0.0 < speed_m_s < _FASTEST_M_S:
         return []
     parameters = (float(wire.SPEED_TYPE_AIRSPEED), speed_m_s, 0.0, 0.0)
-    return [to_wire.command_int(system_id, wire.MAV_CMD_GUIDED_CHANGE_SPEED, parameters)]
+    return [messages.command_int(system_id, wire.MAV_CMD_GUIDED_CHANGE_SPEED, parameters)]
 
 
 def _setpoint(
     setpoint: Setpoint, frame: LocalFrame, system_id: int, *, loiter_radius_m: float = 0.0
 ) -> list[Message] | None:
     """DO_REPOSITION without the switch to GUIDED: a pilot who took the mode keeps it."""
-    point = to_wire.wire_point(setpoint, frame)
-    if point is None or not math.isfinite(loiter_radius_m):
+    aimed = messages.aim(setpoint, frame)
+    if aimed is None or not math.isfinite(loiter_radius_m):
         return None
     radius_m = _FOLLOWING_RADIUS_M
     if setpoint.stay:
@@ -56,10 +56,10 @@ def _setpoint(
         radius_m = narrower_m if loiter_radius_m > 0.0 else _CIRCLE_M
     clockwise = 0.0
     return [
-        to_wire.reposition(
+        messages.reposition(
             system_id,
-            (point.latitude_e7, point.longitude_e7),
-            point.altitude_amsl_m,
+            aimed[0],
+            setpoint.position_nea_m[2],
             switch=False,
             radius_m=radius_m,
             yaw_rad=clockwise,
@@ -70,7 +70,7 @@ def _setpoint(
 def _echo(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Echo | None:
     """POSITION_TARGET_GLOBAL_INT, in every automatic mode."""
     place = (deg(message.lat_int), deg(message.lon_int))
-    return from_wire.echo_at(place, message.alt, now_s, frame)
+    return messages.echo_at(place, message.alt, now_s, frame)
 
 
 def _refuses_setpoint(message: Message) -> bool:
@@ -103,8 +103,8 @@ ARDUPLANE = Autopilot(
     streams_hz=ardupilot.streams_hz(_ECHO, 4.0),
     silent_at_times=ardupilot.SILENT | {_ECHO},  # it does not come in MANUAL
     reads={
-        "EKF_STATUS_REPORT": ardupilot.estimator,
-        "POSITION_TARGET_GLOBAL_INT": _echo,
+        wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ardupilot.estimator,
+        wire.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: _echo,
     },
     take_off=_take_off,
     set_speed=_set_speed,

@@ -5,12 +5,19 @@ from dataclasses import dataclass
 from typing import Protocol, final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.autopilots import from_wire, to_wire
-from companion.mavlink.autopilots.modes import Modes
+from companion.mavlink.autopilots.messages import READS, Reader, command_long, set_mode
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.judgement import ParameterRule
 from companion.mission.driving import Driving
-from companion.mission.events import Event, Mode, SetMode, Setpoint, TakeOff, Vector
+from companion.mission.events import (
+    Event,
+    Mode,
+    SetMode,
+    Setpoint,
+    TakeOff,
+    Vector,
+    VehicleStatus,
+)
 
 ROTORCRAFT = frozenset(
     {
@@ -27,8 +34,7 @@ ROTORCRAFT = frozenset(
 )
 """MAV_TYPE of what hovers.  A VTOL is neither this nor a plane, and is not flown."""
 
-Reader = Callable[[Message, float, LocalFrame, Vector | None], Event | None]
-"""(message, now_s, frame, origin_nea_m) -> what it means; arguments as of `Autopilot.event_of`."""
+_FAILSAFE = (wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY)
 
 
 @final
@@ -39,6 +45,22 @@ class Here:
     position_nea_m: Vector
     heading_rad: float
     """Where its nose points, clockwise from true north (`heading_rad` of GLOBAL_POSITION_INT)."""
+
+
+class Modes(Protocol):
+    """One value per family of autopilots, or per kind of vehicle where their numbers differ."""
+
+    def mode_of(self, custom_mode: int) -> Mode:
+        """The mode that a heartbeat reports."""
+        ...
+
+    def name_of(self, custom_mode: int) -> str:
+        """The same in the autopilot's own words."""
+        ...
+
+    def numbers_of(self, mode: Mode) -> tuple[int, ...] | None:
+        """What DO_SET_MODE asks for, main and sub mode where it has both; None: no such mode."""
+        ...
 
 
 class SetpointSayer(Protocol):
@@ -89,8 +111,8 @@ class Autopilot:
     """Those of the streams that say nothing while there is nothing to say: no fault."""
     asked_once: tuple[int, ...] = ()
     """Message ids to ask for by REQUEST_MESSAGE until they have come: never streamed."""
-    reads: Mapping[str, Reader]
-    """Type of message -> how it is read, for what not all autopilots say alike."""
+    reads: Mapping[int, Reader]
+    """Message id -> how it is read, for what not all autopilots say alike."""
     take_off: Callable[[TakeOff, Here, LocalFrame, int], list[Message]]
     """Send it up in its own way; the order of mode, arming and this is `driving.take_off`.
 
@@ -128,11 +150,11 @@ class Autopilot:
             if about:
                 return about
         numbers = self.modes.numbers_of(command.mode)
-        return [] if numbers is None else [to_wire.set_mode(system_id, *numbers)]
+        return [] if numbers is None else [set_mode(system_id, *numbers)]
 
     def arm(self, system_id: int) -> list[Message]:
         """Ask it to arm, without force: its own checks stay on."""
-        return [to_wire.command_long(system_id, wire.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)]
+        return [command_long(system_id, wire.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)]
 
     def event_of(
         self,
@@ -146,7 +168,15 @@ class Autopilot:
         `origin_nea_m` is the newest `Origin`, which an echo in the autopilot's own local frame
         is measured from; without it such an echo means nothing.
         """
-        read = self.reads.get(message.get_type())
+        number = message.get_msgId()
+        read = self.reads.get(number) or READS.get(number)
         if read is not None:
             return read(message, now_s, frame, origin_nea_m)
-        return from_wire.event_of(message, now_s, frame, self.modes)
+        if number != wire.MAVLINK_MSG_ID_HEARTBEAT:
+            return None
+        return VehicleStatus(
+            time_s=now_s,
+            mode=self.modes.mode_of(message.custom_mode),
+            armed=bool(message.base_mode & wire.MAV_MODE_FLAG_SAFETY_ARMED),
+            failsafe=message.system_status in _FAILSAFE,
+        )

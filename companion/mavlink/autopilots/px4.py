@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.autopilots import from_wire, to_wire
+from companion.mavlink.autopilots import messages
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import Echo, Estimator, Mode, Vector
 
@@ -74,7 +74,7 @@ ASKED_ONCE = (wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, wire.MAVLINK_MSG_ID_HOME_PO
 
 @final
 class Px4Modes:
-    """A main mode, and a sub mode of the automatic one; see `modes.Modes`."""
+    """A main mode, and a sub mode of the automatic one; see `common.Modes`."""
 
     def mode_of(self, custom_mode: int) -> Mode:
         """The mode that a heartbeat reports; the failsafe DESCEND is told as LAND."""
@@ -98,12 +98,12 @@ def _numbers(custom_mode: int) -> tuple[int, int]:
 
 def take_off(to_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
     """NAV_TAKEOFF to a place, its altitude AMSL; empty if it is not finite or out of range."""
-    place = to_wire.wire_place(to_nea_m, frame)
+    place = messages.wire_place(to_nea_m, frame)
     if place is None:
         return []
     parameters = (0.0, 0.0, 0.0, AS_IT_POINTS)
     number = wire.MAV_CMD_NAV_TAKEOFF
-    return [to_wire.command_int(system_id, number, parameters, place, to_nea_m[2])]
+    return [messages.command_int(system_id, number, parameters, place, to_nea_m[2])]
 
 
 def estimator(message: Message, now_s: float, *_: object) -> Estimator:
@@ -128,7 +128,7 @@ def local_echo(
         return None
     latitude, longitude = frame.to_geodetic_deg(origin_nea_m[0], origin_nea_m[1])
     place = _unprojected_deg((latitude, longitude), message.x, message.y)
-    return from_wire.echo_at(place, origin_nea_m[2] - message.z, now_s, frame)
+    return messages.echo_at(place, origin_nea_m[2] - message.z, now_s, frame)
 
 
 def _unprojected_deg(

@@ -7,9 +7,9 @@ and no echo comes in OFFBOARD.  It runs off as soon as it is armed.
 import math
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.autopilots import px4, to_wire
+from companion.mavlink.autopilots import messages, px4
 from companion.mavlink.autopilots.common import Autopilot, Here
-from companion.mavlink.dialect import Message
+from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_rules import PX4_FIXED_WING_RULES
 from companion.mission.driving import Driving, TakeOffWay
 from companion.mission.events import Setpoint, TakeOff, Vector
@@ -20,11 +20,11 @@ _RUNWAY_M = 300.0
 
 def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
     """DO_REPOSITION with the switch to AUTO.LOITER, on the circle that it has set."""
-    place = to_wire.wire_place(at_nea_m, frame)
+    place = messages.wire_place(at_nea_m, frame)
     if place is None:
         return []
     return [
-        to_wire.reposition(
+        messages.reposition(
             system_id,
             place,
             at_nea_m[2],
@@ -60,11 +60,8 @@ def _setpoint(
     Never an acceleration: its sign is wrong there (px4.md 1, item 7).
     """
     del loiter_radius_m
-    point = to_wire.wire_point(setpoint, frame)
-    if point is None:
-        return None
-    mask = to_wire.POSITION if setpoint.stay else to_wire.POSITION_VELOCITY
-    return [to_wire.position_target(point, mask, system_id)]
+    mask = messages.POSITION if setpoint.stay else messages.POSITION_VELOCITY
+    return messages.position_target(setpoint, frame, mask, system_id)
 
 
 PX4_FIXED_WING = Autopilot(
@@ -81,7 +78,7 @@ PX4_FIXED_WING = Autopilot(
     streams_hz=px4.STREAMS_HZ,
     silent_at_times=px4.SILENT,
     asked_once=px4.ASKED_ONCE,
-    reads={"ESTIMATOR_STATUS": px4.estimator},
+    reads={wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS: px4.estimator},
     take_off=_take_off,
     setpoint=_setpoint,
     hold_about=_hold_about,

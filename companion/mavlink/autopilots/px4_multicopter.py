@@ -4,7 +4,7 @@ It flies at the velocity of its setpoints.  10 s on the ground disarm it again.
 """
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.autopilots import px4, to_wire
+from companion.mavlink.autopilots import messages, px4
 from companion.mavlink.autopilots.common import Autopilot, Here
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_rules import PX4_MULTICOPTER_RULES
@@ -31,9 +31,9 @@ PX4_MULTICOPTER = Autopilot(
     silent_at_times=px4.SILENT,
     asked_once=px4.ASKED_ONCE,
     reads={
-        "ESTIMATOR_STATUS": px4.estimator,
-        "POSITION_TARGET_LOCAL_NED": px4.local_echo,
+        wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS: px4.estimator,
+        wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: px4.local_echo,
     },
     take_off=_take_off,
-    setpoint=to_wire.hovering_setpoint,
+    setpoint=messages.hovering_setpoint,
 )

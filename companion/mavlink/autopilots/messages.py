@@ -1,0 +1,292 @@
+"""Messages to events, setpoints and commands to messages: what goes over the wire either way.
+
+Units, frames and datums change here only: inside is the local frame, altitudes AMSL, SI; on the
+wire are latitude and longitude in 1e-7 degrees and true-north NED.  What is sent is refused if it
+is not finite or out of range.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from companion.geodesy import LocalFrame, deg_e7, rotate
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mission.events import (
+    Battery,
+    Echo,
+    Event,
+    GpsFix,
+    Home,
+    Landed,
+    LandedState,
+    Origin,
+    Position,
+    Setpoint,
+    Vector,
+)
+
+HIGHEST_AMSL_M = 50_000.0
+_LOWEST_AMSL_M = -500.0
+_FASTEST_M_S = 1000.0
+"""ArduCopter takes more for an error and stops (ardupilot.md 3)."""
+_FURTHEST_M = 2.0e7
+"""Half way round: no local frame reaches further."""
+_NOWHERE_DEG = 0.01
+"""So near to latitude = longitude = 0 nobody is, and nobody is to be sent: what has no position
+yet says that it is there, and an ArduPlane drifts about there by some metres (recorded)."""
+_LATEST_S = 4.29e6
+"""time_boot_ms is an unsigned 32-bit number."""
+
+POSITION_VELOCITY_YAW = 2496
+"""type_mask: acceleration and yaw rate are ignored."""
+POSITION_VELOCITY = 3520
+"""type_mask: acceleration, yaw and yaw rate are ignored."""
+POSITION = 3576
+"""type_mask: everything but the position is ignored."""
+_E7 = 1e-7  # degrees in the wire's unit of them
+_NO_HEADING = 65535
+_LANDED = {
+    wire.MAV_LANDED_STATE_UNDEFINED: Landed.UNKNOWN,
+    wire.MAV_LANDED_STATE_ON_GROUND: Landed.ON_GROUND,
+    wire.MAV_LANDED_STATE_IN_AIR: Landed.IN_AIR,
+    wire.MAV_LANDED_STATE_TAKEOFF: Landed.TAKING_OFF,
+    wire.MAV_LANDED_STATE_LANDING: Landed.LANDING,
+}
+
+Reader = Callable[[Message, float, LocalFrame, Vector | None], Event | None]
+"""(message, now_s, frame, origin_nea_m) -> what it means; arguments as of `Autopilot.event_of`."""
+
+# --- in
+
+
+def position(message: Message, _now_s: float, frame: LocalFrame, *_: object) -> Position | None:
+    """GLOBAL_POSITION_INT: the vehicle's position, if it has one."""
+    place = _place(message.lat, message.lon, message.alt * 1e-3, frame)
+    if place is None:
+        return None
+    turn, heading = -frame.grid_north_rad(place[0], place[1]), message.hdg
+    north_m_s, east_m_s = rotate(message.vx * 0.01, message.vy * 0.01, turn)
+    return Position(
+        time_s=message.time_boot_ms * 1e-3,
+        position_nea_m=place,
+        velocity_nea_m_s=(north_m_s, east_m_s, -message.vz * 0.01),
+        heading_rad=None if heading == _NO_HEADING else math.radians(heading * 0.01) + turn,
+    )
+
+
+def heading_rad(message: Message) -> float | None:
+    """Where the nose points by GLOBAL_POSITION_INT, from true north; None: it does not say."""
+    return None if message.hdg == _NO_HEADING else math.radians(message.hdg * 0.01)
+
+
+def _landed(message: Message, now_s: float, *_: object) -> LandedState:
+    landed = _LANDED.get(message.landed_state, Landed.UNKNOWN)
+    return LandedState(time_s=now_s, landed=landed)
+
+
+def _gps(message: Message, now_s: float, *_: object) -> GpsFix:
+    return GpsFix(time_s=now_s, good=message.fix_type >= wire.GPS_FIX_TYPE_3D_FIX)
+
+
+def _home(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Home | None:
+    place = _place(message.latitude, message.longitude, message.altitude * 1e-3, frame)
+    return None if place is None else Home(time_s=now_s, position_nea_m=place)
+
+
+def _origin(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Origin | None:
+    place = _place(message.latitude, message.longitude, message.altitude * 1e-3, frame)
+    return None if place is None else Origin(time_s=now_s, position_nea_m=place)
+
+
+def _battery(message: Message, now_s: float, *_: object) -> Battery | None:
+    """Percent left; -1 means that the autopilot does not know."""
+    percent = message.battery_remaining
+    return Battery(time_s=now_s, remaining=percent * 0.01) if 0 <= percent <= 100 else None
+
+
+def _one_battery(message: Message, now_s: float, *_: object) -> Battery | None:
+    """Of the first one: others may drive something else."""
+    return _battery(message, now_s) if message.id == 0 else None
+
+
+READS: Final[Mapping[int, Reader]] = {
+    wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: position,
+    wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
+    wire.MAVLINK_MSG_ID_GPS_RAW_INT: _gps,
+    wire.MAVLINK_MSG_ID_HOME_POSITION: _home,
+    wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
+    wire.MAVLINK_MSG_ID_SYS_STATUS: _battery,
+    wire.MAVLINK_MSG_ID_BATTERY_STATUS: _one_battery,
+}
+"""Message id -> how it is read, of what all autopilots say alike; HEARTBEAT takes their modes."""
+
+
+def echo_at(
+    place_deg: tuple[float, float],
+    altitude_amsl_m: float,
+    now_s: float,
+    frame: LocalFrame,
+    velocity_nea_m_s: Vector | None = None,
+) -> Echo | None:
+    """An echo of a setpoint there; None if it is no place."""
+    latitude, longitude = place_deg
+    if not all(map(math.isfinite, (latitude, longitude, altitude_amsl_m))):
+        return None
+    if is_nowhere(latitude, longitude):
+        return None
+    north_m, east_m = frame.to_local_m(latitude, longitude)
+    if not (math.isfinite(north_m) and math.isfinite(east_m)):
+        return None
+    place = north_m, east_m, altitude_amsl_m
+    return Echo(time_s=now_s, position_nea_m=place, velocity_nea_m_s=velocity_nea_m_s)
+
+
+def _place(
+    latitude_e7: int, longitude_e7: int, altitude_m: float, frame: LocalFrame
+) -> Vector | None:
+    """A place of the wire; None about latitude = longitude = 0: then there is none yet."""
+    latitude, longitude = latitude_e7 * _E7, longitude_e7 * _E7
+    if max(abs(latitude), abs(longitude)) < _NOWHERE_DEG:
+        return None
+    north_m, east_m = frame.to_local_m(latitude, longitude)
+    if not (math.isfinite(north_m) and math.isfinite(east_m)):
+        return None
+    return north_m, east_m, altitude_m
+
+
+def is_nowhere(latitude_deg: float, longitude_deg: float) -> bool:
+    """Whether this stands for having no position."""
+    return max(abs(latitude_deg), abs(longitude_deg)) < _NOWHERE_DEG
+
+
+# --- out
+
+
+def aim(setpoint: Setpoint, frame: LocalFrame) -> tuple[tuple[int, int], Vector, float] | None:
+    """Latitude and longitude in 1e-7 degrees, velocity in true-north NED, yaw of a setpoint.
+
+    Yaw is clockwise from true north, within half a turn.  None if any value is not finite or out of
+    range.
+    """
+    velocity = setpoint.velocity_nea_m_s
+    numbers = math.isfinite(setpoint.yaw_rad) and 0.0 <= setpoint.time_s < _LATEST_S
+    if not (numbers and math.hypot(*velocity) <= _FASTEST_M_S):  # NaN is not
+        return None
+    position = setpoint.position_nea_m
+    place = wire_place(position, frame)
+    if place is None:
+        return None
+    turn = frame.grid_north_rad(position[0], position[1])
+    north_m_s, east_m_s = rotate(velocity[0], velocity[1], turn)
+    yaw_rad = math.remainder(setpoint.yaw_rad + turn, math.tau)
+    if not all(map(math.isfinite, (north_m_s, east_m_s, yaw_rad))):
+        return None
+    return place, (north_m_s, east_m_s, -velocity[2]), yaw_rad
+
+
+def wire_place(position_nea_m: Vector, frame: LocalFrame) -> tuple[int, int] | None:
+    """Latitude and longitude, 1e-7 degrees; None for a place that nobody should be sent to."""
+    north_m, east_m, altitude_m = position_nea_m
+    if not all(map(math.isfinite, position_nea_m)):
+        return None
+    if max(abs(north_m), abs(east_m)) > _FURTHEST_M:
+        return None
+    if not _LOWEST_AMSL_M <= altitude_m <= HIGHEST_AMSL_M:
+        return None
+    latitude, longitude = frame.to_geodetic_deg(north_m, east_m)
+    if not (math.isfinite(latitude) and math.isfinite(longitude)):
+        return None
+    if max(abs(latitude), abs(longitude)) < _NOWHERE_DEG:
+        return None
+    return deg_e7(latitude), deg_e7(longitude)
+
+
+def hovering_setpoint(
+    setpoint: Setpoint, frame: LocalFrame, system_id: int, *, loiter_radius_m: float = 0.0
+) -> list[Message] | None:
+    """Position, velocity and yaw for what can stand still; to stay is a velocity of zero."""
+    del loiter_radius_m
+    return position_target(setpoint, frame, POSITION_VELOCITY_YAW, system_id, stands=setpoint.stay)
+
+
+def position_target(
+    setpoint: Setpoint, frame: LocalFrame, type_mask: int, system_id: int, *, stands: bool = False
+) -> list[Message] | None:
+    """SET_POSITION_TARGET_GLOBAL_INT in frame 5: AMSL, which all autopilots get right.
+
+    stands: with a velocity of zero.
+    """
+    aimed = aim(setpoint, frame)
+    if aimed is None:
+        return None
+    place_e7, velocity_ned_m_s, yaw_rad = aimed
+    return [
+        wire.MAVLink_set_position_target_global_int_message(
+            round(setpoint.time_s * 1e3),
+            system_id,
+            AUTOPILOT_COMPONENT,
+            wire.MAV_FRAME_GLOBAL_INT,
+            type_mask,
+            *place_e7,
+            setpoint.position_nea_m[2],
+            *((0.0, 0.0, 0.0) if stands else velocity_ned_m_s),
+            0.0,
+            0.0,
+            0.0,
+            yaw_rad,
+            0.0,
+        )
+    ]
+
+
+def command_long(system_id: int, command: int, *parameters: float) -> Message:
+    """COMMAND_LONG to the autopilot; parameters left out are 0."""
+    padded = (*parameters, *([0.0] * (7 - len(parameters))))
+    return wire.MAVLink_command_long_message(system_id, AUTOPILOT_COMPONENT, command, 0, *padded)
+
+
+def command_int(
+    system_id: int,
+    command: int,
+    parameters: tuple[float, float, float, float],
+    place_e7: tuple[int, int] = (0, 0),
+    altitude_amsl_m: float = 0.0,
+) -> Message:
+    """COMMAND_INT to the autopilot, in frame 5 (AMSL); place: latitude, longitude."""
+    return wire.MAVLink_command_int_message(
+        system_id,
+        AUTOPILOT_COMPONENT,
+        wire.MAV_FRAME_GLOBAL_INT,
+        command,
+        0,
+        0,
+        *parameters,
+        *place_e7,
+        altitude_amsl_m,
+    )
+
+
+def set_mode(system_id: int, *numbers: int) -> Message:
+    """DO_SET_MODE with the autopilot's own numbers."""
+    flag = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+    return command_long(system_id, wire.MAV_CMD_DO_SET_MODE, flag, *numbers)
+
+
+def reposition(
+    system_id: int,
+    place_e7: tuple[int, int],
+    altitude_amsl_m: float,
+    *,
+    switch: bool,
+    radius_m: float,
+    yaw_rad: float,
+) -> Message:
+    """DO_REPOSITION, at the speed that it has.
+
+    switch: whether it is to go into the mode for this; yaw_rad: to a plane of ArduPilot's the sense
+    of its circles, 0 clockwise.
+    """
+    as_it_is = -1.0
+    parameters = (as_it_is, float(switch), radius_m, yaw_rad)
+    number = wire.MAV_CMD_DO_REPOSITION
+    return command_int(system_id, number, parameters, place_e7, altitude_amsl_m)

@@ -1,0 +1,406 @@
+"""Who speaks on the links, what time it is there, and what we say: messages in, frames out.
+
+Each message is classified once, as it comes in: link, sender, number.
+"""
+
+import enum
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple, final
+
+from companion.mavlink.dialect import (
+    AUTOPILOT_COMPONENT,
+    Message,
+    codec,
+    wire,
+)
+from companion.mavlink.frames import NEEDLESS, V2, RawMessage, Receiver
+from companion.mavlink.signing import Signing, strip_signature
+from companion.mission.checkpoint import Values
+from companion.mission.entries import Entry
+from companion.mission.events import End, Namesake
+from companion.planner.request import PlanRequest
+from companion.world.known_map import KnownMap
+
+VEHICLE: Final = 0
+"""The number of the link to the vehicle; those to ground stations count on from 1."""
+MERE_CLOCKS: Final = frozenset(
+    {wire.MAVLINK_MSG_ID_ATTITUDE, wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
+)
+"""Messages of which nothing but their time_boot_ms is read."""
+_MOST_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the oldest go
+
+_HEARTBEATS = 3  # of one system, and of no other, at one a second: then it is the vehicle
+_ENOUGH = 10  # of any: then it will not become clear by itself
+_NO_AUTOPILOTS = (wire.MAV_TYPE_GCS, wire.MAV_TYPE_ONBOARD_CONTROLLER)
+
+_KEPT = 2048  # frames that may still come back: 10 s at 200 Hz
+_STRANGE = 3  # heartbeats, or other frames
+_SPAN_S = 1.5  # from the first of them to the last, at the least
+_GAP_S = 3.0  # after so long without any it begins anew,
+_GONE_S = 10.0  # and so long for one that was certain
+_TELL_S = 0.5
+
+_REBOOT_S = 2.0  # a clock that falls by more has begun again
+_BEAT_S = 1.0  # between two heartbeats of an autopilot
+_OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
+
+# --- in
+
+
+class Incoming(NamedTuple):
+    """A message, where it came from and when."""
+
+    frame: bytes
+    """Without signature."""
+    number: int
+    """Which kind of message it is."""
+    system: int
+    component: int
+    message: Message
+    """None of one of a kind that is not read."""
+    at_s: float | None
+    """When it arrived, by the clock of whoever received it."""
+    link: int
+
+
+@final
+class Inbox:
+    """What was heard over each link and has not been handled yet, in the order in which it came."""
+
+    def __init__(self, signing: Signing | None) -> None:
+        self.receivers = {VEHICLE: Receiver(signing, NEEDLESS)}
+        """By the number of the link."""
+        self.waiting: deque[Incoming] = deque(maxlen=_MOST_WAITING)
+        self.dropped = 0
+        """How many were too many."""
+        self._signing = signing
+
+    def feed(self, data: bytes, at_s: float | None, link: int) -> list[Incoming]:
+        """The messages that are complete with these bytes; they wait from now on."""
+        if link not in self.receivers:
+            self.receivers[link] = Receiver(self._signing, NEEDLESS)
+        heard = []
+        for message in self.receivers[link].feed(data):
+            frame = bytes(message.get_msgbuf())
+            if frame[0] == V2:
+                number = frame[7] | frame[8] << 8 | frame[9] << 16
+                system, component = frame[5], frame[6]
+            else:
+                system, component, number = frame[3], frame[4], frame[5]
+            read = None if isinstance(message, RawMessage) else message
+            heard.append(Incoming(frame, number, system, component, read, at_s, link))
+        self.dropped += max(len(self.waiting) + len(heard) - _MOST_WAITING, 0)
+        self.waiting.extend(heard)
+        return heard
+
+
+# --- who
+
+
+@final
+class VehicleSelector:
+    """Whose companion we are: of the vehicle that the mission names, or of the only one heard.
+
+    Counts the heartbeats of autopilots until that is clear.  Their number stands for time:
+    replayed, the same messages select the same vehicle.
+    """
+
+    def __init__(self, system_id: int | None) -> None:
+        self.system_id = system_id
+        """Of our vehicle; None: not known yet."""
+        self.others: set[int] = set()
+        """Systems with an autopilot that are not ours, or may not be."""
+        self._heard: dict[int, int] = {}
+
+    @property
+    def ambiguity(self) -> str:
+        """What to say once several autopilots have been heard for a while; empty: it is clear."""
+        if self.system_id is not None or sum(self._heard.values()) < _ENOUGH:
+            return ""
+        names = ", ".join(str(system) for system in sorted(self.others))
+        return f"systems {names} are heard, choose one with --system"
+
+    def is_ours(self, heard: Incoming) -> bool:
+        """Whether our autopilot sent this; as long as none is ours: whether any did."""
+        if self.system_id is None:
+            return _is_an_autopilots(heard)
+        return heard.system == self.system_id and heard.component == AUTOPILOT_COMPONENT
+
+    def on_heartbeat(self, heard: Incoming) -> bool:
+        """Whether it has become clear with this heartbeat."""
+        system = heard.system
+        if system == self.system_id or not _is_an_autopilots(heard):
+            return False
+        self.others.add(system)
+        if self.system_id is not None:
+            return False
+        self._heard[system] = self._heard.get(system, 0) + 1
+        if len(self._heard) > 1 or self._heard[system] < _HEARTBEATS:
+            return False
+        self.system_id = system
+        self.others.clear()
+        return True
+
+
+def _is_an_autopilots(heard: Incoming) -> bool:
+    """Whether this is the heartbeat of an autopilot: others are forwarded onto the link too."""
+    message = heard.message
+    if heard.number != wire.MAVLINK_MSG_ID_HEARTBEAT or message is None:
+        return False
+    flies = heard.component == AUTOPILOT_COMPONENT and message.type not in _NO_AUTOPILOTS
+    return bool(flies and message.autopilot != wire.MAV_AUTOPILOT_INVALID)
+
+
+_Key = tuple[int, int, bytes]
+"""Sequence number, message, payload."""
+
+
+@final
+@dataclass(slots=True)
+class _Stranger:
+    """What was heard of another process."""
+
+    first_s: float
+    last_s: float
+    count: int = 0
+    told_s: float | None = None
+    certain: bool = False
+
+    @property
+    def patience_s(self) -> float:
+        """How long it may say nothing and still be the same."""
+        return _GONE_S if self.certain else _GAP_S
+
+
+@final
+class DuplicateIdDetector:
+    """Another process with our own ids, told from our own frames that the link sends back.
+
+    Routers and radios reflect what they are given.  A frame of ours that comes back is one that we
+    have sent: the same sequence number, message and payload, whatever became of its signature and
+    version.  What carries our ids and is none of these was sent by somebody else.  What a companion
+    before this one has left in buffers comes in one burst; who goes on for longer is there.
+    """
+
+    def __init__(self) -> None:
+        self._sent: dict[_Key, None] = {}
+        self._heard: dict[int, _Stranger] = {}
+        """By system id: whose companion we are may not be known yet."""
+
+    def sent(self, frame: bytes) -> None:
+        """A frame of ours, signed or not."""
+        key = _key(frame)
+        self._sent.pop(key, None)
+        self._sent[key] = None
+        if len(self._sent) > _KEPT:
+            del self._sent[next(iter(self._sent))]
+
+    def heard(self, frame: bytes, system_id: int | None, now_s: float) -> Namesake | None:
+        """What a frame of any companion means, if it is none of ours, and it is time to say so.
+
+        system_id: ours, None as long as it is not known.
+        """
+        if _key(frame) in self._sent:
+            return None
+        system = frame[5] if frame[0] == V2 else frame[3]
+        heard = self._heard.get(system)
+        if heard is None or not 0.0 <= now_s - heard.last_s <= heard.patience_s:
+            heard = self._heard[system] = _Stranger(now_s, now_s)
+        heard.last_s, heard.count = now_s, heard.count + 1
+        news = not heard.certain and (heard.count >= _STRANGE and now_s - heard.first_s >= _SPAN_S)
+        heard.certain = heard.certain or news
+        lately = heard.told_s is not None and now_s - heard.told_s < _TELL_S
+        if system != system_id or (lately and not news):
+            return None
+        first = heard.told_s is None or news
+        heard.told_s = now_s
+        return Namesake(time_s=now_s, certain=heard.certain, news=first and heard.certain)
+
+
+def _key(frame: bytes) -> _Key:
+    """What of a frame stays the same on its way there and back; MAVLink 1 or 2."""
+    if frame[0] == V2:
+        number = frame[7] | frame[8] << 8 | frame[9] << 16
+        return frame[4], number, frame[10 : 10 + frame[1]].rstrip(b"\0")
+    return frame[2], frame[5], frame[6 : 6 + frame[1]].rstrip(b"\0")
+
+
+# --- when
+
+
+class Reading(enum.Enum):
+    """What a time means for the clock."""
+
+    FIRST = "the clock is known from now on"
+    LATER = "it has moved on"
+    SAME = "it has not"
+    REBOOTED = "it has begun again"
+    DOUBTED = "it has fallen, for the first time: one such message may be a mistake"
+
+
+@final
+class VehicleClock:
+    """Vehicle time, seconds since its boot."""
+
+    def __init__(self, start_s: float) -> None:
+        """start_s: what stands for the time until it is known."""
+        self.now_s = start_s
+        self.is_known = False
+        self.passed_s = 0.0
+        """How long it has been known, all boots together."""
+        self._idle_s = 0.0
+        self._fallen_s: float | None = None
+        self._beat: tuple[float, float, int] | None = None
+        """Time, idle time and sequence number at the last heartbeat."""
+        self._told_ms: dict[int, int] = {}
+
+    @property
+    def going_on_s(self) -> float:
+        """Vehicle time with the silence since on top: for what goes on meanwhile."""
+        return self.now_s + self._idle_s
+
+    def is_told_by(self, number: int, time_boot_ms: int) -> bool:
+        """Whether a mere clock of the autopilot says more than another of its kind did just before.
+
+        That one is remembered.
+        """
+        before_ms = self._told_ms.get(number)
+        if before_ms is not None and 0 <= time_boot_ms - before_ms < _OFTEN_MS:
+            return False
+        self._told_ms[number] = time_boot_ms
+        return True
+
+    def read(self, time_s: float) -> Reading:
+        """The vehicle says that it is this late."""
+        if not self.is_known:
+            self.is_known, self.now_s, self._idle_s = True, time_s, 0.0
+            return Reading.FIRST
+        if time_s < self.now_s - _REBOOT_S:
+            before_s, self._fallen_s = self._fallen_s, time_s
+            if before_s is None or not 0.0 <= time_s - before_s < _REBOOT_S:
+                return Reading.DOUBTED
+            self.now_s, self._idle_s, self._fallen_s = time_s, 0.0, None
+            return Reading.REBOOTED
+        self._fallen_s = None
+        if time_s <= self.now_s:
+            return Reading.SAME
+        self.passed_s += time_s - self.now_s
+        self.now_s, self._idle_s = time_s, 0.0
+        return Reading.LATER
+
+    def beat(self, heartbeat: Message) -> bool:
+        """Whether the vehicle lives and no clock of it was heard since the heartbeat before.
+
+        Two heartbeats without a time in between are a second apart, if no more is known; a copy
+        has the sequence number of the first.
+        """
+        before, number = self._beat, heartbeat.get_seq()
+        if before is not None and before[2] == number:
+            return False
+        stands = self.is_known and before is not None and before[0] == self.now_s
+        if stands and before is not None:
+            self._idle_s = max(self._idle_s, before[1] + _BEAT_S)
+        self._beat = (self.now_s, self._idle_s, number)
+        return stands
+
+    def be_silent(self, more_s: float, *, counts: bool) -> Reading:
+        """It has said nothing for so much longer; counts: before it is known, that is its time."""
+        if self.is_known or not counts:
+            self._idle_s += more_s
+            return Reading.SAME
+        before_s, self.now_s = self.now_s, self.now_s + max(more_s, 0.0)
+        self._idle_s = 0.0 if self.now_s > before_s else self._idle_s
+        return Reading.LATER if self.now_s > before_s else Reading.SAME
+
+
+# --- out
+
+Stamped = tuple[float, bytes]
+"""Vehicle time, seconds, and a frame."""
+Input = tuple[Any, ...]
+"""Something that the session was told: the name of the call, and its arguments as plain values."""
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Output:
+    """What one run() asks of the outside."""
+
+    frames: list[bytes] = field(default_factory=list)
+    """To be sent, in order."""
+    to_ground: list[bytes] = field(default_factory=list)
+    """To be sent over every link to ground stations; not in the record."""
+    record: list[Stamped] = field(default_factory=list)
+    """Vehicle time and frame, both directions, for the telemetry log."""
+    journal: list[Entry] = field(default_factory=list)
+    inputs: list[Input] = field(default_factory=list)
+    """All that this follows from, in order: told again to a session like this, it does the same."""
+    plan: PlanRequest | None = None
+    """To be computed and delivered."""
+    awaits_plan: bool = False
+    checkpoint: Values | None = None
+    """To be kept for a companion that is started again in flight, if this one dies."""
+    known: KnownMap | None = None
+    """The known map, to be kept as well, when it has changed."""
+    end: End | None = None
+    """Set once the mission is over."""
+    settled: bool = False
+    """Whether the vehicle is then in the mode that it was last asked for, or gone."""
+
+    def leave_out(self, numbers: Iterable[int]) -> None:
+        """Take frames, by their places in `frames`, out of the record: they were not sent."""
+        unsent = {strip_signature(self.frames[number]) for number in numbers}
+        self.record = [each for each in self.record if each[1] not in unsent]
+
+
+@final
+class Outbox:
+    """Frames on their way out, and the record of all frames, both ways, without signatures."""
+
+    def __init__(self, system_id: int | None, signing: Signing | None, *, has_ground: bool) -> None:
+        """has_ground: whether there are links to ground stations besides the vehicle's."""
+        self._codec, self._grounds = codec(system_id or 1), codec(system_id or 1)
+        self._has_ground = has_ground
+        self._plain = signing is None
+        self.duplicates = DuplicateIdDetector()
+        """Hears of other processes with our ids."""
+        if signing is not None:
+            signing.attach(self._codec)
+            signing.attach(self._grounds)
+        self.out = Output()
+        """What has come together since it was last taken."""
+
+    def speak_as(self, system_id: int) -> None:
+        """Go on as the companion of this vehicle."""
+        self._codec.srcSystem = self._grounds.srcSystem = system_id
+
+    def send(self, messages: Iterable[Message], now_s: float, *, to_ground: bool = False) -> None:
+        """Messages, in order; to_ground: not to the vehicle's link alone."""
+        for message in messages:
+            frame: bytes = message.pack(self._codec)
+            self._codec.seq = (self._codec.seq + 1) % 256
+            self.out.frames.append(frame)
+            self.duplicates.sent(frame)
+            self.out.record.append((now_s, frame if self._plain else strip_signature(frame)))
+            if to_ground:
+                self.tell_ground([message])
+
+    def tell_ground(self, messages: Iterable[Message]) -> None:
+        """Messages to the links to ground stations alone, which count on by themselves."""
+        if self._has_ground:
+            for message in messages:
+                frame = message.pack(self._grounds)
+                self._grounds.seq = (self._grounds.seq + 1) % 256
+                self.out.to_ground.append(frame)
+                self.duplicates.sent(frame)  # a router may bring it to the vehicle's link
+
+    def spare(self, messages: Iterable[Message]) -> list[bytes]:
+        """Messages as frames that are perhaps never sent: they take no sequence numbers."""
+        before, frames = self._codec.seq, []
+        for message in messages:
+            frames.append(message.pack(self._codec))
+            self._codec.seq = (self._codec.seq + 1) % 256
+        self._codec.seq = before
+        return frames
