@@ -384,21 +384,3 @@ def may_be_near(near: BoolArray, numbers: FloatArray, north: float, east: float)
     if 0 <= row < near.shape[0] and 0 <= column < near.shape[1]:
         return bool(near[row, column])
     return True
-
-
-HELPERS = (
-    place_control_points,
-    sample,
-    lattice_m,
-    remaining_m,
-    height,
-    guide,
-    detection,
-    steering,
-    leaving,
-    may_be_near,
-    intruding,
-    too_low_m,
-    dead_man_m,
-)
-"""What `cost` calls: to be compiled before it."""

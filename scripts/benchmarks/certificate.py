@@ -28,7 +28,6 @@ from brute_force import (
     truth,
 )
 
-from companion.path import proof
 from companion.path.certificate import (
     Certificate,
     Margins,
@@ -38,8 +37,11 @@ from companion.path.certificate import (
     pack_surroundings,
 )
 from companion.path.limits import Limits
+from companion.path.proof import prove
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
+from companion.planner.kernels import NUMPY
+from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
@@ -64,13 +66,8 @@ class Tally:
 
 def compiled() -> Prover | None:
     """The prover in machine code, or None without numba."""
-    try:
-        import numba
-    except ImportError:
-        return None
-    for helper in proof.HELPERS:
-        numba.extending.register_jitable(helper)
-    return numba.njit(nogil=True)(proof.ENTRY)  # type: ignore[no-any-return]
+    kernel = load_kernel()
+    return None if kernel is NUMPY else kernel.prove
 
 
 def optimistic(case: Case, told: Certificate, real: Truth) -> list[str]:
@@ -294,15 +291,15 @@ def main() -> None:
     fast = compiled()
     tally = Tally()
     for k in range(asked.cases):
-        measure(random_case(np.random.default_rng([asked.seed, k])), fast or proof.prove, tally)
+        measure(random_case(np.random.default_rng([asked.seed, k])), fast or prove, tally)
         if tally.cases % 1_000 == 0:
             print(f"{tally.cases} cases: {rows(tally, {})}", flush=True)
-    times = {"plain": seconds_each(proof.prove, 1)}
+    times = {"plain": seconds_each(prove, 1)}
     if fast is not None:
         times["compiled"] = seconds_each(fast, 20)
     table = rows(tally, times)
     if fast is not None:
-        table["compiled and plain apart by"] = largest_difference(fast, proof.prove, 200)
+        table["compiled and plain apart by"] = largest_difference(fast, prove, 200)
     for name, value in table.items():
         print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")
     if asked.json is not None:
