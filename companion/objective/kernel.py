@@ -1,184 +1,172 @@
 """The objective of `flight`, one candidate at a time: what numba compiles.
 
-The same sums as `flight.cost`, in plain loops over a pack of arrays; as soon as the partial sum
-exceeds a bound above which the search rejects the candidate anyway, it stops and says infinity
-(every term is at least zero).
+The same sums as `scene.cost`, in plain loops; as soon as the partial sum exceeds a bound above
+which the search rejects the candidate anyway, it stops and says infinity (every term is at least
+zero).
 """
 
 import math
-from typing import NamedTuple
+from collections import namedtuple
+from dataclasses import fields, is_dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from companion.geodesy import BoolArray, FloatArray
-from companion.objective import flight
-from companion.objective.flight import FlightScene
+from companion.geodesy import FloatArray
+from companion.objective.scene import (
+    ANGLE_SCALE,
+    BETWEEN,
+    CRASH_SCALE,
+    CURVATURE_SCALE,
+    DEAD_MAN_EVERY,
+    END_SHARE,
+    LONGEST_R,
+    LONGEST_R2,
+    LONGEST_S,
+    MOST_EXCESS,
+    OUTSIDE_SCALE,
+    PER_SAMPLE,
+    RADAR_SCALE,
+    SHORTEST_R,
+    SHORTEST_R2,
+    SHORTEST_S,
+    SPREAD_RAD,
+    STRAIGHT_SCALE,
+    FlightScene,
+    Weights,
+)
 from companion.path.bspline import uniform_basis
 from companion.path.certificate import pack_zones
+from companion.path.limits import Limits
 from companion.path.proof_distance import ZoneTable, polygon_at
+from companion.path.subpath import Pose
+from companion.world.clearance import Surface
+from companion.world.threats import NearCells
 
-_SPREAD = flight.SPREAD_RAD
 _FAR = 1e12
 
 
 class Pack(NamedTuple):
-    """A `FlightScene` as numba takes it."""
+    """A `FlightScene` as numba takes it, and workspace."""
 
+    scene: FlightScene  # a record of the same fields and properties; no radars, no zones
     basis: FloatArray  # (3, S + 1, points): values, first and second derivatives
-    start: FloatArray  # (3, 3): position, tangent, curvature
-    numbers: FloatArray  # by the names below
-    weights: FloatArray  # (7,), by flight.TERMS
-    surface: FloatArray  # vertices of the lattices; where they lie is among the numbers
-    contact: FloatArray
-    to_go: FloatArray
-    needed: FloatArray
     radars: FloatArray  # (n, 5): north, east, altitude, range, range and margin
     zones: ZoneTable
     gaps: FloatArray  # (n,), workspace: distance of the point before from each polygon
-    near: BoolArray  # cells in which polygons need be looked at; of no size: everywhere
     control: FloatArray  # (points, 3), workspace
     points: FloatArray  # (S + 1, 4), workspace: position and length flown
     ahead: FloatArray  # (S + 1, 3), workspace: first derivatives
 
 
-# Pack.numbers
-UNIT, AHEAD, FROM_REST, RANGE, LOOK_AHEAD, SAFETY, CLEARANCE, MARGIN = range(8)
-SCAN_N, SCAN_E, END_RADIUS, IS_FINAL, FINAL_N, FINAL_E, GUIDE = range(8, 15)
-LOW, HIGH, SOUTH, NORTH, WEST, EAST = range(15, 21)
-TURN_RADIUS, CLIMB, DIVE, SPEED, ACCELERATION, DEAD_MAN_S, GUIDE_SHARE = range(21, 28)
-SURFACE_AT, CONTACT_AT, TO_GO_AT, NEEDED_AT = range(28, 40, 3)  # SW vertex north, east, and cell
-NEAR_AT = 40  # likewise, of the cells' corner
-DESCENT, STEEPEST = 43, 44
-_COUNT = 45
-
-
 def pack(scene: FlightScene) -> Pack:
-    """The scene as plain arrays."""
-    at = uniform_basis(scene.samples, scene.points)
-    start = scene.start
-    zones = pack_zones(scene.zones)
-    near = np.empty((0, 0), dtype=bool)
-    if scene.near_polygons is not None:
-        near = scene.near_polygons.near
-    margin_m = scene.radar_margin_m
+    """The scene as plain numbers and arrays."""
+    at, zones = uniform_basis(scene.samples, scene.points), pack_zones(scene.zones)
+    radars = [(*r.centre_nea_m, r.range_m, r.range_m + scene.radar_margin_m) for r in scene.radars]
     return Pack(
+        scene=_plain(scene),
         basis=np.stack([at.value, at.first, at.second]),
-        start=np.stack([start.position_nea_m, start.tangent_nea, start.curvature_nea_1_m]),
-        numbers=_numbers(scene),
-        weights=np.array([flight.weight(name, scene) for name in flight.TERMS]),
-        surface=np.ascontiguousarray(scene.surface.vertex_m),
-        contact=np.ascontiguousarray(scene.contact.vertex_m),
-        to_go=np.ascontiguousarray(scene.to_go.vertex_m),
-        needed=np.ascontiguousarray(scene.needed.vertex_m),
-        radars=_rows([[*r.centre_nea_m, r.range_m, r.range_m + margin_m] for r in scene.radars], 5),
+        radars=np.array(radars, dtype=np.float64).reshape(-1, 5),
         zones=zones,
         gaps=np.empty(len(zones.polygons)),
-        near=near,
         control=np.empty((scene.points, 3)),
         points=np.empty((scene.samples + 1, 4)),
         ahead=np.empty((scene.samples + 1, 3)),
     )
 
 
-def _numbers(scene: FlightScene) -> FloatArray:
-    limits = scene.limits
-    numbers = np.empty(_COUNT)
-    numbers[UNIT:SCAN_N] = (
-        scene.unit_m,
-        scene.ahead_rad,
-        scene.from_rest,
-        scene.scan_range_m,
-        scene.look_ahead_m,
-        scene.safety_distance_m,
-        scene.clearance_m,
-        scene.margin,
-    )
-    final = scene.final_ne_m
-    numbers[SCAN_N:LOW] = (
-        *scene.scan_ne_m,
-        scene.end_radius_m,
-        final is not None,
-        *(final or (0.0, 0.0)),
-        scene.guide_rad,
-    )
-    numbers[LOW:TURN_RADIUS] = *scene.band_amsl_m, *limits.north_m, *limits.east_m
-    numbers[TURN_RADIUS:SURFACE_AT] = (
-        limits.turn_radius_m,
-        limits.climb_angle_rad / scene.margin,
-        limits.dive_angle_rad / scene.margin,
-        limits.speed_m_s,
-        limits.acceleration_m_s2,
-        limits.dead_man_s if limits.hovers else -1.0,
-        scene.guide_share,
-    )
-    lattices = (scene.surface, scene.contact, scene.to_go, scene.needed)
-    numbers[SURFACE_AT:NEAR_AT] = [
-        v for s in lattices for v in (s.north_min_m, s.east_min_m, s.cell_m)
-    ]
-    near, numbers[NEAR_AT:DESCENT] = scene.near_polygons, 1.0
-    if near is not None:
-        numbers[NEAR_AT:DESCENT] = near.north_min_m, near.east_min_m, near.cell_m
-    numbers[DESCENT], numbers[STEEPEST] = scene.descent_m, math.tan(limits.climb_angle_rad)
-    return numbers
+_UNUSED = {"radars", "zones", "points", "samples", "variables", "radar_margin_m", "point_nea_m"}
 
 
-def _rows(rows: list[list[float]], columns: int) -> FloatArray:
-    return np.array(rows, dtype=np.float64).reshape(len(rows), columns)
+def _record_of(kind: type) -> Any:
+    """A named tuple with the fields and the properties of a dataclass."""
+    names = [each.name for each in fields(kind)]
+    names += [name for name, value in vars(kind).items() if isinstance(value, property)]
+    names = [name for name in names if name not in _UNUSED]
+    return namedtuple(f"_{kind.__name__}", names, module=__name__)
+
+
+_FlightScene, _Weights, _Limits = map(_record_of, (FlightScene, Weights, Limits))
+_Pose, _Surface, _NearCells = map(_record_of, (Pose, Surface, NearCells))
+_NONE = {
+    "final_ne_m": (0.0, 0.0),
+    "near_polygons": NearCells(
+        north_min_m=0.0, east_min_m=0.0, cell_m=1.0, near=np.empty((0, 0), dtype=bool)
+    ),
+}
+"""What stands for None: numba compiles for each type another time."""
+
+
+def _plain(value: Any) -> Any:
+    """Dataclasses as records, numbers as floats, for the same reason; arrays in C order."""
+    if is_dataclass(value):
+        record = globals()[f"_{type(value).__name__}"]
+        found = {name: getattr(value, name) for name in record._fields}
+        return record(*(_plain(_NONE[k] if v is None else v) for k, v in found.items()))
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    if isinstance(value, np.ndarray):
+        return np.ascontiguousarray(value, dtype=bool if value.dtype == bool else np.float64)
+    return value if isinstance(value, bool) else float(value)
 
 
 def cost(x: FloatArray, bound: float, pack: Pack) -> float:
     """Eq. 5 for one candidate, (D,) in the unit cube; infinity if it would exceed the bound."""
-    numbers, weights, control, points = pack.numbers, pack.weights, pack.control, pack.points
-    each = flight.PER_SAMPLE / (len(points) - 1)
-    place_control_points(x, control, pack.start, numbers)
+    scene, weights = pack.scene, pack.scene.weights
+    control, points = pack.control, pack.points
+    each = PER_SAMPLE / (len(points) - 1)
+    place_control_points(x, control, scene)
     sample(points, control, pack.basis)
-    to_go_m = remaining_m(control, pack.to_go, pack.needed, numbers)
-    per_metre = 100.0 / (2.4 * numbers[RANGE])
-    total = weights[0] * points[-1, 3] * per_metre + weights[6] * to_go_m * per_metre
-    total += weights[1] * height(points, numbers) + weights[2] * guide(control, numbers)
+    to_go_m = remaining_m(control, scene)
+    per_metre = 100.0 / (2.4 * scene.scan_range_m)
+    total = weights.length * points[-1, 3] * per_metre + weights.length * to_go_m * per_metre
+    total += weights.height * height(points, scene) + weights.guide * guide(control, scene)
     if total > bound:
         return math.inf
-    total += weights[4] * each * flight.RADAR_SCALE * detection(points, pack.radars)
-    total += weights[5] * each * steering(pack.ahead, control, pack.basis, numbers)
+    total += weights.radar * each * RADAR_SCALE * detection(points, pack.radars)
+    total += weights.constraints * each * steering(pack.ahead, control, pack.basis, scene)
     if total > bound:
         return math.inf
-    scale = weights[5] * each * flight.OUTSIDE_SCALE
-    total += scale * leaving(points, numbers)
-    total += scale * intruding(points, pack, numbers, (bound - total) / max(scale, 1e-12))
+    scale = weights.constraints * each * OUTSIDE_SCALE
+    total += scale * leaving(points, scene)
+    total += scale * intruding(points, pack, (bound - total) / max(scale, 1e-12))
     if total > bound:
         return math.inf
-    low_m = too_low_m(points, pack.surface, numbers)
-    if numbers[DEAD_MAN_S] >= 0.0:  # a plane circles, and its surface stands off by that
-        low_m += dead_man_m(points, pack.ahead, pack.contact, numbers)
-    total += weights[3] * each * flight.CRASH_SCALE / numbers[SAFETY] * low_m
+    low_m = too_low_m(points, scene.surface)
+    if scene.limits.hovers:  # a plane circles, and its surface stands off by that
+        low_m += dead_man_m(points, pack.ahead, scene)
+    total += weights.crash * each * CRASH_SCALE / scene.safety_distance_m * low_m
     return math.inf if total > bound else float(total)
 
 
-def place_control_points(
-    x: FloatArray, control: FloatArray, start: FloatArray, numbers: FloatArray
-) -> None:
-    """`flight.control_points` of one candidate."""
-    count, unit, ahead = len(control), numbers[UNIT], numbers[AHEAD]
-    r2 = (flight.SHORTEST_R2 + (flight.LONGEST_R2 - flight.SHORTEST_R2) * x[0]) * unit
-    s = r2 + (flight.SHORTEST_S + (flight.LONGEST_S - flight.SHORTEST_S) * x[1]) * unit
+def place_control_points(x: FloatArray, control: FloatArray, scene: FlightScene) -> None:
+    """`scene.control_points` of one candidate."""
+    count, unit, ahead = len(control), scene.unit_m, scene.ahead_rad
+    at, tangent, bend = (
+        scene.start.position_nea_m,
+        scene.start.tangent_nea,
+        scene.start.curvature_nea_1_m,
+    )
+    r2 = (SHORTEST_R2 + (LONGEST_R2 - SHORTEST_R2) * x[0]) * unit
+    s = r2 + (SHORTEST_S + (LONGEST_S - SHORTEST_S) * x[1]) * unit
     for i in range(3):
-        control[0, i] = start[0, i]
-        control[1, i] = start[0, i] + r2 * start[1, i]
-        control[2, i] = start[0, i] + s * start[1, i] + 3.0 * r2 * r2 * start[2, i]
-    low, high = numbers[LOW], numbers[HIGH]
+        control[0, i] = at[i]
+        control[1, i] = at[i] + r2 * tangent[i]
+        control[2, i] = at[i] + s * tangent[i] + 3.0 * r2 * r2 * bend[i]
+    low, high = scene.band_amsl_m
     for k in range(3, count - 1):
-        r = (flight.SHORTEST_R + (flight.LONGEST_R - flight.SHORTEST_R) * x[3 * k - 7]) * unit
-        phi = ahead + (2.0 * x[3 * k - 6] - 1.0) * _SPREAD
-        control[k, 0] = start[0, 0] + r * math.cos(phi)
-        control[k, 1] = start[0, 1] + r * math.sin(phi)
+        r = (SHORTEST_R + (LONGEST_R - SHORTEST_R) * x[3 * k - 7]) * unit
+        phi = ahead + (2.0 * x[3 * k - 6] - 1.0) * SPREAD_RAD
+        control[k, 0] = at[0] + r * math.cos(phi)
+        control[k, 1] = at[1] + r * math.sin(phi)
         control[k, 2] = low + x[3 * k - 5] * (high - low)
-    if numbers[IS_FINAL] > 0.0:
-        control[count - 1, 0] = numbers[FINAL_N]
-        control[count - 1, 1] = numbers[FINAL_E]
+    if scene.is_final:
+        assert scene.final_ne_m is not None
+        control[count - 1, 0], control[count - 1, 1] = scene.final_ne_m
     else:
-        phi = ahead + (2.0 * x[3 * count - 10] - 1.0) * _SPREAD
-        control[count - 1, 0] = numbers[SCAN_N] + numbers[END_RADIUS] * math.cos(phi)
-        control[count - 1, 1] = numbers[SCAN_E] + numbers[END_RADIUS] * math.sin(phi)
+        phi = ahead + (2.0 * x[3 * count - 10] - 1.0) * SPREAD_RAD
+        control[count - 1, 0] = scene.scan_ne_m[0] + scene.end_radius_m * math.cos(phi)
+        control[count - 1, 1] = scene.scan_ne_m[1] + scene.end_radius_m * math.sin(phi)
     control[count - 1, 2] = low + x[3 * count - 9] * (high - low)
 
 
@@ -200,51 +188,49 @@ def sample(points: FloatArray, control: FloatArray, basis: FloatArray) -> None:
         points[j, 3] = flown
 
 
-def remaining_m(
-    control: FloatArray, to_go: FloatArray, needed: FloatArray, numbers: FloatArray
-) -> float:
-    """`flight._to_go_m` of one candidate."""
-    if numbers[IS_FINAL] > 0.0:
+def remaining_m(control: FloatArray, scene: FlightScene) -> float:
+    """`scene._to_go_m` of one candidate."""
+    if scene.is_final:
         return 0.0
     last = len(control) - 1
     north, east = control[last, 0] - control[last - 1, 0], control[last, 1] - control[last - 1, 1]
-    scale = numbers[LOOK_AHEAD] / max(math.sqrt(north * north + east * east), 1e-9)
+    scale = scene.look_ahead_m / max(math.sqrt(north * north + east * east), 1e-9)
     there_n, there_e = control[last, 0] + scale * north, control[last, 1] + scale * east
-    needed_m = lattice_m(needed, numbers, NEEDED_AT, control[last, 0], control[last, 1])
-    band_m = numbers[HIGH] - numbers[LOW]
-    above = max(control[last, 2] - numbers[LOW], 0.0) / band_m
-    asked = max(needed_m - numbers[LOW], 0.0) / band_m
-    descent_m = numbers[DESCENT] * max(above * above - asked * asked, 0.0)
-    climb_m = max(needed_m - control[last, 2], 0.0) / numbers[STEEPEST]
-    to_go_m = lattice_m(to_go, numbers, TO_GO_AT, there_n, there_e) + numbers[LOOK_AHEAD]
-    here_m = lattice_m(to_go, numbers, TO_GO_AT, control[last, 0], control[last, 1])
+    needed_m = lattice_m(scene.needed, control[last, 0], control[last, 1])
+    low, high = scene.band_amsl_m
+    above = max(control[last, 2] - low, 0.0) / (high - low)
+    asked = max(needed_m - low, 0.0) / (high - low)
+    descent_m = scene.descent_m * max(above * above - asked * asked, 0.0)
+    climb_m = max(needed_m - control[last, 2], 0.0) / math.tan(scene.limits.climb_angle_rad)
+    to_go_m = lattice_m(scene.to_go, there_n, there_e) + scene.look_ahead_m
+    here_m = lattice_m(scene.to_go, control[last, 0], control[last, 1])
     return max(to_go_m, here_m) + descent_m + climb_m
 
 
-def height(points: FloatArray, numbers: FloatArray) -> float:
+def height(points: FloatArray, scene: FlightScene) -> float:
     """Mean altitude over the floor, 100 at the ceiling."""
     total = 0.0
     for j in range(1, len(points)):
-        total += max(points[j, 2] - numbers[LOW], 0.0)
-    return total / (len(points) - 1) * 100.0 / (numbers[HIGH] - numbers[LOW])
+        total += max(points[j, 2] - scene.band_amsl_m[0], 0.0)
+    return total / (len(points) - 1) * 100.0 / (scene.band_amsl_m[1] - scene.band_amsl_m[0])
 
 
-def guide(control: FloatArray, numbers: FloatArray) -> float:
+def guide(control: FloatArray, scene: FlightScene) -> float:
     """Angle between the end and the guide direction, seen from p_scan."""
-    if numbers[IS_FINAL] > 0.0:
+    if scene.is_final:
         return 0.0
     last = len(control) - 1
-    bearing = math.atan2(control[last, 1] - numbers[SCAN_E], control[last, 0] - numbers[SCAN_N])
-    angle = abs((bearing - numbers[GUIDE] + math.pi) % (2.0 * math.pi) - math.pi)
-    return angle * numbers[GUIDE_SHARE] * 100.0 / math.pi
+    scan_n, scan_e = scene.scan_ne_m
+    bearing = math.atan2(control[last, 1] - scan_e, control[last, 0] - scan_n)
+    angle = abs((bearing - scene.guide_rad + math.pi) % (2.0 * math.pi) - math.pi)
+    return angle * scene.guide_share * 100.0 / math.pi
 
 
-def lattice_m(
-    vertex: FloatArray, numbers: FloatArray, at: int, north_m: float, east_m: float
-) -> float:
-    """Bilinear value of a lattice, clamped at its edges."""
-    u = min(max((north_m - numbers[at]) / numbers[at + 2], 0.0), vertex.shape[0] - 1.000001)
-    v = min(max((east_m - numbers[at + 1]) / numbers[at + 2], 0.0), vertex.shape[1] - 1.000001)
+def lattice_m(surface: Surface, north_m: float, east_m: float) -> float:
+    """`Surface.altitude_m` of one point."""
+    vertex, cell_m = surface.vertex_m, surface.cell_m
+    u = min(max((north_m - surface.north_min_m) / cell_m, 0.0), vertex.shape[0] - 1.000001)
+    v = min(max((east_m - surface.east_min_m) / cell_m, 0.0), vertex.shape[1] - 1.000001)
     i, j = int(u), int(v)
     u -= i
     v -= j
@@ -253,37 +239,35 @@ def lattice_m(
     return float(south + u * (north - south))
 
 
-def too_low_m(points: FloatArray, surface: FloatArray, numbers: FloatArray) -> float:
+def too_low_m(points: FloatArray, surface: Surface) -> float:
     """How far points of the chords lie under the surface, metres in all."""
     total = 0.0
     for j in range(1, len(points)):
         north, east, altitude = points[j - 1, 0], points[j - 1, 1], points[j - 1, 2]
         dn, de, da = points[j, 0] - north, points[j, 1] - east, points[j, 2] - altitude
-        for i in range(1, flight.BETWEEN + 1):
-            share = i / flight.BETWEEN
-            wanted = lattice_m(surface, numbers, SURFACE_AT, north + share * dn, east + share * de)
+        for i in range(1, BETWEEN + 1):
+            share = i / BETWEEN
+            wanted = lattice_m(surface, north + share * dn, east + share * de)
             total += max(wanted - altitude - share * da, 0.0)
-    return total / flight.BETWEEN
+    return total / BETWEEN
 
 
-def dead_man_m(
-    points: FloatArray, ahead: FloatArray, contact: FloatArray, numbers: FloatArray
-) -> float:
+def dead_man_m(points: FloatArray, ahead: FloatArray, scene: FlightScene) -> float:
     """How far points of the dead-man stretches lie too low, metres in all."""
-    total = 0.0
-    for j in range(1, len(points), flight.DEAD_MAN_EVERY):
+    total, limits = 0.0, scene.limits
+    for j in range(1, len(points), DEAD_MAN_EVERY):
         room = points[-1, 3] - points[j, 3]
-        if numbers[FROM_REST] > 0.0:
+        if scene.from_rest:
             room = min(room, points[j, 3])
-        speed = min(math.sqrt(2.0 * numbers[ACCELERATION] * room), numbers[SPEED])
-        reach = speed * numbers[DEAD_MAN_S] + speed * speed / (2.0 * numbers[ACCELERATION])
+        speed = min(math.sqrt(2.0 * limits.acceleration_m_s2 * room), limits.speed_m_s)
+        reach = speed * limits.dead_man_s + speed * speed / (2.0 * limits.acceleration_m_s2)
         dn, de, da = ahead[j, 0], ahead[j, 1], ahead[j, 2]
         reach /= max(math.sqrt(dn * dn + de * de + da * da), 1e-9)
         for half in range(1, 3):
             step = 0.5 * half * reach
             north, east = points[j, 0] + step * dn, points[j, 1] + step * de
-            wanted = lattice_m(contact, numbers, CONTACT_AT, north, east)
-            total += flight.DEAD_MAN_EVERY * max(wanted - points[j, 2] - step * da, 0.0)
+            wanted = lattice_m(scene.contact, north, east)
+            total += DEAD_MAN_EVERY * max(wanted - points[j, 2] - step * da, 0.0)
     return total
 
 
@@ -303,12 +287,14 @@ def detection(points: FloatArray, radars: FloatArray) -> float:
 
 
 def steering(
-    ahead: FloatArray, control: FloatArray, basis: FloatArray, numbers: FloatArray
+    ahead: FloatArray, control: FloatArray, basis: FloatArray, scene: FlightScene
 ) -> float:
     """Curvature and steepness beyond the limits, and curvature at all near the end."""
     count = len(ahead) - 1
-    near_end = count - round(flight.END_SHARE * count)
-    climb, dive = math.tan(numbers[CLIMB]), math.tan(numbers[DIVE])
+    near_end = count - round(END_SHARE * count)
+    limits = scene.limits
+    steepest = limits.climb_angle_rad / scene.margin, limits.dive_angle_rad / scene.margin
+    climb, dive = math.tan(steepest[0]), math.tan(steepest[1])
     turning, steep, straight = 0.0, 0.0, 0.0
     for j in range(1, count + 1):
         dn, de, da, ddn, dde = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -324,49 +310,50 @@ def steering(
         ahead[j, 2] = da
         level = math.sqrt(dn * dn + de * de)
         slow = max(level, 1e-9)
-        curvature = abs(dn * dde - de * ddn) / (slow * slow * slow) * numbers[TURN_RADIUS]
-        turning += min(max(curvature * numbers[MARGIN] - 1.0, 0.0), flight.MOST_EXCESS)
+        curvature = abs(dn * dde - de * ddn) / (slow * slow * slow) * limits.turn_radius_m
+        turning += min(max(curvature * scene.margin - 1.0, 0.0), MOST_EXCESS)
         if da > climb * level:
-            steep += math.atan2(da, level) - numbers[CLIMB]
+            steep += math.atan2(da, level) - steepest[0]
         elif -da > dive * level:
-            steep += math.atan2(-da, level) - numbers[DIVE]
+            steep += math.atan2(-da, level) - steepest[1]
         if j > near_end:
             straight += min(curvature, 1.0) ** 2
-    result = flight.CURVATURE_SCALE * turning + flight.ANGLE_SCALE * steep
-    return result + flight.STRAIGHT_SCALE * straight
+    result = CURVATURE_SCALE * turning + ANGLE_SCALE * steep
+    return result + STRAIGHT_SCALE * straight
 
 
-def leaving(points: FloatArray, numbers: FloatArray) -> float:
+def leaving(points: FloatArray, scene: FlightScene) -> float:
     """How far samples lie outside the band or the map, in R / 20."""
-    total = 0.0
+    total, limits = 0.0, scene.limits
+    low, high = scene.band_amsl_m
     for j in range(1, len(points)):
         north, east, altitude = points[j, 0], points[j, 1], points[j, 2]
-        total += max(numbers[LOW] - altitude, 0.0) + max(altitude - numbers[HIGH], 0.0)
-        total += max(numbers[SOUTH] - north, 0.0) + max(north - numbers[NORTH], 0.0)
-        total += max(numbers[WEST] - east, 0.0) + max(east - numbers[EAST], 0.0)
-    return total / (numbers[RANGE] / 20.0)
+        total += max(low - altitude, 0.0) + max(altitude - high, 0.0)
+        total += max(limits.north_m[0] - north, 0.0) + max(north - limits.north_m[1], 0.0)
+        total += max(limits.east_m[0] - east, 0.0) + max(east - limits.east_m[1], 0.0)
+    return total / (scene.scan_range_m / 20.0)
 
 
-def intruding(points: FloatArray, pack: Pack, numbers: FloatArray, most: float) -> float:
+def intruding(points: FloatArray, pack: Pack, most: float) -> float:
     """How far points of the chords lie too near to zones, in clearances; beyond `most` any sum."""
-    circles, polygons, clearance_m = pack.zones.circles, len(pack.gaps), numbers[CLEARANCE]
+    circles, polygons, clearance_m = pack.zones.circles, len(pack.gaps), pack.scene.clearance_m
     if len(circles) + polygons == 0:
         return 0.0
-    total, most = 0.0, most * flight.BETWEEN * clearance_m
+    total, most = 0.0, most * BETWEEN * clearance_m
     pack.gaps.fill(_FAR)  # of the point before
     for j in range(1, len(points)):
         if total > most:
             break
         dn, de = points[j, 0] - points[j - 1, 0], points[j, 1] - points[j - 1, 1]
-        step = math.sqrt(dn * dn + de * de) / flight.BETWEEN + 1e-6
-        for k in range(1, flight.BETWEEN + 1):
-            share = k / flight.BETWEEN
+        step = math.sqrt(dn * dn + de * de) / BETWEEN + 1e-6
+        for k in range(1, BETWEEN + 1):
+            share = k / BETWEEN
             north, east = points[j - 1, 0] + share * dn, points[j - 1, 1] + share * de
             for i in range(len(circles)):
                 a, b = north - circles[i, 0], east - circles[i, 1]
                 gap = circles[i, 3] * (math.sqrt(a * a + b * b) - circles[i, 2])
                 total += max(clearance_m - gap, 0.0)
-            if polygons > 0 and may_be_near(pack.near, numbers, north, east):
+            if polygons > 0 and may_be_near(pack.scene.near_polygons, north, east):
                 for i in range(polygons):
                     most_m = pack.gaps[i] + step
                     gap = polygon_at(pack.zones, i, north, east, clearance_m, most_m)
@@ -374,31 +361,14 @@ def intruding(points: FloatArray, pack: Pack, numbers: FloatArray, most: float) 
                     pack.gaps[i] = -gap if gap < 0.0 else _FAR
             elif polygons > 0:
                 pack.gaps.fill(_FAR)
-    return total / (flight.BETWEEN * clearance_m)
+    return total / (BETWEEN * clearance_m)
 
 
-def may_be_near(near: BoolArray, numbers: FloatArray, north: float, east: float) -> bool:
+def may_be_near(cells: NearCells | None, north: float, east: float) -> bool:
     """`NearCells.at` of one point."""
-    row = math.floor((north - numbers[NEAR_AT]) / numbers[NEAR_AT + 2])
-    column = math.floor((east - numbers[NEAR_AT + 1]) / numbers[NEAR_AT + 2])
-    if 0 <= row < near.shape[0] and 0 <= column < near.shape[1]:
-        return bool(near[row, column])
+    assert cells is not None  # a record always has some
+    row = math.floor((north - cells.north_min_m) / cells.cell_m)
+    column = math.floor((east - cells.east_min_m) / cells.cell_m)
+    if 0 <= row < cells.near.shape[0] and 0 <= column < cells.near.shape[1]:
+        return bool(cells.near[row, column])
     return True
-
-
-HELPERS = (
-    place_control_points,
-    sample,
-    lattice_m,
-    remaining_m,
-    height,
-    guide,
-    detection,
-    steering,
-    leaving,
-    may_be_near,
-    intruding,
-    too_low_m,
-    dead_man_m,
-)
-"""What `cost` calls: to be compiled before it."""

@@ -11,10 +11,10 @@ scripts/benchmarks/quality.py):
 - a and Cr are drawn about a memory of what succeeded, 1 - a by its Lehmer mean and from Cauchy's
   distribution (as F in L-SHADE: Tanabe and Fukunaga, CEC 2014, sec. II);
 - the population shrinks linearly (the same), and begins as large as the budget allows;
-- the last share of the budget goes to a simplex about the best (`nelder_mead`).
+- the last share of the budget goes to a simplex about the best (Nelder and Mead 1965).
 
-What follows `Single source` is plain Python over the arrays of a `State` and runs as it is; a
-compiler may take `HELPERS` as well, and makes the same search.  One round is
+What follows `Single source` is plain Python over a `State`, which numba compiles as it is: compiled
+or not, the search is the same.  One round is
 
     n = ask(state)
     for i in range(n):
@@ -25,51 +25,220 @@ and after each round `ranked` tells the best so far.
 """
 
 import math
-from typing import final
+from dataclasses import dataclass
+from typing import NamedTuple, final
 
 import numpy as np
+import numpy.typing as npt
 
+from companion.errors import InputError
 from companion.geodesy import FloatArray
-from companion.optimise import nelder_mead
-from companion.optimise.nelder_mead import begin_polish, propose_vertices, transform
-from companion.optimise.refined_state import (
-    ARCHIVE,
-    ARCHIVED,
-    BUDGET,
-    EVOLVE,
-    FEWEST,
-    FIRST,
-    K1_FROM,
-    K1_TO,
-    K2_FROM,
-    K2_TO,
-    OWN,
-    P_BEST,
-    PHASE,
-    POLISH_AT,
-    SIZE,
-    SLOT,
-    SMALLEST,
-    SPENT,
-    SPREAD,
-    START,
-    U_ARCHIVE,
-    U_CROSS,
-    U_KEPT,
-    U_P_BEST,
-    U_R1,
-    U_R2,
-    U_R3,
-    U_SLOT,
-    Settings,
-    State,
-    begin,
-    ranked,
-)
+from companion.optimise.loop import first_members
 
-__all__ = ["HELPERS", "RefinedDE", "Settings", "State", "ask", "begin", "ranked", "spent", "tell"]
+IntArray = npt.NDArray[np.int64]
 
+FEWEST = 4
+"""Members that eq. 17 needs: a parent and three others."""
+_PER_ROOT = 1.1  # members at the start for each square root of an evaluation
+_LEAST, _MOST = 20, 150  # members at the start
 _MOST_GAIN = 1e9  # counts for one success: it may be infinite
+_COLLAPSED = 1e-5  # widest edge of a simplex that is begun anew
+
+START, EVOLVE, BUILD, REFLECT, EXPAND, OUTSIDE, INSIDE, SHRINK = range(8)
+"""`State.phase`: what the trials under way are."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """The refined DE's parameters; the defaults were measured by scripts/benchmarks/quality.py."""
+
+    population: int | None = None
+    """Members at the start; None: as the budget allows, 60 for 3,000 evaluations."""
+    smallest: int = 6
+    """Members at the end of the linear reduction."""
+    p_best: float = 0.2
+    """Share of the population among which x_best of eq. 17 is drawn."""
+    own: float = 0.5
+    """Share of trials whose x_r1 of eq. 17 is the member itself: it keeps basins apart."""
+    archive: float = 1.0
+    """Beaten parents that are kept, per member."""
+    memory: int = 5
+    """Pairs of a and Cr that are remembered."""
+    spread: float = 0.1
+    """Of a and Cr about what is remembered."""
+    k1: tuple[float, float] = (0.0, 0.0)
+    """k1 goes from the first to the second value (eq. 18; in the paper from 0 to 0.5)."""
+    k2: tuple[float, float] = (1.0, 1.0)
+    """k2 goes from the first to the second value (eq. 18; in the paper from 1 to 0.5)."""
+    polish: float = 0.15
+    """Share of the budget that goes to the simplex, at the end."""
+    edge: float = 0.05
+    """Of a new simplex."""
+
+    def __post_init__(self) -> None:
+        if self.smallest < FEWEST:
+            rule = f"eq. 17 needs {FEWEST} members"
+            raise InputError("smallest", self.smallest, rule, f"Set {FEWEST} or more.")
+        if self.population is not None and self.population < self.smallest:
+            rule = "the population cannot be smaller than at its end"
+            raise InputError("population", self.population, rule, f"Set {self.smallest} or more.")
+        for name in ("p_best", "own", "spread", "polish", "edge"):
+            value = getattr(self, name)
+            if not 0.0 <= value < 1.0:
+                raise InputError(name, value, "not a share", "Set 0 or more, and less than 1.")
+        if self.memory < 1:
+            raise InputError("memory", self.memory, "nothing could be remembered", "Set 1 or more.")
+        if self.archive < 0.0:
+            raise InputError("archive", self.archive, "a number of members", "Set 0 or more.")
+
+    def members(self, evaluations: int) -> int:
+        """Members at the start of a search with so many evaluations."""
+        if self.population is not None:
+            return self.population
+        wanted = round(_PER_ROOT * math.sqrt(max(evaluations, 0)))
+        return max(min(max(wanted, _LEAST), _MOST), self.smallest)
+
+
+class Draws(NamedTuple):
+    """Uniform numbers: row e is for evaluation e of the evolution."""
+
+    slot: FloatArray  # (E,): of the memory
+    p_best: FloatArray
+    r1: FloatArray
+    r2: FloatArray
+    r3: FloatArray
+    kept: FloatArray  # the variable that certainly changes
+    archive: FloatArray  # whose place there a beaten parent takes
+    cross: FloatArray  # (E, D)
+    deviates: FloatArray  # (E, 2): Cauchy's for a, normal ones for Cr
+
+
+class Rules(NamedTuple):
+    """What does not change in a search: its budget, and numbers of its `Settings`."""
+
+    budget: int
+    polish_at: int
+    """Evaluations before the simplex."""
+    first: int
+    """Members at the start."""
+    smallest: int
+    p_best: float
+    own: float
+    archive: float
+    spread: float
+    k1: tuple[float, float]
+    k2: tuple[float, float]
+    edge: float
+
+
+class State(NamedTuple):
+    """A search under way: arrays that are changed in place.  NP members, D variables."""
+
+    rules: Rules
+    draws: Draws
+    spent: IntArray  # (1,): evaluations
+    phase: IntArray  # (1,)
+    size: IntArray  # (1,): members
+    population: FloatArray  # (NP, D): the first `size` rows count
+    costs: FloatArray  # (NP,)
+    order: IntArray  # (NP,): members, best first
+    pull: FloatArray  # (NP,): 1 - a of the trials under way
+    cr: FloatArray  # (NP,)
+    trial: FloatArray  # (max(NP, D), D): what ask() wants to know
+    trial_costs: FloatArray  # (max(NP, D),): the answer
+    trial_bounds: FloatArray  # (max(NP, D),): a trial that costs more is sure to be rejected
+    archived: IntArray  # (1,)
+    archive: FloatArray  # (A, D): the first `archived` rows count
+    slot: IntArray  # (1,): of the memory, the next to be written
+    memory: FloatArray  # (H, 2): 1 - a and Cr that succeeded
+    simplex: FloatArray  # (D + 1, D): vertices, best first
+    simplex_costs: FloatArray  # (D + 1,)
+    centre: FloatArray  # (D,): of all vertices but the worst
+    reflected: FloatArray  # (1, D): the worst vertex reflected at the centre
+    reflected_cost: FloatArray  # (1,)
+
+
+def begin(
+    dimensions: int,
+    evaluations: int,
+    seeds: FloatArray,
+    settings: Settings,
+    rng: np.random.Generator,
+) -> State:
+    """A search of the unit cube that has not evaluated anything.
+
+    evaluations: the budget; seeds: candidates to start from, (K, D).  The more seeds, the fewer
+    random members.  All that is random in the search is drawn here.
+    """
+    polish_at = max(evaluations - int(settings.polish * evaluations), 1)
+    size = min(settings.members(evaluations), polish_at)
+    rows = max(size, dimensions)
+    trial = np.zeros((rows, dimensions))
+    trial[:size] = first_members(size, dimensions, rng, seeds)
+    deviates = np.stack([rng.standard_cauchy(polish_at), rng.standard_normal(polish_at)], axis=1)
+    uniforms = rng.random((polish_at, 7 + dimensions))
+    return State(
+        rules=Rules(
+            budget=evaluations,
+            polish_at=polish_at,
+            first=size,
+            smallest=min(settings.smallest, size),
+            p_best=settings.p_best,
+            own=settings.own,
+            archive=settings.archive,
+            spread=settings.spread,
+            k1=settings.k1,
+            k2=settings.k2,
+            edge=settings.edge,
+        ),
+        draws=Draws._make([*uniforms.T[:7], uniforms[:, 7:], deviates]),
+        spent=np.array([0]),
+        phase=np.array([START]),
+        size=np.array([size]),
+        population=np.zeros((size, dimensions)),
+        costs=np.full(size, math.inf),
+        order=np.arange(size),
+        pull=np.zeros(size),
+        cr=np.zeros(size),
+        trial=trial,
+        trial_costs=np.full(rows, math.inf),
+        trial_bounds=np.full(rows, math.inf),
+        archived=np.array([0]),
+        archive=np.zeros((int(settings.archive * size), dimensions)),
+        slot=np.array([0]),
+        memory=np.full((settings.memory, 2), 0.5),
+        simplex=np.zeros((dimensions + 1, dimensions)),
+        simplex_costs=np.full(dimensions + 1, math.inf),
+        centre=np.zeros(dimensions),
+        reflected=np.zeros((1, dimensions)),
+        reflected_cost=np.zeros(1),
+    )
+
+
+def ranked(state: State) -> tuple[FloatArray, FloatArray]:
+    """What is worth a closer look: population and simplex without repetitions, best first.
+
+    -> (M, D) in the unit cube, and their costs (M,); nothing before the first tell().
+    """
+    phase = int(state.phase[0])
+    size = int(state.size[0]) if phase != START else 0
+    vertices = state.simplex_costs < math.inf  # the others have not been evaluated
+    pending = int(phase in (EXPAND, OUTSIDE))  # a reflected vertex may be the best so far
+    x = np.concatenate(
+        [state.simplex[vertices], state.reflected[:pending], state.population[:size]]
+    )
+    costs = np.concatenate(
+        [
+            state.simplex_costs[vertices],
+            state.reflected_cost[:pending],
+            state.costs[:size],
+        ]
+    )
+    order = np.argsort(costs, kind="stable")
+    x, costs = x[order], costs[order]
+    first = np.sort(np.unique(x, axis=0, return_index=True)[1])
+    return x[first], costs[first]
 
 
 @final
@@ -87,8 +256,8 @@ class RefinedDE:
         """evaluations: the budget; seeds: candidates to start from, (K, D) in the unit cube."""
         if seeds is None:
             seeds = np.empty((0, dimensions))
-        self._state = begin(dimensions, max(evaluations, 1), seeds, settings, rng)
-        self._state.counters[BUDGET] = np.iinfo(np.int64).max
+        state = begin(dimensions, max(evaluations, 1), seeds, settings, rng)
+        self._state = state._replace(rules=state.rules._replace(budget=np.iinfo(np.int64).max))
 
     @property
     def population(self) -> FloatArray:
@@ -115,20 +284,19 @@ class RefinedDE:
 
 def spent(state: State) -> int:
     """Evaluations so far."""
-    return int(state.counters[SPENT])
+    return int(state.spent[0])
 
 
 def ask(state: State) -> int:
     """Put the next candidates into trial[:n] and trial_bounds[:n].  -> n, 0 at the budget's end."""
-    counters = state.counters
-    left = int(counters[BUDGET] - counters[SPENT])
-    phase = int(counters[PHASE])
+    left = int(state.rules.budget - state.spent[0])
+    phase = int(state.phase[0])
     if left <= 0:
         return 0
     if phase == START:
-        return min(int(counters[SIZE]), left)
+        return min(int(state.size[0]), left)
     if phase == EVOLVE:
-        n = min(int(counters[SIZE]), int(counters[POLISH_AT] - counters[SPENT]))
+        n = min(int(state.size[0]), int(state.rules.polish_at - state.spent[0]))
         _propose(state, n)
         return n
     return min(propose_vertices(state, phase), left)
@@ -136,9 +304,8 @@ def ask(state: State) -> int:
 
 def tell(state: State, n: int) -> None:
     """Learn from trial_costs[:n], the costs of the trials of the last ask()."""
-    counters = state.counters
-    phase = int(counters[PHASE])
-    counters[SPENT] += n
+    phase = int(state.phase[0])
+    state.spent[0] += n
     for i in range(n):
         if math.isnan(state.trial_costs[i]):
             state.trial_costs[i] = math.inf
@@ -151,49 +318,45 @@ def tell(state: State, n: int) -> None:
         return
     _sort(state)
     _reduce(state)
-    if counters[SPENT] >= counters[POLISH_AT] or counters[SIZE] < FEWEST:
+    if state.spent[0] >= state.rules.polish_at or state.size[0] < FEWEST:
         begin_polish(state)
 
 
 def _populate(state: State, n: int) -> None:
     """The first trials are the population."""
-    for i in range(n):
-        for j in range(state.trial.shape[1]):
-            state.population[i, j] = state.trial[i, j]
-        state.costs[i] = state.trial_costs[i]
-    state.counters[SIZE] = n
-    state.counters[PHASE] = EVOLVE
+    state.population[:n] = state.trial[:n]
+    state.costs[:n] = state.trial_costs[:n]
+    state.size[0] = n
+    state.phase[0] = EVOLVE
 
 
 def _propose(state: State, n: int) -> None:
     """The trials of the first n members: eq. 17 with k1 and k2 of eq. 18, and eq. 13."""
-    counters, numbers, memory = state.counters, state.numbers, state.memory
+    rules, draws, memory = state.rules, state.draws, state.memory
     population, archive, trial = state.population, state.archive, state.trial
-    size, total = int(counters[SIZE]), int(counters[SIZE] + counters[ARCHIVED])
-    among = min(max(int(numbers[P_BEST] * size + 0.5), 2), size)
-    progress = (counters[SPENT] / counters[POLISH_AT]) ** 2
-    k1 = numbers[K1_FROM] + (numbers[K1_TO] - numbers[K1_FROM]) * progress
-    k2 = numbers[K2_FROM] + (numbers[K2_TO] - numbers[K2_FROM]) * progress
-    spread, own = numbers[SPREAD], numbers[OWN]
+    size, total = int(state.size[0]), int(state.size[0] + state.archived[0])
+    among = min(max(int(rules.p_best * size + 0.5), 2), size)
+    progress = (state.spent[0] / rules.polish_at) ** 2
+    k1 = rules.k1[0] + (rules.k1[1] - rules.k1[0]) * progress
+    k2 = rules.k2[0] + (rules.k2[1] - rules.k2[0]) * progress
+    spread, own = rules.spread, rules.own
     memories, dimensions = memory.shape[0], trial.shape[1]
-    uniforms, deviates = state.uniforms, state.deviates
+    deviates = state.draws.deviates
     for i in range(n):
-        row = int(counters[SPENT]) + i
-        slot = int(uniforms[row, U_SLOT] * memories)
+        row = int(state.spent[0]) + i
+        slot = int(draws.slot[row] * memories)
         pull = min(max(memory[slot, 0] + spread * deviates[row, 0], 0.0), 1.0)  # 1 - a
         cr = memory[slot, 1] + spread * deviates[row, 1]
         state.pull[i], state.cr[i] = pull, min(max(cr, 0.0), 1.0)
-        best = state.order[int(uniforms[row, U_P_BEST] * among)]
-        drawn = (uniforms[row, U_R1] - own) / (1.0 - own)
-        r1, r2, r3 = others(
-            i, size, total, max(drawn, 0.0), uniforms[row, U_R2], uniforms[row, U_R3]
-        )
+        best = state.order[int(draws.p_best[row] * among)]
+        drawn = (draws.r1[row] - own) / (1.0 - own)
+        r1, r2, r3 = others(i, size, total, max(drawn, 0.0), draws.r2[row], draws.r3[row])
         if drawn < 0.0:
             r1 = i
         of_1, of_best, of_pair = 1.0 - pull - k1 * pull, pull + k1 * pull, k2 * pull
-        kept = int(uniforms[row, U_KEPT] * dimensions)
+        kept = int(draws.kept[row] * dimensions)
         for j in range(dimensions):
-            if uniforms[row, U_CROSS + j] <= cr or j == kept:
+            if draws.cross[row, j] <= cr or j == kept:
                 x_3 = population[r3, j] if r3 < size else archive[r3 - size, j]
                 mutant = of_1 * population[r1, j] + of_best * population[best, j]
                 mutant += of_pair * (population[r2, j] - x_3)
@@ -228,7 +391,7 @@ def others(i: int, size: int, total: int, u1: float, u2: float, u3: float) -> tu
 
 def _select(state: State, n: int) -> None:
     """Eq. 14, and what it teaches: the archive and the memory of a and Cr, by gains in cost."""
-    first_row = int(state.counters[SPENT]) - n
+    first_row = int(state.spent[0]) - n
     total = pulls = squares = crs = 0.0
     for i in range(n):
         cost, trial_cost = float(state.costs[i]), float(state.trial_costs[i])
@@ -241,35 +404,32 @@ def _select(state: State, n: int) -> None:
             squares += gain * state.pull[i] ** 2
             crs += gain * state.cr[i]
             _keep(state, i, first_row + i)
-        for j in range(state.trial.shape[1]):
-            state.population[i, j] = state.trial[i, j]
+        state.population[i] = state.trial[i]
         state.costs[i] = trial_cost
     if total > 0.0:
-        slot = int(state.counters[SLOT])
+        slot = int(state.slot[0])
         state.memory[slot, 0] = squares / pulls if pulls > 0.0 else 0.0
         state.memory[slot, 1] = crs / total
-        state.counters[SLOT] = (slot + 1) % state.memory.shape[0]
+        state.slot[0] = (slot + 1) % state.memory.shape[0]
 
 
 def _keep(state: State, i: int, row: int) -> None:
     """Member i, beaten by its trial, goes into the archive, in place of a random one if full."""
-    counters = state.counters
-    room = int(state.numbers[ARCHIVE] * counters[SIZE])
+    room = int(state.rules.archive * state.size[0])
     if room == 0:
         return
-    slot = int(counters[ARCHIVED])
+    slot = int(state.archived[0])
     if slot < room:
-        counters[ARCHIVED] += 1
+        state.archived[0] += 1
     else:
-        slot = int(state.uniforms[row, U_ARCHIVE] * room)
-    for j in range(state.archive.shape[1]):
-        state.archive[slot, j] = state.population[i, j]
+        slot = int(state.draws.archive[row] * room)
+    state.archive[slot] = state.population[i]
 
 
 def _sort(state: State) -> None:
     """Bring the order up to date: by insertion, as few members change their place."""
     order, costs = state.order, state.costs
-    for k in range(1, int(state.counters[SIZE])):
+    for k in range(1, int(state.size[0])):
         member = order[k]
         cost = costs[member]
         at = k
@@ -281,33 +441,156 @@ def _sort(state: State) -> None:
 
 def _reduce(state: State) -> None:
     """Drop the worst members: the size falls linearly with the evaluations."""
-    counters = state.counters
-    progress = min(counters[SPENT] / counters[POLISH_AT], 1.0)
-    wanted = int(counters[FIRST] + (counters[SMALLEST] - counters[FIRST]) * progress + 0.5)
-    while counters[SIZE] > wanted:
-        last = int(counters[SIZE]) - 1
+    rules = state.rules
+    progress = min(state.spent[0] / rules.polish_at, 1.0)
+    wanted = int(rules.first + (rules.smallest - rules.first) * progress + 0.5)
+    while state.size[0] > wanted:
+        last = int(state.size[0]) - 1
         worst = int(state.order[last])
-        for j in range(state.population.shape[1]):
-            state.population[worst, j] = state.population[last, j]
+        state.population[worst] = state.population[last]
         state.costs[worst] = state.costs[last]
         for k in range(last):
             if state.order[k] == last:
                 state.order[k] = worst
-        counters[SIZE] = last
-    counters[ARCHIVED] = min(counters[ARCHIVED], int(state.numbers[ARCHIVE] * counters[SIZE]))
+        state.size[0] = last
+    state.archived[0] = min(state.archived[0], int(rules.archive * state.size[0]))
 
 
-HELPERS = (
-    *nelder_mead.HELPERS,
-    spent,
-    others,
-    _propose,
-    ask,
-    _populate,
-    _keep,
-    _select,
-    _sort,
-    _reduce,
-    tell,
-)
-"""Every function that a compiled search needs, callees first."""
+# The simplex.  Factors for the number of variables D as Gao and Han choose them (Comput. Optim.
+# Appl. 51, 2012): expansion 1 + 2 / D, contraction 3 / 4 - 1 / (2 D), shrinking 1 - 1 / D.
+# Vertices are clipped into the unit cube; one that has collapsed is begun anew about its best.
+
+
+def begin_polish(state: State) -> None:
+    """The best member is the simplex's first vertex."""
+    best = int(state.order[0])
+    state.simplex[0] = state.population[best]
+    state.simplex_costs[0] = state.costs[best]
+    state.phase[0] = BUILD
+
+
+def propose_vertices(state: State, phase: int) -> int:
+    """The trials of one step of the simplex.  -> how many."""
+    if phase == BUILD:
+        _propose_simplex(state)
+        return state.simplex.shape[1]
+    if phase == SHRINK:
+        _propose_smaller(state)
+        return state.simplex.shape[1]
+    worst = state.simplex.shape[1]
+    variables = float(max(worst, 2))
+    factor, bound = 1.0, float(state.simplex_costs[worst])
+    if phase == REFLECT:
+        _find_centre(state.simplex, state.centre)
+    elif phase == EXPAND:
+        factor, bound = 1.0 + 2.0 / variables, float(state.reflected_cost[0])
+    elif phase == OUTSIDE:
+        factor, bound = 0.75 - 0.5 / variables, float(state.reflected_cost[0])
+    else:
+        factor = 0.5 / variables - 0.75
+    simplex, centre, trial = state.simplex, state.centre, state.trial
+    for j in range(worst):
+        at = centre[j] + factor * (centre[j] - simplex[worst, j])
+        trial[0, j] = min(max(at, 0.0), 1.0)
+    state.trial_bounds[0] = bound
+    return 1
+
+
+def transform(state: State, n: int, phase: int) -> None:
+    """Decide by the costs of the trials what the simplex becomes and what it tries next."""
+    simplex, costs = state.simplex, state.simplex_costs
+    worst = simplex.shape[1]
+    cost = float(state.trial_costs[0])
+    following = REFLECT
+    if phase in (BUILD, SHRINK):
+        for k in range(n):
+            simplex[k + 1] = state.trial[k]
+            costs[k + 1] = state.trial_costs[k]
+        _sort_vertices(simplex, costs)
+    elif phase == REFLECT:
+        following = _after_reflection(state, cost)
+    elif phase == EXPAND:
+        if cost < state.reflected_cost[0]:
+            _insert(simplex, costs, state.trial, cost)
+        else:
+            _insert(simplex, costs, state.reflected, float(state.reflected_cost[0]))
+    elif (phase == OUTSIDE and cost <= state.reflected_cost[0]) or (
+        phase == INSIDE and cost < costs[worst]
+    ):
+        _insert(simplex, costs, state.trial, cost)
+    else:
+        following = SHRINK
+    if following == REFLECT and _has_collapsed(simplex):
+        following = BUILD
+    state.phase[0] = following
+
+
+def _after_reflection(state: State, cost: float) -> int:
+    """Take the reflected vertex, or keep it in mind.  -> what to try next."""
+    costs, worst = state.simplex_costs, state.simplex.shape[1]
+    if cost >= costs[worst]:
+        return INSIDE
+    if costs[0] <= cost < costs[worst - 1]:
+        _insert(state.simplex, costs, state.trial, cost)
+        return REFLECT
+    state.reflected[0] = state.trial[0]
+    state.reflected_cost[0] = cost
+    return EXPAND if cost < costs[0] else OUTSIDE
+
+
+def _propose_simplex(state: State) -> None:
+    """Vertices one edge from the first, along each axis, inwards where there is no room."""
+    dimensions, edge = state.simplex.shape[1], state.rules.edge
+    for k in range(dimensions):
+        state.trial[k] = state.simplex[0]
+        up = state.simplex[0, k] + edge
+        state.trial[k, k] = up if up <= 1.0 else state.simplex[0, k] - edge
+        state.trial_bounds[k] = math.inf
+
+
+def _propose_smaller(state: State) -> None:
+    """All vertices but the best drawn towards it."""
+    dimensions = state.simplex.shape[1]
+    left = 1.0 - 1.0 / max(dimensions, 2)
+    for k in range(dimensions):
+        for j in range(dimensions):
+            best = state.simplex[0, j]
+            state.trial[k, j] = best + left * (state.simplex[k + 1, j] - best)
+        state.trial_bounds[k] = math.inf
+
+
+def _find_centre(simplex: FloatArray, centre: FloatArray) -> None:
+    """Of all vertices but the worst."""
+    dimensions = len(centre)
+    for j in range(dimensions):
+        total = 0.0
+        for k in range(dimensions):
+            total += simplex[k, j]
+        centre[j] = total / dimensions
+
+
+def _insert(simplex: FloatArray, costs: FloatArray, found: FloatArray, cost: float) -> None:
+    """The first row of what was found takes the worst vertex's place."""
+    simplex[-1] = found[0]
+    costs[-1] = cost
+    _sort_vertices(simplex, costs)
+
+
+def _sort_vertices(simplex: FloatArray, costs: FloatArray) -> None:
+    """Vertices by cost, by insertion."""
+    for k in range(1, len(costs)):
+        at = k
+        while at > 0 and costs[at - 1] > costs[at]:
+            costs[at - 1], costs[at] = costs[at], costs[at - 1]
+            for j in range(simplex.shape[1]):
+                simplex[at - 1, j], simplex[at, j] = simplex[at, j], simplex[at - 1, j]
+            at -= 1
+
+
+def _has_collapsed(simplex: FloatArray) -> bool:
+    """Whether all vertices are as good as one."""
+    for k in range(1, simplex.shape[0]):
+        for j in range(simplex.shape[1]):
+            if abs(simplex[k, j] - simplex[0, j]) >= _COLLAPSED:
+                return False
+    return True

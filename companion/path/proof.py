@@ -5,7 +5,7 @@ bound that falls to a quarter with each halving), its tangents within a cone abo
 distance of that segment from terrain and zones is exact (`path.proof_distance`).  Branch and bound
 over the pieces does the rest: a piece is done when its lower bound suffices, and halved when not.
 
-Everything runs as plain Python, and compiles with numba as it is (`ENTRY`, `HELPERS`).
+Everything runs as plain Python, and compiles with numba as it is.
 """
 
 import math
@@ -13,7 +13,6 @@ import math
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.path import proof_distance, proof_shape
 from companion.path.proof_distance import (
     Segment,
     Surroundings,
@@ -336,23 +335,3 @@ def prove(cubics: FloatArray, here: Surroundings, from_rest: bool) -> FloatArray
     result[9], result[10], more = exposure(cubics, here, table)
     result[11] = pieces + more
     return result
-
-
-ENTRY = prove
-"""What to compile."""
-HELPERS = (
-    *proof_distance.HELPERS,
-    *proof_shape.HELPERS,
-    part_of,
-    across,
-    piece_of,
-    reach,
-    stretch_of,
-    piece_distance,
-    first_pieces,
-    part_distance,
-    least_distance,
-    under_radars,
-    exposure,
-)
-"""What numba must know (`numba.extending.register_jitable`) before it compiles `ENTRY`."""

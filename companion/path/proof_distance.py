@@ -342,21 +342,3 @@ def zone_distance(zones: ZoneTable, segment: Segment, limit: float) -> tuple[flo
             if nearest <= 0.0:
                 upper = min(upper, 0.0)
     return lower, upper
-
-
-HELPERS = (
-    column_gap,
-    column_distance,
-    strip,
-    nearest_column,
-    terrain_distance,
-    point_to_segment,
-    edge_distance,
-    box_gap,
-    forbids,
-    edges_distance,
-    polygon_at,
-    circle_distance,
-    zone_distance,
-)
-"""What numba must know before it compiles what calls them."""

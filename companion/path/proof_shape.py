@@ -221,18 +221,3 @@ def extremes(cubics: FloatArray, axis: int) -> tuple[float, float]:
                 value = c0 + (c1 + (c2 + c3 * t) * t) * t
                 low, high = min(low, value), max(high, value)
     return low, high
-
-
-HELPERS = (
-    times,
-    hodograph,
-    speed_squared,
-    quotient,
-    size_of,
-    curvature_squared,
-    climb_tangent,
-    runs_forward,
-    largest,
-    extremes,
-)
-"""What numba must know before it compiles what calls them."""

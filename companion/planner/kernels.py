@@ -10,14 +10,17 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from inspect import isfunction
+from types import ModuleType
 from typing import Any, final
 
 import numpy as np
 
 from companion.geodesy import FloatArray, LocalFrame
-from companion.objective import flight, kernel
-from companion.objective.flight import FlightScene
-from companion.optimise import nelder_mead, refined_de, refined_state
+from companion.objective import kernel
+from companion.objective import scene as numpy_form
+from companion.objective.scene import FlightScene
+from companion.optimise import refined_de
 from companion.optimise.refined_de import State
 from companion.path import proof, proof_distance, proof_shape
 from companion.path.certificate import Prover
@@ -67,11 +70,11 @@ def _arithmetic() -> str:
 def _search(state: State, scene: FlightScene, until: int) -> None:
     while refined_de.spent(state) < until:
         n = refined_de.ask(state)
-        state.trial_costs[:n] = flight.cost(state.trial[:n], scene)
+        state.trial_costs[:n] = numpy_form.cost(state.trial[:n], scene)
         refined_de.tell(state, n)
 
 
-NUMPY = Kernel(name="numpy", search=_search, costs=flight.cost, prove=proof.prove)
+NUMPY = Kernel(name="numpy", search=_search, costs=numpy_form.cost, prove=proof.prove)
 
 
 def compiled(*, cache: str | None) -> Kernel:
@@ -86,31 +89,30 @@ def compiled(*, cache: str | None) -> Kernel:
     if cache is not None:
         numba.config.CACHE_DIR = cache  # it may have been imported with another one
 
-    for helper in (*kernel.HELPERS, kernel.cost, *refined_de.HELPERS, *proof.HELPERS):
-        register_jitable(helper)
+    for module in SOURCES:
+        for function in functions_of(module):
+            register_jitable(function)
     jit: Any = numba.njit(cache=cache is not None, nogil=True)
     search, costs, prove = jit(_run), jit(_costs), jit(proof.prove)
+    pack = lru_cache(maxsize=1)(kernel.pack)  # a search comes in portions
 
     def search_scene(state: State, scene: FlightScene, until: int) -> None:
-        search(state, kernel.pack(scene), until)
+        search(state, pack(scene), until)
 
     def costs_of(x: FloatArray, scene: FlightScene) -> FloatArray:
-        return np.asarray(costs(x, kernel.pack(scene)))
+        return np.asarray(costs(x, pack(scene)))
 
     return Kernel(name="numba", search=search_scene, costs=costs_of, prove=prove)
 
 
-SOURCES = (
-    flight,
-    kernel,
-    nelder_mead,
-    refined_de,
-    refined_state,
-    proof,
-    proof_distance,
-    proof_shape,
-)
+SOURCES = (numpy_form, kernel, refined_de, proof, proof_distance, proof_shape)
 """The modules whose code is compiled: a cache made from others is stale."""
+
+
+def functions_of(module: ModuleType) -> list[Callable[..., Any]]:
+    """The functions that a module defines."""
+    every = vars(module).values()
+    return [each for each in every if isfunction(each) and each.__module__ == module.__name__]
 
 
 def _run(state: State, pack: kernel.Pack, until: int) -> None:

@@ -12,8 +12,7 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray, wrap_rad
-from companion.objective import flight
-from companion.objective.flight import FlightScene, control_points
+from companion.objective.scene import SPREAD_RAD, FlightScene, control_points, cost_table, weight
 from companion.optimise import refined_de
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
@@ -382,7 +381,7 @@ class _Plan:
             )
             if certificate.proven:
                 table = self._table(x, scene)
-                costs = {name: flight.weight(name, scene) * value for name, value in table.items()}
+                costs = {name: weight(name, scene) * value for name, value in table.items()}
                 return Planned(
                     plan_id=request.plan_id,
                     kernel=self._kernel.signature,
@@ -410,7 +409,7 @@ class _Plan:
             guide_rad=self._scene.guide_rad,
             guide_share=self._scene.guide_share,
         )
-        return {name: float(value[0]) for name, value in flight.cost_table(x[None], guided).items()}
+        return {name: float(value[0]) for name, value in cost_table(x[None], guided).items()}
 
 
 def _seeds(scene: FlightScene) -> FloatArray:
@@ -431,7 +430,7 @@ def _seeds(scene: FlightScene) -> FloatArray:
 
 def _azimuth(bearing_rad: float) -> float:
     """The variable that stands for a bearing from the tangent."""
-    return 0.5 + 0.5 * bearing_rad / flight.SPREAD_RAD
+    return 0.5 + 0.5 * bearing_rad / SPREAD_RAD
 
 
 def _scene(request: PlanRequest, field: CostToGo) -> FlightScene:

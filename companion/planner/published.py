@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from companion.objective import terms
-from companion.objective.scene import VARIABLES, Scene, control_points
+from companion.objective.terms import VARIABLES, Scene, control_points
 from companion.optimise.loop import minimise
 from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import Prover, certify, pack_surroundings

@@ -102,6 +102,7 @@ def safe_surface(
     rows, columns = window.upper_m.shape
     padded = np.pad(window.upper_m, half, mode="edge")
     squares = np.full((refine, refine, rows, columns), -np.inf)
+    part_m = np.empty((rows, columns))
     for north, east in np.ndindex(refine, refine):
         gaps_n, gaps_e = (_gaps(half, part / refine, 1.0 / refine) for part in (north, east))
         apart = np.hypot(gaps_n[:, None], gaps_e[None, :]) * known.cell_m - known.registration_m
@@ -109,7 +110,8 @@ def safe_surface(
         square = squares[north, east]
         for i, j in np.argwhere(apart < clearance_m):
             rise_m = math.sqrt(clearance_m**2 - apart[i, j] ** 2)
-            np.maximum(square, padded[i : i + rows, j : j + columns] + rise_m, out=square)
+            np.add(padded[i : i + rows, j : j + columns], rise_m, out=part_m)
+            np.maximum(square, part_m, out=square)
     return Surface(
         north_min_m=window.north_min_m,
         east_min_m=window.east_min_m,

@@ -29,7 +29,6 @@ from brute_force import (
 )
 
 from companion.config import load_mission
-from companion.path import proof
 from companion.path.certificate import (
     Certificate,
     Margins,
@@ -38,6 +37,7 @@ from companion.path.certificate import (
     cubics_of,
     pack_surroundings,
 )
+from companion.path.proof import prove
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
 from companion.runtime.compiler import load_kernel
@@ -270,15 +270,15 @@ def main() -> None:
     fast = None if kernel.name == "numpy" else kernel.prove
     tally = Tally()
     for k in range(asked.cases):
-        measure(random_case(np.random.default_rng([asked.seed, k])), fast or proof.prove, tally)
+        measure(random_case(np.random.default_rng([asked.seed, k])), fast or prove, tally)
         if tally.cases % 1_000 == 0:
             print(f"{tally.cases} cases: {rows(tally, {})}", flush=True)
-    times = {"plain": seconds_each(proof.prove, 1)}
+    times = {"plain": seconds_each(prove, 1)}
     if fast is not None:
         times["compiled"] = seconds_each(fast, 20)
     table = rows(tally, times)
     if fast is not None:
-        table["compiled and plain apart by"] = largest_difference(fast, proof.prove, 200)
+        table["compiled and plain apart by"] = largest_difference(fast, prove, 200)
     for name, value in table.items():
         print(f"{name:34} {value if not isinstance(value, float) else round(value, 3)}")
     running.store(asked.json, table)

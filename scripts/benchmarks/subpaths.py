@@ -17,7 +17,7 @@ import numpy as np
 import worlds
 from numpy.typing import NDArray
 
-from companion.objective.flight import FlightScene
+from companion.objective.scene import FlightScene
 from companion.path.subpath import Pose
 from companion.planner import plan
 from companion.planner.cost_to_go import cost_to_go

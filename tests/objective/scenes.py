@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.objective.flight import FlightScene
-from companion.objective.scene import Weights
+from companion.objective.scene import FlightScene, Weights
 from companion.path.limits import Limits
 from companion.path.subpath import Pose, Subpath
 from companion.world.clearance import Surface

@@ -16,18 +16,18 @@ from scipy.integrate import quad
 from scipy.interpolate import BSpline, RegularGridInterpolator
 from scipy.optimize import brentq
 
-from companion.objective.flight import (
+from companion.objective.scene import (
     LONGEST_R2,
     SHORTEST_R,
     SPREAD_RAD,
     TERMS,
     FlightScene,
+    Weights,
     control_points,
     cost,
     cost_table,
     weight,
 )
-from companion.objective.scene import Weights
 from companion.path.subpath import Subpath
 from companion.world.clearance import Surface
 from companion.world.threats import CircleZone, PolygonZone, Zone

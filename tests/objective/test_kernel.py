@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.objective import flight, kernel
+from companion.objective import kernel
+from companion.objective import scene as flight
 from companion.world.threats import Radar
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -55,7 +56,7 @@ def test_control_points_are_those_of_the_numpy_form(seed: int) -> None:
     scene = random_scene(rng)
     x = cube(rng, scene, 1)
     pack = kernel.pack(scene)
-    kernel.place_control_points(x[0], pack.control, pack.start, pack.numbers)
+    kernel.place_control_points(x[0], pack.control, pack.scene)
     np.testing.assert_allclose(
         pack.control, flight.control_points(x, scene)[0], rtol=1e-12, atol=1e-9
     )

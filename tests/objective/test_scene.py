@@ -7,15 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from companion.objective.scene import (
-    FLIGHT,
-    PAPER,
-    PROFILES,
-    VARIABLES,
-    Scene,
-    Weights,
-    control_points,
-)
+from companion.objective.scene import FLIGHT, PAPER, PROFILES, Weights
+from companion.objective.terms import VARIABLES, Scene, control_points
 from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface

@@ -10,8 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from companion.objective.scene import Scene, Weights, control_points
-from companion.objective.terms import TERMS, Candidates, candidates, cost, cost_table
+from companion.objective.scene import Weights
+from companion.objective.terms import (
+    TERMS,
+    Candidates,
+    Scene,
+    candidates,
+    control_points,
+    cost,
+    cost_table,
+)
 from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface
