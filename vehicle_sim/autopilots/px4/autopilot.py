@@ -154,6 +154,10 @@ class Px4(abc.ABC):
         self._checks = health.Checks(airspeed=airspeed_sensor)
         self._diary = Diary(self.parameters, rng)
         self._incidents = Incidents()
+        self._remember_nothing()
+
+    def _remember_nothing(self) -> None:
+        """What is remembered of a flight, before there was one."""
         self._signal_us: int | None = None
         self._after_disarming = Mode.LOITER
         self._armed_us = 0
