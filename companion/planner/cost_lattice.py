@@ -36,9 +36,7 @@ IndexArray = npt.NDArray[np.int32]
 
 MOST_CELLS = 160  # across; a larger map is coarse beyond a window of this size
 BLOCKED = 300.0  # cost per metre where nothing may fly
-_GUESSED_BLOCKED = (
-    30.0  # and where that is only guessed: if all is blocked, that is looked at first
-)
+_GUESSED_BLOCKED = 30.0  # where that is only guessed: if all is blocked, it is looked at first
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
 _MOST_PIECES = 400  # of a straight line
 
