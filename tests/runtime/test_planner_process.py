@@ -84,7 +84,7 @@ def test_a_plan_that_raises_is_an_error_with_its_words(
     text = """
 import companion.runtime.planner_process as process
 class Planner:
-    def __init__(self, *, lockstep): pass
+    def __init__(self, *, lockstep, load): pass
     def start(self): print("noise on the standard output")
     def __call__(self, request, stop):
         if request.plan_id == 1: raise ZeroDivisionError("made up")
