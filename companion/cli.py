@@ -308,7 +308,7 @@ def main() -> None:
         if not isinstance(error, _USAGE_ERROR):
             traceback.print_exc()
             sys.exit(_CRASHED)
-        text = str(getattr(error, "format_message", error.__str__)())
+        text = " ".join(str(getattr(error, "format_message", error.__str__)()).split())
         if text:  # without: the help has been shown
             sys.stderr.write(f"error: {text.rstrip('.')}. See companion --help.\n")
         sys.exit(InputError.exit_code)

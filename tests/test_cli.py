@@ -56,6 +56,7 @@ def test_plan_reaches_the_target_and_writes_a_picture(tmp_path: Path) -> None:
         (("fly", "environment-1", "environment-2"), "environment-2"),
         (("plan", str(HILLS / "world.toml"), "environment-1", "--out", "/nowhere/x.png"), "--out"),
         (("check", str(HILLS / "world.toml")), "this is a world"),
+        (("export", str(HILLS)), "kml, geojson, csv, plan"),
     ],
     ids=lambda value: value[-1] if isinstance(value, tuple) else "",
 )
