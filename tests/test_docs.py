@@ -32,7 +32,13 @@ CITED = {
     path.stem: set(
         re.findall(r"^#+ (\d+(?:\.\d+)?|[A-H]\d?)[. ]|^\| (C\d+) ", path.read_text("utf-8"), re.M)
     )
-    for path in (ROOT / "docs/design.md", *(ROOT / "docs/reference").glob("*.md"))
+    for path in (
+        ROOT / "docs/design.md",
+        *(
+            ROOT / f"docs/reference/{name}.md"
+            for name in ("ardupilot", "px4", "mavlink", "proximity", "planner-numbers")
+        ),
+    )
 }
 """Pages that are cited by section, and the numbers of their sections."""
 _NUMBER = r"(?:\d+(?:\.\d+)?|C\d+)(?![\d.]*[\w%/-])"

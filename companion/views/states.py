@@ -1,10 +1,10 @@
-"""docs/mission-states.md, made from the transition table itself: `scripts/docs` writes it."""
+"""Pages about the mission, made from its transition table and its reasons by `scripts/docs`."""
 
 from companion.mission.state import MOVES, Phase, Reason, Trigger
 
 
 def mission_states_markdown() -> str:
-    """The phases of a mission as a diagram and tables."""
+    """docs/reference/mission-states.md: the phases as a diagram, and what moves them on."""
     lines = [
         "# Mission states",
         "",
@@ -30,15 +30,28 @@ def mission_states_markdown() -> str:
     lines += ["", "## Triggers", ""]
     lines += ["| trigger | when |", "|---|---|"]
     lines += [f"| `{trigger.name.lower()}` | {trigger.value} |" for trigger in Trigger]
-    lines += [
-        "",
-        "## Reasons to hold or to end, and what to do",
-        "",
-        "| reason | remedy |",
-        "|---|---|",
-    ]
+    return "\n".join(lines) + "\n"
+
+
+def troubleshooting_markdown() -> str:
+    """docs/troubleshooting.md: every reason to hold or to end, with its remedy."""
+    lines = [_TROUBLESHOOTING, "| message | what to do |", "|---|---|"]
     lines += [f"| {reason.text} | {reason.remedy} |" for reason in Reason]
     return "\n".join(lines) + "\n"
+
+
+_TROUBLESHOOTING = """# Troubleshooting
+
+Made from `companion/mission/state.py` by `scripts/docs`; do not edit.
+
+First `companion preflight MISSION --connect ADDRESS`: it checks link, parameters, fence, position,
+battery and radar, and names what is wrong and what to do. It never arms.
+
+When the companion holds or ends a flight it sends the reason as a STATUSTEXT, prints it with the
+remedy, and writes it to `journal.jsonl` (`phase`: `reason`, `code`). `companion replay RUN_DIR`
+shows what led to it ([replay](replay.md)). What the exit codes mean:
+[connecting](connecting.md#started-again-in-flight).
+"""
 
 
 def _shared_moves() -> dict[Trigger, tuple[list[Phase], Phase]]:

@@ -1,6 +1,6 @@
 """How the four simulated autopilots follow setpoints, beside what was measured on the real ones.
 
-python scripts/benchmarks/tracking.py        the tables of docs/tracking.md
+python scripts/benchmarks/tracking.py        the tables of docs/results/tracking.md
 """
 
 import sys
