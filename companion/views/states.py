@@ -44,13 +44,9 @@ _TROUBLESHOOTING = """# Troubleshooting
 
 Made from `companion/mission/state.py` by `scripts/docs`; do not edit.
 
-First `companion preflight MISSION --connect ADDRESS`: it checks link, parameters, fence, position,
-battery and radar, and names what is wrong and what to do. It never arms.
-
-When the companion holds or ends a flight it sends the reason as a STATUSTEXT, prints it with the
-remedy, and writes it to `journal.jsonl` (`phase`: `reason`, `code`). `companion replay RUN_DIR`
-shows what led to it ([replay](replay.md)). What the exit codes mean:
-[connecting](connecting.md#started-again-in-flight).
+`companion preflight MISSION --connect ADDRESS` names what is wrong before a flight. In flight each
+reason to hold or to end is sent as a STATUSTEXT, and stands in `journal.jsonl`;
+`companion replay RUN_DIR` shows what led to it.
 """
 
 
