@@ -28,7 +28,7 @@ from companion.planner.kernels import Kernel
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.session import Session
-from vehicle_sim.simulation import STEP_US, Simulation
+from vehicle_sim.simulation import Simulation
 
 FloatArray = NDArray[np.float64]
 
@@ -355,20 +355,14 @@ class Pair:
             self._due.pop(0)[1](self)
 
     def _sample(self, now_s: float) -> None:
-        brain = self.brain
-        if brain is None:
-            self.flown.samples.append(
-                Sample(t_s=now_s, phase="", reason="", believed_nea_m=None, believed_at_s=-math.inf)
-            )
-            return
-        state = brain.session.state
+        state = self.brain.session.state if self.brain is not None else None
         self.flown.samples.append(
             Sample(
                 t_s=now_s,
-                phase=state.phase.value,
-                reason="" if state.reason is None else state.reason.text,
-                believed_nea_m=state.vehicle.position_nea_m,
-                believed_at_s=state.vehicle.position_at_s,
+                phase=state.phase.value if state else "",
+                reason=state.reason.text if state and state.reason else "",
+                believed_nea_m=state.vehicle.position_nea_m if state else None,
+                believed_at_s=state.vehicle.position_at_s if state else -math.inf,
             )
         )
 
@@ -405,8 +399,3 @@ class Pair:
     def upload(self, zones: tuple[Any, ...]) -> None:
         """A ground station uploads this fence."""
         self.station.upload(zones, lambda: self.flown.fences.append((self.now_s, zones)))
-
-
-def steps(seconds: float) -> int:
-    """So many steps of the simulator."""
-    return round(seconds * 1e6 / STEP_US)

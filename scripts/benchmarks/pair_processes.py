@@ -66,14 +66,11 @@ class Tap:
 
     def __init__(self, seen: Seen) -> None:
         self._seen = seen
-        self._vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._vehicle.bind(("127.0.0.1", 0))
-        self._companion = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._companion.bind(("127.0.0.1", 0))
+        self._vehicle, self._companion = udp_socket(), udp_socket()
         self._peer: tuple[str, int] | None = None
         self.companion_port = free_port()
-        for each in (self._vehicle, self._companion):
-            each.setblocking(False)
+        self._vehicle.setblocking(False)
+        self._companion.setblocking(False)
 
     @property
     def vehicle_port(self) -> int:
@@ -109,10 +106,16 @@ class Tap:
         self._companion.close()
 
 
+def udp_socket() -> socket.socket:
+    """Bound to a port of this machine that nobody uses."""
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    link.bind(("127.0.0.1", 0))
+    return link
+
+
 def free_port() -> int:
     """A UDP port of this machine that nobody uses now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
+    with udp_socket() as probe:
         return int(probe.getsockname()[1])
 
 
