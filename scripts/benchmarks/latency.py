@@ -130,10 +130,10 @@ def _ms(values: list[float], share: float) -> str:
 
 def table_of(rows: list[dict[str, Any]]) -> Table:
     """Milliseconds."""
-    table = Table(title="Position in to setpoint out, ms", box=None, pad_edge=False)
-    for heading in ("Hz", "setpoints", "p50", "p99", "p99.9", "most", "echo p50", "echo p99",
-                    "echo p99.9", "gap p50", "gap p99.9", "most"):  # fmt: skip
-        table.add_column(heading, justify="right")
+    table = running.figures(
+        "Position in to setpoint out, ms", "Hz", "setpoints", "p50", "p99", "p99.9", "most",
+        "echo p50", "echo p99", "echo p99.9", "gap p50", "gap p99.9", "most",
+    )  # fmt: skip
     for row in rows:
         waits, gaps, echoes = row["waits_s"], row["gaps_s"], row["echo_s"]
         table.add_row(

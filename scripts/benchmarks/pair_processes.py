@@ -25,9 +25,14 @@ def frames(datagram: bytes) -> Iterator[tuple[int, bytes]]:
     at = 0
     while at + 12 <= len(datagram) and datagram[at] == 0xFD:
         size = 12 + datagram[at + 1] + (13 if datagram[at + 2] & 1 else 0)
-        number = int.from_bytes(datagram[at + 7 : at + 10], "little")
-        yield number, datagram[at : at + size]
+        frame = datagram[at : at + size]
+        yield number_of(frame), frame
         at += size
+
+
+def number_of(frame: bytes) -> int:
+    """Message id of a frame of MAVLink 2."""
+    return int.from_bytes(frame[7:10], "little")
 
 
 def payload(frame: bytes, size: int) -> bytes:
