@@ -1,1 +1,7 @@
 """Online path planner for a drone's companion computer."""
+
+import os
+
+# Before numpy is loaded: on a busy computer threads of OpenBLAS wait for each other, and a plan
+# that takes 0.1 s takes 1 s.  Matrices are small here: on an idle one they gain nothing.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -3,11 +3,15 @@
 import hashlib
 import os
 import shutil
+import subprocess
+import sys
 import tempfile
 import threading
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import final
 
@@ -22,6 +26,8 @@ from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
+
+_COMPLETE = "complete"  # a file beside the cached code: nothing of it is missing
 
 
 def load_kernel() -> Kernel:
@@ -38,7 +44,36 @@ def load_kernel() -> Kernel:
     if kernel is None and any(cache.iterdir()):
         shutil.rmtree(cache, ignore_errors=True)
         kernel = _compiled(cache)
+    if kernel is not None:
+        with suppress(OSError):
+            (cache / _COMPLETE).touch()
     return kernel or NUMPY
+
+
+def load_beside_plans() -> Kernel:
+    """As `load_kernel`, but a process of its own compiles first what the cache does not hold.
+
+    The compiler holds the interpreter for seconds: in a thread it would starve the plans that
+    numpy makes meanwhile, until the watchdog takes the planner for hung.
+    """
+    cache = _prepare_cache()
+    if cache is not None and find_spec("numba") and not (cache / _COMPLETE).exists():
+        command = [sys.executable, "-P", "-m", "companion.runtime.compiler"]
+        with subprocess.Popen(command, stdin=subprocess.PIPE) as child:
+            child.wait()
+    return load_kernel()
+
+
+def main() -> None:
+    """Fill the cache, as long as the standard input is open; what flies goes first."""
+
+    def ends_with_parent() -> None:
+        sys.stdin.read()
+        os._exit(0)
+
+    os.nice(10)
+    threading.Thread(target=ends_with_parent, daemon=True).start()
+    load_kernel()
 
 
 def _compiled(cache: Path | None) -> Kernel | None:
@@ -155,3 +190,7 @@ class Planner:
             self.wait()
         self.start()
         return plan(request, stop, self._kernel)
+
+
+if __name__ == "__main__":
+    main()

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from typing import IO, Any, final
 
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.runtime.compiler import Planner
+from companion.runtime.compiler import Planner, load_beside_plans
 
 _LOOK_S = 0.02
 _READY = "ready"
@@ -131,7 +131,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, who says farewell
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever prints must not end up among the answers
-    planner = Planner(lockstep=False)
+    planner = Planner(lockstep=False, load=load_beside_plans)
     planner.start()
     questions: queue.SimpleQueue[PlanRequest | None] = queue.SimpleQueue()
     enough: set[int] = set()

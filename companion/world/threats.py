@@ -105,17 +105,16 @@ class PolygonZone:
 
 
 Zone = CircleZone | PolygonZone
-_FROM_EDGES = 24  # fewer are looked at one by one as fast
 
 
 def is_near(zone: Zone, north_m: FloatArray, east_m: FloatArray, distance_m: float) -> BoolArray:
     """Where on a lattice a zone is nearer than a distance, or forbids to be.
 
     North (rows,), east (columns,), both evenly spaced and rising -> (rows, columns); the same as
-    `zone.distance_m(...) < distance_m`.  Of a polygon of many edges, each is looked at only where
-    it is near, and what is inside is counted line by line.
+    `zone.distance_m(...) < distance_m`.  Each edge of a polygon is looked at only where it is near,
+    and what is inside is counted line by line.
     """
-    if isinstance(zone, CircleZone) or len(zone.vertices_ne_m) < _FROM_EDGES or distance_m < 0.0:
+    if isinstance(zone, CircleZone) or distance_m < 0.0:
         gap = zone.distance_m(*np.broadcast_arrays(north_m[:, None], east_m[None, :]))
         return np.asarray(gap < distance_m)
     changes = np.zeros((len(north_m) + 1, len(east_m)), dtype=np.int32)

@@ -289,3 +289,29 @@ def test_on_a_read_only_system_the_kernel_is_compiled_without_a_cache(tmp_path: 
     )
     assert done.stdout.strip() == "numba", done.stderr
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]
+
+
+BESIDE = """
+from numba.core import event
+from companion.runtime.compiler import load_beside_plans
+with event.install_recorder("numba:compile") as compiled_here:
+    print(load_beside_plans().name, len(compiled_here.buffer))
+"""
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("home")
+def test_what_plans_meanwhile_compiles_nothing_itself() -> None:
+    pytest.importorskip("numba")
+    command = [sys.executable, "-c", BESIDE]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.stdout.split() == ["numba", "0"], done.stderr
+
+
+def test_a_compiler_does_not_outlive_what_wants_its_code(home: Path) -> None:
+    command = [sys.executable, "-m", "companion.runtime.compiler"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as child:
+        assert child.stdin is not None
+        child.stdin.close()
+        assert child.wait(PATIENCE_S) == 0
+    assert not any(home.rglob("complete"))

@@ -84,7 +84,7 @@ def test_a_plan_that_raises_is_an_error_with_its_words(
     text = """
 import companion.runtime.planner_process as process
 class Planner:
-    def __init__(self, *, lockstep): pass
+    def __init__(self, *, lockstep, load): pass
     def start(self): print("noise on the standard output")
     def __call__(self, request, stop):
         if request.plan_id == 1: raise ZeroDivisionError("made up")
@@ -134,3 +134,17 @@ def test_a_planner_does_not_outlive_a_companion_that_is_killed() -> None:
         _, errors = parent.communicate(timeout=60)
     assert parent.returncode == -signal.SIGKILL
     assert errors == b""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are counted on Linux")
+def test_linear_algebra_takes_no_threads_of_its_own() -> None:
+    factorised = """
+import os
+import companion.world.guess
+import numpy as np
+np.linalg.cholesky(np.eye(500))
+print(len(os.listdir("/proc/self/task")))
+"""
+    environment = {name: value for name, value in os.environ.items() if "THREADS" not in name}
+    command = [sys.executable, "-c", factorised]
+    assert subprocess.check_output(command, env=environment) == b"1\n"
