@@ -62,7 +62,7 @@ class Flown:
 
     @property
     def cost(self) -> float:
-        """J, the sum of the terms: what docs/benchmarks.md compares with the optimum."""
+        """J, the sum of the terms: what docs/results/benchmarks.md compares with the optimum."""
         return sum(self.terms.values())
 
 

@@ -32,7 +32,13 @@ CITED = {
     path.stem: set(
         re.findall(r"^#+ (\d+(?:\.\d+)?|[A-H]\d?)[. ]|^\| (C\d+) ", path.read_text("utf-8"), re.M)
     )
-    for path in (ROOT / "docs/design.md", *(ROOT / "docs/reference").glob("*.md"))
+    for path in (
+        ROOT / "docs/design.md",
+        *(
+            ROOT / f"docs/reference/{name}.md"
+            for name in ("ardupilot", "px4", "mavlink", "proximity", "planner-numbers")
+        ),
+    )
 }
 """Pages that are cited by section, and the numbers of their sections."""
 _NUMBER = r"(?:\d+(?:\.\d+)?|C\d+)(?![\d.]*[\w%/-])"
@@ -138,6 +144,18 @@ def test_the_links_of_a_page_lead_to_files(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text):
         if "://" not in target:
             assert (page.parent / target).exists(), target
+
+
+def test_what_a_user_reads_fits_in_12_000_words() -> None:
+    """Pages for engineers, and what was measured or decided, have folders or names of their own."""
+    for_engineers = {"architecture.md", "design.md"}
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    words = {
+        page.name: len(page.read_text(encoding="utf-8").split())
+        for page in pages
+        if page.name not in for_engineers
+    }
+    assert sum(words.values()) <= 12_000, words
 
 
 def test_every_parameter_that_is_judged_is_on_the_page() -> None:

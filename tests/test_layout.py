@@ -17,15 +17,15 @@ def test_a_function_has_at_most_60_lines() -> None:
     assert not too_long
 
 
-def test_the_page_of_mission_states_is_that_of_the_table() -> None:
-    from companion.views.states import mission_states_markdown
-
-    page = (ROOT / "docs" / "mission-states.md").read_text(encoding="utf-8")
-    assert page == mission_states_markdown(), "run scripts/docs"
-
-
-def test_the_page_of_faults_is_that_of_the_catalogue() -> None:
+def test_the_pages_that_are_made_from_the_code_are_up_to_date() -> None:
+    from companion.views.states import mission_states_markdown, troubleshooting_markdown
     from vehicle_sim.faults import faults_page
 
-    page = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")
-    assert page == faults_page(), "run scripts/docs"
+    made = {
+        "faults.md": faults_page(),
+        "reference/mission-states.md": mission_states_markdown(),
+        "troubleshooting.md": troubleshooting_markdown(),
+    }
+    for name, text in made.items():
+        page = (ROOT / "docs" / name).read_text(encoding="utf-8")
+        assert page == text, f"{name}: run scripts/docs"

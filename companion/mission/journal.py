@@ -1,4 +1,4 @@
-"""The lines of journal.jsonl: these declarations are its schema (docs/journal.md).
+"""The lines of journal.jsonl: these declarations are its schema (docs/reference/journal.md).
 
 What is written takes its fields from them (`entries`), the reader checks lines against them
 (`telemetry.journal`), and the page is made from them, attribute docstrings included.
@@ -77,7 +77,7 @@ class Phase(Entry, frozen=True, tag="phase"):
     """The mission has moved on, or has another reason to be where it is."""
 
     phase: str
-    """Where it stands now (docs/mission-states.md)."""
+    """Where it stands now (docs/reference/mission-states.md)."""
     was: str
     """And before."""
     reason: str | None
@@ -425,7 +425,7 @@ class PartDied(Entry, frozen=True, tag="part died", omit_defaults=True):
 KINDS: Final[dict[str, type[Entry]]] = {
     str(kind.__struct_config__.tag): kind for kind in Entry.__subclasses__()
 }
-"""By their names in the file, in the order of docs/journal.md."""
+"""By their names in the file, in the order of docs/reference/journal.md."""
 
 
 def plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Reads journal.jsonl: headers and entries, checked, of every version (docs/journal.md).
+"""Reads journal.jsonl: headers and entries, checked, of every version (docs/reference/journal.md).
 
     journal = Journal(run_dir / "journal.jsonl")
     for entry in journal.entries():          # streaming: a journal of days takes no more memory

@@ -1,4 +1,4 @@
-"""docs/journal.md, made from what the journal is declared with: `scripts/docs` writes it."""
+"""docs/reference/journal.md, made from the declarations of the journal by `scripts/docs`."""
 
 import ast
 import inspect

@@ -1,10 +1,10 @@
-"""docs/mission-states.md, made from the transition table itself: `scripts/docs` writes it."""
+"""Pages about the mission, made from its transition table and its reasons by `scripts/docs`."""
 
 from companion.mission.state import MOVES, Phase, Reason, Trigger
 
 
 def mission_states_markdown() -> str:
-    """The phases of a mission as a diagram and tables."""
+    """docs/reference/mission-states.md: the phases as a diagram, and what moves them on."""
     lines = [
         "# Mission states",
         "",
@@ -30,15 +30,24 @@ def mission_states_markdown() -> str:
     lines += ["", "## Triggers", ""]
     lines += ["| trigger | when |", "|---|---|"]
     lines += [f"| `{trigger.name.lower()}` | {trigger.value} |" for trigger in Trigger]
-    lines += [
-        "",
-        "## Reasons to hold or to end, and what to do",
-        "",
-        "| reason | remedy |",
-        "|---|---|",
-    ]
+    return "\n".join(lines) + "\n"
+
+
+def troubleshooting_markdown() -> str:
+    """docs/troubleshooting.md: every reason to hold or to end, with its remedy."""
+    lines = [_TROUBLESHOOTING, "| message | what to do |", "|---|---|"]
     lines += [f"| {reason.text} | {reason.remedy} |" for reason in Reason]
     return "\n".join(lines) + "\n"
+
+
+_TROUBLESHOOTING = """# Troubleshooting
+
+Made from `companion/mission/state.py` by `scripts/docs`; do not edit.
+
+`companion preflight MISSION --connect ADDRESS` names what is wrong before a flight. In flight each
+reason to hold or to end is sent as a STATUSTEXT, and stands in `journal.jsonl`;
+`companion replay RUN_DIR` shows what led to it.
+"""
 
 
 def _shared_moves() -> dict[Trigger, tuple[list[Phase], Phase]]:

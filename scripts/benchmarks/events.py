@@ -134,10 +134,8 @@ def fly(vehicle: str, zones: int, corners: int, limit_s: float = 400.0) -> tuple
 
 def table_of(vehicle: str, times: Times) -> Table:
     """Milliseconds, the longest first."""
-    table = Table(title=f"{vehicle}: processor time, ms", box=None, pad_edge=False)
-    table.add_column("event")
-    for heading in ("count", "median", "p99", "most"):
-        table.add_column(heading, justify="right")
+    title = f"{vehicle}: processor time, ms"
+    table = running.figures(title, "event", "count", "median", "p99", "most")
     for name, taken in sorted(times.items(), key=lambda item: -max(item[1])):
         values = 1e3 * np.array(taken)
         row = (np.median(values), np.quantile(values, 0.99), values.max())

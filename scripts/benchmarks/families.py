@@ -1,9 +1,9 @@
 """Families of random worlds to measure missions in, each world from (family, seed, index) alone.
 
-The default seed draws what the tables of docs/benchmarks.md were measured in; another seed draws
-worlds that nobody has seen.  Every world has a way through at the floor of the band, outside all
-radars and keep-outs, by a flood fill that knows nothing of planners, and its straight line is
-barred; what has not is drawn again.
+The default seed draws the worlds of docs/results/benchmarks.md; another seed draws fresh ones.
+Every world has a way through at the floor of the band, outside all radars and keep-outs, which a
+flood fill that shares no code with the planner proves, and its straight line is barred; a world
+without is drawn again.
 """
 
 import functools

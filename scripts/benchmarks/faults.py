@@ -126,12 +126,11 @@ def _short(value: float) -> str:
 
 def by_fault(results: Sequence[Result]) -> Table:
     """One line for each row of the trials."""
-    table = Table(title="What went wrong, and what came of it", box=None, pad_edge=False)
-    table.add_column("fault", no_wrap=True)
-    for heading in ("flights", "arrived", "resumed", "held", "landed", "returned", "let go",
-                    "refused", "fell", "other", "terrain m", "known", "zone m", "known", "inside s",
-                    "silent s", "own", "violations"):  # fmt: skip
-        table.add_column(heading, justify="right")
+    table = running.figures(
+        "What went wrong, and what came of it", "fault", "flights", "arrived", "resumed", "held",
+        "landed", "returned", "let go", "refused", "fell", "other", "terrain m", "known", "zone m",
+        "known", "inside s", "silent s", "own", "violations",
+    )  # fmt: skip
     names = dict.fromkeys(result.flight.trial for result in results)
     for name in [*names, "all"]:
         rows = [r for r in results if name in ("all", r.flight.trial)]
@@ -143,6 +142,10 @@ _CLASSES = ("arrived", "held and resumed", "held for good", "landed", "returned"
             "refused", "fell")  # fmt: skip
 
 
+_LEAST = ("terrain_m", "terrain_known_m", "zone_m", "zone_known_m")
+_MOST = ("inside_s", "silent_s", "own_silent_s")
+
+
 def _row(rows: Sequence[Result]) -> list[str]:
     verdicts = [r.verdict for r in rows]
     counts = Counter(v.outcome for v in verdicts)
@@ -151,13 +154,8 @@ def _row(rows: Sequence[Result]) -> list[str]:
         str(len(rows)),
         *(str(counts[name] or "") for name in _CLASSES),
         str(other or ""),
-        _short(min(v.terrain_m for v in verdicts)),
-        _short(min(v.terrain_known_m for v in verdicts)),
-        _short(min(v.zone_m for v in verdicts)),
-        _short(min(v.zone_known_m for v in verdicts)),
-        _short(max(v.inside_s for v in verdicts)),
-        _short(max(v.silent_s for v in verdicts)),
-        _short(max(v.own_silent_s for v in verdicts)),
+        *(_short(min(getattr(v, name) for v in verdicts)) for name in _LEAST),
+        *(_short(max(getattr(v, name) for v in verdicts)) for name in _MOST),
         str(sum(v.violations for v in verdicts) or ""),
     ]
 

@@ -40,6 +40,7 @@ GUIDED = frozenset({"GUIDED", "Offboard"})
 HOLDS = frozenset({"BRAKE", "Hold", "LOITER"})
 LANDS = frozenset({"LAND", "Land", "Descend", "AUTOLAND"})
 RETURNS = frozenset({"RTL", "Return", "SMARTRTL"})
+_BY_ORDER = {"hold": HOLDS, "land": LANDS, "return": RETURNS}
 KNOWN_AFTER_S = 10.0
 GRACE_S = 10.0
 _SLACK_M = 0.1
@@ -200,8 +201,6 @@ def _table(flown: Flown) -> _Table:
         told = [np.interp(sample.believed_at_s, t_s, track[:, axis]) for axis in range(3)]
         off[k] = math.dist(told, sample.believed_nea_m)
     modes = [flown.truth[k]["mode"] for k in rows]
-    asked = _asked(flown)
-    ours = _ours(modes, t_s[rows], asked)
     blind = [
         s.phase == "holding" and s.reason in _BLIND and mode not in GUIDED
         for mode, s in zip(modes, samples, strict=True)
@@ -213,7 +212,7 @@ def _table(flown: Flown) -> _Table:
         airborne=np.array([flown.truth[k]["armed"] for k in rows], dtype=bool),
         phases=[s.phase for s in samples],
         off_m=off,
-        ours=np.array(ours, dtype=bool),
+        ours=_ours(modes, t_s[rows], flown),
     )
     error_m = flown.scene.mission.task.limits.navigation_error_m
     rebooted = np.array([any(at <= t for at in reboots) for t in table.t_s], dtype=bool)
@@ -226,46 +225,28 @@ def _table(flown: Flown) -> _Table:
     return table
 
 
-def _asked(flown: Flown) -> tuple[list[float], list[str]]:
-    """When the companion asked for which mode."""
-    rows = [(e["at_s"], e["mode"]) for e in flown.journal if e["kind"] == "set mode"]
-    return [at_s for at_s, _ in rows], [mode for _, mode in rows]
-
-
-def _ours(modes: list[str], t_s: FloatArray, asked: tuple[list[float], list[str]]) -> list[bool]:
-    """Whether the companion has a say, moment by moment.
+def _ours(modes: list[str], t_s: FloatArray, flown: Flown) -> BoolArray:
+    """Whether the companion has a say: the mode is guided, or the one that it asked for last.
 
     A mode that was taken away is not given back by the autopilot's own failsafe being over: the
     companion has let go, and goes on only when it is told to (design 7).
     """
+    asked = [(e["at_s"], e["mode"]) for e in flown.journal if e["kind"] == "set mode"]
     ours, taken_s = [], -math.inf
     for mode, at_s in zip(modes, t_s.tolist(), strict=True):
-        newest = bisect.bisect_right(asked[0], at_s) - 1
-        asked_s = asked[0][newest] if newest >= 0 else -math.inf
-        ours.append(_is_ours(mode, at_s, asked) and (mode in GUIDED or asked_s >= taken_s))
+        newest = bisect.bisect_right(asked, at_s, key=lambda each: each[0]) - 1
+        asked_s, wanted = asked[newest] if newest >= 0 else (-math.inf, "")
+        obeyed = mode in _BY_ORDER.get(wanted, ()) and asked_s >= taken_s
+        ours.append(mode in GUIDED or obeyed)
         if not ours[-1]:
             taken_s = at_s
-    return ours
-
-
-def _is_ours(mode: str, t_s: float, asked: tuple[list[float], list[str]]) -> bool:
-    """Whether this mode is the one that the companion asked for last."""
-    if mode in GUIDED:
-        return True
-    newest = bisect.bisect_right(asked[0], t_s) - 1
-    wanted = asked[1][newest] if newest >= 0 else ""
-    return mode in {"hold": HOLDS, "land": LANDS, "return": RETURNS}.get(wanted, ())
+    return np.array(ours, dtype=bool)
 
 
 def _lasting(t_s: FloatArray, bad: BoolArray) -> BoolArray:
     """Bad now, or less than the grace ago."""
-    result = bad.copy()
-    last_s = -math.inf
-    for k, t in enumerate(t_s):
-        if bad[k]:
-            last_s = float(t)
-        result[k] = t - last_s < GRACE_S
-    return result
+    last_s = np.maximum.accumulate(np.where(bad, t_s, -math.inf))
+    return np.asarray(t_s - last_s < GRACE_S)
 
 
 # --- distances

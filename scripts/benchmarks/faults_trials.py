@@ -6,7 +6,7 @@ A trial is drawn for one scene with one generator: what happens, when, how stron
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from pair import Happening, Pair
@@ -37,14 +37,35 @@ class Trial:
     limit_s: float = 300.0
 
 
-def fault(line: str) -> Happening:
-    """One of the simulator's, from now on."""
+def does(what: str, act: Callable[[Pair], None]) -> Happening:
+    """Note that it happens, and make it happen."""
 
     def happen(pair: Pair) -> None:
-        pair.note("reboot" if line == "reboot" else line)
-        pair.simulation.add_fault(line)
+        pair.note(what)
+        act(pair)
 
     return happen
+
+
+def fault(line: str) -> Happening:
+    """One of the simulator's, from now on."""
+    return does(line, lambda pair: pair.simulation.add_fault(line))
+
+
+def says(what: str, command: int, *parameters: float) -> Happening:
+    """A command of the ground station to the companion."""
+    return does(what, lambda pair: pair.station.command(command, *parameters))
+
+
+def thinks(what: str, **values: Any) -> Happening:
+    """The companion, if there is one, has these attributes from now on."""
+
+    def change(pair: Pair) -> None:
+        for name, value in values.items():
+            if pair.brain is not None:
+                setattr(pair.brain, name, value)
+
+    return does(what, change)
 
 
 def when(rng: Rng, scene: Scene) -> float:
@@ -162,13 +183,13 @@ def _new_fence_around(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
     radius_m = rng.uniform(15.0, 35.0) * (1.0 if scene.kind == "copter" else 3.5)
     aside = rng.uniform(-0.7, 0.7, 2) * radius_m
 
-    def happen(pair: Pair) -> None:
+    def draws(pair: Pair) -> None:
         north_m, east_m = pair.where()[:2]
-        pair.note(f"new fence around the vehicle, radius {radius_m:.0f} m")
         place = (north_m + float(aside[0]), east_m + float(aside[1]))
         pair.upload((*scene.fence, _circle(place, radius_m)))
 
-    return [(when(rng, scene), happen)]
+    what = f"new fence around the vehicle, radius {radius_m:.0f} m"
+    return [(when(rng, scene), does(what, draws))]
 
 
 def _own_fence_and_back(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
@@ -180,10 +201,7 @@ def _own_fence_and_back(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]
             pair.station.command(_FENCE_ENABLE, 1.0, component=1)
         draws(pair)
 
-    def give_back(pair: Pair) -> None:
-        pair.note("given back by command")
-        pair.station.command(_PAUSE_CONTINUE, 1.0)
-
+    give_back = says("given back by command", _PAUSE_CONTINUE, 1.0)
     return [(at_s, happen), (at_s + rng.uniform(8.0, 30.0), give_back)]
 
 
@@ -197,37 +215,22 @@ def _pilot_and_back(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
     at_s, mode = when(rng, scene), _GUIDED.get((scene.autopilot, scene.kind))
     by_mode = mode is not None and rng.random() < 0.5
 
-    def give_back(pair: Pair) -> None:
-        pair.note("given back by " + ("mode" if by_mode else "command"))
-        if by_mode and mode is not None:
-            pair.station.set_mode(*mode)
-        else:
-            pair.station.command(_PAUSE_CONTINUE, 1.0)
-
+    give_back = says("given back by command", _PAUSE_CONTINUE, 1.0)
+    if by_mode and mode is not None:
+        give_back = does("given back by mode", lambda pair: pair.station.set_mode(*mode))
     return [(at_s, fault("pilot")), (at_s + rng.uniform(2.0, 6.0), give_back)]
 
 
 def _station_returns(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
     mode = _RETURN.get((scene.autopilot, scene.kind), (4, 5))
-
-    def happen(pair: Pair) -> None:
-        pair.note("the ground station selects return")
-        pair.station.set_mode(*mode)
-
-    return [(when(rng, scene), happen)]
+    selects = does("the ground station selects return", lambda pair: pair.station.set_mode(*mode))
+    return [(when(rng, scene), selects)]
 
 
 def _pause_and_continue(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
     at_s = when(rng, scene)
-
-    def say(value: float, what: str) -> Happening:
-        def happen(pair: Pair) -> None:
-            pair.note(what)
-            pair.station.command(_PAUSE_CONTINUE, value)
-
-        return happen
-
-    return [(at_s, say(0.0, "pause")), (at_s + rng.uniform(1.0, 15.0), say(1.0, "continue"))]
+    goes_on = says("continue", _PAUSE_CONTINUE, 1.0)
+    return [(at_s, says("pause", _PAUSE_CONTINUE, 0.0)), (at_s + rng.uniform(1.0, 15.0), goes_on)]
 
 
 def _reposition(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
@@ -235,58 +238,36 @@ def _reposition(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
     aside = rng.normal(0.0, 0.12 * float(np.linalg.norm(target)), 2)
     place = rng.uniform(0.3, 1.0) * target + aside
 
-    def happen(pair: Pair) -> None:
-        pair.note("reposition")
+    def orders(pair: Pair) -> None:
         pair.flown.target_ne_m = (float(place[0]), float(place[1]))
-        floor_m, ceiling_m = scene.mission.task.band_amsl_m
-        pair.station.reposition((float(place[0]), float(place[1])), 0.5 * (floor_m + ceiling_m))
+        pair.station.reposition(pair.flown.target_ne_m, 0.5 * sum(scene.mission.task.band_amsl_m))
 
-    return [(when(rng, scene), happen)]
+    return [(when(rng, scene), does("reposition", orders))]
 
 
 def _change_speed(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
     speed = rng.uniform(0.4, 1.3) * scene.mission.task.limits.speed_m_s
-
-    def happen(pair: Pair) -> None:
-        pair.note(f"speed {speed:.1f} m/s")
-        pair.station.command(_CHANGE_SPEED, 1.0, speed, -1.0)
-
-    return [(when(rng, scene), happen)]
+    slower = says(f"speed {speed:.1f} m/s", _CHANGE_SPEED, 1.0, speed, -1.0)
+    return [(when(rng, scene), slower)]
 
 
 def _plan_late(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
     at_s = when(rng, scene)
     takes_s = scene.mission.task.settings.planning_time_s + rng.uniform(0.1, 12.0)
-
-    def slow(seconds: float, what: str) -> Happening:
-        def happen(pair: Pair) -> None:
-            pair.note(what)
-            if pair.brain is not None:
-                pair.brain.plan_s = seconds
-
-        return happen
-
-    late = slow(takes_s, f"plans take {takes_s:.1f} s")
-    return [(at_s, late), (at_s + rng.uniform(10.0, 60.0), slow(0.02, "plans are quick again"))]
+    late = thinks(f"plans take {takes_s:.1f} s", plan_s=takes_s)
+    quick = thinks("plans are quick again", plan_s=0.02)
+    return [(at_s, late), (at_s + rng.uniform(10.0, 60.0), quick)]
 
 
 def _planner_dies(rng: Rng, _: Scene) -> list[tuple[float, Happening]]:
-    def happen(pair: Pair) -> None:
-        pair.note("the next plan kills the planner")
-        if pair.brain is not None:
-            pair.brain.planner_dies = True
-
-    return [(float(rng.uniform(0.0, 40.0)), happen)]
+    dies = thinks("the next plan kills the planner", planner_dies=True)
+    return [(float(rng.uniform(0.0, 40.0)), dies)]
 
 
 def _killed(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:
     at_s, away_s = when(rng, scene), float(rng.uniform(0.3, 8.0))
-
-    def happen(pair: Pair) -> None:
-        pair.note(f"the companion is killed, and is back after {away_s:.1f} s")
-        pair.kill(away_s)
-
-    return [(at_s, happen)]
+    what = f"the companion is killed, and is back after {away_s:.1f} s"
+    return [(at_s, does(what, lambda pair: pair.kill(away_s)))]
 
 
 def _link_lost(rng: Rng, scene: Scene) -> list[tuple[float, Happening]]:

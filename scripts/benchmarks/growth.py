@@ -16,9 +16,9 @@ import math
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar, final
+from typing import Any, TypeVar
 
 import numpy as np
 import running
@@ -47,22 +47,12 @@ _ARC_S = 3.0
 _DEG_M = 111_320.0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
-    """One size."""
+Figures = dict[str, float]
+"""Of one scene, or the medians of all of one size.
 
-    size: int
-    """Obstacles, or cells of the DEM."""
-    map_cells: int
-    in_reach: int
-    """Mountains and radars that the scan may have to do with (the median)."""
-    world_s: float
-    scan_s: float
-    guidance_s: float
-    plan_s: float
-    planned: str
-    """How many of the plans found a subpath."""
+`map_cells`; `in_reach`: mountains and radars that the scan may have to do with; `world_s`,
+`scan_s`, `guidance_s`, `plan_s`; `planned`: how many of the plans found a subpath.
+"""
 
 
 def timed(task: Callable[[], Result], repetitions: int = _REPETITIONS) -> tuple[Result, float]:
@@ -127,9 +117,9 @@ def in_reach(world: BenchmarkWorld) -> int:
 
 
 def measured(
-    world: BenchmarkWorld, terrain: Terrain, kernel: Any, seed: int
-) -> tuple[float, float, float, float, bool]:
-    """Seconds for the map, the scan, the guidance and the plan; whether there was one."""
+    world: BenchmarkWorld, terrain: Terrain, kernel: Any, seed: int, read_s: float = 0.0
+) -> Figures:
+    """One scene.  read_s: what reading its world took."""
     blank, map_s = timed(lambda: map_of(world), 1)
     scan = scan_of(world, terrain, blank)
     known, scan_s = timed(lambda: blank.with_scan(scan))
@@ -146,23 +136,27 @@ def measured(
         target_ne_m=there,
     )
     outcome, plan_s = timed(lambda: plan(request, kernel=kernel))
-    return map_s, scan_s, guidance_s, plan_s, isinstance(outcome, Planned)
+    return {
+        "map_cells": blank.upper_m.size,
+        "in_reach": 0 if read_s else in_reach(world),
+        "world_s": map_s + read_s,
+        "scan_s": scan_s,
+        "guidance_s": guidance_s,
+        "plan_s": plan_s,
+        "planned": isinstance(outcome, Planned),
+    }
 
 
 # --- worlds that grow
 
 
-def obstacles(most: int, scenes: int, kernel: Any) -> list[Row]:
+def obstacles(most: int, scenes: int, kernel: Any) -> list[Figures]:
     """10, 100, ... obstacles at equal density."""
-    sizes = [10**k for k in range(1, 9) if 10**k <= most]
     rows = []
-    for size in sizes:
-        found = []
-        for variant in range(scenes):
-            world = worlds.spread_out(size, variant)
-            figures = measured(world, near(world), kernel, seed=variant + 1)
-            found.append((in_reach(world), *figures))
-        rows.append(_row(size, map_of(world).upper_m.size, found))
+    for size in (10**k for k in range(1, 9) if 10**k <= most):
+        grown = [worlds.spread_out(size, variant) for variant in range(scenes)]
+        found = [measured(w, near(w), kernel, seed) for seed, w in enumerate(grown, 1)]
+        rows.append(_row(size, found))
     return rows
 
 
@@ -201,7 +195,7 @@ def fractal(side: int) -> NDArray[np.int16]:
     return np.round(4_500.0 * heights).astype(np.int16)
 
 
-def elevations(most: float, scenes: int, kernel: Any) -> list[Row]:
+def elevations(most: float, scenes: int, kernel: Any) -> list[Figures]:
     """DEMs of 1, 3, 10, ... million cells; the map covers the DEM."""
     rows = []
     for millions in (1.0, 3.0, 10.0, 30.0, 100.0):
@@ -212,7 +206,7 @@ def elevations(most: float, scenes: int, kernel: Any) -> list[Row]:
     return rows
 
 
-def _elevation(path: Path, cells: int, scenes: int, kernel: Any) -> Row:
+def _elevation(path: Path, cells: int, scenes: int, kernel: Any) -> Figures:
     base = worlds.bundled("environment-2")
     half_m = 0.45 * math.sqrt(cells) * _ARC_S / 3600.0 * _DEG_M
     north, east = (-half_m, half_m), (-0.65 * half_m, 0.65 * half_m)  # cos 47 deg, and to spare
@@ -234,41 +228,27 @@ def _elevation(path: Path, cells: int, scenes: int, kernel: Any) -> Row:
             start_nea_m=(float(place[0]), float(place[1]), 4_800.0),
             targets_ne_m=((float(place[0]) + 12_000.0, float(place[1]) + 12_000.0),),
         )
-        map_s, *others = measured(world, terrain, kernel, seed=variant + 1)
-        found.append((0, map_s + read_s, *others))
-    return _row(cells, map_of(world).upper_m.size, found)
+        found.append(measured(world, terrain, kernel, variant + 1, read_s))
+    return _row(cells, found)
 
 
-def _row(size: int, map_cells: int, found: list[tuple[Any, ...]]) -> Row:
-    reach, world_s, scan_s, guidance_s, plan_s = (
-        float(np.median([each[k] for each in found])) for k in range(5)
-    )
-    return Row(
-        size=size,
-        map_cells=map_cells,
-        in_reach=round(reach),
-        world_s=world_s,
-        scan_s=scan_s,
-        guidance_s=guidance_s,
-        plan_s=plan_s,
-        planned=f"{sum(each[5] for each in found)} of {len(found)}",
-    )
+def _row(size: int, found: list[Figures]) -> Figures:
+    medians = {name: float(np.median([each[name] for each in found])) for name in found[0]}
+    planned = sum(each["planned"] for each in found)
+    return medians | {"size": size, "planned": planned, "scenes": len(found)}
 
 
-def table(rows: list[Row], title: str, what: str) -> Table:
+def table(rows: list[Figures], title: str, what: str) -> Table:
     """Milliseconds by size."""
     result = Table(what, "cells of the map", "in reach", "world", "scan", "guidance", "plan",
                    "plan / smallest", "found", title=f"{title} (ms)")  # fmt: skip
     for row in rows:
-        times = (row.world_s, row.scan_s, row.guidance_s, row.plan_s)
+        times = [1e3 * row[f"{name}_s"] for name in ("world", "scan", "guidance", "plan")]
         result.add_row(
-            f"{row.size:,}",
-            f"{row.map_cells:,}",
-            str(row.in_reach),
-            *(f"{1e3 * t:.1f}" for t in times),
-            f"{row.plan_s / rows[0].plan_s:.2f}",
-            row.planned,
-        )
+            f"{row['size']:,}", f"{row['map_cells']:,.0f}", f"{row['in_reach']:.0f}",
+            *(f"{each:.1f}" for each in times), f"{row['plan_s'] / rows[0]['plan_s']:.2f}",
+            f"{row['planned']:.0f} of {row['scenes']:.0f}",
+        )  # fmt: skip
     return result
 
 
@@ -288,8 +268,7 @@ def main() -> None:
     console.print(table(grown, "Growth with the obstacles at equal density", "obstacles"))
     read = elevations(options.cells, options.scenes, kernel)
     console.print(table(read, "Growth with the elevation file", "cells of the DEM"))
-    rows = {"obstacles": [asdict(r) for r in grown], "elevation": [asdict(r) for r in read]}
-    running.store(options.json, rows)
+    running.store(options.json, {"obstacles": grown, "elevation": read})
 
 
 if __name__ == "__main__":

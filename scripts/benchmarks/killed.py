@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-import pair_files
 import pair_processes as processes
 import pair_worlds
 import running
-from pair_processes import ORIGIN, POSITION, SETPOINT, TARGET, TO_COMPANION, Tap, frames
+from pair_files import Tapped
+from pair_processes import ORIGIN, POSITION, SETPOINT, TARGET, TO_COMPANION, frames
 from rich.console import Console
 
 from vehicle_sim.geodesy import metres_per_degree
@@ -133,35 +133,22 @@ def scene_of(autopilot: str, kills: int) -> pair_worlds.Scene:
 def fly(autopilot: str, kills: int, seed: int, folder: Path, console: Console) -> Watcher:
     """One mission with so many kills; SystemExit if it does not arrive."""
     rng = np.random.default_rng(seed)
-    mission, world = pair_files.write(scene_of(autopilot, kills), folder)
     watcher = Watcher(flies_on_s=_FLIES_ON_S[autopilot])
-    tap, log = Tap(watcher.seen), folder / "companion.log"
-    out = folder / "run"
-    vehicle = processes.start_vehicle(world, tap.vehicle_port)
-    companion = processes.start_companion(mission, tap.companion_port, out, log=log)
     began_s, lives = time.monotonic(), 1
     dies_s = began_s + 60.0 if autopilot == "ardupilot" else began_s + 20.0
-    flies_s = began_s
-    try:
-        while companion.poll() is None and time.monotonic() - began_s < _PATIENCE_S:
-            tap.pump(0.05)
+    with Tapped(scene_of(autopilot, kills), folder, watcher.seen) as pair:
+        while pair.companion.poll() is None and time.monotonic() - began_s < _PATIENCE_S:
+            pair.tap.pump(0.05)
             if lives <= kills and time.monotonic() > dies_s:
-                processes.end(companion)
+                processes.end(pair.companion)
                 watcher.life = lives
-                companion = processes.start_companion(
-                    mission, tap.companion_port, out, "--resume", log=log
-                )
+                pair.start("--resume")
                 lives += 1
                 dies_s = time.monotonic() + rng.uniform(*_LIFE_S)
-        flies_s = time.monotonic() - began_s
-        code = companion.poll()
-    finally:
-        processes.end(companion)
-        processes.end(vehicle)
-        tap.close()
-    console.print(f"{lives - 1} kills in {flies_s:.0f} s; the last life ended with {code}")
-    if code != 0 or lives <= kills:
-        raise SystemExit(log.read_text(encoding="utf-8")[-3000:])
+        flies_s, code = time.monotonic() - began_s, pair.companion.poll()
+        console.print(f"{lives - 1} kills in {flies_s:.0f} s; the last life ended with {code}")
+        if code != 0 or lives <= kills:
+            raise SystemExit(pair.said())
     return watcher
 
 

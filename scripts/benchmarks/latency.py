@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-import pair_files
 import pair_processes as processes
 import pair_worlds
 import running
 from numpy.typing import NDArray
-from pair_processes import POSITION, SETPOINT, TO_COMPANION, Tap, frames
+from pair_files import Tapped
+from pair_processes import POSITION, SETPOINT, TO_COMPANION, frames
 from rich.table import Table
 
 FloatArray = NDArray[np.float64]
@@ -94,39 +94,27 @@ class Echo:
 def measure(autopilot: str, rate_hz: float, folder: Path, *, loaded: bool) -> dict[str, Any]:
     """One mission at this rate of positions: times in seconds."""
     scene = pair_worlds.scene(autopilot, "copter", 1)  # type: ignore[arg-type]
-    mission, world = pair_files.write(scene, folder, position_rate_hz=rate_hz)
-    clock = Clock()
-    tap = Tap(clock.seen)
-    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    link.bind(("127.0.0.1", 0))
+    clock, link = Clock(), processes.udp_socket()
     helpers = [multiprocessing.Process(target=echo, args=(link,), daemon=True)]
     helpers += [multiprocessing.Process(target=busy, daemon=True)] if loaded else []
     asker = Echo(link.getsockname()[1], rate_hz)
-    out = folder / "run"
-    companion = processes.start_companion(
-        mission, tap.companion_port, out, log=folder / "companion.log"
-    )
-    vehicle = processes.start_vehicle(world, tap.vehicle_port)
     began_s = time.monotonic()
-    try:
-        for helper in helpers:
-            helper.start()
-        while companion.poll() is None and time.monotonic() - began_s < _PATIENCE_S:
-            tap.pump(0.25 / rate_hz)
-            asker.work()
-        code = companion.poll()
-    finally:
-        for process in (companion, vehicle):
-            processes.end(process)
-        for helper in helpers:
-            helper.kill()
-        tap.close()
-        link.close()
-        asker.link.close()
+    with Tapped(scene, folder, clock.seen, position_rate_hz=rate_hz) as pair:
+        try:
+            for helper in helpers:
+                helper.start()
+            while pair.companion.poll() is None and time.monotonic() - began_s < _PATIENCE_S:
+                pair.tap.pump(0.25 / rate_hz)
+                asker.work()
+            code = pair.companion.poll()
+        finally:
+            for helper in helpers:
+                helper.kill()
+            link.close()
+            asker.link.close()
     if code != 0:
-        said = (folder / "companion.log").read_text(encoding="utf-8")[-2000:]
-        raise SystemExit(f"the companion did not arrive ({code}):\n{said}")
-    facts = json.loads((out / "run.json").read_text(encoding="utf-8"))
+        raise SystemExit(f"the companion did not arrive ({code}):\n{pair.said()}")
+    facts = json.loads((pair.run / "run.json").read_text(encoding="utf-8"))
     return {
         "rate_hz": rate_hz,
         "waits_s": clock.waits_s,
@@ -142,10 +130,10 @@ def _ms(values: list[float], share: float) -> str:
 
 def table_of(rows: list[dict[str, Any]]) -> Table:
     """Milliseconds."""
-    table = Table(title="Position in to setpoint out, ms", box=None, pad_edge=False)
-    for heading in ("Hz", "setpoints", "p50", "p99", "p99.9", "most", "echo p50", "echo p99",
-                    "echo p99.9", "gap p50", "gap p99.9", "most"):  # fmt: skip
-        table.add_column(heading, justify="right")
+    table = running.figures(
+        "Position in to setpoint out, ms", "Hz", "setpoints", "p50", "p99", "p99.9", "most",
+        "echo p50", "echo p99", "echo p99.9", "gap p50", "gap p99.9", "most",
+    )  # fmt: skip
     for row in rows:
         waits, gaps, echoes = row["waits_s"], row["gaps_s"], row["echo_s"]
         table.add_row(

@@ -17,7 +17,9 @@ from dataclasses import dataclass, field
 from typing import Any, final
 
 import numpy as np
+import pair_processes as processes
 from numpy.typing import NDArray
+from pair_processes import number_of
 from pair_station import CHATTER, COMPONENT, SYSTEM, Station
 from pair_worlds import Scene
 from pymavlink.dialects.v20 import all as wire
@@ -28,7 +30,7 @@ from companion.planner.kernels import Kernel
 from companion.planner.plan import plan
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.session import Session
-from vehicle_sim.simulation import STEP_US, Simulation
+from vehicle_sim.simulation import Simulation
 
 FloatArray = NDArray[np.float64]
 
@@ -41,7 +43,7 @@ _BOOT_S = 90.0
 _PATIENCE_S = 90.0
 """Who has held for so long, and nothing more is going to happen, holds for good."""
 _SAMPLE_US, _MINUTE_US = 100_000, 60_000_000
-_GLOBAL_INT, _COMMAND_INT, _DO_REPOSITION = 86, 75, 192
+_DO_REPOSITION = 192
 SETPOINTS = frozenset(
     {"SET_POSITION_TARGET_GLOBAL_INT", "SET_POSITION_TARGET_LOCAL_NED", "COMMAND_INT"}
 )
@@ -355,20 +357,14 @@ class Pair:
             self._due.pop(0)[1](self)
 
     def _sample(self, now_s: float) -> None:
-        brain = self.brain
-        if brain is None:
-            self.flown.samples.append(
-                Sample(t_s=now_s, phase="", reason="", believed_nea_m=None, believed_at_s=-math.inf)
-            )
-            return
-        state = brain.session.state
+        state = self.brain.session.state if self.brain is not None else None
         self.flown.samples.append(
             Sample(
                 t_s=now_s,
-                phase=state.phase.value,
-                reason="" if state.reason is None else state.reason.text,
-                believed_nea_m=state.vehicle.position_nea_m,
-                believed_at_s=state.vehicle.position_at_s,
+                phase=state.phase.value if state else "",
+                reason=state.reason.text if state and state.reason else "",
+                believed_nea_m=state.vehicle.position_nea_m if state else None,
+                believed_at_s=state.vehicle.position_at_s if state else -math.inf,
             )
         )
 
@@ -379,34 +375,28 @@ class Pair:
             self.flown.received_s.append(self.now_s)
 
     def _note_setpoint(self, frame: bytes, now_s: float) -> None:
-        number = frame[7] | frame[8] << 8 | frame[9] << 16
-        if number == _GLOBAL_INT:
-            _, lat, lon, alt, *v = struct.unpack_from("<Iii4f", frame[10:-2].ljust(32, b"\0"))
-            velocity = (v[0], v[1], v[2])
-        elif number == _COMMAND_INT:
-            *_, lat, lon, alt, command = struct.unpack_from(
-                "<4fiifH", frame[10:-2].ljust(32, b"\0")
-            )
-            if command != _DO_REPOSITION:
+        match number_of(frame):
+            case processes.SETPOINT:
+                _, (latitude, longitude, altitude_m, *velocity) = processes.setpoint_of(frame)
+            case 75:  # COMMAND_INT
+                *_, lat, lon, altitude_m, command = struct.unpack_from(
+                    "<4fiifH", processes.payload(frame, 35)
+                )
+                if command != _DO_REPOSITION:
+                    return
+                latitude, longitude, velocity = lat * 1e-7, lon * 1e-7, []
+            case _:
                 return
-            velocity = None
-        else:
-            return
         self.flown.sent.append(
             Sent(
                 t_s=now_s,
-                latitude_deg=lat * 1e-7,
-                longitude_deg=lon * 1e-7,
-                altitude_amsl_m=alt,
-                velocity_ned_m_s=velocity,
+                latitude_deg=latitude,
+                longitude_deg=longitude,
+                altitude_amsl_m=altitude_m,
+                velocity_ned_m_s=(velocity[0], velocity[1], velocity[2]) if velocity else None,
             )
         )
 
     def upload(self, zones: tuple[Any, ...]) -> None:
         """A ground station uploads this fence."""
         self.station.upload(zones, lambda: self.flown.fences.append((self.now_s, zones)))
-
-
-def steps(seconds: float) -> int:
-    """So many steps of the simulator."""
-    return round(seconds * 1e6 / STEP_US)

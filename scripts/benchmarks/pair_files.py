@@ -1,11 +1,12 @@
-"""A scene as the two files that the programs read: mission.toml and world.toml."""
+"""A scene as the two files that the programs read, mission.toml and world.toml, and flown so."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
+from pair_processes import Seen, Tap, end, start_companion, start_vehicle
 from pair_worlds import Scene
 from pydantic import BaseModel
 
@@ -88,3 +89,33 @@ def _filled(table: dict[str, Any]) -> dict[str, Any]:
         for key, value in table.items()
         if value is not None and value not in ((), [], {})
     }
+
+
+@final
+class Tapped:
+    """A mission flown by both programs with a tap between them; all end with the `with`."""
+
+    def __init__(self, scene: Scene, folder: Path, seen: Seen, **vehicle: Any) -> None:
+        self.mission, world = write(scene, folder, **vehicle)
+        self.run, self.log = folder / "run", folder / "companion.log"
+        self.tap = Tap(seen)
+        self.vehicle = start_vehicle(world, self.tap.vehicle_port)
+        self.start()
+
+    def start(self, *options: str) -> None:
+        """The companion, for the first time or once more."""
+        self.companion = start_companion(
+            self.mission, self.tap.companion_port, self.run, *options, log=self.log
+        )
+
+    def said(self) -> str:
+        """The last of what the companion printed."""
+        return self.log.read_text(encoding="utf-8")[-3000:]
+
+    def __enter__(self) -> "Tapped":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        end(self.companion)
+        end(self.vehicle)
+        self.tap.close()

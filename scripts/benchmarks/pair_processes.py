@@ -25,9 +25,14 @@ def frames(datagram: bytes) -> Iterator[tuple[int, bytes]]:
     at = 0
     while at + 12 <= len(datagram) and datagram[at] == 0xFD:
         size = 12 + datagram[at + 1] + (13 if datagram[at + 2] & 1 else 0)
-        number = int.from_bytes(datagram[at + 7 : at + 10], "little")
-        yield number, datagram[at : at + size]
+        frame = datagram[at : at + size]
+        yield number_of(frame), frame
         at += size
+
+
+def number_of(frame: bytes) -> int:
+    """Message id of a frame of MAVLink 2."""
+    return int.from_bytes(frame[7:10], "little")
 
 
 def payload(frame: bytes, size: int) -> bytes:
@@ -66,14 +71,11 @@ class Tap:
 
     def __init__(self, seen: Seen) -> None:
         self._seen = seen
-        self._vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._vehicle.bind(("127.0.0.1", 0))
-        self._companion = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._companion.bind(("127.0.0.1", 0))
+        self._vehicle, self._companion = udp_socket(), udp_socket()
         self._peer: tuple[str, int] | None = None
         self.companion_port = free_port()
-        for each in (self._vehicle, self._companion):
-            each.setblocking(False)
+        self._vehicle.setblocking(False)
+        self._companion.setblocking(False)
 
     @property
     def vehicle_port(self) -> int:
@@ -109,10 +111,16 @@ class Tap:
         self._companion.close()
 
 
+def udp_socket() -> socket.socket:
+    """Bound to a port of this machine that nobody uses."""
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    link.bind(("127.0.0.1", 0))
+    return link
+
+
 def free_port() -> int:
     """A UDP port of this machine that nobody uses now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
+    with udp_socket() as probe:
         return int(probe.getsockname()[1])
 
 

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, final
 
+from pair_processes import number_of
 from pymavlink.dialects.v20 import all as wire
 
 from companion.world.threats import CircleZone, Zone
@@ -61,7 +62,7 @@ class Station:
 
     def hear(self, frame: bytes) -> None:
         """One frame of the vehicle's, or of what is behind it."""
-        number = frame[7] | frame[8] << 8 | frame[9] << 16
+        number = number_of(frame)
         if number not in _READ:
             return
         for message in self._mav.parse_buffer(frame) or ():

@@ -9,13 +9,13 @@ of those the companion is killed once and started again.  Each run folder is the
 differ in their last bits and decisions may not.
 """
 
+import contextlib
 import json
 import re
 import signal
 import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, final
@@ -112,15 +112,21 @@ def fly(case: Case, folder: Path) -> None:
             companion.wait(timeout=_PATIENCE_S)
             return
         if case.killed:
-            time.sleep(_REAL_TIME_S / 2.0)
+            _until_ended(companion, _REAL_TIME_S / 2.0)
             end(companion)
             companion = _companion(case, folder, port, "--resume")
-        time.sleep(_REAL_TIME_S / (2.0 if case.killed else 1.0))
+        _until_ended(companion, _REAL_TIME_S / (2.0 if case.killed else 1.0))
         companion.send_signal(signal.SIGINT)
         companion.wait(timeout=_PATIENCE_S)
     finally:
         end(companion)
         end(vehicle)
+
+
+def _until_ended(process: subprocess.Popen[bytes], patience_s: float) -> None:
+    """Until it has ended, at most so long."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(patience_s)
 
 
 def _companion(case: Case, folder: Path, port: int, *options: str) -> subprocess.Popen[bytes]:

@@ -12,6 +12,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import track
+from rich.table import Table
 
 
 def begin(doc: str | None, *, width: int = 140, **declared: Any) -> tuple[Namespace, Console]:
@@ -36,6 +37,15 @@ def begin(doc: str | None, *, width: int = 140, **declared: Any) -> tuple[Namesp
     parser.add_argument("--json", type=Path, help="where the numbers are written")
     wide = None if sys.stdout.isatty() else width
     return parser.parse_args(), Console(highlight=False, width=wide)
+
+
+def figures(title: str, first: str, *headings: str, **options: Any) -> Table:
+    """A table of numbers: all columns but the first to the right."""
+    table = Table(title=title, **{"box": None, "pad_edge": False} | options)
+    table.add_column(first, no_wrap=True)
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    return table
 
 
 def store(path: Path | None, found: Any) -> None:

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import running
-from rich.table import Table
 from truth import mountain
 
 from companion.config import load_mission
@@ -52,24 +51,16 @@ def request(number: int) -> PlanRequest:
     here = 0.5 * _SIDE_M
     places = [_around(rng, here) for _ in range(_PEAKS + _RADARS + _KEEP_OUTS)]
     peaks = tuple(
-        mountain(
-            north, east, rng.uniform(2_500.0, 5_500.0), tuple(rng.uniform(1_000.0, 2_500.0, 2))
-        )
-        for north, east in places[:_PEAKS]
+        mountain(*at, rng.uniform(2_500.0, 5_500.0), tuple(rng.uniform(1_000.0, 2_500.0, 2)))
+        for at in places[:_PEAKS]
     )
     radars = tuple(
-        Radar(
-            name=f"{k}",
-            centre_nea_m=(north, east, 0.0),
-            range_m=float(rng.uniform(3_100.0, 4_500.0)),
-        )
-        for k, (north, east) in enumerate(places[_PEAKS : _PEAKS + _RADARS])
+        Radar(name="r", centre_nea_m=(*at, 0.0), range_m=float(rng.uniform(3_100.0, 4_500.0)))
+        for at in places[_PEAKS : _PEAKS + _RADARS]
     )
     zones = tuple(
-        CircleZone(
-            name=f"{k}", north_m=north, east_m=east, radius_m=float(rng.uniform(300.0, 1_500.0))
-        )
-        for k, (north, east) in enumerate(places[-_KEEP_OUTS:])
+        CircleZone(name="z", north_m=n, east_m=e, radius_m=float(rng.uniform(300.0, 1_500.0)))
+        for n, e in places[-_KEEP_OUTS:]
     )
     task = replace(task, limits=limits, radars=radars, zones=zones)
     terrain = PeakTerrain(peaks=peaks, ground_amsl_m=0.0)
@@ -168,12 +159,10 @@ def _first_plan_s() -> dict[str, Any]:
 def main() -> int:
     given, console = running.begin(__doc__, scenes=60, repeats=5)
     found = measure(given.scenes, given.repeats)
-    table = Table(
-        title="time of a plan, ms",
+    table = running.figures(
+        "time of a plan, ms", "", "median", "99 %", "wall, median", "wall, 99 %", "runs", "bar",
         caption="The bars are for the processor's time: other loads do not count.",
-    )
-    for heading in ("", "median", "99 %", "wall, median", "wall, 99 %", "runs", "bar"):
-        table.add_column(heading, justify="left" if not heading else "right")
+    )  # fmt: skip
     compiled = f"plan, {found['kernel']}"
     for name, times in found["times_ms"].items():
         medians, slowest = np.median(times, axis=0), np.quantile(times, 0.99, axis=0)

@@ -1,11 +1,12 @@
 """How the four simulated autopilots follow setpoints, beside what was measured on the real ones.
 
-python scripts/benchmarks/tracking.py        the tables of docs/tracking.md
+python scripts/benchmarks/tracking.py        the tables of docs/results/tracking.md
 """
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "vehicle_sim"))
 import tracking_copter as tracking
@@ -14,106 +15,85 @@ import tracking_px4
 import tracking_px4_fixed_wing
 
 
-def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
-    head = list(head)
-    print("| " + " | ".join(head) + " |")
-    print("|---" * len(head) + "|")
+def table(text: str, head: str, rows: Iterable[Iterable[str]]) -> None:
+    """Print a table of Markdown; the columns of its head are parted by |."""
+    print(f"{text}\n\n| {head} |\n" + "|---" * (head.count("|") + 1) + "|")
     for row in rows:
         print("| " + " | ".join(row) + " |", flush=True)
     print()
 
 
+def both(row: Any, flown: Any, *names: str) -> Iterator[str]:
+    """The measured and the simulated value of each field: format after a colon, two by a slash."""
+    for name in names:
+        fields, _, form = name.partition(":")
+        form, _, unit = form.partition(" ")
+        for one in (row, flown):
+            values = (format(getattr(one, field), form) for field in fields.split("/"))
+            yield " / ".join(values) + (f" {unit}" if unit else "")
+
+
 def copter() -> None:
-    print("## ArduCopter (ardupilot.md 3)\n")
-    print("Along: vehicle minus reference. Off path: rms / max. Metres.\n")
-    head = ("m/s, lateral m/s2, lean deg", "setpoints", "Hz", "along", "sim", "off path", "sim")
     table(
-        head,
+        "## ArduCopter (ardupilot.md 3)\n\n"
+        "Along: vehicle minus reference. Off path: rms / max. Metres.",
+        "m/s, lateral m/s2, lean deg | setpoints | Hz | along | sim | off path | sim",
         (
             (
                 f"{row.speed_m_s:g}, {row.lateral_m_s2:g}, {row.lean_deg:g}",
                 row.kind,
                 f"{row.rate_hz:g}",
-                f"{row.along_m:.1f}",
-                f"{flown.along_m:.1f}",
-                f"{row.off_rms_m:.2f} / {row.off_max_m:.2f}",
-                f"{flown.off_rms_m:.2f} / {flown.off_max_m:.2f}",
+                *both(row, tracking.fly(row), "along_m:.1f", "off_rms_m/off_max_m:.2f"),
             )
-            for row, flown in ((row, tracking.fly(row)) for row in tracking.ROWS)
+            for row in tracking.ROWS
         ),
     )
-    print(
-        "A stream at 10 m/s that ends: seconds to a standstill, metres beyond its last setpoint.\n"
-    )
     table(
-        ("setpoints", "GUID_TIMEOUT", "still", "sim", "furthest", "sim", "ends at", "sim"),
+        "A stream at 10 m/s that ends: seconds to a standstill, metres beyond its last setpoint.",
+        "setpoints | GUID_TIMEOUT | still | sim | furthest | sim | ends at | sim",
         (
             (
                 row.kind,
                 f"{row.timeout_s:g} s",
-                f"{row.still_s:.1f} s",
-                f"{flown.still_s:.1f} s",
-                f"{row.furthest_m:.1f}",
-                f"{flown.furthest_m:.1f}",
-                f"{row.ends_m:.1f}",
-                f"{flown.ends_m:.1f}",
+                *both(row, tracking.end_stream(row), "still_s:.1f s", "furthest_m:.1f",
+                      "ends_m:.1f"),
             )
-            for row, flown in ((row, tracking.end_stream(row)) for row in tracking.STOPS)
+            for row in tracking.STOPS
         ),
-    )
-    print("Jumps of the target: peak speed, and seconds until within 1 m for good.\n")
+    )  # fmt: skip
     table(
-        ("jump", "peak m/s", "sim", "within", "sim"),
+        "Jumps of the target: peak speed, and seconds until within 1 m for good.",
+        "jump | peak m/s | sim | within | sim",
         (
-            (
-                row.kind,
-                f"{row.peak_m_s:.1f}",
-                f"{flown.peak_m_s:.1f}",
-                f"{row.within_s:.1f} s",
-                f"{flown.within_s:.1f} s",
-            )
-            for row, flown in ((row, tracking.jump(row)) for row in tracking.JUMPS)
-        ),
-    )
-
-
-def plane() -> None:
-    print("## ArduPlane (ardupilot.md 7)\n")
-    print("A weaving route at 21 m/s; off path, rms / max, metres.\n")
-    table(
-        ("law", "lateral m/s2", "Hz", "real", "sim"),
-        (
-            (name, f"{lateral:g}", f"{hz:g}", f"{real[0]:.1f} / {real[1]:.1f}", _pair(flown))
-            for name, law, lateral, hz, real in tracking_plane.TABLE
-            for flown in (tracking_plane.off_path_m(law, lateral, hz=hz),)
-        ),
-    )
-
-
-def _pair(pair: tuple[float, float]) -> str:
-    return f"{pair[0]:.1f} / {pair[1]:.1f}"
-
-
-def fixed_wing() -> None:
-    print("## PX4 fixed wing (px4.md 10)\n")
-    print("A curve of least radius 100 m; off path, rms / max, metres.\n")
-    table(
-        ("setpoints", "real", "sim"),
-        (
-            (row.name, _pair((row.rms_m, row.most_m)), _pair((flown.rms_m, flown.most_m)))
-            for row in tracking_px4_fixed_wing.ROWS
-            for flown in (tracking_px4_fixed_wing.fly(row),)
+            (row.kind, *both(row, tracking.jump(row), "peak_m_s:.1f", "within_s:.1f s"))
+            for row in tracking.JUMPS
         ),
     )
 
 
 def main() -> None:
     copter()
-    plane()
+    table(
+        "## ArduPlane (ardupilot.md 7)\n\nA weaving route at 21 m/s; off path, rms / max, metres.",
+        "law | lateral m/s2 | Hz | real | sim",
+        (
+            (name, f"{lateral:g}", f"{hz:g}", "{:.1f} / {:.1f}".format(*real),
+             "{:.1f} / {:.1f}".format(*tracking_plane.off_path_m(law, lateral, hz=hz)))
+            for name, law, lateral, hz, real in tracking_plane.TABLE
+        ),
+    )  # fmt: skip
     print("## PX4 multicopter (px4.md 5)\n")
     print("A figure eight of least radius 50 m; along and across: mean or rms / max, metres.\n")
     print(tracking_px4.table() + "\n")
-    fixed_wing()
+    table(
+        "## PX4 fixed wing (px4.md 10)\n\n"
+        "A curve of least radius 100 m; off path, rms / max, metres.",
+        "setpoints | real | sim",
+        (
+            (row.name, *both(row, tracking_px4_fixed_wing.fly(row), "rms_m/most_m:.1f"))
+            for row in tracking_px4_fixed_wing.ROWS
+        ),
+    )
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import functools
 import hashlib
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, final
 
 import numpy as np
@@ -23,7 +23,7 @@ from truth import height_m, mountain
 from companion.config import load_mission, load_world
 from companion.planner.settings import Task
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
-from companion.world.threats import CircleZone, Radar, Zone
+from companion.world.threats import Radar
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -221,63 +221,18 @@ def _somewhere(rng: np.random.Generator, ring: _Ring) -> tuple[float, float]:
 
 def scaled(world: BenchmarkWorld, by: float) -> BenchmarkWorld:
     """The same world at another size: lengths and speeds times a factor.  J stays what it is."""
-    terrain, task = world.terrain, world.task
-    limits, settings = task.limits, task.settings
-    lengths = {
-        name: getattr(limits, name) * by
-        for name in ("speed_m_s", "acceleration_m_s2", "climb_rate_m_s", "turn_radius_m",
-                     "floor_amsl_m", "ceiling_amsl_m", "tracking_error_m", "navigation_error_m",
-                     "loiter_radius_m")
-    }  # fmt: skip
-    north, east = ((low * by, high * by) for low, high in (limits.north_m, limits.east_m))
-    return replace(
-        world,
-        terrain=_scaled_terrain(terrain, by),
-        task=replace(
-            task,
-            limits=replace(limits, **lengths, north_m=north, east_m=east),
-            settings=replace(
-                settings,
-                scan_range_m=settings.scan_range_m * by,
-                safety_distance_m=settings.safety_distance_m * by,
-                overlap_m=settings.overlap_m * by,
-            ),
-            radars=tuple(
-                replace(r, centre_nea_m=_times(r.centre_nea_m, by), range_m=r.range_m * by)
-                for r in task.radars
-            ),
-            zones=tuple(_scaled_zone(zone, by) for zone in task.zones),
-        ),
-        start_nea_m=_times(world.start_nea_m, by),
-        targets_ne_m=tuple((n * by, e * by) for n, e in world.targets_ne_m),
-    )
+    return _scaled(world, by, "")  # type: ignore[no-any-return]
 
 
-def _times(point: tuple[float, float, float], by: float) -> tuple[float, float, float]:
-    return point[0] * by, point[1] * by, point[2] * by
-
-
-def _scaled_zone(zone: Zone, by: float) -> Zone:
-    if isinstance(zone, CircleZone):
-        return replace(
-            zone, north_m=zone.north_m * by, east_m=zone.east_m * by, radius_m=zone.radius_m * by
-        )
-    return replace(zone, vertices_ne_m=tuple((n * by, e * by) for n, e in zone.vertices_ne_m))
-
-
-def _scaled_terrain(terrain: PeakTerrain | ArrayTerrain, by: float) -> PeakTerrain | ArrayTerrain:
-    if isinstance(terrain, ArrayTerrain):
-        return ArrayTerrain(
-            heights_m=terrain.heights_m * by,
-            spacing_m=terrain.spacing_m * by,
-            south_m=terrain.south_m * by,
-            west_m=terrain.west_m * by,
-        )
-    peaks = tuple(
-        Peak(**{name: getattr(peak, name) * by for name in Peak.__slots__})
-        for peak in terrain.peaks
-    )
-    return PeakTerrain(peaks=peaks, ground_amsl_m=terrain.ground_amsl_m * by)
+def _scaled(value: Any, by: float, name: str) -> Any:
+    """A value with all that it holds; names say what a length or a speed is."""
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = {each.name: getattr(value, each.name) for each in fields(value) if each.init}
+        return replace(value, **{name: _scaled(part, by, name) for name, part in parts.items()})
+    if isinstance(value, tuple):
+        return tuple(_scaled(each, by, name) for each in value)
+    is_length = isinstance(value, (float, np.ndarray)) and name.endswith(("_m", "_m_s", "_m_s2"))
+    return value * by if is_length else value
 
 
 # --- the proof that there is a way

@@ -1,7 +1,6 @@
 import math
 from dataclasses import replace
 
-import family_missions
 import missions
 import numpy as np
 import pytest
@@ -60,9 +59,8 @@ def test_a_join_beside_the_curve_jumps_in_position() -> None:
 def result(**changes: object) -> missions.MissionResult:
     base = missions.MissionResult(
         world="dense-1", seed=1, arrived=True, failure="", subpaths=9, stops=0, cost=30.0,
-        best_cost=30.0, length_m=142e3, best_length_m=142e3, shortest_m=142e3, clearance_m=530.0,
-        keep_out_m=math.inf, turn_radius_m=2_600.0, climb_deg=3.0, dive_deg=3.0,
-        lowest_amsl_m=3_030.0, highest_amsl_m=3_100.0, radar_m=0.0, violations=(),
+        best_cost=30.0, length_m=142e3, best_length_m=142e3, shortest_m=142e3,
+        worst={"clearance_m": 530.0, "highest_amsl_m": 3_100.0}, radar_m=0.0, violations=(),
         flown_violations=0, joins=(missions.Join(position=0.0, tangent=0.0, curvature=1e-9),),
         plan_s=(0.01,) * 9,
     )  # fmt: skip
@@ -95,31 +93,29 @@ def test_violating_subpaths_are_counted_once_each() -> None:
     assert figures["violations"] == {"climb angle": 1, "turn radius": 2}
 
 
-def beside(index: int, rival_cost: float, **changes: object) -> family_missions.FamilyResult:
-    return family_missions.FamilyResult(
-        family="gathered", index=index, ours=result(**changes), rival_cost=rival_cost,
-        rival_clearance_m=530.0, rival_plans=20, reference_cost=math.nan,
-    )  # fmt: skip
+def beside(rival_cost: float, **changes: object) -> missions.MissionResult:
+    return result(rival_plans=20, rival_cost=rival_cost, rival_clearance_m=530.0, **changes)
 
 
 def test_the_rival_is_beaten_where_ours_arrives_no_dearer_or_alone() -> None:
     results = [
-        beside(0, 31.0),
-        beside(1, 29.0),
-        beside(2, math.nan, cost=40.0),
-        beside(3, 31.0, arrived=False, failure="TOO_MANY_LEGS: "),
+        beside(31.0),
+        beside(29.0),
+        beside(math.nan, cost=40.0, world="gathered-7-2"),
+        beside(31.0, arrived=False, failure="TOO_MANY_LEGS: "),
     ]
-    figures = family_missions.summary(results)
+    figures = missions.summary(results)
     assert figures["cheaper_than_rival"] == 0.5
     assert figures["rival_arrived"] == 3
     assert figures["rival_worst"] == pytest.approx(31.0 / 30.0)
     assert figures["arrived"] == 3
-    said = family_missions.lines(results, 7)
-    assert "seed 7 world 2: J/J* 1.3333" in said[2]
-    assert "did not arrive (TOO_MANY_LEGS: )" in said[3]
+    assert "gathered-7-2: J/J* 1.3333" in missions.line(results[2])
+    assert "did not arrive (TOO_MANY_LEGS: )" in missions.line(results[3])
 
 
-def test_a_family_can_be_told_in_a_table_without_any_optimum() -> None:
-    figures = family_missions.summary([beside(0, 31.0, best_cost=math.nan)])
-    assert figures["without_optimum"] == 1
-    assert family_missions.table({"gathered": figures}, 7).row_count == 11
+def test_a_table_shows_the_rival_where_one_flew_and_what_has_no_optimum() -> None:
+    plain = missions.summary([result()])
+    beaten = missions.summary([beside(31.0, best_cost=math.nan)])
+    assert beaten["without_optimum"] == 1
+    rows = [missions.summary_table({"g": each}, "t").row_count for each in (plain, beaten)]
+    assert rows == [12, 17]

@@ -510,7 +510,9 @@ def test_who_is_not_the_vehicle_is_not_listened_to(tmp_path: Path) -> None:
 
 
 def test_the_page_shows_the_report_as_it_is_printed() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "shadow.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs/reference/shadow-report.md").read_text(
+        encoding="utf-8"
+    )
     out = io.StringIO()
     console = Console(file=out, width=100)
     for part in renderables(report_of(PX4)):

@@ -87,7 +87,7 @@ def test_every_kind_that_the_code_can_write_is_documented_and_no_other() -> None
 
 
 def test_the_page_is_that_of_the_models() -> None:
-    page = (ROOT / "docs" / "journal.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/reference/journal.md").read_text(encoding="utf-8")
     assert page == journal_markdown(), "run scripts/docs"
 
 

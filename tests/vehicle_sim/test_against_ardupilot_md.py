@@ -480,7 +480,9 @@ def parameter_list() -> None:
     wire.run(2.0)
     told = [each for each in wire.all("PARAM_VALUE") if each.message.param_index != 65535]
     assert {each.message.param_index for each in told} == set(range(told[0].message.param_count))
-    assert len(told) == told[0].message.param_count  # 1348 there: docs/conformance.md says why
+    assert (
+        len(told) == told[0].message.param_count
+    )  # 1348 there: docs/results/conformance.md says why
     per_s = len(told) / (told[-1].at_s - told[0].at_s)
     assert per_s == pytest.approx(1348 / 1.5, rel=0.1)
 

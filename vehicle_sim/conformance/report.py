@@ -75,7 +75,7 @@ _REASONS_HEAD = "| recording | rows | do not agree | because |\n|---|---|---|---
 
 
 def markdown_row(recording: Recording, rows: Sequence[Row]) -> str:
-    """One line of the summary in docs/conformance.md."""
+    """One line of the summary in docs/results/conformance.md."""
     summary = Summary.of(rows)
     near = max((row for row in rows if row.agrees), key=lambda row: row.difference)
     apart = Counter(row.kind for row in rows if not row.agrees)

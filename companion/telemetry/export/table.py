@@ -21,7 +21,7 @@ COLUMNS = {
     "east_m_s": "velocity towards true east",
     "up_m_s": "velocity upwards",
     "heading_deg": "where the nose points, clockwise from true north; empty: not known",
-    "phase": "of the mission (docs/mission-states.md)",
+    "phase": "of the mission (docs/reference/mission-states.md)",
     "leg": "the subpath that was flown, counted from 1; 0: none yet",
 }
 """The columns and what they mean (docs/export.md)."""

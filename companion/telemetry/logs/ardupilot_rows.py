@@ -1,6 +1,6 @@
 """Entries of ArduPilot's .bin as the MAVLink messages that it would have sent with them.
 
-What each message is made of: docs/logs.md.
+What each message is made of: docs/reference/log-messages.md.
 """
 
 import math
