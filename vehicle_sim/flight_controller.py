@@ -35,7 +35,6 @@ from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
 from vehicle_sim.wire.mission_protocol import MissionProtocol
 from vehicle_sim.wire.mission_px4 import Px4Missions
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
-from vehicle_sim.wire.px4_messages import Events
 from vehicle_sim.wire.radio import Radio
 from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
@@ -89,7 +88,6 @@ class FlightController:
         self._messages = _TELEMETRY[style.firmware]
         self._parameter_protocol = ParameterProtocol(self.parameters, style)
         self._mission_protocol = _MISSIONS[style.firmware](autopilot)
-        self._events = Events()
         self._ground_stations = set[int]()
         self._told: dict[int, tuple[int, int | None, int]] = {}
         """Newest CURRENT_MODE of each link: mode, intended mode and when."""
@@ -156,7 +154,6 @@ class FlightController:
         report = self._report
         report.time_us = self._now_us - self.boot_us
         report.unix_us = _EPOCH_US + self._now_us if report.fix.usable else 0
-        report.event_sequence = self._events.sequence
         report.status = self.autopilot.status()
 
     # --- out ----------------------------------------------------------------------------------
@@ -179,7 +176,9 @@ class FlightController:
                     self._say_parameter(reply.name)
                 case Event():
                     boot_ms = (self._now_us - self.boot_us) // 1000
-                    self._radio.broadcast(self._events.message(reply, boot_ms))
+                    sequence = (self._report.event_sequence + 1) % 65536
+                    self._report.event_sequence = sequence
+                    self._radio.broadcast(messages.event(reply, sequence, boot_ms))
                 case ParameterSet():
                     self.answer(self.autopilot.on_parameter(reply.name))
                 case PlanReplaced():

@@ -5,15 +5,15 @@ number passes through unharmed: the autopilots decide what to make of it.
 """
 
 import math
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Sticks, Text
+from vehicle_sim.autopilots import Ack, Command, Event, Sender, Setpoint, Sticks, Text
 from vehicle_sim.autopilots.attitude import AttitudeTarget
 from vehicle_sim.sensors.radar_component import RadarReport, TerrainCheck
 from vehicle_sim.sensors.terrain_radar import ScanBlock, ScanRequest
-from vehicle_sim.wire.extensions import extended
+from vehicle_sim.wire.dialect import message_class
 from vehicle_sim.wire.frames import degrees_e7
 
 AUTOPILOT_COMPONENT = 1
@@ -22,7 +22,8 @@ _NOWHERE = 0x7FFFFFFF
 """x or y of a COMMAND_INT that gives no place."""
 _LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
 """MAV_FRAME in which x and y are 1e-4 metres."""
-_TimeSync: Any = extended(mavlink.MAVLink_timesync_message, target_system="B", target_component="B")
+_TimeSync: Final = message_class("TIMESYNC")
+_Event: Final = message_class("EVENT")
 _DEFLECTION = 1000.0
 _NO_DEFLECTION = 0x7FFF
 
@@ -152,6 +153,19 @@ def text(value: Text) -> Any:
     """STATUSTEXT; what does not fit is cut off."""
     return mavlink.MAVLink_statustext_message(
         severity=value.severity, text=value.text.encode("ascii", "replace")[:50]
+    )
+
+
+def event(value: Event, sequence: int, boot_ms: int) -> Any:
+    """EVENT of PX4."""
+    return _Event(
+        id=value.number,
+        event_time_boot_ms=boot_ms,
+        sequence=sequence,
+        destination_component=0,
+        destination_system=0,
+        log_levels=value.log_levels,
+        arguments=value.arguments.ljust(40, b"\0"),
     )
 
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from vehicle_sim.autopilots import Command, Sender
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.wire.answers import Deliver, Unacknowledged
-from vehicle_sim.wire.extensions import extended
+from vehicle_sim.wire.dialect import message_class
 
 WRITE_PARTIAL_LIST: Final = 38
 ITEM: Final = 39
@@ -144,8 +144,8 @@ def ask(upload: Upload, now_us: int, *, whole: bool) -> Deliver:
     return Deliver(message=make(to.system, to.component, upload.next, int(upload.kind)), to=to)
 
 
-_Count: Any = extended(mavlink.MAVLink_mission_count_message, opaque_id="I")
-_Ack: Any = extended(mavlink.MAVLink_mission_ack_message, opaque_id="I")
+_Count: Any = message_class("MISSION_COUNT")
+_Ack: Any = message_class("MISSION_ACK")
 
 
 def tell_count(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> Deliver:

@@ -11,6 +11,7 @@ from typing import Any, Final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Estimate, Place, Report
+from vehicle_sim.wire.dialect import message_class
 from vehicle_sim.wire.frames import bounded, degrees_e7
 
 INT16, INT32, UINT16 = 32767, 2_147_483_647, 65535
@@ -31,7 +32,7 @@ A field that is None: there is nothing to say now.
 
 def builders(table: Mapping[str, Form]) -> dict[int, Builder]:
     """What makes the messages of this table, by message number."""
-    kinds = {name: getattr(mavlink, f"MAVLink_{name.lower()}_message") for name in table}
+    kinds = {name: message_class(name) for name in table}
     return {kind.id: _builder(kind, table[name]) for name, kind in kinds.items()}
 
 

@@ -11,13 +11,12 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Landed, Report
 from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, Mode, standard_mode
-from vehicle_sim.wire import px4_messages, telemetry
+from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import bounded
 from vehicle_sim.wire.telemetry import (
     INT16,
     INT32,
     UINT16,
-    Builder,
     Form,
     boot_ms,
     is_plane,
@@ -246,7 +245,7 @@ def _wind(report: Report) -> tuple[float, float] | None:
 # --- the table ------------------------------------------------------------------------------------
 
 _RATES: Final[Form] = {"rollspeed pitchspeed yawspeed": _rates_rad_s}
-_MESSAGES: Final = telemetry.builders(
+MESSAGES: Final = telemetry.builders(
     {
         **telemetry.COMMON,
         "SYS_STATUS": {
@@ -391,16 +390,17 @@ _MESSAGES: Final = telemetry.builders(
             "var_horiz": 0.8,
             "wind_alt": lambda r: r.estimate.altitude_amsl_m,
         },
+        "LINK_NODE_STATUS": {"timestamp": time_us},
+        "PROTOCOL_VERSION": {"version min_version max_version": (200, 100, 200)},
+        "TIME_ESTIMATE_TO_TARGET": {
+            "safe_return": _return_s,
+            "land mission_next_item mission_end commanded_action": (-1,) * 4,
+        },
+        # so that who has missed an event can ask for it; flags 1: the sequence has begun anew
+        "CURRENT_EVENT_SEQUENCE": {
+            "sequence": lambda r: r.event_sequence,
+            "flags": lambda r: 1 if r.time_us < 3_000_000 else 0,
+        },
     }
 )
-MESSAGES: Final[dict[int, Builder]] = {
-    **_MESSAGES,
-    8: lambda r: px4_messages.link_node_status(r.time_us),
-    300: lambda _: px4_messages.protocol_version(),
-    380: lambda r: px4_messages.time_estimate_to_target(_return_s(r)),
-    # flags 1: the sequence has begun anew
-    411: lambda r: px4_messages.current_event_sequence(
-        r.event_sequence, 1 if r.time_us < 3_000_000 else 0
-    ),
-}
 """What can be said, by message number; None while there is nothing to say."""
