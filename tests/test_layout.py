@@ -25,7 +25,7 @@ def test_the_page_of_mission_states_is_that_of_the_table() -> None:
 
 
 def test_the_page_of_faults_is_that_of_the_catalogue() -> None:
-    from vehicle_sim.faults import faults_page
+    from vehicle_sim.faults.timeline import faults_page
 
     page = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")
     assert page == faults_page(), "run scripts/docs"

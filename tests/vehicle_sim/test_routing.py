@@ -143,8 +143,6 @@ def test_nothing_goes_to_a_component_before_it_has_spoken() -> None:
     router.route(message_from(COMPANION, heartbeat()), 1)
     assert router.heard(1)
     assert router.route(message_from(GCS, command((1, 191))), 0) == Route(links=(1,))
-    router.close(1)
-    assert router.route(message_from(GCS, command((1, 191))), 0) == Route(to_autopilot=True)
 
 
 def test_other_systems_are_reached_whatever_component_is_named() -> None:

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Command, Result, Send, Sender, Style, Text
 from vehicle_sim.wire.answers import Deliver
-from vehicle_sim.wire.streams import NEVER_US, Streams
+from vehicle_sim.wire.streams import Streams
 
 STEP_US = 10_000
 BOOTED_US = 1_000_000
@@ -274,11 +274,3 @@ def test_a_reboot_forgets_what_was_asked_on_every_link() -> None:
     assert set(counts(streams, 3.0)) == {
         (link, number) for link in (0, 1) for number in (HEARTBEAT, ATTITUDE)
     }
-
-
-def test_a_closed_link_gets_nothing() -> None:
-    streams = fresh(style("ardupilot"), links=1)
-    ask(streams, 511, POSITION, 1e5)
-    streams.close(0)
-    assert streams.soonest_us == NEVER_US
-    assert streams.due(10**9) == []

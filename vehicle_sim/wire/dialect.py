@@ -1,6 +1,5 @@
 """pymavlink's dialect `all`, what it lacks, and how each type of message lies in its frames."""
 
-import functools
 import math
 import re
 import struct
@@ -128,8 +127,15 @@ class Layout:
         return self._make(*self._fields(self._unpack(payload)))
 
 
-layout_of: Callable[[Any], Layout] = functools.cache(Layout)
-"""The layout of this class of messages."""
+_layouts: dict[Any, Layout] = {}
+
+
+def layout_of(kind: Any) -> Layout:
+    """The layout of this class of messages."""
+    layout = _layouts.get(kind)
+    if layout is None:
+        layout = _layouts[kind] = Layout(kind)
+    return layout
 
 
 def _packing(kind: Any) -> Callable[[Any], bytes]:

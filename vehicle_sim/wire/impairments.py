@@ -10,9 +10,7 @@ from typing import final
 
 import numpy as np
 
-from vehicle_sim.faults import LinkConditions
-
-__all__ = ["Impairments", "LinkConditions"]
+from vehicle_sim.faults.conditions import LinkConditions
 
 MOST_FRAMES = 20_000
 """Waiting at once; what comes on top is lost."""

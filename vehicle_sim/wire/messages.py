@@ -11,10 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Command, Event, Sender, Setpoint, Sticks, Text
 from vehicle_sim.autopilots.attitude import AttitudeTarget
-from vehicle_sim.sensors.radar_component import RadarReport, TerrainCheck
-from vehicle_sim.sensors.terrain_radar import ScanBlock, ScanRequest
 from vehicle_sim.wire.dialect import message_class
-from vehicle_sim.wire.frames import degrees_e7
 
 AUTOPILOT_COMPONENT = 1
 DO_SET_MODE = 176
@@ -115,24 +112,9 @@ def sticks(message: Any, origin: Sender) -> Sticks:
     )
 
 
-def scan_request(message: Any) -> ScanRequest:
-    """A TERRAIN_REQUEST."""
-    return ScanRequest(
-        latitude_deg=message.lat / 1e7,
-        longitude_deg=message.lon / 1e7,
-        spacing_m=message.grid_spacing,
-        mask=message.mask,
-    )
-
-
 def no_terrain(check: Any) -> Any:
     """TERRAIN_REPORT of an autopilot that knows nothing of the place it is asked about."""
     return mavlink.MAVLink_terrain_report_message(check.lat, check.lon, 0, 0.0, 0.0, 56, 0)
-
-
-def terrain_check(message: Any) -> TerrainCheck:
-    """A TERRAIN_CHECK."""
-    return TerrainCheck(latitude_deg=message.lat / 1e7, longitude_deg=message.lon / 1e7)
 
 
 # --- out ------------------------------------------------------------------------------------------
@@ -198,28 +180,4 @@ def radar_heartbeat() -> Any:
         custom_mode=0,
         system_status=mavlink.MAV_STATE_ACTIVE,
         mavlink_version=3,
-    )
-
-
-def terrain_data(request: ScanRequest, block: ScanBlock) -> Any:
-    """TERRAIN_DATA: one block; corner and spacing are the request's."""
-    return mavlink.MAVLink_terrain_data_message(
-        lat=degrees_e7(request.latitude_deg),
-        lon=degrees_e7(request.longitude_deg),
-        grid_spacing=request.spacing_m,
-        gridbit=block.gridbit,
-        data=list(block.heights_amsl_m),
-    )
-
-
-def terrain_report(report: RadarReport) -> Any:
-    """TERRAIN_REPORT: the request is answered, and nothing is pending."""
-    return mavlink.MAVLink_terrain_report_message(
-        lat=degrees_e7(report.latitude_deg),
-        lon=degrees_e7(report.longitude_deg),
-        spacing=report.spacing_m,
-        terrain_height=report.ground_amsl_m,
-        current_height=report.above_ground_m,
-        pending=0,
-        loaded=report.blocks,
     )

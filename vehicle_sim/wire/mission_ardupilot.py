@@ -48,34 +48,34 @@ class ArduPilotMissions(MissionProtocol):
 
     def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Answer]:
         """Answer a message of the mission protocol that is for the autopilot."""
-        number = message.get_msgId()
-        if number == wire.SET_CURRENT:
+        name = message.get_type()
+        if name == "MISSION_SET_CURRENT":
             # ground stations take a MISSION_CURRENT for the answer
             return [
                 wire.make_current(message.seq, sender),
                 Send(message=wire.MISSION_CURRENT, to=sender),
             ]
-        if number == wire.ACK:
+        if name == "MISSION_ACK":
             return []
         kind = wire.kind_of(message)
-        if number in (wire.ITEM, wire.ITEM_INT) and message.current in (_GUIDED, _ALTITUDE):
+        if name in ("MISSION_ITEM", "MISSION_ITEM_INT") and message.current in (_GUIDED, _ALTITUDE):
             return self._on_guided(message, sender)
         if kind is None:
             return [ack(MissionResult.UNSUPPORTED, message.mission_type, sender)]
-        match number:
-            case wire.COUNT:
+        match name:
+            case "MISSION_COUNT":
                 return self._on_count(message.count, kind, sender, now_us)
-            case wire.ITEM | wire.ITEM_INT:
+            case "MISSION_ITEM" | "MISSION_ITEM_INT":
                 return self._on_item(message, kind, sender, now_us)
-            case wire.REQUEST_LIST:
+            case "MISSION_REQUEST_LIST":
                 if kind in self._uploads:
                     return [ack(MissionResult.DENIED, kind, sender)]
                 return [wire.tell_count(len(self._plans[kind]), kind, sender)]
-            case wire.REQUEST | wire.REQUEST_INT:
+            case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
                 return self._on_request(message, kind, sender)
-            case wire.WRITE_PARTIAL_LIST:
+            case "MISSION_WRITE_PARTIAL_LIST":
                 return self._on_partial(message, kind, sender, now_us)
-            case wire.CLEAR_ALL:
+            case "MISSION_CLEAR_ALL":
                 return self._on_clear(kind, sender)
             case _:
                 return []
@@ -187,7 +187,7 @@ class ArduPilotMissions(MissionProtocol):
             beyond = kind is PlanKind.RALLY or seq > len(items)
             result = MissionResult.INVALID_SEQUENCE if beyond else MissionResult.ERROR
             return [ack(result, kind, sender)]
-        whole = message.get_msgId() == wire.REQUEST_INT
+        whole = message.get_type() == "MISSION_REQUEST_INT"
         return [wire.tell_item(item, kind, seq, sender, whole=whole)]
 
     def _home_item(self) -> PlanItem:

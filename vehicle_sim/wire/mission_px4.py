@@ -105,26 +105,26 @@ class Px4Missions(MissionProtocol):
         """Answer a message of the mission protocol that is for the autopilot."""
         link = self._links.setdefault(sender.link, _Link())
         upload = self._uploads.get(sender.link)
-        match message.get_msgId():
-            case wire.COUNT:
+        match message.get_type():
+            case "MISSION_COUNT":
                 return self._on_count(link, upload, message, sender, now_us)
-            case wire.ITEM | wire.ITEM_INT as number:
-                link.whole = number == wire.ITEM_INT
+            case "MISSION_ITEM" | "MISSION_ITEM_INT" as name:
+                link.whole = name == "MISSION_ITEM_INT"
                 return self._on_item(link, upload, message, sender, now_us)
-            case wire.REQUEST_LIST:
+            case "MISSION_REQUEST_LIST":
                 return self._on_request_list(link, upload, message, sender, now_us)
-            case wire.REQUEST | wire.REQUEST_INT as number:
-                link.whole = number == wire.REQUEST_INT
+            case "MISSION_REQUEST" | "MISSION_REQUEST_INT" as name:
+                link.whole = name == "MISSION_REQUEST_INT"
                 return self._on_request(link, upload, message, sender, now_us)
-            case wire.ACK:
+            case "MISSION_ACK":
                 return self._on_ack(link, upload, message, sender, now_us)
-            case wire.CLEAR_ALL if upload or link.sending:
+            case "MISSION_CLEAR_ALL" if upload or link.sending:
                 return [_critical("WPM: IGN CLEAR CMD: Busy")]
-            case wire.CLEAR_ALL:
+            case "MISSION_CLEAR_ALL":
                 return self._on_clear(message, sender)
-            case wire.SET_CURRENT if upload or link.sending:
+            case "MISSION_SET_CURRENT" if upload or link.sending:
                 return [_critical("WPM: IGN WP CURR CMD: Busy")]
-            case wire.SET_CURRENT:
+            case "MISSION_SET_CURRENT":
                 return self._on_set_current(message, sender)
             case _:
                 return []

@@ -15,8 +15,6 @@ from vehicle_sim.autopilots import Sender, Style
 from vehicle_sim.parameters import Kind, Parameters
 from vehicle_sim.wire.answers import Answer, Deliver, ParameterSet
 
-REQUEST_READ, REQUEST_LIST, SET = 20, 21, 23
-MESSAGES = frozenset({REQUEST_READ, REQUEST_LIST, SET})
 VALUES_PER_S = 1348 / 1.5
 """ArduPilot's 1,348 values take 1.5 s on loopback (ardupilot.md 1); PX4's are sent as fast."""
 _MOST_AT_ONCE = 20
@@ -27,7 +25,6 @@ _HASH = "_HASH_CHECK"
 _UINT32 = 5
 """MAV_PARAM_TYPE of the hash."""
 _WHOLE_RANGE = {Kind.INT8: 2**7, Kind.INT16: 2**15, Kind.INT32: 2**31}
-_LARGEST_FLOAT = 3.4028234663852886e38
 
 
 @final
@@ -61,15 +58,14 @@ class ParameterProtocol:
     # --- in -----------------------------------------------------------------------------------
 
     def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Answer]:
-        """Answer a message of MESSAGES that is for the autopilot."""
-        if message.get_msgId() == REQUEST_LIST:
+        """Answer a PARAM_REQUEST_LIST, PARAM_REQUEST_READ or PARAM_SET for the autopilot."""
+        if message.get_type() == "PARAM_REQUEST_LIST":
             # PX4 leaves the hash out when a listing is begun again
             hash_first = self._is_px4 and sender.link not in self._listings
             self._listings[sender.link] = _Listing(sender, now_us, hash_first=hash_first)
             return []
-        if message.get_msgId() == REQUEST_READ:
-            return self._on_read(message, sender)
-        return self._on_set(message, sender)
+        handle = self._on_set if message.get_type() == "PARAM_SET" else self._on_read
+        return handle(message, sender)
 
     def step(self, now_us: int) -> list[Answer]:
         """The next values of each listing that is due; cheap if there is none."""
@@ -88,10 +84,6 @@ class ParameterProtocol:
                 del self._listings[link]
         return answers
 
-    def close(self, link: int) -> None:
-        """The link is gone."""
-        self._listings.pop(link, None)
-
     # --- out ----------------------------------------------------------------------------------
 
     def value(self, name: str, index: int | None = None) -> Any:
@@ -105,8 +97,6 @@ class ParameterProtocol:
         row, value = self._parameters.row(name), self._parameters[name]
         if self._bytewise and row.kind is not Kind.REAL32:
             (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
-        elif math.isfinite(value):
-            value = min(max(value, -_LARGEST_FLOAT), _LARGEST_FLOAT)
         return self._message(name, value, row.kind, index)
 
     def _message(self, name: str, value: float, kind: int, index: int) -> Any:
@@ -123,11 +113,8 @@ class ParameterProtocol:
         crc = 0
         for row in self._rows:
             value = self._parameters[row.name]
-            raw = (
-                struct.pack("<f", value)
-                if row.kind is Kind.REAL32
-                else struct.pack("<i", int(value))
-            )
+            is_real = row.kind is Kind.REAL32
+            raw = struct.pack("<f", value) if is_real else struct.pack("<i", int(value))
             for part in (row.name.encode("ascii"), raw):  # a plain CRC-32 begun at zero
                 crc = zlib.crc32(part, crc ^ 0xFFFFFFFF) ^ 0xFFFFFFFF
         (as_float,) = struct.unpack("<f", struct.pack("<I", crc))
@@ -139,9 +126,8 @@ class ParameterProtocol:
         """Nobody answers a request for what there is not."""
         index, name = message.param_index, message.param_id
         if index >= 0:
-            if index >= len(self._rows):
-                return []
-            return [Deliver(message=self.value(self._rows[index].name, index), to=sender)]
+            found = self._rows[index : index + 1]
+            return [Deliver(message=self.value(row.name, index), to=sender) for row in found]
         if self._is_px4 and name == _HASH:
             return [Deliver(message=self._hash_value(), to=sender)]
         if name not in self._parameters:

@@ -11,8 +11,9 @@ from typing import Any, final
 import numpy as np
 
 from vehicle_sim.autopilots import Style
+from vehicle_sim.faults.conditions import LinkConditions
 from vehicle_sim.wire.frames import Packer, StreamParser
-from vehicle_sim.wire.impairments import Impairments, LinkConditions
+from vehicle_sim.wire.impairments import Impairments
 from vehicle_sim.wire.messages import AUTOPILOT_COMPONENT
 from vehicle_sim.wire.routing import Router, targets
 from vehicle_sim.wire.signing import Signing

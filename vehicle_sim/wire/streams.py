@@ -54,19 +54,10 @@ class Streams:
         if not self._links:
             self._booted_us = now_us
         self._links.add(link)
-        for key in [key for key in self._intervals_us if key[0] == link]:
-            del self._intervals_us[key]
-        for number in self._style.rates_hz:
-            if interval_us := self._default_us(number):
-                self._intervals_us[link, number] = interval_us
+        kept = {key: us for key, us in self._intervals_us.items() if key[0] != link}
+        fresh = {(link, number): self._default_us(number) for number in self._style.rates_hz}
+        self._intervals_us = kept | {key: us for key, us in fresh.items() if us}
         self._rebuild(link, now_us)
-
-    def close(self, link: int) -> None:
-        """The link is gone."""
-        self._links.discard(link)
-        for key in [key for key in self._intervals_us if key[0] == link]:
-            del self._intervals_us[key]
-        self._rebuild(link, 0)
 
     def restart(self, now_us: int) -> None:
         """The autopilot boots: every interval that was asked for is gone."""
