@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Result, Send, Sender, Style, Text
-from vehicle_sim.wire.answers import Deliver
+from vehicle_sim.autopilots import Ack, Command, Result, Say, Send, Sender, Style, Text
 from vehicle_sim.wire.streams import Streams
 
 STEP_US = 10_000
@@ -191,7 +190,7 @@ def test_the_interval_can_be_asked_for() -> None:
         (NOBODY_KNOWS, 0, Result.FAILED),
     ):
         answer, ack = ask(streams, 510, number)
-        assert isinstance(answer, Deliver)
+        assert isinstance(answer, Say)
         assert (answer.to, answer.message.message_id) == (HERE, number)
         assert (answer.message.interval_us, ack.result) == (told, accepted)
     answer, _ = ask(streams, 510, POSITION, by=THERE)

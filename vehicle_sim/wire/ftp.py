@@ -9,8 +9,7 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Sender
-from vehicle_sim.wire.answers import Deliver
+from vehicle_sim.autopilots import Say, Sender
 
 _HEAD: Final = struct.Struct("<HBBBBBxI")
 """Sequence, session, opcode, size, opcode that is answered, end of burst, offset."""
@@ -30,7 +29,7 @@ _REFUSALS: Final[dict[int, int]] = {
 """By opcode: the first byte of the data; 0 is of those that can be done."""
 
 
-def answer(message: Any, sender: Sender) -> Deliver | None:
+def answer(message: Any, sender: Sender) -> Say | None:
     """The answer to a FILE_TRANSFER_PROTOCOL; none to what is itself an answer."""
     payload = bytes(message.payload).ljust(_PAYLOAD_BYTES, b"\0")
     sequence, session, opcode, _, _, _, offset = _HEAD.unpack_from(payload)
@@ -43,4 +42,4 @@ def answer(message: Any, sender: Sender) -> Deliver | None:
         *(0, sender.system, sender.component),
         list((head + bytes([refusal])).ljust(_PAYLOAD_BYTES, b"\0")),
     )
-    return Deliver(message=reply, to=sender)
+    return Say(message=reply, to=sender)

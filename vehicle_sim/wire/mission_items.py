@@ -7,9 +7,8 @@ from typing import Any, Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Command, Sender
+from vehicle_sim.autopilots import Command, Say, Sender
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.wire.answers import Deliver, Unacknowledged
 from vehicle_sim.wire.dialect import message_class
 
 MISSION_CURRENT: Final = 42
@@ -98,7 +97,7 @@ def read_item(message: Any) -> PlanItem | MissionResult:
 
 def tell_item(
     item: PlanItem, kind: PlanKind, seq: int, to: Sender, *, whole: bool, current: bool = False
-) -> Deliver:
+) -> Say:
     """The item as a MISSION_ITEM_INT (whole), or as a MISSION_ITEM."""
     make: Any = mavlink.MAVLink_mission_item_int_message
     place: tuple[float, float] = (item.x, item.y)
@@ -108,36 +107,34 @@ def tell_item(
         *(to.system, to.component, seq, item.frame, item.command, int(current)),
         *(int(item.autocontinue), *item.parameters, *place, item.z_m, int(kind)),
     )
-    return Deliver(message=message, to=to)
+    return Say(message=message, to=to)
 
 
-def ask(upload: Upload, now_us: int, *, whole: bool) -> Deliver:
+def ask(upload: Upload, now_us: int, *, whole: bool) -> Say:
     """Ask for the next item: MISSION_REQUEST_INT (whole) or MISSION_REQUEST."""
     upload.asked_us = now_us
     make: Any = mavlink.MAVLink_mission_request_message
     if whole:
         make = mavlink.MAVLink_mission_request_int_message
     to = upload.sender
-    return Deliver(message=make(to.system, to.component, upload.next, int(upload.kind)), to=to)
+    return Say(message=make(to.system, to.component, upload.next, int(upload.kind)), to=to)
 
 
-def tell_count(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> Deliver:
+def tell_count(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> Say:
     """MISSION_COUNT: so many items are there to be asked for."""
-    return Deliver(message=_Count(to.system, to.component, count, int(kind), opaque_id), to=to)
+    return Say(message=_Count(to.system, to.component, count, int(kind), opaque_id), to=to)
 
 
-def ack(result: MissionResult, kind: int, to: Sender, opaque_id: int = 0) -> Deliver:
+def ack(result: MissionResult, kind: int, to: Sender, opaque_id: int = 0) -> Say:
     """MISSION_ACK: how it ended; the kind may be one that there is not."""
-    return Deliver(message=_Ack(to.system, to.component, int(result), kind, opaque_id), to=to)
+    return Say(message=_Ack(to.system, to.component, int(result), kind, opaque_id), to=to)
 
 
-def make_current(seq: int, sender: Sender) -> Unacknowledged:
+def make_current(seq: int, sender: Sender) -> Command:
     """MISSION_SET_CURRENT as the command that means the same."""
-    return Unacknowledged(
-        command=Command(
-            sender=sender,
-            target_component=0,
-            number=DO_SET_MISSION_CURRENT,
-            parameters=(float(seq), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        )
+    return Command(
+        sender=sender,
+        target_component=0,
+        number=DO_SET_MISSION_CURRENT,
+        parameters=(float(seq), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     )

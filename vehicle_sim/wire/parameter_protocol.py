@@ -11,9 +11,8 @@ from typing import Any, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Sender, Style
-from vehicle_sim.parameters import Kind, Parameters
-from vehicle_sim.wire.answers import Answer, Deliver, ParameterSet
+from vehicle_sim.autopilots import Autopilot, Reply, Say, Sender
+from vehicle_sim.parameters import Kind
 
 VALUES_PER_S = 1348 / 1.5
 """ArduPilot's 1,348 values take 1.5 s on loopback (ardupilot.md 1); PX4's are sent as fast."""
@@ -42,12 +41,12 @@ class _Listing:
 class ParameterProtocol:
     """Serves one autopilot's parameters to all links; one listing at a time on each link."""
 
-    def __init__(self, parameters: Parameters, style: Style) -> None:
-        self._parameters = parameters
-        self._bytewise = style.bytewise_parameters
-        self._is_px4 = style.firmware == "px4"
+    def __init__(self, autopilot: Autopilot) -> None:
+        self._autopilot, self._parameters = autopilot, autopilot.parameters
+        self._bytewise = autopilot.style.bytewise_parameters
+        self._is_px4 = autopilot.style.firmware == "px4"
         self._listings: dict[int, _Listing] = {}
-        self._rows = parameters.rows
+        self._rows = self._parameters.rows
         self._indices = {row.name: index for index, row in enumerate(self._rows)}
 
     @property
@@ -57,7 +56,7 @@ class ParameterProtocol:
 
     # --- in -----------------------------------------------------------------------------------
 
-    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Answer]:
+    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
         """Answer a PARAM_REQUEST_LIST, PARAM_REQUEST_READ or PARAM_SET for the autopilot."""
         if message.get_type() == "PARAM_REQUEST_LIST":
             # PX4 leaves the hash out when a listing is begun again
@@ -67,18 +66,18 @@ class ParameterProtocol:
         handle = self._on_set if message.get_type() == "PARAM_SET" else self._on_read
         return handle(message, sender)
 
-    def step(self, now_us: int) -> list[Answer]:
+    def step(self, now_us: int) -> list[Reply]:
         """The next values of each listing that is due; cheap if there is none."""
-        answers = list[Answer]()
+        answers = list[Reply]()
         for link, listing in list(self._listings.items()):
             due = int((now_us - listing.begun_us) * 1e-6 * VALUES_PER_S)
             last = min(due, listing.sent + _MOST_AT_ONCE, len(self._rows))
             if listing.hash_first and last > listing.sent:
                 listing.hash_first = False
-                answers.append(Deliver(message=self._hash_value(), to=listing.to))
+                answers.append(Say(message=self._hash_value(), to=listing.to))
             for index in range(listing.sent, last):
                 value = self.value(self._rows[index].name, index)
-                answers.append(Deliver(message=value, to=listing.to))
+                answers.append(Say(message=value, to=listing.to))
             listing.sent = max(listing.sent, last)
             if listing.sent >= len(self._rows):
                 del self._listings[link]
@@ -122,19 +121,19 @@ class ParameterProtocol:
 
     # --- reading and setting ------------------------------------------------------------------
 
-    def _on_read(self, message: Any, sender: Sender) -> list[Answer]:
+    def _on_read(self, message: Any, sender: Sender) -> list[Reply]:
         """Nobody answers a request for what there is not."""
         index, name = message.param_index, message.param_id
         if index >= 0:
             found = self._rows[index : index + 1]
-            return [Deliver(message=self.value(row.name, index), to=sender) for row in found]
+            return [Say(message=self.value(row.name, index), to=sender) for row in found]
         if self._is_px4 and name == _HASH:
-            return [Deliver(message=self._hash_value(), to=sender)]
+            return [Say(message=self._hash_value(), to=sender)]
         if name not in self._parameters:
             return []
-        return [Deliver(message=self.value(name), to=sender)]
+        return [Say(message=self.value(name), to=sender)]
 
-    def _on_set(self, message: Any, sender: Sender) -> list[Answer]:
+    def _on_set(self, message: Any, sender: Sender) -> list[Reply]:
         name = message.param_id
         if self._is_px4 and name == _HASH:
             self._listings.pop(sender.link, None)  # the client has a copy: stop
@@ -146,9 +145,9 @@ class ParameterProtocol:
             return []
         if not math.isfinite(value):
             # ArduPilot ignores it; PX4 compares it with the old value, which is never different
-            return [Deliver(message=self.value(name), to=sender)] if self._is_px4 else []
+            return [Say(message=self.value(name), to=sender)] if self._is_px4 else []
         self._parameters[name] = value
-        return [Deliver(message=self.value(name)), ParameterSet(name=name)]
+        return [Say(message=self.value(name)), *self._autopilot.on_parameter(name)]
 
     def _asked(self, message: Any, kind: Kind) -> float | None:
         """The value that a PARAM_SET means; None for one of the wrong type (PX4 only)."""
