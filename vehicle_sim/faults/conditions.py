@@ -189,15 +189,8 @@ class LinkConditions:
     @property
     def any(self) -> bool:
         """Something is wrong."""
-        return bool(
-            self.off
-            or self.lost
-            or self.delay_us
-            or self.jitter_us
-            or self.duplicated
-            or self.reordered
-            or self.corrupted
-        )
+        shares = (self.lost, self.duplicated, self.reordered, self.corrupted)
+        return any((self.off, self.delay_us, self.jitter_us, *shares))
 
 
 @final
