@@ -9,12 +9,13 @@ import re
 import struct
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, Protocol, final
+from typing import Any, final
 
 from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.wire.dialect import layout_of
+from vehicle_sim.wire.signing import LinkSigner
 
 DATAGRAM_BYTES = 1400
 _MARKER_1, _MARKER_2 = 0xFE, 0xFD
@@ -139,19 +140,6 @@ def _end_of_frame(data: bytes, at: int, size: int) -> int:
 # --- out ------------------------------------------------------------------------------------------
 
 
-class Signer(Protocol):
-    """Signs what goes out on one link (signing.py)."""
-
-    @property
-    def active(self) -> bool:
-        """Whether there is a key to sign with."""
-        ...
-
-    def signature(self, frame: bytes) -> bytes:
-        """The 13 bytes that follow this frame, whose flags already say that it is signed."""
-        ...
-
-
 @final
 class Packer:
     """Messages of one component on one link into MAVLink 2 frames, numbered in sequence.
@@ -161,7 +149,7 @@ class Packer:
     """
 
     def __init__(self, system: int, component: int) -> None:
-        self.signer: Signer | None = None
+        self.signer: LinkSigner | None = None
         """While it is active, everything is signed."""
         self._system, self._component = system, component
         self._sequence = 0

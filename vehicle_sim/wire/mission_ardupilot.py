@@ -153,7 +153,7 @@ class ArduPilotMissions(MissionProtocol):
         if kind is PlanKind.FENCE:
             if fault := rules.fence_fault(items):
                 return [fault, ack(MissionResult.ERROR, kind, sender)]
-            if rules.is_circles_only(items) and rules.has_polygon(self._plans[kind]):
+            if rules.only_circles_after_polygons(items, self._plans[kind]):
                 self._erase_fence_us = now_us + ERASED_AFTER_US
         answers = self._store(kind, items)
         if kind in _RECEIVED:

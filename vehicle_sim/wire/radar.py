@@ -7,7 +7,7 @@ this was all.
 """
 
 from collections.abc import Sequence
-from typing import Any, Protocol, final
+from typing import Any, final
 
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
@@ -22,21 +22,10 @@ from vehicle_sim.sensors.terrain_radar import (
     Viewpoint,
 )
 from vehicle_sim.wire import messages
+from vehicle_sim.wire.radio import Radio
 
 HEARTBEAT_US = 1_000_000
 _LOWEST_M, _HIGHEST_M = -32767, 32767
-
-
-class Transmitter(Protocol):
-    """What the radar speaks by (wire/radio.py)."""
-
-    def send(self, message: Any, link: int, component: int, /) -> None:
-        """On one link."""
-        ...
-
-    def broadcast(self, message: Any, component: int, /) -> None:
-        """On all links."""
-        ...
 
 
 @final
@@ -44,7 +33,7 @@ class RadarComponent:
     """Answers one request after the other, in the time of the simulation."""
 
     def __init__(
-        self, radar: TerrainRadar, rng: np.random.Generator, radio: Transmitter, component_id: int
+        self, radar: TerrainRadar, rng: np.random.Generator, radio: Radio, component_id: int
     ) -> None:
         self._radar, self._rng = radar, rng
         self._radio, self._id = radio, component_id

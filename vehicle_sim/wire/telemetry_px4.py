@@ -247,7 +247,6 @@ def _wind(report: Report) -> tuple[float, float] | None:
 _RATES: Final[Form] = {"rollspeed pitchspeed yawspeed": _rates_rad_s}
 MESSAGES: Final = telemetry.builders(
     {
-        **telemetry.COMMON,
         "SYS_STATUS": {
             "onboard_control_sensors_present onboard_control_sensors_enabled "
             "onboard_control_sensors_health": _masks,
@@ -257,20 +256,13 @@ MESSAGES: Final = telemetry.builders(
             "battery_remaining": lambda r: math.ceil(per_cent_left(r)),
             "onboard_control_sensors_health_extended": 1,
         },
-        "PING": {"time_usec": time_us, "seq": lambda r: r.time_us // 1_000_000},
-        "GPS_RAW_INT": {**telemetry.GPS_RAW_INT, "time_usec": lambda r: r.fix.time_us or None},
-        "GLOBAL_POSITION_INT": {
-            **telemetry.GLOBAL_POSITION_INT,
-            "time_boot_ms": lambda r: boot_ms(r) if r.status.origin else None,
-        },
-        "MISSION_CURRENT": {**telemetry.MISSION_CURRENT, "mission_mode": _mission_mode},
-        "VFR_HUD": {
-            **telemetry.VFR_HUD,
-            "airspeed": lambda r: r.vehicle.airspeed_m_s if is_plane(r) else _NAN,
-        },
+        "PING": {"seq": lambda r: r.time_us // 1_000_000},
+        "GPS_RAW_INT": {"time_usec": lambda r: r.fix.time_us or None},
+        "GLOBAL_POSITION_INT": {"time_boot_ms": lambda r: boot_ms(r) if r.status.origin else None},
+        "MISSION_CURRENT": {"mission_mode": _mission_mode},
+        "VFR_HUD": {"airspeed": lambda r: r.vehicle.airspeed_m_s if is_plane(r) else _NAN},
         # the navigator's place with the controller's vectors
         "POSITION_TARGET_GLOBAL_INT": {
-            "time_boot_ms": boot_ms,
             "coordinate_frame": mavlink.MAV_FRAME_GLOBAL_INT,
             "lat_int lon_int alt": _waypoint,
             "vx vy vz afx afy afz yaw yaw_rate": _aim,
@@ -297,7 +289,6 @@ MESSAGES: Final = telemetry.builders(
             "uid": lambda r: r.hardware_id,
         },
         "ESTIMATOR_STATUS": {
-            "time_usec": time_us,
             "flags": lambda r: r.estimate.flags,
             "vel_ratio pos_horiz_ratio pos_vert_ratio mag_ratio hagl_ratio tas_ratio": (
                 _estimator_ratios
@@ -305,29 +296,26 @@ MESSAGES: Final = telemetry.builders(
             "pos_horiz_accuracy": lambda r: r.estimate.horizontal_accuracy_m,
             "pos_vert_accuracy": lambda r: r.estimate.vertical_accuracy_m,
         },
-        "HOME_POSITION": {**telemetry.HOME_POSITION, "z": _home_down_m, "q": (1.0, 0.0, 0.0, 0.0)},
-        "ORBIT_EXECUTION_STATUS": {"time_usec": time_us, "radius x y z": _orbit},
+        "HOME_POSITION": {"z": _home_down_m, "q": (1.0, 0.0, 0.0, 0.0)},
+        "ORBIT_EXECUTION_STATUS": {"radius x y z": _orbit},
         "CURRENT_MODE": {"standard_mode custom_mode intended_custom_mode": _modes},
         "SCALED_PRESSURE": {
-            "time_boot_ms": boot_ms,
             "press_abs": _pressure_hpa,
             "temperature": lambda r: bounded(1500.0 - 0.65 * r.vehicle.altitude_amsl_m, INT16),
         },
-        "ATTITUDE": {**telemetry.ATTITUDE, **_RATES},
-        "ATTITUDE_QUATERNION": {**telemetry.ATTITUDE_QUATERNION, **_RATES},
+        "ATTITUDE": _RATES,
+        "ATTITUDE_QUATERNION": _RATES,
         "SERVO_OUTPUT_RAW": {
             "time_usec": lambda r: r.time_us & 0xFFFFFFFF,
             "servo1_raw servo2_raw servo3_raw servo4_raw": _servos,
             **{f"servo{k}_raw": 900 for k in range(5, 17)},
         },
         "ATTITUDE_TARGET": {
-            "time_boot_ms": boot_ms,
             "q": quaternion,
             "body_roll_rate body_pitch_rate body_yaw_rate": _rates_rad_s,
             "thrust": lambda r: r.vehicle.throttle,
         },
         "HIGHRES_IMU": {
-            "time_usec": time_us,
             "xacc yacc zacc": _specific_force,
             "xgyro ygyro zgyro": _rates_rad_s,
             "xmag ymag zmag": lambda r: _body(r, 0.21, 0.0125, 0.43),
@@ -337,21 +325,18 @@ MESSAGES: Final = telemetry.builders(
             "fields_updated": 7167,
         },
         "DISTANCE_SENSOR": {
-            "time_boot_ms": boot_ms,
             "max_distance": 10000,
             "current_distance": _range_cm,
             "orientation": 25,
         },
         "ALTITUDE": {
-            "time_usec": time_us,
             "altitude_monotonic": lambda r: r.vehicle.altitude_amsl_m,
             "altitude_amsl altitude_local altitude_relative altitude_terrain bottom_clearance": (
                 _altitudes_m
             ),
         },
-        "VIBRATION": {"time_usec": time_us, "vibration_x vibration_y vibration_z": _vibration},
+        "VIBRATION": {"vibration_x vibration_y vibration_z": _vibration},
         "ODOMETRY": {
-            "time_usec": time_us,
             "frame_id child_frame_id": (mavlink.MAV_FRAME_LOCAL_NED,) * 2,
             "x y z": lambda r: r.status.local_ned_m,
             "q": quaternion,
@@ -385,7 +370,6 @@ MESSAGES: Final = telemetry.builders(
             "timestamp": _DRONE_ID_TIME,
         },
         "WIND_COV": {
-            "time_usec": time_us,
             "wind_x wind_y": _wind,
             "var_horiz": 0.8,
             "wind_alt": lambda r: r.estimate.altitude_amsl_m,
