@@ -4,9 +4,11 @@ import enum
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import final
+from typing import Literal, final
 
 from vehicle_sim.errors import InputError, did_you_mean
+
+Firmware = Literal["ardupilot", "px4"]
 
 
 class Kind(enum.IntEnum):

@@ -20,6 +20,7 @@ from pydantic.dataclasses import dataclass
 from vehicle_sim.elevation import VerticalDatum, read_grid
 from vehicle_sim.errors import InputError, did_you_mean
 from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.terrain import Combine, PeakTerrain, Terrain
 
 _REFUSE_UNKNOWN = ConfigDict(extra="forbid")
@@ -91,7 +92,6 @@ class Threat:
     range_m: _Positive
 
 
-Firmware = Literal["ardupilot", "px4"]
 VehicleKind = Literal["copter", "plane"]
 
 

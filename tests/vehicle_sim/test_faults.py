@@ -19,12 +19,11 @@ from vehicle_sim.faults.conditions import (
     SIM_PARAMETERS,
     SIM_PARAMETERS_PX4,
     Conditions,
-    Firmware,
     conditions_of,
     take_one_shots,
 )
 from vehicle_sim.faults.timeline import Timeline, faults_table
-from vehicle_sim.parameters import Kind, Parameter, Parameters
+from vehicle_sim.parameters import Firmware, Kind, Parameter, Parameters
 from vehicle_sim.sensors.gps import ARDUCOPTER, PX4, Gps
 
 TABLES: dict[Firmware, tuple[Parameter, ...]] = {

@@ -5,8 +5,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.frames import Packer, StreamParser
-from vehicle_sim.wire.routing import Firmware, Route, Router
+from vehicle_sim.wire.routing import Route, Router
 
 Ids = tuple[int, int]
 GCS, COMPANION, RADAR = (255, 190), (1, 191), 100

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import final
 
 from vehicle_sim.errors import did_you_mean
-from vehicle_sim.faults.conditions import SIM_PARAMETERS, SIM_PARAMETERS_PX4, Firmware
+from vehicle_sim.faults.conditions import SIM_PARAMETERS, SIM_PARAMETERS_PX4
 from vehicle_sim.geodesy import metres_per_degree
+from vehicle_sim.parameters import Firmware
 
 Numbers = Mapping[str, float]
 Words = Mapping[str, str]

@@ -16,8 +16,6 @@ from vehicle_sim.parameters import Kind, Parameter, Parameters
 from vehicle_sim.sensors.gps import GpsConditions
 from vehicle_sim.sensors.terrain_radar import RadarConditions
 
-Firmware = Literal["ardupilot", "px4"]
-
 _LEAST_SATELLITES = 4
 """With fewer PX4's simulated receiver has no fix (px4.md 8)."""
 

@@ -5,12 +5,13 @@ number passes through unharmed: the autopilots decide what to make of it.
 """
 
 import math
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Command, Event, Sender, Setpoint, Sticks, Text
 from vehicle_sim.autopilots.attitude import AttitudeTarget
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.dialect import message_class
 
 AUTOPILOT_COMPONENT = 1
@@ -53,7 +54,7 @@ def command(message: Any, origin: Sender) -> Command:
     )
 
 
-def mode_command(message: Any, origin: Sender, firmware: Literal["ardupilot", "px4"]) -> Command:
+def mode_command(message: Any, origin: Sender, firmware: Firmware) -> Command:
     """A SET_MODE, as the DO_SET_MODE that means the same.
 
     PX4 takes its custom_mode apart into main and sub mode; ArduPilot answers with a COMMAND_ACK

@@ -111,7 +111,8 @@ class ArduPilotMissions(MissionProtocol):
             ]
         if count == 0:
             return self._complete(kind, (), sender, now_us)
-        return self._begin(kind, kind, count - 1, sender, now_us)
+        upload = Upload(sender=sender, kind=kind, last=count - 1, heard_us=now_us)
+        return self._begin(kind, upload, now_us)
 
     def _on_partial(self, message: Any, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
         """MISSION_WRITE_PARTIAL_LIST: some items of the list as it is are to be replaced."""
@@ -123,7 +124,9 @@ class ArduPilotMissions(MissionProtocol):
                 Text(severity=_WARNING, text="Flight plan update rejected"),
                 ack(MissionResult.ERROR, kind, sender),
             ]
-        return self._begin(kind, kind, last, sender, now_us, first=first, items=items)
+        upload = Upload(sender=sender, kind=kind, last=last, heard_us=now_us, next=first)
+        upload.items = list(items)
+        return self._begin(kind, upload, now_us)
 
     def _on_item(self, message: Any, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
         upload = self._uploads.get(kind)

@@ -50,7 +50,7 @@ class Upload:
     last: int
     """Number of the last item that is asked for."""
     heard_us: int
-    asked_us: int
+    asked_us: int = 0
     next: int = 0
     items: list[PlanItem] = field(default_factory=list)
 
@@ -108,16 +108,6 @@ def tell_item(
         *(int(item.autocontinue), *item.parameters, *place, item.z_m, int(kind)),
     )
     return Say(message=message, to=to)
-
-
-def ask(upload: Upload, now_us: int, *, whole: bool) -> Say:
-    """Ask for the next item: MISSION_REQUEST_INT (whole) or MISSION_REQUEST."""
-    upload.asked_us = now_us
-    make: Any = mavlink.MAVLink_mission_request_message
-    if whole:
-        make = mavlink.MAVLink_mission_request_int_message
-    to = upload.sender
-    return Say(message=make(to.system, to.component, upload.next, int(upload.kind)), to=to)
 
 
 def tell_count(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> Say:

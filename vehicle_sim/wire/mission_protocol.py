@@ -3,9 +3,10 @@
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
-from vehicle_sim.autopilots import Ack, Autopilot, Command, Reply, Sender
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilots import Ack, Autopilot, Command, Reply, Say, Sender
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.wire import mission_items as wire
 from vehicle_sim.wire.mission_items import Upload
 
 
@@ -57,32 +58,19 @@ class MissionProtocol(ABC):
                 answers.append(self._ask(upload, now_us))
         return answers
 
-    def _begin(
-        self,
-        slot: int,
-        kind: PlanKind,
-        last: int,
-        sender: Sender,
-        now_us: int,
-        *,
-        first: int = 0,
-        items: tuple[PlanItem, ...] = (),
-    ) -> list[Reply]:
+    def _begin(self, slot: int, upload: Upload, now_us: int) -> list[Reply]:
         """An upload begins: ask for its first item."""
-        upload = Upload(
-            sender=sender,
-            kind=kind,
-            last=last,
-            heard_us=now_us,
-            asked_us=now_us,
-            next=first,
-            items=list(items),
-        )
         self._uploads[slot] = upload
         return [self._ask(upload, now_us)]
 
     def _ask(self, upload: Upload, now_us: int) -> Reply:
-        return wire.ask(upload, now_us, whole=self._whole(upload))
+        """Ask for the next item."""
+        upload.asked_us = now_us
+        make: Any = mavlink.MAVLink_mission_request_message
+        if self._whole(upload):
+            make = mavlink.MAVLink_mission_request_int_message
+        to = upload.sender
+        return Say(message=make(to.system, to.component, upload.next, int(upload.kind)), to=to)
 
     def _store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Reply]:
         """The list is replaced, and the autopilot told."""

@@ -172,7 +172,8 @@ class Px4Missions(MissionProtocol):
         link.partner, link.kind, link.next, link.count = source, kind, 0, message.count
         if message.count == 0:
             return [*self._store(kind, ()), ack(MissionResult.ACCEPTED, asked, sender)]
-        return self._begin(sender.link, kind, message.count - 1, sender, now_us)
+        upload = Upload(sender=sender, kind=kind, last=message.count - 1, heard_us=now_us)
+        return self._begin(sender.link, upload, now_us)
 
     def _on_item(
         self, link: _Link, upload: Upload | None, message: Any, sender: Sender, now_us: int

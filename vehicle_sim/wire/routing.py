@@ -6,12 +6,13 @@ started with forwarding, as those of its simulator are.
 """
 
 from dataclasses import dataclass
-from typing import Any, Final, Literal, final
+from typing import Any, Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.parameters import Firmware
+
 Target = tuple[int | None, int | None]
-Firmware = Literal["ardupilot", "px4"]
 
 _HEARTBEAT: Final = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 _NEVER_FORWARDED: Final = frozenset(
