@@ -19,7 +19,7 @@ def test_a_function_has_at_most_60_lines() -> None:
 
 def test_the_pages_that_are_made_from_the_code_are_up_to_date() -> None:
     from companion.views.states import mission_states_markdown, troubleshooting_markdown
-    from vehicle_sim.faults import faults_page
+    from vehicle_sim.faults.timeline import faults_page
 
     made = {
         "faults.md": faults_page(),

@@ -6,7 +6,15 @@ SimulatorError
 └── NotSurvived       --strict: the real autopilot would not have survived this: exit code 1
 """
 
+import difflib
+from collections.abc import Iterable
 from typing import final
+
+
+def did_you_mean(name: str, known: Iterable[str], otherwise: str) -> str:
+    """A remedy for a name that there is not: the known one that is most like it."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"Did you mean {near[0]}?" if near else otherwise
 
 
 class SimulatorError(Exception):

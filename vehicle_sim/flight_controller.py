@@ -13,6 +13,7 @@ from vehicle_sim.autopilots import (
     Autopilot,
     Event,
     Reboot,
+    Reply,
     Report,
     Say,
     SayParameter,
@@ -24,18 +25,10 @@ from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire import ftp, messages, telemetry_ardupilot, telemetry_px4
-from vehicle_sim.wire.answers import (
-    Answer,
-    Deliver,
-    ParameterSet,
-    PlanReplaced,
-    Unacknowledged,
-)
 from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
 from vehicle_sim.wire.mission_protocol import MissionProtocol
 from vehicle_sim.wire.mission_px4 import Px4Missions
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
-from vehicle_sim.wire.px4_messages import Events
 from vehicle_sim.wire.radio import Radio
 from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
@@ -87,9 +80,8 @@ class FlightController:
         self._radio, self._on_text = radio, on_text
         self._now_us = boot_us
         self._messages = _TELEMETRY[style.firmware]
-        self._parameter_protocol = ParameterProtocol(self.parameters, style)
+        self._parameter_protocol = ParameterProtocol(autopilot)
         self._mission_protocol = _MISSIONS[style.firmware](autopilot)
-        self._events = Events()
         self._ground_stations = set[int]()
         self._told: dict[int, tuple[int, int | None, int]] = {}
         """Newest CURRENT_MODE of each link: mode, intended mode and when."""
@@ -156,12 +148,11 @@ class FlightController:
         report = self._report
         report.time_us = self._now_us - self.boot_us
         report.unix_us = _EPOCH_US + self._now_us if report.fix.usable else 0
-        report.event_sequence = self._events.sequence
         report.status = self.autopilot.status()
 
     # --- out ----------------------------------------------------------------------------------
 
-    def answer(self, replies: Iterable[Answer]) -> None:
+    def answer(self, replies: Iterable[Reply]) -> None:
         """Do what the autopilot and the protocols want to be done."""
         for reply in replies:
             match reply:
@@ -171,22 +162,15 @@ class FlightController:
                     self._say(reply)
                 case Send():
                     self._send(reply.message, reply.to)
-                case Deliver():
-                    self._deliver(reply.message, reply.to)
                 case Say():
-                    self._radio.broadcast(reply.message)
+                    self._deliver(reply.message, reply.to)
                 case SayParameter():
                     self._say_parameter(reply.name)
                 case Event():
                     boot_ms = (self._now_us - self.boot_us) // 1000
-                    self._radio.broadcast(self._events.message(reply, boot_ms))
-                case ParameterSet():
-                    self.answer(self.autopilot.on_parameter(reply.name))
-                case PlanReplaced():
-                    self.answer(self.autopilot.on_plan(reply.kind))
-                case Unacknowledged():
-                    done = self.autopilot.on_command(reply.command)
-                    self.answer(each for each in done if not isinstance(each, Ack))
+                    sequence = (self._report.event_sequence + 1) % 65536
+                    self._report.event_sequence = sequence
+                    self._radio.broadcast(messages.event(reply, sequence, boot_ms))
                 case Reboot():
                     self.wants_reboot = True
 

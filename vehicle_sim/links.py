@@ -7,9 +7,10 @@ None of them ever waits: what cannot be sent now is lost, as on a radio.
 
 import contextlib
 import socket
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, final
+from typing import Any, ClassVar, Literal, final
 
 from vehicle_sim.errors import InputError
 from vehicle_sim.wire.frames import datagrams
@@ -65,38 +66,61 @@ def parse_endpoint(text: str) -> Endpoint:
     return Endpoint(kind=kind, host=host.strip("[]"), port=int(port))  # type: ignore[arg-type]
 
 
-class Link(Protocol):
-    """One open endpoint."""
+class Link(ABC):
+    """One open endpoint.  OSError if it cannot be opened."""
+
+    _kind: ClassVar = socket.SOCK_DGRAM
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self._reopened = False
+        self._open()
+
+    def _open(self) -> None:
+        found = socket.getaddrinfo(self._endpoint.host, self._endpoint.port, type=self._kind)
+        family, kind, protocol, _, address = found[0]
+        self._socket = socket.socket(family, kind, protocol)
+        self._socket.setblocking(False)
+        try:
+            self._attach(address)
+        except OSError:
+            self._socket.close()
+            raise
+
+    @abstractmethod
+    def _attach(self, address: Any) -> None:
+        """Connect the socket to this address, or bind it there."""
 
     @property
     def sockets(self) -> Sequence[socket.socket]:
         """What to wait for."""
-        ...
+        return (self._socket,)
 
     @property
     def endpoint(self) -> Endpoint:
         """What was opened, with the port that was found for 0."""
-        ...
+        return self._endpoint.at(int(self._socket.getsockname()[1]))
 
+    @abstractmethod
     def send(self, frames: Sequence[bytes]) -> None:
         """Send these frames, or lose them."""
-        ...
 
+    @abstractmethod
     def receive(self) -> bytes | None:
         """The next datagram or piece of stream, None if there is none now."""
-        ...
 
+    @abstractmethod
     def move(self) -> None:
         """Send from another port from now on: what a rebooted ArduPilot does."""
-        ...
 
     def take_reopened(self) -> bool:
         """Whether another client has connected."""
-        ...
+        reopened, self._reopened = self._reopened, False
+        return reopened
 
     def close(self) -> None:
         """Let go of the sockets."""
-        ...
+        self._socket.close()
 
 
 def open_link(endpoint: Endpoint) -> Link:
@@ -116,34 +140,13 @@ def open_link(endpoint: Endpoint) -> Link:
         raise InputError("--connect", str(endpoint), rule, remedy) from None
 
 
-def _resolved(endpoint: Endpoint, kind: socket.SocketKind) -> tuple[socket.socket, Address]:
-    found = socket.getaddrinfo(endpoint.host, endpoint.port, type=kind)
-    family, kind, protocol, _, address = found[0]
-    opened = socket.socket(family, kind, protocol)
-    opened.setblocking(False)
-    return opened, address  # type: ignore[return-value]
-
-
 @final
-class _UdpOut:
+class _UdpOut(Link):
     """Sends to one address and hears only that."""
 
-    def __init__(self, endpoint: Endpoint) -> None:
-        self._endpoint = endpoint
-        self._open()
-
-    def _open(self) -> None:
-        self._socket, address = _resolved(self._endpoint, socket.SOCK_DGRAM)
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
-            self._socket.connect(address)
-        except OSError:
-            self._socket.close()
-            raise
-
-    @property
-    def sockets(self) -> Sequence[socket.socket]:
-        return (self._socket,)
+    def _attach(self, address: Any) -> None:
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
+        self._socket.connect(address)
 
     @property
     def endpoint(self) -> Endpoint:
@@ -172,35 +175,18 @@ class _UdpOut:
         self._socket.close()
         self._open()
 
-    def take_reopened(self) -> bool:
-        return False
-
-    def close(self) -> None:
-        self._socket.close()
-
 
 @final
-class _UdpIn:
+class _UdpIn(Link):
     """Listens, and answers everybody who was heard: the newest sixteen."""
 
     def __init__(self, endpoint: Endpoint) -> None:
-        self._endpoint = endpoint
-        self._socket, address = _resolved(endpoint, socket.SOCK_DGRAM)
         self._peers: dict[Address, None] = {}
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
-            self._socket.bind(address)
-        except OSError:
-            self._socket.close()
-            raise
+        super().__init__(endpoint)
 
-    @property
-    def sockets(self) -> Sequence[socket.socket]:
-        return (self._socket,)
-
-    @property
-    def endpoint(self) -> Endpoint:
-        return self._endpoint.at(int(self._socket.getsockname()[1]))
+    def _attach(self, address: Any) -> None:
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
+        self._socket.bind(address)
 
     def send(self, frames: Sequence[bytes]) -> None:
         for datagram in datagrams(frames):
@@ -225,38 +211,26 @@ class _UdpIn:
     def move(self) -> None:
         """A port that others were told of stays."""
 
-    def take_reopened(self) -> bool:
-        return False
-
-    def close(self) -> None:
-        self._socket.close()
-
 
 @final
-class _TcpIn:
+class _TcpIn(Link):
     """Serves one client at a time, as ArduPilot's serial ports over TCP do."""
 
+    _kind = socket.SOCK_STREAM
+
     def __init__(self, endpoint: Endpoint) -> None:
-        self._endpoint = endpoint
-        self._listener, address = _resolved(endpoint, socket.SOCK_STREAM)
         self._client: socket.socket | None = None
         self._pending = b""
-        self._reopened = False
-        try:
-            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._listener.bind(address)
-            self._listener.listen(1)
-        except OSError:
-            self._listener.close()
-            raise
+        super().__init__(endpoint)
+
+    def _attach(self, address: Any) -> None:
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._socket.bind(address)
+        self._socket.listen(1)
 
     @property
     def sockets(self) -> Sequence[socket.socket]:
-        return (self._listener,) if self._client is None else (self._client,)
-
-    @property
-    def endpoint(self) -> Endpoint:
-        return self._endpoint.at(int(self._listener.getsockname()[1]))
+        return (self._socket,) if self._client is None else (self._client,)
 
     def send(self, frames: Sequence[bytes]) -> None:
         if self._client is None:
@@ -289,7 +263,7 @@ class _TcpIn:
 
     def _accept(self) -> None:
         try:
-            self._client, _ = self._listener.accept()
+            self._client, _ = self._socket.accept()
         except OSError:
             return
         self._client.setblocking(False)
@@ -305,10 +279,6 @@ class _TcpIn:
         """The client sees the connection end."""
         self._drop()
 
-    def take_reopened(self) -> bool:
-        reopened, self._reopened = self._reopened, False
-        return reopened
-
     def close(self) -> None:
         self._drop()
-        self._listener.close()
+        super().close()

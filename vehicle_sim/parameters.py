@@ -1,13 +1,14 @@
 """An autopilot's parameters: a fixed table of names, types and defaults, and what is set now."""
 
-import difflib
 import enum
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import final
+from typing import Literal, final
 
-from vehicle_sim.errors import InputError
+from vehicle_sim.errors import InputError, did_you_mean
+
+Firmware = Literal["ardupilot", "px4"]
 
 
 class Kind(enum.IntEnum):
@@ -45,13 +46,10 @@ class Parameters:
         """Rises with every change: whoever derives something from parameters compares it."""
         for name, value in overrides.items():
             if name not in self._rows:
-                raise self._unknown(name, value)
+                remedy = did_you_mean(name, self._rows, "Leave it out.")
+                rule = "this autopilot has no such one"
+                raise InputError(f"parameter {name}", value, rule, remedy)
             self[name] = value
-
-    def _unknown(self, name: str, value: float) -> InputError:
-        nearest = self.nearest(name)
-        remedy = f"Did you mean {nearest}?" if nearest else "Leave it out."
-        return InputError(f"parameter {name}", value, "this autopilot has no such one", remedy)
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -77,11 +75,6 @@ class Parameters:
     def row(self, name: str) -> Parameter:
         """The row of this name; KeyError if there is none."""
         return self._rows[name]
-
-    def nearest(self, name: str) -> str | None:
-        """The known name that is most like this one."""
-        found = difflib.get_close_matches(name, self._rows, n=1, cutoff=0.5)
-        return found[0] if found else None
 
     def values(self) -> dict[str, float]:
         """A copy, by name: what a reboot keeps."""

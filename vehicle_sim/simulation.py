@@ -21,24 +21,15 @@ from vehicle_sim.dynamics.battery import Battery, PowerModule
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.dynamics.wind import Wind
-from vehicle_sim.faults import (
-    EstimatorReset,
-    Happening,
-    OriginMove,
-    PilotTakes,
-    Reboot,
-    Timeline,
-    conditions_of,
-    take_happenings,
-)
+from vehicle_sim.faults.conditions import conditions_of, take_one_shots
+from vehicle_sim.faults.timeline import Timeline
 from vehicle_sim.flight_controller import FlightController
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import Plans
 from vehicle_sim.sensors.gps import Gps
-from vehicle_sim.sensors.radar_component import RadarComponent
 from vehicle_sim.sensors.terrain_radar import TerrainRadar
 from vehicle_sim.wire import messages
-from vehicle_sim.wire.radar_node import RadarNode
+from vehicle_sim.wire.radar import RadarComponent
 from vehicle_sim.wire.radio import Radio, Received
 from vehicle_sim.world import Scanner, World
 
@@ -133,10 +124,10 @@ class Simulation:
         """Mission, fence and rally points as the autopilot stores them."""
         return self._plans
 
-    def _make_scanner(self, scanner: Scanner) -> RadarNode:
+    def _make_scanner(self, scanner: Scanner) -> RadarComponent:
         radar = TerrainRadar(self._terrain, self._frame, range_m=scanner.range_m)
-        component = RadarComponent(radar, generator(self._seed, "radar"))
-        return RadarNode(component, self._radio, scanner.component_id)
+        rng = generator(self._seed, "radar")
+        return RadarComponent(radar, rng, self._radio, scanner.component_id)
 
     def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
         self._boots += 1
@@ -286,7 +277,7 @@ class Simulation:
     def _refresh(self) -> None:
         """A parameter has changed: so may the weather have, and the links."""
         parameters = self._parameters
-        happenings = take_happenings(parameters)
+        one_shots = take_one_shots(parameters)
         self._conditions = conditions_of(parameters)
         self._seen_version = parameters.version
         self._controller.setpoints_ignored = self._conditions.setpoints_ignored
@@ -294,20 +285,17 @@ class Simulation:
         if "MAV_OPTIONS" in parameters:
             self._radio.router.enforce = bool(int(parameters["MAV_OPTIONS"]) & 1)
             self._radio.router.ground_system = int(parameters["MAV_GCS_SYSID"])
-        for happening in happenings:
-            self._happen(happening)
-
-    def _happen(self, happening: Happening) -> None:
         controller = self._controller
-        match happening:
-            case EstimatorReset(north_m=north_m, east_m=east_m):
-                controller.answer(controller.autopilot.reset_estimate(north_m, east_m))
-            case OriginMove(north_m=north_m, east_m=east_m, up_m=up_m):
-                controller.answer(controller.autopilot.move_origin(north_m, east_m, up_m))
-            case PilotTakes():
-                controller.answer(controller.autopilot.pilot_takes())
-            case Reboot():
-                self._go_down()
+        for name, values in one_shots:
+            match name:
+                case "estimator_reset":
+                    controller.answer(controller.autopilot.reset_estimate(*values))
+                case "origin_move":
+                    controller.answer(controller.autopilot.move_origin(*values))
+                case "pilot":
+                    controller.answer(controller.autopilot.pilot_takes())
+                case "reboot":
+                    self._go_down()
 
     # --- time ---------------------------------------------------------------------------------
 

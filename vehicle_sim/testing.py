@@ -24,8 +24,9 @@ import pytest
 
 from vehicle_sim.geodesy import WGS84
 from vehicle_sim.links import Endpoint, open_link
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import Firmware, VehicleKind, World, flat_world
+from vehicle_sim.world import VehicleKind, World, flat_world
 
 _TICK_STEPS = 5
 _POLL_S, _AGAIN_S = 0.01, 1.0

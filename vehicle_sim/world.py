@@ -18,8 +18,9 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from vehicle_sim.elevation import VerticalDatum, read_grid
-from vehicle_sim.errors import InputError
+from vehicle_sim.errors import InputError, did_you_mean
 from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.terrain import Combine, PeakTerrain, Terrain
 
 _REFUSE_UNKNOWN = ConfigDict(extra="forbid")
@@ -91,7 +92,6 @@ class Threat:
     range_m: _Positive
 
 
-Firmware = Literal["ardupilot", "px4"]
 VehicleKind = Literal["copter", "plane"]
 
 
@@ -318,8 +318,7 @@ def _unknown_key(field: str, location: Sequence[str | int], value: object) -> In
         nearest = difflib.get_close_matches(key, datums, n=1, cutoff=0.0)[0]
         rule = "an altitude names its datum, and here it is above mean sea level (amsl)"
         return InputError(field, value, rule, f"Write {nearest}.")
-    nearby = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-    remedy = f"Did you mean {nearby[0]}?" if nearby else f"Choose from: {', '.join(known)}."
+    remedy = did_you_mean(key, known, f"Choose from: {', '.join(known)}.")
     return InputError(field, value, "no such key", remedy)
 
 

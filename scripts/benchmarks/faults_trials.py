@@ -13,7 +13,7 @@ from pair import Happening, Pair
 from pair_worlds import Scene
 
 from companion.world.threats import CircleZone
-from vehicle_sim.faults import FAULTS
+from vehicle_sim.faults.catalogue import FAULTS
 
 Rng = np.random.Generator
 Draw = Callable[[Rng, Scene], list[tuple[float, Happening]]]

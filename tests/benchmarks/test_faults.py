@@ -9,7 +9,7 @@ from faults_trials import trials
 from pair import Flown, Sample
 
 from companion.world.threats import CircleZone
-from vehicle_sim.faults import FAULTS
+from vehicle_sim.faults.catalogue import FAULTS
 
 SCENE = pair_worlds.scene("ardupilot", "copter", 1)
 HIGH_M = 600.0

@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from programs import COMMANDS, MESSAGES, VALUES, Reader, command, intact
+from programs import COMMANDS, MESSAGES, VALUES, Reader, command, intact, message_numbers
 from pymavlink.dialects.v20 import all as mavlink
 
 from companion.geodesy import LocalFrame
@@ -53,46 +53,15 @@ PERSONALITIES = (
     ("px4", "plane", False),
     ("ardupilot", "copter", True),  # in lockstep
 )
-HANDLED = tuple(
-    getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
-    for name in (
-        "HEARTBEAT",
-        "GLOBAL_POSITION_INT",
-        "LOCAL_POSITION_NED",
-        "ATTITUDE",
-        "GPS_RAW_INT",
-        "EKF_STATUS_REPORT",
-        "ESTIMATOR_STATUS",
-        "EXTENDED_SYS_STATE",
-        "HOME_POSITION",
-        "GPS_GLOBAL_ORIGIN",
-        "SYS_STATUS",
-        "BATTERY_STATUS",
-        "POSITION_TARGET_LOCAL_NED",
-        "POSITION_TARGET_GLOBAL_INT",
-        "COMMAND_ACK",
-        "COMMAND_LONG",
-        "COMMAND_INT",
-        "STATUSTEXT",
-        "SYSTEM_TIME",
-        "TIMESYNC",
-        "PARAM_VALUE",
-        "PARAM_SET",
-        "PARAM_REQUEST_READ",
-        "PARAM_REQUEST_LIST",
-        "AUTOPILOT_VERSION",
-        "MISSION_COUNT",
-        "MISSION_ITEM_INT",
-        "MISSION_ITEM",
-        "MISSION_ACK",
-        "MISSION_CURRENT",
-        "MISSION_REQUEST_LIST",
-        "TERRAIN_DATA",
-        "TERRAIN_REPORT",
-        "TERRAIN_REQUEST",
-        "SETUP_SIGNING",
-        "PING",
-    )
+HANDLED = message_numbers(
+    """
+    HEARTBEAT GLOBAL_POSITION_INT LOCAL_POSITION_NED ATTITUDE GPS_RAW_INT EKF_STATUS_REPORT
+    ESTIMATOR_STATUS EXTENDED_SYS_STATE HOME_POSITION GPS_GLOBAL_ORIGIN SYS_STATUS BATTERY_STATUS
+    POSITION_TARGET_LOCAL_NED POSITION_TARGET_GLOBAL_INT COMMAND_ACK COMMAND_LONG COMMAND_INT
+    STATUSTEXT SYSTEM_TIME TIMESYNC PARAM_VALUE PARAM_SET PARAM_REQUEST_READ PARAM_REQUEST_LIST
+    AUTOPILOT_VERSION MISSION_COUNT MISSION_ITEM_INT MISSION_ITEM MISSION_ACK MISSION_CURRENT
+    MISSION_REQUEST_LIST TERRAIN_DATA TERRAIN_REPORT TERRAIN_REQUEST SETUP_SIGNING PING
+    """
 )
 ORDERS = (192, 193, 178, 20, 300, 192, 511, 512, 519, 520)
 SENDERS = ((1, 1), (1, 1), (1, 1), (1, 1), (255, 190), (1, 100), (1, 195), (2, 1), (1, 191), (0, 0))
@@ -239,6 +208,11 @@ class Target:
         if which not in self._recordings:
             self._recordings[which] = _flown(*PERSONALITIES[which])
         return self._recordings[which]
+
+    def prepare(self) -> None:
+        """Fly and record before the first input."""
+        for which in range(len(PERSONALITIES)):
+            self.recording(which)
 
     def play(self, data: bytes) -> None:
         """Let one input run; an exception, a hang or nonsense that is sent is a finding."""

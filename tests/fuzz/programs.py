@@ -21,6 +21,11 @@ VALUES = (
 )
 
 
+def message_numbers(names: str) -> tuple[int, ...]:
+    """Of the messages with these names."""
+    return tuple(getattr(mavlink, f"MAVLINK_MSG_ID_{name}") for name in names.split())
+
+
 class Reader:
     """The input, from the front; zeros after its end."""
 

@@ -7,7 +7,7 @@ and time that passes.  So the fuzzer gets past the checksums and into every hand
 import math
 import time
 
-from programs import COMMANDS, MESSAGES, Reader, command, intact
+from programs import COMMANDS, MESSAGES, Reader, command, intact, message_numbers
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.simulation import Simulation
@@ -19,37 +19,15 @@ PERSONALITIES = (
     ("px4", "copter"),
     ("px4", "plane"),
 )
-HANDLED = tuple(
-    getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
-    for name in (
-        "HEARTBEAT",
-        "COMMAND_LONG",
-        "COMMAND_INT",
-        "SET_POSITION_TARGET_LOCAL_NED",
-        "SET_POSITION_TARGET_GLOBAL_INT",
-        "TIMESYNC",
-        "PARAM_SET",
-        "PARAM_REQUEST_READ",
-        "PARAM_REQUEST_LIST",
-        "MISSION_COUNT",
-        "MISSION_ITEM_INT",
-        "MISSION_ITEM",
-        "MISSION_REQUEST_INT",
-        "MISSION_REQUEST",
-        "MISSION_REQUEST_LIST",
-        "MISSION_CLEAR_ALL",
-        "MISSION_ACK",
-        "MISSION_SET_CURRENT",
-        "MISSION_WRITE_PARTIAL_LIST",
-        "REQUEST_DATA_STREAM",
-        "SET_MODE",
-        "MANUAL_CONTROL",
-        "SETUP_SIGNING",
-        "FILE_TRANSFER_PROTOCOL",
-        "TERRAIN_REQUEST",
-        "TERRAIN_CHECK",
-        "PING",
-    )
+HANDLED = message_numbers(
+    """
+    HEARTBEAT COMMAND_LONG COMMAND_INT SET_POSITION_TARGET_LOCAL_NED
+    SET_POSITION_TARGET_GLOBAL_INT TIMESYNC PARAM_SET PARAM_REQUEST_READ PARAM_REQUEST_LIST
+    MISSION_COUNT MISSION_ITEM_INT MISSION_ITEM MISSION_REQUEST_INT MISSION_REQUEST
+    MISSION_REQUEST_LIST MISSION_CLEAR_ALL MISSION_ACK MISSION_SET_CURRENT
+    MISSION_WRITE_PARTIAL_LIST REQUEST_DATA_STREAM SET_MODE MANUAL_CONTROL SETUP_SIGNING
+    FILE_TRANSFER_PROTOCOL TERRAIN_REQUEST TERRAIN_CHECK PING
+    """
 )
 LINKS = 2
 SLOWEST_S = 5.0
@@ -64,6 +42,9 @@ class Target:
     def __init__(self) -> None:
         self._vehicles: dict[int, Simulation] = {}
         self._inputs = 0
+
+    def prepare(self) -> None:
+        """Vehicles are made when they are first needed."""
 
     def vehicle(self, which: int) -> Simulation:
         self._inputs += 1

@@ -14,22 +14,16 @@ from vehicle_sim.dynamics.battery import PowerModule
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError
-from vehicle_sim.faults import (
-    FAULTS,
+from vehicle_sim.faults.catalogue import FAULTS
+from vehicle_sim.faults.conditions import (
     SIM_PARAMETERS,
     SIM_PARAMETERS_PX4,
     Conditions,
-    EstimatorReset,
-    Firmware,
-    OriginMove,
-    PilotTakes,
-    Reboot,
-    Timeline,
     conditions_of,
-    faults_table,
-    take_happenings,
+    take_one_shots,
 )
-from vehicle_sim.parameters import Kind, Parameter, Parameters
+from vehicle_sim.faults.timeline import Timeline, faults_table
+from vehicle_sim.parameters import Firmware, Kind, Parameter, Parameters
 from vehicle_sim.sensors.gps import ARDUCOPTER, PX4, Gps
 
 TABLES: dict[Firmware, tuple[Parameter, ...]] = {
@@ -133,15 +127,15 @@ def test_px4_has_no_fix_with_fewer_than_four_satellites(used: int, *, enabled: b
 
 def test_what_happens_once_happens_once() -> None:
     values = parameters(SIM_EKF_RST_N=20, SIM_ORG_MOV_U=-3, SIM_PILOT=1, SIM_REBOOT=1)
-    assert list(take_happenings(values)) == [
-        EstimatorReset(north_m=20.0, east_m=0.0),
-        OriginMove(north_m=0.0, east_m=0.0, up_m=-3.0),
-        PilotTakes(),
-        Reboot(),
+    assert list(take_one_shots(values)) == [
+        ("estimator_reset", (20.0, 0.0)),
+        ("origin_move", (0.0, 0.0, -3.0)),
+        ("pilot", (1.0,)),
+        ("reboot", (1.0,)),
     ]
-    assert list(take_happenings(values)) == []
+    assert list(take_one_shots(values)) == []
     values["SIM_PILOT"] = 1
-    assert list(take_happenings(values)) == [PilotTakes()]
+    assert list(take_one_shots(values)) == [("pilot", (1.0,))]
 
 
 @pytest.mark.parametrize("firmware", TABLES)
@@ -156,7 +150,7 @@ def test_no_value_of_any_parameter_leads_off_the_earth(
         value = data.draw(wild)
         if math.isfinite(value) or values.row(name).kind is Kind.REAL32:
             values[name] = value
-    take_happenings(values)
+    take_one_shots(values)
     conditions = conditions_of(values)
     rng = np.random.default_rng(1)
     gps, wind = Gps(ARDUCOPTER if firmware == "ardupilot" else PX4, rng), Wind(rng)
@@ -212,7 +206,7 @@ def test_a_fault_sets_what_the_documentation_says_and_gives_it_back(
     assert (
         conditions_of(values) != conditions_of(parameters(firmware))
         or name == "set"
-        or (fault.once and take_happenings(values))
+        or (fault.once and take_one_shots(values))
     )
     if not fault.once:
         values = parameters(firmware)

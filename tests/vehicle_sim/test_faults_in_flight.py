@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.faults import FAULTS, Firmware
+from vehicle_sim.faults.catalogue import FAULTS
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import VehicleKind, flat_world
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 from recordings import recording
 
-from vehicle_sim.wire import frames
+from vehicle_sim.wire import dialect, frames
 from vehicle_sim.wire.frames import Dropped, Packer, StreamParser
 
 ARM = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 7.5)
@@ -156,11 +156,11 @@ def test_what_is_dropped_is_counted_by_its_reason() -> None:
 
 def test_an_unknown_message_keeps_nothing_and_costs_only_itself() -> None:
     parser = StreamParser(datagrams=False)
-    known = len(frames._kinds)
+    known = len(dialect._layouts)
     for number in range(100_000, 101_000):
         head = bytes([253, 9, 0, 0, 0, 1, 1, *number.to_bytes(3, "little")])
         assert len(parser.feed(head + b"\xfd\xff\x00" * 3 + b"\0\0" + packed(BEAT))) == 1
-    assert len(frames._kinds) <= known + 1
+    assert len(dialect._layouts) <= known + 1
 
 
 def test_the_work_is_linear_in_the_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -219,23 +219,6 @@ def test_degrees_go_into_their_field(angle_deg: float) -> None:
     assert abs(frames.degrees_e7(angle_deg)) < 2**31
     if abs(angle_deg) <= 180:
         assert frames.degrees_e7(angle_deg) / 1e7 == pytest.approx(angle_deg, abs=6e-8)
-
-
-class Foreign:
-    """A message that the dialect lacks, which packs itself."""
-
-    def get_msgId(self) -> int:
-        return 410
-
-    def pack(self, mav: Any) -> bytes:
-        return bytes([mav.srcSystem, mav.srcComponent, mav.seq])
-
-
-def test_a_message_that_packs_itself_is_numbered_with_the_others() -> None:
-    packer = Packer(3, 4)
-    packer.frame(BEAT)
-    assert packer.frame(Foreign()) == bytes([3, 4, 1])
-    assert decoded(packer.frame(BEAT)).get_seq() == 2
 
 
 @given(sizes=st.lists(st.integers(12, 300), max_size=80))

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Sticks, Text
-from vehicle_sim.sensors.terrain_radar import ScanBlock, ScanRequest
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.frames import Packer, StreamParser
 
@@ -105,13 +104,6 @@ def test_sticks_are_fractions_of_full_deflection() -> None:
     )
 
 
-def test_a_scan_request_is_in_degrees() -> None:
-    message = mavlink.MAVLink_terrain_request_message(470000001, 80000002, 250, (1 << 55) | 1)
-    assert messages.scan_request(sent(message)) == ScanRequest(
-        latitude_deg=47.0000001, longitude_deg=8.0000002, spacing_m=250, mask=(1 << 55) | 1
-    )
-
-
 def test_answers_carry_whom_they_are_for() -> None:
     answer = sent(messages.ack(Ack(to=ANYBODY, command=22, result=5, progress=40)))
     assert (answer.command, answer.result, answer.progress) == (22, 5, 40)
@@ -125,11 +117,3 @@ def test_answers_carry_whom_they_are_for() -> None:
 
 def test_a_text_that_is_too_long_or_foreign_still_goes_out() -> None:
     assert sent(messages.text(Text(severity=4, text="å" + "x" * 80))).text == "?" + "x" * 49
-
-
-def test_a_terrain_block_keeps_corner_bit_and_order() -> None:
-    request = ScanRequest(latitude_deg=-33.1234567, longitude_deg=-70.5, spacing_m=250, mask=1 << 9)
-    block = ScanBlock(gridbit=9, heights_amsl_m=tuple(range(-8, 8)))
-    got = sent(messages.terrain_data(request, block))
-    assert (got.lat, got.lon) == (-331234567, -705000000)
-    assert (got.grid_spacing, got.gridbit, got.data) == (250, 9, list(range(-8, 8)))

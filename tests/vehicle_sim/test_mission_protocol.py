@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from pymavlink import mavwp
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Autopilot, Place, Send, Sender, Text
+from vehicle_sim.autopilots import Ack, Autopilot, Command, Place, Reply, Say, Send, Sender, Text
 from vehicle_sim.plans import PlanItem, PlanKind, Plans
-from vehicle_sim.wire.answers import Answer, Deliver, PlanReplaced, Unacknowledged
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
 from vehicle_sim.wire.mission_items import MissionResult
@@ -41,24 +40,33 @@ class Vehicle:
         autopilot = SimpleNamespace(
             plans=self.plans,
             status=lambda: self.status,
+            on_plan=self.on_plan,
+            on_command=self.on_command,
             style=SimpleNamespace(firmware=firmware, requests_mission_int=firmware == "px4"),
         )
         kind = Px4Missions if firmware == "px4" else ArduPilotMissions
         self.protocol = kind(cast(Autopilot, autopilot))
         self.now_us = 0
         self.replaced: list[PlanKind] = []
+        self.asked: list[Command] = []
         self.texts: list[str] = []
-        self.other: list[Answer] = []
+        self.other: list[Reply] = []
         self.inbox: list[tuple[Sender | None, Any]] = []
 
-    def take(self, answers: Iterable[Answer]) -> None:
+    def on_plan(self, kind: PlanKind) -> list[Reply]:
+        self.replaced.append(kind)
+        return []
+
+    def on_command(self, command: Command) -> list[Reply]:
+        self.asked.append(command)
+        return [Ack(to=command.sender, command=command.number, result=0)]
+
+    def take(self, answers: Iterable[Reply]) -> None:
         for answer in answers:
             match answer:
-                case Deliver(message=message, to=to):
+                case Say(message=message, to=to):
                     ((_, got),) = StreamParser(datagrams=True).feed(Packer(1, 1).frame(message))
                     self.inbox.append((to, got))
-                case PlanReplaced(kind=kind):
-                    self.replaced.append(kind)
                 case Text(text=text):
                     self.texts.append(text.strip())
                 case _:
@@ -296,9 +304,8 @@ def test_the_current_item_is_set_by_a_command_without_an_acknowledgement(
     vehicle = Vehicle(firmware)
     upload(vehicle, mission(), MISSION)
     assert vehicle.say(mavlink.MAVLink_mission_set_current_message(1, 1, 3)) == []
-    ask, tell = vehicle.other
-    assert isinstance(ask, Unacknowledged)
-    assert (ask.command.number, ask.command.parameters[0]) == (224, 3.0)
+    (tell,), (asked,) = vehicle.other, vehicle.asked
+    assert (asked.number, asked.parameters[0]) == (224, 3.0)
     assert isinstance(tell, Send)
     assert tell.message == 42
 
@@ -553,10 +560,9 @@ def test_an_item_with_current_2_is_a_place_to_fly_to() -> None:
     guided.current = 2
     (ack,) = vehicle.say(guided)
     assert ack.type == ACCEPTED
-    (ask,) = vehicle.other
-    assert isinstance(ask, Unacknowledged)
-    assert (ask.command.number, ask.command.frame) == (192, 3)
-    assert ask.command.parameters[4:] == (-35.36, 149.16, 20.0)
+    (asked,) = vehicle.asked
+    assert (asked.number, asked.frame) == (192, 3)
+    assert asked.parameters[4:] == (-35.36, 149.16, 20.0)
 
 
 # --- PX4 ------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from vehicle_sim.autopilots.px4.autopilot import parameter_rows
 from vehicle_sim.autopilots.px4.modes import Mode, base_mode
 from vehicle_sim.autopilots.px4.pilot import Pilot
 from vehicle_sim.autopilots.px4.style import RATES_HZ, style
-from vehicle_sim.faults import SIM_PARAMETERS_PX4
+from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Kind
 
 UP = (0.0, 0.0, -10.0)

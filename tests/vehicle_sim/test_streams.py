@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Result, Send, Sender, Style, Text
-from vehicle_sim.wire.answers import Deliver
-from vehicle_sim.wire.streams import NEVER_US, Streams
+from vehicle_sim.autopilots import Ack, Command, Result, Say, Send, Sender, Style, Text
+from vehicle_sim.wire.streams import Streams
 
 STEP_US = 10_000
 BOOTED_US = 1_000_000
@@ -191,7 +190,7 @@ def test_the_interval_can_be_asked_for() -> None:
         (NOBODY_KNOWS, 0, Result.FAILED),
     ):
         answer, ack = ask(streams, 510, number)
-        assert isinstance(answer, Deliver)
+        assert isinstance(answer, Say)
         assert (answer.to, answer.message.message_id) == (HERE, number)
         assert (answer.message.interval_us, ack.result) == (told, accepted)
     answer, _ = ask(streams, 510, POSITION, by=THERE)
@@ -274,11 +273,3 @@ def test_a_reboot_forgets_what_was_asked_on_every_link() -> None:
     assert set(counts(streams, 3.0)) == {
         (link, number) for link in (0, 1) for number in (HEARTBEAT, ATTITUDE)
     }
-
-
-def test_a_closed_link_gets_nothing() -> None:
-    streams = fresh(style("ardupilot"), links=1)
-    ask(streams, 511, POSITION, 1e5)
-    streams.close(0)
-    assert streams.soonest_us == NEVER_US
-    assert streams.due(10**9) == []

@@ -9,6 +9,7 @@ from tracking_copter import ALL, Flown
 
 from vehicle_sim.autopilots import Battery, Report
 from vehicle_sim.sensors.gps import Fix
+from vehicle_sim.wire.frames import Packer
 from vehicle_sim.wire.telemetry_ardupilot import MESSAGES
 
 
@@ -53,7 +54,7 @@ def test_every_message_can_be_packed_and_read_again(
     if message is None:
         return
     assert message.get_msgId() == number
-    frame = message.pack(mavlink.MAVLink(None))
+    frame = Packer(1, 1).frame(message)
     (read,) = mavlink.MAVLink(None).parse_buffer(bytearray(frame))
     assert read.get_msgId() == number
 

@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.frames import Packer, StreamParser
-from vehicle_sim.world import Firmware, VehicleKind, flat_world
+from vehicle_sim.world import VehicleKind, flat_world
 
 FIRMWARES = pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 KINDS = pytest.mark.parametrize("kind", ["copter", "plane"])

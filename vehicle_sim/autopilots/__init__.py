@@ -168,9 +168,10 @@ class Send:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Say:
-    """Send this very message (of the pymavlink dialect `all`) to every link."""
+    """Send this very message (wire/dialect.py): to one client, or to every link."""
 
     message: Any
+    to: Sender | None = None
 
 
 @final

@@ -1,14 +1,15 @@
 """Every fault that a timeline knows: how it is written, what it sets, what it does."""
 
-import difflib
 import functools
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import final
 
-from vehicle_sim.faults.conditions import SIM_PARAMETERS, SIM_PARAMETERS_PX4, Firmware
+from vehicle_sim.errors import did_you_mean
+from vehicle_sim.faults.conditions import SIM_PARAMETERS, SIM_PARAMETERS_PX4
 from vehicle_sim.geodesy import metres_per_degree
+from vehicle_sim.parameters import Firmware
 
 Numbers = Mapping[str, float]
 Words = Mapping[str, str]
@@ -134,8 +135,7 @@ class Fault:
         name = words["NAME"].upper()
         if name in known:
             return None
-        near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-        remedy = f"Did you mean {near[0]}?" if near else "Choose one that begins with SIM_."
+        remedy = did_you_mean(name, known, "Choose one that begins with SIM_.")
         return f"{context.firmware} has no such parameter", remedy
 
 

@@ -11,15 +11,15 @@ set the same parameter, the one that began last counts.  One without `for` stays
 """
 
 import bisect
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Self, final
 
-from vehicle_sim.errors import InputError
+from vehicle_sim.errors import InputError, did_you_mean
 from vehicle_sim.faults.catalogue import BY_NAME, FAULTS, Context, Fault
-from vehicle_sim.faults.conditions import Firmware, Readable, value_of
+from vehicle_sim.faults.conditions import Readable, value_of
+from vehicle_sim.parameters import Firmware
 
 NEVER_US = 2**63 - 1
 _LINE = re.compile(r"at\s+(?P<at>.+?)(?:\s+for\s+(?P<length>.+?))?\s*:\s*(?P<what>\S.*)", re.I)
@@ -191,9 +191,7 @@ def _fault(name: str, where: str) -> Fault:
     fault = BY_NAME.get(name.lower())
     if fault is not None:
         return fault
-    near = difflib.get_close_matches(name.lower(), BY_NAME, n=1, cutoff=0.5)
-    known = ", ".join(BY_NAME)
-    remedy = f"Did you mean {near[0]}?" if near else f"Choose from: {known}."
+    remedy = did_you_mean(name.lower(), BY_NAME, f"Choose from: {', '.join(BY_NAME)}.")
     raise InputError(where, name, "no such fault", remedy)
 
 

@@ -6,7 +6,7 @@ SensorGpsSim.cpp), with the times and accuracies that the recorded flights show.
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -126,19 +126,7 @@ ARDUCOPTER = Receiver(
     late_lock=True,
 )
 """As in arducopter-*.tlog: fix_type 1 once, 6 from 9.973 s on."""
-ARDUPLANE = Receiver(
-    interval_us=200_000,
-    first_us=9_028_000,
-    fix_type=6,
-    fix_type_lost=1,
-    satellites_lost=3,
-    dilutions=(1.21, 2.0),
-    accuracies=None,
-    lost_dilutions=(1.21, 2.0),
-    lost_accuracies=None,
-    late_lock=True,
-    blank_first=True,
-)
+ARDUPLANE = replace(ARDUCOPTER, first_us=9_028_000, blank_first=True)
 """As in arduplane-guided-reposition.tlog: 6 from 9.228 s on."""
 PX4 = Receiver(
     interval_us=125_000,

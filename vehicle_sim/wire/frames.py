@@ -8,13 +8,14 @@ import math
 import re
 import struct
 from collections import Counter
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol, final
+from collections.abc import Sequence
+from typing import Any, final
 
 from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.wire.payloads import form_of
+from vehicle_sim.wire.dialect import layout_of
+from vehicle_sim.wire.signing import LinkSigner
 
 DATAGRAM_BYTES = 1400
 _MARKER_1, _MARKER_2 = 0xFE, 0xFD
@@ -38,52 +39,6 @@ class Dropped(enum.Enum):
     UNKNOWN = "frames with a message that nobody knows"
     FLAGS = "frames with incompatible flags"
     CUT = "frames cut off by the end of a datagram"
-
-
-@final
-class _Kind:
-    """How one type of message is read: made once for each."""
-
-    __slots__ = ("crc_extra", "fields", "make", "size", "unpack")
-
-    def __init__(self, message: Any) -> None:
-        self.crc_extra = bytes([message.crc_extra])
-        self.unpack: Callable[[bytes], tuple[Any, ...]] = message.unpacker.unpack_from
-        self.size: int = message.unpacker.size
-        self.make: Callable[..., Any] = message
-        order, lengths = message.orders, message.lengths
-        starts = [sum(lengths[:k]) for k in range(len(lengths))]
-        places = [(starts[k], starts[k] + lengths[k]) for k in order]
-
-        def plain(values: tuple[Any, ...]) -> list[Any]:
-            return [values[k] for k in order]
-
-        def with_arrays_and_texts(values: tuple[Any, ...]) -> list[Any]:
-            picked = [values[at] if end - at == 1 else list(values[at:end]) for at, end in places]
-            return [v.rstrip(b"\0") if isinstance(v, bytes) else v for v in picked]
-
-        is_plain = len(message.unpacker.format) == 1 + len(order) and "char" not in (
-            message.fieldtypes
-        )
-        self.fields = plain if is_plain else with_arrays_and_texts
-
-    def message(self, payload: bytes) -> Any:
-        """The message that this payload carries; what was left off at its end is zero."""
-        if len(payload) < self.size:
-            payload = payload.ljust(self.size, b"\0")
-        return self.make(*self.fields(self.unpack(payload)))
-
-
-_kinds: dict[int, _Kind | None] = {}
-
-
-def _kind(number: int) -> _Kind | None:
-    """Of this message number; None if the dialect does not know it."""
-    if number not in _kinds:
-        if number not in mavlink.mavlink_map:
-            return None  # not kept: there are millions of unknown numbers
-        _kinds[number] = _Kind(mavlink.mavlink_map[number])
-    return _kinds[number]
 
 
 @final
@@ -141,15 +96,16 @@ class StreamParser:
         else:
             number = frame[5]
             head, tail = _HEADER_1, _HEADER_1 + frame[1]
-        kind = _kind(number)
-        if kind is None:
+        known = mavlink.mavlink_map.get(number)
+        if known is None:
             self.dropped[Dropped.UNKNOWN] += 1
             # its checksum cannot be checked: believe its length only if a frame follows
             whole = end == len(data) or data[end] in (_MARKER_2, _MARKER_1)
             return end if whole else at + 1
-        if mcrf4xx(frame[1:tail] + kind.crc_extra) != frame[tail] | frame[tail + 1] << 8:
+        layout = layout_of(known)
+        if mcrf4xx(frame[1:tail] + layout.crc_extra) != frame[tail] | frame[tail + 1] << 8:
             return self._drop(Dropped.CHECKSUM, at)
-        message = kind.message(frame[head:tail])
+        message = layout.message(frame[head:tail])
         flags, sequence_at = (frame[2:4], 4) if head == _HEADER_2 else (b"\0\0", 2)
         whence = frame[sequence_at : sequence_at + 3]  # sequence, system, component
         message._header = mavlink.MAVLink_header(number, *flags, frame[1], *whence)
@@ -184,19 +140,6 @@ def _end_of_frame(data: bytes, at: int, size: int) -> int:
 # --- out ------------------------------------------------------------------------------------------
 
 
-class Signer(Protocol):
-    """Signs what goes out on one link (signing.py)."""
-
-    @property
-    def active(self) -> bool:
-        """Whether there is a key to sign with."""
-        ...
-
-    def signature(self, frame: bytes) -> bytes:
-        """The 13 bytes that follow this frame, whose flags already say that it is signed."""
-        ...
-
-
 @final
 class Packer:
     """Messages of one component on one link into MAVLink 2 frames, numbered in sequence.
@@ -206,11 +149,10 @@ class Packer:
     """
 
     def __init__(self, system: int, component: int) -> None:
-        self.signer: Signer | None = None
+        self.signer: LinkSigner | None = None
         """While it is active, everything is signed."""
         self._system, self._component = system, component
         self._sequence = 0
-        self._mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
 
     def restart(self) -> None:
         """Begin the sequence numbers again."""
@@ -220,13 +162,9 @@ class Packer:
         """The message as a frame with the next sequence number."""
         sequence = self._sequence
         self._sequence = (sequence + 1) & 255
-        form = form_of(type(message))
-        if form is None:  # one that the dialect lacks: it packs itself
-            self._mav.seq = sequence
-            frame: bytes = message.pack(self._mav)
-            return frame
-        payload = form.payload(message).rstrip(b"\0") or b"\0"
-        number, signer = form.number, self.signer
+        layout = layout_of(type(message))
+        payload = layout.payload(message).rstrip(b"\0") or b"\0"
+        number, signer = layout.number, self.signer
         signed = signer is not None and signer.active
         body = (
             _HEAD.pack(
@@ -242,7 +180,7 @@ class Packer:
             )
             + payload
         )
-        frame = body + mcrf4xx(body[1:] + form.extra).to_bytes(2, "little")
+        frame = body + mcrf4xx(body[1:] + layout.crc_extra).to_bytes(2, "little")
         return frame + signer.signature(frame) if signer is not None and signed else frame
 
 

@@ -5,14 +5,13 @@ False frames need not pass through here at all.
 """
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from vehicle_sim.faults import LinkConditions
-
-__all__ = ["Impairments", "LinkConditions"]
+from vehicle_sim.faults.conditions import LinkConditions
 
 MOST_FRAMES = 20_000
 """Waiting at once; what comes on top is lost."""
@@ -23,6 +22,16 @@ _WRONG_BITS_MOST = 3
 _BLOCK = 1024
 _NEVER_US = 2**63 - 1
 _NOTHING: tuple[bytes, ...] = ()
+
+
+@final
+@dataclass(slots=True)
+class _Held:
+    """A frame that is to be overtaken by so many still, and when it leaves at last."""
+
+    left: int
+    until_us: int
+    frame: bytes
 
 
 @final
@@ -38,9 +47,7 @@ class Impairments:
         self._uniform: list[float] = []
         self._waiting: list[tuple[int, int, bytes]] = []
         """Heap of time, number, frame."""
-        self._held: list[list[int]] = []
-        """For each frame that is to be overtaken: by how many still, and when it leaves at last."""
-        self._held_frames: list[bytes] = []
+        self._held: list[_Held] = []
         self._number = 0
         self._last_us = 0
         self.active = False
@@ -80,7 +87,7 @@ class Impairments:
         if now_us < self.due_us:
             return _NOTHING
         if self._held:
-            self._let_go(now_us, [entry[1] <= now_us for entry in self._held])
+            self._let_go(now_us, lambda held: held.until_us <= now_us)
         frames = list[bytes]()
         while self._waiting and self._waiting[0][0] <= now_us:
             frames.append(heapq.heappop(self._waiting)[2])
@@ -97,8 +104,7 @@ class Impairments:
             if self._happens(conditions.reordered) and len(self._held) < MOST_FRAMES:
                 overtakers = 1 + int(self._draw() * _OVERTAKEN_BY_MOST)
                 # Its own push counts as one of those that overtake it.
-                self._held.append([overtakers + 1, now_us + _HELD_MOST_US])
-                self._held_frames.append(sent)
+                self._held.append(_Held(overtakers + 1, now_us + _HELD_MOST_US, sent))
             else:
                 self._enqueue(now_us, sent)
 
@@ -117,26 +123,23 @@ class Impairments:
         heapq.heappush(self._waiting, (time_us, self._number, frame))
 
     def _overtake(self, now_us: int) -> None:
-        for entry in self._held:
-            entry[0] -= 1
-        self._let_go(now_us, [entry[0] <= 0 for entry in self._held])
+        for held in self._held:
+            held.left -= 1
+        self._let_go(now_us, lambda held: held.left <= 0)
 
-    def _let_go(self, now_us: int, goes: Sequence[bool]) -> None:
-        if not any(goes):
-            return
-        held = list(zip(self._held, self._held_frames, goes, strict=True))
-        self._held = [entry for entry, _, gone in held if not gone]
-        self._held_frames = [frame for _, frame, gone in held if not gone]
-        for entry, frame, gone in held:
-            if gone:
-                self._enqueue(min(now_us, entry[1]), frame)
+    def _let_go(self, now_us: int, goes: Callable[[_Held], bool]) -> None:
+        gone = [held for held in self._held if goes(held)]
+        if gone:
+            self._held = [held for held in self._held if not goes(held)]
+        for held in gone:
+            self._enqueue(min(now_us, held.until_us), held.frame)
 
     def _find_due(self) -> None:
-        due_us = self._waiting[0][0] if self._waiting else _NEVER_US
-        for entry in self._held:
-            due_us = min(due_us, entry[1])
-        self.due_us = due_us
-        self.active = not self._clear or due_us != _NEVER_US
+        times_us = [held.until_us for held in self._held]
+        if self._waiting:
+            times_us.append(self._waiting[0][0])
+        self.due_us = min(times_us, default=_NEVER_US)
+        self.active = not self._clear or self.due_us != _NEVER_US
 
     def _corrupted(self, frame: bytes) -> bytes:
         """A few bits of it turned over."""

@@ -5,16 +5,14 @@ number passes through unharmed: the autopilots decide what to make of it.
 """
 
 import math
-from typing import Any, Literal
+from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Sticks, Text
+from vehicle_sim.autopilots import Ack, Command, Event, Sender, Setpoint, Sticks, Text
 from vehicle_sim.autopilots.attitude import AttitudeTarget
-from vehicle_sim.sensors.radar_component import RadarReport, TerrainCheck
-from vehicle_sim.sensors.terrain_radar import ScanBlock, ScanRequest
-from vehicle_sim.wire.extensions import extended
-from vehicle_sim.wire.frames import degrees_e7
+from vehicle_sim.parameters import Firmware
+from vehicle_sim.wire.dialect import message_class
 
 AUTOPILOT_COMPONENT = 1
 DO_SET_MODE = 176
@@ -22,7 +20,8 @@ _NOWHERE = 0x7FFFFFFF
 """x or y of a COMMAND_INT that gives no place."""
 _LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
 """MAV_FRAME in which x and y are 1e-4 metres."""
-_TimeSync: Any = extended(mavlink.MAVLink_timesync_message, target_system="B", target_component="B")
+_TimeSync: Final = message_class("TIMESYNC")
+_Event: Final = message_class("EVENT")
 _DEFLECTION = 1000.0
 _NO_DEFLECTION = 0x7FFF
 
@@ -55,7 +54,7 @@ def command(message: Any, origin: Sender) -> Command:
     )
 
 
-def mode_command(message: Any, origin: Sender, firmware: Literal["ardupilot", "px4"]) -> Command:
+def mode_command(message: Any, origin: Sender, firmware: Firmware) -> Command:
     """A SET_MODE, as the DO_SET_MODE that means the same.
 
     PX4 takes its custom_mode apart into main and sub mode; ArduPilot answers with a COMMAND_ACK
@@ -114,24 +113,9 @@ def sticks(message: Any, origin: Sender) -> Sticks:
     )
 
 
-def scan_request(message: Any) -> ScanRequest:
-    """A TERRAIN_REQUEST."""
-    return ScanRequest(
-        latitude_deg=message.lat / 1e7,
-        longitude_deg=message.lon / 1e7,
-        spacing_m=message.grid_spacing,
-        mask=message.mask,
-    )
-
-
 def no_terrain(check: Any) -> Any:
     """TERRAIN_REPORT of an autopilot that knows nothing of the place it is asked about."""
     return mavlink.MAVLink_terrain_report_message(check.lat, check.lon, 0, 0.0, 0.0, 56, 0)
-
-
-def terrain_check(message: Any) -> TerrainCheck:
-    """A TERRAIN_CHECK."""
-    return TerrainCheck(latitude_deg=message.lat / 1e7, longitude_deg=message.lon / 1e7)
 
 
 # --- out ------------------------------------------------------------------------------------------
@@ -152,6 +136,19 @@ def text(value: Text) -> Any:
     """STATUSTEXT; what does not fit is cut off."""
     return mavlink.MAVLink_statustext_message(
         severity=value.severity, text=value.text.encode("ascii", "replace")[:50]
+    )
+
+
+def event(value: Event, sequence: int, boot_ms: int) -> Any:
+    """EVENT of PX4."""
+    return _Event(
+        id=value.number,
+        event_time_boot_ms=boot_ms,
+        sequence=sequence,
+        destination_component=0,
+        destination_system=0,
+        log_levels=value.log_levels,
+        arguments=value.arguments.ljust(40, b"\0"),
     )
 
 
@@ -184,28 +181,4 @@ def radar_heartbeat() -> Any:
         custom_mode=0,
         system_status=mavlink.MAV_STATE_ACTIVE,
         mavlink_version=3,
-    )
-
-
-def terrain_data(request: ScanRequest, block: ScanBlock) -> Any:
-    """TERRAIN_DATA: one block; corner and spacing are the request's."""
-    return mavlink.MAVLink_terrain_data_message(
-        lat=degrees_e7(request.latitude_deg),
-        lon=degrees_e7(request.longitude_deg),
-        grid_spacing=request.spacing_m,
-        gridbit=block.gridbit,
-        data=list(block.heights_amsl_m),
-    )
-
-
-def terrain_report(report: RadarReport) -> Any:
-    """TERRAIN_REPORT: the request is answered, and nothing is pending."""
-    return mavlink.MAVLink_terrain_report_message(
-        lat=degrees_e7(report.latitude_deg),
-        lon=degrees_e7(report.longitude_deg),
-        spacing=report.spacing_m,
-        terrain_height=report.ground_amsl_m,
-        current_height=report.above_ground_m,
-        pending=0,
-        loaded=report.blocks,
     )

@@ -5,11 +5,10 @@ Each of the three lists has a protocol of its own; on each, one client uploads a
 
 from typing import Any, Final, final
 
-from vehicle_sim.autopilots import Autopilot, Command, Send, Sender, Text
+from vehicle_sim.autopilots import Autopilot, Command, Reply, Send, Sender, Text
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.wire import mission_items as wire
 from vehicle_sim.wire import mission_rules as rules
-from vehicle_sim.wire.answers import Answer, Unacknowledged
 from vehicle_sim.wire.mission_items import MissionResult, Upload, ack
 from vehicle_sim.wire.mission_protocol import MissionProtocol
 
@@ -46,43 +45,43 @@ class ArduPilotMissions(MissionProtocol):
 
     # --- in -----------------------------------------------------------------------------------
 
-    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Answer]:
+    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
         """Answer a message of the mission protocol that is for the autopilot."""
-        number = message.get_msgId()
-        if number == wire.SET_CURRENT:
+        name = message.get_type()
+        if name == "MISSION_SET_CURRENT":
             # ground stations take a MISSION_CURRENT for the answer
             return [
-                wire.make_current(message.seq, sender),
+                *self._do(wire.make_current(message.seq, sender)),
                 Send(message=wire.MISSION_CURRENT, to=sender),
             ]
-        if number == wire.ACK:
+        if name == "MISSION_ACK":
             return []
         kind = wire.kind_of(message)
-        if number in (wire.ITEM, wire.ITEM_INT) and message.current in (_GUIDED, _ALTITUDE):
+        if name in ("MISSION_ITEM", "MISSION_ITEM_INT") and message.current in (_GUIDED, _ALTITUDE):
             return self._on_guided(message, sender)
         if kind is None:
             return [ack(MissionResult.UNSUPPORTED, message.mission_type, sender)]
-        match number:
-            case wire.COUNT:
+        match name:
+            case "MISSION_COUNT":
                 return self._on_count(message.count, kind, sender, now_us)
-            case wire.ITEM | wire.ITEM_INT:
+            case "MISSION_ITEM" | "MISSION_ITEM_INT":
                 return self._on_item(message, kind, sender, now_us)
-            case wire.REQUEST_LIST:
+            case "MISSION_REQUEST_LIST":
                 if kind in self._uploads:
                     return [ack(MissionResult.DENIED, kind, sender)]
                 return [wire.tell_count(len(self._plans[kind]), kind, sender)]
-            case wire.REQUEST | wire.REQUEST_INT:
+            case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
                 return self._on_request(message, kind, sender)
-            case wire.WRITE_PARTIAL_LIST:
+            case "MISSION_WRITE_PARTIAL_LIST":
                 return self._on_partial(message, kind, sender, now_us)
-            case wire.CLEAR_ALL:
+            case "MISSION_CLEAR_ALL":
                 return self._on_clear(kind, sender)
             case _:
                 return []
 
-    def step(self, now_us: int) -> list[Answer]:
+    def step(self, now_us: int) -> list[Reply]:
         """Ask again for what did not come, and give up in the end."""
-        answers = list[Answer]()
+        answers = list[Reply]()
         if self._erase_fence_us is not None and now_us >= self._erase_fence_us:
             self._erase_fence_us = None
             answers += self._store(PlanKind.FENCE, ())
@@ -92,14 +91,14 @@ class ArduPilotMissions(MissionProtocol):
         del upload
         return self._autopilot.style.requests_mission_int
 
-    def _gave_up(self, upload: Upload) -> list[Answer]:
+    def _gave_up(self, upload: Upload) -> list[Reply]:
         kind = upload.kind
         text = Text(severity=_WARNING, text=f"{_NAMES[kind]} upload timeout")
         return [text, ack(MissionResult.OPERATION_CANCELLED, kind, upload.sender)]
 
     # --- upload -------------------------------------------------------------------------------
 
-    def _on_count(self, count: int, kind: PlanKind, sender: Sender, now_us: int) -> list[Answer]:
+    def _on_count(self, count: int, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
         running = self._uploads.get(kind)
         if running is not None and not running.is_from(sender):
             return [ack(MissionResult.DENIED, kind, sender)]
@@ -112,11 +111,10 @@ class ArduPilotMissions(MissionProtocol):
             ]
         if count == 0:
             return self._complete(kind, (), sender, now_us)
-        return self._begin(kind, kind, count - 1, sender, now_us)
+        upload = Upload(sender=sender, kind=kind, last=count - 1, heard_us=now_us)
+        return self._begin(kind, upload, now_us)
 
-    def _on_partial(
-        self, message: Any, kind: PlanKind, sender: Sender, now_us: int
-    ) -> list[Answer]:
+    def _on_partial(self, message: Any, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
         """MISSION_WRITE_PARTIAL_LIST: some items of the list as it is are to be replaced."""
         items, first, last = self._plans[kind], message.start_index, message.end_index
         if kind in self._uploads:
@@ -126,9 +124,11 @@ class ArduPilotMissions(MissionProtocol):
                 Text(severity=_WARNING, text="Flight plan update rejected"),
                 ack(MissionResult.ERROR, kind, sender),
             ]
-        return self._begin(kind, kind, last, sender, now_us, first=first, items=items)
+        upload = Upload(sender=sender, kind=kind, last=last, heard_us=now_us, next=first)
+        upload.items = list(items)
+        return self._begin(kind, upload, now_us)
 
-    def _on_item(self, message: Any, kind: PlanKind, sender: Sender, now_us: int) -> list[Answer]:
+    def _on_item(self, message: Any, kind: PlanKind, sender: Sender, now_us: int) -> list[Reply]:
         upload = self._uploads.get(kind)
         if upload is None:
             return [ack(MissionResult.ERROR, kind, sender)]
@@ -151,12 +151,12 @@ class ArduPilotMissions(MissionProtocol):
 
     def _complete(
         self, kind: PlanKind, items: tuple[PlanItem, ...], sender: Sender, now_us: int
-    ) -> list[Answer]:
+    ) -> list[Reply]:
         """All items are there: the old list goes, if the new one is good as a whole."""
         if kind is PlanKind.FENCE:
             if fault := rules.fence_fault(items):
                 return [fault, ack(MissionResult.ERROR, kind, sender)]
-            if rules.is_circles_only(items) and rules.has_polygon(self._plans[kind]):
+            if rules.only_circles_after_polygons(items, self._plans[kind]):
                 self._erase_fence_us = now_us + ERASED_AFTER_US
         answers = self._store(kind, items)
         if kind in _RECEIVED:
@@ -164,14 +164,14 @@ class ArduPilotMissions(MissionProtocol):
         answers.append(ack(MissionResult.ACCEPTED, kind, sender))
         return answers
 
-    def _on_clear(self, kind: PlanKind, sender: Sender) -> list[Answer]:
+    def _on_clear(self, kind: PlanKind, sender: Sender) -> list[Reply]:
         if kind in self._uploads:
             return [ack(MissionResult.ERROR, kind, sender)]
         return [*self._store(kind, ()), ack(MissionResult.ACCEPTED, kind, sender)]
 
     # --- download -----------------------------------------------------------------------------
 
-    def _on_request(self, message: Any, kind: PlanKind, sender: Sender) -> list[Answer]:
+    def _on_request(self, message: Any, kind: PlanKind, sender: Sender) -> list[Reply]:
         """Any item at any time, whether a list was asked for or not."""
         if kind in self._uploads:
             return [ack(MissionResult.DENIED, kind, sender)]
@@ -187,7 +187,7 @@ class ArduPilotMissions(MissionProtocol):
             beyond = kind is PlanKind.RALLY or seq > len(items)
             result = MissionResult.INVALID_SEQUENCE if beyond else MissionResult.ERROR
             return [ack(result, kind, sender)]
-        whole = message.get_msgId() == wire.REQUEST_INT
+        whole = message.get_type() == "MISSION_REQUEST_INT"
         return [wire.tell_item(item, kind, seq, sender, whole=whole)]
 
     def _home_item(self) -> PlanItem:
@@ -205,7 +205,7 @@ class ArduPilotMissions(MissionProtocol):
 
     # --- not for a list -----------------------------------------------------------------------
 
-    def _on_guided(self, message: Any, sender: Sender) -> list[Answer]:
+    def _on_guided(self, message: Any, sender: Sender) -> list[Reply]:
         """A waypoint to fly to now, as old ground stations send it."""
         item = wire.read_item(message)
         if isinstance(item, MissionResult):
@@ -222,7 +222,4 @@ class ArduPilotMissions(MissionProtocol):
             parameters=(-1.0, 0.0, 0.0, float("nan"), *place),
             frame=item.frame,
         )
-        return [
-            Unacknowledged(command=command),
-            ack(MissionResult.ACCEPTED, PlanKind.MISSION, sender),
-        ]
+        return [*self._do(command), ack(MissionResult.ACCEPTED, PlanKind.MISSION, sender)]

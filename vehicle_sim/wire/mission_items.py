@@ -7,25 +7,16 @@ from typing import Any, Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Command, Sender
+from vehicle_sim.autopilots import Command, Say, Sender
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.wire.answers import Deliver, Unacknowledged
-from vehicle_sim.wire.extensions import extended
+from vehicle_sim.wire.dialect import message_class
 
-WRITE_PARTIAL_LIST: Final = 38
-ITEM: Final = 39
-REQUEST: Final = 40
-SET_CURRENT: Final = 41
-REQUEST_LIST: Final = 43
-COUNT: Final = 44
-CLEAR_ALL: Final = 45
-ACK: Final = 47
-REQUEST_INT: Final = 51
-ITEM_INT: Final = 73
 MISSION_CURRENT: Final = 42
 DO_SET_MISSION_CURRENT: Final = 224
 GLOBAL_FRAMES: Final = frozenset({0, 3, 5, 6, 10, 11})
 _INT32 = 2**31
+_Count: Any = message_class("MISSION_COUNT")
+_Ack: Any = message_class("MISSION_ACK")
 
 
 class MissionResult(enum.IntEnum):
@@ -59,7 +50,7 @@ class Upload:
     last: int
     """Number of the last item that is asked for."""
     heard_us: int
-    asked_us: int
+    asked_us: int = 0
     next: int = 0
     items: list[PlanItem] = field(default_factory=list)
 
@@ -85,7 +76,7 @@ def kind_of(message: Any) -> PlanKind | None:
 def read_item(message: Any) -> PlanItem | MissionResult:
     """A MISSION_ITEM_INT, or a MISSION_ITEM with its place in degrees."""
     x, y = message.x, message.y
-    if message.get_msgId() == ITEM:
+    if message.get_type() == "MISSION_ITEM":
         scaled = [value * 1e7 if math.isfinite(value) else math.inf for value in (x, y)]
         for value, wrong in zip(
             scaled, (MissionResult.INVALID_PARAM5_X, MissionResult.INVALID_PARAM6_Y), strict=True
@@ -106,79 +97,34 @@ def read_item(message: Any) -> PlanItem | MissionResult:
 
 def tell_item(
     item: PlanItem, kind: PlanKind, seq: int, to: Sender, *, whole: bool, current: bool = False
-) -> Deliver:
+) -> Say:
     """The item as a MISSION_ITEM_INT (whole), or as a MISSION_ITEM."""
-    p1, p2, p3, p4 = item.parameters
     make: Any = mavlink.MAVLink_mission_item_int_message
-    x: float = item.x
-    y: float = item.y
+    place: tuple[float, float] = (item.x, item.y)
     if not whole:
-        make, x, y = mavlink.MAVLink_mission_item_message, item.x * 1e-7, item.y * 1e-7
+        make, place = mavlink.MAVLink_mission_item_message, (item.x * 1e-7, item.y * 1e-7)
     message = make(
-        target_system=to.system,
-        target_component=to.component,
-        seq=seq,
-        frame=item.frame,
-        command=item.command,
-        current=int(current),
-        autocontinue=int(item.autocontinue),
-        param1=p1,
-        param2=p2,
-        param3=p3,
-        param4=p4,
-        x=x,
-        y=y,
-        z=item.z_m,
-        mission_type=int(kind),
+        *(to.system, to.component, seq, item.frame, item.command, int(current)),
+        *(int(item.autocontinue), *item.parameters, *place, item.z_m, int(kind)),
     )
-    return Deliver(message=message, to=to)
+    return Say(message=message, to=to)
 
 
-def ask(upload: Upload, now_us: int, *, whole: bool) -> Deliver:
-    """Ask for the next item: MISSION_REQUEST_INT (whole) or MISSION_REQUEST."""
-    upload.asked_us = now_us
-    make: Any = mavlink.MAVLink_mission_request_message
-    if whole:
-        make = mavlink.MAVLink_mission_request_int_message
-    to = upload.sender
-    return Deliver(message=make(to.system, to.component, upload.next, int(upload.kind)), to=to)
-
-
-_Count: Any = extended(mavlink.MAVLink_mission_count_message, opaque_id="I")
-_Ack: Any = extended(mavlink.MAVLink_mission_ack_message, opaque_id="I")
-
-
-def tell_count(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> Deliver:
+def tell_count(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> Say:
     """MISSION_COUNT: so many items are there to be asked for."""
-    message = _Count(
-        target_system=to.system,
-        target_component=to.component,
-        count=count,
-        mission_type=int(kind),
-        opaque_id=opaque_id,
-    )
-    return Deliver(message=message, to=to)
+    return Say(message=_Count(to.system, to.component, count, int(kind), opaque_id), to=to)
 
 
-def ack(result: MissionResult, kind: int, to: Sender, opaque_id: int = 0) -> Deliver:
+def ack(result: MissionResult, kind: int, to: Sender, opaque_id: int = 0) -> Say:
     """MISSION_ACK: how it ended; the kind may be one that there is not."""
-    message = _Ack(
-        target_system=to.system,
-        target_component=to.component,
-        type=int(result),
-        mission_type=kind,
-        opaque_id=opaque_id,
-    )
-    return Deliver(message=message, to=to)
+    return Say(message=_Ack(to.system, to.component, int(result), kind, opaque_id), to=to)
 
 
-def make_current(seq: int, sender: Sender) -> Unacknowledged:
+def make_current(seq: int, sender: Sender) -> Command:
     """MISSION_SET_CURRENT as the command that means the same."""
-    return Unacknowledged(
-        command=Command(
-            sender=sender,
-            target_component=0,
-            number=DO_SET_MISSION_CURRENT,
-            parameters=(float(seq), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        )
+    return Command(
+        sender=sender,
+        target_component=0,
+        number=DO_SET_MISSION_CURRENT,
+        parameters=(float(seq), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     )

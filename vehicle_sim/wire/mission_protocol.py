@@ -3,10 +3,10 @@
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
-from vehicle_sim.autopilots import Autopilot, Sender
+from pymavlink.dialects.v20 import all as mavlink
+
+from vehicle_sim.autopilots import Ack, Autopilot, Command, Reply, Say, Sender
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.wire import mission_items as wire
-from vehicle_sim.wire.answers import Answer, PlanReplaced
 from vehicle_sim.wire.mission_items import Upload
 
 
@@ -32,11 +32,11 @@ class MissionProtocol(ABC):
         """Whether step() has anything to do."""
 
     @abstractmethod
-    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Answer]:
+    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
         """Answer a message of the mission protocol that is for the autopilot."""
 
     @abstractmethod
-    def step(self, now_us: int) -> list[Answer]:
+    def step(self, now_us: int) -> list[Reply]:
         """Repeat requests, and give up, when it is time."""
 
     @abstractmethod
@@ -44,12 +44,12 @@ class MissionProtocol(ABC):
         """Whether items are asked for as integers."""
 
     @abstractmethod
-    def _gave_up(self, upload: Upload) -> list[Answer]:
+    def _gave_up(self, upload: Upload) -> list[Reply]:
         """What is said of an upload that was left."""
 
-    def _repeat(self, now_us: int) -> list[Answer]:
+    def _repeat(self, now_us: int) -> list[Reply]:
         """Ask again for what did not come, and give up in the end."""
-        answers = list[Answer]()
+        answers = list[Reply]()
         for slot, upload in list(self._uploads.items()):
             if now_us - upload.heard_us > self.give_up_us:
                 del self._uploads[slot]
@@ -58,33 +58,26 @@ class MissionProtocol(ABC):
                 answers.append(self._ask(upload, now_us))
         return answers
 
-    def _begin(
-        self,
-        slot: int,
-        kind: PlanKind,
-        last: int,
-        sender: Sender,
-        now_us: int,
-        *,
-        first: int = 0,
-        items: tuple[PlanItem, ...] = (),
-    ) -> list[Answer]:
+    def _begin(self, slot: int, upload: Upload, now_us: int) -> list[Reply]:
         """An upload begins: ask for its first item."""
-        upload = Upload(
-            sender=sender,
-            kind=kind,
-            last=last,
-            heard_us=now_us,
-            asked_us=now_us,
-            next=first,
-            items=list(items),
-        )
         self._uploads[slot] = upload
         return [self._ask(upload, now_us)]
 
-    def _ask(self, upload: Upload, now_us: int) -> Answer:
-        return wire.ask(upload, now_us, whole=self._whole(upload))
+    def _ask(self, upload: Upload, now_us: int) -> Reply:
+        """Ask for the next item."""
+        upload.asked_us = now_us
+        make: Any = mavlink.MAVLink_mission_request_message
+        if self._whole(upload):
+            make = mavlink.MAVLink_mission_request_int_message
+        to = upload.sender
+        return Say(message=make(to.system, to.component, upload.next, int(upload.kind)), to=to)
 
-    def _store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Answer]:
+    def _store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Reply]:
+        """The list is replaced, and the autopilot told."""
         self._plans[kind] = items
-        return [PlanReplaced(kind=kind)]
+        return list(self._autopilot.on_plan(kind))
+
+    def _do(self, command: Command) -> list[Reply]:
+        """What a message asks for that means the same as this command: without a COMMAND_ACK."""
+        done = self._autopilot.on_command(command)
+        return [each for each in done if not isinstance(each, Ack)]

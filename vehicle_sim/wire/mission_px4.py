@@ -9,10 +9,9 @@ import zlib
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
-from vehicle_sim.autopilots import Autopilot, Send, Sender, Text
+from vehicle_sim.autopilots import Autopilot, Reply, Send, Sender, Text
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.wire import mission_items as wire
-from vehicle_sim.wire.answers import Answer
 from vehicle_sim.wire.mission_items import MissionResult, Upload, ack
 from vehicle_sim.wire.mission_protocol import MissionProtocol
 
@@ -101,35 +100,35 @@ class Px4Missions(MissionProtocol):
 
     # --- in -----------------------------------------------------------------------------------
 
-    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Answer]:
+    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
         """Answer a message of the mission protocol that is for the autopilot."""
         link = self._links.setdefault(sender.link, _Link())
         upload = self._uploads.get(sender.link)
-        match message.get_msgId():
-            case wire.COUNT:
+        match message.get_type():
+            case "MISSION_COUNT":
                 return self._on_count(link, upload, message, sender, now_us)
-            case wire.ITEM | wire.ITEM_INT as number:
-                link.whole = number == wire.ITEM_INT
+            case "MISSION_ITEM" | "MISSION_ITEM_INT" as name:
+                link.whole = name == "MISSION_ITEM_INT"
                 return self._on_item(link, upload, message, sender, now_us)
-            case wire.REQUEST_LIST:
+            case "MISSION_REQUEST_LIST":
                 return self._on_request_list(link, upload, message, sender, now_us)
-            case wire.REQUEST | wire.REQUEST_INT as number:
-                link.whole = number == wire.REQUEST_INT
+            case "MISSION_REQUEST" | "MISSION_REQUEST_INT" as name:
+                link.whole = name == "MISSION_REQUEST_INT"
                 return self._on_request(link, upload, message, sender, now_us)
-            case wire.ACK:
+            case "MISSION_ACK":
                 return self._on_ack(link, upload, message, sender, now_us)
-            case wire.CLEAR_ALL if upload or link.sending:
+            case "MISSION_CLEAR_ALL" if upload or link.sending:
                 return [_critical("WPM: IGN CLEAR CMD: Busy")]
-            case wire.CLEAR_ALL:
+            case "MISSION_CLEAR_ALL":
                 return self._on_clear(message, sender)
-            case wire.SET_CURRENT if upload or link.sending:
+            case "MISSION_SET_CURRENT" if upload or link.sending:
                 return [_critical("WPM: IGN WP CURR CMD: Busy")]
-            case wire.SET_CURRENT:
+            case "MISSION_SET_CURRENT":
                 return self._on_set_current(message, sender)
             case _:
                 return []
 
-    def step(self, now_us: int) -> list[Answer]:
+    def step(self, now_us: int) -> list[Reply]:
         """Ask again for what did not come, and give up in the end; so with what is not fetched."""
         answers = self._repeat(now_us)
         for link in self._links.values():
@@ -141,7 +140,7 @@ class Px4Missions(MissionProtocol):
     def _whole(self, upload: Upload) -> bool:
         return self._links[upload.sender.link].whole
 
-    def _gave_up(self, upload: Upload) -> list[Answer]:
+    def _gave_up(self, upload: Upload) -> list[Reply]:
         del upload
         return [_critical("Operation timeout")]
 
@@ -149,7 +148,7 @@ class Px4Missions(MissionProtocol):
 
     def _on_count(
         self, link: _Link, upload: Upload | None, message: Any, sender: Sender, now_us: int
-    ) -> list[Answer]:
+    ) -> list[Reply]:
         asked = message.mission_type
         source = (sender.system, sender.component)
         refused = ack(MissionResult.ERROR, asked, sender)
@@ -173,11 +172,12 @@ class Px4Missions(MissionProtocol):
         link.partner, link.kind, link.next, link.count = source, kind, 0, message.count
         if message.count == 0:
             return [*self._store(kind, ()), ack(MissionResult.ACCEPTED, asked, sender)]
-        return self._begin(sender.link, kind, message.count - 1, sender, now_us)
+        upload = Upload(sender=sender, kind=kind, last=message.count - 1, heard_us=now_us)
+        return self._begin(sender.link, upload, now_us)
 
     def _on_item(
         self, link: _Link, upload: Upload | None, message: Any, sender: Sender, now_us: int
-    ) -> list[Answer]:
+    ) -> list[Reply]:
         if (sender.system, sender.component) != link.partner:
             return [_critical("REJ. MIS ITEM: partner id mismatch")]
         asked = message.mission_type
@@ -197,7 +197,7 @@ class Px4Missions(MissionProtocol):
         result = item if isinstance(item, MissionResult) else _judge(item, link.kind)
         if isinstance(item, MissionResult) or result is not MissionResult.ACCEPTED:
             del self._uploads[sender.link]
-            answers: list[Answer] = [ack(result, asked, sender)]
+            answers: list[Reply] = [ack(result, asked, sender)]
             if result is not MissionResult.ERROR:
                 answers.insert(0, _critical("IGN MISSION_ITEM: Invalid item"))
             return answers
@@ -212,11 +212,11 @@ class Px4Missions(MissionProtocol):
         answers = self._store(link.kind, items) if link.last_id != self._ids[link.kind] else []
         return [*answers, ack(MissionResult.ACCEPTED, link.kind, sender, link.last_id)]
 
-    def _store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Answer]:
+    def _store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Reply]:
         self._ids[kind] = opaque_id(items)
         return super()._store(kind, items)
 
-    def _on_clear(self, message: Any, sender: Sender) -> list[Answer]:
+    def _on_clear(self, message: Any, sender: Sender) -> list[Reply]:
         asked, kind = message.mission_type, wire.kind_of(message)
         kinds = list(PlanKind) if asked == _ALL_KINDS else [kind] if kind is not None else []
         answers = [answer for each in kinds for answer in self._store(each, ())]
@@ -226,7 +226,7 @@ class Px4Missions(MissionProtocol):
 
     def _on_request_list(
         self, link: _Link, upload: Upload | None, message: Any, sender: Sender, now_us: int
-    ) -> list[Answer]:
+    ) -> list[Reply]:
         source, kind = (sender.system, sender.component), wire.kind_of(message)
         if link.sending and link.next == link.count:
             link.sending = False  # all was sent; the acknowledgement never came
@@ -239,7 +239,7 @@ class Px4Missions(MissionProtocol):
 
     def _on_request(
         self, link: _Link, upload: Upload | None, message: Any, sender: Sender, now_us: int
-    ) -> list[Answer]:
+    ) -> list[Reply]:
         """In order, or the last one again."""
         if (sender.system, sender.component) != link.partner:
             return [_critical("WPM: REJ. CMD: partner id mismatch")]
@@ -265,7 +265,7 @@ class Px4Missions(MissionProtocol):
 
     def _on_ack(
         self, link: _Link, upload: Upload | None, message: Any, sender: Sender, now_us: int
-    ) -> list[Answer]:
+    ) -> list[Reply]:
         if (sender.system, sender.component) != link.partner:
             return [_critical("REJ. WP CMD: partner id mismatch")]
         if link.sending and message.mission_type == link.kind:
@@ -278,11 +278,11 @@ class Px4Missions(MissionProtocol):
                 del self._uploads[sender.link]
         return []
 
-    def _on_set_current(self, message: Any, sender: Sender) -> list[Answer]:
+    def _on_set_current(self, message: Any, sender: Sender) -> list[Reply]:
         if message.seq >= len(self._plans[PlanKind.MISSION]):
             return [_critical("WPM: WP CURR CMD: Not in list")]
         return [
-            wire.make_current(message.seq, sender),
+            *self._do(wire.make_current(message.seq, sender)),
             Send(message=wire.MISSION_CURRENT, to=None),
         ]
 

@@ -139,14 +139,10 @@ def fence_fault(items: Sequence[PlanItem]) -> Text | None:
     return Text(severity=_INFO, text="Incorrect item count") if left else None
 
 
-def is_circles_only(items: Sequence[PlanItem]) -> bool:
-    """A fence without any polygon."""
-    return bool(items) and not any(item.command in _POLYGONS for item in items)
-
-
-def has_polygon(items: Sequence[PlanItem]) -> bool:
-    """A fence with at least one polygon."""
-    return any(item.command in _POLYGONS for item in items)
+def only_circles_after_polygons(items: Sequence[PlanItem], before: Sequence[PlanItem]) -> bool:
+    """Whether a fence of circles alone takes the place of one with a polygon."""
+    has_polygon = [any(item.command in _POLYGONS for item in each) for each in (items, before)]
+    return bool(items) and has_polygon == [False, True]
 
 
 def _mixed(what: str, wanted: int, got: int) -> str:

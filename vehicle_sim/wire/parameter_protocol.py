@@ -11,12 +11,9 @@ from typing import Any, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Sender, Style
-from vehicle_sim.parameters import Kind, Parameters
-from vehicle_sim.wire.answers import Answer, Deliver, ParameterSet
+from vehicle_sim.autopilots import Autopilot, Reply, Say, Sender
+from vehicle_sim.parameters import Kind
 
-REQUEST_READ, REQUEST_LIST, SET = 20, 21, 23
-MESSAGES = frozenset({REQUEST_READ, REQUEST_LIST, SET})
 VALUES_PER_S = 1348 / 1.5
 """ArduPilot's 1,348 values take 1.5 s on loopback (ardupilot.md 1); PX4's are sent as fast."""
 _MOST_AT_ONCE = 20
@@ -27,7 +24,6 @@ _HASH = "_HASH_CHECK"
 _UINT32 = 5
 """MAV_PARAM_TYPE of the hash."""
 _WHOLE_RANGE = {Kind.INT8: 2**7, Kind.INT16: 2**15, Kind.INT32: 2**31}
-_LARGEST_FLOAT = 3.4028234663852886e38
 
 
 @final
@@ -45,12 +41,12 @@ class _Listing:
 class ParameterProtocol:
     """Serves one autopilot's parameters to all links; one listing at a time on each link."""
 
-    def __init__(self, parameters: Parameters, style: Style) -> None:
-        self._parameters = parameters
-        self._bytewise = style.bytewise_parameters
-        self._is_px4 = style.firmware == "px4"
+    def __init__(self, autopilot: Autopilot) -> None:
+        self._autopilot, self._parameters = autopilot, autopilot.parameters
+        self._bytewise = autopilot.style.bytewise_parameters
+        self._is_px4 = autopilot.style.firmware == "px4"
         self._listings: dict[int, _Listing] = {}
-        self._rows = parameters.rows
+        self._rows = self._parameters.rows
         self._indices = {row.name: index for index, row in enumerate(self._rows)}
 
     @property
@@ -60,37 +56,32 @@ class ParameterProtocol:
 
     # --- in -----------------------------------------------------------------------------------
 
-    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Answer]:
-        """Answer a message of MESSAGES that is for the autopilot."""
-        if message.get_msgId() == REQUEST_LIST:
+    def on_message(self, message: Any, sender: Sender, now_us: int) -> list[Reply]:
+        """Answer a PARAM_REQUEST_LIST, PARAM_REQUEST_READ or PARAM_SET for the autopilot."""
+        if message.get_type() == "PARAM_REQUEST_LIST":
             # PX4 leaves the hash out when a listing is begun again
             hash_first = self._is_px4 and sender.link not in self._listings
             self._listings[sender.link] = _Listing(sender, now_us, hash_first=hash_first)
             return []
-        if message.get_msgId() == REQUEST_READ:
-            return self._on_read(message, sender)
-        return self._on_set(message, sender)
+        handle = self._on_set if message.get_type() == "PARAM_SET" else self._on_read
+        return handle(message, sender)
 
-    def step(self, now_us: int) -> list[Answer]:
+    def step(self, now_us: int) -> list[Reply]:
         """The next values of each listing that is due; cheap if there is none."""
-        answers = list[Answer]()
+        answers = list[Reply]()
         for link, listing in list(self._listings.items()):
             due = int((now_us - listing.begun_us) * 1e-6 * VALUES_PER_S)
             last = min(due, listing.sent + _MOST_AT_ONCE, len(self._rows))
             if listing.hash_first and last > listing.sent:
                 listing.hash_first = False
-                answers.append(Deliver(message=self._hash_value(), to=listing.to))
+                answers.append(Say(message=self._hash_value(), to=listing.to))
             for index in range(listing.sent, last):
                 value = self.value(self._rows[index].name, index)
-                answers.append(Deliver(message=value, to=listing.to))
+                answers.append(Say(message=value, to=listing.to))
             listing.sent = max(listing.sent, last)
             if listing.sent >= len(self._rows):
                 del self._listings[link]
         return answers
-
-    def close(self, link: int) -> None:
-        """The link is gone."""
-        self._listings.pop(link, None)
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -105,8 +96,6 @@ class ParameterProtocol:
         row, value = self._parameters.row(name), self._parameters[name]
         if self._bytewise and row.kind is not Kind.REAL32:
             (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
-        elif math.isfinite(value):
-            value = min(max(value, -_LARGEST_FLOAT), _LARGEST_FLOAT)
         return self._message(name, value, row.kind, index)
 
     def _message(self, name: str, value: float, kind: int, index: int) -> Any:
@@ -123,11 +112,8 @@ class ParameterProtocol:
         crc = 0
         for row in self._rows:
             value = self._parameters[row.name]
-            raw = (
-                struct.pack("<f", value)
-                if row.kind is Kind.REAL32
-                else struct.pack("<i", int(value))
-            )
+            is_real = row.kind is Kind.REAL32
+            raw = struct.pack("<f", value) if is_real else struct.pack("<i", int(value))
             for part in (row.name.encode("ascii"), raw):  # a plain CRC-32 begun at zero
                 crc = zlib.crc32(part, crc ^ 0xFFFFFFFF) ^ 0xFFFFFFFF
         (as_float,) = struct.unpack("<f", struct.pack("<I", crc))
@@ -135,20 +121,19 @@ class ParameterProtocol:
 
     # --- reading and setting ------------------------------------------------------------------
 
-    def _on_read(self, message: Any, sender: Sender) -> list[Answer]:
+    def _on_read(self, message: Any, sender: Sender) -> list[Reply]:
         """Nobody answers a request for what there is not."""
         index, name = message.param_index, message.param_id
         if index >= 0:
-            if index >= len(self._rows):
-                return []
-            return [Deliver(message=self.value(self._rows[index].name, index), to=sender)]
+            found = self._rows[index : index + 1]
+            return [Say(message=self.value(row.name, index), to=sender) for row in found]
         if self._is_px4 and name == _HASH:
-            return [Deliver(message=self._hash_value(), to=sender)]
+            return [Say(message=self._hash_value(), to=sender)]
         if name not in self._parameters:
             return []
-        return [Deliver(message=self.value(name), to=sender)]
+        return [Say(message=self.value(name), to=sender)]
 
-    def _on_set(self, message: Any, sender: Sender) -> list[Answer]:
+    def _on_set(self, message: Any, sender: Sender) -> list[Reply]:
         name = message.param_id
         if self._is_px4 and name == _HASH:
             self._listings.pop(sender.link, None)  # the client has a copy: stop
@@ -160,9 +145,9 @@ class ParameterProtocol:
             return []
         if not math.isfinite(value):
             # ArduPilot ignores it; PX4 compares it with the old value, which is never different
-            return [Deliver(message=self.value(name), to=sender)] if self._is_px4 else []
+            return [Say(message=self.value(name), to=sender)] if self._is_px4 else []
         self._parameters[name] = value
-        return [Deliver(message=self.value(name)), ParameterSet(name=name)]
+        return [Say(message=self.value(name)), *self._autopilot.on_parameter(name)]
 
     def _asked(self, message: Any, kind: Kind) -> float | None:
         """The value that a PARAM_SET means; None for one of the wrong type (PX4 only)."""

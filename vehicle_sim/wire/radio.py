@@ -5,14 +5,14 @@ not.  Frames that are for somebody on another link go there unchanged.
 """
 
 from collections.abc import Container, Iterable
-from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from vehicle_sim.autopilots import Style
+from vehicle_sim.faults.conditions import LinkConditions
 from vehicle_sim.wire.frames import Packer, StreamParser
-from vehicle_sim.wire.impairments import Impairments, LinkConditions
+from vehicle_sim.wire.impairments import Impairments
 from vehicle_sim.wire.messages import AUTOPILOT_COMPONENT
 from vehicle_sim.wire.routing import Router, targets
 from vehicle_sim.wire.signing import Signing
@@ -21,8 +21,7 @@ _TIMESYNC = 111
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Received:
+class Received(NamedTuple):
     """A message that is for this vehicle."""
 
     link: int
@@ -129,14 +128,8 @@ class Radio:
             if self._forwards_all or targets(message)[0] == self._system:
                 self._outbox += [(other, frame) for other in route.links if other in self.links]
             if route.to_autopilot or route.to_radar:
-                received.append(
-                    Received(
-                        link=link,
-                        message=message,
-                        to_autopilot=route.to_autopilot,
-                        to_radar=route.to_radar,
-                    )
-                )
+                to = (route.to_autopilot, route.to_radar)
+                received.append(Received(link, message, *to))
         return received
 
     # --- out ----------------------------------------------------------------------------------

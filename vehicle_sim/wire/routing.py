@@ -6,12 +6,13 @@ started with forwarding, as those of its simulator are.
 """
 
 from dataclasses import dataclass
-from typing import Any, Final, Literal, final
+from typing import Any, Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from vehicle_sim.parameters import Firmware
+
 Target = tuple[int | None, int | None]
-Firmware = Literal["ardupilot", "px4"]
 
 _HEARTBEAT: Final = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 _NEVER_FORWARDED: Final = frozenset(
@@ -83,11 +84,6 @@ class Router:
         self._routes.clear()
         self._links.clear()
 
-    def close(self, link: int) -> None:
-        """The link is gone, and with it the way to whoever lived there."""
-        self._routes = {route for route in self._routes if route[2] != link}
-        self._links = [each for each in self._links if each != link]
-
     def heard(self, link: int) -> bool:
         """Whether somebody has spoken on this link since the boot."""
         return link in self._links
@@ -129,7 +125,8 @@ class Router:
         if system == self._system and component == self._component:
             return Route(to_autopilot=self._accepts(source))
         ours = not system or system == self._system
-        links = self._matching(system, component, link)
+        anybody = not component or system != self._system
+        links = self._matching(system, component, link, anybody=anybody)
         to_radar = self._hears(system, component)
         only_radar = to_radar and component == self._radar
         # what is for a component that lives nowhere else, ArduPilot takes for its own
@@ -139,24 +136,19 @@ class Router:
         return Route(links=links, to_autopilot=local and self._accepts(source), to_radar=to_radar)
 
     def _matching(
-        self, target_system: int | None, target_component: int | None, link: int
+        self, system: int | None, component: int | None, link: int, *, anybody: bool
     ) -> tuple[int, ...]:
-        """The links, other than the one it came by, where one lives whom it is for."""
-        everybody = not target_system
-        anybody = not target_component or target_system != self._system
-        return tuple(
-            sorted(
-                {
-                    at
-                    for system, component, at in self._routes
-                    if at != link
-                    and (
-                        everybody
-                        or (system == target_system and (anybody or component == target_component))
-                    )
-                }
-            )
-        )
+        """The links, other than the one it came by, where one lives whom it is for.
+
+        anybody: whatever its component is.
+        """
+        found = {
+            at
+            for its_system, its_component, at in self._routes
+            if at != link
+            and (not system or (its_system == system and (anybody or its_component == component)))
+        }
+        return tuple(sorted(found))
 
     def _accepts(self, source: tuple[int, int]) -> bool:
         return not self.enforce or source[0] in (self._system, self.ground_system)
@@ -165,8 +157,11 @@ class Router:
 
     def _px4(self, message: Any, link: int) -> Route:
         system, component = targets(message)
+        links: tuple[int, ...] = ()
+        if (system, component) != (self._system, self._component):  # for PX4 alone
+            links = self._matching(system, component, link, anybody=not component)
         return Route(
-            links=self._px4_links(system, component, link),
+            links=links,
             to_autopilot=self._px4_takes(message, system, component),
             to_radar=self._hears(system, component),
         )
@@ -181,21 +176,3 @@ class Router:
         return (
             system == self._system if number in _ADDRESSED else system in (None, 0, self._system)
         ) and (component in mine or (number in _MISSION and component == _MISSION_PLANNER))
-
-    def _px4_links(self, system: int | None, component: int | None, link: int) -> tuple[int, ...]:
-        """The other links on which the target has been seen; nothing that is for PX4 alone."""
-        if system == self._system and component == self._component:
-            return ()
-        return tuple(
-            sorted(
-                {
-                    at
-                    for its_system, its_component, at in self._routes
-                    if at != link
-                    and (
-                        not system
-                        or (system == its_system and (not component or component == its_component))
-                    )
-                }
-            )
-        )

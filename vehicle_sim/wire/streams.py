@@ -11,8 +11,7 @@ from typing import Any, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Result, Send, Style, Text
-from vehicle_sim.wire.answers import Answer, Deliver
+from vehicle_sim.autopilots import Ack, Command, Reply, Result, Say, Send, Style, Text
 
 GET_MESSAGE_INTERVAL = 510
 SET_MESSAGE_INTERVAL = 511
@@ -54,19 +53,10 @@ class Streams:
         if not self._links:
             self._booted_us = now_us
         self._links.add(link)
-        for key in [key for key in self._intervals_us if key[0] == link]:
-            del self._intervals_us[key]
-        for number in self._style.rates_hz:
-            if interval_us := self._default_us(number):
-                self._intervals_us[link, number] = interval_us
+        kept = {key: us for key, us in self._intervals_us.items() if key[0] != link}
+        fresh = {(link, number): self._default_us(number) for number in self._style.rates_hz}
+        self._intervals_us = kept | {key: us for key, us in fresh.items() if us}
         self._rebuild(link, now_us)
-
-    def close(self, link: int) -> None:
-        """The link is gone."""
-        self._links.discard(link)
-        for key in [key for key in self._intervals_us if key[0] == link]:
-            del self._intervals_us[key]
-        self._rebuild(link, 0)
 
     def restart(self, now_us: int) -> None:
         """The autopilot boots: every interval that was asked for is gone."""
@@ -93,7 +83,7 @@ class Streams:
 
     # --- what clients ask for -----------------------------------------------------------------
 
-    def on_command(self, command: Command, now_us: int) -> list[Answer]:
+    def on_command(self, command: Command, now_us: int) -> list[Reply]:
         """Answer a command of COMMANDS."""
         if command.number == SET_MESSAGE_INTERVAL:
             return self._on_set(command, now_us)
@@ -112,9 +102,9 @@ class Streams:
         if members:
             self._set(link, members, round(1e6 / rate_hz) if rate_hz else 0, now_us)
 
-    def _on_set(self, command: Command, now_us: int) -> list[Answer]:
+    def _on_set(self, command: Command, now_us: int) -> list[Reply]:
         number, interval_us, *rest = command.parameters
-        answers = list[Answer]()
+        answers = list[Reply]()
         known = _whole(number)
         if self._uses_reserved(rest):
             result = Result.FAILED if self._is_px4 else Result.DENIED
@@ -152,7 +142,7 @@ class Streams:
             return 0
         return min(max(whole_us // 1000 * 1000, _SHORTEST_US), _LONGEST_US)
 
-    def _on_get(self, command: Command) -> list[Answer]:
+    def _on_get(self, command: Command) -> list[Reply]:
         number = _whole(command.parameters[0])
         interval_us = self.interval_us(command.sender.link, number)
         known = number in self._style.streamable
@@ -161,9 +151,9 @@ class Streams:
         shown = number & 0xFFFF  # the field has 16 bits
         message = mavlink.MAVLink_message_interval_message(shown, interval_us)
         result = Result.ACCEPTED if known or self._is_px4 else Result.FAILED
-        return [Deliver(message=message, to=command.sender), _ack(command, result)]
+        return [Say(message=message, to=command.sender), _ack(command, result)]
 
-    def _on_request(self, command: Command) -> list[Answer]:
+    def _on_request(self, command: Command) -> list[Reply]:
         number = _whole(command.parameters[0])
         if number not in self._style.requestable:
             return [_ack(command, Result.DENIED if self._is_px4 else Result.FAILED)]

@@ -11,6 +11,7 @@ from typing import Any, Final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Estimate, Place, Report
+from vehicle_sim.wire.dialect import message_class
 from vehicle_sim.wire.frames import bounded, degrees_e7
 
 INT16, INT32, UINT16 = 32767, 2_147_483_647, 65535
@@ -27,15 +28,25 @@ Form = Mapping[str, Value | Callable[[Report], Any]]
 A key may name several fields ("x y z"); then there are as many values.  What is not named is zero.
 A field that is None: there is nothing to say now.
 """
+Table = Mapping[str, Form]
+"""By name of the message; time_boot_ms and time_usec need no mention: they are since boot."""
 
 
-def builders(table: Mapping[str, Form]) -> dict[int, Builder]:
-    """What makes the messages of this table, by message number."""
-    kinds = {name: getattr(mavlink, f"MAVLink_{name.lower()}_message") for name in table}
-    return {kind.id: _builder(kind, table[name]) for name, kind in kinds.items()}
+def builders(firmware: Table) -> dict[int, Builder]:
+    """What makes the messages of COMMON and of this firmware, by message number.
+
+    A message that is in both has the fields of both; where they name the same, the firmware's.
+    """
+    kinds = {name: message_class(name) for name in {**COMMON, **firmware}}
+    return {
+        kind.id: _builder(kind, {**COMMON.get(name, {}), **firmware.get(name, {})})
+        for name, kind in kinds.items()
+    }
 
 
 def _builder(kind: Any, form: Form) -> Builder:
+    times = {"time_boot_ms": boot_ms, "time_usec": time_us}
+    form = {name: take for name, take in times.items() if name in kind.fieldnames} | dict(form)
     places = {name: place for place, name in enumerate(kind.fieldnames)}
     lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
     blank: list[Any] = [
@@ -209,57 +220,48 @@ def _target(report: Report) -> tuple[float, ...] | None:
 
 # --- the table ------------------------------------------------------------------------------------
 
-ATTITUDE: Final[Form] = {"time_boot_ms": boot_ms, "roll pitch yaw": attitude_rad}
-ATTITUDE_QUATERNION: Final[Form] = {"time_boot_ms": boot_ms, "q1 q2 q3 q4": quaternion}
-GLOBAL_POSITION_INT: Final[Form] = {
-    "time_boot_ms": boot_ms,
-    "lat lon alt": lambda r: place_e7_mm(r.estimate),
-    "relative_alt": _above_home_mm,
-    "vx vy vz": _velocity_cm_s,
-    "hdg": heading_cdeg,
-}
-GPS_RAW_INT: Final[Form] = {
-    "time_usec": lambda r: r.fix.time_us,
-    GPS_FIELDS: gps_solution,
-    "satellites_visible": lambda r: min(r.fix.satellites, 255),
-    "alt_ellipsoid": lambda r: bounded(r.fix.altitude_amsl_m * 1e3, INT32),
-    "h_acc v_acc vel_acc": _gps_accuracies_mm,
-}
-VFR_HUD: Final[Form] = {
-    "airspeed": lambda r: r.vehicle.airspeed_m_s,
-    "groundspeed": ground_speed_m_s,
-    "heading": lambda r: heading_cdeg(r) // 100,
-    "throttle": lambda r: round(throttle(r) * 100.0),
-    "alt": lambda r: r.estimate.altitude_amsl_m,
-    "climb": lambda r: r.estimate.velocity_up_m_s,
-}
-MISSION_CURRENT: Final[Form] = {
-    "seq total": lambda r: (r.status.mission_current, r.status.mission_total),
-    "mission_state": lambda r: r.status.mission_state,
-}
-HOME_POSITION: Final[Form] = {
-    "latitude longitude altitude": lambda r: place_e7_mm(r.status.home),
-    "time_usec": time_us,
-}
-COMMON: Final[Mapping[str, Form]] = {
+COMMON: Final[Table] = {
+    "ATTITUDE": {"roll pitch yaw": attitude_rad},
+    "ATTITUDE_QUATERNION": {"q1 q2 q3 q4": quaternion},
+    "GLOBAL_POSITION_INT": {
+        "lat lon alt": lambda r: place_e7_mm(r.estimate),
+        "relative_alt": _above_home_mm,
+        "vx vy vz": _velocity_cm_s,
+        "hdg": heading_cdeg,
+    },
+    "GPS_RAW_INT": {
+        "time_usec": lambda r: r.fix.time_us,
+        GPS_FIELDS: gps_solution,
+        "satellites_visible": lambda r: min(r.fix.satellites, 255),
+        "alt_ellipsoid": lambda r: bounded(r.fix.altitude_amsl_m * 1e3, INT32),
+        "h_acc v_acc vel_acc": _gps_accuracies_mm,
+    },
+    "VFR_HUD": {
+        "airspeed": lambda r: r.vehicle.airspeed_m_s,
+        "groundspeed": ground_speed_m_s,
+        "heading": lambda r: heading_cdeg(r) // 100,
+        "throttle": lambda r: round(throttle(r) * 100.0),
+        "alt": lambda r: r.estimate.altitude_amsl_m,
+        "climb": lambda r: r.estimate.velocity_up_m_s,
+    },
+    "MISSION_CURRENT": {
+        "seq total": lambda r: (r.status.mission_current, r.status.mission_total),
+        "mission_state": lambda r: r.status.mission_state,
+    },
+    "HOME_POSITION": {"latitude longitude altitude": lambda r: place_e7_mm(r.status.home)},
     "HEARTBEAT": {
         "type autopilot": lambda r: (r.style.vehicle_type, r.style.autopilot),
         "base_mode custom_mode": lambda r: (r.status.base_mode, r.status.mode),
         "system_status": lambda r: r.status.system_status,
         "mavlink_version": 3,
     },
-    "SYSTEM_TIME": {"time_unix_usec": lambda r: r.unix_us, "time_boot_ms": boot_ms},
+    "SYSTEM_TIME": {"time_unix_usec": lambda r: r.unix_us},
     "LOCAL_POSITION_NED": {
-        "time_boot_ms": boot_ms,
         "x y z": lambda r: r.status.local_ned_m,
         "vx vy vz": velocity_ned_m_s,
     },
-    "GPS_GLOBAL_ORIGIN": {
-        "latitude longitude altitude": lambda r: place_e7_mm(r.status.origin),
-        "time_usec": time_us,
-    },
+    "GPS_GLOBAL_ORIGIN": {"latitude longitude altitude": lambda r: place_e7_mm(r.status.origin)},
     "POSITION_TARGET_LOCAL_NED": {
-        "time_boot_ms": boot_ms,
         "coordinate_frame": mavlink.MAV_FRAME_LOCAL_NED,
         TARGET_FIELDS: _target,
     },

@@ -18,11 +18,9 @@ from vehicle_sim.wire.telemetry import (
     UINT16,
     Form,
     attitude_rad,
-    boot_ms,
     is_plane,
     place_e7,
     throttle,
-    time_us,
 )
 
 _GPS, _ALTITUDE, _POSITION, _AHRS = 0x20, 0x2000, 0x4000, 0x20_0000
@@ -231,7 +229,6 @@ def _motors(report: Report) -> tuple[bytes, list[int], list[int], list[int], lis
 
 
 _IMU: Final[Form] = {
-    "time_boot_ms": boot_ms,
     "xacc yacc zacc": _milli_g,
     "xmag ymag zmag": _FIELD_MGAUSS,
     "temperature": 2512,
@@ -240,7 +237,6 @@ _RATES: Final[Form] = {"rollspeed pitchspeed yawspeed": _rates_rad_s}
 
 MESSAGES: Final = telemetry.builders(
     {
-        **telemetry.COMMON,
         "SYS_STATUS": {
             "onboard_control_sensors_present onboard_control_sensors_enabled "
             "onboard_control_sensors_health": _masks,
@@ -248,11 +244,11 @@ MESSAGES: Final = telemetry.builders(
             "current_battery": lambda r: bounded(r.battery.current_a * 100.0, INT16),
             "battery_remaining": _percent,
         },
-        "ATTITUDE": {**telemetry.ATTITUDE, **_RATES},
-        "ATTITUDE_QUATERNION": {**telemetry.ATTITUDE_QUATERNION, **_RATES},
+        "ATTITUDE": _RATES,
+        "ATTITUDE_QUATERNION": _RATES,
         # its question, every ten seconds: the last digit tells it from those of others
         "TIMESYNC": {"ts1": lambda r: r.time_us * 1000 + 1},
-        "GLOBAL_POSITION_INT": {**telemetry.GLOBAL_POSITION_INT, "lat lon alt": _place},
+        "GLOBAL_POSITION_INT": {"lat lon alt": _place},
         "BATTERY_STATUS": {
             "temperature": INT16,
             "voltages": lambda r: [bounded(r.battery.voltage_v * 1000.0, INT16), *[_NO_CELL] * 9],
@@ -262,8 +258,8 @@ MESSAGES: Final = telemetry.builders(
             "battery_remaining": _percent,
             "charge_state": 1,
         },
-        "GPS_RAW_INT": {**telemetry.GPS_RAW_INT, telemetry.GPS_FIELDS: _gps_solution},
-        "VFR_HUD": {**telemetry.VFR_HUD, "airspeed": _indicated_m_s, "alt": _shown_altitude_m},
+        "GPS_RAW_INT": {telemetry.GPS_FIELDS: _gps_solution},
+        "VFR_HUD": {"airspeed": _indicated_m_s, "alt": _shown_altitude_m},
         "EKF_STATUS_REPORT": {
             "flags": lambda r: r.estimate.flags,
             "velocity_variance": lambda r: r.estimate.velocity_variance,
@@ -273,10 +269,9 @@ MESSAGES: Final = telemetry.builders(
             "airspeed_variance": _airspeed_variance,
         },
         # no attitude of the surface is known
-        "HOME_POSITION": {**telemetry.HOME_POSITION, "x y z": _home_ned_m, "q": [_NAN] * 4},
+        "HOME_POSITION": {"x y z": _home_ned_m, "q": [_NAN] * 4},
         "EXTENDED_SYS_STATE": {
-            "vtol_state": lambda r: 0 if is_plane(r) else mavlink.MAV_VTOL_STATE_MC,
-            "landed_state": lambda r: r.status.landed_state,
+            "vtol_state": lambda r: 0 if is_plane(r) else mavlink.MAV_VTOL_STATE_MC
         },
         "AUTOPILOT_VERSION": {
             "capabilities": lambda r: r.style.capabilities,
@@ -285,7 +280,6 @@ MESSAGES: Final = telemetry.builders(
             "uid2": lambda r: [*r.hardware_id.to_bytes(8, "little"), *[0] * 10],
         },
         "POSITION_TARGET_GLOBAL_INT": {
-            "time_boot_ms": boot_ms,
             "coordinate_frame": mavlink.MAV_FRAME_GLOBAL,
             "type_mask": _TARGET_MASK_GLOBAL,
             "lat_int lon_int alt": _waypoint,
@@ -295,7 +289,6 @@ MESSAGES: Final = telemetry.builders(
             "nav_pitch": lambda r: math.degrees(r.vehicle.pitch_rad),
             "nav_bearing target_bearing wp_dist alt_error aspd_error xtrack_error": _navigation,
         },
-        "MISSION_CURRENT": telemetry.MISSION_CURRENT,
         "FENCE_STATUS": {"breach_status breach_count breach_type breach_time": _fence},
         "WIND": {"direction speed": _wind, "speed_z": lambda r: -r.vehicle.wind_up_m_s},
         # it has no terrain data, and asks for some until somebody answers
@@ -309,27 +302,21 @@ MESSAGES: Final = telemetry.builders(
             "grid_spacing": 100,
             "mask": (1 << 56) - 1,
         },
-        "RAW_IMU": {
-            "time_usec": time_us,
-            **{key: value for key, value in _IMU.items() if key != "time_boot_ms"},
-        },
+        "RAW_IMU": _IMU,
         "SCALED_IMU": _IMU,
         "SCALED_IMU2": _IMU,
-        "SCALED_IMU3": {"time_boot_ms": boot_ms, "xmag ymag zmag": _FIELD_MGAUSS},
+        "SCALED_IMU3": {"xmag ymag zmag": _FIELD_MGAUSS},
         "SCALED_PRESSURE": {
-            "time_boot_ms": boot_ms,
             "press_abs": _pressure_hpa,
             "press_diff": lambda r: _dynamic_pressure(r, 0.005) or 0.0,
             "temperature": 2540,
         },
         "SCALED_PRESSURE2": {
-            "time_boot_ms": boot_ms,
             "press_abs": lambda r: _pressure_hpa(r) - 0.012,
             "temperature": 2540,
         },
         # SITL's: sticks centred, throttle down
         "RC_CHANNELS": {
-            "time_boot_ms": boot_ms,
             "chancount": 8,
             "chan1_raw chan2_raw chan3_raw chan4_raw": (1500, 1500, 1000, 1500),
             "chan5_raw chan6_raw chan7_raw chan8_raw": (1800, 1000, 1000, 1800),
@@ -358,10 +345,7 @@ MESSAGES: Final = telemetry.builders(
             "xacc yacc zacc": _specific_force,
             "lat lng": lambda r: place_e7(r.vehicle),
         },
-        "VIBRATION": {
-            "time_usec": time_us,
-            "vibration_x vibration_y vibration_z": (0.02, 0.02, 0.02),
-        },
+        "VIBRATION": {"vibration_x vibration_y vibration_z": (0.02, 0.02, 0.02)},
         "AIRSPEED": {
             "airspeed": _indicated_m_s,
             "temperature": INT16,

@@ -11,13 +11,12 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Landed, Report
 from vehicle_sim.autopilots.px4.modes import CUSTOM_MODES, Mode, standard_mode
-from vehicle_sim.wire import px4_messages, telemetry
+from vehicle_sim.wire import telemetry
 from vehicle_sim.wire.frames import bounded
 from vehicle_sim.wire.telemetry import (
     INT16,
     INT32,
     UINT16,
-    Builder,
     Form,
     boot_ms,
     is_plane,
@@ -246,9 +245,8 @@ def _wind(report: Report) -> tuple[float, float] | None:
 # --- the table ------------------------------------------------------------------------------------
 
 _RATES: Final[Form] = {"rollspeed pitchspeed yawspeed": _rates_rad_s}
-_MESSAGES: Final = telemetry.builders(
+MESSAGES: Final = telemetry.builders(
     {
-        **telemetry.COMMON,
         "SYS_STATUS": {
             "onboard_control_sensors_present onboard_control_sensors_enabled "
             "onboard_control_sensors_health": _masks,
@@ -258,20 +256,13 @@ _MESSAGES: Final = telemetry.builders(
             "battery_remaining": lambda r: math.ceil(per_cent_left(r)),
             "onboard_control_sensors_health_extended": 1,
         },
-        "PING": {"time_usec": time_us, "seq": lambda r: r.time_us // 1_000_000},
-        "GPS_RAW_INT": {**telemetry.GPS_RAW_INT, "time_usec": lambda r: r.fix.time_us or None},
-        "GLOBAL_POSITION_INT": {
-            **telemetry.GLOBAL_POSITION_INT,
-            "time_boot_ms": lambda r: boot_ms(r) if r.status.origin else None,
-        },
-        "MISSION_CURRENT": {**telemetry.MISSION_CURRENT, "mission_mode": _mission_mode},
-        "VFR_HUD": {
-            **telemetry.VFR_HUD,
-            "airspeed": lambda r: r.vehicle.airspeed_m_s if is_plane(r) else _NAN,
-        },
+        "PING": {"seq": lambda r: r.time_us // 1_000_000},
+        "GPS_RAW_INT": {"time_usec": lambda r: r.fix.time_us or None},
+        "GLOBAL_POSITION_INT": {"time_boot_ms": lambda r: boot_ms(r) if r.status.origin else None},
+        "MISSION_CURRENT": {"mission_mode": _mission_mode},
+        "VFR_HUD": {"airspeed": lambda r: r.vehicle.airspeed_m_s if is_plane(r) else _NAN},
         # the navigator's place with the controller's vectors
         "POSITION_TARGET_GLOBAL_INT": {
-            "time_boot_ms": boot_ms,
             "coordinate_frame": mavlink.MAV_FRAME_GLOBAL_INT,
             "lat_int lon_int alt": _waypoint,
             "vx vy vz afx afy afz yaw yaw_rate": _aim,
@@ -298,7 +289,6 @@ _MESSAGES: Final = telemetry.builders(
             "uid": lambda r: r.hardware_id,
         },
         "ESTIMATOR_STATUS": {
-            "time_usec": time_us,
             "flags": lambda r: r.estimate.flags,
             "vel_ratio pos_horiz_ratio pos_vert_ratio mag_ratio hagl_ratio tas_ratio": (
                 _estimator_ratios
@@ -306,29 +296,26 @@ _MESSAGES: Final = telemetry.builders(
             "pos_horiz_accuracy": lambda r: r.estimate.horizontal_accuracy_m,
             "pos_vert_accuracy": lambda r: r.estimate.vertical_accuracy_m,
         },
-        "HOME_POSITION": {**telemetry.HOME_POSITION, "z": _home_down_m, "q": (1.0, 0.0, 0.0, 0.0)},
-        "ORBIT_EXECUTION_STATUS": {"time_usec": time_us, "radius x y z": _orbit},
+        "HOME_POSITION": {"z": _home_down_m, "q": (1.0, 0.0, 0.0, 0.0)},
+        "ORBIT_EXECUTION_STATUS": {"radius x y z": _orbit},
         "CURRENT_MODE": {"standard_mode custom_mode intended_custom_mode": _modes},
         "SCALED_PRESSURE": {
-            "time_boot_ms": boot_ms,
             "press_abs": _pressure_hpa,
             "temperature": lambda r: bounded(1500.0 - 0.65 * r.vehicle.altitude_amsl_m, INT16),
         },
-        "ATTITUDE": {**telemetry.ATTITUDE, **_RATES},
-        "ATTITUDE_QUATERNION": {**telemetry.ATTITUDE_QUATERNION, **_RATES},
+        "ATTITUDE": _RATES,
+        "ATTITUDE_QUATERNION": _RATES,
         "SERVO_OUTPUT_RAW": {
             "time_usec": lambda r: r.time_us & 0xFFFFFFFF,
             "servo1_raw servo2_raw servo3_raw servo4_raw": _servos,
             **{f"servo{k}_raw": 900 for k in range(5, 17)},
         },
         "ATTITUDE_TARGET": {
-            "time_boot_ms": boot_ms,
             "q": quaternion,
             "body_roll_rate body_pitch_rate body_yaw_rate": _rates_rad_s,
             "thrust": lambda r: r.vehicle.throttle,
         },
         "HIGHRES_IMU": {
-            "time_usec": time_us,
             "xacc yacc zacc": _specific_force,
             "xgyro ygyro zgyro": _rates_rad_s,
             "xmag ymag zmag": lambda r: _body(r, 0.21, 0.0125, 0.43),
@@ -338,21 +325,18 @@ _MESSAGES: Final = telemetry.builders(
             "fields_updated": 7167,
         },
         "DISTANCE_SENSOR": {
-            "time_boot_ms": boot_ms,
             "max_distance": 10000,
             "current_distance": _range_cm,
             "orientation": 25,
         },
         "ALTITUDE": {
-            "time_usec": time_us,
             "altitude_monotonic": lambda r: r.vehicle.altitude_amsl_m,
             "altitude_amsl altitude_local altitude_relative altitude_terrain bottom_clearance": (
                 _altitudes_m
             ),
         },
-        "VIBRATION": {"time_usec": time_us, "vibration_x vibration_y vibration_z": _vibration},
+        "VIBRATION": {"vibration_x vibration_y vibration_z": _vibration},
         "ODOMETRY": {
-            "time_usec": time_us,
             "frame_id child_frame_id": (mavlink.MAV_FRAME_LOCAL_NED,) * 2,
             "x y z": lambda r: r.status.local_ned_m,
             "q": quaternion,
@@ -386,21 +370,21 @@ _MESSAGES: Final = telemetry.builders(
             "timestamp": _DRONE_ID_TIME,
         },
         "WIND_COV": {
-            "time_usec": time_us,
             "wind_x wind_y": _wind,
             "var_horiz": 0.8,
             "wind_alt": lambda r: r.estimate.altitude_amsl_m,
         },
+        "LINK_NODE_STATUS": {"timestamp": time_us},
+        "PROTOCOL_VERSION": {"version min_version max_version": (200, 100, 200)},
+        "TIME_ESTIMATE_TO_TARGET": {
+            "safe_return": _return_s,
+            "land mission_next_item mission_end commanded_action": (-1,) * 4,
+        },
+        # so that who has missed an event can ask for it; flags 1: the sequence has begun anew
+        "CURRENT_EVENT_SEQUENCE": {
+            "sequence": lambda r: r.event_sequence,
+            "flags": lambda r: 1 if r.time_us < 3_000_000 else 0,
+        },
     }
 )
-MESSAGES: Final[dict[int, Builder]] = {
-    **_MESSAGES,
-    8: lambda r: px4_messages.link_node_status(r.time_us),
-    300: lambda _: px4_messages.protocol_version(),
-    380: lambda r: px4_messages.time_estimate_to_target(_return_s(r)),
-    # flags 1: the sequence has begun anew
-    411: lambda r: px4_messages.current_event_sequence(
-        r.event_sequence, 1 if r.time_us < 3_000_000 else 0
-    ),
-}
 """What can be said, by message number; None while there is nothing to say."""

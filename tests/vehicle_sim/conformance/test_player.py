@@ -13,7 +13,7 @@ from vehicle_sim.conformance.messages import decoded
 from vehicle_sim.conformance.player import Player
 from vehicle_sim.conformance.simulated import timeline, world_of
 from vehicle_sim.dynamics.plane import Plane
-from vehicle_sim.faults import Timeline
+from vehicle_sim.faults.timeline import Timeline
 
 Recorded = Callable[[str], Recording]
 STEP_US = 10_000

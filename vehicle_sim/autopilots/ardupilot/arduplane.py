@@ -46,7 +46,7 @@ from vehicle_sim.autopilots.attitude import (
 )
 from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.dynamics.plane import Plane
-from vehicle_sim.faults import SIM_PARAMETERS
+from vehicle_sim.faults.conditions import SIM_PARAMETERS
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 

@@ -52,7 +52,7 @@ from vehicle_sim.autopilots.px4.setpoints import Bearings, Target, Vector, read_
 from vehicle_sim.autopilots.px4.trajectory import Orbit
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
-from vehicle_sim.faults import SIM_PARAMETERS_PX4
+from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Parameter, Parameters
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
