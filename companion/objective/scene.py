@@ -204,7 +204,7 @@ def cost_table(x: FloatArray, scene: FlightScene) -> dict[str, FloatArray]:
         _height(points, scene),
         _guide(control, scene),
         _crash(points, first, scene) * each,
-        _radar(points, scene) * each,
+        detections(points, scene.radars, scene.radar_margin_m) * RADAR_SCALE * each,
         (_steering(first, second, scene) + _outside(points, scene)) * each,
         _to_go_m(control, scene) * _per_metre(scene),
     )
@@ -262,10 +262,17 @@ def _height(points: FloatArray, scene: FlightScene) -> FloatArray:
 def _guide(control: FloatArray, scene: FlightScene) -> FloatArray:
     if scene.final_ne_m is not None:
         return np.zeros(len(control))
-    offset = control[:, -1, :2] - np.asarray(scene.scan_ne_m)
-    angle = np.arctan2(offset[:, 1], offset[:, 0]) - scene.guide_rad
-    angle = np.abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
-    return angle * (scene.guide_share * 100.0 / math.pi)
+    off_rad = off_guide_rad(control, scene.scan_ne_m, scene.guide_rad)
+    return off_rad * (scene.guide_share * 100.0 / math.pi)
+
+
+def off_guide_rad(
+    control: FloatArray, scan_ne_m: tuple[float, float], guide_rad: float
+) -> FloatArray:
+    """Angle at p_scan between the end and the guide direction.  (P, points, 3) -> (P,)."""
+    offset = control[:, -1, :2] - np.asarray(scan_ne_m)
+    angle = np.arctan2(offset[:, 1], offset[:, 0]) - guide_rad
+    return np.asarray(np.abs((angle + math.pi) % (2.0 * math.pi) - math.pi))
 
 
 def _crash(points: FloatArray, first: FloatArray, scene: FlightScene) -> FloatArray:
@@ -309,12 +316,13 @@ def _reach_m(points: FloatArray, scene: FlightScene) -> FloatArray:
     return speed * limits.dead_man_s + speed**2 / (2.0 * limits.acceleration_m_s2)
 
 
-def _radar(points: FloatArray, scene: FlightScene) -> FloatArray:
+def detections(points: FloatArray, radars: tuple[Radar, ...], margin_m: float = 0.0) -> FloatArray:
+    """Eq. 3, summed over samples (without the start) and radars.  (P, S + 1, 3) -> (P,)."""
     total = np.zeros(len(points))
-    for each in scene.radars:
+    for each in radars:
         distance = each.distance_m(points[:, 1:])
-        total += detection_probability(distance, each.range_m, scene.radar_margin_m).sum(axis=1)
-    return total * RADAR_SCALE
+        total += detection_probability(distance, each.range_m, margin_m).sum(axis=1)
+    return total
 
 
 def _steering(first: FloatArray, second: FloatArray, scene: FlightScene) -> FloatArray:
@@ -336,11 +344,7 @@ def _steering(first: FloatArray, second: FloatArray, scene: FlightScene) -> Floa
 
 def _outside(points: FloatArray, scene: FlightScene) -> FloatArray:
     """How far samples lie outside the band or the map, or too near to zones."""
-    north, east, altitude = np.moveaxis(points[:, 1:], -1, 0)
-    limits = scene.limits
-    beyond = _beyond(altitude, scene.band_amsl_m)
-    beyond = beyond + _beyond(north, limits.north_m) + _beyond(east, limits.east_m)
-    total = beyond.sum(axis=1) / (scene.scan_range_m / 20.0)
+    total = beyond_m(points, scene.limits, scene.band_amsl_m) / (scene.scan_range_m / 20.0)
     if scene.zones:
         dense = np.moveaxis(_dense(points)[..., :2], -1, 0)
         near = np.ones(dense.shape[1:], dtype=bool)
@@ -353,6 +357,14 @@ def _outside(points: FloatArray, scene: FlightScene) -> FloatArray:
             short[where] = np.maximum(scene.clearance_m - gap, 0.0)
             total += short.sum(axis=1) / (BETWEEN * scene.clearance_m)
     return total * OUTSIDE_SCALE
+
+
+def beyond_m(points: FloatArray, limits: Limits, band_amsl_m: tuple[float, float]) -> FloatArray:
+    """How far samples lie outside the band or the map, metres in all.  (P, S + 1, 3) -> (P,)."""
+    north, east, altitude = np.moveaxis(points[:, 1:], -1, 0)
+    beyond = _beyond(altitude, band_amsl_m)
+    beyond = beyond + _beyond(north, limits.north_m) + _beyond(east, limits.east_m)
+    return np.asarray(beyond.sum(axis=1))
 
 
 def _beyond(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:
