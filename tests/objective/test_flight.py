@@ -33,7 +33,7 @@ from companion.world.clearance import Surface
 from companion.world.threats import CircleZone, PolygonZone, Zone
 
 sys.path.insert(0, str(Path(__file__).parent))
-from scenes import LIMITS, R_M, cube, random_pose, random_scene
+from scenes import LIMITS, R_M, cube, random_scene
 
 FloatArray = NDArray[np.float64]
 
@@ -396,9 +396,3 @@ def test_what_stands_between_two_samples_is_met_at_the_points_of_the_chords() ->
         cost_table(x, replace(scene, surface=each))["crash"][0] for each in (flat, mast)
     )
     assert with_it > without + 100.0
-
-
-def test_the_poses_that_these_scenes_start_from_are_bent() -> None:
-    rng = np.random.default_rng(6)
-    bends = [np.linalg.norm(random_pose(rng).curvature_nea_1_m) for _ in range(20)]
-    assert np.median(bends) > 1.0 / (10.0 * R_M)

@@ -201,14 +201,6 @@ def test_a_trial_takes_each_variable_from_the_mutant_with_probability_cr_and_at_
     assert changed.mean(axis=0) == pytest.approx(np.full(D, cr + (1 - cr) / D), abs=0.1)
 
 
-def test_mutants_beyond_the_cube_are_clipped_to_its_faces() -> None:
-    state = started()
-    state.population[:] = np.where(np.random.default_rng(0).random((7, D)) < 0.5, 0.0, 1.0)
-    n = ask(state)
-    assert state.trial[:n].min() == 0.0
-    assert state.trial[:n].max() == 1.0
-
-
 @few
 @given(seed=st.integers(0, 10**6))
 def test_the_better_survives_and_the_trial_if_equal_and_beaten_parents_are_kept(seed: int) -> None:
@@ -319,17 +311,6 @@ def test_a_search_told_infinity_above_its_bounds_is_the_same_search(
         assert a.tobytes() == b.tobytes()
     assert (whole.population == short.population).all()
     assert (whole.simplex == short.simplex).all()
-
-
-def test_most_rejected_trials_may_stop_early() -> None:
-    told = []
-    state = begin(D, 900, NO_SEEDS, Settings(), np.random.default_rng(0))
-    while n := ask(state):
-        for i in range(n):
-            state.trial_costs[i] = rugged(state.trial[i])
-            told.append(state.trial_costs[i] > state.trial_bounds[i])
-        tell(state, n)
-    assert np.mean(told) > 0.4
 
 
 @few

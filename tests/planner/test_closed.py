@@ -19,8 +19,7 @@ from companion.planner.closed import closed_at
 from companion.planner.cost_to_go import cost_to_go
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
-from companion.planner.procedure import hover_pose
-from companion.planner.request import NotPlanned, PlanRequest, Refusal
+from companion.planner.request import Refusal
 from companion.planner.settings import Task
 from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, empty_map
@@ -146,26 +145,6 @@ def _joined(free: BoolArray) -> bool:
     step = SIZE_M / free.shape[0]
     here, target = (regions[int(n / step), int(e / step)] for n, e in (HERE, TARGET))
     return bool(here != 0 and here == target)
-
-
-def test_a_plan_says_so_and_where() -> None:
-    known = all_seen(wall())
-    here = (*HERE, 3_100.0)
-    outcome = plan(
-        PlanRequest(
-            plan_id=1,
-            seed=1,
-            task=TASK,
-            known=known,
-            scan_nea_m=here,
-            start=hover_pose(here),
-            from_rest=True,
-            target_ne_m=TARGET,
-        )
-    )
-    assert isinstance(outcome, NotPlanned)
-    assert outcome.refusal is Refusal.NO_WAY
-    assert outcome.place_ne_m is not None
 
 
 def fly(

@@ -86,25 +86,6 @@ def test_the_same_question_has_the_same_answer_and_another_seed_another(
     assert a.tobytes() == b.tobytes() != c.tobytes()
 
 
-@pytest.mark.parametrize("name", ["de/rand/1/bin", "pso", "ga"])
-def test_the_rivals_search_where_they_are_asked_to(
-    papers: Task, truth: KnownMap, name: str
-) -> None:
-    rivals = replace(papers, settings=replace(papers.settings, optimiser=name))
-    ours, theirs = planned(papers, truth), planned(rivals, truth)
-    assert theirs.evaluations == 400
-    assert not np.array_equal(ours.subpath.control_nea_m, theirs.subpath.control_nea_m)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_subpath_has_a_direction_everywhere(papers: Task, truth: KnownMap, seed: int) -> None:
-    long = replace(papers, settings=replace(papers.settings, evaluations=2_000))
-    with np.errstate(all="ignore"):
-        subpath = planned(long, truth, seed=seed).subpath
-        tangents = [subpath.pose(share * subpath.length_m).tangent_nea for share in (0, 0.5, 1)]
-    assert np.linalg.norm(tangents, axis=-1) == pytest.approx([1.0, 1.0, 1.0])
-
-
 def test_a_pose_at_rest_turns_level_and_without_a_bend() -> None:
     pose = replace(hover_pose(START), curvature_nea_1_m=np.array([0.0, 0.01, 0.0]))
     turned = facing(pose, 2.0)
