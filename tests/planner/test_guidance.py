@@ -7,7 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
-from companion.planner.guidance import tangent_guide_rad
+from companion.planner.published import tangent_guide_rad
 from companion.world.threats import Radar
 
 Place = tuple[float, float]

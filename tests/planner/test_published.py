@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from companion.objective.scene import PAPER
-from companion.planner.guidance import tangent_guide_rad
 from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
-from companion.planner.published import facing
+from companion.planner.published import facing, tangent_guide_rad
 from companion.planner.request import Planned, PlanRequest
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
