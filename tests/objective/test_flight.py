@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from planning import spline
 from scipy.integrate import quad
-from scipy.interpolate import BSpline, RegularGridInterpolator
+from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq
 
 from companion.objective.scene import (
@@ -38,12 +39,6 @@ from scenes import LIMITS, R_M, cube, random_scene
 FloatArray = NDArray[np.float64]
 
 seeds = st.integers(0, 10**6)
-
-
-def spline(control_nea_m: FloatArray) -> Any:
-    spans = len(control_nea_m) - 3
-    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
-    return BSpline(knots, control_nea_m, 3)
 
 
 def curvature_1_m(curve: Any, u: float) -> FloatArray:

@@ -6,29 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from planning import limits
 
 from companion.objective.scene import FLIGHT, PAPER, PROFILES, Weights
 from companion.objective.terms import VARIABLES, Scene, control_points
-from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface
 
 FloatArray = NDArray[np.float64]
 
 R_M = 2_000.0
-LIMITS = Limits(
-    speed_m_s=15.0,
-    acceleration_m_s2=3.0,
-    climb_rate_m_s=4.0,
-    turn_radius_m=150.0,
-    climb_angle_rad=0.2,
-    dive_angle_rad=0.2,
-    floor_amsl_m=300.0,
-    ceiling_amsl_m=800.0,
-    north_m=(0.0, 8_000.0),
-    east_m=(0.0, 8_000.0),
-    tracking_error_m=5.0,
-)
+LIMITS = limits(ceiling_amsl_m=800.0)
 seeds = st.integers(0, 10**6)
 
 

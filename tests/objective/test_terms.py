@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from planning import limits
 
 from companion.objective.scene import Weights
 from companion.objective.terms import (
@@ -19,7 +20,6 @@ from companion.objective.terms import (
     cost,
     cost_table,
 )
-from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface
 from companion.world.threats import CircleZone, PolygonZone, Radar
@@ -30,18 +30,13 @@ Point = tuple[float, float, float]
 R_M = 2_000.0
 D_S_M = 60.0
 SAMPLES = 10
-LIMITS = Limits(
-    speed_m_s=15.0,
-    acceleration_m_s2=3.0,
-    climb_rate_m_s=4.0,
+LIMITS = limits(
     turn_radius_m=400.0,
     climb_angle_rad=0.1,
     dive_angle_rad=0.15,
-    floor_amsl_m=300.0,
     ceiling_amsl_m=800.0,
     north_m=(1_500.0, 5_500.0),
     east_m=(1_500.0, 5_500.0),
-    tracking_error_m=5.0,
 )
 RADARS = (
     Radar(name="a", centre_nea_m=(4_500.0, 3_500.0, 0.0), range_m=1_200.0),

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
+from planning import spline as curve
 from scipy.optimize import minimize, minimize_scalar
 from scipy.spatial import cKDTree
 
@@ -205,13 +205,6 @@ def _zones(rng: np.random.Generator, size: float) -> tuple[Zone, ...]:
 def _polygon(corners: FloatArray, keep_in: bool) -> PolygonZone:
     vertices = tuple((a, b) for a, b in corners.tolist())
     return PolygonZone(name="p", vertices_ne_m=vertices, keep_in=keep_in)
-
-
-def curve(control_nea_m: FloatArray) -> Any:
-    """The clamped cubic B-spline with uniform inner knots, by scipy."""
-    spans = len(control_nea_m) - 3
-    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
-    return BSpline(knots, control_nea_m, 3)
 
 
 def column_distance_m(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from planning import limits
 
 from companion.path.certificate import Certificate, Margins, certify, pack_surroundings
 from companion.path.limits import Limits
@@ -15,14 +16,9 @@ from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
 sys.path.insert(0, str(Path(__file__).parent))
 from brute_force import FloatArray, random_case, truth
 
-LIMITS = Limits(
-    speed_m_s=15.0,
-    acceleration_m_s2=3.0,
-    climb_rate_m_s=4.0,
+LIMITS = limits(
     turn_radius_m=200.0,
-    climb_angle_rad=0.2,
     dive_angle_rad=0.25,
-    floor_amsl_m=300.0,
     ceiling_amsl_m=800.0,
     north_m=(0.0, 4_000.0),
     east_m=(0.0, 4_000.0),

@@ -1,12 +1,10 @@
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from planning import spline
 from scipy.integrate import quad
-from scipy.interpolate import BSpline
 from scipy.optimize import brentq
 
 from companion.path.subpath import Subpath
@@ -36,12 +34,6 @@ def test_the_length_is_the_integral_of_the_speed(seed: int) -> None:
     subpath = a_subpath(seed)
     length, _ = quad(lambda u: bezier_speed(subpath.control_nea_m, u), 0.0, 1.0, epsrel=1e-10)
     assert subpath.length_m == pytest.approx(length, rel=1e-6)
-
-
-def spline(control: FloatArray) -> Any:
-    spans = len(control) - 3
-    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
-    return BSpline(knots, control, 3)
 
 
 def parameter(subpath: Subpath, point_nea_m: FloatArray) -> float:

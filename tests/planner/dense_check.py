@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
+from planning import spline
 
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
@@ -19,12 +19,6 @@ FloatArray = NDArray[np.float64]
 
 _SLACK_M = 1e-3
 _CHUNK = 50
-
-
-def spline(control_nea_m: FloatArray) -> Any:
-    spans = len(control_nea_m) - 3
-    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
-    return BSpline(knots, control_nea_m, 3)
 
 
 def column_distance_m(known: KnownMap, points: FloatArray, within_m: float) -> FloatArray:

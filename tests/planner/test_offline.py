@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from planning import spline
 from scipy.optimize import brentq
 
 from companion.planner.offline import OfflineFlight, fly_offline, usual_most_legs
@@ -15,7 +16,7 @@ from companion.world.known_map import KnownMap
 from companion.world.terrain import PeakTerrain
 
 sys.path.insert(0, str(Path(__file__).parent))
-from dense_check import spline, violations
+from dense_check import violations
 
 START = (800.0, 800.0, 450.0)
 TARGET = (7_200.0, 7_000.0)

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from planning import ask as asked
+from planning import spline
 
 from companion.optimise.registry import OPTIMISERS
 from companion.path.subpath import Pose
@@ -20,7 +22,7 @@ from companion.world.terrain import Peak, PeakTerrain
 from companion.world.threats import PolygonZone
 
 sys.path.insert(0, str(Path(__file__).parent))
-from dense_check import column_distance_m, keep_out_distance_m, spline, violations
+from dense_check import column_distance_m, keep_out_distance_m, violations
 
 FloatArray = NDArray[np.float64]
 
@@ -30,17 +32,7 @@ RANDOM_STARTS = 12
 
 
 def ask(task: Task, known: KnownMap, **changes: object) -> PlanRequest:
-    request = PlanRequest(
-        plan_id=1,
-        seed=7,
-        task=task,
-        known=known,
-        scan_nea_m=START,
-        start=hover_pose(START),
-        from_rest=True,
-        target_ne_m=FAR_TARGET,
-    )
-    return replace(request, **changes)  # type: ignore[arg-type]
+    return asked(task, known, START, **changes)
 
 
 def planned(request: PlanRequest) -> Planned:

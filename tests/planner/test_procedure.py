@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from planning import limits
 
-from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.planner.procedure import (
     Leg,
@@ -21,20 +21,8 @@ from companion.planner.settings import PlannerSettings, Task
 
 FloatArray = NDArray[np.float64]
 
-V, A, CLIMB_RATE = 15.0, 3.0, 4.0
-LIMITS = Limits(
-    speed_m_s=V,
-    acceleration_m_s2=A,
-    climb_rate_m_s=CLIMB_RATE,
-    turn_radius_m=150.0,
-    climb_angle_rad=0.2,
-    dive_angle_rad=0.2,
-    floor_amsl_m=0.0,
-    ceiling_amsl_m=9_000.0,
-    north_m=(0.0, 8_000.0),
-    east_m=(0.0, 8_000.0),
-    tracking_error_m=5.0,
-)
+LIMITS = limits(floor_amsl_m=0.0, ceiling_amsl_m=9_000.0)
+V, A, CLIMB_RATE = LIMITS.speed_m_s, LIMITS.acceleration_m_s2, LIMITS.climb_rate_m_s
 TASK = Task(
     limits=LIMITS,
     settings=PlannerSettings(

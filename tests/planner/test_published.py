@@ -3,12 +3,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from planning import ask
 
 from companion.objective.scene import PAPER
 from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
 from companion.planner.published import facing, tangent_guide_rad
-from companion.planner.request import Planned, PlanRequest
+from companion.planner.request import Planned
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
@@ -21,17 +22,7 @@ def papers(task: Task) -> Task:
 
 
 def planned(task: Task, known: KnownMap, **changes: object) -> Planned:
-    request = PlanRequest(
-        plan_id=1,
-        seed=7,
-        task=task,
-        known=known,
-        scan_nea_m=START,
-        start=hover_pose(START),
-        from_rest=True,
-        target_ne_m=(7_500.0, 7_500.0),
-    )
-    outcome = plan(replace(request, **changes))  # type: ignore[arg-type]
+    outcome = plan(ask(task, known, START, **changes))
     assert isinstance(outcome, Planned)
     return outcome
 
