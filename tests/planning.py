@@ -1,6 +1,7 @@
 """What tests of curves, costs and plans begin with."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -8,10 +9,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from companion.path.limits import Limits
+from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
 from companion.planner.request import PlanRequest
 from companion.planner.settings import Task
-from companion.world.known_map import KnownMap
+from companion.runtime.compiler import load_kernel
+from companion.world.known_map import KnownMap, empty_map
 
 FloatArray = NDArray[np.float64]
 
@@ -50,6 +54,25 @@ def ask(
         target_ne_m=(7_500.0, 7_500.0),
     )
     return replace(request, **changes)
+
+
+def fly(
+    task: Task,
+    truth: KnownMap,
+    start_nea_m: tuple[float, float, float],
+    *targets_ne_m: tuple[float, float],
+    seed: int = 1,
+) -> OfflineFlight:
+    """A flight by the compiled kernel through a world of which nothing is known at first."""
+    return fly_offline(
+        task,
+        blank=empty_map(truth.cell_m, task.limits.north_m, task.limits.east_m),
+        truth=truth,
+        start_nea_m=start_nea_m,
+        targets_ne_m=targets_ne_m,
+        seed=seed,
+        planner=partial(plan, kernel=load_kernel()),
+    )
 
 
 def spline(control_nea_m: FloatArray) -> Any:

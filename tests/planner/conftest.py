@@ -6,6 +6,7 @@ Every plan is asked for a micrometre aside.
 import os
 from collections.abc import Iterator
 
+import planning
 import pytest
 from nudge import nudged_questions
 from planning import limits
@@ -22,7 +23,7 @@ from companion.world.threats import CircleZone, PolygonZone, Radar
 @pytest.fixture(autouse=True)
 def _aside(request: pytest.FixtureRequest, nudge: int) -> Iterator[None]:
     """What is planned, and whether anything is, hangs on no last digit."""
-    with nudged_questions(request.module, nudge):
+    with nudged_questions(request.module, nudge), nudged_questions(planning, nudge):
         yield
 
 

@@ -2,18 +2,17 @@
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import ask, spline
+from planning import ask, fly, spline
 
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
-from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
 from companion.planner.procedure import (
     Leg,
@@ -26,7 +25,6 @@ from companion.planner.procedure import (
 from companion.planner.refuge import Circler, loiter_point
 from companion.planner.request import NotPlanned, Planned, Refusal
 from companion.planner.settings import PlannerSettings, Task
-from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import PeakTerrain
@@ -80,16 +78,8 @@ def truth(terrain: PeakTerrain, blank: KnownMap) -> KnownMap:
 
 
 @pytest.fixture(scope="module")
-def flight(blank: KnownMap, truth: KnownMap) -> OfflineFlight:
-    return fly_offline(
-        TASK,
-        blank=blank,
-        truth=truth,
-        start_nea_m=START,
-        targets_ne_m=(TARGET,),
-        seed=3,
-        planner=partial(plan, kernel=load_kernel()),
-    )
+def flight(truth: KnownMap) -> OfflineFlight:
+    return fly(TASK, truth, START, TARGET, seed=3)
 
 
 def circle_distance_m(known: KnownMap, at_nea_m: FloatArray) -> float:
