@@ -44,9 +44,6 @@ MOST_EXCESS = 10.0  # of curvature over its limit that counts
 DEAD_MAN_EVERY = 2  # samples
 BETWEEN = 3  # points a chord at which terrain and zones count: they are met at their corners
 
-TERMS = ("length", "height", "guide", "crash", "radar", "constraints", "to_go")
-"""f1 .. f6, and what is left to fly after the end: it weighs as much as length does."""
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,31 +191,34 @@ def control_points(x: FloatArray, scene: FlightScene) -> FloatArray:
 
 
 def cost_table(x: FloatArray, scene: FlightScene) -> dict[str, FloatArray]:
-    """Every term by name, unweighted.  (P, D) in the unit cube -> each (P,)."""
+    """Every term by name, unweighted.  (P, D) in the unit cube -> each (P,).
+
+    f1 .. f6, and what is left to fly after the end.  One more takes a weight, a line here, and its
+    scalar form in `kernel.cost`.
+    """
     control = control_points(x, scene)
     at = uniform_basis(scene.samples, scene.points)
     points, first, second = (each @ control for each in (at.value, at.first, at.second))
     each = PER_SAMPLE / scene.samples
-    terms = (
-        _length(points, scene),
-        _height(points, scene),
-        _guide(control, scene),
-        _crash(points, first, scene) * each,
-        detections(points, scene.radars, scene.radar_margin_m) * RADAR_SCALE * each,
-        (_steering(first, second, scene) + _outside(points, scene)) * each,
-        _to_go_m(control, scene) * _per_metre(scene),
-    )
-    return dict(zip(TERMS, terms, strict=True))
+    return {
+        "length": _length(points, scene),
+        "height": _height(points, scene),
+        "guide": _guide(control, scene),
+        "crash": _crash(points, first, scene) * each,
+        "radar": detections(points, scene.radars, scene.radar_margin_m) * RADAR_SCALE * each,
+        "constraints": (_steering(first, second, scene) + _outside(points, scene)) * each,
+        "to_go": _to_go_m(control, scene) * _per_metre(scene),
+    }
 
 
 def cost(x: FloatArray, scene: FlightScene) -> FloatArray:
     """Eq. 5, and what is left to fly.  (P, D) in the unit cube -> (P,)."""
     table = cost_table(x, scene)
-    return np.asarray(sum(weight(name, scene) * table[name] for name in TERMS))
+    return np.asarray(sum(weight(name, scene) * column for name, column in table.items()))
 
 
 def weight(term: str, scene: FlightScene) -> float:
-    """The weight of a term: a_1 .. a_6 of eq. 5."""
+    """The weight of a term: a_1 .. a_6 of eq. 5; what is left to fly weighs as much as length."""
     return float(getattr(scene.weights, "length" if term == "to_go" else term))
 
 
