@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from planning import ask, spline
+from planning import ask, column_distance_m, spline
 
 from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned, Refusal
@@ -14,7 +14,7 @@ from companion.world.known_map import KnownMap
 from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
 
 sys.path.insert(0, str(Path(__file__).parent))
-from dense_check import column_distance_m, keep_out_distance_m, violations
+from dense_check import keep_out_distance_m, violations
 
 REQUIRED_M = 70.0  # d_s 60 m, tracking 5 m, navigation 5 m
 

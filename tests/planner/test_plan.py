@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from planning import ask as asked
-from planning import spline
+from planning import column_distance_m, spline
 
 from companion.optimise.registry import OPTIMISERS
 from companion.path.subpath import Pose
@@ -22,7 +22,7 @@ from companion.world.terrain import Peak, PeakTerrain
 from companion.world.threats import PolygonZone
 
 sys.path.insert(0, str(Path(__file__).parent))
-from dense_check import column_distance_m, keep_out_distance_m, violations
+from dense_check import keep_out_distance_m, violations
 
 FloatArray = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning import ask, fly, spline
+from planning import ask, column_distance_m, fly, spline
 
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
@@ -86,18 +86,8 @@ def circle_distance_m(known: KnownMap, at_nea_m: FloatArray) -> float:
     """Distance of points of a plane's circle about a place to the columns of the map."""
     turn = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
     radii = LOITER * np.array([[0.0], [0.5], [1.0]])
-    north = (at_nea_m[0] + radii * np.cos(turn)).ravel()
-    east = (at_nea_m[1] + radii * np.sin(turn)).ravel()
-    low_n = known.north_min_m + np.arange(known.upper_m.shape[0]) * known.cell_m
-    low_e = known.east_min_m + np.arange(known.upper_m.shape[1]) * known.cell_m
-    rows = np.abs(low_n - at_nea_m[0]) < 300.0
-    columns = np.abs(low_e - at_nea_m[1]) < 300.0
-    low_n, low_e, top = low_n[rows], low_e[columns], known.upper_m[np.ix_(rows, columns)]
-    gap_n = np.maximum(np.maximum(low_n - north[:, None], north[:, None] - low_n - known.cell_m), 0)
-    gap_e = np.maximum(np.maximum(low_e - east[:, None], east[:, None] - low_e - known.cell_m), 0)
-    above = np.maximum(at_nea_m[2] - top, 0.0)
-    flat = np.hypot(gap_n[:, :, None], gap_e[:, None, :])
-    return float(np.hypot(flat, above).min())
+    ring = np.stack([radii * np.cos(turn), radii * np.sin(turn), 0.0 * radii * turn], axis=-1)
+    return float(column_distance_m(known, at_nea_m + ring.reshape(-1, 3), 300.0).min())
 
 
 def test_a_plane_arrives_and_may_circle_anywhere_on_its_way(
