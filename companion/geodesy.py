@@ -9,7 +9,7 @@ the convergence on their way to and from the wire (design section 3).
 import math
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ import pyproj
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
+Places = TypeVar("Places", float, FloatArray)
 
 _WGS84 = pyproj.Geod(ellps="WGS84")
 _BASELINE_M = 100.0  # long enough that rounding of the projection does not show in the azimuth
@@ -39,29 +40,15 @@ class LocalFrame:
         )
         object.__setattr__(self, "_projection", projection)
 
-    def to_local_m(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
-        """Latitude, longitude in degrees -> north, east in metres."""
+    def to_local_m(self, latitude_deg: Places, longitude_deg: Places) -> tuple[Places, Places]:
+        """Latitude, longitude in degrees -> north, east in metres: numbers, or (...) of them."""
         east_m, north_m = self._projection(longitude_deg, latitude_deg)
         return north_m, east_m
 
-    def to_local_many_m(
-        self, latitude_deg: FloatArray, longitude_deg: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Latitude, longitude in degrees -> north, east in metres.  (...) x2 -> (...) x2."""
-        east_m, north_m = self._projection(longitude_deg, latitude_deg)
-        return np.asarray(north_m), np.asarray(east_m)
-
-    def to_geodetic_deg(self, north_m: float, east_m: float) -> tuple[float, float]:
-        """North, east in metres -> latitude, longitude in degrees."""
+    def to_geodetic_deg(self, north_m: Places, east_m: Places) -> tuple[Places, Places]:
+        """North, east in metres -> latitude, longitude in degrees: numbers, or (...) of them."""
         longitude_deg, latitude_deg = self._projection(east_m, north_m, inverse=True)
         return latitude_deg, longitude_deg
-
-    def to_geodetic_many_deg(
-        self, north_m: FloatArray, east_m: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """North, east in metres -> latitude, longitude in degrees.  (...) x2 -> (...) x2."""
-        longitude_deg, latitude_deg = self._projection(east_m, north_m, inverse=True)
-        return np.asarray(latitude_deg), np.asarray(longitude_deg)
 
     def grid_north_rad(self, north_m: float, east_m: float) -> float:
         """True azimuth of the frame's north axis at a point, radians clockwise.

@@ -278,7 +278,7 @@ def _places(shape: Sequence[PlanItem], frame: LocalFrame) -> tuple[Point, ...] |
         return None
     corners = [(deg(item.x), deg(item.y)) for item in shape]
     latitude, longitude = np.array(corners).T
-    places = np.stack(frame.to_local_many_m(latitude, longitude), axis=-1)
+    places = np.stack(frame.to_local_m(latitude, longitude), axis=-1)
     if not np.isfinite(places).all():
         return None
     found: list[Point] = [(north, east) for north, east in places.tolist()]

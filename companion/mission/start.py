@@ -8,8 +8,7 @@ from msgspec import Meta
 from companion.mission.checkpoint import Values
 from companion.mission.decisions import Context
 from companion.mission.mission import Mission
-from companion.world.known_map import KnownMap
-from companion.world.packed_map import digest_of, packed_map
+from companion.world.known_map import KnownMap, digest_of, packed_map
 
 Resume = tuple[Values, KnownMap | None]
 """What a companion before this one has left: its checkpoint, and its map if that can be read."""

@@ -13,28 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.objective.scene import (
-    ANGLE_SCALE,
-    BETWEEN,
-    CRASH_SCALE,
-    CURVATURE_SCALE,
-    DEAD_MAN_EVERY,
-    END_SHARE,
-    LONGEST_R,
-    LONGEST_R2,
-    LONGEST_S,
-    MOST_EXCESS,
-    OUTSIDE_SCALE,
-    PER_SAMPLE,
-    RADAR_SCALE,
-    SHORTEST_R,
-    SHORTEST_R2,
-    SHORTEST_S,
-    SPREAD_RAD,
-    STRAIGHT_SCALE,
-    FlightScene,
-    Weights,
-)
+from companion.objective import scene as flight
+from companion.objective.scene import FlightScene, Weights
 from companion.path.bspline import uniform_basis
 from companion.path.certificate import pack_zones
 from companion.path.limits import Limits
@@ -114,7 +94,7 @@ def cost(x: FloatArray, bound: float, pack: Pack) -> float:
     """Eq. 5 for one candidate, (D,) in the unit cube; infinity if it would exceed the bound."""
     scene, weights = pack.scene, pack.scene.weights
     control, points = pack.control, pack.points
-    each = PER_SAMPLE / (len(points) - 1)
+    each = flight.PER_SAMPLE / (len(points) - 1)
     place_control_points(x, control, scene)
     sample(points, control, pack.basis)
     to_go_m = remaining_m(control, scene)
@@ -123,11 +103,11 @@ def cost(x: FloatArray, bound: float, pack: Pack) -> float:
     total += weights.height * height(points, scene) + weights.guide * guide(control, scene)
     if total > bound:
         return math.inf
-    total += weights.radar * each * RADAR_SCALE * detection(points, pack.radars)
+    total += weights.radar * each * flight.RADAR_SCALE * detection(points, pack.radars)
     total += weights.constraints * each * steering(pack.ahead, control, pack.basis, scene)
     if total > bound:
         return math.inf
-    scale = weights.constraints * each * OUTSIDE_SCALE
+    scale = weights.constraints * each * flight.OUTSIDE_SCALE
     total += scale * leaving(points, scene)
     total += scale * intruding(points, pack, (bound - total) / max(scale, 1e-12))
     if total > bound:
@@ -135,7 +115,7 @@ def cost(x: FloatArray, bound: float, pack: Pack) -> float:
     low_m = too_low_m(points, scene.surface)
     if scene.limits.hovers:  # a plane circles, and its surface stands off by that
         low_m += dead_man_m(points, pack.ahead, scene)
-    total += weights.crash * each * CRASH_SCALE / scene.safety_distance_m * low_m
+    total += weights.crash * each * flight.CRASH_SCALE / scene.safety_distance_m * low_m
     return math.inf if total > bound else float(total)
 
 
@@ -147,16 +127,16 @@ def place_control_points(x: FloatArray, control: FloatArray, scene: FlightScene)
         scene.start.tangent_nea,
         scene.start.curvature_nea_1_m,
     )
-    r2 = (SHORTEST_R2 + (LONGEST_R2 - SHORTEST_R2) * x[0]) * unit
-    s = r2 + (SHORTEST_S + (LONGEST_S - SHORTEST_S) * x[1]) * unit
+    r2 = (flight.SHORTEST_R2 + (flight.LONGEST_R2 - flight.SHORTEST_R2) * x[0]) * unit
+    s = r2 + (flight.SHORTEST_S + (flight.LONGEST_S - flight.SHORTEST_S) * x[1]) * unit
     for i in range(3):
         control[0, i] = at[i]
         control[1, i] = at[i] + r2 * tangent[i]
         control[2, i] = at[i] + s * tangent[i] + 3.0 * r2 * r2 * bend[i]
     low, high = scene.band_amsl_m
     for k in range(3, count - 1):
-        r = (SHORTEST_R + (LONGEST_R - SHORTEST_R) * x[3 * k - 7]) * unit
-        phi = ahead + (2.0 * x[3 * k - 6] - 1.0) * SPREAD_RAD
+        r = (flight.SHORTEST_R + (flight.LONGEST_R - flight.SHORTEST_R) * x[3 * k - 7]) * unit
+        phi = ahead + (2.0 * x[3 * k - 6] - 1.0) * flight.SPREAD_RAD
         control[k, 0] = at[0] + r * math.cos(phi)
         control[k, 1] = at[1] + r * math.sin(phi)
         control[k, 2] = low + x[3 * k - 5] * (high - low)
@@ -164,7 +144,7 @@ def place_control_points(x: FloatArray, control: FloatArray, scene: FlightScene)
         assert scene.final_ne_m is not None
         control[count - 1, 0], control[count - 1, 1] = scene.final_ne_m
     else:
-        phi = ahead + (2.0 * x[3 * count - 10] - 1.0) * SPREAD_RAD
+        phi = ahead + (2.0 * x[3 * count - 10] - 1.0) * flight.SPREAD_RAD
         control[count - 1, 0] = scene.scan_ne_m[0] + scene.end_radius_m * math.cos(phi)
         control[count - 1, 1] = scene.scan_ne_m[1] + scene.end_radius_m * math.sin(phi)
     control[count - 1, 2] = low + x[3 * count - 9] * (high - low)
@@ -245,17 +225,17 @@ def too_low_m(points: FloatArray, surface: Surface) -> float:
     for j in range(1, len(points)):
         north, east, altitude = points[j - 1, 0], points[j - 1, 1], points[j - 1, 2]
         dn, de, da = points[j, 0] - north, points[j, 1] - east, points[j, 2] - altitude
-        for i in range(1, BETWEEN + 1):
-            share = i / BETWEEN
+        for i in range(1, flight.BETWEEN + 1):
+            share = i / flight.BETWEEN
             wanted = lattice_m(surface, north + share * dn, east + share * de)
             total += max(wanted - altitude - share * da, 0.0)
-    return total / BETWEEN
+    return total / flight.BETWEEN
 
 
 def dead_man_m(points: FloatArray, ahead: FloatArray, scene: FlightScene) -> float:
     """How far points of the dead-man stretches lie too low, metres in all."""
     total, limits = 0.0, scene.limits
-    for j in range(1, len(points), DEAD_MAN_EVERY):
+    for j in range(1, len(points), flight.DEAD_MAN_EVERY):
         room = points[-1, 3] - points[j, 3]
         if scene.from_rest:
             room = min(room, points[j, 3])
@@ -267,7 +247,7 @@ def dead_man_m(points: FloatArray, ahead: FloatArray, scene: FlightScene) -> flo
             step = 0.5 * half * reach
             north, east = points[j, 0] + step * dn, points[j, 1] + step * de
             wanted = lattice_m(scene.contact, north, east)
-            total += DEAD_MAN_EVERY * max(wanted - points[j, 2] - step * da, 0.0)
+            total += flight.DEAD_MAN_EVERY * max(wanted - points[j, 2] - step * da, 0.0)
     return total
 
 
@@ -291,7 +271,7 @@ def steering(
 ) -> float:
     """Curvature and steepness beyond the limits, and curvature at all near the end."""
     count = len(ahead) - 1
-    near_end = count - round(END_SHARE * count)
+    near_end = count - round(flight.END_SHARE * count)
     limits = scene.limits
     steepest = limits.climb_angle_rad / scene.margin, limits.dive_angle_rad / scene.margin
     climb, dive = math.tan(steepest[0]), math.tan(steepest[1])
@@ -311,15 +291,15 @@ def steering(
         level = math.sqrt(dn * dn + de * de)
         slow = max(level, 1e-9)
         curvature = abs(dn * dde - de * ddn) / (slow * slow * slow) * limits.turn_radius_m
-        turning += min(max(curvature * scene.margin - 1.0, 0.0), MOST_EXCESS)
+        turning += min(max(curvature * scene.margin - 1.0, 0.0), flight.MOST_EXCESS)
         if da > climb * level:
             steep += math.atan2(da, level) - steepest[0]
         elif -da > dive * level:
             steep += math.atan2(-da, level) - steepest[1]
         if j > near_end:
             straight += min(curvature, 1.0) ** 2
-    result = CURVATURE_SCALE * turning + ANGLE_SCALE * steep
-    return result + STRAIGHT_SCALE * straight
+    result = flight.CURVATURE_SCALE * turning + flight.ANGLE_SCALE * steep
+    return result + flight.STRAIGHT_SCALE * straight
 
 
 def leaving(points: FloatArray, scene: FlightScene) -> float:
@@ -339,15 +319,15 @@ def intruding(points: FloatArray, pack: Pack, most: float) -> float:
     circles, polygons, clearance_m = pack.zones.circles, len(pack.gaps), pack.scene.clearance_m
     if len(circles) + polygons == 0:
         return 0.0
-    total, most = 0.0, most * BETWEEN * clearance_m
+    total, most = 0.0, most * flight.BETWEEN * clearance_m
     pack.gaps.fill(_FAR)  # of the point before
     for j in range(1, len(points)):
         if total > most:
             break
         dn, de = points[j, 0] - points[j - 1, 0], points[j, 1] - points[j - 1, 1]
-        step = math.sqrt(dn * dn + de * de) / BETWEEN + 1e-6
-        for k in range(1, BETWEEN + 1):
-            share = k / BETWEEN
+        step = math.sqrt(dn * dn + de * de) / flight.BETWEEN + 1e-6
+        for k in range(1, flight.BETWEEN + 1):
+            share = k / flight.BETWEEN
             north, east = points[j - 1, 0] + share * dn, points[j - 1, 1] + share * de
             for i in range(len(circles)):
                 a, b = north - circles[i, 0], east - circles[i, 1]
@@ -361,7 +341,7 @@ def intruding(points: FloatArray, pack: Pack, most: float) -> float:
                     pack.gaps[i] = -gap if gap < 0.0 else _FAR
             elif polygons > 0:
                 pack.gaps.fill(_FAR)
-    return total / (BETWEEN * clearance_m)
+    return total / (flight.BETWEEN * clearance_m)
 
 
 def may_be_near(cells: NearCells | None, north: float, east: float) -> bool:

@@ -44,9 +44,6 @@ MOST_EXCESS = 10.0  # of curvature over its limit that counts
 DEAD_MAN_EVERY = 2  # samples
 BETWEEN = 3  # points a chord at which terrain and zones count: they are met at their corners
 
-TERMS = ("length", "height", "guide", "crash", "radar", "constraints", "to_go")
-"""f1 .. f6, and what is left to fly after the end: it weighs as much as length does."""
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,31 +191,34 @@ def control_points(x: FloatArray, scene: FlightScene) -> FloatArray:
 
 
 def cost_table(x: FloatArray, scene: FlightScene) -> dict[str, FloatArray]:
-    """Every term by name, unweighted.  (P, D) in the unit cube -> each (P,)."""
+    """Every term by name, unweighted.  (P, D) in the unit cube -> each (P,).
+
+    f1 .. f6, and what is left to fly after the end.  One more takes a weight, a line here, and its
+    scalar form in `kernel.cost`.
+    """
     control = control_points(x, scene)
     at = uniform_basis(scene.samples, scene.points)
     points, first, second = (each @ control for each in (at.value, at.first, at.second))
     each = PER_SAMPLE / scene.samples
-    terms = (
-        _length(points, scene),
-        _height(points, scene),
-        _guide(control, scene),
-        _crash(points, first, scene) * each,
-        _radar(points, scene) * each,
-        (_steering(first, second, scene) + _outside(points, scene)) * each,
-        _to_go_m(control, scene) * _per_metre(scene),
-    )
-    return dict(zip(TERMS, terms, strict=True))
+    return {
+        "length": _length(points, scene),
+        "height": _height(points, scene),
+        "guide": _guide(control, scene),
+        "crash": _crash(points, first, scene) * each,
+        "radar": detections(points, scene.radars, scene.radar_margin_m) * RADAR_SCALE * each,
+        "constraints": (_steering(first, second, scene) + _outside(points, scene)) * each,
+        "to_go": _to_go_m(control, scene) * _per_metre(scene),
+    }
 
 
 def cost(x: FloatArray, scene: FlightScene) -> FloatArray:
     """Eq. 5, and what is left to fly.  (P, D) in the unit cube -> (P,)."""
     table = cost_table(x, scene)
-    return np.asarray(sum(weight(name, scene) * table[name] for name in TERMS))
+    return np.asarray(sum(weight(name, scene) * column for name, column in table.items()))
 
 
 def weight(term: str, scene: FlightScene) -> float:
-    """The weight of a term: a_1 .. a_6 of eq. 5."""
+    """The weight of a term: a_1 .. a_6 of eq. 5; what is left to fly weighs as much as length."""
     return float(getattr(scene.weights, "length" if term == "to_go" else term))
 
 
@@ -262,10 +262,17 @@ def _height(points: FloatArray, scene: FlightScene) -> FloatArray:
 def _guide(control: FloatArray, scene: FlightScene) -> FloatArray:
     if scene.final_ne_m is not None:
         return np.zeros(len(control))
-    offset = control[:, -1, :2] - np.asarray(scene.scan_ne_m)
-    angle = np.arctan2(offset[:, 1], offset[:, 0]) - scene.guide_rad
-    angle = np.abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
-    return angle * (scene.guide_share * 100.0 / math.pi)
+    off_rad = off_guide_rad(control, scene.scan_ne_m, scene.guide_rad)
+    return off_rad * (scene.guide_share * 100.0 / math.pi)
+
+
+def off_guide_rad(
+    control: FloatArray, scan_ne_m: tuple[float, float], guide_rad: float
+) -> FloatArray:
+    """Angle at p_scan between the end and the guide direction.  (P, points, 3) -> (P,)."""
+    offset = control[:, -1, :2] - np.asarray(scan_ne_m)
+    angle = np.arctan2(offset[:, 1], offset[:, 0]) - guide_rad
+    return np.asarray(np.abs((angle + math.pi) % (2.0 * math.pi) - math.pi))
 
 
 def _crash(points: FloatArray, first: FloatArray, scene: FlightScene) -> FloatArray:
@@ -309,12 +316,13 @@ def _reach_m(points: FloatArray, scene: FlightScene) -> FloatArray:
     return speed * limits.dead_man_s + speed**2 / (2.0 * limits.acceleration_m_s2)
 
 
-def _radar(points: FloatArray, scene: FlightScene) -> FloatArray:
+def detections(points: FloatArray, radars: tuple[Radar, ...], margin_m: float = 0.0) -> FloatArray:
+    """Eq. 3, summed over samples (without the start) and radars.  (P, S + 1, 3) -> (P,)."""
     total = np.zeros(len(points))
-    for each in scene.radars:
+    for each in radars:
         distance = each.distance_m(points[:, 1:])
-        total += detection_probability(distance, each.range_m, scene.radar_margin_m).sum(axis=1)
-    return total * RADAR_SCALE
+        total += detection_probability(distance, each.range_m, margin_m).sum(axis=1)
+    return total
 
 
 def _steering(first: FloatArray, second: FloatArray, scene: FlightScene) -> FloatArray:
@@ -336,11 +344,7 @@ def _steering(first: FloatArray, second: FloatArray, scene: FlightScene) -> Floa
 
 def _outside(points: FloatArray, scene: FlightScene) -> FloatArray:
     """How far samples lie outside the band or the map, or too near to zones."""
-    north, east, altitude = np.moveaxis(points[:, 1:], -1, 0)
-    limits = scene.limits
-    beyond = _beyond(altitude, scene.band_amsl_m)
-    beyond = beyond + _beyond(north, limits.north_m) + _beyond(east, limits.east_m)
-    total = beyond.sum(axis=1) / (scene.scan_range_m / 20.0)
+    total = beyond_m(points, scene.limits, scene.band_amsl_m) / (scene.scan_range_m / 20.0)
     if scene.zones:
         dense = np.moveaxis(_dense(points)[..., :2], -1, 0)
         near = np.ones(dense.shape[1:], dtype=bool)
@@ -353,6 +357,14 @@ def _outside(points: FloatArray, scene: FlightScene) -> FloatArray:
             short[where] = np.maximum(scene.clearance_m - gap, 0.0)
             total += short.sum(axis=1) / (BETWEEN * scene.clearance_m)
     return total * OUTSIDE_SCALE
+
+
+def beyond_m(points: FloatArray, limits: Limits, band_amsl_m: tuple[float, float]) -> FloatArray:
+    """How far samples lie outside the band or the map, metres in all.  (P, S + 1, 3) -> (P,)."""
+    north, east, altitude = np.moveaxis(points[:, 1:], -1, 0)
+    beyond = _beyond(altitude, band_amsl_m)
+    beyond = beyond + _beyond(north, limits.north_m) + _beyond(east, limits.east_m)
+    return np.asarray(beyond.sum(axis=1))
 
 
 def _beyond(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:

@@ -8,18 +8,18 @@ that a denser sampling leaves the weights as they are.  What is flown is searche
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.objective.scene import Weights
+from companion.objective.scene import Weights, beyond_m, detections, off_guide_rad
 from companion.path.bspline import climb_angle_rad, uniform_basis
 from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface
-from companion.world.threats import Radar, Zone, detection_probability
+from companion.world.threats import Radar, Zone
 
 VARIABLES = 6  # r2, r3, phi3, z3, phi4, z4
 _PAPER_SAMPLES = 10
@@ -126,10 +126,7 @@ def height(paths: Candidates, scene: Scene) -> FloatArray:
 
 def guide(paths: Candidates, scene: Scene) -> FloatArray:
     """Eq. 8: the angle at p_scan between the subpath's end and the guide direction, 100 for pi."""
-    offset = paths.control_nea_m[:, -1, :2] - np.asarray(scene.scan_ne_m)
-    angle = np.arctan2(offset[:, 1], offset[:, 0]) - scene.guide_rad
-    angle = np.abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
-    return angle * (100.0 / math.pi)
+    return off_guide_rad(paths.control_nea_m, scene.scan_ne_m, scene.guide_rad) * (100.0 / math.pi)
 
 
 def crash(paths: Candidates, scene: Scene) -> FloatArray:
@@ -147,12 +144,7 @@ def crash(paths: Candidates, scene: Scene) -> FloatArray:
 
 def radar(paths: Candidates, scene: Scene) -> FloatArray:
     """Eq. 10 with eq. 3: the detection probabilities of all samples by all radars."""
-    points = paths.points_nea_m[:, 1:]
-    total = np.zeros(len(points))
-    for each in scene.radars:
-        distance = each.distance_m(points)
-        seen = detection_probability(distance, each.range_m)
-        total += seen.sum(axis=1)
+    total = detections(paths.points_nea_m, scene.radars)
     return total * _per_sample(paths) * _RADAR_SCALE
 
 
@@ -176,16 +168,9 @@ def _chord_excess(paths: Candidates, scene: Scene) -> FloatArray:
 
 def _outside(paths: Candidates, scene: Scene) -> FloatArray:
     """f_v: how far samples lie outside the altitude band or the map."""
-    north, east, altitude = np.moveaxis(paths.points_nea_m[:, 1:], -1, 0)
     limits = scene.limits
-    beyond = _beyond(altitude, (limits.floor_amsl_m, limits.ceiling_amsl_m))
-    beyond = beyond + _beyond(north, limits.north_m) + _beyond(east, limits.east_m)
-    scale = _OUTSIDE_SCALE / (scene.scan_range_m / 20.0)
-    return beyond.sum(axis=1) * _per_sample(paths) * scale
-
-
-def _beyond(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:
-    return np.maximum(bounds[0] - values, 0.0) + np.maximum(values - bounds[1], 0.0)
+    beyond = beyond_m(paths.points_nea_m, limits, (limits.floor_amsl_m, limits.ceiling_amsl_m))
+    return beyond * _per_sample(paths) * (_OUTSIDE_SCALE / (scene.scan_range_m / 20.0))
 
 
 def _keep_out_excess(paths: Candidates, scene: Scene) -> FloatArray:
@@ -221,7 +206,5 @@ def cost_table(x: FloatArray, scene: Scene) -> CostTable:
 
 def cost(x: FloatArray, scene: Scene) -> FloatArray:
     """Eq. 5.  (P, 6) in the unit cube -> (P,)."""
-    table = cost_table(x, scene)
-    weights = scene.weights
-    total = sum(getattr(weights, each.name) * table[each.name] for each in fields(weights))
-    return np.asarray(total)
+    table, weights = cost_table(x, scene), scene.weights
+    return np.asarray(sum(getattr(weights, name) * column for name, column in table.items()))

@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.errors import InputError
 from companion.geodesy import FloatArray
-from companion.optimise.loop import first_members
+from companion.optimise.loop import Generations
 
 
 @final
@@ -36,37 +36,30 @@ class Settings:
 
 
 @final
-class Genetic:
+class Genetic(Generations):
     """Generations of children; the best member so far takes the place of the worst child."""
 
     def __init__(
         self,
         dimensions: int,
-        settings: Settings,
+        _evaluations: int,
         rng: np.random.Generator,
         seeds: FloatArray | None = None,
+        settings: Settings | None = None,
     ) -> None:
         """seeds: candidates to start from, (K, D) in the unit cube."""
-        self._settings = settings
-        self._rng = rng
-        self._children = first_members(settings.population, dimensions, rng, seeds)
-        self.population: FloatArray = np.empty((0, dimensions))
-        self.costs: FloatArray = np.empty(0)
+        self._settings = settings = settings or Settings()
+        super().__init__(dimensions, settings.population, rng, seeds)
 
-    def ask(self) -> FloatArray:
-        """The next generation.  -> (NP, D) in the unit cube."""
-        if len(self.population):
-            children = self._mutated(self._crossed(self._parents()))
-            self._children = np.clip(children, 0.0, 1.0)
-        return self._children
+    def _next(self) -> FloatArray:
+        return np.clip(self._mutated(self._crossed(self._parents())), 0.0, 1.0)
 
-    def tell(self, costs: FloatArray) -> None:
-        """Take over from the parents, but for the best of them.  costs of the last ask(): (NP,)."""
-        members, costs = self._children.copy(), costs.copy()
-        if len(self.population):
-            best, worst = np.argmin(self.costs), np.argmax(costs)
-            if self.costs[best] < costs.min():
-                members[worst], costs[worst] = self.population[best], self.costs[best]
+    def _learn(self, costs: FloatArray) -> None:
+        """Children take over from the parents, but for the best of them."""
+        members, costs = self._asked.copy(), costs.copy()
+        best, worst = np.argmin(self.costs), np.argmax(costs)
+        if self.costs[best] < costs.min():
+            members[worst], costs[worst] = self.population[best], self.costs[best]
         self.population, self.costs = members, costs
 
     def _parents(self) -> FloatArray:

@@ -7,14 +7,8 @@ import numpy as np
 
 from companion.errors import InputError
 from companion.geodesy import FloatArray
-from companion.optimise.differential_evolution import (
-    blend,
-    check_population,
-    crossed,
-    distinct_others,
-    survivors,
-)
-from companion.optimise.loop import first_members
+from companion.optimise.differential_evolution import blend, crossed, distinct_others
+from companion.optimise.loop import Generations, check_population
 
 _SPREAD = 0.2  # standard deviation of a and Cr (3.2)
 
@@ -39,63 +33,45 @@ class Settings:
 
 
 @final
-class ImprovedDE:
+class ImprovedDE(Generations):
     """Mutation between a random member and the best (eq. 17), with adaptive a and Cr.
 
-    ask() gives a generation of candidates, tell() their costs.  a and Cr are clipped to [0, 1],
-    Cr starts about 0.5, and the means stay when no trial succeeded (part A, row 4).
+    a and Cr are clipped to [0, 1], Cr starts about 0.5, and the means stay when no trial succeeded
+    (part A, row 4).
     """
 
     def __init__(
         self,
         dimensions: int,
-        generations: int,
-        settings: Settings,
+        evaluations: int,
         rng: np.random.Generator,
         seeds: FloatArray | None = None,
+        settings: Settings | None = None,
     ) -> None:
-        """generations: N of eq. 18; seeds: candidates to start from, (K, D) in the unit cube."""
-        self._settings = settings
-        self._generations = max(generations, 1)
-        self._rng = rng
+        """evaluations: they pay for N generations of eq. 18; seeds: to start from, (K, D)."""
+        self._settings = settings = settings or Settings()
+        super().__init__(dimensions, settings.population, rng, seeds)
+        self._generations = max(evaluations // settings.population, 1)
         self._generation = 0
         self._a_mean, self._cr_mean = 1.0, 0.5
-        self._trial = first_members(settings.population, dimensions, rng, seeds)
         self._a = self._cr = np.empty(0)
-        self.population: FloatArray = np.empty((0, dimensions))
-        self.costs: FloatArray = np.empty(0)
 
-    def ask(self) -> FloatArray:
-        """The candidates to evaluate next.  -> (NP, D) in the unit cube."""
-        size = len(self.population)
-        if size:
-            mutant = self._mutate()
-            self._cr = np.clip(self._rng.normal(self._cr_mean, _SPREAD, size), 0.0, 1.0)
-            self._trial = crossed(self.population, mutant, self._cr, self._rng)
-        return self._trial
+    def _next(self) -> FloatArray:
+        """Eq. 17: eq. 15 with F1 = k1 (1 - a), F2 = k2 a (eq. 16) and k1, k2 of eq. 18."""
+        x, size, settings = self.population, len(self.population), self._settings
+        progress = (self._generation / self._generations) ** 2
+        k1, k2 = (k[0] + (k[1] - k[0]) * progress for k in (settings.k1, settings.k2))
+        self._a = np.clip(self._rng.normal(self._a_mean, _SPREAD, size), 0.0, 1.0)
+        a = self._a[:, None]
+        others = [x[r] for r in distinct_others(size, 3, self._rng)]
+        best = x[np.argmin(self.costs)]
+        mutant = np.clip(blend(others, best, a, k1 * (1 - a), k2 * a), 0.0, 1.0)
+        self._cr = np.clip(self._rng.normal(self._cr_mean, _SPREAD, size), 0.0, 1.0)
+        return crossed(x, mutant, self._cr, self._rng)
 
-    def tell(self, costs: FloatArray) -> None:
-        """Select (eq. 14) and adapt a and Cr.  costs of the last ask(): (NP,)."""
-        if not len(self.population):
-            self.population, self.costs = self._trial.copy(), costs.copy()
-            return
-        self.population, self.costs, better = survivors(
-            self.population, self.costs, self._trial, costs
-        )
+    def _learn(self, costs: FloatArray) -> None:
+        better = self._keep_better(costs)
         if better.any():
             self._a_mean = float(self._a[better].mean())
             self._cr_mean = float(self._cr[better].mean())
         self._generation += 1
-
-    def _mutate(self) -> FloatArray:
-        """Eq. 17: eq. 15 with F1 = k1 (1 - a), F2 = k2 a (eq. 16) and k1, k2 of eq. 18."""
-        size = len(self.population)
-        progress = (self._generation / self._generations) ** 2
-        k1 = self._settings.k1[0] + (self._settings.k1[1] - self._settings.k1[0]) * progress
-        k2 = self._settings.k2[0] + (self._settings.k2[1] - self._settings.k2[0]) * progress
-        self._a = np.clip(self._rng.normal(self._a_mean, _SPREAD, size), 0.0, 1.0)
-        a = self._a[:, None]
-        x_1, x_2, x_3 = (self.population[r] for r in distinct_others(size, 3, self._rng))
-        best = self.population[np.argmin(self.costs)]
-        mutant = blend(x_1, x_2, x_3, best, a, k1 * (1 - a), k2 * a)
-        return np.clip(mutant, 0.0, 1.0)

@@ -14,8 +14,7 @@ from typing import final
 import numpy as np
 
 from companion.geodesy import FloatArray
-from companion.optimise.differential_evolution import check_population, survivors
-from companion.optimise.loop import first_members
+from companion.optimise.loop import Generations, check_population
 
 _PHI = 2.05
 _CHI = 2.0 / (2.0 * _PHI - 2.0 + math.sqrt(4.0 * _PHI**2 - 8.0 * _PHI))  # 0.7298
@@ -41,7 +40,7 @@ class Settings:
 
 
 @final
-class ParticleSwarm:
+class ParticleSwarm(Generations):
     """Particles that remember where each, and where all together, found the least cost.
 
     `population` and `costs` are the best places of the particles, not where they are now.
@@ -50,37 +49,27 @@ class ParticleSwarm:
     def __init__(
         self,
         dimensions: int,
-        settings: Settings,
+        _evaluations: int,
         rng: np.random.Generator,
         seeds: FloatArray | None = None,
+        settings: Settings | None = None,
     ) -> None:
         """seeds: candidates to start from, (K, D) in the unit cube."""
-        self._settings = settings
-        self._rng = rng
-        self._x = first_members(settings.population, dimensions, rng, seeds)
-        self._velocity = np.zeros_like(self._x)
-        self.population: FloatArray = np.empty((0, dimensions))
-        self.costs: FloatArray = np.empty(0)
+        self._settings = settings = settings or Settings()
+        super().__init__(dimensions, settings.population, rng, seeds)
+        self._velocity = np.zeros_like(self._asked)
 
-    def ask(self) -> FloatArray:
-        """Where the particles go next.  -> (NP, D) in the unit cube."""
-        if len(self.population):
-            settings, shape = self._settings, self._x.shape
-            best = self.population[np.argmin(self.costs)]
-            velocity = (
-                settings.inertia * self._velocity
-                + settings.own * self._rng.random(shape) * (self.population - self._x)
-                + settings.swarm * self._rng.random(shape) * (best - self._x)
-            )
-            velocity = np.clip(velocity, -settings.fastest, settings.fastest)
-            free = self._x + velocity
-            self._x = np.clip(free, 0.0, 1.0)
-            self._velocity = np.where(self._x == free, velocity, 0.0)
-        return self._x
-
-    def tell(self, costs: FloatArray) -> None:
-        """Remember what is better.  costs of the last ask(): (NP,)."""
-        if len(self.population):
-            self.population, self.costs, _ = survivors(self.population, self.costs, self._x, costs)
-        else:
-            self.population, self.costs = self._x.copy(), costs.copy()
+    def _next(self) -> FloatArray:
+        """Where the particles go next."""
+        settings, x = self._settings, self._asked
+        best = self.population[np.argmin(self.costs)]
+        velocity = (
+            settings.inertia * self._velocity
+            + settings.own * self._rng.random(x.shape) * (self.population - x)
+            + settings.swarm * self._rng.random(x.shape) * (best - x)
+        )
+        velocity = np.clip(velocity, -settings.fastest, settings.fastest)
+        free = x + velocity
+        moved = np.clip(free, 0.0, 1.0)
+        self._velocity = np.where(moved == free, velocity, 0.0)
+        return moved

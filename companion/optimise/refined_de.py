@@ -249,14 +249,13 @@ class RefinedDE:
         self,
         dimensions: int,
         evaluations: int,
-        settings: Settings,
         rng: np.random.Generator,
         seeds: FloatArray | None = None,
     ) -> None:
         """evaluations: the budget; seeds: candidates to start from, (K, D) in the unit cube."""
         if seeds is None:
             seeds = np.empty((0, dimensions))
-        state = begin(dimensions, max(evaluations, 1), seeds, settings, rng)
+        state = begin(dimensions, max(evaluations, 1), seeds, Settings(), rng)
         self._state = state._replace(rules=state.rules._replace(budget=np.iinfo(np.int64).max))
 
     @property

@@ -2,63 +2,36 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.optimise import differential_evolution as de
-from companion.optimise import genetic, improved_de, particle_swarm, refined_de
+from companion.optimise.genetic import Genetic
+from companion.optimise.improved_de import ImprovedDE
 from companion.optimise.loop import Optimiser
+from companion.optimise.particle_swarm import ParticleSwarm
+from companion.optimise.refined_de import RefinedDE
 
 Maker = Callable[[int, int, np.random.Generator, FloatArray | None], Optimiser]
 """From dimensions, evaluations that will be spent, chance, and seeds (K, D) in the unit cube."""
 
 
-def _improved_de(
-    dimensions: int, evaluations: int, rng: np.random.Generator, seeds: FloatArray | None
-) -> Optimiser:
-    settings = improved_de.Settings()
-    generations = evaluations // settings.population
-    return improved_de.ImprovedDE(dimensions, generations, settings, rng, seeds)
-
-
-def _refined_de(
-    dimensions: int, evaluations: int, rng: np.random.Generator, seeds: FloatArray | None
-) -> Optimiser:
-    return refined_de.RefinedDE(dimensions, evaluations, refined_de.Settings(), rng, seeds)
-
-
 def _classical(mutation: de.Mutation) -> Maker:
-    def make(
-        dimensions: int, _evaluations: int, rng: np.random.Generator, seeds: FloatArray | None
-    ) -> Optimiser:
-        return de.ClassicalDE(dimensions, de.Settings(mutation=mutation), rng, seeds)
-
-    return make
-
-
-def _particle_swarm(
-    dimensions: int, _evaluations: int, rng: np.random.Generator, seeds: FloatArray | None
-) -> Optimiser:
-    return particle_swarm.ParticleSwarm(dimensions, particle_swarm.Settings(), rng, seeds)
-
-
-def _genetic(
-    dimensions: int, _evaluations: int, rng: np.random.Generator, seeds: FloatArray | None
-) -> Optimiser:
-    return genetic.Genetic(dimensions, genetic.Settings(), rng, seeds)
+    return partial(de.ClassicalDE, settings=de.Settings(mutation=mutation))
 
 
 OPTIMISERS: dict[str, Maker] = {
-    "improved-de": _improved_de,
-    "refined-de": _refined_de,
+    "improved-de": ImprovedDE,
+    "refined-de": RefinedDE,
     "de/rand/1/bin": _classical(de.RAND_1),
     "de/best/1": _classical(de.BEST_1),
     "de/best/2": _classical(de.BEST_2),
     "de/current-to-best/1": _classical(de.CURRENT_TO_BEST_1),
     "de/rand-to-best/1": _classical(de.RAND_TO_BEST_1),
-    "pso": _particle_swarm,
-    "ga": _genetic,
+    "pso": ParticleSwarm,
+    "ga": Genetic,
 }
 
 

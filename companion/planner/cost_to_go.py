@@ -8,7 +8,7 @@ too long in any direction, 0.25 % in the mean.
 import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import final
 
@@ -58,39 +58,18 @@ class CostToGo:
     Always finite.
     """
 
-    north_min_m: float
-    east_min_m: float
-    cell_m: float
-    value_m: FloatArray
-    """(rows, columns), at lattice points: the first at north_min_m, east_min_m.
+    value: Surface
+    """The cost at lattice points, bilinear between them and clamped at the edges.
 
     Points inside threats and blocked terrain that border on free ones hold the cost of these, so
     that interpolation near an edge stays true.
     """
-    needed_m: FloatArray
-    """(rows, columns), AMSL: the lowest altitude from which the way on can be climbed."""
+    needed: Surface
+    """The lowest altitude from which the way on can be climbed, AMSL, likewise."""
     route_ne_m: tuple[Place, ...]
     """The cheapest way from here to the target."""
     is_barred: bool
     """Whether even that leads through what may not be flown."""
-
-    @property
-    def value(self) -> Surface:
-        """The cost, bilinear between lattice points and clamped at the edges."""
-        return self._surface(self.value_m)
-
-    @property
-    def needed(self) -> Surface:
-        """The lowest altitude from which the way on can be climbed, likewise."""
-        return self._surface(self.needed_m)
-
-    def _surface(self, vertex_m: FloatArray) -> Surface:
-        return Surface(
-            north_min_m=self.north_min_m,
-            east_min_m=self.east_min_m,
-            cell_m=self.cell_m,
-            vertex_m=vertex_m,
-        )
 
     def at_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Cost from points to the target.  (...) x2 -> (...)."""
@@ -150,12 +129,15 @@ def cost_to_go(
         kept = replace(near, cost=np.where(inside, 1.0 - _DISCOUNT, 1.0) * near.cost)
         solved = _solve(kept, seeds)
         route = _route(solved, far, here_ne_m, target_ne_m)
-    return CostToGo(
+    on_lattice = partial(
+        Surface,
         north_min_m=near.north_min_m,
         east_min_m=near.east_min_m,
         cell_m=2.0 * near.step_m,
-        value_m=_smooth_edges(solved),
-        needed_m=_needed_m(solved, target_ne_m, task),
+    )
+    return CostToGo(
+        value=on_lattice(vertex_m=_smooth_edges(solved)),
+        needed=on_lattice(vertex_m=_needed_m(solved, target_ne_m, task)),
         route_ne_m=route,
         is_barred=_is_barred(near, np.array(route)),
     )

@@ -57,7 +57,7 @@ def trouble(request: PlanRequest) -> Trouble | None:
     # A proof needs a little more than the bound itself; where a subpath was proven it had that.
     required_m = required_m * _PROVABLE if request.from_rest else required_m - _ROUNDING_M
     start, task = request.start.position_nea_m, request.task
-    around = _around(request)
+    around = request.around
     terrain_m = distance_to_terrain_m(around, start, required_m)
     seen_m = distance_to_terrain_m(around, start, required_m, seen_only=True)
     zones = tuple(zone for zone in task.zones if _gap_m(zone, start, task) < required_m)
@@ -133,7 +133,7 @@ def _proven(
     else:
         share = np.linspace(0.0, 1.0, _SAMPLES + 1)[:, None]
         along = start + share * (end - start)
-        around = _around(request)
+        around = request.around
         short = [distance_to_terrain_m(around, at, required_m) < required_m for at in along]
         split = along[min(int(np.flatnonzero(short)[-1]) + 1, _SAMPLES)]
         now_m = max(now_m - _SLACK_M, _SLACK_M)
@@ -185,11 +185,6 @@ def _straight(start: FloatArray, end: FloatArray) -> Subpath:
     return Subpath(control_nea_m=start + np.linspace(0.0, 1.0, 4)[:, None] * (end - start))
 
 
-def _around(request: PlanRequest) -> KnownMap:
-    """The known map; of a plane, as its circle is near to it."""
-    return request.known.grown(request.task.limits.loiter_radius_m)
-
-
 def _gap_m(zone: Zone, point_nea_m: FloatArray, task: Task) -> float:
     """Distance of the vehicle, or of the circle that it flies, to the edge of a zone."""
     return float(_gaps_m(zone, point_nea_m, task))
@@ -211,7 +206,7 @@ def _clear_of(zones: tuple[Zone, ...], ends: FloatArray, task: Task) -> BoolArra
 
 def _clear_of_terrain(request: PlanRequest, ends: Iterable[FloatArray]) -> Iterator[FloatArray]:
     """Those of the places that keep the required clearance from the terrain."""
-    required_m, around = request.task.required_clearance_m * _PROVABLE, _around(request)
+    required_m, around = request.task.required_clearance_m * _PROVABLE, request.around
     return (end for end in ends if distance_to_terrain_m(around, end, required_m) >= required_m)
 
 

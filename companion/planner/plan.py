@@ -133,18 +133,17 @@ def _impossible(request: PlanRequest) -> Refusal | None:
 
 def _unreachable(request: PlanRequest) -> Refusal | None:
     """What is wrong with the target."""
-    task, limits, known = request.task, request.task.limits, request.known
+    task, limits = request.task, request.task.limits
     target = np.array(request.target_ne_m)
     edges = zip(target, (limits.north_m, limits.east_m), strict=True)
     if min(min(at - low, high - at) for at, (low, high) in edges) < task.zone_search_clearance_m:
         return Refusal.TARGET_AT_EDGE
-    around = known.grown(limits.loiter_radius_m)
     for zone in task.zones:
         if float(zone.distance_m(target[0], target[1])) < task.zone_search_clearance_m:
             return Refusal.TARGET_IN_KEEP_OUT
     highest = np.array([*request.target_ne_m, task.band_amsl_m[1]])
     required_m = task.required_clearance_m
-    if distance_to_terrain_m(around, highest, required_m, seen_only=True) < required_m:
+    if distance_to_terrain_m(request.around, highest, required_m, seen_only=True) < required_m:
         return Refusal.TARGET_IN_TERRAIN
     return None
 
@@ -208,7 +207,7 @@ class _Plan:
         self._request, self._stop, self._kernel = request, stop, kernel
         self._surroundings = _surroundings(request)
         self._field = cost_to_go(
-            request.known.grown(request.task.limits.loiter_radius_m),
+            request.around,
             request.task,
             request.scan_nea_m[:2],
             request.target_ne_m,
@@ -516,7 +515,7 @@ def _vary(scene: FlightScene, how: _Try) -> FlightScene:
 
 def _surface(request: PlanRequest, clearance_m: float) -> Surface:
     return safe_surface(
-        request.known.grown(request.task.limits.loiter_radius_m),
+        request.around,
         centre_ne_m=request.scan_nea_m[:2],
         reach_m=REACH * request.task.settings.scan_range_m,
         clearance_m=clearance_m,

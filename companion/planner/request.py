@@ -55,6 +55,11 @@ class PlanRequest:
     attempt: int = 0
     """How often this question has been asked in vain; each time the search is wider."""
 
+    @property
+    def around(self) -> KnownMap:
+        """The known map; of a plane, as its circle is near to it."""
+        return self.known.grown(self.task.limits.loiter_radius_m)
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

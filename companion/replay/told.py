@@ -18,7 +18,7 @@ from companion.objective.scene import PROFILES
 from companion.planner.outcomes import outcome_of
 from companion.planner.request import PlanOutcome
 from companion.session import Session
-from companion.world.packed_map import unpacked_map
+from companion.world.known_map import unpacked_map
 
 OUTSIDE = frozenset({"unsent", "raised", "held"})
 """Inputs that say what became of a session and its output: the session is not told of them."""

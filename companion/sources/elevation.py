@@ -254,7 +254,7 @@ def _reached(
     north_m = np.linspace(south, north, _BORDER_POINTS)
     east_m = np.linspace(west, east, _BORDER_POINTS)
     border = np.meshgrid(north_m, east_m, indexing="ij")  # and the inside: no matter
-    latitude, longitude = frame.to_geodetic_many_deg(*border)
+    latitude, longitude = frame.to_geodetic_deg(*border)
     transform, width = source.transform, source.width
     row = (latitude - transform.f) / transform.e - 0.5
     middle = transform.c + 0.5 * width * transform.a

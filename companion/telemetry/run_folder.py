@@ -32,8 +32,7 @@ from msgspec import Meta, Struct
 from companion.errors import InputError
 from companion.mission.journal import SCHEMA, VERSION, plain
 from companion.telemetry import inputs
-from companion.world.known_map import KnownMap
-from companion.world.packed_map import packed_map, unpacked_map
+from companion.world.known_map import KnownMap, packed_map, unpacked_map
 
 RESUME_SCHEMA = "companion-resume"
 RESUME_VERSION = 1

@@ -51,18 +51,13 @@ class Surface:
         return south + u * (north - south), rise_north**2 + rise_east**2
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Window:
-    north_min_m: float
-    east_min_m: float
-    upper_m: FloatArray
-
-
 def _window(
     known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float, unknown_m: float
-) -> _Window:
-    """The part of the map within reach of a point; unknown or off the map: unknown_m."""
+) -> tuple[float, float, FloatArray]:
+    """Southern and western edge and cells of the map within reach of a point.
+
+    Unknown or off the map: unknown_m.
+    """
     row, column = known.cell_of(*centre_ne_m)
     half = math.ceil(reach_m / known.cell_m) + 1
     rows, columns = known.upper_m.shape
@@ -73,10 +68,10 @@ def _window(
         window[
             south - row + half : north - row + half, west - column + half : east - column + half
         ] = known.upper_m[south:north, west:east]
-    return _Window(
-        north_min_m=known.north_min_m + (row - half) * known.cell_m,
-        east_min_m=known.east_min_m + (column - half) * known.cell_m,
-        upper_m=np.where(np.isfinite(window), window, unknown_m),
+    return (
+        known.north_min_m + (row - half) * known.cell_m,
+        known.east_min_m + (column - half) * known.cell_m,
+        np.where(np.isfinite(window), window, unknown_m),
     )
 
 
@@ -96,11 +91,11 @@ def safe_surface(
     unknown_m.  Up to a cell wider than need be: `path.certificate` is exact.
     """
     radius = clearance_m + known.registration_m
-    window = _window(known, centre_ne_m, reach_m + radius, unknown_m)
+    south, west, upper = _window(known, centre_ne_m, reach_m + radius, unknown_m)
     refine = 2 if radius < _COARSE_FROM * known.cell_m else 1
     half = math.ceil(radius / known.cell_m)
-    rows, columns = window.upper_m.shape
-    padded = np.pad(window.upper_m, half, mode="edge")
+    rows, columns = upper.shape
+    padded = np.pad(upper, half, mode="edge")
     squares = np.full((refine, refine, rows, columns), -np.inf)
     part_m = np.empty((rows, columns))
     for north, east in np.ndindex(refine, refine):
@@ -113,8 +108,8 @@ def safe_surface(
             np.add(padded[i : i + rows, j : j + columns], rise_m, out=part_m)
             np.maximum(square, part_m, out=square)
     return Surface(
-        north_min_m=window.north_min_m,
-        east_min_m=window.east_min_m,
+        north_min_m=south,
+        east_min_m=west,
         cell_m=known.cell_m / refine,
         vertex_m=_at_vertices(
             squares.transpose(2, 0, 3, 1).reshape(rows * refine, columns * refine)
@@ -148,18 +143,18 @@ def terrain_surface(
 
     Bilinear between the middles of the cells: smooth, for the paper's objective, not a bound.
     """
-    window = _window(known, centre_ne_m, reach_m, 0.0)
+    south, west, upper = _window(known, centre_ne_m, reach_m, 0.0)
     return Surface(
-        north_min_m=window.north_min_m + 0.5 * known.cell_m,
-        east_min_m=window.east_min_m + 0.5 * known.cell_m,
+        north_min_m=south + 0.5 * known.cell_m,
+        east_min_m=west + 0.5 * known.cell_m,
         cell_m=known.cell_m,
-        vertex_m=window.upper_m,
+        vertex_m=upper,
     )
 
 
 def sees_anything(known: KnownMap, centre_ne_m: tuple[float, float], reach_m: float) -> bool:
     """Whether any ground within reach of a point is known."""
-    return bool(np.isfinite(_window(known, centre_ne_m, reach_m, math.inf).upper_m).any())
+    return bool(np.isfinite(_window(known, centre_ne_m, reach_m, math.inf)[2]).any())
 
 
 def distance_to_terrain_m(

@@ -7,13 +7,15 @@ What may be concluded from a cell that was not seen follows from what the radar 
 section 4, decision 0020).
 """
 
+import hashlib
+import io
 import math
 from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 import scipy.ndimage
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.rays import Lattice, Rays, overlooking_line_m
@@ -22,6 +24,7 @@ NOT_SEEN = -math.inf  # the radar answered: sheltered, or out of range
 NO_ANSWER = math.nan  # the radar did not answer
 
 _ON_EDGE_M = 1e-3
+_NO_LENGTH = -(2**52)
 _GROUP_CELLS, _GROUP_CELLS_UP = 0.25, 0.1  # radars this close count as one
 
 
@@ -373,3 +376,52 @@ def _window(scan: Scan) -> tuple[slice, slice]:
 
 def _shape(array: FloatArray) -> tuple[int, int]:
     return array.shape[0], array.shape[1]
+
+
+# --- a map as bytes, and what tells it from others
+
+
+def packed_map(known: KnownMap) -> bytes:
+    """The map in numpy's compressed .npz, without what was given in advance."""
+    buffer = io.BytesIO()
+    lattice = [known.cell_m, known.north_min_m, known.east_min_m, known.registration_m]
+    np.savez_compressed(buffer, lattice=lattice, upper_m=known.upper_m, seen=known.seen)
+    return buffer.getvalue()
+
+
+def unpacked_map(data: bytes) -> KnownMap:
+    """The map that they were made of.  ValueError if they cannot be read."""
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as held:
+            cell_m, north_m, east_m, registration_m = held["lattice"].tolist()
+            return KnownMap(
+                cell_m=cell_m,
+                north_min_m=north_m,
+                east_min_m=east_m,
+                upper_m=held["upper_m"],
+                seen=held["seen"],
+                registration_m=registration_m,
+            )
+    except Exception as error:  # whatever damaged bytes lead numpy to: a SyntaxError, too
+        raise ValueError("it is cut short or damaged") from error
+
+
+def digest_of(known: KnownMap) -> str:
+    """What tells a map from any other, to the millimetre: the same on every computer."""
+    lattice = known.cell_m, known.north_min_m, known.east_min_m, known.registration_m
+    digest = hashlib.sha256(repr((known.upper_m.shape, _millimetres(lattice).tolist())).encode())
+    digest.update(_millimetres(known.upper_m).astype("<i8").tobytes())
+    for cells in (known.seen, known.firm):
+        digest.update(np.packbits(cells).tobytes())
+    if known.guess_m is not None:
+        digest.update(_millimetres(known.guess_m).astype("<i8").tobytes())
+    return digest.hexdigest()
+
+
+def _millimetres(lengths_m: ArrayLike) -> NDArray[np.int64]:
+    """Whole ones; of what is infinite, none that a length could have."""
+    lengths = np.asarray(lengths_m, dtype=np.float64)
+    known = np.isfinite(lengths)
+    return np.where(known, np.rint(np.where(known, lengths, 0.0) * 1e3), _NO_LENGTH).astype(
+        np.int64
+    )

@@ -27,6 +27,15 @@ class Lattice:
     shape: tuple[int, int]
     """Rows and columns."""
 
+    def wider(self) -> "Lattice":
+        """The lattice with one more cell on each side."""
+        return replace(
+            self,
+            north_min_m=self.north_min_m - self.cell_m,
+            east_min_m=self.east_min_m - self.cell_m,
+            shape=(self.shape[0] + 2, self.shape[1] + 2),
+        )
+
     def crossed(
         self, radar_ne_m: tuple[float, float], azimuth_rad: FloatArray, steps: FloatArray
     ) -> IntArray:
@@ -150,14 +159,8 @@ def _slope_to_arcs(
     -> (steps, rays).
     """
     edge = np.pad(top_m, 1, constant_values=np.inf)
-    padded = replace(
-        lattice,
-        north_min_m=lattice.north_min_m - lattice.cell_m,
-        east_min_m=lattice.east_min_m - lattice.cell_m,
-        shape=(edge.shape[0], edge.shape[1]),
-    )
     half_rad = 0.5 * float(azimuth_rad[1])
-    ends = padded.crossed(radar_nea_m[:2], azimuth_rad - half_rad, steps)
+    ends = lattice.wider().crossed(radar_nea_m[:2], azimuth_rad - half_rad, steps)
     left, right = (np.divmod(flat, edge.shape[1]) for flat in (ends, np.roll(ends, -1, axis=1)))
     rise = np.maximum(edge[left], edge[right])
     np.maximum(rise, edge[left[0], right[1]], out=rise)

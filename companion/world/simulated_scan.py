@@ -1,7 +1,7 @@
 """A scan of a world that is known: what the radar would show, for planning without a vehicle."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self, final
 
 import numpy as np
@@ -112,13 +112,7 @@ def _in_sight(
     rays = Rays.towards(middles, radar_nea_m[:2], here.cell_m)
     steps = np.arange(1.0, math.ceil(rays.farthest_m / here.cell_m) + 2)
     top = np.pad(here.upper_m, 1, constant_values=-np.inf)  # beyond the edge there is nothing
-    lattice = replace(
-        here.lattice,
-        north_min_m=here.north_min_m - here.cell_m,
-        east_min_m=here.east_min_m - here.cell_m,
-        shape=top.shape,
-    )
-    crossed = lattice.crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
+    crossed = here.lattice.wider().crossed(radar_nea_m[:2], rays.azimuth_rad, steps)
     slope = top.ravel().take(crossed)
     slope -= radar_nea_m[2]
     slope /= steps[:, None]

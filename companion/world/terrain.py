@@ -175,7 +175,7 @@ class GridTerrain:
 
     def _projected(self, north_m: FloatArray, east_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Fractional row and column of points, each projected.  (...) x2 -> (...) x2."""
-        latitude, longitude = self.frame.to_geodetic_many_deg(north_m, east_m)
+        latitude, longitude = self.frame.to_geodetic_deg(north_m, east_m)
         half = 0.5 * self.step_east_deg * (self.heights_m.shape[1] - 1)
         off_middle = _wrapped_deg(self.frame.longitude_deg - self.west_deg - half)
         east = _wrapped_deg(longitude - self.frame.longitude_deg) + off_middle + half

@@ -14,6 +14,7 @@ from companion.optimise.registry import OPTIMISERS
 FloatArray = NDArray[np.float64]
 Objective = Callable[[FloatArray], FloatArray]
 
+PAPERS = set(OPTIMISERS) - {"refined-de"}
 every_optimiser = pytest.mark.parametrize("name", OPTIMISERS)
 few = settings(max_examples=10)
 
@@ -200,3 +201,11 @@ class TestEveryOptimiser:
         assert ranked.costs[0] <= bowl(good)[0]
         # 120 evaluations alone come nowhere near it
         assert search(name, bowl, seed=seed, dimensions=6, evaluations=120).costs[0] > 1e-3
+
+
+def test_no_two_names_are_the_same_search_and_the_papers_have_its_60_members() -> None:
+    assert {"improved-de", "pso", "ga", "de/rand/1/bin", "de/best/1", "de/best/2"} <= PAPERS
+    assert {"de/current-to-best/1", "de/rand-to-best/1"} <= PAPERS
+    assert len({search(name, bowl, seed=3).x.tobytes() for name in OPTIMISERS}) == len(OPTIMISERS)
+    for name in PAPERS:
+        assert OPTIMISERS[name](6, 3_000, np.random.default_rng(1), None).ask().shape == (60, 6)

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from planning import limits
 
 from companion.objective.scene import FlightScene, Weights
-from companion.path.limits import Limits
 from companion.path.subpath import Pose, Subpath
 from companion.world.clearance import Surface
 from companion.world.threats import CircleZone, PolygonZone, Radar, Zone, near_cells
@@ -15,18 +15,14 @@ from companion.world.threats import CircleZone, PolygonZone, Radar, Zone, near_c
 FloatArray = NDArray[np.float64]
 
 R_M = 2_000.0
-LIMITS = Limits(
+LIMITS = limits(
     speed_m_s=60.0,
-    acceleration_m_s2=3.0,
-    climb_rate_m_s=4.0,
     turn_radius_m=400.0,
     climb_angle_rad=0.1,
     dive_angle_rad=0.15,
-    floor_amsl_m=300.0,
     ceiling_amsl_m=800.0,
     north_m=(1_500.0, 5_500.0),
     east_m=(1_500.0, 5_500.0),
-    tracking_error_m=5.0,
 )
 
 

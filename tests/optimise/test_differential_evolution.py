@@ -4,29 +4,27 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from companion.errors import InputError
 from companion.optimise.differential_evolution import (
-    BEST_1,
     BEST_2,
     CURRENT_TO_BEST_1,
     RAND_1,
-    RAND_TO_BEST_1,
-    BestTwo,
-    Blend,
     ClassicalDE,
-    CurrentToBest,
     Mutation,
     Settings,
+    best_two,
+    blended,
     crossed,
+    current_to_best,
     distinct_others,
-    survivors,
 )
 from companion.optimise.improved_de import ImprovedDE
 from companion.optimise.improved_de import Settings as ImprovedSettings
+from companion.optimise.registry import OPTIMISERS
 
 FloatArray = NDArray[np.float64]
 Row = list[float]
@@ -55,36 +53,52 @@ def current_to_best_1(member: Row, best: Row, r: list[Row], f: float) -> Row:
     return [member[j] + f * (best[j] - member[j]) + f * (r[0][j] - r[1][j]) for j in range(D)]
 
 
-def special_cases(f: float) -> list[tuple[Mutation, Formula]]:
-    """Each variant, by the parameters of eq. 15 where the paper's text says so."""
-    return [
-        (Blend(a=1.0, f1=0.0, f2=f), rand_1),
-        (Blend(a=0.0, f1=0.0, f2=f), best_1),
-        (Blend(a=1.0, f1=f, f2=f), rand_to_best_1),
-        (BestTwo(f=f), best_2),
-        (CurrentToBest(f=f), current_to_best_1),
-    ]
+#: Each variant, by the parameters of eq. 15 where the paper's text says so.
+CASES: dict[str, tuple[Callable[[float], Mutation], Formula]] = {
+    "de/rand/1/bin": (lambda f: blended(1.0, 0.0, f), rand_1),
+    "de/best/1": (lambda f: blended(0.0, 0.0, f), best_1),
+    "de/rand-to-best/1": (lambda f: blended(1.0, f, f), rand_to_best_1),
+    "de/best/2": (best_two, best_2),
+    "de/current-to-best/1": (current_to_best, current_to_best_1),
+}
 
 
-@given(seed=st.integers(0, 10**6), f=st.floats(0.05, 1.5), case=st.integers(0, 4))
+@pytest.mark.parametrize("name", CASES)
+@given(seed=st.integers(0, 10**6), f=st.floats(0.05, 1.5))
 def test_the_same_draws_make_the_mutants_of_the_special_cases_formula(
-    seed: int, f: float, case: int
+    name: str, seed: int, f: float
 ) -> None:
-    mutation, formula = special_cases(f)[case]
+    make, formula = CASES[name]
+    mutation = make(f)
     x = np.random.default_rng(seed).random((NP, D))
     costs = np.random.default_rng(seed + 1).random(NP)
-    de = ClassicalDE(
-        D, Settings(population=NP, mutation=mutation, crossover=1.0), twin(seed), seeds=x
-    )
+    how = Settings(population=NP, mutation=mutation, crossover=1.0)
+    de = ClassicalDE(D, 0, twin(seed), x, how)
     de.ask()
     de.tell(costs)
     draws = twin(seed)  # the same numbers, drawn by hand
     draws.random((NP, D))  # the first members
     others = distinct_others(NP, mutation.others, draws)
     best = x[costs.argmin()].tolist()
-    for i, trial in enumerate(de.ask()):
+    trial = de.ask().copy()
+    for i in range(NP):
         mutant = formula(x[i].tolist(), best, [x[r[i]].tolist() for r in others], f)
-        assert trial == pytest.approx([min(max(v, 0.0), 1.0) for v in mutant], abs=1e-14)
+        assert trial[i] == pytest.approx([min(max(v, 0.0), 1.0) for v in mutant], abs=1e-14)
+    told = costs + np.random.default_rng(seed + 3).choice([-0.1, 0.0, 0.1], NP)
+    de.tell(told)  # eq. 14: the better survives, and the trial if equal
+    for i in range(NP):
+        assert de.population[i].tolist() == (trial if told[i] <= costs[i] else x)[i].tolist()
+        assert de.costs[i] == min(told[i], costs[i])
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_variants_that_have_a_name_are_their_formulae_with_f_of_a_half(name: str) -> None:
+    x, how = np.random.default_rng(1).random((60, D)), Settings(mutation=CASES[name][0](0.5))
+    by_hand = ClassicalDE(D, 0, np.random.default_rng(2), x, how)
+    asked = OPTIMISERS[name](D, 0, np.random.default_rng(2), x)
+    for de in (by_hand, asked):
+        de.tell(np.arange(float(len(de.ask()))))
+    assert (asked.ask() == by_hand.ask()).all()
 
 
 def twin(seed: int) -> np.random.Generator:
@@ -98,7 +112,7 @@ def test_equation_15_between_its_ends_is_the_sum_that_is_printed(
     rng = np.random.default_rng(seed)
     x, a = rng.random((NP, D)), rng.random()
     others = distinct_others(NP, 3, rng)
-    mutants = Blend(a=a, f1=f1, f2=f2).mutants(x, x[0], others)
+    mutants = blended(a, f1, f2).mutants(x, x[0], [x[r] for r in others])
     for i in range(NP):
         for j in range(D):
             r1, r2, r3 = (x[r[i], j] for r in others)
@@ -130,26 +144,23 @@ def test_the_improved_de_with_fixed_parameters_is_equation_15(seed: int, a: floa
     k1, k2 = 0.3, 0.8
     improved = ImprovedDE(
         D,
-        9,
-        ImprovedSettings(population=NP, k1=(k1, k1), k2=(k2, k2)),
+        9 * NP,
         Fixed(seed, [a, 0.7]),  # type: ignore[arg-type]
-        seeds=x,
+        x,
+        ImprovedSettings(population=NP, k1=(k1, k1), k2=(k2, k2)),
     )
+    mutation = blended(a, k1 * (1 - a), k2 * a)
     general = ClassicalDE(
         D,
-        Settings(population=NP, mutation=Blend(a=a, f1=k1 * (1 - a), f2=k2 * a), crossover=0.7),
+        0,
         Fixed(seed, []),  # type: ignore[arg-type]
-        seeds=x,
+        x,
+        Settings(population=NP, mutation=mutation, crossover=0.7),
     )
     for each in (improved, general):
         each.ask()
         each.tell(costs)
     assert improved.ask() == pytest.approx(general.ask(), abs=1e-14)
-
-
-def test_the_variants_that_have_a_name_are_their_formulae_with_f_of_a_half() -> None:
-    named = [RAND_1, BEST_1, RAND_TO_BEST_1, BEST_2, CURRENT_TO_BEST_1]
-    assert named == [mutation for mutation, _ in special_cases(0.5)]
 
 
 @pytest.mark.parametrize("cr", [0.0, 0.3, 1.0])
@@ -162,20 +173,8 @@ def test_a_trial_takes_a_variable_with_probability_cr_and_at_least_one(cr: float
     assert trial.mean() == pytest.approx(cr + (1 - cr) / D, abs=0.023)
 
 
-@given(seed=st.integers(0, 10**6))
-def test_the_better_survives_and_the_trial_if_equal(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    members, trial = rng.random((2, NP, D))
-    costs, trial_costs = rng.integers(3, size=(2, NP)).astype(float)
-    x, f, won = survivors(members, costs, trial, trial_costs)
-    for i in range(NP):
-        better = trial_costs[i] <= costs[i]
-        assert won[i] == better
-        assert x[i].tolist() == (trial if better else members)[i].tolist()
-        assert f[i] == min(costs[i], trial_costs[i])
-
-
 @given(size=st.integers(5, 40), count=st.integers(1, 4), seed=st.integers(0, 10**6))
+@example(size=4, count=3, seed=1)
 def test_others_are_distinct_and_never_oneself(size: int, count: int, seed: int) -> None:
     others = np.array(distinct_others(size, count, np.random.default_rng(seed)))
     assert others.shape == (count, size)
@@ -183,12 +182,6 @@ def test_others_are_distinct_and_never_oneself(size: int, count: int, seed: int)
         drawn = set(others[:, i].tolist())
         assert len(drawn) == count
         assert drawn <= set(range(size)) - {i}
-
-
-def test_four_members_are_enough_for_three_others() -> None:
-    others = np.array(distinct_others(4, 3, np.random.default_rng(1)))
-    for i in range(4):
-        assert sorted([*others[:, i], i]) == [0, 1, 2, 3]
 
 
 def test_every_ordered_triple_of_others_is_drawn_about_as_often() -> None:

@@ -14,7 +14,7 @@ MANY = 40_000
 
 
 def told(settings: Settings, x: FloatArray, costs: FloatArray, seed: int = 1) -> Genetic:
-    ga = Genetic(x.shape[1], settings, np.random.default_rng(seed), seeds=x)
+    ga = Genetic(x.shape[1], 0, np.random.default_rng(seed), x, settings)
     assert (ga.ask() == x).all()
     ga.tell(costs)
     return ga

@@ -16,7 +16,7 @@ CHI = 0.7298437881283576  # the root for phi = 4.1, to all digits
 
 @given(seed=st.integers(0, 10**6))
 def test_every_particle_moves_by_the_equations_of_clerc_and_kennedy(seed: int) -> None:
-    swarm = ParticleSwarm(D, Settings(population=NP), np.random.default_rng(seed))
+    swarm = ParticleSwarm(D, 0, np.random.default_rng(seed), settings=Settings(population=NP))
     draws = np.random.default_rng(seed)  # the same numbers, drawn by hand
     costs_of = np.random.default_rng(seed + 1)
     x = draws.random((NP, D))
@@ -49,7 +49,7 @@ def test_every_particle_moves_by_the_equations_of_clerc_and_kennedy(seed: int) -
 def test_a_swarm_of_none_is_refused() -> None:
     with pytest.raises(InputError, match="population = 0"):
         Settings(population=0)
-    swarm = ParticleSwarm(D, Settings(population=1), np.random.default_rng(1))
+    swarm = ParticleSwarm(D, 0, np.random.default_rng(1), settings=Settings(population=1))
     for _ in range(3):
         swarm.tell(swarm.ask().sum(axis=1))
     assert swarm.population.shape == (1, D)

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import planning
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
+from planning import spline as curve
 from scipy.optimize import minimize, minimize_scalar
 from scipy.spatial import cKDTree
 
@@ -207,40 +208,21 @@ def _polygon(corners: FloatArray, keep_in: bool) -> PolygonZone:
     return PolygonZone(name="p", vertices_ne_m=vertices, keep_in=keep_in)
 
 
-def curve(control_nea_m: FloatArray) -> Any:
-    """The clamped cubic B-spline with uniform inner knots, by scipy."""
-    spans = len(control_nea_m) - 3
-    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
-    return BSpline(knots, control_nea_m, 3)
-
-
 def column_distance_m(
     known: KnownMap, points_nea_m: FloatArray, within_m: float = np.inf
 ) -> FloatArray:
-    """Distance of points from every column of the map, the nearest of them.  (S, 3) -> (S,).
+    """Distance of points from every column of the map and from its edges.  (S, 3) -> (S,).
 
-    within_m: columns farther than this from all points may be left out.
+    within_m: columns farther than this need not count.
     """
-    n, e, z = points_nea_m.T
-    low_n = known.north_min_m + np.arange(known.upper_m.shape[0]) * known.cell_m
-    low_e = known.east_min_m + np.arange(known.upper_m.shape[1]) * known.cell_m
-    edge_n = np.minimum(n - low_n[0], low_n[-1] + known.cell_m - n)
-    edge_e = np.minimum(e - low_e[0], low_e[-1] + known.cell_m - e)
-    edge = np.maximum(np.minimum(edge_n, edge_e) - known.registration_m, 0.0)
-    far = within_m + known.cell_m + known.registration_m
-    rows = (low_n >= n.min() - far) & (low_n <= n.max() + far)
-    columns = (low_e >= e.min() - far) & (low_e <= e.max() + far)
-    if not rows.any() or not columns.any():
-        return edge
-    low_n, low_e, upper_m = low_n[rows], low_e[columns], known.upper_m[np.ix_(rows, columns)]
-    gap_n = np.maximum(np.maximum(low_n - n[:, None], n[:, None] - low_n - known.cell_m), 0.0)
-    gap_e = np.maximum(np.maximum(low_e - e[:, None], e[:, None] - low_e - known.cell_m), 0.0)
-    flat = gap_n[:, :, None] ** 2 + gap_e[:, None, :] ** 2
-    if known.registration_m > 0.0:
-        flat = np.maximum(np.sqrt(flat) - known.registration_m, 0.0) ** 2
-    flat += np.maximum(z[:, None, None] - upper_m, 0.0) ** 2
-    nearest = np.sqrt(flat.min(axis=(1, 2)))
-    return np.minimum(nearest, edge)
+    n, e, _ = points_nea_m.T
+    north = known.north_min_m + known.upper_m.shape[0] * known.cell_m
+    east = known.east_min_m + known.upper_m.shape[1] * known.cell_m
+    edge = np.minimum(
+        np.minimum(n - known.north_min_m, north - n), np.minimum(e - known.east_min_m, east - e)
+    )
+    edge = np.maximum(edge - known.registration_m, 0.0)
+    return np.minimum(planning.column_distance_m(known, points_nea_m, within_m), edge)
 
 
 def circles_nea_m(case: Case, points_nea_m: FloatArray) -> FloatArray:

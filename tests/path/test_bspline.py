@@ -25,12 +25,6 @@ def control(seed: int, points: int) -> FloatArray:
     return np.random.default_rng(seed).uniform(-1e3, 1e3, (points, 3))
 
 
-def de_casteljau(points: FloatArray, u: float) -> FloatArray:
-    while len(points) > 1:
-        points = (1.0 - u) * points[:-1] + u * points[1:]
-    return points[0]
-
-
 @every_size
 @given(seed=seeds)
 def test_the_basis_is_that_of_a_b_spline_with_threefold_ends_and_uniform_inner_knots(
@@ -43,52 +37,6 @@ def test_the_basis_is_that_of_a_b_spline_with_threefold_ends_and_uniform_inner_k
     assert at.value @ polygon == pytest.approx(spline(u), abs=1e-8)
     assert at.first @ polygon == pytest.approx(spline(u, 1), abs=1e-8)
     assert at.second @ polygon == pytest.approx(spline(u, 2), abs=1e-7)
-
-
-@given(seed=seeds, u=st.floats(0.0, 1.0))
-def test_with_four_points_the_curve_is_de_casteljaus(seed: int, u: float) -> None:
-    polygon = control(seed, 4)
-    found = (basis(np.array([u])).value @ polygon)[0]
-    assert found == pytest.approx(de_casteljau(polygon, u), abs=1e-9)
-
-
-@every_size
-@given(seed=seeds, u=st.floats(0.001, 0.999))
-def test_the_derivatives_are_finite_differences(points: int, seed: int, u: float) -> None:
-    polygon = control(seed, points)
-    h = 1e-5
-    at = basis(np.array([u - h, u, u + h]), points)
-    before, here, after = at.value @ polygon
-    d_before, d_here, d_after = at.first @ polygon
-    assert d_here == pytest.approx((after - before) / (2 * h), abs=1e-2)
-    assert (at.second @ polygon)[1] == pytest.approx((d_after - d_before) / (2 * h), abs=2.0)
-    assert here == pytest.approx((before + after) / 2, abs=1e-4)
-
-
-@every_size
-def test_the_basis_functions_are_shares(points: int) -> None:
-    at = basis(np.linspace(0.0, 1.0, 101), points)
-    assert at.value.min() >= -1e-15  # rounding
-    assert at.value.sum(axis=1) == pytest.approx(np.ones(101))
-    assert at.first.sum(axis=1) == pytest.approx(np.zeros(101), abs=1e-12)
-
-
-@every_size
-@given(seed=seeds)
-def test_the_curve_leaves_along_the_first_leg_and_arrives_along_the_last(
-    points: int, seed: int
-) -> None:
-    polygon = control(seed, points)
-    at = uniform_basis(4, points)
-    curve, tangent = at.value @ polygon, at.first @ polygon
-    assert curve[0] == pytest.approx(polygon[0])
-    assert curve[-1] == pytest.approx(polygon[-1])
-    for velocity, leg in (
-        (tangent[0], polygon[1] - polygon[0]),
-        (tangent[-1], polygon[-1] - polygon[-2]),
-    ):
-        cosine = velocity @ leg / (np.linalg.norm(velocity) * np.linalg.norm(leg))
-        assert cosine == pytest.approx(1.0)
 
 
 def test_the_uniform_basis_is_at_even_parameters_with_both_ends() -> None:
@@ -113,14 +61,6 @@ def test_a_helix_turns_at_its_radius_and_climbs_at_its_pitch_at_any_pace(
     curvature = horizontal_curvature_1_m(first, second)
     np.testing.assert_allclose(curvature, 1.0 / radius_m, rtol=1e-9)
     np.testing.assert_allclose(climb_angle_rad(first), math.atan(climb), rtol=1e-9)
-
-
-def test_a_straight_line_at_uneven_pace_has_no_curvature() -> None:
-    pace = np.linspace(1.0, 5.0, 7)[:, None]
-    direction = np.array([3.0, -4.0, 1.0])
-    assert horizontal_curvature_1_m(pace * direction, 2.0 * pace * direction) == pytest.approx(
-        np.zeros(7), abs=1e-12
-    )
 
 
 def test_a_vertical_climb_is_a_right_angle_and_no_turn() -> None:

@@ -4,43 +4,26 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from companion.path.limits import Limits
-
-
-def some_limits(acceleration_m_s2: float = 3.0, dead_man_s: float = 3.5) -> Limits:
-    return Limits(
-        speed_m_s=15.0,
-        acceleration_m_s2=acceleration_m_s2,
-        climb_rate_m_s=4.0,
-        turn_radius_m=100.0,
-        climb_angle_rad=0.2,
-        dive_angle_rad=0.2,
-        floor_amsl_m=300.0,
-        ceiling_amsl_m=800.0,
-        north_m=(0.0, 1.0),
-        east_m=(0.0, 1.0),
-        dead_man_s=dead_man_s,
-    )
+from planning import limits
 
 
 def test_limits_cannot_change_in_flight() -> None:
-    limits = some_limits()
+    copter = limits()
     with pytest.raises(FrozenInstanceError):
-        limits.speed_m_s = 30.0  # type: ignore[misc]
+        copter.speed_m_s = 30.0  # type: ignore[misc]
 
 
 @given(speed=st.floats(0.0, 300.0), braking=st.floats(0.5, 20.0), flies_on_s=st.floats(0.0, 10.0))
 def test_the_dead_man_reach_is_what_a_vehicle_covers_that_flies_on_and_then_brakes(
     speed: float, braking: float, flies_on_s: float
 ) -> None:
-    limits, steps = some_limits(braking, flies_on_s), 4_000
+    copter, steps = limits(acceleration_m_s2=braking, dead_man_s=flies_on_s), 4_000
     duration_s = flies_on_s + speed / braking
     time_s = (np.arange(steps) + 0.5) * duration_s / steps
     speeds = np.clip(speed - braking * (time_s - flies_on_s), 0.0, speed)
-    assert limits.reach_m(speed) == pytest.approx(speeds.mean() * duration_s, rel=1e-5, abs=1e-9)
+    assert copter.reach_m(speed) == pytest.approx(speeds.mean() * duration_s, rel=1e-5, abs=1e-9)
 
 
 def test_the_reach_covers_the_54_m_that_arducopter_flew_on_at_10_m_s() -> None:
     # ardupilot.md 3: WPNAV_ACCEL 2.5 m/s2, GUID_TIMEOUT 3 s
-    assert 54.0 <= some_limits(acceleration_m_s2=2.5).reach_m(10.0) <= 60.0
+    assert 54.0 <= limits(acceleration_m_s2=2.5).reach_m(10.0) <= 60.0

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from companion.path import proof
 from companion.path.certificate import cubics_of, pack_zones
-from companion.path.proof import exposure, first_pieces, piece_of, reach, stretch_of
+from companion.path.proof import exposure, first_pieces, piece_of, stretch_of
 from companion.path.proof_distance import (
     column_distance,
     edge_distance,
@@ -17,7 +17,7 @@ from companion.path.proof_distance import (
     terrain_distance,
     zone_distance,
 )
-from companion.path.proof_shape import extremes, largest, runs_forward, times
+from companion.path.proof_shape import extremes, largest, runs_forward
 from companion.runtime.compiler import load_kernel
 from companion.world.threats import CircleZone, PolygonZone
 
@@ -187,11 +187,6 @@ def test_all_stretches_of_a_piece_are_within_the_slack_of_the_segment(
         assert np.linalg.norm(ends - base - foot[:, None] * chord, axis=-1).max() <= slack + 1e-6
 
 
-def test_the_reach_is_the_flight_after_the_last_setpoint_and_the_braking_distance() -> None:
-    here = a_case(0).surroundings()._replace(dead_man_s=3.5, acceleration_m_s2=5.0)
-    assert reach(here, 150.0) == pytest.approx(525.0 + 2_250.0)
-
-
 def exact(control: FloatArray) -> tuple[float, float, float]:
     """Largest curvature, climb and dive (tangents) of a curve, by dense samples."""
     u = np.linspace(0.0, 1.0, 4_001)
@@ -260,15 +255,6 @@ def test_a_track_that_turns_back_does_not_run_forward() -> None:
     assert runs_forward(cubics_of(np.zeros((4, 3))))
     assert not runs_forward(cubics_of(np.array([line[0], 1.5 * line[3], -line[1], line[3]])))
     assert not runs_forward(cubics_of(line[[0, 3, 3, 0]]))
-
-
-@given(seed=seeds)
-def test_polynomials_multiply_like_numpys(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    one, other = rng.normal(size=5), rng.normal(size=4)
-    product = np.full(13, np.nan)
-    times(one, 5, other, 4, product)
-    np.testing.assert_allclose(product[:8], np.convolve(one, other))
 
 
 @pytest.mark.parametrize("miss", [0.0, 0.5, 0.9])

@@ -1,12 +1,10 @@
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from planning import spline
 from scipy.integrate import quad
-from scipy.interpolate import BSpline
 from scipy.optimize import brentq
 
 from companion.path.subpath import Subpath
@@ -36,34 +34,6 @@ def test_the_length_is_the_integral_of_the_speed(seed: int) -> None:
     subpath = a_subpath(seed)
     length, _ = quad(lambda u: bezier_speed(subpath.control_nea_m, u), 0.0, 1.0, epsrel=1e-10)
     assert subpath.length_m == pytest.approx(length, rel=1e-6)
-
-
-def test_a_straight_subpath_is_as_long_as_its_ends_are_apart() -> None:
-    control = np.outer([0.0, 0.1, 0.7, 1.0], [3_000.0, 4_000.0, 0.0]) + 100.0
-    assert Subpath(control_nea_m=control).length_m == pytest.approx(5_000.0)
-
-
-@given(seed=seeds, points=sizes, share=st.floats(0.0, 0.99))
-def test_the_pose_moves_at_unit_speed_along_its_tangent(
-    seed: int, points: int, share: float
-) -> None:
-    subpath = a_subpath(seed, points)
-    at, step = share * subpath.length_m, 0.005 * subpath.length_m
-    here, there = subpath.pose(at), subpath.pose(at + step)
-    middle = subpath.pose(at + 0.5 * step)
-    moved = there.position_nea_m - here.position_nea_m
-    # the chord is shorter than the arc by its bend only: (turn^2 / 24) of it
-    turned = np.linalg.norm(there.tangent_nea - here.tangent_nea)
-    assert np.linalg.norm(moved) == pytest.approx(step, rel=0.002 + 0.1 * turned**2)
-    assert np.linalg.norm(middle.tangent_nea) == pytest.approx(1.0)
-    if turned < 0.05:
-        assert moved / step == pytest.approx(middle.tangent_nea, abs=0.005)
-
-
-def spline(control: FloatArray) -> Any:
-    spans = len(control) - 3
-    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
-    return BSpline(knots, control, 3)
 
 
 def parameter(subpath: Subpath, point_nea_m: FloatArray) -> float:
@@ -99,20 +69,11 @@ def test_the_curvature_is_the_change_of_the_tangent_with_the_length_flown(
     u = parameter(subpath, here.position_nea_m)
     first, second = (spline(subpath.control_nea_m)(u, order) for order in (1, 2))
     cross = np.cross(first, second)
+    assert here.tangent_nea == pytest.approx(first / np.linalg.norm(first), abs=1e-9)
     assert here.curvature_nea_1_m @ here.tangent_nea == pytest.approx(0.0, abs=1e-12)
     bend = np.cross(here.tangent_nea, here.curvature_nea_1_m)
     expected = cross / np.linalg.norm(first) ** 3
     assert np.linalg.norm(bend - expected) <= 1e-6 * np.linalg.norm(expected) + 1e-12
-
-
-def test_on_a_circle_the_curvature_points_to_its_middle_and_is_one_over_its_radius() -> None:
-    k = 4.0 / 3.0 * np.tan(np.pi / 8.0)
-    quarter = 500.0 * np.array([[0.0, 0.0, 0.0], [k, 0.0, 0.0], [1.0, 1.0 - k, 0.0], [1, 1, 0]])
-    subpath = Subpath(control_nea_m=quarter)
-    for share in (0.2, 0.5, 0.8):
-        pose = subpath.pose(share * subpath.length_m)
-        to_middle = np.array([0.0, 500.0, 0.0]) - pose.position_nea_m
-        assert pose.curvature_nea_1_m == pytest.approx(to_middle / 500.0**2, abs=0.02 / 500.0)
 
 
 @given(seed=seeds, points=sizes, beyond=st.floats(0.0, 1e5))

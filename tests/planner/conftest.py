@@ -6,10 +6,11 @@ Every plan is asked for a micrometre aside.
 import os
 from collections.abc import Iterator
 
+import planning
 import pytest
 from nudge import nudged_questions
+from planning import limits
 
-from companion.path.limits import Limits
 from companion.planner.kernels import Kernel
 from companion.planner.settings import PlannerSettings, Task
 from companion.runtime.compiler import load_kernel
@@ -22,26 +23,14 @@ from companion.world.threats import CircleZone, PolygonZone, Radar
 @pytest.fixture(autouse=True)
 def _aside(request: pytest.FixtureRequest, nudge: int) -> Iterator[None]:
     """What is planned, and whether anything is, hangs on no last digit."""
-    with nudged_questions(request.module, nudge):
+    with nudged_questions(request.module, nudge), nudged_questions(planning, nudge):
         yield
 
 
 @pytest.fixture(scope="session")
 def task() -> Task:
     return Task(
-        limits=Limits(
-            speed_m_s=15.0,
-            acceleration_m_s2=3.0,
-            climb_rate_m_s=4.0,
-            turn_radius_m=150.0,
-            climb_angle_rad=0.2,
-            dive_angle_rad=0.2,
-            floor_amsl_m=300.0,
-            ceiling_amsl_m=700.0,
-            north_m=(0.0, 8_000.0),
-            east_m=(0.0, 8_000.0),
-            tracking_error_m=5.0,
-        ),
+        limits=limits(),
         settings=PlannerSettings(
             scan_range_m=2_000.0,
             safety_distance_m=60.0,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
+from planning import column_distance_m, spline
 
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
@@ -18,40 +18,6 @@ from companion.world.threats import CircleZone, Zone
 FloatArray = NDArray[np.float64]
 
 _SLACK_M = 1e-3
-_CHUNK = 50
-
-
-def spline(control_nea_m: FloatArray) -> Any:
-    spans = len(control_nea_m) - 3
-    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
-    return BSpline(knots, control_nea_m, 3)
-
-
-def column_distance_m(known: KnownMap, points: FloatArray, within_m: float) -> FloatArray:
-    """Distance of points to columns as high as their cells, unknown ones endless.  (K, 3) -> (K,).
-
-    Columns farther than within_m count as that far.
-    """
-    result = np.full(len(points), within_m)
-    low_n = known.north_min_m + np.arange(known.upper_m.shape[0]) * known.cell_m
-    low_e = known.east_min_m + np.arange(known.upper_m.shape[1]) * known.cell_m
-    far = within_m + known.cell_m
-    for k in range(0, len(points), _CHUNK):
-        n, e, z = points[k : k + _CHUNK].T
-        rows = (low_n > n.min() - far) & (low_n < n.max() + far)
-        columns = (low_e > e.min() - far) & (low_e < e.max() + far)
-        if not rows.any() or not columns.any():
-            continue
-        north, east = low_n[rows], low_e[columns]
-        upper = known.upper_m[np.ix_(rows, columns)]
-        n, e = n[:, None], e[:, None]
-        gap_n = np.maximum(np.maximum(north - n, n - north - known.cell_m), 0.0)
-        gap_e = np.maximum(np.maximum(east - e, e - east - known.cell_m), 0.0)
-        down = np.maximum(z[:, None, None] - upper, 0.0)
-        aside = np.hypot(gap_n[:, :, None], gap_e[:, None, :]) - known.registration_m
-        nearest = np.hypot(np.maximum(aside, 0.0), down).min(axis=(1, 2))
-        result[k : k + _CHUNK] = np.minimum(nearest, within_m)
-    return result
 
 
 def keep_out_distance_m(zone: Zone, points: FloatArray) -> FloatArray:

@@ -5,9 +5,9 @@ And a way that only looks dear is taken.
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
+import planning
 import pytest
 import scipy.ndimage
 from hypothesis import given
@@ -17,12 +17,9 @@ from companion.config import load_mission
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.closed import closed_at
 from companion.planner.cost_to_go import cost_to_go
-from companion.planner.offline import OfflineFlight, fly_offline
-from companion.planner.plan import plan
-from companion.planner.procedure import hover_pose
-from companion.planner.request import NotPlanned, PlanRequest, Refusal
+from companion.planner.offline import OfflineFlight
+from companion.planner.request import Refusal
 from companion.planner.settings import Task
-from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.threats import CircleZone, PolygonZone, Zone
 
@@ -148,42 +145,14 @@ def _joined(free: BoolArray) -> bool:
     return bool(here != 0 and here == target)
 
 
-def test_a_plan_says_so_and_where() -> None:
-    known = all_seen(wall())
-    here = (*HERE, 3_100.0)
-    outcome = plan(
-        PlanRequest(
-            plan_id=1,
-            seed=1,
-            task=TASK,
-            known=known,
-            scan_nea_m=here,
-            start=hover_pose(here),
-            from_rest=True,
-            target_ne_m=TARGET,
-        )
-    )
-    assert isinstance(outcome, NotPlanned)
-    assert outcome.refusal is Refusal.NO_WAY
-    assert outcome.place_ne_m is not None
-
-
 def fly(
     task: Task, height_m: FloatArray, start: tuple[float, float], target: tuple[float, float]
 ) -> OfflineFlight:
     """From 3,100 m over the start; height_m: of the cells of the task's map, or one for all."""
-    limits = task.limits
-    blank = empty_map(CELL_M, limits.north_m, limits.east_m)
-    truth = replace(blank, upper_m=np.broadcast_to(height_m, blank.upper_m.shape).astype(float))
-    return fly_offline(
-        task,
-        blank=blank,
-        truth=replace(truth, seen=np.ones_like(blank.seen)),
-        start_nea_m=(*start, 3_100.0),
-        targets_ne_m=(target,),
-        seed=1,
-        planner=partial(plan, kernel=load_kernel()),
-    )
+    blank = empty_map(CELL_M, task.limits.north_m, task.limits.east_m)
+    height = np.broadcast_to(height_m, blank.upper_m.shape).astype(float)
+    truth = replace(blank, upper_m=height, seen=np.ones_like(blank.seen))
+    return planning.fly(task, truth, (*start, 3_100.0), target)
 
 
 def test_a_closed_world_is_given_up_once_it_has_been_seen() -> None:

@@ -5,31 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from planning import ask, column_distance_m, spline
 
 from companion.planner.plan import plan
-from companion.planner.procedure import hover_pose
-from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
+from companion.planner.request import NotPlanned, Planned, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
 
 sys.path.insert(0, str(Path(__file__).parent))
-from dense_check import column_distance_m, keep_out_distance_m, spline, violations
+from dense_check import keep_out_distance_m, violations
 
 REQUIRED_M = 70.0  # d_s 60 m, tracking 5 m, navigation 5 m
-
-
-def ask(task: Task, known: KnownMap, start: tuple[float, float, float]) -> PlanRequest:
-    return PlanRequest(
-        plan_id=1,
-        seed=7,
-        task=task,
-        known=known,
-        scan_nea_m=start,
-        start=hover_pose(start),
-        from_rest=True,
-        target_ne_m=(7_500.0, 7_500.0),
-    )
 
 
 def escaped(task: Task, known: KnownMap, start: tuple[float, float, float]) -> Planned:

@@ -5,23 +5,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import limits
 
-from companion.path.limits import Limits
 from companion.path.subpath import Pose
 from companion.planner.join import Offset, begin, step
 
-LIMITS = Limits(
-    speed_m_s=10.0,
-    acceleration_m_s2=2.5,
-    climb_rate_m_s=2.0,
-    turn_radius_m=50.0,
-    climb_angle_rad=0.2,
-    dive_angle_rad=0.2,
-    floor_amsl_m=0.0,
-    ceiling_amsl_m=500.0,
-    north_m=(0.0, 1e3),
-    east_m=(0.0, 1e3),
-)
+LIMITS = limits(speed_m_s=10.0, acceleration_m_s2=2.5)
 POSE = Pose(position_nea_m=np.array([10.0, 20.0, 30.0]), tangent_nea=np.array([0.6, 0.8, 0.0]))
 vectors = st.tuples(*[st.floats(-15.0, 15.0)] * 3)
 

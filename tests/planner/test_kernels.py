@@ -6,14 +6,14 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from planning import ask
 
 from companion.objective import kernel
 from companion.optimise import refined_de
 from companion.planner import kernels
 from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.plan import plan
-from companion.planner.procedure import hover_pose
-from companion.planner.request import Planned, PlanRequest
+from companion.planner.request import Planned
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
@@ -77,16 +77,7 @@ def test_both_kernels_make_the_same_plan(
     start: tuple[float, float, float],
     from_rest: bool,
 ) -> None:
-    request = PlanRequest(
-        plan_id=1,
-        seed=7,
-        task=task,
-        known=truth,
-        scan_nea_m=start,
-        start=hover_pose(start),
-        from_rest=from_rest,
-        target_ne_m=(7_500.0, 7_500.0),
-    )
+    request = ask(task, truth, start, from_rest=from_rest)
     slow, fast = plan(request), plan(request, kernel=compiled)
     assert isinstance(slow, Planned)
     assert isinstance(fast, Planned)

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from planning import ask as asked
+from planning import column_distance_m, spline
 
 from companion.optimise.registry import OPTIMISERS
 from companion.path.subpath import Pose
@@ -17,10 +19,10 @@ from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
-from companion.world.threats import CircleZone, PolygonZone
+from companion.world.threats import PolygonZone
 
 sys.path.insert(0, str(Path(__file__).parent))
-from dense_check import column_distance_m, keep_out_distance_m, spline, violations
+from dense_check import keep_out_distance_m, violations
 
 FloatArray = NDArray[np.float64]
 
@@ -30,17 +32,7 @@ RANDOM_STARTS = 12
 
 
 def ask(task: Task, known: KnownMap, **changes: object) -> PlanRequest:
-    request = PlanRequest(
-        plan_id=1,
-        seed=7,
-        task=task,
-        known=known,
-        scan_nea_m=START,
-        start=hover_pose(START),
-        from_rest=True,
-        target_ne_m=FAR_TARGET,
-    )
-    return replace(request, **changes)  # type: ignore[arg-type]
+    return asked(task, known, START, **changes)
 
 
 def planned(request: PlanRequest) -> Planned:
@@ -547,11 +539,3 @@ def test_a_plan_stays_in_a_fence_of_many_corners_and_goes_round_its_bight(
     points = outcome.subpath.points_nea_m(np.linspace(0.0, outcome.subpath.length_m, 2_000))
     gap = fence.distance_m(points[:, 0], points[:, 1])
     assert gap.min() >= task.required_clearance_m
-
-
-def test_a_target_outside_of_a_fence_is_refused(task: Task, truth: KnownMap) -> None:
-    fence = CircleZone(name="f", north_m=3_000.0, east_m=3_000.0, radius_m=3_200.0, keep_in=True)
-    request = ask(replace(task, zones=(fence,)), truth)
-    outcome = plan(replace(request, target_ne_m=(7_000.0, 7_000.0)))
-    assert isinstance(outcome, NotPlanned)
-    assert outcome.refusal is Refusal.TARGET_IN_KEEP_OUT

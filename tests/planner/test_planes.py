@@ -2,32 +2,29 @@
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
+from planning import ask, column_distance_m, fly, spline
 
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
-from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
 from companion.planner.procedure import (
     Leg,
     Reference,
     follow,
-    hover_pose,
     may_leave,
     off_path_m,
     sent_pose,
 )
 from companion.planner.refuge import Circler, loiter_point
-from companion.planner.request import NotPlanned, Planned, PlanRequest, Refusal
+from companion.planner.request import NotPlanned, Planned, Refusal
 from companion.planner.settings import PlannerSettings, Task
-from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import PeakTerrain
@@ -81,34 +78,16 @@ def truth(terrain: PeakTerrain, blank: KnownMap) -> KnownMap:
 
 
 @pytest.fixture(scope="module")
-def flight(blank: KnownMap, truth: KnownMap) -> OfflineFlight:
-    return fly_offline(
-        TASK,
-        blank=blank,
-        truth=truth,
-        start_nea_m=START,
-        targets_ne_m=(TARGET,),
-        seed=3,
-        planner=partial(plan, kernel=load_kernel()),
-    )
+def flight(truth: KnownMap) -> OfflineFlight:
+    return fly(TASK, truth, START, TARGET, seed=3)
 
 
 def circle_distance_m(known: KnownMap, at_nea_m: FloatArray) -> float:
     """Distance of points of a plane's circle about a place to the columns of the map."""
     turn = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
     radii = LOITER * np.array([[0.0], [0.5], [1.0]])
-    north = (at_nea_m[0] + radii * np.cos(turn)).ravel()
-    east = (at_nea_m[1] + radii * np.sin(turn)).ravel()
-    low_n = known.north_min_m + np.arange(known.upper_m.shape[0]) * known.cell_m
-    low_e = known.east_min_m + np.arange(known.upper_m.shape[1]) * known.cell_m
-    rows = np.abs(low_n - at_nea_m[0]) < 300.0
-    columns = np.abs(low_e - at_nea_m[1]) < 300.0
-    low_n, low_e, top = low_n[rows], low_e[columns], known.upper_m[np.ix_(rows, columns)]
-    gap_n = np.maximum(np.maximum(low_n - north[:, None], north[:, None] - low_n - known.cell_m), 0)
-    gap_e = np.maximum(np.maximum(low_e - east[:, None], east[:, None] - low_e - known.cell_m), 0)
-    above = np.maximum(at_nea_m[2] - top, 0.0)
-    flat = np.hypot(gap_n[:, :, None], gap_e[:, None, :])
-    return float(np.hypot(flat, above).min())
+    ring = np.stack([radii * np.cos(turn), radii * np.sin(turn), 0.0 * radii * turn], axis=-1)
+    return float(column_distance_m(known, at_nea_m + ring.reshape(-1, 3), 300.0).min())
 
 
 def test_a_plane_arrives_and_may_circle_anywhere_on_its_way(
@@ -119,9 +98,7 @@ def test_a_plane_arrives_and_may_circle_anywhere_on_its_way(
     for planned in flight.plans:
         assert planned.certificate.proven
         control = planned.subpath.control_nea_m
-        spans = len(control) - 3
-        knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
-        for at in BSpline(knots, control, 3)(np.linspace(0.0, 1.0, 60)):
+        for at in spline(control)(np.linspace(0.0, 1.0, 60)):
             assert circle_distance_m(truth, at) >= REQUIRED_M
             assert math.dist(at[:2], (3_300.0, 4_300.0)) >= 350.0 + REQUIRED_M + LOITER - 1e-6
             inside_m = min(at[0] - 200.0, 7_800.0 - at[0], at[1] - 200.0, 7_800.0 - at[1])
@@ -151,23 +128,10 @@ def test_a_leg_is_long_enough_for_the_point_that_the_plane_is_sent_to(
     assert not short.can_be_left(TASK)
 
 
-def ask(start_nea_m: tuple[float, float, float], known: KnownMap, task: Task) -> PlanRequest:
-    return PlanRequest(
-        plan_id=1,
-        seed=7,
-        task=task,
-        known=known,
-        scan_nea_m=start_nea_m,
-        start=hover_pose(start_nea_m),
-        from_rest=True,
-        target_ne_m=TARGET,
-    )
-
-
 def test_a_target_whose_circle_leaves_the_fence_is_refused(truth: KnownMap) -> None:
     edge = 7_800.0 - TASK.zone_search_clearance_m
     for east, refused in ((edge + 1.0, True), (edge - 1.0, False)):
-        request = replace(ask(START, truth, TASK), target_ne_m=(6_000.0, east))
+        request = replace(ask(TASK, truth, START), target_ne_m=(6_000.0, east))
         outcome = plan(request)
         is_refused = isinstance(outcome, NotPlanned) and (
             outcome.refusal is Refusal.TARGET_IN_KEEP_OUT
@@ -180,7 +144,7 @@ def test_the_way_out_of_a_new_zone_ends_where_the_whole_circle_is_clear(
     truth: KnownMap, aside_m: float
 ) -> None:
     zone = CircleZone(name="new", north_m=1_500.0, east_m=3_000.0, radius_m=400.0)
-    outcome = plan(ask((1_500.0 + aside_m, 3_000.0, 600.0), truth, replace(TASK, zones=(zone,))))
+    outcome = plan(ask(replace(TASK, zones=(zone,)), truth, (1_500.0 + aside_m, 3_000.0, 600.0)))
     assert isinstance(outcome, Planned)
     assert outcome.evaluations == 0
     end = outcome.subpath.control_nea_m[-1]

@@ -6,35 +6,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from planning import limits
 
-from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.planner.procedure import (
     Leg,
     Reference,
     advance,
-    allowed_speed_m_s,
-    hover_pose,
     is_at_end,
 )
 from companion.planner.settings import PlannerSettings, Task
 
 FloatArray = NDArray[np.float64]
 
-V, A, CLIMB_RATE = 15.0, 3.0, 4.0
-LIMITS = Limits(
-    speed_m_s=V,
-    acceleration_m_s2=A,
-    climb_rate_m_s=CLIMB_RATE,
-    turn_radius_m=150.0,
-    climb_angle_rad=0.2,
-    dive_angle_rad=0.2,
-    floor_amsl_m=0.0,
-    ceiling_amsl_m=9_000.0,
-    north_m=(0.0, 8_000.0),
-    east_m=(0.0, 8_000.0),
-    tracking_error_m=5.0,
-)
+LIMITS = limits(floor_amsl_m=0.0, ceiling_amsl_m=9_000.0)
+V, A, CLIMB_RATE = LIMITS.speed_m_s, LIMITS.acceleration_m_s2, LIMITS.climb_rate_m_s
 TASK = Task(
     limits=LIMITS,
     settings=PlannerSettings(
@@ -129,10 +115,6 @@ def test_it_climbs_and_dives_no_faster_than_the_climb_rate(
     assert max(r.speed_m_s for r in references) == pytest.approx(cruise)
 
 
-def test_on_a_level_path_the_climb_rate_allows_full_speed() -> None:
-    assert allowed_speed_m_s(leg_to(100.0, 0.0, 0.0).subpath.pose(50.0), LIMITS) == V
-
-
 @given(tick_s=ticks)
 def test_it_waits_for_a_vehicle_that_does_not_follow_and_goes_on_with_it(tick_s: float) -> None:
     leg, reference = leg_to(2_000.0, 0.0, 0.0), Reference()
@@ -191,12 +173,6 @@ def test_from_p_scan_to_p_prog_there_is_time_to_scan_and_to_plan(length_m: float
     flown_m = leg.successor_at_m(TASK) - leg.scan_at_m(TASK)
     seconds = TASK.settings.planning_time_s + TASK.settings.scan_time_s
     assert flown_m / V >= seconds - 1e-9
-
-
-def test_a_vehicle_at_rest_starts_where_it_is() -> None:
-    pose = hover_pose((1.0, 2.0, 3.0))
-    assert pose.position_nea_m.tolist() == [1.0, 2.0, 3.0]
-    assert np.linalg.norm(pose.tangent_nea) == 1.0
 
 
 @given(at=st.floats(0.2, 1.2), tick_s=ticks)

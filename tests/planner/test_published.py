@@ -3,13 +3,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from planning import ask
 
 from companion.objective.scene import PAPER
-from companion.planner.guidance import tangent_guide_rad
 from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
-from companion.planner.published import facing
-from companion.planner.request import Planned, PlanRequest
+from companion.planner.published import facing, tangent_guide_rad
+from companion.planner.request import Planned
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
@@ -22,17 +22,7 @@ def papers(task: Task) -> Task:
 
 
 def planned(task: Task, known: KnownMap, **changes: object) -> Planned:
-    request = PlanRequest(
-        plan_id=1,
-        seed=7,
-        task=task,
-        known=known,
-        scan_nea_m=START,
-        start=hover_pose(START),
-        from_rest=True,
-        target_ne_m=(7_500.0, 7_500.0),
-    )
-    outcome = plan(replace(request, **changes))  # type: ignore[arg-type]
+    outcome = plan(ask(task, known, START, **changes))
     assert isinstance(outcome, Planned)
     return outcome
 
@@ -84,25 +74,6 @@ def test_the_same_question_has_the_same_answer_and_another_seed_another(
 ) -> None:
     a, b, c = (planned(papers, truth, seed=seed).subpath.control_nea_m for seed in (1, 1, 2))
     assert a.tobytes() == b.tobytes() != c.tobytes()
-
-
-@pytest.mark.parametrize("name", ["de/rand/1/bin", "pso", "ga"])
-def test_the_rivals_search_where_they_are_asked_to(
-    papers: Task, truth: KnownMap, name: str
-) -> None:
-    rivals = replace(papers, settings=replace(papers.settings, optimiser=name))
-    ours, theirs = planned(papers, truth), planned(rivals, truth)
-    assert theirs.evaluations == 400
-    assert not np.array_equal(ours.subpath.control_nea_m, theirs.subpath.control_nea_m)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_subpath_has_a_direction_everywhere(papers: Task, truth: KnownMap, seed: int) -> None:
-    long = replace(papers, settings=replace(papers.settings, evaluations=2_000))
-    with np.errstate(all="ignore"):
-        subpath = planned(long, truth, seed=seed).subpath
-        tangents = [subpath.pose(share * subpath.length_m).tangent_nea for share in (0, 0.5, 1)]
-    assert np.linalg.norm(tangents, axis=-1) == pytest.approx([1.0, 1.0, 1.0])
 
 
 def test_a_pose_at_rest_turns_level_and_without_a_bend() -> None:

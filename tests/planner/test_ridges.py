@@ -1,17 +1,14 @@
 """Steep ridges seen at a grazing angle, and flights round their ends."""
 
-import functools
 import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from planning import fly
 
 from companion.config import load_mission
-from companion.planner.offline import fly_offline
-from companion.planner.plan import plan
-from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
@@ -66,14 +63,12 @@ def test_no_leg_comes_near_a_ridge_whose_faces_are_seen_at_a_grazing_angle(
         for east in peaks_east_m()
     )
     blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
-    flight = fly_offline(
+    flight = fly(
         task,
-        blank=blank,
-        truth=true_map(PeakTerrain(peaks=peaks, ground_amsl_m=0.0), blank),
-        start_nea_m=(5_000.0, MIDDLE_M, mission.take_off_amsl_m),
-        targets_ne_m=((SIDE_M - 5_000.0, MIDDLE_M),),
+        true_map(PeakTerrain(peaks=peaks, ground_amsl_m=0.0), blank),
+        (5_000.0, MIDDLE_M, mission.take_off_amsl_m),
+        (SIDE_M - 5_000.0, MIDDLE_M),
         seed=seed,
-        planner=functools.partial(plan, kernel=load_kernel()),
     )
     assert flight.legs
     for leg, first in itertools.product(flight.legs, range(0, 40_000, 2_000)):

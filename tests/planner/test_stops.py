@@ -1,12 +1,10 @@
 """A vehicle that can only go on at a great price stops, and leaves in another direction."""
 
 from dataclasses import replace
-from functools import partial
+
+from planning import fly
 
 from companion.config import load_mission
-from companion.planner.offline import fly_offline
-from companion.planner.plan import plan
-from companion.runtime.compiler import load_kernel
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
@@ -53,15 +51,8 @@ def test_it_turns_round_rather_than_cross_a_radar() -> None:
         for n, e, h, a, b in PEAKS
     )
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
-    flight = fly_offline(
-        task,
-        blank=blank,
-        truth=true_map(PeakTerrain(peaks=peaks, ground_amsl_m=0.0), blank),
-        start_nea_m=(0.0, 0.0, 3030.0),
-        targets_ne_m=((100e3, 100e3),),
-        seed=1,
-        planner=partial(plan, kernel=load_kernel()),
-    )
+    truth = true_map(PeakTerrain(peaks=peaks, ground_amsl_m=0.0), blank)
+    flight = fly(task, truth, (0.0, 0.0, 3030.0), (100e3, 100e3))
     assert flight.failure is None
     assert max(each.certificate.radar_m for each in flight.plans) < 1_000.0
     assert sum(flight.flown_m) < 1.4 * 145.2e3  # of the way when all is known

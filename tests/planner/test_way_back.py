@@ -5,20 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from planning import ask, spline
 
 from companion.path import proof
 from companion.path.subpath import Subpath
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
-from companion.planner.procedure import hover_pose
-from companion.planner.request import PlanRequest, Stretch, WayBack
+from companion.planner.request import Stretch, WayBack
 from companion.planner.settings import Task
 from companion.planner.way_back import way_back
 from companion.world.known_map import KnownMap
 from companion.world.threats import CircleZone
 
 sys.path.insert(0, str(Path(__file__).parent))
-from dense_check import spline, violations
+from dense_check import violations
 
 START, TARGET = (1_000.0, 1_200.0, 500.0), (4_800.0, 2_600.0)
 
@@ -133,17 +133,7 @@ def test_the_planner_answers_with_the_way_back_if_that_is_asked(
     flight: OfflineFlight, task: Task
 ) -> None:
     end = flight.legs[-1].subpath.pose(1e9).point_nea_m
-    request = PlanRequest(
-        plan_id=77,
-        seed=1,
-        task=task,
-        known=flight.known,
-        scan_nea_m=end,
-        start=hover_pose(end),
-        from_rest=True,
-        target_ne_m=end[:2],
-        flown=flown(flight),
-    )
+    request = ask(task, flight.known, end, plan_id=77, flown=flown(flight))
     outcome = plan(request)
     assert isinstance(outcome, WayBack)
     assert outcome.plan_id == 77

@@ -107,22 +107,6 @@ def test_a_slope_that_rises_ever_more_steeply_hides_nothing(offset: float, bend:
     assert np.isfinite(due_north[:34]).all()
 
 
-@settings(max_examples=25)
-@given(seed=st.integers(0, 10**6))
-def test_the_known_map_of_simulated_scans_is_not_below_the_true_map(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    truth = true_map(random_terrain(rng), blank())
-    known = blank()
-    for _ in range(3):
-        n, e = rng.uniform(0, 4_000, 2)
-        top = truth.upper_m[known.cell_of(n, e)]
-        altitude = float(top + rng.uniform(10, 600))
-        known = known.with_scan(simulated_scan(truth, (float(n), float(e), altitude), 1_500.0))
-        # 5 m: the simulated radar looks along the lines to the middles of cells only
-        assert (known.upper_m >= truth.upper_m - 5.0).all()
-        assert known.is_known(float(n), float(e))
-
-
 def test_a_scan_beside_the_edge_of_the_map_stays_on_it() -> None:
     scan = simulated_scan(flat(), (3_990.0, 10.0, 400.0), 1_000.0)
     assert (scan.row, scan.column) == (29, 0)

@@ -75,15 +75,6 @@ def test_no_point_of_a_box_is_higher_than_the_highest_in_it(
         assert bound <= brute + max(rises)
 
 
-def test_the_highest_in_a_box_that_holds_the_summit_is_the_summit() -> None:
-    peak = Peak(
-        north_m=10.0, east_m=20.0, height_amsl_m=900.0, spread_north_m=300.0, spread_east_m=400.0
-    )
-    terrain = PeakTerrain(peaks=(peak,), ground_amsl_m=0.0)
-    box = (np.array(v) for v in (0.0, 50.0, 0.0, 50.0))
-    assert terrain.highest_in_box_m(*box) == 900.0
-
-
 def test_boxes_broadcast_rows_against_columns() -> None:
     peak = Peak(
         north_m=10.0, east_m=20.0, height_amsl_m=900.0, spread_north_m=300.0, spread_east_m=400.0

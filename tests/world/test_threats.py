@@ -117,19 +117,6 @@ def test_the_distance_is_negative_just_where_the_polygon_winds_around_the_point(
         assert (distance < 0.0) == (winding_number(polygon, north, east) != 0)
 
 
-@given(polygon=stars())
-def test_the_distance_at_a_corner_is_zero(polygon: Polygon) -> None:
-    zone = PolygonZone(name="p", vertices_ne_m=polygon)
-    for north, east in polygon:
-        assert signed_distance(zone, north, east) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_the_side_of_a_square_with_edges_along_the_axes() -> None:
-    square = PolygonZone(name="s", vertices_ne_m=((0, 0), (0, 100), (100, 100), (100, 0)))
-    north, east = np.array([50.0, 150.0, 50.0, -30.0]), np.array([50.0, 50.0, -20.0, -40.0])
-    assert square.distance_m(north, east) == pytest.approx([-50.0, 50.0, 20.0, 50.0])
-
-
 def test_a_polygon_that_repeats_its_first_corner_to_close_itself_is_the_same_polygon() -> None:
     open_ = ((0.0, 0.0), (0.0, 100.0), (100.0, 0.0))
     closed = (*open_, open_[0])

@@ -41,7 +41,7 @@ def local_nea_m(track: Track, frame: LocalFrame) -> FloatArray:
 
 def of_points(points_nea_m: FloatArray, frame: LocalFrame) -> FloatArray:
     """Points of the local frame.  (N, 3) -> (N, 3)."""
-    latitude, longitude = frame.to_geodetic_many_deg(points_nea_m[:, 0], points_nea_m[:, 1])
+    latitude, longitude = frame.to_geodetic_deg(points_nea_m[:, 0], points_nea_m[:, 1])
     return np.column_stack([longitude, latitude, points_nea_m[:, 2]])
 
 

@@ -1,0 +1,111 @@
+"""What tests of curves, costs and plans begin with."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from companion.path.limits import Limits
+from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.plan import plan
+from companion.planner.procedure import hover_pose
+from companion.planner.request import PlanRequest
+from companion.planner.settings import Task
+from companion.runtime.compiler import load_kernel
+from companion.world.known_map import KnownMap, empty_map
+
+FloatArray = NDArray[np.float64]
+
+_CHUNK = 50  # points whose columns are looked at together
+
+_COPTER = Limits(
+    speed_m_s=15.0,
+    acceleration_m_s2=3.0,
+    climb_rate_m_s=4.0,
+    turn_radius_m=150.0,
+    climb_angle_rad=0.2,
+    dive_angle_rad=0.2,
+    floor_amsl_m=300.0,
+    ceiling_amsl_m=700.0,
+    north_m=(0.0, 8_000.0),
+    east_m=(0.0, 8_000.0),
+    tracking_error_m=5.0,
+)
+
+
+def limits(**changes: Any) -> Limits:
+    """A copter of 15 m/s on 8 km x 8 km between 300 and 700 m, but for some changes."""
+    return replace(_COPTER, **changes)
+
+
+def ask(
+    task: Task, known: KnownMap, start_nea_m: tuple[float, float, float], **changes: Any
+) -> PlanRequest:
+    """The question of a vehicle that hovers where it scans."""
+    request = PlanRequest(
+        plan_id=1,
+        seed=7,
+        task=task,
+        known=known,
+        scan_nea_m=start_nea_m,
+        start=hover_pose(start_nea_m),
+        from_rest=True,
+        target_ne_m=(7_500.0, 7_500.0),
+    )
+    return replace(request, **changes)
+
+
+def fly(
+    task: Task,
+    truth: KnownMap,
+    start_nea_m: tuple[float, float, float],
+    *targets_ne_m: tuple[float, float],
+    seed: int = 1,
+) -> OfflineFlight:
+    """A flight by the compiled kernel through a world of which nothing is known at first."""
+    return fly_offline(
+        task,
+        blank=empty_map(truth.cell_m, task.limits.north_m, task.limits.east_m),
+        truth=truth,
+        start_nea_m=start_nea_m,
+        targets_ne_m=targets_ne_m,
+        seed=seed,
+        planner=partial(plan, kernel=load_kernel()),
+    )
+
+
+def spline(control_nea_m: FloatArray) -> Any:
+    """The clamped cubic B-spline with uniform inner knots, by scipy.  (points, 3)."""
+    spans = len(control_nea_m) - 3
+    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, spans + 1), np.ones(3)])
+    return BSpline(knots, control_nea_m, 3)
+
+
+def column_distance_m(known: KnownMap, points: FloatArray, within_m: float = np.inf) -> FloatArray:
+    """Distance of points to columns as high as their cells, unknown ones endless.  (K, 3) -> (K,).
+
+    Columns farther than within_m count as that far.
+    """
+    result = np.full(len(points), within_m)
+    low_n = known.north_min_m + np.arange(known.upper_m.shape[0]) * known.cell_m
+    low_e = known.east_min_m + np.arange(known.upper_m.shape[1]) * known.cell_m
+    far = within_m + known.cell_m
+    for k in range(0, len(points), _CHUNK):
+        n, e, z = points[k : k + _CHUNK].T
+        rows = (low_n > n.min() - far) & (low_n < n.max() + far)
+        columns = (low_e > e.min() - far) & (low_e < e.max() + far)
+        if not rows.any() or not columns.any():
+            continue
+        north, east = low_n[rows], low_e[columns]
+        upper = known.upper_m[np.ix_(rows, columns)]
+        n, e = n[:, None], e[:, None]
+        gap_n = np.maximum(np.maximum(north - n, n - north - known.cell_m), 0.0)
+        gap_e = np.maximum(np.maximum(east - e, e - east - known.cell_m), 0.0)
+        down = np.maximum(z[:, None, None] - upper, 0.0)
+        aside = np.hypot(gap_n[:, :, None], gap_e[:, None, :]) - known.registration_m
+        nearest = np.hypot(np.maximum(aside, 0.0), down).min(axis=(1, 2))
+        result[k : k + _CHUNK] = np.minimum(nearest, within_m)
+    return result
