@@ -20,7 +20,6 @@ from vehicle_sim.autopilots import (
     Sender,
     Text,
 )
-from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire import ftp, messages, telemetry_ardupilot, telemetry_px4
@@ -71,7 +70,6 @@ class FlightController:
         self,
         autopilot: Autopilot,
         radio: Radio,
-        vehicle: Vehicle,
         battery: Battery,
         *,
         boot_us: int,
@@ -97,15 +95,7 @@ class FlightController:
         for link in radio.links:
             self.streams.open(link, boot_us)
         self._report = Report(
-            time_us=0,
-            unix_us=0,
-            vehicle=vehicle,
-            estimate=autopilot.estimate,
-            fix=Fix(),
-            battery=battery,
-            status=autopilot.status(),
-            style=style,
-            hardware_id=hardware_id,
+            autopilot=autopilot, fix=Fix(), battery=battery, hardware_id=hardware_id
         )
 
     # --- time ---------------------------------------------------------------------------------
@@ -114,7 +104,9 @@ class FlightController:
         """Fly on, and let the protocols go on."""
         self._now_us = now_us
         self._report.fix = fix
-        self.answer(self.autopilot.step(now_us - self.boot_us, dt_s, ground_amsl_m, fix))
+        replies = self.autopilot.step(now_us - self.boot_us, dt_s, ground_amsl_m, fix)
+        if replies:
+            self.answer(replies)
         if self._parameter_protocol.busy:
             self.answer(self._parameter_protocol.step(now_us))
         if self._mission_protocol.busy:
@@ -122,8 +114,6 @@ class FlightController:
 
     def stream(self, now_us: int) -> bool:
         """Queue all telemetry that is due; tell whether a position on link 0 was."""
-        if now_us < self.streams.soonest_us:
-            return False
         self._renew_report()
         positioned, built = False, dict[int, Any]()
         for link, number in self.streams.due(now_us):
@@ -153,11 +143,9 @@ class FlightController:
         self._send(_HEARTBEAT, None)
 
     def _renew_report(self) -> None:
-        report = self._report
-        report.time_us = self._now_us - self.boot_us
-        report.unix_us = _EPOCH_US + self._now_us if report.fix.usable else 0
-        report.event_sequence = self._events.sequence
-        report.status = self.autopilot.status()
+        report, now_us = self._report, self._now_us
+        unix_us = _EPOCH_US + now_us if report.fix.fix_type >= 3 else 0
+        report.renew(now_us - self.boot_us, unix_us, self._events.sequence)
 
     # --- out ----------------------------------------------------------------------------------
 

@@ -155,7 +155,6 @@ class Simulation:
         self._controller = FlightController(
             autopilot,
             self._radio,
-            self._vehicle,
             self._battery,
             boot_us=self.now_us,
             hardware_id=self._hardware_id,
@@ -314,13 +313,16 @@ class Simulation:
     def step(self) -> bool:
         """Fly for one step, queue what is due, and tell whether a lockstep tick is complete."""
         self.now_us = now_us = self.now_us + STEP_US
-        for name, value in self._timeline.step(now_us, self._parameters):
-            self.set_parameter(name, value)
+        if now_us >= self._timeline.next_us:
+            for name, value in self._timeline.step(now_us, self._parameters):
+                self.set_parameter(name, value)
         if self._parameters.version != self._seen_version:
             self._refresh()
-        for received in self._radio.late(now_us):
-            self._receive(received)
-        if now_us % _LOOK_US == 0:
+        if self._radio.impaired:
+            for received in self._radio.late(now_us):
+                self._receive(received)
+        looks = now_us % _LOOK_US == 0
+        if looks:
             self._look_down()
         if now_us < self._down_until_us:
             return self._stay_down()
@@ -331,9 +333,9 @@ class Simulation:
         self._power.step(_STEP_S, vehicle, controller.autopilot.armed, conditions.battery)
         if controller.wants_reboot:
             self._go_down()
-        positioned = controller.stream(now_us)
-        ticks = controller.streams.interval_us(0, _POSITION) is not None
-        complete = positioned if ticks else now_us % _LOOK_US == 0
+        complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
+        if looks and not complete:  # without positions there are ticks all the same
+            complete = controller.streams.interval_us(0, _POSITION) is None
         if self._scanner is not None:
             self._scanner.step(now_us, vehicle, conditions.radar, tick=complete)
         return complete

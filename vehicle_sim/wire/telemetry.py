@@ -104,6 +104,11 @@ def attitude_rad(report: Report) -> tuple[float, float, float]:
     return vehicle.roll_rad, vehicle.pitch_rad, math.remainder(vehicle.heading_rad, math.tau)
 
 
+def rates_rad_s(report: Report) -> tuple[float, float, float]:
+    """Of roll, pitch and heading."""
+    return report.autopilot.rates_rad_s
+
+
 def quaternion(report: Report) -> tuple[float, float, float, float]:
     """Attitude, scalar first."""
     vehicle = report.vehicle
@@ -209,8 +214,6 @@ def _target(report: Report) -> tuple[float, ...] | None:
 
 # --- the table ------------------------------------------------------------------------------------
 
-ATTITUDE: Final[Form] = {"time_boot_ms": boot_ms, "roll pitch yaw": attitude_rad}
-ATTITUDE_QUATERNION: Final[Form] = {"time_boot_ms": boot_ms, "q1 q2 q3 q4": quaternion}
 GLOBAL_POSITION_INT: Final[Form] = {
     "time_boot_ms": boot_ms,
     "lat lon alt": lambda r: place_e7_mm(r.estimate),
@@ -262,6 +265,16 @@ COMMON: Final[Mapping[str, Form]] = {
         "time_boot_ms": boot_ms,
         "coordinate_frame": mavlink.MAV_FRAME_LOCAL_NED,
         TARGET_FIELDS: _target,
+    },
+    "ATTITUDE": {
+        "time_boot_ms": boot_ms,
+        "roll pitch yaw": attitude_rad,
+        "rollspeed pitchspeed yawspeed": rates_rad_s,
+    },
+    "ATTITUDE_QUATERNION": {
+        "time_boot_ms": boot_ms,
+        "q1 q2 q3 q4": quaternion,
+        "rollspeed pitchspeed yawspeed": rates_rad_s,
     },
     "EXTENDED_SYS_STATE": {"landed_state": lambda r: r.status.landed_state},
 }

@@ -112,7 +112,7 @@ class ArduPilot(abc.ABC):
         self.mission_current = 0
         self.failsafe = False
         self._was_armed = False
-        self._attitude_rad = (0.0, 0.0, 0.0)
+        self._attitude_rad = self.rates_rad_s = (0.0, 0.0, 0.0)
         self._due = sorted(boot, key=lambda row: row[0])
         self._slow_us = SLOW_US
         self._statistics_us = FIRST_STATISTICS_US
@@ -203,12 +203,14 @@ class ArduPilot(abc.ABC):
 
     def _watch_attitude(self) -> None:
         """Rates of turn, from where it pointed a tenth of a second ago."""
-        e, vehicle = self.estimate, self.vehicle
+        vehicle = self.vehicle
         roll_rad, pitch_rad, yaw_rad = self._attitude_rad
-        e.roll_rate_rad_s = (vehicle.roll_rad - roll_rad) * 1e6 / SLOW_US
-        e.pitch_rate_rad_s = (vehicle.pitch_rad - pitch_rad) * 1e6 / SLOW_US
         turned_rad = math.remainder(vehicle.heading_rad - yaw_rad, math.tau)
-        e.yaw_rate_rad_s = turned_rad * 1e6 / SLOW_US
+        self.rates_rad_s = (
+            (vehicle.roll_rad - roll_rad) * 1e6 / SLOW_US,
+            (vehicle.pitch_rad - pitch_rad) * 1e6 / SLOW_US,
+            turned_rad * 1e6 / SLOW_US,
+        )
         self._attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
 
     @property

@@ -262,7 +262,8 @@ class Px4(abc.ABC):
         self._turning_s = dt_s
 
     @property
-    def _rates_rad_s(self) -> tuple[float, float, float]:
+    def rates_rad_s(self) -> tuple[float, float, float]:
+        """Of roll, pitch and heading."""
         roll, pitch, yaw = self._turning_rad
         scale = 1.0 / self._turning_s
         return _bounded(roll * scale), _bounded(pitch * scale), _bounded(yaw * scale)
@@ -373,7 +374,6 @@ class Px4(abc.ABC):
             mission_state=self.mission.state,
             mission_total=self.mission.total,
             above_ground_m=self._height_m,
-            rates_rad_s=self._rates_rad_s,
             fusing=self._checks.reported_fusing,
             logs_always=self._checks.logs_always,
             position_reported=self._checks.reported_position_ok,
