@@ -38,7 +38,7 @@ class Submode(enum.Enum):
     """An attitude and a climb rate or thrust, from SET_ATTITUDE_TARGET."""
 
 
-_STILL = (Submode.TAKEOFF, Submode.POSITION, Submode.ANGLE)
+_STANDS = (Submode.TAKEOFF, Submode.POSITION, Submode.ANGLE)
 """Without a target that runs on."""
 
 
@@ -237,7 +237,7 @@ class Guided:
     def run(self, now_us: int, dt_s: float) -> None:
         """Let the target run on with its velocity."""
         submode = self.submode
-        if submode in _STILL:
+        if submode in _STANDS:
             return
         if now_us - self.received_us > self.timeout_us:
             self.velocity = self.acceleration = NOTHING
