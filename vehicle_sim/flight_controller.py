@@ -87,6 +87,8 @@ class FlightController:
         self._messages = _TELEMETRY[style.firmware]
         self._parameter_protocol = ParameterProtocol(self.parameters, style)
         self._mission_protocol = _MISSIONS[style.firmware](autopilot)
+        self._transfers = False
+        """Parameters or a plan may be on their way."""
         self._events = Events()
         self._ground_stations = set[int]()
         self._told: dict[int, tuple[int, int | None, int]] = {}
@@ -107,24 +109,29 @@ class FlightController:
         replies = self.autopilot.step(now_us - self.boot_us, dt_s, ground_amsl_m, fix)
         if replies:
             self.answer(replies)
-        if self._parameter_protocol.busy:
-            self.answer(self._parameter_protocol.step(now_us))
-        if self._mission_protocol.busy:
-            self.answer(self._mission_protocol.step(now_us))
+        if self._transfers:
+            parameters, missions = self._parameter_protocol, self._mission_protocol
+            if parameters.busy:
+                self.answer(parameters.step(now_us))
+            if missions.busy:
+                self.answer(missions.step(now_us))
+            self._transfers = parameters.busy or missions.busy
 
     def stream(self, now_us: int) -> bool:
         """Queue all telemetry that is due; tell whether a position on link 0 was."""
         self._renew_report()
         positioned, built = False, dict[int, Any]()
         for link, number in self.streams.due(now_us):
-            if number not in built:
+            if number == _POSITION and link == 0:
+                positioned = True
+            message = built.get(number)
+            if message is None:
                 build = self._messages.get(number)
-                built[number] = build(self._report) if build else None
-            if built[number] is not None and not (
-                number == _CURRENT_MODE and self._told_already(link, now_us)
+                message = built[number] = build(self._report) if build else None
+            if message is not None and (
+                number != _CURRENT_MODE or not self._told_already(link, now_us)
             ):
-                self._radio.send(built[number], link)
-            positioned = positioned or (number == _POSITION and link == 0)
+                self._radio.send(message, link)
         return positioned
 
     def _told_already(self, link: int, now_us: int) -> bool:
@@ -264,9 +271,11 @@ class FlightController:
                 self.parameters[name] = rate_hz
 
     def _on_parameter(self, message: Any, sender: Sender) -> None:
+        self._transfers = True
         self.answer(self._parameter_protocol.on_message(message, sender, self._now_us))
 
     def _on_mission(self, message: Any, sender: Sender) -> None:
+        self._transfers = True
         self.answer(self._mission_protocol.on_message(message, sender, self._now_us))
 
     def _on_sticks(self, message: Any, sender: Sender) -> None:

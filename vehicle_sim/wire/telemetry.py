@@ -43,14 +43,17 @@ def _builder(kind: Any, form: Form) -> Builder:
         for name, code in zip(kind.fieldnames, kind.fieldtypes, strict=True)
     ]
     singles = list[tuple[int, Callable[[Report], Any]]]()
-    groups = list[tuple[tuple[int, ...], Callable[[Report], Any]]]()
+    groups = list[tuple[slice, Callable[[Report], Any]]]()
+    scattered = list[tuple[tuple[int, ...], Callable[[Report], Any]]]()
     for key, value in form.items():
         fields = tuple(places[name] for name in key.split())
         if callable(value):
             if len(fields) == 1:
                 singles.append((fields[0], value))
+            elif fields == tuple(range(fields[0], fields[0] + len(fields))):
+                groups.append((slice(fields[0], fields[-1] + 1), value))
             else:
-                groups.append((fields, value))
+                scattered.append((fields, value))
         elif len(fields) == 1:
             blank[fields[0]] = value
         else:
@@ -64,7 +67,12 @@ def _builder(kind: Any, form: Form) -> Builder:
             value = values[place] = take(report)
             if value is None:
                 return None
-        for fields, take in groups:
+        for neighbours, take in groups:
+            several = take(report)
+            if several is None:
+                return None
+            values[neighbours] = several
+        for fields, take in scattered:
             several = take(report)
             if several is None:
                 return None
