@@ -17,7 +17,7 @@ from vehicle_sim.autopilots.factory import (
     receiver_of,
 )
 from vehicle_sim.chance import generator
-from vehicle_sim.dynamics.battery import Battery, PowerModule
+from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.dynamics.wind import Wind
@@ -100,6 +100,7 @@ class Simulation:
         self._plans = Plans()
         self._battery = Battery()
         self._power = PowerModule(self._battery, battery_model(vehicle))
+        self._since_power_s = 0.0
         self._wind = Wind(generator(seed, "wind"))
         self._notices: list[str] = []
         self._truth: list[str] = [truth.header(world, seed)]
@@ -327,10 +328,17 @@ class Simulation:
         if now_us < self._down_until_us:
             return self._stay_down()
         controller, conditions, vehicle = self._controller, self._conditions, self._vehicle
-        self._wind.step(_STEP_S, vehicle, conditions.wind, self._ground_amsl_m)
-        fix = self._gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
-        controller.step(now_us, _STEP_S, self._ground_amsl_m, fix)
-        self._power.step(_STEP_S, vehicle, controller.autopilot.armed, conditions.battery)
+        wind, gps = self._wind, self._gps
+        if not wind.still or conditions.wind is not wind.conditions:
+            wind.step(_STEP_S, vehicle, conditions.wind, self._ground_amsl_m)
+        if now_us - controller.boot_us >= gps.due_us:
+            gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
+        controller.step(now_us, _STEP_S, self._ground_amsl_m, gps.fix)
+        self._since_power_s += _STEP_S
+        if self._since_power_s >= POWER_STEP_S - 1e-9:
+            armed, drained_s = controller.autopilot.armed, self._since_power_s
+            self._power.step(drained_s, vehicle, armed, conditions.battery)
+            self._since_power_s = 0.0
         if controller.wants_reboot:
             self._go_down()
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)

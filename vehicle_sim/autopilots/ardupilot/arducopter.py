@@ -96,6 +96,7 @@ class ArduCopter(ArduPilot):
         super().__init__(copter, parameters, plans, boot=boot, hardware_id=hardware_id, rng=rng)
         self.copter = copter
         self.flight = Flight(self, copter)
+        self.fly = self.flight.step
         self.mode = modes.STABILIZE
         self._refused_text: str | None = None
         self._ekf_failures = 0
@@ -104,10 +105,6 @@ class ArduCopter(ArduPilot):
         self._aligned_in_flight = False
 
     # --- each step ----------------------------------------------------------------------------
-
-    def fly(self, dt_s: float, ground_amsl_m: float) -> None:
-        """One step."""
-        self.flight.step(dt_s, ground_amsl_m)
 
     def read_parameters(self) -> None:
         """They are read live."""

@@ -99,10 +99,11 @@ class ArduPlane(ArduPilot):
         self._first_fix_us: int | None = None
         self._origin_due_us: int | None = None
         self._flight = Flight(self, plane)
+        self.fly = self._fly
 
     # --- each step ----------------------------------------------------------------------------
 
-    def fly(self, dt_s: float, ground_amsl_m: float) -> None:
+    def _fly(self, dt_s: float, ground_amsl_m: float) -> None:
         """Control and move the plane for one step, by the estimate."""
         if self.mode == Mode.INITIALISING and self.now_us >= READY_US:
             self.mode = Mode.MANUAL

@@ -80,6 +80,8 @@ class ArduPilot(abc.ABC):
     TIMING: ClassVar[Timing]
     PREARM_US: ClassVar[int]
     """When the PREARM_CHECK bit gets healthy."""
+    fly: Callable[[float, float], None]
+    """Control and move the vehicle for one step of this length, over ground of this height AMSL."""
     GCS_FAILSAFE: ClassVar[tuple[str, str]]
     """The parameters that say whether a lost ground station matters, and after how long."""
 
@@ -179,10 +181,6 @@ class ArduPilot(abc.ABC):
         self.fly(dt_s, ground_amsl_m)
         ekf.follow(self.vehicle)
         return self._taken() if self._out else ()
-
-    @abc.abstractmethod
-    def fly(self, dt_s: float, ground_amsl_m: float) -> None:
-        """Control and move the vehicle for one step, by the estimate."""
 
     @abc.abstractmethod
     def read_parameters(self) -> None:

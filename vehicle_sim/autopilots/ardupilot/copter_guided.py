@@ -98,7 +98,10 @@ class Tracker:
         north_m = (place[0] - estimate.latitude_deg) * metres_north
         east_m = (place[1] - estimate.longitude_deg) * metres_east
         up_m = place[2] - estimate.altitude_amsl_m
-        north, east = clipped(north_m * KP_1_S2, east_m * KP_1_S2, KV_1_S * speeds_m_s[0])
+        north, east = north_m * KP_1_S2, east_m * KP_1_S2
+        square, most = north * north + east * east, KV_1_S * speeds_m_s[0]
+        if square > most * most:
+            north, east = clipped(north, east, most)
         most_up = KV_1_S * speeds_m_s[1]
         up = up_m * KP_1_S2
         up = -most_up if up < -most_up else most_up if up > most_up else up
