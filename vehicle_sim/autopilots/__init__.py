@@ -270,7 +270,7 @@ class Waypoint:
 
 @final
 class Status(NamedTuple):
-    """What an autopilot says of itself, at one time.  A tuple, for it is made a hundred a second."""
+    """What an autopilot says of itself, at one time.  A tuple: they are made often."""
 
     mode: int
     """custom_mode of the heartbeat."""

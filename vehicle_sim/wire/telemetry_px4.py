@@ -18,7 +18,6 @@ from vehicle_sim.wire.telemetry import (
     INT32,
     UINT16,
     Builder,
-    Form,
     boot_ms,
     is_plane,
     per_cent_left,

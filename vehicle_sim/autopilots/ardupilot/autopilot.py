@@ -91,7 +91,6 @@ class ArduPilot(abc.ABC):
         parameters: Mapping[str, float],
         plans: Plans,
         *,
-        boot: Sequence[Due],
         hardware_id: int,
         rng: np.random.Generator,
     ) -> None:
@@ -115,7 +114,7 @@ class ArduPilot(abc.ABC):
         self.failsafe = False
         self._was_armed = False
         self._attitude_rad = self.rates_rad_s = (0.0, 0.0, 0.0)
-        self._due = sorted(boot, key=lambda row: row[0])
+        self._due = sorted(self.boot(), key=lambda row: row[0])
         self._slow_us = SLOW_US
         self._statistics_us = FIRST_STATISTICS_US
         self._flown_us = 0
@@ -127,6 +126,15 @@ class ArduPilot(abc.ABC):
         self._fence_left_alone_us = 0
         self._parameters_version = self.parameters.version
         self._handlers = self.handlers()
+        self._set_up()
+
+    @abc.abstractmethod
+    def _set_up(self) -> None:
+        """The end of the construction: the personality's own parts and memory."""
+
+    @abc.abstractmethod
+    def boot(self) -> Sequence[Due]:
+        """What it says by itself while it boots."""
 
     # --- saying things ----------------------------------------------------------------------------
 

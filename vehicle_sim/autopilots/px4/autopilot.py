@@ -90,6 +90,10 @@ class Px4(abc.ABC):
 
     HANDLERS: ClassVar[Mapping[int, "Handler | None"]]
     """What answers which MAV_CMD; None: nobody."""
+    TABLES: ClassVar[tuple[str, ...]]
+    """Of its parameters."""
+    style: Style
+    measures_airspeed = False
     orbits = False
     """Flies DO_ORBIT in a mode of its own."""
     learns = False
@@ -101,16 +105,12 @@ class Px4(abc.ABC):
         parameters: Mapping[str, float],
         plans: Plans,
         *,
-        tables: tuple[str, ...],
-        style: Style,
         hardware_id: int,
         rng: np.random.Generator,
-        airspeed_sensor: bool = False,
     ) -> None:
         self.vehicle = vehicle
-        self.parameters = Parameters(parameter_rows(*tables), parameters)
+        self.parameters = Parameters(parameter_rows(*self.TABLES), parameters)
         self.plans = plans
-        self.style = style
         self.hardware_id = hardware_id
         self.rng = rng
         self.ekf = Ekf2(vehicle, rng)
@@ -151,10 +151,11 @@ class Px4(abc.ABC):
         self.gimbal = Gimbal()
         self.offboard_signal = False
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
-        self._checks = health.Checks(airspeed=airspeed_sensor)
+        self._checks = health.Checks(airspeed=self.measures_airspeed)
         self._diary = Diary(self.parameters, rng)
         self._incidents = Incidents()
         self._remember_nothing()
+        self._set_up()
 
     def _remember_nothing(self) -> None:
         """What is remembered of a flight, before there was one."""
@@ -177,6 +178,10 @@ class Px4(abc.ABC):
     # --- what a kind of vehicle does ----------------------------------------------------------
 
     @abc.abstractmethod
+    def _set_up(self) -> None:
+        """The end of the construction: the kind's own parts and memory."""
+
+    @abc.abstractmethod
     def _begin(self, mode: Mode, before: Mode) -> None:
         """The flown mode has changed (also: was armed in it; also: the same one, commanded)."""
 
@@ -191,6 +196,13 @@ class Px4(abc.ABC):
     @abc.abstractmethod
     def _waypoint(self) -> Waypoint | None:
         """POSITION_TARGET_GLOBAL_INT, in AUTO modes only."""
+
+    def _takeoff_altitude_m(self) -> float:
+        """AMSL: NAV_TAKEOFF's, or MIS_TAKEOFF_ALT above home."""
+        place, home = self.takeoff_place, self.home or self._reference
+        if place is not None and math.isfinite(place[2]):
+            return place[2]
+        return home.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
 
     @property
     def _height_m(self) -> float:
