@@ -252,9 +252,9 @@ class Px4(abc.ABC):
             self._check()
         self._fly(dt_s)
         self._feel_turning(dt_s)
-        if self.armed:
+        if self.armed and self.landed:
             self._disarm_by_itself()
-        if self.gimbal.due(now_us):
+        if now_us >= self.gimbal.due_us:
             self.say(*self.gimbal.take(now_us))
         if not self._said:
             return ()
@@ -695,7 +695,7 @@ class Px4(abc.ABC):
             wait_s = self.parameters["COM_DISARM_LAND"]
             if wait_s > 0.0 and now_us - self._landed_us >= wait_s * 1e6:
                 self.disarm(health.DISARMED_BY_LANDING)
-        elif self.landed:
+        else:
             wait_s = self.parameters["COM_DISARM_PRFLT"]
             if wait_s > 0.0 and now_us - self._armed_us >= wait_s * 1e6:
                 self.disarm(health.DISARMED_UNFLOWN)
@@ -752,4 +752,6 @@ def _unsupported(_px4: Px4, _command: Command) -> Result:
 
 
 def _bounded(rate_rad_s: float) -> float:
+    if -_MOST_RAD_S <= rate_rad_s <= _MOST_RAD_S:
+        return rate_rad_s
     return min(max(rate_rad_s, -_MOST_RAD_S), _MOST_RAD_S)
