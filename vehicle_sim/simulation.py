@@ -100,7 +100,6 @@ class Simulation:
         self._plans = Plans()
         self._battery = Battery()
         self._power = PowerModule(self._battery, battery_model(vehicle))
-        self._since_power_s = 0.0
         self._wind = Wind(generator(seed, "wind"))
         self._notices: list[str] = []
         self._truth: list[str] = [truth.header(world, seed)]
@@ -123,7 +122,7 @@ class Simulation:
             firmware=vehicle.autopilot,
             latitude_deg=world.origin.latitude_deg,
         )
-        self._down_until_us = 0
+        self._down_until_us, self._since_power_s = 0, 0.0
         self._port_change = False
         self._boot(autopilot)
         self._shown = (self.mode_name, False)
