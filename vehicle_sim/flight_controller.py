@@ -21,7 +21,6 @@ from vehicle_sim.autopilots import (
     Sender,
     Text,
 )
-from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.sensors.gps import Fix
 from vehicle_sim.wire import ftp, messages, telemetry_ardupilot, telemetry_px4
@@ -64,7 +63,6 @@ class FlightController:
         self,
         autopilot: Autopilot,
         radio: Radio,
-        vehicle: Vehicle,
         battery: Battery,
         *,
         boot_us: int,
@@ -82,6 +80,8 @@ class FlightController:
         self._messages = _TELEMETRY[style.firmware]
         self._parameter_protocol = ParameterProtocol(autopilot)
         self._mission_protocol = _MISSIONS[style.firmware](autopilot)
+        self._transfers = False
+        """Parameters or a plan may be on their way."""
         self._ground_stations = set[int]()
         self._told: dict[int, tuple[int, int | None, int]] = {}
         """Newest CURRENT_MODE of each link: mode, intended mode and when."""
@@ -89,15 +89,7 @@ class FlightController:
         for link in radio.links:
             self.streams.open(link, boot_us)
         self._report = Report(
-            time_us=0,
-            unix_us=0,
-            vehicle=vehicle,
-            estimate=autopilot.estimate,
-            fix=Fix(),
-            battery=battery,
-            status=autopilot.status(),
-            style=style,
-            hardware_id=hardware_id,
+            autopilot=autopilot, fix=Fix(), battery=battery, hardware_id=hardware_id
         )
 
     # --- time ---------------------------------------------------------------------------------
@@ -106,27 +98,32 @@ class FlightController:
         """Fly on, and let the protocols go on."""
         self._now_us = now_us
         self._report.fix = fix
-        self.answer(self.autopilot.step(now_us - self.boot_us, dt_s, ground_amsl_m, fix))
-        if self._parameter_protocol.busy:
-            self.answer(self._parameter_protocol.step(now_us))
-        if self._mission_protocol.busy:
-            self.answer(self._mission_protocol.step(now_us))
+        replies = self.autopilot.step(now_us - self.boot_us, dt_s, ground_amsl_m, fix)
+        if replies:
+            self.answer(replies)
+        if self._transfers:
+            parameters, missions = self._parameter_protocol, self._mission_protocol
+            if parameters.busy:
+                self.answer(parameters.step(now_us))
+            if missions.busy:
+                self.answer(missions.step(now_us))
+            self._transfers = parameters.busy or missions.busy
 
     def stream(self, now_us: int) -> bool:
         """Queue all telemetry that is due; tell whether a position on link 0 was."""
-        if now_us < self.streams.soonest_us:
-            return False
         self._renew_report()
         positioned, built = False, dict[int, Any]()
         for link, number in self.streams.due(now_us):
-            if number not in built:
+            if number == _POSITION and link == 0:
+                positioned = True
+            message = built.get(number)
+            if message is None:
                 build = self._messages.get(number)
-                built[number] = build(self._report) if build else None
-            if built[number] is not None and not (
-                number == _CURRENT_MODE and self._told_already(link, now_us)
+                message = built[number] = build(self._report) if build else None
+            if message is not None and (
+                number != _CURRENT_MODE or not self._told_already(link, now_us)
             ):
-                self._radio.send(built[number], link)
-            positioned = positioned or (number == _POSITION and link == 0)
+                self._radio.send(message, link)
         return positioned
 
     def _told_already(self, link: int, now_us: int) -> bool:
@@ -145,10 +142,8 @@ class FlightController:
         self._send(_HEARTBEAT, None)
 
     def _renew_report(self) -> None:
-        report = self._report
-        report.time_us = self._now_us - self.boot_us
-        report.unix_us = _EPOCH_US + self._now_us if report.fix.usable else 0
-        report.status = self.autopilot.status()
+        report, now_us = self._report, self._now_us
+        report.renew(now_us - self.boot_us, _EPOCH_US + now_us if report.fix.usable else 0)
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -260,9 +255,11 @@ class FlightController:
                 self.parameters[name] = rate_hz
 
     def _on_parameter(self, message: Any, sender: Sender) -> None:
+        self._transfers = True
         self.answer(self._parameter_protocol.on_message(message, sender, self._now_us))
 
     def _on_mission(self, message: Any, sender: Sender) -> None:
+        self._transfers = True
         self.answer(self._mission_protocol.on_message(message, sender, self._now_us))
 
     def _on_sticks(self, message: Any, sender: Sender) -> None:

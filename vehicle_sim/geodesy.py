@@ -21,6 +21,8 @@ WGS84 = Geod(ellps="WGS84")
 _ONE_DEG_RAD = math.pi / 180.0
 _ECCENTRICITY_SQUARED = WGS84.es
 _RADIUS_DEG_M = WGS84.a * _ONE_DEG_RAD
+_MERIDIAN_SHARE = 1.0 - _ECCENTRICITY_SQUARED
+_LEAST_COSINE = 1e-6
 
 
 def metres_per_degree(latitude_deg: float) -> tuple[float, float]:
@@ -29,8 +31,10 @@ def metres_per_degree(latitude_deg: float) -> tuple[float, float]:
     sine = math.sin(latitude_rad)
     w2 = 1.0 - _ECCENTRICITY_SQUARED * sine * sine
     prime_vertical = _RADIUS_DEG_M / math.sqrt(w2)
-    meridian = prime_vertical * (1.0 - _ECCENTRICITY_SQUARED) / w2
-    return meridian, prime_vertical * max(math.cos(latitude_rad), 1e-6)
+    cosine = math.cos(latitude_rad)
+    if cosine < _LEAST_COSINE:
+        cosine = _LEAST_COSINE
+    return prime_vertical * _MERIDIAN_SHARE / w2, prime_vertical * cosine
 
 
 @final

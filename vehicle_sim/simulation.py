@@ -17,7 +17,7 @@ from vehicle_sim.autopilots.factory import (
     receiver_of,
 )
 from vehicle_sim.chance import generator
-from vehicle_sim.dynamics.battery import Battery, PowerModule
+from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.dynamics.wind import Wind
@@ -113,7 +113,7 @@ class Simulation:
             firmware=vehicle.autopilot,
             latitude_deg=world.origin.latitude_deg,
         )
-        self._down_until_us = 0
+        self._down_until_us, self._since_power_s = 0, 0.0
         self._port_change = False
         self._boot(autopilot)
         self._shown = (self.mode_name, False)
@@ -146,7 +146,6 @@ class Simulation:
         self._controller = FlightController(
             autopilot,
             self._radio,
-            self._vehicle,
             self._battery,
             boot_us=self.now_us,
             hardware_id=self._hardware_id,
@@ -302,26 +301,36 @@ class Simulation:
     def step(self) -> bool:
         """Fly for one step, queue what is due, and tell whether a lockstep tick is complete."""
         self.now_us = now_us = self.now_us + STEP_US
-        for name, value in self._timeline.step(now_us, self._parameters):
-            self.set_parameter(name, value)
+        if now_us >= self._timeline.next_us:
+            for name, value in self._timeline.step(now_us, self._parameters):
+                self.set_parameter(name, value)
         if self._parameters.version != self._seen_version:
             self._refresh()
-        for received in self._radio.late(now_us):
-            self._receive(received)
-        if now_us % _LOOK_US == 0:
+        if self._radio.impaired:
+            for received in self._radio.late(now_us):
+                self._receive(received)
+        looks = now_us % _LOOK_US == 0
+        if looks:
             self._look_down()
         if now_us < self._down_until_us:
             return self._stay_down()
         controller, conditions, vehicle = self._controller, self._conditions, self._vehicle
-        self._wind.step(_STEP_S, vehicle, conditions.wind, self._ground_amsl_m)
-        fix = self._gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
-        controller.step(now_us, _STEP_S, self._ground_amsl_m, fix)
-        self._power.step(_STEP_S, vehicle, controller.autopilot.armed, conditions.battery)
+        wind, gps = self._wind, self._gps
+        if not wind.still or conditions.wind is not wind.conditions:
+            wind.step(_STEP_S, vehicle, conditions.wind, self._ground_amsl_m)
+        if now_us - controller.boot_us >= gps.due_us:
+            gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
+        controller.step(now_us, _STEP_S, self._ground_amsl_m, gps.fix)
+        self._since_power_s += _STEP_S
+        if self._since_power_s >= POWER_STEP_S - 1e-9:
+            armed, drained_s = controller.autopilot.armed, self._since_power_s
+            self._power.step(drained_s, vehicle, armed, conditions.battery)
+            self._since_power_s = 0.0
         if controller.wants_reboot:
             self._go_down()
-        positioned = controller.stream(now_us)
-        ticks = controller.streams.interval_us(0, _POSITION) is not None
-        complete = positioned if ticks else now_us % _LOOK_US == 0
+        complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
+        if looks and not complete:  # without positions there are ticks all the same
+            complete = controller.streams.interval_us(0, _POSITION) is None
         if self._scanner is not None:
             self._scanner.step(now_us, vehicle, conditions.radar, tick=complete)
         return complete

@@ -78,6 +78,9 @@ class PeakTerrain:
 
     def _peaks_m(self, away_north_m: FloatArray, away_east_m: FloatArray) -> FloatArray:
         """Height of each peak at these distances from its centre.  (P, ...) -> (P, ...)."""
+        if away_north_m.ndim == 1:  # at one point: ten times a second
+            x, y = away_north_m / self.spread_north_m, away_east_m / self.spread_east_m
+            return self.peak_height_m * np.exp(-x * x - y * y)
         column = (-1, *[1] * (away_north_m.ndim - 1))
         x = away_north_m / self.spread_north_m.reshape(column)
         y = away_east_m / self.spread_east_m.reshape(column)
@@ -95,8 +98,11 @@ class PeakTerrain:
 
     def height_at_amsl_m(self, north_m: float, east_m: float) -> float:
         """Height of the terrain at one point."""
+        if not len(self.peak_height_m):
+            return self.ground_amsl_m
         each_m = self._peaks_m(north_m - self.peak_north_m, east_m - self.peak_east_m)
-        return float(self._combined_m(each_m))
+        joined = float(each_m.max() if self.combine == "maximum" else each_m.sum())
+        return joined if joined > self.ground_amsl_m else self.ground_amsl_m
 
     def _peak_bounds_m(
         self, north_m: tuple[FloatArray, FloatArray], east_m: tuple[FloatArray, FloatArray]

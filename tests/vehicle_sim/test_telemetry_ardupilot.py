@@ -14,16 +14,11 @@ from vehicle_sim.wire.telemetry_ardupilot import MESSAGES
 
 
 def report_of(it: Flown, **fields: Any) -> Report:
-    autopilot = it.autopilot
     return Report(
+        autopilot=it.autopilot,
         time_us=it.now_us,
-        unix_us=0,
-        vehicle=it.copter,
-        estimate=autopilot.estimate,
         fix=fields.get("fix", it.fix),
         battery=Battery(),
-        status=autopilot.status(),
-        style=autopilot.style,
         hardware_id=7,
     )
 

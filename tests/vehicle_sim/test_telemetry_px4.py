@@ -62,17 +62,7 @@ def test_lacking_messages_are_the_recorded_bytes() -> None:
 
 
 def _report(rig: Rig) -> Report:
-    px4 = rig.px4
-    return Report(
-        time_us=rig.now_us,
-        unix_us=0,
-        vehicle=rig.copter,
-        estimate=px4.estimate,
-        fix=rig.fix,
-        battery=Battery(),
-        status=px4.status(),
-        style=px4.style,
-    )
+    return Report(autopilot=rig.px4, time_us=rig.now_us, fix=rig.fix, battery=Battery())
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ and *.boot.  What all four share is here: parameters.py, zones.py (fences), jump
 import enum
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, final
+from typing import Any, Literal, NamedTuple, Protocol, final
 
 from vehicle_sim.autopilots.attitude import AttitudeTarget
 from vehicle_sim.dynamics import Vehicle
@@ -230,10 +230,6 @@ class Estimate:
     terrain_variance: float = 0.0
     frozen_altitude_amsl_m: float | None = None
     """What is said of the height above the sea while the position is lost; None: the truth."""
-    roll_rate_rad_s: float = 0.0
-    """These three are what the attitude messages say."""
-    pitch_rate_rad_s: float = 0.0
-    yaw_rate_rad_s: float = 0.0
     horizontal_accuracy_m: float = 0.0
     vertical_accuracy_m: float = 0.0
 
@@ -274,9 +270,8 @@ class Waypoint:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Status:
-    """What an autopilot says of itself, at one time."""
+class Status(NamedTuple):
+    """What an autopilot says of itself, at one time.  A tuple: they are made often."""
 
     mode: int
     """custom_mode of the heartbeat."""
@@ -300,8 +295,6 @@ class Status:
     """Items of the mission, as MISSION_CURRENT of PX4 says it; 65535: there is none."""
     above_ground_m: float | None = None
     """By a distance sensor; None: there is none."""
-    rates_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of roll, pitch and heading."""
     fusing: bool = True
     """The estimator uses GPS, as of the last report of the arming checks (PX4)."""
     logs_always: bool = False
@@ -327,20 +320,39 @@ class Status:
 class Report:
     """All that telemetry is made of; refers to live objects, to be read at once."""
 
-    time_us: int
-    """Since boot."""
-    unix_us: int
-    """GPS time; 0 while there is none."""
-    vehicle: Vehicle
-    """For attitude and airspeed only: position and velocity are the estimate's."""
-    estimate: Estimate
+    autopilot: "Autopilot"
     fix: Fix
     battery: Battery
-    status: Status
-    style: "Style"
+    time_us: int = 0
+    """Since boot."""
+    unix_us: int = 0
+    """GPS time; 0 while there is none."""
     hardware_id: int = 1
     event_sequence: int = 65525
     """Of the newest EVENT (PX4)."""
+    vehicle: Vehicle = field(init=False)
+    """For attitude and airspeed only: position and velocity are the estimate's."""
+    estimate: Estimate = field(init=False)
+    style: "Style" = field(init=False)
+    _status: Status | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        autopilot = self.autopilot
+        self.vehicle, self.estimate = autopilot.vehicle, autopilot.estimate
+        self.style = autopilot.style
+
+    def renew(self, time_us: int, unix_us: int) -> None:
+        """Time has gone on: what the autopilot says of itself is asked for anew."""
+        self.time_us, self.unix_us = time_us, unix_us
+        self._status = None
+
+    @property
+    def status(self) -> Status:
+        """Asked for when a message first needs it: most, such as ATTITUDE, do not."""
+        status = self._status
+        if status is None:
+            status = self._status = self.autopilot.status()
+        return status
 
 
 # --- how it speaks --------------------------------------------------------------------------------
@@ -411,6 +423,11 @@ class Autopilot(Protocol):
     @property
     def landed(self) -> bool:
         """Whether it stands on the ground."""
+        ...
+
+    @property
+    def rates_rad_s(self) -> tuple[float, float, float]:
+        """Of roll, pitch and heading, as the attitude messages say them."""
         ...
 
     def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:

@@ -40,7 +40,7 @@ _PX4_GAUGE_S = 0.95
 """Time constant of the gauge: px4-offboard-short.tlog from 58.4 s on."""
 _PX4_GAUGE_REST = 3e-7
 """Where its filter in single precision stops short: 50 % are told as 51 in SYS_STATUS for ever."""
-_STEP_S = 0.1
+POWER_STEP_S = 0.1
 
 
 @final
@@ -76,12 +76,11 @@ class BatteryConditions:
 
 @final
 class PowerModule:
-    """Drains the battery that the autopilot sees, ten times a second."""
+    """Drains the battery that the autopilot sees: every POWER_STEP_S is often enough."""
 
     def __init__(self, battery: Battery, model: Model) -> None:
         self.battery = battery
         self._model = model
-        self._since_s = 0.0
         self._drawn_mah = 0.0
         self._left = 1.0
         """PX4's, before what the conditions cap."""
@@ -91,10 +90,6 @@ class PowerModule:
         self, dt_s: float, vehicle: Vehicle, armed: bool, conditions: BatteryConditions
     ) -> None:
         """Fly on for dt_s."""
-        self._since_s += dt_s
-        if self._since_s < _STEP_S - 1e-9:
-            return
-        dt_s, self._since_s = self._since_s, 0.0
         if self._model == "px4":
             self._px4(dt_s, armed, conditions)
         else:

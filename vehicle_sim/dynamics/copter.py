@@ -120,7 +120,10 @@ class Copter:
             self._thrust_most_m_s2 = GRAVITY_M_S2 * math.tan(max(tilt_max_rad, 0.0))
 
     def advance(self, north_m_s2: float, east_m_s2: float, up_m_s2: float, dt_s: float) -> None:
-        """One step under a commanded acceleration of the thrust, gravity made up for."""
+        """One step under a commanded acceleration of the thrust, gravity made up for.
+
+        Attitude and throttle are those that this thrust takes.
+        """
         limits = self.limits
         response = dt_s / (self.response_s + dt_s)
         before_n, before_e = self.velocity_north_m_s, self.velocity_east_m_s
@@ -142,8 +145,16 @@ class Copter:
         a_u = self.acceleration_up_m_s2
         a_u += (up_m_s2 - a_u) * response
         most = limits.acceleration_vertical_m_s2
-        a_u = min(max(a_u, -most), most)
-        self._lean(a_n, a_e, a_u)
+        a_u = -most if a_u < -most else most if a_u > most else a_u
+        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        forward = a_n * cosine + a_e * sine
+        right = a_e * cosine - a_n * sine
+        lift = GRAVITY_M_S2 + a_u
+        self.pitch_rad = -math.atan2(forward, lift)
+        self.roll_rad = math.atan2(right, math.hypot(forward, lift))
+        thrust = math.sqrt(forward * forward + right * right + lift * lift)
+        throttle = self.hover_throttle * thrust / GRAVITY_M_S2
+        self.throttle = throttle if throttle < 1.0 else 1.0
 
         lift_m_s2 = a_u
         if self.drag_1_s or self.drag_1_m:
@@ -160,24 +171,14 @@ class Copter:
             v_e *= limits.speed_m_s / speed
 
         fastest = limits.speed_vertical_m_s
-        v_u = min(max(before_u + lift_m_s2 * dt_s, -fastest), fastest)
+        v_u = before_u + lift_m_s2 * dt_s
+        v_u = -fastest if v_u < -fastest else fastest if v_u > fastest else v_u
 
         self._move(before_n + v_n, before_e + v_e, before_u + v_u, 0.5 * dt_s)
         self.velocity_north_m_s, self.velocity_east_m_s, self.velocity_up_m_s = v_n, v_e, v_u
         self.acceleration_north_m_s2, self.acceleration_east_m_s2 = a_n, a_e
         self.acceleration_up_m_s2 = a_u
         self.airspeed_m_s = math.hypot(v_n - self.wind_north_m_s, v_e - self.wind_east_m_s)
-
-    def _lean(self, north_m_s2: float, east_m_s2: float, up_m_s2: float) -> None:
-        """Attitude and throttle that this thrust takes, gravity made up for."""
-        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        forward = north_m_s2 * cosine + east_m_s2 * sine
-        right = east_m_s2 * cosine - north_m_s2 * sine
-        lift = GRAVITY_M_S2 + up_m_s2
-        self.pitch_rad = -math.atan2(forward, lift)
-        self.roll_rad = math.atan2(right, math.hypot(forward, lift))
-        thrust = math.sqrt(forward * forward + right * right + lift * lift)
-        self.throttle = min(self.hover_throttle * thrust / GRAVITY_M_S2, 1.0)
 
     def fall(self, dt_s: float) -> None:
         """One step without motors."""

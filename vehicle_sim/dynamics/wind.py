@@ -161,13 +161,13 @@ class Wind:
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._gusts = Gusts(rng)
-        self._conditions: WindConditions | None = None
+        self.conditions: WindConditions | None = None
         self._target_m_s = (0.0, 0.0, 0.0)
         self._mean_m_s = (0.0, 0.0, 0.0)
         """North, east, up, at full height."""
         self._settled = True
-        self._still = False
-        """No wind, and the vehicle has been told."""
+        self.still = False
+        """No wind, and the vehicle has been told: until the conditions change there is none."""
         self._retune_s = 0.0
         self._vertical = 1.0
         self._along = (1.0, 0.0)
@@ -176,9 +176,9 @@ class Wind:
         self, dt_s: float, vehicle: Vehicle, conditions: WindConditions, ground_amsl_m: float
     ) -> None:
         """Blow on for dt_s over ground of this height."""
-        if conditions is not self._conditions:
+        if conditions is not self.conditions:
             self._turn_to(conditions)
-        if self._still:
+        elif self.still:
             return
         if not self._settled:
             self._settle(dt_s, conditions)
@@ -200,7 +200,7 @@ class Wind:
             east += sine * along + cosine * across
             up += turbulence * self._vertical * gusts.up
         else:
-            self._still = self._settled and not any(self._mean_m_s)
+            self.still = self._settled and not any(self._mean_m_s)
         vehicle.wind_north_m_s, vehicle.wind_east_m_s, vehicle.wind_up_m_s = north, east, up
 
     def _turn_to(self, conditions: WindConditions) -> None:
@@ -209,11 +209,11 @@ class Wind:
         up = conditions.speed_m_s * math.sin(conditions.rising_rad)
         self._target_m_s = (level * cosine, level * sine, up)
         self._along = (cosine, sine)
-        if self._conditions is None:  # it has blown since long before the first step
+        if self.conditions is None:  # it has blown since long before the first step
             self._mean_m_s = self._target_m_s
         self._settled = self._mean_m_s == self._target_m_s
-        self._still = False
-        self._conditions = conditions
+        self.still = False
+        self.conditions = conditions
         self._retune_s = 0.0
 
     def _settle(self, dt_s: float, conditions: WindConditions) -> None:

@@ -159,8 +159,10 @@ class Gps:
     def __init__(self, receiver: Receiver, rng: np.random.Generator) -> None:
         self._receiver = receiver
         self._rng = rng
-        self._due_us = receiver.first_us
-        self._fix = Fix()
+        self.due_us = receiver.first_us
+        """Nothing new is put out before."""
+        self.fix = Fix()
+        """The newest one."""
         self._history = deque([Sample(0, False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)], maxlen=_HISTORY)
         self._locked_us = 0
         self._wander = rng.standard_normal(3).tolist()
@@ -169,17 +171,17 @@ class Gps:
 
     def step(self, now_us: int, vehicle: Vehicle, conditions: GpsConditions) -> Fix:
         """The newest solution at now_us (since boot); the same object until there is another."""
-        if now_us < self._due_us:
-            return self._fix
+        if now_us < self.due_us:
+            return self.fix
         receiver = self._receiver
-        due_us = now_us - (now_us - self._due_us) % receiver.interval_us
-        self._due_us = due_us + receiver.interval_us
+        due_us = now_us - (now_us - self.due_us) % receiver.interval_us
+        self.due_us = due_us + receiver.interval_us
         self._history.append(self._sample(due_us, now_us, vehicle, conditions))
         if receiver.blank_first and len(self._history) == 2:
-            self._fix = Fix(fix_type=receiver.fix_type_lost)
+            self.fix = Fix(fix_type=receiver.fix_type_lost)
         else:
-            self._fix = self._solution(due_us, conditions)
-        return self._fix
+            self.fix = self._solution(due_us, conditions)
+        return self.fix
 
     def _sample(
         self, due_us: int, now_us: int, vehicle: Vehicle, conditions: GpsConditions
@@ -265,7 +267,7 @@ class Gps:
             satellites = receiver.satellites_lost
         north_m, east_m, up_m = self._wandered_m(due_us, conditions)
         cosine = max(math.cos(math.radians(sample.latitude_deg)), 0.0175)
-        heard = locked or self._fix.horizontal_accuracy_m > 0.0
+        heard = locked or self.fix.horizontal_accuracy_m > 0.0
         dilutions = receiver.dilutions if locked else receiver.lost_dilutions
         accuracies = receiver.accuracies if locked else receiver.lost_accuracies
         if accuracies is None:

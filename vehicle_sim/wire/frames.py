@@ -208,4 +208,6 @@ def degrees_e7(angle_deg: float) -> int:
 
 def bounded(value: float, most: int) -> int:
     """The nearest whole number within +-most: what an integer field can carry."""
-    return round(min(max(value, -most), most)) if math.isfinite(value) else 0
+    if -most <= value <= most:
+        return round(value)
+    return (most if value > 0.0 else -most) if math.isfinite(value) else 0

@@ -63,7 +63,8 @@ class Radio:
         self._out = [Impairments(rng, link=link, to_vehicle=False) for link in self.links]
         self._after = [StreamParser(datagrams=True) for _ in self.links]
         """Of what comes out of the impairments."""
-        self._impaired = False
+        self.impaired = False
+        """Links are bad, or were: something may be held back."""
         self._outbox: list[tuple[int, bytes]] = []
         self._past: list[tuple[int, bytes]] = []
         self._question: tuple[int, bytes] | None = None
@@ -87,7 +88,7 @@ class Radio:
 
     def impair(self, conditions: LinkConditions) -> None:
         """From now on the links are this bad, in both directions."""
-        self._impaired = conditions.any or self._impaired
+        self.impaired = conditions.any or self.impaired
         for each in (*self._in, *self._out):
             each.conditions = conditions
 
@@ -96,7 +97,7 @@ class Radio:
     def receive(self, now_us: int, link: int, data: bytes) -> list[Received]:
         """What has just come by this link, as far as it is for this vehicle."""
         frames = self._parsers[link].feed(data)
-        if not self._impaired or now_us == 0:  # hellos depend on wall time: chance leaves them be
+        if not self.impaired or now_us == 0:  # hellos depend on wall time: chance leaves them be
             return self._let_in(now_us, link, frames)
         received = []
         for frame, message in frames:
@@ -108,8 +109,6 @@ class Radio:
 
     def late(self, now_us: int) -> list[Received]:
         """What came earlier and was held back until now."""
-        if not self._impaired:
-            return []
         return [each for link in self.links for each in self._late(now_us, link)]
 
     def _late(self, now_us: int, link: int) -> list[Received]:
@@ -161,7 +160,7 @@ class Radio:
         """What goes out now: link and frame, in order."""
         frames, self._outbox = self._outbox, []
         past, self._past = self._past, []
-        if self._impaired and now_us > 0:
+        if self.impaired and now_us > 0:
             for link, frame in frames:
                 self._out[link].push(now_us, frame)
             frames = [(link, frame) for link in self.links for frame in self._out[link].pop(now_us)]

@@ -54,14 +54,17 @@ def _builder(kind: Any, form: Form) -> Builder:
         for name, code in zip(kind.fieldnames, kind.fieldtypes, strict=True)
     ]
     singles = list[tuple[int, Callable[[Report], Any]]]()
-    groups = list[tuple[tuple[int, ...], Callable[[Report], Any]]]()
+    groups = list[tuple[slice, Callable[[Report], Any]]]()
+    scattered = list[tuple[tuple[int, ...], Callable[[Report], Any]]]()
     for key, value in form.items():
         fields = tuple(places[name] for name in key.split())
         if callable(value):
             if len(fields) == 1:
                 singles.append((fields[0], value))
+            elif fields == tuple(range(fields[0], fields[0] + len(fields))):
+                groups.append((slice(fields[0], fields[-1] + 1), value))
             else:
-                groups.append((fields, value))
+                scattered.append((fields, value))
         elif len(fields) == 1:
             blank[fields[0]] = value
         else:
@@ -75,7 +78,12 @@ def _builder(kind: Any, form: Form) -> Builder:
             value = values[place] = take(report)
             if value is None:
                 return None
-        for fields, take in groups:
+        for neighbours, take in groups:
+            several = take(report)
+            if several is None:
+                return None
+            values[neighbours] = several
+        for fields, take in scattered:
             several = take(report)
             if several is None:
                 return None
@@ -113,6 +121,11 @@ def attitude_rad(report: Report) -> tuple[float, float, float]:
     """Roll, pitch, yaw."""
     vehicle = report.vehicle
     return vehicle.roll_rad, vehicle.pitch_rad, math.remainder(vehicle.heading_rad, math.tau)
+
+
+def rates_rad_s(report: Report) -> tuple[float, float, float]:
+    """Of roll, pitch and heading."""
+    return report.autopilot.rates_rad_s
 
 
 def quaternion(report: Report) -> tuple[float, float, float, float]:
@@ -221,8 +234,14 @@ def _target(report: Report) -> tuple[float, ...] | None:
 # --- the table ------------------------------------------------------------------------------------
 
 COMMON: Final[Table] = {
-    "ATTITUDE": {"roll pitch yaw": attitude_rad},
-    "ATTITUDE_QUATERNION": {"q1 q2 q3 q4": quaternion},
+    "ATTITUDE": {
+        "roll pitch yaw": attitude_rad,
+        "rollspeed pitchspeed yawspeed": rates_rad_s,
+    },
+    "ATTITUDE_QUATERNION": {
+        "q1 q2 q3 q4": quaternion,
+        "rollspeed pitchspeed yawspeed": rates_rad_s,
+    },
     "GLOBAL_POSITION_INT": {
         "lat lon alt": lambda r: place_e7_mm(r.estimate),
         "relative_alt": _above_home_mm,

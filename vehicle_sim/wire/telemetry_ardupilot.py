@@ -93,11 +93,6 @@ def _gps_solution(report: Report) -> tuple[int, ...]:
     return telemetry.gps_solution(report) if known else (0, 0, 0, 0, UINT16, UINT16, 0, 0)
 
 
-def _rates_rad_s(report: Report) -> tuple[float, float, float]:
-    estimate = report.estimate
-    return estimate.roll_rate_rad_s, estimate.pitch_rate_rad_s, estimate.yaw_rate_rad_s
-
-
 def _altitude_amsl_m(report: Report) -> float:
     """It stands still with the position; the height above home does not."""
     frozen_m = report.estimate.frozen_altitude_amsl_m
@@ -233,7 +228,6 @@ _IMU: Final[Form] = {
     "xmag ymag zmag": _FIELD_MGAUSS,
     "temperature": 2512,
 }
-_RATES: Final[Form] = {"rollspeed pitchspeed yawspeed": _rates_rad_s}
 
 MESSAGES: Final = telemetry.builders(
     {
@@ -244,8 +238,6 @@ MESSAGES: Final = telemetry.builders(
             "current_battery": lambda r: bounded(r.battery.current_a * 100.0, INT16),
             "battery_remaining": _percent,
         },
-        "ATTITUDE": _RATES,
-        "ATTITUDE_QUATERNION": _RATES,
         # its question, every ten seconds: the last digit tells it from those of others
         "TIMESYNC": {"ts1": lambda r: r.time_us * 1000 + 1},
         "GLOBAL_POSITION_INT": {"lat lon alt": _place},

@@ -17,12 +17,12 @@ from vehicle_sim.wire.telemetry import (
     INT16,
     INT32,
     UINT16,
-    Form,
     boot_ms,
     is_plane,
     per_cent_left,
     place_e7,
     quaternion,
+    rates_rad_s,
     throttle,
     time_us,
     velocity_ned_m_s,
@@ -158,10 +158,6 @@ def _servos(report: Report) -> list[int]:
     return [1500, 1500, 1500, turning] if is_plane(report) else [turning] * 4
 
 
-def _rates_rad_s(report: Report) -> tuple[float, float, float]:
-    return report.status.rates_rad_s
-
-
 def _body(report: Report, north: float, east: float, down: float) -> tuple[float, float, float]:
     """A vector in the vehicle's own axes: forward, right, down."""
     vehicle = report.vehicle
@@ -244,7 +240,6 @@ def _wind(report: Report) -> tuple[float, float] | None:
 
 # --- the table ------------------------------------------------------------------------------------
 
-_RATES: Final[Form] = {"rollspeed pitchspeed yawspeed": _rates_rad_s}
 MESSAGES: Final = telemetry.builders(
     {
         "SYS_STATUS": {
@@ -303,8 +298,6 @@ MESSAGES: Final = telemetry.builders(
             "press_abs": _pressure_hpa,
             "temperature": lambda r: bounded(1500.0 - 0.65 * r.vehicle.altitude_amsl_m, INT16),
         },
-        "ATTITUDE": _RATES,
-        "ATTITUDE_QUATERNION": _RATES,
         "SERVO_OUTPUT_RAW": {
             "time_usec": lambda r: r.time_us & 0xFFFFFFFF,
             "servo1_raw servo2_raw servo3_raw servo4_raw": _servos,
@@ -312,12 +305,12 @@ MESSAGES: Final = telemetry.builders(
         },
         "ATTITUDE_TARGET": {
             "q": quaternion,
-            "body_roll_rate body_pitch_rate body_yaw_rate": _rates_rad_s,
+            "body_roll_rate body_pitch_rate body_yaw_rate": rates_rad_s,
             "thrust": lambda r: r.vehicle.throttle,
         },
         "HIGHRES_IMU": {
             "xacc yacc zacc": _specific_force,
-            "xgyro ygyro zgyro": _rates_rad_s,
+            "xgyro ygyro zgyro": rates_rad_s,
             "xmag ymag zmag": lambda r: _body(r, 0.21, 0.0125, 0.43),
             "abs_pressure": _pressure_hpa,
             "pressure_alt": lambda r: r.vehicle.altitude_amsl_m,
@@ -341,7 +334,7 @@ MESSAGES: Final = telemetry.builders(
             "x y z": lambda r: r.status.local_ned_m,
             "q": quaternion,
             "vx vy vz": velocity_ned_m_s,
-            **_RATES,
+            "rollspeed pitchspeed yawspeed": rates_rad_s,
             "pose_covariance": _pose_covariance,
             "velocity_covariance": _SPEED_COVARIANCE,
             "reset_counter": 9,

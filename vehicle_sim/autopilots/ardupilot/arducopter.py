@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar, final
 
-import numpy as np
-
 from vehicle_sim.autopilots import (
     Command,
     Landed,
@@ -27,7 +25,7 @@ from vehicle_sim.autopilots import (
 )
 from vehicle_sim.autopilots.ardupilot import copter_setpoints as setpoints
 from vehicle_sim.autopilots.ardupilot import copter_table as modes
-from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
+from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, Due
 from vehicle_sim.autopilots.ardupilot.copter_flight import FAILSAFE_PAUSE_US, Flight
 from vehicle_sim.autopilots.ardupilot.copter_guided import NOTHING, Submode
 from vehicle_sim.autopilots.ardupilot.copter_setpoints import Bearings, Stop, Target, read_setpoint
@@ -46,7 +44,7 @@ from vehicle_sim.autopilots.attitude import (
     finite,
 )
 from vehicle_sim.dynamics.copter import Copter
-from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.plans import PlanKind
 
 EKF_CHECKS = 10
 """In a row, ten a second, before the failsafe acts."""
@@ -73,6 +71,7 @@ ECHO_MASKS = {
 class ArduCopter(ArduPilot):
     """One copter's autopilot; steers the copter that it is given."""
 
+    vehicle: Copter
     style: Style = style(
         vehicle_type=2, capabilities=64495, rates_hz={HEARTBEAT: 1.0, TIMESYNC: 0.1}
     )
@@ -82,20 +81,14 @@ class ArduCopter(ArduPilot):
     PREARM_US: ClassVar[int] = 23_300_000
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
 
-    def __init__(
-        self,
-        copter: Copter,
-        parameters: Mapping[str, float],
-        plans: Plans,
-        *,
-        hardware_id: int,
-        rng: np.random.Generator,
-    ) -> None:
-        pressure_pa = 101325.0 * (1.0 - 2.25577e-5 * copter.altitude_amsl_m) ** 5.25588
-        boot = modes.boot(pressure_pa)
-        super().__init__(copter, parameters, plans, boot=boot, hardware_id=hardware_id, rng=rng)
-        self.copter = copter
-        self.flight = Flight(self, copter)
+    def boot(self) -> Sequence[Due]:
+        """With the pressure of the ground."""
+        pressure_pa = 101325.0 * (1.0 - 2.25577e-5 * self.vehicle.altitude_amsl_m) ** 5.25588
+        return modes.boot(pressure_pa)
+
+    def _set_up(self) -> None:
+        self.flight = Flight(self, self.vehicle)
+        self.fly = self.flight.step
         self.mode = modes.STABILIZE
         self._refused_text: str | None = None
         self._ekf_failures = 0
@@ -104,10 +97,6 @@ class ArduCopter(ArduPilot):
         self._aligned_in_flight = False
 
     # --- each step ----------------------------------------------------------------------------
-
-    def fly(self, dt_s: float, ground_amsl_m: float) -> None:
-        """One step."""
-        self.flight.step(dt_s, ground_amsl_m)
 
     def read_parameters(self) -> None:
         """They are read live."""
@@ -277,7 +266,7 @@ class ArduCopter(ArduPilot):
         angle_deg, _, direction, relative = command.parameters[:4]
         if not 0.0 <= angle_deg <= 360.0 or relative not in (0.0, 1.0):
             return Result.FAILED
-        angle_rad, heading_rad = math.radians(angle_deg), self.copter.heading_rad
+        angle_rad, heading_rad = math.radians(angle_deg), self.vehicle.heading_rad
         self.flight.yaw.fix(heading_rad, angle_rad, direction, relative=relative == 1.0)
         return Result.ACCEPTED
 
@@ -366,7 +355,7 @@ class ArduCopter(ArduPilot):
             return ()
         bearings = Bearings(
             vehicle=self.estimate.place,
-            heading_rad=self.copter.heading_rad,
+            heading_rad=self.vehicle.heading_rad,
             home=home,
             origin=origin,
         )

@@ -8,8 +8,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, final
 
-import numpy as np
-
 from vehicle_sim.autopilots import (
     Command,
     Place,
@@ -21,7 +19,7 @@ from vehicle_sim.autopilots import (
     Text,
     Waypoint,
 )
-from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, boot_of
+from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, Due, boot_of
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
 from vehicle_sim.autopilots.ardupilot.plane_flight import Flight
 from vehicle_sim.autopilots.ardupilot.plane_guided import Forced
@@ -47,7 +45,7 @@ from vehicle_sim.autopilots.attitude import (
 from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.faults.conditions import SIM_PARAMETERS
-from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.plans import PlanKind
 from vehicle_sim.sensors.gps import Fix
 
 TABLE = (*table("ardupilot/shared", "ardupilot/plane"), *SIM_PARAMETERS)
@@ -76,6 +74,7 @@ _RATES_HZ = dict.fromkeys(map(int, _STREAMED.split()), 1.0) | {111: 0.1}
 class ArduPlane(ArduPilot):
     """One vehicle's autopilot; steers the plane that it is given."""
 
+    vehicle: Plane
     style = style(vehicle_type=1, capabilities=CAPABILITIES, rates_hz=_RATES_HZ)
     MODES: ClassVar[Mapping[int, str]] = NAMES
     TABLE = TABLE
@@ -83,26 +82,20 @@ class ArduPlane(ArduPilot):
     PREARM_US: ClassVar[int] = 22_800_000
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
 
-    def __init__(
-        self,
-        plane: Plane,
-        parameters: Mapping[str, float],
-        plans: Plans,
-        *,
-        hardware_id: int,
-        rng: np.random.Generator,
-    ) -> None:
-        boot = boot_of("plane")
-        super().__init__(plane, parameters, plans, boot=boot, hardware_id=hardware_id, rng=rng)
+    def boot(self) -> Sequence[Due]:
+        """The same everywhere."""
+        return boot_of("plane")
+
+    def _set_up(self) -> None:
         self.mode = Mode.INITIALISING
-        self._plane = plane
         self._first_fix_us: int | None = None
         self._origin_due_us: int | None = None
-        self._flight = Flight(self, plane)
+        self._flight = Flight(self, self.vehicle)
+        self.fly = self._fly
 
     # --- each step ----------------------------------------------------------------------------
 
-    def fly(self, dt_s: float, ground_amsl_m: float) -> None:
+    def _fly(self, dt_s: float, ground_amsl_m: float) -> None:
         """Control and move the plane for one step, by the estimate."""
         if self.mode == Mode.INITIALISING and self.now_us >= READY_US:
             self.mode = Mode.MANUAL

@@ -80,6 +80,8 @@ class ArduPilot(abc.ABC):
     TIMING: ClassVar[Timing]
     PREARM_US: ClassVar[int]
     """When the PREARM_CHECK bit gets healthy."""
+    fly: Callable[[float, float], None]
+    """Control and move the vehicle for one step of this length, over ground of this height AMSL."""
     GCS_FAILSAFE: ClassVar[tuple[str, str]]
     """The parameters that say whether a lost ground station matters, and after how long."""
 
@@ -89,7 +91,6 @@ class ArduPilot(abc.ABC):
         parameters: Mapping[str, float],
         plans: Plans,
         *,
-        boot: Sequence[Due],
         hardware_id: int,
         rng: np.random.Generator,
     ) -> None:
@@ -112,8 +113,8 @@ class ArduPilot(abc.ABC):
         self.mission_current = 0
         self.failsafe = False
         self._was_armed = False
-        self._attitude_rad = (0.0, 0.0, 0.0)
-        self._due = sorted(boot, key=lambda row: row[0])
+        self._attitude_rad = self.rates_rad_s = (0.0, 0.0, 0.0)
+        self._due = sorted(self.boot(), key=lambda row: row[0])
         self._slow_us = SLOW_US
         self._statistics_us = FIRST_STATISTICS_US
         self._flown_us = 0
@@ -125,6 +126,15 @@ class ArduPilot(abc.ABC):
         self._fence_left_alone_us = 0
         self._parameters_version = self.parameters.version
         self._handlers = self.handlers()
+        self._set_up()
+
+    @abc.abstractmethod
+    def _set_up(self) -> None:
+        """The end of the construction: the personality's own parts and memory."""
+
+    @abc.abstractmethod
+    def boot(self) -> Sequence[Due]:
+        """What it says by itself while it boots."""
 
     # --- saying things ----------------------------------------------------------------------------
 
@@ -181,10 +191,6 @@ class ArduPilot(abc.ABC):
         return self._taken() if self._out else ()
 
     @abc.abstractmethod
-    def fly(self, dt_s: float, ground_amsl_m: float) -> None:
-        """Control and move the vehicle for one step, by the estimate."""
-
-    @abc.abstractmethod
     def read_parameters(self) -> None:
         """Some parameter has changed."""
 
@@ -203,12 +209,14 @@ class ArduPilot(abc.ABC):
 
     def _watch_attitude(self) -> None:
         """Rates of turn, from where it pointed a tenth of a second ago."""
-        e, vehicle = self.estimate, self.vehicle
+        vehicle = self.vehicle
         roll_rad, pitch_rad, yaw_rad = self._attitude_rad
-        e.roll_rate_rad_s = (vehicle.roll_rad - roll_rad) * 1e6 / SLOW_US
-        e.pitch_rate_rad_s = (vehicle.pitch_rad - pitch_rad) * 1e6 / SLOW_US
         turned_rad = math.remainder(vehicle.heading_rad - yaw_rad, math.tau)
-        e.yaw_rate_rad_s = turned_rad * 1e6 / SLOW_US
+        self.rates_rad_s = (
+            (vehicle.roll_rad - roll_rad) * 1e6 / SLOW_US,
+            (vehicle.pitch_rad - pitch_rad) * 1e6 / SLOW_US,
+            turned_rad * 1e6 / SLOW_US,
+        )
         self._attitude_rad = (vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad)
 
     @property

@@ -190,7 +190,7 @@ class PositionControl:
         across_n, across_e = clipped(across_n, across_e, CORNER_SHARE * most)
         square = across_n * across_n + across_e * across_e
         room = math.sqrt(max(most * most - square, 0.0))
-        along = min(max(along, -room), room)
+        along = -room if along < -room else room if along > room else along
         return across_n + along * way_n, across_e + along * way_e
 
     def towards_place(
@@ -212,7 +212,7 @@ class PositionControl:
             most = tuning.acceleration_m_s2
             gain = _TIME_CONSTANT_SHARE * tuning.jerk_m_s3 / most
             speed = sqrt_controller(distance_m, gain, _TIME_CONSTANT_SHARE * most, dt_s)
-            share = min(speed, speed_m_s) / distance_m
+            share = (speed if speed < speed_m_s else speed_m_s) / distance_m
             v_n += north_m * share
             v_e += east_m * share
         self.towards_velocity(v_n, v_e, acceleration[0], acceleration[1], dt_s)
@@ -231,8 +231,9 @@ class PositionControl:
         self.altitude_amsl_m += self.velocity_up * dt_s + 0.5 * self.acceleration_up * dt_s * dt_s
         self.velocity_up += self.acceleration_up * dt_s
         wanted = sqrt_controller(up_m_s - self.velocity_up, jerk / most, jerk, dt_s)
-        step = min(max(wanted, -most), most) + a_up - self.acceleration_up
-        self.acceleration_up += min(max(step, -jerk * dt_s), jerk * dt_s)
+        wanted = -most if wanted < -most else most if wanted > most else wanted
+        step, most = wanted + a_up - self.acceleration_up, jerk * dt_s
+        self.acceleration_up += -most if step < -most else most if step > most else step
 
     def towards_altitude(
         self, altitude_amsl_m: float, up_m_s: float, a_up: float, dt_s: float
@@ -242,7 +243,9 @@ class PositionControl:
         error_m = altitude_amsl_m - self.altitude_amsl_m
         share = _TIME_CONSTANT_SHARE
         rate = sqrt_controller(error_m, share * jerk / most, share * most, dt_s)
-        rate = min(max(rate, -self.speed_down_m_s), self.speed_up_m_s)
+        down, up = -self.speed_down_m_s, self.speed_up_m_s
+        rate = down if rate < down else rate
+        rate = up if rate > up else rate
         self.towards_climb(rate + up_m_s, a_up, dt_s)
 
     # --- following ----------------------------------------------------------------------------

@@ -51,6 +51,7 @@ class Flight:
         self._landed_us: int | None = None
         self._circle_rad = 0.0
         self._circle_centre: Place | None = None
+        self._looks_ahead = False
         self._runs: dict[int, Callable[[float], Vector]] = {
             modes.GUIDED: self._run_guided,
             modes.GUIDED_NOGPS: self._run_angle,
@@ -71,6 +72,7 @@ class Flight:
         """All of them are read live, the speeds of a submode when it begins."""
         self.control.tuning = tuning_of(self.host.parameters, self.copter)
         self.guided.set_timeout(self.host.parameters["GUID_TIMEOUT"])
+        self._set_looks_ahead()
 
     # --- changing ------------------------------------------------------------------------------
 
@@ -78,6 +80,7 @@ class Flight:
         """Fly in this mode from now on."""
         self.abandon_takeoff()
         self.guided.paused = False
+        self._set_looks_ahead()
         self.yaw.look_ahead()
         self.guided.stop()
         if mode == modes.LAND:
@@ -111,10 +114,10 @@ class Flight:
 
     def step(self, dt_s: float, ground_amsl_m: float) -> None:
         """Fly on, over ground of this height."""
-        host, copter = self.host, self.copter
+        host, copter, guided = self.host, self.copter, self.guided
         self.motion.ground_amsl_m = ground_amsl_m
-        if host.mode == modes.GUIDED and not self.guided.paused:
-            self.guided.run(host.now_us, dt_s)
+        if host.mode == modes.GUIDED and not guided.paused:
+            guided.run(host.now_us, dt_s)
         if self.on_ground:
             self._stand(ground_amsl_m)
             return
@@ -123,24 +126,24 @@ class Flight:
         else:
             north, east, up = self._runs[host.mode](dt_s)
             copter.advance(north, east, up, dt_s)
-            control, tracker = self.control, self.guided.tracker
-            way = (control.velocity_north, control.velocity_east)
-            if tracker is not None:
+            control = self.control
+            if guided.tracker is None:
+                way = (control.velocity_north, control.velocity_east)
+            else:
                 way = (copter.velocity_north_m_s, copter.velocity_east_m_s)
             copter.heading_rad = self.yaw.turned(
-                copter.heading_rad, way, control.tuning.speed_m_s, dt_s, ahead=self._looks_ahead()
+                copter.heading_rad, way, control.tuning.speed_m_s, dt_s, ahead=self._looks_ahead
             )
         if copter.altitude_amsl_m <= ground_amsl_m:
             self._touch_down(ground_amsl_m)
 
-    def _looks_ahead(self) -> bool:
+    def _set_looks_ahead(self) -> None:
         """WP_YAW_BEHAVIOR 2: ahead except in RTL."""
-        behaviour = int(self.host.parameters["WP_YAW_BEHAVIOR"])
-        if behaviour == 0:
-            return False
-        if self.host.mode in (modes.RTL, modes.SMART_RTL):
-            return behaviour in (1, 3)
-        return self.host.mode in (modes.GUIDED, modes.AUTO)
+        behaviour, mode = int(self.host.parameters["WP_YAW_BEHAVIOR"]), self.host.mode
+        if mode in (modes.RTL, modes.SMART_RTL):
+            self._looks_ahead = behaviour in (1, 3)
+        else:
+            self._looks_ahead = behaviour != 0 and mode in (modes.GUIDED, modes.AUTO)
 
     def _stand(self, ground_amsl_m: float) -> None:
         """On the ground: lift off when a take-off has spooled up, disarm after a landing."""

@@ -38,6 +38,10 @@ class Submode(enum.Enum):
     """An attitude and a climb rate or thrust, from SET_ATTITUDE_TARGET."""
 
 
+_STANDS = (Submode.TAKEOFF, Submode.POSITION, Submode.ANGLE)
+"""Without a target that runs on."""
+
+
 @final
 class Tracker:
     """A law for airframes without drag, which ArduCopter's controller was never tuned for.
@@ -94,9 +98,13 @@ class Tracker:
         north_m = (place[0] - estimate.latitude_deg) * metres_north
         east_m = (place[1] - estimate.longitude_deg) * metres_east
         up_m = place[2] - estimate.altitude_amsl_m
-        north, east = clipped(north_m * KP_1_S2, east_m * KP_1_S2, KV_1_S * speeds_m_s[0])
+        north, east = north_m * KP_1_S2, east_m * KP_1_S2
+        square, most = north * north + east * east, KV_1_S * speeds_m_s[0]
+        if square > most * most:
+            north, east = clipped(north, east, most)
         most_up = KV_1_S * speeds_m_s[1]
-        up = min(max(up_m * KP_1_S2, -most_up), most_up)
+        up = up_m * KP_1_S2
+        up = -most_up if up < -most_up else most_up if up > most_up else up
         age_s = (now_us - self.received_us) * 1e-6
         ahead_s = age_s if age_s <= 2.0 * self._interval_s else 0.0
         v_n, v_e, v_u = velocity
@@ -232,9 +240,9 @@ class Guided:
     def run(self, now_us: int, dt_s: float) -> None:
         """Let the target run on with its velocity."""
         submode = self.submode
-        if submode in (Submode.TAKEOFF, Submode.POSITION, Submode.ANGLE):
+        if submode in _STANDS:
             return
-        if self.lapsed(now_us):
+        if now_us - self.received_us > self.timeout_us:
             self.velocity = self.acceleration = NOTHING
             if submode is Submode.ACCELERATION:
                 self.submode = Submode.VELOCITY
@@ -254,10 +262,20 @@ class Guided:
         """Acceleration north, east and up, in m/s^2."""
         control, submode = self.control, self.submode
         if self.tracker is not None:
-            tracking = submode is Submode.POSITION_VELOCITY and not self.lapsed(now_us)
-            if tracking and not self.paused:
+            if (
+                submode is Submode.POSITION_VELOCITY
+                and now_us - self.received_us <= self.timeout_us
+                and not self.paused
+            ):
                 self._was_tracking = True
-                return self._track(self.tracker, now_us)
+                return self.tracker.wanted(
+                    control.estimate,
+                    (self.latitude_deg, self.longitude_deg, self.altitude_amsl_m),
+                    self.velocity,
+                    self.acceleration,
+                    (control.tuning.speed_m_s, control.tuning.speed_up_m_s),
+                    now_us,
+                )
             if self._was_tracking:
                 self._was_tracking = False
                 copter = control.copter
@@ -286,17 +304,6 @@ class Guided:
         else:
             fly_to(control, self.latitude_deg, self.longitude_deg, self.altitude_amsl_m, dt_s)
         return control.wanted(dt_s)
-
-    def _track(self, tracker: Tracker, now_us: int) -> Vector:
-        control = self.control
-        return tracker.wanted(
-            control.estimate,
-            (self.latitude_deg, self.longitude_deg, self.altitude_amsl_m),
-            self.velocity,
-            self.acceleration,
-            (control.tuning.speed_m_s, control.tuning.speed_up_m_s),
-            now_us,
-        )
 
     def _accelerate(self, dt_s: float) -> None:
         control = self.control

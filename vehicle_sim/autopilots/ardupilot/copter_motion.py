@@ -100,7 +100,7 @@ class Yaw:
                 return heading_rad
             wanted_rad = math.atan2(east, north)
         rate = GAIN_1_S * math.remainder(wanted_rad - heading_rad, math.tau)
-        rate = min(max(rate, -SLEW_RAD_S), SLEW_RAD_S)
+        rate = -SLEW_RAD_S if rate < -SLEW_RAD_S else SLEW_RAD_S if rate > SLEW_RAD_S else rate
         return (heading_rad + rate * dt_s) % math.tau
 
 

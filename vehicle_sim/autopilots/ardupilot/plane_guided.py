@@ -122,6 +122,8 @@ class Guided:
 
     def forced(self, now_us: int) -> Forced:
         """What of it holds still."""
+        if self._forced is NOT_FORCED:
+            return NOT_FORCED
         lasting = zip(self._forced, self._forced_until_us, strict=True)
         return Forced(*(None if now_us > until_us else value for value, until_us in lasting))
 

@@ -29,7 +29,9 @@ def _interpolated(x: float, xs: tuple[float, ...], ys: tuple[float, ...]) -> flo
 
 def eas_to_tas(altitude_amsl_m: float) -> float:
     """True over equivalent airspeed in the standard atmosphere, troposphere."""
-    share: float = 1.0 - 2.25577e-5 * min(max(altitude_amsl_m, -1000.0), 11000.0)
+    if not -1000.0 <= altitude_amsl_m <= 11000.0:
+        altitude_amsl_m = min(max(altitude_amsl_m, -1000.0), 11000.0)
+    share = 1.0 - 2.25577e-5 * altitude_amsl_m
     ratio: float = share**-2.12794
     return ratio
 

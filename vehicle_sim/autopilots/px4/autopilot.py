@@ -90,6 +90,10 @@ class Px4(abc.ABC):
 
     HANDLERS: ClassVar[Mapping[int, "Handler | None"]]
     """What answers which MAV_CMD; None: nobody."""
+    TABLES: ClassVar[tuple[str, ...]]
+    """Of its parameters."""
+    style: Style
+    measures_airspeed = False
     orbits = False
     """Flies DO_ORBIT in a mode of its own."""
     learns = False
@@ -101,16 +105,12 @@ class Px4(abc.ABC):
         parameters: Mapping[str, float],
         plans: Plans,
         *,
-        tables: tuple[str, ...],
-        style: Style,
         hardware_id: int,
         rng: np.random.Generator,
-        airspeed_sensor: bool = False,
     ) -> None:
         self.vehicle = vehicle
-        self.parameters = Parameters(parameter_rows(*tables), parameters)
+        self.parameters = Parameters(parameter_rows(*self.TABLES), parameters)
         self.plans = plans
-        self.style = style
         self.hardware_id = hardware_id
         self.rng = rng
         self.ekf = Ekf2(vehicle, rng)
@@ -151,10 +151,11 @@ class Px4(abc.ABC):
         self.gimbal = Gimbal()
         self.offboard_signal = False
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
-        self._checks = health.Checks(airspeed=airspeed_sensor)
+        self._checks = health.Checks(airspeed=self.measures_airspeed)
         self._diary = Diary(self.parameters, rng)
         self._incidents = Incidents()
         self._remember_nothing()
+        self._set_up()
 
     def _remember_nothing(self) -> None:
         """What is remembered of a flight, before there was one."""
@@ -177,6 +178,10 @@ class Px4(abc.ABC):
     # --- what a kind of vehicle does ----------------------------------------------------------
 
     @abc.abstractmethod
+    def _set_up(self) -> None:
+        """The end of the construction: the kind's own parts and memory."""
+
+    @abc.abstractmethod
     def _begin(self, mode: Mode, before: Mode) -> None:
         """The flown mode has changed (also: was armed in it; also: the same one, commanded)."""
 
@@ -191,6 +196,13 @@ class Px4(abc.ABC):
     @abc.abstractmethod
     def _waypoint(self) -> Waypoint | None:
         """POSITION_TARGET_GLOBAL_INT, in AUTO modes only."""
+
+    def _takeoff_altitude_m(self) -> float:
+        """AMSL: NAV_TAKEOFF's, or MIS_TAKEOFF_ALT above home."""
+        place, home = self.takeoff_place, self.home or self._reference
+        if place is not None and math.isfinite(place[2]):
+            return place[2]
+        return home.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
 
     @property
     def _height_m(self) -> float:
@@ -240,9 +252,9 @@ class Px4(abc.ABC):
             self._check()
         self._fly(dt_s)
         self._feel_turning(dt_s)
-        if self.armed:
+        if self.armed and self.landed:
             self._disarm_by_itself()
-        if self.gimbal.due(now_us):
+        if now_us >= self.gimbal.due_us:
             self.say(*self.gimbal.take(now_us))
         if not self._said:
             return ()
@@ -262,7 +274,8 @@ class Px4(abc.ABC):
         self._turning_s = dt_s
 
     @property
-    def _rates_rad_s(self) -> tuple[float, float, float]:
+    def rates_rad_s(self) -> tuple[float, float, float]:
+        """Of roll, pitch and heading."""
         roll, pitch, yaw = self._turning_rad
         scale = 1.0 / self._turning_s
         return _bounded(roll * scale), _bounded(pitch * scale), _bounded(yaw * scale)
@@ -373,7 +386,6 @@ class Px4(abc.ABC):
             mission_state=self.mission.state,
             mission_total=self.mission.total,
             above_ground_m=self._height_m,
-            rates_rad_s=self._rates_rad_s,
             fusing=self._checks.reported_fusing,
             logs_always=self._checks.logs_always,
             position_reported=self._checks.reported_position_ok,
@@ -683,7 +695,7 @@ class Px4(abc.ABC):
             wait_s = self.parameters["COM_DISARM_LAND"]
             if wait_s > 0.0 and now_us - self._landed_us >= wait_s * 1e6:
                 self.disarm(health.DISARMED_BY_LANDING)
-        elif self.landed:
+        else:
             wait_s = self.parameters["COM_DISARM_PRFLT"]
             if wait_s > 0.0 and now_us - self._armed_us >= wait_s * 1e6:
                 self.disarm(health.DISARMED_UNFLOWN)
@@ -740,4 +752,6 @@ def _unsupported(_px4: Px4, _command: Command) -> Result:
 
 
 def _bounded(rate_rad_s: float) -> float:
+    if -_MOST_RAD_S <= rate_rad_s <= _MOST_RAD_S:
+        return rate_rad_s
     return min(max(rate_rad_s, -_MOST_RAD_S), _MOST_RAD_S)

@@ -91,6 +91,7 @@ _FIRST_US: Final = 250_000
 _AGAIN_US: Final = (1_000_000, 510_000, 510_000)
 """After the one before: nobody has answered (px4-gps-loss.tlog, 174.84 s and on)."""
 _NAN: Final = math.nan
+NEVER_US: Final = 1 << 62
 
 
 def _command(number: int, confirmation: int, *parameters: float) -> Any:
@@ -115,17 +116,14 @@ class Gimbal:
     """Acquires control, turns the gimbal straight, releases it; repeats while nobody answers."""
 
     def __init__(self) -> None:
-        self._due_us: int | None = None
+        self.due_us = NEVER_US
+        """When there is something to take."""
         self._sent = 0
 
     def straighten(self, now_us: int) -> None:
         """A landing begins."""
-        self._due_us = now_us + _FIRST_US
+        self.due_us = now_us + _FIRST_US
         self._sent = 0
-
-    def due(self, now_us: int) -> bool:
-        """Whether there is something to take."""
-        return self._due_us is not None and now_us >= self._due_us
 
     def take(self, now_us: int) -> list[Say]:
         """What is due now."""
@@ -134,6 +132,6 @@ class Gimbal:
         if self._sent == 0:
             said.append(Say(message=_command(1000, 0, _NAN, _NAN, _NAN, _NAN, 2.0)))
             said.append(Say(message=_command(1001, 0, -3.0, -3.0, -1.0, -1.0)))
-        self._due_us = now_us + _AGAIN_US[self._sent] if self._sent < len(_AGAIN_US) else None
+        self.due_us = now_us + _AGAIN_US[self._sent] if self._sent < len(_AGAIN_US) else NEVER_US
         self._sent += 1
         return said

@@ -12,10 +12,7 @@ The recorded aeroplane sank to the ground after its take-off (px4-fixedwing-offb
 
 import cmath
 import math
-from collections.abc import Mapping
 from typing import Final, final
-
-import numpy as np
 
 from vehicle_sim.autopilots import TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
@@ -28,7 +25,6 @@ from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
 from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ, style
 from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane, PlaneLimits
-from vehicle_sim.plans import Plans
 
 SIH_AIRPLANE: Final = PlaneLimits(
     airspeed_min_m_s=5.0,
@@ -66,27 +62,12 @@ class Px4FixedWing(Px4):
 
     vehicle: Plane
     HANDLERS = HANDLERS
+    TABLES = ("px4/common", "px4/fixed_wing")
+    style = style(vehicle_type=_AEROPLANE, rates_hz=FIXED_WING_RATES_HZ)
+    measures_airspeed = True
 
-    def __init__(
-        self,
-        plane: Plane,
-        parameters: Mapping[str, float],
-        plans: Plans,
-        *,
-        hardware_id: int,
-        rng: np.random.Generator,
-    ) -> None:
-        super().__init__(
-            plane,
-            parameters,
-            plans,
-            tables=("px4/common", "px4/fixed_wing"),
-            style=style(vehicle_type=_AEROPLANE, rates_hz=FIXED_WING_RATES_HZ),
-            hardware_id=hardware_id,
-            rng=rng,
-            airspeed_sensor=True,
-        )
-        self.course = Course(plane, Limits.of(self.parameters))
+    def _set_up(self) -> None:
+        self.course = Course(self.vehicle, Limits.of(self.parameters))
         self._version = self.parameters.version
         self._wheels = True
         """Stands or rolls on the ground."""
@@ -151,13 +132,6 @@ class Px4FixedWing(Px4):
 
     def _true(self, equivalent_m_s: float) -> float:
         return self.course.true_airspeed_m_s(equivalent_m_s, self.estimate.altitude_amsl_m)
-
-    def _takeoff_altitude_m(self) -> float:
-        """AMSL: NAV_TAKEOFF's, or MIS_TAKEOFF_ALT above home."""
-        place, home = self.takeoff_place, self.home or self._reference
-        if place is not None and math.isfinite(place[2]):
-            return place[2]
-        return home.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
 
     def _start_climb(self, altitude_amsl_m: float) -> None:
         """Straight on where the nose points, and up; from the ground after the roll."""

@@ -2,10 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from typing import Final, final
-
-import numpy as np
 
 from vehicle_sim.autopilots import TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
@@ -26,7 +23,6 @@ from vehicle_sim.autopilots.px4.trajectory import (
     turning_rad_s,
 )
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
-from vehicle_sim.plans import Plans
 
 _QUADROTOR: Final = 2
 _NAN: Final = math.nan
@@ -62,26 +58,11 @@ class Px4Multicopter(Px4):
 
     vehicle: Copter
     HANDLERS = HANDLERS
+    TABLES = ("px4/common", "px4/multicopter")
+    style = style(vehicle_type=_QUADROTOR, rates_hz=RATES_HZ)
     learns = orbits = True
 
-    def __init__(
-        self,
-        copter: Copter,
-        parameters: Mapping[str, float],
-        plans: Plans,
-        *,
-        hardware_id: int,
-        rng: np.random.Generator,
-    ) -> None:
-        super().__init__(
-            copter,
-            parameters,
-            plans,
-            tables=("px4/common", "px4/multicopter"),
-            style=style(vehicle_type=_QUADROTOR, rates_hz=RATES_HZ),
-            hardware_id=hardware_id,
-            rng=rng,
-        )
+    def _set_up(self) -> None:
         self._control = PositionControl(Gains(self.parameters))
         self._path = Trajectory()
         self._version = -1
@@ -93,7 +74,7 @@ class Px4Multicopter(Px4):
         """When the take-off ramp began; None: on the ground or done with it."""
         self._flying = False
         """The position controller runs."""
-        self._yaw_rad = copter.heading_rad
+        self._yaw_rad = self.vehicle.heading_rad
         self._asked = (NOTHING, NOTHING, NOTHING)
         """Position, velocity and acceleration that the controller was asked for."""
         self._leg: mission.Leg | None = None
@@ -101,7 +82,7 @@ class Px4Multicopter(Px4):
         """RTL: 0 climbs, 1 flies home, 2 descends and lands."""
         self._aim_yaw_rad = _NAN
         self._turn_rad_s = 0.0
-        self._held = Attitude(0.0, 0.0, copter.heading_rad)
+        self._held = Attitude(0.0, 0.0, self.vehicle.heading_rad)
         """What SET_ATTITUDE_TARGET has come to, with its rates."""
         self._judged: Target | None = None
         self._flies = False
@@ -151,11 +132,9 @@ class Px4Multicopter(Px4):
 
     def _aim_takeoff(self) -> None:
         """Straight up to the commanded altitude, or MIS_TAKEOFF_ALT above home."""
-        place = self.takeoff_place
-        home = self.home or self._reference
-        altitude_m = home.altitude_amsl_m + self.parameters["MIS_TAKEOFF_ALT"]
-        if place is not None and math.isfinite(place[2]):
-            altitude_m = max(place[2], self.estimate.altitude_amsl_m)
+        place, altitude_m = self.takeoff_place, self._takeoff_altitude_m()
+        if place is not None and math.isfinite(place[2]):  # never down
+            altitude_m = max(altitude_m, self.estimate.altitude_amsl_m)
         north_m, east_m, _ = self.local_m
         self._goal = (north_m, east_m, self._down(altitude_m))
 

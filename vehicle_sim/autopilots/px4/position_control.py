@@ -71,8 +71,10 @@ class PositionControl:
         (x_n, x_e, x_d), (u_n, u_e, u_d), (a_n, a_e, _) = state
         s_n, s_e = self._velocity(p_n - x_n, p_e - x_e, v_n, v_e)
         s_d = _sum((p_d - x_d) * gains.position_down, v_d)
-        if s_d == s_d:
-            s_d = min(max(s_d, -most_up_m_s), gains.vertical_down_m_s)
+        if s_d < -most_up_m_s:
+            s_d = -most_up_m_s
+        if s_d > gains.vertical_down_m_s:
+            s_d = gains.vertical_down_m_s
 
         w_n = w_e = 0.0
         e_n = s_n - u_n
@@ -104,7 +106,10 @@ class PositionControl:
             if -gains.most_up_m_s2 < w_d < gains.most_down_m_s2 or w_d * e_d < 0.0:
                 down = integral[2] + gains.integral_down * e_d * dt_s
                 integral[2] = min(max(down, -GRAVITY_M_S2), GRAVITY_M_S2)
-        w_d = min(max(w_d, -gains.most_up_m_s2), gains.most_down_m_s2)
+        if w_d < -gains.most_up_m_s2:
+            w_d = -gains.most_up_m_s2
+        if w_d > gains.most_down_m_s2:
+            w_d = gains.most_down_m_s2
 
         self.velocity = (s_n, s_e, s_d)
         self.acceleration = (w_n, w_e, w_d)
