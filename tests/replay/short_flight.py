@@ -87,4 +87,5 @@ __all__ = [
     "replayed",
     "rewritten",
     "short_mission",
+    "straight_plan",
 ]

@@ -17,7 +17,7 @@ from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import decoded
 from companion.telemetry.logs import Log, Oddity, open_log
 from companion.telemetry.logs.findings import Findings
-from companion.telemetry.logs.px4_rows import TOPICS, _direction
+from companion.telemetry.logs.px4 import TOPICS, _direction
 from companion.telemetry.logs.ulog import PARAMETER, TEXT, rows
 from companion.telemetry.logs.window import Window
 

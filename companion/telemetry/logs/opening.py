@@ -7,7 +7,7 @@ from typing import Final
 
 from companion.errors import InputError
 from companion.mavlink.frames import LONGEST
-from companion.telemetry.logs import ardupilot_log, dataflash, px4_log, ulog
+from companion.telemetry.logs import ardupilot, dataflash, px4, ulog
 from companion.telemetry.logs.needed import Kind
 from companion.telemetry.logs.record import Log, chosen
 from companion.telemetry.logs.search import first_frame
@@ -103,6 +103,6 @@ a frame whose checksum is right."""
 _SIGN_BYTES: Final = max(LONGEST, ulog.SIGN_BYTES, dataflash.SIGN_BYTES)
 _OPENERS: Final[dict[Kind, Callable[[Path, int, int | None], Log | None]]] = {
     "tlog": open_tlog,
-    "bin": partial(_open_own, ardupilot_log.look),
-    "ulg": partial(_open_own, px4_log.look),
+    "bin": partial(_open_own, ardupilot.look),
+    "ulg": partial(_open_own, px4.look),
 }

@@ -1,7 +1,7 @@
 """Logs that autopilots write themselves, told as the MAVLink messages that they would have sent."""
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, NamedTuple, final
 
@@ -29,7 +29,7 @@ class Row(NamedTuple):
     """Where in the file it begins."""
 
 
-OnRow = Callable[[Row, int], list[Message]]
+OnRow = Callable[[Row, int], Iterable[Message]]
 """What one entry makes the vehicle say; the number: microseconds since boot, now.
 
 ValueError, KeyError, TypeError, ArithmeticError or struct.error if an entry cannot be so.
@@ -96,7 +96,7 @@ class Translation:
             if not believed:
                 return []
         try:
-            messages = self._on_row(row, time_us - self._epoch_us)
+            messages = list(self._on_row(row, time_us - self._epoch_us))
             if not messages:
                 return []
             frames = [self._packed(message) for message in messages]
