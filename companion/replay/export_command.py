@@ -70,15 +70,10 @@ def export(
     _check_out(file, run_dir)
     flight, notes = recorded(run_dir)
     notes += write(flight, to.value, file, path.value)
-    console = Console(soft_wrap=True)
-    for note in notes:
-        console.print(f"note: {note}", highlight=False, markup=False)
-    console.print(
-        f"{len(flight.track)} positions, {len(flight.planned)} subpaths, "
-        f"{len(flight.moments)} holds and events: {file}",
-        highlight=False,
-        markup=False,
-    )
+    said = f"{len(flight.track)} positions, {len(flight.planned)} subpaths, "
+    said += f"{len(flight.moments)} holds and events: {file}"
+    for line in [*(f"note: {note}" for note in notes), said]:
+        Console().out(line, highlight=False)
 
 
 def _check_out(file: Path, run_dir: Path) -> None:
