@@ -20,6 +20,7 @@ from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import Said
 from companion.session import Session
 from companion.telemetry.logs import Record
+from companion.telemetry.logs.tlog import boot_ms_of
 
 OnOutput = Callable[[float, Output], None]
 """(seconds of the log, what the session gave)."""
@@ -37,13 +38,6 @@ _CLOCKS: Final = frozenset(
     }
 )
 """They only tell the time: needed where there is no position to tell it."""
-_BOOT_MS: Final = {
-    POSITION: slice(0, 4),
-    wire.MAVLINK_MSG_ID_ATTITUDE: slice(0, 4),
-    wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED: slice(0, 4),
-    wire.MAVLINK_MSG_ID_SYSTEM_TIME: slice(8, 12),
-}
-"""Where the time since boot stands in the payload."""
 LISTENED: Final = frozenset(
     {
         HEARTBEAT,
@@ -220,11 +214,9 @@ class Watch:
 
     def _look_at_clock(self, frame: bytes, number: int, at_s: float) -> None:
         """Whether it has rebooted, also while no session could tell."""
-        place = _BOOT_MS.get(number)
-        if place is not None:
-            boot_ms = int.from_bytes(payload_of(frame, place.stop)[place], "little")
-            if self._clock.read(boot_ms * 1e-3) is Reading.REBOOTED:
-                self._notes.rebooted(at_s)
+        boot_ms = boot_ms_of(frame, number)
+        if boot_ms is not None and self._clock.read(boot_ms * 1e-3) is Reading.REBOOTED:
+            self._notes.rebooted(at_s)
 
     def _hear_again(self, at_s: float) -> None:
         """The autopilot was heard, after whatever time."""

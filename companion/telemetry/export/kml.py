@@ -46,7 +46,7 @@ def write_kml(flight: RecordedFlight, file: Path) -> None:
     document = _add(root, "Document")
     _add(document, "name", flight.mission.name)
     _add_styles(document)
-    folders = {}
+    folders: dict[str, ET.Element] = {}
     for name, kinds in _FOLDERS.items():
         folder = _add(document, "Folder")
         _add(folder, "name", name)
@@ -97,7 +97,8 @@ def _name(each: Feature) -> str:
             return each.name.replace("rally", "rally point")
         case "event":
             return f"{facts['what']}: {facts['why']}"
-    return each.name
+        case _:
+            return each.name
 
 
 def _style(each: Feature) -> str | None:

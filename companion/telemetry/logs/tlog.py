@@ -62,6 +62,12 @@ def open_tlog(path: Path, size_bytes: int, system_id: int | None) -> Log | None:
     )
 
 
+def boot_ms_of(frame: bytes, number: int) -> int | None:
+    """The time since boot at which a frame was sent, if its message tells that; ms."""
+    at = _BOOT_MS_AT.get(number)
+    return None if at is None else int.from_bytes(payload_of(frame, at + 4)[at : at + 4], "little")
+
+
 class _Found(NamedTuple):
     """A place to go on from, in bytes of the file: the frame there, or if empty only the place."""
 
@@ -186,12 +192,10 @@ class _Reading:
 
     def _by_clock(self, frame: bytes, number: int, sender: tuple[int, int], byte: int) -> int:
         """The vehicle's clock, as it was told last."""
-        offset = _BOOT_MS_AT.get(number)
         is_ours = sender[1] == AUTOPILOT_COMPONENT and self._vehicle in (None, sender[0])
-        if offset is None or not is_ours:
+        boot_ms = boot_ms_of(frame, number) if is_ours else None
+        if boot_ms is None:
             return self.timeline.last_us
-        payload = payload_of(frame, offset + 4)
-        boot_ms = int.from_bytes(payload[offset : offset + 4], "little")
         return self.timeline.read(self._boot_us + boot_ms * 1000, byte)[0]
 
     def _recover(self, window: Window, at: int) -> _Found | None:
