@@ -333,7 +333,7 @@ def test_a_recording_that_was_cut_anywhere_is_the_same_up_to_there(
     run_dir: Path, tmp_path: Path
 ) -> None:
     rng = random.Random(1)
-    for number in range(12):
+    for number in range(6):
         folder = Path(shutil.copytree(run_dir, tmp_path / f"{number}"))
         for name, least in ((FILE, 40_000), ("flight.tlog", 0), ("journal.jsonl", 0)):
             path = folder / name
@@ -352,7 +352,7 @@ def test_inputs_that_were_spoiled_anywhere_end_in_words(run_dir: Path, tmp_path:
     rng = random.Random(2)
     folder = Path(shutil.copytree(run_dir, tmp_path / "spoiled"))
     ended = 0
-    for _ in range(150):
+    for _ in range(60):
         spoiled = bytearray(data)
         for _ in range(rng.randint(1, 6)):
             spoiled[rng.randrange(len(spoiled))] = rng.randrange(256)
@@ -360,7 +360,7 @@ def test_inputs_that_were_spoiled_anywhere_end_in_words(run_dir: Path, tmp_path:
         with contextlib.suppress(InputError):
             found = replayed(folder)
             ended += bool(found.torn or found.damaged) or found.difference is not None
-    assert ended > 20
+    assert ended > 8
 
 
 @pytest.mark.parametrize(

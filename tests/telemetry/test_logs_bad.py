@@ -115,7 +115,9 @@ def test_a_log_goes_by_what_is_in_it_not_by_its_name(
                 assert open_log(path).kind == kind, (suffix, name, cut)
 
 
-@pytest.mark.parametrize("number", range(60))
+@pytest.mark.parametrize(
+    "number", [*range(20), *(pytest.param(k, marks=pytest.mark.nightly) for k in range(20, 60))]
+)
 def test_no_damage_crashes_or_hangs(number: int, tmp_path: Path, logs: dict[str, bytes]) -> None:
     """Ten thousand of them: python tests/fuzz/fuzz_logs.py."""
     case(number, 7, logs, tmp_path)

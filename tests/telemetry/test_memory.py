@@ -216,7 +216,7 @@ def test_whatever_byte_is_wrong_there_is_something_to_go_on_with(folder: Path, n
     """Any bit flipped, any end cut off: what is taken over is airborne, and has finite paths."""
     rng, whole = random.Random(name), (folder / name).read_bytes()
     lost = 0
-    for _ in range(300):
+    for _ in range(120):
         data = bytearray(whole)
         data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
         if rng.random() < 0.3:
@@ -228,7 +228,7 @@ def test_whatever_byte_is_wrong_there_is_something_to_go_on_with(folder: Path, n
         assert bool(recalled.said) == bool(recalled.unreadable)
         assert not np.isnan(state.flight.known.upper_m).any()
         assert 0 <= state.flight.target < len(MISSION.targets_ne_m)
-    assert lost > 100
+    assert lost > 40
 
 
 # --- what is no flight yet

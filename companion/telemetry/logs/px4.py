@@ -34,7 +34,7 @@ from companion.telemetry.logs.translated import (
 from companion.telemetry.logs.window import Window
 
 _FLAGS_AT: Final = ulog.HEADER_BYTES + 3
-_APPENDED: Final = 0x01
+_APPENDED: Final = b"\x01"
 """The one flag that changes nothing here: data follows that was written after a crash."""
 _SAMPLE: Final = 200
 _TELLING: Final = frozenset({"sensor_gps", "vehicle_gps_position", "vehicle_status"})
@@ -139,7 +139,7 @@ def _substitutes(counts: Counter[str], *, has_date: bool) -> Iterator[str]:
 def _check_flags(path: Path, head: bytes) -> None:
     """InputError if the log says that it cannot be read like this."""
     flags = head[_FLAGS_AT + 8 : _FLAGS_AT + 16]
-    if head[_FLAGS_AT - 1 : _FLAGS_AT] == b"B" and (any(flags[1:]) or flags[:1] > b"\x01"):
+    if head[_FLAGS_AT - 1 : _FLAGS_AT] == b"B" and (any(flags[1:]) or flags[:1] > _APPENDED):
         rule = f"its flags {flags.hex()} say that it must not be read by who does not know them"
         raise InputError("log", str(path), rule, "Convert it to the present ULog format.")
 

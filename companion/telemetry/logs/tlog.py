@@ -76,10 +76,6 @@ class _Found(NamedTuple):
     stamped: bool = True
     known: bool = True
 
-    @property
-    def holds_frame(self) -> bool:
-        return self.begin < self.end
-
 
 @final
 class _Reading:
@@ -126,7 +122,7 @@ class _Reading:
                     break
                 begin, end = found.begin - window.base, found.end - window.base
                 record = None
-                if found.holds_frame:
+                if begin < end:
                     record = self._record(
                         window.data,
                         begin,

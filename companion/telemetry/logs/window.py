@@ -51,7 +51,3 @@ class Window:
             return False
         self.data, self.base = self.data[at:] + new, self.base + at
         return True
-
-    def holds(self, at: int, size: int) -> bool:
-        """Whether so many bytes from that index on are there, without reading on."""
-        return at + size <= len(self.data)
