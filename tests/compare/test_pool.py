@@ -65,7 +65,6 @@ def test_ctrl_c_ends_it_with_its_processes() -> None:
         start_new_session=True,
         text=True,
     ) as program:
-        assert program.stdout is not None
         workers = [int(word) for word in program.stdout.readline().split()]
         assert len(workers) == 2
         # as from a terminal: to all processes of the session

@@ -358,14 +358,11 @@ def test_how_far_the_track_was_from_its_own_path(minute: tuple[ShadowReport, Sen
     offs = [asked.off for asked in report.plans if asked.outcome == "ready"]
     assert offs
     for off, after in itertools.pairwise(offs):
-        assert off is not None
-        assert after is not None
         assert 0.0 < off.rms_m <= off.max_m <= 6.5 * 6.5
         assert off.from_s <= off.max_at_s <= off.until_s < after.from_s
         assert off.until_s - off.from_s == pytest.approx(3.1, abs=0.2)
         assert off.positions == pytest.approx(10.0 * (off.until_s - off.from_s), abs=2)
     own = report.own_path
-    assert own is not None
     assert own.max_m == max(off.max_m for off in offs if off is not None)
     assert own.positions == sum(off.positions for off in offs if off is not None)
 

@@ -354,15 +354,11 @@ def test_of_several_vehicles_the_chosen_one_is_watched(tmp_path: Path) -> None:
     assert "NO_FIX" not in {why.code for hold in other.holds for why in hold.why}
 
 
-def test_progress_only_rises_and_comes_to_the_end() -> None:
+def test_progress_only_rises_and_comes_to_the_end(tmp_path: Path) -> None:
     shown = list[tuple[int, int]]()
-    watch(
-        recording(PX4),
-        None,
-        kernel=None,
-        on_progress=lambda read, size: shown.append((read, size)),
-    )
-    size = recording(PX4).stat().st_size
+    path = written(tmp_path / "part.tlog", recorded(PX4, until_s=40.0))
+    watch(path, None, kernel=None, on_progress=lambda read, size: shown.append((read, size)))
+    size = path.stat().st_size
     assert shown == sorted(shown)
     assert shown[-1] == (size, size)
     assert len(shown) > 1

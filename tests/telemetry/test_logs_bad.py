@@ -59,19 +59,7 @@ def logs() -> dict[str, bytes]:
         ("logs.zip", b"PK\x03\x04" + bytes(1000), "it is a zip archive"),
         ("notes.txt", b"nothing flies here\n" * 10, "nothing that can be read is in it"),
     ],
-    ids=[
-        "empty",
-        "noise",
-        "zeros",
-        "ones",
-        "starts",
-        "markers",
-        "header",
-        "text",
-        "gz",
-        "zip",
-        "txt",
-    ],
+    ids=lambda value: value if isinstance(value, str) and " " not in value else "",
 )
 def test_what_is_no_log_is_refused_in_one_line(
     tmp_path: Path, name: str, content: bytes, said: str

@@ -207,7 +207,6 @@ def test_a_checkpoint_and_the_known_map_come_back_as_they_were(folder: RunFolder
     folder.checkpoint({"phase": "earlier"})
     folder.checkpoint(values)
     found = read_checkpoint(folder.path)
-    assert found is not None
     assert found[0] == values
     assert_same_map(found[1], known_map())
 
@@ -233,7 +232,6 @@ def test_a_known_map_that_is_torn_is_none(folder: RunFolder, length: int) -> Non
     file = folder.path / "known.npz"
     file.write_bytes(file.read_bytes()[:length])
     found = read_checkpoint(folder.path)
-    assert found is not None
     assert found[1] is None
 
 
@@ -397,12 +395,10 @@ def test_a_kill_at_any_moment_leaves_a_whole_checkpoint_map_and_record(tmp_path:
     for _ in range(5):
         child = subprocess.Popen([sys.executable, "-c", KILLED, tmp_path], stdout=subprocess.PIPE)
         with child:
-            assert child.stdout is not None
             assert child.stdout.readline() == b"ready\n"
             threading.Event().wait(rng.uniform(0.0, 0.1))
             child.kill()
         found = read_checkpoint(tmp_path)
-        assert found is not None
         assert found[1] is not None
         assert found[0]["long"] == ["z" * 100] * 50
     with RunFolder(tmp_path, mission_toml="", epoch_us=0, resume=True):
@@ -458,7 +454,6 @@ def test_a_full_disk_leaves_whole_records_and_the_checkpoint_before(full: Path, 
     text = (path / "journal.jsonl").read_text(encoding="utf-8")
     assert all(strict(line) for line in text.splitlines())
     found = read_checkpoint(path)
-    assert found is not None
     assert found[0] == {"number": 0}
     assert sorted(each.name for each in path.iterdir()) == [
         "flight.tlog",
@@ -552,5 +547,4 @@ def test_a_flight_in_the_air_goes_on_though_it_can_not_be_recorded_any_more(
         resumed.checkpoint({"number": 2})
         resumed.run_json({})
     found = read_checkpoint(folder.path)
-    assert found is not None
     assert found[0] == {"number": 2}

@@ -15,6 +15,7 @@ from typing import Any, Final, final
 from pyproj import Proj
 
 from companion.errors import InputError
+from companion.mavlink.autopilots.px4 import EARTH_M
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import encoded
 from companion.telemetry.logs import ulog
@@ -70,8 +71,6 @@ _MODES: Final = {
 }
 """nav_state -> main and sub mode of custom_mode; the failsafe DESCEND is told as LAND."""
 _MODE_FLAGS: Final = wire.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-_EARTH_M: Final = 6_371_000.0
-"""Of the sphere that PX4 projects with."""
 _NO_DIRECTION: Final = 65535
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
@@ -285,7 +284,7 @@ class _Rows:
         place = (round(latitude * 1e7), round(longitude * 1e7), round(altitude_m * 1e3))
         if abs(latitude) > 90.0 or abs(longitude) > 180.0:
             raise ValueError("no such place")
-        self._projection = Proj(proj="aeqd", lat_0=latitude, lon_0=longitude, R=_EARTH_M)
+        self._projection = Proj(proj="aeqd", lat_0=latitude, lon_0=longitude, R=EARTH_M)
         self._origin = origin
         yield wire.MAVLink_gps_global_origin_message(*place, boot_us)
 
