@@ -120,12 +120,10 @@ def mission_of(
     check_task(task, f"{where}: ")
     zones, far = zones_of(model, task, frame, where)
     task = replace(task, zones=zones)
+    said = (vehicle, model.fallback, model.battery, link, model.scanner, model.from_vehicle)
     as_written = {
         key: value
-        for table in (
-            *(vehicle, model.fallback, model.battery, link),
-            *(model.scanner, model.from_vehicle),
-        )
+        for table in said
         for key, value in table.of(Mission).items()
         if key not in ("commanders", "scanner_component_id")
     }
@@ -166,12 +164,8 @@ def _check_kind(model: MissionTable, where: str) -> None:
         raise InputError(f"{field}.scanner_component_id", value, rule, "Remove one of them.")
     if not vehicle.scanner and model.scanner != ScannerTable():
         rule = "vehicle.scanner = false says that there is no terrain radar"
-        raise InputError(
-            f"{where}: scanner",
-            model.scanner.model_dump(by_alias=True),
-            rule,
-            "Remove one of them.",
-        )
+        promised = model.scanner.model_dump(by_alias=True)
+        raise InputError(f"{where}: scanner", promised, rule, "Remove one of them.")
     if vehicle.kind == "copter":
         if vehicle.loiter_radius_m is not None:
             rule = "a copter stops where it holds: it needs no circle"
