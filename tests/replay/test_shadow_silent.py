@@ -110,7 +110,7 @@ def test_a_reboot_is_told_however_long_it_takes(tmp_path: Path, silent_s: int) -
 @pytest.mark.parametrize("every", [6, 12])
 def test_a_mission_adds_no_holds_to_those_of_the_vehicle(tmp_path: Path, every: int) -> None:
     """Positions 0.6 s and 1.2 s apart are no loss of them, whenever a plan comes."""
-    records = thinned(recorded(HEALTHY, from_s=20.0, until_s=50.0), POSITION, every)
+    records = thinned(recorded(HEALTHY, from_s=20.0, until_s=70.0), POSITION, every)
     path = written(tmp_path / "few.tlog", records)
     report = watch(path, mission("copter-zurich", evaluations=100), kernel=NUMPY)
     assert len([each for each in report.plans if each.outcome == "ready"]) > 5
