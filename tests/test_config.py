@@ -219,7 +219,6 @@ def test_a_wrong_key_is_named_with_its_value_and_the_nearest_known_one(
 ) -> None:
     message = refused(file, renamed(key, name))
     value = re.search(rf"^{key} = ([^#\n]*)", TEXT, flags=re.M)
-    assert value is not None
     assert f"{name} = " in message
     assert value[1].strip().strip('"') in message
     assert f"Did you mean {key}?" in message

@@ -66,50 +66,40 @@ def table_1_command(
     _write_numbers(numbers, table_1.facts(found, per_second), runs, seed)
 
 
-@compare_app.command("figure-3")
-def figure_3_command(
-    runs: RunsOption = 20,
-    jobs: JobsOption = None,
-    seed: SeedOption = 1,
-    json_file: JsonOption = None,
-    out: OutOption = None,
-) -> None:
-    """Fig. 3: climb over a ridge or go round it, by the weights of height and guide."""
-    _figure(effects.figure_3(), runs, jobs, seed, json_file, out)
+def _add_figure(name: str, words: str, effect_of: Callable[[], effects.Effect]) -> None:
+    @compare_app.command(name, help=words)
+    def figure_command(
+        runs: RunsOption = 20,
+        jobs: JobsOption = None,
+        seed: SeedOption = 1,
+        json_file: JsonOption = None,
+        out: OutOption = None,
+    ) -> None:
+        effect = effect_of()
+        picture, numbers = _files(out or Path(f"{effect.name}.png"), json_file)
+        found = effects.outcomes(effect, _flown(effects.cases(effect, runs, seed), jobs))
+        remarks = effects.remarks(effect)
+        _show([effects.table(effect, found)], remarks)
+
+        def draw() -> None:
+            from companion.compare.pictures import draw_effect  # slow to import
+
+            draw_effect(effect, found, remarks[-1], picture)
+
+        _write("--out", picture, draw)
+        _write_numbers(numbers, effects.facts(effect, found), runs, seed)
 
 
-@compare_app.command("figure-4")
-def figure_4_command(
-    runs: RunsOption = 20,
-    jobs: JobsOption = None,
-    seed: SeedOption = 1,
-    json_file: JsonOption = None,
-    out: OutOption = None,
-) -> None:
-    """Fig. 4: fly between two overlapping radars or round both, by d_overlap."""
-    _figure(effects.figure_4(), runs, jobs, seed, json_file, out)
-
-
-def _figure(
-    effect: effects.Effect,
-    runs: int,
-    jobs: int | None,
-    seed: int,
-    json_file: Path | None,
-    out: Path | None,
-) -> None:
-    picture, numbers = _files(out or Path(f"{effect.name}.png"), json_file)
-    found = effects.outcomes(effect, _flown(effects.cases(effect, runs, seed), jobs))
-    remarks = effects.remarks(effect)
-    _show([effects.table(effect, found)], remarks)
-
-    def draw() -> None:
-        from companion.compare.pictures import draw_effect  # slow to import
-
-        draw_effect(effect, found, remarks[-1], picture)
-
-    _write("--out", picture, draw)
-    _write_numbers(numbers, effects.facts(effect, found), runs, seed)
+_add_figure(
+    "figure-3",
+    "Fig. 3: climb over a ridge or go round it, by the weights of height and guide.",
+    effects.figure_3,
+)
+_add_figure(
+    "figure-4",
+    "Fig. 4: fly between two overlapping radars or round both, by d_overlap.",
+    effects.figure_4,
+)
 
 
 def _flown(cases: Sequence[Case], jobs: int | None) -> list[Run]:

@@ -30,13 +30,12 @@ def fly_all(cases: Sequence[Case], jobs: int, on_done: Callable[[], None]) -> li
     """
     with _signals_interrupt():
         if jobs == 1:
-            return [_told(fly(case), on_done) for case in cases]
+            runs = []
+            for case in cases:
+                runs.append(fly(case))
+                on_done()
+            return runs
         return _fly_in_processes(cases, jobs, on_done)
-
-
-def _told(run: Run, on_done: Callable[[], None]) -> Run:
-    on_done()
-    return run
 
 
 def _fly_in_processes(cases: Sequence[Case], jobs: int, on_done: Callable[[], None]) -> list[Run]:

@@ -1,7 +1,6 @@
 """`companion export`: a recorded flight for Google Earth, QGIS, spreadsheets and QGroundControl."""
 
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -70,15 +69,10 @@ def export(
     _check_out(file, run_dir)
     flight, notes = recorded(run_dir)
     notes += write(flight, to.value, file, path.value)
-    console = Console(soft_wrap=True)
-    for note in notes:
-        console.print(f"note: {note}", highlight=False, markup=False)
-    console.print(
-        f"{len(flight.track)} positions, {len(flight.planned)} subpaths, "
-        f"{len(flight.moments)} holds and events: {file}",
-        highlight=False,
-        markup=False,
-    )
+    said = f"{len(flight.track)} positions, {len(flight.planned)} subpaths, "
+    said += f"{len(flight.moments)} holds and events: {file}"
+    for line in [*(f"note: {note}" for note in notes), said]:
+        Console().out(line, highlight=False)
 
 
 def _check_out(file: Path, run_dir: Path) -> None:
@@ -88,10 +82,6 @@ def _check_out(file: Path, run_dir: Path) -> None:
     if file.parent != run_dir and not answer(file.absolute().parent.is_dir):
         rule = "its folder does not exist"
         raise InputError("--out", str(file), rule, "Give a file in a folder that exists.")
-    if file.name in _KEPT and answer(partial(_same_folder, file, run_dir)):
+    if file.name in _KEPT and answer(lambda: file.absolute().parent.samefile(run_dir)):
         rule = "that is what the flight was recorded in"
         raise InputError("--out", str(file), rule, "Give another file.")
-
-
-def _same_folder(file: Path, run_dir: Path) -> bool:
-    return file.absolute().parent.samefile(run_dir)

@@ -4,13 +4,10 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from companion.config import load_mission
+from companion.config import elevation_file, load_mission
 from companion.errors import InputError
 from companion.mission.mission import Mission
-from companion.sources.files import answer, read_text, toml_table
-from companion.sources.mission_file import mission_of
-from companion.sources.mission_schema import MissionTable
-from companion.sources.schema import validated
+from companion.sources.files import answer
 from companion.telemetry.export.flight import FlightBuilder, RecordedFlight
 from companion.telemetry.export.geojson import write_geojson
 from companion.telemetry.export.kml import write_kml
@@ -66,17 +63,12 @@ def _mission(run_dir: Path) -> Mission:
         found = answer(run_dir.exists)
         rule = "it holds no mission.toml" if found else "no such folder"
         raise InputError(FIELD, str(run_dir), rule, REMEDY)
-    table = toml_table(read_text(file, FIELD, REMEDY), str(file))
-    terrain = table.get("terrain")
-    if not isinstance(terrain, dict) or "file" not in terrain:
-        return load_mission(str(file))
-    table["terrain"] = {"highest_amsl_m": _NOT_NEEDED_AMSL_M}
-    return mission_of(validated(MissionTable, table, str(file)), None, str(file))
+    known = elevation_file(str(file))  # it may be on another computer
+    return load_mission(str(file), settings=() if known is None else (_NOT_NEEDED,))
 
 
 _NO_VEHICLE_BYTES = 1000  # a few heartbeats of a companion that has met nobody
-_NOT_NEEDED_AMSL_M = -500.0
-"""Stands for an elevation file, which may be on another computer."""
+_NOT_NEEDED = "terrain={highest_amsl_m = -500.0}"
 
 
 def _track(file: Path, system_id: int | None) -> tuple[Track, tuple[str, ...]]:

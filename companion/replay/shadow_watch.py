@@ -10,7 +10,7 @@ from collections.abc import Callable
 from statistics import median
 from typing import Final, final
 
-from companion.mavlink.autopilots import Autopilot
+from companion.mavlink.autopilots import Autopilot, ardupilot, px4
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.frames import number_of, payload_of, sender_of
 from companion.mavlink.link import Output, Reading, VehicleClock
@@ -20,6 +20,7 @@ from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import Said
 from companion.session import Session
 from companion.telemetry.logs import Record
+from companion.telemetry.logs.tlog import boot_ms_of
 
 OnOutput = Callable[[float, Output], None]
 """(seconds of the log, what the session gave)."""
@@ -37,13 +38,6 @@ _CLOCKS: Final = frozenset(
     }
 )
 """They only tell the time: needed where there is no position to tell it."""
-_BOOT_MS: Final = {
-    POSITION: slice(0, 4),
-    wire.MAVLINK_MSG_ID_ATTITUDE: slice(0, 4),
-    wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED: slice(0, 4),
-    wire.MAVLINK_MSG_ID_SYSTEM_TIME: slice(8, 12),
-}
-"""Where the time since boot stands in the payload."""
 LISTENED: Final = frozenset(
     {
         HEARTBEAT,
@@ -79,22 +73,6 @@ _STAND_IN_S: Final = 1.0
 _WARNING: Final = wire.MAV_SEVERITY_WARNING
 _MODE: Final = slice(0, 4)
 _TYPE_AT, _BASE_MODE_AT = 4, 6
-_SURE: Final = (
-    wire.EKF_ATTITUDE
-    | wire.EKF_VELOCITY_HORIZ
-    | wire.EKF_VELOCITY_VERT
-    | wire.EKF_POS_HORIZ_REL
-    | wire.EKF_POS_HORIZ_ABS
-    | wire.EKF_POS_VERT_ABS
-)
-_SURE_PX4: Final = (
-    wire.ESTIMATOR_ATTITUDE
-    | wire.ESTIMATOR_VELOCITY_HORIZ
-    | wire.ESTIMATOR_VELOCITY_VERT
-    | wire.ESTIMATOR_POS_HORIZ_REL
-    | wire.ESTIMATOR_POS_HORIZ_ABS
-    | wire.ESTIMATOR_POS_VERT_ABS
-)
 
 
 @final
@@ -220,11 +198,9 @@ class Watch:
 
     def _look_at_clock(self, frame: bytes, number: int, at_s: float) -> None:
         """Whether it has rebooted, also while no session could tell."""
-        place = _BOOT_MS.get(number)
-        if place is not None:
-            boot_ms = int.from_bytes(payload_of(frame, place.stop)[place], "little")
-            if self._clock.read(boot_ms * 1e-3) is Reading.REBOOTED:
-                self._notes.rebooted(at_s)
+        boot_ms = boot_ms_of(frame, number)
+        if boot_ms is not None and self._clock.read(boot_ms * 1e-3) is Reading.REBOOTED:
+            self._notes.rebooted(at_s)
 
     def _hear_again(self, at_s: float) -> None:
         """The autopilot was heard, after whatever time."""
@@ -329,7 +305,7 @@ def _all_is_well(heartbeat: Message) -> dict[int, bytes]:
         0, wire.GPS_FIX_TYPE_3D_FIX, 0, 0, 0, 65535, 65535, 65535, 65535, 255
     )
     if heartbeat.autopilot == wire.MAV_AUTOPILOT_PX4:
-        sure = wire.MAVLink_estimator_status_message(0, _SURE_PX4, *[0.0] * 8)
+        sure = wire.MAVLink_estimator_status_message(0, px4.NEEDED, *[0.0] * 8)
     else:
-        sure = wire.MAVLink_ekf_status_report_message(_SURE, *[0.0] * 5)
+        sure = wire.MAVLink_ekf_status_report_message(ardupilot.NEEDED, *[0.0] * 5)
     return {each.get_msgId(): bytes(each.pack(codec)) for each in (fix, sure)}

@@ -1,7 +1,7 @@
 """What a shadow has seen of somebody else's flight, for people."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import groupby
 from typing import Final
@@ -118,10 +118,12 @@ def _said(said: Said) -> str:
 
 def _observed(title: str, found: Sequence[Observed], report: ShadowReport) -> Table:
     """Times at which something was so; those of one kind that follow at once are one row."""
-    rows = list(_rows(found))
+    rows = list(_runs(found))
     table = _table(title, ("from", "to", "what", "where"), len(rows))
     table.columns[0].justify = table.columns[1].justify = "right"
-    for first, last, count, worst_m in rows[:_MOST_ROWS]:
+    for run in rows[:_MOST_ROWS]:
+        first, last, count = run[0], run[-1], len(run)
+        worst_m = max((each.worst_m for each in run if each.worst_m is not None), default=None)
         far = "" if worst_m is None else f", by {worst_m:,.1f} m" + " at most" * (count > 1)
         times = f", {count} times" if count > 1 else ""
         ground = "" if first.in_air else " (on the ground)"
@@ -137,23 +139,16 @@ def _observed(title: str, found: Sequence[Observed], report: ShadowReport) -> Ta
     return table
 
 
-def _rows(
-    found: Sequence[Observed],
-) -> Iterable[tuple[Observed, Observed, int, float | None]]:
+def _runs(found: Sequence[Observed]) -> Iterator[list[Observed]]:
     for _, group in groupby(found, key=lambda each: (each.kind, each.in_air)):
         run: list[Observed] = []
         for each in group:
             before = run[-1].until_s if run else None
             if run and (before is None or each.from_s - before > _MOMENT_S):
-                yield _row(run)
+                yield run
                 run = []
             run.append(each)
-        yield _row(run)
-
-
-def _row(run: list[Observed]) -> tuple[Observed, Observed, int, float | None]:
-    worst_m = max((each.worst_m for each in run if each.worst_m is not None), default=None)
-    return run[0], run[-1], len(run), worst_m
+        yield run
 
 
 def _plans(report: ShadowReport) -> Table:

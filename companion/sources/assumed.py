@@ -4,7 +4,6 @@ A mission.toml that names the plan overrides any of it.  Each assumption is said
 """
 
 import math
-from typing import Any
 
 from companion.geodesy import LocalFrame
 from companion.objective.scene import FLIGHT
@@ -65,7 +64,7 @@ def with_plan(given: RawTable, plan: Plan, name: str) -> tuple[RawTable, list[st
         "keep_ins": plan.keep_ins,
         "rally_points": plan.rally_points,
     }
-    if "targets" not in given and not _get(given, ("from_vehicle", "targets"), False):
+    if "targets" not in given and not _table(given, "from_vehicle").get("targets"):
         assumed["targets"] = _at_their_altitudes(plan) if is_blind else plan.targets
     assumed["altitude"] = _altitude(plan, vehicle_as_given, planner, ground_m)
     if "altitude" not in given:
@@ -231,10 +230,6 @@ def _merged(assumed: RawTable, given: RawTable) -> RawTable:
 def _table(table: RawTable, key: str) -> RawTable:
     found = table.get(key)
     return found if isinstance(found, dict) else {}
-
-
-def _get(table: RawTable, path: tuple[str, str], default: Any) -> Any:
-    return _table(table, path[0]).get(path[1], default)
 
 
 def _number(table: RawTable, key: str, default: float) -> float:

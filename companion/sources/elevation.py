@@ -7,7 +7,6 @@ formats and existing files: GDAL would follow a name to the network otherwise.
 import contextlib
 import importlib
 import math
-import types
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -58,11 +57,10 @@ def read_terrain(
     """
     with _opened(path, vertical_datum, field) as source:
         reached = _reached(source, frame, area_m)
-        _check_covered(source, reached, field, path)
+        _check_covered(source, reached)
         rows, columns = reached.rows, reached.columns
-        heights, empty = _read(source, rows, columns)
-        transform = source.transform
-    return _grid(_filled(heights, empty, nodata, field, path), rows, columns, transform, frame)
+        heights = _filled(*_read(source, rows, columns), nodata)
+        return _grid(heights, rows, columns, source.transform, frame)
 
 
 def read_known_map(
@@ -90,17 +88,17 @@ def read_known_map(
     east_m = blank.east_min_m, blank.east_min_m + columns * blank.cell_m
     with _opened(path, vertical_datum, field) as source:
         reached = _reached(source, frame, (north_m, east_m))
-        _check_size(reached, field, path)
+        _check_size(reached)
         window = reached.rows, reached.columns
         heights, empty, beyond = _read_where_it_is(source, *window)
         transform = source.transform
-    if empty.all():
-        rule = "it has no height anywhere on the map"
-        raise InputError(field, str(path), rule, "Name the file of this place.")
-    if nodata is not None:
-        heights, empty = _filled(heights, empty & ~beyond, nodata, field, path), beyond
-    heights[empty] = max(_LOWEST_M, _least_of(heights.dtype))
-    _check_heights(heights, field, path)
+        if empty.all():
+            rule = "it has no height anywhere on the map"
+            raise _RefusedError(rule, "Name the file of this place.")
+        if nodata is not None:
+            heights, empty = _filled(heights, empty & ~beyond, nodata), beyond
+        heights[empty] = max(_LOWEST_M, _least_of(heights.dtype))
+        _check_heights(heights)
     terrain = _grid(heights, *window, transform, frame)
     upper = _highest_m(terrain, blank) + datum_error_m
     if empty.any():
@@ -111,10 +109,18 @@ def read_known_map(
     return replace(blank, upper_m=upper, seen=seen, given=known)
 
 
+class _RefusedError(Exception):
+    """A rule that a file breaks, and the remedy: `_opened` says which file it is."""
+
+
 @contextlib.contextmanager
 def _opened(path: Path, vertical_datum: str, field: str) -> Iterator[Any]:
-    """An elevation file that has been checked."""
-    rasterio = _rasterio(field, path)
+    """An elevation file that has been checked; InputError for what is refused meanwhile, too."""
+    try:
+        rasterio = importlib.import_module("rasterio")  # 0.2 s and 100 MB that few worlds need
+    except ImportError as error:
+        rule = f"elevation files need the package rasterio ({error})"
+        raise InputError(field, str(path), rule, "Install rasterio.") from None
     if not answer(path.is_file):
         raise InputError(field, str(path), "no such file", "Name a GeoTIFF or an SRTM .hgt file.")
     try:
@@ -123,8 +129,10 @@ def _opened(path: Path, vertical_datum: str, field: str) -> Iterator[Any]:
             driver = "SRTMHGT" if path.suffix.lower() == ".hgt" else "GTiff"
             source = rasterio.open(path, driver=driver)
         with source:
-            _check_coordinates(source, field, path, vertical_datum)
+            _check_coordinates(source, vertical_datum)
             yield source
+    except _RefusedError as error:
+        raise InputError(field, str(path), *error.args) from None
     except rasterio.errors.RasterioError as error:
         rule = f"it cannot be read ({' '.join(str(error).split())})"
         raise InputError(field, str(path), rule, "Name a GeoTIFF or an SRTM .hgt file.") from None
@@ -187,46 +195,38 @@ def _grid(
     )
 
 
-def _rasterio(field: str, path: Path) -> types.ModuleType:
-    try:
-        return importlib.import_module("rasterio")  # 0.2 s and 100 MB that few worlds need
-    except ImportError as error:
-        rule = f"elevation files need the package rasterio ({error})"
-        raise InputError(field, str(path), rule, "Install rasterio.") from None
-
-
-def _check_coordinates(source: Any, field: str, path: Path, vertical_datum: str) -> None:
+def _check_coordinates(source: Any, vertical_datum: str) -> None:
     """One band of metres over north-up degrees of a datum like WGS84."""
-
-    def refuse(rule: str, remedy: str) -> InputError:
-        return InputError(field, str(path), rule, remedy)
-
     warp = "Convert it to EPSG:4326 (gdalwarp -t_srs EPSG:4326)."
     if source.crs is None:
-        raise refuse("it does not say which coordinates it is in", warp)
+        raise _RefusedError("it does not say which coordinates it is in", warp)
     crs = pyproj.CRS.from_wkt(source.crs.to_wkt())
     flat = crs.sub_crs_list[0] if crs.is_compound else crs
     ellipsoid = flat.ellipsoid.name if flat.ellipsoid else "none"
     meridian = flat.prime_meridian.longitude if flat.prime_meridian else 0.0
     if not flat.is_geographic or ellipsoid not in _ELLIPSOIDS or meridian != 0.0:
-        raise refuse(f"its coordinates are {flat.name}, not latitude and longitude of WGS84", warp)
+        raise _RefusedError(
+            f"its coordinates are {flat.name}, not latitude and longitude of WGS84", warp
+        )
     if len(flat.axis_info) == 3:
-        raise refuse("its heights are above the ellipsoid", "Convert them to a vertical datum.")
+        raise _RefusedError(
+            "its heights are above the ellipsoid", "Convert them to a vertical datum."
+        )
     if crs.is_compound and not _same_datum(crs.sub_crs_list[1].name, vertical_datum):
         rule = f"it says that its heights are {crs.sub_crs_list[1].name}, not {vertical_datum}"
-        raise refuse(rule, "Correct terrain.vertical_datum.")
+        raise _RefusedError(rule, "Correct terrain.vertical_datum.")
     transform = source.transform
     if transform.b or transform.d or transform.a <= 0.0 or transform.e >= 0.0:
-        raise refuse("its rows do not run from north to south", warp)
+        raise _RefusedError("its rows do not run from north to south", warp)
     if max(transform.a, -transform.e) * _DEG_M > _COARSEST_M:
         rule = f"its cells of {-transform.e * _DEG_M:.0f} m are coarser than {_COARSEST_M:.0f} m"
-        raise refuse(rule, "Name a finer file.")
+        raise _RefusedError(rule, "Name a finer file.")
     if source.count != 1 or np.dtype(source.dtypes[0]).kind not in "iuf":
-        raise refuse("it is not one band of heights", "Name a file of elevations.")
+        raise _RefusedError("it is not one band of heights", "Name a file of elevations.")
     if source.scales[0] != 1.0 or source.offsets[0] != 0.0:
-        raise refuse("its heights are scaled", "Convert it (gdal_translate -unscale).")
+        raise _RefusedError("its heights are scaled", "Convert it (gdal_translate -unscale).")
     if (source.units[0] or "m").lower() not in ("m", "metre", "meter", "metres", "meters"):
-        raise refuse(f"its heights are in {source.units[0]}", "Convert them to metres.")
+        raise _RefusedError(f"its heights are in {source.units[0]}", "Convert them to metres.")
 
 
 def _same_datum(name: str, vertical_datum: str) -> bool:
@@ -267,7 +267,7 @@ def _reached(
     )
 
 
-def _check_covered(source: Any, reached: _Reached, field: str, path: Path) -> None:
+def _check_covered(source: Any, reached: _Reached) -> None:
     transform, (height, width) = source.transform, source.shape
     rows, columns = reached.rows, reached.columns
     if rows[0] < 0 or columns[0] < 0 or rows[1] > height or columns[1] > width:
@@ -278,15 +278,15 @@ def _check_covered(source: Any, reached: _Reached, field: str, path: Path) -> No
             transform.c + (width - 0.5) * transform.a,
         )
         rule += f": to {_reach(*reached.latitude, *reached.longitude)}"
-        raise InputError(field, str(path), rule, "Make [area] smaller, or name another file.")
-    _check_size(reached, field, path)
+        raise _RefusedError(rule, "Make [area] smaller, or name another file.")
+    _check_size(reached)
 
 
-def _check_size(reached: _Reached, field: str, path: Path) -> None:
+def _check_size(reached: _Reached) -> None:
     rows, columns = reached.rows, reached.columns
     if (rows[1] - rows[0]) * (columns[1] - columns[0]) > _MOST_CELLS:
         rule = f"[area] takes more than {_MOST_CELLS:.1e} of its cells"
-        raise InputError(field, str(path), rule, "Make [area] smaller.")
+        raise _RefusedError(rule, "Make [area] smaller.")
 
 
 def _reach(south: float, north: float, west: float, east: float) -> str:
@@ -300,18 +300,14 @@ def _holes(heights: npt.NDArray[Any], mask: npt.NDArray[np.uint8]) -> npt.NDArra
 
 
 def _filled(
-    heights: npt.NDArray[Any],
-    empty: npt.NDArray[np.bool_],
-    nodata: Nodata,
-    field: str,
-    path: Path,
+    heights: npt.NDArray[Any], empty: npt.NDArray[np.bool_], nodata: Nodata
 ) -> npt.NDArray[Any]:
     """The heights without holes, all of them of this earth."""
     if empty.any():
         if nodata is None:
             rule = f"{np.count_nonzero(empty)} of its cells in [area] have no height"
             remedy = 'Write terrain.nodata = "sea" or a height AMSL, or name another file.'
-            raise InputError(field, str(path), rule, remedy)
+            raise _RefusedError(rule, remedy)
         fill = 0.0 if nodata == "sea" else float(nodata)
         kind = heights.dtype
         if kind.kind in "iu" and not (
@@ -319,12 +315,12 @@ def _filled(
         ):
             kind = np.dtype(np.float32)
         heights = np.where(empty, fill, heights).astype(kind)
-    _check_heights(heights, field, path)
+    _check_heights(heights)
     return heights
 
 
-def _check_heights(heights: npt.NDArray[Any], field: str, path: Path) -> None:
+def _check_heights(heights: npt.NDArray[Any]) -> None:
     low, high = float(heights.min()), float(heights.max())
     if low < _LOWEST_M or high > _HIGHEST_M:
         rule = f"its heights run from {low:g} to {high:g} m, which is not this earth"
-        raise InputError(field, str(path), rule, "Name a file of elevations in metres.")
+        raise _RefusedError(rule, "Name a file of elevations in metres.")

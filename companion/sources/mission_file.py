@@ -120,9 +120,10 @@ def mission_of(
     check_task(task, f"{where}: ")
     zones, far = zones_of(model, task, frame, where)
     task = replace(task, zones=zones)
+    said = (vehicle, model.fallback, model.battery, link, model.scanner, model.from_vehicle)
     as_written = {
         key: value
-        for table in (vehicle, model.fallback, model.battery, link)
+        for table in said
         for key, value in table.of(Mission).items()
         if key not in ("commanders", "scanner_component_id")
     }
@@ -137,15 +138,10 @@ def mission_of(
         task=task,
         end_action=EndAction(model.end.action),
         scanner_component_id=_scanner_id(vehicle),
-        scanner_complete=model.scanner.complete,
-        scanner_whole_width=model.scanner.whole_width,
         yaw_rad=None if vehicle.yaw_deg is None else wrap_rad(math.radians(vehicle.yaw_deg)),
         fallback=Fallback(model.fallback.action),
         known=_known_map(model, task, frame, where),
         reserve=model.battery.reserve_percent / 100.0,
-        targets_from_vehicle=model.from_vehicle.targets,
-        fence_from_vehicle=model.from_vehicle.fence,
-        sends_obstacles=link.obstacle_distance,
         rally_ne_m=tuple(
             place_of(point, frame, f"{where}: rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
@@ -168,7 +164,8 @@ def _check_kind(model: MissionTable, where: str) -> None:
         raise InputError(f"{field}.scanner_component_id", value, rule, "Remove one of them.")
     if not vehicle.scanner and model.scanner != ScannerTable():
         rule = "vehicle.scanner = false says that there is no terrain radar"
-        raise InputError(f"{where}: scanner", dict(model.scanner), rule, "Remove one of them.")
+        promised = model.scanner.model_dump(by_alias=True)
+        raise InputError(f"{where}: scanner", promised, rule, "Remove one of them.")
     if vehicle.kind == "copter":
         if vehicle.loiter_radius_m is not None:
             rule = "a copter stops where it holds: it needs no circle"
@@ -197,7 +194,7 @@ def _scanner_id(vehicle: MissionVehicleTable) -> int | None:
 
 
 def _targets(model: MissionTable, task: Task, frame: LocalFrame, where: str) -> tuple[Place, ...]:
-    if model.from_vehicle.targets:
+    if model.from_vehicle.targets_from_vehicle:
         if model.targets is not None:
             rule = "the targets come from the vehicle (from_vehicle.targets)"
             raise InputError(f"{where}: targets", len(model.targets), rule, "Remove one of them.")

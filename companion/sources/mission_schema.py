@@ -88,13 +88,10 @@ class MissionVehicleTable(
     yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
 
 
-class ScannerTable(Table):
+class ScannerTable(
+    keys_of(Mission, scanner_complete="complete", scanner_whole_width="whole_width")  # type: ignore[misc]
+):
     """What the terrain radar promises."""
-
-    complete: bool = True
-    """Whether it shows every cell in range of which any ground is in sight."""
-    whole_width: bool = False
-    """Whether each cell that it shows was seen in every direction in which the cell lies."""
 
 
 class WeightsTable(keys_of(Weights, *(each.name for each in fields(Weights)))):  # type: ignore[misc]
@@ -132,18 +129,18 @@ class BatteryTable(keys_of(Mission, "endurance_s")):  # type: ignore[misc]
     reserve_percent: Annotated[float, Field(ge=0.0, lt=100.0)] = 20.0
 
 
-class LinkTable(keys_of(Mission, "sets_parameters")):  # type: ignore[misc]
+class LinkTable(
+    keys_of(Mission, "sets_parameters", sends_obstacles="obstacle_distance")  # type: ignore[misc]
+):
     """Who may command the companion, and what it may say to the autopilot."""
 
     commanders: list[Sender] | None = None
-    obstacle_distance: bool = False
 
 
-class FromVehicleTable(Table):
+class FromVehicleTable(
+    keys_of(Mission, targets_from_vehicle="targets", fence_from_vehicle="fence")  # type: ignore[misc]
+):
     """What is taken from the vehicle's own mission and fence."""
-
-    targets: bool = False
-    fence: bool = True
 
 
 class KnownTerrainTable(Table):

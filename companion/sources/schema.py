@@ -34,13 +34,19 @@ class Table(BaseModel):
         return {name: getattr(self, name) for name in names}
 
 
-def keys_of(kind: type, *names: str) -> Any:
-    """A table with these fields of a dataclass: type, range and default are said there."""
+def keys_of(kind: type, *names: str, **keys_by_name: str) -> Any:
+    """A table with these fields of a dataclass: type, range and default are said there.
+
+    keys_by_name: fields whose key in the file is another: field="key".
+    """
     types_of = typing.get_type_hints(kind, include_extras=True)
     defaults = {each.name: each.default for each in fields(kind)}
     keys: Any = {
-        name: (types_of[name], ... if defaults[name] is MISSING else defaults[name])
-        for name in names
+        name: (
+            types_of[name],
+            Field(... if defaults[name] is MISSING else defaults[name], alias=key),
+        )
+        for name, key in [*((name, None) for name in names), *keys_by_name.items()]
     }
     return create_model(f"Keys of {kind.__name__}", __base__=Table, **keys)
 

@@ -193,9 +193,5 @@ def _decoded(text: bytes, where: str) -> Any:
     try:
         return msgspec.json.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise _not_json(text, where, error) from None
-
-
-def _not_json(text: bytes, where: str, error: object) -> InputError:
-    shown = text[:80].decode(errors="replace").rstrip("\n")
-    return InputError(where, shown, f"it is not JSON ({error})", _AS_WRITTEN)
+        shown = text[:80].decode(errors="replace").rstrip("\n")
+        raise InputError(where, shown, f"it is not JSON ({error})", _AS_WRITTEN) from None

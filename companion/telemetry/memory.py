@@ -5,12 +5,13 @@ a reason not to go on.  What cannot be read is said, set aside, and gone on with
 vehicle is never armed, as it may have flown.
 """
 
-import json
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
+import msgspec
 import numpy as np
 
 from companion.mission import checkpoint
@@ -24,6 +25,7 @@ _CHECKPOINT, _MAP = "resume.json", "known.npz"
 _FLOWN = [phase.value for phase in IN_AIR]
 _KINDS = ("phase", "vehicle found", "arm", "plan asked")
 _TELLING = tuple(f'"kind":"{kind}"'.encode() for kind in _KINDS)
+_NO_ENTRY = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 _LARGEST_ID, _LARGEST_PLAN = 255, 2**31
 
 
@@ -132,18 +134,9 @@ def _history(folder: Path) -> _History:
 
 
 def _entries(journal: Path) -> Iterator[dict[str, Any]]:
-    try:
-        with journal.open("rb") as file:
-            for line in file:
-                if any(word in line for word in _TELLING) and (entry := _entry(line)):
-                    yield entry
-    except OSError:
-        return
-
-
-def _entry(line: bytes) -> dict[str, Any] | None:
-    try:
-        entry = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    return entry if isinstance(entry, dict) else None
+    """Those that tell something, of the lines that are any."""
+    with suppress(OSError), journal.open("rb") as file:
+        for line in file:
+            if any(word in line for word in _TELLING):
+                with suppress(*_NO_ENTRY):
+                    yield msgspec.json.decode(line, type=dict[str, Any])

@@ -1,7 +1,6 @@
 """The progress of a flight, in the terminal: one line that is redrawn, or lines in a log."""
 
 import contextlib
-from types import TracebackType
 from typing import Self, final
 
 from rich.console import Console, JustifyMethod
@@ -51,12 +50,7 @@ class Progress:
             self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._redraws and not self._broken:
             with contextlib.suppress(OSError):
                 self._live.stop()

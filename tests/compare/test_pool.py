@@ -27,8 +27,8 @@ def cases(count: int, evaluations: int) -> list[Case]:
 
 def test_the_results_do_not_depend_on_the_number_of_processes() -> None:
     told: list[int] = []
-    alone = fly_all(cases(2, 120), 1, lambda: told.append(1))
-    together = fly_all(cases(2, 120), 2, lambda: told.append(2))
+    alone = fly_all(cases(2, 60), 1, lambda: told.append(1))
+    together = fly_all(cases(2, 60), 2, lambda: told.append(2))
     assert [run.cost for run in alone] == [run.cost for run in together]
     for one, other in zip(alone, together, strict=True):
         assert one.route_nea_m.tobytes() == other.route_nea_m.tobytes()
@@ -39,7 +39,7 @@ def test_the_results_do_not_depend_on_the_number_of_processes() -> None:
 def test_a_polite_kill_interrupts_too_and_afterwards_means_what_it_did() -> None:
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt):
-        fly_all(cases(2, 120), 1, lambda: os.kill(os.getpid(), signal.SIGTERM))
+        fly_all(cases(2, 60), 1, lambda: os.kill(os.getpid(), signal.SIGTERM))
     assert signal.getsignal(signal.SIGTERM) is before
 
 
@@ -47,13 +47,14 @@ def test_ctrl_c_ends_it_with_its_processes() -> None:
     code = """
         import multiprocessing, signal, sys
         from companion.compare.pool import fly_all
-        from companion.compare.missions import bundled_case
+        from companion.compare.missions import bundled_case, planned_with
         if __name__ == "__main__":
             signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
             def told():
                 print(*(each.pid for each in multiprocessing.active_children()), flush=True)
+            quick = {"optimiser": "pso", "planning_time_s": 3.0, "evaluations": 100, "seed": 1}
             try:
-                fly_all([bundled_case("environment-1")] * 99, 2, told)
+                fly_all([planned_with(bundled_case("environment-1"), **quick)] * 999, 2, told)
             except KeyboardInterrupt:
                 sys.exit(130)
     """
@@ -64,7 +65,6 @@ def test_ctrl_c_ends_it_with_its_processes() -> None:
         start_new_session=True,
         text=True,
     ) as program:
-        assert program.stdout is not None
         workers = [int(word) for word in program.stdout.readline().split()]
         assert len(workers) == 2
         # as from a terminal: to all processes of the session

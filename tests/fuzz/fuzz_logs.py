@@ -23,7 +23,7 @@ from companion.errors import InputError
 from companion.mavlink.dialect import wire
 from companion.mavlink.frames import intact_end, number_of
 from companion.telemetry.logs import open_log
-from companion.telemetry.logs.px4_rows import TOPICS
+from companion.telemetry.logs.px4 import TOPICS
 
 _SAY_EVERY = 1000
 SLOWEST_S = 2.0

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.frames import Receiver
-from companion.telemetry.logs import Record, open_log
+from companion.telemetry.logs import Log, Oddity, Record, open_log
 
 _GPS_EPOCH_S = 315_964_800
 _LETTERS = {"n": "4s", "N": "16s", "Z": "64s", "c": "h", "C": "H", "e": "i", "E": "I"}
@@ -82,6 +82,28 @@ def messages_of(records: Iterable[Record]) -> list[tuple[int, Message]]:
     """What the records say, each with its time; frames that do not decode are left out."""
     receiver = Receiver()
     return [(each.time_us, m) for each in records for m in receiver.feed(each.frame)]
+
+
+def opened(folder: Path, content: bytes, *, system_id: int | None = None) -> Log:
+    """A log of these bytes."""
+    path = folder / "log"
+    path.write_bytes(content)
+    return open_log(path, system_id=system_id)
+
+
+def told(log: Log) -> list[Message]:
+    """All that it says."""
+    return [message for _, message in messages_of(log.records())]
+
+
+def of(messages: list[Message], kind: str) -> list[Message]:
+    """Those of a kind."""
+    return [message for message in messages if message.get_type() == kind]
+
+
+def counts(log: Log) -> dict[Oddity, int]:
+    """How often each oddity was met, as far as the log has been read."""
+    return {finding.oddity: finding.count for finding in log.findings}
 
 
 def bin_of(path: Path, *, without: Iterable[str] = (), most: int | None = None) -> bytes:

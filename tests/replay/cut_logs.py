@@ -1,5 +1,6 @@
 """Recorded flights cut, changed and written anew, as logs of MAVLink frames."""
 
+import functools
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -24,6 +25,12 @@ STATION = (255, 190)
 def alone(path: Path, system_id: int | None = None) -> ShadowReport:
     """The health of a log."""
     return watch(path, None, kernel=None, system_id=system_id)
+
+
+@functools.cache
+def whole(name: str) -> ShadowReport:
+    """The health of a recorded flight."""
+    return alone(recording(name))
 
 
 def mission(name: str, *, evaluations: int | None = None) -> Mission:

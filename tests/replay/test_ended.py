@@ -47,7 +47,6 @@ def ended(tmp_path: Path, bug: None, request: pytest.FixtureRequest) -> Path:
     del bug
     link = Paced(Vehicle(lockstep=request.param))
     end = fly_short(tmp_path / "run", link=link, lockstep=request.param, until_s=1e6).end
-    assert end is not None
     assert end.outcome is Outcome.FAILED
     assert ERROR in end.reason
     return tmp_path / "run"
@@ -65,7 +64,6 @@ def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(ended: Path) 
     assert found.difference is None
     assert found.is_identical
     assert found.unrecorded == 0
-    assert found.ended_by is not None
     assert (found.ended_by.call, found.ended_by.error) == ("run", ERROR)
     assert found.ended_by.place.startswith("test_ended.breaks, line ")
     lines = same_words(found)
@@ -93,7 +91,6 @@ def test_a_companion_that_was_mended_is_told_from_the_one_that_flew(
 ) -> None:
     monkeypatch.undo()
     difference = replayed(ended).difference
-    assert difference is not None
     assert difference.time_s == pytest.approx(20.0, abs=0.2)
 
 
@@ -104,7 +101,6 @@ def test_an_error_where_the_flight_had_none_is_a_difference(ended: Path) -> None
 
     rewritten(ended, change)
     difference = replayed(ended).difference
-    assert difference is not None
     assert str(difference).startswith(f"t 20.000 s: run.error: recorded nothing, replayed '{ERROR}")
     assert difference.before[-1].endswith("run")
 
@@ -124,10 +120,8 @@ def test_an_error_from_outside_of_the_decisions_is_no_difference(tmp_path: Path)
             super().send(frames)
 
     end = fly_short(tmp_path / "run", link=Failing(Vehicle())).end
-    assert end is not None
     assert end.outcome is Outcome.FAILED
     found = replayed(tmp_path / "run")
     assert found.difference is None
-    assert found.ended_by is not None
     assert str(found.ended_by) == "OSError: the driver is gone"
     assert found.ended_by.call == ""

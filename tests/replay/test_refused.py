@@ -6,6 +6,7 @@ import json
 import random
 import shutil
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,23 @@ import numpy as np
 import pytest
 import rasterio
 from rasterio.transform import Affine
-from short_flight import EPOCH_US, fly_short, replayed, rewritten, short_mission
+from short_flight import (
+    EPOCH_US,
+    companion,
+    fly_short,
+    replayed,
+    rewritten,
+    short_mission,
+    straight_plan,
+)
 
-from companion.cli import main
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.mavlink.dialect import codec, wire
 from companion.mission.start import Start
-from companion.planner.kernels import NUMPY
+from companion.planner.kernels import NUMPY, Kernel
+from companion.planner.request import PlanOutcome, PlanRequest
+from companion.replay import same
 from companion.replay.differences import Recording
 from companion.replay.told import TornError, session_of, start_of, tell
 from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
@@ -44,27 +54,11 @@ def run(run_dir: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(run_dir, tmp_path / "run"))
 
 
-class Replays:
-    """`companion replay` in this process."""
-
-    def __init__(self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-        self._capsys, self._monkeypatch = capsys, monkeypatch
-
-    def __call__(self, *arguments: object) -> tuple[int, str, list[str]]:
-        """Exit code, what it printed, and the lines of its errors."""
-        quick = [] if "--seed" in arguments else ["--no-plans"]
-        words = ["companion", "replay", *map(str, arguments), *quick]
-        self._monkeypatch.setattr("sys.argv", words)
-        with pytest.raises(SystemExit) as ended:
-            main()
-        said = self._capsys.readouterr()
-        assert isinstance(ended.value.code, int)
-        return ended.value.code, said.out, [x for x in said.err.splitlines() if "error:" in x]
-
-
-@pytest.fixture
-def replays(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Replays:
-    return Replays(capsys, monkeypatch)
+def replays(*arguments: object) -> tuple[int, str, list[str]]:
+    """Exit code of a replay, what it printed, and the lines of its errors."""
+    quick = [] if "--seed" in arguments else ["--no-plans"]
+    code, out, said = companion("replay", *arguments, *quick)
+    return code, out, [line for line in said.splitlines() if "error:" in line]
 
 
 def flown_s(stamp_us: int) -> float:
@@ -74,7 +68,7 @@ def flown_s(stamp_us: int) -> float:
 # --- from and until
 
 
-def test_until_is_seconds_of_the_flight(run_dir: Path, tmp_path: Path, replays: Replays) -> None:
+def test_until_is_seconds_of_the_flight(run_dir: Path, tmp_path: Path) -> None:
     report = tmp_path / "report.json"
     code, out, _ = replays(run_dir, "--until", 10, "--json", report)
     found = json.loads(report.read_text("utf-8"))
@@ -99,7 +93,7 @@ def test_so_is_from(run_dir: Path) -> None:
     ],
 )
 def test_a_span_in_which_nothing_was_compared_is_refused(
-    run_dir: Path, replays: Replays, option: tuple[object, ...], words: str
+    run_dir: Path, option: tuple[object, ...], words: str
 ) -> None:
     code, out, [error] = replays(run_dir, *option)
     assert code == 2
@@ -108,7 +102,7 @@ def test_a_span_in_which_nothing_was_compared_is_refused(
     assert "identical" not in out
 
 
-def test_a_recording_with_nothing_in_it_is_refused(run: Path, replays: Replays) -> None:
+def test_a_recording_with_nothing_in_it_is_refused(run: Path) -> None:
     for name in ("flight.tlog", "journal.jsonl"):
         (run / name).write_bytes(b"")
     code, out, [error] = replays(run)
@@ -117,7 +111,7 @@ def test_a_recording_with_nothing_in_it_is_refused(run: Path, replays: Replays) 
     assert "identical" not in out
 
 
-def test_that_no_frame_was_compared_is_said(run: Path, replays: Replays) -> None:
+def test_that_no_frame_was_compared_is_said(run: Path) -> None:
     (run / "flight.tlog").write_bytes(b"")
     _, out, _ = replays(run)
     assert "no frame was compared: flight.tlog holds none" in out
@@ -149,7 +143,6 @@ def test_what_differs_after_from_is_found_at_its_place(run: Path) -> None:
     data = b"".join(struct.pack(">Q", at_us) + frame for at_us, frame in log)
     (run / "flight.tlog").write_bytes(data)
     difference = replayed(run, from_s=20.0).difference
-    assert difference is not None
     assert difference.time_s == pytest.approx(late_s, abs=0.2)
 
 
@@ -172,9 +165,7 @@ def test_a_frame_that_differs_before_from_moves_nothing_after_it(tmp_path: Path)
 
 
 @pytest.mark.parametrize("junk", [b"garbage\n", b"[1,2]\n", b'{"t_s":1.0,"kind":"say"\n', b"\n"])
-def test_a_line_of_the_journal_that_cannot_be_read_is_a_difference(
-    run: Path, replays: Replays, junk: bytes
-) -> None:
+def test_a_line_of_the_journal_that_cannot_be_read_is_a_difference(run: Path, junk: bytes) -> None:
     path = run / "journal.jsonl"
     lines = path.read_bytes().splitlines(keepends=True)
     lines[5] = junk
@@ -192,7 +183,7 @@ def test_a_line_of_the_journal_that_another_version_spells_otherwise_is_the_same
     assert found.entries == before.entries > 0
 
 
-def test_a_log_that_turns_to_garbage_is_a_difference(run: Path, replays: Replays) -> None:
+def test_a_log_that_turns_to_garbage_is_a_difference(run: Path) -> None:
     path = run / "flight.tlog"
     data = path.read_bytes()
     path.write_bytes(data[:2000] + b"\0\1" * 1000 + data[4000:])
@@ -232,15 +223,22 @@ def resumed_dir(tmp_path_factory: pytest.TempPathFactory, run_dir: Path) -> Path
     return path
 
 
+def planned_at_once(request: PlanRequest, stop: Callable[[], bool], _: Kernel) -> PlanOutcome:
+    """A planner that asks whether to go on, as a search does."""
+    stop()
+    return straight_plan(request)
+
+
 def test_whatever_is_odd_in_the_inputs_nothing_is_raised_that_is_no_input_error(
-    resumed_dir: Path, tmp_path: Path
+    resumed_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(same, "plan", planned_at_once)
     whole = list(InputsFile(resumed_dir / FILE))
     telling = [n for n, each in enumerate(whole) if each[0] not in ("receive", "run")]
     assert {whole[n][0] for n in telling} >= {"start", "deliver", "stop", "farewell"}
     rng, ended = random.Random(5), 0
     path = Path(shutil.copytree(resumed_dir, tmp_path / "odd"))
-    for _ in range(60):
+    for _ in range(25):
 
         def change(told: list[Input]) -> None:
             place = rng.choice(telling if rng.random() < 0.8 else range(len(told)))
@@ -255,10 +253,10 @@ def test_whatever_is_odd_in_the_inputs_nothing_is_raised_that_is_no_input_error(
             ended += 1
         else:
             ended += bool(found.damaged or found.torn) or found.difference is not None
-    assert ended > 15
+    assert ended > 6
 
 
-def test_inputs_that_turn_to_garbage_are_refused(run: Path, replays: Replays) -> None:
+def test_inputs_that_turn_to_garbage_are_refused(run: Path) -> None:
     path = run / FILE
     data = path.read_bytes()
     whole = sum(map(len, packed((HEADER, *list(InputsFile(path))[:150]))))
@@ -274,9 +272,7 @@ def test_inputs_that_turn_to_garbage_are_refused(run: Path, replays: Replays) ->
             assert out.endswith("\nidentical\n")
 
 
-def test_a_damaged_input_is_refused_and_what_came_before_it_is_shown(
-    run: Path, replays: Replays
-) -> None:
+def test_a_damaged_input_is_refused_and_what_came_before_it_is_shown(run: Path) -> None:
     def change(told: list[Input]) -> None:
         told[200] = ("deliver", {"kind": "planned"})
 
@@ -365,12 +361,12 @@ def flown_with_elevations(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_an_elevation_file_that_has_changed_is_said_in_one_line(
-    flown_with_elevations: tuple[Path, Path], replays: Replays
+    flown_with_elevations: tuple[Path, Path],
 ) -> None:
     path, file = flown_with_elevations
     assert replays(path)[0] == 0
     elevations(file, higher_m=10)
-    for option in ((), ("--seed", 3)):  # what if, too
+    for option in ((), ("--seed", 3, "--no-numba")):  # what if, too
         code, out, [error] = replays(path, *option)
         assert code == 2
         assert f"terrain.file = '{file}': the elevation file has changed since the flight" in error
@@ -379,7 +375,7 @@ def test_an_elevation_file_that_has_changed_is_said_in_one_line(
 
 
 def test_a_flight_that_was_recorded_without_a_word_of_its_terrain_is_still_replayed(
-    flown_with_elevations: tuple[Path, Path], replays: Replays
+    flown_with_elevations: tuple[Path, Path],
 ) -> None:
     path, file = flown_with_elevations
 

@@ -142,10 +142,14 @@ def mission(name: str, *, evaluations: int = 100) -> Mission:
     return cut_logs.mission(MISSION_OF[name], evaluations=evaluations)
 
 
+report_of = cut_logs.whole
+
+
 @functools.cache
-def report_of(name: str) -> ShadowReport:
-    """Its health alone."""
-    return cut_logs.alone(recording(name))
+def watched(name: str) -> tuple[ShadowReport, Sent]:
+    """With its mission, and without plans."""
+    sent = Sent()
+    return watch(recording(name), mission(name), kernel=None, on_output=sent), sent
 
 
 @functools.cache
@@ -275,7 +279,7 @@ def test_what_is_passed_over_unread_changes_nothing(name: str) -> None:
             reason = state.reason
             at_s = (record.time_us - first_us) * 1e-6
             changes.append((at_s, None if reason is None else reason.name))
-    report = watch(recording(name), mission(name), kernel=None)
+    report, _ = watched(name)
     mine = [
         (at_s, code)
         for hold in report.holds
@@ -297,8 +301,7 @@ def test_whatever_a_strategy_reads_of_the_health_is_heard() -> None:
 
 @pytest.mark.parametrize("name", MISSION_OF)
 def test_no_command_frame_is_ever_produced(name: str) -> None:
-    sent = Sent()
-    watch(recording(name), mission(name), kernel=None, on_output=sent)
+    _, sent = watched(name)
     assert_only_watches(sent)
 
 
@@ -355,14 +358,11 @@ def test_how_far_the_track_was_from_its_own_path(minute: tuple[ShadowReport, Sen
     offs = [asked.off for asked in report.plans if asked.outcome == "ready"]
     assert offs
     for off, after in itertools.pairwise(offs):
-        assert off is not None
-        assert after is not None
         assert 0.0 < off.rms_m <= off.max_m <= 6.5 * 6.5
         assert off.from_s <= off.max_at_s <= off.until_s < after.from_s
         assert off.until_s - off.from_s == pytest.approx(3.1, abs=0.2)
         assert off.positions == pytest.approx(10.0 * (off.until_s - off.from_s), abs=2)
     own = report.own_path
-    assert own is not None
     assert own.max_m == max(off.max_m for off in offs if off is not None)
     assert own.positions == sum(off.positions for off in offs if off is not None)
 
@@ -418,7 +418,7 @@ def test_a_vehicle_that_flies_the_path_has_no_distance_from_it() -> None:
 def test_it_tells_where_the_mission_does_not_allow_the_vehicle_to_be() -> None:
     """PX4's aeroplane sinks to the ground from 35 to 150 s, climbs, and lands at 442 s."""
     name = "px4-fixedwing-offboard.tlog"
-    report = watch(recording(name), mission(name), kernel=None)
+    report, _ = watched(name)
     assert {each.kind for each in report.outside} == {"below the floor"}
     _, sank, landing = report.outside
     assert 25.0 < sank.from_s < 45.0

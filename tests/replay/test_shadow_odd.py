@@ -15,6 +15,7 @@ from cut_logs import (
     packed,
     recorded,
     thinned,
+    whole,
     without,
     written,
 )
@@ -60,16 +61,16 @@ def shifted(records: Iterator[Record], from_s: float, by_s: float) -> Iterator[R
 
 @pytest.mark.parametrize("until_s", [0.5, 50.0, 90.0, 108.0, 130.0])
 def test_of_a_log_that_ends_early_all_is_told_up_to_there(tmp_path: Path, until_s: float) -> None:
-    whole = alone(recording(PX4))
+    uncut = whole(PX4)
     cut = alone(written(tmp_path / "cut.tlog", recorded(PX4, until_s=until_s)))
-    began = [each for each in times(whole.holds) if each[0] <= until_s]
+    began = [each for each in times(uncut.holds) if each[0] <= until_s]
     assert times(cut.holds) == began
-    for hold, same in zip(cut.holds, whole.holds, strict=False):
+    for hold, same in zip(cut.holds, uncut.holds, strict=False):
         assert same.went_on_s is not None
         assert hold.went_on_s == (same.went_on_s if same.went_on_s <= until_s else None)
     assert cut.length_s == pytest.approx(until_s, abs=0.1)
     assert [each.from_s for each in cut.health] == [
-        each.from_s for each in whole.health if each.from_s <= until_s
+        each.from_s for each in uncut.health if each.from_s <= until_s
     ]
 
 
@@ -77,15 +78,15 @@ def test_a_log_that_is_cut_within_a_message_is_read_to_there(tmp_path: Path) -> 
     path = tmp_path / "torn.tlog"
     path.write_bytes(recording(PX4).read_bytes()[:700_001])
     report = alone(path)
-    assert times(report.holds) == times(alone(recording(PX4)).holds)
+    assert times(report.holds) == times(whole(PX4).holds)
     assert any("cut short" in str(each) for each in report.log_findings)
 
 
 def test_a_part_from_the_middle_tells_the_same_of_its_faults(tmp_path: Path) -> None:
     part = alone(written(tmp_path / "part.tlog", recorded(PX4, from_s=60.0, until_s=120.0)))
-    [hold], [whole] = part.holds, alone(recording(PX4)).holds
-    assert hold.vehicle_s == whole.vehicle_s
-    assert hold.let_go_s == pytest.approx(whole.let_go_s - 60.0, abs=0.01)
+    [hold], [uncut] = part.holds, whole(PX4).holds
+    assert hold.vehicle_s == uncut.vehicle_s
+    assert hold.let_go_s == pytest.approx(uncut.let_go_s - 60.0, abs=0.01)
     assert part.in_air_s == pytest.approx(60.0, abs=1.0)
 
 
@@ -137,13 +138,13 @@ def test_after_a_silence_that_nobody_waits_for_it_begins_again(
 @pytest.mark.parametrize("by_s", [-30.0, -3000.0])
 def test_a_log_whose_time_runs_backwards_tells_the_same(tmp_path: Path, by_s: float) -> None:
     records = shifted(recorded(PX4), 60.0, by_s)
-    report, whole = alone(written(tmp_path / "back.tlog", records)), alone(recording(PX4))
+    report, uncut = alone(written(tmp_path / "back.tlog", records)), whole(PX4)
     assert [(v, code) for _, v, code in times(report.holds)] == [
-        (v, code) for _, v, code in times(whole.holds)
+        (v, code) for _, v, code in times(uncut.holds)
     ]
-    assert report.holds[0].let_go_s == pytest.approx(whole.holds[0].let_go_s, abs=0.2)
+    assert report.holds[0].let_go_s == pytest.approx(uncut.holds[0].let_go_s, abs=0.2)
     assert any("falls back" in str(each) for each in report.log_findings)
-    assert [each.kind for each in report.health] == [each.kind for each in whole.health]
+    assert [each.kind for each in report.health] == [each.kind for each in uncut.health]
 
 
 @pytest.mark.parametrize("blind_s", [0.0, 3.0])
@@ -353,15 +354,11 @@ def test_of_several_vehicles_the_chosen_one_is_watched(tmp_path: Path) -> None:
     assert "NO_FIX" not in {why.code for hold in other.holds for why in hold.why}
 
 
-def test_progress_only_rises_and_comes_to_the_end() -> None:
+def test_progress_only_rises_and_comes_to_the_end(tmp_path: Path) -> None:
     shown = list[tuple[int, int]]()
-    watch(
-        recording(PX4),
-        None,
-        kernel=None,
-        on_progress=lambda read, size: shown.append((read, size)),
-    )
-    size = recording(PX4).stat().st_size
+    path = written(tmp_path / "part.tlog", recorded(PX4, until_s=40.0))
+    watch(path, None, kernel=None, on_progress=lambda read, size: shown.append((read, size)))
+    size = path.stat().st_size
     assert shown == sorted(shown)
     assert shown[-1] == (size, size)
     assert len(shown) > 1

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 from golden import GOLDENS
+from short_flight import companion
 
-from companion.cli import main
 from companion.config import load_mission
 from companion.errors import InputError
 from companion.mission.mission import Mission
@@ -94,16 +94,11 @@ def test_a_setting_that_is_none_is_refused_in_one_line(setting: str, words: str)
     assert len(str(refused.value).splitlines()) == 1
 
 
-def test_the_command_tabulates_and_writes_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_tabulates_and_writes_it(tmp_path: Path) -> None:
     report = tmp_path / "report.json"
-    arguments = ["replay", str(FLIGHT), "--set", "planner.safety_distance_m=200"]
-    monkeypatch.setattr("sys.argv", ["companion", *arguments, "--json", str(report)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 0
-    shown = capsys.readouterr().out
+    settings = ("--set", "planner.safety_distance_m=200")
+    code, shown, _ = companion("replay", FLIGHT, *settings, "--json", report)
+    assert code == 0
     assert "subpaths as flown: cost" in shown
     rows = json.loads(report.read_text(encoding="utf-8"))
     assert [row["plan_id"] for row in rows] == [

@@ -383,8 +383,6 @@ def test_a_run_folder_needs_neither_the_threats_nor_the_place_of_the_terrain(
     copy.write_text(mission_text(str(folder / "mission.toml")), encoding="utf-8")
     again = load_mission(str(copy))
     assert again.task == mission.task
-    assert mission.known is not None
-    assert again.known is not None
     np.testing.assert_array_equal(again.known.upper_m, mission.known.upper_m)
 
 
@@ -423,7 +421,6 @@ def test_the_ground_is_nowhere_higher_than_the_known_map_says(folder: Path) -> N
     data = terrain(folder / "dem.tif")
     mission = load(folder, KNOWN)
     known = mission.known
-    assert known is not None
     assert np.isfinite(known.upper_m).all()
     assert not known.seen.any()  # a scan may still find the ground lower
     assert known.firm.all()
@@ -440,8 +437,6 @@ def test_the_datum_error_is_added_to_the_terrain_and_to_nothing_else(folder: Pat
     terrain(folder / "dem.tif")
     mission = load(folder, KNOWN)
     exact = load(folder, KNOWN + "datum_error_m = 0.0\n")
-    assert mission.known is not None
-    assert exact.known is not None
     np.testing.assert_array_equal(mission.known.upper_m, exact.known.upper_m + 5.0)
     assert mission.task == exact.task
 
@@ -449,8 +444,6 @@ def test_the_datum_error_is_added_to_the_terrain_and_to_nothing_else(folder: Pat
 def test_a_file_for_guidance_is_no_knowledge(folder: Path) -> None:
     terrain(folder / "dem.tif")
     proof, guidance = (load(folder, f'{KNOWN}trust = "{t}"\n').known for t in ("proof", "guidance"))
-    assert proof is not None
-    assert guidance is not None
     assert guidance.guess_m is not None
     assert np.isinf(guidance.upper_m).all()
     assert not guidance.firm.any()
@@ -472,7 +465,6 @@ def test_without_a_radar_the_known_terrain_is_all_there_is(folder: Path) -> None
     terrain(folder / "dem.tif")
     mission = load(folder, vehicle("scanner = false", KNOWN))
     assert mission.scanner_component_id is None
-    assert mission.known is not None
     assert mission.known.seen.all()
     message = refused(folder, vehicle("scanner = false"))
     assert "vehicle.scanner = False" in message
@@ -498,7 +490,6 @@ def test_beyond_the_file_nothing_is_known_even_if_holes_in_it_are_sea(folder: Pa
     terrain(folder / "dem.tif", south_rows=100)  # ends at the origin's latitude
     for more in ("", 'nodata = "sea"\n'):
         known = load(folder, KNOWN + more).known
-        assert known is not None
         row, _ = known.cell_of(0.0, 0.0)
         assert np.isinf(known.upper_m[: row - 3]).all()
         assert np.isfinite(known.upper_m[row + 8 :]).all()
@@ -538,7 +529,6 @@ def test_ground_that_is_stated_is_known_everywhere_without_a_radar(folder: Path)
     mission = load(folder, vehicle("scanner = false", STATED))
     known = mission.known
     assert mission.scanner_component_id is None
-    assert known is not None
     assert (known.upper_m == 840.0).all()
     assert known.seen.all()
     assert known.firm.all()
@@ -550,7 +540,6 @@ def test_ground_that_is_stated_is_known_everywhere_without_a_radar(folder: Path)
 
 def test_a_radar_may_know_better_than_the_statement(folder: Path) -> None:
     known = load(folder, STATED).known
-    assert known is not None
     assert not known.seen.any()
     assert known.firm.all()
 

@@ -230,7 +230,6 @@ def test_a_plan_is_flown_without_a_radar_over_ground_of_a_stated_height(
         encoding="utf-8",
     )
     mission = load_mission(str(path))
-    assert mission.known is not None
     assert (mission.known.upper_m == home_m + higher_m).all()
     lowest_m, highest_m = mission.task.band_amsl_m
     least_m = max(home_m, home_m + higher_m) + mission.task.required_clearance_m

@@ -9,12 +9,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_files import FORMATS, bin_of, entry, fmt_entries, messages_of
+from log_files import (
+    FORMATS,
+    bin_of,
+    counts,
+    entry,
+    fmt_entries,
+    messages_of,
+    of,
+    opened,
+    told,
+)
 from recordings import recording
 
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
-from companion.telemetry.logs import Log, Oddity, open_log
+from companion.telemetry.logs import Oddity, open_log
 from companion.telemetry.logs.dataflash import rows
 from companion.telemetry.logs.findings import Findings
 from companion.telemetry.logs.window import Window
@@ -47,24 +57,6 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name in (COPTER, PLANE):
         (folder / f"{name}.bin").write_bytes(bin_of(recording(f"{name}.tlog")))
     return {name: folder / f"{name}.bin" for name in (COPTER, PLANE)}
-
-
-def opened(tmp_path: Path, content: bytes, *, system_id: int | None = None) -> Log:
-    path = tmp_path / "log.bin"
-    path.write_bytes(content)
-    return open_log(path, system_id=system_id)
-
-
-def told(log: Log) -> list[Message]:
-    return [message for _, message in messages_of(log.records())]
-
-
-def of(messages: list[Message], kind: str) -> list[Message]:
-    return [message for message in messages if message.get_type() == kind]
-
-
-def counts(log: Log) -> dict[Oddity, int]:
-    return {finding.oddity: finding.count for finding in log.findings}
 
 
 def test_entries_are_those_that_dfreader_reads(flights: dict[str, Path]) -> None:

@@ -10,13 +10,13 @@ import struct
 from pathlib import Path
 
 import pytest
-from log_files import Formats, entry, fmt_entries, messages_of
+from log_files import Formats, entry, fmt_entries, messages_of, opened
 from test_logs_ulg import message, status, text
 
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
 from companion.replay.shadow import watch
-from companion.telemetry.logs import Log, Oddity, open_log
+from companion.telemetry.logs import Log, Oddity
 
 V3_1: Formats = {
     "FMT": (128, "BBnNZ", "Type,Length,Name,Format"),  # one name less than letters
@@ -101,12 +101,6 @@ def px4(clock_us: int, header_us: int) -> bytes:
         out += message(b"D", struct.pack("<HQdd10f7?", 5, time_us, *local))
         out += message(b"D", struct.pack("<HQddf", 4, time_us, 47.0 + 1e-6 * k, 8.0, 500.0))
     return out + text(clock_us + 100_000 * FIXES, b"Armed")
-
-
-def opened(tmp_path: Path, content: bytes) -> Log:
-    path = tmp_path / "log"
-    path.write_bytes(content)
-    return open_log(path)
 
 
 def positions(log: Log) -> list[tuple[int, Message]]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from log_files import messages_of
+from log_files import counts, messages_of
 from recordings import NAMES, recording
 
 from companion.errors import InputError
@@ -82,10 +82,6 @@ def attitude(boot_ms: int) -> wire.MAVLink_message:
 
 def odd(log: Log) -> dict[Oddity, Finding]:
     return {finding.oddity: finding for finding in log.findings}
-
-
-def counts(log: Log) -> dict[Oddity, int]:
-    return {finding.oddity: finding.count for finding in log.findings}
 
 
 @pytest.mark.parametrize("path", LOGS[::2], ids=lambda path: path.stem)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_files import messages_of
+from log_files import counts, messages_of, of, opened, told
 from pyulog import ULog
 from recordings import recording
 
@@ -17,7 +17,7 @@ from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import decoded
 from companion.telemetry.logs import Log, Oddity, open_log
 from companion.telemetry.logs.findings import Findings
-from companion.telemetry.logs.px4_rows import TOPICS, _direction
+from companion.telemetry.logs.px4 import TOPICS, _direction
 from companion.telemetry.logs.ulog import PARAMETER, TEXT, rows
 from companion.telemetry.logs.window import Window
 
@@ -45,24 +45,6 @@ def status(time_us: int, nav_state: int, arming_state: int, failsafe: int = 0) -
 
 def text(time_us: int, said: bytes, level: bytes = b"4") -> bytes:
     return message(b"L", level + struct.pack("<Q", time_us) + said)
-
-
-def opened(tmp_path: Path, content: bytes, *, system_id: int | None = None) -> Log:
-    path = tmp_path / "log.ulg"
-    path.write_bytes(content)
-    return open_log(path, system_id=system_id)
-
-
-def told(log: Log) -> list[Message]:
-    return [message for _, message in messages_of(log.records())]
-
-
-def of(messages: list[Message], kind: str) -> list[Message]:
-    return [message for message in messages if message.get_type() == kind]
-
-
-def counts(log: Log) -> dict[Oddity, int]:
-    return {finding.oddity: finding.count for finding in log.findings}
 
 
 def test_topics_parameters_and_texts_are_those_that_pyulog_reads() -> None:

@@ -157,10 +157,8 @@ def test_without_a_checkpoint_that_can_be_read_it_takes_over_and_never_arms(
     assert state.airborne
     assert state.news == line
     assert (state.flight.target, state.flight.leg, state.standing) == (0, None, None)
-    assert state.flight.known is not None
     assert np.array_equal(state.flight.known.upper_m, BLANK.upper_m)
     assert state.flight.plan_id == 7
-    assert recalled.resume is not None
     assert recalled.resume[0]["system_id"] == 3  # as the journal has it
     assert set(recalled.unreadable) == {"resume.json", "known.npz"}
 
@@ -216,7 +214,7 @@ def test_whatever_byte_is_wrong_there_is_something_to_go_on_with(folder: Path, n
     """Any bit flipped, any end cut off: what is taken over is airborne, and has finite paths."""
     rng, whole = random.Random(name), (folder / name).read_bytes()
     lost = 0
-    for _ in range(300):
+    for _ in range(120):
         data = bytearray(whole)
         data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
         if rng.random() < 0.3:
@@ -228,7 +226,7 @@ def test_whatever_byte_is_wrong_there_is_something_to_go_on_with(folder: Path, n
         assert bool(recalled.said) == bool(recalled.unreadable)
         assert not np.isnan(state.flight.known.upper_m).any()
         assert 0 <= state.flight.target < len(MISSION.targets_ne_m)
-    assert lost > 100
+    assert lost > 40
 
 
 # --- what is no flight yet
@@ -265,6 +263,5 @@ def test_a_journal_full_of_anything_is_read_as_far_as_it_goes(folder: Path) -> N
         journal.write(b'{"kind":"phase","phase":["flying"],"t_s":"x","plan_id":-1}\n')
         journal.write(b'{"kind":"vehicle found","system_id":900}\n\xff"kind":"arm"\n[1]\n{"t_')
     recalled = recall(folder, MISSION)
-    assert recalled.resume is not None
     assert recalled.resume[0]["system_id"] == 3
     assert recalled.resume[0]["t_s"] == 320.0

@@ -77,6 +77,14 @@ def test_the_file_is_a_png_of_the_stated_size_and_no_figure_stays_open(tmp_path:
     assert not matplotlib._pylab_helpers.Gcf.figs
 
 
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures with fewer dots and blocks, which are sooner drawn."""
+    monkeypatch.setattr(views, "DPI", 40)
+    monkeypatch.setattr(views, "_BLOCKS", 30)
+
+
+@pytest.mark.usefixtures("coarse")
 def test_the_same_flight_gives_the_same_picture(tmp_path: Path) -> None:
     for name in ("one.png", "two.png"):
         draw(a_flight(), tmp_path / name)
@@ -129,6 +137,7 @@ def test_a_radar_shades_the_profile_only_where_the_path_is_within_its_range() ->
     assert extent.y1 == pytest.approx(0.85, abs=0.01)
 
 
+@pytest.mark.usefixtures("coarse")
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_unknown_ground_is_shown_as_unknown(value: float, tmp_path: Path) -> None:
     flight = unknown(a_flight(), np.s_[:60, :60], value)
@@ -146,6 +155,7 @@ def test_known_ground_is_not_called_unknown() -> None:
     assert "unknown ground" not in labels_of(axes_of(a_flight())["plan"])
 
 
+@pytest.mark.usefixtures("coarse")
 def test_there_is_a_picture_when_nothing_is_known_planned_or_flown(tmp_path: Path) -> None:
     flight = replace(unknown(a_flight(), np.s_[:], math.inf), legs_nea_m=(), scans_nea_m=())
     draw(flight, tmp_path / "flight.png")
@@ -226,6 +236,7 @@ def test_what_the_view_calls_hidden_is_behind_terrain_in_the_picture() -> None:
     assert np.count_nonzero(hidden != covered) <= 2  # at the edges of the peak
 
 
+@pytest.mark.usefixtures("coarse")
 @pytest.mark.parametrize("extent_m", [1000.0, 100_000.0])
 def test_worlds_of_any_size_are_drawn_with_their_own_extent(
     extent_m: float, tmp_path: Path

@@ -11,9 +11,10 @@ from companion.mission.events import Echo, Estimator, Mode, Vector
 
 SILENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION, wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN})
 """Until there is one."""
-_NEEDED = (
+NEEDED = (
     wire.EKF_ATTITUDE | wire.EKF_VELOCITY_HORIZ | wire.EKF_POS_HORIZ_ABS | wire.EKF_POS_VERT_ABS
 )
+"""Of an estimator whose horizontal position may be believed."""
 _BAD = wire.EKF_CONST_POS_MODE | wire.EKF_UNINITIALIZED | wire.EKF_GPS_GLITCHING
 _REJECTED = 1.0
 """Innovation over its gate: from here on the estimator throws the measurements away, and will give
@@ -79,7 +80,7 @@ class ArduPilotModes:
 def estimator(message: Message, now_s: float, *_: object) -> Estimator:
     """EKF_STATUS_REPORT: whether the horizontal position may be believed (ardupilot.md 5)."""
     flags = message.flags
-    sure = flags & _NEEDED == _NEEDED and not flags & _BAD
+    sure = flags & NEEDED == NEEDED and not flags & _BAD
     variances = (message.pos_horiz_variance, message.velocity_variance)
     fits = all(math.isfinite(v) and v < _REJECTED for v in variances)
     return Estimator(time_s=now_s, good=sure and fits)

@@ -45,17 +45,18 @@ _AUTO_NAMES = {
     9: "Precision Land",
     10: "VTOL Takeoff",
 }
-_NEEDED = (
+NEEDED = (
     wire.ESTIMATOR_ATTITUDE
     | wire.ESTIMATOR_VELOCITY_HORIZ
     | wire.ESTIMATOR_POS_HORIZ_ABS
     | wire.ESTIMATOR_POS_VERT_ABS
 )
+"""Of an estimator whose horizontal position may be believed."""
 _BAD = wire.ESTIMATOR_GPS_GLITCH | wire.ESTIMATOR_ACCEL_ERROR
 _REJECTED = 1.0
 """Innovation over its gate, where EKF2 throws the measurement away; healthy: below 0.4.  NaN of one
 that it does not use."""
-_EARTH_M = 6_371_000.0
+EARTH_M = 6_371_000.0
 """Of the sphere that PX4 projects with."""
 AS_IT_POINTS = math.nan
 """Yaw of a command: MAVLink's "not given".  PX4 takes for radians what the message definition of
@@ -109,7 +110,7 @@ def take_off(to_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Messag
 def estimator(message: Message, now_s: float, *_: object) -> Estimator:
     """ESTIMATOR_STATUS: whether the horizontal position may be believed (px4.md 8)."""
     flags = message.flags
-    sure = flags & _NEEDED == _NEEDED and not flags & _BAD
+    sure = flags & NEEDED == NEEDED and not flags & _BAD
     rejects = message.pos_horiz_ratio >= _REJECTED or message.vel_ratio >= _REJECTED
     error_m = message.pos_horiz_accuracy
     known = math.isfinite(error_m) and error_m > 0.0
@@ -136,7 +137,7 @@ def _unprojected_deg(
 ) -> tuple[float, float]:
     """Latitude and longitude of a point of the azimuthal equidistant map about an origin."""
     latitude, longitude = map(math.radians, origin_deg)
-    north, east = north_m / _EARTH_M, east_m / _EARTH_M
+    north, east = north_m / EARTH_M, east_m / EARTH_M
     arc = math.hypot(north, east)
     if arc == 0.0:
         return origin_deg

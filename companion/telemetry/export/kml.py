@@ -10,15 +10,7 @@ from xml.etree import ElementTree as ET
 from companion.geodesy import FloatArray
 from companion.mission.state import Phase
 from companion.telemetry.export import shapes
-from companion.telemetry.export.facts import (
-    Facts,
-    drawn_track,
-    moment_facts,
-    plain,
-    plan_facts,
-    radar_facts,
-    zone_facts,
-)
+from companion.telemetry.export.features import Feature, features_of
 from companion.telemetry.export.flight import RecordedFlight
 
 KML: Final = "http://www.opengis.net/kml/2.2"
@@ -35,6 +27,14 @@ PHASE_COLOURS: Final = {
     Phase.FAULTED.value: "e377c2",
 }
 """Red, green, blue; phases on the ground are grey."""
+_FOLDERS: Final = {
+    "flown track": ("track",),
+    "planned subpaths": ("subpath",),
+    "targets": ("target", "rally"),
+    "threats as known": ("keep_out", "keep_in", "radar"),
+    "holds and events": ("event",),
+}
+"""And the kinds of features in each, which come in this order."""
 _GREY, _PLANNED, _THREAT, _KEEP_IN = "7f7f7f", "ffff00", "ff0000", "00ff00"
 
 
@@ -46,11 +46,13 @@ def write_kml(flight: RecordedFlight, file: Path) -> None:
     document = _add(root, "Document")
     _add(document, "name", flight.mission.name)
     _add_styles(document)
-    _add_track(document, flight)
-    _add_planned(document, flight)
-    _add_places(document, flight)
-    _add_threats(document, flight)
-    _add_moments(document, flight)
+    folders: dict[str, ET.Element] = {}
+    for name, kinds in _FOLDERS.items():
+        folder = _add(document, "Folder")
+        _add(folder, "name", name)
+        folders |= dict.fromkeys(kinds, folder)
+    for each in features_of(flight):
+        _add_placemark(folders[each.kind], each)
     ET.indent(root, " ")
     ET.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)
 
@@ -71,118 +73,77 @@ def _add_styles(document: ET.Element) -> None:
         _add(_add(style, "PolyStyle"), "color", _abgr(colour, "30" if name == "threat" else "00"))
 
 
-def _add_track(document: ET.Element, flight: RecordedFlight) -> None:
-    folder = _folder(document, "flown track")
-    for phase, piece, facts in drawn_track(flight):
-        style = phase.replace(" ", "-") if phase in PHASE_COLOURS else "other"
-        mark = _placemark(folder, phase, facts, style=f"phase-{style}")
+def _add_placemark(folder: ET.Element, each: Feature) -> None:
+    """The order of what is in it is the schema's: the geometry comes last."""
+    mark = _add(folder, "Placemark")
+    _add(mark, "name", _name(each))
+    if each.kind == "event" and each.times_us is not None:
+        _add(_add(mark, "TimeStamp"), "when", shapes.utc_text(each.times_us[0]))
+    if (style := _style(each)) is not None:
+        _add(mark, "styleUrl", f"#{style}")
+    if known := {key: value for key, value in each.facts.items() if value is not None}:
+        extended = _add(mark, "ExtendedData")
+        for key, value in known.items():
+            _add(_add(extended, "Data", name=key), "value", value)
+    _add_geometry(mark, each)
+
+
+def _name(each: Feature) -> str:
+    facts = each.facts
+    match each.kind:
+        case "subpath":
+            return f"{each.name}, leg {facts['leg']}" if facts["leg"] else f"{each.name}, not flown"
+        case "rally":
+            return each.name.replace("rally", "rally point")
+        case "event":
+            return f"{facts['what']}: {facts['why']}"
+        case _:
+            return each.name
+
+
+def _style(each: Feature) -> str | None:
+    if each.kind == "track":
+        phase = each.name.replace(" ", "-") if each.name in PHASE_COLOURS else "other"
+        return f"phase-{phase}"
+    styles = {"subpath": "planned", "keep_in": "keep-in", "keep_out": "threat", "radar": "threat"}
+    return styles.get(each.kind)
+
+
+def _add_geometry(mark: ET.Element, each: Feature) -> None:
+    if each.kind == "track" and each.times_us is not None:
         track = ET.SubElement(mark, f"{{{GX}}}Track")
         _add(track, "altitudeMode", "absolute")
-        for time_us in piece.time_us.tolist():
+        for time_us in each.times_us.tolist():
             _add(track, "when", shapes.utc_text(time_us))
-        for row in shapes.of_track(piece).tolist():
+        for row in each.points.tolist():
             ET.SubElement(track, f"{{{GX}}}coord").text = _row(row, " ")
-
-
-def _add_planned(document: ET.Element, flight: RecordedFlight) -> None:
-    folder = _folder(document, "planned subpaths")
-    for each in flight.planned:
-        name = f"plan {each.plan.plan_id}" + (f", leg {each.leg}" if each.leg else ", not flown")
-        mark = _placemark(folder, name, plan_facts(each), style="planned")
+    elif each.kind == "subpath":
         line = _add(mark, "LineString")
         _add(line, "altitudeMode", "absolute")
-        _add(line, "coordinates", _rows(shapes.of_subpath(each.subpath, flight.mission.frame)))
-
-
-def _add_places(document: ET.Element, flight: RecordedFlight) -> None:
-    folder, frame = _folder(document, "targets"), flight.mission.frame
-    kinds = {"target": flight.targets_ne_m, "rally point": flight.mission.rally_ne_m}
-    for kind, places in kinds.items():
-        for number, (north_m, east_m) in enumerate(places, start=1):
-            mark = _placemark(folder, f"{kind} {number}", {})
-            _add_point(mark, frame.to_geodetic_deg(north_m, east_m), None)
-
-
-def _add_threats(document: ET.Element, flight: RecordedFlight) -> None:
-    folder, frame = _folder(document, "threats as known"), flight.mission.frame
-    ceiling_m = flight.mission.task.limits.ceiling_amsl_m
-    for zone in flight.zones:
-        style = "keep-in" if zone.keep_in else "threat"
-        mark = _placemark(folder, zone.name, zone_facts(zone), style=style)
-        _add_polygon(mark, shapes.of_zone(zone, frame, ceiling_m), extrude=True)
-    for radar in flight.mission.task.radars:
-        mark = _placemark(folder, radar.name, radar_facts(radar), style="threat")
-        _add_polygon(mark, shapes.of_radar(radar, frame), extrude=False)
-
-
-def _add_moments(document: ET.Element, flight: RecordedFlight) -> None:
-    folder, track = _folder(document, "holds and events"), flight.track
-    for moment in flight.moments:
-        at = flight.index_at(moment.boot, moment.t_s)
-        if at is None:
-            continue
-        name = f"{moment.what}: {moment.why}"
-        mark = _placemark(folder, name, moment_facts(moment), time_us=int(track.time_us[at]))
-        place = float(track.latitude_deg[at]), float(track.longitude_deg[at])
-        _add_point(mark, place, float(track.altitude_amsl_m[at]))
+        _add(line, "coordinates", _rows(each.points))
+    elif each.kind in ("target", "rally"):  # on the ground, however high that is
+        longitude, latitude = each.points[0].tolist()
+        _add(_add(mark, "Point"), "coordinates", _row([longitude, latitude, 0.0], ","))
+    elif each.kind == "event":
+        point = _add(mark, "Point")
+        _add(point, "altitudeMode", "absolute")
+        _add(point, "coordinates", _rows(each.points))
+    else:
+        polygon = _add(mark, "Polygon")
+        if each.kind != "radar":
+            _add(polygon, "extrude", 1)
+        _add(polygon, "altitudeMode", "absolute")
+        ring = _add(_add(polygon, "outerBoundaryIs"), "LinearRing")
+        _add(ring, "coordinates", f"{_rows(each.points)} {_rows(each.points[:1])}")
 
 
 # --- elements
 
 
-def _folder(document: ET.Element, name: str) -> ET.Element:
-    folder = _add(document, "Folder")
-    _add(folder, "name", name)
-    return folder
-
-
-def _placemark(
-    folder: ET.Element,
-    name: str,
-    facts: Facts,
-    *,
-    style: str | None = None,
-    time_us: int | None = None,
-) -> ET.Element:
-    """A placemark without its geometry, which the schema wants last."""
-    mark = _add(folder, "Placemark")
-    _add(mark, "name", name)
-    if time_us is not None:
-        _add(_add(mark, "TimeStamp"), "when", shapes.utc_text(time_us))
-    if style is not None:
-        _add(mark, "styleUrl", f"#{style}")
-    known = {key: value for key, value in facts.items() if value is not None}
-    if known:
-        extended = _add(mark, "ExtendedData")
-        for key, value in known.items():
-            _add(_add(extended, "Data", name=key), "value", value)
-    return mark
-
-
-def _add_point(
-    mark: ET.Element, place_deg: tuple[float, float], altitude_amsl_m: float | None
-) -> None:
-    """A point at latitude and longitude; on the ground if its altitude is not known."""
-    point = _add(mark, "Point")
-    if altitude_amsl_m is not None:
-        _add(point, "altitudeMode", "absolute")
-    latitude_deg, longitude_deg = place_deg
-    _add(point, "coordinates", _row([longitude_deg, latitude_deg, altitude_amsl_m or 0.0], ","))
-
-
-def _add_polygon(mark: ET.Element, edge: FloatArray, *, extrude: bool) -> None:
-    polygon = _add(mark, "Polygon")
-    if extrude:
-        _add(polygon, "extrude", 1)
-    _add(polygon, "altitudeMode", "absolute")
-    ring = _add(_add(polygon, "outerBoundaryIs"), "LinearRing")
-    _add(ring, "coordinates", f"{_rows(edge)} {_rows(edge[:1])}")
-
-
 def _add(parent: ET.Element, tag: str, text: object = None, /, **attributes: str) -> ET.Element:
     element = ET.SubElement(parent, _kml(tag), attributes)
     if text is not None:
-        element.text = plain(str(text))
+        element.text = "".join(c if c.isprintable() or c in "\n\t" else " " for c in str(text))
     return element
 
 

@@ -17,14 +17,10 @@ MOST_POINTS = 50_000
 """Of a drawn track: more than that, and map programs become slow."""
 
 
-def utc(time_us: int) -> datetime:
-    """The time of microseconds since 1970."""
-    return _EPOCH + timedelta(microseconds=int(time_us))
-
-
 def utc_text(time_us: int) -> str:
-    """The same as ISO 8601, as xsd:dateTime has it."""
-    return utc(time_us).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    """The time of microseconds since 1970 as ISO 8601, as xsd:dateTime has it."""
+    time = _EPOCH + timedelta(microseconds=int(time_us))
+    return time.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def of_track(track: Track) -> FloatArray:

@@ -6,7 +6,8 @@ log.findings, log.missing()        # what was odd about it, and what it lacks
 """
 
 from companion.telemetry.logs.findings import Finding, Oddity
+from companion.telemetry.logs.needed import Kind, Missing
 from companion.telemetry.logs.opening import open_log
-from companion.telemetry.logs.record import Kind, Log, Missing, Record
+from companion.telemetry.logs.record import Log, Record
 
 __all__ = ["Finding", "Kind", "Log", "Missing", "Oddity", "Record", "open_log"]

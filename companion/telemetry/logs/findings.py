@@ -1,7 +1,7 @@
 """What is odd about a log: each kind counted, and told once with where it began."""
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, final
 
@@ -75,27 +75,22 @@ class Findings:
     """Counts oddities."""
 
     def __init__(self) -> None:
-        self._kinds: dict[tuple[Oddity, str], list[Any]] = {}
-        """Count, first byte, first time."""
+        self._kinds: dict[tuple[Oddity, str], Finding] = {}
 
     def note(
         self, oddity: Oddity, byte: int, time_us: int | None, count: int = 1, detail: str = ""
     ) -> None:
-        """Met (again), so many times at once."""
-        known = self._kinds.get((oddity, detail))
-        if known is None:
-            self._kinds[oddity, detail] = [count, byte, time_us]
+        """Count `count` occurrences; the first says where."""
+        if known := self._kinds.get((oddity, detail)):
+            self._kinds[oddity, detail] = replace(known, count=known.count + count)
         else:
-            known[0] += count
+            self._kinds[oddity, detail] = Finding(
+                oddity=oddity, count=count, first_byte=byte, first_time_us=time_us, detail=detail
+            )
 
     def all(self) -> tuple[Finding, ...]:
         """In the order in which they were first met."""
-        return tuple(
-            Finding(
-                oddity=oddity, count=count, first_byte=byte, first_time_us=time_us, detail=detail
-            )
-            for (oddity, detail), (count, byte, time_us) in self._kinds.items()
-        )
+        return tuple(self._kinds.values())
 
 
 def shown_time(time_us: int) -> str:

@@ -2,13 +2,31 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, Literal, final
 
 from companion.mavlink.dialect import wire
-from companion.telemetry.logs.record import Kind, Missing
 
+Kind = Literal["tlog", "bin", "ulg"]
 _ARDUPILOT: Final = int(wire.MAV_AUTOPILOT_ARDUPILOTMEGA)
 _PX4: Final = int(wire.MAV_AUTOPILOT_PX4)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Missing:
+    """A message that the companion listens to and a log never has."""
+
+    message: str
+    """Its MAVLink name; of several that serve alike, joined by "or"."""
+    without: str
+    """What cannot be told or done without it."""
+    remedy: str
+    """How to have it recorded."""
+    vital: bool
+    """Whether the companion cannot fly without it."""
+
+    def __str__(self) -> str:
+        return f"{self.message} is missing: {self.without}. {self.remedy}"
 
 
 @final

@@ -7,12 +7,12 @@ from typing import Final
 
 from companion.errors import InputError
 from companion.mavlink.frames import LONGEST
-from companion.telemetry.logs import ardupilot_log, dataflash, px4_log, ulog
-from companion.telemetry.logs.record import Kind, Log
+from companion.telemetry.logs import ardupilot, dataflash, px4, ulog
+from companion.telemetry.logs.needed import Kind
+from companion.telemetry.logs.record import Log, chosen
 from companion.telemetry.logs.search import first_frame
-from companion.telemetry.logs.survey import survey
-from companion.telemetry.logs.tlog import Tlog, chosen
-from companion.telemetry.logs.translated import Source, TranslatedLog
+from companion.telemetry.logs.tlog import open_tlog
+from companion.telemetry.logs.translated import Source, Translation
 from companion.telemetry.logs.window import Window
 
 _HEAD_BYTES: Final = 4096
@@ -74,11 +74,6 @@ def _kind_of(path: Path) -> Kind | None:
                 return None
 
 
-def _open_tlog(path: Path, size: int, system_id: int | None) -> Log | None:
-    looked = survey(path)
-    return None if looked is None else Tlog(path, size, looked, system_id)
-
-
 def _open_own(
     look: Callable[[Path], Source], path: Path, size: int, system_id: int | None
 ) -> Log | None:
@@ -86,8 +81,16 @@ def _open_own(
     source = look(path)
     if not source.entries:
         return None
-    chosen(path, (source.system_id,), system_id)
-    return TranslatedLog(path, size, source)
+    systems = (source.system_id,)
+    return Log(
+        kind=source.kind,
+        path=path,
+        size_bytes=size,
+        systems=systems,
+        system_id=chosen(path, systems, system_id),
+        autopilot=source.autopilot,
+        begin=partial(Translation, source),
+    )
 
 
 _SIGNS: Final[dict[Kind, Callable[[bytes], int | None]]] = {
@@ -99,7 +102,7 @@ _SIGNS: Final[dict[Kind, Callable[[bytes], int | None]]] = {
 a frame whose checksum is right."""
 _SIGN_BYTES: Final = max(LONGEST, ulog.SIGN_BYTES, dataflash.SIGN_BYTES)
 _OPENERS: Final[dict[Kind, Callable[[Path, int, int | None], Log | None]]] = {
-    "tlog": _open_tlog,
-    "bin": partial(_open_own, ardupilot_log.look),
-    "ulg": partial(_open_own, px4_log.look),
+    "tlog": open_tlog,
+    "bin": partial(_open_own, ardupilot.look),
+    "ulg": partial(_open_own, px4.look),
 }

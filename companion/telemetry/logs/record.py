@@ -1,13 +1,16 @@
 """What every log is read as: a stream of timed MAVLink frames."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, Protocol, final
+from typing import Protocol, final
 
-from companion.telemetry.logs.findings import Finding
-
-Kind = Literal["tlog", "bin", "ulg"]
+from companion.errors import InputError
+from companion.mavlink.dialect import wire
+from companion.telemetry.logs.findings import Finding, Findings, Oddity
+from companion.telemetry.logs.needed import Kind, Missing, missing_of
+from companion.telemetry.logs.timeline import Timeline
+from companion.telemetry.logs.window import Window
 
 
 @final
@@ -21,66 +24,80 @@ class Record:
     """As it stood in the log, MAVLink 1 or 2, signed or not."""
 
 
+class Reading(Protocol):
+    """One pass through a log of some kind."""
+
+    byte: int
+    """How far it has come."""
+    timeline: Timeline
+
+    def records(self, window: Window) -> Iterator[Record]:
+        """All of it, in order."""
+        ...
+
+
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Missing:
-    """A message that the companion listens to and a log never has."""
-
-    message: str
-    """Its MAVLink name; of several that serve alike, joined by "or"."""
-    without: str
-    """What cannot be told or done without it."""
-    remedy: str
-    """How to have it recorded."""
-    vital: bool
-    """Whether the companion cannot fly without it."""
-
-    def __str__(self) -> str:
-        return f"{self.message} is missing: {self.without}. {self.remedy}"
-
-
-class Log(Protocol):
+@dataclass(slots=True, kw_only=True)
+class Log:
     """A log of any kind, opened."""
 
-    @property
-    def kind(self) -> Kind:
-        """tlog: MAVLink frames; bin: ArduPilot's own log; ulg: PX4's own."""
-        ...
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        ...
-
-    @property
-    def size_bytes(self) -> int:
-        """Of the file, when it was opened."""
-        ...
-
-    @property
-    def read_bytes(self) -> int:
-        """How far `records` has come."""
-        ...
-
-    @property
-    def systems(self) -> tuple[int, ...]:
-        """System ids of all autopilots in it."""
-        ...
-
-    @property
-    def system_id(self) -> int | None:
-        """The vehicle that is read; None: there is no heartbeat of an autopilot in it."""
-        ...
+    kind: Kind
+    """tlog: MAVLink frames; bin: ArduPilot's own log; ulg: PX4's own."""
+    path: Path
+    size_bytes: int
+    """Of the file, when it was opened."""
+    systems: tuple[int, ...]
+    """System ids of all autopilots in it."""
+    system_id: int | None
+    """The vehicle that is read; None: there is no heartbeat of an autopilot in it."""
+    autopilot: int | None
+    """MAV_AUTOPILOT; None: nothing tells."""
+    begin: Callable[[Findings, set[int]], Reading]
+    """A new pass: what is odd goes there, and the numbers of what the autopilot has said."""
+    read_bytes: int = 0
+    """How far `records` has come."""
+    _findings: Findings = field(default_factory=Findings)
+    _heard: set[int] = field(default_factory=set)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What is odd, as far as `records` has come."""
-        ...
-
-    def records(self) -> Iterator[Record]:
-        """All of it, in order, in bounded memory; each call begins again, and the findings too."""
-        ...
+        return self._findings.all()
 
     def missing(self) -> tuple[Missing, ...]:
         """What the companion listens to and never came; once `records` has come to the end."""
-        ...
+        names = {wire.mavlink_map[each].msgname for each in self._heard if each in wire.mavlink_map}
+        return missing_of(self.kind, self.autopilot, names)
+
+    def records(self) -> Iterator[Record]:
+        """All of it, in order, in bounded memory; each call begins again, and the findings too.
+
+        Frames of other vehicles, and those with secrets, are left out.
+        """
+        self._findings, self._heard, self.read_bytes = Findings(), set(), 0
+        findings, heard = self._findings, self._heard
+        reading = self.begin(findings, heard)
+        with Window(self.path) as window:
+            for record in reading.records(window):
+                self.read_bytes = reading.byte
+                yield record
+            self.read_bytes = byte = window.base + len(window.data)
+            reading.timeline.finish(byte)
+            if window.failed:
+                findings.note(Oddity.UNREADABLE, byte, reading.timeline.now_us)
+
+
+def chosen(path: Path, systems: tuple[int, ...], asked: int | None) -> int | None:
+    """The vehicle that is meant; InputError if that is not clear."""
+    those = ", ".join(str(each) for each in systems)
+    if asked is not None:
+        if asked not in systems:
+            rule = f"there is no such vehicle in {path.name}"
+            there = f"There is system {those}" if len(systems) == 1 else f"There are {those}"
+            none = "There is no autopilot's heartbeat in it: leave --system out"
+            raise InputError("--system", asked, rule, f"{there if systems else none}.")
+        return asked
+    if len(systems) > 1:
+        rule = f"several vehicles are in it, systems {those}"
+        raise InputError("log", str(path), rule, "Choose one with --system.")
+    return systems[0] if systems else None

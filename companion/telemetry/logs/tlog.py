@@ -8,18 +8,17 @@ MAVProxy's .raw and Mission Planner's .rlog have no stamps.
 """
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, final
+from typing import Final, NamedTuple, final
 
-from companion.errors import InputError
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
 from companion.mavlink.frames import LONGEST, V1, V2, claim, intact_end, payload_of
 from companion.mavlink.signing import SECRETS, is_signed
-from companion.telemetry.logs.findings import Finding, Findings, Oddity
-from companion.telemetry.logs.needed import missing_of
-from companion.telemetry.logs.record import Missing, Record
+from companion.telemetry.logs.findings import Findings, Oddity
+from companion.telemetry.logs.record import Log, Record, chosen
 from companion.telemetry.logs.search import STAMP_BYTES, find_intact
-from companion.telemetry.logs.survey import Stamps, Survey
+from companion.telemetry.logs.survey import Stamps, Survey, survey
 from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, Timeline
 from companion.telemetry.logs.window import Window
 
@@ -42,56 +41,31 @@ _ABOUT_STAMPS: Final = {
 }
 
 
-@final
-class Tlog:
-    """A log of MAVLink frames; see `record.Log`."""
+def open_tlog(path: Path, size_bytes: int, system_id: int | None) -> Log | None:
+    """A log of MAVLink frames; None: there is none in it.
 
-    kind: Literal["tlog"] = "tlog"
-
-    def __init__(self, path: Path, size_bytes: int, looked: Survey, system_id: int | None) -> None:
-        """InputError if it is not clear which vehicle is meant."""
-        self.path, self.size_bytes = path, size_bytes
-        self.systems = tuple(sorted(looked.autopilots))
-        self.system_id = chosen(path, self.systems, system_id)
-        self.read_bytes = 0
-        self._looked = looked
-        self._others = frozenset(self.systems) - {self.system_id}
-        self._findings = Findings()
-        self._heard: set[int] = set()
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What is odd, as far as `records` has come."""
-        return self._findings.all()
-
-    def missing(self) -> tuple[Missing, ...]:
-        """What the companion listens to and never came."""
-        names = {wire.mavlink_map[each].msgname for each in self._heard if each in wire.mavlink_map}
-        autopilot = self._looked.autopilots.get(self.system_id or 0)
-        return missing_of("tlog", autopilot, names)
-
-    def records(self) -> Iterator[Record]:
-        """All frames, but those of other vehicles and those with secrets."""
-        self._findings, self._heard, self.read_bytes = Findings(), set(), 0
-        reading = _Reading(self, self._looked, self._findings, self._heard, self._others)
-        with Window(self.path) as window:
-            yield from reading.run(window)
+    InputError if it is not clear which vehicle is meant.
+    """
+    looked = survey(path)
+    if looked is None:
+        return None
+    systems = tuple(sorted(looked.autopilots))
+    vehicle = chosen(path, systems, system_id)
+    return Log(
+        kind="tlog",
+        path=path,
+        size_bytes=size_bytes,
+        systems=systems,
+        system_id=vehicle,
+        autopilot=looked.autopilots.get(vehicle or 0),
+        begin=partial(_Reading, looked, vehicle),
+    )
 
 
-def chosen(path: Path, systems: tuple[int, ...], asked: int | None) -> int | None:
-    """The vehicle that is meant; InputError if that is not clear."""
-    those = ", ".join(str(each) for each in systems)
-    if asked is not None:
-        if asked not in systems:
-            rule = f"there is no such vehicle in {path.name}"
-            there = f"There is system {those}" if len(systems) == 1 else f"There are {those}"
-            none = "There is no autopilot's heartbeat in it: leave --system out"
-            raise InputError("--system", asked, rule, f"{there if systems else none}.")
-        return asked
-    if len(systems) > 1:
-        rule = f"several vehicles are in it, systems {those}"
-        raise InputError("log", str(path), rule, "Choose one with --system.")
-    return systems[0] if systems else None
+def boot_ms_of(frame: bytes, number: int) -> int | None:
+    """The time since boot at which a frame was sent, if its message tells that; ms."""
+    at = _BOOT_MS_AT.get(number)
+    return None if at is None else int.from_bytes(payload_of(frame, at + 4)[at : at + 4], "little")
 
 
 class _Found(NamedTuple):
@@ -102,30 +76,23 @@ class _Found(NamedTuple):
     stamped: bool = True
     known: bool = True
 
-    @property
-    def holds_frame(self) -> bool:
-        return self.begin < self.end
-
 
 @final
 class _Reading:
-    """One pass through a log."""
+    """One pass through a log; see `record.Reading`."""
 
     def __init__(
-        self,
-        log: Tlog,
-        looked: Survey,
-        findings: Findings,
-        heard: set[int],
-        others: frozenset[int | None],
+        self, looked: Survey, vehicle: int | None, findings: Findings, heard: set[int]
     ) -> None:
-        self._log, self._findings, self._heard, self._others = log, findings, heard, others
+        self._vehicle, self._findings, self._heard = vehicle, findings, heard
+        self._others = frozenset(looked.autopilots) - {vehicle}
+        self.byte = 0
         self._stamps = looked.stamps
         self._stamp_bytes = 0 if looked.stamps is Stamps.NONE else STAMP_BYTES
         self._by_vehicle = looked.stamps in (Stamps.NONE, Stamps.SENSELESS)
         self._boot_us = looked.boot_us or 0
         dated = not self._by_vehicle and looked.stamps is not Stamps.SINCE_BOOT
-        self._timeline = Timeline(
+        self.timeline = Timeline(
             findings,
             first_us=YEAR_2000_US if dated else 0,
             last_us=YEAR_2100_US,
@@ -137,8 +104,8 @@ class _Reading:
         if self._by_vehicle and looked.boot_us is None:
             findings.note(Oddity.NO_DATE, 0, None)
 
-    def run(self, window: Window) -> Iterator[Record]:
-        """All that is to be seen."""
+    def records(self, window: Window) -> Iterator[Record]:
+        """All frames, but those of other vehicles and those with secrets."""
         at, stamp_bytes = 0, self._stamp_bytes
         while True:
             data = window.data
@@ -155,7 +122,7 @@ class _Reading:
                     break
                 begin, end = found.begin - window.base, found.end - window.base
                 record = None
-                if found.holds_frame:
+                if begin < end:
                     record = self._record(
                         window.data,
                         begin,
@@ -166,13 +133,8 @@ class _Reading:
                     )
             at = end
             if record is not None:
-                self._log.read_bytes = window.base + end
+                self.byte = window.base + end
                 yield record
-        byte = window.base + len(window.data)
-        self._log.read_bytes = byte
-        self._timeline.finish(byte)
-        if window.failed:
-            self._findings.note(Oddity.UNREADABLE, byte, self._timeline.now_us)
 
     def _record(
         self,
@@ -195,10 +157,10 @@ class _Reading:
             time_us = self._by_clock(frame, number, (system, component), base + begin)
         elif stamped and self._stamp_bytes:
             stamp = data[begin - STAMP_BYTES : begin]
-            time_us, _ = self._timeline.read(self._stamps.read(stamp), base + begin)
+            time_us, _ = self.timeline.read(self._stamps.read(stamp), base + begin)
         else:
-            self._findings.note(Oddity.NO_STAMP, base + begin, self._timeline.now_us)
-            time_us = self._timeline.last_us
+            self._findings.note(Oddity.NO_STAMP, base + begin, self.timeline.now_us)
+            time_us = self.timeline.last_us
         if not known:
             self._findings.note(Oddity.UNKNOWN, base + begin, time_us)
         plain = frame[0] == V2 and not frame[2] and number not in SECRETS
@@ -206,7 +168,7 @@ class _Reading:
             frame, number, system, (base + begin, time_us)
         ):
             return None
-        if component == AUTOPILOT_COMPONENT and self._log.system_id in (None, system):
+        if component == AUTOPILOT_COMPONENT and self._vehicle in (None, system):
             self._heard.add(number)
         return Record(time_us, frame)
 
@@ -226,17 +188,15 @@ class _Reading:
 
     def _by_clock(self, frame: bytes, number: int, sender: tuple[int, int], byte: int) -> int:
         """The vehicle's clock, as it was told last."""
-        offset = _BOOT_MS_AT.get(number)
-        is_ours = sender[1] == AUTOPILOT_COMPONENT and self._log.system_id in (None, sender[0])
-        if offset is None or not is_ours:
-            return self._timeline.last_us
-        payload = payload_of(frame, offset + 4)
-        boot_ms = int.from_bytes(payload[offset : offset + 4], "little")
-        return self._timeline.read(self._boot_us + boot_ms * 1000, byte)[0]
+        is_ours = sender[1] == AUTOPILOT_COMPONENT and self._vehicle in (None, sender[0])
+        boot_ms = boot_ms_of(frame, number) if is_ours else None
+        if boot_ms is None:
+            return self.timeline.last_us
+        return self.timeline.read(self._boot_us + boot_ms * 1000, byte)[0]
 
     def _recover(self, window: Window, at: int) -> _Found | None:
         """Where to go on if no intact frame follows; None: the log has ended."""
-        data, begin, now_us = window.data, at + self._stamp_bytes, self._timeline.now_us
+        data, begin, now_us = window.data, at + self._stamp_bytes, self.timeline.now_us
         if at >= len(data):
             return None
         end, number = claim(data, begin) if _may_begin(data, begin) else (0, None)

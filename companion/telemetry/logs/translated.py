@@ -1,15 +1,13 @@
 """Logs that autopilots write themselves, told as the MAVLink messages that they would have sent."""
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.telemetry.logs.findings import Finding, Findings, Oddity
-from companion.telemetry.logs.needed import missing_of
-from companion.telemetry.logs.record import Missing, Record
+from companion.telemetry.logs.findings import Findings, Oddity
+from companion.telemetry.logs.record import Record
 from companion.telemetry.logs.timeline import BACK_US, Timeline
 from companion.telemetry.logs.window import Window
 
@@ -31,7 +29,7 @@ class Row(NamedTuple):
     """Where in the file it begins."""
 
 
-OnRow = Callable[[Row, int], list[Message]]
+OnRow = Callable[[Row, int], Iterable[Message]]
 """What one entry makes the vehicle say; the number: microseconds since boot, now.
 
 ValueError, KeyError, TypeError, ArithmeticError or struct.error if an entry cannot be so.
@@ -62,81 +60,43 @@ class Source:
 
 
 @final
-class TranslatedLog:
-    """See `record.Log`."""
+class Translation:
+    """One pass through such a log; see `record.Reading`."""
 
-    def __init__(self, path: Path, size_bytes: int, source: Source) -> None:
-        self.kind = source.kind
-        self.path, self.size_bytes = path, size_bytes
-        self.systems: tuple[int, ...] = (source.system_id,)
-        self.system_id: int | None = source.system_id
-        self.read_bytes = 0
-        self._source = source
-        self._findings = Findings()
-        self._heard: set[str] = set()
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What is odd, as far as `records` has come."""
-        return self._findings.all()
-
-    def missing(self) -> tuple[Missing, ...]:
-        """What the companion listens to and never came."""
-        return missing_of(self.kind, self._source.autopilot, self._heard)
-
-    def records(self) -> Iterator[Record]:
-        """What the vehicle would have sent."""
-        source, findings = self._source, Findings()
-        self._findings, self._heard, self.read_bytes = findings, set(), 0
+    def __init__(self, source: Source, findings: Findings, heard: set[int]) -> None:
+        self._source, self._findings, self._heard = source, findings, heard
         for text in source.substitutes:
             findings.note(Oddity.SUBSTITUTED, 0, None, detail=text)
         if source.epoch_us is None:
             findings.note(Oddity.NO_DATE, 0, None)
-        epoch_us = source.epoch_us or 0
-        timeline = Timeline(
+        self.byte, self._epoch_us = 0, source.epoch_us or 0
+        self.timeline = Timeline(
             findings,
-            first_us=epoch_us,
-            last_us=epoch_us + LONGEST_US,
-            start_us=epoch_us + source.start_us,
+            first_us=self._epoch_us,
+            last_us=self._epoch_us + LONGEST_US,
+            start_us=self._epoch_us + source.start_us,
             jitter_us=BACK_US,
         )
-        telling = _Telling(source.translator(), source.system_id, epoch_us, findings, self._heard)
-        with Window(self.path) as window:
-            for row in source.rows(window, findings):
-                self.read_bytes = row.byte
-                yield from telling.records(row, timeline)
-            byte = window.base + len(window.data)
-            self.read_bytes = byte
-            timeline.finish(byte)
-            if window.failed:
-                findings.note(Oddity.UNREADABLE, byte, timeline.now_us)
+        self._on_row = source.translator()
+        self._codec = wire.MAVLink(
+            None, srcSystem=source.system_id, srcComponent=AUTOPILOT_COMPONENT
+        )
 
+    def records(self, window: Window) -> Iterator[Record]:
+        """What the vehicle would have sent."""
+        for row in self._source.rows(window, self._findings):
+            self.byte = row.byte
+            yield from self._told(row)
 
-@final
-class _Telling:
-    """Entries to records."""
-
-    def __init__(
-        self,
-        on_row: OnRow,
-        system_id: int,
-        epoch_us: int,
-        findings: Findings,
-        heard: set[str],
-    ) -> None:
-        self._on_row, self._findings, self._heard = on_row, findings, heard
-        self._codec = wire.MAVLink(None, srcSystem=system_id, srcComponent=AUTOPILOT_COMPONENT)
-        self._epoch_us = epoch_us
-
-    def records(self, row: Row, timeline: Timeline) -> list[Record]:
+    def _told(self, row: Row) -> list[Record]:
         """What one entry makes the vehicle say; nothing if it is damaged."""
-        time_us = timeline.last_us
+        time_us = self.timeline.last_us
         if row.time_us is not None:
-            time_us, believed = timeline.read(self._epoch_us + row.time_us, row.byte)
+            time_us, believed = self.timeline.read(self._epoch_us + row.time_us, row.byte)
             if not believed:
                 return []
         try:
-            messages = self._on_row(row, time_us - self._epoch_us)
+            messages = list(self._on_row(row, time_us - self._epoch_us))
             if not messages:
                 return []
             frames = [self._packed(message) for message in messages]
@@ -144,8 +104,7 @@ class _Telling:
             # A damaged entry, which nothing protects: numbers that fit into no message, or texts.
             self._findings.note(Oddity.DAMAGED, row.byte, time_us)
             return []
-        for message in messages:
-            self._heard.add(message.get_type())
+        self._heard.update(message.get_msgId() for message in messages)
         return [Record(time_us, frame) for frame in frames]
 
     def _packed(self, message: Message) -> bytes:

@@ -262,11 +262,6 @@ def _end(data: bytes, at: int, described: _Described) -> int:
     return end
 
 
-def _follows(data: bytes, at: int, described: _Described) -> bool:
-    """Whether a message begins there, or the file ends."""
-    return _end(data, at, described) > 0 or _is_cut_short(data, at)
-
-
 def _is_cut_short(data: bytes, at: int) -> bool:
     """Whether the file ends there, or in a message that begins there."""
     if at + _HEAD > len(data):
@@ -327,7 +322,7 @@ def _resume(window: Window, at: int, described: _Described, findings: Findings) 
 
     def is_one(data: bytes, begin: int) -> bool:
         end = _end(data, begin, described)
-        return end > 0 and _follows(data, end, described)
+        return end > 0 and (_end(data, end, described) > 0 or _is_cut_short(data, end))
 
     begin = find_entry(window, at + 1, _find_head, _AHEAD, is_one)
     passed = window.base + begin - byte

@@ -2,7 +2,6 @@
 
 import io
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Self, final
 
 _CHUNK: Final = 1 << 20
@@ -32,12 +31,7 @@ class Window:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._file is not None:
             self._file.close()
 
@@ -57,7 +51,3 @@ class Window:
             return False
         self.data, self.base = self.data[at:] + new, self.base + at
         return True
-
-    def holds(self, at: int, size: int) -> bool:
-        """Whether so many bytes from that index on are there, without reading on."""
-        return at + size <= len(self.data)
