@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
-from companion.mavlink.command_server import CommandServer
+from companion.mavlink.commands import CommandServer
 from companion.mavlink.dialect import codec
 from companion.mavlink.parameter_server import PARAMETERS, ParameterServer
 from companion.mavlink.presence import Presence
@@ -71,7 +71,7 @@ class Link:
             if answer.order is not None:
                 self.orders.append(answer.order.kind)
                 self._companion_sends(self.commands.order_done(answer.order, accepted=True))
-            self._companion_sends(self.parameters.on_message(message, now_s))
+            self._companion_sends(self.parameters.on_message(message, now_s).replies)
 
     def _companion_sends(self, messages: Any) -> None:
         for message in messages:
