@@ -2,7 +2,6 @@
 
 import functools
 import itertools
-import json
 import math
 import tomllib
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import true_track
-from flights import EACH_ENVIRONMENT, ROOT, Launch
+from flights import EACH_ENVIRONMENT, ENVIRONMENTS, journal_of
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq
@@ -20,7 +19,6 @@ FloatArray = NDArray[np.float64]
 
 pytestmark = pytest.mark.closed_loop
 
-ENVIRONMENTS = ROOT / "companion" / "environments"
 EXACT = 1e-6
 _TO_THE_WIRE_M = 0.01
 
@@ -71,8 +69,7 @@ def legs_of(folder: Path) -> tuple[Leg, ...]:
     """All legs of a flight, in their order."""
     asked: dict[int, dict[str, Any]] = {}
     legs = []
-    for line in (folder / "journal.jsonl").read_text(encoding="utf-8").splitlines():
-        entry = json.loads(line)
+    for entry in journal_of(folder):
         if entry.get("kind") == "plan asked":
             asked[entry["plan_id"]] = entry
         elif entry.get("kind") == "plan ready":
@@ -86,10 +83,10 @@ def mission_of(name: str) -> dict[str, Any]:
 
 
 @EACH_ENVIRONMENT
-def test_no_leg_is_flown_without_a_proven_certificate(flown: Launch, name: str) -> None:
+def test_no_leg_is_flown_without_a_proven_certificate(flown: Any, name: str) -> None:
     flight = flown(name, name)
     legs = legs_of(flight.folder)
-    assert len(legs) == [e["kind"] for e in flight.journal[1:]].count("leg") >= 8
+    assert len(legs) == flight.kinds.count("leg") >= 8
     mission = mission_of(name)
     vehicle, band = mission["vehicle"], mission["altitude"]
     required_m = mission["planner"]["safety_distance_m"] + vehicle["tracking_error_m"]
@@ -107,7 +104,7 @@ def test_no_leg_is_flown_without_a_proven_certificate(flown: Launch, name: str) 
 
 
 @EACH_ENVIRONMENT
-def test_every_leg_is_the_work_of_the_compiled_kernel(flown: Launch, name: str) -> None:
+def test_every_leg_is_the_work_of_the_compiled_kernel(flown: Any, name: str) -> None:
     """In lockstep the first plan waits for it; so the same seed is the same flight."""
     pytest.importorskip("numba")
     assert {leg.ready["kernel"].split()[0] for leg in legs_of(flown(name, name).folder)} == {
@@ -116,7 +113,7 @@ def test_every_leg_is_the_work_of_the_compiled_kernel(flown: Launch, name: str) 
 
 
 @EACH_ENVIRONMENT
-def test_position_tangent_and_curvature_go_on_from_leg_to_leg(flown: Launch, name: str) -> None:
+def test_position_tangent_and_curvature_go_on_from_leg_to_leg(flown: Any, name: str) -> None:
     legs = legs_of(flown(name, name).folder)
     turn_radius_m = mission_of(name)["vehicle"]["turn_radius_m"]
     joins = [pair for pair in itertools.pairwise(legs) if not pair[1].asked["from_rest"]]
@@ -134,7 +131,7 @@ def test_position_tangent_and_curvature_go_on_from_leg_to_leg(flown: Launch, nam
 
 
 @EACH_ENVIRONMENT
-def test_no_certificate_promises_more_than_the_true_world_keeps(flown: Launch, name: str) -> None:
+def test_no_certificate_promises_more_than_the_true_world_keeps(flown: Any, name: str) -> None:
     world = tomllib.loads((ENVIRONMENTS / name / "world.toml").read_text(encoding="utf-8"))
     surface = true_track.surface_of(world, ENVIRONMENTS / name)
     mission = mission_of(name)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import ROOT, free_port
+from programs import ROOT, free_port
 from pymavlink.dialects.v20 import all as wire
 
 sys.path.insert(0, str(ROOT / "tests" / "telemetry"))

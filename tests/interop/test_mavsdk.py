@@ -4,7 +4,8 @@ import re
 from typing import Any
 
 import pytest
-from processes import HOME, Vehicle, away_m, free_port, height_m, place
+from processes import HOME, Vehicle, away_m, height_m, place
+from programs import free_port
 
 SPEEDUP = 10
 
