@@ -36,7 +36,9 @@ def each(*names: str, nightly: Container[str] = ()) -> pytest.MarkDecorator:
     )
 
 
-EACH_ENVIRONMENT = each("environment-1", "environment-2", "valley", nightly=["environment-2"])
+PAPERS = ("environment-1", "environment-2")
+EACH_SCENE = each("hills", "valley", *PAPERS, nightly=PAPERS)
+"""The hills are of the same kind as the paper's environments, and a third as long."""
 NIGHTLY_AUTOPILOTS = ("sitl-px4", "sitl-arduplane")
 """The others are of both makers, and of both kinds."""
 
@@ -93,6 +95,16 @@ class Flight:
     def truth(self) -> list[dict[str, Any]]:
         lines = (self.folder / "truth.jsonl").read_text(encoding="utf-8").splitlines()
         return [json.loads(line) for line in lines[1:]]
+
+
+def folder_of(scene: str) -> Path:
+    """Where its world.toml and mission.toml are."""
+    return Path(HILLS).parent if scene == "hills" else ENVIRONMENTS / scene
+
+
+def flown_as(scene: str) -> tuple[str, ...]:
+    """World, mission and options of the flight that all look at."""
+    return (HILLS, HILLS_MISSION, "--seed", "3") if scene == "hills" else (scene, scene)
 
 
 def journal_of(folder: Path) -> list[dict[str, Any]]:
