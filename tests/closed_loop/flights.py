@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,8 @@ from programs import BIN, ROOT, Program, free_port
 ENVIRONMENTS = ROOT / "companion" / "environments"
 HILLS = str(Path(__file__).parent / "hills" / "world.toml")
 HILLS_MISSION = str(Path(__file__).parent / "hills" / "mission.toml")
+_SCENES: list[tempfile.TemporaryDirectory[str]] = []
+"""Gone when the tests end."""
 RUNNING: list[Program] = []
 """All that was started and not ended yet."""
 _ENVIRONMENT = dict(os.environ)
@@ -36,8 +39,8 @@ def each(*names: str, nightly: Container[str] = ()) -> pytest.MarkDecorator:
     )
 
 
-PAPERS = ("environment-1", "environment-2")
-EACH_SCENE = each("hills", "valley", *PAPERS, nightly=PAPERS)
+_LONG = ("valley", "environment-1", "environment-2")
+EACH_SCENE = each("hills", "upper-valley", *_LONG, nightly=_LONG)
 """The hills are of the same kind as the paper's environments, and a third as long."""
 NIGHTLY_AUTOPILOTS = ("sitl-px4", "sitl-arduplane")
 """The others are of both makers, and of both kinds."""
@@ -97,14 +100,28 @@ class Flight:
         return [json.loads(line) for line in lines[1:]]
 
 
+@functools.cache
 def folder_of(scene: str) -> Path:
     """Where its world.toml and mission.toml are."""
-    return Path(HILLS).parent if scene == "hills" else ENVIRONMENTS / scene
+    if scene == "hills":
+        return Path(HILLS).parent
+    if scene != "upper-valley":
+        return ENVIRONMENTS / scene
+    _SCENES.append(tempfile.TemporaryDirectory())
+    folder, valley = Path(_SCENES[-1].name), ENVIRONMENTS / "valley"
+    for file in valley.iterdir():
+        if file.name != "mission.toml":
+            (folder / file.name).symlink_to(file)
+    past_the_village = ("north_m = -3850.0\neast_m = 800.0", "north_m = 675.0\neast_m = -1250.0")
+    edited(valley / "mission.toml", folder / "mission.toml", past_the_village)
+    return folder
 
 
 def flown_as(scene: str) -> tuple[str, ...]:
     """World, mission and options of the flight that all look at."""
-    return (HILLS, HILLS_MISSION, "--seed", "3") if scene == "hills" else (scene, scene)
+    folder = folder_of(scene)
+    files = str(folder / "world.toml"), str(folder / "mission.toml")
+    return (*files, "--seed", "3") if scene == "hills" else files
 
 
 def journal_of(folder: Path) -> list[dict[str, Any]]:

@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 pytestmark = pytest.mark.closed_loop
 
 EXACT = 1e-6
-LEGS = {"hills": 3}
+LEGS = {"hills": 3, "upper-valley": 4}
 """How many there are at least, where they are not eight."""
 _TO_THE_WIRE_M = 0.01
 

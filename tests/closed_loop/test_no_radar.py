@@ -12,7 +12,7 @@ pytestmark = pytest.mark.closed_loop
 HOME = (-35.3632621, 149.1652374, 584.0)
 LAUNCH = f"{HOME[0]},{HOME[1]},{HOME[2]},0"
 STATED = 'plan = "field.plan"\n[vehicle]\nscanner = false\n[terrain]\nhighest_amsl_m = 584.0\n'
-AUTOPILOTS = pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+NIGHTLY = pytest.mark.nightly
 
 
 def plan(folder: Path, *waypoints: tuple[float, float]) -> Path:
@@ -47,7 +47,7 @@ def heights_m(flight: Flight) -> list[tuple[float, float]]:
     return [(entry["t_s"], entry["altitude_amsl_m"] - HOME[2]) for entry in flight.truth]
 
 
-@AUTOPILOTS
+@pytest.mark.parametrize("autopilot", ["ardupilot", pytest.param("px4", marks=NIGHTLY)])
 def test_a_plan_for_a_vehicle_without_a_radar_is_refused_before_it_is_armed(
     tmp_path: Path, autopilot: str
 ) -> None:
@@ -59,7 +59,7 @@ def test_a_plan_for_a_vehicle_without_a_radar_is_refused_before_it_is_armed(
         assert part in said
 
 
-@AUTOPILOTS
+@pytest.mark.parametrize("autopilot", ["px4", pytest.param("ardupilot", marks=NIGHTLY)])
 def test_the_same_plan_over_stated_ground_is_flown_at_its_altitudes(
     tmp_path: Path, autopilot: str
 ) -> None:
@@ -83,8 +83,8 @@ def test_the_same_plan_over_stated_ground_is_flown_at_its_altitudes(
     [
         ("ardupilot", "radar_off"),
         ("px4", "battery 12 %"),
-        pytest.param("ardupilot", "battery 12 %", marks=pytest.mark.nightly),
-        pytest.param("px4", "radar_off", marks=pytest.mark.nightly),
+        pytest.param("ardupilot", "battery 12 %", marks=NIGHTLY),
+        pytest.param("px4", "radar_off", marks=NIGHTLY),
     ],
 )
 def test_a_flight_that_fails_comes_back_the_way_it_came_and_lands(

@@ -16,7 +16,7 @@ from typing import Any, final
 
 import pytest
 import tlog
-from flights import NIGHTLY_AUTOPILOTS, Flight, each, kept, launch, run, short_mission
+from flights import Flight, each, kept, launch, run, short_mission
 from programs import free_port
 from pymavlink.dialects.v20 import all as wire
 from pyproj import Geod
@@ -118,10 +118,10 @@ def killed(folder: Path, name: str) -> Killed:
     return it
 
 
-COPTERS = each("sitl-arducopter", "sitl-px4", nightly=NIGHTLY_AUTOPILOTS)
+COPTERS = each("sitl-arducopter", "sitl-px4", nightly=["sitl-px4"])
 ALL = each(
     *("sitl-arducopter", "sitl-px4", "sitl-arduplane", "sitl-px4-plane"),
-    nightly=NIGHTLY_AUTOPILOTS,
+    nightly=["sitl-px4", "sitl-arduplane", "sitl-px4-plane"],  # planes: `test_planes`
 )
 
 
