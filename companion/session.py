@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, final
 
 from companion.mavlink.autopilots import described
-from companion.mavlink.citizen import SERVED, Citizen
+from companion.mavlink.component import REQUESTS, Component
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.link import (
     MERE_CLOCKS,
@@ -34,10 +34,10 @@ from companion.mavlink.link import (
 )
 from companion.mavlink.preflight import Preflight
 from companion.mavlink.presence import heartbeat
-from companion.mavlink.scanning import MESSAGES as TERRAIN
-from companion.mavlink.scanning import Scanning
 from companion.mavlink.signing import Signing
 from companion.mavlink.statustext import StatusTexts, last_words, severity_of
+from companion.mavlink.terrain_download import MESSAGES as TERRAIN
+from companion.mavlink.terrain_download import Scanning
 from companion.mavlink.vehicle import Told, VehicleSide
 from companion.mission import changes, checkpoint, entries, events, machine
 from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, is_led
@@ -121,7 +121,7 @@ class Session:
         self._texts = StatusTexts()
         self._scanning = Scanning(mission)
         self._preflight = Preflight()
-        self._citizen: Citizen | None = None
+        self._component: Component | None = None
         self._time_asked = 0
         self._plan = PendingPlan()
         self._keeper = checkpoint.Keeper()
@@ -294,7 +294,7 @@ class Session:
             self._look_for_duplicates(heard)
         if not is_read:
             return
-        if number in SERVED:
+        if number in REQUESTS:
             self._serve(heard)
         if role is not None:
             handler = _HANDLERS.get((role, number)) or _OTHERS[role]
@@ -394,7 +394,7 @@ class Session:
         self.vehicle = VehicleSide.found(message, self.context)
         driving = None
         if self.vehicle is not None:
-            self._citizen = Citizen(self.mission, system, self.state.task, self._version)
+            self._component = Component(self.mission, system, self.state.task, self._version)
             driving = self.vehicle.autopilot.driving
         found: dict[str, Any] = {"system_id": system, "name": name}
         self._note("vehicle found", **found)
@@ -402,10 +402,10 @@ class Session:
 
     def _serve(self, heard: Incoming) -> None:
         """What others ask of the companion itself."""
-        if (citizen := self._citizen) is None:
+        if (component := self._component) is None:
             return
         self._due_s = -math.inf
-        served = citizen.on_message(heard.message, self.now_s)
+        served = component.on_message(heard.message, self.now_s)
         reply = self._send_all if heard.link == VEHICLE else self._outbox.tell_ground
         (self._tell_all if served.is_for_all else reply)(served.replies)
         if served.note is not None:
@@ -414,12 +414,12 @@ class Session:
             self._say(served.text, warning=True)
         if served.order is not None:
             verdict = changes.verdict(self.state, served.order)
-            reply(citizen.order_done(served.order, verdict))
+            reply(component.order_done(served.order, verdict))
             if verdict is changes.Verdict.ACCEPTED:
                 self._handle(served.order)
             else:
                 self._say(changes.why_not(self.state, served.order), warning=True)
-        if served.changed is not None:
+        if served.task is not None:
             task = replace(served.task, zones=self.state.given.zones)
             self._handle(events.SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
 
@@ -487,9 +487,9 @@ class Session:
             self._send_all(self.vehicle.on_time(now_s, at_s))
             while self.vehicle.notes:
                 self._say(self.vehicle.notes.pop(0), warning=False)
-        if self._citizen is not None:
+        if self._component is not None:
             faulted = self.state.phase is Phase.FAULTED or self._end is not None
-            self._tell_all(self._citizen.on_time(now_s, self.state, faulted=faulted))
+            self._tell_all(self._component.on_time(now_s, self.state, faulted=faulted))
         elif self._end is None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._mode_asked_at_s = now_s  # nobody is known yet: only that we are here
             self._tell_all([heartbeat(wire.MAV_STATE_STANDBY)])
@@ -502,10 +502,10 @@ class Session:
     def _set_timer(self) -> None:
         """When housekeeping is due again, if nothing happens before that."""
         self._due_s, self._due_at_s = -math.inf, math.inf
-        vehicle, citizen = self.vehicle, self._citizen
-        if vehicle is None or citizen is None or self._end is not None or self._texts.is_waiting:
+        vehicle, component = self.vehicle, self._component
+        if vehicle is None or component is None or self._end is not None or self._texts.is_waiting:
             return
-        self._due_s = min(vehicle.due_s, citizen.due_s)
+        self._due_s = min(vehicle.due_s, component.due_s)
         self._due_at_s = vehicle.due_at_s
 
     def _keep(self, *, at_once: bool = False) -> None:

@@ -12,6 +12,7 @@ from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
 from companion.mavlink.link import Output
 from companion.mission.state import Phase, Reason
+from companion.planner.adjustable import PARAMETERS
 from companion.replay.told import session_of, start_of, tell
 from companion.session import Session
 
@@ -94,6 +95,16 @@ def test_a_value_that_is_set_is_told_to_everybody() -> None:
     for frames in (it.to_ground, it.frames[here:]):
         [value] = of("PARAM_VALUE", frames)
         assert value.param_value == 600.0
+
+
+def test_the_list_of_its_parameters_comes_there_and_to_everybody() -> None:
+    it = flying()
+    it.hear(wire.MAVLink_param_request_list_message(1, 0))
+    for _ in range(20):
+        it.tick()
+    for frames in (it.to_ground, it.frames):
+        names = [value.param_id for value in of("PARAM_VALUE", frames)]
+        assert names == [parameter.name for parameter in PARAMETERS]
 
 
 def test_no_word_of_a_vehicle_counts_there() -> None:

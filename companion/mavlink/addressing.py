@@ -1,9 +1,13 @@
-"""Who a message is for, and whose word counts (mavlink.md 2.1 and C11)."""
+"""Who a message is for, whose word counts (mavlink.md 2.1 and C11), and what it is answered."""
 
 import enum
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, final
 
 from companion.mavlink.dialect import Message
+from companion.mission.events import Order
+from companion.planner.settings import Task
 
 Ids = tuple[int, int]
 """System and component id."""
@@ -18,6 +22,26 @@ class Address(enum.Enum):
     US = "us, by system and component"
     EVERYBODY = "us and others: one of its two ids is 0"
     OTHERS = "others"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reply:
+    """What follows from a message that asks something of the companion."""
+
+    replies: Sequence[Message] = ()
+    """To be sent now."""
+    is_for_all: bool = False
+    """Whether everybody is to hear them, not only who has asked."""
+    order: Order | None = None
+    """To be obeyed; its ACK is what `order_done` gives."""
+    note: dict[str, Any] | None = None
+    """For the journal."""
+    text: str = ""
+    """Why it was refused, for people; empty if there is nothing to say."""
+    changed: str = ""
+    """What of the planner's settings was changed, to `task`: name = value."""
+    task: Task | None = None
 
 
 def address_of(message: Message, ours: Ids) -> Address:

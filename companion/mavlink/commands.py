@@ -1,25 +1,41 @@
-"""What each command means that the companion understands: an order, a question, or why not.
+"""Commands that people give to the companion: COMMAND_LONG and COMMAND_INT, and their ACKs.
 
-Who asks, and how it is answered, is `command_server`'s part.  Values that an order does not need
-are not read; those that it needs are finite and in range, or it is denied with words.
+Each command addressed to us, by system and component, is answered once (mavlink.md 2.5).  Of what
+is broadcast only questions are answered: MISSION_START or RETURN_TO_LAUNCH to everybody is for the
+autopilot, which obeys it too.  Orders are taken from the senders that the configuration names, and
+from nobody else; questions from everybody.  Nothing that we are told takes long, so there is
+nothing that COMMAND_CANCEL could cancel.  Values that an order does not need are not read; those
+that it needs are finite and in range, or it is denied with words.
 """
 
 import enum
 import math
 import struct
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import final
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Final, final
 
 from companion.geodesy import LocalFrame, deg
+from companion.mavlink.addressing import (
+    Address,
+    Ids,
+    Reply,
+    address_of,
+    may_command,
+    sender_of,
+    written,
+)
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.presence import AUTOPILOT_VERSION, Presence
-from companion.mission.events import OrderKind
+from companion.mission.events import Order, OrderKind
 from companion.path.limits import Limits
 
+MESSAGES: Final = (wire.MAVLINK_MSG_ID_COMMAND_LONG, wire.MAVLINK_MSG_ID_COMMAND_INT)
 _SLOWEST_M_S = 0.1
 _SLOWEST_SHARE = 0.75  # of a plane's speed: nobody knows here when it stalls
 _LARGEST_FLOAT = 3.4e38
+_SAME_S = 5.0  # a command that comes again within this time may be the same one
+_MOST_SENDERS = 64
 _FRAMES = frozenset(
     {
         wire.MAV_FRAME_GLOBAL,
@@ -44,7 +60,7 @@ class Result(enum.IntEnum):
 
 @final
 @dataclass(frozen=True, slots=True)
-class Meaning:
+class _Meaning:
     """What becomes of one command."""
 
     result: Result
@@ -56,131 +72,178 @@ class Meaning:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Command:
-    """A command in either form."""
+@dataclass(slots=True, kw_only=True)
+class _Given:
+    """An order that somebody has given."""
 
+    sender: Ids
     message: Message
-    parameters: tuple[float, float, float, float]
-    confirmation: int | None
-    """None for a COMMAND_INT, which has none."""
-    values: str = field(init=False, repr=False)
-    """All of them but the confirmation, as text: NaN does not equal itself."""
-
-    def __post_init__(self) -> None:
-        names = [name for name in self.message.get_fieldnames() if name != "confirmation"]
-        values = [getattr(self.message, name) for name in names]
-        object.__setattr__(self, "values", repr((self.message.get_type(), *values)))
-
-    @property
-    def number(self) -> int:
-        """MAV_CMD."""
-        return int(self.message.command)
-
-
-def speed_bounds_m_s(limits: Limits) -> tuple[float, float]:
-    """The speeds that a mission may be told to fly: never faster than it says itself."""
-    fastest = limits.speed_m_s
-    return (_SLOWEST_M_S if limits.hovers else _SLOWEST_SHARE * fastest), fastest
+    order: Order
+    result: Result = Result.IN_PROGRESS
 
 
 @final
-class Commands:
-    """The commands that the companion understands.
+class CommandServer:
+    """Answers commands; what flies is decided by the mission machine.  Pure: time is an argument.
 
-    frame: the mission's; limits: its own, before anybody changed them; presence: what can be asked
-    for.
+        reply = server.on_message(message, now_s)
+        if reply.order is not None:            # give it to the machine, then
+            send(server.order_done(reply.order, accepted))
+
+    ours: our ids; commanders: who may give orders (0: any id); frame: the mission's; limits: its
+    own, before anybody changed them; presence: what can be asked for.
     """
 
-    def __init__(self, *, frame: LocalFrame, limits: Limits, presence: Presence) -> None:
-        self._frame = frame
-        self._limits = limits
-        self._presence = presence
+    def __init__(
+        self,
+        *,
+        ours: Ids,
+        commanders: Iterable[Ids],
+        frame: LocalFrame,
+        limits: Limits,
+        presence: Presence,
+    ) -> None:
+        self._ours, self._commanders = ours, tuple(commanders)
+        self._frame, self._limits, self._presence = frame, limits, presence
+        self._last: dict[Ids, _Given] = {}
+        """The last order of each sender, the newest at the end."""
 
-    def answer_to(self, command: Command) -> Meaning | None:
-        """To a question; None for what is none."""
-        question = _QUESTIONS.get(command.number)
-        return None if question is None else question(self, command)
+    def on_message(self, message: Message, now_s: float) -> Reply:
+        """Answer a command; any other message, and one that is not for us, gives nothing."""
+        if message.get_msgId() not in MESSAGES:
+            return Reply()
+        match address_of(message, self._ours):
+            case Address.US:
+                return self._for_us(message, now_s)
+            case Address.EVERYBODY:
+                return self._for_everybody(message)
+            case Address.OTHERS:
+                return Reply()
 
-    def is_order(self, command: Command) -> bool:
-        """Whether it is one that only commanders may give."""
-        return command.number in _ORDERS
+    def order_done(
+        self, order: Order, accepted: bool, *, invalid: bool = False
+    ) -> tuple[Message, ...]:
+        """The ACK of an order that the machine has taken, or not.
 
-    def meaning_of(self, command: Command) -> Meaning:
-        """Of anything else."""
-        order = _ORDERS.get(command.number)
-        return Meaning(Result.UNSUPPORTED) if order is None else order(self, command)
+        invalid: it could never be obeyed as it is (DENIED); otherwise it may be tried again later.
+        Empty for an order that is not waiting for its ACK.
+        """
+        for given in self._last.values():
+            if given.order is order and given.result is Result.IN_PROGRESS:
+                refused = Result.DENIED if invalid else Result.TEMPORARILY_REJECTED
+                given.result = Result.ACCEPTED if accepted else refused
+                return (_ack(given.message, given.result),)
+        return ()
 
-    def _request_message(self, command: Command) -> Meaning:
-        number = _whole(command.parameters[0])
-        if number is None or not self._presence.ask(number):
-            return Meaning(Result.DENIED)
-        return Meaning(Result.ACCEPTED)
+    def _for_us(self, message: Message, now_s: float) -> Reply:
+        sender = sender_of(message)
+        before = self._last.get(sender)
+        if before is not None and _is_repeated(message, before, now_s):
+            return Reply(replies=(_ack(message, before.result),))
+        meaning = self._meaning(message, sender)
+        note = {"kind": "command", "sender": written(sender), "command": message.command}
+        if meaning.order is None:
+            note |= {"result": meaning.result.name.lower(), "why": meaning.text}
+            replies = (_ack(message, meaning.result), *meaning.replies)
+            return Reply(replies=replies, note=note, text=meaning.text)
+        order = Order(
+            time_s=now_s,
+            kind=meaning.order,
+            target_ne_m=meaning.target_ne_m,
+            speed_m_s=meaning.speed_m_s,
+            sender=written(sender),
+        )
+        self._last.pop(sender, None)
+        self._last[sender] = _Given(sender=sender, message=message, order=order)
+        if len(self._last) > _MOST_SENDERS:
+            del self._last[next(iter(self._last))]
+        return Reply(order=order, note={**note, "order": order.kind.name.lower()})
 
-    def _capabilities(self, command: Command) -> Meaning:
-        if command.parameters[0] != 1.0 or not self._presence.ask(AUTOPILOT_VERSION):
-            return Meaning(Result.DENIED)
-        return Meaning(Result.ACCEPTED)
+    def _for_everybody(self, message: Message) -> Reply:
+        """Of what is broadcast, the questions that we have an answer to; never an order."""
+        question = _QUESTIONS.get(message.command)
+        meaning = None if question is None else question(self, message)
+        if meaning is None or meaning.result is not Result.ACCEPTED:
+            return Reply()
+        return Reply(replies=(_ack(message, meaning.result), *meaning.replies))
 
-    def _get_interval(self, command: Command) -> Meaning:
-        number = _whole(command.parameters[0])
+    def _meaning(self, message: Message, sender: Ids) -> _Meaning:
+        if (question := _QUESTIONS.get(message.command)) is not None:
+            return question(self, message)
+        if (order := _ORDERS.get(message.command)) is None:
+            return _Meaning(Result.UNSUPPORTED)
+        if not may_command(sender, self._commanders):
+            who = f"{written(sender)} may not command: see link.commanders"
+            return _Meaning(Result.DENIED, who)
+        return order(self, message)
+
+    # --- questions
+
+    def _request_message(self, message: Message) -> _Meaning:
+        number = _whole(message.param1)
+        asked = number is not None and self._presence.ask(number)
+        return _Meaning(Result.ACCEPTED if asked else Result.DENIED)
+
+    def _capabilities(self, message: Message) -> _Meaning:
+        asked = message.param1 == 1.0 and self._presence.ask(AUTOPILOT_VERSION)
+        return _Meaning(Result.ACCEPTED if asked else Result.DENIED)
+
+    def _get_interval(self, message: Message) -> _Meaning:
+        number = _whole(message.param1)
         interval_us = 0 if number is None else self._presence.interval_us(number)
         if number is None or interval_us == 0:
-            return Meaning(Result.DENIED)
+            return _Meaning(Result.DENIED)
         reply = wire.MAVLink_message_interval_message(number, interval_us)
-        return Meaning(Result.ACCEPTED, replies=(reply,))
+        return _Meaning(Result.ACCEPTED, replies=(reply,))
 
-    def _set_interval(self, command: Command) -> Meaning:
-        number, interval_us = _whole(command.parameters[0]), command.parameters[1]
+    # --- orders
+
+    def _set_interval(self, message: Message) -> _Meaning:
+        number, interval_us = _whole(message.param1), message.param2
         if number is None or not math.isfinite(interval_us):
-            return Meaning(Result.DENIED)
+            return _Meaning(Result.DENIED)
         accepted = self._presence.set_interval(number, interval_us)
-        return Meaning(Result.ACCEPTED if accepted else Result.DENIED)
+        return _Meaning(Result.ACCEPTED if accepted else Result.DENIED)
 
-    def _start(self, command: Command) -> Meaning:
-        first = command.parameters[0]
-        if not (math.isnan(first) or first == 0.0):
-            return Meaning(Result.DENIED, "start: only from the first item, param1 = 0")
-        return Meaning(Result.ACCEPTED, order=OrderKind.START)
+    def _start(self, message: Message) -> _Meaning:
+        if not (math.isnan(message.param1) or message.param1 == 0.0):
+            return _Meaning(Result.DENIED, "start: only from the first item, param1 = 0")
+        return _Meaning(Result.ACCEPTED, order=OrderKind.START)
 
-    def _pause_or_continue(self, command: Command) -> Meaning:
-        kinds = {0.0: OrderKind.PAUSE, 1.0: OrderKind.CONTINUE}
-        kind = kinds.get(command.parameters[0])
+    def _pause_or_continue(self, message: Message) -> _Meaning:
+        kind = {0.0: OrderKind.PAUSE, 1.0: OrderKind.CONTINUE}.get(message.param1)
         if kind is None:
-            return Meaning(Result.DENIED, "pause: param1 must be 0 (pause) or 1 (continue)")
-        return Meaning(Result.ACCEPTED, order=kind)
+            return _Meaning(Result.DENIED, "pause: param1 must be 0 (pause) or 1 (continue)")
+        return _Meaning(Result.ACCEPTED, order=kind)
 
-    def _return(self, _command: Command) -> Meaning:
-        return Meaning(Result.ACCEPTED, order=OrderKind.RETURN)
+    def _return(self, _message: Message) -> _Meaning:
+        return _Meaning(Result.ACCEPTED, order=OrderKind.RETURN)
 
-    def _change_speed(self, command: Command) -> Meaning:
-        of_what, speed = command.parameters[0], meant(command.parameters[1])
-        if of_what not in (wire.SPEED_TYPE_AIRSPEED, wire.SPEED_TYPE_GROUNDSPEED):
-            return Meaning(Result.DENIED, "speed: its type, param1, must be 0 or 1")
+    def _change_speed(self, message: Message) -> _Meaning:
+        speed = meant(message.param2)
+        if message.param1 not in (wire.SPEED_TYPE_AIRSPEED, wire.SPEED_TYPE_GROUNDSPEED):
+            return _Meaning(Result.DENIED, "speed: its type, param1, must be 0 or 1")
         if speed == -1.0:  # no change
-            return Meaning(Result.ACCEPTED)
+            return _Meaning(Result.ACCEPTED)
         speed = self._limits.speed_m_s if speed == -2.0 else speed  # the default
         if refusal := self._too_fast_or_slow(speed):
-            return Meaning(Result.DENIED, refusal)
-        return Meaning(Result.ACCEPTED, order=OrderKind.SPEED, speed_m_s=speed)
+            return _Meaning(Result.DENIED, refusal)
+        return _Meaning(Result.ACCEPTED, order=OrderKind.SPEED, speed_m_s=speed)
 
-    def _reposition(self, command: Command) -> Meaning:
+    def _reposition(self, message: Message) -> _Meaning:
         """A new target; its altitude is free within the band, so the one given is not read."""
-        message = command.message
         if message.get_type() == "COMMAND_INT" and message.frame not in _FRAMES:
             text = f"reposition: frame {message.frame} is not one of 0, 3, 5, 6"
-            return Meaning(Result.UNSUPPORTED_MAV_FRAME, text)
+            return _Meaning(Result.UNSUPPORTED_MAV_FRAME, text)
         target = self._target_ne_m(message)
         if target is None:
-            return Meaning(Result.DENIED, "reposition: give a place on the mission's map")
-        speed = meant(command.parameters[0])
-        if math.isnan(speed) or speed <= 0.0:  # not given: as it is
-            return Meaning(Result.ACCEPTED, order=OrderKind.REPOSITION, target_ne_m=target)
+            return _Meaning(Result.DENIED, "reposition: give a place on the mission's map")
+        kind, speed = OrderKind.REPOSITION, meant(message.param1)
+        if not speed > 0.0:  # not given: as it is
+            return _Meaning(Result.ACCEPTED, order=kind, target_ne_m=target)
         if refusal := self._too_fast_or_slow(speed):
-            return Meaning(Result.DENIED, refusal)
-        return Meaning(
-            Result.ACCEPTED, order=OrderKind.REPOSITION, target_ne_m=target, speed_m_s=speed
-        )
+            return _Meaning(Result.DENIED, refusal)
+        return _Meaning(Result.ACCEPTED, order=kind, target_ne_m=target, speed_m_s=speed)
 
     def _too_fast_or_slow(self, speed_m_s: float) -> str:
         low, high = speed_bounds_m_s(self._limits)
@@ -206,37 +269,54 @@ class Commands:
         return (north, east) if on_map else None
 
 
-_Handler = Callable[[Commands, Command], Meaning]
+_Handler = Callable[[CommandServer, Message], _Meaning]
 
-_QUESTIONS: dict[int, _Handler] = {
-    wire.MAV_CMD_REQUEST_MESSAGE: Commands._request_message,
-    wire.MAV_CMD_GET_MESSAGE_INTERVAL: Commands._get_interval,
-    wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: Commands._capabilities,
+_QUESTIONS: Final[dict[int, _Handler]] = {
+    wire.MAV_CMD_REQUEST_MESSAGE: CommandServer._request_message,
+    wire.MAV_CMD_GET_MESSAGE_INTERVAL: CommandServer._get_interval,
+    wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: CommandServer._capabilities,
 }
 """What everybody may ask, even everybody at once."""
 
-_ORDERS: dict[int, _Handler] = {
-    wire.MAV_CMD_SET_MESSAGE_INTERVAL: Commands._set_interval,
-    wire.MAV_CMD_MISSION_START: Commands._start,
-    wire.MAV_CMD_DO_PAUSE_CONTINUE: Commands._pause_or_continue,
-    wire.MAV_CMD_DO_REPOSITION: Commands._reposition,
-    wire.MAV_CMD_DO_CHANGE_SPEED: Commands._change_speed,
-    wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: Commands._return,
+_ORDERS: Final[dict[int, _Handler]] = {
+    wire.MAV_CMD_SET_MESSAGE_INTERVAL: CommandServer._set_interval,
+    wire.MAV_CMD_MISSION_START: CommandServer._start,
+    wire.MAV_CMD_DO_PAUSE_CONTINUE: CommandServer._pause_or_continue,
+    wire.MAV_CMD_DO_REPOSITION: CommandServer._reposition,
+    wire.MAV_CMD_DO_CHANGE_SPEED: CommandServer._change_speed,
+    wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: CommandServer._return,
 }
 """What only commanders may."""
 
 
-def command_of(message: Message) -> Command | None:
-    """A COMMAND_LONG or COMMAND_INT; None for any other message."""
-    match message.get_type():
-        case "COMMAND_LONG":
-            confirmation = message.confirmation
-        case "COMMAND_INT":
-            confirmation = None
-        case _:
-            return None
-    parameters = (message.param1, message.param2, message.param3, message.param4)
-    return Command(message=message, parameters=parameters, confirmation=confirmation)
+def _is_repeated(message: Message, before: _Given, now_s: float) -> bool:
+    """Whether a command is the sender's last order sent again because its ACK was lost.
+
+    A COMMAND_LONG says so itself.  A COMMAND_INT cannot: it is taken for the same one if that was
+    accepted just before; one that was refused may be tried again.
+    """
+    age_s = now_s - before.order.time_s
+    if _values(message) != _values(before.message) or not 0.0 <= age_s <= _SAME_S:
+        return False
+    if message.get_type() == "COMMAND_LONG":
+        return bool(message.confirmation > 0)
+    return before.result in (Result.ACCEPTED, Result.IN_PROGRESS)
+
+
+def _values(message: Message) -> str:
+    """All of them but the confirmation, as text: NaN does not equal itself."""
+    return repr({**message.to_dict(), "confirmation": None})
+
+
+def _ack(message: Message, result: Result) -> Message:
+    """The ACK of a command, for who gave it."""
+    return wire.MAVLink_command_ack_message(message.command, int(result), 0, 0, *sender_of(message))
+
+
+def speed_bounds_m_s(limits: Limits) -> tuple[float, float]:
+    """The speeds that a mission may be told to fly: never faster than it says itself."""
+    fastest = limits.speed_m_s
+    return (_SLOWEST_M_S if limits.hovers else _SLOWEST_SHARE * fastest), fastest
 
 
 def meant(value: float) -> float:

@@ -91,21 +91,6 @@ class Targets:
 # --- fence ----------------------------------------------------------------------------------------
 
 
-def zones_of(
-    items: Sequence[PlanItem],
-    frame: LocalFrame,
-    parameters: Mapping[str, float],
-    *,
-    home_nea_m: Vector | None = None,
-    here_ne_m: Point | None = None,
-) -> Fence:
-    """The zones of a fence: its items (`Drawing`), and what parameters make of it (`in_force`)."""
-    drawing = Drawing(items, frame, margin_m(parameters))
-    while (drawn := drawing.go_on()) is None:
-        pass
-    return in_force(drawn, parameters, home_nea_m=home_nea_m, here_ne_m=here_ne_m)
-
-
 def margin_m(parameters: Mapping[str, float]) -> float:
     """How far off its fence an autopilot keeps by itself."""
     return max(_finite(parameters.get("FENCE_MARGIN", 0.0)), 0.0)

@@ -9,7 +9,15 @@ import math
 from collections.abc import Iterable
 from typing import final
 
-from companion.mavlink.addressing import Address, Ids, address_of, may_command, sender_of, written
+from companion.mavlink.addressing import (
+    Address,
+    Ids,
+    Reply,
+    address_of,
+    may_command,
+    sender_of,
+    written,
+)
 from companion.mavlink.commands import meant, speed_bounds_m_s
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import FenceChanged
@@ -50,31 +58,26 @@ class ParameterServer:
         self.airborne = False
         """Whether the vehicle flies: the cells of its map cannot change then."""
         self.ours = ours
-        self.changed: str | None = None
-        """What the last message has changed: name = value."""
-        self.refused: str | None = None
-        """Why the last message has changed nothing, although it should have."""
         self._commanders = tuple(commanders)
         self._slowest_m_s, self._fastest_m_s = speed_bounds_m_s(task.limits)
         self._next = len(PARAMETERS)
         """Of a list that is being sent, the index of what comes next."""
         self._sent_at_s = -math.inf
 
-    def on_message(self, message: Message, now_s: float) -> list[Message]:
+    def on_message(self, message: Message, now_s: float) -> Reply:
         """Answer a message of the parameter protocol that is for us; any other gives nothing."""
-        self.changed = self.refused = None
         kind = message.get_type()
         if kind not in ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"):
-            return []
+            return Reply()
         address = address_of(message, self.ours)
         if kind == "PARAM_SET":
-            return self._on_set(message) if address is Address.US else []
+            return self._on_set(message) if address is Address.US else Reply()
         if address is Address.OTHERS:
-            return []
+            return Reply()
         if kind == "PARAM_REQUEST_READ":
-            return self._on_read(message)
+            return Reply(replies=self._on_read(message), is_for_all=True)
         self._next, self._sent_at_s = 0, -math.inf
-        return self.on_time(now_s)
+        return Reply(replies=self.on_time(now_s), is_for_all=True)
 
     def on_time(self, now_s: float) -> list[Message]:
         """The next value of a list that was asked for, if it is time for one."""
@@ -111,29 +114,34 @@ class ParameterServer:
             index = _BY_NAME.get(message.param_id, -1)
         return [self._value(index)] if 0 <= index < len(PARAMETERS) else []
 
-    def _on_set(self, message: Message) -> list[Message]:
+    def _on_set(self, message: Message) -> Reply:
+        """Whatever becomes of it, everybody hears the value as it is then."""
         index = _BY_NAME.get(message.param_id)
         if index is None:
-            self.refused = f"{message.param_id!r}: there is no such parameter"
-            return [_error(message, -1, wire.MAV_PARAM_ERROR_DOES_NOT_EXIST)]
+            unknown = _error(message, -1, wire.MAV_PARAM_ERROR_DOES_NOT_EXIST)
+            text = f"{message.param_id!r}: there is no such parameter"
+            return Reply(replies=[unknown], is_for_all=True, text=text)
         parameter, value = PARAMETERS[index], meant(message.param_value)
         sender, error = sender_of(message), wire.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
+        refused = changed = ""
         if not may_command(sender, self._commanders):
-            self.refused = f"{parameter.name}: {written(sender)} may not set it: link.commanders"
+            refused = f"{parameter.name}: {written(sender)} may not set it: link.commanders"
             error = wire.MAV_PARAM_ERROR_PERMISSION_DENIED
         elif message.param_type != wire.MAV_PARAM_TYPE_REAL32:
-            self.refused = f"{parameter.name}: its type is REAL32 (9), not {message.param_type}"
+            refused = f"{parameter.name}: its type is REAL32 (9), not {message.param_type}"
         elif value != parameter.value(self.task):
-            self._set(parameter, value)
-        told = [self._value(index)]
-        return told if self.refused is None else [*told, _error(message, index, error)]
-
-    def _set(self, parameter: Parameter, value: float) -> None:
-        if refusal := parameter.refusal(value) or self._refusal(parameter, value):
-            self.refused = f"{parameter.name} = {value:g}: {refusal}"
-        else:
-            self.task = parameter.changed(self.task, value)
-            self.changed = f"{parameter.name} = {value:g}"
+            changed = f"{parameter.name} = {value:g}"
+            if refusal := parameter.refusal(value) or self._refusal(parameter, value):
+                refused, changed = f"{changed}: {refusal}", ""
+            else:
+                self.task = parameter.changed(self.task, value)
+        return Reply(
+            replies=[self._value(index), *([_error(message, index, error)] if refused else [])],
+            is_for_all=True,
+            text=refused,
+            changed=changed,
+            task=self.task if changed else None,
+        )
 
     def _refusal(self, parameter: Parameter, value: float) -> str:
         """What the flight and the mission have against a value."""

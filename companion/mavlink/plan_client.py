@@ -5,7 +5,6 @@ few seconds and everything is read again now and then; PX4 tells the ids of its 
 mavlink.md 2.3 and 2.5, px4.md 7.
 """
 
-import enum
 import math
 import struct
 from dataclasses import dataclass, field
@@ -34,8 +33,9 @@ _FEW: Final = 24
 _LIST_S: Final = 1.5
 """For the first answer; once it is known how long answers take, four times that."""
 _ITEM_S: Final = 0.25
-_MOST_TRIES: Final = {True: 5, False: 12}
-"""Of asking for a list (True), or for an item: a list of sixty must come at 25 % loss too."""
+_MOST_LIST_TRIES: Final = 5
+_MOST_ITEM_TRIES: Final = 12
+"""A list of sixty must come at 25 % loss too."""
 _LATER_S: Final = 1.0
 """After a refusal: somebody else is transferring."""
 _LONGEST: Final = 10_000
@@ -64,11 +64,8 @@ class PlanItem:
     @property
     def key(self) -> bytes:
         """Equal for equal items, also where a parameter is not a number."""
-        return struct.pack("<BH4f2if", *self._fields)
-
-    @property
-    def _fields(self) -> tuple[float, ...]:
-        return (self.frame, self.command, *self.parameters, self.x, self.y, self.z_m)
+        values = self.frame, self.command, *self.parameters, self.x, self.y, self.z_m
+        return struct.pack("<BH4f2if", *values)
 
 
 @final
@@ -83,11 +80,6 @@ class Plan:
     """Whether the autopilot has this kind of list at all."""
 
 
-class _Doing(enum.Enum):
-    LOOKING = "asking how many"
-    READING = "reading"
-
-
 @final
 @dataclass(slots=True)
 class _Transfer:
@@ -95,7 +87,8 @@ class _Transfer:
 
     kind: int
     only_look: bool
-    doing: _Doing = _Doing.LOOKING
+    reads: bool = False
+    """Items; else it is asked how many there are."""
     asked_s: float = -math.inf
     tries: int = 0
     count: int = 0
@@ -217,7 +210,7 @@ class PlanClient:
                 watch.due_s = watch.read_s = -math.inf
 
     def _on_count(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
-        if transfer.doing is not _Doing.LOOKING:
+        if transfer.reads:
             return []
         opaque_id = struct.unpack_from("<I", _payload(message, 9), 5)[0]
         if transfer.tries == 1:  # so this is the answer to that request
@@ -234,11 +227,11 @@ class PlanClient:
         transfer.count, transfer.opaque_id = message.count, opaque_id
         if message.count == 0:
             return self._complete(transfer, now_s)
-        transfer.doing, transfer.tries = _Doing.READING, 0
+        transfer.reads, transfer.tries = True, 0
         return [self._ask(transfer, now_s)]
 
     def _on_item(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
-        if transfer.doing is not _Doing.READING or message.seq != len(transfer.items):
+        if not transfer.reads or message.seq != len(transfer.items):
             return []  # one that has come already, after it was asked for twice
         transfer.smooth &= now_s - transfer.asked_s <= _ITEM_S
         transfer.items.append(
@@ -320,11 +313,11 @@ class PlanClient:
         if transfer is None:
             transfer = self._transfer = self._next(now_s)
             return [] if transfer is None else [self._ask(transfer, now_s)]
-        wait_s = self._list_s if transfer.doing is _Doing.LOOKING else transfer.item_s
+        wait_s = transfer.item_s if transfer.reads else self._list_s
         if now_s - transfer.asked_s < wait_s:
             return []
         transfer.smooth = False
-        if transfer.tries < _MOST_TRIES[transfer.doing is _Doing.LOOKING]:
+        if transfer.tries < (_MOST_ITEM_TRIES if transfer.reads else _MOST_LIST_TRIES):
             return [self._ask(transfer, now_s)]
         over = self._ack(transfer.kind, wire.MAV_MISSION_OPERATION_CANCELLED)
         return [over, *self._fail(transfer, "no answer", now_s)]
@@ -335,7 +328,7 @@ class PlanClient:
         transfer = self._transfer
         if transfer is None:
             return min(watch.due_s for watch in self._watches.values())
-        wait_s = self._list_s if transfer.doing is _Doing.LOOKING else transfer.item_s
+        wait_s = transfer.item_s if transfer.reads else self._list_s
         return transfer.asked_s + wait_s
 
     def _next(self, now_s: float) -> _Transfer | None:
@@ -354,7 +347,7 @@ class PlanClient:
         transfer.asked_s = now_s
         transfer.tries += 1
         to = (self._system_id, AUTOPILOT_COMPONENT)
-        if transfer.doing is _Doing.LOOKING:
+        if not transfer.reads:
             return wire.MAVLink_mission_request_list_message(*to, transfer.kind)
         seq = len(transfer.items)
         return wire.MAVLink_mission_request_int_message(*to, seq, transfer.kind)

@@ -19,7 +19,7 @@ from typing import Final, final
 
 from fastcrc.crc16 import mcrf4xx
 
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import wire
 
 KEY_BYTES: Final = 32
 TICKS_PER_S: Final = 100_000
@@ -76,11 +76,6 @@ def timestamp_of(clock_s: float) -> int:
 def is_signed(frame: bytes) -> bool:
     """Whether a whole frame carries a signature."""
     return frame[0] == _MARKER and bool(frame[2] & _SIGNED)
-
-
-def is_secret(message: Message) -> bool:
-    """Whether a message carries a key or a password: it must not get into a log."""
-    return message.get_msgId() in SECRETS
 
 
 def strip_signature(frame: bytes) -> bytes:

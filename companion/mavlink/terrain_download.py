@@ -1,4 +1,4 @@
-"""One scan of the terrain radar, over TERRAIN_REQUEST, TERRAIN_DATA and TERRAIN_REPORT.
+"""Scans of the terrain radar, one at a time, over TERRAIN_REQUEST, TERRAIN_DATA and TERRAIN_REPORT.
 
 Requests cover 28 x 32 cells: 7 x 8 blocks of 4 x 4 (message definition: "row major 8x7 array
 of grids").  One is outstanding; what it leaves unanswered is asked for again, and stays unknown
@@ -9,15 +9,20 @@ and how far its corners are off is part of the answer (design section 4).
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
 from companion.geodesy import LocalFrame, deg, deg_e7, offset_deg
 from companion.mavlink.dialect import Message, wire
+from companion.mission.events import ScanDone, Vector
+from companion.mission.mission import Mission
+from companion.mission.state import State
 from companion.world.known_map import NO_ANSWER, NOT_SEEN, KnownMap, Scan
 
+MESSAGES = (wire.MAVLINK_MSG_ID_TERRAIN_DATA, wire.MAVLINK_MSG_ID_TERRAIN_REPORT)
+"""What the radar says of a scan."""
 BLOCK = 4
 BLOCK_ROWS, BLOCK_COLUMNS = 7, 8
 ROWS, COLUMNS = BLOCK_ROWS * BLOCK, BLOCK_COLUMNS * BLOCK
@@ -25,6 +30,7 @@ _UNSEEN_WIRE = -32768
 _ANSWER_S = 1.0
 _PAUSE_S = 0.4  # between two answers: then the rest is lost
 _MOST_REQUESTS = 3  # of one area
+_TICKS = 2.0  # a radar's answer may be older by so many positions
 _ALIKE_M = 0.01  # distances that differ by less are the same: what is asked hangs on no last digit
 
 
@@ -228,15 +234,7 @@ class TerrainDownload:
         area = self._area
         assert area is not None
         if self._left and self._tries[area.row, area.column] < _MOST_REQUESTS:
-            again = Area(
-                row=area.row,
-                column=area.column,
-                mask=self._left,
-                latitude_e7=area.latitude_e7,
-                longitude_e7=area.longitude_e7,
-                registration_m=area.registration_m,
-            )
-            self._waiting.append(again)
+            self._waiting.append(replace(area, mask=self._left))
         self._area = None
 
     def scan(self) -> Scan:
@@ -258,7 +256,68 @@ class TerrainDownload:
         )
 
 
-def no_scan() -> Scan:
+@final
+class Scanning:
+    """The scan that is under way.  Sans-IO."""
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        self._download: TerrainDownload | None = None
+        self._done: ScanDone | None = None
+
+    @property
+    def is_on(self) -> bool:
+        """Whether there is a scan under way, or one that is over and was not told yet."""
+        return self._download is not None or self._done is not None
+
+    def begin(self, centre_nea_m: Vector, state: State, now_s: float) -> int:
+        """Look at what is within range of a point.  -> blocks of terrain to ask for."""
+        mission, task, flight = self._mission, state.task, state.flight
+        if mission.scanner_component_id is None:
+            self._done = ScanDone(time_s=now_s, scan=_no_scan(), asked=0, answered=0)
+            return 0
+        self._download = TerrainDownload(
+            flight.known,
+            centre_ne_m=centre_nea_m[:2],
+            towards_ne_m=state.targets_ne_m[flight.target],
+            range_m=task.settings.scan_range_m,
+            deadline_s=now_s + task.settings.scan_time_s,
+            drift_m=_TICKS / mission.position_rate_hz * task.limits.speed_m_s,
+            frame=mission.frame,
+            complete=mission.scanner_complete,
+            whole_width=mission.scanner_whole_width,
+        )
+        return self._download.asked
+
+    def stop(self) -> None:
+        """Forget it."""
+        self._download = self._done = None
+
+    def on_message(self, message: Message, here_nea_m: Vector | None) -> None:
+        """One of `MESSAGES`."""
+        if here_nea_m is not None and self._download is not None:
+            self._download.on_message(message, here_nea_m)
+
+    def on_time(self, now_s: float) -> Message | None:
+        """The next request, if it is time for one."""
+        return None if self._download is None else self._download.on_time(now_s)
+
+    def done(self, now_s: float) -> ScanDone | None:
+        """The scan, once it is over."""
+        download = self._download
+        if download is not None and download.is_over(now_s):
+            self._download = None
+            return ScanDone(
+                time_s=now_s,
+                scan=download.scan(),
+                asked=download.asked,
+                answered=download.answered,
+            )
+        done, self._done = self._done, None
+        return done
+
+
+def _no_scan() -> Scan:
     """The scan of a vehicle that has no radar: nothing was asked."""
     return Scan(
         row=0,

@@ -7,20 +7,42 @@
     /dev/ttyACM0, COM3,57600, serial:/dev/ttyUSB0:921600   a serial port; 57600 baud if not said
 
 A link loses what it cannot send at once, as a radio does, and never raises for what may come back:
-a peer that is away, a device that was pulled out.  One thread receives, one other may send.
+a peer that is away, a device that was pulled out.  One thread receives, one other may send.  What
+comes in over a stream (TCP, serial) is passed on in the pieces in which it comes; what goes out is
+frames, each whole or not at all: a peer that does not read loses the newest, and a loss of the
+stream loses all that was waiting.
 """
 
 import contextlib
+import math
+import os
 import select
 import socket
+import threading
+import time
 from collections.abc import Iterator, Sequence
 from types import TracebackType
-from typing import Protocol, Self, final
+from typing import Generic, Protocol, Self, TypeVar, final
+
+import serial
 
 from companion.runtime.connection import Address, Device, parsed, refused
-from companion.runtime.stream_links import SerialLink, TcpClient, TcpServer
+
+try:
+    from termios import error as _TerminalError
+except ImportError:  # Windows has no terminals of this kind
+    _TerminalError = OSError  # type: ignore[assignment,misc]
 
 LARGEST_DATAGRAM = 1400  # stays below the usual MTU
+_AGAIN_S = 0.5
+"""Between attempts to connect or to open again."""
+_PENDING_BYTES = 2048
+"""What may wait for a peer that reads slowly: half a second of setpoints, not more."""
+_PIECE_BYTES = 65536
+_UNANSWERED_MS = 5000  # a TCP peer that is gone without a word
+_LOST = (OSError, _TerminalError, TypeError, ValueError)
+"""What a stream raises that is gone; the last two, if it was closed just now."""
+_Stream = TypeVar("_Stream", socket.socket, serial.Serial)
 
 
 class Link(Protocol):
@@ -28,8 +50,8 @@ class Link(Protocol):
 
     @property
     def sender(self) -> object:
-        """Who sent what was received last; an argument of answer_to."""
-        ...
+        """Who sent what was received last, an argument of answer_to; None: there is only one."""
+        return None
 
     def receive(self, timeout_s: float) -> bytes | None:
         """The next datagram or piece of a stream, or None if none came in time."""
@@ -37,24 +59,26 @@ class Link(Protocol):
 
     def answer_to(self, sender: object) -> None:
         """From now on send there: that was the vehicle."""
-        ...
+        del sender
 
     def send(self, frames: list[bytes]) -> None:
         """Send frames, whole and in order, or lose them; never waits."""
         ...
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Let go of the port, the device or the peer; it is not opened again."""
         ...
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
-    ) -> None: ...
+    ) -> None:
+        self.close()
 
 
 def open_link(connection: str, option: str = "--connect") -> Link:
@@ -98,7 +122,7 @@ class GroundLinks:
 
 
 @final
-class UdpLink:
+class UdpLink(Link):
     """Datagrams to and from one peer: for udpin, the sender that turned out to be the vehicle."""
 
     def __init__(self, place: Address) -> None:
@@ -153,13 +177,218 @@ class UdpLink:
         """Let go of the port."""
         self._socket.close()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
+class _StreamLink(Link, Generic[_Stream]):
+    """One stream, or none at the moment: then receive() spends its time on getting one."""
+
+    def __init__(self) -> None:
+        self._stream: _Stream | None = None
+        self._pending = b""
+        self._lock = threading.Lock()
+        """Held while bytes are written: a stream that is closed under it is not written to."""
+        self._next_s = -math.inf
+        self._over = threading.Event()
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        """What has arrived, as soon as anything has; None if nothing came in time."""
+        stream = self._stream
+        if stream is None:
+            self._open(timeout_s)
+            return None
+        try:
+            data = self._read(stream, timeout_s)
+        except (BlockingIOError, InterruptedError):
+            return None
+        except _LOST:
+            data = b""
+        if data == b"":
+            self._drop()
+        return data or None
+
+    def send(self, frames: list[bytes]) -> None:
+        """Frames in order; dropped while there is no stream."""
+        stream = self._stream
+        if stream is None:
+            return
+        with self._lock:
+            for frame in frames:
+                if len(self._pending) + len(frame) > _PENDING_BYTES:
+                    self._flush(stream)
+                if len(self._pending) + len(frame) <= _PENDING_BYTES:
+                    self._pending += frame
+            self._flush(stream)
+
+    def _flush(self, stream: _Stream) -> None:
+        """Write what waits, as far as there is room; a stream that is lost leaves nothing."""
+        try:
+            while self._pending and (taken := self._write(stream, self._pending)):
+                self._pending = self._pending[taken:]
+        except BlockingIOError:
+            return
+        except _LOST:  # the receiving side notices, too
+            self._pending = b""
+
+    def close(self) -> None:
+        """Let go of the stream; no other is looked for, and whoever waits for one goes on."""
+        self._over.set()
+        self._drop()
+
+    def _drop(self) -> None:
+        """The stream is gone: a new one begins with a whole frame."""
+        stream, self._stream = self._stream, None
+        with self._lock, contextlib.suppress(OSError):
+            self._pending = b""
+            if stream is not None:
+                stream.close()
+
+    def _is_due(self, timeout_s: float) -> bool:
+        """Whether to try to get a stream now: at once, then every _AGAIN_S; never once closed.
+
+        If it is too early, waits until it is due, at most timeout_s.
+        """
+        wait_s = self._next_s - time.monotonic()
+        if wait_s > 0.0:
+            self._over.wait(min(wait_s, timeout_s))
+            return False
+        self._next_s = time.monotonic() + _AGAIN_S
+        return not self._over.is_set()
+
+    def _open(self, timeout_s: float) -> None:
+        """Try to get a stream, for so long."""
+        raise NotImplementedError
+
+    def _read(self, stream: _Stream, timeout_s: float) -> bytes | None:
+        """What has arrived; None: nothing in time; b"" or one of _LOST: the stream is gone."""
+        raise NotImplementedError
+
+    def _write(self, stream: _Stream, data: bytes) -> int:
+        """Write what there is room for; how many bytes that was."""
+        raise NotImplementedError
+
+
+class _TcpLink(_StreamLink[socket.socket]):
+    """The part that is the same whoever called whom."""
+
+    def _adopt(self, stream: socket.socket) -> None:
+        stream.setblocking(False)
+        stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):
+            stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MS)
+        self._drop()
+        self._stream = stream
+
+    def _read(self, stream: socket.socket, timeout_s: float) -> bytes | None:
+        ready = select.select([stream], (), (), timeout_s)[0]
+        return stream.recv(_PIECE_BYTES) if ready else None
+
+    def _write(self, stream: socket.socket, data: bytes) -> int:
+        return stream.send(data)
+
+
+@final
+class TcpClient(_TcpLink):
+    """tcp:HOST:PORT.  A peer that is not there (yet, or any more) is called again and again."""
+
+    def __init__(self, place: Address) -> None:
+        super().__init__()
+        self._address = place.resolved()
+        self._calling: socket.socket | None = None
+
+    def _open(self, timeout_s: float) -> None:
+        if self._calling is None:
+            if not self._is_due(timeout_s):
+                return
+            self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            self._calling.setblocking(False)
+            self._calling.connect_ex(self._address)
+        calling = self._calling
+        answered = select.select((), [calling], [calling], timeout_s)
+        if not (answered[1] or answered[2]):
+            return
+        self._calling = None
+        if calling.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            calling.close()
+        else:
+            self._adopt(calling)
+
+    def close(self) -> None:
+        """Let go of the stream, or of the attempt to get one; it is not called again."""
+        calling, self._calling = self._calling, None
+        if calling is not None:
+            calling.close()
+        super().close()
+
+
+@final
+class TcpServer(_TcpLink):
+    """tcpin:HOST:PORT.  Whoever connects is the vehicle; a newer connection replaces an older."""
+
+    def __init__(self, place: Address) -> None:
+        super().__init__()
+        address = place.resolved()
+        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._listener.setblocking(False)
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._listener.bind(address)
+            self._listener.listen(1)
+        except OSError as error:
+            self._listener.close()
+            raise refused(place, error) from error
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        """The next piece of the stream, or None if none came in time."""
+        wanted = [self._listener] if self._stream is None else [self._listener, self._stream]
+        ready = select.select(wanted, (), (), timeout_s)[0]
+        if self._listener in ready:
+            with contextlib.suppress(OSError):  # it has gone again already
+                self._adopt(self._listener.accept()[0])
+            return None
+        return super().receive(0.0) if ready else None
+
+    def close(self) -> None:
+        """Let go of the port and the stream."""
+        self._listener.close()
+        super().close()
+
+
+@final
+class SerialLink(_StreamLink[serial.Serial]):
+    """A serial port.  One that vanishes (a cable, a rebooting autopilot) is opened again."""
+
+    def __init__(self, place: Device) -> None:
+        super().__init__()
+        self._place = place
+        try:
+            self._stream = self._opened()
+        except OSError as error:  # SerialException is one
+            inner = error.__context__  # the words of the operating system, not pyserial's
+            plain = inner if isinstance(inner, OSError) and inner.strerror else error
+            raise refused(place, plain) from error
+        except ValueError as error:
+            raise refused(place, OSError(0, str(error))) from error
+
+    def _opened(self) -> serial.Serial:
+        """The port, with nothing left in it from before; OSError or ValueError if there is none."""
+        name, baud = self._place.name, self._place.baud
+        try:
+            return serial.Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)
+        except _TerminalError as error:  # it vanished while it was being opened: no OSError
+            raise serial.SerialException(*error.args) from error
+
+    def _open(self, timeout_s: float) -> None:
+        if self._is_due(timeout_s):
+            with contextlib.suppress(OSError, ValueError):
+                self._stream = self._opened()
+
+    def _read(self, stream: serial.Serial, timeout_s: float) -> bytes | None:
+        if stream.timeout != timeout_s:
+            stream.timeout = timeout_s
+        data = stream.read(1)
+        return data + stream.read(stream.in_waiting) if data else None
+
+    def _write(self, stream: serial.Serial, data: bytes) -> int:
+        """Pyserial's own write spins until there is room for all."""
+        if os.name == "posix":
+            return os.write(stream.fileno(), data)
+        return stream.write(data) or 0

@@ -1,39 +1,38 @@
-"""Flights for tests: started on demand, or flown once and looked at by many."""
+"""Flights for tests: each looked at by many is flown once; none outlives the test that began it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from flights import Flight, Launch, launch
+from flights import RUNNING, Flight, launch
 
 
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Launch]:
-    """Start flights that end with the test at the latest."""
-    flights: list[Flight] = []
-
-    def begin(*arguments: Any, name: str = "run", **keywords: Any) -> Flight:
-        flights.append(launch(tmp_path / name, *arguments, **keywords))
-        return flights[-1]
-
-    yield begin
-    for flight in flights:
-        flight.kill()
+@pytest.fixture(autouse=True)
+def _none_is_left_running() -> Iterator[None]:
+    yield
+    while RUNNING:
+        RUNNING.pop().end()
 
 
 @pytest.fixture(scope="session")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Launch]:
-    """Flights to their end, each flown once for all tests that look at it."""
-    flights: dict[tuple[str, ...], Flight] = {}
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
+    """Flights to their end, each flown once for all tests that look at it.
 
-    def fly(*arguments: str) -> Flight:
-        if arguments not in flights:
-            flight = launch(tmp_path_factory.mktemp("flight") / "run", *arguments)
-            flights[arguments] = flight
-            flight.wait()
-        return flights[arguments]
+    by: flies it into a folder; world, mission and options are its arguments.
+    """
+    flights: dict[tuple[Any, ...], Any] = {}
 
-    yield fly
-    for flight in flights.values():
-        flight.kill()
+    def fly(*arguments: Any, by: Callable[..., Any] = _to_its_end) -> Any:
+        key = (by, *arguments)
+        if key not in flights:
+            flights[key] = by(tmp_path_factory.mktemp("flight") / "run", *arguments)
+        return flights[key]
+
+    return fly
+
+
+def _to_its_end(folder: Path, *arguments: str) -> Flight:
+    flight = launch(folder, *arguments)
+    flight.wait()
+    return flight

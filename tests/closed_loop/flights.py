@@ -3,20 +3,24 @@
 import functools
 import json
 import os
-import signal
-import socket
 import subprocess
 import sys
-from collections.abc import Callable, Container
-from dataclasses import dataclass, field
+import tempfile
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
+from programs import BIN, ROOT, Program, free_port
 
-ROOT = Path(__file__).parents[2]
-BIN = Path(sys.executable).parent
-_PATIENCE_S = 400.0
+ENVIRONMENTS = ROOT / "companion" / "environments"
+HILLS = str(Path(__file__).parent / "hills" / "world.toml")
+HILLS_MISSION = str(Path(__file__).parent / "hills" / "mission.toml")
+_SCENES: list[tempfile.TemporaryDirectory[str]] = []
+"""Gone when the tests end."""
+RUNNING: list[Program] = []
+"""All that was started and not ended yet."""
 _ENVIRONMENT = dict(os.environ)
 """As it was before any test: a kernel that is loaded within the tests moves numba's cache."""
 
@@ -35,44 +39,60 @@ def each(*names: str, nightly: Container[str] = ()) -> pytest.MarkDecorator:
     )
 
 
-EACH_ENVIRONMENT = each("environment-1", "environment-2", "valley", nightly=["environment-2"])
+_LONG = ("valley", "environment-1", "environment-2")
+EACH_SCENE = each("hills", "upper-valley", *_LONG, nightly=_LONG)
+"""The hills are of the same kind as the paper's environments, and a third as long."""
 NIGHTLY_AUTOPILOTS = ("sitl-px4", "sitl-arduplane")
 """The others are of both makers, and of both kinds."""
 
 
 @dataclass(kw_only=True)
 class Flight:
-    """One flight, flown to its end unless it was interrupted."""
+    """One flight: both programs, and the folder into which both write."""
 
     folder: Path
-    companion: subprocess.Popen[str]
-    simulator: subprocess.Popen[str]
-    said: dict[str, str] = field(default_factory=dict)
+    companion: Program
+    simulator: Program
 
     def wait(self) -> None:
         """Wait for both sides to end by themselves."""
-        for name in ("companion", "simulator"):
-            process = getattr(self, name)
-            out, _ = process.communicate(timeout=_PATIENCE_S)
-            self.said[name] = out
+        self.companion.wait()
+        self.simulator.wait()
 
     def kill(self) -> None:
-        """End whatever still runs; a flight leaves no process behind."""
-        for process in (self.companion, self.simulator):
-            if process.poll() is None:
-                process.kill()
-            process.communicate()
+        """End whatever still runs."""
+        self.companion.end()
+        self.simulator.end()
+
+    def ended_well(self) -> None:
+        """Both programs say so, and the journal."""
+        assert self.companion.returncode == 0, self.companion.transcript
+        assert self.simulator.returncode == 0, self.simulator.transcript
+        assert self.outcome == "arrived"
 
     @property
     def journal(self) -> list[dict[str, Any]]:
-        lines = (self.folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-        return [json.loads(line) for line in lines]
+        return journal_of(self.folder)
+
+    @property
+    def kinds(self) -> list[str]:
+        """Of the entries of the journal."""
+        return [entry["kind"] for entry in self.journal if "kind" in entry]
+
+    @property
+    def says(self) -> list[str]:
+        """What people were told."""
+        return [entry["text"] for entry in self.journal if entry.get("kind") == "say"]
+
+    @property
+    def end(self) -> dict[str, Any]:
+        [end] = [entry for entry in self.journal if entry.get("kind") == "end"]
+        return end
 
     @property
     def outcome(self) -> str:
         """How the journal says that it ended."""
-        [end] = [entry for entry in self.journal if entry.get("kind") == "end"]
-        return str(end["outcome"])
+        return str(self.end["outcome"])
 
     @property
     def truth(self) -> list[dict[str, Any]]:
@@ -80,48 +100,90 @@ class Flight:
         return [json.loads(line) for line in lines[1:]]
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+@functools.cache
+def folder_of(scene: str) -> Path:
+    """Where its world.toml and mission.toml are."""
+    if scene == "hills":
+        return Path(HILLS).parent
+    if scene != "upper-valley":
+        return ENVIRONMENTS / scene
+    _SCENES.append(tempfile.TemporaryDirectory())
+    folder, valley = Path(_SCENES[-1].name), ENVIRONMENTS / "valley"
+    for file in valley.iterdir():
+        if file.name != "mission.toml":
+            (folder / file.name).symlink_to(file)
+    past_the_village = ("north_m = -3850.0\neast_m = 800.0", "north_m = 675.0\neast_m = -1250.0")
+    edited(valley / "mission.toml", folder / "mission.toml", past_the_village)
+    return folder
 
 
-Launch = Callable[..., Flight]
+def flown_as(scene: str) -> tuple[str, ...]:
+    """World, mission and options of the flight that all look at."""
+    folder = folder_of(scene)
+    files = str(folder / "world.toml"), str(folder / "mission.toml")
+    return (*files, "--seed", "3") if scene == "hills" else files
+
+
+def journal_of(folder: Path) -> list[dict[str, Any]]:
+    """What has been written of a journal so far; a line that is not whole is left out."""
+    file = folder / "journal.jsonl"
+    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    return [json.loads(line) for line in lines if line.endswith("}")]
+
+
+def kept(folder: Path) -> dict[str, Any] | None:
+    """What a companion has kept of its flight by now, for the one that follows it."""
+    try:
+        values: dict[str, Any] = json.loads((folder / "resume.json").read_bytes())["values"]
+    except (OSError, ValueError):
+        return None
+    return values
+
+
+def companion(
+    mission: str | Path, folder: Path, connect: str, *options: object, patch: str = ""
+) -> Program:
+    """Start the companion, as a user does; patch: Python that it runs before."""
+    program = [BIN / "companion"]
+    if patch:
+        main = f"{patch}\nfrom companion.cli import main\nmain()"
+        program = [sys.executable, "-c", main]
+    return run(*program, "fly", mission, "--connect", connect, "--out", folder, *options)
+
+
+def simulator(world: str | Path, folder: Path, *options: object) -> Program:
+    """Start the simulator, as a user does."""
+    return run(BIN / "vehicle-sim", world, "--out", folder, *options)
+
+
+def run(program: str | Path, *arguments: object) -> Program:
+    """Start a program in the environment in which the tests were started."""
+    warm_up()
+    name = Path(program).name
+    RUNNING.append(Program(name, program, *arguments, folder=ROOT, environment=_ENVIRONMENT))
+    return RUNNING[-1]
 
 
 def launch(
     folder: Path,
-    world: str,
-    mission: str,
-    *options: str,
-    clock: tuple[str, ...] = ("--lockstep",),
-    simulator_options: tuple[str, ...] = (),
+    world: str | Path,
+    mission: str | Path,
+    *options: object,
+    clock: Sequence[str] = ("--lockstep",),
+    simulator_options: Sequence[object] = (),
+    truth: Path | None = None,
+    patch: str = "",
 ) -> Flight:
-    """Start both programs on a free port of loopback."""
-    warm_up()
+    """Start both programs on a free port of loopback.
+
+    truth: the simulator's folder, if it is not the companion's; patch: as of `companion`.
+    """
     port = free_port()
-    companion_clock = [option for option in clock if option == "--lockstep"]
-    companion = run(
-        *("companion", "fly", mission, "--connect", f"udpin:127.0.0.1:{port}"),
-        *("--out", folder, *companion_clock, *options),
-    )
-    simulator = run(
-        *("vehicle-sim", world, "--connect", f"udpout:127.0.0.1:{port}"),
-        *("--out", folder, *clock, *simulator_options),
-    )
-    return Flight(folder=folder, companion=companion, simulator=simulator)
-
-
-def run(program: str, *arguments: str | Path) -> subprocess.Popen[str]:
-    """Start one of the programs, as a user does."""
-    return subprocess.Popen(
-        [BIN / program, *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        cwd=ROOT,
-        env=_ENVIRONMENT,
-    )
+    lockstep = [option for option in clock if option == "--lockstep"]
+    us = companion(mission, folder, f"udpin:127.0.0.1:{port}", *lockstep, *options, patch=patch)
+    connect = ("--connect", f"udpout:127.0.0.1:{port}")
+    vehicle = simulator(world, truth or folder, *connect, *clock, *simulator_options)
+    return Flight(folder=folder, companion=us, simulator=vehicle)
 
 
 @functools.cache
@@ -131,5 +193,20 @@ def warm_up() -> None:
     subprocess.run([sys.executable, "-c", load], check=True, env=_ENVIRONMENT, timeout=600)
 
 
-def interrupt(process: subprocess.Popen[str]) -> None:
-    process.send_signal(signal.SIGINT)
+def edited(source: str | Path, target: Path, *changes: tuple[str, str]) -> Path:
+    """A file in which each of these texts, which stand in it once, is another."""
+    text = Path(source).read_text(encoding="utf-8")
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    target.write_text(text, encoding="utf-8")
+    return target
+
+
+def short_mission(name: str, folder: Path) -> Path:
+    """A bundled mission with a battery that lasts; of a copter it is shorter, with more joins."""
+    changes = [("\n[end]\n", "\n[battery]\nreserve_percent = 2\n[end]\n")]
+    if "plane" not in name:
+        last = "[[targets]]\nnorth_m = 60.0\neast_m = 150.0\n"
+        changes += [("scan_range_m = 800.0", "scan_range_m = 400.0"), (last, "")]
+    return edited(ENVIRONMENTS / name / "mission.toml", folder / f"{name}.toml", *changes)

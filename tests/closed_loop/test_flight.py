@@ -1,60 +1,60 @@
+"""Whole flights, and what ends one."""
+
 import itertools
 import json
 import math
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import true_track
-from flights import BIN, EACH_ENVIRONMENT, ROOT, Flight, Launch, free_port, interrupt
+from flights import (
+    EACH_SCENE,
+    HILLS,
+    HILLS_MISSION,
+    companion,
+    edited,
+    flown_as,
+    folder_of,
+    launch,
+)
+from programs import BIN, free_port
 
 pytestmark = pytest.mark.closed_loop
-
-HILLS = str(Path(__file__).parent / "hills" / "world.toml")
-HILLS_MISSION = str(Path(__file__).parent / "hills" / "mission.toml")
-ENVIRONMENTS = ROOT / "companion" / "environments"
+HURRIED = "import time; real = time.monotonic; time.monotonic = lambda: 10.0 * real()"
+"""Its wall clock goes ten times as fast: it waits for nobody so long."""
 
 
-def wait_for(flight: Flight, text: str) -> None:
-    """Read what the companion says until it says this."""
-    assert flight.companion.stdout is not None
-    for line in flight.companion.stdout:
-        if text in line:
-            return
-    pytest.fail(f"the companion ended without saying {text!r}")
-
-
-@EACH_ENVIRONMENT
-def test_a_flight_arrives_and_its_true_track_keeps_every_bound(flown: Launch, name: str) -> None:
-    flight = flown(name, name)
-    assert flight.companion.returncode == 0, flight.said["companion"]
-    assert flight.simulator.returncode == 0, flight.said["simulator"]
-    folder = ENVIRONMENTS / name
+@EACH_SCENE
+def test_a_flight_arrives_and_its_true_track_keeps_every_bound(flown: Any, name: str) -> None:
+    flight, folder = flown(*flown_as(name)), folder_of(name)
+    flight.ended_well()
     truth = flight.folder / "truth.jsonl"
     track = true_track.judge_files(folder / "world.toml", folder / "mission.toml", truth)
     assert track.ok, [str(check) for check in track.violations]
-    assert flight.outcome == "arrived"
     assert flight.truth[-1]["mode"] == "BRAKE"
 
 
 @pytest.mark.xdist_group("hills")
-def test_the_same_seed_writes_the_same_journal_and_another_seed_another(flown: Launch) -> None:
-    journals = {
-        name: (flown(HILLS, HILLS_MISSION, *options).folder / "journal.jsonl").read_bytes()
-        for name, options in {
-            "once": ("--seed", "3"),
-            "again": ("--seed", "03"),
-            "another": ("--seed", "4"),
-        }.items()
-    }
-    assert journals["once"] == journals["again"]
-    lines = {name: journal.splitlines()[1:] for name, journal in journals.items()}
-    assert lines["once"] != lines["another"]
+def test_the_same_seed_writes_the_same_journal_and_another_seed_another(
+    flown: Any, tmp_path: Path
+) -> None:
+    once, again = (flown(HILLS, HILLS_MISSION, "--seed", seed) for seed in ("3", "03"))
+    journals = [(each.folder / "journal.jsonl").read_bytes() for each in (once, again)]
+    assert journals[0] == journals[1]
+    another = launch(tmp_path, HILLS, HILLS_MISSION, "--seed", "4")
+    another.companion.expect("subpath  1")
+    plans = [
+        next(entry for entry in each.journal if entry.get("kind") == "plan ready")
+        for each in (once, another)
+    ]
+    assert plans[0]["control_nea_m"] != plans[1]["control_nea_m"]
 
 
 @pytest.mark.xdist_group("hills")
-def test_mavlogdump_reads_the_stream_of_setpoints(flown: Launch) -> None:
+def test_mavlogdump_reads_the_stream_of_setpoints(flown: Any) -> None:
     flight = flown(HILLS, HILLS_MISSION, "--seed", "3")
     dump = subprocess.run(
         [
@@ -74,104 +74,76 @@ def test_mavlogdump_reads_the_stream_of_setpoints(flown: Launch) -> None:
     assert all(after - before == 100 for before, after in itertools.pairwise(times))
 
 
-def test_the_paper_profile_flies_too(flown: Launch) -> None:
+def test_the_paper_profile_flies_too(flown: Any) -> None:
     flight = flown(HILLS, HILLS_MISSION, "--profile", "paper")
-    assert flight.companion.returncode == 0, flight.said["companion"]
+    flight.ended_well()
     assert flight.journal[0]["profile"] == "paper"
 
 
-def test_a_vehicle_that_vanishes_ends_the_flight_with_a_reason(start: Launch) -> None:
-    flight = start(HILLS, HILLS_MISSION)
-    wait_for(flight, "subpath  1")
+def test_a_vehicle_that_vanishes_ends_the_flight_with_a_reason(tmp_path: Path) -> None:
+    flight = launch(tmp_path, HILLS, HILLS_MISSION, patch=HURRIED)
+    flight.companion.expect("subpath  1")
     flight.simulator.kill()
-    flight.wait()
-    assert flight.companion.returncode == 75
-    assert flight.said["companion"].splitlines()[-1].startswith("error: the vehicle fell silent.")
+    assert flight.companion.wait() == 75
+    last = flight.companion.transcript.splitlines()[-1]
+    assert last.startswith("error: the vehicle fell silent.")
     assert flight.outcome == "failed"
 
 
-def test_a_vehicle_whose_companion_dies_stops_by_itself(start: Launch) -> None:
-    flight = start(HILLS, HILLS_MISSION, clock=("--speedup", "20"))
-    wait_for(flight, "subpath  1")
+def test_a_vehicle_whose_companion_dies_stops_by_itself(tmp_path: Path) -> None:
+    flight = launch(tmp_path, HILLS, HILLS_MISSION, clock=("--speedup", "20"))
+    flight.companion.expect("subpath  1")
     flight.companion.kill()
-    flight.companion.wait(timeout=10)
-    last = flight.truth[-1]["t_s"]
-    truth = flight.folder / "truth.jsonl"
-    with truth.open(encoding="utf-8") as lines:  # grows until the vehicle is told to end
-        lines.seek(0, 2)
-        states: list[dict[str, float]] = []
-        while not states or states[-1]["t_s"] < last + 40.0:
-            assert flight.simulator.poll() is None
-            line = lines.readline()
-            if line.endswith("\n") and line.startswith("{") and line.rstrip().endswith("}"):
-                states.append(json.loads(line))
-    speed = max(abs(states[-1][f"velocity_{axis}_m_s"]) for axis in ("north", "east", "up"))
+    killed_s = flight.truth[-1]["t_s"]
+    truth = (tmp_path / "truth.jsonl").open(encoding="utf-8")  # grows until it is told to end
+    truth.seek(0, 2)
+
+    def much_later() -> Any:
+        rows = [line for line in truth if line.startswith("{") and line.endswith("}\n")]
+        return next((row for row in map(json.loads, rows) if row["t_s"] > killed_s + 40.0), None)
+
+    with truth:
+        stands = flight.simulator.until(much_later)
+    speed = max(abs(stands[f"velocity_{axis}_m_s"]) for axis in ("north", "east", "up"))
     assert speed < 0.5
-    flight.simulator.terminate()
-    flight.wait()
-    assert flight.simulator.returncode == 0
+    assert flight.simulator.interrupt() == 0
 
 
-def test_an_interrupted_companion_leaves_the_vehicle_in_its_hold_mode(start: Launch) -> None:
-    flight = start(HILLS, HILLS_MISSION)
-    wait_for(flight, "subpath  1")
-    interrupt(flight.companion)
-    flight.wait()
-    assert flight.companion.returncode == 130, flight.said["companion"]
-    assert flight.simulator.returncode == 0, flight.said["simulator"]
+def test_an_interrupted_companion_leaves_the_vehicle_in_its_hold_mode(tmp_path: Path) -> None:
+    flight = launch(tmp_path, HILLS, HILLS_MISSION)
+    flight.companion.expect("subpath  1")
+    assert flight.companion.interrupt(60.0) == 130, flight.companion.transcript
+    assert flight.simulator.wait() == 0
     assert flight.truth[-1]["mode"] == "BRAKE"
     assert flight.outcome == "stopped"
 
 
 def test_no_vehicle_is_said_within_ten_seconds(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [
-            *(BIN / "companion", "fly", HILLS_MISSION, "--out", tmp_path / "run"),
-            *("--connect", f"udpin:127.0.0.1:{free_port()}"),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=30,
-    )
-    assert done.returncode == 1
-    assert "no vehicle was heard within 10 s" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    alone = companion(HILLS_MISSION, tmp_path, f"udpin:127.0.0.1:{free_port()}", patch=HURRIED)
+    assert alone.wait(30.0) == 1
+    [line] = [each for each in alone.transcript.splitlines() if each.startswith("error")]
+    assert "no vehicle was heard within 10 s" in line
 
 
-def edited(source: str, target: Path, old: str, new: str) -> str:
-    """A file with one thing changed."""
-    text = Path(source).read_text(encoding="utf-8")
-    assert text.count(old) == 1
-    target.write_text(text.replace(old, new), encoding="utf-8")
-    return str(target)
-
-
-def test_a_mission_that_ends_with_a_landing_ends_on_the_ground(
-    start: Launch, tmp_path: Path
-) -> None:
-    mission = edited(HILLS_MISSION, tmp_path / "land.toml", 'action = "hold"', 'action = "land"')
-    flight = start(HILLS, mission)
+def test_a_mission_that_ends_with_a_landing_ends_on_the_ground(tmp_path: Path) -> None:
+    lands = ('action = "hold"', 'action = "land"')
+    mission = edited(HILLS_MISSION, tmp_path / "land.toml", lands)
+    flight = launch(tmp_path / "run", HILLS, mission)
     flight.wait()
-    assert flight.companion.returncode == 0, flight.said["companion"]
+    flight.ended_well()
     assert flight.truth[-1]["landed"]
     assert not flight.truth[-1]["armed"]
 
 
-def test_nothing_is_flown_on_sight_that_the_radar_does_not_have(
-    start: Launch, tmp_path: Path
-) -> None:
+def test_nothing_is_flown_on_sight_that_the_radar_does_not_have(tmp_path: Path) -> None:
     """What lies beyond the radar's own range is unknown, not sheltered."""
-    world = edited(HILLS, tmp_path / "short.toml", "range_m = 20000.0", "range_m = 8000.0")
-    mission = edited(
-        HILLS_MISSION,
-        tmp_path / "mission.toml",
-        "planning_time_s = 5.0",
-        "planning_time_s = 5.0\nevaluations = 300",
-    )
-    flight = start(world, mission)
+    short = ("range_m = 20000.0", "range_m = 8000.0")
+    quick = ("planning_time_s = 5.0", "planning_time_s = 5.0\nevaluations = 300")
+    world = edited(HILLS, tmp_path / "short.toml", short)
+    mission = edited(HILLS_MISSION, tmp_path / "mission.toml", quick)
+    flight = launch(tmp_path / "run", world, mission)
     flight.wait()
-    assert "radar sees 8.0 km of R = 20.0 km" in [entry.get("text") for entry in flight.journal]
+    assert "radar sees 8.0 km of R = 20.0 km" in flight.says
     scanned: list[tuple[float, float]] = []
     for entry in flight.journal:
         if entry.get("kind") == "scan":

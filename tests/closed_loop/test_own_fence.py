@@ -4,16 +4,17 @@ All four autopilots with the parameters that their own simulations come with.  W
 judged from truth.jsonl, in numbers that stand here.
 """
 
+import contextlib
 import math
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
 import pytest
-from flights import NIGHTLY_AUTOPILOTS, ROOT, Flight, each, free_port, run, warm_up
+from flights import ENVIRONMENTS, NIGHTLY_AUTOPILOTS, Flight, companion, each, simulator
 from ground_station import Box, Circle, GroundStation
+from programs import free_port
 
 pytestmark = pytest.mark.closed_loop
 
@@ -76,56 +77,30 @@ class Drawn:
 
 
 def mission(name: str) -> dict[str, Any]:
-    file = ROOT / "companion" / "environments" / name / "mission.toml"
-    return tomllib.loads(file.read_text(encoding="utf-8"))
+    return tomllib.loads((ENVIRONMENTS / name / "mission.toml").read_text(encoding="utf-8"))
 
 
-@pytest.fixture(scope="session")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Flights to their end, each flown once for all tests that look at it."""
-    flights: dict[str, Drawn] = {}
-    started: list[Flight] = []
-
-    def fly(name: str) -> Drawn:
-        if name not in flights:
-            folder = tmp_path_factory.mktemp(name) / "run"
-            flights[name] = _fly(name, CASES[name], folder, started)
-        return flights[name]
-
-    yield fly
-    for flight in started:
-        flight.kill()
-
-
-def _fly(name: str, case: Case, folder: Path, started: list[Flight]) -> Drawn:
-    warm_up()
-    port, others_port = free_port(), free_port()
-    simulator = run(
-        *("vehicle-sim", name, "--lockstep", "--out", folder),
-        *("--connect", f"udpout:127.0.0.1:{port}", "--connect", f"udpin:127.0.0.1:{others_port}"),
-    )
-    assert simulator.stdout is not None
-    simulator.stdout.readline()  # it listens now
-    origin = mission(name)["origin"]
+def drawn(folder: Path, name: str) -> Drawn:
+    """Fly it to its end, with a ground station that draws before and in flight."""
+    case, port, others_port = CASES[name], free_port(), free_port()
+    links = "--connect", f"udpout:127.0.0.1:{port}", "--connect", f"udpin:127.0.0.1:{others_port}"
+    vehicle = simulator(name, folder, "--lockstep", *links)
+    vehicle.expect("\n")  # it listens now
+    origin, [first, *_] = mission(name)["origin"], mission(name)["targets"]
     station = GroundStation(others_port, (origin["latitude_deg"], origin["longitude_deg"]))
-    station.draw(case.inside, [case.before])
-    companion = run(
-        *("companion", "fly", name, "--lockstep", "--out", folder),
-        *("--connect", f"udpin:127.0.0.1:{port}"),
-    )
-    flight = Flight(folder=folder, companion=companion, simulator=simulator)
-    started.append(flight)
-    times: list[float] = []
+    with contextlib.closing(station):
+        station.draw(case.inside, [case.before])
+        us = companion(name, folder, f"udpin:127.0.0.1:{port}", "--lockstep")
+        flight = Flight(folder=folder, companion=us, simulator=vehicle)
+        times: list[float] = []
 
-    def draw_another() -> None:
-        station.draw(case.inside, [case.before, case.later])
-        times.append(station.vehicle_s)
+        def draw_another() -> None:
+            station.draw(case.inside, [case.before, case.later])
+            times.append(station.vehicle_s)
 
-    first = mission(name)["targets"][0]
-    station.when_near((first["north_m"], first["east_m"]), case.near_m, draw_another)
-    flight.wait()
-    station.close()
-    assert times, (station.error, flight.said)
+        station.when_near((first["north_m"], first["east_m"]), case.near_m, draw_another)
+        flight.wait()
+    assert times, (station.error, us.transcript)
     _, *at = min(
         (abs(row["t_s"] - times[0]), row["north_m"], row["east_m"]) for row in flight.truth
     )
@@ -139,17 +114,15 @@ def outside_m(path: list[tuple[float, float, float]], circle: Circle) -> float:
 
 
 @EACH
-def test_a_stranger_arrives_where_its_own_fence_leaves_a_way(drawn: Any, name: str) -> None:
-    flight = drawn(name).flight
-    assert flight.companion.returncode == 0, flight.said["companion"]
-    assert flight.simulator.returncode == 0, flight.said["simulator"]
-    assert flight.outcome == "arrived"
+def test_a_stranger_arrives_where_its_own_fence_leaves_a_way(flown: Any, name: str) -> None:
+    flight = flown(name, by=drawn).flight
+    flight.ended_well()
     assert sum(entry.get("text") == "target reached" for entry in flight.journal) == 3
 
 
 @EACH
-def test_the_true_track_keeps_away_from_what_was_drawn_before(drawn: Any, name: str) -> None:
-    case, path = CASES[name], drawn(name).path
+def test_the_true_track_keeps_away_from_what_was_drawn_before(flown: Any, name: str) -> None:
+    case, path = CASES[name], flown(name, by=drawn).path
     safety_m = mission(name)["planner"]["safety_distance_m"]
     assert outside_m(path, case.before) >= safety_m
     box = case.inside
@@ -159,21 +132,21 @@ def test_the_true_track_keeps_away_from_what_was_drawn_before(drawn: Any, name: 
 
 
 @EACH
-def test_what_is_drawn_in_flight_is_known_within_ten_seconds(drawn: Any, name: str) -> None:
-    flown = drawn(name)
+def test_what_is_drawn_in_flight_is_known_within_ten_seconds(flown: Any, name: str) -> None:
+    it = flown(name, by=drawn)
     known = [
         entry["t_s"]
-        for entry in flown.flight.journal
+        for entry in it.flight.journal
         if entry.get("kind") == "fence" and len(entry["zones"]) == 3
     ]
     assert known
-    assert known[0] - flown.drawn_s <= _ADOPTED_S + _LATEST_S
+    assert known[0] - it.drawn_s <= _ADOPTED_S + _LATEST_S
 
 
 @EACH
-def test_the_true_track_keeps_away_from_what_was_drawn_in_flight(drawn: Any, name: str) -> None:
-    case, flown = CASES[name], drawn(name)
+def test_the_true_track_keeps_away_from_what_was_drawn_in_flight(flown: Any, name: str) -> None:
+    case, it = CASES[name], flown(name, by=drawn)
     safety_m = mission(name)["planner"]["safety_distance_m"]
-    before_m = outside_m([(0.0, *flown.drawn_at_ne_m)], case.later)
+    before_m = outside_m([(0.0, *it.drawn_at_ne_m)], case.later)
     assert before_m > 2.0 * safety_m, "drawn too late for anybody"
-    assert outside_m(flown.path, case.later) >= safety_m
+    assert outside_m(it.path, case.later) >= safety_m

@@ -3,14 +3,14 @@
 import math
 import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from flights import ROOT, warm_up
+from flights import ENVIRONMENTS, warm_up
+from programs import ROOT
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
+sys.path.insert(0, str(ROOT / "scripts" / "benchmarks"))
 from pair import Pair
 
 from companion.config import load_mission
@@ -25,7 +25,7 @@ ARDUPLANE, PX4 = "sitl-arduplane", "sitl-px4-plane"
 def pair(name: str, **changes: Any) -> Pair:
     """The bundled mission, changed so, and its world."""
     warm_up()
-    world = read_world(ROOT / "companion" / "environments" / name / "world.toml")
+    world = read_world(ENVIRONMENTS / name / "world.toml")
     scene: Any = SimpleNamespace(
         mission=replace(load_mission(name), **changes), world=world, fence=()
     )
@@ -33,7 +33,13 @@ def pair(name: str, **changes: Any) -> Pair:
 
 
 @pytest.mark.parametrize(
-    ("name", "away_s"), [(ARDUPLANE, 21.0), (ARDUPLANE, 60.0), (PX4, 60.0)], ids=str
+    ("name", "away_s"),
+    [
+        pytest.param(ARDUPLANE, 21.0, marks=pytest.mark.nightly),
+        (ARDUPLANE, 60.0),
+        (PX4, 60.0),
+    ],
+    ids=str,
 )
 def test_however_late_it_is_resumed_it_flies_on_along_its_leg(name: str, away_s: float) -> None:
     """ArduPlane has come to a circle by then, about the last point that it was sent to."""

@@ -2,7 +2,6 @@
 
 import json
 import re
-import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -11,8 +10,9 @@ from xml.etree import ElementTree as ET
 
 import geopandas
 import pytest
-from flights import BIN, Flight, Launch, free_port, run, warm_up
-from pymavlink.dialects.v20 import all as wire
+from flights import HILLS, HILLS_MISSION, launch
+from programs import BIN
+from tlog import frames_of
 
 from companion.replay.export_command import Format, export
 from companion.replay.exporting import recorded
@@ -21,29 +21,21 @@ from companion.telemetry.run_folder import whole_records
 
 pytestmark = pytest.mark.closed_loop
 
-HILLS = str(Path(__file__).parent / "hills" / "world.toml")
-HILLS_MISSION = str(Path(__file__).parent / "hills" / "mission.toml")
 SEED = ("--seed", "3")
 IN_TURN = pytest.mark.xdist_group("hills")  # they look at the same flight
 GPX = "{http://www.topografix.com/GPX/1/0}"
 
 
 def frames(folder: Path) -> list[tuple[int, Any]]:
-    """Every whole frame of the log and its stamp, by pymavlink's parser."""
-    data = (folder / "flight.tlog").read_bytes()[: whole_records(folder / "flight.tlog")]
-    parser, at, found = wire.MAVLink(None), 0, []
-    while at < len(data):
-        size = 12 + data[at + 9]
-        message = parser.decode(bytearray(data[at + 8 : at + 8 + size]))
-        found.append((struct.unpack_from(">Q", data, at)[0], message))
-        at += 8 + size
-    return found
+    """Every whole frame of the log and its stamp."""
+    log = folder / "flight.tlog"
+    return list(frames_of(log.read_bytes()[: whole_records(log)]))
 
 
-def tool(name: str, *arguments: object, folder: Path) -> str:
-    """What one of pymavlink's programs prints."""
+def tool(*arguments: object, folder: Path) -> str:
+    """What one of pymavlink's programs, or a script, prints."""
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", BIN / name, *map(str, arguments)],
+        [sys.executable, "-W", "ignore", *map(str, arguments)],
         capture_output=True,
         text=True,
         check=True,
@@ -57,20 +49,20 @@ def tool(name: str, *arguments: object, folder: Path) -> str:
 
 
 @IN_TURN
-def test_the_journal_of_a_real_flight_holds_nothing_that_is_not_documented(flown: Launch) -> None:
+def test_the_journal_of_a_real_flight_holds_nothing_that_is_not_documented(flown: Any) -> None:
     journal = Journal(flown(HILLS, HILLS_MISSION, *SEED).folder / "journal.jsonl")
     kinds = {entry.kind for entry in journal.entries()}
     assert journal.findings == ()
     assert {"scan done", "plan asked", "plan ready", "leg", "prepared", "end"} <= kinds
 
 
-def test_nor_does_that_of_a_flight_with_faults(start: Launch, tmp_path: Path) -> None:
+def test_nor_does_that_of_a_flight_with_faults(tmp_path: Path) -> None:
     """A fix that is lost, a radar that falls silent, and the holds that follow."""
     faults = tmp_path / "faults.txt"
     faults.write_text(
         "at 120 s for 20 s: gps_off\nat 190 s for 30 s: radar_off\n", encoding="utf-8"
     )
-    flight = start(HILLS, HILLS_MISSION, simulator_options=("--faults", str(faults)))
+    flight = launch(tmp_path / "run", HILLS, HILLS_MISSION, simulator_options=("--faults", faults))
     flight.wait()
     journal = Journal(flight.folder / "journal.jsonl")
     codes = {entry.code for entry in journal.entries() if entry.kind == "phase"}
@@ -87,7 +79,7 @@ def test_nor_does_that_of_a_flight_with_faults(start: Launch, tmp_path: Path) ->
 
 @IN_TURN
 @pytest.mark.parametrize("to", list(Format), ids=lambda each: each.value)
-def test_a_real_flight_is_exported(flown: Launch, tmp_path: Path, to: Format) -> None:
+def test_a_real_flight_is_exported(flown: Any, tmp_path: Path, to: Format) -> None:
     folder = flown(HILLS, HILLS_MISSION, *SEED).folder
     export(folder, to, tmp_path / "out")
     assert (tmp_path / "out").stat().st_size > 10_000
@@ -97,7 +89,7 @@ def test_a_real_flight_is_exported(flown: Launch, tmp_path: Path, to: Format) ->
 
 
 @pytest.fixture
-def log(flown: Launch, tmp_path: Path) -> Path:
+def log(flown: Any, tmp_path: Path) -> Path:
     """A log, where programs may write beside it."""
     source = flown(HILLS, HILLS_MISSION, *SEED).folder / "flight.tlog"
     return Path((tmp_path / "flight.tlog").write_bytes(source.read_bytes()) and tmp_path)
@@ -105,7 +97,7 @@ def log(flown: Launch, tmp_path: Path) -> Path:
 
 @IN_TURN
 def test_mavlogdump_prints_every_frame_at_its_time(log: Path) -> None:
-    printed = tool("mavlogdump.py", "--format", "json", "flight.tlog", folder=log)
+    printed = tool(BIN / "mavlogdump.py", "--format", "json", "flight.tlog", folder=log)
     rows = [json.loads(line)["meta"] for line in printed.splitlines()]
     expected = frames(log)
     assert [row["type"] for row in rows] == [message.get_type() for _, message in expected]
@@ -124,16 +116,8 @@ def test_mavutil_reads_it_as_a_ground_station_does(log: Path) -> None:
         "    last = message\n"
         "print(count, log.flightmode, last.get_srcSystem(), last.alt, last._timestamp)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-        cwd=log,
-    )
+    count, mode, system, altitude, time_s = tool("-c", code, folder=log).split()
     positions = [each for each in frames(log) if each[1].get_type() == "GLOBAL_POSITION_INT"]
-    count, mode, system, altitude, time_s = done.stdout.split()
     stamp_us, last = positions[-1]
     assert (int(count), mode, system) == (len(positions), "BRAKE", "1")
     assert int(altitude) == last.alt
@@ -142,7 +126,7 @@ def test_mavutil_reads_it_as_a_ground_station_does(log: Path) -> None:
 
 @IN_TURN
 def test_mavtogpx_draws_the_track(log: Path) -> None:
-    tool("mavtogpx.py", "flight.tlog", folder=log)
+    tool(BIN / "mavtogpx.py", "flight.tlog", folder=log)
     points = ET.parse(log / "flight.tlog.gpx").getroot().iter(f"{GPX}trkpt")
     places = [(float(point.attrib["lat"]), float(point.attrib["lon"])) for point in points]
     assert len(places) > 1000
@@ -152,31 +136,24 @@ def test_mavtogpx_draws_the_track(log: Path) -> None:
 
 @IN_TURN
 def test_mavflightmodes_mavparms_and_mavloss_understand_it(log: Path) -> None:
-    modes = tool("mavflightmodes.py", "flight.tlog", folder=log)
+    modes = tool(BIN / "mavflightmodes.py", "flight.tlog", folder=log)
     assert re.search(r"^GUIDED +0:0[4-6]:", modes, re.MULTILINE)
-    assert "GUID_TIMEOUT" in tool("mavparms.py", "flight.tlog", folder=log)
-    [total] = re.findall(r"Total: (\d+) packets", tool("mavloss.py", "flight.tlog", folder=log))
+    assert "GUID_TIMEOUT" in tool(BIN / "mavparms.py", "flight.tlog", folder=log)
+    [total] = re.findall(
+        r"Total: (\d+) packets", tool(BIN / "mavloss.py", "flight.tlog", folder=log)
+    )
     assert int(total) == len(frames(log))
 
 
 # --- kill -9, and a disk that is full
 
 
-def subpath_1(flight: Flight) -> None:
-    assert flight.companion.stdout is not None
-    for line in flight.companion.stdout:
-        if "subpath  1" in line:
-            return
-    pytest.fail("the companion ended without a subpath")
-
-
 def test_of_a_companion_that_was_killed_everything_is_readable_to_the_last_record(
-    start: Launch,
+    tmp_path: Path,
 ) -> None:
-    flight = start(HILLS, HILLS_MISSION)
-    subpath_1(flight)
+    flight = launch(tmp_path / "run", HILLS, HILLS_MISSION)
+    flight.companion.expect("subpath  1")
     flight.companion.kill()
-    flight.companion.wait(timeout=10)
     flight.simulator.kill()
     log = flight.folder / "flight.tlog"
     torn = log.stat().st_size - whole_records(log)
@@ -193,42 +170,25 @@ def test_of_a_companion_that_was_killed_everything_is_readable_to_the_last_recor
     assert recorded(flight.folder)[0].planned
 
 
-LIMITED = """
-import resource, sys
-most = int(sys.argv[1])
-resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-sys.argv[:2] = ["companion"]
-from companion.cli import main
-main()
-"""
+MOST_BYTES = 400_000
+LIMITED = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({MOST_BYTES},) * 2)"
+"""The operating system refuses more than so many bytes of any file."""
 
 
 def test_a_flight_whose_disk_is_full_goes_on_says_so_and_leaves_whole_records(
     tmp_path: Path,
 ) -> None:
-    """The operating system refuses more than so many bytes of any file."""
-    warm_up()
-    port, most, folder = free_port(), 400_000, tmp_path / "run"
-    companion = run(
-        *(sys.executable, "-c", LIMITED, str(most), "fly", HILLS_MISSION, "--lockstep", *SEED),
-        *("--connect", f"udpin:127.0.0.1:{port}", "--out", folder),
-    )
-    simulator = run(
-        *("vehicle-sim", HILLS, "--lockstep", "--connect", f"udpout:127.0.0.1:{port}"),
-        *("--out", tmp_path / "truth"),
-    )
-    flight = Flight(folder=folder, companion=companion, simulator=simulator)
-    try:
-        flight.wait()
-    finally:
-        flight.kill()
-    said = flight.said["companion"]
-    assert companion.returncode == 0, said
+    folder = tmp_path / "run"
+    truth = tmp_path / "truth"
+    flight = launch(folder, HILLS, HILLS_MISSION, *SEED, truth=truth, patch=LIMITED)
+    flight.wait()
+    said = flight.companion.transcript
+    assert flight.companion.returncode == 0, said
     assert "arrived" in said
     assert "not recorded any more: File too large" in said
     assert "recording stopped: File too large" in said
     log = folder / "flight.tlog"
-    assert most - 300 < log.stat().st_size <= most
+    assert MOST_BYTES - 300 < log.stat().st_size <= MOST_BYTES
     assert whole_records(log) == log.stat().st_size
     journal = Journal(folder / "journal.jsonl")
     entries = list(journal.entries())

@@ -6,28 +6,24 @@ lives have written one after the other.
 
 import contextlib
 import itertools
-import json
 import math
-import signal
 import socket
-import struct
-import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any, final
 
 import pytest
-from flights import NIGHTLY_AUTOPILOTS, ROOT, Flight, each, free_port, run, warm_up
+import tlog
+from flights import Flight, each, kept, launch, run, short_mission
+from programs import free_port
 from pymavlink.dialects.v20 import all as wire
 from pyproj import Geod
 
 pytestmark = pytest.mark.closed_loop
 
 COMPANION = 195
-PATIENCE_S = 120.0
 LOOK_S = 0.002
 """How long it flies between two looks at what it has kept."""
 JUMP_M, JUMP_M_S = 1.0, 1.0
@@ -42,21 +38,20 @@ def _is_before_first_leg(now: Values) -> bool:
     return now["phase"] in ("TAKING_OFF", "HOLDING", "FLYING") and now["leg"] is None
 
 
-def _is_in_leg(number: int) -> Callable[[Values], bool]:
-    return lambda now: now["phase"] == "FLYING" and now["legs_flown"] >= number
+def _is_in_leg(now: Values) -> bool:
+    return now["phase"] == "FLYING" and now["leg"] is not None
 
 
 PAUSED = "paused"
+PLANE_MOMENTS: tuple[Moment, ...] = (
+    ("in a leg", _is_in_leg),
+    ("at a join", lambda now: now["phase"] == "FLYING" and now["legs_flown"] >= 2),
+)
 COPTER_MOMENTS: tuple[Moment, ...] = (
     ("before the first leg", _is_before_first_leg),
-    ("in a leg", lambda now: now["phase"] == "FLYING" and now["leg"] is not None),
-    ("at a join", _is_in_leg(2)),
+    *PLANE_MOMENTS,
     (PAUSED, lambda now: now["phase"] == "HOLDING" and now["standing"] == "PAUSED"),
-)
-LANDING: tuple[Moment, ...] = (("while landing", lambda now: now["phase"] == "LANDING"),)
-PLANE_MOMENTS: tuple[Moment, ...] = (
-    ("in a leg", lambda now: now["phase"] == "FLYING" and now["leg"] is not None),
-    ("at a join", _is_in_leg(2)),
+    ("while landing", lambda now: now["phase"] == "LANDING"),
 )
 
 
@@ -67,8 +62,6 @@ class Killed:
 
     flight: Flight
     killed_at_s: list[float] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
-    """What each life has said."""
 
 
 @final
@@ -79,9 +72,13 @@ class Person:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._address = ("127.0.0.1", port)
         self._codec = wire.MAVLink(None, srcSystem=255, srcComponent=190)
+        self._tells_s = 0.0
 
     def tells(self, *, goes_on: bool) -> None:
-        """The companion to pause, or to go on."""
+        """The companion to pause, or to go on; now and then, until it does."""
+        if time.monotonic() < self._tells_s:
+            return
+        self._tells_s = time.monotonic() + 0.1
         command = wire.MAV_CMD_DO_PAUSE_CONTINUE
         message = wire.MAVLink_command_long_message(
             1, COMPANION, command, 0, float(goes_on), 0, 0, 0, 0, 0, 0
@@ -92,164 +89,59 @@ class Person:
         self._socket.close()
 
 
-def kept(folder: Path) -> Values | None:
-    """What the companion has kept of its flight by now."""
-    try:
-        values: Values = json.loads((folder / "resume.json").read_bytes())["values"]
-    except (OSError, ValueError):
-        return None
-    return values
-
-
-def _until(flight: Flight, is_now: Callable[[Values], bool], act: Callable[[], None]) -> Values:
-    """Look at what is kept until it is so; act now and then meanwhile."""
-    give_up_s, acts_s = time.monotonic() + PATIENCE_S, 0.0
-    while time.monotonic() < give_up_s and flight.companion.poll() is None:
-        if (values := kept(flight.folder)) is not None and is_now(values):
-            return values
-        if time.monotonic() > acts_s:
-            acts_s = time.monotonic() + 0.1
-            act()
-        with contextlib.suppress(subprocess.TimeoutExpired):  # what it keeps is a file, which
-            flight.companion.wait(LOOK_S)  # has no event to wait for; its end has one
-    flight.companion.kill()
-    said, _ = flight.companion.communicate()
-    raise AssertionError(f"it never came to that: {kept(flight.folder)} {said[-2000:]}")
-
-
-def mission_of(name: str, folder: Path) -> Path:
-    """The bundled mission; of a copter shorter and in shorter stretches: some join in flight."""
-    text = (ROOT / "companion" / "environments" / name / "mission.toml").read_text("utf-8")
-    if name in FLIES_ON_S:
-        assert text.count("scan_range_m = 800.0") == 1
-        text = text.replace("scan_range_m = 800.0", "scan_range_m = 400.0")
-        last = "[[targets]]\nnorth_m = 60.0\neast_m = 150.0\n"
-        assert text.count(last) == 1
-        text = text.replace(last, "")
-    file = folder / f"{name}.toml"
-    file.write_text(text + "\n[battery]\nreserve_percent = 2\n", encoding="utf-8")
-    return file
-
-
-def fly(name: str, moments: tuple[Moment, ...], folder: Path, started: list[Any]) -> Killed:
-    warm_up()
-    mission = mission_of(name, folder.parent)
-    port, second = free_port(), free_port()
-    simulator = run(
-        *("vehicle-sim", name, "--lockstep", "--out", folder),
-        *("--connect", f"udpout:127.0.0.1:{port}", "--connect", f"udpin:127.0.0.1:{second}"),
-    )
-    started.append(simulator)
-
-    def companion() -> subprocess.Popen[str]:
-        """As its service starts it, each time."""
-        started.append(
-            run(
-                *("companion", "fly", mission, "--lockstep", "--out", folder, "--resume"),
-                *("--connect", f"udpin:127.0.0.1:{port}", "--system", "1"),
-            )
-        )
-        return started[-1]
-
-    flight = Flight(folder=folder, companion=companion(), simulator=simulator)
+def killed(folder: Path, name: str) -> Killed:
+    """Kill it at each of its moments, and start it again, as its service does."""
+    second = free_port()
+    links = "--connect", f"udpin:127.0.0.1:{second}"
+    mission = short_mission(name, folder.parent)
+    flight = launch(folder, name, mission, "--resume", "--system", 1, simulator_options=links)
+    it = Killed(flight=flight)
     with contextlib.closing(Person(second)) as person:
-        killed = _killed(flight, companion, person, moments)
+
+        def until(is_now: Callable[[Values], bool], goes_on: bool | None = None) -> Values:
+            def look() -> Values | None:
+                if goes_on is not None:
+                    person.tells(goes_on=goes_on)
+                values = kept(folder)
+                return values if values is not None and is_now(values) else None
+
+            return flight.companion.until(look, every_s=LOOK_S)
+
+        for what, is_now in COPTER_MOMENTS if name in FLIES_ON_S else PLANE_MOMENTS:
+            values = until(is_now, False if what is PAUSED else None)
+            flight.companion.kill()
+            it.killed_at_s.append(values["t_s"])
+            flight.companion = run(*map(str, flight.companion.process.args))  # type: ignore[union-attr]
+            if what is PAUSED:  # it goes on when it is told to, and not by itself
+                until(lambda now: now["phase"] == "FLYING", True)
     flight.wait()
-    return killed
+    return it
 
 
-def _killed(
-    flight: Flight,
-    companion: Callable[[], subprocess.Popen[str]],
-    person: Person,
-    moments: tuple[Moment, ...],
-) -> Killed:
-    """Kill it at each of these moments, and start it again."""
-    killed = Killed(flight=flight)
-    for what, is_now in moments:
-        pauses = what is PAUSED
-        act = partial(person.tells, goes_on=False) if pauses else _nothing
-        values = _until(flight, is_now, act)
-        flight.companion.send_signal(signal.SIGKILL)
-        killed.said.append(flight.companion.communicate()[0])
-        killed.killed_at_s.append(values["t_s"])
-        flight.companion = companion()
-        if pauses:  # it goes on when it is told to, and not by itself
-            go_on = partial(person.tells, goes_on=True)
-            _until(flight, lambda now: now["phase"] == "FLYING", go_on)
-    return killed
-
-
-def _nothing() -> None:
-    """What a person does most of the time."""
-
-
-@pytest.fixture(scope="session")
-def killed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Killed]]:
-    """Flights to their end, each flown once for all tests that look at it."""
-    flown: dict[tuple[str, tuple[Moment, ...]], Killed] = {}
-    started: list[subprocess.Popen[str]] = []
-
-    def flight(name: str, moments: tuple[Moment, ...] | None = None) -> Killed:
-        moments = moments or (COPTER_MOMENTS if name in FLIES_ON_S else PLANE_MOMENTS)
-        if (name, moments) not in flown:
-            folder = tmp_path_factory.mktemp(name) / "run"
-            flown[name, moments] = fly(name, moments, folder, started)
-        return flown[name, moments]
-
-    yield flight
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-            process.communicate()
-
-
-COPTERS = each("sitl-arducopter", "sitl-px4", nightly=NIGHTLY_AUTOPILOTS)
+COPTERS = each("sitl-arducopter", "sitl-px4", nightly=["sitl-px4"])
 ALL = each(
     *("sitl-arducopter", "sitl-px4", "sitl-arduplane", "sitl-px4-plane"),
-    nightly=NIGHTLY_AUTOPILOTS,
+    nightly=["sitl-px4", "sitl-arduplane", "sitl-px4-plane"],  # planes: `test_planes`
 )
 
 
-def logged(folder: Path) -> list[tuple[float, Any]]:
-    """Every frame of the telemetry log, with its time; it must be whole to the last byte."""
-    data = (folder / "flight.tlog").read_bytes()
-    parser, at, found = wire.MAVLink(None), 0, []
-    while at < len(data):
-        (stamp_us,) = struct.unpack_from(">Q", data, at)
-        assert data[at + 8] == wire.PROTOCOL_MARKER_V2
-        size = 12 + data[at + 9]
-        found.append((stamp_us * 1e-6, parser.decode(bytearray(data[at + 8 : at + 8 + size]))))
-        at += 8 + size
-    assert at == len(data)
-    return found
-
-
 @ALL
-def test_it_arrives_however_often_it_was_killed(killed: Any, name: str) -> None:
-    it = killed(name)
-    assert it.flight.companion.returncode == 0, it.flight.said["companion"]
-    assert it.flight.simulator.returncode == 0, it.flight.said["simulator"]
-    assert it.flight.outcome == "arrived"
+def test_it_arrives_however_often_it_was_killed(flown: Any, name: str) -> None:
+    it = flown(name, by=killed)
+    it.flight.ended_well()
     assert it.killed_at_s == sorted(it.killed_at_s)
     texts = [entry.get("text") for entry in it.flight.journal]
     assert texts.count("target reached") >= 2
 
 
-@COPTERS
-def test_killed_while_it_lands(killed: Any, name: str) -> None:
-    it = killed(name, LANDING)
-    assert it.flight.companion.returncode == 0, it.flight.said["companion"]
-
-
 @ALL
-def test_journal_and_log_hold_all_lives(killed: Any, name: str) -> None:
-    it = killed(name)
+def test_journal_and_log_hold_all_lives(flown: Any, name: str) -> None:
+    it = flown(name, by=killed)
     heads = [entry for entry in it.flight.journal if "schema" in entry]
     assert [head.get("resumed", 0) for head in heads] == list(range(len(it.killed_at_s) + 1))
     times = [
         message.time_boot_ms * 1e-3
-        for _, message in logged(it.flight.folder)
+        for message in tlog.messages(it.flight.folder)
         if message.get_type() == "GLOBAL_POSITION_INT"
     ]
     gaps = [after - before for before, after in itertools.pairwise(times)]
@@ -258,17 +150,17 @@ def test_journal_and_log_hold_all_lives(killed: Any, name: str) -> None:
 
 
 @ALL
-def test_it_is_never_armed_again(killed: Any, name: str) -> None:
-    it = killed(name)
+def test_it_is_never_armed_again(flown: Any, name: str) -> None:
+    it = flown(name, by=killed)
     arms = [
-        (time_s, message)
-        for time_s, message in logged(it.flight.folder)
+        message
+        for message in tlog.messages(it.flight.folder)
         if message.get_srcComponent() == COMPANION
         and message.get_type() in ("COMMAND_LONG", "COMMAND_INT")
         and message.command == wire.MAV_CMD_COMPONENT_ARM_DISARM
     ]
     assert arms
-    assert all(message.param1 == 1.0 and message.param2 == 0.0 for _, message in arms)
+    assert all(message.param1 == 1.0 and message.param2 == 0.0 for message in arms)
     first_kill = [k for k, entry in enumerate(it.flight.journal) if "schema" in entry][1]
     later = [entry for entry in it.flight.journal[first_kill:] if entry.get("kind") == "arm"]
     assert later == []
@@ -304,13 +196,13 @@ def moved(
 
 
 @COPTERS
-def test_no_setpoint_jumps(killed: Any, name: str) -> None:
+def test_no_setpoint_jumps(flown: Any, name: str) -> None:
     """Each is where the autopilot's own target is: where the one before has come to, or it."""
-    it = killed(name)
+    it = flown(name, by=killed)
     before: Any = None
     vehicle: Any = None
     largest = [0.0, 0.0]
-    for _, message in logged(it.flight.folder):
+    for message in tlog.messages(it.flight.folder):
         if message.get_type() == "GLOBAL_POSITION_INT" and message.get_srcComponent() == 1:
             vehicle = message
         elif message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT":

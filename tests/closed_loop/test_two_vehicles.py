@@ -2,14 +2,12 @@
 
 import json
 import math
-import struct
-import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from flights import BIN, ROOT, warm_up
+import tlog
+from flights import companion, simulator
 from pymavlink.dialects.v20 import all as wire
 from router import Router
 
@@ -17,7 +15,6 @@ pytestmark = pytest.mark.closed_loop
 
 TARGETS_NE_M = {1: (90.0, 0.0), 2: (-60.0, 110.0)}
 COMPANION = 195
-PATIENCE_S = 400.0
 WORLD = """
 schema = 1
 name = "meadow"
@@ -72,26 +69,6 @@ action = "hold"
 """
 
 
-@pytest.fixture
-def processes() -> Iterator[list[subprocess.Popen[str]]]:
-    started: list[subprocess.Popen[str]] = []
-    yield started
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
-def start(*command: Any) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [str(part) for part in command],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        cwd=ROOT,
-    )
-
-
 def spoken(datagrams: list[bytes]) -> list[Any]:
     """All messages, of all systems."""
     parser = wire.MAVLink(None)
@@ -99,43 +76,23 @@ def spoken(datagrams: list[bytes]) -> list[Any]:
     return [message for data in datagrams for message in parser.parse_buffer(data) or ()]
 
 
-def recorded(tlog: Path) -> list[Any]:
-    """The messages of a telemetry log, in their order."""
-    data, at, found = tlog.read_bytes(), 0, []
-    parser = wire.MAVLink(None)
-    while at + 8 < len(data):
-        size = 12 + data[at + 9]
-        found += parser.parse_buffer(data[at + 8 : at + 8 + size]) or []
-        at += 8 + size
-    return found
-
-
-@pytest.mark.xdist_group("two vehicles")
 def test_each_companion_flies_its_own_vehicle_and_never_commands_the_other(
-    tmp_path: Path, processes: list[subprocess.Popen[str]]
+    tmp_path: Path,
 ) -> None:
-    warm_up()
     world = tmp_path / "world.toml"
     world.write_text(WORLD, encoding="utf-8")
-    companions = {}
+    companions = []
     with Router() as router:
         port = f"udpout:127.0.0.1:{router.port}"
         for system, (north, east) in TARGETS_NE_M.items():
             mission = tmp_path / f"mission-{system}.toml"
-            mission.write_text(
-                MISSION.format(system=system, north=north, east=east), encoding="utf-8"
-            )
-            out = tmp_path / f"run-{system}"
-            command = (BIN / "companion", "fly", mission, "--connect", port, "--out", out)
-            companions[system] = start(*command)
-        simulator = (BIN / "vehicle-sim", world, "--connect", port, "--count", 2)
-        processes += [
-            start(*simulator, "--speedup", 3, "--out", tmp_path / "truth"),
-            *companions.values(),
-        ]
-        for system, companion in companions.items():
-            said, _ = companion.communicate(timeout=PATIENCE_S)
-            assert companion.returncode == 0, f"companion {system}: {said}"
+            text = MISSION.format(system=system, north=north, east=east)
+            mission.write_text(text, encoding="utf-8")
+            companions.append(companion(mission, tmp_path / f"run-{system}", port))
+        options = "--connect", port, "--count", 2, "--speedup", 3
+        simulator(world, tmp_path / "truth", *options)
+        for each in companions:
+            assert each.wait() == 0, each.transcript
 
     commanded = {1: 0, 2: 0}
     for message in spoken(router.passed):
@@ -150,16 +107,8 @@ def test_each_companion_flies_its_own_vehicle_and_never_commands_the_other(
         last = (tmp_path / "truth" / name).read_text(encoding="utf-8").splitlines()[-1]
         place = json.loads(last)
         assert math.dist((place["north_m"], place["east_m"]), target) < 5.0
-        mine = recorded(tmp_path / f"run-{system}" / "flight.tlog")
+        mine = tlog.messages(tmp_path / f"run-{system}")
         setpoints = [m for m in mine if m.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"]
         own = [m for m in setpoints if m.get_srcSystem() == system]
         assert len(own) == commanded[system]
         assert {m.target_system for m in own} == {system}
-
-
-def test_a_log_is_read_as_it_was_written(tmp_path: Path) -> None:
-    codec = wire.MAVLink(None, srcSystem=1, srcComponent=COMPANION)
-    frame = wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(codec)
-    log = tmp_path / "flight.tlog"
-    log.write_bytes(b"".join(struct.pack(">Q", k) + frame for k in range(3)))
-    assert [message.get_type() for message in recorded(log)] == ["HEARTBEAT"] * 3

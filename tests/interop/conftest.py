@@ -3,10 +3,10 @@
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from processes import CLIENTS, HOME, ROOT, Program, Vehicle, environments
+from processes import CLIENTS, HOME, Vehicle, environments, plain
+from programs import ROOT, Program
 
 
 @pytest.fixture
@@ -14,8 +14,8 @@ def programs(tmp_path: Path) -> Iterator[Callable[..., Program]]:
     """Start programs; all end with the test, and what was said is in its folder: NAME.txt."""
     started: list[Program] = []
 
-    def start(*arguments: object, **keywords: Any) -> Program:
-        started.append(Program(*arguments, **keywords))
+    def start(name: str, *arguments: object, folder: Path) -> Program:
+        started.append(Program(name, *arguments, folder=folder, environment=plain(folder)))
         return started[-1]
 
     yield start

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import Program, free_port
+from programs import Program, free_port
 from pymavlink.dialects.v20 import ardupilotmega as wire
 
 BIN = Path(sys.executable).parent

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import ROOT, free_port
+from programs import ROOT, free_port
 from pymavlink.dialects.v20 import all as wire
 
 sys.path.insert(0, str(ROOT / "tests" / "telemetry"))
@@ -26,7 +26,9 @@ def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "flight.plan"
 
 
-@pytest.mark.parametrize("environment", ["mavsdk", "mavsdk-3"])
+@pytest.mark.parametrize(
+    "environment", ["mavsdk", pytest.param("mavsdk-3", marks=pytest.mark.nightly)]
+)
 def test_mavsdk_finds_all_of_it_and_a_vehicle_takes_it(
     environment: str, plan_file: Path, fly: Any, client: Any
 ) -> None:

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import Program, Vehicle, away_m, free_port, height_m, place
+from processes import Vehicle, away_m, height_m, place
+from programs import Program, free_port
 
 SPEEDUP = 20
 MISSION = """QGC WPL 110

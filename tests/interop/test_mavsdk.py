@@ -4,12 +4,16 @@ import re
 from typing import Any
 
 import pytest
-from processes import HOME, Vehicle, away_m, free_port, height_m, place
+from processes import HOME, Vehicle, away_m, height_m, place
+from programs import free_port
 
 SPEEDUP = 10
 
 
-@pytest.fixture(params=["mavsdk", "mavsdk-3"])
+OLDER = pytest.param("mavsdk-3", marks=pytest.mark.nightly)
+
+
+@pytest.fixture(params=["mavsdk", OLDER])
 def session(request: pytest.FixtureRequest, fly: Any, client: Any) -> Any:
     """Run one of the sessions to its end; the vehicle and the client's transcript."""
 
@@ -33,6 +37,7 @@ def said(transcript: str, what: str) -> str:
     return found[1]
 
 
+@pytest.mark.parametrize("session", ["mavsdk", "mavsdk-3"], indirect=True)
 def test_telemetry_parameters_mission_and_geofence(session: Any) -> None:
     _, transcript = session("ground")
     assert said(transcript, "version") == "1.17.0"

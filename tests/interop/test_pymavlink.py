@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import away_m, environments, free_port, height_m, place
+from processes import away_m, environments, height_m, place
+from programs import free_port
 
 SPEEDUP = 20
 

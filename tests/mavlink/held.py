@@ -1,10 +1,10 @@
 """A simulated vehicle that nobody flies: a client of the companion on link 0, others on link 1."""
 
-import struct
 from collections.abc import Callable, Iterator
 from typing import Any, Literal, Protocol
 
 from recordings import recording
+from tlog import frames_of
 
 from companion.mavlink.dialect import codec, wire
 from vehicle_sim.plans import PlanItem as Stored
@@ -162,11 +162,11 @@ def waypoints(count: int) -> list[Stored]:
 
 def recorded(name: str) -> Iterator[tuple[float, Any]]:
     """The messages of a recorded flight."""
-    data = recording(name).read_bytes()
-    reader = wire.MAVLink(None)
-    at = 0
-    while at < len(data):
-        (stamp_us,) = struct.unpack_from(">Q", data, at)
-        size = 12 + data[at + 9] + (13 if data[at + 10] & 1 else 0)
-        yield stamp_us * 1e-6, reader.decode(bytearray(data[at + 8 : at + 8 + size]))
-        at += 8 + size
+    for stamp_us, message in frames_of(recording(name).read_bytes()):
+        yield stamp_us * 1e-6, message
+
+
+def from_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
+    """As it comes out of the parser."""
+    sender = wire.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
+    return wire.MAVLink(None).decode(bytearray(message.pack(sender)))

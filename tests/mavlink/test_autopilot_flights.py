@@ -7,18 +7,13 @@ import functools
 import math
 
 import pytest
-from driver import SYSTEM, Driver, Firmware, Flight, Kind, Route, airborne, found
-from pymavlink.dialects.v20 import all as wire
+from driver import SYSTEM, Driver, Firmware, Flight, Kind, Route, airborne
 
 from companion.mission.events import (
     Estimator,
     GpsFix,
-    Home,
     Landed,
     Mode,
-    Origin,
-    Position,
-    SetMode,
     VehicleStatus,
 )
 
@@ -94,23 +89,6 @@ def watched(driver: Driver, seconds: float) -> list[tuple[float, float]]:
 
 
 # --- finding it, and taking off
-
-
-@each
-def test_it_is_found_and_sends_what_was_asked_for(who: Who) -> None:
-    driver = found(*who)
-    assert driver.pilot.driving.hovers == (who in COPTERS)
-    assert driver.newest[Home].position_nea_m == pytest.approx((0, 0, 488), abs=3)
-    driver.until(lambda: Origin in driver.newest, 10.0)
-    assert driver.newest[Origin].position_nea_m == pytest.approx((0, 0, 488), abs=3)
-    driver.run(5.0)
-    driver.events.clear()
-    driver.run(10.0)
-    rates = {kind: sum(type(e) is kind for e in driver.events) / 10.0 for kind in driver.newest}
-    assert rates[Position] == pytest.approx(10.0, abs=0.2)
-    assert rates[Estimator] == pytest.approx(5.0, abs=0.2)
-    assert rates[GpsFix] >= 4.8  # PX4 sends it at 8 Hz unasked
-    assert rates[VehicleStatus] >= 0.9
 
 
 @each
@@ -310,33 +288,6 @@ def test_it_lands_where_it_is(who: Who) -> None:
     driver.ask_mode(Mode.LAND)
     driver.until(lambda: driver.landed is Landed.ON_GROUND and not driver.armed, 150.0)
     assert driver.truly[2] == pytest.approx(driver.ground_amsl_m, abs=1.0)
-
-
-@pytest.mark.parametrize("who", COPTERS, ids="-".join)
-def test_a_copter_that_returns_lands_at_home(who: Who) -> None:
-    driver = cruising(who)
-    driver.silent()
-    driver.ask_mode(Mode.RETURN)
-    driver.until(lambda: driver.landed is Landed.ON_GROUND and not driver.armed, 200.0)
-    assert math.hypot(*driver.truly[:2]) < 2.0
-
-
-@pytest.mark.parametrize("who", PLANES, ids="-".join)
-def test_a_plane_that_returns_circles_home(who: Who) -> None:
-    driver = cruising(who)
-    driver.silent()
-    driver.ask_mode(Mode.RETURN)
-    driver.run(120.0)
-    away = [math.hypot(*driver.truly[:2]) for _ in range(300) if driver.run(0.1) is None]
-    assert driver.mode is Mode.RETURN
-    assert driver.landed is Landed.IN_AIR
-    assert max(away) < 130.0
-
-
-def test_arduplane_has_no_landing_where_it_is() -> None:
-    driver = found(*PLANES[0])
-    assert driver.pilot.set_mode(SetMode(mode=Mode.LAND), driver.frame, SYSTEM) == []
-    assert wire.PLANE_MODE_RTL == 11
 
 
 # --- whether it is where it says

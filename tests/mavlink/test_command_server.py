@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
-from companion.mavlink.command_server import Answer, CommandServer
-from companion.mavlink.commands import meant, speed_bounds_m_s
+from companion.mavlink.addressing import Reply
+from companion.mavlink.commands import CommandServer, meant, speed_bounds_m_s
 from companion.mavlink.presence import Presence
 from companion.mission.events import Order, OrderKind
 
@@ -54,13 +54,13 @@ def made(
 
 
 def presence_of(server: CommandServer) -> Presence:
-    return server._commands._presence
+    return server._presence
 
 
-def answered(server: CommandServer, message: Any, now_s: float = 10.0) -> tuple[Answer, list[Ack]]:
+def answered(server: CommandServer, message: Any, now_s: float = 10.0) -> tuple[Reply, list[Ack]]:
     """What comes back if the machine takes every order."""
     answer = server.on_message(message, now_s)
-    replies = answer.replies
+    replies = [*answer.replies]
     if answer.order is not None:
         replies += server.order_done(answer.order, accepted=True)
     return answer, [ack(reply) for reply in replies if reply.get_type() == "COMMAND_ACK"]
@@ -242,14 +242,14 @@ def test_nobody_else_is(sender: tuple[int, int]) -> None:
 def test_what_is_for_others_is_neither_answered_nor_obeyed(
     target: tuple[int, int], command: int
 ) -> None:
-    assert made().on_message(command_long(command, 148.0, target=target), 1.0) == Answer()
+    assert made().on_message(command_long(command, 148.0, target=target), 1.0) == Reply()
 
 
 @pytest.mark.parametrize("target", [(7, 0), (0, 195), (0, 0)])
 def test_of_a_broadcast_only_our_questions_are_answered(target: tuple[int, int]) -> None:
     for command in (START, PAUSE, RETURN, SPEED, REPOSITION, SET_INTERVAL, 400, 22):
         answer = made().on_message(command_long(command, 0.0, 5.0, target=target), 1.0)
-        assert answer == Answer()
+        assert answer == Reply()
     _, acks = answered(made(), command_long(REQUEST, 148.0, target=target))
     assert acks == [Ack(REQUEST, ACCEPTED, PERSON)]
     _, acks = answered(made(), command_long(REQUEST, 30.0, target=target))  # an autopilot's
@@ -257,7 +257,7 @@ def test_of_a_broadcast_only_our_questions_are_answered(target: tuple[int, int])
 
 
 def test_our_own_messages_sent_back_by_a_router_are_ignored() -> None:
-    assert made().on_message(command_long(START, sender=OURS), 1.0) == Answer()
+    assert made().on_message(command_long(START, sender=OURS), 1.0) == Reply()
 
 
 @pytest.mark.parametrize("command", [21, 22, 176, 400, 246, 2000, 0, 65_535])
@@ -445,7 +445,7 @@ def test_one_ack_answers_each_command_for_us_and_none_any_other(data: st.DataObj
             assert len(acks) <= 1
             assert all(one.result == ACCEPTED for one in acks)
         if target[0] not in (0, 7) or target[1] not in (0, 195):
-            assert answer == Answer()
+            assert answer == Reply()
 
 
 ANY_KIND = st.sampled_from(sorted(wire.mavlink_map))
@@ -457,7 +457,7 @@ def test_no_message_whatever_breaks_it(
 ) -> None:
     answer = made().on_message(any_message(number, payload, sender), 1.0)
     if number not in (75, 76):
-        assert answer == Answer()
+        assert answer == Reply()
 
 
 @given(st.decimals(min_value="0.01", max_value="9999", places=2))

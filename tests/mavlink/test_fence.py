@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.geodesy import LocalFrame, deg_e7
-from companion.mavlink.fence import conflicts, rally_of, targets_of, zones_of
+from companion.mavlink.fence import (
+    Drawing,
+    Fence,
+    conflicts,
+    in_force,
+    margin_m,
+    rally_of,
+    targets_of,
+)
 from companion.mavlink.plan_client import PlanItem
 from companion.mission.mission import EndAction
 from companion.path.limits import Limits
@@ -32,6 +41,16 @@ CIRCLE_IN, CIRCLE_OUT, IN, OUT = 5003, 5004, 5001, 5002
 SQUARE = ((-100.0, -100.0), (-100.0, 100.0), (100.0, 100.0), (100.0, -100.0))
 metres = st.floats(-900.0, 900.0)
 places = st.tuples(metres, metres)
+
+
+def zones_of(
+    items: Sequence[PlanItem], frame: LocalFrame, parameters: dict[str, float], **where: Any
+) -> Fence:
+    """A fence drawn to its end, and what parameters make of it."""
+    drawing = Drawing(items, frame, margin_m(parameters))
+    while (drawn := drawing.go_on()) is None:
+        pass
+    return in_force(drawn, parameters, **where)
 
 
 def item(command: int, north_m: float, east_m: float, parameter: float) -> PlanItem:

@@ -5,7 +5,7 @@ import struct
 from typing import Any
 
 import pytest
-from held import FOUR, Firmware, Held, Kind, recorded
+from held import FOUR, Firmware, Held, Kind, from_wire, recorded
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -36,12 +36,6 @@ WHOLE = {1: (0, 255), 2: (-128, 127), 3: (0, 65535), 4: (-(2**15), 2**15 - 1)} |
     5: (0, 2**32 - 1),
     6: (-(2**31), 2**31 - 1),
 }
-
-
-def from_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
-    """As it comes out of the parser."""
-    sender = wire.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
-    return wire.MAVLink(None).decode(bytearray(message.pack(sender)))
 
 
 def told(name: str, value: float, kind: int = 9, source: tuple[int, int] = (1, 1)) -> Any:

@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import all as wire
 
 from companion.config import load_mission
 from companion.errors import InputError
+from companion.mavlink.addressing import Reply
 from companion.mavlink.parameter_server import ParameterServer
 from companion.mission.events import FenceChanged
 from companion.objective.scene import Weights
@@ -67,7 +68,7 @@ def test_the_table_has_every_weight() -> None:
 @pytest.mark.parametrize("target", [OURS, (7, 0), (0, 0), (0, 195)])
 def test_a_list_comes_whole_and_not_at_once(target: tuple[int, int]) -> None:
     server = made()
-    first = server.on_message(param_list(target=target, sender=STRANGER), 5.0)
+    first = server.on_message(param_list(target=target, sender=STRANGER), 5.0).replies
     values = [(5.0, param_value(one)) for one in first] + listed(server, 5.0)
     assert [value.name for _, value in values] == NAMES
     assert [value.index for _, value in values] == list(range(len(NAMES)))
@@ -80,7 +81,7 @@ def test_a_list_asked_for_again_begins_again() -> None:
     server = made()
     server.on_message(param_list(), 5.0)
     server.on_time(5.1)
-    first = server.on_message(param_list(), 5.12)
+    first = server.on_message(param_list(), 5.12).replies
     assert [param_value(one).index for one in first] == [0]
     assert [value.index for _, value in listed(server, 5.12)] == list(range(1, len(NAMES)))
 
@@ -93,8 +94,8 @@ def test_a_list_goes_on_when_the_clock_begins_again() -> None:
 
 @pytest.mark.parametrize("index", range(len(PARAMETERS)))
 def test_each_is_read_by_name_and_by_index(index: int) -> None:
-    by_index = made().on_message(param_read(index=index, target=(7, 0)), 1.0)
-    by_name = made().on_message(param_read(NAMES[index]), 1.0)
+    by_index = made().on_message(param_read(index=index, target=(7, 0)), 1.0).replies
+    by_name = made().on_message(param_read(NAMES[index]), 1.0).replies
     assert [param_value(one) for one in by_index] == [param_value(one) for one in by_name]
     assert param_value(by_name[0]).index == index
 
@@ -102,7 +103,7 @@ def test_each_is_read_by_name_and_by_index(index: int) -> None:
 def test_values_are_those_of_the_mission() -> None:
     values = {}
     for name in NAMES:
-        [one] = made().on_message(param_read(name), 1.0)
+        [one] = made().on_message(param_read(name), 1.0).replies
         values[name] = round(param_value(one).value, 5)
     settings, weights = TASK.settings, TASK.settings.weights
     assert values == {
@@ -139,7 +140,7 @@ def test_values_are_those_of_the_mission() -> None:
 )
 def test_what_there_is_not_and_what_is_for_others_is_not_answered(message: Any) -> None:
     server = made()
-    assert server.on_message(message, 1.0) == []
+    assert list(server.on_message(message, 1.0).replies) == []
     assert listed(server, 1.0) == []
 
 
@@ -166,19 +167,20 @@ def test_what_there_is_not_and_what_is_for_others_is_not_answered(message: Any) 
 def test_what_is_set_is_taken_and_told_to_everybody(name: str, value: float) -> None:
     server = made()
     parameter = PARAMETERS[NAMES.index(name)]
-    [told] = server.on_message(param_set(name, value), 1.0)
+    reply = server.on_message(param_set(name, value), 1.0)
+    [told] = reply.replies
     [as_float] = struct.unpack("<f", struct.pack("<f", value))
     assert param_value(told) == Value(name, as_float, 9, len(NAMES), NAMES.index(name))
+    assert reply.is_for_all
     assert not hasattr(told, "target_system")  # a broadcast
-    assert (server.changed, server.refused) == (f"{name} = {value:g}", None)
+    assert (reply.changed, reply.text) == (f"{name} = {value:g}", "")
+    assert reply.task is server.task
     assert parameter.value(server.task) == value  # not 33.29999923706055
     others = [other for other in PARAMETERS if other is not parameter]
     assert [other.value(server.task) for other in others] == [o.value(TASK) for o in others]
     back = server.on_message(param_set(name, parameter.value(TASK)), 2.0)
-    assert len(back) == 1
+    assert len(back.replies) == 1
     assert server.task == TASK
-    server.on_message(param_read(name), 3.0)
-    assert server.changed is None
 
 
 def test_the_kinds_of_numbers_stay() -> None:
@@ -192,8 +194,8 @@ def test_the_kinds_of_numbers_stay() -> None:
 
 def test_the_same_value_changes_nothing() -> None:
     server = made()
-    assert len(server.on_message(param_set("PLN_SPEED", 8.0), 1.0)) == 1
-    assert (server.changed, server.refused) == (None, None)
+    reply = server.on_message(param_set("PLN_SPEED", 8.0), 1.0)
+    assert (len(reply.replies), reply.task, reply.text) == (1, None, "")
 
 
 @pytest.mark.parametrize(
@@ -217,73 +219,62 @@ def test_the_same_value_changes_nothing() -> None:
 )
 def test_what_breaks_a_rule_is_refused_with_it(name: str, value: float, word: str) -> None:
     server = made()
-    told, error = server.on_message(param_set(name, value), 1.0)
+    reply = server.on_message(param_set(name, value), 1.0)
+    told, error = reply.replies
     assert param_value(told).value == pytest.approx(PARAMETERS[NAMES.index(name)].value(TASK))
     assert (error.param_id, error.error) == (name, wire.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)
     assert (error.target_system, error.target_component) == PERSON
     assert server.task is TASK
-    assert server.changed is None
-    assert server.refused is not None
-    assert server.refused.startswith(name)
-    assert word in server.refused
+    assert reply.task is None
+    assert reply.text.startswith(name)
+    assert word in reply.text
+
+
+def refusal(server: ParameterServer, name: str, value: float) -> str:
+    """Why it was not set; "" if it was."""
+    reply = server.on_message(param_set(name, value), 1.0)
+    assert (reply.task is None) == bool(reply.text)
+    return reply.text
 
 
 def test_a_target_stays_outside_of_zones() -> None:
-    target = (0.0, 0.0)
     zone = CircleZone(name="z", north_m=0.0, east_m=160.0, radius_m=100.0)
-    server = made(replace(TASK, zones=(zone,)), targets_ne_m=(target,))
-    server.on_message(param_set("PLN_SAFE_DIST", 45.0), 1.0)
-    assert server.changed is not None
-    server.on_message(param_set("PLN_SAFE_DIST", 58.0), 1.0)
-    assert server.refused is not None
-    assert "'z'" in server.refused
+    server = made(replace(TASK, zones=(zone,)), targets_ne_m=((0.0, 0.0),))
+    assert refusal(server, "PLN_SAFE_DIST", 45.0) == ""
+    assert "'z'" in refusal(server, "PLN_SAFE_DIST", 58.0)
+
+
+SITL = load_mission("sitl-arducopter").task
 
 
 def test_the_floor_stays_clear_of_the_ground_as_it_is_stated() -> None:
     """As in the mission file, with whose floor and ground 18 m is the most."""
-    sitl = load_mission("sitl-arducopter").task
-    server = made(sitl)
-    server.on_message(param_set("PLN_SAFE_DIST", 25.0), 1.0)
-    assert server.task is sitl
-    assert server.refused is not None
-    assert server.refused.startswith("PLN_SAFE_DIST = 25: altitude.floor_amsl_m = 610.0: ")
-    server.on_message(param_set("PLN_SAFE_DIST", 18.0), 1.0)
-    assert server.changed == "PLN_SAFE_DIST = 18"
+    server = made(SITL)
+    why = refusal(server, "PLN_SAFE_DIST", 25.0)
+    assert why.startswith("PLN_SAFE_DIST = 25: altitude.floor_amsl_m = 610.0: ")
+    assert refusal(server, "PLN_SAFE_DIST", 18.0) == ""
 
 
 def test_the_band_within_the_vehicles_own_fence_stays_thick_enough() -> None:
-    sitl = load_mission("sitl-arducopter").task
-    server = made(sitl)
+    server = made(SITL)
     server.fence = FenceChanged(time_s=0.0, zones=(), ceiling_amsl_m=640.0)
-    server.on_message(param_set("PLN_ERR_TRACK", 8.0), 1.0)
-    assert server.refused is not None
-    assert "altitude.ceiling_amsl_m = 640.0" in server.refused
+    assert "altitude.ceiling_amsl_m = 640.0" in refusal(server, "PLN_ERR_TRACK", 8.0)
 
 
 def test_what_is_broken_already_refuses_nothing_else() -> None:
-    sitl = load_mission("sitl-arducopter").task
-    server = made(sitl, targets_ne_m=((100.0, 0.0),))
+    server = made(SITL, targets_ne_m=((100.0, 0.0),))
     about = CircleZone(name="z", north_m=100.0, east_m=0.0, radius_m=50.0)
     server.fence = FenceChanged(time_s=0.0, zones=(about,), ceiling_amsl_m=630.0)
-    server.on_message(param_set("PLN_SAFE_DIST", 12.0), 1.0)
-    assert server.changed == "PLN_SAFE_DIST = 12"
+    assert refusal(server, "PLN_SAFE_DIST", 12.0) == ""
 
 
-def test_the_cells_of_terrain_that_is_known_in_advance_stay() -> None:
-    server = made()
-    server.charted = True
-    server.on_message(param_set("PLN_SCAN_RANGE", 1600.0), 1.0)
-    assert server.refused is not None
-    assert "planner.scan_range_m" in server.refused
-
-
-def test_the_scan_range_is_fixed_in_the_air() -> None:
-    server = made()
-    server.airborne = True
-    server.on_message(param_set("PLN_SCAN_RANGE", 1600.0), 1.0)
-    assert server.refused == "PLN_SCAN_RANGE = 1600: it can be set on the ground only"
-    server.on_message(param_set("PLN_SAFE_DIST", 45.0), 1.0)
-    assert server.changed is not None
+def test_the_scan_range_is_fixed_in_the_air_and_by_terrain_that_is_known_in_advance() -> None:
+    charted, airborne = made(), made()
+    charted.charted = airborne.airborne = True
+    assert "planner.scan_range_m" in refusal(charted, "PLN_SCAN_RANGE", 1600.0)
+    why = refusal(airborne, "PLN_SCAN_RANGE", 1600.0)
+    assert why == "PLN_SCAN_RANGE = 1600: it can be set on the ground only"
+    assert refusal(airborne, "PLN_SAFE_DIST", 45.0) == ""
 
 
 @pytest.mark.parametrize(
@@ -296,25 +287,27 @@ def test_the_scan_range_is_fixed_in_the_air() -> None:
 )
 def test_strangers_and_other_types_change_nothing_and_see_the_value(message: Any, why: int) -> None:
     server = made()
-    told, error = server.on_message(message, 1.0)
+    reply = server.on_message(message, 1.0)
+    told, error = reply.replies
     assert error.error == why
     assert param_value(told).value == 8.0
-    assert server.refused is not None
+    assert reply.text
     assert server.task is TASK
 
 
 @pytest.mark.parametrize("target", [(7, 0), (0, 0), (0, 195), (7, 1), (8, 195)])
 def test_what_is_set_for_everybody_is_not_for_us(target: tuple[int, int]) -> None:
     server = made()
-    assert server.on_message(param_set("PLN_SPEED", 5.0, target=target), 1.0) == []
+    assert server.on_message(param_set("PLN_SPEED", 5.0, target=target), 1.0) == Reply()
     assert server.task is TASK
 
 
 def test_a_parameter_that_there_is_not_is_refused() -> None:
     server = made()
-    [error] = server.on_message(param_set("WPNAV_SPEED", 5.0), 1.0)
+    reply = server.on_message(param_set("WPNAV_SPEED", 5.0), 1.0)
+    [error] = reply.replies
     assert (error.param_index, error.error) == (-1, wire.MAV_PARAM_ERROR_DOES_NOT_EXIST)
-    assert server.refused == "'WPNAV_SPEED': there is no such parameter"
+    assert reply.text == "'WPNAV_SPEED': there is no such parameter"
 
 
 # --- the same rules as in a mission file
@@ -365,13 +358,14 @@ def test_the_task_obeys_the_rules_whatever_is_set(asked: list[tuple[str, float, 
     for name, value, airborne in asked:
         server.airborne = airborne
         before = server.task
-        told, *errors = server.on_message(param_set(name, value), 1.0)
+        reply = server.on_message(param_set(name, value), 1.0)
+        told, *errors = reply.replies
         assert param_value(told).name == name
-        assert bool(errors) == bool(server.refused)
+        assert bool(errors) == bool(reply.text)
         assert math.isfinite(param_value(told).value)
-        assert (server.changed is not None) == (server.task != before)
-        if server.changed is None and not math.isnan(value):
-            assert server.refused or param_value(told).value == value
+        assert (reply.task is not None) == (server.task != before)
+        if reply.task is None and not math.isnan(value):
+            assert reply.text or param_value(told).value == value
         try:
             check_task(server.task)
         except InputError as error:
@@ -387,7 +381,6 @@ def test_the_task_obeys_the_rules_whatever_is_set(asked: list[tuple[str, float, 
 def test_no_message_whatever_breaks_it(
     number: int, payload: bytes, sender: tuple[int, int]
 ) -> None:
-    server = made()
-    replies = server.on_message(any_message(number, payload, sender), 1.0)
+    reply = made().on_message(any_message(number, payload, sender), 1.0)
     if number not in (20, 21, 23):
-        assert (replies, server.changed, server.refused) == ([], None, None)
+        assert reply == Reply()

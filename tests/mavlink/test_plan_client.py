@@ -13,6 +13,7 @@ from held import (
     Held,
     Kind,
     circle,
+    from_wire,
     place_e7,
     polygon,
     recorded,
@@ -40,11 +41,6 @@ def placed(plan: Plan) -> list[tuple[int, float, int, int]]:
 
 def drawn(items: tuple[Stored, ...] | list[Stored]) -> list[tuple[int, float, int, int]]:
     return [(item.command, item.parameters[0], item.x, item.y) for item in items]
-
-
-def from_wire(message: Any, source: tuple[int, int] = (1, 1)) -> Any:
-    sender = wire.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
-    return wire.MAVLink(None).decode(bytearray(message.pack(sender)))
 
 
 def count(number: int, kind: int = FENCE, to: tuple[int, int] = OURS) -> Any:

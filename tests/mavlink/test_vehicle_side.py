@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from held import Held, circle, polygon, waypoints
+from held import Held, circle, from_wire, polygon, waypoints
 
 from companion.config import load_mission
 from companion.mavlink import fence
@@ -299,12 +299,7 @@ def plane_told_its_speed() -> tuple[VehicleSide, list[Any]]:
 
 def heartbeat(mode: int = wire.PLANE_MODE_GUIDED) -> Any:
     beat = wire.MAVLink_heartbeat_message(1, wire.MAV_AUTOPILOT_ARDUPILOTMEGA, 129, mode, 4, 3)
-    return received(beat)
-
-
-def received(message: Any) -> Any:
-    sender = wire.MAVLink(None, srcSystem=1, srcComponent=1)
-    return wire.MAVLink(None).decode(bytearray(message.pack(sender)))
+    return from_wire(beat)
 
 
 def times_told(side: VehicleSide, from_s: float) -> int:
@@ -318,16 +313,16 @@ def test_a_plane_is_told_its_speed_until_it_says_that_it_will_fly_it() -> None:
     assert told.command == wire.MAV_CMD_GUIDED_CHANGE_SPEED
     assert 9 <= times_told(side, 0.0) <= 10
     other = wire.MAVLink_command_ack_message(wire.MAV_CMD_DO_REPOSITION, 0)
-    side.event_of(received(other), 10.0)
+    side.event_of(from_wire(other), 10.0)
     assert times_told(side, 10.0) == 10
-    side.event_of(received(wire.MAVLink_command_ack_message(told.command, 0)), 20.0)
+    side.event_of(from_wire(wire.MAVLink_command_ack_message(told.command, 0)), 20.0)
     assert times_told(side, 20.0) == 0
     assert side.notes == []
 
 
 def test_a_plane_that_refuses_the_speed_is_not_asked_again_and_a_person_hears_of_it() -> None:
     side, [told] = plane_told_its_speed()
-    side.event_of(received(wire.MAVLink_command_ack_message(told.command, 2)), 0.5)
+    side.event_of(from_wire(wire.MAVLink_command_ack_message(told.command, 2)), 0.5)
     assert times_told(side, 1.0) == 0
     assert side.notes == ["the autopilot does not take the mission's speed"]
 
@@ -342,7 +337,7 @@ def test_a_plane_that_refuses_the_speed_is_not_asked_again_and_a_person_hears_of
     ],
 )
 def test_a_take_off_is_taken_once_it_is_accepted(command: int, result: int, taken: bool) -> None:
-    message = received(wire.MAVLink_command_ack_message(command, result))
+    message = from_wire(wire.MAVLink_command_ack_message(command, result))
     event = plane_told_its_speed()[0].event_of(message, 3.0)
     assert event == (TakeOffTaken(time_s=3.0) if taken else None)
 

@@ -92,18 +92,28 @@ def test_when_a_part_dies_the_ground_is_told_why(folder: RunFolder) -> None:
     assert len(rig.link.times_of(HOLD)) == 3
 
 
+class Quiet(QueueLink):
+    """A link that tells when nothing more is waiting in it."""
+
+    def __init__(self) -> None:
+        super().__init__(time.monotonic)
+        self.is_empty = threading.Event()
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        if (data := super().receive(timeout_s)) is None:
+            self.is_empty.set()
+        return data
+
+
 @pytest.mark.parametrize(("size", "most"), [(10, 500), (1000, 65)])
 def test_no_more_is_taken_from_one_than_a_ground_station_has_to_say(size: int, most: int) -> None:
-    link, inbox, now_s = QueueLink(time.monotonic), Inbox(), [100.0]
-    reader = GroundReader(link, 1, inbox, lambda: now_s[0])
+    link, inbox = Quiet(), Inbox()
+    reader = GroundReader(link, 1, inbox, lambda: 100.0)
     thread = threading.Thread(target=reader.run)
-    for _ in range(2):
-        for _ in range(600):
-            link.incoming.put(bytes(size))
+    for _ in range(1200):
+        link.incoming.put(bytes(size))
     thread.start()
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not link.incoming.empty() and time.monotonic() < deadline_s:
-        time.sleep(0.01)
+    assert link.is_empty.wait(PATIENCE_S)
     reader.leave()
     thread.join(PATIENCE_S)
     taken = inbox.take(0.0, most=2000)

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import InputError
-from companion.runtime import stream_links
+from companion.runtime import link as links
 from companion.runtime.link import Link, open_link
 
 PATIENCE_S = 10.0
@@ -122,7 +122,7 @@ def test_a_tcp_peer_that_is_not_there_yet_is_no_error() -> None:
 
 
 def test_closing_ends_the_wait_for_the_next_call(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream_links, "_AGAIN_S", 10.0 * PATIENCE_S)
+    monkeypatch.setattr(links, "_AGAIN_S", 10.0 * PATIENCE_S)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     link = open_link(f"tcp:127.0.0.1:{port}")
@@ -133,7 +133,7 @@ def test_closing_ends_the_wait_for_the_next_call(monkeypatch: pytest.MonkeyPatch
 def test_a_tcp_link_that_was_closed_calls_nobody(
     server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream_links, "_AGAIN_S", 0.0)
+    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
     link = open_link(f"tcp:127.0.0.1:{server.port}")
     link.close()
     for _ in range(3):
@@ -267,7 +267,7 @@ def test_a_device_that_vanishes_while_it_is_opened_again_is_opened_once_more(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     """As the USB of a flight controller does, which is a bootloader for some seconds."""
-    monkeypatch.setattr(stream_links, "_AGAIN_S", 0.0)
+    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
     with open_link(str(terminal.name)) as link:
         terminal.pull()
         assert link.receive(0.02) is None
@@ -294,7 +294,7 @@ def test_a_device_that_vanishes_while_it_is_first_opened_is_an_input_error(
 def test_closing_ends_the_wait_for_a_device_that_has_vanished(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream_links, "_AGAIN_S", 10.0 * PATIENCE_S)
+    monkeypatch.setattr(links, "_AGAIN_S", 10.0 * PATIENCE_S)
     link = open_link(str(terminal.name))
     terminal.pull()
     for _ in range(2):  # it notices, and finds no device
@@ -306,7 +306,7 @@ def test_closing_ends_the_wait_for_a_device_that_has_vanished(
 def test_a_serial_link_that_was_closed_leaves_its_device_to_others(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream_links, "_AGAIN_S", 0.0)
+    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
     link = open_link(str(terminal.name))
     link.close()
     for _ in range(3):

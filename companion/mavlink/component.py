@@ -4,10 +4,11 @@ Commands and parameters addressed to it, and its heartbeat.  Sans-IO.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
-from companion.mavlink.command_server import CommandServer
+from companion.mavlink import commands
+from companion.mavlink.addressing import Reply
+from companion.mavlink.commands import CommandServer
 from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
 from companion.mavlink.obstacle_distance import Around
 from companion.mavlink.parameter_server import ParameterServer
@@ -19,9 +20,8 @@ from companion.mission.state import Phase, State
 from companion.mission.stopped import AS_TOLD
 from companion.planner.settings import Task
 
-_COMMANDS = (wire.MAVLINK_MSG_ID_COMMAND_LONG, wire.MAVLINK_MSG_ID_COMMAND_INT)
-SERVED = (
-    *_COMMANDS,
+REQUESTS = (
+    *commands.MESSAGES,
     wire.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
     wire.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
     wire.MAVLINK_MSG_ID_PARAM_SET,
@@ -30,24 +30,7 @@ SERVED = (
 
 
 @final
-@dataclass(slots=True, kw_only=True)
-class Served:
-    """What a message asked of the companion, and what it is answered."""
-
-    replies: Sequence[Message] = ()
-    is_for_all: bool = False
-    """Whether everybody is to hear the replies, not only who has asked."""
-    order: Order | None = None
-    note: dict[str, Any] | None = None
-    text: str = ""
-    """Why it was refused, for people."""
-    changed: str | None = None
-    """What of the planner's settings was changed; `task` is how they are now."""
-    task: Task
-
-
-@final
-class Citizen:
+class Component:
     """Commands, parameters and heartbeat of one companion."""
 
     def __init__(self, mission: Mission, system_id: int, task: Task, version: str) -> None:
@@ -70,25 +53,11 @@ class Citizen:
         self._parameters.task = task
         self._parameters.charted = mission.known is not None
 
-    def on_message(self, message: Message, now_s: float) -> Served:
-        """One of `SERVED`, of anybody; perhaps not for us."""
-        if message.get_msgId() in _COMMANDS:
-            answer = self._commands.on_message(message, now_s)
-            return Served(
-                replies=answer.replies,
-                order=answer.order,
-                note=answer.note,
-                text=answer.text,
-                task=self._parameters.task,
-            )
-        replies = self._parameters.on_message(message, now_s)
-        return Served(
-            replies=replies,
-            is_for_all=True,
-            text=self._parameters.refused or "",
-            changed=self._parameters.changed,
-            task=self._parameters.task,
-        )
+    def on_message(self, message: Message, now_s: float) -> Reply:
+        """One of `REQUESTS`, of anybody; perhaps not for us."""
+        if message.get_msgId() in commands.MESSAGES:
+            return self._commands.on_message(message, now_s)
+        return self._parameters.on_message(message, now_s)
 
     def order_done(self, order: Order, verdict: Verdict) -> Sequence[Message]:
         """The acknowledgement of an order, once it is known what becomes of it."""
