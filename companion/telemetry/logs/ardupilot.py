@@ -1,7 +1,7 @@
 """ArduPilot's .bin: its entries as the MAVLink messages that it would have sent with them.
 
-What each message is made of: docs/reference/log-messages.md.  The log is looked through once beforehand: whose it is,
-when it was, and what it has.
+What each message is made of: docs/reference/log-messages.md. The log is looked through once
+beforehand: whose it is, when it was, and what it has.
 """
 
 import math
