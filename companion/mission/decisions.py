@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import final
 
 from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position
-from companion.mission.health import astray_m, distrust
+from companion.mission.health import astray_m
 from companion.mission.mission import Mission
 from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, Phase, Reason, State, Trigger, Vehicle
@@ -195,11 +195,9 @@ def cannot_fly(
 ) -> Reason | None:
     """Why the flight cannot go on as it is; None: it can."""
     lost = lost_command(state, event, modes)
-    if lost is not None:
-        return lost
-    if is_grounded(state):
+    if lost is None and is_grounded(state):
         return Reason.GROUNDED
-    return distrust(state.vehicle, state.now_s, state.task.limits)
+    return lost or state.vehicle.distrust
 
 
 def speed_m_s(event: Position) -> float:

@@ -31,7 +31,6 @@ from companion.mission.decisions import (
     words,
 )
 from companion.mission.events import Event, Mode, Say, SetMode
-from companion.mission.health import distrust
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason, State, Trigger
@@ -61,7 +60,7 @@ def instead(state: State, context: Context) -> Step:
     in_vain = flight.in_vain
     if (mode := _MODES.get(state.phase)) is not None:
         in_vain |= {mode}
-    lost = distrust(state.vehicle, state.now_s, state.task.limits) is not None
+    lost = state.vehicle.distrust is not None
     lands = fallback is Fallback.LAND or lost or _is_above_home(state)
     order = (Mode.LAND, Mode.RETURN) if lands else (Mode.RETURN, Mode.LAND)
     ways = [

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from companion.mission import following
+from companion.mission.circling import kept_clear
 from companion.mission.decisions import (
     AT_M,
     Context,
@@ -50,14 +51,14 @@ _TOLD_FORECAST, _TOLD_SHORT = 1, 2
 
 def flying(state: State, event: Event, context: Context) -> Step:
     """Follow the leg, or wait for one; stop for whatever makes that unsafe."""
-    if is_gone(state, event, context):
-        return give_up(state, Reason.LINK_LOST)
     reason = cannot_fly(state, event)
     if reason is not None:
+        if is_gone(state, event, context):
+            return give_up(state, Reason.LINK_LOST)
         return fault(replace(state, flight=at_rest(state.flight, None)), reason)
     match event:
         case Position():
-            return on_position(state, event, context)
+            return _on_position(state, event, context)
         case ScanDone():
             return on_scan(state, event, context)
         case PlanReady():
@@ -68,16 +69,23 @@ def flying(state: State, event: Event, context: Context) -> Step:
             return state, [], None
 
 
-def on_position(state: State, event: Position, context: Context) -> Step:
+def _on_position(state: State, event: Position, context: Context) -> Step:
     """Move the reference point and send it; scan when its time has come."""
+    if state.flight.leg is None and (step := kept_clear(state, event)) is not None:
+        return step
     is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
     if is_short and runs_low(state):
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
     state, warning = battery_warning(state, context)
-    after, commands, trigger = _on_position(state, event, context)
-    return after, [*warning, *commands], trigger
+    if state.flight.leg is None:
+        state, commands, trigger = _hover(state, event, context)
+    elif state.flight.circling and following.still_circles(state, event):
+        state, commands, trigger = circle(state, event, context)
+    else:
+        state, commands, trigger = _follow(state, event, context)
+    return state, [*warning, *commands], trigger
 
 
 def runs_low(state: State) -> bool:
@@ -115,26 +123,22 @@ def battery_warning(state: State, context: Context) -> tuple[State, list[Command
     return state, [Say(text=Reason.BATTERY_LOW.text, warning=True)]
 
 
-def _on_position(state: State, event: Position, context: Context) -> Step:
-    if state.flight.leg is None:
-        return _hover(state, event, context)
-    if following.still_circles(state, event):
-        return circle(state, event, context)
-    flight = replace(following.moved_on(state, event), circling=False)
+def _follow(state: State, event: Position, context: Context) -> Step:
+    flight, task = following.moved_on(state, event), state.task
     if state.now_s - flight.progress_at_s > STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
-    leg, task = flight.leg, state.task
+    leg, reference = flight.leg, flight.reference
     assert leg is not None
     if task.settings.profile.verified and following.has_departed(state, flight, event):
         return departed(state, at_rest(state.flight, None))
     if following.is_not_taken(state):
         return departed(state, at_rest(state.flight, None), Reason.NOT_TAKEN)
-    flight, commands = following.setpoint(replace(state, flight=flight), event, context)
+    flight, commands = following.setpoint(state, flight, event, context)
     if following.is_stopped(state, flight):
         return _at_its_end(replace(state, flight=flight), leg, commands)
-    due = flight.reference.length_m >= leg.scan_at_m(task) and leg.can_be_left(task)
-    if due and not flight.tried and not leg.reaches_target and flight.stop_at_m is None:
-        scan_nea_m = leg.subpath.pose(flight.reference.length_m).point_nea_m
+    wants_next = not (flight.tried or leg.reaches_target) and flight.stop_at_m is None
+    if wants_next and reference.length_m >= leg.scan_at_m(task) and leg.can_be_left(task):
+        scan_nea_m = leg.subpath.pose(reference.length_m).point_nea_m
         flight, scan = start_scan(flight, scan_nea_m)
         commands += scan
     return replace(state, flight=flight), commands, None

@@ -42,7 +42,7 @@ from companion.mission.events import (
     Vector,
     VehicleFound,
 )
-from companion.mission.health import battery_lasts, distrust
+from companion.mission.health import battery_lasts
 from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason, State, Trigger
 from companion.world.zone_index import index_of
@@ -59,7 +59,7 @@ _CLIMBED_M = 20.0  # above home: a plane may be led from here on
 _LEVEL_M_S = 1.0
 
 
-def waiting(state: State, event: Event) -> Step:
+def waiting(state: State, event: Event, _context: Context) -> Step:
     """For an autopilot that the mission is for; the runtime says when it has waited long enough."""
     if isinstance(event, VehicleFound):
         if event.driving is None:
@@ -92,7 +92,7 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         return state, [], None
     if state.landing and not context.shadow:
         return _landing_goes_on(state)
-    if distrust(vehicle, state.now_s, state.task.limits) is not None:
+    if vehicle.distrust is not None:
         unled = _is_flying(state) and vehicle.mode is Mode.GUIDED and not context.shadow
         if unled and in_phase_s(state) > _UNLED_S:
             return ask(state, SetMode(mode=Mode.HOLD))
@@ -167,7 +167,7 @@ def _missing(state: State) -> str:
         missing.append("home")
     if vehicle.landed is Landed.UNKNOWN:
         missing.append("landed state")
-    distrusted = distrust(vehicle, state.now_s, state.task.limits)
+    distrusted = vehicle.distrust
     if distrusted is not None:
         missing.append(distrusted.text)
     return f": {', '.join(missing)}" if missing else ""
@@ -276,7 +276,7 @@ def _has_climbed(state: State, event: Position, context: Context, *, guided: boo
 
 def _still_on_ground(state: State, event: Event, context: Context, modes: tuple[Mode, ...]) -> Step:
     reason = lost_command(state, event, modes)
-    reason = reason or distrust(state.vehicle, state.now_s, state.task.limits)
+    reason = reason or state.vehicle.distrust
     if reason is not None:
         return give_up(state, reason)
     if height_m(state, context) <= 0.0:

@@ -5,7 +5,8 @@ handler decides; a trigger moves the mission on through the table in `state`, an
 begins with its own commands.  No clock, no I/O: times are those of the events.
 """
 
-from typing import assert_never
+from collections.abc import Callable
+from typing import Any, Final
 
 from companion.mission import changes, ends, flying, following, ground, returning, stopped
 from companion.mission import shadow as watching
@@ -64,7 +65,10 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
     if isinstance(event, Position) and event.time_s <= state.vehicle.position_at_s:
         return replace(state, now_s=now_s), []  # overtaken by a newer one
     state = _observed(state, event, now_s, context)
-    after, commands, trigger = _decide(state, event, context)
+    in_any_phase, step = _IN_ANY_PHASE.get(type(event)), None
+    if in_any_phase is not None:
+        step = in_any_phase(state, event, context)
+    after, commands, trigger = step or IN_PHASE[state.phase](state, event, context)
     if trigger is Trigger.GIVE_UP and not context.shadow:
         after, more, trigger = ends.instead(after, context)
         commands = [*commands, *more]
@@ -84,7 +88,8 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
         case Position():
             vehicle = with_position(vehicle, event, state.task.limits)
         case VehicleFound(driving=driving):
-            vehicle = replace(vehicle, driving=driving)
+            hovers = driving is None or driving.hovers
+            vehicle = replace(vehicle, driving=driving, hovers=hovers)
         case VehicleStatus(mode=mode, armed=armed, failsafe=failsafe):
             vehicle = replace(
                 vehicle, mode=mode, armed=armed, failsafe=failsafe, status_at_s=event.time_s
@@ -132,42 +137,37 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
     return replace(state, now_s=now_s, vehicle=vehicle, flight=flight, airborne=airborne)
 
 
-def _decide(state: State, event: Event, context: Context) -> Step:
-    if isinstance(event, StopAsked):
-        return replace(state, reason=Reason.STOPPED), [], Trigger.STOP
-    if isinstance(event, PlannerDied):
-        detail = f": {event.error}" if event.error else ""
-        return replace(state, reason=Reason.PLANNER_DIED, detail=detail), [], Trigger.DIED
-    if isinstance(event, Namesake):
-        return ground.not_alone(state, event, context)
-    if (step := changes.changed(state, event)) is not None:
-        return step
-    match state.phase:
-        case Phase.WAITING:
-            return ground.waiting(state, event)
-        case Phase.PREPARING:
-            return ground.preparing(state, event, context)
-        case Phase.ARMING:
-            return ground.arming(state, event, context)
-        case Phase.TAKING_OFF:
-            return ground.taking_off(state, event, context)
-        case Phase.FLYING:
-            return flying.flying(state, event, context)
-        case Phase.RETURNING:
-            return returning.returning(state, event, context)
-        case Phase.HOLDING:
-            return stopped.holding(state, event, context)
-        case Phase.ARRIVED:
-            return stopped.arrived(state, event, context)
-        case Phase.LANDING:
-            return stopped.landing(state, event, context)
-        case Phase.HANDING_OVER:
-            return ends.handing_over(state, event, context)
-        case Phase.SHADOW:
-            return watching.shadow(state, event, context)
-        case Phase.DONE | Phase.FAULTED:
-            return state, [], None
-    assert_never(state.phase)
+def _stop(state: State, _event: StopAsked, _context: Context) -> Step:
+    return replace(state, reason=Reason.STOPPED), [], Trigger.STOP
+
+
+def _died(state: State, event: PlannerDied, _context: Context) -> Step:
+    detail = f": {event.error}" if event.error else ""
+    return replace(state, reason=Reason.PLANNER_DIED, detail=detail), [], Trigger.DIED
+
+
+_IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
+    StopAsked: _stop,
+    PlannerDied: _died,
+    Namesake: ground.not_alone,
+    **dict.fromkeys(changes.EVENTS, changes.changed),
+}
+"""Events that count whatever the phase; None: left to the phase all the same."""
+
+IN_PHASE: Final[dict[Phase, Callable[[State, Event, Context], Step]]] = {
+    Phase.WAITING: ground.waiting,
+    Phase.PREPARING: ground.preparing,
+    Phase.ARMING: ground.arming,
+    Phase.TAKING_OFF: ground.taking_off,
+    Phase.FLYING: flying.flying,
+    Phase.RETURNING: returning.returning,
+    Phase.HOLDING: stopped.holding,
+    Phase.ARRIVED: stopped.arrived,
+    Phase.LANDING: stopped.landing,
+    Phase.HANDING_OVER: ends.handing_over,
+    Phase.SHADOW: watching.shadow,
+}
+"""What each phase makes of an event; a mission that is over makes nothing of it."""
 
 
 def _enter(

@@ -131,9 +131,9 @@ def returning(state: State, event: Event, context: Context) -> Step:
 
 
 def _on_position(state: State, event: Position, context: Context) -> Step:
-    if following.still_circles(state, event):
+    if state.flight.circling and following.still_circles(state, event):
         return flying.circle(state, event, context)
-    flight = replace(following.moved_on(state, event), circling=False)
+    flight = following.moved_on(state, event)
     if flight.leg is not state.flight.leg:  # through the join, onto what was the next stretch
         flight = _with_next(flight)
     if state.now_s - flight.progress_at_s > flying.STUCK_S:
@@ -142,7 +142,7 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         return flying.departed(state, _stopped(state).flight)
     if following.is_not_taken(state):
         return flying.departed(state, _stopped(state).flight, Reason.NOT_TAKEN)
-    flight, commands = following.setpoint(replace(state, flight=flight), event, context)
+    flight, commands = following.setpoint(state, flight, event, context)
     state = replace(state, flight=flight)
     if not following.is_stopped(state, flight):
         return state, commands, None

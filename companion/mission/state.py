@@ -216,6 +216,8 @@ class Vehicle(Renewed):
     """What the vehicle has said of itself."""
 
     driving: Driving | None = None
+    hovers: bool = True
+    """Whether it can stand still in the air; as long as that is not known, too."""
     mode: Mode | None = None
     armed: bool = False
     status_at_s: float = -1e9
@@ -264,19 +266,16 @@ class Vehicle(Renewed):
     """When the position last changed by more than the vehicle can fly."""
     bad_at_s: float = 0.0
     """When the position was last not to be believed, whatever the reason."""
+    distrust: Reason | None = None
+    """Why it is not to be believed now (`health.distrust`); None: it may be."""
     doubted_at_s: float = -1e9
-    """The same, for any reason but where it is."""
+    """When it was last not to be believed, for any reason but where it is."""
     believed_at_s: float = -1e9
     """When a position came that was believed, after others that were."""
     astray_ne_m: tuple[float, float] = (0.0, 0.0)
     """How far the position has come since from where the speeds told lead."""
     blind_s: float = 0.0
     """How long since then nothing has vouched for it, until it jumped."""
-
-    @property
-    def hovers(self) -> bool:
-        """Whether it can stand still in the air."""
-        return self.driving is None or self.driving.hovers
 
 
 @final

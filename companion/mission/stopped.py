@@ -2,7 +2,7 @@
 
 import math
 
-from companion.mission import ends, flying, following, returning
+from companion.mission import circling, ends, flying, following, returning
 from companion.mission.decisions import (
     AT_M,
     BROKEN_OFF,
@@ -35,10 +35,10 @@ from companion.mission.events import (
     Say,
     SetMode,
 )
-from companion.mission.health import TRUST_S, distrust
+from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.renewed import replace
-from companion.mission.state import Reason, State, Trigger
+from companion.mission.state import Phase, Reason, State, Trigger
 from companion.planner.recheck import is_touched
 
 SELF_HELD = (
@@ -68,6 +68,8 @@ LET_GO = (*TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
 
 FAILSAFE_OVER = "failsafe over: MISSION_START to the companion, or guided mode, goes on"
 
+_LIKE_A_BREACH = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.STREAM_LOST)
+_BREACH_S = 5.0  # from what the autopilot does to what it says
 _TOLD_S = 30.0  # that guided mode is asked for on a person's word
 _LEADS_BACK_S = 30.0  # a link that comes back later finds a vehicle that holds
 _TROUBLES = 8
@@ -86,6 +88,10 @@ _LANDS_WITHIN = 1.5  # loiter radii
 
 def holding(state: State, event: Event, context: Context) -> Step:
     """Stop in a way that the reason allows, and go on when it is gone."""
+    if isinstance(event, Position):
+        step = fence_breached(state) or circling.kept_clear(state, event)
+        if step is not None:
+            return step
     vehicle, reason = state.vehicle, state.reason
     if is_gone(state, event, context):
         return give_up(state, Reason.LINK_LOST)
@@ -106,6 +112,20 @@ def holding(state: State, event: Event, context: Context) -> Step:
     return _hold_in_its_own_mode(state, event, context)
 
 
+def fence_breached(state: State) -> Step | None:
+    """A hold that the vehicle's own fence is the reason for, as it turns out; None: it is not.
+
+    PX4's was a loss of setpoints at first sight; and a fence drawn in flight is known to the
+    autopilot before the companion has read it.
+    """
+    if state.phase is not Phase.HOLDING or state.reason not in _LIKE_A_BREACH:
+        return None
+    by_itself = state.vehicle.failsafe or in_phase_s(state) < _BREACH_S
+    if not by_itself or taken_by(state) is not Reason.FENCE_BREACHED:
+        return None
+    return _taken(state)
+
+
 def _heard_again(state: State, event: Event, context: Context) -> Step:
     """After a silence everything is prepared again; it may be of a part of the messages only."""
     if in_phase_s(state) > longest_silence_s(state, context):
@@ -121,7 +141,7 @@ def _is_trusted(state: State) -> bool:
 
 def _is_elsewhere(state: State) -> bool:
     """Whether all vouch for a position at which the vehicle cannot be."""
-    reason = distrust(state.vehicle, state.now_s, state.task.limits)
+    reason = state.vehicle.distrust
     return reason is Reason.POSITION_ELSEWHERE and state.reason is not reason
 
 
@@ -263,7 +283,7 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
         return _elsewhere(state)
     if mode is Mode.HOLD or (taking_over and not _must_stop_first(state)):
         state = replace(state, obeyed=True)
-    doubted = distrust(vehicle, state.now_s, state.task.limits) is not None
+    doubted = vehicle.distrust is not None
     stands = not vehicle.hovers or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
     stands = stands or in_phase_s(state) > _SETTLE_S or state.flight.hover_nea_m is not None
     if not state.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
