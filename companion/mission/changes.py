@@ -4,6 +4,8 @@ import enum
 import math
 from typing import Final
 
+from msgspec.structs import replace
+
 from companion.mission import circling, following
 from companion.mission.decisions import Context, Step, because, give_up
 from companion.mission.events import (
@@ -22,7 +24,6 @@ from companion.mission.events import (
     TargetsChanged,
 )
 from companion.mission.health import battery_is_short
-from companion.mission.renewed import replace
 from companion.mission.state import OVER, Flight, Phase, Reason, State, Trigger, Vehicle
 from companion.mission.stopped import STANDING, TAKEN, fence_breached, resumed
 from companion.planner.adjustable import loosest
@@ -316,8 +317,7 @@ def _rebooted(state: State) -> Step:
         homeward=flight.homeward,
         fallen_back=flight.fallen_back,
     )
-    before = state.vehicle
-    vehicle = Vehicle(driving=before.driving, hovers=before.hovers, bad_at_s=state.now_s)
+    vehicle = Vehicle(driving=state.vehicle.driving, bad_at_s=state.now_s)
     if flight.returning:  # the way back is asked for again
         paused = state.standing is Reason.PAUSED
         standing = Reason.PAUSED if paused else Reason.RETURN_ASKED

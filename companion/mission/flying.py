@@ -1,8 +1,10 @@
 """What happens in the phase `flying`: follow a leg, scan, plan, go on to the next (design 6)."""
 
+import dataclasses
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.mission import following
 from companion.mission.circling import kept_clear
@@ -30,7 +32,6 @@ from companion.mission.events import (
 )
 from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
 from companion.mission.health import battery_forecast, battery_is_short
-from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
 from companion.planner.request import NotPlanned, Planned, PlanRequest
@@ -115,7 +116,7 @@ def battery_warning(state: State, context: Context) -> tuple[State, list[Command
     flight, tells = state.flight, 0
     if state.vehicle.battery_short_at_s is not None and battery_is_short(state):
         tells = _TOLD_SHORT
-    elif not battery_forecast(state, context.mission):
+    elif flight.battery_told < _TOLD_FORECAST and not battery_forecast(state, context.mission):
         tells = _TOLD_FORECAST
     if tells <= flight.battery_told:
         return state, []
@@ -303,7 +304,7 @@ def _hover(state: State, event: Position, context: Context) -> Step:
 def _waiting_place(state: State, event: Position, context: Context) -> Vector:
     """Where to wait for a leg: here, at a height within the band if nothing is in the way down."""
     north, east, altitude = event.position_nea_m
-    lowest_m = replace(context.mission, task=task_ahead(state, context)).take_off_amsl_m
+    lowest_m = dataclasses.replace(context.mission, task=task_ahead(state, context)).take_off_amsl_m
     height_m = max(min(altitude, state.task.band_amsl_m[1]), lowest_m)
     required_m = state.task.required_clearance_m
     down = np.array([north, east, height_m])
@@ -333,7 +334,7 @@ def _is_there(state: State, event: Position, here: Vector) -> bool:
 
     A plane on its way to a circle has no leg planned from there: it would not fly where that is.
     """
-    if state.vehicle.hovers:
+    if state.vehicle.driving.hovers:
         return math.dist(here, event.position_nea_m) <= AT_M
     error_m = max(AT_M, state.task.limits.tracking_error_m)
     level = abs(event.velocity_nea_m_s[2]) < _LEVEL_M_S
@@ -347,7 +348,7 @@ def _later(state: State, event: Position, flight: Flight) -> float:
 
 
 def _accepted(state: State, planned: Planned) -> Flight:
-    flight, hovers = state.flight, state.vehicle.hovers
+    flight, hovers = state.flight, state.vehicle.driving.hovers
     leg = Leg.of(planned, flight.legs_flown + 1, state.task)
     flight = replace(
         flight,

@@ -7,12 +7,11 @@ waits for the vehicle.  What cannot is sent a point ahead of where it is on the 
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
-from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
-from companion.path.subpath import Pose
 from companion.planner import join
 from companion.planner.procedure import (
     Leg,
@@ -49,7 +48,7 @@ def lead_m(state: State, reference: Reference) -> float:
     """
     vehicle = state.vehicle
     delay_s = min(vehicle.round_trip_s, _LONGEST_DELAY_S)
-    if vehicle.hovers or vehicle.driving is None:
+    if vehicle.driving.hovers:
         return delay_s * reference.speed_m_s
     over_ground = math.hypot(*vehicle.velocity_nea_m_s[:2])  # what counts in wind, not V
     lead_m = (vehicle.driving.lead_s + delay_s) * over_ground
@@ -67,7 +66,7 @@ def moved_on(state: State, event: Position) -> Flight:
     leg = flight.leg
     assert leg is not None
     here = np.asarray(event.position_nea_m)
-    if vehicle.hovers:
+    if vehicle.driving.hovers:
         reference = advance(
             flight.reference,
             leg,
@@ -103,13 +102,15 @@ def gone_over(flight: Flight, leg: Leg, task: Task) -> Flight:
         flight,
         leg=flight.next_leg,
         next_leg=None,
-        reference=replace(reference, length_m=max(reference.length_m - over_at_m, 0.0)),
+        reference=Reference(
+            length_m=max(reference.length_m - over_at_m, 0.0), speed_m_s=reference.speed_m_s
+        ),
         joined_m=0.0,
         tried=False,
         troubles=0,
         shortfall=Reason.NO_PLAN,
         legs_flown=flight.legs_flown + 1,
-        flown=_walked(replace(flight, reference=replace(reference, length_m=over_at_m))).flown,
+        flown=_walked(flight, over_at_m),
     )
 
 
@@ -118,7 +119,7 @@ def has_departed(state: State, flight: Flight, event: Position) -> bool:
     leg, limits = flight.leg, state.task.limits
     assert leg is not None
     here, allowed_m = np.asarray(event.position_nea_m), _DEPARTURE * limits.tracking_error_m
-    if not limits.hovers:  # the circle about each point of the path is proven
+    if not state.vehicle.driving.hovers:  # the circle about each point of the path is proven
         off_m = math.dist(leg.subpath.pose(flight.reference.length_m).point_nea_m, here)
         return off_m > limits.loiter_radius_m + allowed_m
     if flight.offset is not None:
@@ -165,7 +166,7 @@ def is_stopped(state: State, flight: Flight) -> bool:
     assert leg is not None
     if flight.next_leg is not None and flight.stop_at_m is None:
         return False
-    if state.vehicle.hovers:
+    if state.vehicle.driving.hovers:
         joins = flight.offset is not None and not flight.offset.is_gone
         return not joins and is_at_end(flight.reference, leg, until_m=flight.stop_at_m)
     if flight.stop_at_m is not None:
@@ -182,17 +183,26 @@ def setpoint(
     """What the vehicle is sent for the reference point of a flight, if it is time for it."""
     if not is_due(state):
         return flight, []
-    pose, speed, at_end = _pose_sent(state, flight)
-    leg, offset, stays = flight.leg, flight.offset, at_end and not state.vehicle.hovers
+    leg, reference, next_leg = flight.leg, flight.reference, flight.next_leg
+    assert leg is not None
+    hovers, ahead_m = state.vehicle.driving.hovers, lead_m(state, reference)
+    if hovers and flight.stop_at_m is not None:
+        next_leg, end_m = None, min(leg.subpath.length_m, flight.stop_at_m)
+        ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
+    pose = sent_pose(reference, leg, next_leg, ahead_m, state.task)
+    speed = min(reference.speed_m_s, allowed_speed_m_s(pose, state.task.limits))
+    beyond_m = reference.length_m + ahead_m - leg.subpath.length_m
+    stays = not hovers and next_leg is None and beyond_m >= 0.0
     north_m, east_m, altitude_m = pose.position_nea_m.tolist()
     ahead_n, ahead_e, ahead_u = pose.tangent_nea.tolist()
     velocity = speed * ahead_n, speed * ahead_e, speed * ahead_u
-    if stays and leg is not None and leg.reaches_target:
-        beyond_m, stays = _beyond_m(state, flight), False
+    if stays and leg.reaches_target:  # sent to the target itself it swerves aside
+        beyond_m = min(beyond_m, _BEYOND * state.task.limits.loiter_radius_m)
+        stays = False
         north_m += beyond_m * ahead_n
         east_m += beyond_m * ahead_e
         altitude_m += beyond_m * ahead_u
-    if offset is not None:
+    if (offset := flight.offset) is not None:
         aside, drift = offset.position_nea_m.tolist(), offset.velocity_nea_m_s.tolist()
         north_m, east_m, altitude_m = north_m + aside[0], east_m + aside[1], altitude_m + aside[2]
         velocity = velocity[0] + drift[0], velocity[1] + drift[1], velocity[2] + drift[2]
@@ -213,33 +223,11 @@ def setpoint(
     return flight, [sent]
 
 
-def _beyond_m(state: State, flight: Flight) -> float:
-    """How far beyond its target a plane is sent: sent to the target itself it swerves aside."""
-    assert flight.leg is not None
-    over_m = flight.reference.length_m + lead_m(state, flight.reference)
-    over_m -= flight.leg.subpath.length_m
-    return min(over_m, _BEYOND * state.task.limits.loiter_radius_m)
-
-
 def is_due(state: State) -> bool:
     """Whether it is time for another setpoint."""
-    driving = state.vehicle.driving
-    period_s = 0.0 if driving is None else driving.setpoint_period_s
-    return state.now_s - state.flight.sent_at_s > period_s - 0.5 * state.vehicle.position_step_s
-
-
-def _pose_sent(state: State, flight: Flight) -> tuple[Pose, float, bool]:
-    """The point that is sent, the speed there, and whether it is the last one for now."""
-    leg, reference, next_leg = flight.leg, flight.reference, flight.next_leg
-    assert leg is not None
-    ahead_m = lead_m(state, reference)
-    end_m = leg.subpath.length_m
-    if state.vehicle.hovers and flight.stop_at_m is not None:
-        end_m, next_leg = min(end_m, flight.stop_at_m), None
-        ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
-    pose = sent_pose(reference, leg, next_leg, ahead_m, state.task)
-    speed = min(reference.speed_m_s, allowed_speed_m_s(pose, state.task.limits))
-    return pose, speed, next_leg is None and reference.length_m + ahead_m >= end_m
+    vehicle = state.vehicle
+    least_s = vehicle.driving.setpoint_period_s - 0.5 * vehicle.position_step_s
+    return state.now_s - state.flight.sent_at_s > least_s
 
 
 def stop(state: State, reason: Reason) -> Step:
@@ -249,8 +237,10 @@ def stop(state: State, reason: Reason) -> Step:
         flight = at_rest(flight, flight.hover_nea_m or state.vehicle.position_nea_m)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
     limits = state.task.limits
-    if not state.vehicle.hovers:
-        point = _pose_sent(state, flight)[0].point_nea_m
+    if not state.vehicle.driving.hovers:
+        ahead_m = lead_m(state, flight.reference)
+        pose = sent_pose(flight.reference, flight.leg, flight.next_leg, ahead_m, state.task)
+        point = pose.point_nea_m
         if reason is Reason.NEW_THREAT:
             circler = Circler(
                 here_nea_m=state.vehicle.position_nea_m or point,
@@ -290,7 +280,8 @@ def unflown(flight: Flight) -> Flight:
 def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
     """The flight without a leg: it begins again from where the vehicle stops."""
     return replace(
-        _walked(flight),
+        flight,
+        flown=_walked(flight, flight.reference.length_m),
         leg=None,
         next_leg=None,
         reference=Reference(),
@@ -314,16 +305,13 @@ def at_rest_at_end(flight: Flight) -> Flight:
     return at_rest(flight, leg.subpath.pose(end_m).point_nea_m)
 
 
-def _walked(flight: Flight) -> Flight:
-    """The flight with what was flown of its leg on the list of what was flown."""
-    if flight.leg is None or flight.returning:
-        return flight
-    walked = _stretch(flight.leg, flight.joined_m, flight.reference.length_m)
-    return replace(flight, flown=(*flight.flown, walked))
-
-
-def _stretch(leg: Leg, from_m: float, until_m: float) -> Stretch:
-    return Stretch(control_nea_m=leg.subpath.control_nea_m, from_m=from_m, until_m=until_m)
+def _walked(flight: Flight, until_m: float) -> tuple[Stretch, ...]:
+    """What was flown, and of this leg so much."""
+    leg = flight.leg
+    if leg is None or flight.returning:
+        return flight.flown
+    control = leg.subpath.control_nea_m
+    return *flight.flown, Stretch(control_nea_m=control, from_m=flight.joined_m, until_m=until_m)
 
 
 def hold_setpoint(state: State, time_s: float, context: Context) -> tuple[Flight, list[Command]]:
@@ -361,7 +349,7 @@ def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
     """Where to stay for now: a climb or descent to there is led at the mission's climb rate."""
     north, east, altitude = here_nea_m
     flight, at = state.flight, state.vehicle.position_nea_m
-    if not state.vehicle.hovers or at is None:
+    if not state.vehicle.driving.hovers or at is None:
         return here_nea_m
     since_s = state.now_s - flight.sent_at_s
     sent = flight.sent_nea_m

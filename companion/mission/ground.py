@@ -1,8 +1,10 @@
 """The phases before the flight: waiting, preparing, arming, taking off.  Each wait has an end."""
 
+import dataclasses
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
 from companion.mission import following, joining
@@ -22,7 +24,6 @@ from companion.mission.decisions import (
     is_gone,
     is_silent,
     is_suspected,
-    lost_command,
     taken_by,
 )
 from companion.mission.driving import TakeOffWay
@@ -43,7 +44,6 @@ from companion.mission.events import (
     VehicleFound,
 )
 from companion.mission.health import battery_lasts
-from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason, State, Trigger
 from companion.world.zone_index import index_of
 
@@ -212,7 +212,6 @@ def _in_flight(state: State) -> Step:
 def arming(state: State, event: Event, context: Context) -> Step:
     """Ask for the mode that the take-off begins with, then to arm, once a second."""
     vehicle, driving = state.vehicle, state.vehicle.driving
-    assert driving is not None
     if isinstance(event, LinkLost):
         return give_up(state, Reason.LINK_LOST)
     if is_suspected(state):
@@ -242,7 +241,6 @@ def taking_off(state: State, event: Event, context: Context) -> Step:
     An autopilot that climbs in a mode of its own then holds, and is taken over like any other.
     """
     vehicle, driving = state.vehicle, state.vehicle.driving
-    assert driving is not None
     guided = driving.take_off is TakeOffWay.GUIDED_THEN_CLIMB
     modes = (Mode.GUIDED,) if guided else (Mode.TAKE_OFF, Mode.HOLD, Mode.GUIDED)
     if vehicle.landed is Landed.ON_GROUND:
@@ -275,8 +273,7 @@ def _has_climbed(state: State, event: Position, context: Context, *, guided: boo
 
 
 def _still_on_ground(state: State, event: Event, context: Context, modes: tuple[Mode, ...]) -> Step:
-    reason = lost_command(state, event, modes)
-    reason = reason or state.vehicle.distrust
+    reason = cannot_fly(state, event, modes, stands=True)
     if reason is not None:
         return give_up(state, reason)
     if height_m(state, context) <= 0.0:
@@ -321,7 +318,7 @@ def _climb_out_ne_m(state: State, context: Context, here: Vector) -> tuple[Float
 
 def take_off_amsl_m(state: State, context: Context) -> float:
     """Where the climb-out ends, within the vehicle's own fence too."""
-    return replace(context.mission, task=state.task).take_off_amsl_m
+    return dataclasses.replace(context.mission, task=state.task).take_off_amsl_m
 
 
 def height_m(state: State, context: Context) -> float:

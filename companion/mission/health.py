@@ -9,10 +9,11 @@ that it is the older one which must have been wrong.
 import itertools
 import math
 
+from msgspec.structs import replace
+
 from companion.mission import joining
 from companion.mission.events import Battery, Landed, Position, Vector
 from companion.mission.mission import Mission
-from companion.mission.renewed import replace
 from companion.mission.state import Reason, State, Vehicle
 from companion.path.limits import Limits
 
@@ -42,7 +43,11 @@ _LAST_WORD_S = 10.0  # ten times as long as between two
 
 
 def with_position(vehicle: Vehicle, event: Position, limits: Limits) -> Vehicle:
-    """What is known of the vehicle after one more position."""
+    """What is known of the vehicle after one more position.
+
+    It has jumped if it cannot have been flown to from the last one: neither by what the vehicle can
+    do at all, nor, over a short time, at the speeds that it told.
+    """
     before, at_s = vehicle.position_nea_m, event.time_s
     elapsed_s, moved_at_s, jumped_at_s = 0.0, at_s, vehicle.jumped_at_s
     believed_at_s, astray_ne_m, blind_s = (
@@ -52,7 +57,13 @@ def with_position(vehicle: Vehicle, event: Position, limits: Limits) -> Vehicle:
     )
     if before is not None:
         elapsed_s = at_s - vehicle.position_at_s
-        jumps = _has_jumped(vehicle, before, event, elapsed_s, limits)
+        step_m = math.dist(before, event.position_nea_m)
+        far = step_m > _JUMP_SLACK_M
+        jumps = far and step_m > _flown_at_most_m(elapsed_s, limits) + _JUMP_SLACK_M
+        if not jumps and elapsed_s <= _STALE_S:
+            surprise_ne_m, mean_m_s = _surprise(vehicle, before, event, elapsed_s)
+            usual_m = _SURPRISE_M + _SURPRISE_SHARE * mean_m_s * elapsed_s
+            jumps = math.hypot(*surprise_ne_m) > usual_m
         jumped_at_s = at_s if jumps else jumped_at_s
         moves = math.hypot(*event.velocity_nea_m_s[:2]) > _STILL_M_S
         if moves and before[:2] == event.position_nea_m[:2]:
@@ -75,23 +86,6 @@ def with_position(vehicle: Vehicle, event: Position, limits: Limits) -> Vehicle:
         astray_ne_m=astray_ne_m,
         blind_s=blind_s,
     )
-
-
-def _has_jumped(
-    vehicle: Vehicle, before_nea_m: Vector, event: Position, elapsed_s: float, limits: Limits
-) -> bool:
-    """Whether a position cannot have been flown to from the last one.
-
-    Neither by what the vehicle can do at all, nor, over a short time, at the speeds that it told.
-    """
-    step_m = math.dist(before_nea_m, event.position_nea_m)
-    far = step_m > _JUMP_SLACK_M
-    if far and step_m > _flown_at_most_m(elapsed_s, limits) + _JUMP_SLACK_M:
-        return True
-    if elapsed_s > _STALE_S:
-        return False
-    surprise_ne_m, mean_m_s = _surprise(vehicle, before_nea_m, event, elapsed_s)
-    return math.hypot(*surprise_ne_m) > _SURPRISE_M + _SURPRISE_SHARE * mean_m_s * elapsed_s
 
 
 def _flown_at_most_m(elapsed_s: float, limits: Limits) -> float:
@@ -155,11 +149,10 @@ def _may_differ_m(vehicle: Vehicle, limits: Limits) -> float:
     return 2.0 * limits.navigation_error_m + _TOLD_SPEED_M_S * since_s + blind_m
 
 
-def judged(vehicle: Vehicle, now_s: float, limits: Limits) -> Vehicle:
-    """The vehicle with whether its position may be believed now, and what is remembered of it."""
-    reason = distrust(vehicle, now_s, limits)
+def judged(vehicle: Vehicle, reason: Reason | None, now_s: float) -> Vehicle:
+    """The vehicle with why its position may not be believed now, and what is remembered of it."""
     if reason is None:
-        return vehicle if vehicle.distrust is None else replace(vehicle, distrust=None)
+        return replace(vehicle, distrust=None)
     doubted_at_s = vehicle.doubted_at_s if reason is Reason.POSITION_ELSEWHERE else now_s
     return replace(vehicle, distrust=reason, doubted_at_s=doubted_at_s, bad_at_s=now_s)
 
@@ -230,7 +223,9 @@ def battery_lasts(state: State, mission: Mission) -> bool:
         return False
     if mission.endurance_s is None:
         return True
-    return (left - mission.reserve) * mission.endurance_s >= _to_go_s(state)
+    return (left - mission.reserve) * mission.endurance_s >= _to_go_m(
+        state
+    ) / state.task.limits.speed_m_s
 
 
 def battery_forecast(state: State, mission: Mission) -> bool:
@@ -243,11 +238,7 @@ def battery_forecast(state: State, mission: Mission) -> bool:
     if elapsed_s < _DRAIN_S or lost < _TELLING:
         return True
     left_s = (vehicle.battery - mission.reserve) * elapsed_s / (lost - _STEP)
-    return left_s >= _to_go_s(state)
-
-
-def _to_go_s(state: State) -> float:
-    return _to_go_m(state) / state.task.limits.speed_m_s
+    return left_s >= _to_go_m(state) / state.task.limits.speed_m_s
 
 
 def _to_go_m(state: State) -> float:
@@ -261,10 +252,9 @@ def _to_go_m(state: State) -> float:
         return sum(leg.subpath.length_m for leg in ahead) - flown_m
     if here is None or not state.targets_ne_m:
         return 0.0
-    places = [here[:2], *flight.route_ne_m, *state.targets_ne_m[flight.target :]]
-    if flight.route_ne_m:  # it begins where it was planned
-        nearest = min(
-            range(len(flight.route_ne_m)), key=lambda k: math.dist(flight.route_ne_m[k], here[:2])
-        )
-        places = [here[:2], *flight.route_ne_m[nearest:], *state.targets_ne_m[flight.target :]]
-    return _DETOUR * sum(math.dist(a, b) for a, b in itertools.pairwise(places))
+    route, from_here = flight.route_ne_m, itertools.repeat(here[:2])
+    if route:  # it begins where it was planned
+        apart_m = list(map(math.dist, route, from_here))
+        route = route[apart_m.index(min(apart_m)) :]
+    places = [here[:2], *route, *state.targets_ne_m[flight.target :]]
+    return _DETOUR * sum(map(math.dist, places, places[1:]))

@@ -8,6 +8,8 @@ begins with its own commands.  No clock, no I/O: times are those of the events.
 from collections.abc import Callable
 from typing import Any, Final
 
+from msgspec.structs import replace
+
 from companion.mission import changes, ends, flying, following, ground, returning, stopped
 from companion.mission import shadow as watching
 from companion.mission.decisions import (
@@ -17,6 +19,7 @@ from companion.mission.decisions import (
     is_led,
     words,
 )
+from companion.mission.driving import UNKNOWN
 from companion.mission.events import (
     Battery,
     Command,
@@ -45,8 +48,7 @@ from companion.mission.events import (
     VehicleFound,
     VehicleStatus,
 )
-from companion.mission.health import judged, with_battery, with_position
-from companion.mission.renewed import replace
+from companion.mission.health import distrust, judged, with_battery, with_position
 from companion.mission.state import IN_AIR, MOVES, ON_GROUND, OVER, Phase, Reason, State, Trigger
 
 _AS_IT_SHOULD = {
@@ -62,9 +64,19 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
     if state.phase in OVER:
         return state, []
     now_s = max(state.now_s, event.time_s)
-    if isinstance(event, Position) and event.time_s <= state.vehicle.position_at_s:
+    limits = state.task.limits
+    if not isinstance(event, Position):
+        state = _observed(state, event, now_s, context)
+        vehicle = state.vehicle
+    elif event.time_s > state.vehicle.position_at_s:
+        vehicle = with_position(state.vehicle, event, limits)
+    else:
         return replace(state, now_s=now_s), []  # overtaken by a newer one
-    state = _observed(state, event, now_s, context)
+    reason = distrust(vehicle, now_s, limits)
+    if reason is not None or vehicle.distrust is not None:
+        vehicle = judged(vehicle, reason, now_s)
+    airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
+    state = replace(state, now_s=now_s, vehicle=vehicle, airborne=airborne)
     in_any_phase, step = _IN_ANY_PHASE.get(type(event)), None
     if in_any_phase is not None:
         step = in_any_phase(state, event, context)
@@ -82,14 +94,11 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
 
 
 def _observed(state: State, event: Event, now_s: float, context: Context) -> State:
-    """What is known of the vehicle and of the terrain after an event, now."""
+    """What is known of the vehicle and of the terrain after an event, now; not of its position."""
     vehicle, flight = state.vehicle, state.flight
     match event:
-        case Position():
-            vehicle = with_position(vehicle, event, state.task.limits)
         case VehicleFound(driving=driving):
-            hovers = driving is None or driving.hovers
-            vehicle = replace(vehicle, driving=driving, hovers=hovers)
+            vehicle = replace(vehicle, driving=driving or UNKNOWN)
         case VehicleStatus(mode=mode, armed=armed, failsafe=failsafe):
             vehicle = replace(
                 vehicle, mode=mode, armed=armed, failsafe=failsafe, status_at_s=event.time_s
@@ -132,9 +141,7 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
             flight = replace(flight, known=flight.known.with_scan(scan))
         case _:
             pass
-    vehicle = judged(vehicle, now_s, state.task.limits)
-    airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
-    return replace(state, now_s=now_s, vehicle=vehicle, flight=flight, airborne=airborne)
+    return replace(state, vehicle=vehicle, flight=flight)
 
 
 def _stop(state: State, _event: StopAsked, _context: Context) -> Step:
@@ -210,7 +217,7 @@ def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command
         assert went_back is not None  # whoever says go_back has looked
         state = replace(state, flight=went_back)
         commands = [*commands, Say(text="returning", about="phase")]
-    if state.phase is not Phase.LANDING and state.vehicle.driving is not None:
+    if state.phase is not Phase.LANDING and state.vehicle.driving is not UNKNOWN:
         speed = min(state.flight.speed_limit_m_s, state.task.limits.speed_m_s)
         commands = [*commands, SetSpeed(speed_m_s=speed)]
     return state, commands

@@ -1,9 +1,10 @@
 """The way back: along the flown path, stretch by stretch, each proven again (design section 7)."""
 
+from msgspec.structs import replace
+
 from companion.mission import flying, following, joining
 from companion.mission.decisions import Context, Step, cannot_fly, fault, give_up, is_gone
 from companion.mission.events import Event, Plan, PlanReady, Position
-from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
 from companion.planner import adjustable
 from companion.planner.procedure import Leg, Reference, hover_pose
@@ -83,7 +84,8 @@ def began(state: State) -> Flight | None:
     joined = joining.joined(replace(state, flight=flight))
     if joined is None:
         return None
-    joined = replace(joined, back=flight.back[1:], reference=_at_rest(joined.reference))
+    at_rest = Reference(length_m=joined.reference.length_m)
+    joined = replace(joined, back=flight.back[1:], reference=at_rest)
     return _with_next(joined)
 
 
@@ -110,10 +112,6 @@ def homeward(state: State) -> State:
         failures=0,
     )
     return replace(state, targets_ne_m=(home,), flight=flight)
-
-
-def _at_rest(reference: Reference) -> Reference:
-    return replace(reference, speed_m_s=0.0)
 
 
 def returning(state: State, event: Event, context: Context) -> Step:
@@ -159,8 +157,7 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     state = replace(state, flight=following.at_rest_at_end(flight))
     if not there:  # no more of it was proven: from here home is planned to
         return homeward(state), commands, Trigger.RESUME
-    driving = state.vehicle.driving
-    lands = driving is not None and driving.lands
+    lands = state.vehicle.driving.lands
     return state, commands, Trigger.END_LAND if lands else Trigger.HAND_OVER
 
 

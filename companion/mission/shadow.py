@@ -7,6 +7,7 @@ successors follow as in flight.  When it does not, the next leg begins where it 
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.mission import flying, following, joining
 from companion.mission.decisions import Context, Step, give_up, is_gone, words
@@ -22,7 +23,6 @@ from companion.mission.events import (
     Vector,
 )
 from companion.mission.health import TRUST_S
-from companion.mission.renewed import replace
 from companion.mission.state import Reason, State
 from companion.planner.procedure import Reference
 

@@ -1,14 +1,16 @@
 """Phases, what moves a mission from one to the next, and everything that it remembers."""
 
+import dataclasses
 import enum
 import math
-from dataclasses import dataclass, field
 from typing import final
 
-from companion.mission.driving import Driving
+from msgspec import Struct, field
+from msgspec.structs import replace
+
+from companion.mission.driving import UNKNOWN, Driving
 from companion.mission.events import FenceChanged, Item, Landed, Mode, Vector
 from companion.mission.mission import Mission
-from companion.mission.renewed import Renewed, replace
 from companion.planner.join import Offset
 from companion.planner.procedure import Leg, Reference
 from companion.planner.request import Refusal, Stretch
@@ -211,13 +213,10 @@ class Reason(enum.Enum):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
-class Vehicle(Renewed):
+class Vehicle(Struct, frozen=True, kw_only=True):
     """What the vehicle has said of itself."""
 
-    driving: Driving | None = None
-    hovers: bool = True
-    """Whether it can stand still in the air; as long as that is not known, too."""
+    driving: Driving = UNKNOWN
     mode: Mode | None = None
     armed: bool = False
     status_at_s: float = -1e9
@@ -279,8 +278,7 @@ class Vehicle(Renewed):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
-class Flight(Renewed):
+class Flight(Struct, frozen=True, kw_only=True):
     """How far the online procedure has come."""
 
     known: KnownMap
@@ -357,8 +355,7 @@ class Flight(Renewed):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
-class State(Renewed):
+class State(Struct, frozen=True, kw_only=True):
     """Everything that the next decision depends on."""
 
     phase: Phase = Phase.WAITING
@@ -452,5 +449,5 @@ def within_fence(task: Task, fence: FenceChanged) -> Task:
         floor = max(floor, fence.floor_amsl_m)
     if fence.ceiling_amsl_m is not None:
         ceiling = min(ceiling, fence.ceiling_amsl_m)
-    limits = replace(limits, floor_amsl_m=floor, ceiling_amsl_m=ceiling)
-    return replace(task, limits=limits, zones=(*task.zones, *fence.zones))
+    limits = dataclasses.replace(limits, floor_amsl_m=floor, ceiling_amsl_m=ceiling)
+    return dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones))

@@ -2,6 +2,8 @@
 
 import math
 
+from msgspec.structs import replace
+
 from companion.mission import circling, ends, flying, following, returning
 from companion.mission.decisions import (
     AT_M,
@@ -37,7 +39,6 @@ from companion.mission.events import (
 )
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason, State, Trigger
 from companion.planner.recheck import is_touched
 
@@ -227,7 +228,7 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
     flight = state.flight
     tries = flight.failures < context.mission.attempts and flight.stops <= flying.MOST_STOPS
     if on_way_back or tries:
-        if state.reason is Reason.NEW_THREAT and state.vehicle.hovers:
+        if state.reason is Reason.NEW_THREAT and state.vehicle.driving.hovers:
             state = _anew(state)  # the band may be another one
         state, says, trigger = resumed(state)
         return state, [*commands, *says], trigger
@@ -284,7 +285,7 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     if mode is Mode.HOLD or (taking_over and not _must_stop_first(state)):
         state = replace(state, obeyed=True)
     doubted = vehicle.distrust is not None
-    stands = not vehicle.hovers or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
+    stands = not vehicle.driving.hovers or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
     stands = stands or in_phase_s(state) > _SETTLE_S or state.flight.hover_nea_m is not None
     if not state.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
         return ask(replace(_anew(state), obeyed=False), SetMode(mode=Mode.HOLD))
@@ -332,13 +333,13 @@ def _anew(state: State) -> State:
 
 def _must_stop_first(state: State) -> bool:
     """Whether it flies somewhere that nobody knows: what hovers, in guided mode."""
-    return state.vehicle.hovers and state.vehicle.mode is Mode.GUIDED
+    return state.vehicle.driving.hovers and state.vehicle.mode is Mode.GUIDED
 
 
 def _ask_for_guided(state: State, event: Event, context: Context) -> Step:
     """Ask for guided mode; with setpoints for where it is, of autopilots that want them first."""
     driving = state.vehicle.driving
-    if driving is not None and not (driving.hovers or driving.streams_first):
+    if not (driving.hovers or driving.streams_first):
         return ask(state, SetMode(mode=Mode.GUIDED))  # refused before (ardupilot.md 7)
     if not isinstance(event, Position):
         return state, [], None
@@ -381,7 +382,6 @@ def arrived(state: State, event: Event, context: Context) -> Step:
 def _end(state: State, context: Context, commands: list[Command]) -> Step:
     """The mission's end action."""
     driving, action = state.vehicle.driving, context.mission.end_action
-    assert driving is not None
     if state.flight.homeward:
         action = EndAction.LAND
     if action is EndAction.LAND and (driving.lands or state.flight.homeward):
@@ -403,7 +403,7 @@ def _end(state: State, context: Context, commands: list[Command]) -> Step:
 def reached(state: State) -> Say:
     """What is said at a target: of a plane that has passed it farther away than it should, that."""
     limits, here, there = state.task.limits, state.vehicle.position_nea_m, state.flight.hover_nea_m
-    if not state.vehicle.hovers and here is not None and there is not None:
+    if not state.vehicle.driving.hovers and here is not None and there is not None:
         off_m = math.dist(here[:2], there[:2])
         if off_m > limits.tracking_error_m:
             text = f"target reached: passed {off_m:.0f} m away"
@@ -416,7 +416,11 @@ def lands_within_m(state: State) -> float:
 
     PX4's planes land on a circle about where the mode begins (px4.md 10).
     """
-    return math.inf if state.vehicle.hovers else _LANDS_WITHIN * state.task.limits.loiter_radius_m
+    return (
+        math.inf
+        if state.vehicle.driving.hovers
+        else _LANDS_WITHIN * state.task.limits.loiter_radius_m
+    )
 
 
 def landed_off_m(state: State) -> float:
@@ -434,7 +438,7 @@ def landed_off_m(state: State) -> float:
 def landing_words(state: State, context: Context) -> str:
     """What a person should know before take-off of a landing at the target; "": nothing."""
     driving = state.vehicle.driving
-    if context.mission.end_action is not EndAction.LAND or driving is None or driving.hovers:
+    if context.mission.end_action is not EndAction.LAND or driving.hovers:
         return ""
     if not driving.lands:
         return f"{driving.name} is not told to land: it circles the last target"
@@ -446,7 +450,7 @@ def _stands_at_target(state: State, event: Position) -> bool:
     """At rest there; after a while, as near to it and to rest as the vehicle can be."""
     here, limits = state.flight.hover_nea_m, state.task.limits
     off = math.inf if here is None else math.dist(event.position_nea_m, here)
-    if not state.vehicle.hovers:
+    if not state.vehicle.driving.hovers:
         return off < _CIRCLES * limits.loiter_radius_m + limits.tracking_error_m
     if in_phase_s(state) > _SETTLE_S:
         return off < max(AT_M, limits.tracking_error_m)

@@ -64,10 +64,12 @@ class Leg:
 
     def successor_at_m(self, task: Task) -> float:
         """Length flown at p_prog: the tail before the end."""
+        length_m = self.subpath.length_m
         if self.through:
-            return self.subpath.length_m
-        earliest = self.scan_at_m(task) + task.shortest_scan_distance_m - task.tail_m
-        return min(max(self.subpath.length_m - task.tail_m, earliest), self.subpath.length_m)
+            return length_m
+        scan_at_m = max(length_m - task.scan_distance_m, 0.0)
+        earliest_m = scan_at_m + task.shortest_scan_distance_m - task.tail_m
+        return min(max(length_m - task.tail_m, earliest_m), length_m)
 
     def rest(self, task: Task) -> Rest:
         """What is left of it beyond p_prog."""
