@@ -13,19 +13,23 @@ event at the first position at or after request + T, never earlier; in lockstep 
 that position until the plan is delivered (Output.awaits_plan), otherwise the plan is late.
 """
 
+import dataclasses
 import enum
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from operator import attrgetter
 from typing import Any, Final, final
+
+from msgspec.structs import replace
 
 from companion.mavlink.autopilots import described
 from companion.mavlink.component import REQUESTS, Component
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
+from companion.mavlink.frames import Incoming
 from companion.mavlink.link import (
     MERE_CLOCKS,
     VEHICLE,
     Inbox,
-    Incoming,
     Outbox,
     Output,
     Reading,
@@ -44,7 +48,6 @@ from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, is_led
 from companion.mission.events import End, Mode, SetMode, Vector
 from companion.mission.mission import Mission
 from companion.mission.pending_plan import PendingPlan
-from companion.mission.renewed import replace
 from companion.mission.start import Resume, Start
 from companion.mission.state import Phase
 from companion.planner import outcomes
@@ -61,6 +64,7 @@ _NO_VEHICLE_S = 10.0
 _SILENT_S = 3.0
 
 
+_frame_of: Final = attrgetter("frame")
 _ROUTINE: Final = (
     events.Position,
     events.Tick,
@@ -162,7 +166,7 @@ class Session:
         if self.signing is not None and at_s is not None:
             self.signing.on_time(at_s)
         messages = self._inbox.feed(data, at_s, link)
-        frames = b"".join([each.frame for each in messages])
+        frames = b"".join(map(_frame_of, messages))
         which = ("receive", frames, at_s) if link == VEHICLE else ("receive", frames, at_s, link)
         self._out.inputs.append(which)
         if self.signing is not None and (complaint := self.signing.complaint(self.now_s)):
@@ -224,12 +228,18 @@ class Session:
             self._note("messages dropped", count=dropped)
         waiting = self._inbox.waiting
         while waiting:
-            if self._plan.due_s < math.inf and self._must_wait_for_plan(waiting[0]):
+            heard = waiting.popleft()
+            if not self._on_message(heard):
+                waiting.appendleft(heard)
                 self._out.awaits_plan = True
                 break
-            self._on_message(waiting.popleft())
-        since_s, keeper = self.clock.now_s - self._keeper.kept_at_s, self._keeper
-        if not 0.0 <= since_s < checkpoint.PERIOD_S or self.state.flight.known is not keeper.known:
+        state, keeper = self.state, self._keeper
+        since_s = self.clock.now_s - keeper.kept_at_s
+        if (
+            not 0.0 <= since_s < checkpoint.LONGEST_S
+            or state.flight.known is not keeper.known
+            or (since_s >= checkpoint.PERIOD_S and checkpoint.kept_of(state) != keeper.kept)
+        ):
             self._keep()
         return self.taken()
 
@@ -268,14 +278,15 @@ class Session:
     def _holding(self) -> Sequence[Message]:
         if self.vehicle is None or self.context.shadow or not is_led(self.state):
             return ()
-        return self.vehicle.told(SetMode(mode=Mode.HOLD), self.state) or ()
+        return self.vehicle.told(SetMode(mode=Mode.HOLD), self.state)
 
     # --- messages
 
-    def _on_message(self, heard: Incoming) -> None:
+    def _on_message(self, heard: Incoming) -> bool:
         """What time it is, whether another companion speaks, and what the message means.
 
         Over a link to ground stations what is asked of us counts, and no word of a vehicle.
+        False, and nothing done, for a position that has to wait for a plan.
         """
         number, role, is_read = heard.number, None, heard.message is not None
         if heard.link == VEHICLE and is_read:
@@ -286,19 +297,21 @@ class Session:
             if role is not Role.AUTOPILOT:
                 pass
             elif number == _POSITION:
-                self._on_time(heard.message.time_boot_ms * 1e-3, ticks=False)
+                time_s = heard.message.time_boot_ms * 1e-3
+                if time_s >= self._plan.due_s and self._must_wait_for_plan(time_s):
+                    return False
+                self._on_time(time_s, ticks=False)
             elif (clock := _CLOCKS.get(number)) is not None:
                 is_read = clock(self, heard)
         self._out.record.append((self.clock.now_s, heard.frame))
         if heard.component == COMPANION_COMPONENT:
             self._look_for_duplicates(heard)
-        if not is_read:
-            return
-        if number in REQUESTS:
+        if is_read and number in REQUESTS:
             self._serve(heard)
-        if role is not None:
+        if is_read and role is not None:
             handler = _HANDLERS.get((role, number)) or _OTHERS[role]
             handler(self, heard)
+        return True
 
     def _look_for_duplicates(self, heard: Incoming) -> None:
         """Whether another process with our ids has sent it."""
@@ -337,7 +350,6 @@ class Session:
         now_s, plan, shadow = self.clock.now_s, self._plan, self.context.shadow
         if now_s >= plan.due_s and not shadow and (answer := plan.take(now_s)) is not None:
             self._handle(answer)
-        vehicle.on_message(heard.message, now_s)
         if (event := vehicle.on_position(heard.message, now_s)) is not None:
             self._handle(event)
         if now_s >= plan.due_s and shadow and (answer := plan.take(now_s)) is not None:
@@ -420,7 +432,7 @@ class Session:
             else:
                 self._say(changes.why_not(self.state, served.order), warning=True)
         if served.task is not None:
-            task = replace(served.task, zones=self.state.given.zones)
+            task = dataclasses.replace(served.task, zones=self.state.given.zones)
             self._handle(events.SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
 
     # --- the clock
@@ -512,16 +524,14 @@ class Session:
         """A checkpoint when the mission has moved on, and the map when it has grown."""
         if self._end is not None or self.context.shadow:
             return
-        kept, self._out.known = self._keeper.due(self.state, self.now_s, at_once=at_once)
+        kept, self._out.known = self._keeper.due(self.state, self.clock.now_s, at_once=at_once)
         if kept is not None:
             self._out.checkpoint = {"system_id": self.selector.system_id, **kept}
 
     # --- plans and scans
 
-    def _must_wait_for_plan(self, heard: Incoming) -> bool:
-        if heard.number != _POSITION or heard.link != VEHICLE or not self.selector.is_ours(heard):
-            return False
-        if not self._plan.is_missing(heard.message.time_boot_ms * 1e-3):
+    def _must_wait_for_plan(self, at_s: float) -> bool:
+        if not self._plan.is_missing(at_s):
             return False
         if not self._lockstep and self._plan.tell_late():
             self._handle(events.PlanLate(time_s=self.now_s, plan_id=self.state.flight.plan_id))
@@ -572,10 +582,20 @@ class Session:
         for command in commands:
             ends = ends or type(command) is End
         for command in commands:
-            if type(command) is events.Setpoint and not self.context.shadow:
-                self._command(command)
-            else:
+            if type(command) is not events.Setpoint:
                 self._carry_out(command)
+            elif self.vehicle is not None and not self.context.shadow:
+                frame, system = self.mission.frame, self.vehicle.system_id
+                circle_m = self.state.task.limits.loiter_radius_m
+                messages = self.vehicle.autopilot.setpoint(
+                    command, frame, system, loiter_radius_m=circle_m
+                )
+                if messages is None:
+                    self._note("setpoint refused", setpoint=repr(command))
+                    died = events.PlannerDied(time_s=self.now_s, error="setpoint out of range")
+                    self._handle(died)
+                else:
+                    self._outbox.send(messages, self.clock.now_s)
             if self._end is not None and not ends:
                 return  # it was refused, and that has ended the mission: the rest counts no more
         if ends:
@@ -602,7 +622,7 @@ class Session:
                 if self.vehicle is not None:
                     self._send_all(self.vehicle.begin(self.now_s))
             case events.Setpoint():
-                pass  # in shadow
+                pass  # goes out at once, or in shadow never
             case SetMode() | events.SetSpeed() | events.Arm() | events.TakeOff():
                 if not self.context.shadow:
                     self._command(command)
@@ -610,16 +630,11 @@ class Session:
     def _command(self, command: Told) -> None:
         """What the autopilot is told to do."""
         assert self.vehicle is not None
-        if type(command) is not events.Setpoint:
-            if isinstance(command, SetMode):
-                self._confirming, self._mode_asked_at_s = command, self.clock.going_on_s
-            if (noted := entries.of_command(command)) is not None:
-                self._note(**noted)
-        if (messages := self.vehicle.told(command, self.state)) is None:
-            self._note("setpoint refused", setpoint=repr(command))
-            self._handle(events.PlannerDied(time_s=self.now_s, error="setpoint out of range"))
-        else:
-            self._outbox.send(messages, self.clock.now_s)
+        if isinstance(command, SetMode):
+            self._confirming, self._mode_asked_at_s = command, self.clock.going_on_s
+        if (noted := entries.of_command(command)) is not None:
+            self._note(**noted)
+        self._send_all(self.vehicle.told(command, self.state))
 
     def _say(self, text: str, *, warning: bool, about: str = "") -> None:
         self._note("say", text=text, warning=warning)

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from operator import itemgetter
 from struct import Struct
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 from fastcrc.crc16 import mcrf4xx
 
@@ -49,23 +49,6 @@ def claim(data: bytes, at: int) -> tuple[int, int | None]:
     signature = _SIGNATURE if data[at + 2] & _SIGNED else 0
     number = data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16
     return at + _HEADER_2 + data[at + 1] + _CHECKSUM + signature, number
-
-
-def plausible_end(data: bytes, at: int) -> int:
-    """Where the frame ends that seems to begin there; beyond the data if it is not all there.
-
-    0: it is none, or none that may be read.
-    """
-    end, number = claim(data, at)
-    if number is None:
-        return end
-    kind = wire.mavlink_map.get(number)
-    if data[at] == V1:
-        # The first protocol knows no fields beyond these: more is noise.
-        return end if kind is not None and data[at + 1] <= kind.unpacker.size else 0
-    if kind is None and end < len(data) and data[end] not in (V1, V2):
-        return 0  # its checksum cannot be checked: its length is believed if a frame follows
-    return end
 
 
 def intact_end(data: bytes, at: int) -> int:
@@ -131,18 +114,20 @@ Half of what PX4 sends to an onboard computer by itself (px4.md 2).
 """
 
 
-@final
-class RawMessage:
-    """A message of a kind in `NEEDLESS`: its frame, got as of any other message."""
+class Incoming(NamedTuple):
+    """A message, where it came from and when."""
 
-    __slots__ = ("_frame",)
-
-    def __init__(self, frame: bytes) -> None:
-        self._frame = frame
-
-    def get_msgbuf(self) -> bytes:
-        """The frame."""
-        return self._frame
+    frame: bytes
+    """Without signature."""
+    number: int
+    """Which kind of message it is."""
+    system: int
+    component: int
+    message: Message
+    """None of one of a kind that is not read."""
+    at_s: float | None
+    """When it arrived, by the clock of whoever received it."""
+    link: int
 
 
 @cache
@@ -199,6 +184,14 @@ def _in_order(kind: Any) -> Callable[[tuple[Any, ...]], Sequence[Any]] | None:
 # --- bytes to messages
 
 
+def _is_plausible(data: bytes, at: int, end: int, kind: Any) -> bool:
+    """Whether this may be the header of a frame that ends there, of a known kind or of none."""
+    if data[at] == V1:  # the first protocol knows no fields beyond these: more is noise
+        return kind is not None and data[at + 1] <= kind.unpacker.size
+    # What is unknown has no checksum: its length is believed if a frame follows.
+    return end >= len(data) or data[end] in (V1, V2)
+
+
 class Passed(enum.Enum):
     """What was passed over."""
 
@@ -220,78 +213,80 @@ class Receiver:
     """
 
     def __init__(
-        self, signing: Signing | None = None, needless: frozenset[int] = frozenset()
+        self,
+        signing: Signing | None = None,
+        needless: frozenset[int] = frozenset(),
+        link: int = 0,
     ) -> None:
         """signing: None believes everybody, signed or not.
 
-        needless: numbers of messages that nobody wants to read: they come as `RawMessage`.
+        needless: numbers of messages that nobody wants to read: they come undecoded.
         """
         self.passed: Counter[Passed] = Counter()
         """Bytes of garbage, and frames; what was not believed is in Signing.refused."""
         self.signed = 0
         """Frames that carried a signature, right or wrong."""
         self._signing = signing
-        self._needless = needless
+        self._needless, self._link = needless, link
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Message]:
         """The messages that are complete now, in order; their get_msgbuf() is without signature."""
+        return [heard.message for heard in self.read(data, None)]
+
+    def read(self, data: bytes, at_s: float | None) -> list[Incoming]:
+        """The same with where each has come from; at_s: when these bytes arrived."""
         portion_at = len(self._rest)
         data = self._rest + data
-        messages: list[Message] = []
+        heard: list[Incoming] = []
         at, size = 0, len(data)
         while (found := find_marker(data, at)) is not None:
             start = found.start()
             if start > at:
                 self.passed[Passed.GARBAGE] += start - at
             at = start
-            end = plausible_end(data, at)
-            if end > size:
-                if not (at < portion_at < size and intact_end(data, portion_at)):
-                    break
-                at = self._skip(at)
-            elif end:
-                at = self._take(data, at, end, messages)
+            end, number = claim(data, at)
+            kind = wire.mavlink_map.get(number)
+            doubtful = number is not None and (kind is None or data[at] == V1)
+            if doubtful and not _is_plausible(data, at, end, kind):
+                end = 0
+            if end > size and not (at < portion_at < size and intact_end(data, portion_at)):
+                break
+            if 0 < end <= size and self._take(data[at:end], kind, at_s, heard):
+                at = end
             else:
-                at = self._skip(at)
+                self.passed[Passed.GARBAGE] += 1
+                at += 1
         else:
             if size > at:
                 self.passed[Passed.GARBAGE] += size - at
             at = size
         self._rest = data[at:]
-        return messages
+        return heard
 
-    def _take(self, data: bytes, at: int, end: int, messages: list[Message]) -> int:
-        """Add the message of the frame there, if it is intact; where to go on."""
-        frame = data[at:end]
-        number = number_of(frame)
-        kind = wire.mavlink_map.get(number)
+    def _take(self, frame: bytes, kind: Any, at_s: float | None, heard: list[Incoming]) -> bool:
+        """Add the message of a frame, if it is to be heard; whether the frame is intact."""
         if kind is None:
             self.passed[Passed.UNKNOWN] += 1
-            return end
+            return True
         if not checksum_is_right(frame, kind.crc_extra):
             self.passed[Passed.CHECKSUM] += 1
-            return self._skip(at)
+            return False
         signed = bool(frame[0] == V2 and frame[2] & _SIGNED)
         self.signed += signed
         if self._signing is not None and not self._signing.accepts(frame):
-            return end
-        if number in SECRETS:
+            return True
+        if kind.id in SECRETS:
             self.passed[Passed.SECRET] += 1
-            return end
-        plain = strip_signature(frame) if signed else frame
-        if number in self._needless:
-            messages.append(RawMessage(plain))
-            return end
-        try:
-            message = decoded(plain, kind)
-        except wire.MAVError:
-            self.passed[Passed.CHECKSUM] += 1
-            return end
-        message._signed = signed and self._signing is not None
-        messages.append(message)
-        return end
-
-    def _skip(self, at: int) -> int:
-        self.passed[Passed.GARBAGE] += 1
-        return at + 1
+            return True
+        plain, message = strip_signature(frame) if signed else frame, None
+        if kind.id not in self._needless:
+            try:
+                message = decoded(plain, kind)
+            except wire.MAVError:
+                self.passed[Passed.CHECKSUM] += 1
+                return True
+            message._signed = signed and self._signing is not None
+        system, component = plain[5:7] if plain[0] == V2 else plain[3:5]
+        heard.append(Incoming(plain, kind.id, system, component, message, at_s, self._link))
+        return True

@@ -7,7 +7,7 @@ import enum
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 
 from companion.mavlink.dialect import (
     AUTOPILOT_COMPONENT,
@@ -15,7 +15,7 @@ from companion.mavlink.dialect import (
     codec,
     wire,
 )
-from companion.mavlink.frames import NEEDLESS, V2, RawMessage, Receiver
+from companion.mavlink.frames import NEEDLESS, V2, Incoming, Receiver
 from companion.mavlink.signing import Signing, strip_signature
 from companion.mission.checkpoint import Values
 from companion.mission.entries import Entry
@@ -49,22 +49,6 @@ _OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
 # --- in
 
 
-class Incoming(NamedTuple):
-    """A message, where it came from and when."""
-
-    frame: bytes
-    """Without signature."""
-    number: int
-    """Which kind of message it is."""
-    system: int
-    component: int
-    message: Message
-    """None of one of a kind that is not read."""
-    at_s: float | None
-    """When it arrived, by the clock of whoever received it."""
-    link: int
-
-
 @final
 class Inbox:
     """What was heard over each link and has not been handled yet, in the order in which it came."""
@@ -80,17 +64,8 @@ class Inbox:
     def feed(self, data: bytes, at_s: float | None, link: int) -> list[Incoming]:
         """The messages that are complete with these bytes; they wait from now on."""
         if link not in self.receivers:
-            self.receivers[link] = Receiver(self._signing, NEEDLESS)
-        heard = []
-        for message in self.receivers[link].feed(data):
-            frame = bytes(message.get_msgbuf())
-            if frame[0] == V2:
-                number = frame[7] | frame[8] << 8 | frame[9] << 16
-                system, component = frame[5], frame[6]
-            else:
-                system, component, number = frame[3], frame[4], frame[5]
-            read = None if isinstance(message, RawMessage) else message
-            heard.append(Incoming(frame, number, system, component, read, at_s, link))
+            self.receivers[link] = Receiver(self._signing, NEEDLESS, link)
+        heard = self.receivers[link].read(data, at_s)
         self.dropped += max(len(self.waiting) + len(heard) - _MOST_WAITING, 0)
         self.waiting.extend(heard)
         return heard
@@ -185,23 +160,23 @@ class DuplicateIdDetector:
     """
 
     def __init__(self) -> None:
+        self.sent: deque[bytes] = deque(maxlen=_KEPT)
+        """Frames of ours, signed or not, since any companion's was last heard."""
         self._sent: dict[_Key, None] = {}
         self._heard: dict[int, _Stranger] = {}
         """By system id: whose companion we are may not be known yet."""
-
-    def sent(self, frame: bytes) -> None:
-        """A frame of ours, signed or not."""
-        key = _key(frame)
-        self._sent.pop(key, None)
-        self._sent[key] = None
-        if len(self._sent) > _KEPT:
-            del self._sent[next(iter(self._sent))]
 
     def heard(self, frame: bytes, system_id: int | None, now_s: float) -> Namesake | None:
         """What a frame of any companion means, if it is none of ours, and it is time to say so.
 
         system_id: ours, None as long as it is not known.
         """
+        for key in map(_key, self.sent):
+            self._sent.pop(key, None)
+            self._sent[key] = None
+            if len(self._sent) > _KEPT:
+                del self._sent[next(iter(self._sent))]
+        self.sent.clear()
         if _key(frame) in self._sent:
             return None
         system = frame[5] if frame[0] == V2 else frame[3]
@@ -246,7 +221,8 @@ class VehicleClock:
 
     def __init__(self, start_s: float) -> None:
         """start_s: what stands for the time until it is known."""
-        self.now_s = start_s
+        self.now_s = self.going_on_s = start_s
+        """What it shows; with the silence since on top: for what goes on meanwhile."""
         self.is_known = False
         self.passed_s = 0.0
         """How long it has been known, all boots together."""
@@ -255,11 +231,6 @@ class VehicleClock:
         self._beat: tuple[float, float, int] | None = None
         """Time, idle time and sequence number at the last heartbeat."""
         self._told_ms: dict[int, int] = {}
-
-    @property
-    def going_on_s(self) -> float:
-        """Vehicle time with the silence since on top: for what goes on meanwhile."""
-        return self.now_s + self._idle_s
 
     def is_told_by(self, number: int, time_boot_ms: int) -> bool:
         """Whether a mere clock of the autopilot says more than another of its kind did just before.
@@ -275,20 +246,26 @@ class VehicleClock:
     def read(self, time_s: float) -> Reading:
         """The vehicle says that it is this late."""
         if not self.is_known:
-            self.is_known, self.now_s, self._idle_s = True, time_s, 0.0
+            self.is_known = True
+            self._show(time_s)
             return Reading.FIRST
         if time_s < self.now_s - _REBOOT_S:
             before_s, self._fallen_s = self._fallen_s, time_s
             if before_s is None or not 0.0 <= time_s - before_s < _REBOOT_S:
                 return Reading.DOUBTED
-            self.now_s, self._idle_s, self._fallen_s = time_s, 0.0, None
+            self._fallen_s = None
+            self._show(time_s)
             return Reading.REBOOTED
         self._fallen_s = None
         if time_s <= self.now_s:
             return Reading.SAME
         self.passed_s += time_s - self.now_s
-        self.now_s, self._idle_s = time_s, 0.0
+        self.now_s = self.going_on_s = time_s
+        self._idle_s = 0.0
         return Reading.LATER
+
+    def _show(self, now_s: float, idle_s: float = 0.0) -> None:
+        self.now_s, self._idle_s, self.going_on_s = now_s, idle_s, now_s + idle_s
 
     def beat(self, heartbeat: Message) -> bool:
         """Whether the vehicle lives and no clock of it was heard since the heartbeat before.
@@ -301,18 +278,20 @@ class VehicleClock:
             return False
         stands = self.is_known and before is not None and before[0] == self.now_s
         if stands and before is not None:
-            self._idle_s = max(self._idle_s, before[1] + _BEAT_S)
+            self._show(self.now_s, max(self._idle_s, before[1] + _BEAT_S))
         self._beat = (self.now_s, self._idle_s, number)
         return stands
 
     def be_silent(self, more_s: float, *, counts: bool) -> Reading:
         """It has said nothing for so much longer; counts: before it is known, that is its time."""
         if self.is_known or not counts:
-            self._idle_s += more_s
+            self._show(self.now_s, self._idle_s + more_s)
             return Reading.SAME
-        before_s, self.now_s = self.now_s, self.now_s + max(more_s, 0.0)
-        self._idle_s = 0.0 if self.now_s > before_s else self._idle_s
-        return Reading.LATER if self.now_s > before_s else Reading.SAME
+        later_s = self.now_s + more_s
+        if later_s <= self.now_s:
+            return Reading.SAME
+        self._show(later_s)
+        return Reading.LATER
 
 
 # --- out
@@ -382,7 +361,7 @@ class Outbox:
             frame: bytes = message.pack(self._codec)
             self._codec.seq = (self._codec.seq + 1) % 256
             self.out.frames.append(frame)
-            self.duplicates.sent(frame)
+            self.duplicates.sent.append(frame)
             self.out.record.append((now_s, frame if self._plain else strip_signature(frame)))
             if to_ground:
                 self.tell_ground([message])
@@ -394,7 +373,7 @@ class Outbox:
                 frame = message.pack(self._grounds)
                 self._grounds.seq = (self._grounds.seq + 1) % 256
                 self.out.to_ground.append(frame)
-                self.duplicates.sent(frame)  # a router may bring it to the vehicle's link
+                self.duplicates.sent.append(frame)  # a router may bring it to the vehicle's link
 
     def spare(self, messages: Iterable[Message]) -> list[bytes]:
         """Messages as frames that are perhaps never sent: they take no sequence numbers."""

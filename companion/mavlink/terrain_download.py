@@ -264,15 +264,13 @@ class Scanning:
         self._mission = mission
         self._download: TerrainDownload | None = None
         self._done: ScanDone | None = None
-
-    @property
-    def is_on(self) -> bool:
+        self.is_on = False
         """Whether there is a scan under way, or one that is over and was not told yet."""
-        return self._download is not None or self._done is not None
 
     def begin(self, centre_nea_m: Vector, state: State, now_s: float) -> int:
         """Look at what is within range of a point.  -> blocks of terrain to ask for."""
         mission, task, flight = self._mission, state.task, state.flight
+        self.is_on = True
         if mission.scanner_component_id is None:
             self._done = ScanDone(time_s=now_s, scan=_no_scan(), asked=0, answered=0)
             return 0
@@ -292,6 +290,7 @@ class Scanning:
     def stop(self) -> None:
         """Forget it."""
         self._download = self._done = None
+        self.is_on = False
 
     def on_message(self, message: Message, here_nea_m: Vector | None) -> None:
         """One of `MESSAGES`."""
@@ -306,7 +305,7 @@ class Scanning:
         """The scan, once it is over."""
         download = self._download
         if download is not None and download.is_over(now_s):
-            self._download = None
+            self.stop()
             return ScanDone(
                 time_s=now_s,
                 scan=download.scan(),
@@ -314,6 +313,7 @@ class Scanning:
                 answered=download.answered,
             )
         done, self._done = self._done, None
+        self.is_on = download is not None
         return done
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final, final
 
 from companion.mavlink import fence, parameter_client, plan_client
 from companion.mavlink.autopilots import Autopilot, Here, autopilot_of
-from companion.mavlink.autopilots.messages import heading_rad, position
+from companion.mavlink.autopilots.messages import NO_HEADING, position
 from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
 from companion.mavlink.judgement import Finding, Severity, judge, names_of
 from companion.mavlink.parameter_client import ParameterClient, is_bytewise
@@ -33,7 +33,6 @@ from companion.mission.events import (
     Position,
     Prepared,
     SetMode,
-    Setpoint,
     SetSpeed,
     TakeOff,
     TakeOffTaken,
@@ -44,6 +43,7 @@ from companion.mission.events import (
 from companion.mission.mission import Mission
 from companion.mission.state import State
 
+_POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _ASK_TIME_S = 1.0
 _TELL_SPEED_S = 1.0
 _NOT_YET = (wire.MAV_RESULT_TEMPORARILY_REJECTED, wire.MAV_RESULT_IN_PROGRESS)
@@ -60,8 +60,8 @@ _FAMILY = {
 }
 
 
-Told = Setpoint | SetMode | SetSpeed | Arm | TakeOff
-"""What an autopilot is told to do."""
+Told = SetMode | SetSpeed | Arm | TakeOff
+"""What an autopilot is told to do besides flying to setpoints."""
 
 
 @final
@@ -100,7 +100,7 @@ class VehicleSide:
         self._mission, self._lockstep = mission, lockstep
         self._sets_parameters = sets_parameters
         self._home_nea_m: Vector | None = None
-        self._heading_rad = 0.0
+        self._heading_cdeg = 0
         self._judged = -1
         self._sets: dict[str, int] = {}
         """How often each parameter was set."""
@@ -187,9 +187,12 @@ class VehicleSide:
         return client.on_message(message, now_s)
 
     def on_position(self, message: Message, now_s: float) -> Position | None:
-        """What GLOBAL_POSITION_INT means, which comes most often of all."""
-        heading = heading_rad(message)
-        self._heading_rad = self._heading_rad if heading is None else heading
+        """What GLOBAL_POSITION_INT means: `on_message` and `event_of` of what comes most often."""
+        count = self.streams.count
+        count[_POSITION] = count.get(_POSITION, 0) + 1
+        self.parameters.heard_s = now_s
+        if message.hdg != NO_HEADING:
+            self._heading_cdeg = message.hdg
         event = position(message, now_s, self._mission.frame)
         if event is not None:
             self.here_ne_m = event.position_nea_m[:2]
@@ -273,13 +276,10 @@ class VehicleSide:
 
     # --- out
 
-    def told(self, command: Told, state: State) -> list[Message] | None:
-        """What tells the autopilot to do this; None for a setpoint that must not be sent."""
+    def told(self, command: Told, state: State) -> list[Message]:
+        """What tells the autopilot to do this."""
         autopilot, system, frame = self.autopilot, self.system_id, self._mission.frame
         match command:
-            case Setpoint():
-                radius_m = state.task.limits.loiter_radius_m
-                return autopilot.setpoint(command, frame, system, loiter_radius_m=radius_m)
             case SetMode():
                 return autopilot.set_mode(command, frame, system)
             case SetSpeed(speed_m_s=speed):
@@ -292,7 +292,9 @@ class VehicleSide:
                 here = state.vehicle.position_nea_m
                 if here is None:
                     return []
-                place = Here(position_nea_m=here, heading_rad=self._heading_rad)
+                place = Here(
+                    position_nea_m=here, heading_rad=math.radians(self._heading_cdeg * 0.01)
+                )
                 return autopilot.take_off(command, place, frame, system)
 
     @property

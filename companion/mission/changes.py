@@ -2,9 +2,12 @@
 
 import enum
 import math
+from typing import Final
+
+from msgspec.structs import replace
 
 from companion.mission import circling, following
-from companion.mission.decisions import Step, because, give_up, in_phase_s, taken_by
+from companion.mission.decisions import Context, Step, because, give_up
 from companion.mission.events import (
     Command,
     Event,
@@ -12,7 +15,6 @@ from companion.mission.events import (
     FenceChanged,
     Order,
     OrderKind,
-    Position,
     Prepared,
     Rebooted,
     Say,
@@ -22,9 +24,8 @@ from companion.mission.events import (
     TargetsChanged,
 )
 from companion.mission.health import battery_is_short
-from companion.mission.renewed import replace
 from companion.mission.state import OVER, Flight, Phase, Reason, State, Trigger, Vehicle
-from companion.mission.stopped import STANDING, TAKEN, resumed
+from companion.mission.stopped import STANDING, TAKEN, fence_breached, resumed
 from companion.planner.adjustable import loosest
 from companion.planner.recheck import is_touched
 from companion.planner.rules import why_no_target
@@ -44,8 +45,6 @@ _CALM = (
     Reason.PAUSED,
 )
 """Reasons to hold in which a person's word counts at once."""
-_LIKE_A_BREACH = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.STREAM_LOST)
-_BREACH_S = 5.0  # from what the autopilot does to what it says
 
 
 class Verdict(enum.Enum):
@@ -102,18 +101,29 @@ def _may_pause(state: State) -> bool:
     return held or state.phase in _ON_PATH
 
 
-def changed(state: State, event: Event) -> Step | None:
+EVENTS: Final = (
+    ScanDone,
+    FenceChanged,
+    FenceBreach,
+    SettingsChanged,
+    TargetsChanged,
+    Order,
+    Rebooted,
+    Prepared,
+)
+"""What `changed` has a say in."""
+
+
+def changed(state: State, event: Event, _context: Context) -> Step | None:
     """What an event that is not a phase's own changes; None: it is left to the phase."""
     match event:
-        case Position():
-            return _named(state) or circling.kept_clear(state, event)
         case ScanDone():
             return circling.looked(state, event)
         case FenceChanged():
             return _with_fence(state, event)
         case FenceBreach(time_s=time_s):
             state = replace(state, vehicle=replace(state.vehicle, fence_breached_at_s=time_s))
-            return _named(state) or (state, [], None)
+            return fence_breached(state) or (state, [], None)
         case SettingsChanged(task=task, what=what):
             if task.cell_m != state.flight.known.cell_m:  # on the ground only: nothing is known yet
                 known = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
@@ -155,22 +165,6 @@ def _with_fence(state: State, event: FenceChanged) -> Step:
         return replace(state, flight=flight), says, None
     state, commands, trigger = following.stop(state, Reason.NEW_THREAT)
     return state, [*says, *commands], trigger
-
-
-def _named(state: State) -> Step | None:
-    """A hold that the vehicle's own fence is the reason for, as it turns out; None: it is not.
-
-    PX4's was a loss of setpoints at first sight; and a fence drawn in flight is known to the
-    autopilot before the companion has read it.
-    """
-    if state.phase is not Phase.HOLDING or state.reason not in _LIKE_A_BREACH:
-        return None
-    by_itself = state.vehicle.failsafe or in_phase_s(state) < _BREACH_S
-    if not by_itself or taken_by(state) is not Reason.FENCE_BREACHED:
-        return None
-    reason = Reason.FENCE_BREACHED
-    says = Say(text=f"hold: {reason.text}", warning=True, about="phase")
-    return replace(because(state, reason), taken=True), [says], None
 
 
 def _is_touched(state: State) -> bool:

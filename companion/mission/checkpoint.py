@@ -12,9 +12,10 @@ from functools import lru_cache
 from operator import attrgetter
 from typing import Any, Final, final
 
+from msgspec.structs import replace
+
 from companion.mission.events import FenceChanged
 from companion.mission.mission import Mission
-from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, Phase, Reason, State
 from companion.path.subpath import Subpath
 from companion.planner import adjustable
@@ -30,7 +31,7 @@ Values = dict[str, Any]
 
 NOT_SUCH = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 """What values that are no checkpoint may raise when they are restored."""
-PERIOD_S, _LONGEST_S = 1.0, 10.0
+PERIOD_S, LONGEST_S = 1.0, 10.0
 _LATER = ("set_aside", "refusal")
 """Fields that older checkpoints do not have."""
 
@@ -266,9 +267,11 @@ _OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
 }
 """Fields that are kept, and what makes them of what `_plain` has made of them."""
 _LEGS: Final = ("leg", "next_leg", "back")
-_kept_of_state = attrgetter(*_OF_STATE, "phase", "obeyed", "given", "flown_under")
-_kept_of_flight = attrgetter(*_OF_FLIGHT, *_LEGS)
-"""All that a checkpoint is made of, but for the time."""
+kept_of: Final = attrgetter(
+    *(*_OF_STATE, "phase", "obeyed", "given", "flown_under"),
+    *(f"flight.{name}" for name in (*_OF_FLIGHT, *_LEGS)),
+)
+"""All of a state that a checkpoint is made of, but for the time."""
 
 
 @final
@@ -281,7 +284,8 @@ class Keeper:
 
     def __init__(self) -> None:
         self.kept_at_s = -math.inf
-        self._kept: tuple[Any, ...] = ()
+        self.kept: tuple[Any, ...] = ()
+        """`kept_of` that."""
         self.known: KnownMap | None = None
 
     def due(
@@ -294,8 +298,8 @@ class Keeper:
         since_s = now_s - self.kept_at_s
         if 0.0 <= since_s < PERIOD_S and not (grown or at_once):
             return None, None
-        kept = (_kept_of_state(state), _kept_of_flight(state.flight))
-        if kept == self._kept and 0.0 <= since_s < _LONGEST_S and not (grown or at_once):
+        kept = kept_of(state)
+        if kept == self.kept and 0.0 <= since_s < LONGEST_S and not (grown or at_once):
             return None, None
-        self.kept_at_s, self.known, self._kept = now_s, state.flight.known, kept
+        self.kept_at_s, self.known, self.kept = now_s, state.flight.known, kept
         return values_of(state), self.known if grown else None

@@ -6,10 +6,11 @@ before the first scan, it looks at once, from where it is and as low as it is, a
 it has seen a place.  Unknown ground is never flown to: if there is nothing else it stays.
 """
 
+from msgspec.structs import replace
+
 from companion.mission import following
 from companion.mission.decisions import Step, cannot_fly
 from companion.mission.events import Command, Position, Say, ScanDone, StartScan, Vector
-from companion.mission.renewed import replace
 from companion.mission.state import Phase, State
 from companion.planner.refuge import Circler, loiter_point
 from companion.world.zone_index import index_of
@@ -24,7 +25,7 @@ def kept_clear(state: State, event: Position) -> Step | None:
     Each place is looked at once under the same rules, and once more when a look is over.
     """
     flight, hover = state.flight, state.flight.hover_nea_m
-    if state.vehicle.hovers or state.phase not in _PHASES or flight.leg is not None:
+    if state.vehicle.driving.hovers or state.phase not in _PHASES or flight.leg is not None:
         return None
     if hover is None or _is_judged(state, hover) or cannot_fly(state, event) is not None:
         return None

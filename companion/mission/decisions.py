@@ -4,10 +4,11 @@ import math
 from dataclasses import dataclass
 from typing import final
 
+from msgspec.structs import replace
+
 from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position
-from companion.mission.health import astray_m, distrust
+from companion.mission.health import astray_m
 from companion.mission.mission import Mission
-from companion.mission.renewed import replace
 from companion.mission.state import IN_AIR, Phase, Reason, State, Trigger, Vehicle
 from companion.planner.request import Refusal
 from companion.world.zone_index import index_of
@@ -91,34 +92,17 @@ def longest_silence_s(state: State, context: Context) -> float:
     return GONE_IN_AIR_S if state.airborne and not context.lockstep else GONE_S
 
 
-def lost_command(
-    state: State, event: Event, modes: tuple[Mode, ...] = (Mode.GUIDED,)
-) -> Reason | None:
-    """Why the vehicle does not do what it is told now; None: it does."""
-    vehicle = state.vehicle
-    if isinstance(event, LinkLost) or is_silent(state):
-        return Reason.LINK_LOST
-    if not vehicle.armed:
-        return Reason.DISARMED
-    if vehicle.mode in modes:
-        return None
-    taken = taken_by(state)
-    lost = taken is not Reason.FENCE_BREACHED and _lost_stream(vehicle)
-    return Reason.STREAM_LOST if lost else taken
-
-
 def taken_by(state: State) -> Reason:
     """Who has changed the mode: a person, or the autopilot for its own fence or another failsafe.
 
     Of the fence it says so, or it acts on a failsafe outside of it (PX4, which tells a companion
     little).  A person who selects hold, return or land in a failsafe looks like the failsafe.
     """
-    vehicle, driving = state.vehicle, state.vehicle.driving
+    vehicle = state.vehicle
     if vehicle.mode not in (Mode.HOLD, Mode.RETURN, Mode.LAND):
         return Reason.MODE_TAKEN
     said = 0.0 <= state.now_s - vehicle.fence_breached_at_s < _FENCE_S
-    streams_first = driving is not None and driving.streams_first
-    acts = streams_first and vehicle.failsafe and _is_out_of_its_fence(state)
+    acts = vehicle.driving.streams_first and vehicle.failsafe and _is_out_of_its_fence(state)
     if said or acts:
         return Reason.FENCE_BREACHED
     return Reason.FAILSAFE if vehicle.failsafe else Reason.MODE_TAKEN
@@ -142,9 +126,7 @@ def is_silent(state: State) -> bool:
 
 def _lost_stream(vehicle: Vehicle) -> bool:
     """Whether it holds because setpoints were lost on the way to it (PX4), not for a person."""
-    driving = vehicle.driving
-    streams_first = driving is not None and driving.streams_first
-    return streams_first and vehicle.failsafe and vehicle.mode is Mode.HOLD
+    return vehicle.driving.streams_first and vehicle.failsafe and vehicle.mode is Mode.HOLD
 
 
 def is_grounded(state: State) -> bool:
@@ -191,15 +173,29 @@ def because(state: State, reason: Reason) -> State:
 
 
 def cannot_fly(
-    state: State, event: Event, modes: tuple[Mode, ...] = (Mode.GUIDED,)
+    state: State,
+    event: Event,
+    modes: tuple[Mode, ...] = (Mode.GUIDED,),
+    *,
+    stands: bool = False,
 ) -> Reason | None:
-    """Why the flight cannot go on as it is; None: it can."""
-    lost = lost_command(state, event, modes)
-    if lost is not None:
-        return lost
-    if is_grounded(state):
+    """Why the flight cannot go on as it is; None: it can.  stands: it may still be on the ground.
+
+    That the vehicle does not do what it is told comes before that its position is not to be
+    believed.
+    """
+    vehicle = state.vehicle
+    if isinstance(event, LinkLost) or state.now_s - vehicle.status_at_s > _HEARTBEAT_S:
+        return Reason.LINK_LOST
+    if not vehicle.armed:
+        return Reason.DISARMED
+    if vehicle.mode not in modes:
+        taken = taken_by(state)
+        lost = taken is not Reason.FENCE_BREACHED and _lost_stream(vehicle)
+        return Reason.STREAM_LOST if lost else taken
+    if not stands and vehicle.landed is Landed.ON_GROUND and is_grounded(state):
         return Reason.GROUNDED
-    return distrust(state.vehicle, state.now_s, state.task.limits)
+    return vehicle.distrust
 
 
 def speed_m_s(event: Position) -> float:
@@ -209,4 +205,4 @@ def speed_m_s(event: Position) -> float:
 
 def is_at_rest(state: State, event: Position) -> bool:
     """Whether the vehicle stands, as far as it can stand."""
-    return not state.vehicle.hovers or speed_m_s(event) < STOPPED_M_S
+    return not state.vehicle.driving.hovers or speed_m_s(event) < STOPPED_M_S

@@ -6,7 +6,7 @@ One value per autopilot and vehicle kind.  How it is said, and what it is worth,
 
 import enum
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 
 class TakeOffWay(enum.Enum):
@@ -39,3 +39,7 @@ class Driving:
     """Whether it tells, in guided mode, where it is being sent (POSITION_TARGET_*)."""
     lands: bool = True
     """Whether it can be told to land where it is."""
+
+
+UNKNOWN: Final = Driving(name="", hovers=True, take_off=TakeOffWay.GUIDED_THEN_CLIMB)
+"""Before there is a vehicle."""

@@ -15,6 +15,8 @@ where a person, or a part of the companion that has died, has ended the mission.
 
 import math
 
+from msgspec.structs import replace
+
 from companion.mission.decisions import (
     AT_M,
     Context,
@@ -30,10 +32,9 @@ from companion.mission.decisions import (
     taken_by,
     words,
 )
+from companion.mission.driving import UNKNOWN
 from companion.mission.events import Event, Mode, Say, SetMode
-from companion.mission.health import distrust
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason, State, Trigger
 
 _ASKS = 5  # in vain, once a second
@@ -56,12 +57,12 @@ def wanted(state: State, context: Context) -> Fallback:
 def instead(state: State, context: Context) -> Step:
     """What becomes of a vehicle whose mission is given up: it comes down, if it is left to us."""
     fallback, flight, driving = wanted(state, context), state.flight, state.vehicle.driving
-    if fallback is Fallback.HOLD or driving is None or not _is_left_to_us(state):
+    if fallback is Fallback.HOLD or driving is UNKNOWN or not _is_left_to_us(state):
         return state, [], Trigger.GIVE_UP
     in_vain = flight.in_vain
     if (mode := _MODES.get(state.phase)) is not None:
         in_vain |= {mode}
-    lost = distrust(state.vehicle, state.now_s, state.task.limits) is not None
+    lost = state.vehicle.distrust is not None
     lands = fallback is Fallback.LAND or lost or _is_above_home(state)
     order = (Mode.LAND, Mode.RETURN) if lands else (Mode.RETURN, Mode.LAND)
     ways = [
@@ -97,7 +98,7 @@ def _is_left_to_us(state: State) -> bool:
 
 def _is_above_home(state: State) -> bool:
     home, here = state.vehicle.home_nea_m, state.vehicle.position_nea_m
-    if home is None or here is None or not state.vehicle.hovers:
+    if home is None or here is None or not state.vehicle.driving.hovers:
         return False
     return math.dist(home[:2], here[:2]) < max(AT_M, state.task.limits.tracking_error_m)
 

@@ -1,10 +1,13 @@
 """What happens in the phase `flying`: follow a leg, scan, plan, go on to the next (design 6)."""
 
+import dataclasses
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.mission import following
+from companion.mission.circling import kept_clear
 from companion.mission.decisions import (
     AT_M,
     Context,
@@ -29,7 +32,6 @@ from companion.mission.events import (
 )
 from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
 from companion.mission.health import battery_forecast, battery_is_short
-from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
 from companion.planner.request import NotPlanned, Planned, PlanRequest
@@ -50,14 +52,14 @@ _TOLD_FORECAST, _TOLD_SHORT = 1, 2
 
 def flying(state: State, event: Event, context: Context) -> Step:
     """Follow the leg, or wait for one; stop for whatever makes that unsafe."""
-    if is_gone(state, event, context):
-        return give_up(state, Reason.LINK_LOST)
     reason = cannot_fly(state, event)
     if reason is not None:
+        if is_gone(state, event, context):
+            return give_up(state, Reason.LINK_LOST)
         return fault(replace(state, flight=at_rest(state.flight, None)), reason)
     match event:
         case Position():
-            return on_position(state, event, context)
+            return _on_position(state, event, context)
         case ScanDone():
             return on_scan(state, event, context)
         case PlanReady():
@@ -68,16 +70,23 @@ def flying(state: State, event: Event, context: Context) -> Step:
             return state, [], None
 
 
-def on_position(state: State, event: Position, context: Context) -> Step:
+def _on_position(state: State, event: Position, context: Context) -> Step:
     """Move the reference point and send it; scan when its time has come."""
+    if state.flight.leg is None and (step := kept_clear(state, event)) is not None:
+        return step
     is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
     if is_short and runs_low(state):
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
     state, warning = battery_warning(state, context)
-    after, commands, trigger = _on_position(state, event, context)
-    return after, [*warning, *commands], trigger
+    if state.flight.leg is None:
+        state, commands, trigger = _hover(state, event, context)
+    elif state.flight.circling and following.still_circles(state, event):
+        state, commands, trigger = circle(state, event, context)
+    else:
+        state, commands, trigger = _follow(state, event, context)
+    return state, [*warning, *commands], trigger
 
 
 def runs_low(state: State) -> bool:
@@ -107,7 +116,7 @@ def battery_warning(state: State, context: Context) -> tuple[State, list[Command
     flight, tells = state.flight, 0
     if state.vehicle.battery_short_at_s is not None and battery_is_short(state):
         tells = _TOLD_SHORT
-    elif not battery_forecast(state, context.mission):
+    elif flight.battery_told < _TOLD_FORECAST and not battery_forecast(state, context.mission):
         tells = _TOLD_FORECAST
     if tells <= flight.battery_told:
         return state, []
@@ -115,26 +124,22 @@ def battery_warning(state: State, context: Context) -> tuple[State, list[Command
     return state, [Say(text=Reason.BATTERY_LOW.text, warning=True)]
 
 
-def _on_position(state: State, event: Position, context: Context) -> Step:
-    if state.flight.leg is None:
-        return _hover(state, event, context)
-    if following.still_circles(state, event):
-        return circle(state, event, context)
-    flight = replace(following.moved_on(state, event), circling=False)
+def _follow(state: State, event: Position, context: Context) -> Step:
+    flight, task = following.moved_on(state, event), state.task
     if state.now_s - flight.progress_at_s > STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
-    leg, task = flight.leg, state.task
+    leg, reference = flight.leg, flight.reference
     assert leg is not None
     if task.settings.profile.verified and following.has_departed(state, flight, event):
         return departed(state, at_rest(state.flight, None))
     if following.is_not_taken(state):
         return departed(state, at_rest(state.flight, None), Reason.NOT_TAKEN)
-    flight, commands = following.setpoint(replace(state, flight=flight), event, context)
+    flight, commands = following.setpoint(state, flight, event, context)
     if following.is_stopped(state, flight):
         return _at_its_end(replace(state, flight=flight), leg, commands)
-    due = flight.reference.length_m >= leg.scan_at_m(task) and leg.can_be_left(task)
-    if due and not flight.tried and not leg.reaches_target and flight.stop_at_m is None:
-        scan_nea_m = leg.subpath.pose(flight.reference.length_m).point_nea_m
+    wants_next = not (flight.tried or leg.reaches_target) and flight.stop_at_m is None
+    if wants_next and reference.length_m >= leg.scan_at_m(task) and leg.can_be_left(task):
+        scan_nea_m = leg.subpath.pose(reference.length_m).point_nea_m
         flight, scan = start_scan(flight, scan_nea_m)
         commands += scan
     return replace(state, flight=flight), commands, None
@@ -299,7 +304,7 @@ def _hover(state: State, event: Position, context: Context) -> Step:
 def _waiting_place(state: State, event: Position, context: Context) -> Vector:
     """Where to wait for a leg: here, at a height within the band if nothing is in the way down."""
     north, east, altitude = event.position_nea_m
-    lowest_m = replace(context.mission, task=task_ahead(state, context)).take_off_amsl_m
+    lowest_m = dataclasses.replace(context.mission, task=task_ahead(state, context)).take_off_amsl_m
     height_m = max(min(altitude, state.task.band_amsl_m[1]), lowest_m)
     required_m = state.task.required_clearance_m
     down = np.array([north, east, height_m])
@@ -329,7 +334,7 @@ def _is_there(state: State, event: Position, here: Vector) -> bool:
 
     A plane on its way to a circle has no leg planned from there: it would not fly where that is.
     """
-    if state.vehicle.hovers:
+    if state.vehicle.driving.hovers:
         return math.dist(here, event.position_nea_m) <= AT_M
     error_m = max(AT_M, state.task.limits.tracking_error_m)
     level = abs(event.velocity_nea_m_s[2]) < _LEVEL_M_S
@@ -343,7 +348,7 @@ def _later(state: State, event: Position, flight: Flight) -> float:
 
 
 def _accepted(state: State, planned: Planned) -> Flight:
-    flight, hovers = state.flight, state.vehicle.hovers
+    flight, hovers = state.flight, state.vehicle.driving.hovers
     leg = Leg.of(planned, flight.legs_flown + 1, state.task)
     flight = replace(
         flight,

@@ -7,12 +7,11 @@ waits for the vehicle.  What cannot is sent a point ahead of where it is on the 
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
-from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
-from companion.path.subpath import Pose
 from companion.planner import join
 from companion.planner.procedure import (
     Leg,
@@ -42,15 +41,15 @@ _AT_END = 1.2  # loiter radii
 _BEYOND = 0.25  # loiter radii: if it is left there, the circle that it then flies is proven
 
 
-def lead_m(state: State) -> float:
+def lead_m(state: State, reference: Reference) -> float:
     """How far ahead of the reference point the setpoint lies, along the path.
 
     What the driving strategy asks for, and what the vehicle flies while the message is under way.
     """
     vehicle = state.vehicle
     delay_s = min(vehicle.round_trip_s, _LONGEST_DELAY_S)
-    if vehicle.hovers or vehicle.driving is None:
-        return delay_s * state.flight.reference.speed_m_s
+    if vehicle.driving.hovers:
+        return delay_s * reference.speed_m_s
     over_ground = math.hypot(*vehicle.velocity_nea_m_s[:2])  # what counts in wind, not V
     lead_m = (vehicle.driving.lead_s + delay_s) * over_ground
     return min(lead_m, _LONGEST_LEAD * state.task.limits.lead_m)
@@ -58,7 +57,7 @@ def lead_m(state: State) -> float:
 
 def sent_at_m(state: State) -> float:
     """Length along the leg of the point that is sent."""
-    return state.flight.reference.length_m + lead_m(state)
+    return state.flight.reference.length_m + lead_m(state, state.flight.reference)
 
 
 def moved_on(state: State, event: Position) -> Flight:
@@ -67,7 +66,7 @@ def moved_on(state: State, event: Position) -> Flight:
     leg = flight.leg
     assert leg is not None
     here = np.asarray(event.position_nea_m)
-    if vehicle.hovers:
+    if vehicle.driving.hovers:
         reference = advance(
             flight.reference,
             leg,
@@ -80,30 +79,38 @@ def moved_on(state: State, event: Position) -> Flight:
         )
     else:
         reference = follow(flight.reference, leg, here, task.limits)
-    if reference.length_m > flight.reference.length_m or flight.circling:  # it sets out now
-        flight = replace(flight, progress_at_s=state.now_s)
-    if flight.offset is not None:
-        offset = join.step(flight.offset, vehicle.position_step_s, task.limits)
-        flight = replace(flight, offset=offset)
+    sets_out = reference.length_m > flight.reference.length_m or flight.circling
+    offset = flight.offset
+    if offset is not None:
+        offset = join.step(offset, vehicle.position_step_s, task.limits)
+    flight = replace(
+        flight,
+        reference=reference,
+        circling=False,
+        progress_at_s=state.now_s if sets_out else flight.progress_at_s,
+        offset=offset,
+    )
     if flight.next_leg is None or reference.length_m < leg.successor_at_m(task) - _ROUNDING_M:
-        return replace(flight, reference=reference)
-    return gone_over(flight, reference, leg, task)
+        return flight
+    return gone_over(flight, leg, task)
 
 
-def gone_over(flight: Flight, reference: Reference, leg: Leg, task: Task) -> Flight:
-    """The flight on the next leg: the reference point has come to p_prog."""
-    over_at_m = leg.successor_at_m(task)
+def gone_over(flight: Flight, leg: Leg, task: Task) -> Flight:
+    """The flight on the next leg: the reference point has come to p_prog of this one."""
+    over_at_m, reference = leg.successor_at_m(task), flight.reference
     return replace(
         flight,
         leg=flight.next_leg,
         next_leg=None,
-        reference=replace(reference, length_m=max(reference.length_m - over_at_m, 0.0)),
+        reference=Reference(
+            length_m=max(reference.length_m - over_at_m, 0.0), speed_m_s=reference.speed_m_s
+        ),
         joined_m=0.0,
         tried=False,
         troubles=0,
         shortfall=Reason.NO_PLAN,
         legs_flown=flight.legs_flown + 1,
-        flown=_walked(replace(flight, reference=replace(reference, length_m=over_at_m))).flown,
+        flown=_walked(flight, over_at_m),
     )
 
 
@@ -112,7 +119,7 @@ def has_departed(state: State, flight: Flight, event: Position) -> bool:
     leg, limits = flight.leg, state.task.limits
     assert leg is not None
     here, allowed_m = np.asarray(event.position_nea_m), _DEPARTURE * limits.tracking_error_m
-    if not limits.hovers:  # the circle about each point of the path is proven
+    if not state.vehicle.driving.hovers:  # the circle about each point of the path is proven
         off_m = math.dist(leg.subpath.pose(flight.reference.length_m).point_nea_m, here)
         return off_m > limits.loiter_radius_m + allowed_m
     if flight.offset is not None:
@@ -123,20 +130,16 @@ def has_departed(state: State, flight: Flight, event: Position) -> bool:
 def still_circles(state: State, event: Position) -> bool:
     """Whether a plane that is to leave its circle for the path does not fly the path's way yet."""
     flight = state.flight
-    if not flight.circling or flight.leg is None:
-        return False
+    assert flight.leg is not None
     at_m, limits = flight.reference.length_m, state.task.limits
     return not may_leave(flight.leg, at_m, event.position_nea_m, event.velocity_nea_m_s, limits)
 
 
 def is_not_taken(state: State) -> bool:
     """Whether the autopilot's echo has disagreed with the setpoints for too long."""
-    return state.now_s - state.flight.echoed_at_s > _NOT_TAKEN_S and _echo_is_fresh(state)
-
-
-def _echo_is_fresh(state: State) -> bool:
-    vehicle = state.vehicle
-    return vehicle.echo_nea_m is not None and state.now_s - vehicle.echo_at_s < _ECHO_S
+    vehicle, now_s = state.vehicle, state.now_s
+    is_fresh = vehicle.echo_nea_m is not None and now_s - vehicle.echo_at_s < _ECHO_S
+    return is_fresh and now_s - state.flight.echoed_at_s > _NOT_TAKEN_S
 
 
 def with_echo(state: State) -> Flight:
@@ -163,7 +166,7 @@ def is_stopped(state: State, flight: Flight) -> bool:
     assert leg is not None
     if flight.next_leg is not None and flight.stop_at_m is None:
         return False
-    if state.vehicle.hovers:
+    if state.vehicle.driving.hovers:
         joins = flight.offset is not None and not flight.offset.is_gone
         return not joins and is_at_end(flight.reference, leg, until_m=flight.stop_at_m)
     if flight.stop_at_m is not None:
@@ -174,27 +177,41 @@ def is_stopped(state: State, flight: Flight) -> bool:
     return left_m < _AT_END * state.task.limits.loiter_radius_m
 
 
-def setpoint(state: State, event: Position, context: Context) -> tuple[Flight, list[Command]]:
-    """What the vehicle is sent for the reference point, if it is time for it."""
-    flight, vehicle = state.flight, state.vehicle
+def setpoint(
+    state: State, flight: Flight, event: Position, context: Context
+) -> tuple[Flight, list[Command]]:
+    """What the vehicle is sent for the reference point of a flight, if it is time for it."""
     if not is_due(state):
         return flight, []
-    pose, speed, at_end = _pose_sent(state)
-    leg, stays = flight.leg, at_end and not vehicle.hovers
-    position = pose.position_nea_m
-    velocity = speed * pose.tangent_nea
-    if stays and leg is not None and leg.reaches_target:
-        position, stays = position + _beyond_m(state) * pose.tangent_nea, False
-    if flight.offset is not None:
-        position = position + flight.offset.position_nea_m
-        velocity = velocity + flight.offset.velocity_nea_m_s
-    along = math.atan2(pose.tangent_nea[1], pose.tangent_nea[0])
+    leg, reference, next_leg = flight.leg, flight.reference, flight.next_leg
+    assert leg is not None
+    hovers, ahead_m = state.vehicle.driving.hovers, lead_m(state, reference)
+    if hovers and flight.stop_at_m is not None:
+        next_leg, end_m = None, min(leg.subpath.length_m, flight.stop_at_m)
+        ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
+    pose = sent_pose(reference, leg, next_leg, ahead_m, state.task)
+    speed = min(reference.speed_m_s, allowed_speed_m_s(pose, state.task.limits))
+    beyond_m = reference.length_m + ahead_m - leg.subpath.length_m
+    stays = not hovers and next_leg is None and beyond_m >= 0.0
+    north_m, east_m, altitude_m = pose.position_nea_m.tolist()
+    ahead_n, ahead_e, ahead_u = pose.tangent_nea.tolist()
+    velocity = speed * ahead_n, speed * ahead_e, speed * ahead_u
+    if stays and leg.reaches_target:  # sent to the target itself it swerves aside
+        beyond_m = min(beyond_m, _BEYOND * state.task.limits.loiter_radius_m)
+        stays = False
+        north_m += beyond_m * ahead_n
+        east_m += beyond_m * ahead_e
+        altitude_m += beyond_m * ahead_u
+    if (offset := flight.offset) is not None:
+        aside, drift = offset.position_nea_m.tolist(), offset.velocity_nea_m_s.tolist()
+        north_m, east_m, altitude_m = north_m + aside[0], east_m + aside[1], altitude_m + aside[2]
+        velocity = velocity[0] + drift[0], velocity[1] + drift[1], velocity[2] + drift[2]
     yaw = context.mission.yaw_rad
     sent = Setpoint(
         time_s=event.time_s,
-        position_nea_m=_vector(position),
-        velocity_nea_m_s=_vector(velocity),
-        yaw_rad=along if yaw is None else yaw,
+        position_nea_m=(north_m, east_m, altitude_m),
+        velocity_nea_m_s=velocity,
+        yaw_rad=math.atan2(ahead_e, ahead_n) if yaw is None else yaw,
         stay=stays,
     )
     flight = replace(
@@ -206,34 +223,11 @@ def setpoint(state: State, event: Position, context: Context) -> tuple[Flight, l
     return flight, [sent]
 
 
-def _beyond_m(state: State) -> float:
-    """How far beyond its target a plane is sent: sent to the target itself it swerves aside."""
-    flight = state.flight
-    assert flight.leg is not None
-    over_m = sent_at_m(state) - flight.leg.subpath.length_m
-    return min(over_m, _BEYOND * state.task.limits.loiter_radius_m)
-
-
 def is_due(state: State) -> bool:
     """Whether it is time for another setpoint."""
-    driving = state.vehicle.driving
-    period_s = 0.0 if driving is None else driving.setpoint_period_s
-    return state.now_s - state.flight.sent_at_s > period_s - 0.5 * state.vehicle.position_step_s
-
-
-def _pose_sent(state: State) -> tuple[Pose, float, bool]:
-    """The point that is sent, the speed there, and whether it is the last one for now."""
-    flight, task = state.flight, state.task
-    leg, reference, next_leg = flight.leg, flight.reference, flight.next_leg
-    assert leg is not None
-    ahead_m = lead_m(state)
-    end_m = leg.subpath.length_m
-    if state.vehicle.hovers and flight.stop_at_m is not None:
-        end_m, next_leg = min(end_m, flight.stop_at_m), None
-        ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
-    pose = sent_pose(reference, leg, next_leg, ahead_m, task)
-    speed = min(reference.speed_m_s, allowed_speed_m_s(pose, task.limits))
-    return pose, speed, next_leg is None and reference.length_m + ahead_m >= end_m
+    vehicle = state.vehicle
+    least_s = vehicle.driving.setpoint_period_s - 0.5 * vehicle.position_step_s
+    return state.now_s - state.flight.sent_at_s > least_s
 
 
 def stop(state: State, reason: Reason) -> Step:
@@ -243,8 +237,10 @@ def stop(state: State, reason: Reason) -> Step:
         flight = at_rest(flight, flight.hover_nea_m or state.vehicle.position_nea_m)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
     limits = state.task.limits
-    if not state.vehicle.hovers:
-        point = _pose_sent(state)[0].point_nea_m
+    if not state.vehicle.driving.hovers:
+        ahead_m = lead_m(state, flight.reference)
+        pose = sent_pose(flight.reference, flight.leg, flight.next_leg, ahead_m, state.task)
+        point = pose.point_nea_m
         if reason is Reason.NEW_THREAT:
             circler = Circler(
                 here_nea_m=state.vehicle.position_nea_m or point,
@@ -284,7 +280,8 @@ def unflown(flight: Flight) -> Flight:
 def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
     """The flight without a leg: it begins again from where the vehicle stops."""
     return replace(
-        _walked(flight),
+        flight,
+        flown=_walked(flight, flight.reference.length_m),
         leg=None,
         next_leg=None,
         reference=Reference(),
@@ -308,16 +305,13 @@ def at_rest_at_end(flight: Flight) -> Flight:
     return at_rest(flight, leg.subpath.pose(end_m).point_nea_m)
 
 
-def _walked(flight: Flight) -> Flight:
-    """The flight with what was flown of its leg on the list of what was flown."""
-    if flight.leg is None or flight.returning:
-        return flight
-    walked = _stretch(flight.leg, flight.joined_m, flight.reference.length_m)
-    return replace(flight, flown=(*flight.flown, walked))
-
-
-def _stretch(leg: Leg, from_m: float, until_m: float) -> Stretch:
-    return Stretch(control_nea_m=leg.subpath.control_nea_m, from_m=from_m, until_m=until_m)
+def _walked(flight: Flight, until_m: float) -> tuple[Stretch, ...]:
+    """What was flown, and of this leg so much."""
+    leg = flight.leg
+    if leg is None or flight.returning:
+        return flight.flown
+    control = leg.subpath.control_nea_m
+    return *flight.flown, Stretch(control_nea_m=control, from_m=flight.joined_m, until_m=until_m)
 
 
 def hold_setpoint(state: State, time_s: float, context: Context) -> tuple[Flight, list[Command]]:
@@ -355,7 +349,7 @@ def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
     """Where to stay for now: a climb or descent to there is led at the mission's climb rate."""
     north, east, altitude = here_nea_m
     flight, at = state.flight, state.vehicle.position_nea_m
-    if not state.vehicle.hovers or at is None:
+    if not state.vehicle.driving.hovers or at is None:
         return here_nea_m
     since_s = state.now_s - flight.sent_at_s
     sent = flight.sent_nea_m
@@ -363,8 +357,3 @@ def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
     from_m = at[2] if sent is None or is_new else sent[2]
     most_m = state.task.limits.climb_rate_m_s * min(since_s, _SENT_LATELY_S)
     return north, east, from_m + min(max(altitude - from_m, -most_m), most_m)
-
-
-def _vector(values: np.ndarray) -> Vector:
-    north, east, up = values.tolist()
-    return north, east, up

@@ -1,8 +1,10 @@
 """The phases before the flight: waiting, preparing, arming, taking off.  Each wait has an end."""
 
+import dataclasses
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.geodesy import FloatArray
 from companion.mission import following, joining
@@ -22,7 +24,6 @@ from companion.mission.decisions import (
     is_gone,
     is_silent,
     is_suspected,
-    lost_command,
     taken_by,
 )
 from companion.mission.driving import TakeOffWay
@@ -42,8 +43,7 @@ from companion.mission.events import (
     Vector,
     VehicleFound,
 )
-from companion.mission.health import battery_lasts, distrust
-from companion.mission.renewed import replace
+from companion.mission.health import battery_lasts
 from companion.mission.state import Phase, Reason, State, Trigger
 from companion.world.zone_index import index_of
 
@@ -59,7 +59,7 @@ _CLIMBED_M = 20.0  # above home: a plane may be led from here on
 _LEVEL_M_S = 1.0
 
 
-def waiting(state: State, event: Event) -> Step:
+def waiting(state: State, event: Event, _context: Context) -> Step:
     """For an autopilot that the mission is for; the runtime says when it has waited long enough."""
     if isinstance(event, VehicleFound):
         if event.driving is None:
@@ -92,7 +92,7 @@ def preparing(state: State, event: Event, context: Context) -> Step:
         return state, [], None
     if state.landing and not context.shadow:
         return _landing_goes_on(state)
-    if distrust(vehicle, state.now_s, state.task.limits) is not None:
+    if vehicle.distrust is not None:
         unled = _is_flying(state) and vehicle.mode is Mode.GUIDED and not context.shadow
         if unled and in_phase_s(state) > _UNLED_S:
             return ask(state, SetMode(mode=Mode.HOLD))
@@ -167,7 +167,7 @@ def _missing(state: State) -> str:
         missing.append("home")
     if vehicle.landed is Landed.UNKNOWN:
         missing.append("landed state")
-    distrusted = distrust(vehicle, state.now_s, state.task.limits)
+    distrusted = vehicle.distrust
     if distrusted is not None:
         missing.append(distrusted.text)
     return f": {', '.join(missing)}" if missing else ""
@@ -212,7 +212,6 @@ def _in_flight(state: State) -> Step:
 def arming(state: State, event: Event, context: Context) -> Step:
     """Ask for the mode that the take-off begins with, then to arm, once a second."""
     vehicle, driving = state.vehicle, state.vehicle.driving
-    assert driving is not None
     if isinstance(event, LinkLost):
         return give_up(state, Reason.LINK_LOST)
     if is_suspected(state):
@@ -242,7 +241,6 @@ def taking_off(state: State, event: Event, context: Context) -> Step:
     An autopilot that climbs in a mode of its own then holds, and is taken over like any other.
     """
     vehicle, driving = state.vehicle, state.vehicle.driving
-    assert driving is not None
     guided = driving.take_off is TakeOffWay.GUIDED_THEN_CLIMB
     modes = (Mode.GUIDED,) if guided else (Mode.TAKE_OFF, Mode.HOLD, Mode.GUIDED)
     if vehicle.landed is Landed.ON_GROUND:
@@ -275,8 +273,7 @@ def _has_climbed(state: State, event: Position, context: Context, *, guided: boo
 
 
 def _still_on_ground(state: State, event: Event, context: Context, modes: tuple[Mode, ...]) -> Step:
-    reason = lost_command(state, event, modes)
-    reason = reason or distrust(state.vehicle, state.now_s, state.task.limits)
+    reason = cannot_fly(state, event, modes, stands=True)
     if reason is not None:
         return give_up(state, reason)
     if height_m(state, context) <= 0.0:
@@ -321,7 +318,7 @@ def _climb_out_ne_m(state: State, context: Context, here: Vector) -> tuple[Float
 
 def take_off_amsl_m(state: State, context: Context) -> float:
     """Where the climb-out ends, within the vehicle's own fence too."""
-    return replace(context.mission, task=state.task).take_off_amsl_m
+    return dataclasses.replace(context.mission, task=state.task).take_off_amsl_m
 
 
 def height_m(state: State, context: Context) -> float:

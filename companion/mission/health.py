@@ -9,10 +9,11 @@ that it is the older one which must have been wrong.
 import itertools
 import math
 
+from msgspec.structs import replace
+
 from companion.mission import joining
 from companion.mission.events import Battery, Landed, Position, Vector
 from companion.mission.mission import Mission
-from companion.mission.renewed import replace
 from companion.mission.state import Reason, State, Vehicle
 from companion.path.limits import Limits
 
@@ -42,91 +43,94 @@ _LAST_WORD_S = 10.0  # ten times as long as between two
 
 
 def with_position(vehicle: Vehicle, event: Position, limits: Limits) -> Vehicle:
-    """What is known of the vehicle after one more position."""
-    before = vehicle.position_nea_m
-    moved_at, jumped_at = event.time_s, vehicle.jumped_at_s
+    """What is known of the vehicle after one more position.
+
+    It has jumped if it cannot have been flown to from the last one: neither by what the vehicle can
+    do at all, nor, over a short time, at the speeds that it told.
+    """
+    before, at_s = vehicle.position_nea_m, event.time_s
+    elapsed_s, moved_at_s, jumped_at_s = 0.0, at_s, vehicle.jumped_at_s
+    believed_at_s, astray_ne_m, blind_s = (
+        vehicle.believed_at_s,
+        vehicle.astray_ne_m,
+        vehicle.blind_s,
+    )
     if before is not None:
-        elapsed = event.time_s - vehicle.position_at_s
-        if _has_jumped(vehicle, event, elapsed, limits):
-            jumped_at = event.time_s
-        still = before[:2] == event.position_nea_m[:2]
-        if still and math.hypot(*event.velocity_nea_m_s[:2]) > _STILL_M_S:
-            moved_at = vehicle.moved_at_s
-        vehicle = _reckoned(vehicle, event, limits, jumps=jumped_at == event.time_s)
+        elapsed_s = at_s - vehicle.position_at_s
+        step_m = math.dist(before, event.position_nea_m)
+        far = step_m > _JUMP_SLACK_M
+        jumps = far and step_m > _flown_at_most_m(elapsed_s, limits) + _JUMP_SLACK_M
+        if not jumps and elapsed_s <= _STALE_S:
+            surprise_ne_m, mean_m_s = _surprise(vehicle, before, event, elapsed_s)
+            usual_m = _SURPRISE_M + _SURPRISE_SHARE * mean_m_s * elapsed_s
+            jumps = math.hypot(*surprise_ne_m) > usual_m
+        jumped_at_s = at_s if jumps else jumped_at_s
+        moves = math.hypot(*event.velocity_nea_m_s[:2]) > _STILL_M_S
+        if moves and before[:2] == event.position_nea_m[:2]:
+            moved_at_s = vehicle.moved_at_s
+        on_ground = vehicle.landed in (Landed.ON_GROUND, Landed.UNKNOWN)  # believed as it comes
+        if on_ground or (at_s - vehicle.bad_at_s > TRUST_S and not jumps):
+            believed_at_s, astray_ne_m, blind_s = at_s, (0.0, 0.0), 0.0
+        else:
+            astray_ne_m, blind_s = _reckoned(vehicle, before, event, limits, moves=moves)
     return replace(
         vehicle,
         position_nea_m=event.position_nea_m,
         velocity_nea_m_s=event.velocity_nea_m_s,
         heading_rad=event.heading_rad,
-        position_at_s=event.time_s,
-        position_step_s=event.time_s - vehicle.position_at_s if before is not None else 0.0,
-        moved_at_s=moved_at,
-        jumped_at_s=jumped_at,
+        position_at_s=at_s,
+        position_step_s=elapsed_s,
+        moved_at_s=moved_at_s,
+        jumped_at_s=jumped_at_s,
+        believed_at_s=believed_at_s,
+        astray_ne_m=astray_ne_m,
+        blind_s=blind_s,
     )
-
-
-def _has_jumped(vehicle: Vehicle, event: Position, elapsed_s: float, limits: Limits) -> bool:
-    """Whether a position cannot have been flown to from the last one.
-
-    Neither by what the vehicle can do at all, nor, over a short time, at the speeds that it told.
-    """
-    before = vehicle.position_nea_m
-    assert before is not None
-    step_m = math.dist(before, event.position_nea_m)
-    if step_m > _flown_at_most_m(elapsed_s, limits) + _JUMP_SLACK_M:
-        return True
-    if elapsed_s > _STALE_S:
-        return False
-    mean = _mean_m_s(vehicle, event)
-    surprise_m = math.hypot(*_surprise_ne_m(vehicle, event, elapsed_s, mean))
-    return surprise_m > _SURPRISE_M + _SURPRISE_SHARE * math.hypot(*mean) * elapsed_s
 
 
 def _flown_at_most_m(elapsed_s: float, limits: Limits) -> float:
     return _JUMP_SPEEDS * math.hypot(limits.speed_m_s, limits.climb_rate_m_s) * elapsed_s
 
 
-def _mean_m_s(vehicle: Vehicle, event: Position) -> Vector:
-    a, b = vehicle.velocity_nea_m_s, event.velocity_nea_m_s
-    return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
+def _surprise(
+    vehicle: Vehicle, before_nea_m: Vector, event: Position, elapsed_s: float
+) -> tuple[tuple[float, float], float]:
+    """How far from where the mean of the speeds told leads a position is, north and east.
 
-
-def _surprise_ne_m(
-    vehicle: Vehicle, event: Position, elapsed_s: float, mean_m_s: Vector
-) -> tuple[float, float]:
-    """How far from where a mean speed leads a position is, north and east."""
-    before = vehicle.position_nea_m
-    assert before is not None
-    north, east, _ = event.position_nea_m
-    return north - before[0] - elapsed_s * mean_m_s[0], east - before[1] - elapsed_s * mean_m_s[1]
-
-
-def _reckoned(vehicle: Vehicle, event: Position, limits: Limits, *, jumps: bool) -> Vehicle:
-    """How far the position has come from where it can be since it was last believed.
-
-    On the ground it is believed as it comes.  What is flown unseen is none of it, as far as it can
-    have been flown.
+    And how fast that mean is.
     """
-    in_air = vehicle.landed not in (Landed.ON_GROUND, Landed.UNKNOWN)
-    if not in_air or (event.time_s - vehicle.bad_at_s > TRUST_S and not jumps):
-        return replace(vehicle, believed_at_s=event.time_s, astray_ne_m=(0.0, 0.0), blind_s=0.0)
+    a, b = vehicle.velocity_nea_m_s, event.velocity_nea_m_s
+    mean = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
+    north, east, _ = event.position_nea_m
+    surprise_ne_m = (
+        north - before_nea_m[0] - elapsed_s * mean[0],
+        east - before_nea_m[1] - elapsed_s * mean[1],
+    )
+    return surprise_ne_m, math.hypot(*mean)
+
+
+def _reckoned(
+    vehicle: Vehicle, before_nea_m: Vector, event: Position, limits: Limits, *, moves: bool
+) -> tuple[tuple[float, float], float]:
+    """How far the position has come, north and east, from where it can be since it was believed.
+
+    And for how long nothing has vouched for it.  What is flown unseen is none of the way, as far as
+    it can have been flown.
+    """
+    blind_s = vehicle.blind_s
     vouched = vehicle.fix_good and vehicle.estimator_good
     if not vouched and vehicle.jumped_at_s <= vehicle.believed_at_s:
-        blind_s = vehicle.blind_s + event.time_s - vehicle.position_at_s
-        vehicle = replace(vehicle, blind_s=blind_s)
-    before = vehicle.position_nea_m
-    assert before is not None
-    moves = math.hypot(*event.velocity_nea_m_s[:2]) > _STILL_M_S
-    if moves and before[:2] == event.position_nea_m[:2]:
-        return vehicle  # it tells nothing
+        blind_s = blind_s + event.time_s - vehicle.position_at_s
+    if moves and before_nea_m[:2] == event.position_nea_m[:2]:
+        return vehicle.astray_ne_m, blind_s  # it tells nothing
     elapsed_s = event.time_s - vehicle.moved_at_s
-    surprise = _surprise_ne_m(vehicle, event, elapsed_s, _mean_m_s(vehicle, event))
+    surprise, _ = _surprise(vehicle, before_nea_m, event, elapsed_s)
     if elapsed_s > _STALE_S:
         size_m = math.hypot(*surprise)
         share = max(size_m - _flown_at_most_m(elapsed_s, limits), 0.0) / max(size_m, 1e-9)
         surprise = surprise[0] * share, surprise[1] * share
     north_m, east_m = vehicle.astray_ne_m
-    return replace(vehicle, astray_ne_m=(north_m + surprise[0], east_m + surprise[1]))
+    return (north_m + surprise[0], east_m + surprise[1]), blind_s
 
 
 def astray_m(vehicle: Vehicle) -> float:
@@ -145,32 +149,20 @@ def _may_differ_m(vehicle: Vehicle, limits: Limits) -> float:
     return 2.0 * limits.navigation_error_m + _TOLD_SPEED_M_S * since_s + blind_m
 
 
-def judged(vehicle: Vehicle, now_s: float, limits: Limits) -> Vehicle:
-    """The vehicle with what is remembered of doubts about its position."""
-    if _doubt(vehicle, now_s, limits) is not None:
-        return replace(vehicle, doubted_at_s=now_s, bad_at_s=now_s)
-    if _is_elsewhere(vehicle, now_s, limits):
-        return replace(vehicle, bad_at_s=now_s)
-    return vehicle
+def judged(vehicle: Vehicle, reason: Reason | None, now_s: float) -> Vehicle:
+    """The vehicle with why its position may not be believed now, and what is remembered of it."""
+    if reason is None:
+        return replace(vehicle, distrust=None)
+    doubted_at_s = vehicle.doubted_at_s if reason is Reason.POSITION_ELSEWHERE else now_s
+    return replace(vehicle, distrust=reason, doubted_at_s=doubted_at_s, bad_at_s=now_s)
 
 
 def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
-    """Why the position may not be believed now; None: it may."""
-    reason = _doubt(vehicle, now_s, limits)
-    if reason is None and _is_elsewhere(vehicle, now_s, limits):
-        return Reason.POSITION_ELSEWHERE
-    return reason
+    """Why the position may not be believed now; None: it may.
 
-
-def _is_elsewhere(vehicle: Vehicle, now_s: float, limits: Limits) -> bool:
-    """Whether all vouch again, not yet for long, for a position at which it cannot be."""
-    if now_s - vehicle.doubted_at_s >= BELIEVED_AFTER_S or vehicle.astray_ne_m == (0.0, 0.0):
-        return False
-    return astray_m(vehicle) > _may_differ_m(vehicle, limits)
-
-
-def _doubt(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
-    """What speaks against the position as it is told now, wherever it is."""
+    What speaks against it as it is told, wherever it is, comes first; then that all vouch again,
+    not yet for long, for a position at which the vehicle cannot be.
+    """
     if now_s - vehicle.position_at_s > _STALE_S:
         return Reason.POSITION_STALE
     if now_s - vehicle.moved_at_s > _FROZEN_S:
@@ -186,7 +178,10 @@ def _doubt(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
         return Reason.ESTIMATOR
     if vehicle.error_m is not None and vehicle.error_m > limits.navigation_error_m:
         return Reason.INACCURATE
-    return None
+    if vehicle.astray_ne_m == (0.0, 0.0) or now_s - vehicle.doubted_at_s >= BELIEVED_AFTER_S:
+        return None
+    elsewhere = astray_m(vehicle) > _may_differ_m(vehicle, limits)
+    return Reason.POSITION_ELSEWHERE if elsewhere else None
 
 
 def with_battery(state: State, event: Battery, mission: Mission) -> Vehicle:
@@ -228,7 +223,9 @@ def battery_lasts(state: State, mission: Mission) -> bool:
         return False
     if mission.endurance_s is None:
         return True
-    return (left - mission.reserve) * mission.endurance_s >= _to_go_s(state)
+    return (left - mission.reserve) * mission.endurance_s >= _to_go_m(
+        state
+    ) / state.task.limits.speed_m_s
 
 
 def battery_forecast(state: State, mission: Mission) -> bool:
@@ -241,11 +238,7 @@ def battery_forecast(state: State, mission: Mission) -> bool:
     if elapsed_s < _DRAIN_S or lost < _TELLING:
         return True
     left_s = (vehicle.battery - mission.reserve) * elapsed_s / (lost - _STEP)
-    return left_s >= _to_go_s(state)
-
-
-def _to_go_s(state: State) -> float:
-    return _to_go_m(state) / state.task.limits.speed_m_s
+    return left_s >= _to_go_m(state) / state.task.limits.speed_m_s
 
 
 def _to_go_m(state: State) -> float:
@@ -259,10 +252,9 @@ def _to_go_m(state: State) -> float:
         return sum(leg.subpath.length_m for leg in ahead) - flown_m
     if here is None or not state.targets_ne_m:
         return 0.0
-    places = [here[:2], *flight.route_ne_m, *state.targets_ne_m[flight.target :]]
-    if flight.route_ne_m:  # it begins where it was planned
-        nearest = min(
-            range(len(flight.route_ne_m)), key=lambda k: math.dist(flight.route_ne_m[k], here[:2])
-        )
-        places = [here[:2], *flight.route_ne_m[nearest:], *state.targets_ne_m[flight.target :]]
-    return _DETOUR * sum(math.dist(a, b) for a, b in itertools.pairwise(places))
+    route, from_here = flight.route_ne_m, itertools.repeat(here[:2])
+    if route:  # it begins where it was planned
+        apart_m = list(map(math.dist, route, from_here))
+        route = route[apart_m.index(min(apart_m)) :]
+    places = [here[:2], *route, *state.targets_ne_m[flight.target :]]
+    return _DETOUR * sum(map(math.dist, places, places[1:]))

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.mission.events import Vector
-from companion.mission.renewed import replace
 from companion.mission.state import Flight, State
 from companion.planner import join
 from companion.planner.procedure import Leg, Reference
@@ -43,9 +43,9 @@ def joined(state: State) -> Flight | None:
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
     speed = min(speed, limits.speed_m_s)
     ends = went_over or flight.next_leg is None
-    if vehicle.hovers and ends:  # what it cannot brake from by then is offset
+    if vehicle.driving.hovers and ends:  # what it cannot brake from by then is offset
         speed = min(speed, limits.braked_m_s(leg.subpath.length_m - at_m))
-    circling = not vehicle.hovers and off_m > limits.tracking_error_m
+    circling = not vehicle.driving.hovers and off_m > limits.tracking_error_m
     flight = replace(
         flight,
         leg=leg,
@@ -60,7 +60,7 @@ def joined(state: State) -> Flight | None:
         planning=False,
         tried=flight.next_leg is not None and not went_over,
     )
-    if vehicle.hovers:
+    if vehicle.driving.hovers:
         offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
         flight = replace(flight, offset=offset)
     return flight
@@ -77,7 +77,7 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
     here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo_nea_m
     if here is None:
         return None
-    if not vehicle.hovers:
+    if not vehicle.driving.hovers:
         return here, velocity
     if flight.sent_nea_m is not None and state.now_s - flight.sent_at_s < _FRESH_S:
         return flight.sent_nea_m, velocity

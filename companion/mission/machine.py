@@ -5,7 +5,10 @@ handler decides; a trigger moves the mission on through the table in `state`, an
 begins with its own commands.  No clock, no I/O: times are those of the events.
 """
 
-from typing import assert_never
+from collections.abc import Callable
+from typing import Any, Final
+
+from msgspec.structs import replace
 
 from companion.mission import changes, ends, flying, following, ground, returning, stopped
 from companion.mission import shadow as watching
@@ -16,6 +19,7 @@ from companion.mission.decisions import (
     is_led,
     words,
 )
+from companion.mission.driving import UNKNOWN
 from companion.mission.events import (
     Battery,
     Command,
@@ -44,8 +48,7 @@ from companion.mission.events import (
     VehicleFound,
     VehicleStatus,
 )
-from companion.mission.health import judged, with_battery, with_position
-from companion.mission.renewed import replace
+from companion.mission.health import distrust, judged, with_battery, with_position
 from companion.mission.state import IN_AIR, MOVES, ON_GROUND, OVER, Phase, Reason, State, Trigger
 
 _AS_IT_SHOULD = {
@@ -61,10 +64,23 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
     if state.phase in OVER:
         return state, []
     now_s = max(state.now_s, event.time_s)
-    if isinstance(event, Position) and event.time_s <= state.vehicle.position_at_s:
+    limits = state.task.limits
+    if not isinstance(event, Position):
+        state = _observed(state, event, now_s, context)
+        vehicle = state.vehicle
+    elif event.time_s > state.vehicle.position_at_s:
+        vehicle = with_position(state.vehicle, event, limits)
+    else:
         return replace(state, now_s=now_s), []  # overtaken by a newer one
-    state = _observed(state, event, now_s, context)
-    after, commands, trigger = _decide(state, event, context)
+    reason = distrust(vehicle, now_s, limits)
+    if reason is not None or vehicle.distrust is not None:
+        vehicle = judged(vehicle, reason, now_s)
+    airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
+    state = replace(state, now_s=now_s, vehicle=vehicle, airborne=airborne)
+    in_any_phase, step = _IN_ANY_PHASE.get(type(event)), None
+    if in_any_phase is not None:
+        step = in_any_phase(state, event, context)
+    after, commands, trigger = step or IN_PHASE[state.phase](state, event, context)
     if trigger is Trigger.GIVE_UP and not context.shadow:
         after, more, trigger = ends.instead(after, context)
         commands = [*commands, *more]
@@ -78,13 +94,11 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
 
 
 def _observed(state: State, event: Event, now_s: float, context: Context) -> State:
-    """What is known of the vehicle and of the terrain after an event, now."""
+    """What is known of the vehicle and of the terrain after an event, now; not of its position."""
     vehicle, flight = state.vehicle, state.flight
     match event:
-        case Position():
-            vehicle = with_position(vehicle, event, state.task.limits)
         case VehicleFound(driving=driving):
-            vehicle = replace(vehicle, driving=driving)
+            vehicle = replace(vehicle, driving=driving or UNKNOWN)
         case VehicleStatus(mode=mode, armed=armed, failsafe=failsafe):
             vehicle = replace(
                 vehicle, mode=mode, armed=armed, failsafe=failsafe, status_at_s=event.time_s
@@ -127,47 +141,40 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
             flight = replace(flight, known=flight.known.with_scan(scan))
         case _:
             pass
-    vehicle = judged(vehicle, now_s, state.task.limits)
-    airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
-    return replace(state, now_s=now_s, vehicle=vehicle, flight=flight, airborne=airborne)
+    return replace(state, vehicle=vehicle, flight=flight)
 
 
-def _decide(state: State, event: Event, context: Context) -> Step:
-    if isinstance(event, StopAsked):
-        return replace(state, reason=Reason.STOPPED), [], Trigger.STOP
-    if isinstance(event, PlannerDied):
-        detail = f": {event.error}" if event.error else ""
-        return replace(state, reason=Reason.PLANNER_DIED, detail=detail), [], Trigger.DIED
-    if isinstance(event, Namesake):
-        return ground.not_alone(state, event, context)
-    if (step := changes.changed(state, event)) is not None:
-        return step
-    match state.phase:
-        case Phase.WAITING:
-            return ground.waiting(state, event)
-        case Phase.PREPARING:
-            return ground.preparing(state, event, context)
-        case Phase.ARMING:
-            return ground.arming(state, event, context)
-        case Phase.TAKING_OFF:
-            return ground.taking_off(state, event, context)
-        case Phase.FLYING:
-            return flying.flying(state, event, context)
-        case Phase.RETURNING:
-            return returning.returning(state, event, context)
-        case Phase.HOLDING:
-            return stopped.holding(state, event, context)
-        case Phase.ARRIVED:
-            return stopped.arrived(state, event, context)
-        case Phase.LANDING:
-            return stopped.landing(state, event, context)
-        case Phase.HANDING_OVER:
-            return ends.handing_over(state, event, context)
-        case Phase.SHADOW:
-            return watching.shadow(state, event, context)
-        case Phase.DONE | Phase.FAULTED:
-            return state, [], None
-    assert_never(state.phase)
+def _stop(state: State, _event: StopAsked, _context: Context) -> Step:
+    return replace(state, reason=Reason.STOPPED), [], Trigger.STOP
+
+
+def _died(state: State, event: PlannerDied, _context: Context) -> Step:
+    detail = f": {event.error}" if event.error else ""
+    return replace(state, reason=Reason.PLANNER_DIED, detail=detail), [], Trigger.DIED
+
+
+_IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
+    StopAsked: _stop,
+    PlannerDied: _died,
+    Namesake: ground.not_alone,
+    **dict.fromkeys(changes.EVENTS, changes.changed),
+}
+"""Events that count whatever the phase; None: left to the phase all the same."""
+
+IN_PHASE: Final[dict[Phase, Callable[[State, Event, Context], Step]]] = {
+    Phase.WAITING: ground.waiting,
+    Phase.PREPARING: ground.preparing,
+    Phase.ARMING: ground.arming,
+    Phase.TAKING_OFF: ground.taking_off,
+    Phase.FLYING: flying.flying,
+    Phase.RETURNING: returning.returning,
+    Phase.HOLDING: stopped.holding,
+    Phase.ARRIVED: stopped.arrived,
+    Phase.LANDING: stopped.landing,
+    Phase.HANDING_OVER: ends.handing_over,
+    Phase.SHADOW: watching.shadow,
+}
+"""What each phase makes of an event; a mission that is over makes nothing of it."""
 
 
 def _enter(
@@ -210,7 +217,7 @@ def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command
         assert went_back is not None  # whoever says go_back has looked
         state = replace(state, flight=went_back)
         commands = [*commands, Say(text="returning", about="phase")]
-    if state.phase is not Phase.LANDING and state.vehicle.driving is not None:
+    if state.phase is not Phase.LANDING and state.vehicle.driving is not UNKNOWN:
         speed = min(state.flight.speed_limit_m_s, state.task.limits.speed_m_s)
         commands = [*commands, SetSpeed(speed_m_s=speed)]
     return state, commands

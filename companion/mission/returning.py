@@ -1,9 +1,10 @@
 """The way back: along the flown path, stretch by stretch, each proven again (design section 7)."""
 
+from msgspec.structs import replace
+
 from companion.mission import flying, following, joining
 from companion.mission.decisions import Context, Step, cannot_fly, fault, give_up, is_gone
 from companion.mission.events import Event, Plan, PlanReady, Position
-from companion.mission.renewed import replace
 from companion.mission.state import Flight, Reason, State, Trigger
 from companion.planner import adjustable
 from companion.planner.procedure import Leg, Reference, hover_pose
@@ -83,7 +84,8 @@ def began(state: State) -> Flight | None:
     joined = joining.joined(replace(state, flight=flight))
     if joined is None:
         return None
-    joined = replace(joined, back=flight.back[1:], reference=_at_rest(joined.reference))
+    at_rest = Reference(length_m=joined.reference.length_m)
+    joined = replace(joined, back=flight.back[1:], reference=at_rest)
     return _with_next(joined)
 
 
@@ -112,10 +114,6 @@ def homeward(state: State) -> State:
     return replace(state, targets_ne_m=(home,), flight=flight)
 
 
-def _at_rest(reference: Reference) -> Reference:
-    return replace(reference, speed_m_s=0.0)
-
-
 def returning(state: State, event: Event, context: Context) -> Step:
     """Follow the stretches one after the other; stop for whatever makes that unsafe."""
     if is_gone(state, event, context):
@@ -131,9 +129,9 @@ def returning(state: State, event: Event, context: Context) -> Step:
 
 
 def _on_position(state: State, event: Position, context: Context) -> Step:
-    if following.still_circles(state, event):
+    if state.flight.circling and following.still_circles(state, event):
         return flying.circle(state, event, context)
-    flight = replace(following.moved_on(state, event), circling=False)
+    flight = following.moved_on(state, event)
     if flight.leg is not state.flight.leg:  # through the join, onto what was the next stretch
         flight = _with_next(flight)
     if state.now_s - flight.progress_at_s > flying.STUCK_S:
@@ -142,7 +140,7 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         return flying.departed(state, _stopped(state).flight)
     if following.is_not_taken(state):
         return flying.departed(state, _stopped(state).flight, Reason.NOT_TAKEN)
-    flight, commands = following.setpoint(replace(state, flight=flight), event, context)
+    flight, commands = following.setpoint(state, flight, event, context)
     state = replace(state, flight=flight)
     if not following.is_stopped(state, flight):
         return state, commands, None
@@ -159,8 +157,7 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     state = replace(state, flight=following.at_rest_at_end(flight))
     if not there:  # no more of it was proven: from here home is planned to
         return homeward(state), commands, Trigger.RESUME
-    driving = state.vehicle.driving
-    lands = driving is not None and driving.lands
+    lands = state.vehicle.driving.lands
     return state, commands, Trigger.END_LAND if lands else Trigger.HAND_OVER
 
 

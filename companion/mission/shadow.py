@@ -7,6 +7,7 @@ successors follow as in flight.  When it does not, the next leg begins where it 
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.mission import flying, following, joining
 from companion.mission.decisions import Context, Step, give_up, is_gone, words
@@ -21,8 +22,7 @@ from companion.mission.events import (
     ScanDone,
     Vector,
 )
-from companion.mission.health import TRUST_S, distrust
-from companion.mission.renewed import replace
+from companion.mission.health import TRUST_S
 from companion.mission.state import Reason, State
 from companion.planner.procedure import Reference
 
@@ -34,7 +34,7 @@ def shadow(state: State, event: Event, context: Context) -> Step:
     """What would be done now."""
     if is_gone(state, event, context):
         return give_up(state, Reason.LINK_LOST)
-    reason = distrust(state.vehicle, state.now_s, state.task.limits)
+    reason = state.vehicle.distrust
     if reason is None and state.now_s - state.vehicle.bad_at_s < TRUST_S:
         reason = state.reason  # good again, but not for long enough to go on
     if reason is not state.reason:
@@ -103,7 +103,7 @@ def _follow(state: State, at_m: float) -> Step:
     length_m = max(flight.reference.length_m, at_m)
     flight = replace(flight, reference=Reference(length_m=length_m, speed_m_s=speed))
     if flight.next_leg is not None and length_m >= leg.successor_at_m(task):
-        flight = following.gone_over(flight, flight.reference, leg, task)
+        flight = following.gone_over(flight, leg, task)
         return replace(state, flight=flight), [], None
     if leg.subpath.length_m - length_m < 1.0:
         return replace(state, flight=following.at_rest(flight, None)), [], None

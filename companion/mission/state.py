@@ -1,14 +1,16 @@
 """Phases, what moves a mission from one to the next, and everything that it remembers."""
 
+import dataclasses
 import enum
 import math
-from dataclasses import dataclass, field
 from typing import final
 
-from companion.mission.driving import Driving
+from msgspec import Struct, field
+from msgspec.structs import replace
+
+from companion.mission.driving import UNKNOWN, Driving
 from companion.mission.events import FenceChanged, Item, Landed, Mode, Vector
 from companion.mission.mission import Mission
-from companion.mission.renewed import Renewed, replace
 from companion.planner.join import Offset
 from companion.planner.procedure import Leg, Reference
 from companion.planner.request import Refusal, Stretch
@@ -211,11 +213,10 @@ class Reason(enum.Enum):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
-class Vehicle(Renewed):
+class Vehicle(Struct, frozen=True, kw_only=True):
     """What the vehicle has said of itself."""
 
-    driving: Driving | None = None
+    driving: Driving = UNKNOWN
     mode: Mode | None = None
     armed: bool = False
     status_at_s: float = -1e9
@@ -264,8 +265,10 @@ class Vehicle(Renewed):
     """When the position last changed by more than the vehicle can fly."""
     bad_at_s: float = 0.0
     """When the position was last not to be believed, whatever the reason."""
+    distrust: Reason | None = None
+    """Why it is not to be believed now (`health.distrust`); None: it may be."""
     doubted_at_s: float = -1e9
-    """The same, for any reason but where it is."""
+    """When it was last not to be believed, for any reason but where it is."""
     believed_at_s: float = -1e9
     """When a position came that was believed, after others that were."""
     astray_ne_m: tuple[float, float] = (0.0, 0.0)
@@ -273,15 +276,9 @@ class Vehicle(Renewed):
     blind_s: float = 0.0
     """How long since then nothing has vouched for it, until it jumped."""
 
-    @property
-    def hovers(self) -> bool:
-        """Whether it can stand still in the air."""
-        return self.driving is None or self.driving.hovers
-
 
 @final
-@dataclass(frozen=True, kw_only=True)
-class Flight(Renewed):
+class Flight(Struct, frozen=True, kw_only=True):
     """How far the online procedure has come."""
 
     known: KnownMap
@@ -358,8 +355,7 @@ class Flight(Renewed):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
-class State(Renewed):
+class State(Struct, frozen=True, kw_only=True):
     """Everything that the next decision depends on."""
 
     phase: Phase = Phase.WAITING
@@ -453,5 +449,5 @@ def within_fence(task: Task, fence: FenceChanged) -> Task:
         floor = max(floor, fence.floor_amsl_m)
     if fence.ceiling_amsl_m is not None:
         ceiling = min(ceiling, fence.ceiling_amsl_m)
-    limits = replace(limits, floor_amsl_m=floor, ceiling_amsl_m=ceiling)
-    return replace(task, limits=limits, zones=(*task.zones, *fence.zones))
+    limits = dataclasses.replace(limits, floor_amsl_m=floor, ceiling_amsl_m=ceiling)
+    return dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones))

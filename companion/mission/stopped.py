@@ -2,7 +2,9 @@
 
 import math
 
-from companion.mission import ends, flying, following, returning
+from msgspec.structs import replace
+
+from companion.mission import circling, ends, flying, following, returning
 from companion.mission.decisions import (
     AT_M,
     BROKEN_OFF,
@@ -35,10 +37,9 @@ from companion.mission.events import (
     Say,
     SetMode,
 )
-from companion.mission.health import TRUST_S, distrust
+from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.renewed import replace
-from companion.mission.state import Reason, State, Trigger
+from companion.mission.state import Phase, Reason, State, Trigger
 from companion.planner.recheck import is_touched
 
 SELF_HELD = (
@@ -68,6 +69,8 @@ LET_GO = (*TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
 
 FAILSAFE_OVER = "failsafe over: MISSION_START to the companion, or guided mode, goes on"
 
+_LIKE_A_BREACH = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.STREAM_LOST)
+_BREACH_S = 5.0  # from what the autopilot does to what it says
 _TOLD_S = 30.0  # that guided mode is asked for on a person's word
 _LEADS_BACK_S = 30.0  # a link that comes back later finds a vehicle that holds
 _TROUBLES = 8
@@ -86,6 +89,10 @@ _LANDS_WITHIN = 1.5  # loiter radii
 
 def holding(state: State, event: Event, context: Context) -> Step:
     """Stop in a way that the reason allows, and go on when it is gone."""
+    if isinstance(event, Position):
+        step = fence_breached(state) or circling.kept_clear(state, event)
+        if step is not None:
+            return step
     vehicle, reason = state.vehicle, state.reason
     if is_gone(state, event, context):
         return give_up(state, Reason.LINK_LOST)
@@ -106,6 +113,20 @@ def holding(state: State, event: Event, context: Context) -> Step:
     return _hold_in_its_own_mode(state, event, context)
 
 
+def fence_breached(state: State) -> Step | None:
+    """A hold that the vehicle's own fence is the reason for, as it turns out; None: it is not.
+
+    PX4's was a loss of setpoints at first sight; and a fence drawn in flight is known to the
+    autopilot before the companion has read it.
+    """
+    if state.phase is not Phase.HOLDING or state.reason not in _LIKE_A_BREACH:
+        return None
+    by_itself = state.vehicle.failsafe or in_phase_s(state) < _BREACH_S
+    if not by_itself or taken_by(state) is not Reason.FENCE_BREACHED:
+        return None
+    return _taken(state)
+
+
 def _heard_again(state: State, event: Event, context: Context) -> Step:
     """After a silence everything is prepared again; it may be of a part of the messages only."""
     if in_phase_s(state) > longest_silence_s(state, context):
@@ -121,7 +142,7 @@ def _is_trusted(state: State) -> bool:
 
 def _is_elsewhere(state: State) -> bool:
     """Whether all vouch for a position at which the vehicle cannot be."""
-    reason = distrust(state.vehicle, state.now_s, state.task.limits)
+    reason = state.vehicle.distrust
     return reason is Reason.POSITION_ELSEWHERE and state.reason is not reason
 
 
@@ -207,7 +228,7 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
     flight = state.flight
     tries = flight.failures < context.mission.attempts and flight.stops <= flying.MOST_STOPS
     if on_way_back or tries:
-        if state.reason is Reason.NEW_THREAT and state.vehicle.hovers:
+        if state.reason is Reason.NEW_THREAT and state.vehicle.driving.hovers:
             state = _anew(state)  # the band may be another one
         state, says, trigger = resumed(state)
         return state, [*commands, *says], trigger
@@ -263,8 +284,8 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
         return _elsewhere(state)
     if mode is Mode.HOLD or (taking_over and not _must_stop_first(state)):
         state = replace(state, obeyed=True)
-    doubted = distrust(vehicle, state.now_s, state.task.limits) is not None
-    stands = not vehicle.hovers or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
+    doubted = vehicle.distrust is not None
+    stands = not vehicle.driving.hovers or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
     stands = stands or in_phase_s(state) > _SETTLE_S or state.flight.hover_nea_m is not None
     if not state.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
         return ask(replace(_anew(state), obeyed=False), SetMode(mode=Mode.HOLD))
@@ -312,13 +333,13 @@ def _anew(state: State) -> State:
 
 def _must_stop_first(state: State) -> bool:
     """Whether it flies somewhere that nobody knows: what hovers, in guided mode."""
-    return state.vehicle.hovers and state.vehicle.mode is Mode.GUIDED
+    return state.vehicle.driving.hovers and state.vehicle.mode is Mode.GUIDED
 
 
 def _ask_for_guided(state: State, event: Event, context: Context) -> Step:
     """Ask for guided mode; with setpoints for where it is, of autopilots that want them first."""
     driving = state.vehicle.driving
-    if driving is not None and not (driving.hovers or driving.streams_first):
+    if not (driving.hovers or driving.streams_first):
         return ask(state, SetMode(mode=Mode.GUIDED))  # refused before (ardupilot.md 7)
     if not isinstance(event, Position):
         return state, [], None
@@ -361,7 +382,6 @@ def arrived(state: State, event: Event, context: Context) -> Step:
 def _end(state: State, context: Context, commands: list[Command]) -> Step:
     """The mission's end action."""
     driving, action = state.vehicle.driving, context.mission.end_action
-    assert driving is not None
     if state.flight.homeward:
         action = EndAction.LAND
     if action is EndAction.LAND and (driving.lands or state.flight.homeward):
@@ -383,7 +403,7 @@ def _end(state: State, context: Context, commands: list[Command]) -> Step:
 def reached(state: State) -> Say:
     """What is said at a target: of a plane that has passed it farther away than it should, that."""
     limits, here, there = state.task.limits, state.vehicle.position_nea_m, state.flight.hover_nea_m
-    if not state.vehicle.hovers and here is not None and there is not None:
+    if not state.vehicle.driving.hovers and here is not None and there is not None:
         off_m = math.dist(here[:2], there[:2])
         if off_m > limits.tracking_error_m:
             text = f"target reached: passed {off_m:.0f} m away"
@@ -396,7 +416,11 @@ def lands_within_m(state: State) -> float:
 
     PX4's planes land on a circle about where the mode begins (px4.md 10).
     """
-    return math.inf if state.vehicle.hovers else _LANDS_WITHIN * state.task.limits.loiter_radius_m
+    return (
+        math.inf
+        if state.vehicle.driving.hovers
+        else _LANDS_WITHIN * state.task.limits.loiter_radius_m
+    )
 
 
 def landed_off_m(state: State) -> float:
@@ -414,7 +438,7 @@ def landed_off_m(state: State) -> float:
 def landing_words(state: State, context: Context) -> str:
     """What a person should know before take-off of a landing at the target; "": nothing."""
     driving = state.vehicle.driving
-    if context.mission.end_action is not EndAction.LAND or driving is None or driving.hovers:
+    if context.mission.end_action is not EndAction.LAND or driving.hovers:
         return ""
     if not driving.lands:
         return f"{driving.name} is not told to land: it circles the last target"
@@ -426,7 +450,7 @@ def _stands_at_target(state: State, event: Position) -> bool:
     """At rest there; after a while, as near to it and to rest as the vehicle can be."""
     here, limits = state.flight.hover_nea_m, state.task.limits
     off = math.inf if here is None else math.dist(event.position_nea_m, here)
-    if not state.vehicle.hovers:
+    if not state.vehicle.driving.hovers:
         return off < _CIRCLES * limits.loiter_radius_m + limits.tracking_error_m
     if in_phase_s(state) > _SETTLE_S:
         return off < max(AT_M, limits.tracking_error_m)

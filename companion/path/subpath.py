@@ -60,11 +60,6 @@ class Subpath:
         """Where the curve is after a length flown, metres from its start (clamped to its ends)."""
         if self._newest and self._newest[0][0] == length_m:
             return self._newest[0][1]
-        pose = self._pose(length_m)
-        self._newest[:] = [(length_m, pose)]
-        return pose
-
-    def _pose(self, length_m: float) -> Pose:
         position, first, second = self._cubics.at(self.parameter_at(length_m))
         speed = math.hypot(*first)
         if speed < 1e-6 * self.length_m:  # control points coincide: the direction is a limit
@@ -75,11 +70,13 @@ class Subpath:
         tangent = np.array(first) / speed
         bend = np.array(second)
         across = bend - (bend @ tangent) * tangent
-        return Pose(
+        pose = Pose(
             position_nea_m=np.array(position),
             tangent_nea=tangent,
             curvature_nea_1_m=across / speed**2,
         )
+        self._newest[:] = [(length_m, pose)]
+        return pose
 
     def points_nea_m(self, lengths_m: FloatArray) -> FloatArray:
         """Points of the curve after lengths flown (clamped to its ends).  (S,) -> (S, 3)."""

@@ -64,10 +64,12 @@ class Leg:
 
     def successor_at_m(self, task: Task) -> float:
         """Length flown at p_prog: the tail before the end."""
+        length_m = self.subpath.length_m
         if self.through:
-            return self.subpath.length_m
-        earliest = self.scan_at_m(task) + task.shortest_scan_distance_m - task.tail_m
-        return min(max(self.subpath.length_m - task.tail_m, earliest), self.subpath.length_m)
+            return length_m
+        scan_at_m = max(length_m - task.scan_distance_m, 0.0)
+        earliest_m = scan_at_m + task.shortest_scan_distance_m - task.tail_m
+        return min(max(length_m - task.tail_m, earliest_m), length_m)
 
     def rest(self, task: Task) -> Rest:
         """What is left of it beyond p_prog."""
@@ -120,7 +122,8 @@ def advance(
     allowed = allowed_speed_m_s(pose, limits)
     if speed_limit_m_s is not None:
         allowed = min(allowed, max(speed_limit_m_s, 0.0))
-    left = max(_end_m(leg, until_m) - reference.length_m, 0.0)
+    end_m = leg.subpath.length_m if until_m is None else min(leg.subpath.length_m, until_m)
+    left = max(end_m - reference.length_m, 0.0)
     if not goes_on or until_m is not None:
         allowed = min(allowed, limits.braked_m_s(left))
     change = limits.acceleration_m_s2 * elapsed_s
@@ -166,8 +169,8 @@ def sent_pose(
     Beyond p_prog it lies on the next leg, if there is one; else it stays at the end of this one,
     and the plane circles there.
     """
-    at_m, over_at_m = reference.length_m + lead_m, leg.successor_at_m(task)
-    if next_leg is not None and at_m > over_at_m:
+    at_m = reference.length_m + lead_m
+    if next_leg is not None and at_m > (over_at_m := leg.successor_at_m(task)):
         return next_leg.subpath.pose(at_m - over_at_m)
     return leg.subpath.pose(at_m)
 
@@ -221,12 +224,8 @@ def allowed_speed_m_s(pose: Pose, limits: Limits) -> float:
 
 def is_at_end(reference: Reference, leg: Leg, until_m: float | None = None) -> bool:
     """Whether the reference point has come to the end of its leg, or to where it is to stop."""
-    return _end_m(leg, until_m) - reference.length_m < _ARRIVED_M
-
-
-def _end_m(leg: Leg, until_m: float | None) -> float:
-    length_m = leg.subpath.length_m
-    return length_m if until_m is None else min(length_m, until_m)
+    end_m = leg.subpath.length_m if until_m is None else min(leg.subpath.length_m, until_m)
+    return end_m - reference.length_m < _ARRIVED_M
 
 
 def hover_pose(position_nea_m: tuple[float, float, float]) -> Pose:

@@ -112,7 +112,7 @@ class Task:
         time_s = settings.planning_time_s + settings.scan_time_s + 3.0 * settings.position_period_s
         return self.limits.speed_m_s * time_s + self.limits.lead_m + self.tail_m
 
-    @property
+    @cached_property
     def scan_distance_m(self) -> float:
         """L."""
         return self.settings.scan_distance_m or self.shortest_scan_distance_m

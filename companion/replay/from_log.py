@@ -8,6 +8,7 @@ lockstep.  So only flights that were flown in lockstep come out the same.
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, final
 
@@ -16,7 +17,6 @@ from companion.mavlink.dialect import COMPANION_COMPONENT, wire
 from companion.mavlink.frames import number_of, sender_of
 from companion.mavlink.link import Output
 from companion.mission.mission import Mission
-from companion.mission.renewed import replace
 from companion.planner.kernels import Kernel
 from companion.planner.plan import plan
 from companion.replay.differences import frames_differ, name_of

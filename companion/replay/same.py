@@ -8,7 +8,7 @@ another kernel than the flight's, or in other arithmetic, it may differ: that is
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -17,7 +17,6 @@ import numpy as np
 from companion.errors import InputError
 from companion.mavlink.frames import Receiver
 from companion.mavlink.link import Input, Output
-from companion.mission.renewed import replace
 from companion.mission.start import Start
 from companion.planner.kernels import Kernel
 from companion.planner.outcomes import values_of

@@ -8,7 +8,7 @@ The log is read once, in bounded memory, after a first look at whose it is and w
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Final, final
@@ -20,7 +20,6 @@ from companion.mavlink.autopilots.messages import is_nowhere
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.frames import Receiver, number_of, sender_of
 from companion.mission.mission import EndAction, Mission
-from companion.mission.renewed import replace
 from companion.path.limits import Limits
 from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.plan import plan

@@ -3,7 +3,7 @@
 import math
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
@@ -12,7 +12,6 @@ import msgspec
 from companion.mavlink.link import VEHICLE, Input, Output
 from companion.mission import checkpoint
 from companion.mission.mission import Mission
-from companion.mission.renewed import replace
 from companion.mission.start import Resume, Start, SystemId
 from companion.objective.scene import PROFILES
 from companion.planner.outcomes import outcome_of

@@ -5,12 +5,11 @@ Nothing is flown by it: each plan starts where the recorded one started, and kno
 
 import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar, final
 
 from companion.mission.mission import Mission
-from companion.mission.renewed import replace
 from companion.planner.kernels import Kernel
 from companion.planner.outcomes import outcome_of
 from companion.planner.plan import plan

@@ -4,11 +4,11 @@ The companion's whole session meets the simulator in one process; both ways are 
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from renewed import replace
 
 from companion.config import load_mission
 from companion.mavlink.dialect import codec, wire

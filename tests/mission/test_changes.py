@@ -3,7 +3,6 @@
 import json
 import math
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,6 +24,7 @@ from made_up import (
     scan_done,
     two_legs_away,
 )
+from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER

@@ -2,7 +2,6 @@
 
 import math
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import MISSION
+from renewed import replace
 
 from companion.mavlink.autopilots import ARDUPLANE, PX4_FIXED_WING, PX4_MULTICOPTER
 from companion.mission import machine

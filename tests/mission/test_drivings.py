@@ -2,13 +2,13 @@
 
 import math
 import sys
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from renewed import replace
 from wild import HOME_AMSL_M, Wild
 
 from companion.mavlink.autopilots import ALL, PX4_FIXED_WING

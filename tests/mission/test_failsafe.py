@@ -8,6 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import LAND, TICK_S, Craft, arrived, flying, status, two_legs_away
+from renewed import replace
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER
 from companion.mission import checkpoint
@@ -23,7 +24,6 @@ from companion.mission.events import (
     SetMode,
     Setpoint,
 )
-from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
 

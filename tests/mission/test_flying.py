@@ -20,10 +20,10 @@ from made_up import (
     position,
     two_legs_away,
 )
+from renewed import replace
 
 from companion.mission.events import Plan, PlanReady, Position, Setpoint, StartScan
 from companion.mission.joining import joined
-from companion.mission.renewed import replace
 from companion.mission.state import Phase, Reason
 from companion.planner.procedure import hover_pose
 from companion.planner.request import Planned, PlanRequest

@@ -5,7 +5,6 @@ Over a short time a jump is also what the speeds that were told cannot have made
 
 import math
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,7 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import MISSION, position
+from renewed import replace
 
 from companion.mission.events import Landed
 from companion.mission.health import TRUST_S, astray_m, distrust, judged, with_position
@@ -23,6 +23,10 @@ LIMITS = MISSION.task.limits
 GOOD = Vehicle(fix_good=True, estimator_good=True, fix_at_s=math.inf, estimator_at_s=math.inf)
 EAST = (0.0, 100.0, 0.0)
 JUMP_M = 1.5 * math.hypot(150.0, 25.0) * 0.1 + 20.0  # in a tenth of a second, V = 150, climb 25
+
+
+def seen(vehicle: Vehicle, time_s: float) -> Vehicle:
+    return judged(vehicle, distrust(vehicle, time_s, LIMITS), time_s)
 
 
 def after(*positions: tuple[float, float, float]) -> Vehicle:
@@ -75,14 +79,14 @@ class Track:
 
     def _tell(self) -> None:
         self.time_s += self.step_s
-        self.vehicle = judged(self.vehicle, self.time_s, LIMITS)  # a gap is seen before it ends
+        self.vehicle = seen(self.vehicle, self.time_s)  # a gap is seen before it ends
         velocity = (
             self.speed_m_s * math.cos(self.course_rad),
             self.speed_m_s * math.sin(self.course_rad),
             0.0,
         )
         event = position(self.time_s, (self.north_m, self.east_m, 3000.0), velocity)
-        self.vehicle = judged(with_position(self.vehicle, event, LIMITS), self.time_s, LIMITS)
+        self.vehicle = seen(with_position(self.vehicle, event, LIMITS), self.time_s)
 
 
 def test_a_vehicle_that_never_gave_a_position_is_not_believed() -> None:

@@ -65,6 +65,7 @@ from companion.mission.events import (
     VehicleFound,
     VehicleStatus,
 )
+from companion.mission.machine import IN_PHASE
 from companion.mission.state import Phase, Reason
 from companion.planner.request import PlanOutcome, PlanRequest
 
@@ -749,3 +750,7 @@ def test_a_vehicle_that_never_says_it_has_landed_is_not_waited_for_for_ever() ->
 def test_a_straight_leg_is_straight() -> None:
     pose = straight((0.0, 0.0, 0.0), (300.0, 400.0, 0.0)).pose(250.0)
     np.testing.assert_allclose(pose.position_nea_m, [150.0, 200.0, 0.0], atol=1e-9)
+
+
+def test_each_phase_that_is_not_over_says_what_it_makes_of_an_event() -> None:
+    assert set(IN_PHASE) == set(Phase) - set(OVER)

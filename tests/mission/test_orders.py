@@ -3,7 +3,6 @@
 import json
 import operator
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,6 +20,7 @@ from made_up import (
     straight,
     two_legs_away,
 )
+from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL

@@ -1,13 +1,13 @@
 """The autopilot's own fence stops the vehicle: the true reason for a person, and what to do."""
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import Craft, flying, position, status
+from renewed import replace
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_FIXED_WING, PX4_MULTICOPTER
 from companion.mission.driving import Driving

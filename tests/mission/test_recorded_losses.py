@@ -10,7 +10,7 @@ import functools
 import math
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from held import recorded
 
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import not_planned, planned
+from renewed import replace
 
 from companion.config import load_mission
 from companion.geodesy import FloatArray, LocalFrame

@@ -3,7 +3,6 @@
 import json
 import math
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,6 +19,7 @@ from made_up import (
     straight,
     two_legs_away,
 )
+from renewed import replace
 
 from companion.mission import changes, checkpoint
 from companion.mission.changes import Verdict

@@ -7,11 +7,11 @@ goes through the mission machine event by event; `watch.Watch` sees every step.
 import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from made_up import MISSION, certificate, not_planned, planned, scan, straight, within_band
+from renewed import replace
 from watch import Watch
 
 from companion.mavlink.autopilots import ALL

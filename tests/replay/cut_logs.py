@@ -3,6 +3,7 @@
 import functools
 import struct
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from recordings import recording
@@ -11,7 +12,6 @@ from companion.config import load_mission
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.frames import number_of, sender_of
 from companion.mission.mission import Mission
-from companion.mission.renewed import replace
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import ShadowReport
 from companion.telemetry.logs import Record, open_log

@@ -3,12 +3,11 @@
 Times are seconds after the first record; those of the faults are the recordings' own.
 """
 
-import dataclasses
 import functools
 import io
 import itertools
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from companion.mavlink.dialect import wire
 from companion.mavlink.frames import Receiver, sender_of
 from companion.mavlink.link import Output
 from companion.mission.mission import Mission
-from companion.mission.renewed import replace
 from companion.mission.state import Phase
 from companion.path.subpath import Subpath
 from companion.planner.kernels import NUMPY
@@ -470,7 +468,7 @@ def test_a_vehicle_may_say_what_would_be_colours_here() -> None:
     """PX4 before 1.10 puts the module in brackets."""
     report = report_of(PX4)
     says = Said(at_s=report.holds[0].let_go_s, what="says", text="[commander] lost[/b]")
-    text = text_of(dataclasses.replace(report, said=[says]))
+    text = text_of(replace(report, said=[says]))
     assert "“[commander] lost[/b]”" in text
 
 

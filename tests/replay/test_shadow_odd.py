@@ -4,6 +4,7 @@ Times are seconds after the first record.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,6 @@ from recordings import recording
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
 from companion.mission.mission import Mission
-from companion.mission.renewed import replace
 from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
 from companion.replay.shadow_report import Hold

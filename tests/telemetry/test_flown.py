@@ -1,6 +1,5 @@
-from dataclasses import replace
-
 import pytest
+from renewed import replace
 
 from companion.config import load_mission
 from companion.mavlink.link import VehicleClock

@@ -1,9 +1,9 @@
 """What the terminal says of a flight while it is flown, in lines as for a log."""
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
+from renewed import replace
 from rich.console import Console
 
 from companion.config import load_mission

@@ -51,5 +51,5 @@ ARDUCOPTER = Autopilot(
         wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: ardupilot.local_echo,
     },
     take_off=_take_off,
-    setpoint=messages.hovering_setpoint,
+    setpoint=messages.position_target,
 )

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from companion.geodesy import LocalFrame, deg_e7, rotate
+from companion.geodesy import LocalFrame, rotate
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mission.events import (
     Battery,
@@ -44,7 +44,7 @@ POSITION_VELOCITY = 3520
 POSITION = 3576
 """type_mask: everything but the position is ignored."""
 _E7 = 1e-7  # degrees in the wire's unit of them
-_NO_HEADING = 65535
+NO_HEADING = 65535
 _LANDED = {
     wire.MAV_LANDED_STATE_UNDEFINED: Landed.UNKNOWN,
     wire.MAV_LANDED_STATE_ON_GROUND: Landed.ON_GROUND,
@@ -70,13 +70,13 @@ def position(message: Message, _now_s: float, frame: LocalFrame, *_: object) -> 
         time_s=message.time_boot_ms * 1e-3,
         position_nea_m=place,
         velocity_nea_m_s=(north_m_s, east_m_s, -message.vz * 0.01),
-        heading_rad=None if heading == _NO_HEADING else math.radians(heading * 0.01) + turn,
+        heading_rad=None if heading == NO_HEADING else math.radians(heading * 0.01) + turn,
     )
 
 
 def heading_rad(message: Message) -> float | None:
     """Where the nose points by GLOBAL_POSITION_INT, from true north; None: it does not say."""
-    return None if message.hdg == _NO_HEADING else math.radians(message.hdg * 0.01)
+    return None if message.hdg == NO_HEADING else math.radians(message.hdg * 0.01)
 
 
 def _landed(message: Message, now_s: float, *_: object) -> LandedState:
@@ -198,28 +198,27 @@ def wire_place(position_nea_m: Vector, frame: LocalFrame) -> tuple[int, int] | N
         return None
     if max(abs(latitude), abs(longitude)) < _NOWHERE_DEG:
         return None
-    return deg_e7(latitude), deg_e7(longitude)
-
-
-def hovering_setpoint(
-    setpoint: Setpoint, frame: LocalFrame, system_id: int, *, loiter_radius_m: float = 0.0
-) -> list[Message] | None:
-    """Position, velocity and yaw for what can stand still; to stay is a velocity of zero."""
-    del loiter_radius_m
-    return position_target(setpoint, frame, POSITION_VELOCITY_YAW, system_id, stands=setpoint.stay)
+    return round(latitude * 1e7), round(longitude * 1e7)
 
 
 def position_target(
-    setpoint: Setpoint, frame: LocalFrame, type_mask: int, system_id: int, *, stands: bool = False
+    setpoint: Setpoint,
+    frame: LocalFrame,
+    system_id: int,
+    *,
+    loiter_radius_m: float = 0.0,
+    type_mask: int = POSITION_VELOCITY_YAW,
 ) -> list[Message] | None:
     """SET_POSITION_TARGET_GLOBAL_INT in frame 5: AMSL, which all autopilots get right.
 
-    stands: with a velocity of zero.
+    By default position, velocity and yaw, for what can stand still: to stay is a velocity of zero.
     """
+    del loiter_radius_m
     aimed = aim(setpoint, frame)
     if aimed is None:
         return None
     place_e7, velocity_ned_m_s, yaw_rad = aimed
+    stands = setpoint.stay and type_mask == POSITION_VELOCITY_YAW
     return [
         wire.MAVLink_set_position_target_global_int_message(
             round(setpoint.time_s * 1e3),

@@ -61,7 +61,7 @@ def _setpoint(
     """
     del loiter_radius_m
     mask = messages.POSITION if setpoint.stay else messages.POSITION_VELOCITY
-    return messages.position_target(setpoint, frame, mask, system_id)
+    return messages.position_target(setpoint, frame, system_id, type_mask=mask)
 
 
 PX4_FIXED_WING = Autopilot(

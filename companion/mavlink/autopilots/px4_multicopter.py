@@ -35,5 +35,5 @@ PX4_MULTICOPTER = Autopilot(
         wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: px4.local_echo,
     },
     take_off=_take_off,
-    setpoint=messages.hovering_setpoint,
+    setpoint=messages.position_target,
 )
