@@ -2,7 +2,6 @@
 
 import copy
 import io
-import math
 import socket
 import subprocess
 import sys
@@ -269,15 +268,6 @@ def start() -> Iterator[Start]:
         if process.poll() is None:
             process.kill()
         process.communicate()
-
-
-def rms(values: list[float]) -> float:
-    return math.sqrt(sum(v * v for v in values) / len(values))
-
-
-@pytest.fixture(name="rms")
-def rms_fixture() -> Callable[[list[float]], float]:
-    return rms
 
 
 class Running:

@@ -137,11 +137,6 @@ def test_a_low_battery_is_told_and_acted_on_after_ten_seconds(pilot: Make) -> No
     assert "Battery 1 is low 10.40V used 2000 mAh" in it.texts
 
 
-def test_a_reboot_is_refused_while_armed(pilot: Make) -> None:
-    it = pilot().airborne(30.0)
-    assert it.command(246, 1) == FAILED
-
-
 def test_statistics_are_told_unasked_as_recorded(pilot: Make) -> None:
     it = pilot()
     told: list[tuple[float, float]] = []
@@ -153,21 +148,6 @@ def test_statistics_are_told_unasked_as_recorded(pilot: Make) -> None:
                 told.append((at_s, it.autopilot.parameters[reply.name]))
     assert [value for _, value in told] == [30.0, 60.0, 91.0]
     assert [at_s for at_s, _ in told] == pytest.approx([30.44, 60.45, 91.47], abs=0.15)
-
-
-@pytest.mark.parametrize("after_s", [1.0, 6.0])
-def test_a_setpoint_during_the_take_off_ends_it(pilot: Make, after_s: float) -> None:
-    it = pilot(vertical_m_s=2.5)
-    it.run(42.0)
-    it.command(176, 1, GUIDED)
-    it.command(400, 1)
-    it.command(22, 0, 0, 0, 0, 0, 0, 100)
-    it.run(after_s)
-    height_m = it.copter.altitude_amsl_m
-    it.setpoint((47.0, 8.0, height_m), mask=0xDF8)
-    assert it.autopilot.status().landed_state == (ON_GROUND if after_s < 2.0 else IN_AIR)
-    it.run(20.0)
-    assert it.copter.altitude_amsl_m == pytest.approx(height_m, abs=0.2)
 
 
 def test_brake_stops_and_ignores_setpoints(pilot: Make) -> None:

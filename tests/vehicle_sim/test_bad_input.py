@@ -90,49 +90,6 @@ def test_every_message_of_the_dialect_full_of_the_worst_does_no_harm(
     assert simulation.landed
 
 
-NOT_SURVIVED = [
-    mavlink.MAVLink_set_position_target_local_ned_message(
-        0, 1, 1, 1, 0xDF8, NAN, 0, -20, *[0.0] * 8
-    ),
-    mavlink.MAVLink_set_position_target_local_ned_message(
-        0, 1, 1, 1, 0xDF8, 1e9, 0, -20, *[0.0] * 8
-    ),
-    mavlink.MAVLink_set_position_target_local_ned_message(
-        0, 1, 1, 1, 0xC00, 0, 0, -20, 0, 0, 0, NAN, 0, 0, 0, 0
-    ),
-    mavlink.MAVLink_set_position_target_local_ned_message(
-        0, 1, 1, 1, 0x9C0, 0, 0, -20, 0, 0, 0, 0, 0, 0, NAN, 0
-    ),
-    mavlink.MAVLink_set_position_target_global_int_message(
-        0, 1, 1, 5, 0xDF8, 474000000, 85000000, NAN, *[0.0] * 8
-    ),
-]
-"""ardupilot.md 3, "Values the vehicle does not survive": each aborts the real one's process."""
-
-
-@pytest.mark.parametrize("message", NOT_SURVIVED)
-def test_what_the_real_one_does_not_survive_is_refused_loudly(message: Any) -> None:
-    client = Client(vehicle()).airborne()
-    assert client.simulation.not_survived is None
-    client.send(message)
-    texts = [m.text for m in client.run(0.5) if m.get_type() == "STATUSTEXT"]
-    assert any(text.startswith("SIM:") for text in texts), texts
-    assert client.simulation.not_survived is not None
-    client.run(5.0)
-    assert client.simulation.vehicle.altitude_amsl_m == pytest.approx(508.0, abs=1.0)
-
-
-def test_nan_velocity_is_survived_by_the_real_one_and_only_stops_it() -> None:
-    client = Client(vehicle()).airborne()
-    client.send(
-        mavlink.MAVLink_set_position_target_local_ned_message(
-            0, 1, 1, 1, 0xDC7, 0, 0, 0, NAN, 0, 0, *[0.0] * 5
-        )
-    )
-    client.run(1.0)
-    assert client.simulation.not_survived is None
-
-
 def test_of_ten_thousand_messages_a_second_the_newest_counts_and_nothing_piles_up() -> None:
     client = Client(vehicle()).airborne()
     simulation = client.simulation

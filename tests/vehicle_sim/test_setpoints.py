@@ -44,23 +44,6 @@ def test_what_is_not_finite_or_absurd_stops_the_vehicle_and_is_said_once(
     assert "refused" in hovering.texts[-1]
 
 
-@pytest.mark.parametrize(("frame", "mask"), [(1, 0xC00), (1, 0xC07), (1, 0xC3F)])
-def test_an_acceleration_that_is_not_finite_is_refused(
-    hovering: Any, frame: int, mask: int
-) -> None:
-    hovering.setpoint(NORTH, (1.0, 0.0, 0.0))
-    before = len(hovering.texts)
-    hovering.setpoint(
-        (0.0, 0.0, -100.0),
-        mask=mask,
-        frame=frame,
-        is_global=False,
-        acceleration_ned_m_s2=(math.nan, 0.0, 0.0),
-    )
-    assert echoed(hovering) == STOPPED
-    assert len(hovering.texts[before:]) == 1
-
-
 def test_an_acceleration_alone_is_flown_until_the_time_out(pilot: Make) -> None:
     it = pilot().airborne(100.0)
     for _ in range(30):

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
-from tracking_copter import ALL, Flown
+from tracking_copter import Flown
 
 from vehicle_sim.autopilots import Battery, Report
 from vehicle_sim.sensors.gps import Fix
@@ -39,7 +39,7 @@ def flying() -> Report:
     it = Flown(ANGLE_MAX=4500.0).airborne(30.0)
     for k in range(500):
         if k % 10 == 0:
-            it.setpoint((0.0, 0.0, -30.0), (k * 0.01, 0.0, 0.0), mask=ALL)
+            it.setpoint((0.0, 0.0, -30.0), (k * 0.01, 0.0, 0.0), kind="pos+vel+acc")
         it.step()
     return report_of(it)
 
