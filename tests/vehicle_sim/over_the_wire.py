@@ -9,14 +9,14 @@ import dataclasses
 import functools
 import math
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import VehicleKind, flat_world
+from vehicle_sim.world import Firmware, VehicleKind, flat_world
 
 copyreg.pickle(struct.Struct, lambda made: (struct.Struct, (made.format,)))  # to copy simulations
 
@@ -37,6 +37,11 @@ _reader = mavlink.MAVLink(None)
 _NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
 
 
+def kind_of(number: int) -> str:
+    """The name of a message, as pymavlink gives it to those that it does not know too."""
+    return _NAMES.get(number, f"UNKNOWN_{number}")
+
+
 class Heard:
     """One frame that came out of the vehicle's end of a link; read when its message is wanted."""
 
@@ -47,7 +52,7 @@ class Heard:
         self.at_s, self.link, self.frame = at_s, link, frame
         """Vehicle time since the start."""
         self.source: Ids = (frame[5], frame[6])
-        self.kind: str = _NAMES[int.from_bytes(frame[7:10], "little")]
+        self.kind: str = kind_of(int.from_bytes(frame[7:10], "little"))
         self._message: Any = None
 
     @property
@@ -121,22 +126,97 @@ def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Any:
     return mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3)
 
 
-class Wire:
-    """The three links of one vehicle."""
+def packed(message: Any, source: Ids, sequence: int, key: Key | None = None) -> bytes:
+    """One frame."""
+    mav = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
+    mav.seq = sequence
+    if key is not None:
+        mav.signing.secret_key = key.secret
+        mav.signing.link_id = key.link
+        mav.signing.timestamp = key.timestamp
+        mav.signing.sign_outgoing = True
+    return bytes(message.pack(mav))
 
-    def __init__(self, kind: VehicleKind = "copter", **parameters: float) -> None:
+
+class Link:
+    """A vehicle of any kind with its links: what every client can do."""
+
+    def __init__(
+        self,
+        kind: VehicleKind,
+        firmware: Firmware,
+        place: Vector,
+        *,
+        links: int = 1,
+        parameters: Mapping[str, float] | None = None,
+        faults: str = "",
+        seed: int = 0,
+    ) -> None:
         world = flat_world(
             kind,
-            "ardupilot",
-            latitude_deg=HOME_DEG[0],
-            longitude_deg=HOME_DEG[1],
-            altitude_amsl_m=HOME_M,
+            firmware,
+            latitude_deg=place[0],
+            longitude_deg=place[1],
+            altitude_amsl_m=place[2],
             heading_deg=0.0,
         )
-        vehicle = dataclasses.replace(world.vehicle, parameters=parameters)
-        self._simulation = Simulation(dataclasses.replace(world, vehicle=vehicle), links=3)
+        vehicle = dataclasses.replace(world.vehicle, parameters=parameters or {})
+        world = dataclasses.replace(world, vehicle=vehicle)
+        self.simulation = Simulation(world, links=links, faults=faults, seed=seed)
         self.heard: list[Heard] = []
         self._sequence: dict[Ids, int] = {}
+
+    @property
+    def now_s(self) -> float:
+        """Vehicle time since the start."""
+        return self.simulation.now_us * 1e-6
+
+    def send(
+        self, *messages: Any, source: Ids = COMPANION, link: int = 0, key: Key | None = None
+    ) -> None:
+        """One datagram with these messages."""
+        data = b""
+        for message in messages:
+            sequence = self._sequence.get(source, 0)
+            data += packed(message, source, sequence, key)
+            self._sequence[source] = (sequence + 1) % 256
+        self.put(data, link=link)
+
+    def put(self, data: bytes, link: int = 0) -> None:
+        """Raw bytes; what is answered at once is heard after the next step."""
+        self.simulation.receive(link, data)
+
+    def step(self) -> None:
+        """10 ms."""
+        self.simulation.step()
+        now_s = self.now_s
+        self.heard += [Heard(now_s, link, frame) for link, frame in self.simulation.take_frames()]
+
+    def all(self, kind: str, *, link: int | None = 0, since_s: float = 0.0) -> list[Heard]:
+        """Every one of this kind that came by this link."""
+        return [
+            each
+            for each in self.heard
+            if each.kind == kind and link in (None, each.link) and each.at_s >= since_s
+        ]
+
+    def last(self, kind: str) -> Any:
+        """The newest of this kind on link 0; it must have come."""
+        for each in reversed(self.heard):
+            if each.kind == kind and each.link == 0:
+                return each.message
+        raise AssertionError(f"no {kind} has come")
+
+    def texts(self, since_s: float = 0.0, *, link: int = 0) -> list[str]:
+        """Every STATUSTEXT."""
+        return [e.message.text for e in self.all("STATUSTEXT", since_s=since_s, link=link)]
+
+
+class Wire(Link):
+    """The three links of one ArduPilot."""
+
+    def __init__(self, kind: VehicleKind = "copter", **parameters: float) -> None:
+        super().__init__(kind, "ardupilot", (*HOME_DEG, HOME_M), links=3, parameters=parameters)
 
     def copy(self) -> Self:
         """Another one of which all is the same, but with nothing heard but where it is."""
@@ -147,39 +227,13 @@ class Wire:
         return other
 
     @property
-    def now_s(self) -> float:
-        """Vehicle time since the start."""
-        return self._simulation.now_us * 1e-6
-
-    @property
     def not_survived(self) -> str | None:
         """What came in that the real autopilot does not survive."""
-        return self._simulation.not_survived
+        return self.simulation.not_survived
 
     def takes_new_port(self) -> bool:
         """Whether it sends from another UDP port since the last call."""
-        return self._simulation.take_port_change()
-
-    # --- in -----------------------------------------------------------------------------------
-
-    def send(
-        self, *messages: Any, source: Ids = COMPANION, link: int = 0, key: Key | None = None
-    ) -> None:
-        """One datagram with these messages."""
-        mav = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
-        mav.seq = self._sequence.get(source, 0)
-        if key is not None:
-            mav.signing.secret_key = key.secret
-            mav.signing.link_id = key.link
-            mav.signing.timestamp = key.timestamp
-            mav.signing.sign_outgoing = True
-        self.put(b"".join(bytes(message.pack(mav)) for message in messages), link=link)
-        self._sequence[source] = mav.seq
-
-    def put(self, data: bytes, link: int = 0) -> None:
-        """Raw bytes; what is answered at once is heard at once."""
-        self._simulation.receive(link, data)
-        self._listen()
+        return self.simulation.take_port_change()
 
     def command(
         self,
@@ -234,15 +288,12 @@ class Wire:
         ]
         return float(told)
 
-    # --- out ----------------------------------------------------------------------------------
-
     def run(self, seconds: float, meanwhile: Callable[[], object] | None = None) -> None:
         """Let vehicle time pass; meanwhile: what to do ten times a second."""
         for k in range(round(seconds * _STEPS_PER_S)):
             if meanwhile is not None and k % 10 == 0:
                 meanwhile()
-            self._simulation.step()
-            self._listen()
+            self.step()
 
     def run_until(self, reached: Callable[[], bool], within_s: float) -> float:
         """Until this is so; how long that took."""
@@ -251,29 +302,6 @@ class Wire:
             assert self.now_s - begun_s < within_s, "it never came to that"
             self.run(0.05)
         return self.now_s - begun_s
-
-    def _listen(self) -> None:
-        now_s = self.now_s
-        self.heard += [Heard(now_s, link, frame) for link, frame in self._simulation.take_frames()]
-
-    def all(self, kind: str, *, link: int | None = 0, since_s: float = 0.0) -> list[Heard]:
-        """Every one of this kind that came by this link."""
-        return [
-            each
-            for each in self.heard
-            if each.kind == kind and link in (None, each.link) and each.at_s >= since_s
-        ]
-
-    def last(self, kind: str) -> Any:
-        """The newest of this kind on link 0; it must have come."""
-        for each in reversed(self.heard):
-            if each.kind == kind and each.link == 0:
-                return each.message
-        raise AssertionError(f"no {kind} has come")
-
-    def texts(self, since_s: float = 0.0) -> list[str]:
-        """Every STATUSTEXT."""
-        return [each.message.text for each in self.all("STATUSTEXT", since_s=since_s)]
 
     def said_s(self, text: str) -> list[float]:
         """When a text with this in it was said."""
