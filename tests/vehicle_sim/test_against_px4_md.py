@@ -135,19 +135,13 @@ LINKS = [
 
 START = [
     *(
-        case(
-            "3 modes",
-            f"{custom:#010x} while disarmed",
-            (custom, 3, True),
-            links.disarmed_mode,
-            custom,
-        )
-        for custom in (POSCTL, ALTCTL, TAKEOFF, HOLD, RETURN, LAND)
+        case("3 modes", f"{mode:#010x}", (mode, 3, True), links.disarmed_mode, mode)
+        for mode in (TAKEOFF, HOLD, RETURN, LAND)
     ),
-    case(
-        "3 modes", "OFFBOARD without a stream", (OFFBOARD, 0, False), links.disarmed_mode, OFFBOARD
+    *(  # no stream, no pilot, no mission
+        case("3 modes", f"{mode:#010x}", (mode, 0, False), links.disarmed_mode, mode)
+        for mode in (OFFBOARD, POSCTL, ALTCTL, MISSION)
     ),
-    case("3 modes", "MISSION without one", (MISSION, 0, False), links.disarmed_mode, MISSION),
     case("3", "one earlier setpoint is enough, in 0.6 s", True, links.enters_offboard_within, 0.6),
     *looks(
         "3",
@@ -326,10 +320,10 @@ PILOT = [
     case(
         "6 pilot",
         "lost: AUTO:LOITER after about 1 s, AUTO:RTL 5 s later",
-        [(about(0.0, 0.1), OFFBOARD), (about(1.0, 0.5), HOLD), (about(6.0, 0.7), RETURN)],
+        [(about(0.5, 0.5), OFFBOARD), (about(1.0, 0.5), HOLD), (about(6.0, 0.7), RETURN)],
         offboard.pilot_lost,
     ),
-    case("6 pilot", "COM_RCL_EXCEPT 4", [(about(0.0, 0.5), OFFBOARD)], offboard.pilot_lost, 4),
+    case("6 pilot", "COM_RCL_EXCEPT 4", [(about(0.5, 0.5), OFFBOARD)], offboard.pilot_lost, 4),
 ]
 
 # --- 7 --------------------------------------------------------------------------------------------

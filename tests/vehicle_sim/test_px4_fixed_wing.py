@@ -363,20 +363,23 @@ def test_offboard_part_of_the_recorded_flight() -> None:
     assert max(off_m) < 15.0
 
 
-def test_a_point_that_is_reached_is_circled_tightly_and_one_far_above_at_the_usual_radius() -> None:
-    """px4.md 10: 8 to 30 m off; until its height is within 10 m it is loitered about."""
-    for height_m, least_m, most_m in (
-        (70.0, (6.0, 20.0), (15.0, 32.0)),
-        (270.0, (76, 84), (76, 84)),
-    ):
-        rig, away = Rig(), list[float]()
-        rig.put(300.0 if height_m > 70.0 else -300.0, 0.0, 68.0, 0.0)
-        streaming(rig, 300.0, 0.0)
-        for k in range(900):
-            rig.send(POSITION_ONLY, (300.0, 0.0, -height_m))
-            rig.run(0.1)
-            if (k > 500 and abs(rig.height_m - height_m) > 20.0) or (height_m < 100.0 and k > 500):
-                away.append(math.hypot(rig.px4.local_m[0] - 300.0, rig.px4.local_m[1]))
-        assert least_m[0] < min(away) < least_m[1]
-        assert most_m[0] < max(away) < most_m[1]
-        assert rig.px4.status().mode == OFFBOARD
+@pytest.mark.parametrize(
+    ("from_m", "height_m", "nearest", "farthest"),
+    [(-300.0, 70.0, (13.0, 7.0), (23.0, 9.0)), (300.0, 270.0, (80.0, 4.0), (80.0, 4.0))],
+    ids=["tightly once reached", "at the usual radius until its height fits"],
+)
+def test_a_point_is_circled(
+    from_m: float, height_m: float, nearest: tuple[float, float], farthest: tuple[float, float]
+) -> None:
+    """px4.md 10: 8 to 30 m off; loitered about until its height is within 10 m."""
+    rig, away = Rig(), list[float]()
+    rig.put(from_m, 0.0, 68.0, 0.0)
+    streaming(rig, 300.0, 0.0)
+    for k in range(900):
+        rig.send(POSITION_ONLY, (300.0, 0.0, -height_m))
+        rig.run(0.1)
+        if k > 500 and rig.height_m < 250.0:
+            away.append(math.hypot(rig.px4.local_m[0] - 300.0, rig.px4.local_m[1]))
+    assert min(away) == pytest.approx(nearest[0], abs=nearest[1])
+    assert max(away) == pytest.approx(farthest[0], abs=farthest[1])
+    assert rig.px4.status().mode == OFFBOARD
