@@ -11,7 +11,7 @@ import math
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -31,8 +31,10 @@ POSITION, POSITION_VELOCITY, ALL, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
 GUIDED, LAND, BRAKE = 4, 9, 17
 PLANE_GUIDED, PLANE_TAKEOFF = 15, 13
 LOCAL_POSITION, ECHO, ATTITUDE = 32, 85, 30
+QUIET = (2, 4, 8, 29, 31, 33, 36, 74, 83, 85, 87, 105, 111, 132, 141, 147, 231, 241, 331, 360, 380)
+"""What PX4 streams and is rarely looked at."""
 _STEPS_PER_S = 100
-_WHERE = ("LOCAL_POSITION_NED", "ATTITUDE")
+_WHERE = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE", "HEARTBEAT")
 _reader = mavlink.MAVLink(None)
 _NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
 
@@ -126,20 +128,12 @@ def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Any:
     return mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3)
 
 
-def packed(message: Any, source: Ids, sequence: int, key: Key | None = None) -> bytes:
-    """One frame."""
-    mav = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
-    mav.seq = sequence
-    if key is not None:
-        mav.signing.secret_key = key.secret
-        mav.signing.link_id = key.link
-        mav.signing.timestamp = key.timestamp
-        mav.signing.sign_outgoing = True
-    return bytes(message.pack(mav))
-
-
 class Link:
-    """A vehicle of any kind with its links: what every client can do."""
+    """A vehicle of any kind, and a client at the other end of its links.
+
+    ``aim`` makes the setpoint of a time in seconds, and is streamed at ``rate_hz`` unless it is
+    None; ``heartbeats`` are the MAV_TYPEs of which one is sent each second.
+    """
 
     def __init__(
         self,
@@ -149,9 +143,11 @@ class Link:
         *,
         links: int = 1,
         parameters: Mapping[str, float] | None = None,
+        scan_range_m: float | None = None,
         faults: str = "",
         seed: int = 0,
     ) -> None:
+        radar = {} if scan_range_m is None else {"scan_range_m": scan_range_m}
         world = flat_world(
             kind,
             firmware,
@@ -159,38 +155,134 @@ class Link:
             longitude_deg=place[1],
             altitude_amsl_m=place[2],
             heading_deg=0.0,
+            **radar,
         )
         vehicle = dataclasses.replace(world.vehicle, parameters=parameters or {})
         world = dataclasses.replace(world, vehicle=vehicle)
         self.simulation = Simulation(world, links=links, faults=faults, seed=seed)
+        self.kind, self.firmware, self.source = kind, firmware, COMPANION
         self.heard: list[Heard] = []
+        self.aim: Callable[[float], Any] | None = None
+        self.rate_hz = 20.0
+        self.aimed_s = math.nan
+        """When the newest of the stream was sent."""
+        self.stick: float | None = None
+        """A pilot, at 10 Hz: the forward stick, -1 to 1."""
+        self.heartbeats: tuple[int, ...] = ()
+        self._steps = 0
         self._sequence: dict[Ids, int] = {}
 
-    @property
-    def now_s(self) -> float:
-        """Vehicle time since the start."""
-        return self.simulation.now_us * 1e-6
+    def copy(self) -> Self:
+        """The same again from here; of what was heard it knows only where it is."""
+        where = {each.kind: each for each in self.heard if each.kind in _WHERE and each.link == 0}
+        heard, self.heard = self.heard, list(where.values())
+        other = copy.deepcopy(self)
+        self.heard = heard
+        return other
+
+    # --- in -----------------------------------------------------------------------------------
 
     def send(
-        self, *messages: Any, source: Ids = COMPANION, link: int = 0, key: Key | None = None
+        self, *messages: Any, source: Ids | None = None, link: int = 0, key: Key | None = None
     ) -> None:
         """One datagram with these messages."""
-        data = b""
+        who, data = source or self.source, b""
         for message in messages:
-            sequence = self._sequence.get(source, 0)
-            data += packed(message, source, sequence, key)
-            self._sequence[source] = (sequence + 1) % 256
+            mav = mavlink.MAVLink(None, srcSystem=who[0], srcComponent=who[1])
+            mav.seq = self._sequence.get(who, 0)
+            if key is not None:
+                mav.signing.secret_key = key.secret
+                mav.signing.link_id = key.link
+                mav.signing.timestamp = key.timestamp
+                mav.signing.sign_outgoing = True
+            data += bytes(message.pack(mav))
+            self._sequence[who] = (mav.seq + 1) % 256
         self.put(data, link=link)
 
     def put(self, data: bytes, link: int = 0) -> None:
         """Raw bytes; what is answered at once is heard after the next step."""
         self.simulation.receive(link, data)
 
+    def command(
+        self,
+        number: int,
+        *parameters: float,
+        frame: int | None = None,
+        target: Ids = VEHICLE,
+        source: Ids | None = None,
+        link: int = 0,
+    ) -> int | None:
+        """COMMAND_LONG, or COMMAND_INT in this frame; its last result within 20 ms (PX4: 50)."""
+        p = (*parameters, *[0.0] * (7 - len(parameters)))
+        message: Any
+        if frame is None:
+            message = mavlink.MAVLink_command_long_message(*target, number, 0, *p)
+        else:
+            x, y = round(p[4]), round(p[5])
+            message = mavlink.MAVLink_command_int_message(
+                *target, frame, number, 0, 0, *p[:4], x, y, p[6]
+            )
+        begun = len(self.heard)
+        self.send(message, source=source, link=link)
+        self.run(0.05 if self.firmware == "px4" else 0.02)
+        answers = [
+            each.message
+            for each in self.heard[begun:]
+            if each.kind == "COMMAND_ACK" and each.source == VEHICLE and each.link == link
+        ]
+        to = source or self.source
+        assert all((a.target_system, a.target_component) == to for a in answers)
+        found = [int(answer.result) for answer in answers if answer.command == number]
+        return found[-1] if found else None
+
+    def set_mode(self, custom: int) -> int | None:
+        """By the number that a heartbeat tells."""
+        if self.firmware == "px4":
+            return self.command(176, 1, custom >> 16 & 0xFF, custom >> 24)
+        return self.command(176, 1, custom)
+
+    # --- time ---------------------------------------------------------------------------------
+
+    @property
+    def now_s(self) -> float:
+        """Vehicle time since the start."""
+        return self.simulation.now_us * 1e-6
+
     def step(self) -> None:
-        """10 ms."""
+        """10 ms, and before them what is due to be sent."""
+        steps, self._steps = self._steps, self._steps + 1
+        if self.aim is not None and steps % round(_STEPS_PER_S / self.rate_hz) == 0:
+            self.aimed_s = self.now_s
+            self.send(self.aim(self.aimed_s))
+        if self.stick is not None and steps % 10 == 0:
+            x = round(1000 * self.stick)
+            self.send(mavlink.MAVLink_manual_control_message(1, x, 0, 500, 0, 0), source=GCS)
+        if steps % _STEPS_PER_S == 0:
+            for kind in self.heartbeats:
+                self.send(heartbeat(kind))
         self.simulation.step()
         now_s = self.now_s
         self.heard += [Heard(now_s, link, frame) for link, frame in self.simulation.take_frames()]
+
+    def run(self, seconds: float, meanwhile: Callable[[], object] | None = None) -> list[Heard]:
+        """What comes while time passes; meanwhile: what to do ten times a second."""
+        begun = len(self.heard)
+        for k in range(round(seconds * _STEPS_PER_S)):
+            if meanwhile is not None and k % 10 == 0:
+                meanwhile()
+            self.step()
+        return self.heard[begun:]
+
+    def until(self, reached: Callable[[], bool], within_s: float) -> float:
+        """Seconds until it is so; NaN: never."""
+        start_s = self.now_s
+        while self.now_s - start_s < within_s:
+            self.step()
+            if reached():
+                return self.now_s - start_s
+        return math.nan
+
+    # --- out ----------------------------------------------------------------------------------
 
     def all(self, kind: str, *, link: int | None = 0, since_s: float = 0.0) -> list[Heard]:
         """Every one of this kind that came by this link."""
@@ -218,14 +310,6 @@ class Wire(Link):
     def __init__(self, kind: VehicleKind = "copter", **parameters: float) -> None:
         super().__init__(kind, "ardupilot", (*HOME_DEG, HOME_M), links=3, parameters=parameters)
 
-    def copy(self) -> Self:
-        """Another one of which all is the same, but with nothing heard but where it is."""
-        where = {each.kind: each for each in self.heard if each.kind in _WHERE and each.link == 0}
-        heard, self.heard = self.heard, list(where.values())
-        other = copy.deepcopy(self)
-        self.heard = heard
-        return other
-
     @property
     def not_survived(self) -> str | None:
         """What came in that the real autopilot does not survive."""
@@ -235,38 +319,8 @@ class Wire(Link):
         """Whether it sends from another UDP port since the last call."""
         return self.simulation.take_port_change()
 
-    def command(
-        self,
-        number: int,
-        *parameters: float,
-        frame: int | None = None,
-        target: Ids = VEHICLE,
-        source: Ids = COMPANION,
-        link: int = 0,
-    ) -> int | None:
-        """COMMAND_LONG, or COMMAND_INT in this frame; the result of its answer within 20 ms."""
-        p = (*parameters, *[0.0] * (7 - len(parameters)))
-        message: Any
-        if frame is None:
-            message = mavlink.MAVLink_command_long_message(*target, number, 0, *p)
-        else:
-            x, y = round(p[4]), round(p[5])
-            message = mavlink.MAVLink_command_int_message(
-                *target, frame, number, 0, 0, *p[:4], x, y, p[6]
-            )
-        begun = len(self.heard)
-        self.send(message, source=source, link=link)
-        self.run(0.02)
-        for each in self.heard[begun:]:
-            if each.kind == "COMMAND_ACK" and each.source == VEHICLE and each.link == link:
-                answer = each.message
-                assert answer.command == number
-                assert (answer.target_system, answer.target_component) == source
-                return int(answer.result)
-        return None
-
     def interval(
-        self, number: int, hz: float, link: int = 0, source: Ids = COMPANION
+        self, number: int, hz: float, link: int = 0, source: Ids | None = None
     ) -> int | None:
         """SET_MESSAGE_INTERVAL."""
         return self.command(511, number, 1e6 / hz if hz > 0 else hz, link=link, source=source)
@@ -278,22 +332,13 @@ class Wire(Link):
             message = mavlink.MAVLink_param_request_read_message(1, 1, name.encode(), -1)
         else:
             message = mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, 9)
-        begun = len(self.heard)
         self.send(message)
-        self.run(0.02)
         (told,) = [
             each.message.param_value
-            for each in self.heard[begun:]
+            for each in self.run(0.02)
             if each.kind == "PARAM_VALUE" and each.link == 0 and each.message.param_id == name
         ]
         return float(told)
-
-    def run(self, seconds: float, meanwhile: Callable[[], object] | None = None) -> None:
-        """Let vehicle time pass; meanwhile: what to do ten times a second."""
-        for k in range(round(seconds * _STEPS_PER_S)):
-            if meanwhile is not None and k % 10 == 0:
-                meanwhile()
-            self.step()
 
     def run_until(self, reached: Callable[[], bool], within_s: float) -> float:
         """Until this is so; how long that took."""
@@ -438,3 +483,58 @@ def reposition(
     height_m = up_m if frame in (3, 6, 10, 11) else up_m + HOME_M
     place = place_e7(north_m, east_m)
     return wire.command(192, -1.0, flags, radius_m, ccw, *place, height_m, frame=frame)
+
+
+# --- one client for all four ----------------------------------------------------------------------
+
+KINDS: Final = (
+    ("ardupilot", "copter"),
+    ("ardupilot", "plane"),
+    ("px4", "copter"),
+    ("px4", "plane"),
+)
+PLACE: Final = (47.397742, 8.545594, 488.0)
+
+
+@functools.cache
+def _ready(firmware: Firmware, kind: VehicleKind) -> Link:
+    vehicle = Link(kind, firmware, PLACE)
+    vehicle.source, vehicle.heartbeats = GCS, (mavlink.MAV_TYPE_GCS,)
+    vehicle.run(
+        {("ardupilot", "copter"): 45.0, ("ardupilot", "plane"): 25.0}.get((firmware, kind), 6)
+    )
+    for number in QUIET if firmware == "px4" else ():
+        vehicle.command(511, number, -1)
+    for number in (24, 33, ATTITUDE):
+        vehicle.command(511, number, 100_000)
+    return vehicle
+
+
+def ready(firmware: Firmware, kind: VehicleKind) -> Link:
+    """One that may be armed, with a ground station on link 0."""
+    return _ready(firmware, kind).copy()
+
+
+@functools.cache
+def _flying(firmware: Firmware, kind: VehicleKind) -> Link:
+    vehicle = ready(firmware, kind)
+    height = (0.0,) * 4
+    if firmware == "px4":
+        place = (round(PLACE[0] * 1e7), round(PLACE[1] * 1e7), PLACE[2] + 40.0)
+        orders = [(22, *height, *place), (400, 1)]
+    elif kind == "copter":
+        orders = [(176, 1, GUIDED), (400, 1), (22, *height, 0, 0, 40.0)]
+    else:
+        orders = [(176, 1, PLANE_TAKEOFF), (400, 1)]
+    for number, *parameters in orders:
+        frame = 5 if number == 22 and firmware == "px4" else None
+        assert vehicle.command(int(number), *parameters, frame=frame) == 0
+    vehicle.run(30.0)
+    if (firmware, kind) == ("ardupilot", "plane"):
+        assert vehicle.set_mode(PLANE_GUIDED) == 0
+    return vehicle
+
+
+def flying(firmware: Firmware, kind: VehicleKind) -> Link:
+    """Some 40 m up, in the mode in which it takes setpoints (PX4: Hold)."""
+    return _flying(firmware, kind).copy()

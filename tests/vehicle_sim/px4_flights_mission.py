@@ -23,7 +23,7 @@ def upload(flight: Companion, items: list[Any], kind: int) -> int | None:
     flight.send(mavlink.MAVLink_mission_count_message(1, 1, len(items), kind))
     answered = 0
     while flight.now_s - since_s < 3.0:
-        flight.turn()
+        flight.step()
         requests = flight.of("MISSION_REQUEST_INT", since_s)
         for request in requests[answered:]:
             flight.send(items[request.seq])

@@ -1,15 +1,13 @@
 """A companion of a simulated PX4 that knows nothing but MAVLink: it sends bytes and reads bytes."""
 
-import copy
 import math
 import struct
 from collections.abc import Callable
 from typing import Any, Final, final
 
-from over_the_wire import Heard, Link, Vector
+from over_the_wire import QUIET, Heard, Link, Vector
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.simulation import STEP_US
 from vehicle_sim.world import VehicleKind
 
 NAN: Final = math.nan
@@ -17,7 +15,6 @@ LATITUDE_DEG, LONGITUDE_DEG, GROUND_AMSL_M = 47.397742, 8.545594, 488.0
 NORTH_M_PER_DEG, EAST_M_PER_DEG = 111_191.0, 75_470.0
 OFFBOARD, POSCTL, ALTCTL = 0x00060000, 0x00030000, 0x00020000
 TAKEOFF, HOLD, MISSION, RETURN, LAND = 0x02040000, 0x03040000, 0x04040000, 0x05040000, 0x06040000
-QUIET = (2, 4, 8, 29, 31, 33, 36, 74, 83, 85, 87, 105, 111, 132, 141, 147, 231, 241, 331, 360, 380)
 EVENT = 410
 Aim = Callable[[float], Any]
 """The setpoint of a time in seconds, as a message."""
@@ -74,53 +71,10 @@ def worldwide(
 
 @final
 class Companion(Link):
-    """One client of one vehicle.  ``aim`` is streamed at ``rate_hz`` while it is not None."""
+    """A PX4 and one client."""
 
     def __init__(self, kind: VehicleKind = "copter", *, links: int = 1) -> None:
         super().__init__(kind, "px4", (LATITUDE_DEG, LONGITUDE_DEG, GROUND_AMSL_M), links=links)
-        self.aim: Aim | None = None
-        self.rate_hz = 20.0
-        self.aimed_s = NAN
-        """When the newest of the stream was sent."""
-        self.stick: float | None = None
-        """A pilot, at 10 Hz: the forward stick, -1 to 1."""
-        self.heartbeats: tuple[int, ...] = ()
-        """MAV_TYPEs of which one is sent each second."""
-        self._steps = 0
-
-    def copy(self) -> "Companion":
-        """The same again from here, with nothing heard yet."""
-        self.heard.clear()
-        return copy.deepcopy(self)
-
-    # --- out ----------------------------------------------------------------------------------
-
-    def command(self, number: int, *parameters: float) -> int | None:
-        """COMMAND_LONG; the last result that came within 50 ms."""
-        padded = (*parameters, *(0.0,) * (7 - len(parameters)))
-        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
-        return self._result(number)
-
-    def command_at(
-        self, number: int, point: Vector, *parameters: float, frame: int = 5
-    ) -> int | None:
-        """COMMAND_INT with a place: north and east of the origin, altitude."""
-        degrees = (NAN, NAN) if math.isnan(point[0]) else place(*point[:2])
-        x, y = (0 if math.isnan(value) else round(value * 1e7) for value in degrees)
-        padded = (*parameters, *(0.0,) * (4 - len(parameters)))
-        self.send(
-            mavlink.MAVLink_command_int_message(1, 1, frame, number, 0, 0, *padded, x, y, point[2])
-        )
-        return self._result(number)
-
-    def _result(self, number: int) -> int | None:
-        since_s = self.now_s
-        self.run(0.05)
-        found = [m.result for m in self.of("COMMAND_ACK", since_s) if m.command == number]
-        return found[-1] if found else None
-
-    def set_mode(self, custom: int) -> int | None:
-        return self.command(176, 1, custom >> 16 & 0xFF, custom >> 24)
 
     def set_parameter(self, name: str, value: float) -> None:
         """PARAM_SET, whole numbers bytewise."""
@@ -141,39 +95,6 @@ class Companion(Link):
         if found[-1].param_type == 6:
             value = struct.unpack("<i", struct.pack("<f", value))[0]
         return value
-
-    # --- time ---------------------------------------------------------------------------------
-
-    def run(self, seconds: float) -> None:
-        for _ in range(round(seconds * 1e6 / STEP_US)):
-            self.turn()
-
-    def until(self, reached: Callable[[], bool], within_s: float) -> float:
-        """Seconds until it is so; NaN: never."""
-        start_s = self.now_s
-        while self.now_s - start_s < within_s:
-            self.turn()
-            if reached():
-                return self.now_s - start_s
-        return NAN
-
-    def turn(self) -> None:
-        """A step, and before it what is due to be sent."""
-        steps, now_s = self._steps, self.now_s
-        if self.aim is not None and steps % round(100 / self.rate_hz) == 0:
-            self.send(self.aim(now_s))
-            self.aimed_s = now_s
-        if self.stick is not None and steps % 10 == 0:
-            x = round(1000 * self.stick)
-            sticks = mavlink.MAVLink_manual_control_message(1, x, 0, 500, 0, 0)
-            self.send(sticks, source=(255, 190))
-        if steps % 100 == 0:
-            for kind in self.heartbeats:
-                self.send(mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3))
-        self._steps += 1
-        self.step()
-
-    # --- in -----------------------------------------------------------------------------------
 
     def of(self, kind: str, since_s: float = 0.0) -> list[Any]:
         return [heard.message for heard in self.times(kind, since_s)]
