@@ -50,7 +50,6 @@ class Heard:
     __slots__ = ("_message", "at_s", "frame", "kind", "link", "source")
 
     def __init__(self, at_s: float, link: int, frame: bytes) -> None:
-        assert frame[0] == mavlink.PROTOCOL_MARKER_V2
         self.at_s, self.link, self.frame = at_s, link, frame
         """Vehicle time since the start."""
         self.source: Ids = (frame[5], frame[6])
@@ -487,12 +486,12 @@ def reposition(
 
 # --- one client for all four ----------------------------------------------------------------------
 
-KINDS: Final = (
-    ("ardupilot", "copter"),
-    ("ardupilot", "plane"),
-    ("px4", "copter"),
-    ("px4", "plane"),
+KINDS: Final[tuple[tuple[Firmware, VehicleKind], ...]] = (
+    *(("ardupilot", "copter"), ("ardupilot", "plane")),
+    *(("px4", "copter"), ("px4", "plane")),
 )
+READY_S: Final = dict(zip(KINDS, (45.0, 25.0, 6.0, 6.0), strict=True))
+"""After which it may be armed."""
 PLACE: Final = (47.397742, 8.545594, 488.0)
 
 
@@ -500,9 +499,7 @@ PLACE: Final = (47.397742, 8.545594, 488.0)
 def _ready(firmware: Firmware, kind: VehicleKind) -> Link:
     vehicle = Link(kind, firmware, PLACE)
     vehicle.source, vehicle.heartbeats = GCS, (mavlink.MAV_TYPE_GCS,)
-    vehicle.run(
-        {("ardupilot", "copter"): 45.0, ("ardupilot", "plane"): 25.0}.get((firmware, kind), 6)
-    )
+    vehicle.run(READY_S[firmware, kind])
     for number in QUIET if firmware == "px4" else ():
         vehicle.command(511, number, -1)
     for number in (24, 33, ATTITUDE):
