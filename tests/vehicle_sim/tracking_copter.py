@@ -1,7 +1,7 @@
 """Flies an ArduCopter as ardupilot.md section 3 did with the real one, and measures it alike.
 
-Routes with a sinusoidal heading, streams that stop, targets that jump: `table()` gives the rows of
-the document with its figures and this vehicle's, for tests and for whoever prints them.
+Routes with a sinusoidal heading, streams that stop, targets that jump: the rows of the document
+with its figures, and how to fly them.
 """
 
 import copy
