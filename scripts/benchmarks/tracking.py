@@ -66,7 +66,7 @@ def copter() -> None:
         ("jump", "peak m/s", "sim", "within", "sim"),
         (
             (
-                row.kind,
+                row.what,
                 f"{row.peak_m_s:.1f}",
                 f"{flown.peak_m_s:.1f}",
                 f"{row.within_s:.1f} s",
