@@ -525,19 +525,6 @@ def local_frame(frame: int) -> None:
     assert (echo.x, echo.y, echo.z) == pytest.approx(wanted, abs=0.3)
 
 
-@says_in_rows(
-    "3 frames",
-    {f"LOCAL_NED frame {f}: stop, silent": (f,) for f in (0, 2, 3, 4, 6, 10, 12, 20, 21)},
-)
-def local_frame_that_stops(frame: int) -> None:
-    wire = hovering()
-    begun_s = wire.now_s
-    echo = wire.echo_of(local((12.0, 4.0, -3.0), frame=frame))
-    assert echo.type_mask & 7
-    assert (echo.vx, echo.vy, echo.vz) == ZERO
-    assert not wire.texts(since_s=begun_s)
-
-
 @says_in_rows("3 frames", {f"GLOBAL_INT frame {f} is taken": (f,) for f in (0, 5, 3, 6)})
 def global_frame(frame: int) -> None:
     wire = hovering()
@@ -552,28 +539,42 @@ def global_frame(frame: int) -> None:
     assert (echo.vx, echo.vy, echo.z) == pytest.approx((1.0, 0.5, -40.0), abs=0.3)
 
 
-@says_in_rows(
-    "3 frames", {f"GLOBAL_INT frame {f}: stop with a text": (f,) for f in (1, 2, 7, 8, 12)}
-)
-def global_frame_that_stops(frame: int) -> None:
-    wire = hovering()
-    echo = wire.echo_of(over_ground(25.0, 0.0, 40.0, frame=frame))
-    assert echo.type_mask & 7
-    assert (echo.vx, echo.vy, echo.vz) == ZERO
-    assert wire.texts()[-1] == f"Unknown mavlink coordinate frame {frame}"
+AHEAD = (2.0, 0.0, 0.0)
+STOPS: dict[str, tuple[Any, str | None]] = {
+    **{
+        f"LOCAL_NED frame {f}": (local((12.0, 4.0, -3.0), frame=f), None)
+        for f in (0, 2, 3, 4, 6, 10, 12, 20, 21)
+    },
+    **{
+        f"GLOBAL_INT frame {f}": (
+            over_ground(25.0, 0.0, 40.0, frame=f),
+            f"Unknown mavlink coordinate frame {f}",
+        )
+        for f in (1, 2, 7, 8, 12)
+    },
+    **{
+        f"GLOBAL_INT frame {f} with velocity": (
+            over_ground(25.0, 0.0, 40.0, AHEAD, mask=POSITION_VELOCITY, frame=f),
+            None,
+        )
+        for f in (10, 11)
+    },
+    **{
+        f"velocity {v:g} m/s": (local((9.0, 0, -30), (v, 0, 0), mask=POSITION_VELOCITY), None)
+        for v in (NAN, 1001.0, -1001.0)
+    },
+}
 
 
-@says_in_rows(
-    "3 frames", {f"GLOBAL_INT frame {f} with velocity: stop, silent": (f,) for f in (10, 11)}
-)
-def terrain_frame_with_velocity(frame: int) -> None:
+@says_in_rows("3", {f"{what}: stop": row for what, row in STOPS.items()})
+def what_stops(setpoint: Any, text: str | None) -> None:
     wire = hovering()
     begun_s = wire.now_s
-    setpoint = over_ground(25.0, 0.0, 40.0, (2.0, 0.0, 0.0), mask=POSITION_VELOCITY, frame=frame)
     echo = wire.echo_of(setpoint)
     assert echo.type_mask & 7
     assert (echo.vx, echo.vy, echo.vz) == ZERO
-    assert not wire.texts(since_s=begun_s)
+    assert wire.texts(since_s=begun_s) == ([text] if text else [])
+    assert wire.not_survived is None
 
 
 @says_in_rows("0.4", {f"frame {f}: 1.5 m/s down, hardly along": (f,) for f in (10, 11)})
@@ -748,20 +749,6 @@ def not_survived(setpoint: Any) -> None:
     assert wire.texts()[-1].startswith("SIM:")
     wire.run(5.0)
     assert wire.ned_m[2] == pytest.approx(-30.0, abs=1.0)
-
-
-@says_in_rows(
-    "3 values",
-    {"NaN velocity: stop": (NAN,), "1001 m/s: stop": (1001.0,), "-1001 m/s: stop": (-1001.0,)},
-)
-def velocity_that_stops(vx: float) -> None:
-    wire = hovering()
-    begun_s = wire.now_s
-    echo = wire.echo_of(local((9.0, 0.0, -30.0), (vx, 0.0, 0.0), mask=POSITION_VELOCITY))
-    assert echo.type_mask & 7
-    assert echo.vx == 0.0
-    assert wire.not_survived is None
-    assert not wire.texts(since_s=begun_s)
 
 
 @says("0.3", "lat/lon 0,0 is accepted: it flies off at full speed")

@@ -8,7 +8,7 @@ import pytest
 from pyproj import Geod
 from rig import Rig
 
-from vehicle_sim.autopilots import Battery, SayParameter
+from vehicle_sim.autopilots import Battery
 from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
 from vehicle_sim.autopilots.ardupilot.style import STREAMABLE
 from vehicle_sim.dynamics.copter import Copter, Limits
@@ -97,31 +97,6 @@ class Pilot(Rig):
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 STABILIZE, GUIDED, RTL, LAND, BRAKE = 0, 4, 6, 9, 17
 ON_GROUND, IN_AIR, TAKEOFF, LANDING = 1, 2, 3, 4
-
-
-def test_the_boot_takes_its_time_and_arming_waits_for_the_position() -> None:
-    it = Pilot()
-    it.run(9.9)
-    assert it.autopilot.estimate.latitude_deg == 0.0
-    it.run(0.2)
-    assert it.autopilot.estimate.latitude_deg != 0.0
-    assert it.autopilot.status().origin is None
-    assert it.command(176, 1, GUIDED) == ACCEPTED  # even without a position
-    it.run(10.0)
-    assert it.autopilot.status().origin is not None
-    assert it.command(400, 1) == FAILED
-    assert it.texts[-1] == "Arm: Need Position Estimate"
-    it.run(20.0)
-    assert it.autopilot.status().prearm_ok
-    assert (it.autopilot.estimate.position_ok, it.autopilot.estimate.flags) == (False, 0xA7)
-    assert it.autopilot.status().local_ned_m is None
-    assert it.command(400, 1) == FAILED
-    it.run(2.0)
-    assert (it.autopilot.estimate.position_ok, it.autopilot.estimate.flags) == (True, 0x33F)
-    assert it.autopilot.status().local_ned_m == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
-    assert "EKF3 IMU0 is using GPS" in it.texts
-    assert it.command(400, 1) == ACCEPTED
-    assert it.autopilot.status().base_mode == 217  # as ArduCopter's, armed in GUIDED
 
 
 @pytest.mark.parametrize(
@@ -218,19 +193,6 @@ def test_a_low_battery_is_told_and_acted_on_after_ten_seconds() -> None:
     it.run(0.5)
     assert it.autopilot.mode_name == "RTL"
     assert "Battery 1 is low 10.40V used 2000 mAh" in it.texts
-
-
-def test_statistics_are_told_unasked_as_recorded() -> None:
-    it = Pilot()
-    told: list[tuple[float, float]] = []
-    for _ in range(10_000):
-        count = len(it.said)
-        it.step()
-        for at_s, reply in it.said[count:]:
-            if isinstance(reply, SayParameter) and reply.name.startswith("STAT_"):
-                told.append((at_s, it.autopilot.parameters[reply.name]))
-    assert [value for _, value in told] == [30.0, 60.0, 91.0]
-    assert [at_s for at_s, _ in told] == pytest.approx([30.44, 60.45, 91.47], abs=0.15)
 
 
 def test_brake_stops_and_ignores_setpoints() -> None:

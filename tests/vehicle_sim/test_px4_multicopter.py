@@ -2,7 +2,6 @@
 
 import functools
 import math
-from collections.abc import Callable
 
 import pytest
 from tracking_px4 import TABLE, Rig, Row
@@ -24,7 +23,16 @@ def _name(row: Row) -> str:
 flown = functools.cache(Row.fly)
 
 
-@pytest.mark.parametrize("row", TABLE, ids=_name)
+def _between(row: Row) -> bool:
+    """Whether other rows of its kind have more extreme rates or look-aheads."""
+    return row.rate_hz in (5.0, 10.0) or row.carrot_m == 8.0
+
+
+@pytest.mark.parametrize(
+    "row",
+    [pytest.param(row, marks=[pytest.mark.nightly] if _between(row) else []) for row in TABLE],
+    ids=_name,
+)
 def test_it_tracks_a_curve_as_the_real_one_does(row: Row) -> None:
     """Tolerances: lag 0.3 m and 5 % of it (25 % at the speed limit, 2.5 m without position, and
     1.3 m where the real one's own runs differ by as much), off the path 0.3 m rms (0.7 m without
@@ -57,16 +65,6 @@ def test_the_order_of_the_table_holds() -> None:
 # --- the recorded landing -------------------------------------------------------------------------
 
 
-def _first(rig: Rig, seconds: float, when: Callable[[Rig], bool]) -> float | None:
-    """Seconds until it is so."""
-    begin_s = rig.now_s
-    for _ in range(round(seconds * 100)):
-        rig.step()
-        if when(rig):
-            return rig.now_s - begin_s
-    return None
-
-
 def test_it_lands_slower_the_nearer_the_ground() -> None:
     """px4-offboard-short.tlog: 1.4 m/s at 9 m, 0.7 below 5 m, 0.3 below 1 m; disarms 2 s after."""
     rig = Rig()
@@ -82,19 +80,6 @@ def test_it_lands_slower_the_nearer_the_ground() -> None:
     assert not rig.px4.armed
     assert rig.px4.status().landed_state == Landed.ON_GROUND
     assert rig.px4.mode is Mode.OFFBOARD  # the last commanded flight mode again: px4.md 3
-
-
-def test_a_landing_takes_as_long_as_the_recorded_one() -> None:
-    """px4-offboard-short.tlog: 9.2 m, 12.5 s to contact, 1.8 s to landed, 2.0 s to disarmed."""
-    rig = Rig()
-    rig.take_off(9.2)
-    rig.command(21)
-    contact_s = _first(rig, 30.0, lambda rig: rig.height_m <= 0.0)
-    landed_s = _first(rig, 5.0, lambda rig: rig.px4.landed)
-    disarmed_s = _first(rig, 5.0, lambda rig: not rig.px4.armed)
-    assert contact_s == pytest.approx(12.5, abs=1.5)
-    assert landed_s == pytest.approx(1.8, abs=0.1)
-    assert disarmed_s == pytest.approx(2.0, abs=0.05)
 
 
 # --- px4.md 7: mission and fence ------------------------------------------------------------------

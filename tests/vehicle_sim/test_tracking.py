@@ -32,7 +32,13 @@ def row_of(speed_m_s: float, kind: str, rate_hz: float = 10) -> Row:
 
 
 @pytest.mark.parametrize(
-    "row", [row for row in ROWS if row.speed_m_s < 10 or row.lean_deg >= 45.0], ids=name
+    "row",
+    [
+        pytest.param(row, marks=[pytest.mark.nightly] if row.rate_hz in (2, 4) else [])
+        for row in ROWS
+        if row.speed_m_s < 10 or row.lean_deg >= 45.0
+    ],
+    ids=name,
 )
 def test_a_weaving_route_is_followed_as_measured(row: Row) -> None:
     got = fly(row)
