@@ -831,6 +831,22 @@ def exchange_takes() -> None:
         assert [(item.seq, item.x, item.y) for item in got] == [(i.seq, i.x, i.y) for i in items]
 
 
+@says("4", "the total of a mission does not count item 0, which is home")
+def total_of_a_mission() -> None:
+    wire = booted()
+    place = (*place_e7(50.0, 0.0), 20.0)
+    items = [
+        mavlink.MAVLink_mission_item_int_message(
+            1, 1, 0, 3, command, 0, 1, 0, 0, 0, 0, *place, MISSION
+        )
+        for command in (16, 22, 16, 20)
+    ]
+    assert upload(wire, items, MISSION)[0] == ACCEPTED
+    wire.interval(42, 5)
+    wire.run(0.5)
+    assert wire.last("MISSION_CURRENT").total == 3
+
+
 @says("4", "GCS on SERIAL0 and companion on SERIAL1 both may upload and download")
 def anyone_may_upload() -> None:
     wire = booted()

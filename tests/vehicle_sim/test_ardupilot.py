@@ -132,6 +132,18 @@ def test_every_command_is_answered_as_on_the_real_one(
     assert Pilot().command(number, *parameters, **fields) == result
 
 
+def test_guided_is_had_without_a_position_but_armed_in_only_with_one() -> None:
+    it = Pilot()
+    it.run(30.0)
+    assert it.command(176, 1, GUIDED) == ACCEPTED
+    assert it.autopilot.status().prearm_ok
+    assert it.command(400, 1) == FAILED
+    assert it.texts[-1] == "Arm: Need Position Estimate"
+    it.run(12.0)
+    assert it.command(400, 1) == ACCEPTED
+    assert it.autopilot.status().base_mode == 217  # as ArduCopter's, armed in GUIDED
+
+
 def test_what_can_be_said_can_be_asked_for_but_for_timesync() -> None:
     assert set(MESSAGES) - STREAMABLE == {111}
 

@@ -40,6 +40,13 @@ def course_deg(rig: Rig) -> float:
 # --- boot, arming, take-off ----------------------------------------
 
 
+def test_it_is_armed_once_its_estimator_flies() -> None:
+    rig = Rig()
+    for seconds, result in ((9.5, Result.FAILED), (11.0, Result.FAILED), (2.6, Result.ACCEPTED)):
+        rig.run(seconds)
+        assert rig.command(400, 1.0) is result
+
+
 def test_nothing_but_take_off_and_auto_leaves_the_ground() -> None:
     rig = Rig()
     rig.run(24.0)
