@@ -240,6 +240,38 @@ class Link:
             return self.command(176, 1, custom >> 16 & 0xFF, custom >> 24)
         return self.command(176, 1, custom)
 
+    def upload(
+        self, items: list[Any], kind: int, *, source: Ids | None = None, link: int = 0
+    ) -> int | None:
+        """A mission (0), a fence (1) or rally points (2): the result; None: none within 5 s."""
+        count = mavlink.MAVLink_mission_count_message(*VEHICLE, len(items), kind)
+        self.send(count, source=source, link=link)
+        answered: set[int] = set()
+        for _ in range(5 * _STEPS_PER_S):
+            for each in [each for each in self.run(0.01) if each.link == link]:
+                if each.kind == "MISSION_ACK":
+                    return int(each.message.type)
+                if each.kind.startswith("MISSION_REQUEST") and each.message.seq not in answered:
+                    assert self.firmware == "px4" or each.kind == "MISSION_REQUEST"
+                    answered.add(each.message.seq)
+                    items[each.message.seq].seq = each.message.seq
+                    self.send(items[each.message.seq], source=source, link=link)
+        return None
+
+    def download(self, kind: int, *, source: Ids | None = None, link: int = 0) -> list[Any]:
+        """Its items as MISSION_ITEM_INT."""
+        asked = mavlink.MAVLink_mission_request_list_message(*VEHICLE, kind)
+        self.send(asked, source=source, link=link)
+        (count,) = [each.message.count for each in self.run(0.02) if each.kind == "MISSION_COUNT"]
+        for seq in range(count):
+            request = mavlink.MAVLink_mission_request_int_message(*VEHICLE, seq, kind)
+            self.send(request, source=source, link=link)
+            self.run(0.01)
+        done = mavlink.MAVLink_mission_ack_message(*VEHICLE, 0, kind)
+        self.send(done, source=source, link=link)
+        told = self.all("MISSION_ITEM_INT", link=link)
+        return [each.message for each in told[len(told) - count :]]
+
     # --- time ---------------------------------------------------------------------------------
 
     @property
@@ -512,23 +544,29 @@ def ready(firmware: Firmware, kind: VehicleKind) -> Link:
     return _ready(firmware, kind).copy()
 
 
-@functools.cache
-def _flying(firmware: Firmware, kind: VehicleKind) -> Link:
-    vehicle = ready(firmware, kind)
+def take_off(vehicle: Link) -> None:
+    """Into the air, to some 40 m, into the mode in which it takes setpoints (PX4: Hold)."""
     height = (0.0,) * 4
-    if firmware == "px4":
+    orders: list[tuple[float, ...]]
+    if vehicle.firmware == "px4":
         place = (round(PLACE[0] * 1e7), round(PLACE[1] * 1e7), PLACE[2] + 40.0)
         orders = [(22, *height, *place), (400, 1)]
-    elif kind == "copter":
+    elif vehicle.kind == "copter":
         orders = [(176, 1, GUIDED), (400, 1), (22, *height, 0, 0, 40.0)]
     else:
         orders = [(176, 1, PLANE_TAKEOFF), (400, 1)]
     for number, *parameters in orders:
-        frame = 5 if number == 22 and firmware == "px4" else None
+        frame = 5 if number == 22 and vehicle.firmware == "px4" else None
         assert vehicle.command(int(number), *parameters, frame=frame) == 0
     vehicle.run(30.0)
-    if (firmware, kind) == ("ardupilot", "plane"):
+    if (vehicle.firmware, vehicle.kind) == ("ardupilot", "plane"):
         assert vehicle.set_mode(PLANE_GUIDED) == 0
+
+
+@functools.cache
+def _flying(firmware: Firmware, kind: VehicleKind) -> Link:
+    vehicle = ready(firmware, kind)
+    take_off(vehicle)
     return vehicle
 
 

@@ -1,13 +1,11 @@
-"""Experiments with a simulated PX4: mission, fence, loss of GPS (px4.md 7, 8)."""
+"""Experiments with a simulated PX4: mission and fence (px4.md 7)."""
 
 import functools
 from typing import Any, Final, NamedTuple
 
 from px4_flights import GROUND_STATION, hover, north
-from px4_wire import GROUND_AMSL_M, NAN, OFFBOARD, Companion, Vector, local, place
+from px4_wire import GROUND_AMSL_M, NAN, OFFBOARD, Vector, local, place
 from pymavlink.dialects.v20 import all as mavlink
-
-# --- 7: mission and fence -------------------------------------------------------------------------
 
 
 def item(seq: int, command: int, p1: float, point: Vector, *, frame: int, kind: int) -> Any:
@@ -15,34 +13,6 @@ def item(seq: int, command: int, p1: float, point: Vector, *, frame: int, kind: 
     return mavlink.MAVLink_mission_item_int_message(
         1, 1, seq, frame, command, 0, 1, p1, 0, 0, NAN, x, y, point[2], kind
     )
-
-
-def upload(flight: Companion, items: list[Any], kind: int) -> int | None:
-    """Result of an upload that answers every MISSION_REQUEST_INT."""
-    since_s = flight.now_s
-    flight.send(mavlink.MAVLink_mission_count_message(1, 1, len(items), kind))
-    answered = 0
-    while flight.now_s - since_s < 3.0:
-        flight.step()
-        requests = flight.of("MISSION_REQUEST_INT", since_s)
-        for request in requests[answered:]:
-            flight.send(items[request.seq])
-        answered = len(requests)
-        if acks := flight.of("MISSION_ACK", since_s):
-            return int(acks[0].type)
-    return None
-
-
-def download(flight: Companion, kind: int) -> list[Any]:
-    since_s = flight.now_s
-    flight.send(mavlink.MAVLink_mission_request_list_message(1, 1, kind))
-    flight.run(0.2)
-    count = flight.of("MISSION_COUNT", since_s)[-1].count
-    for seq in range(count):
-        flight.send(mavlink.MAVLink_mission_request_int_message(1, 1, seq, kind))
-        flight.run(0.1)
-    flight.send(mavlink.MAVLink_mission_ack_message(1, 1, 0, kind))
-    return flight.of("MISSION_ITEM_INT", since_s)
 
 
 WAYPOINTS: Final = [
@@ -55,9 +25,6 @@ WAYPOINTS: Final = [
 
 def circle(north_m: float, radius_m: float) -> list[Any]:
     return [item(0, 5004, radius_m, (north_m, 0.0, 0.0), frame=0, kind=1)]
-
-
-# --- 8: GPS loss ----------------------------------------------------------------------------------
 
 
 class Mission(NamedTuple):
@@ -76,9 +43,9 @@ class Mission(NamedTuple):
 @functools.cache
 def mission() -> Mission:
     flight = hover()
-    uploaded = upload(flight, WAYPOINTS, 0)
-    upload(flight, circle(500.0, 20.0), 1)
-    frames = [each.frame for each in download(flight, 0)]
+    uploaded = flight.upload(WAYPOINTS, 0)
+    flight.upload(circle(500.0, 20.0), 1)
+    frames = [each.frame for each in flight.download(0)]
     result = flight.command(300, 0, 0)
     flight.run(3.0)
     started = (result, flight.mode)
@@ -88,7 +55,7 @@ def mission() -> Mission:
     flight.send(mavlink.MAVLink_mission_clear_all_message(1, 1, 0))
     flight.run(0.5)
     cleared = int(flight.of("MISSION_ACK", since_s)[-1].type)
-    items_after = (len(download(flight, 0)), len(download(flight, 1)))
+    items_after = (len(flight.download(0)), len(flight.download(1)))
     return Mission(uploaded, frames, started, left, cleared, items_after)
 
 
@@ -111,7 +78,7 @@ def fence() -> Fence:
     flight = hover()
     flight.heartbeats = (GROUND_STATION,)
     flight.aim = lambda _: local((0.0, 0.0, -15.0), yaw=0.0)
-    uploaded = upload(flight, circle(60.0, 20.0), 1)
+    uploaded = flight.upload(circle(60.0, 20.0), 1)
     flight.aim = north(4.0)
     flight.until(lambda: flight.position[0] > 40.0, 30.0)
     crossed_s = flight.now_s

@@ -785,48 +785,17 @@ def polygon(*corners: tuple[float, float]) -> list[Any]:
 SQUARE = ((-200.0, -200.0), (-200.0, 200.0), (200.0, 200.0), (200.0, -200.0))
 
 
-def upload(
-    wire: Wire, items: list[Any], kind: int = FENCE, *, source: Ids = GCS, link: int = 0
-) -> tuple[int, float]:
-    """As a ground station does it: the result, and how long it took."""
-    begun, begun_s = len(wire.heard), wire.now_s
-    count = mavlink.MAVLink_mission_count_message(*VEHICLE, len(items), kind)
-    wire.send(count, source=source, link=link)
-    while wire.now_s - begun_s < 5.0:
-        wire.run(0.01)
-        news, begun = wire.heard[begun:], len(wire.heard)
-        for each in (each for each in news if each.link == link):
-            assert each.kind != "MISSION_REQUEST_INT"
-            if each.kind == "MISSION_REQUEST":
-                item = items[each.message.seq]
-                item.seq = each.message.seq
-                wire.send(item, source=source, link=link)
-            elif each.kind == "MISSION_ACK":
-                return each.message.type, wire.now_s - begun_s
-    raise AssertionError("no MISSION_ACK within 5 s")
-
-
-def download(wire: Wire, kind: int = FENCE, *, source: Ids = GCS, link: int = 0) -> list[Any]:
-    wire.send(mavlink.MAVLink_mission_request_list_message(1, 1, kind), source=source, link=link)
-    wire.run(0.01)
-    count = wire.all("MISSION_COUNT", link=link)[-1].message.count
-    for seq in range(count):
-        request = mavlink.MAVLink_mission_request_int_message(1, 1, seq, kind)
-        wire.send(request, source=source, link=link)
-        wire.run(0.01)
-    wire.send(mavlink.MAVLink_mission_ack_message(1, 1, 0, kind), source=source, link=link)
-    return [each.message for each in wire.all("MISSION_ITEM_INT", link=link)[-count:]]
-
-
 @says("4", "it asks with MISSION_REQUEST; 6 items take 55 ms, 60 half a second; 40 ms back")
 def exchange_takes() -> None:
     wire = booted()
     for count, wanted in ((6, pytest.approx(0.055, abs=0.03)), (60, pytest.approx(0.5, rel=0.4))):
         turns = [math.tau * k / count for k in range(count)]
         items = polygon(*((300 * math.cos(turn), 300 * math.sin(turn)) for turn in turns))
-        assert upload(wire, items) == (ACCEPTED, wanted)
         begun_s = wire.now_s
-        got = download(wire)
+        assert wire.upload(items, FENCE) == ACCEPTED
+        assert wire.now_s - begun_s == wanted
+        begun_s = wire.now_s
+        got = wire.download(FENCE)
         assert wire.now_s - begun_s == pytest.approx(0.04 * count / 6, abs=0.04 + 0.04 * count / 6)
         assert [(item.seq, item.x, item.y) for item in got] == [(i.seq, i.x, i.y) for i in items]
 
@@ -841,7 +810,7 @@ def total_of_a_mission() -> None:
         )
         for command in (16, 22, 16, 20)
     ]
-    assert upload(wire, items, MISSION)[0] == ACCEPTED
+    assert wire.upload(items, MISSION) == ACCEPTED
     wire.interval(42, 5)
     wire.run(0.5)
     assert wire.last("MISSION_CURRENT").total == 3
@@ -850,10 +819,10 @@ def total_of_a_mission() -> None:
 @says("4", "GCS on SERIAL0 and companion on SERIAL1 both may upload and download")
 def anyone_may_upload() -> None:
     wire = booted()
-    assert upload(wire, polygon(*SQUARE), source=GCS, link=0)[0] == 0
-    assert len(download(wire, source=COMPANION, link=1)) == 4
-    assert upload(wire, polygon(*SQUARE[:3]), source=COMPANION, link=1)[0] == 0
-    assert len(download(wire, source=GCS, link=0)) == 3
+    assert wire.upload(polygon(*SQUARE), FENCE, source=GCS, link=0) == 0
+    assert len(wire.download(FENCE, source=COMPANION, link=1)) == 4
+    assert wire.upload(polygon(*SQUARE[:3]), FENCE, source=COMPANION, link=1) == 0
+    assert len(wire.download(FENCE, source=GCS, link=0)) == 3
 
 
 @says("4", "the exchange is not forwarded, and nobody is told of a change")
@@ -862,7 +831,7 @@ def no_notification() -> None:
     wire.send(heartbeat(), source=COMPANION, link=1)
     wire.run(1.0)
     begun_s = wire.now_s
-    upload(wire, polygon(*SQUARE), source=GCS, link=0)
+    wire.upload(polygon(*SQUARE), FENCE, source=GCS)
     wire.run(1.0)
     told = {each.kind for each in wire.heard if each.link == 1 and each.at_s > begun_s}
     assert not {kind for kind in told if kind.startswith(("MISSION", "FENCE"))}
@@ -871,7 +840,7 @@ def no_notification() -> None:
 def fenced(*items: Any, enable: bool = True, lean_deg: int = 45) -> Wire:
     wire = hovering(lean_deg)
     wire.parameter("FENCE_TYPE", 4.0)
-    assert upload(wire, list(items))[0] == 0
+    assert wire.upload(list(items), FENCE) == 0
     if enable:
         wire.parameter("FENCE_ENABLE", 1.0)
     wire.run(0.5)
@@ -978,7 +947,7 @@ def past_the_edge() -> None:
 @says("4", "a fence uploaded around the vehicle: breach after 0.5 s, RTL; GUIDED can be had again")
 def fence_around_the_vehicle() -> None:
     wire = fenced(fence_circle(300, 0, 5))
-    assert upload(wire, [fence_circle(0, 0, 20)])[0] == 0
+    assert wire.upload([fence_circle(0, 0, 20)], FENCE) == 0
     begun_s = wire.now_s
     wire.run(2.5)
     (breach_s,) = wire.said_s("Polygon fence breached")

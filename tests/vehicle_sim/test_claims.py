@@ -55,27 +55,18 @@ def degrees(client: Link, angle: str) -> float:
 
 
 def takes_a_plan(client: Link, plan: int, *commands: int, as_float: bool = False) -> None:
-    client.send(mavlink.MAVLink_mission_count_message(*IDS, len(commands), plan))
-    answered: set[int] = set()
-    for _ in range(100):
-        for heard in client.run(0.05):
-            if heard.kind == "MISSION_ACK":
-                assert heard.message.type == ACCEPTED
-                return
-            if not heard.kind.startswith("MISSION_REQUEST") or heard.message.seq in answered:
-                continue
-            seq = heard.message.seq
-            answered.add(seq)
-            place: Any = (PLACE[0] + 0.001 * seq, PLACE[1] + 0.001 * seq * (seq % 2))
-            make = mavlink.MAVLink_mission_item_message
-            if not as_float:
-                make = mavlink.MAVLink_mission_item_int_message
-                place = [round(angle * 1e7) for angle in place]
-            frame = 0 if plan == 1 else 2 if commands[seq] == 20 else 3
-            first = 3.0 if plan == 1 else 0.0
-            head = (*IDS, seq, frame, commands[seq], 0, 1, first, 0, 0, 0)
-            client.send(make(*head, *place, 30.0, plan))
-    raise AssertionError("the plan was never acknowledged")
+    items = []
+    for seq, command in enumerate(commands):
+        place: Any = (PLACE[0] + 0.001 * seq, PLACE[1] + 0.001 * seq * (seq % 2))
+        make = mavlink.MAVLink_mission_item_message
+        if not as_float:
+            make = mavlink.MAVLink_mission_item_int_message
+            place = [round(angle * 1e7) for angle in place]
+        frame = 0 if plan == 1 else 2 if command == 20 else 3
+        first = 3.0 if plan == 1 else 0.0
+        head = (*IDS, seq, frame, command, 0, 1, first, 0, 0, 0)
+        items.append(make(*head, *place, 30.0, plan))
+    assert client.upload(items, plan) == ACCEPTED
 
 
 def reads_a_parameter(client: Link) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fault_lines import LINES
 from numpy.typing import NDArray
-from over_the_wire import GCS, KINDS, PLACE, QUIET, READY_S, Link, heartbeat
+from over_the_wire import GCS, KINDS, PLACE, QUIET, READY_S, Link, heartbeat, take_off
 from over_the_wire import Heard as Frame
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -71,18 +71,7 @@ class Flight(Link):
             self.command(511, number, -1)
         for number, hz in STREAMS.items():
             self.command(511, number, S / hz)
-        if self.firmware == "px4":
-            self.command(22, 0, 0, 0, math.nan, *place_e7(330.0, 0.0), 540.0, frame=5)
-            orders: list[tuple[float, ...]] = [(400, 1)]
-        elif self.kind == "plane":
-            orders = [(176, 1, 13), (400, 1)]
-        else:
-            orders = [(176, 1, 4), (400, 1), (22, 0, 0, 0, 0, 0, 0, 30)]
-        for number, *parameters in orders:
-            self.command(int(number), *parameters)
-        self.fly(25.0 if self.kind == "plane" else 15.0)
-        if self.firmware == "ardupilot" and self.kind == "plane":
-            self.command(176, 1, 15)
+        take_off(self)
         self.aim = self.setpoint
         self.rate_hz = 2.0 if (self.firmware, self.kind) == ("ardupilot", "plane") else 10.0
         self.fly(1.0)
