@@ -65,7 +65,7 @@ def copter() -> None:
         "Jumps of the target: peak speed, and seconds until within 1 m for good.",
         "jump | peak m/s | sim | within | sim",
         (
-            (row.kind, *both(row, tracking.jump(row), "peak_m_s:.1f", "within_s:.1f s"))
+            (row.what, *both(row, tracking.jump(row), "peak_m_s:.1f", "within_s:.1f s"))
             for row in tracking.JUMPS
         ),
     )

@@ -2,7 +2,6 @@
 
 import copy
 import io
-import math
 import socket
 import subprocess
 import sys
@@ -13,17 +12,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
-from rig import Rig
 
-from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
-from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.errors import SimulatorError
 from vehicle_sim.links import Endpoint, open_link
-from vehicle_sim.plans import Plans
-from vehicle_sim.sensors.gps import ARDUCOPTER, Gps
 from vehicle_sim.server import Server, Settings, Station, Stop
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import parse_world
@@ -100,88 +93,6 @@ def world_file(tmp_path: Path) -> Path:
     path = tmp_path / "world.toml"
     path.write_text(as_toml(WORLD), encoding="utf-8")
     return path
-
-
-class Pilot(Rig):
-    """An ArduCopter over level ground at 0 m, told what to do by values."""
-
-    def __init__(
-        self,
-        *,
-        timeout_s: float = 3.0,
-        vertical_m_s: float = 25.0,
-        down_m_s: float | None = None,
-        ground_amsl_m: float = 0.0,
-    ) -> None:
-        self.copter = Copter(
-            latitude_deg=ORIGIN_DEG[0],
-            longitude_deg=ORIGIN_DEG[1],
-            altitude_amsl_m=ground_amsl_m,
-            limits=Limits(
-                speed_m_s=170.0,
-                acceleration_m_s2=10.0,
-                speed_vertical_m_s=vertical_m_s,
-                acceleration_vertical_m_s2=5.0,
-            ),
-        )
-        parameters = {
-            "GUID_TIMEOUT": timeout_s,
-            "WPNAV_SPEED": 1000.0,
-            "WPNAV_ACCEL": 250.0,
-            "WPNAV_SPEED_UP": vertical_m_s * 100.0,
-            "WPNAV_SPEED_DN": (down_m_s or vertical_m_s) * 100.0,
-            "LAND_SPEED": 50.0,
-            "ANGLE_MAX": 8000.0,
-        }
-        rng = np.random.default_rng(1)
-        autopilot = ArduCopter(self.copter, parameters, Plans(), hardware_id=1, rng=rng)
-        super().__init__(autopilot, ground_amsl_m, Gps(ARDUCOPTER, rng))
-
-    def setpoint(
-        self,
-        position: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        velocity_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        *,
-        mask: int = 2496,
-        frame: int = 5,
-        is_global: bool = True,
-        acceleration_ned_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        yaw_rad: float = 0.0,
-    ) -> None:
-        self.give(
-            position,
-            velocity_ned_m_s,
-            acceleration_ned_m_s2,
-            mask=mask,
-            frame=frame,
-            is_global=is_global,
-            yaw_rad=yaw_rad,
-        )
-
-    def north_m(self) -> float:
-        return (self.copter.latitude_deg - ORIGIN_DEG[0]) * METRES_PER_DEG_NORTH
-
-    def airborne(self, height_m: float = 1000.0) -> "Pilot":
-        """Take off in GUIDED and hover."""
-        self.run(42.0)
-        assert [self.command(176, 1, 4), self.command(400, 1)] == [0, 0]
-        assert self.command(22, 0, 0, 0, 0, 0, 0, height_m) == 0
-        self.run_until(lambda: self.autopilot.status().landed_state == 2, within_s=2000.0)
-        self.run(5.0)
-        return self
-
-    def target(self) -> Any:
-        return self.autopilot.status().target
-
-
-@pytest.fixture(scope="session")
-def pilot_class() -> type[Pilot]:
-    return Pilot
-
-
-@pytest.fixture
-def pilot() -> Callable[..., Pilot]:
-    return Pilot
 
 
 class Companion:
@@ -269,15 +180,6 @@ def start() -> Iterator[Start]:
         if process.poll() is None:
             process.kill()
         process.communicate()
-
-
-def rms(values: list[float]) -> float:
-    return math.sqrt(sum(v * v for v in values) / len(values))
-
-
-@pytest.fixture(name="rms")
-def rms_fixture() -> Callable[[list[float]], float]:
-    return rms
 
 
 class Running:

@@ -9,13 +9,14 @@ import dataclasses
 import functools
 import math
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.simulation import Simulation
+from vehicle_sim.parameters import Firmware
 from vehicle_sim.world import VehicleKind, flat_world
 
 copyreg.pickle(struct.Struct, lambda made: (struct.Struct, (made.format,)))  # to copy simulations
@@ -31,10 +32,17 @@ POSITION, POSITION_VELOCITY, ALL, VELOCITY = 0xDF8, 0xDC0, 0xC00, 0xDC7
 GUIDED, LAND, BRAKE = 4, 9, 17
 PLANE_GUIDED, PLANE_TAKEOFF = 15, 13
 LOCAL_POSITION, ECHO, ATTITUDE = 32, 85, 30
+QUIET = (2, 4, 8, 29, 31, 33, 36, 74, 83, 85, 87, 105, 111, 132, 141, 147, 231, 241, 331, 360, 380)
+"""What PX4 streams and is rarely looked at."""
 _STEPS_PER_S = 100
-_WHERE = ("LOCAL_POSITION_NED", "ATTITUDE")
+_WHERE = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "ATTITUDE", "HEARTBEAT")
 _reader = mavlink.MAVLink(None)
 _NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
+
+
+def kind_of(number: int) -> str:
+    """The name of a message, as pymavlink gives it to those that it does not know too."""
+    return _NAMES.get(number, f"UNKNOWN_{number}")
 
 
 class Heard:
@@ -43,11 +51,10 @@ class Heard:
     __slots__ = ("_message", "at_s", "frame", "kind", "link", "source")
 
     def __init__(self, at_s: float, link: int, frame: bytes) -> None:
-        assert frame[0] == mavlink.PROTOCOL_MARKER_V2
         self.at_s, self.link, self.frame = at_s, link, frame
         """Vehicle time since the start."""
         self.source: Ids = (frame[5], frame[6])
-        self.kind: str = _NAMES[int.from_bytes(frame[7:10], "little")]
+        self.kind: str = kind_of(int.from_bytes(frame[7:10], "little"))
         self._message: Any = None
 
     @property
@@ -121,65 +128,80 @@ def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Any:
     return mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3)
 
 
-class Wire:
-    """The three links of one vehicle."""
+class Link:
+    """A vehicle of any kind, and a client at the other end of its links.
 
-    def __init__(self, kind: VehicleKind = "copter", **parameters: float) -> None:
+    ``aim`` makes the setpoint of a time in seconds, and is streamed at ``rate_hz`` unless it is
+    None; ``heartbeats`` are the MAV_TYPEs of which one is sent each second.
+    """
+
+    def __init__(
+        self,
+        kind: VehicleKind,
+        firmware: Firmware,
+        place: Vector,
+        *,
+        links: int = 1,
+        parameters: Mapping[str, float] | None = None,
+        scan_range_m: float | None = None,
+        faults: str = "",
+        seed: int = 0,
+    ) -> None:
+        radar = {} if scan_range_m is None else {"scan_range_m": scan_range_m}
         world = flat_world(
             kind,
-            "ardupilot",
-            latitude_deg=HOME_DEG[0],
-            longitude_deg=HOME_DEG[1],
-            altitude_amsl_m=HOME_M,
+            firmware,
+            latitude_deg=place[0],
+            longitude_deg=place[1],
+            altitude_amsl_m=place[2],
             heading_deg=0.0,
+            **radar,
         )
-        vehicle = dataclasses.replace(world.vehicle, parameters=parameters)
-        self._simulation = Simulation(dataclasses.replace(world, vehicle=vehicle), links=3)
+        vehicle = dataclasses.replace(world.vehicle, parameters=parameters or {})
+        world = dataclasses.replace(world, vehicle=vehicle)
+        self.simulation = Simulation(world, links=links, faults=faults, seed=seed)
+        self.kind, self.firmware, self.source = kind, firmware, COMPANION
         self.heard: list[Heard] = []
+        self.aim: Callable[[float], Any] | None = None
+        self.rate_hz = 20.0
+        self.aimed_s = math.nan
+        """When the newest of the stream was sent."""
+        self.stick: float | None = None
+        """A pilot, at 10 Hz: the forward stick, -1 to 1."""
+        self.heartbeats: tuple[int, ...] = ()
+        self._steps = 0
         self._sequence: dict[Ids, int] = {}
 
     def copy(self) -> Self:
-        """Another one of which all is the same, but with nothing heard but where it is."""
+        """The same again from here; of what was heard it knows only where it is."""
         where = {each.kind: each for each in self.heard if each.kind in _WHERE and each.link == 0}
         heard, self.heard = self.heard, list(where.values())
         other = copy.deepcopy(self)
         self.heard = heard
         return other
 
-    @property
-    def now_s(self) -> float:
-        """Vehicle time since the start."""
-        return self._simulation.now_us * 1e-6
-
-    @property
-    def not_survived(self) -> str | None:
-        """What came in that the real autopilot does not survive."""
-        return self._simulation.not_survived
-
-    def takes_new_port(self) -> bool:
-        """Whether it sends from another UDP port since the last call."""
-        return self._simulation.take_port_change()
-
     # --- in -----------------------------------------------------------------------------------
 
     def send(
-        self, *messages: Any, source: Ids = COMPANION, link: int = 0, key: Key | None = None
+        self, *messages: Any, source: Ids | None = None, link: int = 0, key: Key | None = None
     ) -> None:
         """One datagram with these messages."""
-        mav = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
-        mav.seq = self._sequence.get(source, 0)
-        if key is not None:
-            mav.signing.secret_key = key.secret
-            mav.signing.link_id = key.link
-            mav.signing.timestamp = key.timestamp
-            mav.signing.sign_outgoing = True
-        self.put(b"".join(bytes(message.pack(mav)) for message in messages), link=link)
-        self._sequence[source] = mav.seq
+        who, data = source or self.source, b""
+        for message in messages:
+            mav = mavlink.MAVLink(None, srcSystem=who[0], srcComponent=who[1])
+            mav.seq = self._sequence.get(who, 0)
+            if key is not None:
+                mav.signing.secret_key = key.secret
+                mav.signing.link_id = key.link
+                mav.signing.timestamp = key.timestamp
+                mav.signing.sign_outgoing = True
+            data += bytes(message.pack(mav))
+            self._sequence[who] = (mav.seq + 1) % 256
+        self.put(data, link=link)
 
     def put(self, data: bytes, link: int = 0) -> None:
-        """Raw bytes; what is answered at once is heard at once."""
-        self._simulation.receive(link, data)
-        self._listen()
+        """Raw bytes; what is answered at once is heard after the next step."""
+        self.simulation.receive(link, data)
 
     def command(
         self,
@@ -187,10 +209,10 @@ class Wire:
         *parameters: float,
         frame: int | None = None,
         target: Ids = VEHICLE,
-        source: Ids = COMPANION,
+        source: Ids | None = None,
         link: int = 0,
     ) -> int | None:
-        """COMMAND_LONG, or COMMAND_INT in this frame; the result of its answer within 20 ms."""
+        """COMMAND_LONG, or COMMAND_INT in this frame; its last result within 20 ms (PX4: 50)."""
         p = (*parameters, *[0.0] * (7 - len(parameters)))
         message: Any
         if frame is None:
@@ -202,59 +224,97 @@ class Wire:
             )
         begun = len(self.heard)
         self.send(message, source=source, link=link)
-        self.run(0.02)
-        for each in self.heard[begun:]:
-            if each.kind == "COMMAND_ACK" and each.source == VEHICLE and each.link == link:
-                answer = each.message
-                assert answer.command == number
-                assert (answer.target_system, answer.target_component) == source
-                return int(answer.result)
+        self.run(0.05 if self.firmware == "px4" else 0.02)
+        answers = [
+            each.message
+            for each in self.heard[begun:]
+            if each.kind == "COMMAND_ACK" and each.source == VEHICLE and each.link == link
+        ]
+        to = source or self.source
+        assert all((a.target_system, a.target_component) == to for a in answers)
+        found = [int(answer.result) for answer in answers if answer.command == number]
+        return found[-1] if found else None
+
+    def set_mode(self, custom: int) -> int | None:
+        """By the number that a heartbeat tells."""
+        if self.firmware == "px4":
+            return self.command(176, 1, custom >> 16 & 0xFF, custom >> 24)
+        return self.command(176, 1, custom)
+
+    def upload(
+        self, items: list[Any], kind: int, *, source: Ids | None = None, link: int = 0
+    ) -> int | None:
+        """A mission (0), a fence (1) or rally points (2): the result; None: none within 5 s."""
+        count = mavlink.MAVLink_mission_count_message(*VEHICLE, len(items), kind)
+        self.send(count, source=source, link=link)
+        answered: set[int] = set()
+        for _ in range(5 * _STEPS_PER_S):
+            for each in [each for each in self.run(0.01) if each.link == link]:
+                if each.kind == "MISSION_ACK":
+                    return int(each.message.type)
+                if each.kind.startswith("MISSION_REQUEST") and each.message.seq not in answered:
+                    assert self.firmware == "px4" or each.kind == "MISSION_REQUEST"
+                    answered.add(each.message.seq)
+                    items[each.message.seq].seq = each.message.seq
+                    self.send(items[each.message.seq], source=source, link=link)
         return None
 
-    def interval(
-        self, number: int, hz: float, link: int = 0, source: Ids = COMPANION
-    ) -> int | None:
-        """SET_MESSAGE_INTERVAL."""
-        return self.command(511, number, 1e6 / hz if hz > 0 else hz, link=link, source=source)
+    def download(self, kind: int, *, source: Ids | None = None, link: int = 0) -> list[Any]:
+        """Its items as MISSION_ITEM_INT."""
+        asked = mavlink.MAVLink_mission_request_list_message(*VEHICLE, kind)
+        self.send(asked, source=source, link=link)
+        (count,) = [each.message.count for each in self.run(0.02) if each.kind == "MISSION_COUNT"]
+        for seq in range(count):
+            request = mavlink.MAVLink_mission_request_int_message(*VEHICLE, seq, kind)
+            self.send(request, source=source, link=link)
+            self.run(0.01)
+        done = mavlink.MAVLink_mission_ack_message(*VEHICLE, 0, kind)
+        self.send(done, source=source, link=link)
+        told = self.all("MISSION_ITEM_INT", link=link)
+        return [each.message for each in told[len(told) - count :]]
 
-    def parameter(self, name: str, value: float | None = None) -> float:
-        """The value that PARAM_VALUE tells, after it has been set if one is given."""
-        message: Any
-        if value is None:
-            message = mavlink.MAVLink_param_request_read_message(1, 1, name.encode(), -1)
-        else:
-            message = mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, 9)
+    # --- time ---------------------------------------------------------------------------------
+
+    @property
+    def now_s(self) -> float:
+        """Vehicle time since the start."""
+        return self.simulation.now_us * 1e-6
+
+    def step(self) -> None:
+        """10 ms, and before them what is due to be sent."""
+        steps, self._steps = self._steps, self._steps + 1
+        if self.aim is not None and steps % round(_STEPS_PER_S / self.rate_hz) == 0:
+            self.aimed_s = self.now_s
+            self.send(self.aim(self.aimed_s))
+        if self.stick is not None and steps % 10 == 0:
+            x = round(1000 * self.stick)
+            self.send(mavlink.MAVLink_manual_control_message(1, x, 0, 500, 0, 0), source=GCS)
+        if steps % _STEPS_PER_S == 0:
+            for kind in self.heartbeats:
+                self.send(heartbeat(kind))
+        self.simulation.step()
+        now_s = self.now_s
+        self.heard += [Heard(now_s, link, frame) for link, frame in self.simulation.take_frames()]
+
+    def run(self, seconds: float, meanwhile: Callable[[], object] | None = None) -> list[Heard]:
+        """What comes while time passes; meanwhile: what to do ten times a second."""
         begun = len(self.heard)
-        self.send(message)
-        self.run(0.02)
-        (told,) = [
-            each.message.param_value
-            for each in self.heard[begun:]
-            if each.kind == "PARAM_VALUE" and each.link == 0 and each.message.param_id == name
-        ]
-        return float(told)
-
-    # --- out ----------------------------------------------------------------------------------
-
-    def run(self, seconds: float, meanwhile: Callable[[], object] | None = None) -> None:
-        """Let vehicle time pass; meanwhile: what to do ten times a second."""
         for k in range(round(seconds * _STEPS_PER_S)):
             if meanwhile is not None and k % 10 == 0:
                 meanwhile()
-            self._simulation.step()
-            self._listen()
+            self.step()
+        return self.heard[begun:]
 
-    def run_until(self, reached: Callable[[], bool], within_s: float) -> float:
-        """Until this is so; how long that took."""
-        begun_s = self.now_s
-        while not reached():
-            assert self.now_s - begun_s < within_s, "it never came to that"
-            self.run(0.05)
-        return self.now_s - begun_s
+    def until(self, reached: Callable[[], bool], within_s: float) -> float:
+        """Seconds until it is so; NaN: never."""
+        start_s = self.now_s
+        while self.now_s - start_s < within_s:
+            self.step()
+            if reached():
+                return self.now_s - start_s
+        return math.nan
 
-    def _listen(self) -> None:
-        now_s = self.now_s
-        self.heard += [Heard(now_s, link, frame) for link, frame in self._simulation.take_frames()]
+    # --- out ----------------------------------------------------------------------------------
 
     def all(self, kind: str, *, link: int | None = 0, since_s: float = 0.0) -> list[Heard]:
         """Every one of this kind that came by this link."""
@@ -271,9 +331,54 @@ class Wire:
                 return each.message
         raise AssertionError(f"no {kind} has come")
 
-    def texts(self, since_s: float = 0.0) -> list[str]:
+    def texts(self, since_s: float = 0.0, *, link: int = 0) -> list[str]:
         """Every STATUSTEXT."""
-        return [each.message.text for each in self.all("STATUSTEXT", since_s=since_s)]
+        return [e.message.text for e in self.all("STATUSTEXT", since_s=since_s, link=link)]
+
+
+class Wire(Link):
+    """The three links of one ArduPilot."""
+
+    def __init__(self, kind: VehicleKind = "copter", **parameters: float) -> None:
+        super().__init__(kind, "ardupilot", (*HOME_DEG, HOME_M), links=3, parameters=parameters)
+
+    @property
+    def not_survived(self) -> str | None:
+        """What came in that the real autopilot does not survive."""
+        return self.simulation.not_survived
+
+    def takes_new_port(self) -> bool:
+        """Whether it sends from another UDP port since the last call."""
+        return self.simulation.take_port_change()
+
+    def interval(
+        self, number: int, hz: float, link: int = 0, source: Ids | None = None
+    ) -> int | None:
+        """SET_MESSAGE_INTERVAL."""
+        return self.command(511, number, 1e6 / hz if hz > 0 else hz, link=link, source=source)
+
+    def parameter(self, name: str, value: float | None = None) -> float:
+        """The value that PARAM_VALUE tells, after it has been set if one is given."""
+        message: Any
+        if value is None:
+            message = mavlink.MAVLink_param_request_read_message(1, 1, name.encode(), -1)
+        else:
+            message = mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, 9)
+        self.send(message)
+        (told,) = [
+            each.message.param_value
+            for each in self.run(0.02)
+            if each.kind == "PARAM_VALUE" and each.link == 0 and each.message.param_id == name
+        ]
+        return float(told)
+
+    def run_until(self, reached: Callable[[], bool], within_s: float) -> float:
+        """Until this is so; how long that took."""
+        begun_s = self.now_s
+        while not reached():
+            assert self.now_s - begun_s < within_s, "it never came to that"
+            self.run(0.05)
+        return self.now_s - begun_s
 
     def said_s(self, text: str) -> list[float]:
         """When a text with this in it was said."""
@@ -410,3 +515,62 @@ def reposition(
     height_m = up_m if frame in (3, 6, 10, 11) else up_m + HOME_M
     place = place_e7(north_m, east_m)
     return wire.command(192, -1.0, flags, radius_m, ccw, *place, height_m, frame=frame)
+
+
+# --- one client for all four ----------------------------------------------------------------------
+
+KINDS: Final[tuple[tuple[Firmware, VehicleKind], ...]] = (
+    *(("ardupilot", "copter"), ("ardupilot", "plane")),
+    *(("px4", "copter"), ("px4", "plane")),
+)
+READY_S: Final = dict(zip(KINDS, (45.0, 25.0, 6.0, 6.0), strict=True))
+"""After which it may be armed."""
+PLACE: Final = (47.397742, 8.545594, 488.0)
+
+
+@functools.cache
+def _ready(firmware: Firmware, kind: VehicleKind) -> Link:
+    vehicle = Link(kind, firmware, PLACE)
+    vehicle.source, vehicle.heartbeats = GCS, (mavlink.MAV_TYPE_GCS,)
+    vehicle.run(READY_S[firmware, kind])
+    for number in QUIET if firmware == "px4" else ():
+        vehicle.command(511, number, -1)
+    for number in (24, 33, ATTITUDE):
+        vehicle.command(511, number, 100_000)
+    return vehicle
+
+
+def ready(firmware: Firmware, kind: VehicleKind) -> Link:
+    """One that may be armed, with a ground station on link 0."""
+    return _ready(firmware, kind).copy()
+
+
+def take_off(vehicle: Link) -> None:
+    """Into the air, to some 40 m, into the mode in which it takes setpoints (PX4: Hold)."""
+    height = (0.0,) * 4
+    orders: list[tuple[float, ...]]
+    if vehicle.firmware == "px4":
+        place = (round(PLACE[0] * 1e7), round(PLACE[1] * 1e7), PLACE[2] + 40.0)
+        orders = [(22, *height, *place), (400, 1)]
+    elif vehicle.kind == "copter":
+        orders = [(176, 1, GUIDED), (400, 1), (22, *height, 0, 0, 40.0)]
+    else:
+        orders = [(176, 1, PLANE_TAKEOFF), (400, 1)]
+    for number, *parameters in orders:
+        frame = 5 if number == 22 and vehicle.firmware == "px4" else None
+        assert vehicle.command(int(number), *parameters, frame=frame) == 0
+    vehicle.run(30.0)
+    if (vehicle.firmware, vehicle.kind) == ("ardupilot", "plane"):
+        assert vehicle.set_mode(PLANE_GUIDED) == 0
+
+
+@functools.cache
+def _flying(firmware: Firmware, kind: VehicleKind) -> Link:
+    vehicle = ready(firmware, kind)
+    take_off(vehicle)
+    return vehicle
+
+
+def flying(firmware: Firmware, kind: VehicleKind) -> Link:
+    """Some 40 m up, in the mode in which it takes setpoints (PX4: Hold)."""
+    return _flying(firmware, kind).copy()

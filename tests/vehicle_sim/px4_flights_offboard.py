@@ -5,7 +5,7 @@ import math
 from typing import Any, Literal, NamedTuple
 
 from px4_flights import GROUND_STATION, cruise, disarmed, ground, hover, north, positions, refreshed
-from px4_wire import GROUND_AMSL_M, HOLD, NAN, OFFBOARD, Companion, Vector, local, worldwide
+from px4_wire import HOLD, NAN, OFFBOARD, Companion, Vector, local
 
 # --- 4: masks, frames, steps ----------------------------------------------------------------------
 
@@ -28,10 +28,6 @@ def ends_up(setpoint: Any) -> Vector | None:
     return (x, y, -z) if flight.mode == OFFBOARD else None
 
 
-def keeps_offboard(setpoint: Any) -> bool:
-    return velocity_after(setpoint) is not None
-
-
 def heading_after(setpoint: Any) -> float:
     """Degrees, 6 s later; it looked to the north before."""
     flight = hover()
@@ -50,19 +46,6 @@ def turned_body_velocity() -> tuple[float, float]:
     return flight.velocity[:2]
 
 
-@functools.cache
-def with_home_above(frame: int) -> float:
-    """Metres above home where a setpoint 10 m above it ends, home 5 m above the origin."""
-    flight = hover()
-    height_m = 10.0 if frame == 6 else GROUND_AMSL_M + 15.0
-    origin_m = flight.simulation.vehicle.altitude_amsl_m + flight.position[2]
-    flight.command_at(179, (0.0, 0.0, origin_m + 5.0), frame=5)
-    flight.aim = lambda _: worldwide(0.0, 0.0, height_m, frame=frame)
-    flight.run(20.0)
-    assert flight.mode == OFFBOARD
-    return -flight.position[2] - 5.0
-
-
 class Stop(NamedTuple):
     """From full speed."""
 
@@ -78,7 +61,7 @@ def _stop(flight: Companion, seconds: float = 14.0) -> Stop:
     start_s, start_m = flight.now_s, flight.position[0]
     flight.run(seconds)
     track = [
-        (h.t_s - start_s, h.message.x - start_m, h.message) for h in positions(flight, start_s)
+        (h.at_s - start_s, h.message.x - start_m, h.message) for h in positions(flight, start_s)
     ]
     speeds = [(t, math.hypot(m.vx, m.vy)) for t, _, m in track]
     seconds = min((t for t, speed in speeds if speed < 0.3), default=NAN)
@@ -133,7 +116,7 @@ def jump(metres: float, seconds: float) -> Jump:
     flight.aim = lambda _: local((start_m + metres, 0.0, -15.0), yaw=0.0)
     flight.run(seconds)
     track = [
-        (h.t_s - start_s, h.message.x - start_m, h.message) for h in positions(flight, start_s)
+        (h.at_s - start_s, h.message.x - start_m, h.message) for h in positions(flight, start_s)
     ]
     tilts = (
         math.acos(math.cos(m.roll) * math.cos(m.pitch)) for m in flight.of("ATTITUDE", start_s)
@@ -171,8 +154,10 @@ class Loss(NamedTuple):
     intended: int
     heartbeat_s: float
     status: int
-    events: dict[int, float]
-    texts: list[str]
+    announced_s: tuple[float, ...]
+    """Of the two EVENTs."""
+    told: bool
+    """Whether the text came that no flight task could run."""
     sinks_m_s: float
     """Between 2 and 5 s after the new mode."""
     climbs_to_m: float
@@ -196,17 +181,17 @@ def loss(action: int, drag: float = 0.25) -> Loss:
     current = flight.last("CURRENT_MODE")
     flight.run(8.0)
     beats = [h for h in flight.times("HEARTBEAT", last_s) if h.message.custom_mode == mode]
-    heights = {round((h.t_s - new_s) * 10): -h.message.z for h in positions(flight, new_s)}
+    heights = {round((h.at_s - new_s) * 10): -h.message.z for h in positions(flight, new_s)}
     metres, speed_m_s, status = flight.position[0] - new_m, flight.speed, flight.status
     flight.aim = north(5.0)
     return Loss(
         mode,
         new_s - last_s,
         current.intended_custom_mode,
-        beats[0].t_s - last_s,
+        beats[0].at_s - last_s,
         status,
-        {number: t_s - last_s for number, t_s in flight.events(last_s).items()},
-        flight.texts(last_s),
+        tuple(flight.events(last_s).get(number, NAN) - last_s for number in (3087815, 14605264)),
+        any("Matching flight task was not able to run" in t for t in flight.texts(last_s)),
         (heights[20] - heights[50]) / 3.0,
         max(heights.values()),
         metres,
@@ -222,7 +207,7 @@ def sinks_low() -> float:
     flight.run(20.0)
     low = [h for h in positions(flight) if 2.0 < -h.message.z < 4.5]
     sunk_m: float = low[-1].message.z - low[0].message.z
-    return sunk_m / (low[-1].t_s - low[0].t_s)
+    return sunk_m / (low[-1].at_s - low[0].at_s)
 
 
 @functools.cache
@@ -231,11 +216,8 @@ def returned() -> tuple[float, float]:
     flight = cruise(loss_action=3)
     flight.run(4.0)
     flight.aim = None
-    heights = list[float]()
-    for _ in range(60):
-        flight.run(1.0)
-        heights.append(-flight.position[2])
-    return math.hypot(*flight.position[:2]), max(heights)
+    flight.run(60.0)
+    return math.hypot(*flight.position[:2]), max(-h.message.z for h in positions(flight))
 
 
 def modes_with_gap(gap_s: float) -> set[int]:
@@ -257,9 +239,18 @@ def modes_at_rate(rate_hz: float, seconds: float = 12.0) -> list[int]:
     return [mode for _, mode in flight.modes(since_s)]
 
 
+class OnTheGround(NamedTuple):
+    """Armed in OFFBOARD; the stream stops."""
+
+    seconds: float
+    """To another mode."""
+    mode: int
+    armed: bool
+    """Still, 5 s later."""
+
+
 @functools.cache
-def loss_on_the_ground() -> tuple[float, int, bool]:
-    """Seconds to another mode, that mode, and whether it is still armed 5 s later."""
+def loss_on_the_ground() -> OnTheGround:
     flight = ground()
     flight.aim = lambda _: local((0.0, 0.0, 0.0))
     flight.run(0.5)
@@ -271,7 +262,7 @@ def loss_on_the_ground() -> tuple[float, int, bool]:
     flight.until(lambda: flight.mode != OFFBOARD, 3.0)
     seconds = flight.now_s - last_s
     flight.run(5.0)
-    return seconds, flight.mode, not disarmed(flight)
+    return OnTheGround(seconds, flight.mode, not disarmed(flight))
 
 
 def commanded(custom: int) -> int:
@@ -310,10 +301,19 @@ def first_sticks() -> int:
     return vehicle.mode
 
 
+class Piloted(NamedTuple):
+    """The stream stops and comes back, with a pilot."""
+
+    mode: int
+    metres: float
+    speed_m_s: float
+    sunk_m: float
+    mode_with_stream: int
+
+
 @functools.cache
-def loss_with_pilot(drag: float = 0.25) -> tuple[int, float, float, float, int]:
-    """Mode, metres north after it, speed and loss of height; mode when the stream is back."""
-    flight = piloted(loss_action=0, drag=drag)
+def loss_with_pilot() -> Piloted:
+    flight = piloted(loss_action=0)
     flight.aim = None
     flight.until(lambda: flight.mode != OFFBOARD, 3.0)
     mode, before = flight.mode, flight.position
@@ -321,24 +321,33 @@ def loss_with_pilot(drag: float = 0.25) -> tuple[int, float, float, float, int]:
     after, speed_m_s = flight.position, flight.speed
     flight.aim = north(5.0)
     flight.run(1.0)
-    return mode, after[0] - before[0], speed_m_s, after[2] - before[2], flight.mode
+    return Piloted(mode, after[0] - before[0], speed_m_s, after[2] - before[2], flight.mode)
+
+
+class Takeover(NamedTuple):
+    """60 % of stick for a second."""
+
+    seconds: float
+    """To another mode; NaN: none."""
+    mode: int
+    """3 s later."""
+    result: int | None
+    """Of OFFBOARD, and the mode then."""
+    mode_after: int
 
 
 @functools.cache
-def takeover(override: int) -> tuple[float, int, int | None, int]:
-    """Seconds to another mode, the mode 3 s later, the result of OFFBOARD, and the mode then."""
+def takeover(override: int) -> Takeover:
     flight = piloted(COM_RC_OVERRIDE=override)
     flight.stick = 0.6
     seconds = flight.until(lambda: flight.mode != OFFBOARD, 1.0)
     flight.stick = 0.0
     flight.run(3.0)
-    mode = flight.mode
-    result = flight.set_mode(OFFBOARD)
+    mode, result = flight.mode, flight.set_mode(OFFBOARD)
     flight.run(1.0)
-    return seconds, mode, result, flight.mode
+    return Takeover(seconds, mode, result, flight.mode)
 
 
-@functools.cache
 def pilot_lost(exception: int = 0) -> list[tuple[float, int]]:
     """Modes and their times after the last sticks, the stream going on."""
     flight = piloted(COM_RCL_EXCEPT=exception)

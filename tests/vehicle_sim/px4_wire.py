@@ -1,37 +1,23 @@
 """A companion of a simulated PX4 that knows nothing but MAVLink: it sends bytes and reads bytes."""
 
-import copy
-import copyreg
 import math
 import struct
 from collections.abc import Callable
-from typing import Any, Final, Literal, NamedTuple, final
+from typing import Any, Final, final
 
+from over_the_wire import QUIET, Heard, Link, Vector
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.simulation import STEP_US, Simulation
-from vehicle_sim.world import flat_world
-
-copyreg.pickle(struct.Struct, lambda made: (struct.Struct, (made.format,)))  # to copy simulations
+from vehicle_sim.world import VehicleKind
 
 NAN: Final = math.nan
 LATITUDE_DEG, LONGITUDE_DEG, GROUND_AMSL_M = 47.397742, 8.545594, 488.0
 NORTH_M_PER_DEG, EAST_M_PER_DEG = 111_191.0, 75_470.0
 OFFBOARD, POSCTL, ALTCTL = 0x00060000, 0x00030000, 0x00020000
 TAKEOFF, HOLD, MISSION, RETURN, LAND = 0x02040000, 0x03040000, 0x04040000, 0x05040000, 0x06040000
-QUIET = (2, 4, 8, 29, 31, 33, 36, 74, 83, 85, 87, 105, 111, 132, 141, 147, 231, 241, 331, 360, 380)
 EVENT = 410
-Vector = tuple[float, float, float]
 Aim = Callable[[float], Any]
 """The setpoint of a time in seconds, as a message."""
-
-
-class Heard(NamedTuple):
-    """What came, when and by which link."""
-
-    t_s: float
-    link: int
-    message: Any
 
 
 def local(
@@ -84,73 +70,11 @@ def worldwide(
 
 
 @final
-class Companion:
-    """One client of one vehicle.  ``aim`` is streamed at ``rate_hz`` while it is not None."""
+class Companion(Link):
+    """A PX4 and one client."""
 
-    def __init__(
-        self, kind: Literal["copter", "plane"] = "copter", *, links: int = 1, source: int = 1
-    ) -> None:
-        world = flat_world(
-            kind,
-            "px4",
-            latitude_deg=LATITUDE_DEG,
-            longitude_deg=LONGITUDE_DEG,
-            altitude_amsl_m=GROUND_AMSL_M,
-            heading_deg=0.0,
-        )
-        self.simulation = Simulation(world, links=links)
-        self.source = (source, 191)
-        self.heard: list[Heard] = []
-        self.aim: Aim | None = None
-        self.rate_hz = 20.0
-        self.aimed_s = NAN
-        """When the newest of the stream was sent."""
-        self.stick: float | None = None
-        """A pilot, at 10 Hz: the forward stick, -1 to 1."""
-        self.heartbeats: tuple[int, ...] = ()
-        """MAV_TYPEs of which one is sent each second."""
-        self._sequence = 0
-        self._steps = 0
-        self._parser = mavlink.MAVLink(None)
-
-    def copy(self) -> "Companion":
-        """The same again from here, with nothing heard yet."""
-        self.heard.clear()
-        return copy.deepcopy(self)
-
-    # --- out ----------------------------------------------------------------------------------
-
-    def send(self, message: Any, *, link: int = 0, source: tuple[int, int] | None = None) -> None:
-        packer = mavlink.MAVLink(None, *(source or self.source))
-        packer.seq = self._sequence = (self._sequence + 1) % 256
-        self.simulation.receive(link, bytes(message.pack(packer)))
-
-    def command(self, number: int, *parameters: float) -> int | None:
-        """COMMAND_LONG; the last result that came within 50 ms."""
-        padded = (*parameters, *(0.0,) * (7 - len(parameters)))
-        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
-        return self._result(number)
-
-    def command_at(
-        self, number: int, point: Vector, *parameters: float, frame: int = 5
-    ) -> int | None:
-        """COMMAND_INT with a place: north and east of the origin, altitude."""
-        degrees = (NAN, NAN) if math.isnan(point[0]) else place(*point[:2])
-        x, y = (0 if math.isnan(value) else round(value * 1e7) for value in degrees)
-        padded = (*parameters, *(0.0,) * (4 - len(parameters)))
-        self.send(
-            mavlink.MAVLink_command_int_message(1, 1, frame, number, 0, 0, *padded, x, y, point[2])
-        )
-        return self._result(number)
-
-    def _result(self, number: int) -> int | None:
-        since_s = self.now_s
-        self.run(0.05)
-        found = [m.result for m in self.of("COMMAND_ACK", since_s) if m.command == number]
-        return found[-1] if found else None
-
-    def set_mode(self, custom: int) -> int | None:
-        return self.command(176, 1, custom >> 16 & 0xFF, custom >> 24)
+    def __init__(self, kind: VehicleKind = "copter", *, links: int = 1) -> None:
+        super().__init__(kind, "px4", (LATITUDE_DEG, LONGITUDE_DEG, GROUND_AMSL_M), links=links)
 
     def set_parameter(self, name: str, value: float) -> None:
         """PARAM_SET, whole numbers bytewise."""
@@ -172,68 +96,20 @@ class Companion:
             value = struct.unpack("<i", struct.pack("<f", value))[0]
         return value
 
-    # --- time ---------------------------------------------------------------------------------
-
-    @property
-    def now_s(self) -> float:
-        return self.simulation.now_us * 1e-6
-
-    def run(self, seconds: float) -> None:
-        for _ in range(round(seconds * 1e6 / STEP_US)):
-            self.step()
-
-    def until(self, reached: Callable[[], bool], within_s: float) -> float:
-        """Seconds until it is so; NaN: never."""
-        start_s = self.now_s
-        while self.now_s - start_s < within_s:
-            self.step()
-            if reached():
-                return self.now_s - start_s
-        return NAN
-
-    def step(self) -> None:
-        steps, now_s = self._steps, self.now_s
-        if self.aim is not None and steps % round(100 / self.rate_hz) == 0:
-            self.send(self.aim(now_s))
-            self.aimed_s = now_s
-        if self.stick is not None and steps % 10 == 0:
-            x = round(1000 * self.stick)
-            sticks = mavlink.MAVLink_manual_control_message(1, x, 0, 500, 0, 0)
-            self.send(sticks, source=(255, 190))
-        if steps % 100 == 0:
-            for kind in self.heartbeats:
-                self.send(mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3))
-        self._steps += 1
-        self.simulation.step()
-        now_s = self.now_s
-        for link, frame in self.simulation.take_frames():
-            message = self._parser.decode(bytearray(frame))
-            self.heard.append(Heard(now_s, link, message))
-
-    # --- in -----------------------------------------------------------------------------------
-
-    def of(self, kind: str, since_s: float = 0.0, *, link: int = 0) -> list[Any]:
-        return [h.message for h in self.times(kind, since_s) if h.link == link]
+    def of(self, kind: str, since_s: float = 0.0) -> list[Any]:
+        return [heard.message for heard in self.times(kind, since_s)]
 
     def times(self, kind: str, since_s: float = 0.0) -> list[Heard]:
-        return [h for h in self.heard if h.message.get_type() == kind and h.t_s > since_s]
-
-    def last(self, kind: str) -> Any:
-        for heard in reversed(self.heard):
-            if heard.message.get_type() == kind:
-                return heard.message
-        raise LookupError(kind)
+        """After this time."""
+        return [heard for heard in self.all(kind) if heard.at_s > since_s]
 
     def events(self, since_s: float = 0.0) -> dict[int, float]:
         """Numbers without the component in the highest byte, and when they came first."""
         found = dict[int, float]()
         for heard in self.times(f"UNKNOWN_{EVENT}", since_s):
-            payload = bytes(heard.message.get_msgbuf())[10:]
-            found.setdefault(int.from_bytes(payload[:3], "little"), heard.t_s)
+            payload = heard.frame[10:]
+            found.setdefault(int.from_bytes(payload[:3], "little"), heard.at_s)
         return found
-
-    def texts(self, since_s: float = 0.0, *, link: int = 0) -> list[str]:
-        return [message.text.strip() for message in self.of("STATUSTEXT", since_s, link=link)]
 
     def modes(self, since_s: float = 0.0) -> list[tuple[float, int]]:
         """Changes of the mode, by CURRENT_MODE."""
@@ -241,7 +117,7 @@ class Companion:
         for heard in self.times("CURRENT_MODE", since_s):
             mode = heard.message.custom_mode
             if not found or found[-1][1] != mode:
-                found.append((heard.t_s, mode))
+                found.append((heard.at_s, mode))
         return found
 
     @property

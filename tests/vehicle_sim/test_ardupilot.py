@@ -1,44 +1,102 @@
-"""Commands, boot, take-off and landing; the figures are those of the real ArduCopter."""
+"""The ArduCopter by values: commands, boot, take-off and landing, setpoints and their echo."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
+from pyproj import Geod
+from rig import Rig
 
-from vehicle_sim.autopilots import Battery, SayParameter
+from vehicle_sim.autopilots import Battery
+from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
 from vehicle_sim.autopilots.ardupilot.style import STREAMABLE
+from vehicle_sim.dynamics.copter import Copter, Limits
+from vehicle_sim.plans import Plans
+from vehicle_sim.sensors.gps import ARDUCOPTER, Gps
 from vehicle_sim.wire.telemetry_ardupilot import MESSAGES
 
-Make = Callable[..., Any]
+ORIGIN_DEG = (47.0, 8.0)
+METRES_PER_DEG_NORTH = 111_181.0  # of the meridian near 47 N: the tests stay within 1 km of it
+WGS84 = Geod(ellps="WGS84")
+VELOCITY_ONLY = 0xDC7
+
+
+class Pilot(Rig):
+    """An ArduCopter over level ground at 0 m, told what to do by values."""
+
+    def __init__(
+        self,
+        *,
+        timeout_s: float = 3.0,
+        vertical_m_s: float = 25.0,
+        down_m_s: float | None = None,
+        ground_amsl_m: float = 0.0,
+    ) -> None:
+        self.copter = Copter(
+            latitude_deg=ORIGIN_DEG[0],
+            longitude_deg=ORIGIN_DEG[1],
+            altitude_amsl_m=ground_amsl_m,
+            limits=Limits(
+                speed_m_s=170.0,
+                acceleration_m_s2=10.0,
+                speed_vertical_m_s=vertical_m_s,
+                acceleration_vertical_m_s2=5.0,
+            ),
+        )
+        parameters = {
+            "GUID_TIMEOUT": timeout_s,
+            "WPNAV_SPEED": 1000.0,
+            "WPNAV_ACCEL": 250.0,
+            "WPNAV_SPEED_UP": vertical_m_s * 100.0,
+            "WPNAV_SPEED_DN": (down_m_s or vertical_m_s) * 100.0,
+            "LAND_SPEED": 50.0,
+            "ANGLE_MAX": 8000.0,
+        }
+        rng = np.random.default_rng(1)
+        autopilot = ArduCopter(self.copter, parameters, Plans(), hardware_id=1, rng=rng)
+        super().__init__(autopilot, ground_amsl_m, Gps(ARDUCOPTER, rng))
+
+    def setpoint(
+        self,
+        position: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        velocity_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        *,
+        mask: int = 2496,
+        frame: int = 5,
+        is_global: bool = True,
+        acceleration_ned_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        yaw_rad: float = 0.0,
+    ) -> None:
+        self.give(
+            position,
+            velocity_ned_m_s,
+            acceleration_ned_m_s2,
+            mask=mask,
+            frame=frame,
+            is_global=is_global,
+            yaw_rad=yaw_rad,
+        )
+
+    def north_m(self) -> float:
+        return (self.copter.latitude_deg - ORIGIN_DEG[0]) * METRES_PER_DEG_NORTH
+
+    def airborne(self, height_m: float = 1000.0) -> "Pilot":
+        """Take off in GUIDED and hover."""
+        self.run(42.0)
+        assert [self.command(176, 1, 4), self.command(400, 1)] == [0, 0]
+        assert self.command(22, 0, 0, 0, 0, 0, 0, height_m) == 0
+        self.run_until(lambda: self.autopilot.status().landed_state == 2, within_s=2000.0)
+        self.run(5.0)
+        return self
+
+    def target(self) -> Any:
+        return self.autopilot.status().target
+
+
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 STABILIZE, GUIDED, RTL, LAND, BRAKE = 0, 4, 6, 9, 17
 ON_GROUND, IN_AIR, TAKEOFF, LANDING = 1, 2, 3, 4
-
-
-def test_the_boot_takes_its_time_and_arming_waits_for_the_position(pilot: Make) -> None:
-    it = pilot()
-    it.run(9.9)
-    assert it.autopilot.estimate.latitude_deg == 0.0
-    it.run(0.2)
-    assert it.autopilot.estimate.latitude_deg != 0.0
-    assert it.autopilot.status().origin is None
-    assert it.command(176, 1, GUIDED) == ACCEPTED  # even without a position
-    it.run(10.0)
-    assert it.autopilot.status().origin is not None
-    assert it.command(400, 1) == FAILED
-    assert it.texts[-1] == "Arm: Need Position Estimate"
-    it.run(20.0)
-    assert it.autopilot.status().prearm_ok
-    assert (it.autopilot.estimate.position_ok, it.autopilot.estimate.flags) == (False, 0xA7)
-    assert it.autopilot.status().local_ned_m is None
-    assert it.command(400, 1) == FAILED
-    it.run(2.0)
-    assert (it.autopilot.estimate.position_ok, it.autopilot.estimate.flags) == (True, 0x33F)
-    assert it.autopilot.status().local_ned_m == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
-    assert "EKF3 IMU0 is using GPS" in it.texts
-    assert it.command(400, 1) == ACCEPTED
-    assert it.autopilot.status().base_mode == 217  # as ArduCopter's, armed in GUIDED
 
 
 @pytest.mark.parametrize(
@@ -69,17 +127,29 @@ def test_the_boot_takes_its_time_and_arming_waits_for_the_position(pilot: Make) 
     ],
 )
 def test_every_command_is_answered_as_on_the_real_one(
-    pilot: Make, number: int, parameters: tuple[float, ...], fields: dict[str, int], result: int
+    number: int, parameters: tuple[float, ...], fields: dict[str, int], result: int
 ) -> None:
-    assert pilot().command(number, *parameters, **fields) == result
+    assert Pilot().command(number, *parameters, **fields) == result
+
+
+def test_guided_is_had_without_a_position_but_armed_in_only_with_one() -> None:
+    it = Pilot()
+    it.run(30.0)
+    assert it.command(176, 1, GUIDED) == ACCEPTED
+    assert it.autopilot.status().prearm_ok
+    assert it.command(400, 1) == FAILED
+    assert it.texts[-1] == "Arm: Need Position Estimate"
+    it.run(12.0)
+    assert it.command(400, 1) == ACCEPTED
+    assert it.autopilot.status().base_mode == 217  # as ArduCopter's, armed in GUIDED
 
 
 def test_what_can_be_said_can_be_asked_for_but_for_timesync() -> None:
     assert set(MESSAGES) - STREAMABLE == {111}
 
 
-def test_motors_that_idle_for_ten_seconds_are_disarmed(pilot: Make) -> None:
-    it = pilot()
+def test_motors_that_idle_for_ten_seconds_are_disarmed() -> None:
+    it = Pilot()
     it.run(42.0)
     it.command(176, 1, GUIDED)
     it.command(400, 1)
@@ -87,15 +157,15 @@ def test_motors_that_idle_for_ten_seconds_are_disarmed(pilot: Make) -> None:
 
 
 @pytest.mark.parametrize("mode", [2, 5, 16])  # ALT_HOLD, LOITER, POSHOLD
-def test_without_a_pilot_the_hold_modes_come_down(pilot: Make, mode: int) -> None:
-    it = pilot(vertical_m_s=2.5).airborne(30.0)
+def test_without_a_pilot_the_hold_modes_come_down(mode: int) -> None:
+    it = Pilot(vertical_m_s=2.5).airborne(30.0)
     assert it.command(176, 1, mode) == ACCEPTED
     it.run(8.0)
     assert it.copter.velocity_up_m_s == pytest.approx(-2.5, abs=0.05)
 
 
-def test_rtl_climbs_to_15_m_comes_home_waits_and_lands(pilot: Make) -> None:
-    it = pilot(vertical_m_s=2.5, down_m_s=1.5).airborne(5.0)
+def test_rtl_climbs_to_15_m_comes_home_waits_and_lands() -> None:
+    it = Pilot(vertical_m_s=2.5, down_m_s=1.5).airborne(5.0)
     for _ in range(200):
         it.setpoint((47.001, 8.0, 5.0), mask=0xDF8)
         it.run(0.1)
@@ -112,8 +182,8 @@ def test_rtl_climbs_to_15_m_comes_home_waits_and_lands(pilot: Make) -> None:
     assert abs(it.north_m()) < 0.5
 
 
-def test_reposition_is_taken_as_command_int_only(pilot: Make) -> None:
-    it = pilot().airborne(100.0)
+def test_reposition_is_taken_as_command_int_only() -> None:
+    it = Pilot().airborne(100.0)
     there = (-1, 1, 0, 0, 47.0005, 8.0, 120.0)
     assert it.command(192, *there) == UNSUPPORTED
     assert it.command(176, 1, BRAKE) == ACCEPTED
@@ -125,8 +195,8 @@ def test_reposition_is_taken_as_command_int_only(pilot: Make) -> None:
     assert it.copter.altitude_amsl_m == pytest.approx(120.0, abs=0.3)
 
 
-def test_a_low_battery_is_told_and_acted_on_after_ten_seconds(pilot: Make) -> None:
-    it = pilot().airborne(30.0)
+def test_a_low_battery_is_told_and_acted_on_after_ten_seconds() -> None:
+    it = Pilot().airborne(30.0)
     it.autopilot.battery = Battery(voltage_v=10.4, consumed_mah=2000.0)
     it.autopilot.parameters["BATT_LOW_VOLT"] = 10.5
     it.autopilot.parameters["BATT_FS_LOW_ACT"] = 2
@@ -137,41 +207,8 @@ def test_a_low_battery_is_told_and_acted_on_after_ten_seconds(pilot: Make) -> No
     assert "Battery 1 is low 10.40V used 2000 mAh" in it.texts
 
 
-def test_a_reboot_is_refused_while_armed(pilot: Make) -> None:
-    it = pilot().airborne(30.0)
-    assert it.command(246, 1) == FAILED
-
-
-def test_statistics_are_told_unasked_as_recorded(pilot: Make) -> None:
-    it = pilot()
-    told: list[tuple[float, float]] = []
-    for _ in range(10_000):
-        count = len(it.said)
-        it.step()
-        for at_s, reply in it.said[count:]:
-            if isinstance(reply, SayParameter) and reply.name.startswith("STAT_"):
-                told.append((at_s, it.autopilot.parameters[reply.name]))
-    assert [value for _, value in told] == [30.0, 60.0, 91.0]
-    assert [at_s for at_s, _ in told] == pytest.approx([30.44, 60.45, 91.47], abs=0.15)
-
-
-@pytest.mark.parametrize("after_s", [1.0, 6.0])
-def test_a_setpoint_during_the_take_off_ends_it(pilot: Make, after_s: float) -> None:
-    it = pilot(vertical_m_s=2.5)
-    it.run(42.0)
-    it.command(176, 1, GUIDED)
-    it.command(400, 1)
-    it.command(22, 0, 0, 0, 0, 0, 0, 100)
-    it.run(after_s)
-    height_m = it.copter.altitude_amsl_m
-    it.setpoint((47.0, 8.0, height_m), mask=0xDF8)
-    assert it.autopilot.status().landed_state == (ON_GROUND if after_s < 2.0 else IN_AIR)
-    it.run(20.0)
-    assert it.copter.altitude_amsl_m == pytest.approx(height_m, abs=0.2)
-
-
-def test_brake_stops_and_ignores_setpoints(pilot: Make) -> None:
-    it = pilot().airborne(100.0)
+def test_brake_stops_and_ignores_setpoints() -> None:
+    it = Pilot().airborne(100.0)
     it.copter.velocity_north_m_s = 15.0
     it.command(176, 1, BRAKE)
     it.setpoint((47.1, 8.0, 500.0), (10.0, 0.0, 0.0))
@@ -183,8 +220,8 @@ def test_brake_stops_and_ignores_setpoints(pilot: Make) -> None:
     assert it.target() is None
 
 
-def test_flying_into_the_ground_is_a_crash_and_says_so(pilot: Make) -> None:
-    it = pilot().airborne(200.0)
+def test_flying_into_the_ground_is_a_crash_and_says_so() -> None:
+    it = Pilot().airborne(200.0)
     it.setpoint((47.0, 8.0, -500.0), mask=0xDF8)
     it.run(60.0)
     assert it.copter.altitude_amsl_m == 0.0
@@ -192,17 +229,176 @@ def test_flying_into_the_ground_is_a_crash_and_says_so(pilot: Make) -> None:
     assert any(text.startswith("Crash") for text in it.texts)
 
 
-def test_disarming_in_flight_needs_force_and_is_the_end(pilot: Make) -> None:
-    it = pilot().airborne(50.0)
+def test_disarming_in_flight_needs_force_and_is_the_end() -> None:
+    it = Pilot().airborne(50.0)
     assert it.command(400, 0) == FAILED
     assert it.command(400, 0, 21196) == ACCEPTED
     assert it.run_until(lambda: it.autopilot.landed, within_s=10) == pytest.approx(3.2, abs=0.1)
 
 
-def test_a_take_off_needs_a_height_above_it(pilot: Make) -> None:
-    it = pilot()
+def test_a_take_off_needs_a_height_above_it() -> None:
+    it = Pilot()
     it.run(42.0)
     it.command(176, 1, GUIDED)
     it.command(400, 1)
     for height_m in (math.nan, math.inf, 0.0, -5.0):
         assert it.command(22, 0, 0, 0, 0, 0, 0, height_m) == FAILED
+
+
+# --- streams of setpoints -------------------------------------------------------------------------
+
+
+def at(north_m: float, east_m: float) -> tuple[float, float, float]:
+    longitude_deg, latitude_deg, _ = WGS84.fwd(
+        8.0, 47.0, math.degrees(math.atan2(east_m, north_m)), math.hypot(north_m, east_m)
+    )
+    return latitude_deg, longitude_deg, 1000.0
+
+
+def local_m(it: Any) -> tuple[float, float]:
+    azimuth_deg, _, distance_m = WGS84.inv(
+        8.0, 47.0, it.copter.longitude_deg, it.copter.latitude_deg
+    )
+    azimuth_rad = math.radians(azimuth_deg)
+    return distance_m * math.cos(azimuth_rad), distance_m * math.sin(azimuth_rad)
+
+
+@pytest.mark.parametrize("every_steps", [5, 10])
+def test_a_turn_of_9_m_s2_at_150_m_s_is_entered_without_overshoot_and_followed(
+    every_steps: int,
+) -> None:
+    it = Pilot().airborne(1000.0)
+    speed, radius_m = 150.0, 2500.0
+    ramp_s = 40.0  # to full speed, then straight on for a while, then the turn
+    straight_m = speed * ramp_s / 2 + speed * 20.0
+    most_m_s2, worst_m = 0.0, 0.0
+    for k in range(12_000):
+        t = k * 0.01
+        flown_m, v = (
+            (speed * t * t / (2 * ramp_s), speed * t / ramp_s)
+            if t < ramp_s
+            else (speed * ramp_s / 2 + speed * (t - ramp_s), speed)
+        )
+        turn_rad = max(flown_m - straight_m, 0.0) / radius_m
+        north = min(flown_m, straight_m) + radius_m * math.sin(turn_rad)
+        east = radius_m * (1 - math.cos(turn_rad))
+        if t > ramp_s + 10:
+            is_n, is_e = local_m(it)
+            worst_m = max(worst_m, math.hypot(is_n - north, is_e - east))
+            copter = it.copter
+            lateral = (
+                copter.acceleration_east_m_s2 * copter.velocity_north_m_s
+                - copter.acceleration_north_m_s2 * copter.velocity_east_m_s
+            ) / math.hypot(copter.velocity_north_m_s, copter.velocity_east_m_s)
+            most_m_s2 = max(most_m_s2, lateral)
+        if k % every_steps == 0:
+            it.setpoint(at(north, east), (v * math.cos(turn_rad), v * math.sin(turn_rad), 0.0))
+        it.step()
+    assert most_m_s2 <= 9.0 * 1.05
+    assert 5.0 < worst_m <= 15.0
+
+
+def test_a_stream_with_climb_is_followed_in_height_too() -> None:
+    it = Pilot().airborne(1000.0)
+    for k in range(3000):
+        t = k * 0.01
+        height = 1000.0 + (t * t / 2 if t < 10 else 50 + 10 * (t - 10))
+        if k % 10 == 0:
+            latitude_deg, longitude_deg, _ = at(0.0, 0.0)
+            it.setpoint((latitude_deg, longitude_deg, height), (0.0, 0.0, -min(t, 10.0)))
+        it.step()
+    assert it.copter.altitude_amsl_m == pytest.approx(1250.0, abs=0.3)
+
+
+def test_the_nose_follows_the_commanded_yaw_or_else_the_way() -> None:
+    it = Pilot().airborne(1000.0)
+    it.setpoint(at(0.0, 0.0), yaw_rad=-2.0)
+    it.run(6.0)
+    assert math.remainder(it.copter.heading_rad + 2.0, math.tau) == pytest.approx(0.0, abs=1e-6)
+    for _ in range(100):
+        it.setpoint((0.0, 0.0, 0.0), (0.0, 5.0, 0.0), mask=VELOCITY_ONLY)
+        it.run(0.1)
+    assert it.copter.heading_rad == pytest.approx(math.pi / 2, abs=0.01)
+
+
+# --- setpoints and their echo ---------------------------------------------------------------------
+
+
+HERE = (47.0, 8.0, 100.0)
+NORTH = (47.0005, 8.0, 130.0)
+STOPPED = (None, (0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def hovering() -> Pilot:
+    return Pilot().airborne(100.0)
+
+
+def echoed(it: Any) -> tuple[Any, Any]:
+    target = it.target()
+    return target.position_ned_m, target.velocity_ned_m_s
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "mask"),
+    [
+        ((47.0, 8.0, math.nan), (0.0, 0.0, 0.0), 2496),
+        ((47.0, 8.0, 1e9), (0.0, 0.0, 0.0), 2496),
+        ((math.inf, 8.0, 100.0), (0.0, 0.0, 0.0), 2496),
+    ],
+)
+def test_what_is_not_finite_or_absurd_stops_the_vehicle_and_is_said_once(
+    hovering: Any, position: tuple[float, ...], velocity: tuple[float, ...], mask: int
+) -> None:
+    hovering.setpoint(NORTH, (1.0, 0.0, 0.0))
+    before = len(hovering.texts)
+    for _ in range(3):
+        hovering.setpoint(position, velocity, mask=mask)
+        assert echoed(hovering) == STOPPED
+    assert len(hovering.texts[before:]) == 1
+    assert hovering.texts[-1].startswith("SIM: ")
+    assert "refused" in hovering.texts[-1]
+
+
+def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
+    it = Pilot().airborne(100.0)
+    for _ in range(30):
+        it.setpoint(mask=0xC3F, frame=1, is_global=False, acceleration_ned_m_s2=(1.0, 0.0, 0.0))
+        it.run(0.1)
+    assert it.copter.velocity_north_m_s == pytest.approx(2.9, abs=0.4)
+    assert it.target().type_mask == 0xC3F
+    it.run(12.0)
+    assert it.copter.velocity_north_m_s == pytest.approx(0.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("mask", "echo"), [(0xDF8, 0xDF8), (0xDC0, 0xC00), (0xDC7, 0xC07), (0xFFF, 0xC07)]
+)
+def test_the_echo_says_which_groups_it_steers_for(hovering: Any, mask: int, echo: int) -> None:
+    hovering.setpoint(HERE, (1.0, 0.0, 0.0), mask=mask)
+    assert hovering.target().type_mask == echo
+
+
+@pytest.mark.parametrize("position", [(91.0, 8.0, 100.0), (47.0, 181.0, 100.0)])
+def test_a_place_off_the_globe_stops(hovering: Any, position: tuple[float, ...]) -> None:
+    hovering.setpoint(position, (1.0, 0.0, 0.0))
+    assert echoed(hovering) == STOPPED
+
+
+def test_the_echo_is_ardupilots_flat_earth_about_the_origin(hovering: Any) -> None:
+    latitude_deg, longitude_deg = 47.5, 8.6
+    hovering.setpoint((latitude_deg, longitude_deg, 150.0))
+    scale = 0.011131884502145034  # metres for each 1e-7 degree, from ArduPilot's Location.cpp
+    north = (latitude_deg - 47.0) * 1e7 * scale
+    east = (longitude_deg - 8.0) * 1e7 * scale * math.cos(math.radians((latitude_deg + 47.0) / 2))
+    assert echoed(hovering)[0] == pytest.approx((north, east, -150.0), abs=1e-3)
+
+
+def test_acceleration_is_honoured_in_local_frames_and_dropped_in_global_ones(hovering: Any) -> None:
+    acceleration = (0.5, 0.0, 0.0)
+    hovering.setpoint(HERE, mask=0xC00, acceleration_ned_m_s2=acceleration)
+    assert hovering.target().acceleration_ned_m_s2 == (0.0, 0.0, 0.0)
+    hovering.setpoint(
+        (0.0, 0.0, -100.0), mask=0xC00, frame=1, is_global=False, acceleration_ned_m_s2=acceleration
+    )
+    assert hovering.target().acceleration_ned_m_s2 == acceleration

@@ -4,9 +4,7 @@ from collections.abc import Callable
 
 import pytest
 from tracking_copter import (
-    ALL,
     GROUND_M,
-    POSITION_VELOCITY,
     STEP_S,
     Flown,
     fix_of,
@@ -42,7 +40,7 @@ class Recorded(Flown):
     def fly_on(self, seconds: float, seen: Callable[[], None] | None = None) -> None:
         for k in range(round(seconds / STEP_S)):
             if k % 10 == 0:
-                self.setpoint((0.0, 0.0, -30.0), mask=POSITION_VELOCITY)
+                self.setpoint((0.0, 0.0, -30.0), kind="pos+vel")
             self.step()
             if seen is not None:
                 seen()
@@ -64,7 +62,7 @@ def test_it_follows_the_truth_within_centimetres_while_gps_is_good() -> None:
     for k in range(4000):
         v = min(k * STEP_S, 10.0)
         if k % 10 == 0:
-            it.setpoint((north_m, 0.0, -30.0), (v, 0.0, 0.0), mask=ALL)
+            it.setpoint((north_m, 0.0, -30.0), (v, 0.0, 0.0), kind="pos+vel+acc")
         it.step()
         north_m += v * STEP_S
         error_deg = it.autopilot.estimate.latitude_deg - it.copter.latitude_deg

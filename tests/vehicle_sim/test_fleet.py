@@ -139,31 +139,6 @@ def test_clients_on_two_links_hear_each_other_through_the_vehicle(
     assert (code, err) == (0, "")
 
 
-def test_a_reboot_is_a_gap_another_port_and_a_clock_that_begins_again(
-    start: Start, companion: Any, tmp_path: Path
-) -> None:
-    faults = tmp_path / "faults.txt"
-    faults.write_text("at 20 s: reboot\n", encoding="utf-8")
-    start(
-        *("--connect", f"udpout:127.0.0.1:{companion.port}", "--speedup", 20),
-        *("--faults", faults, "--duration", 60),
-    )
-    companion.datagram()
-    companion.send(companion.heartbeat(), companion.command(511, 2, 100_000))
-    wait_until(companion, lambda m: m.get_type() == "HEARTBEAT")
-    companion.send(companion.command(511, 2, 100_000))
-    late = 15_000
-    wait_until(companion, lambda m: m.get_type() == "SYSTEM_TIME" and m.time_boot_ms > late)
-    port = companion.address[1]
-    while companion.address[1] == port:
-        companion.datagram()
-    beat = wait_until(companion, lambda m: m.get_type() == "HEARTBEAT")
-    assert beat.get_srcComponent() == 1
-    companion.send(companion.heartbeat(), companion.command(512, 2))
-    after = wait_until(companion, lambda m: m.get_type() == "SYSTEM_TIME")
-    assert after.time_boot_ms < late
-
-
 def test_strict_ends_the_run_at_what_the_real_one_does_not_survive(
     start: Start, companion: Any
 ) -> None:

@@ -123,8 +123,16 @@ def check(got: Look, *, steepest: float, range_m: float) -> None:
     assert np.max(got.covered_m[false_seen], initial=0.0) <= steepest * range_m / 400.0 * 5.0
 
 
-@pytest.mark.parametrize(("spacing_m", "above_ground_m"), [(50, 150.0), (160, 5.0)])
-@pytest.mark.parametrize(("seed", "combine"), [(0, "maximum"), (3, "sum"), (7, "maximum")])
+@pytest.mark.parametrize(
+    ("seed", "combine", "spacing_m", "above_ground_m"),
+    [
+        *((0, "maximum", 50, 150.0), (3, "sum", 160, 5.0), (7, "maximum", 160, 150.0)),
+        *(
+            pytest.param(*row, marks=pytest.mark.nightly)
+            for row in ((0, "maximum", 160, 5.0), (3, "sum", 50, 150.0), (7, "maximum", 50, 5.0))
+        ),
+    ],
+)
 def test_random_worlds(seed: int, combine: str, spacing_m: int, above_ground_m: float) -> None:
     terrain, height = hills(seed, combine)
     ground_m = float(height(np.array([0.0]), np.array([0.0]))[0])

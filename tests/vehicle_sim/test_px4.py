@@ -5,8 +5,7 @@ import math
 import pytest
 from tracking_px4 import Rig
 
-from vehicle_sim.autopilots import Ack, Event, Reboot, Result, Say, Send
-from vehicle_sim.autopilots.px4 import health
+from vehicle_sim.autopilots import Ack, Reboot, Result
 from vehicle_sim.autopilots.px4.autopilot import parameter_rows
 from vehicle_sim.autopilots.px4.modes import Mode, base_mode
 from vehicle_sim.autopilots.px4.pilot import Pilot
@@ -20,14 +19,6 @@ UP = (0.0, 0.0, -10.0)
 def _acks(rig: Rig, number: int) -> list[int]:
     return [
         reply.result for _, reply in rig.said if isinstance(reply, Ack) and reply.command == number
-    ]
-
-
-def _events(rig: Rig, number: int) -> list[tuple[float, bytes]]:
-    return [
-        (at_s, reply.arguments)
-        for at_s, reply in rig.said
-        if isinstance(reply, Event) and reply.number == number
     ]
 
 
@@ -60,43 +51,6 @@ def test_what_can_be_streamed() -> None:
 
 
 # --- boot -----------------------------------------------------------------------------------------
-
-
-def test_boot() -> None:
-    """px4-offboard-short.tlog: status 0 at 2.6 s, 3 at 3.6 s; PREARM bit with the next report."""
-    rig = Rig()
-    standby_s = prearm_s = home_s = None
-    for _ in range(600):
-        rig.step()
-        status = rig.px4.status()
-        if standby_s is None and status.system_status == 3:
-            standby_s = rig.now_s
-        if prearm_s is None and status.prearm_ok:
-            prearm_s = rig.now_s
-        if home_s is None and status.home is not None:
-            home_s = rig.now_s
-    assert standby_s is not None
-    assert 2.65 < standby_s < 3.65
-    assert prearm_s == pytest.approx(4.15, abs=0.1)
-    assert home_s == pytest.approx(2.1, abs=0.4)
-    assert rig.px4.mode is Mode.LOITER
-    origins = [at_s for at_s, reply in rig.said if reply == Send(message=49)]
-    assert len(origins) == 1  # told once, to who is there
-
-
-def test_the_arming_checks_are_reported_as_recorded() -> None:
-    """px4-offboard-short.tlog: at 2.088 without a position, at 4.140 with one; then quiet."""
-    rig = Rig()
-    rig.run(6.0)
-    summaries = _events(rig, 27825120)
-    assert [at_s for at_s, _ in summaries] == [
-        pytest.approx(2.088, abs=0.06),
-        pytest.approx(4.14, abs=0.06),
-    ]
-    assert summaries[0][1].hex() == "000000120180000000803a0180803a0180"
-    assert summaries[1][1].hex() == "000000100080000000b03a7f80b03a7f80"
-    rig.stream(1.0, position=UP)
-    assert _events(rig, 27825120)[-1][1].hex() == "000000000080000000b07a7f80b07a7f80"
 
 
 def test_it_cannot_be_armed_while_it_boots() -> None:
@@ -152,50 +106,6 @@ def test_it_does_not_disarm_in_the_air_unless_forced() -> None:
     rig.run(3.0)
     assert rig.height_m <= 0.0
     assert rig.px4.landed
-
-
-def test_the_events_of_a_flight() -> None:
-    """Ids and arguments of the recorded flights, in their order."""
-    rig = Rig()
-    rig.take_off(5.0, seconds=9.0)
-    rig.command(21)
-    rig.run(25.0)
-    wanted = {
-        health.ARMED: b"\x04",
-        health.TAKEOFF_DETECTED: b"",
-        health.LANDING_HERE: b"",
-        health.LANDING_DETECTED: b"",
-        health.DISARMED: b"\x06",
-    }
-    said = [
-        (reply.number, reply.arguments)
-        for _, reply in rig.said
-        if isinstance(reply, Event) and reply.number in wanted
-    ]
-    assert said == list(wanted.items())
-
-
-def test_landing_straightens_a_gimbal() -> None:
-    """COMMAND_LONGs that PX4 broadcasts: 0.25, 1.25, 1.76 and 2.27 s after the mode (logs)."""
-    rig = Rig()
-    rig.take_off(8.0)
-    rig.command(21)
-    landing_s = rig.now_s
-    rig.run(4.0)
-    said = [
-        (at_s - landing_s, reply.message.command, reply.message.confirmation)
-        for at_s, reply in rig.said
-        if isinstance(reply, Say) and reply.message.get_type() == "COMMAND_LONG"
-    ]
-    assert [(command, confirmation) for _, command, confirmation in said] == [
-        (1001, 0),
-        (1000, 0),
-        (1001, 0),
-        (1001, 1),
-        (1001, 2),
-        (1001, 3),
-    ]
-    assert [at_s for at_s, _, _ in said[2:]] == pytest.approx([0.25, 1.25, 1.76, 2.27], abs=0.06)
 
 
 # --- other commands -------------------------------------------------------------------------------
@@ -256,28 +166,6 @@ def test_the_battery_brings_it_home() -> None:
     rig.px4.battery.remaining = 0.04
     rig.stream(0.5, velocity=(0.0, 0.0, 0.0))
     assert rig.px4.mode is Mode.LAND
-
-
-def test_a_moved_origin_and_a_reset_estimate_show_in_the_local_frame() -> None:
-    rig = Rig()
-    rig.take_off(10.0)
-    north_m, east_m, down_m = rig.px4.local_m
-    rig.px4.move_origin(10.0, -5.0, 2.0)
-    rig.step()
-    moved = rig.px4.local_m
-    assert moved == pytest.approx((north_m - 10.0, east_m + 5.0, down_m + 2.0), abs=0.1)
-    rig.px4.reset_estimate(20.0, 0.0)
-    rig.step()
-    assert rig.px4.local_m[0] == pytest.approx(moved[0] + 20.0, abs=0.1)
-
-
-def test_the_pilot_that_a_fault_brings_holds_the_vehicle() -> None:
-    rig = Rig()
-    rig.take_off(10.0)
-    rig.px4.pilot_takes()
-    rig.stream(6.0, velocity=(3.0, 0.0, 0.0))
-    assert rig.px4.mode is Mode.POSCTL
-    assert rig.speed_m_s < 0.4
 
 
 def test_a_ground_station_is_missed_only_after_it_was_heard() -> None:

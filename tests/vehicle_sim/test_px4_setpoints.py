@@ -102,7 +102,7 @@ def test_body_frame_velocity_turns_with_the_heading() -> None:
         (_POSITION, 8, False),
         (_VELOCITY, 7, False),
         (_POSITION, 9, False),
-        (_VELOCITY, 12, False),
+        *((_VELOCITY, frame, False) for frame in (2, 3, 12, 20, 21)),
         (_POSITION, 0, False),
         (0xDFF, 1, False),
         (0x9FF, 1, False),
@@ -171,6 +171,13 @@ def test_relative_altitude_has_the_sign_error() -> None:
     assert target is not None
     flown_above_home_m = -target.position_m[2] + 488.0 - 493.0
     assert flown_above_home_m == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("frame", [0, 3, 5, 6, 10, 11])
+def test_a_velocity_alone_is_taken_in_every_frame_of_global_int(frame: int) -> None:
+    target = _read(_VELOCITY, frame=frame, is_global=True, position=(0.0, 0.0, 0.0))
+    assert target is not None
+    assert _same(target.velocity_m_s, _V)
 
 
 @pytest.mark.parametrize("mask", [0xFC4, 0xFC3])

@@ -86,25 +86,18 @@ def test_enforcing_lets_only_the_own_system_and_the_ground_station_command(
     assert vehicle.get(source, command((1, 0)), ON_GCS_LINK).links == (ON_COMPANION_LINK,)
 
 
-def test_a_command_to_a_component_goes_to_its_link_and_not_to_the_vehicle() -> None:
-    assert Vehicle().get(GCS, command((1, 191)), ON_GCS_LINK) == Route(links=(ON_COMPANION_LINK,))
-
-
-def test_a_command_to_all_components_goes_there_and_is_handled_too() -> None:
-    route = Vehicle().get(GCS, command((1, 0)), ON_GCS_LINK)
-    assert route == Route(links=(ON_COMPANION_LINK,), to_autopilot=True, to_radar=True)
-
-
-def test_a_command_to_an_unknown_component_is_the_vehicles() -> None:
-    assert Vehicle().get(GCS, command((1, 99)), ON_GCS_LINK) == Route(to_autopilot=True)
-
-
-def test_a_command_to_the_autopilot_goes_nowhere_else() -> None:
-    assert Vehicle().get(GCS, command((1, 1)), ON_GCS_LINK) == Route(to_autopilot=True)
-
-
-def test_a_command_to_the_radar_is_for_it_alone() -> None:
-    assert Vehicle().get(GCS, command((1, RADAR)), ON_GCS_LINK) == Route(to_radar=True)
+@pytest.mark.parametrize(
+    ("target", "route"),
+    [
+        ((1, 191), Route(links=(ON_COMPANION_LINK,))),
+        ((1, 0), Route(links=(ON_COMPANION_LINK,), to_autopilot=True, to_radar=True)),
+        ((1, 99), Route(to_autopilot=True)),  # whom nobody knows is the vehicle
+        ((1, 1), Route(to_autopilot=True)),
+        ((1, RADAR), Route(to_radar=True)),
+    ],
+)
+def test_a_command_goes_where_its_target_is(target: Ids, route: Route) -> None:
+    assert Vehicle().get(GCS, command(target), ON_GCS_LINK) == route
 
 
 def test_the_answer_of_the_companion_finds_the_ground_station() -> None:

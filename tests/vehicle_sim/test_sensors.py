@@ -80,7 +80,7 @@ def cells(radar: TerrainRadar, request: ScanRequest, view: Viewpoint) -> NDArray
     return grid
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(seed=st.integers(0, 10**6), far=st.booleans())
 def test_a_seen_cell_is_its_highest_terrain_rounded_up(seed: int, *, far: bool) -> None:
     rng = np.random.default_rng(seed)
@@ -101,47 +101,18 @@ def test_a_seen_cell_is_its_highest_terrain_rounded_up(seed: int, *, far: bool) 
     assert np.mean(got <= brute + 2.0) > 0.5  # and mostly not more than the rounding
 
 
-def hidden_by_brute_force(
-    terrain: PeakTerrain, eye: tuple[float, float, float], north: FloatArray, east: FloatArray
-) -> FloatArray:
-    """How far the terrain rises above the line of sight to each point; <= 0: free."""
-    top = terrain.height_amsl_m(north, east)
-    share = np.linspace(0, 1, 601)[:, None]
-    line_n = eye[0] + share * (north - eye[0])
-    line_e = eye[1] + share * (east - eye[1])
-    above = terrain.height_amsl_m(line_n, line_e) - (eye[2] + share * (top - eye[2]))
-    return above[:-1].max(axis=0)
-
-
-@settings(max_examples=10)
-@given(seed=st.integers(0, 10**6), far=st.booleans(), height_m=st.sampled_from([5.0, 150.0, 600.0]))
-def test_an_unseen_cell_is_hidden_in_truth_or_out_of_range(
-    seed: int, height_m: float, *, far: bool
-) -> None:
-    rng = np.random.default_rng(seed)
-    centre = FAR if far else (0.0, 0.0)
-    terrain = hills(rng, centre)
-    eye = (*centre, terrain.height_at_amsl_m(*centre) + height_m)
-    radar = TerrainRadar(terrain, FRAME, range_m=RANGE_M)
+@pytest.mark.parametrize("centre", [(0.0, 0.0), FAR])
+def test_what_is_out_of_range_is_unseen(centre: tuple[float, float]) -> None:
+    """What is hidden by the ground: test_occlusion.py."""
+    radar = TerrainRadar(hills(np.random.default_rng(1), centre), FRAME, range_m=RANGE_M)
     request = request_about(centre, 250)
-    got = cells(radar, request, viewpoint(centre, eye[2]))
+    got = cells(radar, request, viewpoint(centre, 9000.0))
     i, j = (axis.ravel() for axis in np.meshgrid(np.arange(28), np.arange(32), indexing="ij"))
     middle_n, middle_e = to_local(request, (i + 0.5) * 250.0, (j + 0.5) * 250.0)
     distance = np.hypot(middle_n - centre[0], middle_e - centre[1])
     unseen = got.ravel() == UNSEEN_M
     assert np.all(unseen[distance > RANGE_M + 1.0])
-    near = distance < RANGE_M - 1.0
-    rises = np.stack(
-        [
-            hidden_by_brute_force(
-                terrain, eye, *to_local(request, (i + a) * 250.0, (j + b) * 250.0)
-            )
-            for a, b in ((0, 0), (0, 1), (1, 0), (1, 1), (0.5, 0.5))
-        ]
-    ).min(axis=0)
-    assert np.all(rises[unseen & near] > -0.5)  # brute force samples, so it may miss a ridge's top
-    clearly_hidden = near & (rises > 60.0)
-    assert np.mean(unseen[clearly_hidden]) >= 0.8 if clearly_hidden.sum() > 20 else True
+    assert not np.any(unseen[distance < RANGE_M - 200.0])
 
 
 def test_a_wall_of_mountains_hides_what_lies_behind_it() -> None:

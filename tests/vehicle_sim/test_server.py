@@ -136,30 +136,6 @@ def test_a_scan_of_56_blocks_comes_whole_in_few_datagrams(serve: Serve, companio
         assert blocks == list(range(56))
 
 
-def recorded(serve: Serve, companion: Any) -> list[bytes]:
-    """Every datagram after the first heartbeat of a short lockstep run."""
-    data = []
-    with serve(companion.port, lockstep=True, duration_s=3.0) as run:
-        companion.datagram()
-        companion.mav.seq = 0
-        companion.send(companion.heartbeat(), companion.command(511, 33, 100_000))
-        while not run.ended(0.0):
-            companion.socket.settimeout(0.2)
-            try:
-                data.append(companion.datagram())
-            except TimeoutError:
-                break
-            for message in companion.parser.parse_buffer(data[-1]) or []:
-                if message.get_type() == "TIMESYNC":
-                    answer = mavlink.MAVLink_timesync_message(message.ts1, message.ts1)
-                    companion.send(companion.frame(answer))
-    return [d for d in data if len(d) > 60]  # without hellos that were already on their way
-
-
-def test_the_same_run_sends_the_same_bytes_over_the_socket(serve: Serve, companion: Any) -> None:
-    assert recorded(serve, companion) == recorded(serve, companion)
-
-
 def test_a_host_that_cannot_be_found_is_named() -> None:
     with pytest.raises(InputError, match=r"--connect = 'udpout:no\.such\.host\.invalid:9'"):
         open_link(Endpoint(kind="udpout", host="no.such.host.invalid", port=9))

@@ -87,15 +87,6 @@ def test_everything_it_streams_can_be_made_and_packed(flying: Rig) -> None:
                 assert message.get_msgId() == number
 
 
-def test_the_sensors_are_those_of_the_recording(flying: Rig) -> None:
-    """px4-offboard-8mps.tlog in flight."""
-    status = MESSAGES[1](_report(flying))
-    assert status is not None
-    assert status.onboard_control_sensors_present == 33570863
-    assert status.onboard_control_sensors_enabled == 33636399
-    assert status.onboard_control_sensors_health == 320915519
-
-
 def test_the_echo_is_what_the_controller_wants(flying: Rig) -> None:
     """POSITION_TARGET_LOCAL_NED: position not given: NaN and its bits; motors idle: mask 63."""
     echo = MESSAGES[85](_report(flying))

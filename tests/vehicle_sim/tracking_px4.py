@@ -5,8 +5,7 @@ with 3 m of height up and down.  Errors are taken against the estimator's positi
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any, Literal, final
+from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 import rig
@@ -157,9 +156,7 @@ class Curve:
         return along_m, float(direction[0] * offset[1] - direction[1] * offset[0])
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tracking:
+class Tracking(NamedTuple):
     """One row of the table: metres and m/s."""
 
     along_mean_m: float
@@ -238,20 +235,14 @@ def _send(rig: Rig, curve: Curve, kind: Kind, along_m: float, speed_m_s: float) 
     )
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class Row(NamedTuple):
     """One row of px4.md 5: what was flown and what the real one did."""
 
     kind: Kind
     speed_m_s: float
     rate_hz: float
-    along_mean_m: float | None
-    along_max_m: float | None
-    cross_rms_m: float
-    cross_max_m: float
-    altitude_rms_m: float
-    ground_speed_m_s: float
+    real: Tracking
+    """Along is NaN where it was not measured."""
     lead_s: float = 0.0
     carrot_m: float | None = None
 
@@ -268,34 +259,12 @@ class Row:
 
 
 def _row(kind: Kind, speed: float, rate: float, figures: str, lead_s: float = 0.0) -> Row:
-    mean, most, rms, cross, height, ground = map(float, figures.split())
-    return Row(
-        kind=kind,
-        speed_m_s=speed,
-        rate_hz=rate,
-        along_mean_m=mean,
-        along_max_m=most,
-        cross_rms_m=rms,
-        cross_max_m=cross,
-        altitude_rms_m=height,
-        ground_speed_m_s=ground,
-        lead_s=lead_s,
-    )
+    return Row(kind, speed, rate, Tracking(*map(float, figures.split())), lead_s)
 
 
-def _carrot(carrot_m: float, rms: float, cross: float, height: float, ground: float) -> Row:
-    return Row(
-        kind="position",
-        speed_m_s=ground,
-        rate_hz=20.0,
-        along_mean_m=None,
-        along_max_m=None,
-        cross_rms_m=rms,
-        cross_max_m=cross,
-        altitude_rms_m=height,
-        ground_speed_m_s=ground,
-        carrot_m=carrot_m,
-    )
+def _carrot(carrot_m: float, *figures: float) -> Row:
+    real = Tracking(math.nan, math.nan, *figures)
+    return Row("position", real.speed_m_s, 20.0, real, carrot_m=carrot_m)
 
 
 _P: Kind = "position"
@@ -334,20 +303,17 @@ TABLE: tuple[Row, ...] = (
 
 def line(row: Row, measured: Tracking) -> str:
     """One line of the table: real, simulated."""
-    real_mean = "-" if row.along_mean_m is None else f"{row.along_mean_m:.1f}"
-    real_max = "-" if row.along_max_m is None else f"{row.along_max_m:.1f}"
     what = row.kind + (f", {row.lead_s} s ahead" if row.lead_s else "")
     what += f", carrot {row.carrot_m:.0f} m" if row.carrot_m else ""
-    mean = "-" if row.along_mean_m is None else f"{measured.along_mean_m:.1f}"
-    most = "-" if row.along_mean_m is None else f"{measured.along_max_m:.1f}"
-    return (
-        f"| {row.speed_m_s:.0f} | {what} | {row.rate_hz:.0f} "
-        f"| {real_mean} / {real_max} | {mean} / {most} "
-        f"| {row.cross_rms_m:.2f} / {row.cross_max_m:.2f} "
-        f"| {measured.cross_rms_m:.2f} / {measured.cross_max_m:.2f} "
-        f"| {row.altitude_rms_m:.2f} | {measured.altitude_rms_m:.2f} "
-        f"| {row.ground_speed_m_s:.1f} | {measured.speed_m_s:.1f} |"
-    )
+    along, across, height, speed = [], [], [], []
+    for t in (row.real, measured):
+        known = not math.isnan(row.real.along_mean_m)
+        along.append(f"{t.along_mean_m:.1f} / {t.along_max_m:.1f}" if known else "- / -")
+        across.append(f"{t.cross_rms_m:.2f} / {t.cross_max_m:.2f}")
+        height.append(f"{t.altitude_rms_m:.2f}")
+        speed.append(f"{t.speed_m_s:.1f}")
+    cells = (f"{row.speed_m_s:.0f}", what, f"{row.rate_hz:.0f}", *along, *across, *height, *speed)
+    return "| " + " | ".join(cells) + " |"
 
 
 def table() -> str:

@@ -6,8 +6,7 @@ lies ``lead_m`` further on.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Final, Literal, final
+from typing import Final, Literal, NamedTuple, final
 
 import numpy as np
 import rig
@@ -140,15 +139,13 @@ class Curve:
         return (index + round(lead_m / self._step_m)) % _POINTS
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class Row(NamedTuple):
     """One line of the table of px4.md 10, and how near the simulator is to be."""
 
     name: str
     kind: Kind
-    lead_m: float = 0.0
-    rate_hz: float = 10.0
+    lead_m: float
+    rate_hz: float
     rms_m: float
     most_m: float
     within_m: float
@@ -156,95 +153,23 @@ class Row:
 
 
 ROWS: Final = (
-    Row(name="pos + vel, nearest point", kind="pos + vel", rms_m=3.8, most_m=6.7, within_m=0.6),
-    Row(
-        name="pos + vel, nearest point, 2.5 Hz",
-        kind="pos + vel",
-        rate_hz=2.5,
-        rms_m=3.9,
-        most_m=8.0,
-        within_m=1.0,
-    ),
-    Row(
-        name="pos + vel, lead 15 m",
-        kind="pos + vel",
-        lead_m=15.0,
-        rms_m=1.8,
-        most_m=4.1,
-        within_m=1.2,
-    ),
-    Row(
-        name="pos + vel, lead 20 m",
-        kind="pos + vel",
-        lead_m=20.0,
-        rms_m=1.1,
-        most_m=3.8,
-        within_m=1.0,
-    ),
-    Row(
-        name="pos + vel, lead 30 m",
-        kind="pos + vel",
-        lead_m=30.0,
-        rms_m=1.3,
-        most_m=6.9,
-        within_m=1.3,
-    ),
-    Row(
-        name="pos + vel, lead 60 m",
-        kind="pos + vel",
-        lead_m=60.0,
-        rms_m=1.6,
-        most_m=3.0,
-        within_m=1.2,
-    ),
-    Row(name="pos + vel + acc", kind="pos + vel + acc", rms_m=7.9, most_m=12.6, within_m=1.2),
-    Row(
-        name="pos + vel - acc (negated)",
-        kind="pos + vel - acc",
-        rms_m=0.9,
-        most_m=2.2,
-        within_m=0.9,
-    ),
-    Row(
-        name="pos only, lead 30 m",
-        kind="position",
-        lead_m=30.0,
-        rms_m=0.8,
-        most_m=1.5,
-        within_m=0.7,
-    ),
-    Row(
-        name="pos only, lead 60 m",
-        kind="position",
-        lead_m=60.0,
-        rms_m=5.2,
-        most_m=7.1,
-        within_m=1.0,
-    ),
-    Row(
-        name="pos only, lead 100 m",
-        kind="position",
-        lead_m=100.0,
-        rms_m=18.0,
-        most_m=24.5,
-        within_m=2.5,
-    ),
-    Row(
-        name="DO_REPOSITION at 1 Hz, lead 130 m",
-        kind="reposition",
-        lead_m=130.0,
-        rate_hz=1.0,
-        rms_m=53.0,
-        most_m=86.0,
-        within_m=20.0,
-    ),
+    Row("pos + vel, nearest point", "pos + vel", 0.0, 10.0, 3.8, 6.7, 0.6),
+    Row("pos + vel, nearest point, 2.5 Hz", "pos + vel", 0.0, 2.5, 3.9, 8.0, 1.0),
+    Row("pos + vel, lead 15 m", "pos + vel", 15.0, 10.0, 1.8, 4.1, 1.2),
+    Row("pos + vel, lead 20 m", "pos + vel", 20.0, 10.0, 1.1, 3.8, 1.0),
+    Row("pos + vel, lead 30 m", "pos + vel", 30.0, 10.0, 1.3, 6.9, 1.3),
+    Row("pos + vel, lead 60 m", "pos + vel", 60.0, 10.0, 1.6, 3.0, 1.2),
+    Row("pos + vel + acc", "pos + vel + acc", 0.0, 10.0, 7.9, 12.6, 1.2),
+    Row("pos + vel - acc (negated)", "pos + vel - acc", 0.0, 10.0, 0.9, 2.2, 0.9),
+    Row("pos only, lead 30 m", "position", 30.0, 10.0, 0.8, 1.5, 0.7),
+    Row("pos only, lead 60 m", "position", 60.0, 10.0, 5.2, 7.1, 1.0),
+    Row("pos only, lead 100 m", "position", 100.0, 10.0, 18.0, 24.5, 2.5),
+    Row("DO_REPOSITION at 1 Hz, lead 130 m", "reposition", 130.0, 1.0, 53.0, 86.0, 20.0),
 )
 """px4.md 10, "Curve of least radius 100 m", all of it."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Flown:
+class Flown(NamedTuple):
     """What a flight measured."""
 
     rms_m: float
@@ -297,16 +222,3 @@ def _aim(rig: Rig, curve: Curve, index: int, kind: Kind) -> None:
         (speed_m_s * ahead_n, speed_m_s * ahead_e, 0.0),
         (-lateral * ahead_e, lateral * ahead_n, 0.0),
     )
-
-
-def table(*, seed: int = 1) -> list[tuple[Row, Flown]]:
-    """All rows, flown."""
-    return [(row, fly(row, seed=seed)) for row in ROWS]
-
-
-if __name__ == "__main__":
-    for measured, flown in table():
-        print(  # noqa: T201  a table for people
-            f"{measured.name:36} PX4 {measured.rms_m:5.1f} / {measured.most_m:5.1f} m   "
-            f"simulator {flown.rms_m:5.1f} / {flown.most_m:5.1f} m"
-        )
