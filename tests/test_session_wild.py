@@ -6,8 +6,8 @@ import pytest
 from companion_receive import HANDLED, PERSONALITIES, Recording, Run, Target, restored, saved
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from programs import Reader, intact
 from pymavlink.dialects.v20 import all as mavlink
+from random_programs import Reader, intact
 
 from companion.session import Session
 

@@ -18,8 +18,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from programs import COMMANDS, MESSAGES, VALUES, Reader, command, intact, message_numbers
 from pymavlink.dialects.v20 import all as mavlink
+from random_programs import COMMANDS, MESSAGES, VALUES, Reader, command, intact, message_numbers
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import Autopilot

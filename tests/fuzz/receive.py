@@ -7,8 +7,8 @@ and time that passes.  So the fuzzer gets past the checksums and into every hand
 import math
 import time
 
-from programs import COMMANDS, MESSAGES, Reader, command, intact, message_numbers
 from pymavlink.dialects.v20 import all as mavlink
+from random_programs import COMMANDS, MESSAGES, Reader, command, intact, message_numbers
 
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
