@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import spline
@@ -175,7 +175,8 @@ def bilinear_m(surface: Surface, north: float, east: float) -> float:
         surface.north_min_m + surface.cell_m * np.arange(rows),
         surface.east_min_m + surface.cell_m * np.arange(columns),
     )
-    inside = np.clip(north, axes[0][0], axes[0][-1]), np.clip(east, axes[1][0], axes[1][-1])
+    last = [axis[-1] - 1e-6 * surface.cell_m for axis in axes]  # clamped so far inside
+    inside = np.clip(north, axes[0][0], last[0]), np.clip(east, axes[1][0], last[1])
     return float(RegularGridInterpolator(axes, surface.vertex_m)([inside])[0])
 
 
@@ -310,6 +311,7 @@ def expected_outside(points: list[FloatArray], scene: FlightScene) -> float:
     return 100.0 * (beyond / (R_M / 20.0) + near / scene.clearance_m)
 
 
+@example(seed=44_200)
 @settings(max_examples=40)
 @given(seed=seeds)
 def test_each_term_is_what_a_scalar_implementation_makes_of_the_curve(seed: int) -> None:
