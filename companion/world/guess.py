@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from companion.geodesy import BoolArray, FloatArray
 from companion.world.known_map import KnownMap
 
-_REACH = 1.6  # of R about here: what lies farther away is as it was seen, or plain
+_REACH = 6.0  # of R about here: what lies farther away is as it was seen, or plain
+_FINE = 1.6  # of R about here: farther away the guess is as coarse as its blocks
 _BLOCK = 0.05  # of R: what was seen is averaged over such squares
 _RIM = 0.2  # of R: what was seen farther inside says nothing of what was not
-_MOST_BLOCKS = 300  # the nearest of them; the work grows with the third power
+_MOST_BLOCKS = 300  # the nearest of them, and as many farther away
+_HIGH = 0.2  # of the highest that was seen: only higher ones count far away
 _SCALES = (0.15, 0.2, 0.27)  # of R: lengths of the covariance, the likeliest is taken
 _NOISE = 0.02  # of the amplitude: cells are as high as the highest in them, not as their middle
 _PLAIN = 0.02  # quantile of what was seen: the plain that mountains stand on
@@ -27,7 +29,8 @@ _PLAIN = 0.02  # quantile of what was seen: the plain that mountains stand on
 def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -> FloatArray:
     """The highest terrain of every cell: as seen, or as guessed.  (rows, columns), metres AMSL.
 
-    -inf where nothing is guessed.  range_m is R: seen terrain is continued within 1.6 R of here.
+    -inf where nothing is guessed.  range_m is R: seen terrain is continued within 6 R of here.  A
+    mountain that was forgotten from afar would be an open way, until one comes near.
     """
     firm = known.firm
     if firm.all():
@@ -35,10 +38,7 @@ def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -
     told = np.zeros_like(firm) if known.guess_m is None else ~np.isnan(known.guess_m)
     guess = np.full(firm.shape, -np.inf)
     if not (firm | told).all():
-        reach = round(_REACH * range_m / known.cell_m)
-        near = tuple(
-            slice(max(at - reach, 0), max(at + reach, 0)) for at in known.cell_of(*here_ne_m)
-        )
+        near = _within(_REACH * range_m, known, here_ne_m)
         part = known.part(*near)
         if part.firm.any():
             guess[near] = continued_m(part, range_m, here_ne_m)
@@ -47,10 +47,18 @@ def guessed_m(known: KnownMap, here_ne_m: tuple[float, float], range_m: float) -
     return np.where(firm, known.upper_m, np.minimum(guess, known.upper_m))
 
 
+def _within(reach_m: float, known: KnownMap, here_ne_m: tuple[float, float]) -> tuple[slice, slice]:
+    """The rows and columns within reach of here."""
+    reach = round(reach_m / known.cell_m)
+    row, column = known.cell_of(*here_ne_m)
+    rows, columns = (slice(max(at - reach, 0), max(at + reach, 0)) for at in (row, column))
+    return rows, columns
+
+
 def continued_m(known: KnownMap, range_m: float, here_ne_m: tuple[float, float]) -> FloatArray:
     """What was seen of the terrain, continued where it was not; the plain far from it.
 
-    -> (rows, columns), metres AMSL, at the middles of the cells.
+    -> (rows, columns), metres AMSL, at the middles of the cells; of the blocks far from here.
     """
     size = max(round(_BLOCK * range_m / known.cell_m), 1)
     height, seen = _blocks(known, size)
@@ -58,16 +66,27 @@ def continued_m(known: KnownMap, range_m: float, here_ne_m: tuple[float, float])
         return np.full(known.upper_m.shape, -np.inf)
     plain = float(np.quantile(height[seen], _PLAIN))
     across = size * known.cell_m
-    chosen = _rim(seen, _RIM * range_m / across, known, across, here_ne_m)
+    high = seen & (height - plain > _HIGH * float(height[seen].max() - plain))
+    chosen = _rim(seen, high, _RIM * range_m / across, known, across, here_ne_m)
     if len(chosen) == 0:
         return np.full(known.upper_m.shape, plain)
     rise = height[chosen[:, 0], chosen[:, 1]] - plain
     corner = np.array([known.north_min_m, known.east_min_m])
     points: FloatArray = (chosen + 0.5) * across + corner  # (K, 2)
     scale, weights = _likeliest(points, rise, range_m)
-    north, east = known.middles_m(0, 0, (known.upper_m.shape[0], known.upper_m.shape[1]))
-    along = _covariance(north.ravel(), points[:, 0], scale) * weights
-    result: FloatArray = plain + along @ _covariance(east.ravel(), points[:, 1], scale).T
+
+    def rise_m(north_m: FloatArray, east_m: FloatArray) -> FloatArray:
+        along = _covariance(north_m, points[:, 0], scale) * weights
+        result: FloatArray = along @ _covariance(east_m, points[:, 1], scale).T
+        return result
+
+    middles = ((np.arange(seen.shape[axis]) + 0.5) * across + corner[axis] for axis in (0, 1))
+    coarse = rise_m(*middles).repeat(size, axis=0).repeat(size, axis=1)
+    rows, columns = known.upper_m.shape
+    result = plain + coarse[:rows, :columns]
+    near = _within(_FINE * range_m, known, here_ne_m)
+    north, east = known.middles_m(0, 0, (rows, columns))
+    result[near] = plain + rise_m(north[near[0], 0], east[0, near[1]])
     return result
 
 
@@ -83,9 +102,17 @@ def _blocks(known: KnownMap, size: int) -> tuple[FloatArray, BoolArray]:
 
 
 def _rim(
-    seen: BoolArray, most: float, known: KnownMap, across_m: float, here_ne_m: tuple[float, float]
+    seen: BoolArray,
+    high: BoolArray,
+    most: float,
+    known: KnownMap,
+    across_m: float,
+    here_ne_m: tuple[float, float],
 ) -> NDArray[np.intp]:
-    """The seen blocks next to what was not seen: all at the rim, every other behind.  (K, 2)."""
+    """The seen blocks next to what was not seen: all at the rim, every other behind.  (K, 2).
+
+    Nearest first.  Of those that are too many, a fourth of the high ones, where mountains go on.
+    """
     inside = scipy.ndimage.distance_transform_edt(seen)
     if seen.all():
         return np.empty((0, 2), dtype=np.intp)
@@ -94,7 +121,10 @@ def _rim(
     chosen = np.argwhere(use)
     here = (np.array(here_ne_m) - (known.north_min_m, known.east_min_m)) / across_m - 0.5
     away = ((chosen - here) ** 2).sum(axis=1)
-    return chosen[np.argsort(away, kind="stable")[:_MOST_BLOCKS]]
+    chosen = chosen[np.argsort(away, kind="stable")]
+    far = chosen[_MOST_BLOCKS:]
+    far = far[(far % 2 == 0).all(axis=1) & high[*far.T]][:_MOST_BLOCKS]
+    return np.concatenate([chosen[:_MOST_BLOCKS], far])
 
 
 def _likeliest(
@@ -105,7 +135,7 @@ def _likeliest(
     Judged by every other of many blocks: the work grows with the third power.
     """
     every = 1 if len(rise_m) < _MOST_BLOCKS // 2 else 2
-    some, rise = points_ne_m[::every], rise_m[::every]
+    some, rise = points_ne_m[:_MOST_BLOCKS:every], rise_m[:_MOST_BLOCKS:every]
     best, likeliest = -np.inf, _SCALES[0] * range_m
     for scale in _SCALES:
         factor, weights = _solved(some, rise, scale * range_m)

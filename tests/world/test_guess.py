@@ -65,6 +65,17 @@ def test_far_from_all_that_was_seen_lies_the_plain() -> None:
     assert believed[-1, -1] == pytest.approx(300.0, abs=30.0)
 
 
+def test_a_wall_goes_on_beyond_what_was_seen_of_it_from_wherever_it_is_looked_at() -> None:
+    """One that is open from far away draws the vehicle from one end to the other for ever."""
+    ridge = 5e3 * np.exp(-(((NORTH - 30e3) / 2e3) ** 2)) * np.ones_like(EAST)
+    known = seen_where(ridge, np.asarray(np.hypot(NORTH - 30e3, EAST - 28e3) < 10e3))
+    beyond = ~known.seen & (np.abs(NORTH - 30e3) < 300.0) & (np.abs(EAST - 38.5e3) < 300.0)
+    for here in ((30e3, 30e3), (1e3, 1e3)):
+        believed = guessed_m(known, here, R)[beyond]
+        assert len(believed)
+        assert believed.min() > 4e3
+
+
 def test_it_is_the_kriging_of_another_implementation(monkeypatch: pytest.MonkeyPatch) -> None:
     """scipy's radial basis functions of a Gaussian, with the noise as smoothing."""
     monkeypatch.setattr(guess, "_SCALES", (0.2,))
