@@ -142,7 +142,13 @@ def run_late(start: Start, wait_s: float, *options: object) -> str:
 @pytest.mark.parametrize(
     "faults",
     [
-        [f"SIM_LNK_{what}" for what in ("DUP=30", "LOSS=20", "CORR=20", "DELAY=50", "REORD=30")],
+        [
+            "SIM_LNK_DUP=30",
+            "SIM_LNK_LOSS=20",
+            "SIM_LNK_CORR=20",
+            "SIM_LNK_DELAY=50",
+            "SIM_LNK_REORD=30",
+        ],
         ["SIM_LNK_OFF=1"],
     ],
     ids=["lossy and late", "off"],
