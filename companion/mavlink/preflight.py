@@ -7,8 +7,10 @@ would do now, so whatever it would refuse is refused before that, too.
 
 import enum
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol, final
+
+from msgspec.structs import replace
 
 from companion.mavlink import fence
 from companion.mavlink.dialect import COMPANION_COMPONENT

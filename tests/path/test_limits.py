@@ -18,10 +18,10 @@ def test_the_dead_man_reach_is_what_a_vehicle_covers_that_flies_on_and_then_brak
     speed: float, braking: float, flies_on_s: float
 ) -> None:
     copter, steps = limits(acceleration_m_s2=braking, dead_man_s=flies_on_s), 4_000
-    duration_s = flies_on_s + speed / braking
-    time_s = (np.arange(steps) + 0.5) * duration_s / steps
-    speeds = np.clip(speed - braking * (time_s - flies_on_s), 0.0, speed)
-    assert copter.reach_m(speed) == pytest.approx(speeds.mean() * duration_s, rel=1e-5, abs=1e-9)
+    time_s = (np.arange(steps) + 0.5) * (speed / braking) / steps
+    braked_m = (speed - braking * time_s).mean() * speed / braking
+    covered_m = speed * flies_on_s + braked_m
+    assert copter.reach_m(speed) == pytest.approx(covered_m, rel=1e-5, abs=1e-9)
 
 
 def test_the_reach_covers_the_54_m_that_arducopter_flew_on_at_10_m_s() -> None:

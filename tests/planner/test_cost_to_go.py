@@ -295,7 +295,8 @@ def a_scene(seed: int) -> tuple[Task, KnownMap]:
     terrain = np.max(
         [h * np.exp(-((n - a) ** 2 + (e - b) ** 2) / s**2) for a, b, s, h in hills], axis=0
     )
-    return task, seen(task, terrain, where=np.hypot(n - 20e3, e - 20e3) < 30e3)
+    known = seen(task, terrain, where=np.hypot(n - 20e3, e - 20e3) < 30e3)
+    return task, replace(known, guess_m=np.full_like(terrain, -np.inf))  # free beyond
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -3,12 +3,12 @@
 import json
 import random
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from renewed import replace
 
 from companion.config import load_mission
 from companion.mission import checkpoint
