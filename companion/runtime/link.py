@@ -20,6 +20,7 @@ import select
 import socket
 import threading
 import time
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Generic, Protocol, Self, TypeVar, final
@@ -254,16 +255,15 @@ class _StreamLink(Link, Generic[_Stream]):
         return not self._over.is_set()
 
     def _open(self, timeout_s: float) -> None:
-        """Try to get a stream, for so long."""
-        raise NotImplementedError
+        """Try to get a stream, for so long.  One that listens waits until somebody calls."""
 
+    @abstractmethod
     def _read(self, stream: _Stream, timeout_s: float) -> bytes | None:
         """What has arrived; None: nothing in time; b"" or one of _LOST: the stream is gone."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _write(self, stream: _Stream, data: bytes) -> int:
         """Write what there is room for; how many bytes that was."""
-        raise NotImplementedError
 
 
 class _TcpLink(_StreamLink[socket.socket]):
