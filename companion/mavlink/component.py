@@ -17,7 +17,6 @@ from companion.mission.changes import Verdict
 from companion.mission.events import Order
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, State
-from companion.mission.stopped import AS_TOLD
 from companion.planner.settings import Task
 
 REQUESTS = (
@@ -96,7 +95,7 @@ def system_status(state: State) -> int:
     if state.phase is Phase.WAITING:
         return int(wire.MAV_STATE_BOOT)
     if state.phase is Phase.HOLDING:
-        calm = state.reason in AS_TOLD
-        return int(wire.MAV_STATE_ACTIVE if calm else wire.MAV_STATE_CRITICAL)
+        warns = state.reason is None or state.reason.warns
+        return int(wire.MAV_STATE_CRITICAL if warns else wire.MAV_STATE_ACTIVE)
     on_ground = state.phase in (Phase.PREPARING, Phase.ARMING, Phase.SHADOW)
     return int(wire.MAV_STATE_STANDBY if on_ground else wire.MAV_STATE_ACTIVE)

@@ -24,8 +24,21 @@ from companion.mission.events import (
     TargetsChanged,
 )
 from companion.mission.health import battery_is_short
-from companion.mission.state import OVER, Flight, Phase, Reason, State, Trigger, Vehicle
-from companion.mission.stopped import STANDING, TAKEN, fence_breached, resumed
+from companion.mission.state import (
+    OVER,
+    Flight,
+    OnSetpoints,
+    Paused,
+    Phase,
+    Reason,
+    Replan,
+    Standing,
+    State,
+    Taken,
+    Trigger,
+    Vehicle,
+)
+from companion.mission.stopped import fence_breached, resumed
 from companion.planner.adjustable import loosest
 from companion.planner.recheck import is_touched
 from companion.planner.rules import why_no_target
@@ -35,16 +48,6 @@ from companion.world.zone_index import index_of
 _ON_PATH = (Phase.FLYING, Phase.RETURNING)
 _NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
 _OF_VEHICLE = "mission changed"
-_CALM = (
-    Reason.NO_PLAN,
-    Reason.PLAN_LATE,
-    Reason.RADAR_SILENT,
-    Reason.NEW_THREAT,
-    Reason.NEW_TARGET,
-    Reason.CONTINUED,
-    Reason.PAUSED,
-)
-"""Reasons to hold in which a person's word counts at once."""
 
 
 class Verdict(enum.Enum):
@@ -68,9 +71,8 @@ def verdict(state: State, order: Order) -> Verdict:
         case OrderKind.PAUSE:
             return Verdict.ACCEPTED if _may_pause(state) else Verdict.NOT_NOW
         case OrderKind.RETURN:
-            calm = (*_CALM, Reason.RETURN_ASKED)
-            taken = state.phase is Phase.HOLDING and state.reason not in calm
-            return Verdict.ACCEPTED if in_air and not taken else Verdict.NOT_NOW
+            held = state.hold is not None and not _is_calm(state)
+            return Verdict.ACCEPTED if in_air and not held else Verdict.NOT_NOW
         case OrderKind.SPEED:
             return Verdict.NOT_NOW if state.phase in OVER else Verdict.ACCEPTED
 
@@ -96,9 +98,12 @@ def _may_pause(state: State) -> bool:
     """Whether a pause is kept: it would end at once where the battery is short."""
     if _is_short(state):
         return False
-    calm = (*_CALM, Reason.RETURN_ASKED)
-    held = state.phase is Phase.HOLDING and state.reason in calm
-    return held or state.phase in _ON_PATH
+    return _is_calm(state) or state.phase in _ON_PATH
+
+
+def _is_calm(state: State) -> bool:
+    """Whether it is held so that a person's word counts at once."""
+    return isinstance(state.hold, OnSetpoints) and state.reason is not Reason.BATTERY_LOW
 
 
 EVENTS: Final = (
@@ -215,7 +220,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
         if state.asks == 0:
             return state, says, Trigger.NEXT_TARGET
         return replace(state, reason=Reason.TAKING_OVER), says, Trigger.FAULT  # it may hold by now
-    if state.phase is Phase.HOLDING and state.reason in STANDING:
+    if isinstance(state.hold, Standing):
         return because(state, Reason.NEW_TARGET), says, None
     return state, says, None
 
@@ -254,11 +259,11 @@ def _go_on(state: State) -> Step:
     if state.phase in _ON_PATH and pauses:  # it still brakes
         flight = replace(flight, stop_reason=wanted or Reason.CONTINUED)
         return replace(state, flight=flight), [Say(text="going on")], None
-    if state.phase is Phase.HOLDING and state.reason is Reason.PAUSED:
+    if isinstance(state.hold, Paused):
         state, commands, trigger = resumed(state)
         return state, [Say(text="going on"), *commands], trigger
-    if state.phase is Phase.HOLDING and state.reason in TAKEN:
-        return replace(state, told_at_s=state.now_s), [], None
+    if isinstance(state.hold, Taken):
+        return replace(state, hold=replace(state.hold, told_at_s=state.now_s)), [], None
     return state, [], None
 
 
@@ -292,7 +297,7 @@ def _return(state: State) -> Step:
     state = replace(state, standing=Reason.RETURN_ASKED, set_aside=None)
     if state.phase is Phase.FLYING:
         return following.stop(state, Reason.RETURN_ASKED)
-    if state.phase is Phase.HOLDING and state.reason in _CALM:
+    if isinstance(state.hold, Replan | Paused):
         return because(state, Reason.RETURN_ASKED), [], None
     if state.phase is Phase.ARRIVED:
         if state.asks:  # for the end action's mode, which it may have by now
@@ -327,6 +332,5 @@ def _rebooted(state: State) -> Step:
         flight=blank,
         vehicle=vehicle,
         prepared=frozenset(),
-        told_at_s=-1e9,
     )
     return state, [Say(text=Reason.REBOOTED.text, warning=True)], Trigger.PREPARE_AGAIN

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from companion.mission.events import Command, Event, Landed, LinkLost, Mode, Position
 from companion.mission.health import astray_m
 from companion.mission.mission import Mission
-from companion.mission.state import IN_AIR, Phase, Reason, State, Trigger, Vehicle
+from companion.mission.state import IN_AIR, Phase, Reason, State, TakeOver, Trigger, Vehicle
 from companion.planner.request import Refusal
 from companion.world.zone_index import index_of
 
@@ -138,8 +138,7 @@ def is_grounded(state: State) -> bool:
 
 def rises(state: State) -> bool:
     """Whether its autopilot's own take-off is ours: nobody else has selected it."""
-    taking_over = state.phase is Phase.HOLDING and state.reason is Reason.TAKING_OVER
-    return state.phase in (Phase.ARMING, Phase.TAKING_OFF) or taking_over
+    return state.phase in (Phase.ARMING, Phase.TAKING_OFF) or isinstance(state.hold, TakeOver)
 
 
 def is_led(state: State) -> bool:
@@ -168,8 +167,10 @@ def has_led(state: State) -> bool:
 
 
 def because(state: State, reason: Reason) -> State:
-    """The same hold, for another reason, from now on."""
-    return replace(state, reason=reason, since_s=state.now_s, asked_at_s=-1e9, asks=0, obeyed=False)
+    """A hold for another reason, from now on."""
+    hold = state.hold if isinstance(state.hold, reason.hold) else reason.hold()
+    state = replace(state, reason=reason, hold=hold, since_s=state.now_s)
+    return replace(state, asked_at_s=-1e9, asks=0, obeyed=False)
 
 
 def cannot_fly(

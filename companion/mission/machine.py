@@ -49,7 +49,25 @@ from companion.mission.events import (
     VehicleStatus,
 )
 from companion.mission.health import distrust, judged, with_battery, with_position
-from companion.mission.state import IN_AIR, MOVES, ON_GROUND, OVER, Phase, Reason, State, Trigger
+from companion.mission.state import (
+    IN_AIR,
+    MOVES,
+    ON_GROUND,
+    OVER,
+    Down,
+    GoBack,
+    HoldMode,
+    Paused,
+    Phase,
+    Reason,
+    Replan,
+    Silent,
+    State,
+    StreamLost,
+    Taken,
+    TakeOver,
+    Trigger,
+)
 
 _AS_IT_SHOULD = {
     Trigger.END_HOLD: "holding",
@@ -88,7 +106,7 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
     if trigger is None or phase is None:
         return after, commands
     entered = replace(
-        after, phase=phase, since_s=after.now_s, asked_at_s=-1e9, asks=0, obeyed=False
+        after, phase=phase, hold=None, since_s=after.now_s, asked_at_s=-1e9, asks=0, obeyed=False
     )
     return _enter(entered, after, trigger, context, commands)
 
@@ -207,7 +225,7 @@ def _enter(
 def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     """To fly, back or on, or to land."""
     flight = replace(state.flight, progress_at_s=state.now_s, echoed_at_s=state.now_s)
-    state = replace(state, flight=flight, reason=None, taken=False, failsafe_over=False)
+    state = replace(state, flight=flight, reason=None, taken=False)
     if state.phase is not Phase.FLYING:
         state = replace(state, standing=None, set_aside=None)
     elif not state.flight.homeward:  # to a target again
@@ -226,19 +244,20 @@ def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command
 def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     """Hold for the reason that there is."""
     reason = state.reason or Reason.NO_PLAN
-    state = replace(state, told_at_s=-1e9)
-    if reason in stopped.STANDING:
-        state = replace(state, standing=reason)
-    elif reason in stopped.TAKEN:
-        state = replace(state, taken=True)
-    elif reason not in stopped.SELF_HELD and reason is not Reason.TAKING_OVER:
-        flight = replace(state.flight, troubles=state.flight.troubles + 1)
-        state = replace(state, flight=flight)
-    quiet = reason in stopped.AS_TOLD
+    state = replace(state, hold=reason.hold())
+    match state.hold:
+        case Paused() | GoBack():
+            state = replace(state, standing=reason)
+        case Taken():
+            state = replace(state, taken=True)
+        case HoldMode() | StreamLost() | Down() | Silent():
+            flight = replace(state.flight, troubles=state.flight.troubles + 1)
+            state = replace(state, flight=flight)
+        case Replan() | TakeOver() | None:
+            pass
     text = f"hold: {reason.text}{words(state, reason)[0]}"
-    says: list[Command] = [Say(text=text, warning=not quiet, about="phase")]
-    left_alone = (*stopped.LET_GO, Reason.TAKING_OVER, Reason.STREAM_LOST)
-    if reason not in (*stopped.SELF_HELD, *left_alone):
+    says: list[Command] = [Say(text=text, warning=reason.warns, about="phase")]
+    if isinstance(state.hold, HoldMode):
         state = replace(state, asked_at_s=state.now_s)
         says.append(SetMode(mode=Mode.HOLD))
     return state, [*commands, *says]

@@ -114,6 +114,64 @@ MOVES: dict[tuple[Phase, Trigger], Phase] = {
 """The transition table.  What is absent changes nothing."""
 
 
+@final
+class Replan(Struct, frozen=True):
+    """On setpoints, in guided mode: after a pause a way on is planned again, not for ever."""
+
+
+@final
+class Paused(Struct, frozen=True):
+    """On setpoints, until a person, or the battery, says otherwise."""
+
+
+@final
+class GoBack(Struct, frozen=True):
+    """On setpoints, until the way back is proven."""
+
+
+@final
+class HoldMode(Struct, frozen=True):
+    """In the autopilot's own hold, until it stands and its position was good for a while."""
+
+
+@final
+class TakeOver(Struct, frozen=True):
+    """In the mode that it flew in, if that stops it by itself; then as `HoldMode`."""
+
+
+@final
+class StreamLost(Struct, frozen=True):
+    """In its own hold for want of setpoints: sent some, it goes back to guided mode by itself."""
+
+
+@final
+class Taken(Struct, frozen=True):
+    """Not ours to command: with somebody else, or its autopilot, until a person gives it back."""
+
+    told_at_s: float = -1e9
+    """When a person has said to go on with it."""
+    failsafe_over: bool = False
+    """Whether it was said that the failsafe which took it is over."""
+
+
+@final
+class Down(Struct, frozen=True):
+    """Not ours to command: not armed, or on the ground, as far as it has said so."""
+
+
+@final
+class Silent(Struct, frozen=True):
+    """Not ours to command: not heard."""
+
+
+OnSetpoints = Replan | Paused | GoBack
+"""The position may be believed."""
+Standing = Paused | GoBack
+"""What a person, or the battery, wants until it is done, or they say otherwise."""
+Hold = OnSetpoints | HoldMode | TakeOver | StreamLost | Taken | Down | Silent
+"""How a vehicle is held, with what has come of it since; `Reason` says which it is."""
+
+
 class Reason(enum.Enum):
     """Why a mission holds or ends, and the one next action to take."""
 
@@ -133,7 +191,7 @@ class Reason(enum.Enum):
     OUTSIDE = ("the vehicle stands off the map or at a zone's edge", "Check origin and area.")
     HOME_TOO_HIGH = ("home lies above the floor of the band", "Raise altitude.floor_amsl_m.")
     NO_TAKE_OFF = ("the vehicle did not reach the floor of the band", "Check its climb rate.")
-    TAKING_OVER = ("taking over", "Wait: it stops first.")
+    TAKING_OVER = ("taking over", "Wait: it stops first.", TakeOver, False)
     POSITION_STALE = ("no position for 0.5 s", "Wait for the vehicle's position to come back.")
     POSITION_FROZEN = ("the position stands still while the speed does not", "Check the GPS.")
     POSITION_JUMPED = ("the position jumped further than the vehicle can fly", "Check the GPS.")
@@ -147,7 +205,7 @@ class Reason(enum.Enum):
         "the position is less accurate than the mission allows",
         "Wait, or raise vehicle.navigation_error_m.",
     )
-    LINK_LOST = ("the vehicle fell silent", "Check the link and the vehicle.")
+    LINK_LOST = ("the vehicle fell silent", "Check the link and the vehicle.", Silent)
     NOT_ALONE = (
         "another companion with our ids is on the link",
         "End one of the two; each vehicle has one, by its own system id.",
@@ -160,6 +218,7 @@ class Reason(enum.Enum):
     STREAM_LOST = (
         "the autopilot has lost the setpoints",
         "Check the link; it goes on by itself.",
+        StreamLost,
     )
     HEALTH_SILENT = (
         "no word of how good the position is",
@@ -168,32 +227,36 @@ class Reason(enum.Enum):
     MODE_TAKEN = (
         "somebody else flies the vehicle",
         "Give it back: guided mode, or the command MISSION_START to the companion.",
+        Taken,
     )
     FAILSAFE = (
         "the autopilot's own failsafe took the vehicle",
         "See its messages; when that is over, give it back: guided mode, or MISSION_START.",
+        Taken,
     )
     FENCE_BREACHED = (
         "the vehicle's own fence stopped it",
         "Change its fence, or give it back (guided mode, or MISSION_START) to be led out of it.",
+        Taken,
     )
-    DISARMED = ("the vehicle disarmed", "See its messages for the reason.")
-    GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.")
+    DISARMED = ("the vehicle disarmed", "See its messages for the reason.", Down)
+    GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.", Down)
     OFF_PATH = ("the vehicle left its path", "Raise vehicle.tracking_error_m or fly slower.")
     NOT_FOLLOWING = ("the vehicle does not follow its setpoints", "Check that it can fly them.")
     NOT_TAKEN = ("the autopilot does not take the setpoints", "See its messages for the reason.")
     NOT_OBEYING = ("the vehicle did not take the mode asked for", "Take over by hand.")
-    RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.")
-    NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.")
-    PLAN_LATE = ("the next subpath was not ready in time", "Raise planner.planning_time_s.")
-    NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.")
-    NEW_TARGET = ("a new target was given", "Wait for the way to it.")
-    CONTINUED = ("told to go on while it still stopped", "Wait for the way on.")
-    PAUSED = ("paused by a person", "Send the command to continue.")
-    RETURN_ASKED = ("told to return", "Wait until it has landed.")
+    RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", Replan)
+    NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", Replan)
+    PLAN_LATE = ("the next subpath was not ready in time", "Raise planner.planning_time_s.", Replan)
+    NEW_THREAT = ("a new threat lies on the path", "Wait for the way round it.", Replan)
+    NEW_TARGET = ("a new target was given", "Wait for the way to it.", Replan, False)
+    CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Replan, False)
+    PAUSED = ("paused by a person", "Send the command to continue.", Paused, False)
+    RETURN_ASKED = ("told to return", "Wait until it has landed.", GoBack)
     BATTERY_LOW = (
         "the battery will not reach the target and the reserve",
         "Bring the vehicle down.",
+        GoBack,
     )
     PLANNER_DIED = (
         "a part of the companion stopped with an error",
@@ -201,15 +264,17 @@ class Reason(enum.Enum):
     )
     STOPPED = ("stopped by a person", "Start again to fly on.")
 
-    @property
-    def text(self) -> str:
+    def __init__(
+        self, text: str, remedy: str, hold: "type[Hold]" = HoldMode, warns: bool = True
+    ) -> None:
+        self.text = text
         """What happened."""
-        return self.value[0]
-
-    @property
-    def remedy(self) -> str:
+        self.remedy = remedy
         """What to do about it."""
-        return self.value[1]
+        self.hold = hold
+        """How a vehicle is held for it, if it is."""
+        self.warns = warns
+        """Whether anything is wrong."""
 
 
 @final
@@ -368,8 +433,6 @@ class State(Struct, frozen=True, kw_only=True):
     """How often, in this phase."""
     obeyed: bool = False
     """Whether the vehicle took the mode that this phase asked for."""
-    told_at_s: float = -1e9
-    """When a person has said to go on with a vehicle that somebody else had taken."""
     armed_by_us: bool = False
     """Whether it was the companion that asked it to arm."""
     landing: bool = False
@@ -394,8 +457,8 @@ class State(Struct, frozen=True, kw_only=True):
     """What stood before a pause, and stands again after it: RETURN_ASKED."""
     taken: bool = False
     """Whether somebody else flies the vehicle, and has not given it back yet."""
-    failsafe_over: bool = False
-    """Whether it was said that the failsafe which took the vehicle is over."""
+    hold: Hold | None = None
+    """How it is held, in the phase `holding`."""
     reason: Reason | None = None
     detail: str = ""
     """What there is to say of the reason beyond its own text."""

@@ -39,37 +39,25 @@ from companion.mission.events import (
 )
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import Phase, Reason, State, Trigger
-from companion.planner.recheck import is_touched
-
-SELF_HELD = (
-    Reason.NO_PLAN,
-    Reason.PLAN_LATE,
-    Reason.RADAR_SILENT,
-    Reason.NEW_THREAT,
-    Reason.NEW_TARGET,
-    Reason.CONTINUED,
-    Reason.PAUSED,
-    Reason.RETURN_ASKED,
-    Reason.BATTERY_LOW,
+from companion.mission.state import (
+    Down,
+    GoBack,
+    HoldMode,
+    OnSetpoints,
+    Paused,
+    Reason,
+    Replan,
+    Silent,
+    State,
+    StreamLost,
+    Taken,
+    TakeOver,
+    Trigger,
 )
-"""Reasons to hold that leave the position trustworthy: stop on setpoints, in guided mode."""
-
-AS_TOLD = (Reason.TAKING_OVER, Reason.PAUSED, Reason.NEW_TARGET, Reason.CONTINUED)
-"""Reasons to hold with nothing wrong."""
-
-STANDING = (Reason.PAUSED, Reason.RETURN_ASKED, Reason.BATTERY_LOW)
-"""What stands until a person says otherwise, or it is done, whatever else happens meanwhile."""
-
-TAKEN = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED)
-"""Reasons to hold until a person gives the vehicle back."""
-
-LET_GO = (*TAKEN, Reason.LINK_LOST, Reason.DISARMED, Reason.GROUNDED)
-"""Reasons to hold in which the vehicle is not ours to command."""
+from companion.planner.recheck import is_touched
 
 FAILSAFE_OVER = "failsafe over: MISSION_START to the companion, or guided mode, goes on"
 
-_LIKE_A_BREACH = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.STREAM_LOST)
 _BREACH_S = 5.0  # from what the autopilot does to what it says
 _TOLD_S = 30.0  # that guided mode is asked for on a person's word
 _LEADS_BACK_S = 30.0  # a link that comes back later finds a vehicle that holds
@@ -93,24 +81,28 @@ def holding(state: State, event: Event, context: Context) -> Step:
         step = fence_breached(state) or circling.kept_clear(state, event)
         if step is not None:
             return step
-    vehicle, reason = state.vehicle, state.reason
+    hold = state.hold
     if is_gone(state, event, context):
         return give_up(state, Reason.LINK_LOST)
-    if isinstance(event, LinkLost) or (is_silent(state) and reason is not Reason.LINK_LOST):
+    if isinstance(event, LinkLost) or (is_silent(state) and not isinstance(hold, Silent)):
         return because(_anew(state), Reason.LINK_LOST), [], None
-    if not vehicle.armed:
+    if not state.vehicle.armed:
         return give_up(state, Reason.DISARMED)
     if is_grounded(state):
         return give_up(state, Reason.GROUNDED)
-    if reason is Reason.LINK_LOST:
-        return _heard_again(state, event, context)
-    if reason in LET_GO:
-        return _let_go(state, event, context)
-    if reason is Reason.STREAM_LOST:
-        return _lead_back(state, event, context)
-    if reason in SELF_HELD:
-        return _hold_on_setpoints(state, event, context)
-    return _hold_in_its_own_mode(state, event, context)
+    match hold:
+        case Replan() | Paused() | GoBack():
+            return _hold_on_setpoints(state, event, context, hold)
+        case HoldMode() | TakeOver() | None:
+            return _hold_in_its_own_mode(state, event, context)
+        case StreamLost():
+            return _lead_back(state, event, context)
+        case Taken():
+            return _let_go(state, event, context, hold)
+        case Down():
+            return _let_go(state, event, context, Taken())
+        case Silent():
+            return _heard_again(state, event, context)
 
 
 def fence_breached(state: State) -> Step | None:
@@ -119,7 +111,7 @@ def fence_breached(state: State) -> Step | None:
     PX4's was a loss of setpoints at first sight; and a fence drawn in flight is known to the
     autopilot before the companion has read it.
     """
-    if state.phase is not Phase.HOLDING or state.reason not in _LIKE_A_BREACH:
+    if not isinstance(state.hold, Taken | StreamLost) or state.reason is Reason.FENCE_BREACHED:
         return None
     by_itself = state.vehicle.failsafe or in_phase_s(state) < _BREACH_S
     if not by_itself or taken_by(state) is not Reason.FENCE_BREACHED:
@@ -153,7 +145,7 @@ def _elsewhere(state: State) -> Step:
     return replace(because(_anew(state), reason), taken=False), [says], None
 
 
-def _let_go(state: State, event: Event, context: Context) -> Step:
+def _let_go(state: State, event: Event, context: Context, hold: Taken) -> Step:
     """Somebody else flies: command nothing until they select guided mode, or a person says so.
 
     After a failsafe too: that its autopilot holds again looks just as if a pilot had chosen to.
@@ -161,7 +153,7 @@ def _let_go(state: State, event: Event, context: Context) -> Step:
     if isinstance(event, Battery):
         state, warning = flying.battery_warning(state, context)
         return state, warning, None
-    told = state.now_s - state.told_at_s < _TOLD_S
+    told = state.now_s - hold.told_at_s < _TOLD_S
     given_back = state.vehicle.mode is Mode.GUIDED or (told and state.vehicle.mode is Mode.HOLD)
     if given_back and _is_elsewhere(state):
         return _elsewhere(state)
@@ -171,13 +163,14 @@ def _let_go(state: State, event: Event, context: Context) -> Step:
         return resumed(_anew(state))
     if told:
         return _ask_for_guided(state, event, context)
-    if state.told_at_s > 0.0:
+    if hold.told_at_s > 0.0:
         says = Say(text="guided mode was not taken", warning=True)
-        return replace(state, told_at_s=-1e9), [says], None
+        return replace(state, hold=replace(hold, told_at_s=-1e9)), [says], None
     acts = state.reason is not Reason.FAILSAFE or state.vehicle.failsafe
-    if acts or state.failsafe_over:
+    if acts or hold.failsafe_over:
         return state, [], None
-    return replace(state, failsafe_over=True), [Say(text=FAILSAFE_OVER, warning=True)], None
+    state = replace(state, hold=replace(hold, failsafe_over=True))
+    return state, [Say(text=FAILSAFE_OVER, warning=True)], None
 
 
 def resumed(state: State) -> Step:
@@ -198,10 +191,10 @@ def resumed(state: State) -> Step:
     return returning.homeward(state), [Say(text="returning another way")], Trigger.RESUME
 
 
-def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
+def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSetpoints) -> Step:
     """Stay at the end of the leg; try again after a pause, and not for ever."""
     reason = cannot_fly(state, event)
-    if reason in TAKEN:
+    if reason is not None and reason.hold is Taken:
         return _taken(_anew(state))
     if reason is not None:
         return because(_anew(state), reason), [], None
@@ -220,10 +213,10 @@ def _hold_on_setpoints(state: State, event: Event, context: Context) -> Step:
             return give_up(state, state.reason or Reason.NO_PLAN)
         return state, commands, None
     moving = not is_at_rest(state, event) and in_phase_s(state) < _SETTLE_S
-    if state.reason is Reason.PAUSED or in_phase_s(state) < _PAUSE_S or moving:
+    if isinstance(hold, Paused) or in_phase_s(state) < _PAUSE_S or moving:
         return state, commands, None
     on_way_back = _is_on_way_back(state)
-    if state.reason in (Reason.RETURN_ASKED, Reason.BATTERY_LOW) and not on_way_back:
+    if isinstance(hold, GoBack) and not on_way_back:
         return _other_way(state, context)
     flight = state.flight
     tries = flight.failures < context.mission.attempts and flight.stops <= flying.MOST_STOPS
@@ -275,7 +268,7 @@ def _other_way(state: State, context: Context) -> Step:
 def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     """The autopilot holds, until it stands and its position was good for a while."""
     vehicle, mode = state.vehicle, state.vehicle.mode
-    taking_over = state.reason is Reason.TAKING_OVER
+    taking_over = isinstance(state.hold, TakeOver)
     if mode not in (Mode.GUIDED, Mode.HOLD) and not (taking_over and mode is Mode.TAKE_OFF):
         return _taken(state)
     if in_phase_s(state) > _HOLD_S or state.flight.troubles > _TROUBLES:

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.mission.decisions import words
-from companion.mission.state import IN_AIR, Reason
+from companion.mission.state import IN_AIR, Reason, Taken
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.telemetry.flown import Flown
 from companion.views.words import clearance_words
@@ -118,5 +118,5 @@ def _news(flown: Flown) -> tuple[Reason | None, bool, bool, str]:
     said_in_phase = warned_at_s >= state.since_s
     stands = said_in_phase and 0.0 <= flown.session.now_s - warned_at_s < _STANDS_S
     failsafe = state.vehicle.failsafe and state.phase in IN_AIR
-    over = state.failsafe_over and state.reason is Reason.FAILSAFE
+    over = isinstance(state.hold, Taken) and state.hold.failsafe_over
     return state.reason, over, failsafe, warning if stands else ""

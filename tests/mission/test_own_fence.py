@@ -22,7 +22,7 @@ from companion.mission.events import (
     Setpoint,
     VehicleStatus,
 )
-from companion.mission.state import Phase, Reason
+from companion.mission.state import Phase, Reason, Taken
 from companion.world.threats import CircleZone
 
 PX4S = pytest.mark.parametrize(
@@ -138,4 +138,4 @@ def test_it_is_given_back_by_a_word_as_the_remedy_says() -> None:
     craft.take(FenceBreach(time_s=craft.now_s))
     craft.take(status(craft.now_s, Mode.RETURN))
     craft.take(Order(time_s=craft.now_s, kind=OrderKind.START))
-    assert craft.state.told_at_s == craft.now_s
+    assert craft.state.hold == Taken(told_at_s=craft.now_s)
