@@ -26,10 +26,14 @@ from companion.mission.events import (
 from companion.mission.health import battery_is_short
 from companion.mission.state import (
     OVER,
+    Asked,
     Flight,
+    Home,
     OnSetpoints,
+    Outward,
     Paused,
     Phase,
+    Planning,
     Reason,
     Replan,
     Standing,
@@ -204,10 +208,9 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
     for target in targets_ne_m:
         if trouble := why_no_target(state.task, target):
             return state, [Say(text=f"{why}: {trouble}", warning=True)], None
-    flight = replace(
-        state.flight, target=0, route_ne_m=(), stops=0, failures=0, returning=False, back=()
-    )
-    flight = replace(flight, fallen_back=None, homeward=False, planning=False, refusal=None)
+    flight = replace(state.flight, target=0, route_ne_m=(), stops=0, failures=0, way=Outward())
+    search = Asked() if isinstance(flight.search, Planning) else flight.search
+    flight = replace(flight, fallen_back=None, search=search, planning_back=None, refusal=None)
     vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
     state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)
     if why != _OF_VEHICLE:
@@ -255,9 +258,9 @@ def _go_on(state: State) -> Step:
     flight, wanted = state.flight, state.set_aside
     if state.standing is Reason.PAUSED:
         state = replace(state, standing=wanted, set_aside=None)
-    pauses = flight.stop_at_m is not None and flight.stop_reason is Reason.PAUSED
-    if state.phase in _ON_PATH and pauses:  # it still brakes
-        flight = replace(flight, stop_reason=wanted or Reason.CONTINUED)
+    stop = flight.stop
+    if state.phase in _ON_PATH and stop is not None and stop.reason is Reason.PAUSED:  # it brakes
+        flight = replace(flight, stop=replace(stop, reason=wanted or Reason.CONTINUED))
         return replace(state, flight=flight), [Say(text="going on")], None
     if isinstance(state.hold, Paused):
         state, commands, trigger = resumed(state)
@@ -275,7 +278,7 @@ def _pause(state: State) -> Step:
     state = replace(state, standing=Reason.PAUSED, set_aside=set_aside)
     if state.phase in _ON_PATH:
         return following.stop(state, Reason.PAUSED)
-    state = replace(state, flight=replace(state.flight, planning=False))  # the way back, perhaps
+    state = replace(state, flight=replace(state.flight, planning_back=None))
     return because(state, Reason.PAUSED), [Say(text=Reason.PAUSED.text)], None
 
 
@@ -319,7 +322,7 @@ def _rebooted(state: State) -> Step:
         legs_flown=flight.legs_flown,
         flown=flight.flown,
         speed_limit_m_s=flight.speed_limit_m_s,
-        homeward=flight.homeward,
+        way=Home() if flight.homeward else Outward(),
         fallen_back=flight.fallen_back,
     )
     vehicle = Vehicle(driving=state.vehicle.driving, bad_at_s=state.now_s)

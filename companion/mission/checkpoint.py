@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged
 from companion.mission.mission import Mission
-from companion.mission.state import IN_AIR, Phase, Reason, State
+from companion.mission.state import IN_AIR, Back, Home, Outward, Phase, Reason, State
 from companion.path.subpath import Subpath
 from companion.planner import adjustable
 from companion.planner.outcomes import control_points
@@ -46,7 +46,7 @@ def values_of(state: State) -> Values:
         "settings": adjustable.values_of(state.given),
         "flown_under": state.flown_under and adjustable.values_of(state.flown_under),
         **{name: _plain(getattr(state, name)) for name in _OF_STATE},
-        **{name: _plain(getattr(flight, name)) for name in (*_OF_FLIGHT, *_LEGS)},
+        **{name: _plain(getattr(flight, name)) for name in (*_OF_FLIGHT, *_WAY)},
     }
 
 
@@ -146,13 +146,14 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     kept, under = _read(values, _OF_STATE), values.get("flown_under")
     given = _task(mission, values.get("settings"))
     state = State.of(mission, known).with_rules(given, kept["fence"])
-    flight = replace(state.flight, **_read(values, _OF_FLIGHT))
     rules = state.task
+    back = tuple(leg for each in values["back"] if (leg := _leg(each, rules)) is not None)
     flight = replace(
-        flight,
+        state.flight,
+        **_read(values, _OF_FLIGHT),
         leg=_leg(values["leg"], rules),
         next_leg=_leg(values["next_leg"], rules),
-        back=tuple(leg for each in values["back"] if (leg := _leg(each, rules)) is not None),
+        way=Back(back) if values["returning"] else Home() if values["homeward"] else Outward(),
     )
     time_s = float(values["t_s"])
     state = replace(
@@ -254,7 +255,6 @@ _OF_STATE: Final[dict[str, Callable[[Any], Any]]] = {
 _OF_FLIGHT: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("target", "plan_id", "legs_flown", "stops", "departures"), int),
     "joined_m": float,
-    **dict.fromkeys(("returning", "homeward"), bool),
     "route_ne_m": _places,
     "speed_limit_m_s": lambda value: math.inf if value is None else float(value),
     "flown": _stretches,
@@ -266,10 +266,10 @@ _OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("reaches_target", "through"), bool),
 }
 """Fields that are kept, and what makes them of what `_plain` has made of them."""
-_LEGS: Final = ("leg", "next_leg", "back")
+_WAY: Final = ("returning", "homeward", "leg", "next_leg", "back")
 kept_of: Final = attrgetter(
     *(*_OF_STATE, "phase", "obeyed", "given", "flown_under"),
-    *(f"flight.{name}" for name in (*_OF_FLIGHT, *_LEGS)),
+    *(f"flight.{name}" for name in (*_OF_FLIGHT, "way", "leg", "next_leg")),
 )
 """All of a state that a checkpoint is made of, but for the time."""
 

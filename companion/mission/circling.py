@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from companion.mission import following
 from companion.mission.decisions import Step, cannot_fly
 from companion.mission.events import Command, Position, Say, ScanDone, StartScan, Vector
-from companion.mission.state import Phase, State
+from companion.mission.state import Looking, Phase, Scanning, State
 from companion.planner.refuge import Circler, loiter_point
 from companion.world.zone_index import index_of
 
@@ -59,10 +59,9 @@ def _looks(state: State, hover: Vector, zone: str) -> Step:
         return replace(state, flight=flight), [says], None
     here = state.vehicle.position_nea_m or hover
     commands: list[Command] = [Say(text=f"looking for a place clear of {zone}", warning=True)]
-    if flight.scanning_from_nea_m is None:
+    if not isinstance(flight.search, Scanning | Looking):
         commands.append(StartScan(centre_nea_m=here))
-        flight = replace(flight, scanning_from_nea_m=here)
-    flight = replace(flight, looked_under=task, looking=True, planning=False, tried=True)
+    flight = replace(flight, looked_under=task, search=Looking(), planning_back=None)
     flight = replace(flight, progress_at_s=state.now_s)
     return replace(state, flight=flight), commands, None
 
@@ -71,11 +70,9 @@ def looked(state: State, event: ScanDone) -> Step | None:
     """The look is over: the place is judged again with the next position.  None: it was no look."""
     del event  # the map has it already
     flight = state.flight
-    if not flight.looking or flight.scanning_from_nea_m is None:
+    if not isinstance(flight.search, Looking):
         return None
-    flight = replace(flight, looking=False, scanning_from_nea_m=None, tried=False, circled=None)
-    flight = replace(flight, scans_again=0)
-    return replace(state, flight=flight), [], None
+    return replace(state, flight=replace(flight, search=None, circled=None)), [], None
 
 
 def _is_judged(state: State, hover: Vector) -> bool:

@@ -32,7 +32,15 @@ from companion.mission.events import (
 )
 from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
 from companion.mission.health import battery_forecast, battery_is_short
-from companion.mission.state import Flight, Reason, State, Trigger
+from companion.mission.state import (
+    Asked,
+    Flight,
+    Planning,
+    Reason,
+    Scanning,
+    State,
+    Trigger,
+)
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
 from companion.planner.request import NotPlanned, Planned, PlanRequest
 from companion.planner.settings import Task
@@ -128,19 +136,16 @@ def _follow(state: State, event: Position, context: Context) -> Step:
     flight, task = following.moved_on(state, event), state.task
     if state.now_s - flight.progress_at_s > STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
-    leg, reference = flight.leg, flight.reference
+    leg = flight.leg
     assert leg is not None
-    if task.settings.profile.verified and following.has_departed(state, flight, event):
-        return departed(state, at_rest(state.flight, None))
-    if following.is_not_taken(state):
-        return departed(state, at_rest(state.flight, None), Reason.NOT_TAKEN)
+    if (reason := following.strays(state, flight, event)) is not None:
+        return departed(state, at_rest(state.flight, None), reason)
     flight, commands = following.setpoint(state, flight, event, context)
     if following.is_stopped(state, flight):
         return _at_its_end(replace(state, flight=flight), leg, commands)
-    wants_next = not (flight.tried or leg.reaches_target) and flight.stop_at_m is None
-    if wants_next and reference.length_m >= leg.scan_at_m(task) and leg.can_be_left(task):
-        scan_nea_m = leg.subpath.pose(reference.length_m).point_nea_m
-        flight, scan = start_scan(flight, scan_nea_m)
+    at_m = flight.reference.length_m
+    if flight.search is None and flight.stop is None and leg.wants_successor(at_m, task):
+        flight, scan = start_scan(flight, leg.subpath.pose(at_m).point_nea_m)
         commands += scan
     return replace(state, flight=flight), commands, None
 
@@ -158,9 +163,9 @@ def circle(state: State, event: Position, context: Context) -> Step:
 def _at_its_end(state: State, leg: Leg, commands: list[Command]) -> Step:
     """At rest at the end of the leg, or where it was to stop before that."""
     flight = state.flight
-    if flight.stop_at_m is not None:
-        reason = flight.stop_reason
-        return replace(state, flight=at_rest_at_end(flight), reason=reason), commands, Trigger.FAULT
+    if (stop := flight.stop) is not None:
+        state = replace(state, flight=at_rest_at_end(flight), reason=stop.reason)
+        return state, commands, Trigger.FAULT
     if leg.reaches_target:
         return state, commands, Trigger.TARGET_REACHED
     flight = replace(at_rest_at_end(flight), stops=flight.stops + 1)
@@ -180,18 +185,18 @@ def departed(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH) ->
 
 def on_scan(state: State, event: ScanDone, context: Context) -> Step:
     """Ask for the next subpath on the map that the scan has completed."""
-    flight = state.flight
-    scanned_from = flight.scanning_from_nea_m
-    if scanned_from is None:
+    flight, scanning = state.flight, state.flight.search
+    if not isinstance(scanning, Scanning):
         return state, [], None
-    flight = replace(flight, scanning_from_nea_m=None)
+    scanned_from = scanning.from_nea_m
     says = _scan_warnings(state, event)
     stands = flight.leg is None and not context.shadow
-    if stands and event.is_partial and flight.scans_again < _MORE_SCANS:
-        flight = replace(flight, scans_again=flight.scans_again + 1, progress_at_s=state.now_s)
-        flight, scan = start_scan(flight, scanned_from)
+    if stands and event.is_partial and scanning.again < _MORE_SCANS:
+        flight = replace(flight, progress_at_s=state.now_s)
+        flight, scan = start_scan(flight, scanned_from, scanning.again + 1)
         return replace(state, flight=flight), [*says, *scan], None
-    if event.asked and not event.answered and not flight.scans_again:
+    flight = replace(flight, search=Asked())
+    if event.asked and not event.answered and not scanning.again:
         if flight.leg is not None or not flight.failures:
             return _no_successor(replace(state, flight=flight), Reason.RADAR_SILENT)
         flight = replace(flight, shortfall=Reason.RADAR_SILENT)  # on what is known already
@@ -214,7 +219,7 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         rest=None if leg is None else leg.rest(task),
         attempt=flight.failures,
     )
-    flight = replace(flight, plan_id=request.plan_id, planning=True, asked_of=task, scans_again=0)
+    flight = replace(flight, plan_id=request.plan_id, search=Planning(task))
     due_s = event.time_s + task.settings.planning_time_s
     return replace(state, flight=flight), [*says, Plan(request=request, due_s=due_s)], None
 
@@ -235,12 +240,12 @@ def _scan_warnings(state: State, event: ScanDone) -> list[Command]:
 
 def on_plan(state: State, event: PlanReady) -> Step:
     """Take the next subpath, or note why there is none."""
-    flight, outcome = state.flight, event.outcome
-    if outcome.plan_id != flight.plan_id or not flight.planning:
+    flight, outcome, planning = state.flight, event.outcome, state.flight.search
+    if outcome.plan_id != flight.plan_id or not isinstance(planning, Planning):
         return state, [], None  # the answer to a question that is no longer asked
-    state = replace(state, flight=replace(flight, planning=False))
-    if flight.asked_of is not state.task:  # the rules have changed: it is asked for again
-        return replace(state, flight=replace(state.flight, tried=False)), [], None
+    if planning.rules is not state.task:  # the rules have changed: it is asked for again
+        return replace(state, flight=replace(flight, search=None)), [], None
+    state = replace(state, flight=replace(flight, search=Asked()))
     verified = state.task.settings.profile.verified
     if not isinstance(outcome, Planned) or (verified and not outcome.certificate.proven):
         refusal = outcome.refusal if isinstance(outcome, NotPlanned) else None
@@ -255,7 +260,7 @@ def on_plan(state: State, event: PlanReady) -> Step:
     late = leg is not None and following.sent_at_m(state) > leg.successor_at_m(state.task)
     if late:
         return _no_successor(state, Reason.PLAN_LATE)
-    if flight.stop_at_m is not None:
+    if flight.stop is not None:
         return state, [], None  # it was asked for a way that the vehicle no longer goes
     flight = _accepted(state, outcome)
     number = flight.legs_flown + (flight.next_leg is not None)
@@ -289,9 +294,9 @@ def _hover(state: State, event: Position, context: Context) -> Step:
     if math.dist(here[:2], target) < AT_M and not flight.returning:
         return replace(state, flight=flight), [], Trigger.TARGET_REACHED
     commands: list[Command] = []
-    if not _is_there(state, event, here) and not flight.tried:
+    if flight.search is None and not _is_there(state, event, here):
         flight = replace(flight, progress_at_s=_later(state, event, flight))
-    elif not flight.tried:
+    elif flight.search is None:
         flight, commands = start_scan(replace(flight, progress_at_s=state.now_s), here)
     flight, stay = hold_setpoint(replace(state, flight=flight), event.time_s, context)
     state = replace(state, flight=flight)
@@ -364,7 +369,7 @@ def _accepted(state: State, planned: Planned) -> Flight:
         reference=Reference(),
         joined_m=0.0,
         circling=not hovers and not planned.is_escape,  # out of trouble at once
-        tried=False,
+        search=None,
         failures=flight.failures if blind else 0,  # about what is known it could fly for ever
         shortfall=Reason.NO_PLAN,
         legs_flown=flight.legs_flown + 1,
@@ -381,7 +386,9 @@ def _no_successor(state: State, reason: Reason) -> Step:
     return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
 
 
-def start_scan(flight: Flight, centre_nea_m: Vector) -> tuple[Flight, list[Command]]:
+def start_scan(
+    flight: Flight, centre_nea_m: Vector, again: int = 0
+) -> tuple[Flight, list[Command]]:
     """The flight while its surroundings are looked at."""
-    flight = replace(flight, tried=True, scanning_from_nea_m=centre_nea_m)
+    flight = replace(flight, search=Scanning(centre_nea_m, again))
     return flight, [StartScan(centre_nea_m=centre_nea_m)]

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
-from companion.mission.state import Flight, Reason, State, Trigger
+from companion.mission.state import Asked, Back, Flight, Reason, State, Stop, Trigger
 from companion.planner import join
 from companion.planner.procedure import (
     Leg,
@@ -74,7 +74,7 @@ def moved_on(state: State, event: Position) -> Flight:
             here,
             task.limits,
             goes_on=flight.next_leg is not None,
-            until_m=flight.stop_at_m,
+            until_m=None if flight.stop is None else flight.stop.at_m,
             speed_limit_m_s=flight.speed_limit_m_s,
         )
     else:
@@ -106,7 +106,7 @@ def gone_over(flight: Flight, leg: Leg, task: Task) -> Flight:
             length_m=max(reference.length_m - over_at_m, 0.0), speed_m_s=reference.speed_m_s
         ),
         joined_m=0.0,
-        tried=False,
+        search=None,
         troubles=0,
         shortfall=Reason.NO_PLAN,
         legs_flown=flight.legs_flown + 1,
@@ -114,17 +114,27 @@ def gone_over(flight: Flight, leg: Leg, task: Task) -> Flight:
     )
 
 
-def has_departed(state: State, flight: Flight, event: Position) -> bool:
-    """Whether the vehicle is not where the path was checked."""
-    leg, limits = flight.leg, state.task.limits
+def strays(state: State, flight: Flight, event: Position) -> Reason | None:
+    """Why it cannot be led on: it is not where the path was checked, or not led along it at all.
+
+    The latter once the autopilot's echo has disagreed with the setpoints for too long.
+    """
+    vehicle, leg, task, now_s = state.vehicle, flight.leg, state.task, state.now_s
     assert leg is not None
-    here, allowed_m = np.asarray(event.position_nea_m), _DEPARTURE * limits.tracking_error_m
-    if not state.vehicle.driving.hovers:  # the circle about each point of the path is proven
+    here, limits = np.asarray(event.position_nea_m), task.limits
+    allowed_m = _DEPARTURE * limits.tracking_error_m
+    if not vehicle.driving.hovers:  # the circle about each point of the path is proven
         off_m = math.dist(leg.subpath.pose(flight.reference.length_m).point_nea_m, here)
-        return off_m > limits.loiter_radius_m + allowed_m
-    if flight.offset is not None:
-        allowed_m += float(np.linalg.norm(flight.offset.position_nea_m))
-    return off_path_m(flight.reference, leg, here) > allowed_m
+        allowed_m += limits.loiter_radius_m
+    else:
+        off_m = off_path_m(flight.reference, leg, here)
+        if flight.offset is not None:
+            allowed_m += float(np.linalg.norm(flight.offset.position_nea_m))
+    if off_m > allowed_m and (task.settings.profile.verified or flight.returning):
+        return Reason.OFF_PATH
+    is_fresh = vehicle.echo_nea_m is not None and now_s - vehicle.echo_at_s < _ECHO_S
+    not_taken = is_fresh and now_s - state.flight.echoed_at_s > _NOT_TAKEN_S
+    return Reason.NOT_TAKEN if not_taken else None
 
 
 def still_circles(state: State, event: Position) -> bool:
@@ -133,13 +143,6 @@ def still_circles(state: State, event: Position) -> bool:
     assert flight.leg is not None
     at_m, limits = flight.reference.length_m, state.task.limits
     return not may_leave(flight.leg, at_m, event.position_nea_m, event.velocity_nea_m_s, limits)
-
-
-def is_not_taken(state: State) -> bool:
-    """Whether the autopilot's echo has disagreed with the setpoints for too long."""
-    vehicle, now_s = state.vehicle, state.now_s
-    is_fresh = vehicle.echo_nea_m is not None and now_s - vehicle.echo_at_s < _ECHO_S
-    return is_fresh and now_s - state.flight.echoed_at_s > _NOT_TAKEN_S
 
 
 def with_echo(state: State) -> Flight:
@@ -162,14 +165,15 @@ def is_stopped(state: State, flight: Flight) -> bool:
     Of a copter that is on its way back to the path there, not before it is on it: the setpoint
     would jump.
     """
-    leg = flight.leg
+    leg, stop = flight.leg, flight.stop
     assert leg is not None
-    if flight.next_leg is not None and flight.stop_at_m is None:
+    if flight.next_leg is not None and stop is None:
         return False
     if state.vehicle.driving.hovers:
         joins = flight.offset is not None and not flight.offset.is_gone
-        return not joins and is_at_end(flight.reference, leg, until_m=flight.stop_at_m)
-    if flight.stop_at_m is not None:
+        until_m = None if stop is None else stop.at_m
+        return not joins and is_at_end(flight.reference, leg, until_m=until_m)
+    if stop is not None:
         return True  # it circles where it was to stop
     if leg.reaches_target:  # it passes it, and circles it then
         return is_at_end(flight.reference, leg)
@@ -186,8 +190,8 @@ def setpoint(
     leg, reference, next_leg = flight.leg, flight.reference, flight.next_leg
     assert leg is not None
     hovers, ahead_m = state.vehicle.driving.hovers, lead_m(state, reference)
-    if hovers and flight.stop_at_m is not None:
-        next_leg, end_m = None, min(leg.subpath.length_m, flight.stop_at_m)
+    if hovers and flight.stop is not None:
+        next_leg, end_m = None, min(leg.subpath.length_m, flight.stop.at_m)
         ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
     pose = sent_pose(reference, leg, next_leg, ahead_m, state.task)
     speed = min(reference.speed_m_s, allowed_speed_m_s(pose, state.task.limits))
@@ -253,28 +257,24 @@ def stop(state: State, reason: Reason) -> Step:
     leg = flight.leg
     assert leg is not None
     stop_at_m = min(flight.reference.length_m + brakes_m, leg.subpath.length_m)
-    if flight.stop_at_m is not None:
-        stop_at_m = min(stop_at_m, flight.stop_at_m)
-    if flight.returning and flight.next_leg is not None:
-        flight = replace(flight, back=(flight.next_leg, *flight.back))
-    flight = replace(
-        flight,
-        stop_at_m=stop_at_m,
-        stop_reason=reason,
-        next_leg=None,
-        scanning_from_nea_m=None,
-        planning=False,
-        tried=True,
-    )
+    if flight.stop is not None:
+        stop_at_m = min(stop_at_m, flight.stop.at_m)
+    if flight.next_leg is not None:
+        flight = before_the_rest(flight, flight.next_leg)
+    stop = Stop(stop_at_m, reason)
+    flight = replace(flight, stop=stop, next_leg=None, search=Asked())
     return replace(state, flight=flight), [], None
+
+
+def before_the_rest(flight: Flight, *legs: Leg) -> Flight:
+    """The flight with legs of the way back, if it is on that, again before the rest of it."""
+    return replace(flight, way=Back((*legs, *flight.back))) if flight.returning else flight
 
 
 def unflown(flight: Flight) -> Flight:
     """The flight with the stretches in hand back on the list of what is left of the way back."""
-    if not flight.returning:
-        return flight
-    ahead = [leg for leg in (flight.leg, flight.next_leg) if leg is not None]
-    return replace(flight, back=(*ahead, *flight.back))
+    ahead = (leg for leg in (flight.leg, flight.next_leg) if leg is not None)
+    return before_the_rest(flight, *ahead)
 
 
 def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
@@ -286,13 +286,10 @@ def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
         next_leg=None,
         reference=Reference(),
         offset=None,
-        stop_at_m=None,
+        stop=None,
         hover_nea_m=hover_nea_m,
-        scanning_from_nea_m=None,
-        looking=False,
-        scans_again=0,
-        planning=False,
-        tried=False,
+        search=None,
+        planning_back=None,
     )
 
 
@@ -301,7 +298,7 @@ def at_rest_at_end(flight: Flight) -> Flight:
     leg = flight.leg
     if leg is None:
         return at_rest(flight, flight.hover_nea_m)
-    end_m = leg.subpath.length_m if flight.stop_at_m is None else flight.stop_at_m
+    end_m = leg.subpath.length_m if flight.stop is None else flight.stop.at_m
     return at_rest(flight, leg.subpath.pose(end_m).point_nea_m)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.mission.events import Vector
-from companion.mission.state import Flight, State
+from companion.mission.state import Asked, Flight, State
 from companion.planner import join
 from companion.planner.procedure import Leg, Reference
 
@@ -56,9 +56,7 @@ def joined(state: State) -> Flight | None:
         joined_m=at_m,
         progress_at_s=state.now_s,
         hover_nea_m=pose.point_nea_m if circling else None,
-        scanning_from_nea_m=None,
-        planning=False,
-        tried=flight.next_leg is not None and not went_over,
+        search=None if went_over or flight.next_leg is None else Asked(),
     )
     if vehicle.driving.hovers:
         offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)

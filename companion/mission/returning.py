@@ -5,7 +5,7 @@ from msgspec.structs import replace
 from companion.mission import flying, following, joining
 from companion.mission.decisions import Context, Step, cannot_fly, fault, give_up, is_gone
 from companion.mission.events import Event, Plan, PlanReady, Position
-from companion.mission.state import Flight, Reason, State, Trigger
+from companion.mission.state import Back, Flight, Home, PlanningBack, Reason, State, Trigger
 from companion.planner import adjustable
 from companion.planner.procedure import Leg, Reference, hover_pose
 from companion.planner.request import PlanRequest, WayBack
@@ -13,13 +13,8 @@ from companion.planner.request import PlanRequest, WayBack
 
 def ask(state: State, context: Context) -> Step:
     """Have the way back proven; it counts from now on, whenever it is there."""
-    flight = replace(
-        state.flight,
-        plan_id=state.flight.plan_id + 1,
-        planning=True,
-        progress_at_s=state.now_s,
-        asked_of=state.task,
-    )
+    planning = PlanningBack(state.task, since_s=state.now_s)
+    flight = replace(state.flight, plan_id=state.flight.plan_id + 1, planning_back=planning)
     here = state.vehicle.position_nea_m or (0.0, 0.0, 0.0)
     request = PlanRequest(
         plan_id=flight.plan_id,
@@ -35,9 +30,9 @@ def ask(state: State, context: Context) -> Step:
     return replace(state, flight=flight), [Plan(request=request, due_s=state.now_s)], None
 
 
-def answered(state: State, event: PlanReady) -> Flight | None:
-    """The flight with the way back that was asked for; None if there is none."""
-    flight, outcome = replace(state.flight, planning=False), event.outcome
+def answered(state: State, event: PlanReady) -> Back | None:
+    """The way back that was asked for; None if there is none."""
+    outcome = event.outcome
     if not isinstance(outcome, WayBack) or not outcome.subpaths:
         return None
     last = len(outcome.subpaths) - 1
@@ -54,7 +49,7 @@ def answered(state: State, event: PlanReady) -> Flight | None:
             zip(outcome.subpaths, outcome.through, strict=True)
         )
     )
-    return replace(flight, back=legs, returning=True)
+    return Back(legs)
 
 
 def as_flown(state: State) -> tuple[State, str] | None:
@@ -79,13 +74,13 @@ def began(state: State) -> Flight | None:
     here = state.vehicle.position_nea_m
     if not flight.back or here is None:
         return None
-    leg = flight.back[0]
-    flight = replace(flight, leg=leg, next_leg=None, hover_nea_m=None, stop_at_m=None, tried=True)
+    leg, *rest = flight.back
+    flight = replace(flight, leg=leg, next_leg=None, hover_nea_m=None, stop=None)
     joined = joining.joined(replace(state, flight=flight))
     if joined is None:
         return None
     at_rest = Reference(length_m=joined.reference.length_m)
-    joined = replace(joined, back=flight.back[1:], reference=at_rest)
+    joined = replace(joined, way=Back(tuple(rest)), reference=at_rest)
     return _with_next(joined)
 
 
@@ -93,7 +88,8 @@ def _with_next(flight: Flight) -> Flight:
     """The flight with the stretch after this one ready, if it may be flown into at full speed."""
     if flight.leg is None or not flight.leg.through or not flight.back:
         return flight
-    return replace(flight, next_leg=flight.back[0], back=flight.back[1:])
+    following_leg, *rest = flight.back
+    return replace(flight, next_leg=following_leg, way=Back(tuple(rest)))
 
 
 def homeward(state: State) -> State:
@@ -101,16 +97,7 @@ def homeward(state: State) -> State:
     flight = state.flight
     start = flight.flown[0].control_nea_m[0] if flight.flown else (0.0, 0.0, 0.0)
     home = (float(start[0]), float(start[1]))
-    flight = replace(
-        flight,
-        returning=False,
-        homeward=True,
-        back=(),
-        target=0,
-        route_ne_m=(),
-        stops=0,
-        failures=0,
-    )
+    flight = replace(flight, way=Home(), target=0, route_ne_m=(), stops=0, failures=0)
     return replace(state, targets_ne_m=(home,), flight=flight)
 
 
@@ -136,17 +123,14 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         flight = _with_next(flight)
     if state.now_s - flight.progress_at_s > flying.STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
-    if following.has_departed(state, flight, event):
-        return flying.departed(state, _stopped(state).flight)
-    if following.is_not_taken(state):
-        return flying.departed(state, _stopped(state).flight, Reason.NOT_TAKEN)
+    if (reason := following.strays(state, flight, event)) is not None:
+        return flying.departed(state, _stopped(state).flight, reason)
     flight, commands = following.setpoint(state, flight, event, context)
     state = replace(state, flight=flight)
     if not following.is_stopped(state, flight):
         return state, commands, None
-    if flight.stop_at_m is not None:
-        reason = flight.stop_reason
-        return replace(_stopped(state), reason=reason), commands, Trigger.FAULT
+    if (stop := flight.stop) is not None:
+        return replace(_stopped(state), reason=stop.reason), commands, Trigger.FAULT
     if flight.back and flight.leg is not None:
         went_on = began(state)
         if went_on is None:
@@ -164,5 +148,5 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
 def _stopped(state: State) -> State:
     """At rest, with the stretch in hand still to be flown."""
     flight = state.flight
-    hover = following.at_rest_at_end(flight).hover_nea_m if flight.stop_at_m is not None else None
+    hover = None if flight.stop is None else following.at_rest_at_end(flight).hover_nea_m
     return replace(state, flight=following.at_rest(following.unflown(flight), hover))

@@ -87,9 +87,9 @@ def _on_position(state: State, event: Position) -> Step:
 def _ask(state: State, here: Vector) -> Step:
     """Scan and plan from here, every few seconds until there is a leg."""
     flight = state.flight
-    if flight.tried and state.now_s - flight.progress_at_s < _SAY_AGAIN_S:
+    if flight.search is not None and state.now_s - flight.progress_at_s < _SAY_AGAIN_S:
         return state, [], None
-    flight = replace(flight, progress_at_s=state.now_s, planning=False)
+    flight = replace(flight, progress_at_s=state.now_s)
     flight, commands = flying.start_scan(flight, here)
     return replace(state, flight=flight), commands, None
 
@@ -107,9 +107,7 @@ def _follow(state: State, at_m: float) -> Step:
         return replace(state, flight=flight), [], None
     if leg.subpath.length_m - length_m < 1.0:
         return replace(state, flight=following.at_rest(flight, None)), [], None
-    due = length_m >= leg.scan_at_m(task) and leg.can_be_left(task)
-    if due and not flight.tried and not leg.reaches_target:
-        scan_nea_m = leg.subpath.pose(length_m).point_nea_m
-        flight, commands = flying.start_scan(flight, scan_nea_m)
+    if flight.search is None and leg.wants_successor(length_m, task):
+        flight, commands = flying.start_scan(flight, leg.subpath.pose(length_m).point_nea_m)
         return replace(state, flight=flight), commands, None
     return replace(state, flight=flight), [], None

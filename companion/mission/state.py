@@ -343,6 +343,77 @@ class Vehicle(Struct, frozen=True, kw_only=True):
 
 
 @final
+class Scanning(Struct, frozen=True):
+    """The radar was asked for what is around a place; a plan follows."""
+
+    from_nea_m: Vector
+    again: int = 0
+    """Scans from here that followed one which the radar had answered only in part."""
+
+
+@final
+class Looking(Struct, frozen=True):
+    """The radar was asked, only to see where else to circle: no plan follows."""
+
+
+@final
+class Planning(Struct, frozen=True):
+    """The plan with the newest number was asked for."""
+
+    rules: Task
+    """That it was asked under."""
+
+
+@final
+class PlanningBack(Struct, frozen=True):
+    """The way back was asked for, as the plan with the newest number."""
+
+    rules: Task
+    """That it was asked under."""
+    since_s: float
+
+
+@final
+class Asked(Struct, frozen=True):
+    """There was an answer: there is a successor, or this leg is flown to its end."""
+
+
+Search = Scanning | Looking | Planning | Asked
+"""What has been asked for of what comes after this leg, or this wait for one."""
+
+
+@final
+class Outward(Struct, frozen=True):
+    """To the targets."""
+
+
+@final
+class Back(Struct, frozen=True):
+    """Along the flown path."""
+
+    legs: tuple[Leg, ...]
+    """What is left of it."""
+
+
+@final
+class Home(Struct, frozen=True):
+    """To where the flight began, planned to like a target, as the flown path is too far."""
+
+
+Way = Outward | Back | Home
+"""Where the flight leads."""
+
+
+@final
+class Stop(Struct, frozen=True):
+    """Where to stop before the end of the leg."""
+
+    at_m: float
+    """Length along the leg."""
+    reason: Reason
+
+
+@final
 class Flight(Struct, frozen=True, kw_only=True):
     """How far the online procedure has come."""
 
@@ -357,27 +428,18 @@ class Flight(Struct, frozen=True, kw_only=True):
     """Whether a plane has yet to leave the circle about the start of its leg."""
     offset: Offset | None = None
     """Between the path and where the vehicle is led: after a restart it decays."""
-    stop_at_m: float | None = None
-    """Length along the leg at which to stop, before its end."""
-    stop_reason: Reason = Reason.NO_PLAN
+    stop: Stop | None = None
     hover_nea_m: Vector | None = None
     """Where to stay while there is no leg."""
     circled: tuple[Task, Vector] | None = None
     """The rules, and the place to stay, that a plane's circle was last judged by."""
-    scanning_from_nea_m: Vector | None = None
-    looking: bool = False
-    """Whether that scan is only to see where else to circle: no plan follows."""
+    search: Search | None = None
     looked_under: Task | None = None
     """The rules under which a plane last looked where else to circle."""
-    scans_again: int = 0
-    """Scans from here that followed one which the radar had answered only in part."""
     plan_id: int = 0
     """Of the newest plan request."""
     route_ne_m: tuple[tuple[float, float], ...] = ()
     """The way to the target that the newest plan had in mind."""
-    planning: bool = False
-    tried: bool = False
-    """Whether this leg's successor has been scanned or planned for."""
     shortfall: Reason = Reason.NO_PLAN
     """Why this leg has no successor (yet)."""
     refusal: Refusal | None = None
@@ -391,8 +453,6 @@ class Flight(Struct, frozen=True, kw_only=True):
     """How often the vehicle has left its path, or has not been led along it."""
     troubles: int = 0
     """How often it was held for its position, or another fault, since it last finished a leg."""
-    asked_of: Task | None = None
-    """The task that the newest plan was asked under."""
     progress_at_s: float = 0.0
     """When the reference point last moved, or the wait for a leg began."""
     speed_limit_m_s: float = math.inf
@@ -406,17 +466,29 @@ class Flight(Struct, frozen=True, kw_only=True):
     """When the autopilot's echo last agreed with what it was sent."""
     flown: tuple[Stretch, ...] = ()
     """The way here, for the way back."""
-    back: tuple[Leg, ...] = ()
-    """What is left of the way back."""
-    returning: bool = False
-    homeward: bool = False
-    """Whether the target is where the flight began: planned to, as the flown path is too far."""
+    way: Way = Outward()
+    planning_back: PlanningBack | None = None
     battery_told: int = 0
     """What a person was told of the battery: 1, at this rate it will not last; 2, it does not."""
     fallen_back: Reason | None = None
     """Why the mission was given up for its fallback."""
     in_vain: frozenset[Mode] = frozenset()
     """Modes that were asked for, to bring the vehicle down, and not taken."""
+
+    @property
+    def returning(self) -> bool:
+        """Whether it leads back along the flown path."""
+        return isinstance(self.way, Back)
+
+    @property
+    def homeward(self) -> bool:
+        """Whether home is its target."""
+        return isinstance(self.way, Home)
+
+    @property
+    def back(self) -> tuple[Leg, ...]:
+        """What is left of the way back."""
+        return self.way.legs if isinstance(self.way, Back) else ()
 
 
 @final

@@ -208,8 +208,8 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     state, warning = flying.battery_warning(state, context)
     flight, commands = following.hold_setpoint(state, event.time_s, context)
     commands, state = [*warning, *commands], replace(state, flight=flight)
-    if flight.planning:  # the way back
-        if state.now_s - flight.progress_at_s > _ANSWER_S:
+    if flight.planning_back is not None:
+        if state.now_s - flight.planning_back.since_s > _ANSWER_S:
             return give_up(state, state.reason or Reason.NO_PLAN)
         return state, commands, None
     moving = not is_at_rest(state, event) and in_phase_s(state) < _SETTLE_S
@@ -230,18 +230,21 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
 
 def _way_back(state: State, event: PlanReady, context: Context) -> Step:
     """The way back is there; or else by the rules that it was flown by; or else there is none."""
-    if not state.flight.planning or event.outcome.plan_id != state.flight.plan_id:
+    flight, asked = state.flight, state.flight.planning_back
+    if asked is None or event.outcome.plan_id != flight.plan_id:
         return state, [], None
-    if state.flight.asked_of is not state.task:  # it was proven under other rules
+    if asked.rules is not state.task:  # it was proven under other rules
         return returning.ask(state, context)
     back = returning.answered(state, event)
-    whole = back is not None and back.back[-1].reaches_target
+    whole = back is not None and back.legs[-1].reaches_target
     if not whole and (looser := returning.as_flown(state)) is not None:
         state, asking, trigger = returning.ask(looser[0], context)
         return state, [Say(text=looser[1], warning=True), *asking], trigger
-    if back is None or returning.began(replace(state, flight=back)) is None:
-        return give_up(state, state.reason or Reason.NO_PLAN)
-    return replace(state, flight=back), [], Trigger.GO_BACK
+    if back is not None:
+        after = replace(state, flight=replace(flight, way=back, planning_back=None))
+        if returning.began(after) is not None:
+            return after, [], Trigger.GO_BACK
+    return give_up(state, state.reason or Reason.NO_PLAN)
 
 
 def _is_on_way_back(state: State) -> bool:
@@ -380,7 +383,7 @@ def _end(state: State, context: Context, commands: list[Command]) -> Step:
     if action is EndAction.LAND and (driving.lands or state.flight.homeward):
         return state, commands, Trigger.END_LAND if driving.lands else Trigger.HAND_OVER
     if action is EndAction.RETURN and state.flight.flown:
-        if state.flight.planning:
+        if state.flight.planning_back is not None:
             return state, commands, None
         state, asking, _ = returning.ask(state, context)
         return state, [*commands, *asking], None

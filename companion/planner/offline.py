@@ -157,7 +157,7 @@ class _Flight:
             self._left.pop(0)
             self._route = ()
             self._stop_at_end()
-        elif not leg.can_be_left(self._task):
+        elif not leg.wants_successor(leg.subpath.length_m, self._task):
             self._hold_at_end()
         else:
             self._scan_nea_m = leg.subpath.pose(leg.scan_at_m(self._task)).point_nea_m

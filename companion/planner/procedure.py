@@ -62,6 +62,11 @@ class Leg:
         """Length flown at p_scan: L before the end, or at once on a short leg."""
         return max(self.subpath.length_m - task.scan_distance_m, 0.0)
 
+    def wants_successor(self, at_m: float, task: Task) -> bool:
+        """Whether to scan and plan for the next leg, at this length flown: from p_scan on."""
+        is_past_scan = at_m >= self.subpath.length_m - task.scan_distance_m
+        return is_past_scan and not self.reaches_target and self.can_be_left(task)
+
     def successor_at_m(self, task: Task) -> float:
         """Length flown at p_prog: the tail before the end."""
         length_m = self.subpath.length_m

@@ -55,7 +55,7 @@ from companion.mission.events import (
 )
 from companion.mission.flying import on_scan
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import Phase, Reason
+from companion.mission.state import Back, Phase, Reason, Scanning
 from companion.world.threats import CircleZone
 
 MOVING = (Arm, TakeOff, SetMode, Setpoint, SetSpeed)
@@ -240,7 +240,7 @@ def test_a_fence_on_the_way_back_of_a_vehicle_that_is_paused_leaves_it_led() -> 
     craft.fly_to(Phase.HOLDING)
     flight = craft.state.flight
     assert flight.hover_nea_m is not None
-    craft.state = replace(craft.state, flight=replace(flight, back=(leg,), returning=True))
+    craft.state = replace(craft.state, flight=replace(flight, way=Back((leg,))))
     ahead_m = 10_000.0 * math.sqrt(0.5)
     craft.take(fence(craft, ahead_m, ahead_m, 500.0))
     assert craft.state.flight.hover_nea_m == flight.hover_nea_m
@@ -268,7 +268,7 @@ def test_the_same_fence_told_again_is_no_other_and_stops_nobody() -> None:
     assert craft.state.task is before.task
     assert (craft.phase, craft.state.flight) == (Phase.FLYING, before.flight)
     craft.take(FenceChanged(time_s=craft.now_s, zones=(*around.zones, *around.zones)))
-    assert craft.state.flight.stop_at_m is None
+    assert craft.state.flight.stop is None
 
 
 def test_what_a_path_was_proven_under_outlives_the_companion_and_no_other_mission() -> None:
@@ -459,7 +459,7 @@ def test_a_shadow_plans_and_says_and_never_commands(driving: Driving) -> None:
 def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shadow: bool) -> None:
     """A shadow's vehicle flies on meanwhile, wherever somebody else takes it."""
     wild = Wild.calmly(ALL[0].driving, shadow=is_shadow).aloft(Mode.OTHER)
-    flight = replace(wild.state.flight, leg=None, next_leg=None, scanning_from_nea_m=(0, 0, 3000))
+    flight = replace(wild.state.flight, leg=None, next_leg=None, search=Scanning((0, 0, 3000)))
     scanned = replace(scan_done(wild.state.now_s), asked=9, answered=4)
     _, commands, _ = on_scan(replace(wild.state, flight=flight), scanned, wild.context)
     does = [type(command) for command in commands if not isinstance(command, Say)]

@@ -30,7 +30,7 @@ from companion.mission.events import (
     Setpoint,
     StartScan,
 )
-from companion.mission.state import Flight, Phase, State, Vehicle
+from companion.mission.state import Flight, Phase, Scanning, State, Vehicle
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import NO_ANSWER, Scan, empty_map
@@ -201,7 +201,7 @@ def test_a_look_that_shows_nothing_leaves_it_where_it_is_and_says_so_once(drivin
 def test_a_scan_for_a_plan_becomes_the_look(driving: Driving) -> None:
     """It is not asked for twice, and its plan, of other rules, is never asked for."""
     plane = Circling(driving)
-    flight = replace(plane.state.flight, scanning_from_nea_m=HOVER, tried=True)
+    flight = replace(plane.state.flight, search=Scanning(HOVER))
     plane.state = replace(plane.state, flight=flight)
     plane.draw(0.0, 60.0, 80.0)
     commands = [*plane.fly(0.5), *plane.scanned(0.0), *plane.fly(0.5)]

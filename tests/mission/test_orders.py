@@ -88,7 +88,7 @@ def asking_for_the_way_back() -> Craft:
     craft = under_way()
     tell(craft, OrderKind.RETURN)
     craft.plan = no_answer
-    return craft.run_until(lambda craft: craft.state.flight.planning and craft.phase is HOLDING)
+    return craft.run_until(lambda craft: craft.state.flight.planning_back is not None)
 
 
 HOLDING = Phase.HOLDING

@@ -105,7 +105,7 @@ def test_one_word_of_an_empty_battery_ends_nothing(fallback: Fallback) -> None:
         craft.run_for(1.0)
     assert craft.phase is Phase.FLYING
     assert craft.state.flight.fallen_back is None
-    assert craft.state.flight.stop_at_m is None
+    assert craft.state.flight.stop is None
 
 
 def test_the_last_word_of_a_battery_that_falls_silent_is_believed() -> None:
@@ -201,7 +201,8 @@ def test_a_pause_that_the_battery_would_end_at_once_is_refused(where: str) -> No
     assert changes.verdict(craft.state, pause) is Verdict.NOT_NOW
     assert changes.why_not(craft.state, pause) == f"pause refused: {Reason.BATTERY_LOW.text}"
     craft.obey(craft.take(pause))
-    assert Reason.PAUSED not in (craft.state.standing, craft.state.flight.stop_reason)
+    stop = craft.state.flight.stop
+    assert Reason.PAUSED not in (craft.state.standing, None if stop is None else stop.reason)
     assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
 
 
