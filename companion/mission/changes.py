@@ -30,6 +30,7 @@ from companion.mission.state import (
     Flight,
     Home,
     OnSetpoints,
+    Orders,
     Outward,
     Paused,
     Phase,
@@ -95,7 +96,7 @@ def why_not(state: State, order: Order) -> str:
 
 
 def _is_short(state: State) -> bool:
-    return state.standing is Reason.BATTERY_LOW or battery_is_short(state)
+    return state.orders.active is Reason.BATTERY_LOW or battery_is_short(state)
 
 
 def _may_pause(state: State) -> bool:
@@ -214,7 +215,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
     vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
     state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)
     if why != _OF_VEHICLE:
-        state = replace(state, standing=None, set_aside=None)
+        state = replace(state, orders=Orders())
     says: list[Command] = [Say(text=why)]
     if state.phase in _ON_PATH and targets_ne_m:
         state, commands, trigger = following.stop(state, Reason.NEW_TARGET)
@@ -231,7 +232,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
 def _flies_there(state: State) -> bool:
     """Whether the vehicle is on its way to the first target, and nobody wants anything else."""
     outward = state.phase is Phase.FLYING and state.flight.target == 0
-    return outward and state.standing is None and not state.flight.homeward
+    return outward and state.orders.active is None and not state.flight.homeward
 
 
 def _ordered(state: State, order: Order) -> Step:
@@ -255,10 +256,8 @@ def _ordered(state: State, order: Order) -> Step:
 
 def _go_on(state: State) -> Step:
     """A pause is over: what stood before it stands again."""
-    flight, wanted = state.flight, state.set_aside
-    if state.standing is Reason.PAUSED:
-        state = replace(state, standing=wanted, set_aside=None)
-    stop = flight.stop
+    flight, stop, wanted = state.flight, state.flight.stop, state.orders.suspended
+    state = replace(state, orders=state.orders.continued())
     if state.phase in _ON_PATH and stop is not None and stop.reason is Reason.PAUSED:  # it brakes
         flight = replace(flight, stop=replace(stop, reason=wanted or Reason.CONTINUED))
         return replace(state, flight=flight), [Say(text="going on")], None
@@ -274,8 +273,7 @@ def _pause(state: State) -> Step:
     """Hold until told otherwise; a return that was asked for, and has not begun, waits."""
     if not _may_pause(state):
         return state, [], None
-    set_aside = state.standing if state.standing is not Reason.PAUSED else state.set_aside
-    state = replace(state, standing=Reason.PAUSED, set_aside=set_aside)
+    state = replace(state, orders=state.orders.paused())
     if state.phase in _ON_PATH:
         return following.stop(state, Reason.PAUSED)
     state = replace(state, flight=replace(state.flight, planning_back=None))
@@ -296,8 +294,8 @@ def _with_speed(state: State, speed_m_s: float | None) -> Step:
 
 def _return(state: State) -> Step:
     if state.flight.returning:  # on its way back, or paused on it
-        return _go_on(state) if state.standing is Reason.PAUSED else (state, [], None)
-    state = replace(state, standing=Reason.RETURN_ASKED, set_aside=None)
+        return _go_on(state) if state.orders.active is Reason.PAUSED else (state, [], None)
+    state = replace(state, orders=Orders(Reason.RETURN_ASKED))
     if state.phase is Phase.FLYING:
         return following.stop(state, Reason.RETURN_ASKED)
     if isinstance(state.hold, Replan | Paused):
@@ -327,9 +325,9 @@ def _rebooted(state: State) -> Step:
     )
     vehicle = Vehicle(driving=state.vehicle.driving, bad_at_s=state.now_s)
     if flight.returning:  # the way back is asked for again
-        paused = state.standing is Reason.PAUSED
-        standing = Reason.PAUSED if paused else Reason.RETURN_ASKED
-        state = replace(state, standing=standing, set_aside=Reason.RETURN_ASKED if paused else None)
+        orders = Orders(Reason.RETURN_ASKED)
+        paused = state.orders.active is Reason.PAUSED
+        state = replace(state, orders=orders.paused() if paused else orders)
     state = replace(
         state,
         flight=blank,

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged
 from companion.mission.mission import Mission
-from companion.mission.state import IN_AIR, Back, Home, Outward, Phase, Reason, State
+from companion.mission.state import IN_AIR, Back, Home, Orders, Outward, Phase, Reason, State
 from companion.path.subpath import Subpath
 from companion.planner import adjustable
 from companion.planner.outcomes import control_points
@@ -32,7 +32,7 @@ Values = dict[str, Any]
 NOT_SUCH = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 """What values that are no checkpoint may raise when they are restored."""
 PERIOD_S, LONGEST_S = 1.0, 10.0
-_LATER = ("set_aside", "refusal")
+_LATER = ("refusal",)
 """Fields that older checkpoints do not have."""
 
 
@@ -46,6 +46,8 @@ def values_of(state: State) -> Values:
         "settings": adjustable.values_of(state.given),
         "flown_under": state.flown_under and adjustable.values_of(state.flown_under),
         **{name: _plain(getattr(state, name)) for name in _OF_STATE},
+        "standing": _plain(state.orders.active),
+        "set_aside": _plain(state.orders.suspended),
         **{name: _plain(getattr(flight, name)) for name in (*_OF_FLIGHT, *_WAY)},
     }
 
@@ -163,6 +165,7 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         landing=values["phase"] == Phase.LANDING.name,
         sank=bool(values.get("sank", False)),
         flown_under=None if under is None else _task(mission, under),
+        orders=Orders(_reason(values["standing"]), _reason(values.get("set_aside"))),
         flight=flight,
         **kept,
     )
@@ -248,7 +251,6 @@ def _zone(values: Values) -> Zone:
 
 _OF_STATE: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("airborne", "taken", "armed_by_us"), bool),
-    **dict.fromkeys(("standing", "set_aside"), _reason),
     "targets_ne_m": _places,
     "fence": _fence,
 }
@@ -268,7 +270,7 @@ _OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
 """Fields that are kept, and what makes them of what `_plain` has made of them."""
 _WAY: Final = ("returning", "homeward", "leg", "next_leg", "back")
 kept_of: Final = attrgetter(
-    *(*_OF_STATE, "phase", "obeyed", "given", "flown_under"),
+    *(*_OF_STATE, "orders", "phase", "obeyed", "given", "flown_under"),
     *(f"flight.{name}" for name in (*_OF_FLIGHT, "way", "leg", "next_leg")),
 )
 """All of a state that a checkpoint is made of, but for the time."""

@@ -43,12 +43,8 @@ _ASKS = 5  # in vain, once a second
 def wanted(state: State, context: Context) -> Fallback:
     """The mission's fallback; what is called home, or is on its way there, is brought home."""
     flight = state.flight
-    asked = Reason.RETURN_ASKED in (
-        state.reason,
-        state.standing,
-        state.set_aside,
-        flight.fallen_back,
-    )
+    orders, asked_for = state.orders, Reason.RETURN_ASKED
+    asked = asked_for in (state.reason, orders.active, orders.suspended, flight.fallen_back)
     ends_there = state.phase is Phase.ARRIVED and context.mission.end_action is EndAction.RETURN
     home = asked or ends_there or flight.returning or flight.homeward
     return Fallback.RETURN if home else context.mission.fallback

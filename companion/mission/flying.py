@@ -107,7 +107,7 @@ def runs_low(state: State) -> bool:
     if state.reason is Reason.PAUSED:
         return True
     flight = state.flight
-    going_back = flight.homeward or state.standing is Reason.RETURN_ASKED
+    going_back = flight.homeward or state.orders.active is Reason.RETURN_ASKED
     return flight.fallen_back is None and not going_back
 
 
@@ -116,7 +116,7 @@ def given_up_for_battery(state: State) -> State:
     flight = replace(state.flight, battery_told=_TOLD_SHORT)
     if not (flight.returning or flight.homeward):
         flight = replace(flight, fallen_back=Reason.BATTERY_LOW)
-    return replace(state, flight=flight, standing=Reason.BATTERY_LOW)
+    return replace(state, flight=flight, orders=replace(state.orders, active=Reason.BATTERY_LOW))
 
 
 def battery_warning(state: State, context: Context) -> tuple[State, list[Command]]:

@@ -44,7 +44,7 @@ from companion.mission.events import (
     VehicleFound,
 )
 from companion.mission.health import battery_lasts
-from companion.mission.state import Phase, Reason, State, Trigger
+from companion.mission.state import Orders, Phase, Reason, State, Trigger
 from companion.world.zone_index import index_of
 
 _PREPARE_S = 120.0
@@ -145,7 +145,7 @@ def _landing_goes_on(state: State) -> Step:
     state = replace(state, landing=False)
     if state.sank and vehicle.mode is not Mode.LAND:
         says = Say(text=BROKEN_OFF, warning=True)
-        return replace(state, standing=Reason.PAUSED), [says], None
+        return replace(state, orders=Orders(Reason.PAUSED)), [says], None
     return state, [], Trigger.END_LAND if vehicle.mode in (Mode.LAND, Mode.GUIDED) else None
 
 
@@ -194,7 +194,7 @@ def _in_flight(state: State) -> Step:
     if not state.targets_ne_m:
         return give_up(state, Reason.NO_TARGETS)
     mode = state.vehicle.mode
-    if state.standing is not None or state.taken or state.flight.returning:
+    if state.orders.active is not None or state.taken or state.flight.returning:
         ours = mode in (Mode.GUIDED, Mode.HOLD) and not state.taken
         reason = Reason.TAKING_OVER if ours else taken_by(state)
         flight = following.at_rest(following.unflown(state.flight), None)

@@ -57,6 +57,7 @@ from companion.mission.state import (
     Down,
     GoBack,
     HoldMode,
+    Orders,
     Paused,
     Phase,
     Reason,
@@ -227,7 +228,7 @@ def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command
     flight = replace(state.flight, progress_at_s=state.now_s, echoed_at_s=state.now_s)
     state = replace(state, flight=flight, reason=None, taken=False)
     if state.phase is not Phase.FLYING:
-        state = replace(state, standing=None, set_aside=None)
+        state = replace(state, orders=Orders())
     elif not state.flight.homeward:  # to a target again
         state = replace(state, flight=replace(flight, fallen_back=None))
     if state.phase is Phase.RETURNING:
@@ -247,7 +248,7 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     state = replace(state, hold=reason.hold())
     match state.hold:
         case Paused() | GoBack():
-            state = replace(state, standing=reason)
+            state = replace(state, orders=replace(state.orders, active=reason))
         case Taken():
             state = replace(state, taken=True)
         case HoldMode() | StreamLost() | Down() | Silent():

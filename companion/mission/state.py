@@ -492,6 +492,24 @@ class Flight(Struct, frozen=True, kw_only=True):
 
 
 @final
+class Orders(Struct, frozen=True):
+    """What a person, or the battery, wants of the flight, whatever else happens meanwhile."""
+
+    active: Reason | None = None
+    """PAUSED, RETURN_ASKED or BATTERY_LOW."""
+    suspended: Reason | None = None
+    """What was active before a pause, and is again after it: RETURN_ASKED."""
+
+    def paused(self) -> "Orders":
+        """With a pause."""
+        return self if self.active is Reason.PAUSED else Orders(Reason.PAUSED, self.active)
+
+    def continued(self) -> "Orders":
+        """Without a pause."""
+        return Orders(self.suspended) if self.active is Reason.PAUSED else self
+
+
+@final
 class State(Struct, frozen=True, kw_only=True):
     """Everything that the next decision depends on."""
 
@@ -522,11 +540,7 @@ class State(Struct, frozen=True, kw_only=True):
     airborne: bool = False
     """Whether the vehicle has been in the air since the companion began: then it is never armed."""
     prepared: frozenset[Item] = frozenset()
-    standing: Reason | None = None
-    """What a person, or the battery, wants of the flight, whatever else happens meanwhile:
-    PAUSED, RETURN_ASKED or BATTERY_LOW."""
-    set_aside: Reason | None = None
-    """What stood before a pause, and stands again after it: RETURN_ASKED."""
+    orders: Orders = Orders()
     taken: bool = False
     """Whether somebody else flies the vehicle, and has not given it back yet."""
     hold: Hold | None = None

@@ -44,6 +44,7 @@ from companion.mission.state import (
     GoBack,
     HoldMode,
     OnSetpoints,
+    Orders,
     Paused,
     Reason,
     Replan,
@@ -178,7 +179,7 @@ def resumed(state: State) -> Step:
 
     Too far from the way back, or with a threat on it, home is planned to like any target.
     """
-    wanted = state.standing
+    wanted = state.orders.active
     if wanted not in (None, state.reason):
         flight = following.at_rest(state.flight, state.vehicle.position_nea_m)
         return because(replace(state, flight=flight), wanted), [], None
@@ -484,5 +485,5 @@ def _broken_off(state: State) -> Step:
     state = replace(state, flight=flight)
     if reason is Reason.FENCE_BREACHED:
         return fault(state, reason)
-    state, commands, trigger = fault(replace(state, standing=Reason.PAUSED), reason)
+    state, commands, trigger = fault(replace(state, orders=Orders(Reason.PAUSED)), reason)
     return state, [*commands, Say(text=BROKEN_OFF, warning=True)], trigger

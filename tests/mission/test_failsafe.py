@@ -150,7 +150,7 @@ def test_a_landing_that_a_failsafe_takes_is_not_begun_again_unasked() -> None:
     craft.failsafe, craft.mode = True, Mode.RETURN
     craft.run_for(5.0)
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FAILSAFE)
-    assert craft.state.standing is Reason.PAUSED
+    assert craft.state.orders.active is Reason.PAUSED
     assert [text for text in texts(craft.commands) if text.startswith("landing broken off")]
 
 

@@ -202,7 +202,7 @@ def test_a_pause_that_the_battery_would_end_at_once_is_refused(where: str) -> No
     assert changes.why_not(craft.state, pause) == f"pause refused: {Reason.BATTERY_LOW.text}"
     craft.obey(craft.take(pause))
     stop = craft.state.flight.stop
-    assert Reason.PAUSED not in (craft.state.standing, None if stop is None else stop.reason)
+    assert Reason.PAUSED not in (craft.state.orders.active, None if stop is None else stop.reason)
     assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND
 
 
@@ -308,7 +308,7 @@ def test_a_landing_broken_off_while_the_companion_was_dead(broken_off: bool) -> 
     lands = [c for c in craft.commands[count:] if c == SetMode(mode=Mode.LAND)]
     assert lands == []
     if broken_off:
-        assert (craft.phase, craft.state.standing) == (Phase.HOLDING, Reason.PAUSED)
+        assert (craft.phase, craft.state.orders.active) == (Phase.HOLDING, Reason.PAUSED)
         assert [text for text in warnings(craft.commands[count:]) if "MISSION_START" in text]
     else:
         assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND

@@ -51,7 +51,7 @@ class WatchOrders:
     def saw(self, before: State, event: Event, after: State, commands: list[Command]) -> None:
         """One step."""
         self._hear(before, event)
-        if after.standing is Reason.BATTERY_LOW:
+        if after.orders.active is Reason.BATTERY_LOW:
             self.paused = False
         self.kept += self.paused or self.returns or self._low_s > SHORT_S
         target = after.targets_ne_m[after.flight.target] if after.targets_ne_m else None

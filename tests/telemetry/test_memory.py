@@ -12,7 +12,7 @@ from renewed import replace
 
 from companion.config import load_mission
 from companion.mission import checkpoint
-from companion.mission.state import Phase, Reason, State
+from companion.mission.state import Orders, Phase, Reason, State
 from companion.telemetry.memory import Recalled, recall
 from companion.telemetry.run_folder import RESUME_VERSION, RunFolder
 from companion.world.known_map import KnownMap
@@ -33,7 +33,7 @@ def in_flight() -> checkpoint.Values:
                 state,
                 phase=Phase.HOLDING,
                 now_s=321.5,
-                standing=Reason.PAUSED,
+                orders=Orders(Reason.PAUSED),
                 airborne=True,
                 flight=flight,
             )
@@ -68,7 +68,7 @@ def test_what_can_be_read_is_gone_on_with(folder: Path) -> None:
     recalled = recall(folder, MISSION)
     assert recalled.said == recalled.unreadable == ()
     state = begun(recalled)
-    assert (state.flight.target, state.standing, state.airborne) == (1, Reason.PAUSED, True)
+    assert (state.flight.target, state.orders.active, state.airborne) == (1, Reason.PAUSED, True)
     assert (state.flight.known.upper_m == 512.0).all()
     assert state.news == ""
 
@@ -156,7 +156,7 @@ def test_without_a_checkpoint_that_can_be_read_it_takes_over_and_never_arms(
     state = begun(recalled)
     assert state.airborne
     assert state.news == line
-    assert (state.flight.target, state.flight.leg, state.standing) == (0, None, None)
+    assert (state.flight.target, state.flight.leg, state.orders.active) == (0, None, None)
     assert np.array_equal(state.flight.known.upper_m, BLANK.upper_m)
     assert state.flight.plan_id == 7
     assert recalled.resume[0]["system_id"] == 3  # as the journal has it
@@ -180,7 +180,7 @@ def test_without_a_map_that_can_be_read_the_rest_is_gone_on_with(folder: Path, d
     assert "known.npz" in line
     assert recalled.unreadable == ("known.npz",)
     state = begun(recalled)
-    assert (state.flight.target, state.standing, state.airborne) == (1, Reason.PAUSED, True)
+    assert (state.flight.target, state.orders.active, state.airborne) == (1, Reason.PAUSED, True)
     assert np.array_equal(state.flight.known.upper_m, BLANK.upper_m)
     assert state.news == line
 
