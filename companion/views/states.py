@@ -1,6 +1,11 @@
 """Pages about the mission, made from its transition table and its reasons by `scripts/docs`."""
 
-from companion.mission.state import MOVES, Phase, Reason, Trigger
+import ast
+from pathlib import Path
+from typing import get_args
+
+from companion.mission import state
+from companion.mission.state import MOVES, Hold, HoldMode, Phase, Reason, Trigger
 
 
 def mission_states_markdown() -> str:
@@ -28,8 +33,19 @@ def mission_states_markdown() -> str:
     if unreached:
         lines += ["", f"Reserved, not entered yet: {', '.join(unreached)}."]
     lines += ["", "## Triggers", ""]
-    lines += ["| trigger | when |", "|---|---|"]
-    lines += [f"| `{trigger.name.lower()}` | {trigger.value} |" for trigger in Trigger]
+    lines += ["| trigger | when | decided in `companion/mission` by |", "|---|---|---|"]
+    deciders = _deciders()
+    lines += [
+        f"| `{trigger.name.lower()}` | {trigger.value} | {', '.join(deciders[trigger.name])} |"
+        for trigger in Trigger
+    ]
+    lines += ["", "## Holds", "", "How a vehicle is held, in the phase holding, by the reason:", ""]
+    lines += ["| hold | how | reasons |", "|---|---|---|"]
+    for hold in get_args(Hold):
+        reasons = ", ".join(f"`{each.name}`" for each in Reason if each.hold is hold)
+        if hold is HoldMode:
+            reasons = "all others"
+        lines.append(f"| {hold.__name__} | {hold.__doc__} | {reasons} |")
     return "\n".join(lines) + "\n"
 
 
@@ -48,6 +64,31 @@ Made from `companion/mission/state.py` by `scripts/docs`; do not edit.
 reason to hold or to end is sent as a STATUSTEXT, and stands in `journal.jsonl`;
 `companion replay RUN_DIR` shows what led to it.
 """
+
+
+def _deciders() -> dict[str, list[str]]:
+    """The functions that move a mission on, by the name of the trigger that they return."""
+    found: dict[str, list[str]] = {}
+    for path in sorted(Path(state.__file__).parent.glob("*.py")):
+        for function in ast.parse(path.read_text()).body:
+            if isinstance(function, ast.FunctionDef):
+                for name in sorted(_returned(function)):
+                    found.setdefault(name, []).append(f"`{path.stem}.{function.name}`")
+    return found
+
+
+def _returned(tree: ast.AST) -> set[str]:
+    """The triggers that stand in a piece of code, but for those that are only compared with."""
+    names = set[str]()
+    for node in ast.iter_child_nodes(tree):
+        match node:
+            case ast.Compare():
+                pass
+            case ast.Attribute(value=ast.Name(id="Trigger"), attr=name):
+                names.add(name)
+            case _:
+                names |= _returned(node)
+    return names
 
 
 def _shared_moves() -> dict[Trigger, tuple[list[Phase], Phase]]:
