@@ -27,7 +27,7 @@ from made_up import (
 from renewed import replace
 from wild import Wild
 
-from companion.mavlink.autopilots import ALL, ARDUCOPTER
+from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER
 from companion.mission import changes, checkpoint
 from companion.mission.changes import Verdict
 from companion.mission.driving import Driving
@@ -50,6 +50,7 @@ from companion.mission.events import (
     SetSpeed,
     SettingsChanged,
     StartScan,
+    StopAsked,
     TakeOff,
     TargetsChanged,
 )
@@ -453,6 +454,13 @@ def test_a_shadow_plans_and_says_and_never_commands(driving: Driving) -> None:
     moving: list[Command] = [c for c in wild.said_to if isinstance(c, MOVING)]
     assert not moving
     assert wild.state.flight.leg is not None or wild.sent(Say)
+
+
+def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() -> None:
+    wild = Wild.calmly(PX4_MULTICOPTER.driving).aloft(Mode.TAKE_OFF).fly_to(Phase.HOLDING)
+    assert (wild.state.reason, wild.mode) == (Reason.TAKING_OVER, Mode.TAKE_OFF)
+    wild.take(StopAsked(time_s=wild.now_s))
+    assert [each.mode for each in wild.sent(SetMode)] == [Mode.HOLD]
 
 
 @pytest.mark.parametrize("is_shadow", [True, False])

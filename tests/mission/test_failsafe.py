@@ -189,3 +189,40 @@ def test_given_back_below_the_reserve_it_does_not_fly_on() -> None:
     craft.fly_to(Phase.DONE)
     assert craft.here[:2] == pytest.approx(here[:2], abs=1.0)
     assert craft.state.flight.fallen_back is Reason.BATTERY_LOW
+
+
+# --- a hold after a hold
+
+
+def given_back(craft: Craft) -> Craft:
+    """By a word, to a vehicle that was told to return: it stops first, for a moment."""
+    craft.failsafe, craft.mode, craft.obeys_modes = False, Mode.HOLD, True
+    craft.run_for(10.0)
+    craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.START)))
+    return craft.run_until(lambda craft: craft.state.reason is Reason.RETURN_ASKED)
+
+
+def told_to_return_and_taken(mode: Mode, *, failsafe: bool) -> Craft:
+    craft = flying(two_legs_away())
+    craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.RETURN)))
+    craft.fly_to(Phase.HOLDING)
+    craft.failsafe, craft.mode, craft.obeys_modes = failsafe, mode, False
+    return craft.run_for(3.0)
+
+
+def test_a_word_to_go_on_counts_for_the_hold_that_it_was_given_in() -> None:
+    craft = given_back(told_to_return_and_taken(Mode.HOLD, failsafe=False))
+    craft.mode, craft.obeys_modes = Mode.HOLD, False
+    craft.run_until(lambda craft: craft.state.reason is Reason.MODE_TAKEN)
+    count = len(craft.commands)
+    craft.run_for(60.0)
+    assert not [c for c in craft.commands[count:] if isinstance(c, SetMode | Setpoint)]
+
+
+def test_the_end_of_a_second_failsafe_is_said_too() -> None:
+    craft = given_back(told_to_return_and_taken(Mode.RETURN, failsafe=True))
+    craft.failsafe, craft.mode, craft.obeys_modes = True, Mode.RETURN, False
+    craft.run_until(lambda craft: craft.state.reason is Reason.FAILSAFE)
+    craft.failsafe = False
+    craft.run_for(10.0)
+    assert texts(craft.commands).count(FAILSAFE_OVER) == 2
