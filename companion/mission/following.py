@@ -148,13 +148,13 @@ def still_circles(state: State, event: Position) -> bool:
 def with_echo(state: State) -> Flight:
     """The flight after an echo: when it last agreed with what was sent, or was not there."""
     flight, echo = state.flight, state.vehicle.echo_nea_m
-    if flight.sent_nea_m is None or echo is None:
+    if flight.sent is None or echo is None:
         return replace(flight, echoed_at_s=state.now_s)
     limits = state.task.limits
     allowed_m = max(1.5 * limits.speed_m_s, 2.0 * limits.tracking_error_m)
     if not limits.hovers:
         allowed_m += 2.0 * limits.loiter_radius_m
-    if math.dist(echo[:2], flight.sent_nea_m[:2]) <= allowed_m:
+    if math.dist(echo[:2], flight.sent.position_nea_m[:2]) <= allowed_m:
         return replace(flight, echoed_at_s=state.now_s)
     return flight
 
@@ -218,13 +218,7 @@ def setpoint(
         yaw_rad=math.atan2(ahead_e, ahead_n) if yaw is None else yaw,
         stay=stays,
     )
-    flight = replace(
-        flight,
-        sent_nea_m=sent.position_nea_m,
-        sent_yaw_rad=sent.yaw_rad,
-        sent_at_s=state.now_s,
-    )
-    return flight, [sent]
+    return replace(flight, sent=sent, sent_at_s=state.now_s), [sent]
 
 
 def is_due(state: State) -> bool:
@@ -320,25 +314,22 @@ def hold_setpoint(state: State, time_s: float, context: Context) -> tuple[Flight
     yaw = context.mission.yaw_rad
     if yaw is None:
         yaw = _towards_target_rad(state, here)
-    there = _on_the_way(state, here)
     stay = Setpoint(
         time_s=time_s,
-        position_nea_m=there,
+        position_nea_m=_on_the_way(state, here),
         velocity_nea_m_s=(0.0, 0.0, 0.0),
         yaw_rad=yaw,
         stay=True,
     )
-    flight = replace(flight, sent_nea_m=there, sent_yaw_rad=yaw, sent_at_s=state.now_s)
-    return flight, [stay]
+    return replace(flight, sent=stay, sent_at_s=state.now_s), [stay]
 
 
 def _towards_target_rad(state: State, here_nea_m: Vector) -> float:
     """Where a vehicle that stays looks; at the target itself, where it has looked."""
     flight, target = state.flight, state.targets_ne_m[state.flight.target]
     north_m, east_m = target[0] - here_nea_m[0], target[1] - here_nea_m[1]
-    looked = flight.sent_yaw_rad
-    if looked is not None and math.hypot(north_m, east_m) < _AT_TARGET_M:
-        return looked
+    if flight.sent is not None and math.hypot(north_m, east_m) < _AT_TARGET_M:
+        return flight.sent.yaw_rad
     return math.atan2(east_m, north_m)
 
 
@@ -349,7 +340,7 @@ def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
     if not state.vehicle.driving.hovers or at is None:
         return here_nea_m
     since_s = state.now_s - flight.sent_at_s
-    sent = flight.sent_nea_m
+    sent = None if flight.sent is None else flight.sent.position_nea_m
     is_new = sent is None or since_s > _SENT_LATELY_S or math.dist(sent[:2], here_nea_m[:2]) > 1.0
     from_m = at[2] if sent is None or is_new else sent[2]
     most_m = state.task.limits.climb_rate_m_s * min(since_s, _SENT_LATELY_S)

@@ -77,8 +77,8 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
         return None
     if not vehicle.driving.hovers:
         return here, velocity
-    if flight.sent_nea_m is not None and state.now_s - flight.sent_at_s < _FRESH_S:
-        return flight.sent_nea_m, velocity
+    if flight.sent is not None and state.now_s - flight.sent_at_s < _FRESH_S:
+        return flight.sent.position_nea_m, velocity
     near_m = 2.0 * state.task.limits.tracking_error_m + state.task.limits.speed_m_s * _FRESH_S
     age_s = state.now_s - vehicle.echo_at_s
     if echo is None or age_s > _FRESH_S or math.dist(echo, here) >= near_m:

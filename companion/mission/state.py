@@ -9,7 +9,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from companion.mission.driving import UNKNOWN, Driving
-from companion.mission.events import FenceChanged, Item, Landed, Mode, Vector
+from companion.mission.events import FenceChanged, Item, Landed, Mode, Setpoint, Vector
 from companion.mission.mission import Mission
 from companion.planner.join import Offset
 from companion.planner.procedure import Leg, Reference
@@ -457,10 +457,8 @@ class Flight(Struct, frozen=True, kw_only=True):
     """When the reference point last moved, or the wait for a leg began."""
     speed_limit_m_s: float = math.inf
     """What a person has asked for; the mission's own speed holds as well."""
-    sent_nea_m: Vector | None = None
+    sent: Setpoint | None = None
     """The last setpoint."""
-    sent_yaw_rad: float | None = None
-    """Of the last setpoint."""
     sent_at_s: float = -1e9
     echoed_at_s: float = 0.0
     """When the autopilot's echo last agreed with what it was sent."""

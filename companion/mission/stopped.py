@@ -182,7 +182,7 @@ def resumed(state: State) -> Step:
     wanted = state.orders.active
     if wanted not in (None, state.reason):
         flight = following.at_rest(state.flight, state.vehicle.position_nea_m)
-        return because(replace(state, flight=flight), wanted), [], None
+        return because(replace(state, flight=flight, taken=False), wanted), [], None
     flight = state.flight
     if not flight.returning:
         return state, [], Trigger.RESUME

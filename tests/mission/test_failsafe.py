@@ -26,6 +26,7 @@ from companion.mission.events import (
 )
 from companion.mission.state import Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
+from companion.planner.request import NotPlanned, Refusal
 
 EVERY_DRIVING = pytest.mark.parametrize(
     "driving", [each.driving for each in ALL], ids=lambda driving: driving.name
@@ -226,3 +227,10 @@ def test_the_end_of_a_second_failsafe_is_said_too() -> None:
     craft.failsafe = False
     craft.run_for(10.0)
     assert texts(craft.commands).count(FAILSAFE_OVER) == 2
+
+
+def test_what_was_given_back_is_ours_to_bring_home() -> None:
+    """Told to return, taken, given back: without a way back its autopilot's own return is left."""
+    craft = told_to_return_and_taken(Mode.HOLD, failsafe=False)
+    craft.plan = lambda request: NotPlanned(plan_id=request.plan_id, refusal=Refusal.NOTHING_SAFE)
+    given_back(craft).fly_to(Phase.HANDING_OVER)

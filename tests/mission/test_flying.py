@@ -24,7 +24,7 @@ from renewed import replace
 
 from companion.mission.events import Plan, PlanReady, Position, Setpoint, StartScan
 from companion.mission.joining import joined
-from companion.mission.state import Phase, Reason
+from companion.mission.state import Asked, Phase, Reason
 from companion.planner.procedure import hover_pose
 from companion.planner.request import Planned, PlanRequest
 
@@ -194,11 +194,11 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
     state = replace(
         craft.state,
         vehicle=replace(craft.state.vehicle, position_nea_m=at, velocity_nea_m_s=velocity),
-        flight=replace(flight, next_leg=None, planning=False, sent_nea_m=None),
+        flight=replace(flight, next_leg=None, search=None, sent=None),
     )
     went_on = joined(state)
     assert went_on is not None
-    craft.state = replace(state, flight=replace(went_on, tried=True))
+    craft.state = replace(state, flight=replace(went_on, search=Asked()))
     craft.here, craft.velocity = at, velocity
     sent: list[Setpoint] = []
     while craft.state.phase is Phase.FLYING and len(sent) < 300:
@@ -227,7 +227,7 @@ def test_it_goes_on_where_the_autopilots_target_has_moved_since_it_was_told(age_
         echo_nea_m=curve.pose(told_m).point_nea_m,
         echo_at_s=state.now_s - age_s,
     )
-    went_on = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent_nea_m=None)))
+    went_on = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None)))
     assert went_on is not None
     assert went_on.reference.length_m == pytest.approx(at_m, abs=0.1)
 
@@ -245,7 +245,7 @@ def test_it_goes_on_from_a_target_that_stands_as_slowly_as_the_target() -> None:
         echo_nea_m_s=(0.0, 0.0, 0.0),
         echo_at_s=state.now_s - 0.4,
     )
-    went_on = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent_nea_m=None)))
+    went_on = joined(replace(state, vehicle=vehicle, flight=replace(state.flight, sent=None)))
     assert went_on is not None
     assert went_on.offset is not None
     assert went_on.reference.length_m == pytest.approx(1_000.0, abs=0.01)
