@@ -28,6 +28,7 @@ from companion.mission.state import (
     OVER,
     Asked,
     Flight,
+    GoBack,
     Home,
     OnSetpoints,
     Orders,
@@ -37,7 +38,6 @@ from companion.mission.state import (
     Planning,
     Reason,
     Replan,
-    Standing,
     State,
     Taken,
     Trigger,
@@ -224,7 +224,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
         if state.asks == 0:
             return state, says, Trigger.NEXT_TARGET
         return replace(state, reason=Reason.TAKING_OVER), says, Trigger.FAULT  # it may hold by now
-    if isinstance(state.hold, Standing):
+    if isinstance(state.hold, Paused | GoBack):
         return because(state, Reason.NEW_TARGET), says, None
     return state, says, None
 

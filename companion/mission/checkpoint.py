@@ -32,7 +32,7 @@ Values = dict[str, Any]
 NOT_SUCH = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 """What values that are no checkpoint may raise when they are restored."""
 PERIOD_S, LONGEST_S = 1.0, 10.0
-_LATER = ("refusal",)
+_LATER: Final[Values] = {"set_aside": None, "refusal": None, "sank": False}
 """Fields that older checkpoints do not have."""
 
 
@@ -145,6 +145,7 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
     What the vehicle does now is not in it: the vehicle is prepared again.
     """
     _must_be_finite(values)
+    values = _LATER | values
     kept, under = _read(values, _OF_STATE), values.get("flown_under")
     given = _task(mission, values.get("settings"))
     state = State.of(mission, known).with_rules(given, kept["fence"])
@@ -163,9 +164,9 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         now_s=time_s,
         since_s=time_s,
         landing=values["phase"] == Phase.LANDING.name,
-        sank=bool(values.get("sank", False)),
+        sank=bool(values["sank"]),
         flown_under=None if under is None else _task(mission, under),
-        orders=Orders(_reason(values["standing"]), _reason(values.get("set_aside"))),
+        orders=Orders(_reason(values["standing"]), _reason(values["set_aside"])),
         flight=flight,
         **kept,
     )
@@ -176,11 +177,7 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
 
 def _read(values: Values, kinds: dict[str, Callable[[Any], Any]]) -> Values:
     """Fields of a state, of their types."""
-    return {
-        name: kind(values[name])
-        for name, kind in kinds.items()
-        if name in values or name not in _LATER
-    }
+    return {name: kind(values[name]) for name, kind in kinds.items()}
 
 
 def _must_be_finite(value: Any) -> None:

@@ -166,8 +166,6 @@ class Silent(Struct, frozen=True):
 
 OnSetpoints = Replan | Paused | GoBack
 """The position may be believed."""
-Standing = Paused | GoBack
-"""What a person, or the battery, wants until it is done, or they say otherwise."""
 Hold = OnSetpoints | HoldMode | TakeOver | StreamLost | Taken | Down | Silent
 """How a vehicle is held, with what has come of it since; `Reason` says which it is."""
 

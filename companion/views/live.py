@@ -118,5 +118,6 @@ def _news(flown: Flown) -> tuple[Reason | None, bool, bool, str]:
     said_in_phase = warned_at_s >= state.since_s
     stands = said_in_phase and 0.0 <= flown.session.now_s - warned_at_s < _STANDS_S
     failsafe = state.vehicle.failsafe and state.phase in IN_AIR
-    over = isinstance(state.hold, Taken) and state.hold.failsafe_over
+    told = isinstance(state.hold, Taken) and state.hold.failsafe_over
+    over = told and state.reason is Reason.FAILSAFE
     return state.reason, over, failsafe, warning if stands else ""
