@@ -7,7 +7,7 @@ from renewed import replace
 from rich.console import Console
 
 from companion.config import load_mission
-from companion.mission.state import Phase, Reason
+from companion.mission.state import Phase, Reason, Silent, Taken
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.session import Session
 from companion.telemetry.flown import Flown
@@ -64,13 +64,11 @@ def test_the_autopilots_failsafe_and_its_end_are_said() -> None:
         102.0, failsafe=True, phase=Phase.HOLDING, since_s=102.0, reason=Reason.FAILSAFE
     )
     assert Reason.FAILSAFE.text in held
-    over = terminal.show(130.0, failsafe_over=True)
+    over = terminal.show(130.0, hold=Taken(failsafe_over=True))
     assert FAILSAFE_OVER in over[-1]
-    [silent] = terminal.show(135.0, reason=Reason.LINK_LOST)
+    [silent] = terminal.show(135.0, reason=Reason.LINK_LOST, hold=Silent())
     assert Reason.LINK_LOST.text in silent
-    [flies] = terminal.show(
-        140.0, phase=Phase.FLYING, since_s=140.0, reason=None, failsafe_over=False
-    )
+    [flies] = terminal.show(140.0, phase=Phase.FLYING, since_s=140.0, reason=None, hold=None)
     assert "failsafe" not in flies
 
 
