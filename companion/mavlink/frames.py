@@ -31,6 +31,16 @@ _HEADER_1, _HEADER_2 = 6, 10
 _CHECKSUM, _SIGNATURE = 2, 13
 _SIGNED: Final = 0x01
 _CRC: Final = Struct("<H")
+_PLAIN: Final = Struct("<BBBxxBBHB")
+"""A header of the second protocol: marker, length, flags, system, component, message number."""
+_EXTRA: Final = [bytes((extra,)) for extra in range(256)]
+_BOOT_MS_AT: Final = {
+    wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0,
+    wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0,
+    wire.MAVLINK_MSG_ID_ATTITUDE: 0,
+    wire.MAVLINK_MSG_ID_SYSTEM_TIME: 8,
+}
+"""Where time_boot_ms stands in the payload, of what carries the time at which it was sent."""
 find_marker = re.compile(rb"\xfd(?:.[\x00\x01]|.?\Z)|\xfe", re.DOTALL).search
 """What a frame can begin with: of the second protocol, no flags but the one of signatures."""
 
@@ -93,6 +103,12 @@ def payload_of(frame: bytes, size: int) -> bytes:
     """
     head = _HEADER_2 if frame[0] == V2 else _HEADER_1
     return frame[head : head + frame[1]].ljust(size, b"\0")
+
+
+def boot_ms_of(frame: bytes, number: int) -> int | None:
+    """The time since boot at which a frame was sent, if its message tells that; ms."""
+    at = _BOOT_MS_AT.get(number)
+    return None if at is None else int.from_bytes(payload_of(frame, at + 4)[at : at + 4], "little")
 
 
 # --- messages
@@ -239,7 +255,7 @@ class Receiver:
         portion_at = len(self._rest)
         data = self._rest + data
         heard: list[Incoming] = []
-        at, size = 0, len(data)
+        at, size = self._read_plain(data, at_s, heard), len(data)
         while (found := find_marker(data, at)) is not None:
             start = found.start()
             if start > at:
@@ -253,7 +269,7 @@ class Receiver:
             if end > size and not (at < portion_at < size and intact_end(data, portion_at)):
                 break
             if 0 < end <= size and self._take(data[at:end], kind, at_s, heard):
-                at = end
+                at = self._read_plain(data, at_s, heard, end)
             else:
                 self.passed[Passed.GARBAGE] += 1
                 at += 1
@@ -263,6 +279,33 @@ class Receiver:
             at = size
         self._rest = data[at:]
         return heard
+
+    def _read_plain(
+        self, data: bytes, at_s: float | None, heard: list[Incoming], at: int = 0
+    ) -> int:
+        """Add the messages of what comes most often: whole, intact, unsigned frames in a row.
+
+        Where they end; what follows is looked at in every respect.
+        """
+        last = len(data) - _HEADER_2 - _CHECKSUM if self._signing is None else -1
+        while at <= last:
+            marker, length, flags, system, component, low, high = _PLAIN.unpack_from(data, at)
+            number, end = low | high << 16, at + _HEADER_2 + length
+            kind = wire.mavlink_map.get(number)
+            if marker != V2 or flags or kind is None or end + _CHECKSUM > len(data):
+                break
+            covered = data[at + 1 : end] + _EXTRA[kind.crc_extra]
+            if mcrf4xx(covered) != data[end] | data[end + 1] << 8 or number in SECRETS:
+                break
+            frame, message = data[at : end + _CHECKSUM], None
+            if number not in self._needless:
+                try:
+                    message = decoded(frame, kind)
+                except wire.MAVError:
+                    break
+            heard.append(Incoming(frame, number, system, component, message, at_s, self._link))
+            at = end + _CHECKSUM
+        return at
 
     def _take(self, frame: bytes, kind: Any, at_s: float | None, heard: list[Incoming]) -> bool:
         """Add the message of a frame, if it is to be heard; whether the frame is intact."""

@@ -154,11 +154,12 @@ def test_a_frame_that_differs_before_from_moves_nothing_after_it(tmp_path: Path)
     (tmp_path / "journal.jsonl").write_text("", encoding="utf-8")
     data = b"".join(struct.pack(">Q", round(t * 1e6)) + frame for t, frame in beats)
     (tmp_path / "flight.tlog").write_bytes(data)
-    recording, mine = Recording(tmp_path), list(beats)
+    mine = list(beats)
     mine[1] = (2.0, beats[7][1])
-    recording.pass_by(mine[:4], [])
-    assert recording.first_difference(mine[4:], []) is None
-    assert recording.frames == 4
+    with contextlib.closing(Recording(tmp_path)) as recording:
+        recording.pass_by(mine[:4], [])
+        assert recording.first_difference(mine[4:], []) is None
+        assert recording.frames == 4
 
 
 # --- what is damaged
