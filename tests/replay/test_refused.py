@@ -1,6 +1,7 @@
 """What a replay was not asked properly, or not given whole, it says in one line: never a traceback,
 and never that nothing is the same as something."""
 
+import contextlib
 import copy
 import json
 import random
