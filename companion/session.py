@@ -368,8 +368,9 @@ class Session:
         """Any other of its messages."""
         if (vehicle := self.vehicle) is None:
             return
-        message, now_s = heard.message, self.now_s
-        self._send_all(vehicle.on_message(message, now_s))
+        message, now_s = heard.message, self.clock.now_s
+        if replies := vehicle.on_message(message, now_s):
+            self._outbox.send(replies, now_s)
         if (event := vehicle.event_of(message, now_s)) is not None:
             self._handle(event)
         if vehicle.is_news or vehicle.notes:

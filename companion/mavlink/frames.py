@@ -14,7 +14,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import cache
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from struct import Struct
 from typing import Any, Final, NamedTuple, final
 
@@ -33,6 +33,7 @@ _SIGNED: Final = 0x01
 _CRC: Final = Struct("<H")
 _PLAIN: Final = Struct("<BBBxxBBHB")
 """A header of the second protocol: marker, length, flags, system, component, message number."""
+_HEAD: Final = Struct("<BBBBBBBHB")
 _EXTRA: Final = [bytes((extra,)) for extra in range(256)]
 _BOOT_MS_AT: Final = {
     wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0,
@@ -195,6 +196,31 @@ def _in_order(kind: Any) -> Callable[[tuple[Any, ...]], Sequence[Any]] | None:
     return lambda values: [
         list(field) if isinstance(field, tuple) else field for field in fields(values)
     ]
+
+
+def packed(message: Message, sender: wire.MAVLink) -> bytes:
+    """The next frame of a sender: as pymavlink packs it, at a third of the price.
+
+    What is uncommon is left to it: signed frames, and kinds with texts or lists.
+    """
+    kind: Any = type(message)
+    values_of = _numbers(kind)
+    if values_of is None or sender.signing.sign_outgoing:
+        frame: bytes = message.pack(sender)
+        return frame
+    payload = kind.unpacker.pack(*values_of(message)).rstrip(b"\0") or b"\0"
+    number, names = kind.id, (sender.seq, sender.srcSystem, sender.srcComponent)
+    head = _HEAD.pack(V2, len(payload), 0, 0, *names, number & 0xFFFF, number >> 16)
+    body = head[1:] + payload
+    crc = mcrf4xx(body + _EXTRA[kind.crc_extra])
+    return head[:1] + body + _CRC.pack(crc)
+
+
+@cache
+def _numbers(kind: Any) -> Callable[[Message], tuple[Any, ...]] | None:
+    """What gets the fields of a kind in the order of the wire; None: not all are numbers."""
+    plain = sum(kind.lengths) == len(kind.lengths) > 1 and b"c" not in kind.native_format
+    return attrgetter(*kind.ordered_fieldnames) if plain else None
 
 
 # --- bytes to messages

@@ -15,7 +15,7 @@ from companion.mavlink.dialect import (
     codec,
     wire,
 )
-from companion.mavlink.frames import NEEDLESS, V2, Incoming, Receiver
+from companion.mavlink.frames import NEEDLESS, V2, Incoming, Receiver, packed
 from companion.mavlink.signing import Signing, strip_signature
 from companion.mission.checkpoint import Values
 from companion.mission.entries import Entry
@@ -359,7 +359,7 @@ class Outbox:
     def send(self, messages: Iterable[Message], now_s: float, *, to_ground: bool = False) -> None:
         """Messages, in order; to_ground: not to the vehicle's link alone."""
         for message in messages:
-            frame: bytes = message.pack(self._codec)
+            frame = packed(message, self._codec)
             self._codec.seq = (self._codec.seq + 1) % 256
             self.out.frames.append(frame)
             self.duplicates.sent.append(frame)
@@ -371,7 +371,7 @@ class Outbox:
         """Messages to the links to ground stations alone, which count on by themselves."""
         if self._has_ground:
             for message in messages:
-                frame = message.pack(self._grounds)
+                frame = packed(message, self._grounds)
                 self._grounds.seq = (self._grounds.seq + 1) % 256
                 self.out.to_ground.append(frame)
                 self.duplicates.sent.append(frame)  # a router may bring it to the vehicle's link
@@ -380,7 +380,7 @@ class Outbox:
         """Messages as frames that are perhaps never sent: they take no sequence numbers."""
         before, frames = self._codec.seq, []
         for message in messages:
-            frames.append(message.pack(self._codec))
+            frames.append(packed(message, self._codec))
             self._codec.seq = (self._codec.seq + 1) % 256
         self._codec.seq = before
         return frames
