@@ -82,11 +82,13 @@ def same(
     console = Console(soft_wrap=True)
     if flight.is_dir():
         mission_of = _mission_of(flight)
-        replay = Replay(flight, mission_of, kernel=load(), from_s=span_s[0])
-        _run(replay, span_s[1], speed, console, by_step=by_step)
-        found = replay.found
+        replay: Replay | LogReplay = Replay(flight, mission_of, kernel=load(), from_s=span_s[0])
     else:
-        found = _from_log(flight, how, system, load, span_s[1], console)
+        replay = _of_log(flight, how, system, load)
+    _run(replay, span_s[1], speed, console, by_step=by_step)
+    found = replay.found
+    for finding in replay.told.findings if isinstance(replay, LogReplay) else ():
+        console.print(f"note: {finding}", highlight=False, markup=False)
     _refuse_if_nothing_was_compared(found, flight, span_s)
     for line in same_words(found):
         console.print(line, highlight=False, markup=False)
@@ -124,11 +126,16 @@ def _damaged(found: Replayed, flight: Path) -> InputError:
 
 
 def _run(
-    replay: Replay, until_s: float, speed: float | None, console: Console, *, by_step: bool
+    replay: Replay | LogReplay,
+    until_s: float,
+    speed: float | None,
+    console: Console,
+    *,
+    by_step: bool,
 ) -> None:
     """Replay so many seconds of the flight, at a speed if one is given."""
-    size, began_s = replay.told.path.stat().st_size, time.monotonic()
-    with _bar("replaying", size) as show, prompt_threads():
+    began_s = time.monotonic()
+    with _bar("replaying", replay.told.size_bytes) as show, prompt_threads():
         for each in replay.steps():
             found = replay.found
             if found.flown_s > until_s:
@@ -163,20 +170,15 @@ def _print_step(step: Step, console: Console) -> None:
         console.input("")
 
 
-def _from_log(
-    log: Path,
-    how: Flown,
-    system: int | None,
-    load: Callable[[], Kernel | None],
-    until_s: float,
-    console: Console,
-) -> Replayed:
+def _of_log(
+    log: Path, how: Flown, system: int | None, load: Callable[[], Kernel | None]
+) -> LogReplay:
     if how.mission is None:
         rule = "a log alone does not say what the mission was"
         remedy = "Give the run folder, or --mission, or --shadow for another's flight."
         raise InputError("RUN_DIR|LOG", str(log), rule, remedy)
     mission = load_mission(how.mission, how.profile)
-    replay = LogReplay(
+    return LogReplay(
         log,
         mission,
         seed=how.seed,
@@ -184,11 +186,6 @@ def _from_log(
         version=version("companion"),
         system_id=system,
     )
-    with _bar("replaying", replay.log.size_bytes) as show, prompt_threads():
-        replay.run(lambda: show(replay.log.read_bytes, "replaying"), until_s)
-    for finding in replay.log.findings:
-        console.print(f"note: {finding}", highlight=False, markup=False)
-    return replay.found
 
 
 # --- other questions
