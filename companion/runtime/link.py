@@ -46,6 +46,14 @@ _LOST = (OSError, _TerminalError, TypeError, ValueError)
 _Stream = TypeVar("_Stream", socket.socket, serial.Serial)
 
 
+def _readable(sockets: list[socket.socket], timeout_s: float) -> list[socket.socket]:
+    """Those with something to read, as soon as there is one; none if one was closed just now."""
+    try:
+        return select.select(sockets, (), (), timeout_s)[0]
+    except _LOST:
+        return []
+
+
 class Link(Protocol):
     """A pipe of bytes to one vehicle."""
 
@@ -149,11 +157,11 @@ class UdpLink(Link):
 
     def receive(self, timeout_s: float) -> bytes | None:
         """The next datagram, or None if none came in time."""
-        if not select.select([self._socket], (), (), timeout_s)[0]:
+        if not _readable([self._socket], timeout_s):
             return None
         try:
             data, self._sender = self._socket.recvfrom(65536)
-        except (BlockingIOError, ConnectionError, InterruptedError):
+        except OSError:  # what the network says of a datagram sent before, or closed just now
             return None
         return data
 
@@ -278,8 +286,7 @@ class _TcpLink(_StreamLink[socket.socket]):
         self._stream = stream
 
     def _read(self, stream: socket.socket, timeout_s: float) -> bytes | None:
-        ready = select.select([stream], (), (), timeout_s)[0]
-        return stream.recv(_PIECE_BYTES) if ready else None
+        return stream.recv(_PIECE_BYTES) if _readable([stream], timeout_s) else None
 
     def _write(self, stream: socket.socket, data: bytes) -> int:
         return stream.send(data)
@@ -302,14 +309,15 @@ class TcpClient(_TcpLink):
             self._calling.setblocking(False)
             self._calling.connect_ex(self._address)
         calling = self._calling
-        answered = select.select((), [calling], [calling], timeout_s)
-        if not (answered[1] or answered[2]):
-            return
-        self._calling = None
-        if calling.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-            calling.close()
-        else:
-            self._adopt(calling)
+        with contextlib.suppress(*_LOST):  # it was closed just now
+            answered = select.select((), [calling], [calling], timeout_s)
+            if not (answered[1] or answered[2]):
+                return
+            self._calling = None
+            if calling.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+                calling.close()
+            else:
+                self._adopt(calling)
 
     def close(self) -> None:
         """Let go of the stream, or of the attempt to get one; it is not called again."""
@@ -338,8 +346,8 @@ class TcpServer(_TcpLink):
 
     def receive(self, timeout_s: float) -> bytes | None:
         """The next piece of the stream, or None if none came in time."""
-        wanted = [self._listener] if self._stream is None else [self._listener, self._stream]
-        ready = select.select(wanted, (), (), timeout_s)[0]
+        stream = self._stream
+        ready = _readable([self._listener, *([] if stream is None else [stream])], timeout_s)
         if self._listener in ready:
             with contextlib.suppress(OSError):  # it has gone again already
                 self._adopt(self._listener.accept()[0])

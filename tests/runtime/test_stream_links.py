@@ -3,6 +3,7 @@
 import contextlib
 import os
 import pty
+import select
 import socket
 import termios
 import threading
@@ -10,8 +11,11 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from programs import free_port
 
 from companion.errors import InputError
 from companion.runtime import link as links
@@ -187,6 +191,34 @@ def test_tcpin_serves_whoever_connects_and_a_newer_connection_replaces_an_older(
 def test_a_tcp_port_in_use_is_an_input_error(server: Server) -> None:
     with pytest.raises(InputError, match=r"in use.*choose another port"):
         open_link(f"tcpin:127.0.0.1:{server.port}")
+
+
+@pytest.mark.parametrize("looked", [False, True])
+@pytest.mark.parametrize("kind", ["udpin", "tcp", "tcp, calling", "tcpin", "tcpin, called"])
+def test_a_link_that_is_closed_under_its_reader_ends_its_wait_with_nothing(
+    server: Server, monkeypatch: pytest.MonkeyPatch, kind: str, looked: bool
+) -> None:
+    """Just before the reader looks whether something has come in, or just after."""
+    scheme, _, state = kind.partition(", ")
+    port = server.port if scheme == "tcp" else free_port(socket.SOCK_STREAM)
+    link = open_link(f"{scheme}:127.0.0.1:{port}")
+    with contextlib.ExitStack() as peers:
+        if kind == "tcp":
+            peers.enter_context(server.accept(link)).sendall(b"late")
+        if state == "called":
+            peer = peers.enter_context(socket.create_connection(("127.0.0.1", port)))
+            assert link.receive(PATIENCE_S) is None
+            peer.sendall(b"late")
+
+        def close_and_select(*arguments: Any) -> Any:
+            ready = select.select(*arguments) if looked else None
+            link.close()
+            return ready or select.select(*arguments)
+
+        monkeypatch.setattr(links, "select", SimpleNamespace(select=close_and_select))
+        for _ in range(3):
+            assert link.receive(0.02) is None
+            link.send([FRAME])
 
 
 # --- serial
