@@ -25,7 +25,7 @@ from msgspec.structs import replace
 from companion.mavlink.autopilots import described
 from companion.mavlink.component import REQUESTS, Component
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
-from companion.mavlink.frames import Incoming
+from companion.mavlink.frames import Incoming, boot_ms_of
 from companion.mavlink.link import (
     MERE_CLOCKS,
     VEHICLE,
@@ -83,6 +83,7 @@ class Role(enum.Enum):
 
     AUTOPILOT = "its autopilot"
     RADAR = "its terrain radar"
+    __hash__ = object.__hash__  # Enum's is slow, and asked for with every message
 
 
 @final
@@ -288,7 +289,8 @@ class Session:
         Over a link to ground stations what is asked of us counts, and no word of a vehicle.
         False, and nothing done, for a position that has to wait for a plan.
         """
-        number, role, is_read = heard.number, None, heard.message is not None
+        number, role = heard.number, None
+        is_read = heard.message is not None or number in MERE_CLOCKS
         if heard.link == VEHICLE and is_read:
             if number == _HEARTBEAT or self.selector.system_id is None:
                 self._select(heard)
@@ -366,8 +368,9 @@ class Session:
         """Any other of its messages."""
         if (vehicle := self.vehicle) is None:
             return
-        message, now_s = heard.message, self.now_s
-        self._send_all(vehicle.on_message(message, now_s))
+        message, now_s = heard.message, self.clock.now_s
+        if replies := vehicle.on_message(message, now_s):
+            self._outbox.send(replies, now_s)
         if (event := vehicle.event_of(message, now_s)) is not None:
             self._handle(event)
         if vehicle.is_news or vehicle.notes:
@@ -375,6 +378,15 @@ class Session:
         self._housekeeping()
         if (noted := vehicle.entry_of(message)) is not None:
             self._note(**noted)
+
+    def _after_mere_clock(self, heard: Incoming) -> None:
+        """What may be due now."""
+        if (vehicle := self.vehicle) is None:
+            return
+        vehicle.count(heard.number, self.now_s)
+        if vehicle.is_news or vehicle.notes:
+            self._look_at_news(vehicle)
+        self._housekeeping()
 
     def _look_at_news(self, vehicle: VehicleSide) -> None:
         """What has come of the answers to what was asked; what is asked next may be due."""
@@ -439,8 +451,10 @@ class Session:
 
     def _on_mere_clock(self, heard: Incoming) -> bool:
         """Whether it is news; of these messages nothing else is read."""
-        if news := self.clock.is_told_by(heard.number, heard.message.time_boot_ms):
-            self._on_time(heard.message.time_boot_ms * 1e-3)
+        time_ms = boot_ms_of(heard.frame, heard.number)
+        assert time_ms is not None
+        if news := self.clock.is_told_by(heard.number, time_ms):
+            self._on_time(time_ms * 1e-3)
         return news
 
     def _on_system_time(self, heard: Incoming) -> bool:
@@ -676,6 +690,7 @@ _HANDLERS: Final[Mapping[tuple[Role, int], Callable[[Session, Incoming], None]]]
     (Role.AUTOPILOT, _POSITION): Session._on_position,
     (Role.AUTOPILOT, _HEARTBEAT): Session._on_heartbeat,
     (Role.AUTOPILOT, _TIMESYNC): Session._on_timesync,
+    **{(Role.AUTOPILOT, number): Session._after_mere_clock for number in MERE_CLOCKS},
     **{(Role.RADAR, number): Session._on_scan for number in TERRAIN},
 }
 _OTHERS: Final[Mapping[Role, Callable[[Session, Incoming], None]]] = {

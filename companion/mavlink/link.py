@@ -15,7 +15,7 @@ from companion.mavlink.dialect import (
     codec,
     wire,
 )
-from companion.mavlink.frames import NEEDLESS, V2, Incoming, Receiver
+from companion.mavlink.frames import NEEDLESS, V2, Incoming, Receiver, packed
 from companion.mavlink.signing import Signing, strip_signature
 from companion.mission.checkpoint import Values
 from companion.mission.entries import Entry
@@ -28,7 +28,8 @@ VEHICLE: Final = 0
 MERE_CLOCKS: Final = frozenset(
     {wire.MAVLINK_MSG_ID_ATTITUDE, wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
 )
-"""Messages of which nothing but their time_boot_ms is read."""
+"""Messages of which nothing but their time_boot_ms is read: they come undecoded."""
+_UNDECODED: Final = NEEDLESS | MERE_CLOCKS
 _MOST_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the oldest go
 
 _HEARTBEATS = 3  # of one system, and of no other, at one a second: then it is the vehicle
@@ -54,7 +55,7 @@ class Inbox:
     """What was heard over each link and has not been handled yet, in the order in which it came."""
 
     def __init__(self, signing: Signing | None) -> None:
-        self.receivers = {VEHICLE: Receiver(signing, NEEDLESS)}
+        self.receivers = {VEHICLE: Receiver(signing, _UNDECODED)}
         """By the number of the link."""
         self.waiting: deque[Incoming] = deque(maxlen=_MOST_WAITING)
         self.dropped = 0
@@ -64,7 +65,7 @@ class Inbox:
     def feed(self, data: bytes, at_s: float | None, link: int) -> list[Incoming]:
         """The messages that are complete with these bytes; they wait from now on."""
         if link not in self.receivers:
-            self.receivers[link] = Receiver(self._signing, NEEDLESS, link)
+            self.receivers[link] = Receiver(self._signing, _UNDECODED, link)
         heard = self.receivers[link].read(data, at_s)
         self.dropped += max(len(self.waiting) + len(heard) - _MOST_WAITING, 0)
         self.waiting.extend(heard)
@@ -358,7 +359,7 @@ class Outbox:
     def send(self, messages: Iterable[Message], now_s: float, *, to_ground: bool = False) -> None:
         """Messages, in order; to_ground: not to the vehicle's link alone."""
         for message in messages:
-            frame: bytes = message.pack(self._codec)
+            frame = packed(message, self._codec)
             self._codec.seq = (self._codec.seq + 1) % 256
             self.out.frames.append(frame)
             self.duplicates.sent.append(frame)
@@ -370,7 +371,7 @@ class Outbox:
         """Messages to the links to ground stations alone, which count on by themselves."""
         if self._has_ground:
             for message in messages:
-                frame = message.pack(self._grounds)
+                frame = packed(message, self._grounds)
                 self._grounds.seq = (self._grounds.seq + 1) % 256
                 self.out.to_ground.append(frame)
                 self.duplicates.sent.append(frame)  # a router may bring it to the vehicle's link
@@ -379,7 +380,7 @@ class Outbox:
         """Messages as frames that are perhaps never sent: they take no sequence numbers."""
         before, frames = self._codec.seq, []
         for message in messages:
-            frames.append(message.pack(self._codec))
+            frames.append(packed(message, self._codec))
             self._codec.seq = (self._codec.seq + 1) % 256
         self._codec.seq = before
         return frames

@@ -173,9 +173,7 @@ class VehicleSide:
 
     def on_message(self, message: Message, now_s: float) -> list[Message]:
         """Whatever the autopilot says; the replies."""
-        number, count = message.get_msgId(), self.streams.count
-        count[number] = count.get(number, 0) + 1
-        self.parameters.heard_s = now_s
+        self.count(number := message.get_msgId(), now_s)
         client: ParameterClient | PlanClient | None = None
         if number in parameter_client.MESSAGES:
             client = self.parameters
@@ -186,11 +184,15 @@ class VehicleSide:
         self.is_news = True
         return client.on_message(message, now_s)
 
+    def count(self, number: int, now_s: float) -> None:
+        """It has sent a message of this kind."""
+        count = self.streams.count
+        count[number] = count.get(number, 0) + 1
+        self.parameters.heard_s = now_s
+
     def on_position(self, message: Message, now_s: float) -> Position | None:
         """What GLOBAL_POSITION_INT means: `on_message` and `event_of` of what comes most often."""
-        count = self.streams.count
-        count[_POSITION] = count.get(_POSITION, 0) + 1
-        self.parameters.heard_s = now_s
+        self.count(_POSITION, now_s)
         if message.hdg != NO_HEADING:
             self._heading_cdeg = message.hdg
         event = position(message, now_s, self._mission.frame)

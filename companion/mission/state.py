@@ -34,6 +34,7 @@ class Phase(enum.Enum):
     SHADOW = "shadow"
     DONE = "done"
     FAULTED = "faulted"
+    __hash__ = object.__hash__  # Enum's is slow, and asked for with every event
 
 
 class Trigger(enum.Enum):

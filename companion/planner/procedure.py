@@ -216,9 +216,10 @@ def off_path_m(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray) -> flo
     Of a plane, whose reference point is the nearest one, it is the distance to that.
     """
     pose = leg.subpath.pose(reference.length_m)
-    offset = vehicle_nea_m - pose.position_nea_m
-    across = offset - (offset @ pose.tangent_nea) * pose.tangent_nea
-    return math.sqrt(across @ across)
+    north, east, up = (vehicle_nea_m - pose.position_nea_m).tolist()
+    x, y, z = pose.tangent_nea.tolist()
+    along = north * x + east * y + up * z
+    return math.hypot(north - along * x, east - along * y, up - along * z)
 
 
 def allowed_speed_m_s(pose: Pose, limits: Limits) -> float:

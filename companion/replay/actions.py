@@ -4,8 +4,9 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, final
@@ -26,11 +27,13 @@ from companion.replay.report import same_json, same_words, what_if_table
 from companion.replay.same import Replay, Replayed, Step
 from companion.replay.shadow import watch
 from companion.replay.shadow_words import renderables
-from companion.replay.told import MissionOf
+from companion.replay.told import MissionOf, TornError, start_of
 from companion.replay.what_if import what_if
 from companion.runtime.compiler import load_kernel
 from companion.runtime.loop import prompt_threads
 from companion.sources.files import answer
+from companion.telemetry import inputs
+from companion.telemetry.inputs import InputsFile
 
 _LOADING = "loading the planner (the first time it is compiled: some ten seconds)"
 _SHOWN_EVERY_S = 0.1
@@ -67,19 +70,25 @@ def same(
     system: int | None,
     span_s: tuple[float, float],
     speed: float | None,
-    kernel: Kernel | None,
+    load: Callable[[], Kernel | None],
     json_file: Path | None,
     *,
     by_step: bool,
 ) -> None:
-    """The same flight.  FlightFailed if it does not decide the same."""
+    """The same flight.  FlightFailed if it does not decide the same.
+
+    load: gives what computes its plans again; called once the recording is known to fit.
+    """
     console = Console(soft_wrap=True)
     if flight.is_dir():
-        replay = Replay(flight, _mission_of(flight), kernel=kernel, from_s=span_s[0])
-        _run(replay, span_s[1], speed, console, by_step=by_step)
-        found = replay.found
+        mission_of = _mission_of(flight)
+        replay: Replay | LogReplay = Replay(flight, mission_of, kernel=load(), from_s=span_s[0])
     else:
-        found = _from_log(flight, how, system, kernel or NUMPY, span_s[1], console)
+        replay = _of_log(flight, how, system, load)
+    _run(replay, span_s[1], speed, console, by_step=by_step)
+    found = replay.found
+    for finding in replay.told.findings if isinstance(replay, LogReplay) else ():
+        console.print(f"note: {finding}", highlight=False, markup=False)
     _refuse_if_nothing_was_compared(found, flight, span_s)
     for line in same_words(found):
         console.print(line, highlight=False, markup=False)
@@ -117,11 +126,16 @@ def _damaged(found: Replayed, flight: Path) -> InputError:
 
 
 def _run(
-    replay: Replay, until_s: float, speed: float | None, console: Console, *, by_step: bool
+    replay: Replay | LogReplay,
+    until_s: float,
+    speed: float | None,
+    console: Console,
+    *,
+    by_step: bool,
 ) -> None:
     """Replay so many seconds of the flight, at a speed if one is given."""
-    size, began_s = replay.told.path.stat().st_size, time.monotonic()
-    with _bar("replaying", size) as show, prompt_threads():
+    began_s = time.monotonic()
+    with _bar("replaying", replay.told.size_bytes) as show, prompt_threads():
         for each in replay.steps():
             found = replay.found
             if found.flown_s > until_s:
@@ -156,31 +170,22 @@ def _print_step(step: Step, console: Console) -> None:
         console.input("")
 
 
-def _from_log(
-    log: Path,
-    how: Flown,
-    system: int | None,
-    kernel: Kernel,
-    until_s: float,
-    console: Console,
-) -> Replayed:
+def _of_log(
+    log: Path, how: Flown, system: int | None, load: Callable[[], Kernel | None]
+) -> LogReplay:
     if how.mission is None:
         rule = "a log alone does not say what the mission was"
         remedy = "Give the run folder, or --mission, or --shadow for another's flight."
         raise InputError("RUN_DIR|LOG", str(log), rule, remedy)
-    replay = LogReplay(
+    mission = load_mission(how.mission, how.profile)
+    return LogReplay(
         log,
-        load_mission(how.mission, how.profile),
+        mission,
         seed=how.seed,
-        kernel=kernel,
+        kernel=load() or NUMPY,
         version=version("companion"),
         system_id=system,
     )
-    with _bar("replaying", replay.log.size_bytes) as show, prompt_threads():
-        replay.run(lambda: show(replay.log.read_bytes, "replaying"), until_s)
-    for finding in replay.log.findings:
-        console.print(f"note: {finding}", highlight=False, markup=False)
-    return replay.found
 
 
 # --- other questions
@@ -191,8 +196,9 @@ def changed(
     settings: list[str],
     seed: int | None,
     profile: str | None,
-    kernel: Kernel | None,
     json_file: Path | None,
+    *,
+    numba: bool,
 ) -> None:
     """What if: each subpath under other settings."""
     console = Console(width=None if sys.stdout.isatty() else _TABLE_COLUMNS)
@@ -203,8 +209,9 @@ def changed(
     other = load_mission(file, profile, settings)
     found = []
     flown = _mission_of(folder)
+    kernel = kernel_for(plans=True, numba=numba) or NUMPY
     with _bar("planning again", 0) as show:
-        for each in what_if(folder, flown, other, seed=seed, kernel=kernel or NUMPY):
+        for each in what_if(folder, flown, other, seed=seed, kernel=kernel):
             found.append(each)
             show(0, f"planned again: {len(found)}")
     console.print(what_if_table(found))
@@ -249,18 +256,22 @@ def _log(flight: Path) -> Path:
 
 
 def _mission_of(folder: Path) -> MissionOf:
-    """The mission of a run folder, as it was flown."""
+    """The mission of a run folder, as it was flown.  InputError if it is another one now."""
     file = folder / "mission.toml"
     if not answer(file.is_file):
         remedy = "Give the run folder of a flight that was recorded with its inputs."
         raise InputError("RUN_DIR|LOG", str(folder), "it holds no mission.toml", remedy)
 
+    loaded = cache(partial(load_mission, str(file)))
+
     def mission_of(start: Start) -> Mission:
-        mission = load_mission(str(file), start.profile)
+        mission = loaded(start.profile)
         if start.terrain not in (None, terrain_of(mission)):
             raise _other_terrain(file)
         return mission
 
+    with suppress(TornError):  # is found again, at its place
+        mission_of(start_of(next(iter(InputsFile(folder / inputs.FILE)), ())))
     return mission_of
 
 

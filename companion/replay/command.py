@@ -2,6 +2,7 @@
 
 import math
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -130,10 +131,10 @@ def replay_command(
     if shadow:
         actions.shadow(flight, mission, system, json_file)
         return
-    kernel = actions.kernel_for(plans=plans, numba=numba)
     if way == _WHAT_IF:
-        actions.changed(flight, settings or [], seed, name, kernel, json_file)
+        actions.changed(flight, settings or [], seed, name, json_file, numba=numba)
         return
+    kernel = partial(actions.kernel_for, plans=plans, numba=numba)
     how = actions.Flown(mission=mission, profile=name, seed=1 if seed is None else seed)
     actions.same(flight, how, system, (from_s, until_s), speed, kernel, json_file, by_step=step)
 

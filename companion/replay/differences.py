@@ -16,8 +16,9 @@ from companion.sources.files import answer
 from companion.telemetry.inputs import is_hole
 from companion.telemetry.run_folder import (
     LONGEST_RECORD,
+    Records,
     journal_line,
-    recorded_frames,
+    log_records,
     whole_records,
 )
 
@@ -76,8 +77,8 @@ class Recording:
         self.unrecorded = 0
         """How many came after the end of what was recorded: it was killed, or the disk full."""
         self._path = folder / "flight.tlog"
-        self._log = _Ahead(recorded_frames(self._path))
-        self._journal = _Ahead(_entries(folder / "journal.jsonl"))
+        self._log = Records(self._path)
+        self._journal = _Lines(_entries(folder / "journal.jsonl"))
         self._epoch_us: int | None = None
         self._is_passing = self._has_ended = False
 
@@ -95,6 +96,11 @@ class Recording:
         """Hold what one run gave against what comes next."""
         if self._is_passing and (record or journal):
             self._end_passing(record[0][0] if record else journal[0]["t_s"])
+        if self._epoch_us is not None and self._log.takes(
+            b"".join(log_records(record, self._epoch_us))
+        ):
+            self.frames += len(record)
+            record = []
         for time_s, frame in record:
             if (difference := self._frame_differs(time_s, frame)) is not None:
                 return difference
@@ -110,15 +116,15 @@ class Recording:
         """
         self._is_passing = True
         for time_s, _ in record:
-            self._log.pass_by(self._stamp_us(time_s))
+            _pass_by(self._log, self._stamp_us(time_s))
         for entry in journal:
-            self._journal.pass_by(_us(entry["t_s"]))
+            _pass_by(self._journal, _us(entry["t_s"]))
 
     def _end_passing(self, time_s: float) -> None:
         """From now on it has to be the same."""
         self._is_passing = False
-        self._log.skip_before(self._stamp_us(time_s))
-        self._journal.skip_before(_us(time_s))
+        _skip_before(self._log, self._stamp_us(time_s))
+        _skip_before(self._journal, _us(time_s))
 
     def pass_over(self, frames: int) -> None:
         """What the watchdog did by itself: so many frames, and one entry."""
@@ -128,8 +134,8 @@ class Recording:
 
     def _stamp_us(self, time_s: float) -> int:
         """The stamp of a vehicle time; the first that is asked for is that of the next frame."""
-        if self._epoch_us is None and self._log.head is not None:
-            self._epoch_us = (self._log.head[0] or 0) - _us(time_s)
+        if self._epoch_us is None and (head := self._log.head) is not None:
+            self._epoch_us = head[0] - _us(time_s)
         return (self._epoch_us or 0) + _us(time_s)
 
     def _frame_differs(self, time_s: float, frame: bytes) -> Difference | None:
@@ -142,7 +148,7 @@ class Recording:
         if (difference := frames_differ(time_s, recorded, frame)) is not None:
             return difference
         if time_us != at_us:
-            was_s = time_s + ((time_us or 0) - at_us) * 1e-6
+            was_s = time_s + (time_us - at_us) * 1e-6
             return _difference(time_s, name_of(frame), "time", was_s, time_s)
         self.frames += 1
         return None
@@ -188,37 +194,37 @@ def _us(time_s: float) -> int:
 
 
 @final
-class _Ahead:
-    """Recorded things, each with its time in microseconds if that can be read, one ahead."""
+class _Lines:
+    """The lines of a journal, each with its time in microseconds if that can be read, one ahead."""
 
-    def __init__(self, things: Generator[_Timed]) -> None:
-        self._things = things
-        self.head: _Timed | None = next(things, None)
+    def __init__(self, lines: Generator[_Timed]) -> None:
+        self._lines = lines
+        self.head: _Timed | None = next(lines, None)
         """What comes next; None: nothing."""
 
     def take(self) -> _Timed | None:
         """What comes next."""
-        taken, self.head = self.head, next(self._things, None)
+        taken, self.head = self.head, next(self._lines, None)
         return taken
-
-    def skip_before(self, at_us: int) -> None:
-        """Leave out what comes before a time, unless the clock has begun again between the two."""
-        while self.head is not None and self._is_before(at_us, self.head[0]):
-            self.take()
-
-    def pass_by(self, at_us: int) -> None:
-        """Leave out what comes before a time, and the next thing of that time if there is one."""
-        self.skip_before(at_us)
-        if self.head is not None and self.head[0] == at_us:
-            self.take()
-
-    @staticmethod
-    def _is_before(at_us: int, time_us: int | None) -> bool:
-        return time_us is None or at_us - _BEGUN_AGAIN_US < time_us < at_us
 
     def close(self) -> None:
         """Nothing more is wanted."""
-        self._things.close()
+        self._lines.close()
+
+
+def _skip_before(recorded: Records | _Lines, at_us: int) -> None:
+    """Leave out what comes before a time, unless the clock has begun again between the two."""
+    while (head := recorded.head) is not None and (
+        head[0] is None or at_us - _BEGUN_AGAIN_US < head[0] < at_us
+    ):
+        recorded.take()
+
+
+def _pass_by(recorded: Records | _Lines, at_us: int) -> None:
+    """Leave out what comes before a time, and the next thing of that time if there is one."""
+    _skip_before(recorded, at_us)
+    if (head := recorded.head) is not None and head[0] == at_us:
+        recorded.take()
 
 
 def _entries(path: Path) -> Generator[_Timed]:

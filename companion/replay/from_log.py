@@ -5,9 +5,10 @@ long plans took: each frame is handled by itself, and each plan is there when it
 lockstep.  So only flights that were flown in lockstep come out the same.
 """
 
+import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, final
@@ -15,19 +16,19 @@ from typing import Final, final
 from companion.errors import InputError
 from companion.mavlink.dialect import COMPANION_COMPONENT, wire
 from companion.mavlink.frames import number_of, sender_of
-from companion.mavlink.link import Output
+from companion.mavlink.link import Input, Output
 from companion.mission.mission import Mission
 from companion.planner.kernels import Kernel
 from companion.planner.plan import plan
-from companion.replay.differences import frames_differ, name_of
-from companion.replay.same import Replayed
+from companion.replay.differences import frames_differ
+from companion.replay.same import REMEMBERED, Replayed, Step, in_words
+from companion.replay.told import tell
 from companion.session import Session
 from companion.telemetry.logs import Log, open_log
 
 _SILENT_S: Final = 0.2
 _LOOKED_AT: Final = 3000  # frames that tell whether a flight was flown in lockstep
 _OFTEN: Final = 50
-_REMEMBERED: Final = 12  # frames before a difference
 _MOST_AHEAD: Final = 1000  # frames of the one that the other does not have
 _TIMESYNC: Final = wire.MAVLINK_MSG_ID_TIMESYNC
 
@@ -48,64 +49,64 @@ class LogReplay:
     ) -> None:
         """InputError if it is no log, or has several vehicles and none is chosen."""
         self.found = Replayed(starts=1)
-        self.log: Log = open_log(path, system_id=system_id)
-        self._lockstep = _was_in_lockstep(self.log)
+        self.told: Log = open_log(path, system_id=system_id)
+        self._lockstep = _was_in_lockstep(self.told)
         self._kernel = kernel
         self.session = Session(
-            replace(mission, system_id=self.log.system_id or mission.system_id),
+            replace(mission, system_id=self.told.system_id or mission.system_id),
             seed=seed,
             lockstep=self._lockstep,
             version=version,
         )
         self._made: deque[tuple[float, bytes]] = deque()
         self._sent: deque[bytes] = deque()
-        self._heard: deque[tuple[float, bytes]] = deque(maxlen=_REMEMBERED)
+        self._before: deque[tuple[float, Input]] = deque(maxlen=REMEMBERED)
 
-    def run(self, on_progress: Callable[[], None] = lambda: None, until_s: float = 1e18) -> None:
-        """Replay to the first difference, the end, or so many seconds of the flight.
+    def steps(self) -> Iterator[Step]:
+        """Replay, frame by frame, to the first difference or the end.
 
         InputError if no companion was there.
         """
-        self._run(on_progress, until_s)
+        yield from self._steps()
         if (difference := self.found.difference) is not None:
-            before = tuple(f"t {at_s:.3f} s  heard {name_of(each)}" for at_s, each in self._heard)
+            before = tuple(map(in_words, self._before))
             self.found.difference = replace(difference, before=before)
 
-    def _run(self, on_progress: Callable[[], None], until_s: float) -> None:
-        began_s, before_us = time.perf_counter(), None
-        session, found = self.session, self.found
+    def _steps(self) -> Iterator[Step]:
+        began_s, before_us, session, found = time.perf_counter(), math.inf, self.session, self.found
         if not self._lockstep:
             session.silence(0.0)
-        for record in self.log.records():
+        for record in self.told.records():
+            output, told = None, ("receive", record.frame, record.time_us * 1e-6)
             if sender_of(record.frame)[1] == COMPANION_COMPONENT:
                 self._sent.append(record.frame)
                 self._compare()
             else:
-                if before_us is not None and not self._lockstep:
-                    gap_s = (record.time_us - before_us) * 1e-6
-                    if gap_s > _SILENT_S:
-                        session.silence(gap_s)
-                before_us = record.time_us
+                gap_s, before_us = (record.time_us - before_us) * 1e-6, record.time_us
+                if gap_s > _SILENT_S and not self._lockstep:
+                    session.silence(gap_s)
                 found.told += 1
-                session.receive(record.frame, record.time_us * 1e-6)
-                self._handle()
-                self._heard.append((session.now_s, record.frame))
+                output = self._tell(told)
+                self._before.append((session.now_s, told))
             found.go_on_to(session.now_s)
             found.took_s = time.perf_counter() - began_s
-            on_progress()
-            if found.difference is not None or found.flown_s > until_s:
+            yield Step(told=told, output=output, session=session)
+            if found.difference is not None:
                 return
         if self._sent:
             self._take(session.farewell())
         self._end()
 
-    def _handle(self) -> None:
+    def _tell(self, told: Input) -> Output:
+        """What follows from it; plans are computed at once."""
+        tell(self.session, told)
         self._take(out := self.session.run())
         while out.plan is not None:
             self.found.plans += 1
             self.found.plans_computed += 1
             self.session.deliver(plan(out.plan, kernel=self._kernel))
             self._take(out := self.session.run())
+        return out
 
     def _take(self, out: Output) -> None:
         self._made += [(self.session.now_s, frame) for frame in out.frames]
@@ -132,7 +133,7 @@ class LogReplay:
         elif not found.frames:
             rule = "nothing in it was sent by a companion: there is nothing to compare with"
             remedy = "Give --shadow to see what it would have done."
-            raise InputError("RUN_DIR|LOG", str(self.log.path), rule, remedy)
+            raise InputError("RUN_DIR|LOG", str(self.told.path), rule, remedy)
         found.unrecorded = len(self._made)
 
 

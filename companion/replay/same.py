@@ -38,7 +38,7 @@ from companion.session import Session
 from companion.telemetry import inputs
 from companion.telemetry.inputs import InputsFile
 
-_REMEMBERED: Final = 12  # inputs before a difference
+REMEMBERED: Final = 12  # inputs before a difference
 _BEGUN_AGAIN_S: Final = 10.0  # earlier: the autopilot has rebooted, or another one was taken
 
 
@@ -163,7 +163,7 @@ class Replay:
         """What the session has just raised, until it is known whether it did so in flight."""
         self._given: Output | None = None
         """Of the last run, until it is known what of it was sent."""
-        self._before: deque[tuple[float, Input]] = deque(maxlen=_REMEMBERED)
+        self._before: deque[tuple[float, Input]] = deque(maxlen=REMEMBERED)
 
     def steps(self) -> Iterator[Step]:
         """Replay, input by input, until the first difference or the end."""
@@ -273,7 +273,7 @@ class Replay:
             field="error",
             recorded=NOTHING if ended is None else str(ended),
             replayed=NOTHING if raised is None else str(raised),
-            before=tuple(map(_in_words, self._before)),
+            before=tuple(map(in_words, self._before)),
         )
 
     def _compare(self) -> None:
@@ -294,7 +294,7 @@ class Replay:
         found.frames, found.entries = recording.frames, recording.entries
         found.unrecorded = recording.unrecorded
         if difference is not None:
-            found.difference = replace(difference, before=tuple(map(_in_words, self._before)))
+            found.difference = replace(difference, before=tuple(map(in_words, self._before)))
 
     def _plan_again(self, answer: PlanOutcome, now_s: float) -> None:
         """Compute a plan once more; it is not flown by."""
@@ -369,7 +369,7 @@ def _apart(recorded: dict[str, Any], computed: dict[str, Any]) -> str:
     return f"{costs}, control points up to {apart} m apart"
 
 
-def _in_words(event: tuple[float, Input]) -> str:
+def in_words(event: tuple[float, Input]) -> str:
     """An input, for people."""
     now_s, told = event
     if told[0] == "receive":

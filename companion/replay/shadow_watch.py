@@ -12,7 +12,7 @@ from typing import Final, final
 
 from companion.mavlink.autopilots import Autopilot, ardupilot, px4
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.mavlink.frames import number_of, payload_of, sender_of
+from companion.mavlink.frames import boot_ms_of, number_of, payload_of, sender_of
 from companion.mavlink.link import Output, Reading, VehicleClock
 from companion.mission.mission import Mission
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -20,7 +20,6 @@ from companion.replay.shadow_notes import Notes
 from companion.replay.shadow_report import Said
 from companion.session import Session
 from companion.telemetry.logs import Record
-from companion.telemetry.logs.tlog import boot_ms_of
 
 OnOutput = Callable[[float, Output], None]
 """(seconds of the log, what the session gave)."""

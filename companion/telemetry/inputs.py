@@ -51,8 +51,8 @@ class InputsFile:
     def __init__(self, path: Path) -> None:
         """InputError if it is not such a file, or of a version that this companion cannot read."""
         self.path = path
-        self.read_bytes = 0
-        """How much of it was read so far."""
+        self.size_bytes = self.read_bytes = 0
+        """Of the file, when it was read last; how much of it was read so far."""
         self.torn_bytes = 0
         """At the end of the file, of a record that is not whole; once it was read to there."""
         self.is_damaged = False
@@ -76,6 +76,7 @@ class InputsFile:
 
     def _records(self) -> Iterator[Input]:
         size, end, is_whole = self.path.stat().st_size, 0, True
+        self.size_bytes = size
         with self.path.open("rb") as file:
             unpacker = msgpack.Unpacker(file, read_size=_PORTION, max_buffer_size=_LONGEST)
             try:

@@ -20,10 +20,10 @@ import io
 import json
 import os
 import struct
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Annotated, Any, Self, final
+from typing import Annotated, Any, Self, final
 
 import msgspec
 from msgspec import Meta, Struct
@@ -36,6 +36,7 @@ from companion.world.known_map import KnownMap, packed_map, unpacked_map
 RESUME_SCHEMA = "companion-resume"
 RESUME_VERSION = 1
 _WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json", inputs.FILE)
+_STAMP = struct.Struct(">Q")
 _STAMP_BYTES, _HEAD_BYTES = 8, 11
 _PORTION = 2**20
 LONGEST_RECORD = 288  # bytes, of the telemetry log
@@ -150,13 +151,7 @@ class RunFolder:
 
     def frames(self, stamped: Iterable[tuple[float, bytes]]) -> None:
         """Frames with their vehicle times, seconds."""
-        self._write(
-            self._tlog,
-            [
-                struct.pack(">Q", self.epoch_us + round(time_s * 1e6)) + frame
-                for time_s, frame in stamped
-            ],
-        )
+        self._write(self._tlog, log_records(stamped, self.epoch_us))
 
     def entries(self, entries: Iterable[Mapping[str, Any]]) -> None:
         """Journal entries."""
@@ -268,11 +263,10 @@ def whole_records(path: Path, start: int = 0) -> int:
 
     start: where some record begins, to look no further back; 0 if the file is shorter than that.
     """
-    end = start if start <= path.stat().st_size else 0
-    with path.open("rb") as file:
-        for _, ends in _portions(file, end):
-            end += ends[-1]
-    return end
+    with Records(path, start if start <= path.stat().st_size else 0) as records:
+        while records.take() is not None:
+            pass
+        return records.end
 
 
 def _first_stamp_us(tlog: Path) -> int | None:
@@ -284,39 +278,79 @@ def _first_stamp_us(tlog: Path) -> int | None:
         return None
     if not _record_bytes(data[:_HEAD_BYTES]):
         return None
-    (stamp_us,) = struct.unpack_from(">Q", data)
+    (stamp_us,) = _STAMP.unpack_from(data)
     return stamp_us if 0 < stamp_us < _MOST else None
 
 
-def recorded_frames(path: Path) -> Generator[tuple[int, bytes]]:
-    """The records of a telemetry log of ours, to the last whole one: us since 1970, frame."""
-    with path.open("rb") as file:
-        for data, ends in _portions(file, 0):
-            at = 0
-            for end in ends:
-                (time_us,) = struct.unpack_from(">Q", data, at)
-                yield time_us, bytes(data[at + _STAMP_BYTES : end])
-                at = end
+def log_records(stamped: Iterable[tuple[float, bytes]], epoch_us: int) -> list[bytes]:
+    """The records of frames with their vehicle times, seconds."""
+    return [_STAMP.pack(epoch_us + round(time_s * 1e6)) + frame for time_s, frame in stamped]
 
 
-def _portions(file: IO[bytes], start: int) -> Iterator[tuple[bytes, list[int]]]:
-    """A log in portions, and where in each of them its whole records end, to the last whole one.
+@final
+class Records:
+    """The records of a telemetry log of ours, one by one, to the last whole one.
 
-    A log of a long flight is larger than the memory of a small computer.
+    A log of a long flight is larger than the memory of a small computer: it is read in portions.
     """
-    file.seek(start)
-    rest, length = b"", 1
-    while length and (portion := file.read(_PORTION)):
-        data, ends, end = rest + portion, [], 0
-        while (length := _record_bytes(data[end : end + _HEAD_BYTES])) and end + length <= len(
-            data
-        ):
-            end += length
-            ends.append(end)
-        if ends:
-            yield data, ends
-        rest = data[end:]
-        length = length or len(rest) < _HEAD_BYTES
+
+    def __init__(self, path: Path, start: int = 0) -> None:
+        """start: where some record begins."""
+        self._file = path.open("rb")
+        self._file.seek(start)
+        self._data, self._at, self._data_at = b"", 0, start
+
+    @property
+    def end(self) -> int:
+        """Where in the file the last record that was taken ends."""
+        return self._data_at + self._at
+
+    @property
+    def head(self) -> tuple[int, bytes] | None:
+        """What comes next: us since 1970, frame."""
+        self._read(LONGEST_RECORD)
+        data, at = self._data, self._at
+        length = _record_bytes(data[at : at + _HEAD_BYTES])
+        if not length or at + length > len(data):
+            return None
+        return _STAMP.unpack_from(data, at)[0], data[at + _STAMP_BYTES : at + length]
+
+    def take(self) -> tuple[int, bytes] | None:
+        """What comes next, and on to what follows."""
+        if (head := self.head) is not None:
+            self._at += _STAMP_BYTES + len(head[1])
+        return head
+
+    def takes(self, records: bytes) -> bool:
+        """Whether exactly these records come next; then they are taken."""
+        self._read(len(records))
+        is_next = self._data.startswith(records, self._at)
+        self._at += len(records) if is_next else 0
+        return is_next
+
+    def _read(self, size: int) -> None:
+        """Have so many bytes in memory, if there are as many."""
+        if len(self._data) - self._at < size:
+            self._data_at += self._at
+            self._data = self._data[self._at :] + self._file.read(size + _PORTION)
+            self._at = 0
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def recorded_frames(path: Path) -> Iterator[tuple[int, bytes]]:
+    """The records of a telemetry log of ours, to the last whole one: us since 1970, frame."""
+    with Records(path) as records:
+        while (record := records.take()) is not None:
+            yield record
 
 
 def _record_bytes(data: bytes) -> int:

@@ -1,6 +1,7 @@
 """What a replay was not asked properly, or not given whole, it says in one line: never a traceback,
 and never that nothing is the same as something."""
 
+import contextlib
 import copy
 import json
 import random
@@ -30,7 +31,7 @@ from companion.mavlink.dialect import codec, wire
 from companion.mission.start import Start
 from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.replay import same
+from companion.replay import actions, same
 from companion.replay.differences import Recording
 from companion.replay.told import TornError, session_of, start_of, tell
 from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
@@ -154,11 +155,12 @@ def test_a_frame_that_differs_before_from_moves_nothing_after_it(tmp_path: Path)
     (tmp_path / "journal.jsonl").write_text("", encoding="utf-8")
     data = b"".join(struct.pack(">Q", round(t * 1e6)) + frame for t, frame in beats)
     (tmp_path / "flight.tlog").write_bytes(data)
-    recording, mine = Recording(tmp_path), list(beats)
+    mine = list(beats)
     mine[1] = (2.0, beats[7][1])
-    recording.pass_by(mine[:4], [])
-    assert recording.first_difference(mine[4:], []) is None
-    assert recording.frames == 4
+    with contextlib.closing(Recording(tmp_path)) as recording:
+        recording.pass_by(mine[:4], [])
+        assert recording.first_difference(mine[4:], []) is None
+        assert recording.frames == 4
 
 
 # --- what is damaged
@@ -361,12 +363,13 @@ def flown_with_elevations(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_an_elevation_file_that_has_changed_is_said_in_one_line(
-    flown_with_elevations: tuple[Path, Path],
+    flown_with_elevations: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, file = flown_with_elevations
     assert replays(path)[0] == 0
     elevations(file, higher_m=10)
-    for option in ((), ("--seed", 3, "--no-numba")):  # what if, too
+    monkeypatch.setattr(actions, "load_kernel", lambda: pytest.fail("it is compiled in vain"))
+    for option in ((), ("--seed", 3)):  # what if, too
         code, out, [error] = replays(path, *option)
         assert code == 2
         assert f"terrain.file = '{file}': the elevation file has changed since the flight" in error

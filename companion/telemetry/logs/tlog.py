@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
-from companion.mavlink.frames import LONGEST, V1, V2, claim, intact_end, payload_of
+from companion.mavlink.frames import LONGEST, V1, V2, boot_ms_of, claim, intact_end
 from companion.mavlink.signing import SECRETS, is_signed
 from companion.telemetry.logs.findings import Findings, Oddity
 from companion.telemetry.logs.record import Log, Record, chosen
@@ -24,13 +24,6 @@ from companion.telemetry.logs.window import Window
 
 _AHEAD: Final = STAMP_BYTES + LONGEST + STAMP_BYTES + LONGEST
 """A record, and the one after it."""
-_BOOT_MS_AT: Final = {
-    wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0,
-    wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0,
-    wire.MAVLINK_MSG_ID_ATTITUDE: 0,
-    wire.MAVLINK_MSG_ID_SYSTEM_TIME: 8,
-}
-"""Where time_boot_ms stands in the payload, of what carries the time at which it was sent."""
 _ABOUT_STAMPS: Final = {
     Stamps.LITTLE_ENDIAN: (Oddity.LITTLE_ENDIAN,),
     Stamps.MILLISECONDS: (Oddity.MILLISECONDS,),
@@ -60,12 +53,6 @@ def open_tlog(path: Path, size_bytes: int, system_id: int | None) -> Log | None:
         autopilot=looked.autopilots.get(vehicle or 0),
         begin=partial(_Reading, looked, vehicle),
     )
-
-
-def boot_ms_of(frame: bytes, number: int) -> int | None:
-    """The time since boot at which a frame was sent, if its message tells that; ms."""
-    at = _BOOT_MS_AT.get(number)
-    return None if at is None else int.from_bytes(payload_of(frame, at + 4)[at : at + 4], "little")
 
 
 class _Found(NamedTuple):
