@@ -9,6 +9,7 @@ from typing import Literal, final
 from vehicle_sim.errors import InputError, did_you_mean
 
 Firmware = Literal["ardupilot", "px4"]
+_LARGEST_FLOAT, _LARGEST_INT = 3.4028234663852886e38, 2**31 - 1
 
 
 class Kind(enum.IntEnum):
@@ -36,7 +37,8 @@ class Parameter:
 class Parameters:
     """The table as it stands; the order of the rows is the order of the wire's indices.
 
-    InputError, with the nearest known name, for an override that is not in the table.
+    InputError for an override that is not in the table, with the nearest known name, and for one
+    that PARAM_VALUE cannot carry.
     """
 
     def __init__(self, table: Iterable[Parameter], overrides: Mapping[str, float]) -> None:
@@ -50,6 +52,10 @@ class Parameters:
                 rule = "this autopilot has no such one"
                 raise InputError(f"parameter {name}", value, rule, remedy)
             self[name] = value
+            most = _LARGEST_FLOAT if self._rows[name].kind is Kind.REAL32 else _LARGEST_INT
+            if not abs(self[name]) <= most:
+                rule = f"must be within {most:g}: it has 32 bits"
+                raise InputError(f"parameter {name}", value, rule, "Give a smaller number.")
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
