@@ -7,8 +7,8 @@ from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Ack, Reboot, Result
 from vehicle_sim.autopilots.px4.autopilot import parameter_rows
+from vehicle_sim.autopilots.px4.failsafe import Pilot
 from vehicle_sim.autopilots.px4.modes import Mode, base_mode
-from vehicle_sim.autopilots.px4.pilot import Pilot
 from vehicle_sim.autopilots.px4.style import RATES_HZ, style
 from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Kind

@@ -3,7 +3,7 @@
 wire/ turns frames into these and these into frames.  One module a personality:
 ardupilot/arducopter.py, ardupilot/arduplane.py, px4/multicopter.py, px4/fixed_wing.py; what two of
 them share, and their parts, are beside them.  Parameters and what is said at boot are data: *.parm
-and *.boot.  What all four share is here: parameters.py, zones.py (fences), jumps.py (missions).
+and *.boot.
 """
 
 import enum

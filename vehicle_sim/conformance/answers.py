@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from vehicle_sim.conformance.messages import Side, decoded, enum_name, message_name
+from vehicle_sim.conformance.log import Side, decoded, enum_name, message_name
 from vehicle_sim.conformance.rows import (
     NOTHING,
     Comparison,

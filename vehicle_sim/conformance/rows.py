@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar, final
 
 from vehicle_sim.conformance.flights import Flight, Reason
-from vehicle_sim.conformance.log import Recording
-from vehicle_sim.conformance.messages import Side, decoded
+from vehicle_sim.conformance.log import Recording, Side, decoded
 
 Key = TypeVar("Key", bound=Hashable)
 Event = tuple[float, Key]

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from vehicle_sim.conformance.messages import EVENT, enum_name
+from vehicle_sim.conformance.log import EVENT, enum_name
 from vehicle_sim.conformance.rows import (
     NOTHING,
     Comparison,

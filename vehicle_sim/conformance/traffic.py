@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from vehicle_sim.conformance.messages import EVENT, Heard, message_name
+from vehicle_sim.conformance.log import EVENT, Heard, message_name
 from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, interval_s
 
 COUNT_PART = 0.02

@@ -41,10 +41,9 @@ from vehicle_sim.autopilots.ardupilot.style import (
     HEARTBEAT,
     HOME_POSITION,
 )
-from vehicle_sim.autopilots.parameters import lines_of
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
-from vehicle_sim.parameters import Parameter, Parameters
+from vehicle_sim.parameters import Parameter, Parameters, lines_of
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 

@@ -30,13 +30,11 @@ from vehicle_sim.autopilots import (
     Waypoint,
 )
 from vehicle_sim.autopilots.attitude import AttitudeTarget, attitude_of, finite
-from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.autopilots.px4 import failsafe, health
-from vehicle_sim.autopilots.px4.diary import Diary, Gimbal
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
-from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents
+from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents, Pilot
 from vehicle_sim.autopilots.px4.fence import Fence
-from vehicle_sim.autopilots.px4.health import text
+from vehicle_sim.autopilots.px4.health import Diary, Gimbal, text
 from vehicle_sim.autopilots.px4.mission import Mission, Surroundings
 from vehicle_sim.autopilots.px4.modes import (
     CUSTOM_MODES,
@@ -46,14 +44,12 @@ from vehicle_sim.autopilots.px4.modes import (
     Mode,
     base_mode,
 )
-from vehicle_sim.autopilots.px4.pilot import Pilot
-from vehicle_sim.autopilots.px4.projection import Projection
-from vehicle_sim.autopilots.px4.setpoints import Bearings, Target, Vector, read_setpoint
-from vehicle_sim.autopilots.px4.trajectory import Orbit
+from vehicle_sim.autopilots.px4.position_control import Orbit
+from vehicle_sim.autopilots.px4.setpoints import Bearings, Projection, Target, Vector, read_setpoint
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
-from vehicle_sim.parameters import Parameter, Parameters
+from vehicle_sim.parameters import Parameter, Parameters, table
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 

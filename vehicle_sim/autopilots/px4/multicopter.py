@@ -10,11 +10,10 @@ from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.autopilot import Px4
 from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, NAVIGATED, Mode
-from vehicle_sim.autopilots.px4.position_control import Gains, PositionControl
-from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
-from vehicle_sim.autopilots.px4.style import RATES_HZ, style
-from vehicle_sim.autopilots.px4.trajectory import (
+from vehicle_sim.autopilots.px4.position_control import (
     HERE,
+    Gains,
+    PositionControl,
     Trajectory,
     Wanted,
     by_hand,
@@ -22,6 +21,8 @@ from vehicle_sim.autopilots.px4.trajectory import (
     stopping_point,
     turning_rad_s,
 )
+from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
+from vehicle_sim.autopilots.px4.style import RATES_HZ, style
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
 
 _QUADROTOR: Final = 2
