@@ -320,7 +320,11 @@ class Simulation:
             wind.step(_STEP_S, vehicle, conditions.wind, self._ground_amsl_m)
         if now_us - controller.boot_us >= gps.due_us:
             gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
-        controller.step(now_us, _STEP_S, self._ground_amsl_m, gps.fix)
+        controller.now_us, controller.report.fix = now_us, gps.fix
+        since_boot_us, ground_amsl_m = now_us - controller.boot_us, self._ground_amsl_m
+        replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
+        if replies or controller.transfers:
+            controller.go_on(replies)
         self._since_power_s += _STEP_S
         if self._since_power_s >= POWER_STEP_S - 1e-9:
             armed, drained_s = controller.autopilot.armed, self._since_power_s
@@ -331,7 +335,7 @@ class Simulation:
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
         if looks and not complete:  # without positions there are ticks all the same
             complete = controller.streams.interval_us(0, _POSITION) is None
-        if self._scanner is not None:
+        if self._scanner is not None and now_us >= self._scanner.due_us:
             self._scanner.step(now_us, vehicle, conditions.radar, tick=complete)
         return complete
 

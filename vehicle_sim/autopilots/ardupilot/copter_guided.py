@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import final
 
 from vehicle_sim.autopilots import Estimate, Place, Setpoint
-from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl, clipped
+from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, flat_earth_place, offset
 from vehicle_sim.autopilots.attitude import Attitude, AttitudeTarget, attitude_of
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Limits
@@ -236,7 +236,8 @@ class Tracker:
         north, east = north_m * KP_1_S2, east_m * KP_1_S2
         square, most = north * north + east * east, KV_1_S * speeds_m_s[0]
         if square > most * most:
-            north, east = clipped(north, east, most)
+            share = most / math.sqrt(square)
+            north, east = north * share, east * share
         most_up = KV_1_S * speeds_m_s[1]
         up = up_m * KP_1_S2
         up = -most_up if up < -most_up else most_up if up > most_up else up

@@ -273,8 +273,12 @@ class Px4(abc.ABC):
     def rates_rad_s(self) -> tuple[float, float, float]:
         """Of roll, pitch and heading."""
         roll, pitch, yaw = self._turning_rad
-        scale = 1.0 / self._turning_s
-        return _bounded(roll * scale), _bounded(pitch * scale), _bounded(yaw * scale)
+        most, scale = _MOST_RAD_S, 1.0 / self._turning_s
+        return (
+            min(max(roll * scale, -most), most),
+            min(max(pitch * scale, -most), most),
+            min(max(yaw * scale, -most), most),
+        )
 
     def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
         """Take a setpoint as a sign of life, and in OFFBOARD as what to fly."""
@@ -745,9 +749,3 @@ Handler = Callable[[Px4, Command], Result]
 
 def _unsupported(_px4: Px4, _command: Command) -> Result:
     return Result.UNSUPPORTED
-
-
-def _bounded(rate_rad_s: float) -> float:
-    if -_MOST_RAD_S <= rate_rad_s <= _MOST_RAD_S:
-        return rate_rad_s
-    return min(max(rate_rad_s, -_MOST_RAD_S), _MOST_RAD_S)
