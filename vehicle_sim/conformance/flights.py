@@ -134,24 +134,19 @@ class Flying(Protocol):
     @property
     def now_us(self) -> int:
         """Vehicle time."""
-        ...
 
     def step(self) -> object:
         """Fly for one step."""
-        ...
 
     def receive(self, link: int, data: bytes, /) -> None:
         """Handle what came in by a link."""
-        ...
 
     @property
     def vehicle(self) -> Vehicle:
         """What flies."""
-        ...
 
     def take_frames(self) -> Sequence[tuple[int, bytes]]:
         """What goes out, each with its link."""
-        ...
 
 
 @final

@@ -139,6 +139,24 @@ def _setpoint_causes(recording: Recording) -> Iterator[float]:
         before_s, before = h.time_s, kind
 
 
+def whole(
+    kind: str, name: str, shown: Sequence[str], tolerance: str, difference: float | bool
+) -> Row:
+    """A row about the whole flight; shown: real and simulated; True: it differs altogether."""
+    real, simulated = shown
+    if isinstance(difference, bool):
+        difference = math.inf if difference else 0.0
+    return Row(
+        kind=kind,
+        name=name,
+        at_s=None,
+        real=real,
+        simulated=simulated,
+        tolerance=tolerance,
+        difference=difference,
+    )
+
+
 # --- pairing --------------------------------------------------------------------------------------
 
 

@@ -206,20 +206,8 @@ NEVER_US: Final = 1 << 62
 
 
 def _command(number: int, confirmation: int, *parameters: float) -> Any:
-    p1, p2, p3, p4, p5, p6, p7 = (*parameters, *(0.0,) * (7 - len(parameters)))
-    return mavlink.MAVLink_command_long_message(
-        target_system=1,
-        target_component=0,
-        command=number,
-        confirmation=confirmation,
-        param1=p1,
-        param2=p2,
-        param3=p3,
-        param4=p4,
-        param5=p5,
-        param6=p6,
-        param7=p7,
-    )
+    seven = (*parameters, *(0.0,) * (7 - len(parameters)))
+    return mavlink.MAVLink_command_long_message(1, 0, number, confirmation, *seven)
 
 
 @final
