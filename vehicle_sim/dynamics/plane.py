@@ -148,17 +148,14 @@ class Plane:
         effort = climb / limits.climb_max_m_s + step / (limits.acceleration_m_s2 * dt_s)
         effort = CRUISE_THROTTLE + (1.0 - CRUISE_THROTTLE) * effort
         self.throttle = 0.0 if effort < 0.0 else 1.0 if effort > 1.0 else effort
-        self._carry(airspeed * math.sqrt(1.0 - steepness * steepness), climb, dt_s)
-
-    def _carry(self, flat_m_s: float, climb_m_s: float, dt_s: float) -> None:
-        """Move by the mean of the ground velocities before and after; flat: through the air."""
         fading = SLIP_S / (SLIP_S + dt_s)
         self._slip_north_m_s *= fading
         self._slip_east_m_s *= fading
+        flat_m_s = airspeed * math.sqrt(1.0 - steepness * steepness)
         self._move(
             flat_m_s * math.cos(self.heading_rad) + self.wind_north_m_s + self._slip_north_m_s,
             flat_m_s * math.sin(self.heading_rad) + self.wind_east_m_s + self._slip_east_m_s,
-            climb_m_s + self.wind_up_m_s,
+            climb + self.wind_up_m_s,
             dt_s,
         )
 

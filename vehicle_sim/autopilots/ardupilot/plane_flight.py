@@ -428,7 +428,7 @@ class Flight:
                 self.navigation.course_rad if guided.of_course else plane.heading_rad, dt_s
             )
         forced = NOT_FORCED
-        if host.mode == Mode.GUIDED:
+        if host.mode == Mode.GUIDED and guided.forces:
             forced = guided.forced(host.now_us)
         if forced.roll_rad is not None:
             bank = forced.roll_rad

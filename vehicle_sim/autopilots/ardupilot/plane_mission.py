@@ -62,14 +62,14 @@ class Guided:
         self._acceleration_m_s2 = _AT_ONCE
         self._altitude_amsl_m: float | None = None
         self._rate_m_s = _AT_ONCE
-        self._forced = NOT_FORCED
+        self._forced, self.forces = NOT_FORCED, False
         self._forced_until_us = [0, 0, 0]
 
     def forget(self) -> None:
         """The mode has changed."""
         self.holds_heading = False
         self._airspeed_m_s = self._altitude_amsl_m = self.cruise_m_s = None
-        self._forced = NOT_FORCED
+        self._forced, self.forces = NOT_FORCED, False
 
     # --- what it is told ----------------------------------------------------------------------
 
@@ -111,7 +111,7 @@ class Guided:
             if value is not None:
                 self._forced_until_us[at] = now_us + FORCED_US
         given = {name: value for name, value in forced._asdict().items() if value is not None}
-        self._forced = self._forced._replace(**given)
+        self._forced, self.forces = self._forced._replace(**given), True
 
     # --- what comes of it -----------------------------------------------------------------------
 
@@ -131,8 +131,6 @@ class Guided:
 
     def forced(self, now_us: int) -> Forced:
         """What of it holds still."""
-        if self._forced is NOT_FORCED:
-            return NOT_FORCED
         lasting = zip(self._forced, self._forced_until_us, strict=True)
         return Forced(*(None if now_us > until_us else value for value, until_us in lasting))
 

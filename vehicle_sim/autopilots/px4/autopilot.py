@@ -247,19 +247,7 @@ class Px4(abc.ABC):
             self._next_check_us = now_us + _CHECK_US
             self._check()
         self._fly(dt_s)
-        self._feel_turning(dt_s)
-        if self.armed and self.landed:
-            self._disarm_by_itself()
-        if now_us >= self.gimbal.due_us:
-            self.say(*self.gimbal.take(now_us))
-        if not self._said:
-            return ()
-        said, self._said = self._said, []
-        return said
-
-    def _feel_turning(self, dt_s: float) -> None:
-        """Angular rates, as gyroscopes feel them; a point mass has none of its own."""
-        vehicle = self.vehicle
+        vehicle = self.vehicle  # its rates, as gyroscopes feel them: a point mass has none
         roll, pitch, yaw = vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad
         roll_before, pitch_before, yaw_before = self._attitude_rad
         turn = yaw - yaw_before
@@ -268,6 +256,14 @@ class Px4(abc.ABC):
         self._attitude_rad = (roll, pitch, yaw)
         self._turning_rad = (roll - roll_before, pitch - pitch_before, turn)
         self._turning_s = dt_s
+        if self.armed and self.landed:
+            self._disarm_by_itself()
+        if now_us >= self.gimbal.due_us:
+            self.say(*self.gimbal.take(now_us))
+        if not self._said:
+            return ()
+        said, self._said = self._said, []
+        return said
 
     @property
     def rates_rad_s(self) -> tuple[float, float, float]:

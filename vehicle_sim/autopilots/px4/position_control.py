@@ -71,7 +71,11 @@ class PositionControl:
         (p_n, p_e, p_d), (v_n, v_e, v_d), (f_n, f_e, f_d) = wanted
         (x_n, x_e, x_d), (u_n, u_e, u_d), (a_n, a_e, _) = state
         s_n, s_e = self._velocity(p_n - x_n, p_e - x_e, v_n, v_e)
-        s_d = _sum((p_d - x_d) * gains.position_down, v_d)
+        s_d = (p_d - x_d) * gains.position_down
+        if s_d != s_d:  # the one that is given, or both
+            s_d = v_d
+        elif v_d == v_d:
+            s_d += v_d
         if s_d < -most_up_m_s:
             s_d = -most_up_m_s
         if s_d > gains.vertical_down_m_s:
@@ -141,13 +145,6 @@ class PositionControl:
         along = d_n * c_n + d_e * c_e
         reach = math.sqrt(max(along * along - (size * size - most * most), 0.0)) - along
         return c_n + d_n * reach, c_e + d_e * reach
-
-
-def _sum(one: float, other: float) -> float:
-    """Both, or the one that is given."""
-    if one != one:
-        return other
-    return one if other != other else one + other
 
 
 # --- The smooth motion of PX4's multicopters: a point that runs ahead within acceleration and jerk
