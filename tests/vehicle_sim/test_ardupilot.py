@@ -371,14 +371,6 @@ def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
     assert it.copter.velocity_north_m_s == pytest.approx(0.0, abs=0.1)
 
 
-@pytest.mark.parametrize(
-    ("mask", "echo"), [(0xDF8, 0xDF8), (0xDC0, 0xC00), (0xDC7, 0xC07), (0xFFF, 0xC07)]
-)
-def test_the_echo_says_which_groups_it_steers_for(hovering: Any, mask: int, echo: int) -> None:
-    hovering.setpoint(HERE, (1.0, 0.0, 0.0), mask=mask)
-    assert hovering.target().type_mask == echo
-
-
 @pytest.mark.parametrize("position", [(91.0, 8.0, 100.0), (47.0, 181.0, 100.0)])
 def test_a_place_off_the_globe_stops(hovering: Any, position: tuple[float, ...]) -> None:
     hovering.setpoint(position, (1.0, 0.0, 0.0))
