@@ -137,7 +137,6 @@ class Simulation:
             overrides,
             self._plans,
             self._battery,
-            hardware_id=self._hardware_id,
             rng=generator(self._seed, f"autopilot {self._boots}"),
         )
 

@@ -54,7 +54,7 @@ class Pilot(Rig):
             "ANGLE_MAX": 8000.0,
         }
         rng = np.random.default_rng(1)
-        autopilot = ArduCopter(self.copter, parameters, Plans(), hardware_id=1, rng=rng)
+        autopilot = ArduCopter(self.copter, parameters, Plans(), rng=rng)
         super().__init__(autopilot, ground_amsl_m, Gps(ARDUCOPTER, rng))
 
     def setpoint(

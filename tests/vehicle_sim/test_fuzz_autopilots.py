@@ -85,7 +85,7 @@ def plane(limits: PlaneLimits | None = None) -> Plane:
 
 def make(kind: str) -> tuple[Autopilot, Receiver]:
     """One of the four, just booted."""
-    given: dict[str, Any] = {"hardware_id": 1, "rng": np.random.default_rng(1)}
+    given: dict[str, Any] = {"rng": np.random.default_rng(1)}
     made: dict[str, tuple[Callable[[], Autopilot], Receiver]] = {
         "arducopter": (lambda: ArduCopter(copter(), {}, Plans(), **given), ARDUCOPTER),
         "arduplane": (lambda: ArduPlane(plane(), {}, Plans(), **given), ARDUPLANE),

@@ -48,9 +48,7 @@ class Rig(rig.Rig):
         )
         self.plans = Plans()
         given = {"SIH_KDV": 0.25, "COM_OBL_RC_ACT": 5.0, **parameters}
-        self.px4 = Px4Multicopter(
-            self.copter, given, self.plans, hardware_id=1, rng=np.random.default_rng(seed)
-        )
+        self.px4 = Px4Multicopter(self.copter, given, self.plans, rng=np.random.default_rng(seed))
         gps = Gps(PX4, np.random.default_rng(seed + 1000))
         super().__init__(self.px4, GROUND_AMSL_M, gps, GpsConditions(fix_type=3, lag_s=0.0))
 

@@ -142,7 +142,6 @@ def make_autopilot(
     plans: Plans,
     battery: Battery,
     *,
-    hardware_id: int,
     rng: np.random.Generator,
 ) -> Autopilot:
     """The personality, just booting.  InputError names a parameter that it does not have."""
@@ -150,9 +149,9 @@ def make_autopilot(
     is_px4 = vehicle.autopilot == "px4"
     if isinstance(airframe, Plane):
         plane = Px4FixedWing if is_px4 else ArduPlane
-        autopilot = plane(airframe, overrides, plans, hardware_id=hardware_id, rng=rng)
+        autopilot = plane(airframe, overrides, plans, rng=rng)
     else:
         copter = Px4Multicopter if is_px4 else ArduCopter
-        autopilot = copter(airframe, overrides, plans, hardware_id=hardware_id, rng=rng)
+        autopilot = copter(airframe, overrides, plans, rng=rng)
     autopilot.battery = battery
     return autopilot

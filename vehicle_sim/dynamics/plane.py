@@ -32,7 +32,6 @@ class PlaneLimits:
     """What the airframe can do.  Airspeeds are true airspeeds."""
 
     airspeed_min_m_s: float = 12.0
-    airspeed_cruise_m_s: float = 23.5
     airspeed_max_m_s: float = 33.0
     bank_max_rad: float = math.radians(65.0)
     roll_rate_rad_s: float = math.radians(75.0)

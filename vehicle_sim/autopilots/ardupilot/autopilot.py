@@ -90,14 +90,11 @@ class ArduPilot(abc.ABC):
         parameters: Mapping[str, float],
         plans: Plans,
         *,
-        hardware_id: int,
         rng: np.random.Generator,
     ) -> None:
         self.vehicle = vehicle
         self.parameters = Parameters(self.TABLE, parameters)
         self.plans = plans
-        self.hardware_id = hardware_id
-        self.rng = rng
         self.battery: Battery | None = None
         """What the power module measures; whoever drains it puts it here."""
         self.estimate = Estimate(latitude_deg=0.0, longitude_deg=0.0, altitude_amsl_m=0.0)

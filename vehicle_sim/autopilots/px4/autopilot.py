@@ -101,14 +101,11 @@ class Px4(abc.ABC):
         parameters: Mapping[str, float],
         plans: Plans,
         *,
-        hardware_id: int,
         rng: np.random.Generator,
     ) -> None:
         self.vehicle = vehicle
         self.parameters = Parameters(parameter_rows(*self.TABLES), parameters)
         self.plans = plans
-        self.hardware_id = hardware_id
-        self.rng = rng
         self.ekf = Ekf2(vehicle, rng)
         self.estimate = self.ekf.estimate
         self.battery = Battery()

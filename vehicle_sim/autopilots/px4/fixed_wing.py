@@ -89,7 +89,6 @@ def flare_sink_m_s(since_s: float, flare_s: float, from_m_s: float, to_m_s: floa
 
 SIH_AIRPLANE: Final = PlaneLimits(
     airspeed_min_m_s=5.0,
-    airspeed_cruise_m_s=13.95,
     airspeed_max_m_s=13.95,
     bank_max_rad=math.radians(60.0),
     roll_rate_rad_s=math.radians(60.0),
