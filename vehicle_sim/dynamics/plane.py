@@ -158,12 +158,9 @@ class Plane:
             dt_s,
         )
 
-    def roll_on_ground(
-        self, acceleration_m_s2: float, dt_s: float, turn_rad_s: float = 0.0
-    ) -> None:
+    def roll_on_ground(self, acceleration_m_s2: float, dt_s: float) -> None:
         """One step on the wheels, where the nose points; negative acceleration: to a halt."""
-        heading = self.heading_rad = (self.heading_rad + turn_rad_s * dt_s) % math.tau
-        cosine, sine = math.cos(heading), math.sin(heading)
+        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
         speed = self.velocity_north_m_s * cosine + self.velocity_east_m_s * sine
         speed = max(speed + acceleration_m_s2 * dt_s, 0.0)
         self._move(speed * cosine, speed * sine, 0.0, dt_s)

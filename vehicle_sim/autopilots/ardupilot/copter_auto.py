@@ -291,8 +291,8 @@ class Goal:
     radius_m: float = 0.0
 
 
-def _finite(value: float, otherwise: float = 0.0) -> float:
-    return value if math.isfinite(value) else otherwise
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else 0.0
 
 
 def place_of(item: PlanItem, here: Place, home: Place) -> Place:
