@@ -468,7 +468,7 @@ class Flight:
 
     def _cruise(self, bank: float, height_m: float, forced: Forced, dt_s: float) -> None:
         plane = self._plane
-        wanted = self._cruise_m_s()
+        wanted = true_airspeed_m_s(self._demand_m_s, height_m)
         self._speed_m_s = max(wanted, self._speed_m_s - SLOWING_M_S2 * dt_s)
         climb = self.heights.climb_m_s(self.navigation.target_amsl_m, height_m, dt_s)
         if self._settling:

@@ -459,9 +459,9 @@ class Px4Multicopter(Px4):
     def _turn(self, dt_s: float) -> None:
         """Turn the nose: to the setpoint's yaw, along the way, or as the pilot says."""
         copter, mode, parameters = self.vehicle, self.mode, self.parameters
-        most_deg_s = parameters["MPC_YAWRAUTO_MAX"]
-        if mode is Mode.OFFBOARD:
-            most_deg_s = parameters["MC_YAWRATE_MAX"]
+        by_client = mode is Mode.OFFBOARD
+        most_deg_s = parameters["MC_YAWRATE_MAX" if by_client else "MPC_YAWRAUTO_MAX"]
+        if by_client:
             target = self.target
             if target is not None:
                 if target.yaw_rad == target.yaw_rad:

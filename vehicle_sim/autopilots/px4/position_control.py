@@ -76,10 +76,7 @@ class PositionControl:
             s_d = v_d
         elif v_d == v_d:
             s_d += v_d
-        if s_d < -most_up_m_s:
-            s_d = -most_up_m_s
-        if s_d > gains.vertical_down_m_s:
-            s_d = gains.vertical_down_m_s
+        s_d = min(max(s_d, -most_up_m_s), gains.vertical_down_m_s)
 
         w_n = w_e = 0.0
         e_n = s_n - u_n
@@ -111,10 +108,7 @@ class PositionControl:
             if -gains.most_up_m_s2 < w_d < gains.most_down_m_s2 or w_d * e_d < 0.0:
                 down = integral[2] + gains.integral_down * e_d * dt_s
                 integral[2] = min(max(down, -GRAVITY_M_S2), GRAVITY_M_S2)
-        if w_d < -gains.most_up_m_s2:
-            w_d = -gains.most_up_m_s2
-        if w_d > gains.most_down_m_s2:
-            w_d = gains.most_down_m_s2
+        w_d = min(max(w_d, -gains.most_up_m_s2), gains.most_down_m_s2)
 
         self.velocity = (s_n, s_e, s_d)
         self.acceleration = (w_n, w_e, w_d)
