@@ -19,6 +19,8 @@ from vehicle_sim.wire.routing import targets
 
 FIRST_HEARTBEAT_S = 60.0
 SILENCE_S = 30.0
+_SLOWER_MOST = 5.0
+"""So many times longer a companion may take to start on a busy computer."""
 _HELLO_S = 0.2
 _PATIENCE_S = 0.1
 """How long a wait may last before it looks whether it shall stop."""
@@ -232,7 +234,7 @@ class Server:
             if not alone:
                 return
             now_s = time.monotonic()
-            waited_s += (now_s - before_s) / _programs_per_processor()
+            waited_s += (now_s - before_s) / _slower_by()
             before_s, most_s = now_s, self._settings.first_heartbeat_s
             if waited_s >= most_s:
                 raise CompanionSilent(f"no heartbeat from a companion within {most_s:.0f} s")
@@ -300,12 +302,13 @@ class Server:
         return time.monotonic() - start_s
 
 
-def _programs_per_processor() -> float:
-    """How many times longer a companion takes to start than alone: load average, 1 at least."""
+def _slower_by() -> float:
+    """How many times longer a companion may take to start than alone: programs per processor."""
     try:
-        return max(os.getloadavg()[0] / (os.cpu_count() or 1), 1.0)
+        programs = os.getloadavg()[0] / (os.cpu_count() or 1)
     except (AttributeError, OSError):  # not known on this system
         return 1.0
+    return min(max(programs, 1.0), _SLOWER_MOST)
 
 
 @contextmanager
