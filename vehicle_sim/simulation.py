@@ -9,13 +9,7 @@ from typing import final
 
 from vehicle_sim import truth
 from vehicle_sim.autopilots import Autopilot, SayParameter, Sender, Text
-from vehicle_sim.autopilots.factory import (
-    battery_model,
-    make_autopilot,
-    make_vehicle,
-    overrides_of,
-    receiver_of,
-)
+from vehicle_sim.autopilots.factory import make_vehicle, overrides_of, personality_of
 from vehicle_sim.chance import generator
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.copter import Copter
@@ -90,7 +84,8 @@ class Simulation:
         self._vehicle = make_vehicle(vehicle, *place, self._ground_amsl_m)
         self._plans = Plans()
         self._battery = Battery()
-        self._power = PowerModule(self._battery, battery_model(vehicle))
+        self._personality = personality_of(vehicle)
+        self._power = PowerModule(self._battery, self._personality.battery)
         self._wind = Wind(generator(seed, "wind"))
         self._notices: list[str] = []
         self._truth: list[str] = [truth.header(world, seed)]
@@ -131,14 +126,10 @@ class Simulation:
 
     def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
         self._boots += 1
-        return make_autopilot(
-            self._world.vehicle,
-            self._vehicle,
-            overrides,
-            self._plans,
-            self._battery,
-            rng=generator(self._seed, f"autopilot {self._boots}"),
-        )
+        rng, make = generator(self._seed, f"autopilot {self._boots}"), self._personality.autopilot
+        autopilot = make(self._vehicle, overrides, self._plans, rng=rng)
+        autopilot.battery = self._battery
+        return autopilot
 
     def _boot(self, autopilot: Autopilot) -> None:
         """The flight controller and its receiver start, now."""
@@ -150,8 +141,8 @@ class Simulation:
             hardware_id=self._hardware_id,
             on_text=self._on_text,
         )
-        receiver = receiver_of(self._world.vehicle)
-        self._gps = Gps(receiver, generator(self._seed, f"gps {self._boots}"))
+        rng = generator(self._seed, f"gps {self._boots}")
+        self._gps = Gps(self._personality.receiver, rng)
         self._parameters = autopilot.parameters
         self._refresh()
 
