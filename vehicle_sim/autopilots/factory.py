@@ -44,7 +44,7 @@ class Personality:
     battery: Model
 
 
-_PERSONALITIES: Final = {
+PERSONALITIES: Final = {
     ("ardupilot", "copter"): Personality(
         ArduCopter, "MAV_SYSID", gps.ARDUCOPTER, "ardupilot copter"
     ),
@@ -56,7 +56,7 @@ _PERSONALITIES: Final = {
 
 def personality_of(vehicle: Vehicle) -> Personality:
     """The one that a world asks for."""
-    return _PERSONALITIES[vehicle.autopilot, vehicle.kind]
+    return PERSONALITIES[vehicle.autopilot, vehicle.kind]
 
 
 def make_vehicle(
