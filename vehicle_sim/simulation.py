@@ -90,7 +90,7 @@ class Simulation:
         self._notices: list[str] = []
         self._truth: list[str] = [truth.header(world, seed)]
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
-        self._boots = 0
+        self._boots, self._port_change = 0, False
         autopilot = self._make_autopilot(overrides_of(vehicle))
         self._radio = Radio(
             system=vehicle.system_id,
@@ -109,7 +109,6 @@ class Simulation:
             latitude_deg=world.origin.latitude_deg,
         )
         self._down_until_us, self._since_power_s = 0, 0.0
-        self._port_change = False
         self._boot(autopilot)
         self._shown = (self.mode_name, False)
         self._look_down()
