@@ -76,11 +76,11 @@ class FlightController:
         self.wants_reboot = False
         self.setpoints_ignored = False
         self._radio, self._on_text = radio, on_text
-        self._now_us = boot_us
+        self.now_us = boot_us
         self._messages = _TELEMETRY[style.firmware]
         self._parameter_protocol = ParameterProtocol(autopilot)
         self._mission_protocol = _MISSIONS[style.firmware](autopilot)
-        self._transfers = False
+        self.transfers = False
         """Parameters or a plan may be on their way."""
         self._ground_stations = set[int]()
         self._told: dict[int, tuple[int, int | None, int]] = {}
@@ -88,26 +88,22 @@ class FlightController:
         self.streams = Streams(style)
         for link in radio.links:
             self.streams.open(link, boot_us)
-        self._report = Report(
+        self.report = Report(
             autopilot=autopilot, fix=Fix(), battery=battery, hardware_id=hardware_id
         )
 
     # --- time ---------------------------------------------------------------------------------
 
-    def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> None:
-        """Fly on, and let the protocols go on."""
-        self._now_us = now_us
-        self._report.fix = fix
-        replies = self.autopilot.step(now_us - self.boot_us, dt_s, ground_amsl_m, fix)
-        if replies:
-            self.answer(replies)
-        if self._transfers:
+    def go_on(self, replies: Iterable[Reply]) -> None:
+        """After a step of the autopilot: what that brings, and what the protocols have to say."""
+        self.answer(replies)
+        if self.transfers:
             parameters, missions = self._parameter_protocol, self._mission_protocol
             if parameters.busy:
-                self.answer(parameters.step(now_us))
+                self.answer(parameters.step(self.now_us))
             if missions.busy:
-                self.answer(missions.step(now_us))
-            self._transfers = parameters.busy or missions.busy
+                self.answer(missions.step(self.now_us))
+            self.transfers = parameters.busy or missions.busy
 
     def stream(self, now_us: int) -> bool:
         """Queue all telemetry that is due; tell whether a position on link 0 was."""
@@ -119,7 +115,7 @@ class FlightController:
             message = built.get(number)
             if message is None:
                 build = self._messages.get(number)
-                message = built[number] = build(self._report) if build else None
+                message = built[number] = build(self.report) if build else None
             if message is not None and (
                 number != _CURRENT_MODE or not self._told_already(link, now_us)
             ):
@@ -128,7 +124,7 @@ class FlightController:
 
     def _told_already(self, link: int, now_us: int) -> bool:
         """CURRENT_MODE is sent at 2 Hz and at once on a change, however often it is asked for."""
-        status = self._report.status
+        status = self.report.status
         mode, intended, told_us = self._told.get(link, (-1, None, 0))
         if (mode, intended) == (status.mode, status.intended_mode) and (
             now_us - told_us < _CURRENT_MODE_US
@@ -142,7 +138,7 @@ class FlightController:
         self._send(_HEARTBEAT, None)
 
     def _renew_report(self) -> None:
-        report, now_us = self._report, self._now_us
+        report, now_us = self.report, self.now_us
         report.renew(now_us - self.boot_us, _EPOCH_US + now_us if report.fix.usable else 0)
 
     # --- out ----------------------------------------------------------------------------------
@@ -162,9 +158,9 @@ class FlightController:
                 case SayParameter():
                     self._say_parameter(reply.name)
                 case Event():
-                    boot_ms = (self._now_us - self.boot_us) // 1000
-                    sequence = (self._report.event_sequence + 1) % 65536
-                    self._report.event_sequence = sequence
+                    boot_ms = (self.now_us - self.boot_us) // 1000
+                    sequence = (self.report.event_sequence + 1) % 65536
+                    self.report.event_sequence = sequence
                     self._radio.broadcast(messages.event(reply, sequence, boot_ms))
                 case Reboot():
                     self.wants_reboot = True
@@ -175,7 +171,7 @@ class FlightController:
         if build is None:
             return
         self._renew_report()
-        message = build(self._report)
+        message = build(self.report)
         if message is not None:
             self._deliver(message, to)
 
@@ -204,7 +200,7 @@ class FlightController:
 
     def receive(self, message: Any, sender: Sender, now_us: int) -> None:
         """Handle a message that is for the autopilot."""
-        self._now_us = now_us
+        self.now_us = now_us
         handle = _HANDLERS.get(message.get_type())
         if handle is not None:
             handle(self, message, sender)
@@ -216,7 +212,7 @@ class FlightController:
 
     def _on_time_sync(self, message: Any, sender: Sender) -> None:
         if message.tc1 == 0:
-            boot_ns = (self._now_us - self.boot_us) * 1000
+            boot_ns = (self.now_us - self.boot_us) * 1000
             answer = messages.time_sync(boot_ns, message.ts1, sender)
             self._radio.send(answer, sender.link)
 
@@ -231,7 +227,7 @@ class FlightController:
     def _on_command(self, message: Any, sender: Sender) -> None:
         command = messages.command(message, sender)
         if command.number in STREAM_COMMANDS:
-            self.answer(self.streams.on_command(command, self._now_us))
+            self.answer(self.streams.on_command(command, self.now_us))
         else:
             self.answer(self.autopilot.on_command(command))
 
@@ -247,7 +243,7 @@ class FlightController:
         self.answer(replies)
 
     def _on_data_stream(self, message: Any, sender: Sender) -> None:
-        self.streams.on_data_stream(message, sender.link, self._now_us)
+        self.streams.on_data_stream(message, sender.link, self.now_us)
         rate_hz = message.req_message_rate if message.start_stop else 0
         for group, part in _STREAM_PARAMETERS.items():  # ArduPilot keeps it as a parameter
             name = f"MAV{sender.link + 1}_{part}"
@@ -255,12 +251,12 @@ class FlightController:
                 self.parameters[name] = rate_hz
 
     def _on_parameter(self, message: Any, sender: Sender) -> None:
-        self._transfers = True
-        self.answer(self._parameter_protocol.on_message(message, sender, self._now_us))
+        self.transfers = True
+        self.answer(self._parameter_protocol.on_message(message, sender, self.now_us))
 
     def _on_mission(self, message: Any, sender: Sender) -> None:
-        self._transfers = True
-        self.answer(self._mission_protocol.on_message(message, sender, self._now_us))
+        self.transfers = True
+        self.answer(self._mission_protocol.on_message(message, sender, self.now_us))
 
     def _on_sticks(self, message: Any, sender: Sender) -> None:
         self.answer(self.autopilot.on_sticks(messages.sticks(message, sender)))

@@ -109,6 +109,16 @@ class Link(ABC):
     def receive(self) -> bytes | None:
         """The next datagram or piece of stream, None if there is none now."""
 
+    def _datagram(self) -> tuple[bytes, Any] | None:
+        """The next one, and from whom; a refusal is about an earlier one that was sent."""
+        while True:
+            try:
+                return self._socket.recvfrom(_LARGEST_DATAGRAM_BYTES)
+            except ConnectionRefusedError:
+                continue
+            except OSError:
+                return None
+
     @abstractmethod
     def move(self) -> None:
         """Send from another port from now on: what a rebooted ArduPilot does."""
@@ -163,13 +173,8 @@ class _UdpOut(Link):
                 return  # no route or no room for the moment: as good as a lost datagram
 
     def receive(self) -> bytes | None:
-        while True:
-            try:
-                return self._socket.recv(_LARGEST_DATAGRAM_BYTES)
-            except ConnectionRefusedError:
-                continue
-            except OSError:
-                return None
+        found = self._datagram()
+        return None if found is None else found[0]
 
     def move(self) -> None:
         self._socket.close()
@@ -195,18 +200,15 @@ class _UdpIn(Link):
                     self._socket.sendto(datagram, peer)
 
     def receive(self) -> bytes | None:
-        while True:
-            try:
-                datagram, peer = self._socket.recvfrom(_LARGEST_DATAGRAM_BYTES)
-            except ConnectionRefusedError:
-                continue
-            except OSError:
-                return None
-            if peer not in self._peers:
-                self._peers[peer] = None
-                while len(self._peers) > _MOST_PEERS:
-                    del self._peers[next(iter(self._peers))]
-            return datagram
+        found = self._datagram()
+        if found is None:
+            return None
+        datagram, peer = found
+        if peer not in self._peers:
+            self._peers[peer] = None
+            while len(self._peers) > _MOST_PEERS:
+                del self._peers[next(iter(self._peers))]
+        return datagram
 
     def move(self) -> None:
         """A port that others were told of stays."""

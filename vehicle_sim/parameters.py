@@ -2,13 +2,15 @@
 
 import enum
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from importlib import resources
 from typing import Literal, final
 
 from vehicle_sim.errors import InputError, did_you_mean
 
 Firmware = Literal["ardupilot", "px4"]
+_LARGEST_FLOAT, _LARGEST_INT = 3.4028234663852886e38, 2**31 - 1
 
 
 class Kind(enum.IntEnum):
@@ -36,7 +38,8 @@ class Parameter:
 class Parameters:
     """The table as it stands; the order of the rows is the order of the wire's indices.
 
-    InputError, with the nearest known name, for an override that is not in the table.
+    InputError for an override that is not in the table, with the nearest known name, and for one
+    that PARAM_VALUE cannot carry.
     """
 
     def __init__(self, table: Iterable[Parameter], overrides: Mapping[str, float]) -> None:
@@ -50,6 +53,10 @@ class Parameters:
                 rule = "this autopilot has no such one"
                 raise InputError(f"parameter {name}", value, rule, remedy)
             self[name] = value
+            most = _LARGEST_FLOAT if self._rows[name].kind is Kind.REAL32 else _LARGEST_INT
+            if not abs(self[name]) <= most:
+                rule = f"must be within {most:g}: it has 32 bits"
+                raise InputError(f"parameter {name}", value, rule, "Give a smaller number.")
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -79,3 +86,30 @@ class Parameters:
     def values(self) -> dict[str, float]:
         """A copy, by name: what a reboot keeps."""
         return dict(self._values)
+
+
+# --- the autopilots' tables: *.parm beside them, a row a line in the wire's order -----------------
+
+_KINDS = {"i8": Kind.INT8, "i16": Kind.INT16, "i32": Kind.INT32, "real": Kind.REAL32}
+
+
+def lines_of(name: str, splits: int = -1) -> Iterator[list[str]]:
+    """The words of each line of a table beside this module, split so often at most."""
+    text = resources.files("vehicle_sim.autopilots").joinpath(name).read_text("utf-8")
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            yield line.split(maxsplit=splits)
+
+
+def table(*names: str) -> tuple[Parameter, ...]:
+    """The rows of these files; a later one of the same name replaces the earlier one in its place.
+
+    A line is name, default, type (a float without one), least and most.
+    """
+    rows: dict[str, Parameter] = {}
+    for name in names:
+        for key, default, *rest in lines_of(f"{name}.parm"):
+            kind, limits = _KINDS[rest[0] if rest else "real"], map(float, rest[1:])
+            bounds = dict(zip(("least", "most"), limits, strict=False))
+            rows[key] = Parameter(name=key, default=float(default), kind=kind, **bounds)
+    return tuple(rows.values())

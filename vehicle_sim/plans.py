@@ -1,8 +1,10 @@
 """Mission, fence and rally points as they are stored: what the mission protocol moves."""
 
 import enum
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 
 class PlanKind(enum.IntEnum):
@@ -44,3 +46,104 @@ class Plans:
     def __setitem__(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> None:
         self._items[kind] = items
         self.version += 1
+
+
+# --- the order of a mission's items: one after the other, but for its jumps -----------------------
+
+DO_JUMP = 177
+
+
+@final
+class Jumps:
+    """How often each DO_JUMP has been taken.  Mutable."""
+
+    def __init__(self, first: int) -> None:
+        self._first = first
+        """Number of the first item that may be jumped to."""
+        self._taken: dict[int, int] = {}
+
+    def forget(self) -> None:
+        """They count from 0 again."""
+        self._taken.clear()
+
+    def walk(
+        self, items: Sequence[PlanItem], number: int, most: int
+    ) -> Iterator[tuple[int, PlanItem]]:
+        """So many items at most, from this one on, with their numbers."""
+        for _ in range(most):
+            if number >= len(items):
+                return
+            yield number, items[number]
+            number = self._after(items, number)
+
+    def _after(self, items: Sequence[PlanItem], number: int) -> int:
+        target, times = items[number].parameters[:2]
+        if items[number].command != DO_JUMP or not math.isfinite(target + times):
+            return number + 1
+        taken = self._taken.get(number, 0)
+        if not self._first <= target < len(items) or 0.0 <= times <= taken:
+            return number + 1
+        self._taken[number] = taken + 1
+        return int(target)
+
+
+# --- the zones that a fence list draws ------------------------------------------------------------
+
+POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT = 5001, 5002, 5003, 5004
+Point = tuple[float, float]
+"""In whichever plane a firmware looks at its fence."""
+
+
+@final
+class Zone(NamedTuple):
+    """A polygon has no radius, a circle one corner: its centre."""
+
+    keeps_in: bool
+    corners: tuple[Point, ...]
+    radius_m: float = 0.0
+
+    def surrounds(self, point: Point) -> bool:
+        """Of a polygon, by the even-odd rule, so that a self-crossing one has holes."""
+        inside = False
+        before_a, before_b = self.corners[-1]
+        for a, b in self.corners:
+            if (a > point[0]) != (before_a > point[0]):
+                share = (point[0] - a) / (before_a - a)
+                if point[1] < b + share * (before_b - b):
+                    inside = not inside
+            before_a, before_b = a, b
+        return inside
+
+
+def zones_of(
+    items: Sequence[PlanItem], point: Callable[[float, float], Point] = lambda *degrees: degrees
+) -> tuple[Zone, ...]:
+    """The zones, their corners put where `point` does (by latitude and longitude in degrees)."""
+    zones: list[Zone] = []
+    index = 0
+    while index < len(items):
+        item, count = items[index], 1
+        first = item.parameters[0]
+        if item.command in (POLYGON_IN, POLYGON_OUT) and math.isfinite(first):
+            count = max(int(first), 1)
+            vertices = items[index : index + count]
+            corners = tuple(point(vertex.x * 1e-7, vertex.y * 1e-7) for vertex in vertices)
+            if len(corners) >= 3:
+                zones.append(Zone(item.command == POLYGON_IN, corners))
+        elif item.command in (CIRCLE_IN, CIRCLE_OUT) and first > 0.0:
+            centre = point(item.x * 1e-7, item.y * 1e-7)
+            zones.append(Zone(item.command == CIRCLE_IN, (centre,), first))
+        index += count
+    return tuple(zones)
+
+
+def forbidden(zones: Iterable[Zone], inside: Callable[[Zone], bool], *, union: bool) -> bool:
+    """In a zone to be kept out of, or out of one to be kept in (union: out of all of them)."""
+    kept: list[bool] = []
+    for zone in zones:
+        within = inside(zone)
+        if zone.keeps_in:
+            kept.append(within)
+        elif within:
+            return True
+    return bool(kept) and not (any(kept) if union else all(kept))

@@ -9,13 +9,7 @@ from typing import final
 
 from vehicle_sim import truth
 from vehicle_sim.autopilots import Autopilot, SayParameter, Sender, Text
-from vehicle_sim.autopilots.factory import (
-    battery_model,
-    make_autopilot,
-    make_vehicle,
-    overrides_of,
-    receiver_of,
-)
+from vehicle_sim.autopilots.factory import make_vehicle, overrides_of, personality_of
 from vehicle_sim.chance import generator
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.copter import Copter
@@ -90,12 +84,13 @@ class Simulation:
         self._vehicle = make_vehicle(vehicle, *place, self._ground_amsl_m)
         self._plans = Plans()
         self._battery = Battery()
-        self._power = PowerModule(self._battery, battery_model(vehicle))
+        self._personality = personality_of(vehicle)
+        self._power = PowerModule(self._battery, self._personality.battery)
         self._wind = Wind(generator(seed, "wind"))
         self._notices: list[str] = []
         self._truth: list[str] = [truth.header(world, seed)]
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
-        self._boots = 0
+        self._boots, self._port_change = 0, False
         autopilot = self._make_autopilot(overrides_of(vehicle))
         self._radio = Radio(
             system=vehicle.system_id,
@@ -114,7 +109,6 @@ class Simulation:
             latitude_deg=world.origin.latitude_deg,
         )
         self._down_until_us, self._since_power_s = 0, 0.0
-        self._port_change = False
         self._boot(autopilot)
         self._shown = (self.mode_name, False)
         self._look_down()
@@ -131,15 +125,10 @@ class Simulation:
 
     def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
         self._boots += 1
-        return make_autopilot(
-            self._world.vehicle,
-            self._vehicle,
-            overrides,
-            self._plans,
-            self._battery,
-            hardware_id=self._hardware_id,
-            rng=generator(self._seed, f"autopilot {self._boots}"),
-        )
+        rng, make = generator(self._seed, f"autopilot {self._boots}"), self._personality.autopilot
+        autopilot = make(self._vehicle, overrides, self._plans, rng=rng)
+        autopilot.battery = self._battery
+        return autopilot
 
     def _boot(self, autopilot: Autopilot) -> None:
         """The flight controller and its receiver start, now."""
@@ -151,8 +140,8 @@ class Simulation:
             hardware_id=self._hardware_id,
             on_text=self._on_text,
         )
-        receiver = receiver_of(self._world.vehicle)
-        self._gps = Gps(receiver, generator(self._seed, f"gps {self._boots}"))
+        rng = generator(self._seed, f"gps {self._boots}")
+        self._gps = Gps(self._personality.receiver, rng)
         self._parameters = autopilot.parameters
         self._refresh()
 
@@ -320,7 +309,11 @@ class Simulation:
             wind.step(_STEP_S, vehicle, conditions.wind, self._ground_amsl_m)
         if now_us - controller.boot_us >= gps.due_us:
             gps.step(now_us - controller.boot_us, vehicle, conditions.gps)
-        controller.step(now_us, _STEP_S, self._ground_amsl_m, gps.fix)
+        controller.now_us, controller.report.fix = now_us, gps.fix
+        since_boot_us, ground_amsl_m = now_us - controller.boot_us, self._ground_amsl_m
+        replies = controller.autopilot.step(since_boot_us, _STEP_S, ground_amsl_m, gps.fix)
+        if replies or controller.transfers:
+            controller.go_on(replies)
         self._since_power_s += _STEP_S
         if self._since_power_s >= POWER_STEP_S - 1e-9:
             armed, drained_s = controller.autopilot.armed, self._since_power_s
@@ -331,7 +324,7 @@ class Simulation:
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
         if looks and not complete:  # without positions there are ticks all the same
             complete = controller.streams.interval_us(0, _POSITION) is None
-        if self._scanner is not None:
+        if self._scanner is not None and now_us >= self._scanner.due_us:
             self._scanner.step(now_us, vehicle, conditions.radar, tick=complete)
         return complete
 

@@ -24,21 +24,17 @@ class Terrain(Protocol):
 
     def height_amsl_m(self, north_m: FloatArray, east_m: FloatArray) -> FloatArray:
         """Height of the terrain.  (...), (...) -> (...)."""
-        ...
 
     def height_at_amsl_m(self, north_m: float, east_m: float) -> float:
         """Height of the terrain at one point."""
-        ...
 
     def highest_in_quads_amsl_m(self, corners_ne_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Highest terrain over convex quadrilaterals, and where.  (C, 4, 2) -> (C,), (C, 2)."""
-        ...
 
     def lowest_in_grid_amsl_m(
         self, north_edges_m: FloatArray, east_edges_m: FloatArray
     ) -> FloatArray:
         """Lower bound of the terrain in every cell of a grid.  (N + 1,), (E + 1,) -> (N, E)."""
-        ...
 
 
 @final

@@ -34,7 +34,7 @@ from companion.mission.events import (
 )
 from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot.flat_earth import offset
-from vehicle_sim.autopilots.px4.projection import Projection
+from vehicle_sim.autopilots.px4.setpoints import Projection
 
 each = pytest.mark.parametrize("autopilot", ALL, ids=lambda a: a.name)
 

@@ -32,7 +32,7 @@ from companion.mavlink.parameter_rules import (
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
-from vehicle_sim.autopilots.parameters import table
+from vehicle_sim.parameters import table
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
 

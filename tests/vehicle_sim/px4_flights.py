@@ -6,10 +6,10 @@ and COM_OBL_RC_ACT 5 unless stated.
 
 import functools
 from collections.abc import Iterable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from over_the_wire import Heard, Key
-from px4_wire import HOLD, LAND, MISSION, NAN, OFFBOARD, Aim, Companion, local
+from px4_wire import HOLD, LAND, MISSION, NAN, OFFBOARD, Aim, Companion, Seen, local
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.world import VehicleKind
@@ -85,19 +85,12 @@ def rates(kinds: Iterable[str]) -> dict[str, float]:
     return {kind: len(listening().of(kind)) / LISTEN_S * REAL_TIME_FACTOR for kind in kinds}
 
 
-class Traffic(NamedTuple):
-    """What came of the default streams in 10 s of OFFBOARD."""
-
-    per_second: float
-    kilobytes_per_second: float
-    echoes: bool
-    wind: bool
-    gimbal: set[int]
-    """Commands that the next change of the mode brings."""
-
-
 @functools.cache
-def traffic() -> Traffic:
+def traffic() -> Seen:
+    """What came of the default streams in 10 s of OFFBOARD.
+
+    Gimbal: commands that the next change of the mode brings.
+    """
     vehicle = Companion()
     vehicle.aim = lambda _: CLIMB
     vehicle.run(8.0)
@@ -110,13 +103,13 @@ def traffic() -> Traffic:
     kinds, since_s = {heard.kind for heard in vehicle.heard}, vehicle.now_s
     vehicle.set_mode(LAND)
     vehicle.run(4.0)
-    return Traffic(
-        count / 10.0 * REAL_TIME_FACTOR,
-        size / 10e3 * REAL_TIME_FACTOR,
-        "POSITION_TARGET_LOCAL_NED" in kinds,
-        "WIND_COV" in kinds,
-        {message.command for message in vehicle.of("COMMAND_LONG", since_s)},
-    )
+    return {
+        "per_second": count / 10.0 * REAL_TIME_FACTOR,
+        "kilobytes_per_second": size / 10e3 * REAL_TIME_FACTOR,
+        "echoes": "POSITION_TARGET_LOCAL_NED" in kinds,
+        "wind": "WIND_COV" in kinds,
+        "gimbal": {message.command for message in vehicle.of("COMMAND_LONG", since_s)},
+    }
 
 
 def rate_after(kind: str, number: int, *intervals_us: float) -> float:
@@ -147,25 +140,20 @@ def origins() -> tuple[int, int]:
     return unasked, len(vehicle.of("GPS_GLOBAL_ORIGIN"))
 
 
-class Lost(NamedTuple):
-    """A companion's heartbeats have ended, a ground station's go on; it still streams."""
-
-    texts: str
-    mode: int
-    status: int
-
-
 @functools.cache
-def companion_lost() -> Lost:
+def companion_lost() -> Seen:
+    """A companion's heartbeats have ended, a ground station's go on; it still streams."""
     flight = hover()
     flight.heartbeats = (COMPANION, GROUND_STATION)
     flight.run(4.0)
     since_s = flight.now_s
     flight.heartbeats = (GROUND_STATION,)
     flight.run(8.0)
-    return Lost(
-        " ".join(text.strip() for text in flight.texts(since_s)), flight.mode, flight.status
-    )
+    return {
+        "texts": " ".join(text.strip() for text in flight.texts(since_s)),
+        "mode": flight.mode,
+        "status": flight.status,
+    }
 
 
 def texts_and_events(*heartbeats: int) -> tuple[bool, bool]:
@@ -274,18 +262,12 @@ def enters_offboard_within(wait_s: float) -> bool:
     return flight.mode == OFFBOARD
 
 
-class Climb(NamedTuple):
-    """A take-off in OFFBOARD, times after arming."""
-
-    lift_off_s: float
-    """As EXTENDED_SYS_STATE says."""
-    to_9_5_m_s: float
-    fastest_m_s: float
-    highest_m: float
-
-
 @functools.cache
-def climb(by_velocity: bool = False) -> Climb:
+def climb(by_velocity: bool = False) -> Seen:
+    """A take-off in OFFBOARD, times after arming.
+
+    Lift_off_s: as EXTENDED_SYS_STATE says.
+    """
     flight = ground()
     flight.aim = (lambda _: local(velocity=(0, 0, -1.0))) if by_velocity else (lambda _: CLIMB)
     flight.run(0.5)
@@ -295,35 +277,32 @@ def climb(by_velocity: bool = False) -> Climb:
     flight.run(16.0)
     track = [(h.at_s - start_s, -h.message.z, -h.message.vz) for h in positions(flight, start_s)]
     states = flight.times("EXTENDED_SYS_STATE", start_s)
-    return Climb(
-        min(h.at_s for h in states if h.message.landed_state != 1) - start_s,
-        min((t for t, height, _ in track if height > 9.5), default=NAN),
-        max(up for *_, up in track),
-        max(height for _, height, _ in track),
-    )
+    return {
+        "lift_off_s": min(h.at_s for h in states if h.message.landed_state != 1) - start_s,
+        "to_9_5_m_s": min((t for t, height, _ in track if height > 9.5), default=NAN),
+        "fastest_m_s": max(up for *_, up in track),
+        "highest_m": max(height for _, height, _ in track),
+    }
 
 
 def positions(flight: Companion, since_s: float = 0.0) -> list[Heard]:
     return flight.times("LOCAL_POSITION_NED", since_s)
 
 
-class Takeoff(NamedTuple):
-    """NAV_TAKEOFF without a place: from arming to Hold."""
-
-    modes: list[int]
-    hold_s: float
-    height_m: float
-
-
 @functools.cache
-def commanded_takeoff() -> Takeoff:
+def commanded_takeoff() -> Seen:
+    """NAV_TAKEOFF without a place: from arming to Hold."""
     flight = ground()
     flight.command(22, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
     since_s = flight.now_s
     flight.command(400, 1)
     hold_s = flight.until(lambda: flight.mode == HOLD, 20.0)
     flight.run(5.0)
-    return Takeoff([mode for _, mode in flight.modes(since_s)], hold_s, -flight.position[2])
+    return {
+        "modes": [mode for _, mode in flight.modes(since_s)],
+        "hold_s": hold_s,
+        "height_m": -flight.position[2],
+    }
 
 
 def disarmed(flight: Companion) -> bool:
@@ -338,19 +317,12 @@ def disarms_unflown_after() -> float:
     return 1.5 + vehicle.until(lambda: disarmed(vehicle), 20.0)
 
 
-class Landing(NamedTuple):
-    """NAV_LAND with the stream going on."""
-
-    result: int | None
-    mode: int
-    disarms_after_s: float
-    """From ON_GROUND."""
-    mode_after: int
-    height_after_arming_m: float
-
-
 @functools.cache
-def landing() -> Landing:
+def landing() -> Seen:
+    """NAV_LAND with the stream going on.
+
+    Disarms_after_s: from ON_GROUND.
+    """
     flight = hover(6.0)
     result = flight.command(21, 0, 0, 0, NAN)
     flight.run(1.0)
@@ -363,7 +335,13 @@ def landing() -> Landing:
     mode_after = flight.mode
     flight.command(400, 1)
     flight.run(8.0)
-    return Landing(result, mode, disarmed_s - on_ground_s, mode_after, -flight.position[2])
+    return {
+        "result": result,
+        "mode": mode,
+        "disarms_after_s": disarmed_s - on_ground_s,
+        "mode_after": mode_after,
+        "height_after_arming_m": -flight.position[2],
+    }
 
 
 def speed_after_change() -> tuple[int | None, float]:

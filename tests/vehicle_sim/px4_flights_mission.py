@@ -1,10 +1,10 @@
 """Experiments with a simulated PX4: mission and fence (px4.md 7)."""
 
 import functools
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from px4_flights import GROUND_STATION, hover, north
-from px4_wire import GROUND_AMSL_M, NAN, OFFBOARD, Vector, local, place
+from px4_wire import GROUND_AMSL_M, NAN, OFFBOARD, Seen, Vector, local, place
 from pymavlink.dialects.v20 import all as mavlink
 
 
@@ -27,21 +27,12 @@ def circle(north_m: float, radius_m: float) -> list[Any]:
     return [item(0, 5004, radius_m, (north_m, 0.0, 0.0), frame=0, kind=1)]
 
 
-class Mission(NamedTuple):
-    """Uploaded in OFFBOARD, started, left for OFFBOARD again, cleared."""
-
-    uploaded: int | None
-    frames: list[int]
-    started: tuple[int | None, int]
-    left: tuple[int | None, int]
-    """Results and modes."""
-    cleared: int
-    items_after: tuple[int, int]
-    """Of the mission and of the fence."""
-
-
 @functools.cache
-def mission() -> Mission:
+def mission() -> Seen:
+    """Uploaded in OFFBOARD, started, left for OFFBOARD again, cleared.
+
+    Left: results and modes; items_after: of the mission and of the fence.
+    """
     flight = hover()
     uploaded = flight.upload(WAYPOINTS, 0)
     flight.upload(circle(500.0, 20.0), 1)
@@ -56,25 +47,22 @@ def mission() -> Mission:
     flight.run(0.5)
     cleared = int(flight.of("MISSION_ACK", since_s)[-1].type)
     items_after = (len(flight.download(0)), len(flight.download(1)))
-    return Mission(uploaded, frames, started, left, cleared, items_after)
-
-
-class Fence(NamedTuple):
-    """At 4 m/s towards an exclusion circle of 20 m."""
-
-    uploaded: int | None
-    hold_s: float
-    """From crossing."""
-    mode: int
-    inside_m: float
-    told: bool
-    mode_with_stream: int
-    commanded: int | None
-    deeper_m: float
+    return {
+        "uploaded": uploaded,
+        "frames": frames,
+        "started": started,
+        "left": left,
+        "cleared": cleared,
+        "items_after": items_after,
+    }
 
 
 @functools.cache
-def fence() -> Fence:
+def fence() -> Seen:
+    """At 4 m/s towards an exclusion circle of 20 m.
+
+    Hold_s: from crossing.
+    """
     flight = hover()
     flight.heartbeats = (GROUND_STATION,)
     flight.aim = lambda _: local((0.0, 0.0, -15.0), yaw=0.0)
@@ -91,4 +79,13 @@ def fence() -> Fence:
     flight.run(3.0)
     deeper_m = flight.position[0] - 40.0 - inside_m
     told = any("Geofence: approaching or outside geofence" in text for text in flight.texts())
-    return Fence(uploaded, hold_s, mode, inside_m, told, with_stream, result, deeper_m)
+    return {
+        "uploaded": uploaded,
+        "hold_s": hold_s,
+        "mode": mode,
+        "inside_m": inside_m,
+        "told": told,
+        "mode_with_stream": with_stream,
+        "commanded": result,
+        "deeper_m": deeper_m,
+    }

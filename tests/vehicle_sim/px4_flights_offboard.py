@@ -2,10 +2,10 @@
 
 import functools
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from px4_flights import GROUND_STATION, cruise, disarmed, ground, hover, north, positions, refreshed
-from px4_wire import HOLD, NAN, OFFBOARD, Companion, Vector, local
+from px4_wire import HOLD, NAN, OFFBOARD, Companion, Seen, Vector, local
 
 # --- 4: masks, frames, steps ----------------------------------------------------------------------
 
@@ -46,18 +46,11 @@ def turned_body_velocity() -> tuple[float, float]:
     return flight.velocity[:2]
 
 
-class Stop(NamedTuple):
-    """From full speed."""
+def _stop(flight: Companion, seconds: float = 14.0) -> Seen:
+    """From full speed.
 
-    metres: float
-    seconds: float
-    """Until slower than 0.3 m/s."""
-    again_m_s: float
-    """Fastest after that."""
-    farthest_m: float
-
-
-def _stop(flight: Companion, seconds: float = 14.0) -> Stop:
+    Seconds: until slower than 0.3 m/s; again_m_s: fastest after that.
+    """
     start_s, start_m = flight.now_s, flight.position[0]
     flight.run(seconds)
     track = [
@@ -66,12 +59,20 @@ def _stop(flight: Companion, seconds: float = 14.0) -> Stop:
     speeds = [(t, math.hypot(m.vx, m.vy)) for t, _, m in track]
     seconds = min((t for t, speed in speeds if speed < 0.3), default=NAN)
     again_m_s = max((speed for t, speed in speeds if t > seconds), default=NAN)
-    return Stop(track[-1][1], seconds, again_m_s, max(along for _, along, _ in track))
+    return {
+        "metres": track[-1][1],
+        "seconds": seconds,
+        "again_m_s": again_m_s,
+        "farthest_m": max(along for _, along, _ in track),
+    }
 
 
 @functools.cache
-def stop(how: Literal["position", "velocity", "hold"]) -> Stop:
-    """12 m/s to the north, and then this."""
+def stop(how: Literal["position", "velocity", "hold"]) -> Seen:
+    """12 m/s to the north, and then this. From full speed.
+
+    Seconds: until slower than 0.3 m/s; again_m_s: fastest after that.
+    """
     flight = hover()
     flight.aim = north(12.0)
     flight.run(9.0)
@@ -94,22 +95,12 @@ def frozen() -> float:
     flight.aim = lambda t: local((10.0 * (t - began_s), 0.0, -15.0), (10.0, 0.0, 0.0), yaw=0.0)
     flight.run(12.0)
     flight.aim = None
-    return _stop(flight).metres
-
-
-class Jump(NamedTuple):
-    """A position setpoint far away, with the stock drag."""
-
-    tilt_deg: float
-    fastest_m_s: float
-    at_last_m_s: float
-    to_29_m_s: float
-    farthest_m: float
-    offboard: bool
+    return _stop(flight)["metres"]
 
 
 @functools.cache
-def jump(metres: float, seconds: float) -> Jump:
+def jump(metres: float, seconds: float) -> Seen:
+    """A position setpoint far away, with the stock drag."""
     flight = hover(drag=1.0)
     flight.command(511, 30, 20_000)
     start_s, start_m = flight.now_s, flight.position[0]
@@ -121,14 +112,14 @@ def jump(metres: float, seconds: float) -> Jump:
     tilts = (
         math.acos(math.cos(m.roll) * math.cos(m.pitch)) for m in flight.of("ATTITUDE", start_s)
     )
-    return Jump(
-        math.degrees(max(tilts)),
-        max(math.hypot(m.vx, m.vy) for *_, m in track),
-        sum(math.hypot(m.vx, m.vy) for *_, m in track[-60:]) / 60.0,
-        min((t for t, along_m, _ in track if along_m > 29.0), default=NAN),
-        max(along_m for _, along_m, _ in track),
-        flight.mode == OFFBOARD,
-    )
+    return {
+        "tilt_deg": math.degrees(max(tilts)),
+        "fastest_m_s": max(math.hypot(m.vx, m.vy) for *_, m in track),
+        "at_last_m_s": sum(math.hypot(m.vx, m.vy) for *_, m in track[-60:]) / 60.0,
+        "to_29_m_s": min((t for t, along_m, _ in track if along_m > 29.0), default=NAN),
+        "farthest_m": max(along_m for _, along_m, _ in track),
+        "offboard": flight.mode == OFFBOARD,
+    }
 
 
 @functools.cache
@@ -146,31 +137,14 @@ def reached(north_m_s: float, down_m_s: float) -> tuple[float, float]:
 # --- 6: loss of the stream ------------------------------------------------------------------------
 
 
-class Loss(NamedTuple):
-    """The stream stops at 5 m/s, and comes back 8 s later; times after the last setpoint."""
-
-    mode: int
-    mode_s: float
-    intended: int
-    heartbeat_s: float
-    status: int
-    announced_s: tuple[float, ...]
-    """Of the two EVENTs."""
-    told: bool
-    """Whether the text came that no flight task could run."""
-    sinks_m_s: float
-    """Between 2 and 5 s after the new mode."""
-    climbs_to_m: float
-    metres: float
-    """Flown to the north, from the new mode on."""
-    speed_m_s: float
-    """At the end."""
-    back_s: float
-    """To OFFBOARD, when the stream is back."""
-
-
 @functools.cache
-def loss(action: int, drag: float = 0.25) -> Loss:
+def loss(action: int, drag: float = 0.25) -> Seen:
+    """The stream stops at 5 m/s, and comes back 8 s later; times after the last setpoint.
+
+    Announced_s: of the two EVENTs; told: whether the text came that no flight task could run;
+    sinks_m_s: between 2 and 5 s after the new mode; metres: flown to the north, from the new mode
+    on; speed_m_s: at the end; back_s: to OFFBOARD, when the stream is back.
+    """
     flight = cruise(loss_action=action, drag=drag)
     flight.heartbeats = (GROUND_STATION,)
     flight.run(1.5)
@@ -184,20 +158,22 @@ def loss(action: int, drag: float = 0.25) -> Loss:
     heights = {round((h.at_s - new_s) * 10): -h.message.z for h in positions(flight, new_s)}
     metres, speed_m_s, status = flight.position[0] - new_m, flight.speed, flight.status
     flight.aim = north(5.0)
-    return Loss(
-        mode,
-        new_s - last_s,
-        current.intended_custom_mode,
-        beats[0].at_s - last_s,
-        status,
-        tuple(flight.events(last_s).get(number, NAN) - last_s for number in (3087815, 14605264)),
-        any("Matching flight task was not able to run" in t for t in flight.texts(last_s)),
-        (heights[20] - heights[50]) / 3.0,
-        max(heights.values()),
-        metres,
-        speed_m_s,
-        flight.until(lambda: flight.mode == OFFBOARD, 2.0),
-    )
+    return {
+        "mode": mode,
+        "mode_s": new_s - last_s,
+        "intended": current.intended_custom_mode,
+        "heartbeat_s": beats[0].at_s - last_s,
+        "status": status,
+        "announced_s": tuple(
+            flight.events(last_s).get(number, NAN) - last_s for number in (3087815, 14605264)
+        ),
+        "told": any("Matching flight task was not able to run" in t for t in flight.texts(last_s)),
+        "sinks_m_s": (heights[20] - heights[50]) / 3.0,
+        "climbs_to_m": max(heights.values()),
+        "metres": metres,
+        "speed_m_s": speed_m_s,
+        "back_s": flight.until(lambda: flight.mode == OFFBOARD, 2.0),
+    }
 
 
 def sinks_low() -> float:
@@ -239,18 +215,12 @@ def modes_at_rate(rate_hz: float, seconds: float = 12.0) -> list[int]:
     return [mode for _, mode in flight.modes(since_s)]
 
 
-class OnTheGround(NamedTuple):
-    """Armed in OFFBOARD; the stream stops."""
-
-    seconds: float
-    """To another mode."""
-    mode: int
-    armed: bool
-    """Still, 5 s later."""
-
-
 @functools.cache
-def loss_on_the_ground() -> OnTheGround:
+def loss_on_the_ground() -> Seen:
+    """Armed in OFFBOARD; the stream stops.
+
+    Seconds: to another mode; armed: still, 5 s later.
+    """
     flight = ground()
     flight.aim = lambda _: local((0.0, 0.0, 0.0))
     flight.run(0.5)
@@ -262,7 +232,11 @@ def loss_on_the_ground() -> OnTheGround:
     flight.until(lambda: flight.mode != OFFBOARD, 3.0)
     seconds = flight.now_s - last_s
     flight.run(5.0)
-    return OnTheGround(seconds, flight.mode, not disarmed(flight))
+    return {
+        "seconds": seconds,
+        "mode": flight.mode,
+        "armed": not disarmed(flight),
+    }
 
 
 def commanded(custom: int) -> int:
@@ -301,18 +275,9 @@ def first_sticks() -> int:
     return vehicle.mode
 
 
-class Piloted(NamedTuple):
-    """The stream stops and comes back, with a pilot."""
-
-    mode: int
-    metres: float
-    speed_m_s: float
-    sunk_m: float
-    mode_with_stream: int
-
-
 @functools.cache
-def loss_with_pilot() -> Piloted:
+def loss_with_pilot() -> Seen:
+    """The stream stops and comes back, with a pilot."""
     flight = piloted(loss_action=0)
     flight.aim = None
     flight.until(lambda: flight.mode != OFFBOARD, 3.0)
@@ -321,23 +286,21 @@ def loss_with_pilot() -> Piloted:
     after, speed_m_s = flight.position, flight.speed
     flight.aim = north(5.0)
     flight.run(1.0)
-    return Piloted(mode, after[0] - before[0], speed_m_s, after[2] - before[2], flight.mode)
-
-
-class Takeover(NamedTuple):
-    """60 % of stick for a second."""
-
-    seconds: float
-    """To another mode; NaN: none."""
-    mode: int
-    """3 s later."""
-    result: int | None
-    """Of OFFBOARD, and the mode then."""
-    mode_after: int
+    return {
+        "mode": mode,
+        "metres": after[0] - before[0],
+        "speed_m_s": speed_m_s,
+        "sunk_m": after[2] - before[2],
+        "mode_with_stream": flight.mode,
+    }
 
 
 @functools.cache
-def takeover(override: int) -> Takeover:
+def takeover(override: int) -> Seen:
+    """60 % of stick for a second.
+
+    Seconds: to another mode; NaN: none; mode: 3 s later; result: of OFFBOARD, and the mode then.
+    """
     flight = piloted(COM_RC_OVERRIDE=override)
     flight.stick = 0.6
     seconds = flight.until(lambda: flight.mode != OFFBOARD, 1.0)
@@ -345,7 +308,12 @@ def takeover(override: int) -> Takeover:
     flight.run(3.0)
     mode, result = flight.mode, flight.set_mode(OFFBOARD)
     flight.run(1.0)
-    return Takeover(seconds, mode, result, flight.mode)
+    return {
+        "seconds": seconds,
+        "mode": mode,
+        "result": result,
+        "mode_after": flight.mode,
+    }
 
 
 def pilot_lost(exception: int = 0) -> list[tuple[float, int]]:

@@ -18,6 +18,8 @@ TAKEOFF, HOLD, MISSION, RETURN, LAND = 0x02040000, 0x03040000, 0x04040000, 0x050
 EVENT = 410
 Aim = Callable[[float], Any]
 """The setpoint of a time in seconds, as a message."""
+Seen = dict[str, Any]
+"""What an experiment saw, by name."""
 
 
 def local(

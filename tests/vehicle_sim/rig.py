@@ -5,12 +5,26 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from vehicle_sim.autopilots import Ack, Command, Reply, Sender, Setpoint, Text
+from vehicle_sim.dynamics.copter import Limits
 from vehicle_sim.sensors.gps import Fix, Gps, GpsConditions
 
 STEP_US, STEP_S = 10_000, 0.01
 COMPANION = Sender(system=1, component=191)
 ZERO = (0.0, 0.0, 0.0)
 Vector = tuple[float, float, float]
+GENTLE = Limits(
+    speed_m_s=50.0,
+    acceleration_m_s2=9.0,
+    speed_vertical_m_s=5.0,
+    acceleration_vertical_m_s2=5.0,
+)
+STRONG = Limits(
+    speed_m_s=40.0,
+    acceleration_m_s2=30.0,
+    speed_vertical_m_s=10.0,
+    acceleration_vertical_m_s2=9.0,
+)
+"""What airframes can do: one for sensors and weather, one for autopilots."""
 
 
 class Rig:

@@ -27,7 +27,6 @@ from over_the_wire import (
     PLANE_GUIDED,
     POSITION,
     POSITION_VELOCITY,
-    VEHICLE,
     VELOCITY,
     ZERO,
     Ids,
@@ -603,24 +602,6 @@ def home_is_not_the_origin() -> None:
 # --- 3: who may send ------------------------------------------------------------------------------
 
 
-def is_taken(wire: Wire, source: Ids, target: Ids, link: int = 0) -> bool:
-    echo = wire.echo_of(local((123.0, 0.0, -30.0), target=target), source=source, link=link)
-    return bool(echo.x == pytest.approx(123.0, abs=0.1))
-
-
-@says_in_rows(
-    "3 who may send",
-    {
-        f"MAV_OPTIONS bit 0: {s[0]}/{s[1]}": (s, taken)
-        for s, taken in (((1, 77), True), (GCS, True), ((42, 7), False), ((254, 190), False))
-    },
-)
-def enforced(source: Ids, taken: bool) -> None:
-    wire = hovering()
-    wire.parameter("MAV_OPTIONS", 1.0)
-    assert is_taken(wire, source, VEHICLE) is taken
-
-
 @says("3 who may send", "two senders: the last one to arrive is the target until the next")
 def no_arbitration() -> None:
     wire = hovering()
@@ -1051,35 +1032,6 @@ def signatures() -> None:
     assert answers(wire, RADIO)
 
 
-@says("5 signing", "SETUP_SIGNING is not acknowledged; all links sign, link_id = channel number")
-def signing_is_set_up() -> None:
-    wire = signed()
-    assert not wire.all("COMMAND_ACK", link=None)
-    assert {(e.link, e.frame[2], e.frame[-13]) for e in wire.heard if e.at_s > 46.0} == {
-        (0, 1, 0),
-        (1, 1, 1),
-        (2, 1, 2),
-    }
-
-
-@says("5 signing", "armed: refused with a text")
-def signing_while_armed() -> None:
-    wire = hovering()
-    wire.send(setup_signing())
-    wire.run(1.1)
-    assert "sign" in wire.texts()[-1].lower()
-    assert not wire.heard[-1].frame[2] & 1
-
-
-@says("5 signing", "reboot: the key is kept, unsigned still refused")
-def signing_survives_a_reboot() -> None:
-    wire = signed()
-    assert wire.command(246, 1, source=GCS, link=CHANNEL) == ACCEPTED
-    wire.run(5.0)
-    assert wire.heard[-1].frame[2] & 1
-    assert not answers(wire, RADIO)
-
-
 # --- 5: reboot ------------------------------------------------------------------------------------
 
 
@@ -1100,9 +1052,6 @@ def reboot() -> None:
     wire.interval(ATTITUDE, 10)
     wire.run(0.5)
     assert wire.last("ATTITUDE").time_boot_ms < min(before_ms, 12_000)
-
-
-# --- 5: GPS loss ----------------------------------------------------------------------------------
 
 
 # --- 7: plane -------------------------------------------------------------------------------------
@@ -1179,16 +1128,6 @@ def plane_stream_stops() -> None:
     assert math.hypot(north - 290.0, east) == pytest.approx(78.0, abs=5.0)
     assert not wire.texts(since_s=begun_s)
     assert wire.mode == PLANE_GUIDED
-
-
-@says("7", "POSITION_TARGET_GLOBAL_INT echoes the target")
-def plane_echo() -> None:
-    wire = circling()
-    reposition(wire, 400.0, 150.0, 90.0)
-    wire.run(0.5)
-    echo = wire.last("POSITION_TARGET_GLOBAL_INT")
-    assert (echo.lat_int, echo.lon_int) == pytest.approx(place_e7(400.0, 150.0), abs=2)
-    assert echo.alt == pytest.approx(HOME_M + 90.0, abs=0.3)
 
 
 @says("7", "MISSION_ITEM_REACHED about once a second while a near point is streamed")

@@ -33,19 +33,19 @@ from px4_wire import (
     worldwide,
 )
 
-Seen = Callable[..., Any]
+Experiment = Callable[..., Any]
 
 
-def case(section: str, says: str, expected: Any, seen: Seen, *arguments: Any) -> Any:
+def case(section: str, says: str, expected: Any, seen: Experiment, *arguments: Any) -> Any:
     """One statement: what the document says, what is expected, and the experiment."""
     return pytest.param(functools.partial(seen, *arguments), expected, id=f"{section}: {says}")
 
 
-def looks(section: str, seen: Seen, *arguments: Any, **expected: Any) -> list[Any]:
+def looks(section: str, seen: Experiment, *arguments: Any, **expected: Any) -> list[Any]:
     """Statements about the fields of what one experiment returns."""
 
     def field(name: str) -> Any:
-        return getattr(seen(*arguments), name)
+        return seen(*arguments)[name]
 
     about = " ".join([seen.__name__, *map(str, arguments)])
     return [case(section, f"{about}: {name}", expected[name], field, name) for name in expected]
@@ -357,5 +357,5 @@ MISSIONS = [
 @pytest.mark.parametrize(
     ("seen", "expected"), LINKS + START + MASKS + STEPS + LOSS + PILOT + MISSIONS
 )
-def test_the_simulator_does_what_px4_md_says(seen: Seen, expected: Any) -> None:
+def test_the_simulator_does_what_px4_md_says(seen: Experiment, expected: Any) -> None:
     assert seen() == expected

@@ -7,8 +7,7 @@ from tracking_copter import GROUND_M, Flown
 
 from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot.flat_earth import offset
-from vehicle_sim.autopilots.jumps import Jumps
-from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.plans import Jumps, PlanItem, PlanKind
 
 HOME = Place(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=GROUND_M)
 AUTO = 3

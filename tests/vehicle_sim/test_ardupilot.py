@@ -1,5 +1,6 @@
 """The ArduCopter by values: commands, boot, take-off and landing, setpoints and their echo."""
 
+import functools
 import math
 from typing import Any
 
@@ -54,29 +55,11 @@ class Pilot(Rig):
             "ANGLE_MAX": 8000.0,
         }
         rng = np.random.default_rng(1)
-        autopilot = ArduCopter(self.copter, parameters, Plans(), hardware_id=1, rng=rng)
+        autopilot = ArduCopter(self.copter, parameters, Plans(), rng=rng)
         super().__init__(autopilot, ground_amsl_m, Gps(ARDUCOPTER, rng))
 
-    def setpoint(
-        self,
-        position: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        velocity_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        *,
-        mask: int = 2496,
-        frame: int = 5,
-        is_global: bool = True,
-        acceleration_ned_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        yaw_rad: float = 0.0,
-    ) -> None:
-        self.give(
-            position,
-            velocity_ned_m_s,
-            acceleration_ned_m_s2,
-            mask=mask,
-            frame=frame,
-            is_global=is_global,
-            yaw_rad=yaw_rad,
-        )
+    setpoint = functools.partialmethod(Rig.give, mask=2496, frame=5, is_global=True)
+    """By default GLOBAL_INT above the sea, position and velocity."""
 
     def north_m(self) -> float:
         return (self.copter.latitude_deg - ORIGIN_DEG[0]) * METRES_PER_DEG_NORTH
@@ -363,20 +346,12 @@ def test_what_is_not_finite_or_absurd_stops_the_vehicle_and_is_said_once(
 def test_an_acceleration_alone_is_flown_until_the_time_out() -> None:
     it = Pilot().airborne(100.0)
     for _ in range(30):
-        it.setpoint(mask=0xC3F, frame=1, is_global=False, acceleration_ned_m_s2=(1.0, 0.0, 0.0))
+        it.setpoint(mask=0xC3F, frame=1, is_global=False, acceleration=(1.0, 0.0, 0.0))
         it.run(0.1)
     assert it.copter.velocity_north_m_s == pytest.approx(2.9, abs=0.4)
     assert it.target().type_mask == 0xC3F
     it.run(12.0)
     assert it.copter.velocity_north_m_s == pytest.approx(0.0, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("mask", "echo"), [(0xDF8, 0xDF8), (0xDC0, 0xC00), (0xDC7, 0xC07), (0xFFF, 0xC07)]
-)
-def test_the_echo_says_which_groups_it_steers_for(hovering: Any, mask: int, echo: int) -> None:
-    hovering.setpoint(HERE, (1.0, 0.0, 0.0), mask=mask)
-    assert hovering.target().type_mask == echo
 
 
 @pytest.mark.parametrize("position", [(91.0, 8.0, 100.0), (47.0, 181.0, 100.0)])
@@ -396,9 +371,9 @@ def test_the_echo_is_ardupilots_flat_earth_about_the_origin(hovering: Any) -> No
 
 def test_acceleration_is_honoured_in_local_frames_and_dropped_in_global_ones(hovering: Any) -> None:
     acceleration = (0.5, 0.0, 0.0)
-    hovering.setpoint(HERE, mask=0xC00, acceleration_ned_m_s2=acceleration)
+    hovering.setpoint(HERE, mask=0xC00, acceleration=acceleration)
     assert hovering.target().acceleration_ned_m_s2 == (0.0, 0.0, 0.0)
     hovering.setpoint(
-        (0.0, 0.0, -100.0), mask=0xC00, frame=1, is_global=False, acceleration_ned_m_s2=acceleration
+        (0.0, 0.0, -100.0), mask=0xC00, frame=1, is_global=False, acceleration=acceleration
     )
     assert hovering.target().acceleration_ned_m_s2 == acceleration

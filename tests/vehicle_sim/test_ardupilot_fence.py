@@ -11,8 +11,7 @@ from tracking_copter import Flown
 from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot.fence import Fence, edge_m
 from vehicle_sim.autopilots.ardupilot.flat_earth import offset
-from vehicle_sim.autopilots.zones import Zone, zones_of
-from vehicle_sim.plans import PlanItem, PlanKind
+from vehicle_sim.plans import PlanItem, PlanKind, Zone, zones_of
 
 HOME = Place(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=500.0)
 

@@ -15,12 +15,12 @@ from tracking_plane import (
 )
 
 from vehicle_sim.autopilots import Result, Sender, Setpoint
-from vehicle_sim.autopilots.ardupilot.plane_heights import (
+from vehicle_sim.autopilots.ardupilot.plane_navigation import (
+    Mode,
     eas_to_tas,
     indicated_airspeed_m_s,
     true_airspeed_m_s,
 )
-from vehicle_sim.autopilots.ardupilot.plane_modes import Mode
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.sensors.gps import GpsConditions
 

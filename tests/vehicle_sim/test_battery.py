@@ -4,17 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from rig import GENTLE
 
 from vehicle_sim.autopilots import Battery
 from vehicle_sim.dynamics.battery import BatteryConditions, Model, PowerModule
-from vehicle_sim.dynamics.copter import HOVER_THROTTLE, Copter, Limits
-
-LIMITS = Limits(
-    speed_m_s=50.0,
-    acceleration_m_s2=9.0,
-    speed_vertical_m_s=5.0,
-    acceleration_vertical_m_s2=5.0,
-)
+from vehicle_sim.dynamics.copter import HOVER_THROTTLE, Copter
 
 
 def fly(
@@ -25,7 +19,7 @@ def fly(
     armed: bool = True,
     conditions: BatteryConditions | None = None,
 ) -> Battery:
-    copter = Copter(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=0.0, limits=LIMITS)
+    copter = Copter(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=0.0, limits=GENTLE)
     copter.throttle = throttle
     module = PowerModule(Battery(), model)
     for _ in range(round(seconds * 100)):
@@ -70,7 +64,7 @@ def test_px4_falls_to_half_in_thirty_seconds_of_flight_and_stays_there() -> None
 
 def test_px4s_battery_is_full_again_when_it_disarms_and_the_gauge_follows() -> None:
     """px4-offboard-short.tlog: 16.2 V at 58.42 s, and the gauge, each 0.2 s."""
-    copter = Copter(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=0.0, limits=LIMITS)
+    copter = Copter(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=0.0, limits=GENTLE)
     module, conditions, told = PowerModule(Battery(), "px4"), BatteryConditions(), []
     for _ in range(6000):
         module.step(0.01, copter, True, conditions)

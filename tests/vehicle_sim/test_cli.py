@@ -57,6 +57,8 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         (["--home", "97,8,0,0"], ["--home = '97,8,0,0'", "85 deg"]),
         (["--home", "47,8,nan,0"], ["--home = '47,8,nan,0'"]),
         (["--param", "GUID_TIMEOUT"], ["--param = 'GUID_TIMEOUT'", "NAME=VALUE"]),
+        (["--param", "GUID_TIMEOUT=1e300"], ["GUID_TIMEOUT = 1e+300", "32 bits"]),
+        (["--autopilot", "px4", "--param", "SYS_FAILURE_EN=1e12"], ["SYS_FAILURE_EN", "32 bits"]),
         (["--param", "GUID_TIMEOUTS=1"], ["GUID_TIMEOUTS = 1.0", "Did you mean GUID_TIMEOUT?"]),
         (["--autopilot", "px4", "--param", "GUID_TIMEOUT=1"], ["GUID_TIMEOUT = 1.0"]),
         (["--count", "0"], ["--count = 0"]),

@@ -9,10 +9,11 @@ import pytest
 from fault_lines import LINES
 from hypothesis import given
 from hypothesis import strategies as st
+from rig import GENTLE
 
 from vehicle_sim.autopilots import Battery
 from vehicle_sim.dynamics.battery import PowerModule
-from vehicle_sim.dynamics.copter import Copter, Limits
+from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.wind import Wind
 from vehicle_sim.errors import InputError
 from vehicle_sim.faults.catalogue import FAULTS
@@ -123,14 +124,8 @@ def test_no_value_of_any_parameter_leads_off_the_earth(
     rng = np.random.default_rng(1)
     gps, wind = Gps(ARDUCOPTER if firmware == "ardupilot" else PX4, rng), Wind(rng)
     power = PowerModule(Battery(), "ardupilot copter" if firmware == "ardupilot" else "px4")
-    limits = Limits(
-        speed_m_s=50.0,
-        acceleration_m_s2=9.0,
-        speed_vertical_m_s=5.0,
-        acceleration_vertical_m_s2=5.0,
-    )
     copter = Copter(
-        latitude_deg=47.0, longitude_deg=179.9, altitude_amsl_m=50.0, limits=limits, drag_1_s=0.5
+        latitude_deg=47.0, longitude_deg=179.9, altitude_amsl_m=50.0, limits=GENTLE, drag_1_s=0.5
     )
     for now_us in range(9_700_000, 11_000_000, 50_000):
         wind.step(0.05, copter, conditions.wind, 0.0)

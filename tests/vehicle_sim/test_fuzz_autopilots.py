@@ -6,7 +6,6 @@ largest floats that a frame can carry, thrown at each of the four personalities.
 
 import dataclasses
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,25 +19,18 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
+from rig import STRONG
 
 from vehicle_sim.autopilots import Ack, Autopilot, Command, Place, Sender, Setpoint, Sticks, Text
-from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
-from vehicle_sim.autopilots.ardupilot.arduplane import ArduPlane
-from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
-from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
-from vehicle_sim.dynamics.copter import Copter, Limits
-from vehicle_sim.dynamics.plane import Plane, PlaneLimits
+from vehicle_sim.autopilots.factory import PERSONALITIES
+from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE
+from vehicle_sim.dynamics.copter import Copter
+from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.plans import PlanItem, PlanKind, Plans
-from vehicle_sim.sensors.gps import ARDUCOPTER, ARDUPLANE, PX4, Gps, GpsConditions, Receiver
+from vehicle_sim.sensors.gps import Gps, GpsConditions, Receiver
 
 GROUND_AMSL_M = 488.0
 STEP_US = 10_000
-_LIMITS = Limits(
-    speed_m_s=40.0,
-    acceleration_m_s2=30.0,
-    speed_vertical_m_s=10.0,
-    acceleration_vertical_m_s2=9.0,
-)
 _PLACE = {"latitude_deg": 47.4, "longitude_deg": 8.5, "altitude_amsl_m": GROUND_AMSL_M}
 
 ANY = st.floats(width=32) | st.sampled_from([0.0, 1.0, -1.0, math.nan, math.inf, 3.4e38, 21196.0])
@@ -75,25 +67,23 @@ ITEMS = st.builds(
 )
 
 
-def copter() -> Copter:
-    return Copter(**_PLACE, limits=_LIMITS)
-
-
-def plane(limits: PlaneLimits | None = None) -> Plane:
-    return Plane(**_PLACE, limits=limits)
+KINDS: dict[str, tuple[Any, Any]] = {
+    "arducopter": ("ardupilot", "copter"),
+    "arduplane": ("ardupilot", "plane"),
+    "px4-multicopter": ("px4", "copter"),
+    "px4-fixed-wing": ("px4", "plane"),
+}
 
 
 def make(kind: str) -> tuple[Autopilot, Receiver]:
     """One of the four, just booted."""
-    given: dict[str, Any] = {"hardware_id": 1, "rng": np.random.default_rng(1)}
-    made: dict[str, tuple[Callable[[], Autopilot], Receiver]] = {
-        "arducopter": (lambda: ArduCopter(copter(), {}, Plans(), **given), ARDUCOPTER),
-        "arduplane": (lambda: ArduPlane(plane(), {}, Plans(), **given), ARDUPLANE),
-        "px4-multicopter": (lambda: Px4Multicopter(copter(), {}, Plans(), **given), PX4),
-        "px4-fixed-wing": (lambda: Px4FixedWing(plane(SIH_AIRPLANE), {}, Plans(), **given), PX4),
-    }
-    maker, receiver = made[kind]
-    return maker(), receiver
+    firmware, flies = KINDS[kind]
+    limits = SIH_AIRPLANE if firmware == "px4" else None
+    one = PERSONALITIES[firmware, flies]
+    airframe = (
+        Copter(**_PLACE, limits=STRONG) if flies == "copter" else Plane(**_PLACE, limits=limits)
+    )
+    return one.autopilot(airframe, {}, Plans(), rng=np.random.default_rng(1)), one.receiver
 
 
 def is_somewhere(place: Place) -> bool:
@@ -320,7 +310,7 @@ class Fuzz(RuleBasedStateMachine):
         assert vehicle.altitude_amsl_m >= self.ground_amsl_m - 41.0
 
 
-@pytest.mark.parametrize("kind", ["arducopter", "arduplane", "px4-multicopter", "px4-fixed-wing"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_autopilot_survives_whatever_comes(kind: str) -> None:
     machine = type("Machine", (Fuzz,), {"kind": kind})
     run_state_machine_as_test(

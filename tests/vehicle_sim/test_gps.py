@@ -14,19 +14,14 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 from pyproj import Geod
 from recordings import recording
+from rig import GENTLE
 
-from vehicle_sim.dynamics.copter import Copter, Limits
+from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.sensors.gps import ARDUCOPTER, ARDUPLANE, PX4, Fix, Gps, GpsConditions, Receiver
 
 FloatArray = NDArray[np.float64]
 WGS84 = Geod(ellps="WGS84")
 HOME = (-35.3632621, 149.1652374, 584.09)
-FREE = Limits(
-    speed_m_s=50.0,
-    acceleration_m_s2=9.0,
-    speed_vertical_m_s=5.0,
-    acceleration_vertical_m_s2=5.0,
-)
 FINE = GpsConditions()
 PROMPT = GpsConditions(lag_s=0.0)
 STEP_US = 10_000
@@ -34,7 +29,9 @@ S = 1_000_000
 
 
 def standing() -> Copter:
-    return Copter(latitude_deg=HOME[0], longitude_deg=HOME[1], altitude_amsl_m=HOME[2], limits=FREE)
+    return Copter(
+        latitude_deg=HOME[0], longitude_deg=HOME[1], altitude_amsl_m=HOME[2], limits=GENTLE
+    )
 
 
 def fixes(
@@ -307,7 +304,7 @@ def test_the_same_seed_says_the_same(receiver: Receiver) -> None:
 
 
 def test_across_the_date_line_it_does_not_jump() -> None:
-    copter = Copter(latitude_deg=-17.0, longitude_deg=179.9999, altitude_amsl_m=0.0, limits=FREE)
+    copter = Copter(latitude_deg=-17.0, longitude_deg=179.9999, altitude_amsl_m=0.0, limits=GENTLE)
     copter.velocity_east_m_s = 10.0
     found = fixes(PX4, 10.0, GpsConditions(lag_s=0.3), copter=copter)[8:]
     for before, after in itertools.pairwise(found):

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from vehicle_sim.autopilots.ardupilot.plane_l1 import L1, bank_rad, scaled_radius_m
+from vehicle_sim.autopilots.ardupilot.plane_navigation import L1, bank_rad, scaled_radius_m
 
 GRAVITY_M_S2 = 9.80665
 SPEED_M_S = 20.0

@@ -18,7 +18,7 @@ from vehicle_sim.autopilots import Ack, Autopilot, Command, Place, Reply, Say, S
 from vehicle_sim.plans import PlanItem, PlanKind, Plans
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
-from vehicle_sim.wire.mission_items import MissionResult
+from vehicle_sim.wire.mission_protocol import MissionResult
 from vehicle_sim.wire.mission_px4 import Px4Missions, opaque_id
 
 Firmware = Literal["ardupilot", "px4"]

@@ -7,8 +7,8 @@ from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Ack, Reboot, Result
 from vehicle_sim.autopilots.px4.autopilot import parameter_rows
+from vehicle_sim.autopilots.px4.failsafe import Pilot
 from vehicle_sim.autopilots.px4.modes import Mode, base_mode
-from vehicle_sim.autopilots.px4.pilot import Pilot
 from vehicle_sim.autopilots.px4.style import RATES_HZ, style
 from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Kind
@@ -61,18 +61,6 @@ def test_it_cannot_be_armed_while_it_boots() -> None:
 
 
 # --- modes and arming -----------------------------------------------------------------------------
-
-
-def test_while_disarmed_every_mode_is_accepted_but_not_armed_in() -> None:
-    """px4.md 1, item 2."""
-    rig = Rig()
-    rig.run(6.0)
-    rig.command(176, 1.0, 6.0)
-    rig.run(0.5)
-    assert _acks(rig, 176) == [Result.ACCEPTED, Result.ACCEPTED]
-    assert rig.px4.mode is Mode.OFFBOARD
-    assert rig.px4.status().system_status == 0
-    assert rig.command(400, 1.0) == [Result.TEMPORARILY_REJECTED]
 
 
 def test_a_setpoint_and_the_command_in_the_same_moment_suffice() -> None:

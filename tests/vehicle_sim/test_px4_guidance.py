@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle_sim.autopilots.px4 import guidance
-from vehicle_sim.autopilots.px4.guidance import Gains, Path
+from vehicle_sim.autopilots.px4 import course as guidance
+from vehicle_sim.autopilots.px4.course import Gains, Path
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2
 
 GAINS = guidance.gains_of(10.0, 0.7, 0.5)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from vehicle_sim.autopilots.px4.projection import Projection
+from vehicle_sim.autopilots.px4.setpoints import Projection
 
 
 @given(

@@ -9,8 +9,13 @@ from tracking_px4 import Rig, Vector
 
 from vehicle_sim.autopilots import Setpoint
 from vehicle_sim.autopilots.px4.modes import Mode
-from vehicle_sim.autopilots.px4.projection import Projection
-from vehicle_sim.autopilots.px4.setpoints import Bearings, Target, flyable, read_setpoint
+from vehicle_sim.autopilots.px4.setpoints import (
+    Bearings,
+    Projection,
+    Target,
+    flyable,
+    read_setpoint,
+)
 
 _BEARINGS = Bearings(
     projection=Projection(47.4, 8.5),

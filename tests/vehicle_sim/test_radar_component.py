@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
+from rig import GENTLE
 
 from vehicle_sim.autopilots import Sender
-from vehicle_sim.dynamics.copter import Copter, Limits
+from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.sensors.terrain_radar import (
     UNSEEN_M,
@@ -28,12 +29,6 @@ FINE = RadarConditions()
 S = 1_000_000
 WALL = [(2000.0, float(e), 1000.0, 200.0, 400.0) for e in range(-6000, 6001, 250)]
 TERRAIN = PeakTerrain.of(WALL, combine="maximum", ground_amsl_m=100.25)
-LIMITS = Limits(
-    speed_m_s=50.0,
-    acceleration_m_s2=9.0,
-    speed_vertical_m_s=5.0,
-    acceleration_vertical_m_s2=5.0,
-)
 
 
 def vehicle(north_m: float = 0.0, altitude_amsl_m: float = 500.0) -> Copter:
@@ -42,7 +37,7 @@ def vehicle(north_m: float = 0.0, altitude_amsl_m: float = 500.0) -> Copter:
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
         altitude_amsl_m=altitude_amsl_m,
-        limits=LIMITS,
+        limits=GENTLE,
     )
 
 

@@ -263,13 +263,3 @@ def test_ardupilot_loses_what_is_asked_in_its_first_moment_but_says_yes(
     )
     assert result(streams.on_command(command, booted_us + now_us)) == Result.ACCEPTED
     assert (streams.interval_us(0, POSITION) is not None) is kept
-
-
-def test_a_reboot_forgets_what_was_asked_on_every_link() -> None:
-    streams = fresh(style("ardupilot", _30=2.0))
-    ask(streams, 511, POSITION, 1e5)
-    ask(streams, 511, ATTITUDE, -1, by=THERE)
-    streams.restart(0)
-    assert set(counts(streams, 3.0)) == {
-        (link, number) for link in (0, 1) for number in (HEARTBEAT, ATTITUDE)
-    }

@@ -5,22 +5,17 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rig import GENTLE
 from scipy import integrate, signal
 
-from vehicle_sim.dynamics.copter import Copter, Limits
+from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.wind import FOOT_M, Gusts, Wind, WindConditions, lengths_m, vertical_share
 
 FloatArray = NDArray[np.float64]
-LIMITS = Limits(
-    speed_m_s=50.0,
-    acceleration_m_s2=9.0,
-    speed_vertical_m_s=5.0,
-    acceleration_vertical_m_s2=5.0,
-)
 
 
 def copter_at(height_m: float) -> Copter:
-    return Copter(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=height_m, limits=LIMITS)
+    return Copter(latitude_deg=47.0, longitude_deg=8.0, altitude_amsl_m=height_m, limits=GENTLE)
 
 
 def wind_of(copter: Copter) -> tuple[float, float, float]:

@@ -71,7 +71,7 @@ class Flown(Rig):
             drag_1_m=DRAG_1_M,
         )
         rng = np.random.default_rng(1)
-        autopilot = ArduCopter(self.copter, parameters, Plans(), hardware_id=1, rng=rng)
+        autopilot = ArduCopter(self.copter, parameters, Plans(), rng=rng)
         super().__init__(autopilot, GROUND_M)
         self.wind_m_s = (0.0, 0.0)
 

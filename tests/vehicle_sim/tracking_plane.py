@@ -35,7 +35,7 @@ class Rig(rig.Rig):
         )
         self.plans = Plans()
         rng = np.random.default_rng(1)
-        autopilot = ArduPlane(self.plane, parameters or {}, self.plans, hardware_id=1, rng=rng)
+        autopilot = ArduPlane(self.plane, parameters or {}, self.plans, rng=rng)
         super().__init__(autopilot, GROUND_M, Gps(ARDUPLANE, rng))
         self.frame = LocalFrame(latitude_deg=LATITUDE_DEG, longitude_deg=LONGITUDE_DEG)
 

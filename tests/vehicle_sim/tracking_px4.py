@@ -9,10 +9,10 @@ from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 import rig
-from rig import STEP_US, ZERO, Vector
+from rig import STEP_US, STRONG, ZERO, Vector
 
 from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
-from vehicle_sim.dynamics.copter import Copter, Limits
+from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.plans import Plans
 from vehicle_sim.sensors.gps import PX4, Gps, GpsConditions
 
@@ -27,12 +27,6 @@ _HEIGHT_M, _WAVE_M = 20.0, 3.0
 _RUN_S = 42.0
 _RAMP_M_S2 = 2.0
 """The target gathers speed like this; measuring begins 2 s after, at least after 9 s."""
-_LIMITS = Limits(
-    speed_m_s=40.0,
-    acceleration_m_s2=30.0,
-    speed_vertical_m_s=10.0,
-    acceleration_vertical_m_s2=9.0,
-)
 
 
 @final
@@ -44,13 +38,11 @@ class Rig(rig.Rig):
             latitude_deg=47.397742,
             longitude_deg=8.545594,
             altitude_amsl_m=GROUND_AMSL_M,
-            limits=_LIMITS,
+            limits=STRONG,
         )
         self.plans = Plans()
         given = {"SIH_KDV": 0.25, "COM_OBL_RC_ACT": 5.0, **parameters}
-        self.px4 = Px4Multicopter(
-            self.copter, given, self.plans, hardware_id=1, rng=np.random.default_rng(seed)
-        )
+        self.px4 = Px4Multicopter(self.copter, given, self.plans, rng=np.random.default_rng(seed))
         gps = Gps(PX4, np.random.default_rng(seed + 1000))
         super().__init__(self.px4, GROUND_AMSL_M, gps, GpsConditions(fix_type=3, lag_s=0.0))
 

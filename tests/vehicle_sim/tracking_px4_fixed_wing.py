@@ -53,7 +53,6 @@ class Rig(rig.Rig):
             self.plane,
             {"COM_OBL_RC_ACT": 5.0, **parameters},
             self.plans,
-            hardware_id=1,
             rng=np.random.default_rng(seed),
         )
         gps = Gps(PX4, np.random.default_rng(seed + 1000))

@@ -3,7 +3,7 @@
 wire/ turns frames into these and these into frames.  One module a personality:
 ardupilot/arducopter.py, ardupilot/arduplane.py, px4/multicopter.py, px4/fixed_wing.py; what two of
 them share, and their parts, are beside them.  Parameters and what is said at boot are data: *.parm
-and *.boot.  What all four share is here: parameters.py, zones.py (fences), jumps.py (missions).
+and *.boot.
 """
 
 import enum
@@ -408,72 +408,55 @@ class Autopilot(Protocol):
     @property
     def vehicle(self) -> Vehicle:
         """What it steers."""
-        ...
 
     @property
     def mode_name(self) -> str:
         """The mode it flies in, as its users call it."""
-        ...
 
     @property
     def armed(self) -> bool:
         """Whether the motors may turn."""
-        ...
 
     @property
     def landed(self) -> bool:
         """Whether it stands on the ground."""
-        ...
 
     @property
     def rates_rad_s(self) -> tuple[float, float, float]:
         """Of roll, pitch and heading, as the attitude messages say them."""
-        ...
 
     def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
         """Fly on to now_us (since boot), over ground of this height, with the newest GPS fix."""
-        ...
 
     def on_command(self, command: Command) -> Sequence[Reply]:
         """Do what is asked, or say why not."""
-        ...
 
     def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
         """Steer for this from now on."""
-        ...
 
     def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
         """Fly at this attitude, or turn at these rates, from now on."""
-        ...
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
         """Somebody else is there: MAV_TYPE of the heartbeat (6 is a ground station)."""
-        ...
 
     def on_sticks(self, sticks: Sticks) -> Sequence[Reply]:
         """The pilot moves the sticks."""
-        ...
 
     def on_parameter(self, name: str) -> Sequence[Reply]:
         """A parameter has been set from outside."""
-        ...
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
         """A mission, fence or rally list has been replaced from outside."""
-        ...
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: the pilot changes to the mode that pilots of this firmware hold the vehicle in."""
-        ...
 
     def reset_estimate(self, north_m: float, east_m: float) -> Sequence[Reply]:
         """Fault: the estimator resets and its position jumps by this much."""
-        ...
 
     def move_origin(self, north_m: float, east_m: float, up_m: float) -> Sequence[Reply]:
         """Fault: the estimator's origin moves by this much."""
-        ...
 
     def status(self) -> Status:
         """What there is to tell."""
-        ...

@@ -2,20 +2,18 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, final
 
-import numpy as np
-
-from vehicle_sim.autopilots import Autopilot
 from vehicle_sim.autopilots.ardupilot.arducopter import ArduCopter
 from vehicle_sim.autopilots.ardupilot.arduplane import ArduPlane
 from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE, Px4FixedWing
 from vehicle_sim.autopilots.px4.multicopter import Px4Multicopter
-from vehicle_sim.dynamics.battery import Battery, Model
+from vehicle_sim.dynamics.battery import Model
 from vehicle_sim.dynamics.copter import Copter, Limits
 from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.errors import InputError
-from vehicle_sim.plans import Plans
 from vehicle_sim.sensors import gps
 from vehicle_sim.sensors.gps import Receiver
 from vehicle_sim.world import Vehicle
@@ -30,6 +28,35 @@ _COPTER = Limits(
 _COPTER_DRAG_1_S, _COPTER_DRAG_1_M = 0.340, 0.0193
 """10.05 m/s at 28.7 degrees of tilt and 15.4 m/s at 45, as in the recorded flights."""
 _STEEPEST_CDEG = 8000.0
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Personality:
+    """An autopilot with a kind of vehicle, and what its own simulation flies it with."""
+
+    autopilot: Callable[..., ArduCopter | ArduPlane | Px4Multicopter | Px4FixedWing]
+    """Of vehicle, parameters, plans and rng=: one that boots.  InputError names a parameter that it
+    does not have."""
+    system_id: str
+    """The parameter that holds it."""
+    receiver: Receiver
+    battery: Model
+
+
+PERSONALITIES: Final = {
+    ("ardupilot", "copter"): Personality(
+        ArduCopter, "MAV_SYSID", gps.ARDUCOPTER, "ardupilot copter"
+    ),
+    ("ardupilot", "plane"): Personality(ArduPlane, "MAV_SYSID", gps.ARDUPLANE, "ardupilot plane"),
+    ("px4", "copter"): Personality(Px4Multicopter, "MAV_SYS_ID", gps.PX4, "px4"),
+    ("px4", "plane"): Personality(Px4FixedWing, "MAV_SYS_ID", gps.PX4, "px4"),
+}
+
+
+def personality_of(vehicle: Vehicle) -> Personality:
+    """The one that a world asks for."""
+    return PERSONALITIES[vehicle.autopilot, vehicle.kind]
 
 
 def make_vehicle(
@@ -54,20 +81,6 @@ def make_vehicle(
     )
     copter.heading_rad = math.radians(vehicle.heading_deg)
     return copter
-
-
-def receiver_of(vehicle: Vehicle) -> Receiver:
-    """The GPS receiver of the autopilot's own simulation."""
-    if vehicle.autopilot == "px4":
-        return gps.PX4
-    return gps.ARDUCOPTER if vehicle.kind == "copter" else gps.ARDUPLANE
-
-
-def battery_model(vehicle: Vehicle) -> Model:
-    """The battery of the autopilot's own simulation."""
-    if vehicle.autopilot == "px4":
-        return "px4"
-    return "ardupilot copter" if vehicle.kind == "copter" else "ardupilot plane"
 
 
 def _copter_limits(vehicle: Vehicle) -> Limits:
@@ -118,8 +131,7 @@ def overrides_of(vehicle: Vehicle) -> dict[str, float]:
     vehicle for 3 km of height would otherwise climb for twenty minutes.  PX4 has the drag of its
     simulated quadcopter as a parameter.
     """
-    name = "MAV_SYSID" if vehicle.autopilot == "ardupilot" else "MAV_SYS_ID"
-    overrides: dict[str, float] = {name: vehicle.system_id}
+    overrides: dict[str, float] = {personality_of(vehicle).system_id: vehicle.system_id}
     if vehicle.kind == "copter" and vehicle.autopilot == "ardupilot":
         vertical_m_s = vehicle.speed_vertical_max_m_s
         if vertical_m_s is not None:
@@ -133,26 +145,3 @@ def overrides_of(vehicle: Vehicle) -> dict[str, float]:
         if given:
             overrides["SIH_KDV"] = _drag_1_s(vehicle)
     return overrides | vehicle.parameters
-
-
-def make_autopilot(
-    vehicle: Vehicle,
-    airframe: Copter | Plane,
-    overrides: Mapping[str, float],
-    plans: Plans,
-    battery: Battery,
-    *,
-    hardware_id: int,
-    rng: np.random.Generator,
-) -> Autopilot:
-    """The personality, just booting.  InputError names a parameter that it does not have."""
-    autopilot: ArduPlane | Px4FixedWing | ArduCopter | Px4Multicopter
-    is_px4 = vehicle.autopilot == "px4"
-    if isinstance(airframe, Plane):
-        plane = Px4FixedWing if is_px4 else ArduPlane
-        autopilot = plane(airframe, overrides, plans, hardware_id=hardware_id, rng=rng)
-    else:
-        copter = Px4Multicopter if is_px4 else ArduCopter
-        autopilot = copter(airframe, overrides, plans, hardware_id=hardware_id, rng=rng)
-    autopilot.battery = battery
-    return autopilot

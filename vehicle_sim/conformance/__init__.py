@@ -5,8 +5,8 @@ vehicle time, and what comes back is compared with the autopilot's half, row by 
 tolerance that is stated.
 
 log.py       the recording: who said what, at which vehicle time
-flights.py   what a recording does not say of itself, and which differences are known and why
-player.py    the client's half into a simulation, which simulated.py makes
+flights.py   what a recording does not say of itself, which differences are known and why; the
+             simulation that it asks for, and the client's half played into that
 rows.py      what a row is, and how events of two flights are paired
 answers.py, states.py, traffic.py, track.py    the rows; compare.py all of them
 report.py    the table

@@ -8,9 +8,8 @@ import typer
 from rich.console import Console
 
 from vehicle_sim.conformance.compare import compare
-from vehicle_sim.conformance.flights import flight_of
-from vehicle_sim.conformance.log import Recording, read_recording
-from vehicle_sim.conformance.messages import Side
+from vehicle_sim.conformance.flights import flight_of, play
+from vehicle_sim.conformance.log import Recording, Side, read_recording
 from vehicle_sim.conformance.report import (
     Summary,
     as_json,
@@ -20,7 +19,6 @@ from vehicle_sim.conformance.report import (
     with_tables,
 )
 from vehicle_sim.conformance.rows import Row
-from vehicle_sim.conformance.simulated import play
 from vehicle_sim.terminal import run
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

@@ -1,12 +1,13 @@
 """Rows of what is answered: commands, parameters, mission exchanges, and messages said once."""
 
+import dataclasses
 import math
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from vehicle_sim.conformance.messages import Side, decoded, enum_name, message_name
+from vehicle_sim.conformance.log import Side, decoded, enum_name, message_name
 from vehicle_sim.conformance.rows import (
     NOTHING,
     Comparison,
@@ -14,6 +15,7 @@ from vehicle_sim.conformance.rows import (
     paired,
     timed_row,
     timed_rows,
+    whole,
 )
 
 ACK_S = 0.25
@@ -147,14 +149,11 @@ def _parameter_row(
         allowed = max(0.01 * abs(a), _allowed(ours.param_id))
         more = abs(a - b) / allowed if ours.param_type == theirs.param_type else math.inf
     row = timed_row(comparison, "parameter", match, str, more=more)
-    return Row(
-        kind=row.kind,
-        name=row.name,
-        at_s=row.at_s,
+    return dataclasses.replace(
+        row,
         real=f"{shown[0]} at {row.real}",
         simulated=f"{shown[1]} at {row.simulated}",
         tolerance=f"1 %, same type, {row.tolerance}",
-        difference=row.difference,
     )
 
 
@@ -171,15 +170,10 @@ def _counts_row(sides: Sequence[Sequence[tuple[float, Any]]]) -> Row:
     same = {x for x in ours & theirs if x[0] in both}
     wrong = both - {p for p, _, _ in same}
     counts = [sorted({c for _, c, _ in side}) for side in (ours, theirs)]
-    return Row(
-        kind="parameter",
-        name="param_count and param_index",
-        at_s=None,
-        real=f"count {', '.join(map(str, counts[0]))}",
-        simulated=f"count {', '.join(map(str, counts[1])) or NOTHING}; {len(wrong)} differ",
-        tolerance="equal",
-        difference=math.inf if wrong or not both else 0.0,
-    )
+    shown = [f"count {', '.join(map(str, each)) or NOTHING}" for each in counts]
+    shown[1] += f"; {len(wrong)} differ"
+    name, differ = "param_count and param_index", bool(wrong or not both)
+    return whole("parameter", name, shown, "equal", differ)
 
 
 # --- exchanges and single answers -----------------------------------------------------------------
@@ -252,15 +246,10 @@ def once_rows(comparison: Comparison) -> Iterator[Row]:
             tolerance = _TOLERANCES.get(name, 0.0)
             if name in _IDENTITY and simulated is not None:
                 ours, theirs = (_is_given(x) for x in (ours, theirs))
-            yield Row(
-                kind="said once",
-                name=f"{message_name(number)}.{name}",
-                at_s=None,
-                real=str(ours),
-                simulated=NOTHING if theirs is None else str(theirs),
-                tolerance=f"{tolerance:g}" if tolerance else "equal",
-                difference=_apart(ours, theirs, tolerance),
-            )
+            shown = (str(ours), NOTHING if theirs is None else str(theirs))
+            allowed = f"{tolerance:g}" if tolerance else "equal"
+            field, apart = f"{message_name(number)}.{name}", _apart(ours, theirs, tolerance)
+            yield whole("said once", field, shown, allowed, apart)
 
 
 def _first(side: Side, number: int) -> Any | None:

@@ -5,8 +5,7 @@ import itertools
 
 from vehicle_sim.conformance import answers, states, track, traffic
 from vehicle_sim.conformance.flights import Flight
-from vehicle_sim.conformance.log import Recording
-from vehicle_sim.conformance.messages import Side
+from vehicle_sim.conformance.log import Recording, Side
 from vehicle_sim.conformance.rows import Comparison, Row
 
 _ALL = (

@@ -4,19 +4,23 @@ A row that does not agree and has no reason fails the suite, and so does a reaso
 recording needs.
 """
 
+import dataclasses
 import fnmatch
 import functools
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import final
+from typing import Protocol, final
 
 import msgspec
 
-from vehicle_sim.conformance.log import Place, Recording
+from vehicle_sim.conformance.log import Heard, Place, Recording, decoded, heard
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import World, flat_world
 
 _FILE = Path(__file__).with_name("flights.toml")
 
@@ -116,3 +120,121 @@ def flight_of(recording: Recording) -> Flight:
     flight = next((each for each in known.flights if each.recording == name), strange)
     reasons = tuple(r for r in known.reasons if fnmatch.fnmatchcase(name, r.recordings))
     return replace(flight, reasons=reasons)
+
+
+# --- The client's half of a recorded flight into a simulation, in vehicle time.  No I/O -----------
+
+_LINK = 0
+_ATTITUDE, _GLOBAL = 30, 33
+
+
+class Flying(Protocol):
+    """What the player needs of a simulation."""
+
+    @property
+    def now_us(self) -> int:
+        """Vehicle time."""
+
+    def step(self) -> object:
+        """Fly for one step."""
+
+    def receive(self, link: int, data: bytes, /) -> None:
+        """Handle what came in by a link."""
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """What flies."""
+
+    def take_frames(self) -> Sequence[tuple[int, bytes]]:
+        """What goes out, each with its link."""
+
+
+@final
+class Player:
+    """Plays one recording.
+
+    A frame goes in at the first step that is not before its time.  Before the recording begins
+    the vehicle boots alone, and what it says then was not recorded either.
+    """
+
+    def __init__(self, flying: Flying, recording: Recording, flight: Flight) -> None:
+        self._flying = flying
+        self._recording = recording
+        self._flight = flight
+
+    def run(self) -> Iterator[Heard]:
+        """Fly the whole recording; yields what comes back."""
+        flying, recording = self._flying, self._recording
+        begin_us, end_us = (round(t * 1e6) for t in (recording.begin_s, recording.end_s))
+        waiting = [(round(h.time_s * 1e6), h.frame) for h in reversed(recording.sent)]
+        placed_us = [
+            round(recording.clock.vehicle_s(p.at_s) * 1e6) for p in self._flight.placements
+        ]
+        while flying.now_us <= end_us:
+            if placed_us and placed_us[0] <= flying.now_us:
+                self._place(placed_us.pop(0) * 1e-6)
+            while waiting and waiting[-1][0] <= flying.now_us:
+                flying.receive(_LINK, waiting.pop()[1])
+                yield from self._out(begin_us)
+            flying.step()
+            yield from self._out(begin_us)
+
+    def _place(self, at_s: float) -> None:
+        """Put the vehicle where the real one was at this vehicle time."""
+        newest = {h.number: h for h in self._recording.said if h.time_s <= at_s}
+        position, attitude = decoded(newest[_GLOBAL]), decoded(newest[_ATTITUDE])
+        vehicle = self._flying.vehicle
+        vehicle.latitude_deg = position.lat / 1e7
+        vehicle.longitude_deg = position.lon / 1e7
+        vehicle.altitude_amsl_m = self._flight.home.altitude_amsl_m + position.relative_alt / 1e3
+        vehicle.velocity_north_m_s = position.vx / 1e2
+        vehicle.velocity_east_m_s = position.vy / 1e2
+        vehicle.velocity_up_m_s = -position.vz / 1e2
+        vehicle.airspeed_m_s = math.hypot(position.vx, position.vy) / 1e2
+        vehicle.heading_rad = math.atan2(position.vy, position.vx) % math.tau
+        vehicle.roll_rad = attitude.roll
+
+    def _out(self, begin_us: int) -> Iterator[Heard]:
+        now_us = self._flying.now_us
+        for link, frame in self._flying.take_frames():
+            if link == _LINK and now_us >= begin_us:
+                yield heard(now_us * 1e-6, frame)
+
+
+# --- The simulated vehicle that takes the place of the recorded one -------------------------------
+
+
+def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[Heard]:
+    """Everything that the simulated vehicle says while the recorded client flies it."""
+    simulation = simulation_of(recording, flight, seed=seed)
+    return list(Player(simulation, recording, flight).run())
+
+
+def simulation_of(recording: Recording, flight: Flight, *, seed: int = 0) -> Simulation:
+    """A vehicle of the recorded kind, where it stood, with its parameters and its faults."""
+    return Simulation(world_of(recording, flight), seed=seed, faults=timeline(recording, flight))
+
+
+def world_of(recording: Recording, flight: Flight) -> World:
+    """Level ground at home."""
+    home = flight.home
+    world = flat_world(
+        recording.kind,
+        recording.firmware,
+        latitude_deg=home.latitude_deg,
+        longitude_deg=home.longitude_deg,
+        altitude_amsl_m=home.altitude_amsl_m,
+        heading_deg=home.heading_deg,
+        system_id=recording.system,
+    )
+    vehicle = dataclasses.replace(world.vehicle, parameters=dict(flight.parameters))
+    return dataclasses.replace(world, vehicle=vehicle)
+
+
+def timeline(recording: Recording, flight: Flight) -> str:
+    """The flight's faults as lines of a timeline file, in vehicle time."""
+    lines = []
+    for fault in flight.faults:
+        begin_s, end_s = (recording.clock.vehicle_s(t) for t in (fault.begin_s, fault.end_s))
+        lines.append(f"at {begin_s:.2f} s for {end_s - begin_s:.2f} s: {fault.what}\n")
+    return "".join(lines)

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar, final
 
 from vehicle_sim.conformance.flights import Flight, Reason
-from vehicle_sim.conformance.log import Recording
-from vehicle_sim.conformance.messages import Side, decoded
+from vehicle_sim.conformance.log import Recording, Side, decoded
 
 Key = TypeVar("Key", bound=Hashable)
 Event = tuple[float, Key]
@@ -138,6 +137,24 @@ def _setpoint_causes(recording: Recording) -> Iterator[float]:
         elif kind != before:
             yield h.time_s
         before_s, before = h.time_s, kind
+
+
+def whole(
+    kind: str, name: str, shown: Sequence[str], tolerance: str, difference: float | bool
+) -> Row:
+    """A row about the whole flight; shown: real and simulated; True: it differs altogether."""
+    real, simulated = shown
+    if isinstance(difference, bool):
+        difference = math.inf if difference else 0.0
+    return Row(
+        kind=kind,
+        name=name,
+        at_s=None,
+        real=real,
+        simulated=simulated,
+        tolerance=tolerance,
+        difference=difference,
+    )
 
 
 # --- pairing --------------------------------------------------------------------------------------

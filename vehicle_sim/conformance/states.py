@@ -1,12 +1,11 @@
 """Rows of what changes: modes, arming, landing, fixes, estimators, texts and events."""
 
 import dataclasses
-import math
 import re
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from vehicle_sim.conformance.messages import EVENT, enum_name
+from vehicle_sim.conformance.log import EVENT, enum_name
 from vehicle_sim.conformance.rows import (
     NOTHING,
     Comparison,
@@ -16,6 +15,7 @@ from vehicle_sim.conformance.rows import (
     paired,
     timed_row,
     timed_rows,
+    whole,
 )
 
 _ARMED = 0x80
@@ -171,15 +171,8 @@ def event_rows(comparison: Comparison) -> Iterator[Row]:
     arguments = [_arguments(side) for side in sides]
     for number in sorted(arguments[0]):
         ours, theirs = arguments[0][number], arguments[1].get(number, [])
-        yield Row(
-            kind="event arguments",
-            name=f"event {number}",
-            at_s=None,
-            real=" ".join(a.hex() or NOTHING for a in ours),
-            simulated=" ".join(a.hex() or NOTHING for a in theirs) or NOTHING,
-            tolerance="equal",
-            difference=0.0 if ours == theirs else math.inf,
-        )
+        shown = [" ".join(a.hex() or NOTHING for a in side) or NOTHING for side in (ours, theirs)]
+        yield whole("event arguments", f"event {number}", shown, "equal", ours != theirs)
 
 
 def _event_label(key: tuple[int, int]) -> str:

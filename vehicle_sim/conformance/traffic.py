@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from vehicle_sim.conformance.messages import EVENT, Heard, message_name
-from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, interval_s
+from vehicle_sim.conformance.log import EVENT, Heard, message_name
+from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, interval_s, whole
 
 COUNT_PART = 0.02
 """Counts may differ by this part, or by COUNT_LEAST."""
@@ -47,15 +47,7 @@ def _speakers_row(comparison: Comparison) -> Row:
         ", ".join(f"{s}/{c}" for s, c in sorted(side.speakers))
         for side in (comparison.real, comparison.simulated)
     ]
-    return Row(
-        kind="speakers",
-        name="system/component",
-        at_s=None,
-        real=sides[0],
-        simulated=sides[1],
-        tolerance="equal",
-        difference=0.0 if sides[0] == sides[1] else math.inf,
-    )
+    return whole("speakers", "system/component", sides, "equal", sides[0] != sides[1])
 
 
 def _count_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard]) -> Row:
@@ -65,17 +57,10 @@ def _count_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard]) -
     streams = number not in _AS_IT_HAPPENS and len(real) >= _STREAM
     if streams and usual_s * len(real) < 0.95 * (times[-1] - times[0]):
         allowed = max(allowed, COMING_AND_GOING_S / usual_s)
-    return Row(
-        kind="count",
-        name=message_name(number),
-        at_s=None,
-        real=str(len(real)),
-        simulated=str(len(simulated)),
-        tolerance=f"{allowed:.0f}",
-        difference=math.inf
-        if bool(real) != bool(simulated)
-        else abs(len(real) - len(simulated)) / allowed,
-    )
+    counts = (len(real), len(simulated))
+    difference = math.inf if not all(counts) and any(counts) else abs(counts[0] - counts[1])
+    shown = [str(count) for count in counts]
+    return whole("count", message_name(number), shown, f"{allowed:.0f}", difference / allowed)
 
 
 def _first_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard]) -> Row:
@@ -130,15 +115,9 @@ def _filling_row(comparison: Comparison, number: int) -> Row:
         shown = _unlike(real, simulated)
         if shown is not None:
             wrong.append((name, *shown))
-    return Row(
-        kind="filling",
-        name=message_name(number),
-        at_s=None,
-        real=", ".join(f"{n} {a}" for n, a, _ in wrong) or f"{len(names)} fields",
-        simulated=", ".join(f"{n} {b}" for n, _, b in wrong) or f"{len(names)} fields",
-        tolerance="constants equal to 0.1 %, others vary",
-        difference=math.inf if wrong else 0.0,
-    )
+    lists = [", ".join(f"{w[0]} {w[k]}" for w in wrong) or f"{len(names)} fields" for k in (1, 2)]
+    tolerance = "constants equal to 0.1 %, others vary"
+    return whole("filling", message_name(number), lists, tolerance, bool(wrong))
 
 
 def _values(values: Sequence[Any]) -> list[Any]:

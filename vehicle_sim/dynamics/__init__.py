@@ -32,8 +32,6 @@ class Vehicle(Protocol):
 
     def stand(self, altitude_amsl_m: float) -> None:
         """Come to rest at this height."""
-        ...
 
     def fall(self, dt_s: float) -> None:
         """One step without motors."""
-        ...

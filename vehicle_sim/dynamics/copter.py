@@ -17,7 +17,6 @@ from vehicle_sim.geodesy import metres_per_degree
 GRAVITY_M_S2 = 9.80665
 HOVER_THROTTLE = 0.39
 """MOT_THST_HOVER, as ArduCopter learns it in the recorded flights."""
-_UPRIGHT_RAD = math.radians(89.9)
 RESPONSE_S = 0.04
 """Time constant from commanded to actual acceleration: a copter has to tilt first."""
 
@@ -40,9 +39,7 @@ class Copter:
 
     __slots__ = (
         "_thrust_east_m_s2",
-        "_thrust_most_m_s2",
         "_thrust_north_m_s2",
-        "_tilt_max_rad",
         "acceleration_east_m_s2",
         "acceleration_north_m_s2",
         "acceleration_up_m_s2",
@@ -76,7 +73,6 @@ class Copter:
         limits: Limits,
         drag_1_s: float = 0.0,
         drag_1_m: float = 0.0,
-        tilt_max_rad: float | None = None,
         hover_throttle: float = HOVER_THROTTLE,
     ) -> None:
         self.limits = limits
@@ -87,7 +83,6 @@ class Copter:
         self.drag_1_m = drag_1_m
         """The same for each square of m/s, which ArduPilot's simulation has besides."""
         self.hover_throttle = hover_throttle
-        self.tilt_max_rad = tilt_max_rad
         self.wind_north_m_s = self.wind_east_m_s = self.wind_up_m_s = 0.0
         self.heading_rad = 0.0
         """True; the autopilot turns it, at once, for it has no part in how a point mass moves."""
@@ -106,19 +101,6 @@ class Copter:
         self.roll_rad = self.pitch_rad = self.throttle = 0.0
         self.airspeed_m_s = 0.0
 
-    @property
-    def tilt_max_rad(self) -> float | None:
-        """The steepest lean: no more level thrust than holds the height at it.  None: any."""
-        return self._tilt_max_rad
-
-    @tilt_max_rad.setter
-    def tilt_max_rad(self, tilt_max_rad: float | None) -> None:
-        self._tilt_max_rad = tilt_max_rad
-        if tilt_max_rad is None or tilt_max_rad >= _UPRIGHT_RAD:
-            self._thrust_most_m_s2 = math.inf
-        else:
-            self._thrust_most_m_s2 = GRAVITY_M_S2 * math.tan(max(tilt_max_rad, 0.0))
-
     def advance(self, north_m_s2: float, east_m_s2: float, up_m_s2: float, dt_s: float) -> None:
         """One step under a commanded acceleration of the thrust, gravity made up for.
 
@@ -135,8 +117,6 @@ class Copter:
         a_e += (east_m_s2 - a_e) * response
         size = math.hypot(a_n, a_e)
         most = limits.acceleration_m_s2
-        if self._thrust_most_m_s2 < most:
-            most = self._thrust_most_m_s2
         if size > most:
             a_n *= most / size
             a_e *= most / size

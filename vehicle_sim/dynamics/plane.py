@@ -32,7 +32,6 @@ class PlaneLimits:
     """What the airframe can do.  Airspeeds are true airspeeds."""
 
     airspeed_min_m_s: float = 12.0
-    airspeed_cruise_m_s: float = 23.5
     airspeed_max_m_s: float = 33.0
     bank_max_rad: float = math.radians(65.0)
     roll_rate_rad_s: float = math.radians(75.0)
@@ -148,26 +147,20 @@ class Plane:
         effort = climb / limits.climb_max_m_s + step / (limits.acceleration_m_s2 * dt_s)
         effort = CRUISE_THROTTLE + (1.0 - CRUISE_THROTTLE) * effort
         self.throttle = 0.0 if effort < 0.0 else 1.0 if effort > 1.0 else effort
-        self._carry(airspeed * math.sqrt(1.0 - steepness * steepness), climb, dt_s)
-
-    def _carry(self, flat_m_s: float, climb_m_s: float, dt_s: float) -> None:
-        """Move by the mean of the ground velocities before and after; flat: through the air."""
         fading = SLIP_S / (SLIP_S + dt_s)
         self._slip_north_m_s *= fading
         self._slip_east_m_s *= fading
+        flat_m_s = airspeed * math.sqrt(1.0 - steepness * steepness)
         self._move(
             flat_m_s * math.cos(self.heading_rad) + self.wind_north_m_s + self._slip_north_m_s,
             flat_m_s * math.sin(self.heading_rad) + self.wind_east_m_s + self._slip_east_m_s,
-            climb_m_s + self.wind_up_m_s,
+            climb + self.wind_up_m_s,
             dt_s,
         )
 
-    def roll_on_ground(
-        self, acceleration_m_s2: float, dt_s: float, turn_rad_s: float = 0.0
-    ) -> None:
+    def roll_on_ground(self, acceleration_m_s2: float, dt_s: float) -> None:
         """One step on the wheels, where the nose points; negative acceleration: to a halt."""
-        heading = self.heading_rad = (self.heading_rad + turn_rad_s * dt_s) % math.tau
-        cosine, sine = math.cos(heading), math.sin(heading)
+        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
         speed = self.velocity_north_m_s * cosine + self.velocity_east_m_s * sine
         speed = max(speed + acceleration_m_s2 * dt_s, 0.0)
         self._move(speed * cosine, speed * sine, 0.0, dt_s)

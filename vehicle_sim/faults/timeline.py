@@ -41,7 +41,6 @@ class Entry:
     at_us: int
     until_us: int | None
     """None: it stays, or happens once."""
-    fault: Fault
     sets: Mapping[str, float]
 
 
@@ -170,7 +169,6 @@ def _entry(line: str, number: int, where: str, context: Context) -> Entry:
         line=number,
         at_us=at_us,
         until_us=None if length_us is None else at_us + length_us,
-        fault=fault,
         sets=_sets(fault, what, where, context),
     )
 

@@ -3,7 +3,7 @@
 import math
 import re
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Any, Final, final
 
@@ -166,15 +166,17 @@ def _values(kind: Any) -> Callable[[Any], Sequence[Any]]:
     ]
     get = attrgetter(*names)
 
-    def flat(fields: Sequence[Any]) -> Iterator[Any]:
-        for value, length in zip(fields, lengths, strict=True):
+    def flat(message: Any) -> Sequence[Any]:
+        values = list[Any]()
+        for value, length in zip(get(message), lengths, strict=True):
             if length == 1:
-                yield value
+                values.append(value)
             else:
-                yield from value
+                values.extend(value)
+        return values
 
     if any(length > 1 for length in lengths):
-        return get if len(names) == 1 else lambda message: list(flat(get(message)))
+        return get if len(names) == 1 else flat
     return get if len(names) > 1 else lambda message: (get(message),)
 
 

@@ -3,11 +3,9 @@
 What the messages mean is in messages.py.  Telemetry is made in telemetry.py.
 """
 
-import enum
 import math
 import re
 import struct
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any, final
 
@@ -31,16 +29,6 @@ _find_marker = re.compile(rb"[\xfd\xfe]").search
 # --- in -------------------------------------------------------------------------------------------
 
 
-class Dropped(enum.Enum):
-    """Why something on a link was passed over."""
-
-    GARBAGE = "bytes between frames"
-    CHECKSUM = "frames that failed their checksum"
-    UNKNOWN = "frames with a message that nobody knows"
-    FLAGS = "frames with incompatible flags"
-    CUT = "frames cut off by the end of a datagram"
-
-
 @final
 class StreamParser:
     """What arrives on one link, into frames and messages; whatever comes, nothing is raised.
@@ -52,10 +40,6 @@ class StreamParser:
     """
 
     def __init__(self, *, datagrams: bool) -> None:
-        self.dropped: Counter[Dropped] = Counter()
-        """Bytes of garbage, and frames."""
-        self.received = 0
-        """Frames that were handed out."""
         self._datagrams = datagrams
         self._rest = b""
 
@@ -72,17 +56,17 @@ class StreamParser:
         while at < size:
             marker = data[at]
             if marker not in (_MARKER_2, _MARKER_1):
-                at = self._skip_garbage(data, at)
+                begin = _find_marker(data, at)
+                at = begin.start() if begin else size
                 continue
             end = _end_of_frame(data, at, size)
             if end > size:
                 if not self._datagrams:
                     self._rest = data[at:]
                     break
-                at = self._drop(Dropped.CUT, at)
+                at += 1
                 continue
             at = self._take(data, at, end, found)
-        self.received += len(found)
         return found
 
     def _take(self, data: bytes, at: int, end: int, found: list[tuple[bytes, Any]]) -> int:
@@ -90,7 +74,7 @@ class StreamParser:
         frame = data[at:end]
         if frame[0] == _MARKER_2:
             if frame[2] & ~_SIGNED:
-                return self._drop(Dropped.FLAGS, at)
+                return at + 1
             number = int.from_bytes(frame[7:10], "little")
             head, tail = _HEADER_2, _HEADER_2 + frame[1]
         else:
@@ -98,13 +82,12 @@ class StreamParser:
             head, tail = _HEADER_1, _HEADER_1 + frame[1]
         known = mavlink.mavlink_map.get(number)
         if known is None:
-            self.dropped[Dropped.UNKNOWN] += 1
             # its checksum cannot be checked: believe its length only if a frame follows
             whole = end == len(data) or data[end] in (_MARKER_2, _MARKER_1)
             return end if whole else at + 1
         layout = layout_of(known)
         if mcrf4xx(frame[1:tail] + layout.crc_extra) != frame[tail] | frame[tail + 1] << 8:
-            return self._drop(Dropped.CHECKSUM, at)
+            return at + 1
         message = layout.message(frame[head:tail])
         flags, sequence_at = (frame[2:4], 4) if head == _HEADER_2 else (b"\0\0", 2)
         whence = frame[sequence_at : sequence_at + 3]  # sequence, system, component
@@ -112,17 +95,6 @@ class StreamParser:
         message._msgbuf = frame
         found.append((frame, message))
         return end
-
-    def _skip_garbage(self, data: bytes, at: int) -> int:
-        """To the next byte that could begin a frame."""
-        found = _find_marker(data, at)
-        to = found.start() if found else len(data)
-        self.dropped[Dropped.GARBAGE] += to - at
-        return to
-
-    def _drop(self, why: Dropped, at: int) -> int:
-        self.dropped[why] += 1
-        return at + 1
 
 
 def _end_of_frame(data: bytes, at: int, size: int) -> int:

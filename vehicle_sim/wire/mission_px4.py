@@ -11,9 +11,8 @@ from typing import Any, Final, final
 
 from vehicle_sim.autopilots import Autopilot, Reply, Send, Sender, Text
 from vehicle_sim.plans import PlanItem, PlanKind
-from vehicle_sim.wire import mission_items as wire
-from vehicle_sim.wire.mission_items import MissionResult, Upload, ack
-from vehicle_sim.wire.mission_protocol import MissionProtocol
+from vehicle_sim.wire import mission_protocol as wire
+from vehicle_sim.wire.mission_protocol import MissionProtocol, MissionResult, Upload, ack
 
 _MOST_ITEMS: Final = {PlanKind.MISSION: 2000, PlanKind.FENCE: 256, PlanKind.RALLY: 128}
 _ALL_KINDS: Final = 255

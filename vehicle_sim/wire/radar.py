@@ -43,7 +43,8 @@ class RadarComponent:
         self._answer_us = 0
         self._sweep_us = 0
         self._beat_us = HEARTBEAT_US
-        self._idle = True
+        self.due_us = HEARTBEAT_US
+        """Nothing is to be done before."""
 
     def say_hello(self) -> None:
         """A heartbeat, out of turn."""
@@ -53,7 +54,7 @@ class RadarComponent:
         """Handle a message that is for the radar; commands that name it are refused."""
         match message.get_type():
             case "TERRAIN_REQUEST" | "TERRAIN_CHECK":
-                self._asked, self._idle = (message, sender.link), False
+                self._asked, self.due_us = (message, sender.link), 0
             case "COMMAND_LONG" | "COMMAND_INT" if message.target_component == self._id:
                 refusal = Ack(to=sender, command=message.command, result=Result.UNSUPPORTED)
                 self._radio.send(messages.ack(refusal), sender.link, self._id)
@@ -61,9 +62,7 @@ class RadarComponent:
     def step(
         self, now_us: int, vehicle: Vehicle, conditions: RadarConditions, *, tick: bool
     ) -> None:
-        """Say what is due; `tick` ends a lockstep tick.  Idle, it costs two comparisons."""
-        if self._idle and now_us < self._beat_us:
-            return
+        """Say what is due; `tick` ends a lockstep tick."""
         if now_us >= self._beat_us:
             self._beat_us += HEARTBEAT_US * (1 + (now_us - self._beat_us) // HEARTBEAT_US)
             if not conditions.silent:
@@ -77,7 +76,8 @@ class RadarComponent:
             self._answer = None
             for reply in replies:
                 self._radio.send(reply, link, self._id)
-        self._idle = self._asked is None and self._answer is None
+        idle = self._asked is None and self._answer is None
+        self.due_us = self._beat_us if idle else 0
 
     def _look(
         self,

@@ -70,11 +70,6 @@ class Radio:
         self._question: tuple[int, bytes] | None = None
         self._forwards_all = forwards_all
 
-    @property
-    def dropped(self) -> int:
-        """Frames and bytes that came in and were not frames of MAVLink."""
-        return sum(sum(parser.dropped.values()) for parser in self._parsers)
-
     def restart(self) -> None:
         """The autopilot boots: routes are forgotten; the signing key is not."""
         self.router.restart()

@@ -69,19 +69,12 @@ class Signing:
     """The key of one vehicle, on all its links."""
 
     def __init__(self, *, links: int, key: Key = _NO_KEY) -> None:
-        self.rejected = 0
-        """Frames that were not let in."""
         self._key = key
         self._signers = [LinkSigner(link) for link in range(links)]
         self._streams: dict[tuple[int, int, int], int] = {}
         """Newest time of each stream: link id, system and component."""
         self._saved_us: int | None = None
         self._load()
-
-    @property
-    def is_on(self) -> bool:
-        """Whether there is a key."""
-        return not self._key.is_off
 
     @property
     def key(self) -> Key:
@@ -116,10 +109,7 @@ class Signing:
         elif now_us - self._saved_us >= _SAVE_US:
             self._save(now_us)
         good = frame[0] == _MARKER_2 and frame[2] & _SIGNED and self._is_good(frame, link)
-        if good or link == _TRUSTED_LINK or _number(frame) in _ALWAYS:
-            return True
-        self.rejected += 1
-        return False
+        return bool(good or link == _TRUSTED_LINK or _number(frame) in _ALWAYS)
 
     def _is_good(self, frame: bytes, link: int) -> bool:
         if not hmac.compare_digest(_hash(self._key.secret, frame[:-_HASH]), frame[-_HASH:]):

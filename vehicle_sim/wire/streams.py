@@ -58,12 +58,6 @@ class Streams:
         self._intervals_us = kept | {key: us for key, us in fresh.items() if us}
         self._rebuild(link, now_us)
 
-    def restart(self, now_us: int) -> None:
-        """The autopilot boots: every interval that was asked for is gone."""
-        self._booted_us = now_us
-        for link in sorted(self._links):
-            self.open(link, now_us)
-
     def due(self, now_us: int) -> list[tuple[int, int]]:
         """Link and message number of what is due, oldest first; each at most once."""
         found = list[tuple[int, int]]()

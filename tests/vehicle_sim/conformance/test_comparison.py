@@ -11,8 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.conformance.compare import compare
 from vehicle_sim.conformance.flights import Flight, flight_of
-from vehicle_sim.conformance.log import Recording
-from vehicle_sim.conformance.messages import Heard, Side, decoded
+from vehicle_sim.conformance.log import Heard, Recording, Side, decoded
 from vehicle_sim.conformance.report import Summary
 from vehicle_sim.conformance.rows import Row
 

@@ -13,9 +13,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 from recordings import FOLDER, recording
 
-from vehicle_sim.conformance.clock import Clock
-from vehicle_sim.conformance.log import Recording, heard, read_recording, records
-from vehicle_sim.conformance.messages import decoded
+from vehicle_sim.conformance.log import Clock, Recording, decoded, heard, read_recording, records
 from vehicle_sim.errors import InputError
 
 Recorded = Callable[[str], Recording]

@@ -7,11 +7,8 @@ from collections.abc import Callable, Sequence
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.conformance.flights import Fault, flight_of
-from vehicle_sim.conformance.log import Recording
-from vehicle_sim.conformance.messages import decoded
-from vehicle_sim.conformance.player import Player
-from vehicle_sim.conformance.simulated import timeline, world_of
+from vehicle_sim.conformance.flights import Fault, Player, flight_of, timeline, world_of
+from vehicle_sim.conformance.log import Recording, decoded
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.faults.timeline import Timeline
 

@@ -3,11 +3,9 @@
 from collections.abc import Callable
 
 from vehicle_sim.conformance.compare import compare
-from vehicle_sim.conformance.flights import flight_of
-from vehicle_sim.conformance.log import Recording
-from vehicle_sim.conformance.messages import Side
+from vehicle_sim.conformance.flights import flight_of, play
+from vehicle_sim.conformance.log import Recording, Side
 from vehicle_sim.conformance.report import Summary
-from vehicle_sim.conformance.simulated import play
 
 Recorded = Callable[[str], Recording]
 LEAST_SHARE = 0.95

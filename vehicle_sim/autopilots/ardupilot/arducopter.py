@@ -23,12 +23,22 @@ from vehicle_sim.autopilots import (
     Text,
     Waypoint,
 )
-from vehicle_sim.autopilots.ardupilot import copter_setpoints as setpoints
 from vehicle_sim.autopilots.ardupilot import copter_table as modes
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, Due
 from vehicle_sim.autopilots.ardupilot.copter_flight import FAILSAFE_PAUSE_US, Flight
-from vehicle_sim.autopilots.ardupilot.copter_guided import NOTHING, Submode
-from vehicle_sim.autopilots.ardupilot.copter_setpoints import Bearings, Stop, Target, read_setpoint
+from vehicle_sim.autopilots.ardupilot.copter_guided import (
+    IGNORE_ACCELERATION,
+    IGNORE_POSITION,
+    IGNORE_VELOCITY,
+    IGNORE_YAW,
+    IGNORE_YAW_RATE,
+    NOTHING,
+    Bearings,
+    Stop,
+    Submode,
+    Target,
+    read_setpoint,
+)
 from vehicle_sim.autopilots.ardupilot.flat_earth import (
     bearing_rad,
     distance_m,
@@ -54,15 +64,15 @@ ABOVE_HOME_FRAME = 3
 IN_FLIGHT_ALIGNMENT_M = 2.9
 AVOIDANCE_1_S = 0.5
 SMART_RTL_GIVES_UP_US = 7_120_000
-_IGNORE_YAWS = setpoints.IGNORE_YAW | setpoints.IGNORE_YAW_RATE
+_IGNORE_YAWS = IGNORE_YAW | IGNORE_YAW_RATE
 THRUST_AS_THRUST = 8
 """GUID_OPTIONS: the thrust of SET_ATTITUDE_TARGET is one, and no climb rate."""
 ECHO_MASKS = {
-    Submode.TAKEOFF: setpoints.IGNORE_VELOCITY | setpoints.IGNORE_ACCELERATION | _IGNORE_YAWS,
-    Submode.POSITION: setpoints.IGNORE_VELOCITY | setpoints.IGNORE_ACCELERATION | _IGNORE_YAWS,
+    Submode.TAKEOFF: IGNORE_VELOCITY | IGNORE_ACCELERATION | _IGNORE_YAWS,
+    Submode.POSITION: IGNORE_VELOCITY | IGNORE_ACCELERATION | _IGNORE_YAWS,
     Submode.POSITION_VELOCITY: _IGNORE_YAWS,
-    Submode.VELOCITY: setpoints.IGNORE_POSITION | _IGNORE_YAWS,
-    Submode.ACCELERATION: setpoints.IGNORE_POSITION | setpoints.IGNORE_VELOCITY | _IGNORE_YAWS,
+    Submode.VELOCITY: IGNORE_POSITION | _IGNORE_YAWS,
+    Submode.ACCELERATION: IGNORE_POSITION | IGNORE_VELOCITY | _IGNORE_YAWS,
 }
 """type_mask of POSITION_TARGET_LOCAL_NED: 0xDF8, 0xC00, 0xC07, 0xC3F."""
 

@@ -22,8 +22,8 @@ from vehicle_sim.autopilots import (
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, Due, boot_of
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
 from vehicle_sim.autopilots.ardupilot.plane_flight import Flight
-from vehicle_sim.autopilots.ardupilot.plane_guided import Forced
-from vehicle_sim.autopilots.ardupilot.plane_modes import (
+from vehicle_sim.autopilots.ardupilot.plane_mission import Forced
+from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     AUTONOMOUS,
     BY_ITSELF,
     NAMES,
@@ -42,9 +42,9 @@ from vehicle_sim.autopilots.attitude import (
     attitude_of,
     finite,
 )
-from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.faults.conditions import SIM_PARAMETERS
+from vehicle_sim.parameters import table
 from vehicle_sim.plans import PlanKind
 from vehicle_sim.sensors.gps import Fix
 

@@ -41,10 +41,9 @@ from vehicle_sim.autopilots.ardupilot.style import (
     HEARTBEAT,
     HOME_POSITION,
 )
-from vehicle_sim.autopilots.parameters import lines_of
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
-from vehicle_sim.parameters import Parameter, Parameters
+from vehicle_sim.parameters import Parameter, Parameters, lines_of
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
@@ -91,14 +90,11 @@ class ArduPilot(abc.ABC):
         parameters: Mapping[str, float],
         plans: Plans,
         *,
-        hardware_id: int,
         rng: np.random.Generator,
     ) -> None:
         self.vehicle = vehicle
         self.parameters = Parameters(self.TABLE, parameters)
         self.plans = plans
-        self.hardware_id = hardware_id
-        self.rng = rng
         self.battery: Battery | None = None
         """What the power module measures; whoever drains it puts it here."""
         self.estimate = Estimate(latitude_deg=0.0, longitude_deg=0.0, altitude_amsl_m=0.0)

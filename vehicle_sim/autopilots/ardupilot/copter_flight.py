@@ -11,9 +11,8 @@ from typing import final
 from vehicle_sim.autopilots import Place
 from vehicle_sim.autopilots.ardupilot import copter_table as modes
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
-from vehicle_sim.autopilots.ardupilot.copter_auto import Auto
+from vehicle_sim.autopilots.ardupilot.copter_auto import Auto, Motion, Yaw, tuning_of
 from vehicle_sim.autopilots.ardupilot.copter_guided import Guided, Submode
-from vehicle_sim.autopilots.ardupilot.copter_motion import Motion, Yaw, tuning_of
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, offset
 from vehicle_sim.dynamics.copter import Copter
 

@@ -4,8 +4,8 @@ from typing import Final
 
 from vehicle_sim.autopilots.ardupilot.autopilot import Due, boot_of
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
-from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.faults.conditions import SIM_PARAMETERS
+from vehicle_sim.parameters import table
 
 STABILIZE, ACRO, ALT_HOLD, AUTO, GUIDED, LOITER, RTL, CIRCLE, LAND = 0, 1, 2, 3, 4, 5, 6, 7, 9
 POSHOLD, BRAKE, GUIDED_NOGPS, SMART_RTL = 16, 17, 20, 21

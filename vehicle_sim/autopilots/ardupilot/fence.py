@@ -13,9 +13,8 @@ from vehicle_sim.autopilots.ardupilot.flat_earth import (
     distance_m,
     longitude_scale,
 )
-from vehicle_sim.autopilots.zones import Point, Zone, forbidden, zones_of
 from vehicle_sim.parameters import Parameters
-from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.plans import PlanKind, Plans, Point, Zone, forbidden, zones_of
 
 ALTITUDE_MAX, CIRCLE, POLYGON, ALTITUDE_MIN = 1, 2, 4, 8
 NAMES = {ALTITUDE_MAX: "Max Alt", CIRCLE: "Circle", POLYGON: "Polygon", ALTITUDE_MIN: "Min Alt"}

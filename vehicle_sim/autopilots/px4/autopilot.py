@@ -30,13 +30,11 @@ from vehicle_sim.autopilots import (
     Waypoint,
 )
 from vehicle_sim.autopilots.attitude import AttitudeTarget, attitude_of, finite
-from vehicle_sim.autopilots.parameters import table
 from vehicle_sim.autopilots.px4 import failsafe, health
-from vehicle_sim.autopilots.px4.diary import Diary, Gimbal
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
-from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents
+from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents, Pilot
 from vehicle_sim.autopilots.px4.fence import Fence
-from vehicle_sim.autopilots.px4.health import text
+from vehicle_sim.autopilots.px4.health import Diary, Gimbal, text
 from vehicle_sim.autopilots.px4.mission import Mission, Surroundings
 from vehicle_sim.autopilots.px4.modes import (
     CUSTOM_MODES,
@@ -46,14 +44,12 @@ from vehicle_sim.autopilots.px4.modes import (
     Mode,
     base_mode,
 )
-from vehicle_sim.autopilots.px4.pilot import Pilot
-from vehicle_sim.autopilots.px4.projection import Projection
-from vehicle_sim.autopilots.px4.setpoints import Bearings, Target, Vector, read_setpoint
-from vehicle_sim.autopilots.px4.trajectory import Orbit
+from vehicle_sim.autopilots.px4.position_control import Orbit
+from vehicle_sim.autopilots.px4.setpoints import Bearings, Projection, Target, Vector, read_setpoint
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
-from vehicle_sim.parameters import Parameter, Parameters
+from vehicle_sim.parameters import Parameter, Parameters, table
 from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
@@ -105,14 +101,11 @@ class Px4(abc.ABC):
         parameters: Mapping[str, float],
         plans: Plans,
         *,
-        hardware_id: int,
         rng: np.random.Generator,
     ) -> None:
         self.vehicle = vehicle
         self.parameters = Parameters(parameter_rows(*self.TABLES), parameters)
         self.plans = plans
-        self.hardware_id = hardware_id
-        self.rng = rng
         self.ekf = Ekf2(vehicle, rng)
         self.estimate = self.ekf.estimate
         self.battery = Battery()
@@ -251,7 +244,15 @@ class Px4(abc.ABC):
             self._next_check_us = now_us + _CHECK_US
             self._check()
         self._fly(dt_s)
-        self._feel_turning(dt_s)
+        vehicle = self.vehicle  # its rates, as gyroscopes feel them: a point mass has none
+        roll, pitch, yaw = vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad
+        roll_before, pitch_before, yaw_before = self._attitude_rad
+        turn = yaw - yaw_before
+        if turn > math.pi or turn < -math.pi:
+            turn = math.remainder(turn, math.tau)
+        self._attitude_rad = (roll, pitch, yaw)
+        self._turning_rad = (roll - roll_before, pitch - pitch_before, turn)
+        self._turning_s = dt_s
         if self.armed and self.landed:
             self._disarm_by_itself()
         if now_us >= self.gimbal.due_us:
@@ -261,24 +262,16 @@ class Px4(abc.ABC):
         said, self._said = self._said, []
         return said
 
-    def _feel_turning(self, dt_s: float) -> None:
-        """Angular rates, as gyroscopes feel them; a point mass has none of its own."""
-        vehicle = self.vehicle
-        roll, pitch, yaw = vehicle.roll_rad, vehicle.pitch_rad, vehicle.heading_rad
-        roll_before, pitch_before, yaw_before = self._attitude_rad
-        turn = yaw - yaw_before
-        if turn > math.pi or turn < -math.pi:
-            turn = math.remainder(turn, math.tau)
-        self._attitude_rad = (roll, pitch, yaw)
-        self._turning_rad = (roll - roll_before, pitch - pitch_before, turn)
-        self._turning_s = dt_s
-
     @property
     def rates_rad_s(self) -> tuple[float, float, float]:
         """Of roll, pitch and heading."""
         roll, pitch, yaw = self._turning_rad
-        scale = 1.0 / self._turning_s
-        return _bounded(roll * scale), _bounded(pitch * scale), _bounded(yaw * scale)
+        most, scale = _MOST_RAD_S, 1.0 / self._turning_s
+        return (
+            min(max(roll * scale, -most), most),
+            min(max(pitch * scale, -most), most),
+            min(max(yaw * scale, -most), most),
+        )
 
     def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
         """Take a setpoint as a sign of life, and in OFFBOARD as what to fly."""
@@ -749,9 +742,3 @@ Handler = Callable[[Px4, Command], Result]
 
 def _unsupported(_px4: Px4, _command: Command) -> Result:
     return Result.UNSUPPORTED
-
-
-def _bounded(rate_rad_s: float) -> float:
-    if -_MOST_RAD_S <= rate_rad_s <= _MOST_RAD_S:
-        return rate_rad_s
-    return min(max(rate_rad_s, -_MOST_RAD_S), _MOST_RAD_S)

@@ -13,8 +13,8 @@ from vehicle_sim.autopilots.px4 import health
 from vehicle_sim.autopilots.px4.autopilot import Handler, Px4
 from vehicle_sim.autopilots.px4.health import text
 from vehicle_sim.autopilots.px4.modes import MAIN_AUTO, MANUAL_MODES, Mode, mode_of
+from vehicle_sim.autopilots.px4.position_control import HERE, Orbit
 from vehicle_sim.autopilots.px4.setpoints import height_of
-from vehicle_sim.autopilots.px4.trajectory import HERE, Orbit
 
 _FORCE: Final = 21196.0
 _HIGHEST_M: Final = 1e5

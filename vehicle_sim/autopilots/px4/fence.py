@@ -6,9 +6,8 @@ Setpoints are never checked against it; the targets of DO_REPOSITION are.
 import math
 from typing import final
 
-from vehicle_sim.autopilots.px4.projection import Projection
-from vehicle_sim.autopilots.zones import Zone, forbidden, zones_of
-from vehicle_sim.plans import PlanKind, Plans
+from vehicle_sim.autopilots.px4.setpoints import Projection
+from vehicle_sim.plans import PlanKind, Plans, Zone, forbidden, zones_of
 
 
 @final

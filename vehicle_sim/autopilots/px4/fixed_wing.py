@@ -14,21 +14,81 @@ import cmath
 import math
 from typing import Final, final
 
-from vehicle_sim.autopilots import TargetEcho, Waypoint
+from vehicle_sim.autopilots import Event, TargetEcho, Waypoint
 from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTarget, attitude_of
-from vehicle_sim.autopilots.px4 import mission, runway
+from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.autopilot import Px4
 from vehicle_sim.autopilots.px4.commands import HANDLERS
-from vehicle_sim.autopilots.px4.course import Course, Limits
-from vehicle_sim.autopilots.px4.guidance import size
+from vehicle_sim.autopilots.px4.course import Course, Limits, size
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
 from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ, style
 from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane, PlaneLimits
 
+# --- A fixed wing of PX4 on its wheels, and in the seconds before and after (px4.md 10) -----------
+# Times, speeds and events are those of px4-fixedwing-offboard.tlog: armed at 8.08 s, 2.9 m/s a
+# second later, 9.2 m/s and off the ground after two, 50 m high after 22; in the landing the flare
+# at 434.9, contact at 436.0, 0.9 m/s and "landing detected" at 438.7 s after boot.
+
+ON_RUNWAY: Final = Event(number=18146901, log_levels=0x66)
+"""Takeoff on """
+ROTATING: Final = Event(number=27229571, log_levels=0x66)
+"""Takeoff airspeed reached, climbout."""
+CLEARED: Final = Event(number=26123793, log_levels=0x66)
+"""Reached clearance altitude."""
+FLARING: Final = Event(number=33124855, log_levels=0x66)
+"""Landing, flaring."""
+
+TAKEOFF_SEEN_M_S: Final = 6.6
+"""The land detector believes in a take-off from here on, still on the wheels."""
+CLIMB_OUT_M_S: Final = 2.63
+"""Climb rate at FW_TKO_PITCH_MIN 10 degrees and full throttle."""
+ROTATES_AT: Final = 0.9
+"""Share of the take-off airspeed (RunwayTakeoff.cpp)."""
+LIFTS_OFF_AT: Final = 1.1
+"""And where it leaves the ground: at 11.3 m/s, 0.3 s later."""
+LANDING_SEEN_M_S: Final = 3.2
+"""From here on the landing detector counts its 1.8 s: 0.9 m/s when it is done."""
+LANDS_FASTER_M_S: Final = 0.5
+"""Flown 10.8 m/s through the air where FW_AIRSPD_MIN is 10.3."""
+SLOPE_FLOWN: Final = 0.98
+"""Share of the sink of FW_LND_ANG that is flown: 0.85 m/s in the mean of the recorded landing."""
+FLARE_SINKS_M_S: Final = 0.6
+"""At least, whatever FW_LND_FL_SINK (0.25) says: a second from the flare to contact."""
+SINKS_FASTER_1_S: Final = 0.15
+"""Sink for each m/s of airspeed too much: 1.3 m/s at first, 0.87 when it is slow."""
+FLARE_BRAKES_M_S: Final = 4.0
+"""Airspeed that the flare is told to fly: 10.8 to 6.8 m/s in the second before contact."""
+_ROLL_OUT_S: Final = 1.33
+"""Time constant of the speed on the wheels without throttle: 5.45 m/s at 437 s, 0.87 at 439.5."""
+_FULL_M_S2: Final = 6.4
+_RAMP_M_S3: Final = 5.7
+"""Acceleration while RWTO_RAMP_TIME (2 s) opens the throttle."""
+
+
+def take_off_m_s2(since_s: float, ramp_s: float) -> float:
+    """Acceleration on the runway so long after arming."""
+    return min(_RAMP_M_S3 * 2.0 / max(ramp_s, 0.1) * since_s, _FULL_M_S2)
+
+
+def roll_out_m_s2(ground_speed_m_s: float) -> float:
+    """Deceleration on the wheels (negative)."""
+    return -max(ground_speed_m_s / _ROLL_OUT_S, 0.05)
+
+
+def bank_near_ground_rad(height_m: float, wing_height_m: float, wing_span_m: float) -> float:
+    """The bank that keeps the wing tips off the ground (getMaxRollAngleNearGround)."""
+    return min(max(2.0 * (height_m - wing_height_m) / wing_span_m, 0.0), 0.5 * math.pi)
+
+
+def flare_sink_m_s(since_s: float, flare_s: float, from_m_s: float, to_m_s: float) -> float:
+    """Sink rate so long after the flare began: from one to the other with the root of time."""
+    share = math.sqrt(min(max(since_s / flare_s, 0.0), 1.0))
+    return share * to_m_s + (1.0 - share) * from_m_s
+
+
 SIH_AIRPLANE: Final = PlaneLimits(
     airspeed_min_m_s=5.0,
-    airspeed_cruise_m_s=13.95,
     airspeed_max_m_s=13.95,
     bank_max_rad=math.radians(60.0),
     roll_rate_rad_s=math.radians(60.0),
@@ -181,7 +241,7 @@ class Px4FixedWing(Px4):
     def start_landing(self, centre_m: complex) -> None:
         """Down in a circle.  NAV_LAND's own place is ignored, as recorded."""
         course = self.course
-        course.airspeed_m_s = self._true(self._landing_airspeed_m_s()) + runway.LANDS_FASTER_M_S
+        course.airspeed_m_s = self._true(self._landing_airspeed_m_s()) + LANDS_FASTER_M_S
         course.loiter(centre_m, self.loiter_radius_m)
         self._glide()
 
@@ -241,7 +301,7 @@ class Px4FixedWing(Px4):
         if mode in (Mode.TAKEOFF, Mode.LAND):
             height_m = self.estimate.altitude_amsl_m - self.ground_amsl_m
             parameters = self.parameters
-            course.bank_most_rad = runway.bank_near_ground_rad(
+            course.bank_most_rad = bank_near_ground_rad(
                 height_m, parameters["FW_WING_HEIGHT"], parameters["FW_WING_SPAN"]
             )
         course.steer(self.local_m, self.estimate, dt_s)
@@ -295,11 +355,11 @@ class Px4FixedWing(Px4):
         """Up to the take-off's height, then Hold; for good if it was not told where to."""
         course, goal_m = self.course, self._takeoff_altitude_m()
         if self.estimate.altitude_amsl_m < goal_m:
-            course.climb_out(runway.CLIMB_OUT_M_S)
+            course.climb_out(CLIMB_OUT_M_S)
             course.airspeed_m_s = self.cruise_m_s(Mode.TAKEOFF)
             return
         if not course.holds_altitude:
-            self.say(runway.CLEARED)
+            self.say(CLEARED)
         course.hold_altitude(goal_m + _CLEARED_M)
         place = self.takeoff_place
         if place is not None and math.isfinite(place[0]) and math.isfinite(place[1]):
@@ -332,23 +392,23 @@ class Px4FixedWing(Px4):
                 self._glide()
                 return
             self._flare_us, self._flare_from_m_s = self.now_us, sink_m_s
-            self.say(runway.FLARING)
+            self.say(FLARING)
         since_s = (self.now_us - self._flare_us) * 1e-6
-        course.airspeed_m_s = runway.FLARE_BRAKES_M_S
+        course.airspeed_m_s = FLARE_BRAKES_M_S
         course.climb_out(
-            -runway.flare_sink_m_s(
+            -flare_sink_m_s(
                 since_s,
                 parameters["FW_LND_FL_TIME"],
                 self._flare_from_m_s,
-                max(parameters["FW_LND_FL_SINK"], runway.FLARE_SINKS_M_S),
+                max(parameters["FW_LND_FL_SINK"], FLARE_SINKS_M_S),
             )
         )
 
     def _glide(self) -> None:
         """Down the slope of FW_LND_ANG, steeper while it is too fast."""
-        glide = runway.SLOPE_FLOWN * math.sin(math.radians(self.parameters["FW_LND_ANG"]))
+        glide = SLOPE_FLOWN * math.sin(math.radians(self.parameters["FW_LND_ANG"]))
         too_fast_m_s = max(self.vehicle.airspeed_m_s - self.course.airspeed_m_s, 0.0)
-        sink_m_s = self._landing_airspeed_m_s() * glide + runway.SINKS_FASTER_1_S * too_fast_m_s
+        sink_m_s = self._landing_airspeed_m_s() * glide + SINKS_FASTER_1_S * too_fast_m_s
         self.course.climb(-sink_m_s)
 
     def _by_hand(self) -> None:
@@ -375,7 +435,7 @@ class Px4FixedWing(Px4):
             return
         if leg.command == mission.TAKEOFF:
             if self.estimate.altitude_amsl_m >= leg.altitude_amsl_m:
-                self.say(runway.CLEARED)
+                self.say(CLEARED)
                 self.mission.arrived()
         elif leg.command == mission.LAND:
             self.land()
@@ -405,7 +465,7 @@ class Px4FixedWing(Px4):
             if size(place_m - from_m) > 1.0:
                 way_rad = cmath.phase(place_m - from_m)
             course.straight(self.local_m, way_rad)
-            course.climb_out(runway.CLIMB_OUT_M_S)
+            course.climb_out(CLIMB_OUT_M_S)
         elif leg.command == mission.LAND:
             self.start_landing(place_m)
         elif leg.command == mission.WAYPOINT and leg.hold_s == 0.0:
@@ -447,15 +507,15 @@ class Px4FixedWing(Px4):
         if self.armed and self._wants_up():
             since_s = (self.now_us - max(self._armed_us, self._began_us)) * 1e-6
             ramp_s = self.parameters["RWTO_RAMP_TIME"]
-            plane.roll_on_ground(runway.take_off_m_s2(since_s, ramp_s), dt_s)
+            plane.roll_on_ground(take_off_m_s2(since_s, ramp_s), dt_s)
             plane.throttle = min(since_s / max(ramp_s, 0.1), 1.0)
             self._run_up(plane.airspeed_m_s)
             return
         plane.throttle = 0.0
         if speed_m_s > 0.0:
-            plane.roll_on_ground(runway.roll_out_m_s2(speed_m_s), dt_s)
+            plane.roll_on_ground(roll_out_m_s2(speed_m_s), dt_s)
         if self.armed:
-            self._contact(pressed=speed_m_s < runway.LANDING_SEEN_M_S)
+            self._contact(pressed=speed_m_s < LANDING_SEEN_M_S)
         elif speed_m_s == 0.0:
             self.landed = True
 
@@ -472,14 +532,14 @@ class Px4FixedWing(Px4):
         """Tell of the take-off, and leave the ground at its airspeed."""
         if not self._runway_said and self.now_us - self._armed_us >= _RUNWAY_US:
             self._runway_said = True
-            self.say(runway.ON_RUNWAY)
-        if airspeed_m_s >= runway.TAKEOFF_SEEN_M_S:
+            self.say(ON_RUNWAY)
+        if airspeed_m_s >= TAKEOFF_SEEN_M_S:
             self._took_off()
         takeoff_m_s = self._takeoff_airspeed_m_s()
-        if airspeed_m_s >= runway.ROTATES_AT * takeoff_m_s and not self._rotated:
+        if airspeed_m_s >= ROTATES_AT * takeoff_m_s and not self._rotated:
             self._rotated = True
-            self.say(runway.ROTATING)
-        if airspeed_m_s >= runway.LIFTS_OFF_AT * takeoff_m_s:
+            self.say(ROTATING)
+        if airspeed_m_s >= LIFTS_OFF_AT * takeoff_m_s:
             self._took_off()
             self._wheels = False
             self.course.start(airspeed_m_s)

@@ -7,10 +7,9 @@ from typing import Final, NamedTuple, final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Place, Reply, Say
-from vehicle_sim.autopilots.jumps import Jumps
 from vehicle_sim.autopilots.px4.modes import Mode
 from vehicle_sim.autopilots.px4.setpoints import height_of
-from vehicle_sim.plans import PlanItem, PlanKind, Plans
+from vehicle_sim.plans import Jumps, PlanItem, PlanKind, Plans
 
 WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
 _LEGS: Final = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, LAND, TAKEOFF, 31})

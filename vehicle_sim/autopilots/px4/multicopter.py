@@ -10,11 +10,10 @@ from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.autopilot import Px4
 from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, NAVIGATED, Mode
-from vehicle_sim.autopilots.px4.position_control import Gains, PositionControl
-from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
-from vehicle_sim.autopilots.px4.style import RATES_HZ, style
-from vehicle_sim.autopilots.px4.trajectory import (
+from vehicle_sim.autopilots.px4.position_control import (
     HERE,
+    Gains,
+    PositionControl,
     Trajectory,
     Wanted,
     by_hand,
@@ -22,6 +21,8 @@ from vehicle_sim.autopilots.px4.trajectory import (
     stopping_point,
     turning_rad_s,
 )
+from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
+from vehicle_sim.autopilots.px4.style import RATES_HZ, style
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
 
 _QUADROTOR: Final = 2
@@ -198,11 +199,13 @@ class Px4Multicopter(Px4):
             copter.stand(self.ground_amsl_m)
             self._contact(pressed=True)
             return
-        most_up_m_s = self._most_up_m_s()
-        north, east, up = self._velocity
+        most_up_m_s = self._control.gains.vertical_up_m_s
+        if self._ramp_us is not None:
+            most_up_m_s = self._most_up_m_s(self._ramp_us)
+        e = self.estimate
         state = (
             self.local_m,
-            (north, east, -up),
+            (e.velocity_north_m_s, e.velocity_east_m_s, -e.velocity_up_m_s),
             (copter.acceleration_north_m_s2, copter.acceleration_east_m_s2, 0.0),
         )
         a_n, a_e, a_d = self._control.run(wanted, state, most_up_m_s, dt_s)
@@ -214,7 +217,7 @@ class Px4Multicopter(Px4):
         if copter.altitude_amsl_m < self.ground_amsl_m:
             self._stand()
         elif self._ramp_us is None:
-            self._contact(pressed=False)
+            self._contact_us = None
 
     def _fly_attitude(self, target: AttitudeTarget, dt_s: float) -> None:
         """Attitude and thrust as they were sent: no position controller."""
@@ -240,7 +243,7 @@ class Px4Multicopter(Px4):
         if copter.altitude_amsl_m < self.ground_amsl_m:
             self._stand()
             return
-        self._contact(pressed=False)
+        self._contact_us = None
         if copter.altitude_amsl_m > self.ground_amsl_m + _OFF_GROUND_M:
             self._took_off()
 
@@ -269,12 +272,9 @@ class Px4Multicopter(Px4):
         self._path.start(self.local_m, (north, east, -up_m_s))
         return True
 
-    def _most_up_m_s(self) -> float:
-        """MPC_Z_VEL_MAX_UP, in the take-off ramp less, negative at first."""
-        gains, ramp_us = self._control.gains, self._ramp_us
-        most = gains.vertical_up_m_s
-        if ramp_us is None:
-            return most
+    def _most_up_m_s(self, ramp_us: int) -> float:
+        """MPC_Z_VEL_MAX_UP, in the take-off ramp that began then less, negative at first."""
+        most = self._control.gains.vertical_up_m_s
         since_s = (self.now_us - ramp_us) * 1e-6
         if since_s >= _DETECTED_S:
             self._took_off()
@@ -311,7 +311,7 @@ class Px4Multicopter(Px4):
     def _automatic(self, dt_s: float) -> None:
         """Move the point that the controller follows."""
         mode, path = self.mode, self._path
-        if self._ramp_us is not None and self._most_up_m_s() <= 0.0:
+        if self._ramp_us is not None and self._most_up_m_s(self._ramp_us) <= 0.0:
             path.start(self.local_m, _STILL)
             return
         if mode is Mode.LAND:
@@ -459,9 +459,9 @@ class Px4Multicopter(Px4):
     def _turn(self, dt_s: float) -> None:
         """Turn the nose: to the setpoint's yaw, along the way, or as the pilot says."""
         copter, mode, parameters = self.vehicle, self.mode, self.parameters
-        most_deg_s = parameters["MPC_YAWRAUTO_MAX"]
-        if mode is Mode.OFFBOARD:
-            most_deg_s = parameters["MC_YAWRATE_MAX"]
+        by_client = mode is Mode.OFFBOARD
+        most_deg_s = parameters["MC_YAWRATE_MAX" if by_client else "MPC_YAWRAUTO_MAX"]
+        if by_client:
             target = self.target
             if target is not None:
                 if target.yaw_rad == target.yaw_rad:
