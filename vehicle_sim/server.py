@@ -1,7 +1,6 @@
 """The touching half: the only clock, the links' sockets, the truth file and the signals."""
 
 import itertools
-import os
 import select
 import signal
 import time
@@ -19,8 +18,6 @@ from vehicle_sim.wire.routing import targets
 
 FIRST_HEARTBEAT_S = 60.0
 SILENCE_S = 30.0
-_SLOWER_MOST = 5.0
-"""So many times longer a companion may take to start on a busy computer."""
 _HELLO_S = 0.2
 _PATIENCE_S = 0.1
 """How long a wait may last before it looks whether it shall stop."""
@@ -46,7 +43,7 @@ class Settings:
     strict: bool = False
     """End with an error when something came in that the real autopilot does not survive."""
     first_heartbeat_s: float = FIRST_HEARTBEAT_S
-    """Wall time that lockstep waits for the companions at the start; longer on a busy computer."""
+    """Wall time that lockstep waits for the companions at the start."""
     silence_s: float = SILENCE_S
     """Wall time without a word from a companion after which lockstep gives up."""
 
@@ -228,16 +225,16 @@ class Server:
 
     def _await_companions(self) -> None:
         """Say hello until somebody says hello; vehicle time stands still."""
-        waited_s, before_s, hello_s = 0.0, time.monotonic(), 0.0
+        give_up_s = time.monotonic() + self._settings.first_heartbeat_s
+        hello_s = 0.0
         while not self._stop.requested:
             alone = [each for each in self._simulations if each.companion is None]
             if not alone:
                 return
             now_s = time.monotonic()
-            waited_s += (now_s - before_s) / _slower_by()
-            before_s, most_s = now_s, self._settings.first_heartbeat_s
-            if waited_s >= most_s:
-                raise CompanionSilent(f"no heartbeat from a companion within {most_s:.0f} s")
+            if now_s >= give_up_s:
+                waited_s = self._settings.first_heartbeat_s
+                raise CompanionSilent(f"no heartbeat from a companion within {waited_s:.0f} s")
             if now_s >= hello_s:
                 for simulation in alone:
                     simulation.say_hello()
@@ -300,15 +297,6 @@ class Server:
             self._listen((STEP_US - behind_us) / (speedup * 1e6))
             self._send()
         return time.monotonic() - start_s
-
-
-def _slower_by() -> float:
-    """How many times longer a companion may take to start than alone: programs per processor."""
-    try:
-        programs = os.getloadavg()[0] / (os.cpu_count() or 1)
-    except (AttributeError, OSError):  # not known on this system
-        return 1.0
-    return min(max(programs, 1.0), _SLOWER_MOST)
 
 
 @contextmanager
