@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import final
 
 import pytest
-
 from programs import BIN, HURRIED, Program, free_port
 
 from companion.cli import main
@@ -161,7 +160,9 @@ def test_what_was_kept_and_cannot_be_read_is_said_kept_and_gone_on_without(tmp_p
         (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":1}\n{"t_')
         (folder / "flight.tlog").write_bytes(b"\x00\x01")
         options = ("--out", folder, "--resume", *connect(free_port()))
-        flights.append((folder, torn, begun("fly", tmp_path / "gone.toml", *options, program=WAITS_LESS)))
+        flights.append(
+            (folder, torn, begun("fly", tmp_path / "gone.toml", *options, program=WAITS_LESS))
+        )
     for folder, torn, companion in flights:
         said, errors = companion.communicate(timeout=60)
         assert companion.returncode == 75, errors  # it has flown: a service is to try again

@@ -32,13 +32,14 @@ def frames_of(datagram: bytes) -> Iterator[bytes]:
         datagram = datagram[size:]
 
 
+@pytest.mark.nightly  # `test_session_two` says it without a wire
 def test_the_second_companion_ends_and_the_first_flies_on(tmp_path: Path) -> None:
     """And what the router sends back of the first one's own raises no alarm before."""
     mine, others = tmp_path / "first", tmp_path / "second"
     with Router(reflects=True) as router:
         port = f"udpout:127.0.0.1:{router.port}"
         first = companion("sitl-px4", mine, port, "--system", 1)
-        simulator("sitl-px4", tmp_path / "truth", "--connect", port, "--speedup", 2)
+        simulator("sitl-px4", tmp_path / "truth", "--connect", port, "--speedup", 4)
         until(mine, first, kind="leg", number=1)
         alone = [frame for data in tuple(router.passed) for frame in frames_of(data)]
         assert "another companion" not in {entry.get("kind") for entry in journal_of(mine)}
