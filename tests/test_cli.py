@@ -14,8 +14,6 @@ from programs import BIN, HURRIED, Program, free_port
 from companion.cli import main
 
 COMPANION = BIN / "companion"
-WAITS_LESS = (sys.executable, "-c", f"{HURRIED}\nfrom companion.cli import main\nmain()")
-"""The same; it gives up sooner."""
 HILLS = Path(__file__).parent / "closed_loop" / "hills"
 ENVIRONMENTS = Path(__file__).parents[1] / "companion" / "environments"
 
@@ -26,13 +24,17 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def begun(
-    *arguments: str | Path, program: tuple[str | Path, ...] = (COMPANION,)
-) -> subprocess.Popen[str]:
-    """The same, for others to be started or ended meanwhile."""
-    return subprocess.Popen(
-        [*program, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+def waited(*arguments: str | Path) -> tuple[int, str, str]:
+    """Exit code, what is printed and said of errors where no vehicle comes; ten times as soon."""
+    program = f"{HURRIED}\nfrom companion.cli import main\nmain()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
     )
+    return done.returncode, done.stdout, done.stderr
 
 
 def test_check_says_in_words_what_a_mission_will_do() -> None:
@@ -141,39 +143,26 @@ def test_to_go_on_with_another_mission_than_that_of_the_folder(tmp_path: Path) -
     assert "of another mission, 'hills'" in line
 
 
-_KEPT_HEAD = b'{"schema":"companion-resume","version":1,"epoch_us":1,"starts":0,"tlog_bytes":0,'
-UNREADABLE = (
-    b'{"schema":"companion-resume","vers',
-    b'{"schema":"companion-resume","version":2}',
-    _KEPT_HEAD + b'"values":{"speed_limit_m_s":"fast","target":0}}',
-)
-
-
 def test_what_was_kept_and_cannot_be_read_is_said_kept_and_gone_on_without(tmp_path: Path) -> None:
-    """All at once: each waits for a vehicle that does not come.
+    """Whatever is wrong with it: tests/telemetry/test_memory.py.
 
     The mission is the folder's own, whatever has become of the file that it was given as.
     """
-    flights: list[tuple[Path, bytes, subprocess.Popen[str]]] = []
-    for torn in UNREADABLE:
-        folder = kept(tmp_path / f"run {len(flights)}", torn)
-        (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":1}\n{"t_')
-        (folder / "flight.tlog").write_bytes(b"\x00\x01")
-        options = ("--out", folder, "--resume", *connect(free_port()))
-        flights.append(
-            (folder, torn, begun("fly", tmp_path / "gone.toml", *options, program=WAITS_LESS))
-        )
-    for folder, torn, companion in flights:
-        said, errors = companion.communicate(timeout=60)
-        assert companion.returncode == 75, errors  # it has flown: a service is to try again
-        assert len(errors.splitlines()) == 1
-        assert "no vehicle was heard" in errors
-        assert said.count("warning: taking over without memory of the flight: resume.json") == 1
-        assert (folder / "resume.lost-1.json").read_bytes() == torn
-        journal = (folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-        entries = [json.loads(line) for line in journal]
-        [resumed] = [entry for entry in entries if entry.get("kind") == "resumed"]
-        assert "resume.json" in resumed["lost"]
+    torn = b'{"schema":"companion-resume","vers'
+    folder = kept(tmp_path / "run", torn)
+    (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":1}\n{"t_')
+    (folder / "flight.tlog").write_bytes(b"\x00\x01")
+    options = ("--out", folder, "--resume", *connect(free_port()))
+    code, said, errors = waited("fly", tmp_path / "gone.toml", *options)
+    assert code == 75, errors  # it has flown: a service is to try again
+    assert len(errors.splitlines()) == 1
+    assert "no vehicle was heard" in errors
+    assert said.count("warning: taking over without memory of the flight: resume.json") == 1
+    assert (folder / "resume.lost-1.json").read_bytes() == torn
+    journal = (folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+    entries = [json.loads(line) for line in journal]
+    [resumed] = [entry for entry in entries if entry.get("kind") == "resumed"]
+    assert "resume.json" in resumed["lost"]
 
 
 @pytest.mark.parametrize("command", ["fly", "preflight"])
@@ -307,9 +296,8 @@ def test_a_vehicle_that_may_not_is_told_why(vehicles: Vehicles, tmp_path: Path) 
 
 
 def test_no_vehicle_may_not_fly() -> None:
-    with begun("preflight", "sitl-px4", *connect(free_port()), program=WAITS_LESS) as preflight:
-        shown, errors = preflight.communicate(timeout=60)
-    assert preflight.returncode == 1
+    code, shown, errors = waited("preflight", "sitl-px4", *connect(free_port()))
+    assert code == 1
     assert "none was heard" in shown
     assert len(errors.splitlines()) == 1
 

@@ -117,17 +117,6 @@ def test_no_vehicle_is_said_within_ten_seconds(tmp_path: Path) -> None:
     assert "no vehicle was heard within 10 s" in line
 
 
-@pytest.mark.nightly
-def test_a_mission_that_ends_with_a_landing_ends_on_the_ground(tmp_path: Path) -> None:
-    lands = ('action = "hold"', 'action = "land"')
-    mission = edited(HILLS_MISSION, tmp_path / "land.toml", lands)
-    flight = launch(tmp_path / "run", HILLS, mission)
-    flight.wait()
-    flight.ended_well()
-    assert flight.truth[-1]["landed"]
-    assert not flight.truth[-1]["armed"]
-
-
 def test_nothing_is_flown_on_sight_that_the_radar_does_not_have(tmp_path: Path) -> None:
     """What lies beyond the radar's own range is unknown, not sheltered."""
     short = ("range_m = 20000.0", "range_m = 8000.0")

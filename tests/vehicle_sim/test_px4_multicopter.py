@@ -28,7 +28,6 @@ def _between(row: Row) -> bool:
     return row.rate_hz in (5.0, 10.0) or row.carrot_m == 8.0
 
 
-@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     "row",
     [pytest.param(row, marks=[pytest.mark.nightly] if _between(row) else []) for row in TABLE],

@@ -31,7 +31,6 @@ def row_of(speed_m_s: float, kind: str, rate_hz: float = 10) -> Row:
     return next(row for row in ROWS if (row.speed_m_s, row.kind, row.rate_hz) == wanted)
 
 
-@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     "row",
     [
