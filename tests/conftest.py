@@ -38,7 +38,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         nightly = set(_nightly(items))
         config.hook.pytest_deselected(items=[item for item in items if item in nightly])
         items[:] = [item for item in items if item not in nightly]
-    for item in items:
+    for item in items if config.pluginmanager.hasplugin("xdist") else ():
         if not item.get_closest_marker("xdist_group"):
             item.add_marker(pytest.mark.xdist_group(item.path.stem))
 
@@ -62,8 +62,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 @pytest.fixture
 def nudge(request: pytest.FixtureRequest) -> int:
     """The seed of the nudge that a test is flown under: each test has its own."""
-    group = request.node.get_closest_marker("xdist_group").args[0]
-    name = request.node.nodeid.removesuffix(f"@{group}")  # as it is without xdist
+    name = request.node.nodeid
+    for group in request.node.iter_markers("xdist_group"):
+        name = name.removesuffix(f"@{group.args[0]}")  # as it is without xdist
     seed: int = getattr(request, "param", zlib.crc32(name.encode()) % len(SEEDS))
     return seed
 
