@@ -63,6 +63,7 @@ def test_the_paper_profile_flies_too(flown: Any) -> None:
     assert flight.journal[0]["profile"] == "paper"
 
 
+@pytest.mark.nightly
 def test_a_vehicle_that_vanishes_ends_the_flight_with_a_reason(tmp_path: Path) -> None:
     flight = launch(tmp_path, HILLS, HILLS_MISSION, patch=HURRIED)
     flight.companion.expect("subpath  1")

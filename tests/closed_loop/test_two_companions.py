@@ -9,7 +9,7 @@ from flights import companion, journal_of, run, simulator
 from programs import BIN, Program
 from router import Router
 
-pytestmark = pytest.mark.closed_loop
+pytestmark = [pytest.mark.closed_loop, pytest.mark.nightly]
 
 PATIENCE_S = 120.0
 WHY = "another companion with our ids is on the link"
@@ -32,7 +32,6 @@ def frames_of(datagram: bytes) -> Iterator[bytes]:
         datagram = datagram[size:]
 
 
-@pytest.mark.nightly  # `test_session_two` says it without a wire
 def test_the_second_companion_ends_and_the_first_flies_on(tmp_path: Path) -> None:
     """And what the router sends back of the first one's own raises no alarm before."""
     mine, others = tmp_path / "first", tmp_path / "second"
