@@ -43,7 +43,7 @@ _NIGHTLY = ("upper-valley", "valley", "environment-1", "environment-2")
 EACH_SCENE = each("hills", *_NIGHTLY, nightly=_NIGHTLY)
 """The hills are of the same kind as the paper's environments, and a third as long."""
 NIGHTLY_AUTOPILOTS = ("sitl-arducopter", "sitl-px4", "sitl-arduplane")
-"""Two of them are flown through a resume and back from a fault, and one in `test_planes`."""
+"""They fly elsewhere: `test_resume`, `test_no_radar` and `test_planes`."""
 NIGHTLY = pytest.mark.nightly
 
 
