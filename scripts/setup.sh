@@ -7,6 +7,11 @@ if ! "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null
     echo "error: PYTHON = '$python': Python 3.11 or newer is needed. Install it, or set PYTHON." >&2
     exit 2
 fi
+compiles='import pkgutil, companion, vehicle_sim # all that both programs are made of, and no more
+for each in (companion, vehicle_sim):
+    for module in pkgutil.walk_packages(each.__path__, each.__name__ + "."):
+        module.name.endswith("__main__") or __import__(module.name)
+companion.runtime.compiler.load_kernel()'
 stamp="$venv/.installed-$1"
 wanted=$(cat "$1" pyproject.toml | cksum)
 if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
@@ -16,9 +21,9 @@ if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
     fi
     echo "setting up $venv (once, about a minute) ..."
     "$python" -m venv "$venv" &&
-        "$venv/bin/pip" install -q --disable-pip-version-check --require-hashes -r "$1" &&
+        "$venv/bin/pip" install -q --no-compile --disable-pip-version-check --require-hashes -r "$1" &&
         "$venv/bin/pip" install -q --disable-pip-version-check --no-deps --no-build-isolation -e . &&
-        "$venv/bin/python" -c 'from companion.runtime.compiler import load_kernel; load_kernel()' ||
+        env -u PYTHONDONTWRITEBYTECODE "$venv/bin/python" -c "$compiles" ||
         exit 1
     echo "$wanted" >"$stamp"
 fi

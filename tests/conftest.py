@@ -1,10 +1,12 @@
 """Hypothesis profiles: `dev` by default, `--hypothesis-profile=ci` searches longer.
 
 `--all`, and the seed of a nudge: what tests of decisions are also flown under.  A test that is
-marked `nightly` states a law that others state with fewer draws: it runs with `--all` alone.
+marked `nightly` states a law that others state with fewer draws: it runs with `--all` alone, as do
+all but each nth of the cases of a test that is marked `sample(n)`.
 """
 
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 
 import pytest
@@ -25,13 +27,30 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "sample(n): each nth case, with --all every one")
+
+
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Without --all nothing nightly runs."""
-    if config.getoption("--all"):
-        return
-    nightly = [item for item in items if item.get_closest_marker("nightly")]
-    config.hook.pytest_deselected(items=nightly)
-    items[:] = [item for item in items if not item.get_closest_marker("nightly")]
+    """Without --all nothing nightly runs; what a file makes once is made by one worker."""
+    if not config.getoption("--all"):
+        nightly = set(_nightly(items))
+        config.hook.pytest_deselected(items=[item for item in items if item in nightly])
+        items[:] = [item for item in items if item not in nightly]
+    for item in items if config.pluginmanager.hasplugin("xdist") else ():
+        if not item.get_closest_marker("xdist_group"):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+
+
+def _nightly(items: list[pytest.Item]) -> Iterator[pytest.Item]:
+    cases: Counter[tuple[str, int]] = Counter()
+    for item in items:
+        sample = item.get_closest_marker("sample")
+        where = item.location[0], item.location[1] or 0
+        if item.get_closest_marker("nightly") or (sample and cases[where] % sample.args[0]):
+            yield item
+        cases[where] += 1
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -43,7 +62,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 @pytest.fixture
 def nudge(request: pytest.FixtureRequest) -> int:
     """The seed of the nudge that a test is flown under: each test has its own."""
-    seed: int = getattr(request, "param", zlib.crc32(request.node.nodeid.encode()) % len(SEEDS))
+    name = request.node.nodeid
+    for group in request.node.iter_markers("xdist_group"):
+        name = name.removesuffix(f"@{group.args[0]}")  # as it is without xdist
+    seed: int = getattr(request, "param", zlib.crc32(name.encode()) % len(SEEDS))
     return seed
 
 

@@ -1,14 +1,17 @@
 """What tests of curves, costs and plans begin with."""
 
+import os
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from companion.path.limits import Limits
+from companion.planner.kernels import Kernel
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
 from companion.planner.procedure import hover_pose
@@ -34,6 +37,14 @@ _COPTER = Limits(
     east_m=(0.0, 8_000.0),
     tracking_error_m=5.0,
 )
+
+
+@cache
+def flying_kernel() -> Kernel:
+    """The one that flies, loaded once; what tests start afterwards has its cache where it was."""
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("NUMBA_CACHE_DIR", os.environ.get("NUMBA_CACHE_DIR", ""))
+        return load_kernel()
 
 
 def limits(**changes: Any) -> Limits:
@@ -73,7 +84,7 @@ def fly(
         start_nea_m=start_nea_m,
         targets_ne_m=targets_ne_m,
         seed=seed,
-        planner=partial(plan, kernel=load_kernel()),
+        planner=partial(plan, kernel=flying_kernel()),
     )
 
 

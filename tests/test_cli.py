@@ -1,8 +1,7 @@
 import contextlib
 import io
 import json
-import signal
-import socket
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -10,10 +9,11 @@ from pathlib import Path
 from typing import final
 
 import pytest
+from programs import BIN, HURRIED, Program, free_port
 
 from companion.cli import main
 
-COMPANION = Path(sys.executable).parent / "companion"
+COMPANION = BIN / "companion"
 HILLS = Path(__file__).parent / "closed_loop" / "hills"
 ENVIRONMENTS = Path(__file__).parents[1] / "companion" / "environments"
 
@@ -24,11 +24,17 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def begun(*arguments: str | Path) -> subprocess.Popen[str]:
-    """The same, for others to be started or ended meanwhile."""
-    return subprocess.Popen(
-        [COMPANION, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+def waited(*arguments: str | Path) -> tuple[int, str, str]:
+    """Exit code, what is printed and said of errors where no vehicle comes; ten times as soon."""
+    program = f"{HURRIED}\nfrom companion.cli import main\nmain()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
     )
+    return done.returncode, done.stdout, done.stderr
 
 
 def test_check_says_in_words_what_a_mission_will_do() -> None:
@@ -61,27 +67,40 @@ def test_plan_reaches_the_target_and_writes_a_picture(tmp_path: Path) -> None:
     ids=lambda value: value[-1] if isinstance(value, tuple) else "",
 )
 def test_wrong_input_is_one_line_and_exit_code_2(arguments: tuple[str, ...], words: str) -> None:
-    done = run(*arguments)
+    assert words in refused(*arguments)
+
+
+def test_so_it_is_of_the_program() -> None:
+    done = run("fly", "nowhere")
     assert done.returncode == 2
+    assert done.stderr.startswith("error: MISSION = 'nowhere'")
     assert len(done.stderr.splitlines()) == 1
-    assert done.stderr.startswith("error: ")
-    assert words in done.stderr
 
 
 # --- the other ways of flying
 
 
-def refused(*arguments: str | Path) -> str:
-    """The one line that wrong input is answered with, in this process: there are many."""
-    said = io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(said):
+def answered(*arguments: str | Path) -> tuple[object, str, str]:
+    """Exit code, and what is printed and said of errors, in this process: there are many."""
+    shown, said = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(shown),
+        contextlib.redirect_stderr(said),
+    ):
         patch.setattr(sys, "argv", ["companion", *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
             main()
-    assert ended.value.code == 2, (arguments, said.getvalue())
-    assert len(said.getvalue().splitlines()) == 1, said.getvalue()
-    assert said.getvalue().startswith("error: ")
-    return said.getvalue()
+    return ended.value.code, shown.getvalue(), said.getvalue()
+
+
+def refused(*arguments: str | Path) -> str:
+    """The one line that wrong input is answered with."""
+    code, _, said = answered(*arguments)
+    assert code == 2, (arguments, said)
+    assert len(said.splitlines()) == 1, said
+    assert said.startswith("error: ")
+    return said
 
 
 def kept(folder: Path, resume: str | bytes) -> Path:
@@ -124,37 +143,26 @@ def test_to_go_on_with_another_mission_than_that_of_the_folder(tmp_path: Path) -
     assert "of another mission, 'hills'" in line
 
 
-_KEPT_HEAD = b'{"schema":"companion-resume","version":1,"epoch_us":1,"starts":0,"tlog_bytes":0,'
-UNREADABLE = (
-    b'{"schema":"companion-resume","vers',
-    b'{"schema":"companion-resume","version":2}',
-    _KEPT_HEAD + b'"values":{"speed_limit_m_s":"fast","target":0}}',
-)
-
-
 def test_what_was_kept_and_cannot_be_read_is_said_kept_and_gone_on_without(tmp_path: Path) -> None:
-    """All at once: each waits 10 s for a vehicle that does not come.
+    """Whatever is wrong with it: tests/telemetry/test_memory.py.
 
     The mission is the folder's own, whatever has become of the file that it was given as.
     """
-    flights: list[tuple[Path, bytes, subprocess.Popen[str]]] = []
-    for torn in UNREADABLE:
-        folder = kept(tmp_path / f"run {len(flights)}", torn)
-        (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":1}\n{"t_')
-        (folder / "flight.tlog").write_bytes(b"\x00\x01")
-        options = ("--out", folder, "--resume", *connect(free_port()))
-        flights.append((folder, torn, begun("fly", tmp_path / "gone.toml", *options)))
-    for folder, torn, companion in flights:
-        said, errors = companion.communicate(timeout=60)
-        assert companion.returncode == 75, errors  # it has flown: a service is to try again
-        assert len(errors.splitlines()) == 1
-        assert "no vehicle was heard" in errors
-        assert said.count("warning: taking over without memory of the flight: resume.json") == 1
-        assert (folder / "resume.lost-1.json").read_bytes() == torn
-        journal = (folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-        entries = [json.loads(line) for line in journal]
-        [resumed] = [entry for entry in entries if entry.get("kind") == "resumed"]
-        assert "resume.json" in resumed["lost"]
+    torn = b'{"schema":"companion-resume","vers'
+    folder = kept(tmp_path / "run", torn)
+    (folder / "journal.jsonl").write_bytes(b'{"schema":"companion-journal","version":1}\n{"t_')
+    (folder / "flight.tlog").write_bytes(b"\x00\x01")
+    options = ("--out", folder, "--resume", *connect(free_port()))
+    code, said, errors = waited("fly", tmp_path / "gone.toml", *options)
+    assert code == 75, errors  # it has flown: a service is to try again
+    assert len(errors.splitlines()) == 1
+    assert "no vehicle was heard" in errors
+    assert said.count("warning: taking over without memory of the flight: resume.json") == 1
+    assert (folder / "resume.lost-1.json").read_bytes() == torn
+    journal = (folder / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+    entries = [json.loads(line) for line in journal]
+    [resumed] = [entry for entry in entries if entry.get("kind") == "resumed"]
+    assert "resume.json" in resumed["lost"]
 
 
 @pytest.mark.parametrize("command", ["fly", "preflight"])
@@ -226,9 +234,9 @@ def test_a_key_that_cannot_be(
 
 @pytest.mark.parametrize("command", ["fly", "plan", "check", "preflight"])
 def test_every_page_of_help_names_the_bundled_missions(command: str) -> None:
-    done = run(command, "--help")
-    assert done.returncode == 0
-    words = "".join(done.stdout.split())
+    code, shown, _ = answered(command, "--help")
+    assert code == 0
+    words = "".join(shown.split())
     bundled = [each.name for each in ENVIRONMENTS.iterdir() if (each / "mission.toml").is_file()]
     assert len(bundled) >= 7
     for name in bundled:
@@ -242,12 +250,6 @@ def connect(port: int) -> tuple[str, str]:
     return ("--connect", f"udpin:127.0.0.1:{port}")
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @final
 class Vehicles:
     """Simulated ones."""
@@ -255,18 +257,13 @@ class Vehicles:
     def __init__(self) -> None:
         self.started: list[subprocess.Popen[bytes]] = []
 
-    def start(self, *arguments: str) -> int:
+    def start(self, *arguments: str, port: int | None = None) -> int:
         """The port on which it is to be waited for."""
-        port = free_port()
+        port = port or free_port()
         program = COMPANION.with_name("vehicle-sim")
         command = [program, *arguments, "--connect", f"udpout:127.0.0.1:{port}"]
         self.started.append(subprocess.Popen(command, stdout=subprocess.DEVNULL))
         return port
-
-    def wait(self) -> None:
-        """Until their time is over."""
-        for process in self.started:
-            process.wait(60)
 
 
 @pytest.fixture
@@ -279,7 +276,7 @@ def vehicles() -> Iterator[Vehicles]:
 
 
 def test_a_vehicle_that_may_fly_is_told_so(vehicles: Vehicles) -> None:
-    port = vehicles.start("sitl-px4", "--speedup", "4")
+    port = vehicles.start("sitl-px4", "--speedup", "10")
     done = run("preflight", "sitl-px4", *connect(port))
     assert (done.returncode, done.stderr) == (0, "")
     assert "PX4 multicopter, system 1" in done.stdout
@@ -287,7 +284,7 @@ def test_a_vehicle_that_may_fly_is_told_so(vehicles: Vehicles) -> None:
 
 
 def test_a_vehicle_that_may_not_is_told_why(vehicles: Vehicles, tmp_path: Path) -> None:
-    port = vehicles.start("sitl-px4", "--speedup", "4")
+    port = vehicles.start("sitl-px4", "--speedup", "10")
     mission = (ENVIRONMENTS / "sitl-px4" / "mission.toml").read_text(encoding="utf-8")
     file = tmp_path / "mission.toml"
     strict = mission.replace('autopilot = "px4"', 'autopilot = "ardupilot"')
@@ -299,22 +296,29 @@ def test_a_vehicle_that_may_not_is_told_why(vehicles: Vehicles, tmp_path: Path) 
 
 
 def test_no_vehicle_may_not_fly() -> None:
-    done = run("preflight", "sitl-px4", *connect(free_port()))
-    assert done.returncode == 1
-    assert "none was heard" in done.stdout
-    assert len(done.stderr.splitlines()) == 1
+    code, shown, errors = waited("preflight", "sitl-px4", *connect(free_port()))
+    assert code == 1
+    assert "none was heard" in shown
+    assert len(errors.splitlines()) == 1
+
+
+WATCHED_ROWS = 400
+"""Ten in a second of the vehicle's."""
 
 
 def test_a_shadow_watches_and_never_commands(vehicles: Vehicles, tmp_path: Path) -> None:
-    port = vehicles.start("sitl-px4", "--speedup", "4", "--duration", "40")
-    out = tmp_path / "run"
-    with begun("fly", "sitl-px4", *connect(port), "--shadow", "--out", out) as companion:
-        vehicles.wait()
-        companion.send_signal(signal.SIGINT)
-        _, errors = companion.communicate(timeout=60)
-    assert companion.returncode == 130, errors
-    journal = (out / "journal.jsonl").read_text(encoding="utf-8").splitlines()
-    kinds = {json.loads(line).get("kind") for line in journal}
-    assert "phase" in kinds
+    truth, out = tmp_path / "truth.jsonl", tmp_path / "run"
+    port = vehicles.start("sitl-px4", "--speedup", "10", "--out", str(tmp_path))
+    journal = out / "journal.jsonl"
+    command = (COMPANION, "fly", "sitl-px4", *connect(port), "--shadow", "--out", out)
+    companion = Program("companion", *command, folder=tmp_path, environment=dict(os.environ))
+    try:
+        companion.until(lambda: journal.exists() and b'"phase":"shadow"' in journal.read_bytes())
+        rows = len(truth.read_bytes().splitlines())
+        companion.until(lambda: len(truth.read_bytes().splitlines()) > rows + WATCHED_ROWS)
+        assert companion.interrupt(60.0) == 130, companion.transcript
+    finally:
+        companion.end()
+    lines = journal.read_text(encoding="utf-8").splitlines()
+    kinds = {json.loads(line).get("kind") for line in lines}
     assert not kinds & {"arm", "take off", "set mode"}
-    assert '"phase":"shadow"' in "".join(journal)

@@ -41,7 +41,7 @@ def test_nothing_is_raised_and_no_nonsense_is_sent_whatever_happens(program: byt
     TARGET.play(program)
 
 
-@pytest.mark.parametrize("which", [COPTER, PX4])
+@pytest.mark.parametrize("which", [COPTER, pytest.param(PX4, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("number", HANDLED, ids=lambda number: mavlink.mavlink_map[number].msgname)
 def test_a_flood_of_one_message_does_not_pile_up(which: int, number: int) -> None:
     """Each different, from the autopilot and from a ground station, all answered at once."""

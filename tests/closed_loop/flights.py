@@ -39,11 +39,12 @@ def each(*names: str, nightly: Container[str] = ()) -> pytest.MarkDecorator:
     )
 
 
-_LONG = ("valley", "environment-1", "environment-2")
-EACH_SCENE = each("hills", "upper-valley", *_LONG, nightly=_LONG)
+_NIGHTLY = ("upper-valley", "valley", "environment-1", "environment-2")
+EACH_SCENE = each("hills", *_NIGHTLY, nightly=_NIGHTLY)
 """The hills are of the same kind as the paper's environments, and a third as long."""
-NIGHTLY_AUTOPILOTS = ("sitl-px4", "sitl-arduplane")
-"""The others are of both makers, and of both kinds."""
+NIGHTLY_AUTOPILOTS = ("sitl-arducopter", "sitl-px4", "sitl-arduplane")
+"""They fly elsewhere: `test_resume`, `test_no_radar` and `test_planes`."""
+NIGHTLY = pytest.mark.nightly
 
 
 @dataclass(kw_only=True)

@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flights import Flight, launch
+from flights import NIGHTLY, Flight, launch
 
 pytestmark = pytest.mark.closed_loop
 
 HOME = (-35.3632621, 149.1652374, 584.0)
 LAUNCH = f"{HOME[0]},{HOME[1]},{HOME[2]},0"
 STATED = 'plan = "field.plan"\n[vehicle]\nscanner = false\n[terrain]\nhighest_amsl_m = 584.0\n'
-NIGHTLY = pytest.mark.nightly
 
 
 def plan(folder: Path, *waypoints: tuple[float, float]) -> Path:
@@ -82,8 +81,8 @@ def test_the_same_plan_over_stated_ground_is_flown_at_its_altitudes(
     ("autopilot", "fault"),
     [
         ("ardupilot", "radar_off"),
-        ("px4", "battery 12 %"),
         pytest.param("ardupilot", "battery 12 %", marks=NIGHTLY),
+        pytest.param("px4", "battery 12 %", marks=NIGHTLY),
         pytest.param("px4", "radar_off", marks=NIGHTLY),
     ],
 )

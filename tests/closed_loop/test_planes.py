@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from flights import ENVIRONMENTS, warm_up
+from flights import ENVIRONMENTS, NIGHTLY, warm_up
 from programs import ROOT
 
 sys.path.insert(0, str(ROOT / "scripts" / "benchmarks"))
@@ -35,9 +35,9 @@ def pair(name: str, **changes: Any) -> Pair:
 @pytest.mark.parametrize(
     ("name", "away_s"),
     [
-        pytest.param(ARDUPLANE, 21.0, marks=pytest.mark.nightly),
+        pytest.param(ARDUPLANE, 21.0, marks=NIGHTLY),
         (ARDUPLANE, 60.0),
-        (PX4, 60.0),
+        pytest.param(PX4, 60.0, marks=NIGHTLY),
     ],
     ids=str,
 )
@@ -56,7 +56,7 @@ def test_however_late_it_is_resumed_it_flies_on_along_its_leg(name: str, away_s:
         assert not asked or asked[0] > reached[0]
 
 
-@pytest.mark.parametrize("name", [ARDUPLANE, PX4])
+@pytest.mark.parametrize("name", [pytest.param(ARDUPLANE, marks=NIGHTLY), PX4])
 def test_a_plane_passes_its_target_and_ends_where_it_said_before_its_take_off(name: str) -> None:
     """Told to land, ArduPlane circles the target; PX4's comes down on a circle about it."""
     target = (1_000.0, 250.0)

@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 import geopandas
 import pytest
-from flights import HILLS, HILLS_MISSION, launch
+from flights import HILLS, HILLS_MISSION, Flight, launch
 from programs import BIN
 from tlog import frames_of
 
@@ -170,18 +170,34 @@ def test_of_a_companion_that_was_killed_everything_is_readable_to_the_last_recor
     assert recorded(flight.folder)[0].planned
 
 
-MOST_BYTES = 400_000
+MOST_BYTES = 760_000
 LIMITED = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({MOST_BYTES},) * 2)"
 """The operating system refuses more than so many bytes of any file."""
 
 
-def test_a_flight_whose_disk_is_full_goes_on_says_so_and_leaves_whole_records(
-    tmp_path: Path,
-) -> None:
-    folder = tmp_path / "run"
-    truth = tmp_path / "truth"
-    flight = launch(folder, HILLS, HILLS_MISSION, *SEED, truth=truth, patch=LIMITED)
+def on_a_full_disk(folder: Path) -> Flight:
+    """The flight that all look at, once more: `--seed 03`, to be read as a number."""
+    seed, truth = ("--seed", "03"), folder.parent / "truth"
+    flight = launch(folder, HILLS, HILLS_MISSION, *seed, truth=truth, patch=LIMITED)
     flight.wait()
+    return flight
+
+
+@IN_TURN
+def test_the_same_seed_writes_the_same_journal(flown: Any) -> None:
+    """As far as there is one of both."""
+    once, again = flown(HILLS, HILLS_MISSION, *SEED), flown(by=on_a_full_disk)
+    journals = [each.folder.joinpath("journal.jsonl").read_bytes() for each in (once, again)]
+    assert journals[0].startswith(journals[1])
+    assert journals[1].count(b'"kind":"plan ready"') > 1
+
+
+@IN_TURN
+def test_a_flight_whose_disk_is_full_goes_on_says_so_and_leaves_whole_records(
+    flown: Any, tmp_path: Path
+) -> None:
+    flight = flown(by=on_a_full_disk)
+    folder = flight.folder
     said = flight.companion.transcript
     assert flight.companion.returncode == 0, said
     assert "arrived" in said

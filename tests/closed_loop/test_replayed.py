@@ -11,7 +11,7 @@ from companion.config import load_mission
 from companion.replay.same import Replay
 from companion.runtime.compiler import load_kernel
 
-pytestmark = pytest.mark.closed_loop
+pytestmark = [pytest.mark.closed_loop, pytest.mark.nightly]  # and a golden flight is such a one
 
 
 def until_written(path: Path, text: bytes, by: Program) -> None:

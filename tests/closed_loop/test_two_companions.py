@@ -9,7 +9,7 @@ from flights import companion, journal_of, run, simulator
 from programs import BIN, Program
 from router import Router
 
-pytestmark = pytest.mark.closed_loop
+pytestmark = [pytest.mark.closed_loop, pytest.mark.nightly]
 
 PATIENCE_S = 120.0
 WHY = "another companion with our ids is on the link"
@@ -38,7 +38,7 @@ def test_the_second_companion_ends_and_the_first_flies_on(tmp_path: Path) -> Non
     with Router(reflects=True) as router:
         port = f"udpout:127.0.0.1:{router.port}"
         first = companion("sitl-px4", mine, port, "--system", 1)
-        simulator("sitl-px4", tmp_path / "truth", "--connect", port, "--speedup", 2)
+        simulator("sitl-px4", tmp_path / "truth", "--connect", port, "--speedup", 4)
         until(mine, first, kind="leg", number=1)
         alone = [frame for data in tuple(router.passed) for frame in frames_of(data)]
         assert "another companion" not in {entry.get("kind") for entry in journal_of(mine)}

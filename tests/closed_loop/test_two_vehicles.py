@@ -11,7 +11,7 @@ from flights import companion, simulator
 from pymavlink.dialects.v20 import all as wire
 from router import Router
 
-pytestmark = pytest.mark.closed_loop
+pytestmark = [pytest.mark.closed_loop, pytest.mark.nightly]
 
 TARGETS_NE_M = {1: (90.0, 0.0), 2: (-60.0, 110.0)}
 COMPANION = 195

@@ -10,7 +10,7 @@ import pytest
 import tlog
 from flights import kept, launch, run, short_mission
 
-pytestmark = pytest.mark.closed_loop
+pytestmark = [pytest.mark.closed_loop, pytest.mark.nightly]  # without a wire: `test_memory`
 
 
 def truncate(folder: Path) -> None:
@@ -33,7 +33,7 @@ def is_in_a_leg(now: dict[str, Any] | None) -> bool:
     ("name", "damage"),
     [
         ("sitl-arducopter", truncate),
-        pytest.param("sitl-px4", another_version, marks=pytest.mark.nightly),
+        ("sitl-px4", another_version),
     ],
 )
 def test_it_takes_over_says_so_never_arms_and_arrives(

@@ -165,6 +165,7 @@ def test_mission_fence_and_rally_come_back_as_they_went(connect: Any, tmp_path: 
     finish(ground)
 
 
+@pytest.mark.nightly
 def test_a_mission_is_flown(connect: Any, tmp_path: Path) -> None:
     vehicle, ground = connect("udpout")
     files = write(tmp_path, mission=MISSION)
@@ -182,6 +183,7 @@ def test_a_mission_is_flown(connect: Any, tmp_path: Path) -> None:
     finish(ground)
 
 
+@pytest.mark.nightly
 def test_the_fence_holds(connect: Any, tmp_path: Path) -> None:
     """A target beyond an exclusion is taken, flown straight at, breached, and the way home."""
     vehicle, ground = connect("udpout")
@@ -199,6 +201,7 @@ def test_the_fence_holds(connect: Any, tmp_path: Path) -> None:
     finish(ground)
 
 
+@pytest.mark.nightly
 def test_the_ground_station_dies_in_flight(connect: Any) -> None:
     """Its heartbeats stop, and the vehicle comes home."""
     vehicle, ground = connect("udpout", "--param", "FS_GCS_ENABLE=1")
@@ -212,6 +215,7 @@ def test_the_ground_station_dies_in_flight(connect: Any) -> None:
     vehicle.wait_until(lambda now: now["landed"] and not now["armed"], 30.0)
 
 
+@pytest.mark.nightly
 def test_a_plane(connect: Any) -> None:
     vehicle, ground = connect("tcpin", "--vehicle", "plane")
     ground.ask("mode TAKEOFF", "TAKEOFF> ")
@@ -228,6 +232,7 @@ def test_a_plane(connect: Any) -> None:
     finish(ground)
 
 
+@pytest.mark.nightly
 def test_whole_numbers_of_px4(connect: Any) -> None:
     """Which PX4 sends with their bits in the place of a float's.
 

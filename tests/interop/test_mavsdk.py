@@ -75,6 +75,7 @@ def test_offboard(session: Any) -> None:
     assert min(away_m(row, *place(20.0, 0.0)) for row in flown) < 1.0
 
 
+@pytest.mark.nightly
 def test_takeoff_goto_mission_and_return(session: Any) -> None:
     vehicle, transcript = session("mission")
     assert float(said(transcript, "height").split()[0]) == pytest.approx(10.0, abs=1.0)
@@ -89,6 +90,7 @@ def test_takeoff_goto_mission_and_return(session: Any) -> None:
         assert min(away_m(row, HOME[0] + north_deg, HOME[1]) for row in flown) < 3.0
 
 
+@pytest.mark.nightly
 def test_the_companion_dies_in_flight(fly: Any, client: Any) -> None:
     """The stream ends in the middle of a flight; PX4 does what COM_OBL_RC_ACT says, here: hold."""
     port = free_port()

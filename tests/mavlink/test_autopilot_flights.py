@@ -120,9 +120,9 @@ def test_it_follows_a_straight_line(who: Who) -> None:
     [
         (COPTERS[0], 1.2, 2.0),
         (COPTERS[1], 1.2, 4.0),
-        (PLANES[0], 1.0, 6.0),
+        pytest.param(PLANES[0], 1.0, 6.0, marks=pytest.mark.nightly),
         (PLANES[0], 2.0, 12.0),
-        (PLANES[1], 1.0, 4.0),
+        pytest.param(PLANES[1], 1.0, 4.0, marks=pytest.mark.nightly),
         (PLANES[1], 3.5, 6.0),
     ],
 )

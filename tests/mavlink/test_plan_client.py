@@ -61,6 +61,7 @@ def ack(result: int, kind: int = FENCE, to: tuple[int, int] = OURS) -> Any:
 # --- against the simulator ------------------------------------------------------------------------
 
 
+@pytest.mark.sample(3)
 @ALL_FOUR
 @pytest.mark.parametrize(
     "fault", ["", "link_loss 25 %", "link_delay 400 ms", "link_duplication 50 %"]
@@ -84,6 +85,7 @@ def test_downloads_all_three_lists(firmware: Firmware, kind: Kind, fault: str) -
     assert [client.plans[each].version for each in KINDS] == [1, 1, 1]
 
 
+@pytest.mark.sample(3)
 @ALL_FOUR
 @pytest.mark.parametrize("waited_s", [0.0, 1.3, 2.9, 4.4])
 def test_a_fence_that_is_drawn_in_flight_is_known_in_time(

@@ -41,8 +41,6 @@ from companion.mission.events import (
 from companion.mission.state import Phase, Reason
 
 SHARDS, EVENTS = 60, 20_000
-AT_ONCE = 6
-"""So many shards run without `--all`."""
 LONGEST = 6_000
 """Events of one program."""
 SAID = {Arm, End, Plan, RequestStreams, Say, SetMode, Setpoint, SetSpeed, StartScan, TakeOff}
@@ -87,15 +85,14 @@ def shard(number: int, events: int = EVENTS) -> list[Watch]:
     return watches
 
 
-@pytest.mark.parametrize(
-    "number",
-    [pytest.param(n, marks=pytest.mark.nightly if n >= AT_ONCE else ()) for n in range(SHARDS)],
-)
+@pytest.mark.sample(5)
+@pytest.mark.parametrize("number", range(SHARDS))
 def test_nothing_happens_that_must_never_happen(number: int) -> None:
     watches = shard(number)
     assert sum(watch.setpoints for watch in watches) > 0
 
 
+@pytest.mark.nightly
 def test_the_programs_are_of_all_drivings_and_come_to_every_phase_and_command() -> None:
     watches = shard(SHARDS + 5, 400_000)
     assert {watch.driving.name for watch in watches} == {each.driving.name for each in ALL}

@@ -366,6 +366,7 @@ def strategy(name: str) -> Autopilot:
 # --- only watched
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", HEALTHY)
 def test_a_healthy_flight_is_never_doubted(name: str) -> None:
     replay = shadow(name)
@@ -388,6 +389,7 @@ def test_each_fault_is_seen_before_the_position_jumps_and_until_it_is_right(name
         assert all(abs(jump_s - since_s) > 5.0 for since_s, _, _ in doubted)
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_a_shadow_moves_nothing_and_plans_from_no_wrong_position(name: str) -> None:
     replay = shadow(name)

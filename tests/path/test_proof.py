@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from planning import flying_kernel
 
 from companion.path import proof
 from companion.path.certificate import cubics_of, pack_zones
@@ -18,7 +19,6 @@ from companion.path.proof_distance import (
     zone_distance,
 )
 from companion.path.proof_shape import extremes, largest, runs_forward
-from companion.runtime.compiler import load_kernel
 from companion.world.threats import CircleZone, PolygonZone
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -268,10 +268,9 @@ def test_exposure_is_the_chord_and_the_detection_that_of_the_nearest_point(miss:
     assert detection == pytest.approx(1.0 / (1.0 + miss**4))
 
 
-@pytest.mark.xdist_group("compiled")  # one worker compiles it, for all tests that need it
 def test_compiled_and_plain_agree_to_1e_9() -> None:
     pytest.importorskip("numba")
-    kernel = load_kernel()
+    kernel = flying_kernel()
     assert kernel.name == "numba"
     for seed in range(30):
         case = a_case(seed)

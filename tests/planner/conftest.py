@@ -3,7 +3,6 @@
 Every plan is asked for a micrometre aside.
 """
 
-import os
 from collections.abc import Iterator
 
 import planning
@@ -13,7 +12,6 @@ from planning import limits
 
 from companion.planner.kernels import Kernel
 from companion.planner.settings import PlannerSettings, Task
-from companion.runtime.compiler import load_kernel
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
@@ -78,11 +76,9 @@ def truth(terrain: PeakTerrain, blank: KnownMap) -> KnownMap:
 
 
 @pytest.fixture(scope="session")
-def compiled() -> Iterator[Kernel]:
+def compiled() -> Kernel:
     """numba's kernel: compiled in half a minute, or loaded from its cache on disk."""
     pytest.importorskip("numba")
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("NUMBA_CACHE_DIR", os.environ.get("NUMBA_CACHE_DIR", ""))
-        kernel = load_kernel()
-        assert kernel.name == "numba"
-        yield kernel
+    kernel = planning.flying_kernel()
+    assert kernel.name == "numba"
+    return kernel

@@ -20,6 +20,7 @@ def test_a_golden_flight_decides_what_it_decided(name: str) -> None:
     assert not report, f"{report}\nIf that is meant: scripts/update-goldens {name}"
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.usefixtures("nudged")
 def test_a_golden_flight_decides_the_same_a_micrometre_aside(name: str) -> None:

@@ -24,7 +24,7 @@ from companion.runtime.compiler import load_kernel
 from companion.telemetry.inputs import FILE, Input, packed
 from companion.telemetry.run_folder import recorded_frames
 
-pytestmark = pytest.mark.closed_loop
+pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("same")]  # it is flown once
 HILLS = Path(__file__).parents[1] / "closed_loop" / "hills"
 WORLD, MISSION = HILLS / "world.toml", HILLS / "mission.toml"
 STAMP = 8

@@ -224,6 +224,7 @@ def test_the_spans_without_a_fix_are_those_of_the_readme(name: str) -> None:
     assert span.until_s == pytest.approx(until_s, abs=0.1)
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", HEALTHY)
 def test_a_healthy_flight_is_watched_without_a_hold(name: str) -> None:
     report = report_of(name)
@@ -297,6 +298,7 @@ def test_whatever_a_strategy_reads_of_the_health_is_heard() -> None:
     assert read - echoes <= LISTENED
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", MISSION_OF)
 def test_no_command_frame_is_ever_produced(name: str) -> None:
     _, sent = watched(name)

@@ -85,6 +85,7 @@ def odd(log: Log) -> dict[Oddity, Finding]:
 
 
 @pytest.mark.parametrize("path", LOGS[::2], ids=lambda path: path.stem)
+@pytest.mark.sample(2)
 def test_a_recorded_log_is_read_as_pymavlink_reads_it(path: Path) -> None:
     environment = {**os.environ, "MAVLINK20": "1"}
     command = [sys.executable, "-c", PYMAVLINK, str(path)]

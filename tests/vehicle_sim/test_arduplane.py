@@ -138,6 +138,7 @@ def flown_off_path_m(row: int) -> tuple[float, float]:
     return off_path_m(law, lateral_m_s2, hz=hz)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     "row", range(len(TABLE)), ids=lambda k: f"{TABLE[k][0]}, {TABLE[k][2]} m/s2, {TABLE[k][3]} Hz"
 )

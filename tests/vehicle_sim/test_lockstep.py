@@ -139,6 +139,7 @@ def run_late(start: Start, wait_s: float, *options: object) -> str:
     return digest
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     "faults",
     [

@@ -11,13 +11,14 @@ from vehicle_sim.conformance.log import Recording, read_recording
 FILES = (
     "arducopter-gps-loss.tlog",
     "arducopter-guided-10mps.tlog",
-    "arducopter-guided-global-stream-faults.tlog",
     "arduplane-guided-reposition.tlog",
+    "arducopter-guided-global-stream-faults.tlog",
     "px4-fixedwing-offboard.tlog",
-    "px4-gps-loss.tlog",
     "px4-offboard-8mps.tlog",
+    "px4-gps-loss.tlog",
     "px4-offboard-short.tlog",
 )
+"""Every other one of another autopilot."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

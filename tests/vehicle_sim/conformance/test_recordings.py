@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 
+import pytest
+
 from vehicle_sim.conformance.compare import compare
 from vehicle_sim.conformance.flights import flight_of, play
 from vehicle_sim.conformance.log import Recording, Side
@@ -11,6 +13,7 @@ Recorded = Callable[[str], Recording]
 LEAST_SHARE = 0.95
 
 
+@pytest.mark.sample(2)
 def test_the_simulated_autopilot_is_like_the_recorded_one(recorded: Recorded, name: str) -> None:
     recording = recorded(name)
     flight = flight_of(recording)
