@@ -209,10 +209,10 @@ class NearMap:
         corner.
         """
         lattice, (rows, columns) = self.lattice, window
-        north = (np.arange(rows.start, rows.stop) + 0.5) * lattice.cell_m
-        east = (np.arange(columns.start, columns.stop) + 0.5) * lattice.cell_m
-        north = (north + (lattice.north_min_m - sweep.sensor_ne_m[0]))[:, None]
-        east = (east + (lattice.east_min_m - sweep.sensor_ne_m[1]))[None, :]
+        south_m = lattice.north_min_m - sweep.sensor_ne_m[0]
+        west_m = lattice.east_min_m - sweep.sensor_ne_m[1]
+        north = south_m + (np.arange(rows.start, rows.stop)[:, None] + 0.5) * lattice.cell_m
+        east = west_m + (np.arange(columns.start, columns.stop)[None, :] + 0.5) * lattice.cell_m
         away_m, half_m = np.hypot(north, east), math.sqrt(0.5) * lattice.cell_m
         around_m = half_m + sweep.error_m
         aside_rad = np.arcsin(around_m / np.maximum(away_m, around_m)) + sweep.bearing_error_rad
@@ -227,11 +227,14 @@ class NearMap:
         The nearest echo of a sector blocks its whole arc, but what is known to be free: that stays
         so, as long as there is another place on the arc for the thing to be.
         """
-        result = np.zeros(self.passes[window].shape, dtype=bool)
-        row, column = self._arcs(sweep)  # (sectors, points)
-        row, column = row - window[0].start, column - window[1].start
-        inside = (row >= 0) & (row < result.shape[0]) & (column >= 0)
-        inside &= column < result.shape[1]
+        result: BoolArray = np.zeros_like(self.passes[window], dtype=bool)
+        if not result.size:
+            return result
+        height, width = result.shape[0], result.shape[1]
+        rows, columns = self._arcs(sweep)  # (sectors, points)
+        row, column = rows - window[0].start, columns - window[1].start
+        inside = (row >= 0) & (row < height) & (column >= 0)
+        inside &= column < width
         row, column = np.where(inside, row, 0), np.where(inside, column, 0)
         elsewhere = inside & ~self.free(window)[row, column]
         says = np.where(elsewhere.any(axis=1, keepdims=True), elsewhere, inside)
