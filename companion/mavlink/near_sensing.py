@@ -1,0 +1,352 @@
+"""What lidars and the like say of near things, as sweeps: OBSTACLE_DISTANCE and DISTANCE_SENSOR.
+
+Measured on real autopilots (docs/reference/proximity.md), whose traps decide what is believed here:
+the silence of a lidar behind an autopilot means that nothing is in reach, or that it is dead; "max"
+does not mean empty; a value is repeated for up to 1.75 s; what we send comes back from others.
+"""
+
+import bisect
+import enum
+import math
+from collections import Counter, deque
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from companion.geodesy import FloatArray, wrap_rad
+from companion.mavlink.dialect import Message, wire
+from companion.mission.events import Vector
+from companion.world.near_map import NearSensor, Sweep
+
+_BODY: Final = (wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED)
+_NORTH: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_LOCAL_NED)
+_UNKNOWN_CM: Final = 65_535
+_SECTORS: Final = 8
+_KEPT_S = 3.0
+_GAP_S = 0.3  # between two positions or attitudes of which a pose is made
+_OTHER_CLOCK_S = 1.0  # a stamp farther from the vehicle's time is none of its clock
+_EMPTY_AFTER_S = 1.2  # the longest row of wrong "max" took 0.9 s, the shortest true one 2.9 s
+_SILENT_S = 0.6  # several messages at 10 Hz
+_HEALTH_S = 2.5  # between two SYS_STATUS, and one of them lost
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pose:
+    """Where the vehicle was at a time, and how it was turned."""
+
+    position_nea_m: Vector
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    """Clockwise from grid north."""
+    grid_north_rad: float
+    """True azimuth of grid north there."""
+
+
+@final
+class Poses:
+    """The last few seconds of a vehicle's poses, to be asked for at the time of a measurement."""
+
+    def __init__(self) -> None:
+        self._positions = _Track(angles=False)
+        self._attitudes = _Track(angles=True)
+
+    def on_position(self, time_s: float, position_nea_m: Vector, grid_north_rad: float) -> None:
+        """A position; grid_north_rad: the true azimuth of the frame's north there."""
+        self._positions.keep(time_s, (*position_nea_m, grid_north_rad))
+
+    def on_attitude(self, time_s: float, roll_rad: float, pitch_rad: float, yaw_rad: float) -> None:
+        """An attitude; yaw from true north."""
+        self._attitudes.keep(time_s, (roll_rad, pitch_rad, yaw_rad))
+
+    def at(self, time_s: float) -> Pose | None:
+        """Between those told before and after; None: there are none, or too far apart."""
+        position, attitude = self._positions.at(time_s), self._attitudes.at(time_s)
+        if position is None or attitude is None:
+            return None
+        north, east, altitude, grid_north_rad = position
+        return Pose(
+            position_nea_m=(north, east, altitude),
+            roll_rad=attitude[0],
+            pitch_rad=attitude[1],
+            yaw_rad=wrap_rad(attitude[2] - grid_north_rad),
+            grid_north_rad=grid_north_rad,
+        )
+
+    def is_over(self, time_s: float) -> bool:
+        """Whether what is told from now on is of later times."""
+        return min(self._positions.newest_s, self._attitudes.newest_s) >= time_s
+
+
+@final
+class _Track:
+    """Values over time."""
+
+    def __init__(self, *, angles: bool) -> None:
+        self._angles = angles
+        self._times: list[float] = []
+        self._values: list[tuple[float, ...]] = []
+
+    @property
+    def newest_s(self) -> float:
+        return self._times[-1] if self._times else -math.inf
+
+    def keep(self, time_s: float, values: tuple[float, ...]) -> None:
+        """In order of time: what is overtaken is left out, a clock that fell begins anew."""
+        if time_s < self.newest_s - _KEPT_S:
+            self._times, self._values = [], []
+        if time_s <= self.newest_s or not all(map(math.isfinite, values)):
+            return
+        self._times.append(time_s)
+        self._values.append(values)
+        old = bisect.bisect_left(self._times, time_s - _KEPT_S)
+        del self._times[:old], self._values[:old]
+
+    def at(self, time_s: float) -> tuple[float, ...] | None:
+        after = bisect.bisect_left(self._times, time_s)
+        if after == len(self._times) or (after == 0 and self._times[0] != time_s):
+            return None
+        before = after if self._times[after] == time_s else after - 1
+        span_s = self._times[after] - self._times[before]
+        if span_s > _GAP_S:
+            return None
+        share = (time_s - self._times[before]) / span_s if span_s > 0.0 else 0.0
+        steps = [b - a for a, b in zip(self._values[before], self._values[after], strict=True)]
+        if self._angles:
+            steps = [wrap_rad(step) for step in steps]
+        return tuple(a + share * step for a, step in zip(self._values[before], steps, strict=True))
+
+
+class Sight(enum.Enum):
+    """What the silence of a sensor means, or that it is not silent."""
+
+    SEES = "it sees something"
+    NOTHING_THERE = "nothing is in its reach"
+    DEAD = "it is dead"
+    NEVER_HEARD = "it has not been heard"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Look:
+    """What one message, or one set of messages, says; before the pose is known."""
+
+    time_s: float
+    first_rad: float
+    """From the nose, or from true north."""
+    width_rad: float
+    clear_m: FloatArray
+    echo_m: FloatArray
+    from_nose: bool
+
+
+@final
+class NearSensing:
+    """Reads one sensor."""
+
+    def __init__(self, sensor: NearSensor, poses: Poses) -> None:
+        self._sensor, self._poses = sensor, poses
+        self.refused: Counter[str] = Counter()
+        """How often something was not believed, by the reason."""
+        self._looks: deque[_Look] = deque(maxlen=20)
+        self._set: dict[int, Message] = {}
+        self._full_since_s: dict[int, float] = {}
+        self._heard_s = self._health_s = -math.inf
+        self._well = False
+        """By its last word, at `_health_s`."""
+
+    def on_obstacle_distance(self, message: Message, now_s: float) -> None:
+        """OBSTACLE_DISTANCE of the sensor's component, at vehicle time now_s."""
+        width_deg = message.increment_f or float(message.increment)
+        if not (math.isfinite(width_deg) and math.isfinite(message.angle_offset)):
+            return self._refuse("an angle is not finite")
+        if not 0.0 < abs(width_deg) <= 360.0:
+            return self._refuse("increment is 0 or more than a turn")
+        if message.frame not in (*_BODY, *_NORTH):
+            return self._refuse("frame is neither the body's nor north's")
+        if not 0 <= message.min_distance < message.max_distance:
+            return self._refuse("max_distance is no more than min_distance")
+        count = min(len(message.distances), math.floor(360.0 / abs(width_deg) + 1e-6))
+        told_cm = np.array(message.distances[:count], dtype=np.float64)
+        offset_deg = message.angle_offset
+        if width_deg < 0.0:  # counter-clockwise: the last comes first
+            told_cm, offset_deg = told_cm[::-1], offset_deg + (count - 1) * width_deg
+        width_rad = math.radians(abs(width_deg))
+        time_s = self._time_of(message.time_usec * 1e-6, now_s)
+        self._take(
+            told_cm,
+            (message.min_distance, message.max_distance),
+            empty_cm=message.max_distance + 1,
+            time_s=time_s,
+            first_rad=math.radians(offset_deg) - 0.5 * width_rad,
+            width_rad=width_rad,
+            from_nose=message.frame in _BODY,
+        )
+        self._heard_s = now_s
+
+    def on_distance_sensor(self, message: Message, now_s: float) -> None:
+        """One of ArduPilot's eight sectors; those of one stamp belong together."""
+        if not 0 <= message.orientation < _SECTORS:
+            return
+        if self._set and next(iter(self._set.values())).time_boot_ms != message.time_boot_ms:
+            self._take_set(now_s)
+        self._set[message.orientation] = message
+        self._heard_s = now_s
+
+    def _take_set(self, now_s: float) -> None:
+        messages, self._set = self._set, {}
+        told_cm = np.full(_SECTORS, float(_UNKNOWN_CM))
+        for sector, message in messages.items():
+            told_cm[sector] = message.current_distance
+        one = next(iter(messages.values()))
+        if not 0 <= one.min_distance < one.max_distance:
+            return self._refuse("max_distance is no more than min_distance")
+        width_rad = math.tau / _SECTORS
+        self._take(
+            told_cm,
+            (one.min_distance, one.max_distance),
+            empty_cm=math.inf,
+            time_s=self._time_of(one.time_boot_ms * 1e-3, now_s),
+            first_rad=-0.5 * width_rad,
+            width_rad=width_rad,
+            from_nose=True,
+        )
+
+    def on_health(self, message: Message, now_s: float) -> None:
+        """SYS_STATUS of the autopilot that the sensor is connected to.
+
+        While it is well and says nothing, nothing is in its reach.
+        """
+        bit = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
+        well = bool(message.onboard_control_sensors_health & bit)
+        well = well and bool(message.onboard_control_sensors_enabled & bit)
+        was_well = self._well and self._health_s > self._heard_s
+        self._health_s, self._well = now_s, well
+        if well and was_well and now_s - self._heard_s > _EMPTY_AFTER_S:
+            nothing = np.full(_SECTORS, np.inf)
+            width_rad = math.tau / _SECTORS
+            self._looks.append(
+                _Look(
+                    time_s=now_s - self._sensor.latency_s,
+                    first_rad=-0.5 * width_rad,
+                    width_rad=width_rad,
+                    clear_m=np.full(_SECTORS, self._sensor.range_m),
+                    echo_m=nothing,
+                    from_nose=True,
+                )
+            )
+
+    def sight(self, now_s: float) -> Sight:
+        """Whether the sensor sees, or what its silence means."""
+        if now_s - self._heard_s <= _SILENT_S:
+            return Sight.SEES
+        if self._well and now_s - self._health_s <= _HEALTH_S:
+            return Sight.NOTHING_THERE
+        return Sight.NEVER_HEARD if math.isinf(self._heard_s) else Sight.DEAD
+
+    def sweeps(self) -> list[Sweep]:
+        """What has been said of times whose pose is known by now, in order."""
+        result = []
+        while self._looks and self._poses.is_over(self._looks[0].time_s):
+            look = self._looks.popleft()
+            pose = self._poses.at(look.time_s)
+            if pose is None:
+                self._refuse("where the vehicle was is not known")
+            else:
+                result.append(_sweep(look, pose, self._sensor))
+        return result
+
+    def _time_of(self, stamp_s: float, now_s: float) -> float:
+        """When it was measured; a stamp of another clock counts as now."""
+        if abs(stamp_s - now_s) > _OTHER_CLOCK_S:
+            self.refused["a stamp of another clock"] += 1
+            stamp_s = now_s
+        return stamp_s - self._sensor.latency_s
+
+    def _refuse(self, why: str) -> None:
+        self.refused[why] += 1
+
+    def _take(
+        self,
+        told_cm: FloatArray,
+        limits_cm: tuple[float, float],
+        *,
+        empty_cm: float,
+        time_s: float,
+        first_rad: float,
+        width_rad: float,
+        from_nose: bool,
+    ) -> None:
+        """Distances of sectors: empty from empty_cm on, or where "max" has stood for long enough.
+
+        Any other value outside the limits says nothing.
+        """
+        least_cm, most_cm = limits_cm
+        full = (told_cm == most_cm) | ((told_cm >= empty_cm) & (told_cm != _UNKNOWN_CM))
+        for sector in range(len(told_cm)):
+            if not full[sector]:
+                self._full_since_s.pop(sector, None)
+        since = np.array(
+            [
+                self._full_since_s.setdefault(k, time_s) if full[k] else math.inf
+                for k in range(len(told_cm))
+            ]
+        )
+        empty = full & (time_s - since >= _EMPTY_AFTER_S)
+        if math.isfinite(empty_cm):
+            empty |= full & (told_cm >= empty_cm)
+        met = (told_cm >= max(least_cm, 1.0)) & (told_cm < most_cm)
+        strange = ~(met | full) & (told_cm != _UNKNOWN_CM)
+        if strange.any():
+            self.refused["a distance is outside its limits"] += 1
+        range_m = min(most_cm * 0.01, self._sensor.range_m)
+        echo_m = np.where(met, told_cm * 0.01, np.inf)
+        self._looks.append(
+            _Look(
+                time_s=time_s,
+                first_rad=first_rad,
+                width_rad=width_rad,
+                clear_m=np.where(met, echo_m, np.where(empty, range_m, 0.0)),
+                echo_m=echo_m,
+                from_nose=from_nose,
+            )
+        )
+
+
+def _sweep(look: _Look, pose: Pose, sensor: NearSensor) -> Sweep:
+    """In the local frame.  The tilt of the vehicle shortens distances and turns bearings a little.
+
+    What a tilted beam says beyond where it leaves the slab that it speaks for is left out.
+    """
+    count = len(look.clear_m)
+    turn_rad = pose.yaw_rad + sensor.yaw_rad if look.from_nose else -pose.grid_north_rad
+    middle = look.first_rad + (np.arange(count) + 0.5) * look.width_rad
+    along = middle + sensor.yaw_rad if look.from_nose else middle - pose.yaw_rad
+    roll, pitch = pose.roll_rad, pose.pitch_rad
+    forward, right = np.cos(along), np.sin(along)
+    ahead = forward * math.cos(pitch) + right * math.sin(roll) * math.sin(pitch)
+    aside = right * math.cos(roll)
+    down = -forward * math.sin(pitch) + right * math.sin(roll) * math.cos(pitch)
+    level = np.hypot(ahead, aside)
+    bent = np.abs(np.mod(np.arctan2(aside, ahead) - along + math.pi, math.tau) - math.pi)
+    stays_m = sensor.speaks_for_m / np.maximum(np.abs(down), 1e-9) * level
+    echo_m = look.echo_m * level
+    north, east, _ = pose.position_nea_m
+    cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+    return Sweep(
+        time_s=look.time_s,
+        sensor_ne_m=(
+            north + cos * sensor.forward_m - sin * sensor.right_m,
+            east + sin * sensor.forward_m + cos * sensor.right_m,
+        ),
+        first_rad=look.first_rad + turn_rad,
+        width_rad=look.width_rad,
+        clear_m=np.minimum(look.clear_m * level, stays_m),
+        echo_m=np.where(echo_m <= stays_m, echo_m, np.inf),
+        range_m=sensor.range_m,
+        blind_m=sensor.blind_m,
+        error_m=sensor.range_error_m + sensor.position_error_m,
+        bearing_error_rad=sensor.bearing_error_rad + float(bent.max(initial=0.0)),
+    )

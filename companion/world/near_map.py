@@ -1,0 +1,261 @@
+"""What horizontal lidars and other sensors show of near things: cells free, occupied, unknown.
+
+Such a sensor sees a slab: what stands at the height of its beams.  A cell is free where beams have
+passed over all of it, occupied where something has sent an echo back, at whatever height of the
+slab, and unknown else.  What follows from a sweep is what a sensor promises (design section 12):
+
+- a sector that tells of an echo has nothing nearer than that in it, all across its width, and one
+  that is clear has nothing nearer than it says;
+- of the sweeps in a row that could have met a thing, fewer than `Rules.sightings` miss it;
+- the end of a beam is no farther from where it is said to be than `Sweep.error_m`.
+
+Sensors and autopilots send wrong empty sweeps for up to 0.9 s: they do not wipe a thing out.  What
+has gone, or was dust, is forgotten by rule.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.geodesy import BoolArray, FloatArray
+from companion.ranges import NotNegative, Positive
+from companion.world.rays import IntArray, Lattice
+
+_NO_GAP_RAD = 1e-6
+"""What is left of a turn that sectors go all round."""
+Window = tuple[slice, slice]
+"""Rows and columns of a lattice."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sweep:
+    """One look around from one place: what each of K sectors side by side says."""
+
+    time_s: float
+    """Vehicle time of the measurement, not of the message."""
+    sensor_ne_m: tuple[float, float]
+    first_rad: float
+    """Where the first sector begins, clockwise from grid north; the others follow clockwise."""
+    width_rad: float
+    """Of each sector; all of them are no more than a full turn."""
+    clear_m: FloatArray  # (K,)
+    """Nothing stands nearer than this in the sector; 0: it says nothing."""
+    echo_m: FloatArray  # (K,)
+    """Something stands at this distance somewhere in the sector; inf: nothing was met."""
+    range_m: float
+    """The sensor sees nothing beyond."""
+    blind_m: float
+    """Nearer than this nothing is seen, and nothing stands: there the vehicle itself is."""
+    error_m: float
+    """How far the end of a beam may be from where it is said to be: range and position."""
+    bearing_error_rad: float
+
+    def clear_between_m(self, bearing_rad: FloatArray, aside_rad: FloatArray) -> FloatArray:
+        """How far all sectors between bearings less and plus so much aside are clear.
+
+        (...) x2 -> (...), metres; 0 where there is no sector.
+        """
+        left_rad = math.tau - len(self.clear_m) * self.width_rad
+        ring = self.clear_m if left_rad < _NO_GAP_RAD else np.append(self.clear_m, 0.0)
+
+        def sector_of(turned_rad: FloatArray) -> IntArray:
+            turns = (turned_rad - self.first_rad) * (1.0 / math.tau)
+            turns -= np.floor(turns)
+            turns *= math.tau / self.width_rad
+            return np.minimum(turns.astype(np.intp), len(ring) - 1)
+
+        low, high = sector_of(bearing_rad - aside_rad), sector_of(bearing_rad + aside_rad)
+        span = high - low
+        span += np.where(span < 0, len(ring) + 1, 1)
+        all_round = (low == high) & (2.0 * aside_rad > self.width_rad)
+        span[all_round | (aside_rad >= math.pi)] = len(ring)
+        return _least_of_runs(ring, low, span)
+
+
+def _least_of_runs(values: FloatArray, first: IntArray, length: IntArray) -> FloatArray:
+    """The least of each run of values in a ring.  Two runs of a power of two cover any other."""
+    runs = [values]
+    while 2 ** len(runs) <= len(values):
+        runs.append(np.minimum(runs[-1], np.roll(runs[-1], -(2 ** (len(runs) - 1)))))
+    level = np.log2(length).astype(np.intp)
+    table, last = np.stack(runs), (first + length - 2**level) % len(values)
+    least: FloatArray = np.minimum(table[level, first], table[level, last])
+    return least
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NearSensor:
+    """A sensor that looks about horizontally: how it is mounted, and what it promises."""
+
+    kind: Literal["obstacle_distance", "distance_sensor"]
+    """What its messages are called."""
+    component_id: int
+    """MAVLink component that sends them."""
+    yaw_rad: float = 0.0
+    """Where its zero points, clockwise from the nose."""
+    forward_m: float = 0.0
+    """How far it is mounted before the point whose position the autopilot tells,"""
+    right_m: float = 0.0
+    """and to the right of it."""
+    range_m: Positive
+    """It shows everything up to there."""
+    blind_m: NotNegative = 0.3
+    """Nearer than this it shows nothing: the vehicle itself is there."""
+    latency_s: NotNegative = 0.05
+    """How long before the time stamp of a message the measurement was."""
+    range_error_m: NotNegative = 0.1
+    """How wrong a distance may be."""
+    bearing_error_rad: NotNegative = 0.02
+    """How wrong a direction may be, beside the width of a beam."""
+    position_error_m: NotNegative = 0.1
+    """How wrong the vehicle's position may be from one second to the next."""
+    speaks_for_m: Positive = 2.0
+    """A beam speaks for what stands so far above and below it, too."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rules:
+    """How often something must be seen, and for how long it is remembered."""
+
+    sightings: int = 3
+    """A cell is free that so many sweeps in a row have passed."""
+    wiped_after_s: float = 1.0
+    """An occupied cell is free again only if all sweeps over so long have passed it."""
+    standing_after_s: float = 3.0
+    """What was met again and again over so long stands there: it is not forgotten."""
+    forgotten_after_s: float = 10.0
+    """Anything else that was not met for so long has gone: the cell is unknown again."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NearMap:
+    """The cells about a flight.  Sweeps are added in place, in the order of their times."""
+
+    lattice: Lattice
+    rules: Rules
+    passes: NDArray[np.uint8]
+    """(rows, columns), how many sweeps in a row have passed the cell, until it is free."""
+    passed_since_s: FloatArray
+    """When the first of them was."""
+    met_since_s: FloatArray
+    """When something was first met in the cell; inf: nothing was, or it has gone."""
+    met_s: FloatArray
+    """When it was met last."""
+
+    @staticmethod
+    def empty(lattice: Lattice, rules: Rules) -> "NearMap":
+        """A map of which nothing is known."""
+        return NearMap(
+            lattice=lattice,
+            rules=rules,
+            passes=np.zeros(lattice.shape, dtype=np.uint8),
+            passed_since_s=np.full(lattice.shape, np.inf),
+            met_since_s=np.full(lattice.shape, np.inf),
+            met_s=np.full(lattice.shape, -np.inf),
+        )
+
+    def occupied(self, window: Window = (slice(None), slice(None))) -> BoolArray:
+        """(rows, columns), where something stands, or stood just now."""
+        return self.met_since_s[window] < np.inf
+
+    def free(self, window: Window = (slice(None), slice(None))) -> BoolArray:
+        """(rows, columns), where nothing stands."""
+        return (self.passes[window] >= self.rules.sightings) & ~self.occupied(window)
+
+    def add(self, sweep: Sweep) -> Window:
+        """One more sweep.  -> the rows and columns that it may have changed."""
+        window = self._within(sweep.range_m + sweep.error_m, sweep.sensor_ne_m)
+        passed, met = self._passed(sweep, window), self._met(sweep, window)
+        rules, now_s = self.rules, sweep.time_s
+        passes, passed_since_s = self.passes[window], self.passed_since_s[window]  # views
+        met_since_s, met_s = self.met_since_s[window], self.met_s[window]
+
+        passed_since_s[passed & (passes == 0)] = now_s
+        passes[passed & (passes < np.iinfo(np.uint8).max)] += 1
+        passes[met | ~(passed | self.free(window))] = 0
+        met_since_s[met] = np.minimum(met_since_s[met], now_s)
+        met_s[met] = now_s
+
+        wiped = (passes >= rules.sightings) & (now_s - passed_since_s >= rules.wiped_after_s)
+        moved = met_s - met_since_s < rules.standing_after_s
+        gone = moved & (now_s - met_s >= rules.forgotten_after_s)
+        passes[gone & ~wiped & (met_since_s < np.inf)] = 0
+        met_since_s[wiped | gone] = np.inf
+        return window
+
+    def _within(self, reach_m: float, place_ne_m: tuple[float, float]) -> Window:
+        lattice = self.lattice
+        low = lattice.north_min_m, lattice.east_min_m
+        first, last = (
+            [
+                min(max(math.floor((at + by_m - edge) / lattice.cell_m) + more, 0), most)
+                for at, edge, most in zip(place_ne_m, low, lattice.shape, strict=True)
+            ]
+            for by_m, more in ((-reach_m, 0), (reach_m, 1))
+        )
+        return slice(first[0], last[0]), slice(first[1], last[1])
+
+    def _passed(self, sweep: Sweep, window: Window) -> BoolArray:
+        """The cells of a window that beams have passed all over.
+
+        Every sector that comes within the errors of such a cell is clear to beyond its farthest
+        corner.
+        """
+        lattice, (rows, columns) = self.lattice, window
+        south_m = lattice.north_min_m - sweep.sensor_ne_m[0]
+        west_m = lattice.east_min_m - sweep.sensor_ne_m[1]
+        north = south_m + (np.arange(rows.start, rows.stop)[:, None] + 0.5) * lattice.cell_m
+        east = west_m + (np.arange(columns.start, columns.stop)[None, :] + 0.5) * lattice.cell_m
+        away_m, half_m = np.hypot(north, east), math.sqrt(0.5) * lattice.cell_m
+        around_m = half_m + sweep.error_m
+        aside_rad = np.arcsin(around_m / np.maximum(away_m, around_m)) + sweep.bearing_error_rad
+        aside_rad[away_m <= around_m] = math.pi
+        clear_m = sweep.clear_between_m(np.arctan2(east, north), aside_rad)
+        passed: BoolArray = away_m + around_m <= clear_m
+        return passed | (away_m + half_m <= sweep.blind_m)
+
+    def _met(self, sweep: Sweep, window: Window) -> BoolArray:
+        """The cells of a window in which something may have sent an echo back.
+
+        The nearest echo of a sector blocks its whole arc, but what is known to be free: that stays
+        so, as long as there is another place on the arc for the thing to be.
+        """
+        result: BoolArray = np.zeros_like(self.passes[window], dtype=bool)
+        if not result.size:
+            return result
+        height, width = result.shape[0], result.shape[1]
+        rows, columns = self._arcs(sweep)  # (sectors, points)
+        row, column = rows - window[0].start, columns - window[1].start
+        inside = (row >= 0) & (row < height) & (column >= 0)
+        inside &= column < width
+        row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+        elsewhere = inside & ~self.free(window)[row, column]
+        says = np.where(elsewhere.any(axis=1, keepdims=True), elsewhere, inside)
+        result[row[says], column[says]] = True
+        return result
+
+    def _arcs(self, sweep: Sweep) -> tuple[IntArray, IntArray]:
+        """Rows and columns of points close together on the arcs from which echoes have come."""
+        lattice = self.lattice
+        sectors = np.flatnonzero(np.isfinite(sweep.echo_m))
+        echo_m, step_m = sweep.echo_m[sectors, None, None], 0.5 * lattice.cell_m
+        along = math.ceil(2.0 * sweep.error_m / step_m) + 1
+        across_m = sweep.width_rad * float(echo_m.max(initial=0.0))
+        across = math.ceil(across_m / step_m) + 1
+        away_m = echo_m + np.linspace(-sweep.error_m, sweep.error_m, along)[:, None]
+        share = (np.arange(across) + 0.5) / across
+        bearing_rad = sweep.first_rad + (sectors[:, None, None] + share) * sweep.width_rad
+        north = sweep.sensor_ne_m[0] - lattice.north_min_m + away_m * np.cos(bearing_rad)
+        east = sweep.sensor_ne_m[1] - lattice.east_min_m + away_m * np.sin(bearing_rad)
+        row, column = (
+            np.floor(at / lattice.cell_m).astype(np.intp).reshape(len(sectors), along * across)
+            for at in (north, east)
+        )
+        return row, column

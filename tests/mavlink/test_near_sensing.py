@@ -1,0 +1,275 @@
+"""What lidars say, of frames as they come over the wire and of a flight between real posts."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import all as wire
+from recordings import recording
+from tlog import frames_of
+
+from companion.geodesy import LocalFrame
+from companion.mavlink.near_sensing import NearSensing, Poses, Sight
+from companion.world.near_map import NearMap, NearSensor, Rules, Sweep
+from companion.world.rays import Lattice
+
+LIDAR = NearSensor(kind="obstacle_distance", component_id=196, range_m=40.0, latency_s=0.0)
+NOW_S = 10.0
+UNKNOWN = 65_535
+
+
+def standing(yaw_rad: float = 0.0, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Poses:
+    """A vehicle at 3, 4 and 5 m."""
+    poses = Poses()
+    for time_s in (NOW_S - 0.2, NOW_S, NOW_S + 0.2):
+        poses.on_position(time_s, (3.0, 4.0, 5.0), 0.0)
+        poses.on_attitude(time_s, roll_rad, pitch_rad, yaw_rad)
+    return poses
+
+
+def obstacle_distance(distances: list[int] | None = None, **fields: Any) -> Any:
+    """As a driver sends it: 72 sectors of 5 degrees, from the nose, nothing there."""
+    values = {
+        "time_usec": round(NOW_S * 1e6),
+        "sensor_type": 0,
+        "distances": (distances or []) + [2001] * (72 - len(distances or [])),
+        "increment": 5,
+        "min_distance": 20,
+        "max_distance": 2000,
+        "increment_f": 0.0,
+        "angle_offset": 0.0,
+        "frame": wire.MAV_FRAME_BODY_FRD,
+    }
+    return wire.MAVLink_obstacle_distance_message(**{**values, **fields})
+
+
+def read(message: Any, poses: Poses | None = None, sensor: NearSensor = LIDAR) -> Sweep:
+    sensing = NearSensing(sensor, poses or standing())
+    sensing.on_obstacle_distance(message, NOW_S)
+    (sweep,) = sensing.sweeps()
+    assert not sensing.refused
+    return sweep
+
+
+def clear_towards_m(sweep: Sweep, bearing_deg: float) -> float:
+    bearing = np.array([math.radians(bearing_deg)])
+    return float(sweep.clear_between_m(bearing, np.full(1, 1e-6))[0])
+
+
+def test_a_sector_says_how_far_it_is_clear_about_its_own_direction() -> None:
+    sweep = read(obstacle_distance([500, 600]))
+    for bearing, distance in ((-2.4, 5.0), (0.0, 5.0), (2.4, 5.0), (2.6, 6.0), (7.6, 20.0)):
+        assert clear_towards_m(sweep, bearing) == pytest.approx(distance)
+    assert sweep.echo_m[:3] == pytest.approx([5.0, 6.0, math.inf])
+    assert sweep.sensor_ne_m == (3.0, 4.0)
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, -130.0])
+def test_frames_offsets_and_turning_senses_all_mean_the_same_place(yaw_deg: float) -> None:
+    """One thing 5 m away in the true direction of 60 degrees."""
+    poses, at = standing(math.radians(yaw_deg)), round((60.0 - yaw_deg) / 5.0) % 72
+
+    def thing(place: int) -> list[int]:
+        return [500 if k == place % 72 else 2001 for k in range(72)]
+
+    said = [
+        obstacle_distance(thing(at)),
+        obstacle_distance(thing(at), increment=7, increment_f=5.0),
+        obstacle_distance(thing(at - 9), angle_offset=45.0),
+        obstacle_distance(thing(-at), increment_f=-5.0),
+        obstacle_distance(thing(12), frame=wire.MAV_FRAME_GLOBAL),
+        obstacle_distance(thing(12), frame=wire.MAV_FRAME_LOCAL_NED),
+    ]
+    for message in said:
+        sweep = read(message, poses)
+        assert clear_towards_m(sweep, 60.0) == pytest.approx(5.0), message
+        assert clear_towards_m(sweep, 66.0) == pytest.approx(20.0), message
+
+
+def test_a_sensor_that_is_turned_and_mounted_aside_is_where_it_is() -> None:
+    sensor = NearSensor(
+        kind="obstacle_distance",
+        component_id=196,
+        range_m=40.0,
+        latency_s=0.0,
+        yaw_rad=math.pi,
+        forward_m=0.5,
+        right_m=0.2,
+    )
+    sweep = read(obstacle_distance([500]), standing(math.radians(90.0)), sensor)
+    assert clear_towards_m(sweep, -90.0) == pytest.approx(5.0)
+    assert sweep.sensor_ne_m == pytest.approx((3.0 - 0.2, 4.0 + 0.5))
+
+
+def test_a_tilted_beam_says_nothing_of_what_lies_beyond_its_slab() -> None:
+    tilt = math.radians(20.0)
+    sweep = read(obstacle_distance([2001]), standing(pitch_rad=-tilt))  # nose down
+    ahead_m = LIDAR.speaks_for_m / math.tan(tilt)
+    assert clear_towards_m(sweep, 0.0) == pytest.approx(ahead_m)
+    assert clear_towards_m(sweep, 90.0) == pytest.approx(20.0, abs=0.1)
+    level = read(obstacle_distance([400]), standing(pitch_rad=-tilt))
+    assert level.echo_m[0] == pytest.approx(4.0 * math.cos(tilt))
+
+
+@pytest.mark.parametrize(
+    ("told", "clear_m"),
+    [(UNKNOWN, 0.0), (0, 0.0), (19, 0.0), (20, 0.2), (1999, 19.99), (2000, 0.0), (2001, 20.0)],
+)
+def test_what_a_distance_means(told: int, clear_m: float) -> None:
+    """What is as far as the sensor sees may be nothing, or a wrong "nothing": it says nothing."""
+    sensing = NearSensing(LIDAR, standing())
+    sensing.on_obstacle_distance(obstacle_distance([told]), NOW_S)
+    (sweep,) = sensing.sweeps()
+    assert sweep.clear_m[0] == pytest.approx(clear_m)
+    assert math.isinf(sweep.echo_m[0]) == (told not in (20, 1999))
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"increment": 0},
+        {"increment_f": math.nan},
+        {"increment_f": 361.0},
+        {"angle_offset": math.inf},
+        {"frame": wire.MAV_FRAME_GLOBAL_TERRAIN_ALT},
+        {"frame": wire.MAV_FRAME_LOCAL_FRD},
+        {"min_distance": 2000},
+    ],
+)
+def test_a_message_that_cannot_be_understood_is_counted_and_says_nothing(
+    fields: dict[str, Any],
+) -> None:
+    sensing = NearSensing(LIDAR, standing())
+    sensing.on_obstacle_distance(obstacle_distance([500], **fields), NOW_S)
+    assert sensing.sweeps() == []
+    assert sensing.refused.total() == 1
+
+
+@pytest.mark.parametrize("increment", [1, 3, 7, 10, 90, 255])
+def test_sectors_that_are_more_than_a_turn_or_less_are_taken_as_they_are(increment: int) -> None:
+    sweep = read(obstacle_distance([500] * 72, increment=increment))
+    covered = min(72, 360 // increment)
+    assert len(sweep.clear_m) == covered
+    assert clear_towards_m(sweep, 0.0) == pytest.approx(5.0)
+    left = 360.0 - covered * increment
+    if left > 0.0:
+        assert clear_towards_m(sweep, -0.5 * (increment + left)) == 0.0
+
+
+def test_a_stamp_of_another_clock_counts_as_now() -> None:
+    sensing = NearSensing(LIDAR, standing())
+    for stamp_us in (0, 1_795_321_194_894_000, round((NOW_S + 5.0) * 1e6)):
+        sensing.on_obstacle_distance(obstacle_distance([500], time_usec=stamp_us), NOW_S)
+    assert [sweep.time_s for sweep in sensing.sweeps()] == [NOW_S] * 3
+    assert sensing.refused == {"a stamp of another clock": 3}
+
+
+def test_a_measurement_waits_until_the_pose_of_its_time_is_known() -> None:
+    poses = Poses()
+    sensing = NearSensing(LIDAR, poses)
+    poses.on_position(NOW_S - 0.1, (0.0, 0.0, 0.0), 0.0)
+    poses.on_attitude(NOW_S - 0.1, 0.0, 0.0, math.radians(175.0))
+    sensing.on_obstacle_distance(obstacle_distance([500]), NOW_S)
+    assert sensing.sweeps() == []
+    poses.on_position(NOW_S + 0.1, (2.0, 4.0, 6.0), 0.0)
+    assert sensing.sweeps() == []
+    poses.on_attitude(NOW_S + 0.1, 0.0, 0.0, math.radians(-175.0))
+    (sweep,) = sensing.sweeps()
+    assert sweep.sensor_ne_m == pytest.approx((1.0, 2.0))
+    assert clear_towards_m(sweep, 180.0) == pytest.approx(5.0)
+
+
+def test_a_pose_that_is_not_known_is_not_guessed() -> None:
+    poses = Poses()
+    for time_s in (NOW_S - 1.0, NOW_S + 1.0):
+        poses.on_position(time_s, (0.0, 0.0, 0.0), 0.0)
+        poses.on_attitude(time_s, 0.0, 0.0, 0.0)
+    assert poses.at(NOW_S) is None
+    assert poses.at(NOW_S + 1.0) is not None
+    assert poses.at(NOW_S + 1.1) is None
+    poses.on_attitude(NOW_S + 1.1, math.nan, 0.0, 0.0)
+    assert poses.at(NOW_S + 1.05) is None
+
+
+# --- a lidar behind a real autopilot, among 400 posts of known place
+
+POSTS = np.array([(3 + 10 * i, 2 + 10 * j) for i in range(-10, 10) for j in range(-10, 10)])
+HOME = LocalFrame(latitude_deg=51.8752066, longitude_deg=14.6487830)
+BEHIND_AUTOPILOT = NearSensor(
+    kind="distance_sensor", component_id=1, range_m=16.0, latency_s=0.04, blind_m=0.2
+)
+
+
+def heard() -> Iterator[Any]:
+    """What the autopilot sent."""
+    for _, message in frames_of(recording("arducopter-lidar.tlog").read_bytes()):
+        if (message.get_srcSystem(), message.get_srcComponent()) == (1, 1):
+            yield message
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[NearMap, list[tuple[float, Sight]]]:
+    """The map after the flight, and what the lidar was thought to see, by vehicle time."""
+    lattice = Lattice(cell_m=0.25, north_min_m=-120.0, east_min_m=-130.0, shape=(840, 920))
+    poses, near = Poses(), NearMap.empty(lattice, Rules())
+    sensing, sights, now_s = NearSensing(BEHIND_AUTOPILOT, poses), [], 0.0
+    for message in heard():
+        match message.get_type():
+            case "GLOBAL_POSITION_INT" if message.lat:
+                now_s = message.time_boot_ms * 1e-3
+                north, east = HOME.to_local_m(message.lat * 1e-7, message.lon * 1e-7)
+                where = (north, east, message.alt * 1e-3)
+                poses.on_position(now_s, where, HOME.grid_north_rad(north, east))
+                sights.append((now_s, sensing.sight(now_s)))
+            case "ATTITUDE":
+                at_s = message.time_boot_ms * 1e-3
+                poses.on_attitude(at_s, message.roll, message.pitch, message.yaw)
+            case "DISTANCE_SENSOR":
+                sensing.on_distance_sensor(message, now_s)
+            case "SYS_STATUS":
+                sensing.on_health(message, now_s)
+        for sweep in sensing.sweeps():
+            if 52.0 < sweep.time_s < 250.0:  # in the air
+                near.add(sweep)
+    return near, sights
+
+
+def test_between_real_posts_no_point_of_any_is_thought_free(
+    flown: tuple[NearMap, list[tuple[float, Sight]]],
+) -> None:
+    near, _ = flown
+    lattice, free = near.lattice, near.free()
+    turn = np.linspace(0.0, math.tau, 400)
+    for radius_m in (0.5, 0.9, 1.0):
+        rim = radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        points = (POSTS[:, None] + rim).reshape(-1, 2)
+        cells = np.floor((points - (lattice.north_min_m, lattice.east_min_m)) / lattice.cell_m)
+        rows, columns = cells.astype(int).T
+        on_map = (rows >= 0) & (rows < free.shape[0]) & (columns >= 0) & (columns < free.shape[1])
+        assert not free[rows[on_map], columns[on_map]].any()
+    assert free.sum() * lattice.cell_m**2 > 5000.0
+
+
+def test_silence_in_the_open_is_nothing_there_and_not_a_dead_lidar(
+    flown: tuple[NearMap, list[tuple[float, Sight]]],
+) -> None:
+    _, sights = flown
+    open_s = {sight for time_s, sight in sights if 222.0 < time_s < 243.0}
+    assert open_s == {Sight.NOTHING_THERE}
+    among_s = {sight for time_s, sight in sights if 60.0 < time_s < 215.0}
+    assert among_s == {Sight.SEES}
+
+
+def test_a_lidar_that_dies_is_told_from_one_that_sees_nothing() -> None:
+    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
+    assert sensing.sight(NOW_S) is Sight.NEVER_HEARD
+    beam = wire.MAVLink_distance_sensor_message(9900, 20, 1600, 700, 0, 10, 0, 0)
+    sensing.on_distance_sensor(beam, NOW_S)
+    assert sensing.sight(NOW_S + 0.3) is Sight.SEES
+    bit = wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
+    for health, sight in ((bit, Sight.NOTHING_THERE), (0, Sight.DEAD)):
+        status = wire.MAVLink_sys_status_message(bit, bit, health, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+        sensing.on_health(status, NOW_S + 1.0)
+        assert sensing.sight(NOW_S + 1.5) is sight

@@ -1,0 +1,234 @@
+"""The map of near things, against scenes of which every point is known."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from companion.world.near_map import NearMap, Rules, Sweep
+from companion.world.rays import Lattice
+
+FloatArray = NDArray[np.float64]
+RULES = Rules()
+LATTICE = Lattice(cell_m=0.25, north_min_m=-25.0, east_min_m=-25.0, shape=(200, 200))
+REACH_M = 16.0
+PERIOD_S = 0.1
+
+
+def post(north_m: float, east_m: float, radius_m: float) -> FloatArray:
+    """Points of its surface, (M, 2), no more than 2 cm apart."""
+    turn = np.linspace(0.0, math.tau, math.ceil(math.tau * radius_m / 0.02) + 1)
+    return np.stack([north_m + radius_m * np.cos(turn), east_m + radius_m * np.sin(turn)], axis=1)
+
+
+def wall(a: tuple[float, float], b: tuple[float, float]) -> FloatArray:
+    """Points of it, (M, 2), no more than 2 cm apart."""
+    share = np.linspace(0.0, 1.0, math.ceil(math.dist(a, b) / 0.02) + 1)[:, None]
+    return np.array(a) * (1.0 - share) + np.array(b) * share
+
+
+def scene(random: np.random.Generator) -> FloatArray:
+    """Posts and walls, none about the middle, where the sensor is."""
+    things = [
+        post(*random.uniform(-22.0, 22.0, 2), random.uniform(0.02, 1.5))
+        for _ in range(random.integers(0, 25))
+    ]
+    for _ in range(random.integers(0, 4)):
+        start = random.uniform(-20.0, 20.0, 2)
+        end = start + random.uniform(-15.0, 15.0, 2)
+        things.append(wall(tuple(start), tuple(end)))
+    points = np.concatenate([*things, np.full((1, 2), 100.0)])
+    return points[np.hypot(*points.T) > 3.0]
+
+
+def nearest_m(
+    points: FloatArray, at_ne_m: FloatArray, first_rad: float, width_rad: float, sectors: int
+) -> FloatArray:
+    """Distance of the nearest point in each sector; inf: none in reach.  (K,)."""
+    apart = points - at_ne_m
+    away = np.hypot(*apart.T)
+    sector = np.floor(
+        np.mod(np.arctan2(apart[:, 1], apart[:, 0]) - first_rad, math.tau) / width_rad
+    ).astype(int)
+    result = np.full(sectors, np.inf)
+    inside = (away <= REACH_M) & (sector < sectors)
+    np.minimum.at(result, sector[inside], away[inside])
+    return result
+
+
+def sweep_of(distance_m: FloatArray, **what: object) -> Sweep:
+    """What a sensor says that meets these."""
+    met = np.isfinite(distance_m)
+    values = {
+        "time_s": 0.0,
+        "sensor_ne_m": (0.0, 0.0),
+        "first_rad": 0.0,
+        "width_rad": math.tau / len(distance_m),
+        "clear_m": np.where(met, distance_m, REACH_M),
+        "echo_m": distance_m,
+        "range_m": REACH_M,
+        "blind_m": 0.2,
+        "error_m": 0.1,
+        "bearing_error_rad": 0.0,
+    }
+    return Sweep(**{**values, **what})  # type: ignore[arg-type]
+
+
+def looked(near: NearMap, points: FloatArray, count: int, start_s: float = 0.0) -> None:
+    """So many sweeps of 72 sectors of a sensor that stands in the middle."""
+    at = np.zeros(2)
+    distance = nearest_m(points, at, 0.0, math.tau / 72, 72)
+    for k in range(count):
+        near.add(sweep_of(distance, time_s=start_s + k * PERIOD_S))
+
+
+def cell_of(north_m: float, east_m: float) -> tuple[int, int]:
+    return (
+        math.floor((north_m - LATTICE.north_min_m) / LATTICE.cell_m),
+        math.floor((east_m - LATTICE.east_min_m) / LATTICE.cell_m),
+    )
+
+
+def wrongly_free(near: NearMap, points: FloatArray) -> int:
+    """How many points of things lie in free cells."""
+    low = np.array([LATTICE.north_min_m, LATTICE.east_min_m])
+    cells = np.floor((points - low) / LATTICE.cell_m).astype(int)
+    cells = cells[((cells >= 0) & (cells < LATTICE.shape)).all(axis=1)]
+    return int(near.free()[cells[:, 0], cells[:, 1]].sum())
+
+
+def flown(seed: int) -> tuple[NearMap, FloatArray]:
+    """A random scene, and what a sensor of random make, with all its faults, shows of it."""
+    random = np.random.default_rng(seed)
+    points = scene(random)
+    sectors = int(random.choice([8, 24, 72, 90, 360]))
+    all_round = random.random() < 0.7
+    width = math.tau / sectors
+    seen = sectors if all_round else max(sectors // 3, 1)
+    error_m, bearing_error = random.uniform(0.0, 0.5), random.uniform(0.0, 0.06)
+    lost, dust = random.uniform(0.0, 0.3), random.uniform(0.0, 0.05)
+    speed = random.uniform(-1.0, 1.0, 2)
+    turning = random.uniform(-2.0, 2.0)
+    near = NearMap.empty(LATTICE, RULES)
+    for k in range(int(random.integers(4, 40))):
+        at, yaw = speed * k * PERIOD_S, turning * k * PERIOD_S
+        distance = nearest_m(points, at, yaw, width, seen)
+        if k % RULES.sightings:  # else each thing would be missed as often as it must not be
+            distance[random.random(seen) < lost] = np.inf
+        told_at = at + 0.5 * error_m * random.uniform(-0.7, 0.7, 2)
+        noisy = np.maximum(distance + 0.5 * error_m * random.uniform(-1.0, 1.0, seen), 0.0)
+        dusty = random.random(seen) < dust
+        noisy[dusty] = random.uniform(0.0, np.minimum(noisy[dusty], REACH_M))
+        met = np.isfinite(noisy)
+        near.add(
+            sweep_of(
+                noisy,
+                time_s=k * PERIOD_S,
+                sensor_ne_m=(float(told_at[0]), float(told_at[1])),
+                first_rad=yaw + bearing_error * random.uniform(-1.0, 1.0),
+                width_rad=width,
+                clear_m=np.where(met, noisy, REACH_M),
+                error_m=error_m,
+                bearing_error_rad=bearing_error,
+            )
+        )
+    return near, points
+
+
+@pytest.mark.parametrize(
+    "hundred", [0, 1, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(2, 100))]
+)
+def test_what_is_free_holds_no_point_of_any_thing(hundred: int) -> None:
+    free = 0
+    for seed in range(100 * hundred, 100 * hundred + 100):
+        near, points = flown(seed)
+        assert wrongly_free(near, points) == 0, seed
+        free += int(near.free().sum())
+    assert free > 100_000  # it says something
+
+
+def test_in_the_open_all_that_beams_have_passed_is_free() -> None:
+    near = NearMap.empty(LATTICE, RULES)
+    looked(near, np.full((1, 2), 100.0), RULES.sightings)
+    north, east = np.meshgrid(*(np.arange(200) * 0.25 - 25.0 + 0.125,) * 2, indexing="ij")
+    away = np.hypot(north, east)
+    assert near.free()[away < REACH_M - 0.3].all()
+    assert not near.free()[away > REACH_M].any()
+    assert not near.occupied().any()
+
+
+def test_behind_a_wall_nothing_is_known_and_the_wall_is_occupied() -> None:
+    near = NearMap.empty(LATTICE, RULES)
+    looked(near, wall((5.0, -30.0), (5.0, 30.0)), RULES.sightings)
+    rows, columns = cell_of(4.5, 0.0)[0], slice(90, 110)
+    assert near.free()[100:rows, columns].all()
+    assert near.occupied()[cell_of(5.0, 0.0)[0], columns].all()
+    behind = near.free()[cell_of(5.5, 0.0)[0] :, columns]
+    assert not behind.any()
+
+
+def test_a_thing_survives_the_longest_row_of_wrong_empty_sweeps() -> None:
+    near, points = NearMap.empty(LATTICE, RULES), post(6.0, 0.0, 0.5)
+    looked(near, points, 10)
+    looked(near, np.full((1, 2), 100.0), 9, start_s=1.0)
+    assert near.occupied()[cell_of(5.5, 0.0)]
+    assert not near.free()[cell_of(5.5, 0.0)]
+
+
+def test_what_has_gone_leaves_free_cells_once_beams_pass_them_long_enough() -> None:
+    near, points = NearMap.empty(LATTICE, RULES), post(6.0, 0.0, 0.5)
+    looked(near, points, 100)
+    looked(near, np.full((1, 2), 100.0), 12, start_s=10.0)
+    assert not near.occupied().any()
+    assert near.free()[cell_of(5.5, 0.0)]
+
+
+def passer_by(standing_s: float) -> NearMap:
+    """It was met for so long, then never looked at for 20 s."""
+    near = NearMap.empty(LATTICE, RULES)
+    looked(near, post(6.0, 0.0, 0.5), round(standing_s / PERIOD_S) + 1)
+    says_nothing = sweep_of(np.full(72, np.inf), clear_m=np.zeros(72), time_s=standing_s + 20.0)
+    near.add(says_nothing)
+    return near
+
+
+def test_what_was_met_for_a_moment_only_is_forgotten_and_unknown() -> None:
+    near = passer_by(standing_s=1.0)
+    assert not near.occupied()[cell_of(5.5, 0.0)]
+    assert not near.free()[cell_of(5.5, 0.0)]
+
+
+def test_what_stood_for_long_is_remembered() -> None:
+    assert passer_by(standing_s=4.0).occupied()[cell_of(5.5, 0.0)]
+
+
+def test_one_echo_of_a_wide_sector_blocks_its_arc_but_not_what_is_known_to_be_free() -> None:
+    """Eight sectors of 45 degrees, as ArduPilot passes them on (proximity.md 1)."""
+    near, distance = NearMap.empty(LATTICE, RULES), np.full(8, np.inf)
+    distance[0] = 8.0
+    near.add(sweep_of(distance, first_rad=-math.radians(22.5)))
+    for bearing in (-20.0, 0.0, 20.0):
+        turned = math.radians(bearing)
+        assert near.occupied()[cell_of(8.0 * math.cos(turned), 8.0 * math.sin(turned))]
+
+    free_before = NearMap.empty(LATTICE, RULES)
+    points = post(8.5, 0.0, 0.5)
+    looked(free_before, points, 5)
+    wide = nearest_m(points, np.zeros(2), -math.radians(22.5), math.radians(45.0), 8)
+    free_before.add(sweep_of(wide, first_rad=-math.radians(22.5), time_s=1.0))
+    aside = math.radians(20.0)
+    assert free_before.free()[cell_of(8.0 * math.cos(aside), 8.0 * math.sin(aside))]
+
+
+def test_an_echo_where_all_was_free_is_something_new_and_blocks_all_of_its_arc() -> None:
+    near = NearMap.empty(LATTICE, RULES)
+    looked(near, np.full((1, 2), 100.0), 5)
+    distance = np.full(8, np.inf)
+    distance[0] = 8.0
+    near.add(sweep_of(distance, first_rad=-math.radians(22.5), time_s=1.0))
+    for bearing in (-20.0, 0.0, 20.0):
+        turned = math.radians(bearing)
+        cell = cell_of(8.0 * math.cos(turned), 8.0 * math.sin(turned))
+        assert near.occupied()[cell]
+        assert not near.free()[cell]
