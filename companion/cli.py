@@ -18,7 +18,7 @@ from rich.console import Console
 from companion.compare.command import compare_app
 from companion.config import bundled, load_mission, load_world, mission_name, mission_text
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
-from companion.mavlink.preflight import Verdict, as_flown, checks_of
+from companion.mavlink.preflight import CheckStatus, checks_of, flight_check
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
@@ -30,15 +30,15 @@ from companion.runtime.compiler import Planner, load_kernel
 from companion.runtime.keys import SigningKey
 from companion.runtime.link import open_link, open_links
 from companion.runtime.loop import fly
-from companion.runtime.preflight import look_at
+from companion.runtime.preflight import run_preflight
 from companion.runtime.signals import stop_signals
 from companion.session import Session
-from companion.telemetry.flown import Flown
-from companion.telemetry.memory import Recalled, recall
+from companion.telemetry.flight_summary import FlightSummary
+from companion.telemetry.resume import ResumeData, load_resume_data
 from companion.telemetry.run_folder import RunFolder
 from companion.views.live import Progress
 from companion.views.pictures import draw_flown, draw_offline
-from companion.views.words import checks_table, flight_table, mission_words, plans_table
+from companion.views.text import checks_table, flight_table, mission_summary, plans_table
 from companion.world.known_map import empty_map
 from companion.world.simulated_scan import true_map
 
@@ -204,7 +204,7 @@ def preflight_command(
         console.status("asking the vehicle") as status,
         stop_signals() as stop_asked,
     ):
-        look_at(
+        run_preflight(
             session,
             link,
             stop_asked=lambda: bool(stop_asked),
@@ -213,9 +213,9 @@ def preflight_command(
     if key is not None and signing is not None:
         _keep_time(key, signing)
     checks = checks_of(session)
-    if not (refused := [check for check in checks if check.verdict is Verdict.REFUSED]):
-        checks.append(as_flown(session))
-        refused = [check for check in checks[-1:] if check.verdict is Verdict.REFUSED]
+    if not (refused := [check for check in checks if check.status is CheckStatus.REFUSED]):
+        checks.append(flight_check(session))
+        refused = [check for check in checks[-1:] if check.status is CheckStatus.REFUSED]
     console.print(checks_table(checks))
     if refused:
         raise FlightFailed(f"{len(refused)} of {len(checks)} checks refuse the flight", "")
@@ -269,7 +269,7 @@ def check_command(mission: MissionArgument, profile: ProfileOption = None) -> No
     """Check a mission file and say in words what the mission will do."""
     console = Console(soft_wrap=True)
     chosen = load_mission(mission, profile and profile.value)
-    console.print(mission_words(chosen), highlight=False, markup=False)
+    console.print(mission_summary(chosen), highlight=False, markup=False)
     _say_notes(chosen, console)
 
 
@@ -330,7 +330,7 @@ def _say_notes(mission: Mission, console: Console) -> None:
 
 
 def _as_begun(mission: str, folder: Path) -> str:
-    """The mission of a run folder, as it was flown, whatever has become of the file since."""
+    """The mission of a run folder as it was flown, even if its file has changed since."""
     begun = str(folder / "mission.toml")
     given, name = None, mission_name(begun)
     with contextlib.suppress(InputError):
@@ -341,9 +341,9 @@ def _as_begun(mission: str, folder: Path) -> str:
     return begun
 
 
-def _recalled(folder: Path, mission: Mission, console: Console) -> Recalled:
+def _recalled(folder: Path, mission: Mission, console: Console) -> ResumeData:
     """What a companion before this one has left, and what of it could not be read."""
-    recalled = recall(folder, mission)
+    recalled = load_resume_data(folder, mission)
     for line in recalled.said:
         console.out(f"warning: {line}", highlight=False)
     return recalled
@@ -361,8 +361,8 @@ def _flown(
     folder_path: Path,
     mission: str,
     key: SigningKey | None,
-    recalled: Recalled | None,
-) -> Flown:
+    recalled: ResumeData | None,
+) -> FlightSummary:
     """Fly a session, record it, and show how it went.
 
     recalled: what there was of the flight that is gone on with; None: it is a new one.
@@ -414,7 +414,7 @@ def _keep_time(key: SigningKey, signing: Signing | None) -> None:
 # --- the end of a command
 
 
-def _show(flown: Flown, folder: RunFolder, console: Console) -> None:
+def _show(flown: FlightSummary, folder: RunFolder, console: Console) -> None:
     """The summary and the picture of a flight; without a terminal, or on a full disk, less."""
     lines = [f"run folder: {folder.path}"]
     if folder.failure is not None:
@@ -431,7 +431,7 @@ def _show(flown: Flown, folder: RunFolder, console: Console) -> None:
             console.out(line, highlight=False)
 
 
-def _exit_as_it_ended(flown: Flown, connect: str) -> None:
+def _exit_as_it_ended(flown: FlightSummary, connect: str) -> None:
     end = flown.end
     if end is None or end.outcome is Outcome.FAILED:
         reason = "the flight did not end" if end is None else end.reason
@@ -463,7 +463,7 @@ def _exit_as_planned(flight: OfflineFlight) -> None:
         raise FlightFailed(f"{failure.refusal.value}{broken}", "")
 
 
-def _run_facts(flown: Flown, began: datetime, connect: str) -> dict[str, object]:
+def _run_facts(flown: FlightSummary, began: datetime, connect: str) -> dict[str, object]:
     return {
         "companion": version("companion"),
         "began": began.isoformat(),

@@ -8,7 +8,7 @@ CompanionError
 
 from typing import final
 
-_MOST_SHOWN = 200
+_MAX_SHOWN = 200
 """Characters of a value: it may be a whole file."""
 
 
@@ -26,8 +26,8 @@ class InputError(CompanionError):
 
     def __init__(self, field: str, value: object, rule: str, remedy: str) -> None:
         shown = repr(value)
-        if len(shown) > _MOST_SHOWN:
-            shown = f"{shown[:_MOST_SHOWN]}..."
+        if len(shown) > _MAX_SHOWN:
+            shown = f"{shown[:_MAX_SHOWN]}..."
         message = f"{field} = {shown}: {rule}. {remedy}"
         super().__init__("".join(c if c.isprintable() else " " for c in message))
         self.field, self.rule = field, rule

@@ -17,7 +17,7 @@ from companion.config import load_mission, load_world
 from companion.errors import InputError
 from companion.geodesy import FloatArray
 from companion.objective.scene import PROFILES
-from companion.optimise.registry import OPTIMISERS, Maker, lent
+from companion.optimise.registry import OPTIMISERS, Maker, temporarily_registered
 from companion.path.certificate import Certificate
 from companion.path.limits import Limits
 from companion.planner.kernels import NUMPY, Kernel
@@ -131,7 +131,9 @@ def _searched_with(optimiser: str | Maker | None, task: Task) -> Iterator[Task]:
     """The task, with another optimiser if one is given."""
     if isinstance(optimiser, str) and optimiser not in OPTIMISERS:
         raise InputError("optimiser", optimiser, "there is none", f"One of {list(OPTIMISERS)}.")
-    with lent(optimiser) if callable(optimiser) else nullcontext(optimiser) as name:
+    with (
+        temporarily_registered(optimiser) if callable(optimiser) else nullcontext(optimiser) as name
+    ):
         yield (
             task if name is None else replace(task, settings=replace(task.settings, optimiser=name))
         )

@@ -22,29 +22,29 @@ from typing import Any, Final, final
 
 from msgspec.structs import replace
 
+from companion.mavlink.autopilot_client import AutopilotClient, AutopilotCommand
 from companion.mavlink.autopilots import described
 from companion.mavlink.component import REQUESTS, Component
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import Incoming, boot_ms_of
 from companion.mavlink.link import (
-    MERE_CLOCKS,
-    VEHICLE,
+    TIME_ONLY_MESSAGES,
+    VEHICLE_LINK,
+    ClockReading,
+    FrameEncoder,
     Inbox,
-    Outbox,
     Output,
-    Reading,
     VehicleClock,
     VehicleSelector,
 )
+from companion.mavlink.own_messages import heartbeat
 from companion.mavlink.preflight import Preflight
-from companion.mavlink.presence import heartbeat
 from companion.mavlink.signing import Signing
-from companion.mavlink.statustext import StatusTexts, last_words, severity_of
+from companion.mavlink.statustext import StatusTexts, final_text, severity_of
 from companion.mavlink.terrain_download import MESSAGES as TERRAIN
-from companion.mavlink.terrain_download import Scanning
-from companion.mavlink.vehicle import Told, VehicleSide
+from companion.mavlink.terrain_download import ScanClient
 from companion.mission import changes, checkpoint, entries, events, machine
-from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, is_led
+from companion.mission.decisions import GONE_IN_AIR_S, GONE_S, Context, is_under_control
 from companion.mission.events import End, Mode, SetMode, Vector
 from companion.mission.mission import Mission
 from companion.mission.pending_plan import PendingPlan
@@ -75,11 +75,11 @@ _ROUTINE: Final = (
     events.LandedState,
     events.VehicleStatus,
 )
-"""Events that come all the time: no entry is made of them, and housekeeping can wait."""
+"""Frequent events: without journal entries, and housekeeping can wait."""
 
 
 class Role(enum.Enum):
-    """Who of our vehicle speaks."""
+    """Components of our vehicle."""
 
     AUTOPILOT = "its autopilot"
     RADAR = "its terrain radar"
@@ -102,9 +102,9 @@ class Session:
         has_ground: bool = False,
         version: str = "0",
     ) -> None:
-        """resume: what one before it has left; has_ground: has links to ground stations."""
+        """resume: from a previous companion; has_ground: there are ground station links."""
         self.mission = mission
-        self.state = checkpoint.beginning(mission, resume)
+        self.state = checkpoint.initial_state(mission, resume)
         self.clock = VehicleClock(self.state.now_s)
         self.context = Context(mission=mission, seed=seed, lockstep=lockstep, shadow=shadow)
         self.found = ""
@@ -112,24 +112,24 @@ class Session:
         self.last_scan: events.ScanDone | None = None
         self.warned: tuple[float, str] = (-math.inf, "")
         """When a person was last warned, and of what."""
-        self.vehicle: VehicleSide | None = None
+        self.vehicle: AutopilotClient | None = None
         """The autopilot, once it is known."""
         self._inbox = Inbox(signing)
-        self.receiver = self._inbox.receivers[VEHICLE]
+        self.receiver = self._inbox.receivers[VEHICLE_LINK]
         self.signing = signing
         self._lockstep, self._version = lockstep, version
         before = None if resume is None else resume[0].get("system_id")
         self.selector = VehicleSelector(mission.system_id or before)
         """Which of those that are heard is the vehicle."""
-        self._outbox = Outbox(self.selector.system_id, signing, has_ground=has_ground)
+        self._outbox = FrameEncoder(self.selector.system_id, signing, has_ground=has_ground)
         self._out = self._outbox.out
         self._texts = StatusTexts()
-        self._scanning = Scanning(mission)
+        self._scanning = ScanClient(mission)
         self._preflight = Preflight()
         self._component: Component | None = None
         self._time_asked = 0
         self._plan = PendingPlan()
-        self._keeper = checkpoint.Keeper()
+        self._keeper = checkpoint.CheckpointPolicy()
         self._end: End | None = None
         self._confirming: SetMode | None = None
         self._mode: Mode | None = None
@@ -148,7 +148,7 @@ class Session:
         start = Start.of(self.context, resume, version=version, has_ground=has_ground)
         self._out.inputs.append(("start", start.values()))
         if resume is not None:
-            self._note("resumed", **checkpoint.told(resume[0]))
+            self._note("resumed", **checkpoint.resumed_entry(resume[0]))
 
     @property
     def now_s(self) -> float:
@@ -157,22 +157,24 @@ class Session:
 
     # --- what the runtime calls
 
-    def receive(self, data: bytes, at_s: float | None = None, link: int = VEHICLE) -> bool:
-        """Bytes of a link, garbage passed over; whether anybody spoke whom it is there for.
+    def receive(self, data: bytes, at_s: float | None = None, link: int = VEHICLE_LINK) -> bool:
+        """Receive bytes of a link; returns whether a relevant sender was heard.
 
-        That is the autopilot; over links to ground stations (1 and up), anybody.  at_s: when they
-        arrived, by any clock that only rises: round trips are measured by it.
+        That is the autopilot; on ground station links (1 and up), any sender. at_s: time of
+        arrival, by any monotonic clock, for round trip times.
         """
         self._at_s = at_s
         if self.signing is not None and at_s is not None:
             self.signing.on_time(at_s)
         messages = self._inbox.feed(data, at_s, link)
         frames = b"".join(map(_frame_of, messages))
-        which = ("receive", frames, at_s) if link == VEHICLE else ("receive", frames, at_s, link)
+        which = (
+            ("receive", frames, at_s) if link == VEHICLE_LINK else ("receive", frames, at_s, link)
+        )
         self._out.inputs.append(which)
         if self.signing is not None and (complaint := self.signing.complaint(self.now_s)):
             self.complain(complaint)
-        if link != VEHICLE:
+        if link != VEHICLE_LINK:
             return bool(messages)
         if heard := any(map(self.selector.is_ours, messages)):
             self._silence_told_s = 0.0
@@ -184,7 +186,7 @@ class Session:
         self._plan.deliver(outcome, self.now_s)
 
     def part_died(self, part: str, error: str) -> None:
-        """The planner raised instead of answering, or another part of the runtime has died."""
+        """The planner has failed, or another worker of the runtime has died."""
         self._out.inputs.append(("part_died", part, error))
         died = events.PlannerDied(time_s=self.now_s, error=f"{part}: {error}" if part else error)
         if part == "planner" and self._lockstep:
@@ -193,22 +195,22 @@ class Session:
             self._handle(died)
 
     def recording_stopped(self, why: str) -> None:
-        """The disk has failed: the flight goes on, and people are told."""
+        """The disk has failed: the flight goes on with a warning."""
         self._out.inputs.append(("recording_stopped", why))
-        self._say(f"not recorded any more: {why}", warning=True)
+        self._send_text(f"not recorded any more: {why}", warning=True)
 
     def stop(self) -> None:
-        """A person wants the mission to end."""
+        """The operator ends the mission."""
         self._out.inputs.append(("stop",))
         self._handle(events.StopAsked(time_s=self.now_s))
 
     def complain(self, text: str) -> None:
-        """Frames were refused: they are not among what was received."""
+        """Send a warning that frames were rejected; those are not in the inputs."""
         self._out.inputs.append(("complain", text))
-        self._say(text, warning=True)
+        self._send_text(text, warning=True)
 
     def silence(self, silent_s: float) -> None:
-        """The autopilot was not heard for so long; called again and again while it lasts."""
+        """The autopilot was silent for this long; called repeatedly while it lasts."""
         self._out.inputs.append(("silence", silent_s))
         more_s = max(silent_s - self._silence_told_s, 0.0)
         waiting = self.state.phase is Phase.WAITING
@@ -216,12 +218,12 @@ class Session:
             if self._silence_told_s < limit <= silent_s:
                 self._handle(events.LinkLost(time_s=self.now_s, silent_s=limit))
         self._silence_told_s = silent_s
-        if self.clock.be_silent(more_s, counts=not waiting) is Reading.LATER:
+        if self.clock.on_silence(more_s, counts=not waiting) is ClockReading.LATER:
             self._handle(events.Tick(time_s=self.now_s))
         self._housekeeping()
 
     def run(self) -> Output:
-        """Handle what was received, as far as it goes."""
+        """Handle the received messages, as far as possible."""
         if self._out.inputs:  # else it changes nothing
             self._out.inputs.append(("run",))
         if dropped := self._inbox.dropped:
@@ -239,13 +241,15 @@ class Session:
         if (
             not 0.0 <= since_s < checkpoint.LONGEST_S
             or state.flight.known is not keeper.known
-            or (since_s >= checkpoint.PERIOD_S and checkpoint.kept_of(state) != keeper.kept)
+            or (
+                since_s >= checkpoint.PERIOD_S and checkpoint.persisted_fields(state) != keeper.kept
+            )
         ):
             self._keep()
-        return self.taken()
+        return self.take_output()
 
-    def taken(self) -> Output:
-        """What the outside is to do now; after an error, what had come of it until then."""
+    def take_output(self) -> Output:
+        """The pending output; after an error, the output until then."""
         out = self._out
         self._out = self._outbox.out = Output()
         if self._end is not None:
@@ -253,45 +257,45 @@ class Session:
         return out
 
     def farewell(self) -> Output:
-        """The last frames of a companion that ends; a vehicle that flies for us is told to hold."""
+        """The last frames of a companion that ends; puts a vehicle under our control on hold."""
         self._out.inputs.append(("farewell",))
         self._send_all(self._holding())
         if self._end is None:
-            self._tell_all(self._texts.last("ended: the companion was stopped"))
-        self._tell_all([heartbeat(wire.MAV_STATE_POWEROFF)])
+            self._send_all_to_ground(self._texts.last("ended: the companion was stopped"))
+        self._send_all_to_ground([heartbeat(wire.MAV_STATE_POWEROFF)])
         self._keep(at_once=True)
-        return self.taken()
+        return self.take_output()
 
-    def look_around(self) -> None:
-        """Have the radar look, whatever the mission is doing (before a flight)."""
+    def scan_now(self) -> None:
+        """Start a radar scan in any phase (before a flight)."""
         here = self.state.vehicle.position_nea_m
         if here is not None and self.state.targets_ne_m:
             self._start_scan(here)
 
     def hold_frames(self) -> list[bytes]:
-        """What puts a vehicle that flies for us on hold; nothing else.  Changes nothing."""
-        return self._outbox.spare(self._holding())
+        """The frames that put a vehicle under our control on hold.  Has no side effects."""
+        return self._outbox.encode_unsent(self._holding())
 
-    def last_words(self, why: str) -> list[bytes]:
-        """What says that the companion has ended, and why; nothing else.  Changes nothing."""
-        return self._outbox.spare(last_words(f"ended, failed: {why}"))
+    def final_text(self, why: str) -> list[bytes]:
+        """The frames of the text that the companion has ended, and why.  Has no side effects."""
+        return self._outbox.encode_unsent(final_text(f"ended, failed: {why}"))
 
     def _holding(self) -> Sequence[Message]:
-        if self.vehicle is None or self.context.shadow or not is_led(self.state):
+        if self.vehicle is None or self.context.shadow or not is_under_control(self.state):
             return ()
-        return self.vehicle.told(SetMode(mode=Mode.HOLD), self.state)
+        return self.vehicle.command_messages(SetMode(mode=Mode.HOLD), self.state)
 
     # --- messages
 
     def _on_message(self, heard: Incoming) -> bool:
-        """What time it is, whether another companion speaks, and what the message means.
+        """Handle one message: clock, duplicate ids, then its meaning.
 
-        Over a link to ground stations what is asked of us counts, and no word of a vehicle.
-        False, and nothing done, for a position that has to wait for a plan.
+        On ground station links only requests to us are handled, never a vehicle's messages.  False,
+        without effect, for a position that has to wait for a plan.
         """
         number, role = heard.number, None
-        is_read = heard.message is not None or number in MERE_CLOCKS
-        if heard.link == VEHICLE and is_read:
+        is_read = heard.message is not None or number in TIME_ONLY_MESSAGES
+        if heard.link == VEHICLE_LINK and is_read:
             if number == _HEARTBEAT or self.selector.system_id is None:
                 self._select(heard)
             if heard.system == self.selector.system_id:
@@ -316,37 +320,37 @@ class Session:
         return True
 
     def _look_for_duplicates(self, heard: Incoming) -> None:
-        """Whether another process with our ids has sent it."""
+        """Check whether another process with our ids has sent it."""
         system_id = self.selector.system_id
         found = self._outbox.duplicates.heard(heard.frame, system_id, self.now_s)
         if found is not None:
             self._handle(found)
 
     def _select(self, heard: Incoming) -> None:
-        """Whose companion we are, as long as that is not known."""
+        """Select our vehicle, as long as it is not known."""
         if heard.number == _HEARTBEAT and self.selector.on_heartbeat(heard):
             assert self.selector.system_id is not None
-            self._outbox.speak_as(self.selector.system_id)
+            self._outbox.set_system_id(self.selector.system_id)
         elif name := self.selector.ambiguity:
-            found = events.VehicleFound(time_s=self.now_s, system_id=0, driving=None, name=name)
+            found = events.VehicleFound(time_s=self.now_s, system_id=0, traits=None, name=name)
             self._handle(found)
 
     def _on_scan(self, heard: Incoming) -> None:
-        """What the radar sees."""
+        """A scan answer of the radar."""
         self._scanning.on_message(heard.message, self.state.vehicle.position_nea_m)
         self._scan_on()
 
     def _on_radar(self, _heard: Incoming) -> None:
-        """Anything else that it says."""
+        """Any other message of the radar."""
         self._scan_on()
 
     def _on_heartbeat(self, heard: Incoming) -> None:
         if self.vehicle is None:
-            self._find(heard.message)
+            self._identify_vehicle(heard.message)
         self._on_autopilot(heard)
 
     def _on_position(self, heard: Incoming) -> None:
-        """What a flight goes on by; a plan that is due counts before it."""
+        """A position, which drives the mission; a due plan takes effect before it."""
         if (vehicle := self.vehicle) is None:
             return
         now_s, plan, shadow = self.clock.now_s, self._plan, self.context.shadow
@@ -365,7 +369,7 @@ class Session:
         self._housekeeping()
 
     def _on_autopilot(self, heard: Incoming) -> None:
-        """Any other of its messages."""
+        """Any other message of the autopilot."""
         if (vehicle := self.vehicle) is None:
             return
         message, now_s = heard.message, self.clock.now_s
@@ -376,10 +380,10 @@ class Session:
         if vehicle.is_news or vehicle.notes:
             self._look_at_news(vehicle)
         self._housekeeping()
-        if (noted := vehicle.entry_of(message)) is not None:
+        if (noted := vehicle.journal_entry(message)) is not None:
             self._note(**noted)
 
-    def _after_mere_clock(self, heard: Incoming) -> None:
+    def _after_time_only(self, heard: Incoming) -> None:
         """What may be due now."""
         if (vehicle := self.vehicle) is None:
             return
@@ -388,17 +392,17 @@ class Session:
             self._look_at_news(vehicle)
         self._housekeeping()
 
-    def _look_at_news(self, vehicle: VehicleSide) -> None:
-        """What has come of the answers to what was asked; what is asked next may be due."""
+    def _look_at_news(self, vehicle: AutopilotClient) -> None:
+        """Handle new events of the autopilot client; its next requests may be due."""
         for event in vehicle.events(self.now_s):
             self._handle(event)
         self._due_s = -math.inf
 
     def _on_timesync(self, heard: Incoming) -> None:
-        """An answer to ours, or a question: a simulator in lockstep goes on once it is answered."""
+        """A TIMESYNC answer, or a request: a simulator in lockstep advances once it is answered."""
         message = heard.message
         if self.vehicle is not None and message.tc1 != 0 and heard.at_s is not None:
-            delay = self.vehicle.on_answered_time(message, self.now_s, heard.at_s)
+            delay = self.vehicle.on_timesync(message, self.now_s, heard.at_s)
             if delay is not None:
                 self._handle(delay)
         self._on_autopilot(heard)
@@ -409,51 +413,51 @@ class Session:
         seldom = self.vehicle is not None and not self.vehicle.asks_time_often
         often = self._time_asked == _LOCKSTEP and self.now_s < _EARLY_S
         if seldom and often and not self._lockstep:
-            self._say("simulator in lockstep: use --lockstep here too", warning=True)
+            self._send_text("simulator in lockstep: use --lockstep here too", warning=True)
 
-    def _find(self, message: Message) -> None:
-        """The first heartbeat of our autopilot: which one it is decides how it is flown."""
+    def _identify_vehicle(self, message: Message) -> None:
+        """The first heartbeat of our autopilot: select its strategy."""
         system, name = message.get_srcSystem(), described(message)
         self.found = name
-        self.vehicle = VehicleSide.found(message, self.context)
-        driving = None
+        self.vehicle = AutopilotClient.found(message, self.context)
+        traits = None
         if self.vehicle is not None:
             self._component = Component(self.mission, system, self.state.task, self._version)
-            driving = self.vehicle.autopilot.driving
+            traits = self.vehicle.autopilot.traits
         found: dict[str, Any] = {"system_id": system, "name": name}
         self._note("vehicle found", **found)
-        self._handle(events.VehicleFound(time_s=self.now_s, driving=driving, **found))
+        self._handle(events.VehicleFound(time_s=self.now_s, traits=traits, **found))
 
     def _serve(self, heard: Incoming) -> None:
-        """What others ask of the companion itself."""
+        """Handle a request to the companion itself."""
         if (component := self._component) is None:
             return
         self._due_s = -math.inf
         served = component.on_message(heard.message, self.now_s)
-        reply = self._send_all if heard.link == VEHICLE else self._outbox.tell_ground
-        (self._tell_all if served.is_for_all else reply)(served.replies)
+        reply = self._send_all if heard.link == VEHICLE_LINK else self._outbox.send_to_ground
+        (self._send_all_to_ground if served.is_for_all else reply)(served.replies)
         if served.note is not None:
             self._note(**served.note)
         if served.text:
-            self._say(served.text, warning=True)
+            self._send_text(served.text, warning=True)
         if served.order is not None:
-            verdict = changes.verdict(self.state, served.order)
+            verdict = changes.order_result(self.state, served.order)
             reply(component.order_done(served.order, verdict))
-            if verdict is changes.Verdict.ACCEPTED:
+            if verdict is changes.OrderResult.ACCEPTED:
                 self._handle(served.order)
             else:
-                self._say(changes.why_not(self.state, served.order), warning=True)
+                self._send_text(changes.why_not(self.state, served.order), warning=True)
         if served.task is not None:
             task = dataclasses.replace(served.task, zones=self.state.given.zones)
             self._handle(events.SettingsChanged(time_s=self.now_s, task=task, what=served.changed))
 
     # --- the clock
 
-    def _on_mere_clock(self, heard: Incoming) -> bool:
-        """Whether it is news; of these messages nothing else is read."""
+    def _on_time_only(self, heard: Incoming) -> bool:
+        """Handle a time-only message; whether it is newer."""
         time_ms = boot_ms_of(heard.frame, heard.number)
         assert time_ms is not None
-        if news := self.clock.is_told_by(heard.number, time_ms):
+        if news := self.clock.is_newer(heard.number, time_ms):
             self._on_time(time_ms * 1e-3)
         return news
 
@@ -472,25 +476,25 @@ class Session:
         return True
 
     def _on_time(self, time_s: float, *, ticks: bool = True) -> None:
-        """The vehicle's clock says so; ticks: unless an event of the same time follows anyway."""
+        """Take a new vehicle time; ticks: False if an event of the same time follows."""
         before_s = self.clock.now_s
         reading = self.clock.read(time_s)
-        if reading is Reading.FIRST:  # waits go on by the new clock
-            self.state = self.state.by_another_clock(time_s - before_s)
+        if reading is ClockReading.FIRST:  # waits go on by the new clock
+            self.state = self.state.rebase_time(time_s - before_s)
             self._due_s = -math.inf
             if self.vehicle is not None:
-                self.vehicle.by_another_clock(time_s - before_s)
-        elif reading is Reading.REBOOTED:
-            self._begin_again()
-        elif reading is Reading.LATER:
+                self.vehicle.rebase_time(time_s - before_s)
+        elif reading is ClockReading.REBOOTED:
+            self._on_reboot()
+        elif reading is ClockReading.LATER:
             ahead_s = self.state.now_s - time_s
             if ahead_s > 0.0:  # while only heartbeats came, it was guessed
-                self.state = self.state.by_another_clock(-ahead_s)
+                self.state = self.state.rebase_time(-ahead_s)
             if ticks:
                 self._handle(events.Tick(time_s=time_s))
 
-    def _begin_again(self) -> None:
-        """The autopilot has rebooted: prepare again; what is known of the terrain stays known."""
+    def _on_reboot(self) -> None:
+        """The autopilot has rebooted: prepare again; the known terrain is kept."""
         self.state = replace(self.state, now_s=self.now_s, since_s=self.now_s)
         self._scanning.stop()
         self._plan.forget()
@@ -500,7 +504,7 @@ class Session:
         self._handle(events.Rebooted(time_s=self.now_s))
 
     def _housekeeping(self) -> None:
-        """What goes on whatever happens, when it is due: heartbeat, texts, what is missing."""
+        """Periodic work: heartbeat, texts, repeated requests."""
         now_s, before_s, at_s = self.clock.going_on_s, self._kept_house_s, self._at_s
         if now_s == before_s:
             return  # for a message of the same time
@@ -512,21 +516,21 @@ class Session:
         if self.vehicle is not None and self.state.phase is not Phase.WAITING:
             self._send_all(self.vehicle.on_time(now_s, at_s))
             while self.vehicle.notes:
-                self._say(self.vehicle.notes.pop(0), warning=False)
+                self._send_text(self.vehicle.notes.pop(0), warning=False)
         if self._component is not None:
             faulted = self.state.phase is Phase.FAULTED or self._end is not None
-            self._tell_all(self._component.on_time(now_s, self.state, faulted=faulted))
+            self._send_all_to_ground(self._component.on_time(now_s, self.state, faulted=faulted))
         elif self._end is None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
-            self._mode_asked_at_s = now_s  # nobody is known yet: only that we are here
-            self._tell_all([heartbeat(wire.MAV_STATE_STANDBY)])
-        self._tell_all(self._texts.due(now_s))
+            self._mode_asked_at_s = now_s  # no vehicle is known yet: only our heartbeat
+            self._send_all_to_ground([heartbeat(wire.MAV_STATE_STANDBY)])
+        self._send_all_to_ground(self._texts.due(now_s))
         left = self._confirming if self._end is not None and not self._settled() else None
         if left is not None and now_s - self._mode_asked_at_s >= _MODE_AGAIN_S:
             self._command(left)
         self._set_timer()
 
     def _set_timer(self) -> None:
-        """When housekeeping is due again, if nothing happens before that."""
+        """Set the time of the next housekeeping."""
         self._due_s, self._due_at_s = -math.inf, math.inf
         vehicle, component = self.vehicle, self._component
         if vehicle is None or component is None or self._end is not None or self._texts.is_waiting:
@@ -547,7 +551,7 @@ class Session:
     def _must_wait_for_plan(self, at_s: float) -> bool:
         if not self._plan.is_missing(at_s):
             return False
-        if not self._lockstep and self._plan.tell_late():
+        if not self._lockstep and self._plan.newly_late():
             self._handle(events.PlanLate(time_s=self.now_s, plan_id=self.state.flight.plan_id))
         return self._lockstep
 
@@ -564,10 +568,10 @@ class Session:
         self._scan_on()
 
     def _check(self) -> None:
-        """On the ground: what a flight depends on is asked and checked before it is armed."""
-        if (here := self._preflight.looks_from(self)) is not None:
+        """On the ground: run the preflight checks before arming."""
+        if (here := self._preflight.scan_position(self)) is not None:
             self._start_scan(here)
-        elif (judged := self._preflight.judged(self)) is not None:
+        elif (judged := self._preflight.result(self)) is not None:
             self._handle(judged)
 
     # --- events and commands
@@ -616,7 +620,7 @@ class Session:
             modes = [command for command in commands if isinstance(command, SetMode)]
             self._confirming = modes[-1] if modes else None  # nothing from before counts any more
             assert self._end is not None
-            self._say_end(self._end, held=any(each.mode is Mode.HOLD for each in modes))
+            self._send_end_text(self._end, held=any(each.mode is Mode.HOLD for each in modes))
 
     def _carry_out(self, command: events.Command) -> None:
         self._due_s = -math.inf
@@ -627,8 +631,8 @@ class Session:
                 self._plan.ask(due_s)
                 self._out.plan = request
                 self._note(**entries.of_request(request, due_s))
-            case events.Say(text=text, warning=warning, about=about):
-                self._say(text, warning=warning, about=about)
+            case events.StatusText(text=text, warning=warning, about=about):
+                self._send_text(text, warning=warning, about=about)
             case End():
                 self._note("end", outcome=command.outcome.value, reason=command.reason)
                 self._end = command
@@ -641,29 +645,29 @@ class Session:
                 if not self.context.shadow:
                     self._command(command)
 
-    def _command(self, command: Told) -> None:
+    def _command(self, command: AutopilotCommand) -> None:
         """What the autopilot is told to do."""
         assert self.vehicle is not None
         if isinstance(command, SetMode):
             self._confirming, self._mode_asked_at_s = command, self.clock.going_on_s
         if (noted := entries.of_command(command)) is not None:
             self._note(**noted)
-        self._send_all(self.vehicle.told(command, self.state))
+        self._send_all(self.vehicle.command_messages(command, self.state))
 
-    def _say(self, text: str, *, warning: bool, about: str = "") -> None:
+    def _send_text(self, text: str, *, warning: bool, about: str = "") -> None:
         self._note("say", text=text, warning=warning)
         self._due_s = -math.inf
         self.warned = (self.now_s, text) if warning else self.warned
-        self._texts.say(text, severity_of(warning=warning), self.clock.going_on_s, about)
+        self._texts.add(text, severity_of(warning=warning), self.clock.going_on_s, about)
 
-    def _say_end(self, end: End, *, held: bool) -> None:
-        """The last text, at once: what comes after it is no more than a heartbeat's end."""
+    def _send_end_text(self, end: End, *, held: bool) -> None:
+        """Send the final text at once."""
         text, messages = self._texts.end(end, held=held)
         self._note("say", text=text, warning=end.outcome is not events.Outcome.ARRIVED)
-        self._tell_all(messages)
+        self._send_all_to_ground(messages)
 
     def _settled(self) -> bool:
-        """Whether the mission is over and the vehicle is in the mode that it was left in."""
+        """Whether the mission is over and the vehicle is in its final mode."""
         gone = self._silence_told_s >= _NO_VEHICLE_S
         ours = self._mode in (Mode.GUIDED, Mode.TAKE_OFF)  # else it, or somebody, has chosen
         return gone or self._confirming is None or not ours
@@ -671,7 +675,7 @@ class Session:
     def _send_all(self, messages: Iterable[Message]) -> None:
         self._outbox.send(messages, self.now_s)
 
-    def _tell_all(self, messages: Iterable[Message]) -> None:
+    def _send_all_to_ground(self, messages: Iterable[Message]) -> None:
         self._outbox.send(messages, self.now_s, to_ground=True)
 
     def _note(self, kind: str, **values: Any) -> None:
@@ -682,19 +686,19 @@ _CLOCKS: Final[Mapping[int, Callable[[Session, Incoming], bool]]] = {
     _HEARTBEAT: Session._on_beat,
     _TIMESYNC: Session._on_simulated_time,
     wire.MAVLINK_MSG_ID_SYSTEM_TIME: Session._on_system_time,
-    **dict.fromkeys(MERE_CLOCKS, Session._on_mere_clock),
+    **dict.fromkeys(TIME_ONLY_MESSAGES, Session._on_time_only),
 }
-"""What messages of the autopilot say of the time, besides its position; whether to read on."""
+"""Time handlers of autopilot messages other than positions; they return whether to go on."""
 
 _HANDLERS: Final[Mapping[tuple[Role, int], Callable[[Session, Incoming], None]]] = {
     (Role.AUTOPILOT, _POSITION): Session._on_position,
     (Role.AUTOPILOT, _HEARTBEAT): Session._on_heartbeat,
     (Role.AUTOPILOT, _TIMESYNC): Session._on_timesync,
-    **{(Role.AUTOPILOT, number): Session._after_mere_clock for number in MERE_CLOCKS},
+    **{(Role.AUTOPILOT, number): Session._after_time_only for number in TIME_ONLY_MESSAGES},
     **{(Role.RADAR, number): Session._on_scan for number in TERRAIN},
 }
 _OTHERS: Final[Mapping[Role, Callable[[Session, Incoming], None]]] = {
     Role.AUTOPILOT: Session._on_autopilot,
     Role.RADAR: Session._on_radar,
 }
-"""Who handles what; what any other message of each means."""
+"""The dispatch table; default handlers by role."""

@@ -144,7 +144,7 @@ def test_to_go_on_with_another_mission_than_that_of_the_folder(tmp_path: Path) -
 
 
 def test_what_was_kept_and_cannot_be_read_is_said_kept_and_gone_on_without(tmp_path: Path) -> None:
-    """Whatever is wrong with it: tests/telemetry/test_memory.py.
+    """Whatever is wrong with it: tests/telemetry/test_resume.py.
 
     The mission is the folder's own, whatever has become of the file that it was given as.
     """

@@ -155,7 +155,7 @@ def test_a_companion_that_is_told_to_leave_says_so_too() -> None:
 def test_the_last_words_for_a_session_that_cannot_speak_any_more_change_nothing() -> None:
     it = in_phase(Phase.FLYING)
     before = it.session.state
-    frames = it.session.last_words("the planner has died (KeyError: made up)")
+    frames = it.session.final_text("the planner has died (KeyError: made up)")
     assert texts(frames) == ["ended, failed: the planner has died (KeyError: made up)"]
     assert it.session.state is before
     it.run_until(ended)

@@ -13,7 +13,7 @@ from scripted_vehicle import MISSION, Pair, Vehicle, messages
 from companion.mavlink.link import Output
 from companion.mission.state import Phase, Reason
 from companion.planner.adjustable import PARAMETERS
-from companion.replay.told import session_of, start_of, tell
+from companion.replay.session_inputs import feed, session_of, start_of
 from companion.session import Session
 
 PERSON, STRANGER = (255, 190), (77, 1)
@@ -147,7 +147,7 @@ def test_told_again_a_flight_with_orders_from_there_sends_the_same() -> None:
     it.run_until(lambda it: it.out.end is not None)
     start, *others = it.inputs
     session = session_of(start_of(start), lambda _start: MISSION)
-    outs = [out for told in others if (out := tell(session, told)) is not None]
+    outs = [out for told in others if (out := feed(session, told)) is not None]
     assert [frame for out in outs for frame in out.frames] == it.frames
     assert [frame for out in outs for frame in out.to_ground] == it.to_ground
 
@@ -157,6 +157,6 @@ def test_a_flight_from_before_there_were_such_links_is_told_again_as_it_was() ->
     (name, values), *others = it.inputs
     values.pop("has_ground")
     session = session_of(start_of((name, values)), lambda _start: replace(MISSION))
-    outs = [out for told in others if (out := tell(session, told)) is not None]
+    outs = [out for told in others if (out := feed(session, told)) is not None]
     assert [frame for out in outs for frame in out.frames] == it.frames
     assert it.to_ground == []

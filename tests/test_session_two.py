@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent / "runtime"))
 from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
 from companion.mavlink.link import Output
-from companion.mavlink.preflight import Verdict, checks_of
+from companion.mavlink.preflight import CheckStatus, checks_of
 from companion.mission import checkpoint
 from companion.mission.events import Outcome
 from companion.mission.state import Phase, Reason
@@ -90,7 +90,7 @@ def test_a_link_that_sends_back_what_we_say_is_no_second_companion(reflects: int
     bus.run(20.0)
     assert it.session.state.phase is Phase.FLYING
     assert warned(it) == []
-    assert not it.session.state.namesake
+    assert not it.session.state.duplicate_id
     assert len(messages(it.frames)) > 300
 
 
@@ -142,7 +142,7 @@ def test_what_fly_refuses_preflight_refuses() -> None:
     looks = bus.joins(session(shadow=True))
     bus.run(6.0)
     [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
-    assert check.verdict is Verdict.REFUSED
+    assert check.verdict is CheckStatus.REFUSED
     assert check.what == f"1/195: {Reason.NOT_ALONE.text}"
     assert check.remedy == Reason.NOT_ALONE.remedy
 
@@ -152,7 +152,7 @@ def test_alone_preflight_says_so() -> None:
     looks = bus.joins(session(shadow=True))
     bus.run(6.0)
     [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
-    assert (check.verdict, check.what) == (Verdict.PASSED, "nobody else is 1/195")
+    assert (check.verdict, check.what) == (CheckStatus.PASSED, "nobody else is 1/195")
 
 
 def test_what_a_companion_before_this_one_has_left_in_buffers_holds_nothing_up_for_long() -> None:
@@ -177,7 +177,9 @@ def test_a_flight_without_its_memory_is_said_to_people_and_in_the_journal() -> N
     bus.run(3.0)
     now_s = first.session.now_s
     bus.pairs.clear()
-    values = checkpoint.forgotten("resume.json: torn", system_id=1, time_s=now_s, plan_id=4)
+    values = checkpoint.without_checkpoint(
+        "resume.json: torn", system_id=1, time_s=now_s, plan_id=4
+    )
     again = bus.joins(session(resume=(values, None)))
     bus.run(20.0)
     [resumed] = [entry for entry in again.journal if entry["kind"] == "resumed"]

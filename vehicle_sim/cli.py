@@ -44,15 +44,15 @@ Faults are one line each, such as "at 120 s for 30 s: gps_off": see docs/simulat
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 _HOME = "47.397742,8.545594,488,0"
-_MOST_VEHICLES = 250
+_MAX_VEHICLES = 250
 _PX4_TIME_OUTS_S = {
     "COM_OF_LOSS_T": 1.0,
     "COM_DL_LOSS_T": 10.0,
     "COM_RC_LOSS_T": 0.5,
     "COM_OBC_LOSS_T": 5.0,
 }
-_MOST_SHOWN = 12
-_MOST_SOCKETS = 500
+_MAX_SHOWN = 12
+_MAX_SOCKETS = 500
 _ROW_M = 10.0
 """Between vehicles of --count: they stand in a row to the east."""
 
@@ -157,8 +157,8 @@ def fly(
         )
         for k, each in enumerate(worlds)
     ]
-    if port_step and count * len(endpoints) > _MOST_SOCKETS:
-        rule = f"with {len(endpoints)} links each it would need more than {_MOST_SOCKETS} sockets"
+    if port_step and count * len(endpoints) > _MAX_SOCKETS:
+        rule = f"with {len(endpoints)} links each it would need more than {_MAX_SOCKETS} sockets"
         raise InputError("--count", count, rule, "Leave out --port-step, or take fewer.")
     names = ["truth.jsonl" if k == 0 else f"truth-{k + 1}.jsonl" for k in range(count)]
     with ExitStack() as stack:
@@ -188,7 +188,7 @@ def _ending(simulations: list[Simulation], wall_s: float) -> str:
 
 
 def _say(line: str) -> None:
-    """Also to a pipe at once: whoever started this waits for the port in the first line."""
+    """Print and flush: the parent process waits for the port in the first line."""
     typer.echo(line)
     sys.stdout.flush()
 
@@ -207,8 +207,8 @@ def _opening(worlds: list[World], endpoints: list[Endpoint], settings: Settings)
     pace = "lockstep" if settings.lockstep else f"{settings.speedup:g} x real time"
     last = worlds[-1].vehicle.system_id
     systems = f"system {vehicle.system_id}" + (f" to {last}" if len(worlds) > 1 else "")
-    on = ", ".join(map(str, endpoints[:_MOST_SHOWN]))
-    on += f" and {len(endpoints) - _MOST_SHOWN} more" if len(endpoints) > _MOST_SHOWN else ""
+    on = ", ".join(map(str, endpoints[:_MAX_SHOWN]))
+    on += f" and {len(endpoints) - _MAX_SHOWN} more" if len(endpoints) > _MAX_SHOWN else ""
     return f"{worlds[0].name}: {vehicle.kind} with {vehicle.autopilot} as {systems}, {on}, {pace}"
 
 
@@ -318,8 +318,8 @@ def _with_parameters(world: World, assignments: list[str]) -> World:
 def _row(world: World, count: int, port_step: int) -> list[World]:
     """The same world for each of so many vehicles, standing side by side."""
     vehicle = world.vehicle
-    if not 1 <= count <= _MOST_VEHICLES or vehicle.system_id + count - 1 > 255:
-        rule = f"must be 1 to {_MOST_VEHICLES}, with system ids up to 255"
+    if not 1 <= count <= _MAX_VEHICLES or vehicle.system_id + count - 1 > 255:
+        rule = f"must be 1 to {_MAX_VEHICLES}, with system ids up to 255"
         raise InputError("--count", count, rule, "Try 5.")
     if not 0 <= port_step <= 1000:
         raise InputError("--port-step", port_step, "must be from 0 to 1000", "Try 10.")

@@ -16,7 +16,7 @@ from vehicle_sim.grid import Area, GridTerrain
 
 VerticalDatum = Literal["AMSL", "EGM84", "EGM96", "EGM2008", "NAVD88", "NGVD29", "EVRF"]
 _FIELD = "terrain.file"
-_MOST_POINTS = 2.5e8
+_MAX_POINTS = 2.5e8
 _COARSEST_DEG = 1 / 240
 _ELLIPSOID = re.compile(r'(?:SPHEROID|ELLIPSOID)\["[^"]*",[\d.]+,([\d.]+)')
 _FLATTENINGS = (298.257222, 298.257224)
@@ -96,13 +96,13 @@ def _needed(dataset: Any, frame: LocalFrame, area_m: Area, path: Path) -> tuple[
     left, right = math.floor(column.min() - 0.5 - spare), math.ceil(column.max() - 0.5 + spare) + 1
     if min(top, left) < 0 or bottom > dataset.height or right > dataset.width:
         raise _refusal(path, "does not cover [area]", "Make [area] smaller")
-    if (bottom - top) * (right - left) > _MOST_POINTS:
-        raise _refusal(path, f"has over {_MOST_POINTS:.0e} points in [area]", "Make [area] smaller")
+    if (bottom - top) * (right - left) > _MAX_POINTS:
+        raise _refusal(path, f"has over {_MAX_POINTS:.0e} points in [area]", "Make [area] smaller")
     return top, left, bottom, right
 
 
 def _without_holes(raw: Any, nodata: Literal["sea"] | float | None, path: Path) -> NDArray[Any]:
-    """Heights everywhere, and only such as there are on earth."""
+    """Heights without holes, within the range that exists on earth."""
     holes = np.ma.getmaskarray(raw) | ~np.isfinite(raw.data)
     heights: NDArray[Any] = raw.data
     if holes.any():

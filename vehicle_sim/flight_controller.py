@@ -1,7 +1,7 @@
-"""The autopilot with its protocols: messages in, what it does about them, messages out.
+"""The flight controller: an autopilot and its protocols, between messages in and out.
 
-Between the radio, which knows frames, and the personality, which knows flying.  A reboot makes a
-new one on the same radio.
+It connects the radio, which handles frames, and the autopilot, which flies.  A reboot creates a new
+one on the same radio.
 """
 
 import dataclasses
@@ -15,10 +15,10 @@ from vehicle_sim.autopilots import (
     Reboot,
     Reply,
     Report,
-    Say,
-    SayParameter,
-    Send,
     Sender,
+    SendMessage,
+    SendParameter,
+    SendTelemetry,
     Text,
 )
 from vehicle_sim.dynamics.battery import Battery
@@ -69,7 +69,7 @@ class FlightController:
         hardware_id: int,
         on_text: Callable[[Text], None],
     ) -> None:
-        style = autopilot.style
+        profile = autopilot.profile
         self.autopilot = autopilot
         self.parameters = autopilot.parameters
         self.boot_us = boot_us
@@ -77,15 +77,15 @@ class FlightController:
         self.setpoints_ignored = False
         self._radio, self._on_text = radio, on_text
         self.now_us = boot_us
-        self._messages = _TELEMETRY[style.firmware]
+        self._messages = _TELEMETRY[profile.firmware]
         self._parameter_protocol = ParameterProtocol(autopilot)
-        self._mission_protocol = _MISSIONS[style.firmware](autopilot)
+        self._mission_protocol = _MISSIONS[profile.firmware](autopilot)
         self.transfers = False
         """Parameters or a plan may be on their way."""
         self._ground_stations = set[int]()
         self._told: dict[int, tuple[int, int | None, int]] = {}
         """Newest CURRENT_MODE of each link: mode, intended mode and when."""
-        self.streams = Streams(style)
+        self.streams = Streams(profile)
         for link in radio.links:
             self.streams.open(link, boot_us)
         self.report = Report(
@@ -106,7 +106,7 @@ class FlightController:
             self.transfers = parameters.busy or missions.busy
 
     def stream(self, now_us: int) -> bool:
-        """Queue all telemetry that is due; tell whether a position on link 0 was."""
+        """Queue all telemetry that is due; returns whether that included a position on link 0."""
         self._renew_report()
         positioned, built = False, dict[int, Any]()
         for link, number in self.streams.due(now_us):
@@ -133,8 +133,8 @@ class FlightController:
         self._told[link] = (status.mode, status.intended_mode, now_us)
         return False
 
-    def say_hello(self) -> None:
-        """A heartbeat, out of turn."""
+    def send_heartbeat(self) -> None:
+        """Send a heartbeat now."""
         self._send(_HEARTBEAT, None)
 
     def _renew_report(self) -> None:
@@ -144,18 +144,18 @@ class FlightController:
     # --- out ----------------------------------------------------------------------------------
 
     def answer(self, replies: Iterable[Reply]) -> None:
-        """Do what the autopilot and the protocols want to be done."""
+        """Carry out replies of the autopilot and the protocols."""
         for reply in replies:
             match reply:
                 case Ack():
                     self._radio.send(messages.ack(reply), reply.to.link)
                 case Text():
                     self._say(reply)
-                case Send():
+                case SendTelemetry():
                     self._send(reply.message, reply.to)
-                case Say():
+                case SendMessage():
                     self._deliver(reply.message, reply.to)
-                case SayParameter():
+                case SendParameter():
                     self._say_parameter(reply.name)
                 case Event():
                     boot_ms = (self.now_us - self.boot_us) // 1000
@@ -166,7 +166,7 @@ class FlightController:
                     self.wants_reboot = True
 
     def _send(self, number: int, to: Sender | None) -> None:
-        """The message of this number, if there is anything to say."""
+        """Send the message of this number, if it has data."""
         build = self._messages.get(number)
         if build is None:
             return
@@ -182,14 +182,14 @@ class FlightController:
             self._radio.send(message, to.link)
 
     def _say_parameter(self, name: str) -> None:
-        """ArduPilot tells those links of it where somebody was heard."""
-        to_all = self.autopilot.style.firmware == "px4"
+        """ArduPilot sends it to links on which a sender was heard."""
+        to_all = self.autopilot.profile.firmware == "px4"
         for link in self._radio.links:
             if to_all or self._radio.router.heard(link):
                 self._radio.send(self._parameter_protocol.value(name), link)
 
     def _say(self, text: Text) -> None:
-        needs_ground_station = self.autopilot.style.texts_need == "ground station"
+        needs_ground_station = self.autopilot.profile.texts_need == "ground station"
         for link in self._radio.links:
             heard = self._radio.router.heard(link)
             if link in self._ground_stations if needs_ground_station else heard:
@@ -232,7 +232,7 @@ class FlightController:
             self.answer(self.autopilot.on_command(command))
 
     def _on_set_mode(self, message: Any, sender: Sender) -> None:
-        firmware = self.autopilot.style.firmware
+        firmware = self.autopilot.profile.firmware
         command = messages.mode_command(message, sender, firmware)
         replies = self.autopilot.on_command(command)
         if firmware == "ardupilot":
@@ -258,16 +258,16 @@ class FlightController:
         self.transfers = True
         self.answer(self._mission_protocol.on_message(message, sender, self.now_us))
 
-    def _on_sticks(self, message: Any, sender: Sender) -> None:
-        self.answer(self.autopilot.on_sticks(messages.sticks(message, sender)))
+    def _on_manual_control(self, message: Any, sender: Sender) -> None:
+        self.answer(self.autopilot.on_manual_control(messages.manual_control(message, sender)))
 
     def _on_ping(self, message: Any, sender: Sender) -> None:
-        if self.autopilot.style.firmware == "px4" and message.target_system == 0:
+        if self.autopilot.profile.firmware == "px4" and message.target_system == 0:
             self._radio.send(messages.pong(message, sender), sender.link)
 
     def _on_terrain_check(self, message: Any, sender: Sender) -> None:
         """ArduPilot: there is no terrain data here either."""
-        if self.autopilot.style.firmware == "ardupilot":
+        if self.autopilot.profile.firmware == "ardupilot":
             self._radio.send(messages.no_terrain(message), sender.link)
 
     def _on_setup_signing(self, message: Any, _: Sender) -> None:
@@ -307,7 +307,7 @@ _HANDLERS: dict[str, _Handler] = {
     "PARAM_REQUEST_READ": FlightController._on_parameter,
     "PARAM_REQUEST_LIST": FlightController._on_parameter,
     "PARAM_SET": FlightController._on_parameter,
-    "MANUAL_CONTROL": FlightController._on_sticks,
+    "MANUAL_CONTROL": FlightController._on_manual_control,
     "PING": FlightController._on_ping,
     "TERRAIN_CHECK": FlightController._on_terrain_check,
     "SETUP_SIGNING": FlightController._on_setup_signing,

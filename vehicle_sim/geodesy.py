@@ -22,7 +22,7 @@ _ONE_DEG_RAD = math.pi / 180.0
 _ECCENTRICITY_SQUARED = WGS84.es
 _RADIUS_DEG_M = WGS84.a * _ONE_DEG_RAD
 _MERIDIAN_SHARE = 1.0 - _ECCENTRICITY_SQUARED
-_LEAST_COSINE = 1e-6
+_MIN_COSINE = 1e-6
 
 
 def metres_per_degree(latitude_deg: float) -> tuple[float, float]:
@@ -32,8 +32,8 @@ def metres_per_degree(latitude_deg: float) -> tuple[float, float]:
     w2 = 1.0 - _ECCENTRICITY_SQUARED * sine * sine
     prime_vertical = _RADIUS_DEG_M / math.sqrt(w2)
     cosine = math.cos(latitude_rad)
-    if cosine < _LEAST_COSINE:
-        cosine = _LEAST_COSINE
+    if cosine < _MIN_COSINE:
+        cosine = _MIN_COSINE
     return prime_vertical * _MERIDIAN_SHARE / w2, prime_vertical * cosine
 
 

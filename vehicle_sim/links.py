@@ -1,8 +1,8 @@
-"""Sockets: where MAVLink goes out and comes in.  Nothing here knows a message.
+"""Sockets for MAVLink, which know no messages.
 
-A link is an address as pymavlink writes it: udpout:HOST:PORT sends there and hears what comes back,
-udpin:HOST:PORT listens and answers whoever was heard, tcpin:HOST:PORT serves one client at a time.
-None of them ever waits: what cannot be sent now is lost, as on a radio.
+A link is an address as in pymavlink: udpout:HOST:PORT sends there and receives the answers,
+udpin:HOST:PORT listens and answers all senders, tcpin:HOST:PORT serves one client at a time.  None
+of them ever blocks: what cannot be sent now is lost, as on a radio.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from vehicle_sim.wire.frames import datagrams
 
 _LARGEST_DATAGRAM_BYTES = 65535
 _LAST_PORT = 65535
-_MOST_PEERS = 16
+_MAX_PEERS = 16
 _PENDING_BYTES = 262_144
 """What a TCP client may leave unread before frames for it are dropped."""
 _SOCKET_BYTES = 4 * 1024 * 1024
@@ -129,7 +129,7 @@ class Link(ABC):
         return reopened
 
     def close(self) -> None:
-        """Let go of the sockets."""
+        """Close the sockets."""
         self._socket.close()
 
 
@@ -183,7 +183,7 @@ class _UdpOut(Link):
 
 @final
 class _UdpIn(Link):
-    """Listens, and answers everybody who was heard: the newest sixteen."""
+    """Listens, and answers the sixteen newest senders."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._peers: dict[Address, None] = {}
@@ -206,7 +206,7 @@ class _UdpIn(Link):
         datagram, peer = found
         if peer not in self._peers:
             self._peers[peer] = None
-            while len(self._peers) > _MOST_PEERS:
+            while len(self._peers) > _MAX_PEERS:
                 del self._peers[next(iter(self._peers))]
         return datagram
 

@@ -46,7 +46,7 @@ class Parameters:
         self._rows = {row.name: row for row in table}
         self._values = {name: row.default for name, row in self._rows.items()}
         self.version = 0
-        """Rises with every change: whoever derives something from parameters compares it."""
+        """Increases with every change, to invalidate derived values."""
         for name, value in overrides.items():
             if name not in self._rows:
                 remedy = did_you_mean(name, self._rows, "Leave it out.")

@@ -1,4 +1,4 @@
-"""The touching half: the only clock, the links' sockets, the truth file and the signals."""
+"""The I/O half: wall clock, sockets, truth file and signals."""
 
 import itertools
 import select
@@ -27,7 +27,7 @@ _FLUSH_S = 0.1
 _AGAIN_S = 1.0
 _STEPS_DEAF = 10
 """Steps at most before sockets are read again: a client's stream has no gaps of our making."""
-_MOST_DATAGRAMS = 1000
+_MAX_DATAGRAMS = 1000
 """Handled in one go: a flood does not stop the clock."""
 
 
@@ -49,7 +49,7 @@ class Settings:
 
 
 class Stop:
-    """Whether somebody has asked to end."""
+    """A stop request."""
 
     requested = False
 
@@ -179,7 +179,7 @@ class Server:
     def _receive(self) -> bool:
         any_came = False
         for link, hearers in self._heard.items():
-            for _ in range(_MOST_DATAGRAMS):
+            for _ in range(_MAX_DATAGRAMS):
                 datagram = link.receive()
                 if link.take_reopened():
                     for simulation, number in hearers:
@@ -224,7 +224,7 @@ class Server:
         return time.monotonic() - start_s
 
     def _await_companions(self) -> None:
-        """Say hello until somebody says hello; vehicle time stands still."""
+        """Send heartbeats until one is received; vehicle time is stopped."""
         give_up_s = time.monotonic() + self._settings.first_heartbeat_s
         hello_s = 0.0
         while not self._stop.requested:
@@ -237,13 +237,13 @@ class Server:
                 raise CompanionSilent(f"no heartbeat from a companion within {waited_s:.0f} s")
             if now_s >= hello_s:
                 for simulation in alone:
-                    simulation.say_hello()
+                    simulation.send_heartbeat()
                 self._send()
                 hello_s = now_s + _HELLO_S
             self._listen(_PATIENCE_S)
 
     def _await_answers(self, asked: dict[Simulation, int]) -> None:
-        """Handle what comes until all these questions are answered."""
+        """Handle messages until all these TIMESYNC requests are answered."""
         asked_s = again_s = time.monotonic()
         while True:
             waiting = [
@@ -276,7 +276,7 @@ class Server:
     def _real_time(self) -> float:
         speedup = self._settings.speedup
         for simulation in self._simulations:
-            simulation.say_hello()
+            simulation.send_heartbeat()
         self._send()
         start_s = origin_s = time.monotonic()  # origin: wall time of vehicle time 0, kept to
         while not self._over():

@@ -8,9 +8,8 @@ from collections.abc import Callable, Container, Mapping
 from typing import final
 
 from vehicle_sim import truth
-from vehicle_sim.autopilots import Autopilot, SayParameter, Sender, Text
+from vehicle_sim.autopilots import Autopilot, Sender, SendParameter, Text
 from vehicle_sim.autopilots.factory import make_vehicle, overrides_of, personality_of
-from vehicle_sim.chance import generator
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
@@ -20,6 +19,7 @@ from vehicle_sim.faults.timeline import Timeline
 from vehicle_sim.flight_controller import FlightController
 from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import Plans
+from vehicle_sim.rng import generator
 from vehicle_sim.sensors.gps import Gps
 from vehicle_sim.sensors.terrain_radar import TerrainRadar
 from vehicle_sim.wire import messages
@@ -95,7 +95,7 @@ class Simulation:
         self._radio = Radio(
             system=vehicle.system_id,
             radar_component=None if world.scanner is None else world.scanner.component_id,
-            style=autopilot.style,
+            profile=autopilot.profile,
             links=links,
             byte_streams=byte_streams,
             forwards_all=forwards_all,
@@ -214,14 +214,14 @@ class Simulation:
         changed, self._port_change = self._port_change, False
         return changed
 
-    def say_hello(self) -> None:
-        """Both heartbeats, out of turn."""
-        self._controller.say_hello()
+    def send_heartbeat(self) -> None:
+        """Send both heartbeats now."""
+        self._controller.send_heartbeat()
         if self._scanner is not None:
-            self._scanner.say_hello()
+            self._scanner.send_heartbeat()
 
     def begin(self) -> None:
-        """Count frames from here: how often hello was said depends on wall time."""
+        """Reset the frame counters: the number of heartbeats before depends on wall time."""
         self._radio.begin()
 
     def ask_for_sync(self, number: int = 0) -> int:
@@ -258,8 +258,8 @@ class Simulation:
         self._parameters[name] = value
         if self.now_us < self._down_until_us:
             return
-        if self._world.vehicle.autopilot == "px4":  # tells of every change, whoever made it
-            self._controller.answer([SayParameter(name=name)])
+        if self._world.vehicle.autopilot == "px4":  # also reports changes by clients
+            self._controller.answer([SendParameter(name=name)])
         self._controller.answer(self._controller.autopilot.on_parameter(name))
 
     def _refresh(self) -> None:

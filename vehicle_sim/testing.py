@@ -35,7 +35,7 @@ _CRASH_M_S = 3.0
 _PATIENCE_S = 30.0
 """Wall time that a lockstep tick waits for its answer."""
 _READY_S = 60.0
-_MOST_DATAGRAMS = 1000
+_MAX_DATAGRAMS = 1000
 
 
 @final
@@ -108,7 +108,7 @@ class Simulator:
             while not self.simulation.armable and self.now_s < _READY_S:
                 self._step()
             assert self.simulation.armable, f"not ready after {_READY_S:.0f} s of vehicle time"
-        self.simulation.take_frames()  # of the boot: nobody was there yet
+        self.simulation.take_frames()  # of the boot: no client yet
 
     # --- where it is --------------------------------------------------------------------------
 
@@ -238,7 +238,7 @@ class Simulator:
 
     def _receive(self) -> bool:
         heard = False
-        for _ in range(_MOST_DATAGRAMS):
+        for _ in range(_MAX_DATAGRAMS):
             datagram = self._link.receive()
             if datagram is None:
                 break
@@ -351,7 +351,7 @@ class Simulator:
         return f"at {self.now_s:.1f} s: {self.simulation.outcome()}"
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._link.close()
 
 

@@ -6,7 +6,7 @@ from typing import final
 
 import numpy as np
 
-from companion.compare.dense import Violations, violations
+from companion.compare.violations import Violations, violations
 from companion.config import load_mission, load_world
 from companion.errors import InputError
 from companion.geodesy import FloatArray

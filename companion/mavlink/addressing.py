@@ -1,4 +1,4 @@
-"""Who a message is for, whose word counts (mavlink.md 2.1 and C11), and what it is answered."""
+"""MAVLink addressing: target of a message, who may command, replies (mavlink.md 2.1 and C11)."""
 
 import enum
 from collections.abc import Iterable, Sequence
@@ -17,42 +17,42 @@ ALL = 0
 
 
 class Address(enum.Enum):
-    """Whom a message is for."""
+    """The target of a message."""
 
     US = "us, by system and component"
-    EVERYBODY = "us and others: one of its two ids is 0"
+    BROADCAST = "us and others: one of its two ids is 0"
     OTHERS = "others"
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """What follows from a message that asks something of the companion."""
+    """The companion's reaction to a request."""
 
     replies: Sequence[Message] = ()
     """To be sent now."""
     is_for_all: bool = False
-    """Whether everybody is to hear them, not only who has asked."""
+    """Whether to broadcast them, not only answer the sender."""
     order: Order | None = None
-    """To be obeyed; its ACK is what `order_done` gives."""
+    """The order to carry out; `order_done` returns its ACK."""
     note: dict[str, Any] | None = None
     """For the journal."""
     text: str = ""
-    """Why it was refused, for people; empty if there is nothing to say."""
+    """Reason for a refusal, as text for the operator; empty if there is none."""
     changed: str = ""
-    """What of the planner's settings was changed, to `task`: name = value."""
+    """Planner setting that was changed (new settings in `task`): name = value."""
     task: Task | None = None
 
 
 def address_of(message: Message, ours: Ids) -> Address:
-    """Whom a message with target ids is for; our own messages come from no one else."""
+    """The target of a message with target ids."""
     target = (message.target_system, message.target_component)
     if sender_of(message) == ours:  # a router that sends things back
         return Address.OTHERS
     if target == ours:
         return Address.US
     fits = all(asked in (own, ALL) for asked, own in zip(target, ours, strict=True))
-    return Address.EVERYBODY if fits else Address.OTHERS
+    return Address.BROADCAST if fits else Address.OTHERS
 
 
 def sender_of(message: Message) -> Ids:
@@ -68,6 +68,6 @@ def may_command(sender: Ids, commanders: Iterable[Ids]) -> bool:
     )
 
 
-def written(ids: Ids) -> str:
-    """As people write it: 255/190."""
+def ids_text(ids: Ids) -> str:
+    """As text: 255/190."""
     return f"{ids[0]}/{ids[1]}"

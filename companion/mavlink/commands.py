@@ -1,11 +1,10 @@
-"""Commands that people give to the companion: COMMAND_LONG and COMMAND_INT, and their ACKs.
+"""Command server: COMMAND_LONG and COMMAND_INT to the companion, and their ACKs.
 
-Each command addressed to us, by system and component, is answered once (mavlink.md 2.5).  Of what
-is broadcast only questions are answered: MISSION_START or RETURN_TO_LAUNCH to everybody is for the
-autopilot, which obeys it too.  Orders are taken from the senders that the configuration names, and
-from nobody else; questions from everybody.  Nothing that we are told takes long, so there is
-nothing that COMMAND_CANCEL could cancel.  Values that an order does not need are not read; those
-that it needs are finite and in range, or it is denied with words.
+Each command addressed to us, by system and component, is answered once (mavlink.md 2.5).  Of
+broadcasts only queries are answered: a broadcast MISSION_START or RETURN_TO_LAUNCH is meant for the
+autopilot.  Orders are accepted from the configured senders only, queries from any sender.  No order
+takes long, so COMMAND_CANCEL is not supported.  Parameters that an order does not use are ignored;
+those it uses must be finite and in range, else it is denied with a text.
 """
 
 import enum
@@ -21,21 +20,21 @@ from companion.mavlink.addressing import (
     Ids,
     Reply,
     address_of,
+    ids_text,
     may_command,
     sender_of,
-    written,
 )
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.presence import AUTOPILOT_VERSION, Presence
+from companion.mavlink.own_messages import AUTOPILOT_VERSION, OwnMessages
 from companion.mission.events import Order, OrderKind
 from companion.path.limits import Limits
 
 MESSAGES: Final = (wire.MAVLINK_MSG_ID_COMMAND_LONG, wire.MAVLINK_MSG_ID_COMMAND_INT)
 _SLOWEST_M_S = 0.1
-_SLOWEST_SHARE = 0.75  # of a plane's speed: nobody knows here when it stalls
+_SLOWEST_SHARE = 0.75  # of a plane's speed: its stall speed is not known here
 _LARGEST_FLOAT = 3.4e38
 _SAME_S = 5.0  # a command that comes again within this time may be the same one
-_MOST_SENDERS = 64
+_MAX_SENDERS = 64
 _FRAMES = frozenset(
     {
         wire.MAV_FRAME_GLOBAL,
@@ -60,8 +59,8 @@ class Result(enum.IntEnum):
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Meaning:
-    """What becomes of one command."""
+class _CommandOutcome:
+    """Result and effect of one command."""
 
     result: Result
     text: str = ""
@@ -73,8 +72,8 @@ class _Meaning:
 
 @final
 @dataclass(slots=True, kw_only=True)
-class _Given:
-    """An order that somebody has given."""
+class _PendingOrder:
+    """An order that is waiting for its ACK."""
 
     sender: Ids
     message: Message
@@ -84,7 +83,7 @@ class _Given:
 
 @final
 class CommandServer:
-    """Answers commands; what flies is decided by the mission machine.  Pure: time is an argument.
+    """Answers commands; orders are decided by the mission machine.  Pure: time is an argument.
 
         reply = server.on_message(message, now_s)
         if reply.order is not None:            # give it to the machine, then
@@ -101,32 +100,32 @@ class CommandServer:
         commanders: Iterable[Ids],
         frame: LocalFrame,
         limits: Limits,
-        presence: Presence,
+        own_messages: OwnMessages,
     ) -> None:
         self._ours, self._commanders = ours, tuple(commanders)
-        self._frame, self._limits, self._presence = frame, limits, presence
-        self._last: dict[Ids, _Given] = {}
+        self._frame, self._limits, self._presence = frame, limits, own_messages
+        self._last: dict[Ids, _PendingOrder] = {}
         """The last order of each sender, the newest at the end."""
 
     def on_message(self, message: Message, now_s: float) -> Reply:
-        """Answer a command; any other message, and one that is not for us, gives nothing."""
+        """Answer a command; an empty reply if it is no command or not for us."""
         if message.get_msgId() not in MESSAGES:
             return Reply()
         match address_of(message, self._ours):
             case Address.US:
                 return self._for_us(message, now_s)
-            case Address.EVERYBODY:
-                return self._for_everybody(message)
+            case Address.BROADCAST:
+                return self._on_broadcast(message)
             case Address.OTHERS:
                 return Reply()
 
     def order_done(
         self, order: Order, accepted: bool, *, invalid: bool = False
     ) -> tuple[Message, ...]:
-        """The ACK of an order that the machine has taken, or not.
+        """The ACK of an order that the mission machine has accepted or rejected.
 
-        invalid: it could never be obeyed as it is (DENIED); otherwise it may be tried again later.
-        Empty for an order that is not waiting for its ACK.
+        invalid: the order itself is wrong (DENIED); otherwise it may be repeated later.  Empty if
+        the order is not waiting for an ACK.
         """
         for given in self._last.values():
             if given.order is order and given.result is Result.IN_PROGRESS:
@@ -140,8 +139,8 @@ class CommandServer:
         before = self._last.get(sender)
         if before is not None and _is_repeated(message, before, now_s):
             return Reply(replies=(_ack(message, before.result),))
-        meaning = self._meaning(message, sender)
-        note = {"kind": "command", "sender": written(sender), "command": message.command}
+        meaning = self._interpret(message, sender)
+        note = {"kind": "command", "sender": ids_text(sender), "command": message.command}
         if meaning.order is None:
             note |= {"result": meaning.result.name.lower(), "why": meaning.text}
             replies = (_ack(message, meaning.result), *meaning.replies)
@@ -151,99 +150,99 @@ class CommandServer:
             kind=meaning.order,
             target_ne_m=meaning.target_ne_m,
             speed_m_s=meaning.speed_m_s,
-            sender=written(sender),
+            sender=ids_text(sender),
         )
         self._last.pop(sender, None)
-        self._last[sender] = _Given(sender=sender, message=message, order=order)
-        if len(self._last) > _MOST_SENDERS:
+        self._last[sender] = _PendingOrder(sender=sender, message=message, order=order)
+        if len(self._last) > _MAX_SENDERS:
             del self._last[next(iter(self._last))]
         return Reply(order=order, note={**note, "order": order.kind.name.lower()})
 
-    def _for_everybody(self, message: Message) -> Reply:
-        """Of what is broadcast, the questions that we have an answer to; never an order."""
-        question = _QUESTIONS.get(message.command)
+    def _on_broadcast(self, message: Message) -> Reply:
+        """Answer broadcast queries; never carry out a broadcast order."""
+        question = _QUERIES.get(message.command)
         meaning = None if question is None else question(self, message)
         if meaning is None or meaning.result is not Result.ACCEPTED:
             return Reply()
         return Reply(replies=(_ack(message, meaning.result), *meaning.replies))
 
-    def _meaning(self, message: Message, sender: Ids) -> _Meaning:
-        if (question := _QUESTIONS.get(message.command)) is not None:
+    def _interpret(self, message: Message, sender: Ids) -> _CommandOutcome:
+        if (question := _QUERIES.get(message.command)) is not None:
             return question(self, message)
         if (order := _ORDERS.get(message.command)) is None:
-            return _Meaning(Result.UNSUPPORTED)
+            return _CommandOutcome(Result.UNSUPPORTED)
         if not may_command(sender, self._commanders):
-            who = f"{written(sender)} may not command: see link.commanders"
-            return _Meaning(Result.DENIED, who)
+            who = f"{ids_text(sender)} may not command: see link.commanders"
+            return _CommandOutcome(Result.DENIED, who)
         return order(self, message)
 
     # --- questions
 
-    def _request_message(self, message: Message) -> _Meaning:
+    def _request_message(self, message: Message) -> _CommandOutcome:
         number = _whole(message.param1)
         asked = number is not None and self._presence.ask(number)
-        return _Meaning(Result.ACCEPTED if asked else Result.DENIED)
+        return _CommandOutcome(Result.ACCEPTED if asked else Result.DENIED)
 
-    def _capabilities(self, message: Message) -> _Meaning:
+    def _capabilities(self, message: Message) -> _CommandOutcome:
         asked = message.param1 == 1.0 and self._presence.ask(AUTOPILOT_VERSION)
-        return _Meaning(Result.ACCEPTED if asked else Result.DENIED)
+        return _CommandOutcome(Result.ACCEPTED if asked else Result.DENIED)
 
-    def _get_interval(self, message: Message) -> _Meaning:
+    def _get_interval(self, message: Message) -> _CommandOutcome:
         number = _whole(message.param1)
         interval_us = 0 if number is None else self._presence.interval_us(number)
         if number is None or interval_us == 0:
-            return _Meaning(Result.DENIED)
+            return _CommandOutcome(Result.DENIED)
         reply = wire.MAVLink_message_interval_message(number, interval_us)
-        return _Meaning(Result.ACCEPTED, replies=(reply,))
+        return _CommandOutcome(Result.ACCEPTED, replies=(reply,))
 
     # --- orders
 
-    def _set_interval(self, message: Message) -> _Meaning:
+    def _set_interval(self, message: Message) -> _CommandOutcome:
         number, interval_us = _whole(message.param1), message.param2
         if number is None or not math.isfinite(interval_us):
-            return _Meaning(Result.DENIED)
+            return _CommandOutcome(Result.DENIED)
         accepted = self._presence.set_interval(number, interval_us)
-        return _Meaning(Result.ACCEPTED if accepted else Result.DENIED)
+        return _CommandOutcome(Result.ACCEPTED if accepted else Result.DENIED)
 
-    def _start(self, message: Message) -> _Meaning:
+    def _start(self, message: Message) -> _CommandOutcome:
         if not (math.isnan(message.param1) or message.param1 == 0.0):
-            return _Meaning(Result.DENIED, "start: only from the first item, param1 = 0")
-        return _Meaning(Result.ACCEPTED, order=OrderKind.START)
+            return _CommandOutcome(Result.DENIED, "start: only from the first item, param1 = 0")
+        return _CommandOutcome(Result.ACCEPTED, order=OrderKind.START)
 
-    def _pause_or_continue(self, message: Message) -> _Meaning:
+    def _pause_or_continue(self, message: Message) -> _CommandOutcome:
         kind = {0.0: OrderKind.PAUSE, 1.0: OrderKind.CONTINUE}.get(message.param1)
         if kind is None:
-            return _Meaning(Result.DENIED, "pause: param1 must be 0 (pause) or 1 (continue)")
-        return _Meaning(Result.ACCEPTED, order=kind)
+            return _CommandOutcome(Result.DENIED, "pause: param1 must be 0 (pause) or 1 (continue)")
+        return _CommandOutcome(Result.ACCEPTED, order=kind)
 
-    def _return(self, _message: Message) -> _Meaning:
-        return _Meaning(Result.ACCEPTED, order=OrderKind.RETURN)
+    def _return(self, _message: Message) -> _CommandOutcome:
+        return _CommandOutcome(Result.ACCEPTED, order=OrderKind.RETURN)
 
-    def _change_speed(self, message: Message) -> _Meaning:
-        speed = meant(message.param2)
+    def _change_speed(self, message: Message) -> _CommandOutcome:
+        speed = from_float32(message.param2)
         if message.param1 not in (wire.SPEED_TYPE_AIRSPEED, wire.SPEED_TYPE_GROUNDSPEED):
-            return _Meaning(Result.DENIED, "speed: its type, param1, must be 0 or 1")
+            return _CommandOutcome(Result.DENIED, "speed: its type, param1, must be 0 or 1")
         if speed == -1.0:  # no change
-            return _Meaning(Result.ACCEPTED)
+            return _CommandOutcome(Result.ACCEPTED)
         speed = self._limits.speed_m_s if speed == -2.0 else speed  # the default
         if refusal := self._too_fast_or_slow(speed):
-            return _Meaning(Result.DENIED, refusal)
-        return _Meaning(Result.ACCEPTED, order=OrderKind.SPEED, speed_m_s=speed)
+            return _CommandOutcome(Result.DENIED, refusal)
+        return _CommandOutcome(Result.ACCEPTED, order=OrderKind.SPEED, speed_m_s=speed)
 
-    def _reposition(self, message: Message) -> _Meaning:
-        """A new target; its altitude is free within the band, so the one given is not read."""
+    def _reposition(self, message: Message) -> _CommandOutcome:
+        """A new target; the planner chooses the altitude, so the one given is ignored."""
         if message.get_type() == "COMMAND_INT" and message.frame not in _FRAMES:
             text = f"reposition: frame {message.frame} is not one of 0, 3, 5, 6"
-            return _Meaning(Result.UNSUPPORTED_MAV_FRAME, text)
+            return _CommandOutcome(Result.UNSUPPORTED_MAV_FRAME, text)
         target = self._target_ne_m(message)
         if target is None:
-            return _Meaning(Result.DENIED, "reposition: give a place on the mission's map")
-        kind, speed = OrderKind.REPOSITION, meant(message.param1)
+            return _CommandOutcome(Result.DENIED, "reposition: give a place on the mission's map")
+        kind, speed = OrderKind.REPOSITION, from_float32(message.param1)
         if not speed > 0.0:  # not given: as it is
-            return _Meaning(Result.ACCEPTED, order=kind, target_ne_m=target)
+            return _CommandOutcome(Result.ACCEPTED, order=kind, target_ne_m=target)
         if refusal := self._too_fast_or_slow(speed):
-            return _Meaning(Result.DENIED, refusal)
-        return _Meaning(Result.ACCEPTED, order=kind, target_ne_m=target, speed_m_s=speed)
+            return _CommandOutcome(Result.DENIED, refusal)
+        return _CommandOutcome(Result.ACCEPTED, order=kind, target_ne_m=target, speed_m_s=speed)
 
     def _too_fast_or_slow(self, speed_m_s: float) -> str:
         low, high = speed_bounds_m_s(self._limits)
@@ -252,7 +251,7 @@ class CommandServer:
         return f"speed {speed_m_s:g} m/s: must be {low:.3g} to {high:.3g}"
 
     def _target_ne_m(self, message: Message) -> tuple[float, float] | None:
-        """Where a DO_REPOSITION points to; None if that is nowhere, or off the map."""
+        """Target of a DO_REPOSITION; None if it is invalid or off the map."""
         if message.get_type() == "COMMAND_INT":
             latitude, longitude = deg(message.x), deg(message.y)
         else:
@@ -269,14 +268,14 @@ class CommandServer:
         return (north, east) if on_map else None
 
 
-_Handler = Callable[[CommandServer, Message], _Meaning]
+_Handler = Callable[[CommandServer, Message], _CommandOutcome]
 
-_QUESTIONS: Final[dict[int, _Handler]] = {
+_QUERIES: Final[dict[int, _Handler]] = {
     wire.MAV_CMD_REQUEST_MESSAGE: CommandServer._request_message,
     wire.MAV_CMD_GET_MESSAGE_INTERVAL: CommandServer._get_interval,
     wire.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: CommandServer._capabilities,
 }
-"""What everybody may ask, even everybody at once."""
+"""Queries: from any sender, broadcasts included."""
 
 _ORDERS: Final[dict[int, _Handler]] = {
     wire.MAV_CMD_SET_MESSAGE_INTERVAL: CommandServer._set_interval,
@@ -286,14 +285,14 @@ _ORDERS: Final[dict[int, _Handler]] = {
     wire.MAV_CMD_DO_CHANGE_SPEED: CommandServer._change_speed,
     wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: CommandServer._return,
 }
-"""What only commanders may."""
+"""Orders: from commanders only."""
 
 
-def _is_repeated(message: Message, before: _Given, now_s: float) -> bool:
-    """Whether a command is the sender's last order sent again because its ACK was lost.
+def _is_repeated(message: Message, before: _PendingOrder, now_s: float) -> bool:
+    """Whether a command repeats the sender's last order because its ACK was lost.
 
-    A COMMAND_LONG says so itself.  A COMMAND_INT cannot: it is taken for the same one if that was
-    accepted just before; one that was refused may be tried again.
+    COMMAND_LONG has a confirmation field.  COMMAND_INT has none: it counts as a repetition if the
+    same order was accepted just before; a refused one may be retried.
     """
     age_s = now_s - before.order.time_s
     if _values(message) != _values(before.message) or not 0.0 <= age_s <= _SAME_S:
@@ -304,7 +303,7 @@ def _is_repeated(message: Message, before: _Given, now_s: float) -> bool:
 
 
 def _values(message: Message) -> str:
-    """All of them but the confirmation, as text: NaN does not equal itself."""
+    """All parameters but the confirmation, as text, since NaN does not equal itself."""
     return repr({**message.to_dict(), "confirmation": None})
 
 
@@ -314,13 +313,13 @@ def _ack(message: Message, result: Result) -> Message:
 
 
 def speed_bounds_m_s(limits: Limits) -> tuple[float, float]:
-    """The speeds that a mission may be told to fly: never faster than it says itself."""
+    """The range of speed commands: never faster than the mission's own speed."""
     fastest = limits.speed_m_s
     return (_SLOWEST_M_S if limits.hovers else _SLOWEST_SHARE * fastest), fastest
 
 
-def meant(value: float) -> float:
-    """The number that a float of the wire was made of: 12.3 and not 12.300000190734863."""
+def from_float32(value: float) -> float:
+    """The shortest decimal of a float32: 12.3, not 12.300000190734863."""
     if not 0.0 < abs(value) < _LARGEST_FLOAT:  # NaN too
         return value
     rounded = (float(f"{value:.{digits}g}") for digits in range(6, 9))

@@ -1,6 +1,6 @@
-"""What the companion is to everybody else on the link: it says who it is, and does as it is told.
+"""The companion as a MAVLink component: heartbeat, commands and parameters.
 
-Commands and parameters addressed to it, and its heartbeat.  Sans-IO.
+Sans-IO.
 """
 
 from collections.abc import Sequence
@@ -10,10 +10,10 @@ from companion.mavlink import commands
 from companion.mavlink.addressing import Reply
 from companion.mavlink.commands import CommandServer
 from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
-from companion.mavlink.obstacle_distance import Around
+from companion.mavlink.obstacle_distance import VehicleSurroundings
+from companion.mavlink.own_messages import OwnMessages
 from companion.mavlink.parameter_server import ParameterServer
-from companion.mavlink.presence import Presence
-from companion.mission.changes import Verdict
+from companion.mission.changes import OrderResult
 from companion.mission.events import Order
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, State
@@ -25,7 +25,7 @@ REQUESTS = (
     wire.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
     wire.MAVLINK_MSG_ID_PARAM_SET,
 )
-"""Messages by which something may be asked of the companion."""
+"""Messages that may be requests to the companion."""
 
 
 @final
@@ -35,13 +35,13 @@ class Component:
     def __init__(self, mission: Mission, system_id: int, task: Task, version: str) -> None:
         ours = (system_id, COMPANION_COMPONENT)
         self._mission = mission
-        self._presence = Presence(version=version, sends_obstacles=mission.sends_obstacles)
+        self._presence = OwnMessages(version=version, sends_obstacles=mission.sends_obstacles)
         self._commands = CommandServer(
             ours=ours,
             commanders=mission.commanders,
             frame=mission.frame,
             limits=mission.task.limits,
-            presence=self._presence,
+            own_messages=self._presence,
         )
         self._parameters = ParameterServer(
             mission.task,
@@ -53,33 +53,33 @@ class Component:
         self._parameters.charted = mission.known is not None
 
     def on_message(self, message: Message, now_s: float) -> Reply:
-        """One of `REQUESTS`, of anybody; perhaps not for us."""
+        """Handle one of `REQUESTS` from any sender; it may be addressed to another component."""
         if message.get_msgId() in commands.MESSAGES:
             return self._commands.on_message(message, now_s)
         return self._parameters.on_message(message, now_s)
 
-    def order_done(self, order: Order, verdict: Verdict) -> Sequence[Message]:
-        """The acknowledgement of an order, once it is known what becomes of it."""
+    def order_done(self, order: Order, verdict: OrderResult) -> Sequence[Message]:
+        """The acknowledgement of an order, once its result is known."""
         return self._commands.order_done(
             order,
-            accepted=verdict is Verdict.ACCEPTED,
-            invalid=verdict is Verdict.INVALID,
+            accepted=verdict is OrderResult.ACCEPTED,
+            invalid=verdict is OrderResult.INVALID,
         )
 
     @property
     def due_s(self) -> float:
-        """When `on_time` is due for the sake of time alone, at the latest."""
+        """When `on_time` must be called next, at the latest."""
         return min(self._presence.due_s, self._parameters.due_s)
 
     def on_time(self, now_s: float, state: State, *, faulted: bool) -> list[Message]:
-        """What is due; a companion that is faulted, or done, has no heartbeat."""
+        """The messages that are due; no heartbeat while faulted or done."""
         changed = self._parameters.follow(state.given)
         self._parameters.fence = state.fence
         self._parameters.targets_ne_m = state.targets_ne_m
         self._parameters.airborne = state.airborne
         here, around = state.vehicle.position_nea_m, None
         if here is not None and self._mission.sends_obstacles:
-            around = Around(
+            around = VehicleSurroundings(
                 frame=self._mission.frame,
                 known=state.flight.known,
                 zones=state.task.zones,
@@ -91,7 +91,7 @@ class Component:
 
 
 def system_status(state: State) -> int:
-    """MAV_STATE, truthfully: critical while it holds because something is wrong."""
+    """MAV_STATE: critical while it holds because of a fault."""
     if state.phase is Phase.WAITING:
         return int(wire.MAV_STATE_BOOT)
     if state.phase is Phase.HOLDING:

@@ -1,4 +1,4 @@
-"""The one place that knows pymavlink: its generated dialect, and who is who on the link."""
+"""pymavlink's generated dialect and the component ids: the only import of pymavlink."""
 
 from pymavlink.dialects.v20 import all as wire
 
@@ -9,7 +9,7 @@ Message = wire.MAVLink_message
 
 
 def codec(system_id: int) -> wire.MAVLink:
-    """A packer and parser that speaks as the companion of a vehicle, and survives garbage."""
+    """A pymavlink codec with the companion's ids that tolerates invalid bytes."""
     link = wire.MAVLink(None, srcSystem=system_id, srcComponent=COMPANION_COMPONENT)
     link.robust_parsing = True
     return link

@@ -1,7 +1,7 @@
-"""What the lists of an autopilot mean for a mission: fence to zones, rally points, targets.
+"""Decodes the autopilot's lists for a mission: fence to zones, rally points, targets.
 
-Sources: ardupilot.md 4, px4.md 7, MAV_CMD 5000 to 5004 and 5100.  Where autopilots differ from
-each other or a fence can be read in two ways, the more cautious one counts, and is said.
+Sources: ardupilot.md 4, px4.md 7, MAV_CMD 5000 to 5004 and 5100.  Where autopilots differ or a
+fence is ambiguous, the more restrictive reading is taken and noted.
 """
 
 import math
@@ -41,13 +41,13 @@ _FRAMES: Final = frozenset(
 )
 """Those in which x and y are a latitude and a longitude."""
 _UNION = 2
-"""Bit of FENCE_OPTIONS: it is enough to be inside of one inclusion zone."""
+"""Bit of FENCE_OPTIONS: the union of the inclusion zones is allowed."""
 _LARGEST_M = 2.1e7  # half of the way around the Earth
 _CORNERS_AT_ONCE = 250
 """Enough for one event."""
 _EARTH_M, _NEAR_M = 6.37e6, 2e6
 _STRAIGHT_M = 0.5
-"""A side that is straight in degrees may be off by so much from one that is straight here."""
+"""Allowed distance between an edge straight in degrees and one straight in the local frame."""
 
 
 @final
@@ -58,12 +58,12 @@ class Fence:
     zones: tuple[Zone, ...] = ()
     floor_amsl_m: float | None = None
     ceiling_amsl_m: float | None = None
-    said: tuple[str, ...] = ()
-    """What was assumed or changed, one line each, for people."""
+    notes: tuple[str, ...] = ()
+    """Assumptions and changes, one line each, as text for the operator."""
     refusal: str = ""
-    """Why nobody can keep to this fence."""
+    """Why this fence cannot be respected."""
     needs_home: bool = False
-    """Whether a part is missing because home is not known yet: ask again when it is."""
+    """Whether a part is missing until home is known."""
 
     def changed(self, time_s: float, rally_ne_m: tuple[Point, ...] = ()) -> FenceChanged:
         """The event that tells the mission."""
@@ -83,16 +83,16 @@ class Targets:
 
     targets_ne_m: tuple[Point, ...]
     end_action: EndAction | None = None
-    """What its last item asks for; None: it says nothing."""
-    said: tuple[str, ...] = ()
-    """Items that are left out, and what was assumed."""
+    """From its last item; None if that gives none."""
+    notes: tuple[str, ...] = ()
+    """Items that are ignored, and assumptions."""
 
 
 # --- fence ----------------------------------------------------------------------------------------
 
 
 def margin_m(parameters: Mapping[str, float]) -> float:
-    """How far off its fence an autopilot keeps by itself."""
+    """The autopilot's own fence margin."""
     return max(_finite(parameters.get("FENCE_MARGIN", 0.0)), 0.0)
 
 
@@ -103,7 +103,7 @@ def in_force(
     home_nea_m: Vector | None = None,
     here_ne_m: Point | None = None,
 ) -> Fence:
-    """A fence that is drawn, and what parameters make of it and draw about home.
+    """The fence in force: the uploaded one, and what parameters add or switch off.
 
     Parameters
     ----------
@@ -117,12 +117,12 @@ def in_force(
     found = _one_is_enough(drawn, parameters, here_ne_m)
     has_any = bool(drawn.zones or drawn.refusal)
     if has_any and not _is_on(parameters) and "FENCE_ENABLE" in parameters:
-        found = _saying(found, "FENCE_ENABLE = 0: the fence that is drawn is kept all the same")
+        found = _with_notes(found, "FENCE_ENABLE = 0: the fence that is drawn is kept all the same")
     return _about_home(found, parameters, home_nea_m, margin_m(parameters))
 
 
-def _saying(fence: Fence, *what: str) -> Fence:
-    return replace(fence, said=(*fence.said, *what))
+def _with_notes(fence: Fence, *what: str) -> Fence:
+    return replace(fence, notes=(*fence.notes, *what))
 
 
 def _is_on(parameters: Mapping[str, float]) -> bool:
@@ -131,10 +131,10 @@ def _is_on(parameters: Mapping[str, float]) -> bool:
 
 
 @final
-class Drawing:
-    """The circles and polygons of a list, drawn a few at a time, so that nothing waits for it.
+class FenceBuilder:
+    """Builds the zones of a fence list in small portions, so that nothing is delayed.
 
-    What cannot be understood is refused before a flight, and said in one: a list may change then.
+    Items that cannot be decoded prevent a flight, and are only noted during one.
     """
 
     def __init__(self, items: Sequence[PlanItem], frame: LocalFrame, margin_m: float) -> None:
@@ -144,8 +144,8 @@ class Drawing:
         self._said: list[str] = []
         self._wrongs: list[str] = []
 
-    def go_on(self) -> Fence | None:
-        """Draw some more; the whole, once there is no more to draw."""
+    def build_some(self) -> Fence | None:
+        """Build the next zones; returns the fence once it is complete."""
         corners = 0
         for number, shape in self._left:
             zone, word, wrong = _zone(shape, self._frame, self._margin_m, number)
@@ -157,11 +157,11 @@ class Drawing:
                 return None
         refusal = self._wrongs[0] if self._wrongs else ""
         said = (*self._said, *self._wrongs[1:])
-        return Fence(zones=tuple(self._zones), said=said, refusal=refusal)
+        return Fence(zones=tuple(self._zones), notes=said, refusal=refusal)
 
 
 def _shapes(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
-    """The items of each circle or polygon, and what is neither; return points are left out."""
+    """The items of each circle or polygon; others by themselves, but no return points."""
     index = 0
     while index < len(items):
         item, count = items[index], 1
@@ -181,7 +181,7 @@ def _shapes(items: Sequence[PlanItem]) -> Iterator[tuple[PlanItem, ...]]:
 def _zone(
     shape: tuple[PlanItem, ...], frame: LocalFrame, margin_m: float, number: int
 ) -> tuple[Zone | None, str, str]:
-    """The zone of one shape, what has to be said about it, and why it cannot be kept."""
+    """The zone of one shape, a note about it, and why it cannot be respected."""
     first = shape[0]
     keep_in = first.command in (POLYGON_IN, CIRCLE_IN)
     name = f"fence {'inclusion' if keep_in else 'exclusion'} {number}"
@@ -207,7 +207,7 @@ def _zone(
 def _circle(
     centre_ne_m: Point, radius_m: float, name: str, margin_m: float, *, keep_in: bool
 ) -> tuple[Zone | None, str, str]:
-    """As `_zone`; what is smaller than nothing, or larger than the Earth, is no circle."""
+    """As `_zone`; a negative radius, or one larger than the Earth, is refused."""
     if not 0.0 < radius_m <= _LARGEST_M:
         return None, "", f"{name}: a circle needs a radius, it has {radius_m:g} m. Draw it again"
     radius_m += -margin_m if keep_in else margin_m
@@ -223,7 +223,7 @@ def _circle(
 def _polygon(
     places: Sequence[Point], name: str, margin_m: float, *, keep_in: bool, whole: bool
 ) -> tuple[tuple[Point, ...], str, str]:
-    """The corners to keep to, what has to be said, and why it cannot be kept.
+    """The corners of the zone, a note, and why it cannot be respected.
 
     Out of a polygon that crosses itself autopilots keep by the even-odd rule, so it has holes:
     its hull has none.  Inside of one they keep by the same rule as the zone.
@@ -303,9 +303,9 @@ def _between(one: Point, other: Point, frame: LocalFrame, deepest: int = 6) -> l
 
 
 def _one_is_enough(fence: Fence, parameters: Mapping[str, float], here_ne_m: Point | None) -> Fence:
-    """Where it is enough to be inside of one inclusion zone, keep to those that one is in.
+    """With a union of inclusion zones, keep to those that the vehicle is in.
 
-    Never to a union: being inside of some of them at once is inside of it.
+    Their intersection lies inside the union.
     """
     inside = [zone for zone in fence.zones if zone.keep_in]
     if len(inside) < 2:
@@ -318,7 +318,7 @@ def _one_is_enough(fence: Fence, parameters: Mapping[str, float], here_ne_m: Poi
     names = ", ".join(zone.name for zone in kept)
     zones = tuple(zone for zone in fence.zones if not zone.keep_in or zone in kept)
     word = f"of {len(inside)} inclusion zones the vehicle stays inside of all of: {names}"
-    return _saying(replace(fence, zones=zones), word)
+    return _with_notes(replace(fence, zones=zones), word)
 
 
 def _distance_m(zone: Zone, place_ne_m: Point) -> float:
@@ -336,7 +336,7 @@ def _about_home(
     name = "fence about home"
     if home_nea_m is None:
         word = f"{name}: home is not known yet, so it is not drawn yet"
-        return replace(_saying(fence, word), needs_home=True)
+        return replace(_with_notes(fence, word), needs_home=True)
     north_m, east_m, up_m = home_nea_m
     if radius_m is not None:
         if radius_m <= margin_m:
@@ -358,7 +358,7 @@ def _about_home(
 
 
 def _cylinder(parameters: Mapping[str, float]) -> tuple[float | None, float | None, float | None]:
-    """Radius, highest and lowest height above home; None: no such limit."""
+    """Radius, highest and lowest height above home; None: unlimited."""
     if _is_on(parameters):
         kinds = int(_finite(parameters.get("FENCE_TYPE", 0.0)))
         names = (
@@ -461,7 +461,7 @@ def targets_of(items: Sequence[PlanItem], frame: LocalFrame, *, home_first: bool
         elif item.command not in _ENDS:
             said.append(f"item {number} ({_name(item.command)}) is not flown: left out")
         end = _ENDS.get(item.command)
-    return Targets(targets_ne_m=tuple(targets), end_action=end, said=tuple(said))
+    return Targets(targets_ne_m=tuple(targets), end_action=end, notes=tuple(said))
 
 
 def _name(command: int) -> str:

@@ -1,12 +1,12 @@
-"""Where MAVLink frames lie in the bytes of a link, whether they are intact, and what they say.
+"""Finds MAVLink frames in the bytes of a link, checks and decodes them.
 
 pymavlink knows the messages; it does not find them, because in version 2.4.50 its parser
 - throws away up to 280 bytes after a byte of noise that looks like a start, good frames and all;
 - keeps everything in memory for as long as each portion ends within a frame;
-- believes anything with the environment's MAV_IGNORE_CRC, and what it does not know in any case.
-Nor does it decode those that come often: it reads the header and checks the checksum again, and
-puts each field in its place in a loop, at three times the price.  What is uncommon is left to it:
-kinds with texts, and frames that are not as they should be.
+- accepts any checksum with the environment's MAV_IGNORE_CRC, and unknown messages in any case.
+Frequent messages are not decoded by it either: it parses header and checksum again and reorders
+the fields in a loop, at three times the cost.  It decodes the rest: messages with strings, and
+frames with unusual lengths.
 """
 
 import enum
@@ -32,7 +32,7 @@ _CHECKSUM, _SIGNATURE = 2, 13
 _SIGNED: Final = 0x01
 _CRC: Final = Struct("<H")
 _PLAIN: Final = Struct("<BBBxxBBHB")
-"""A header of the second protocol: marker, length, flags, system, component, message number."""
+"""A MAVLink 2 header: marker, length, flags, system, component, message number."""
 _HEAD: Final = Struct("<BBBBBBBHB")
 _EXTRA: Final = [bytes((extra,)) for extra in range(256)]
 _BOOT_MS_AT: Final = {
@@ -41,13 +41,13 @@ _BOOT_MS_AT: Final = {
     wire.MAVLINK_MSG_ID_ATTITUDE: 0,
     wire.MAVLINK_MSG_ID_SYSTEM_TIME: 8,
 }
-"""Where time_boot_ms stands in the payload, of what carries the time at which it was sent."""
+"""Offset of time_boot_ms in the payload, of what carries the time at which it was sent."""
 find_marker = re.compile(rb"\xfd(?:.[\x00\x01]|.?\Z)|\xfe", re.DOTALL).search
-"""What a frame can begin with: of the second protocol, no flags but the one of signatures."""
+"""A possible start of frame: in MAVLink 2 only the signature flag may be set."""
 
 
-def claim(data: bytes, at: int) -> tuple[int, int | None]:
-    """Where the frame ends whose header is there, and its message number.
+def frame_extent(data: bytes, at: int) -> tuple[int, int | None]:
+    """End of the frame with its header at `at`, and its message number.
 
     Beyond the data and None while the header is not all there.
     """
@@ -63,14 +63,14 @@ def claim(data: bytes, at: int) -> tuple[int, int | None]:
 
 
 def intact_end(data: bytes, at: int) -> int:
-    """Where the intact frame ends that begins there; 0 if there is none, or not all of it.
+    """End of the intact frame that begins at `at`; 0 if there is none, or it is incomplete.
 
     Intact: of a known kind, with the right checksum, without flags that are not understood.
     """
     size = len(data)
     if at >= size or data[at] not in (V1, V2):
         return 0
-    end, number = claim(data, at)
+    end, number = frame_extent(data, at)
     if number is None or end > size:
         return 0
     kind = wire.mavlink_map.get(number)
@@ -82,7 +82,7 @@ def intact_end(data: bytes, at: int) -> int:
 
 
 def checksum_is_right(frame: bytes, extra: int) -> bool:
-    """Of a whole frame; extra: what the kind of message adds to its checksum."""
+    """Check a whole frame; extra: the CRC_EXTRA of the message."""
     end = (_HEADER_2 if frame[0] == V2 else _HEADER_1) + frame[1]
     return bool(mcrf4xx(frame[1:end] + bytes((extra,))) == frame[end] | frame[end + 1] << 8)
 
@@ -98,7 +98,7 @@ def sender_of(frame: bytes) -> tuple[int, int]:
 
 
 def payload_of(frame: bytes, size: int) -> bytes:
-    """The payload of a whole frame, with the zeros that the second protocol leaves out.
+    """The payload of a whole frame, with the trailing zeros that MAVLink 2 truncates.
 
     size: how many bytes are wanted at least.
     """
@@ -107,14 +107,14 @@ def payload_of(frame: bytes, size: int) -> bytes:
 
 
 def boot_ms_of(frame: bytes, number: int) -> int | None:
-    """The time since boot at which a frame was sent, if its message tells that; ms."""
+    """The time since boot at which a frame was sent, if its message contains it; ms."""
     at = _BOOT_MS_AT.get(number)
     return None if at is None else int.from_bytes(payload_of(frame, at + 4)[at : at + 4], "little")
 
 
 # --- messages
 
-_UNREAD: Final = """
+_IGNORED_NAMES: Final = """
     ACTUATOR_CONTROL_TARGET ACTUATOR_OUTPUT_STATUS AHRS AHRS2 ALTITUDE ATTITUDE_QUATERNION
     ATTITUDE_TARGET DISTANCE_SENSOR ESC_TELEMETRY_1_TO_4 GNSS_INTEGRITY HIGHRES_IMU HWSTATUS
     MCU_STATUS MEMINFO NAV_CONTROLLER_OUTPUT ODOMETRY OPEN_DRONE_ID_LOCATION
@@ -122,10 +122,10 @@ _UNREAD: Final = """
     SCALED_IMU3 SCALED_PRESSURE SCALED_PRESSURE2 SCALED_PRESSURE3 SENSOR_OFFSETS SERVO_OUTPUT_RAW
     SIMSTATE SIM_STATE VFR_HUD VIBRATION WIND WIND_COV
 """
-NEEDLESS: Final = frozenset(
-    number for number, kind in wire.mavlink_map.items() if kind.msgname in _UNREAD.split()
+IGNORED_MESSAGES: Final = frozenset(
+    number for number, kind in wire.mavlink_map.items() if kind.msgname in _IGNORED_NAMES.split()
 )
-"""Numbers of what autopilots stream and the companion has no use for: recorded, never decoded.
+"""Message numbers that autopilots stream and the companion does not use: recorded, never decoded.
 
 Half of what PX4 sends to an onboard computer by itself (px4.md 2).
 """
@@ -141,14 +141,14 @@ class Incoming(NamedTuple):
     system: int
     component: int
     message: Message
-    """None of one of a kind that is not read."""
+    """None for a message that is not decoded."""
     at_s: float | None
-    """When it arrived, by the clock of whoever received it."""
+    """Time of arrival, by the receiver's clock."""
     link: int
 
 
 @cache
-def _thorough() -> wire.MAVLink:
+def _pymavlink_decoder() -> wire.MAVLink:
     return wire.MAVLink(None)
 
 
@@ -159,7 +159,7 @@ def decoded(frame: bytes, kind: Any) -> Message:
     """
     in_order = _in_order(kind)
     if in_order is None:
-        return _thorough().decode(bytearray(frame))
+        return _pymavlink_decoder().decode(bytearray(frame))
     size, head = kind.unpacker.size, _HEADER_2 if frame[0] == V2 else _HEADER_1
     payload = frame[head : head + frame[1]].ljust(size, b"\0")
     message = kind(*in_order(kind.unpacker.unpack(payload[:size])))
@@ -177,7 +177,7 @@ def decoded(frame: bytes, kind: Any) -> Message:
 
 @cache
 def _in_order(kind: Any) -> Callable[[tuple[Any, ...]], Sequence[Any]] | None:
-    """The fields of a kind from the order of the wire in that of its arguments.
+    """Reorders the fields of a message from wire order to constructor order.
 
     None: it has texts, or a single field.
     """
@@ -234,8 +234,8 @@ def _is_plausible(data: bytes, at: int, end: int, kind: Any) -> bool:
     return end >= len(data) or data[end] in (V1, V2)
 
 
-class Passed(enum.Enum):
-    """What was passed over."""
+class Skipped(enum.Enum):
+    """What was skipped."""
 
     GARBAGE = "bytes between frames"
     """Of frames with incompatible flags, too."""
@@ -257,19 +257,19 @@ class Receiver:
     def __init__(
         self,
         signing: Signing | None = None,
-        needless: frozenset[int] = frozenset(),
+        ignored: frozenset[int] = frozenset(),
         link: int = 0,
     ) -> None:
-        """signing: None believes everybody, signed or not.
+        """signing: None accepts any frame, signed or not.
 
-        needless: numbers of messages that nobody wants to read: they come undecoded.
+        needless: numbers of messages that are passed on undecoded.
         """
-        self.passed: Counter[Passed] = Counter()
+        self.passed: Counter[Skipped] = Counter()
         """Bytes of garbage, and frames; what was not believed is in Signing.refused."""
         self.signed = 0
         """Frames that carried a signature, right or wrong."""
         self._signing = signing
-        self._needless, self._link = needless, link
+        self._needless, self._link = ignored, link
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Message]:
@@ -277,7 +277,7 @@ class Receiver:
         return [heard.message for heard in self.read(data, None)]
 
     def read(self, data: bytes, at_s: float | None) -> list[Incoming]:
-        """The same with where each has come from; at_s: when these bytes arrived."""
+        """The same with the source of each; at_s: when these bytes arrived."""
         portion_at = len(self._rest)
         data = self._rest + data
         heard: list[Incoming] = []
@@ -285,9 +285,9 @@ class Receiver:
         while (found := find_marker(data, at)) is not None:
             start = found.start()
             if start > at:
-                self.passed[Passed.GARBAGE] += start - at
+                self.passed[Skipped.GARBAGE] += start - at
             at = start
-            end, number = claim(data, at)
+            end, number = frame_extent(data, at)
             kind = wire.mavlink_map.get(number)
             doubtful = number is not None and (kind is None or data[at] == V1)
             if doubtful and not _is_plausible(data, at, end, kind):
@@ -297,11 +297,11 @@ class Receiver:
             if 0 < end <= size and self._take(data[at:end], kind, at_s, heard):
                 at = self._read_plain(data, at_s, heard, end)
             else:
-                self.passed[Passed.GARBAGE] += 1
+                self.passed[Skipped.GARBAGE] += 1
                 at += 1
         else:
             if size > at:
-                self.passed[Passed.GARBAGE] += size - at
+                self.passed[Skipped.GARBAGE] += size - at
             at = size
         self._rest = data[at:]
         return heard
@@ -309,7 +309,7 @@ class Receiver:
     def _read_plain(
         self, data: bytes, at_s: float | None, heard: list[Incoming], at: int = 0
     ) -> int:
-        """Add the messages of what comes most often: whole, intact, unsigned frames in a row.
+        """Fast path: add the messages of whole, intact, unsigned frames in a row.
 
         Where they end; what follows is looked at in every respect.
         """
@@ -334,26 +334,26 @@ class Receiver:
         return at
 
     def _take(self, frame: bytes, kind: Any, at_s: float | None, heard: list[Incoming]) -> bool:
-        """Add the message of a frame, if it is to be heard; whether the frame is intact."""
+        """Add the message of a frame unless it is rejected; returns whether the frame is intact."""
         if kind is None:
-            self.passed[Passed.UNKNOWN] += 1
+            self.passed[Skipped.UNKNOWN] += 1
             return True
         if not checksum_is_right(frame, kind.crc_extra):
-            self.passed[Passed.CHECKSUM] += 1
+            self.passed[Skipped.CHECKSUM] += 1
             return False
         signed = bool(frame[0] == V2 and frame[2] & _SIGNED)
         self.signed += signed
         if self._signing is not None and not self._signing.accepts(frame):
             return True
         if kind.id in SECRETS:
-            self.passed[Passed.SECRET] += 1
+            self.passed[Skipped.SECRET] += 1
             return True
         plain, message = strip_signature(frame) if signed else frame, None
         if kind.id not in self._needless:
             try:
                 message = decoded(plain, kind)
             except wire.MAVError:
-                self.passed[Passed.CHECKSUM] += 1
+                self.passed[Skipped.CHECKSUM] += 1
                 return True
             message._signed = signed and self._signing is not None
         system, component = plain[5:7] if plain[0] == V2 else plain[3:5]

@@ -1,4 +1,4 @@
-"""Who speaks on the links, what time it is there, and what we say: messages in, frames out.
+"""The links of a session: received messages, vehicle selection and clock, frames to send.
 
 Each message is classified once, as it comes in: link, sender, number.
 """
@@ -15,22 +15,22 @@ from companion.mavlink.dialect import (
     codec,
     wire,
 )
-from companion.mavlink.frames import NEEDLESS, V2, Incoming, Receiver, packed
+from companion.mavlink.frames import IGNORED_MESSAGES, V2, Incoming, Receiver, packed
 from companion.mavlink.signing import Signing, strip_signature
 from companion.mission.checkpoint import Values
 from companion.mission.entries import Entry
-from companion.mission.events import End, Namesake
+from companion.mission.events import DuplicateId, End
 from companion.planner.request import PlanRequest
 from companion.world.known_map import KnownMap
 
-VEHICLE: Final = 0
+VEHICLE_LINK: Final = 0
 """The number of the link to the vehicle; those to ground stations count on from 1."""
-MERE_CLOCKS: Final = frozenset(
+TIME_ONLY_MESSAGES: Final = frozenset(
     {wire.MAVLINK_MSG_ID_ATTITUDE, wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
 )
-"""Messages of which nothing but their time_boot_ms is read: they come undecoded."""
-_UNDECODED: Final = NEEDLESS | MERE_CLOCKS
-_MOST_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the oldest go
+"""Messages of which only time_boot_ms is used: not decoded."""
+_UNDECODED: Final = IGNORED_MESSAGES | TIME_ONLY_MESSAGES
+_MAX_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the oldest go
 
 _HEARTBEATS = 3  # of one system, and of no other, at one a second: then it is the vehicle
 _ENOUGH = 10  # of any: then it will not become clear by itself
@@ -52,22 +52,22 @@ _OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
 
 @final
 class Inbox:
-    """What was heard over each link and has not been handled yet, in the order in which it came."""
+    """Received messages of all links that have not been handled yet, in order."""
 
     def __init__(self, signing: Signing | None) -> None:
-        self.receivers = {VEHICLE: Receiver(signing, _UNDECODED)}
+        self.receivers = {VEHICLE_LINK: Receiver(signing, _UNDECODED)}
         """By the number of the link."""
-        self.waiting: deque[Incoming] = deque(maxlen=_MOST_WAITING)
+        self.waiting: deque[Incoming] = deque(maxlen=_MAX_WAITING)
         self.dropped = 0
         """How many were too many."""
         self._signing = signing
 
     def feed(self, data: bytes, at_s: float | None, link: int) -> list[Incoming]:
-        """The messages that are complete with these bytes; they wait from now on."""
+        """Parse these bytes and queue the messages that are complete."""
         if link not in self.receivers:
             self.receivers[link] = Receiver(self._signing, _UNDECODED, link)
         heard = self.receivers[link].read(data, at_s)
-        self.dropped += max(len(self.waiting) + len(heard) - _MOST_WAITING, 0)
+        self.dropped += max(len(self.waiting) + len(heard) - _MAX_WAITING, 0)
         self.waiting.extend(heard)
         return heard
 
@@ -77,10 +77,10 @@ class Inbox:
 
 @final
 class VehicleSelector:
-    """Whose companion we are: of the vehicle that the mission names, or of the only one heard.
+    """Selects our vehicle: the one that the mission names, or the only one heard.
 
-    Counts the heartbeats of autopilots until that is clear.  Their number stands for time:
-    replayed, the same messages select the same vehicle.
+    Counts heartbeats of autopilots instead of measuring time, so that a replay of the same messages
+    selects the same vehicle.
     """
 
     def __init__(self, system_id: int | None) -> None:
@@ -92,20 +92,20 @@ class VehicleSelector:
 
     @property
     def ambiguity(self) -> str:
-        """What to say once several autopilots have been heard for a while; empty: it is clear."""
+        """A warning once several autopilots have been heard for a while; empty: unambiguous."""
         if self.system_id is not None or sum(self._heard.values()) < _ENOUGH:
             return ""
         names = ", ".join(str(system) for system in sorted(self.others))
         return f"systems {names} are heard, choose one with --system"
 
     def is_ours(self, heard: Incoming) -> bool:
-        """Whether our autopilot sent this; as long as none is ours: whether any did."""
+        """Whether our autopilot sent this; before one is selected: whether any autopilot did."""
         if self.system_id is None:
             return _is_an_autopilots(heard)
         return heard.system == self.system_id and heard.component == AUTOPILOT_COMPONENT
 
     def on_heartbeat(self, heard: Incoming) -> bool:
-        """Whether it has become clear with this heartbeat."""
+        """Whether this heartbeat completes the selection."""
         system = heard.system
         if system == self.system_id or not _is_an_autopilots(heard):
             return False
@@ -121,7 +121,7 @@ class VehicleSelector:
 
 
 def _is_an_autopilots(heard: Incoming) -> bool:
-    """Whether this is the heartbeat of an autopilot: others are forwarded onto the link too."""
+    """Whether this is an autopilot's heartbeat: those of other components are forwarded too."""
     message = heard.message
     if heard.number != wire.MAVLINK_MSG_ID_HEARTBEAT or message is None:
         return False
@@ -135,8 +135,8 @@ _Key = tuple[int, int, bytes]
 
 @final
 @dataclass(slots=True)
-class _Stranger:
-    """What was heard of another process."""
+class _DuplicateSender:
+    """Frames heard from another process with our ids."""
 
     first_s: float
     last_s: float
@@ -146,29 +146,29 @@ class _Stranger:
 
     @property
     def patience_s(self) -> float:
-        """How long it may say nothing and still be the same."""
+        """How long it may be silent and still count as the same process."""
         return _GONE_S if self.certain else _GAP_S
 
 
 @final
 class DuplicateIdDetector:
-    """Another process with our own ids, told from our own frames that the link sends back.
+    """Detects another process with our ids, as opposed to our own frames reflected by the link.
 
-    Routers and radios reflect what they are given.  A frame of ours that comes back is one that we
-    have sent: the same sequence number, message and payload, whatever became of its signature and
-    version.  What carries our ids and is none of these was sent by somebody else.  What a companion
-    before this one has left in buffers comes in one burst; who goes on for longer is there.
+    Routers and radios may reflect frames.  A reflected frame has the sequence number, message and
+    payload of one that we sent, though signature and version may differ.  Any other frame with our
+    ids comes from another process.  Frames that a previous companion left in buffers arrive in one
+    burst; a process that goes on for longer is alive.
     """
 
     def __init__(self) -> None:
         self.sent: deque[bytes] = deque(maxlen=_KEPT)
         """Frames of ours, signed or not, since any companion's was last heard."""
         self._sent: dict[_Key, None] = {}
-        self._heard: dict[int, _Stranger] = {}
+        self._heard: dict[int, _DuplicateSender] = {}
         """By system id: whose companion we are may not be known yet."""
 
-    def heard(self, frame: bytes, system_id: int | None, now_s: float) -> Namesake | None:
-        """What a frame of any companion means, if it is none of ours, and it is time to say so.
+    def heard(self, frame: bytes, system_id: int | None, now_s: float) -> DuplicateId | None:
+        """The event for a companion's frame that is not ours, if one is due.
 
         system_id: ours, None as long as it is not known.
         """
@@ -183,7 +183,7 @@ class DuplicateIdDetector:
         system = frame[5] if frame[0] == V2 else frame[3]
         heard = self._heard.get(system)
         if heard is None or not 0.0 <= now_s - heard.last_s <= heard.patience_s:
-            heard = self._heard[system] = _Stranger(now_s, now_s)
+            heard = self._heard[system] = _DuplicateSender(now_s, now_s)
         heard.last_s, heard.count = now_s, heard.count + 1
         news = not heard.certain and (heard.count >= _STRANGE and now_s - heard.first_s >= _SPAN_S)
         heard.certain = heard.certain or news
@@ -192,11 +192,11 @@ class DuplicateIdDetector:
             return None
         first = heard.told_s is None or news
         heard.told_s = now_s
-        return Namesake(time_s=now_s, certain=heard.certain, news=first and heard.certain)
+        return DuplicateId(time_s=now_s, certain=heard.certain, news=first and heard.certain)
 
 
 def _key(frame: bytes) -> _Key:
-    """What of a frame stays the same on its way there and back; MAVLink 1 or 2."""
+    """The part of a frame that a reflection does not change; MAVLink 1 or 2."""
     if frame[0] == V2:
         number = frame[7] | frame[8] << 8 | frame[9] << 16
         return frame[4], number, frame[10 : 10 + frame[1]].rstrip(b"\0")
@@ -206,8 +206,8 @@ def _key(frame: bytes) -> _Key:
 # --- when
 
 
-class Reading(enum.Enum):
-    """What a time means for the clock."""
+class ClockReading(enum.Enum):
+    """Effect of a time stamp on the clock."""
 
     FIRST = "the clock is known from now on"
     LATER = "it has moved on"
@@ -221,7 +221,7 @@ class VehicleClock:
     """Vehicle time, seconds since its boot."""
 
     def __init__(self, start_s: float) -> None:
-        """start_s: what stands for the time until it is known."""
+        """start_s: used as the time until it is known."""
         self.now_s = self.going_on_s = start_s
         """What it shows; with the silence since on top: for what goes on meanwhile."""
         self.is_known = False
@@ -233,8 +233,8 @@ class VehicleClock:
         """Time, idle time and sequence number at the last heartbeat."""
         self._told_ms: dict[int, int] = {}
 
-    def is_told_by(self, number: int, time_boot_ms: int) -> bool:
-        """Whether a mere clock of the autopilot says more than another of its kind did just before.
+    def is_newer(self, number: int, time_boot_ms: int) -> bool:
+        """Whether a time-only message is newer than the last one of its kind.
 
         That one is remembered.
         """
@@ -244,32 +244,32 @@ class VehicleClock:
         self._told_ms[number] = time_boot_ms
         return True
 
-    def read(self, time_s: float) -> Reading:
-        """The vehicle says that it is this late."""
+    def read(self, time_s: float) -> ClockReading:
+        """Take a time stamp of the vehicle."""
         if not self.is_known:
             self.is_known = True
             self._show(time_s)
-            return Reading.FIRST
+            return ClockReading.FIRST
         if time_s < self.now_s - _REBOOT_S:
             before_s, self._fallen_s = self._fallen_s, time_s
             if before_s is None or not 0.0 <= time_s - before_s < _REBOOT_S:
-                return Reading.DOUBTED
+                return ClockReading.DOUBTED
             self._fallen_s = None
             self._show(time_s)
-            return Reading.REBOOTED
+            return ClockReading.REBOOTED
         self._fallen_s = None
         if time_s <= self.now_s:
-            return Reading.SAME
+            return ClockReading.SAME
         self.passed_s += time_s - self.now_s
         self.now_s = self.going_on_s = time_s
         self._idle_s = 0.0
-        return Reading.LATER
+        return ClockReading.LATER
 
     def _show(self, now_s: float, idle_s: float = 0.0) -> None:
         self.now_s, self._idle_s, self.going_on_s = now_s, idle_s, now_s + idle_s
 
     def beat(self, heartbeat: Message) -> bool:
-        """Whether the vehicle lives and no clock of it was heard since the heartbeat before.
+        """Whether this is a new heartbeat, with no time stamp since the last one.
 
         Two heartbeats without a time in between are a second apart, if no more is known; a copy
         has the sequence number of the first.
@@ -283,16 +283,16 @@ class VehicleClock:
         self._beat = (self.now_s, self._idle_s, number)
         return stands
 
-    def be_silent(self, more_s: float, *, counts: bool) -> Reading:
-        """It has said nothing for so much longer; counts: before it is known, that is its time."""
+    def on_silence(self, more_s: float, *, counts: bool) -> ClockReading:
+        """Advance the clock in a silence; counts: also before the vehicle's time is known."""
         if self.is_known or not counts:
             self._show(self.now_s, self._idle_s + more_s)
-            return Reading.SAME
+            return ClockReading.SAME
         later_s = self.now_s + more_s
         if later_s <= self.now_s:
-            return Reading.SAME
+            return ClockReading.SAME
         self._show(later_s)
-        return Reading.LATER
+        return ClockReading.LATER
 
 
 # --- out
@@ -300,13 +300,13 @@ class VehicleClock:
 Stamped = tuple[float, bytes]
 """Vehicle time, seconds, and a frame."""
 Input = tuple[Any, ...]
-"""Something that the session was told: the name of the call, and its arguments as plain values."""
+"""A recorded call of the session: its name, and its arguments as plain values."""
 
 
 @final
 @dataclass(slots=True, kw_only=True)
 class Output:
-    """What one run() asks of the outside."""
+    """The result of one run(): what to send, record and compute."""
 
     frames: list[bytes] = field(default_factory=list)
     """To be sent, in order."""
@@ -316,28 +316,28 @@ class Output:
     """Vehicle time and frame, both directions, for the telemetry log."""
     journal: list[Entry] = field(default_factory=list)
     inputs: list[Input] = field(default_factory=list)
-    """All that this follows from, in order: told again to a session like this, it does the same."""
+    """All inputs of the run, in order: replayed to an equal session they give the same output."""
     plan: PlanRequest | None = None
     """To be computed and delivered."""
     awaits_plan: bool = False
     checkpoint: Values | None = None
-    """To be kept for a companion that is started again in flight, if this one dies."""
+    """To be saved, so that a companion restarted in flight can resume."""
     known: KnownMap | None = None
-    """The known map, to be kept as well, when it has changed."""
+    """The known map, to be saved too, if it has changed."""
     end: End | None = None
     """Set once the mission is over."""
     settled: bool = False
-    """Whether the vehicle is then in the mode that it was last asked for, or gone."""
+    """Whether the vehicle is then in the requested mode, or gone."""
 
     def leave_out(self, numbers: Iterable[int]) -> None:
-        """Take frames, by their places in `frames`, out of the record: they were not sent."""
+        """Remove frames that were not sent, by index in `frames`, from the record."""
         unsent = {strip_signature(self.frames[number]) for number in numbers}
         self.record = [each for each in self.record if each[1] not in unsent]
 
 
 @final
-class Outbox:
-    """Frames on their way out, and the record of all frames, both ways, without signatures."""
+class FrameEncoder:
+    """Encodes messages into frames to send; records all frames, both ways, unsigned."""
 
     def __init__(self, system_id: int | None, signing: Signing | None, *, has_ground: bool) -> None:
         """has_ground: whether there are links to ground stations besides the vehicle's."""
@@ -352,12 +352,12 @@ class Outbox:
         self.out = Output()
         """What has come together since it was last taken."""
 
-    def speak_as(self, system_id: int) -> None:
-        """Go on as the companion of this vehicle."""
+    def set_system_id(self, system_id: int) -> None:
+        """Use this vehicle's system id from now on."""
         self._codec.srcSystem = self._grounds.srcSystem = system_id
 
     def send(self, messages: Iterable[Message], now_s: float, *, to_ground: bool = False) -> None:
-        """Messages, in order; to_ground: not to the vehicle's link alone."""
+        """Send messages in order; to_ground: to the ground station links as well."""
         for message in messages:
             frame = packed(message, self._codec)
             self._codec.seq = (self._codec.seq + 1) % 256
@@ -365,10 +365,10 @@ class Outbox:
             self.duplicates.sent.append(frame)
             self.out.record.append((now_s, frame if self._plain else strip_signature(frame)))
             if to_ground:
-                self.tell_ground([message])
+                self.send_to_ground([message])
 
-    def tell_ground(self, messages: Iterable[Message]) -> None:
-        """Messages to the links to ground stations alone, which count on by themselves."""
+    def send_to_ground(self, messages: Iterable[Message]) -> None:
+        """Send messages to the ground station links only, which have their own sequence numbers."""
         if self._has_ground:
             for message in messages:
                 frame = packed(message, self._grounds)
@@ -376,8 +376,8 @@ class Outbox:
                 self.out.to_ground.append(frame)
                 self.duplicates.sent.append(frame)  # a router may bring it to the vehicle's link
 
-    def spare(self, messages: Iterable[Message]) -> list[bytes]:
-        """Messages as frames that are perhaps never sent: they take no sequence numbers."""
+    def encode_unsent(self, messages: Iterable[Message]) -> list[bytes]:
+        """Encode messages that may never be sent: no sequence numbers are used up."""
         before, frames = self._codec.seq, []
         for message in messages:
             frames.append(packed(message, self._codec))

@@ -30,8 +30,8 @@ _SAGITTA_M = 0.25
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Around:
-    """A vehicle and what is known of its surroundings."""
+class VehicleSurroundings:
+    """The vehicle's position and the known terrain and zones around it."""
 
     frame: LocalFrame
     known: KnownMap
@@ -39,7 +39,7 @@ class Around:
     position_nea_m: tuple[float, float, float]
 
 
-def obstacle_distance(around: Around, now_s: float) -> Message:
+def obstacle_distance(around: VehicleSurroundings, now_s: float) -> Message:
     """OBSTACLE_DISTANCE at vehicle time now_s."""
     return wire.MAVLink_obstacle_distance_message(
         time_usec=round(max(now_s, 0.0) * 1e6),
@@ -54,7 +54,7 @@ def obstacle_distance(around: Around, now_s: float) -> Message:
     )
 
 
-def distances_cm(around: Around) -> list[int]:
+def distances_cm(around: VehicleSurroundings) -> list[int]:
     """The wire's 72 distances, never more than to the nearest obstacle of the sector.
 
     Sector k reaches 2.5 degrees to both sides of the true azimuth 5 k.  65534: nothing there;
@@ -110,7 +110,7 @@ def _cells_m(
 ) -> FloatArray:
     """Distance to the nearest of some cells in each sector.  (rows, columns) -> (72,).
 
-    Only those at the rim of what they cover: nobody sees the others first.
+    Only cells at the rim of the area: the others are hidden behind them.
     """
     under = math.floor(-corner_ne_m[0] / cell_m), math.floor(-corner_ne_m[1] / cell_m)
     if cells[under]:

@@ -1,9 +1,8 @@
 """Reads, sets and goes on watching the autopilot's parameters, by name (mavlink.md 2.5).
 
-A firmware renames parameters from one release to the next (`SYSID_THISMAV` is `MAV_SYSID`):
-each is asked for by all its names together, and what has one of them is not asked for the others.
-Nobody answers a request for a parameter that there is not; PARAM_ERROR, where an autopilot sends
-it, says so at once.
+Firmware releases rename parameters (`SYSID_THISMAV` is `MAV_SYSID`), so each is requested by all
+its names at once; after an answer the other names are dropped.  A request for a parameter that does
+not exist gets no answer, or PARAM_ERROR from autopilots that send it.
 """
 
 import math
@@ -20,10 +19,10 @@ MESSAGES: Final = (
     wire.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
 )
 ANSWER_S: Final = 0.5
-"""How long an answer may take before it is asked for again."""
-_MOST_TRIES: Final = 5
-_MOST_TRIES_LOSSY: Final = 10
-"""On a link that has lost an answer before."""
+"""Time-out of a request before it is repeated."""
+_MAX_TRIES: Final = 5
+_MAX_TRIES_LOSSY: Final = 10
+"""On a link that has already lost an answer."""
 _OUTSTANDING: Final = 6
 """Requests within ANSWER_S: less than 1 kB/s, so that a slow radio is not flooded."""
 _FORMATS: Final = {
@@ -45,8 +44,8 @@ _ERRORS: Final = {
 
 @final
 @dataclass(slots=True)
-class _Ask:
-    """A question that has not been answered yet."""
+class _Request:
+    """A request without an answer yet."""
 
     tries: int = 0
     """Without those during which the whole autopilot was silent."""
@@ -60,17 +59,17 @@ class _Ask:
 
 @final
 @dataclass(slots=True)
-class _Set:
-    """A value on its way to the autopilot: first told, then read back."""
+class _ParameterSet:
+    """A value to be set: first sent, then read back."""
 
     value: float
-    ask: _Ask
-    told: bool = False
-    """Whether the autopilot has answered with this value, so that it only has to be read back."""
+    ask: _Request
+    acknowledged: bool = False
+    """Whether the autopilot has echoed this value, so that only the read-back is missing."""
 
 
 def is_bytewise(autopilot: int, capabilities: int | None = None) -> bool:
-    """Whether whole numbers travel as their bits in the float field (PX4), or as a float.
+    """Whether integers are sent bytewise in the float field (PX4), or cast to float.
 
     autopilot: HEARTBEAT.autopilot; capabilities: AUTOPILOT_VERSION.capabilities, if known.
     """
@@ -121,7 +120,7 @@ def _float_bytes(message: Message) -> bytes:
 
 @final
 class ParameterClient:
-    """Asks one autopilot for some of its parameters and keeps what it says.  Sans-IO.
+    """Requests some parameters of one autopilot and stores the values.  Sans-IO.
 
     After each message and each tick send what is returned.
     """
@@ -143,8 +142,8 @@ class ParameterClient:
         self.version = 0
         """Rises whenever a value changes: then judge again."""
         self._types: dict[str, int] = {}
-        self._reads: dict[str, _Ask] = {}
-        self._sets: dict[str, _Set] = {}
+        self._reads: dict[str, _Request] = {}
+        self._sets: dict[str, _ParameterSet] = {}
         self._lossy = False
         self.heard_s = -math.inf
         """When the autopilot was heard last: while it is silent nothing is taken for missing."""
@@ -161,38 +160,38 @@ class ParameterClient:
         return (*self._reads, *(name for name in self._sets if name not in self._reads))
 
     def restart(self) -> None:
-        """Ask for everything anew: the autopilot has rebooted."""
+        """Request everything again: the autopilot has rebooted."""
         self.values.clear()
         self.missing.clear()
         self.failed_sets.clear()
         self._types.clear()
         self._sets.clear()
-        self._reads = {name: _Ask() for group in self._groups for name in group}
+        self._reads = {name: _Request() for group in self._groups for name in group}
         self.version += 1
 
-    def by_another_clock(self, shift_s: float) -> None:
-        """Go on by a clock that shows so much more."""
+    def rebase_time(self, shift_s: float) -> None:
+        """Shift all stored times by this much: the clock was replaced."""
         self.heard_s += shift_s
         for ask in [*self._reads.values(), *(each.ask for each in self._sets.values())]:
             ask.asked_s += shift_s
 
     def set(self, name: str, value: float) -> None:
-        """Have the autopilot keep a value; it is read back and compared.
+        """Set a parameter; the value is read back and compared.
 
-        What does not work stands in `failed_sets` when `is_done`.
+        Failures are listed in `failed_sets` when `is_done`.
         """
         self.failed_sets.pop(name, None)
         if not (math.isfinite(value) and abs(value) <= _LARGEST_FLOAT):
             self.failed_sets[name] = f"{value} is no number that a parameter can have"
             return
-        self._sets[name] = _Set(value=value, ask=_Ask())
+        self._sets[name] = _ParameterSet(value=value, ask=_Request())
         if name not in self.values and name not in self._reads:
-            self._reads[name] = _Ask()  # its type has to be known
+            self._reads[name] = _Request()  # its type has to be known
 
     # --- in -----------------------------------------------------------------------------------
 
     def on_message(self, message: Message, now_s: float) -> list[Message]:
-        """Take what the autopilot says, asked or not; only what is its own counts."""
+        """Handle a message of the autopilot, requested or not."""
         source = (message.get_srcSystem(), message.get_srcComponent())
         if source != (self._system_id, AUTOPILOT_COMPONENT):
             return []
@@ -224,13 +223,13 @@ class ParameterClient:
         setting = self._sets.get(name)
         if setting is None or setting.ask.tries == 0 or not self._kept(setting.value, name):
             return
-        if setting.told:
+        if setting.acknowledged:
             del self._sets[name]
         else:
-            setting.told, setting.ask = True, _Ask()
+            setting.acknowledged, setting.ask = True, _Request()
 
     def _answered(self, name: str) -> None:
-        """It has this one, so it is not asked for the other names of the same."""
+        """Drop the requests for the other names of the same parameter."""
         group = self._group_of.get(name, (name,))
         self.missing.discard(group[0])
         for each in group:
@@ -251,7 +250,7 @@ class ParameterClient:
             self._fail(name, _ERRORS[error])
 
     def _on_version(self, message: Message) -> None:
-        """If whole numbers travel otherwise than was thought, what was read is wrong."""
+        """If integers are encoded differently than assumed, request everything again."""
         autopilot = wire.MAV_AUTOPILOT_PX4 if self._bytewise else wire.MAV_AUTOPILOT_INVALID
         bytewise = is_bytewise(autopilot, message.capabilities)
         if bytewise != self._bytewise:
@@ -280,15 +279,15 @@ class ParameterClient:
             messages.append(self._request(name))
         return [message for message in messages if message is not None]
 
-    def _asks(self) -> list[tuple[str, _Ask]]:
-        """All open questions; a set waits until its type is known."""
+    def _asks(self) -> list[tuple[str, _Request]]:
+        """All open requests; a set waits until the parameter's type is known."""
         ready = [(name, each.ask) for name, each in self._sets.items() if name in self._types]
         return [*self._reads.items(), *ready]
 
     def _request(self, name: str) -> Message | None:
         setting = self._sets.get(name)
         key = name.encode("ascii", "replace")
-        if setting is None or setting.told or name in self._reads:
+        if setting is None or setting.acknowledged or name in self._reads:
             return wire.MAVLink_param_request_read_message(
                 self._system_id, AUTOPILOT_COMPONENT, key, -1
             )
@@ -303,11 +302,11 @@ class ParameterClient:
         )
 
     def _look_at_tries(self, now_s: float) -> None:
-        """Give up what was asked for often enough.
+        """Give up requests after the last retry.
 
-        As long as no parameter at all has been answered, none is missing: the link is.
+        While no parameter at all has been answered the link is down, and none is given up.
         """
-        most = _MOST_TRIES_LOSSY if self._lossy else _MOST_TRIES
+        most = _MAX_TRIES_LOSSY if self._lossy else _MAX_TRIES
         for name, ask in list(self._reads.items()):
             if self._types and self._is_over(ask, most, now_s):
                 self._give_up_reading(name)
@@ -315,8 +314,8 @@ class ParameterClient:
             if self._is_over(setting.ask, most, now_s):
                 self._fail(name, f"it was told {setting.value:g} and says {self.values[name]:g}")
 
-    def _is_over(self, ask: _Ask, most: int, now_s: float) -> bool:
-        """Whether the last try has had its time, and the autopilot has been heard since."""
+    def _is_over(self, ask: _Request, most: int, now_s: float) -> bool:
+        """Whether the last retry has timed out, and the autopilot has been heard since."""
         waited = now_s - ask.asked_s >= ANSWER_S
         return ask.tries >= most and waited and self.heard_s > ask.asked_s
 

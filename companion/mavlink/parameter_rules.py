@@ -1,25 +1,25 @@
 """The parameters of the four autopilots that matter for a mission: four tables of rules.
 
-Names and units of ArduPilot 4.5 to 4.7 and of PX4 1.14 to 1.17; `judgement` says how rules are
-applied.  Sources: ardupilot.md (0, 3, 5, 7), px4.md (1, 4, 5, 6, 7, 10).  First the checks that
+Names and units of ArduPilot 4.5 to 4.7 and of PX4 1.14 to 1.17; `parameter_checks` says how rules
+are applied.  Sources: ardupilot.md (0, 3, 5, 7), px4.md (1, 4, 5, 6, 7, 10).  First the checks that
 need more than a comparison; each takes a value in SI (angles in degrees) and the case.
 """
 
 import math
 from typing import Final
 
-from companion.mavlink.judgement import (
-    ALL_THE_SAME,
+from companion.mavlink.parameter_checks import (
+    EQUAL_WITHIN,
     Alias,
-    Case,
-    Check,
+    CheckContext,
+    CheckResult,
+    ParameterCheck,
     ParameterRule,
     Severity,
-    Verdict,
+    at_least,
+    at_most,
     is_set,
     is_zero,
-    least,
-    most,
     note,
     refused,
     to_set,
@@ -30,12 +30,12 @@ from companion.path.limits import Limits
 
 _GRAVITY_M_S2: Final = 9.81
 _SHORTEST_TIMEOUT_S: Final = 0.5
-"""A stream of 5 to 10 Hz on a link that loses some must not trip it."""
+"""A 5 to 10 Hz stream on a lossy link must not trigger it."""
 _USUAL_TIMEOUT_S: Final = 1.0
 _EASY: Final = 1.5
-"""A circle to hold on is no tighter than this times the tightest, or there is no bank for wind."""
+"""Minimum ratio of the loiter radius to the tightest turn, to leave bank angle for wind."""
 _WIND_M_S: Final = 5.0
-"""Head wind that nobody is told of: a moderate breeze."""
+"""Allowance for unknown head wind: a moderate breeze."""
 _CORNERS: Final = 0.6
 """Share of WPNAV_ACCEL that ArduCopter follows a curve with; at 0.8 it was 14 m off."""
 
@@ -43,8 +43,10 @@ _CORNERS: Final = 0.6
 # --- when the setpoints end -----------------------------------------------------------------------
 
 
-def _begins_to_brake_s(case: Case, braking: str, jerk: str, usual: tuple[float, float]) -> float:
-    """From the time-out until it is as if it braked at once with its whole acceleration.
+def _begins_to_brake_s(
+    case: CheckContext, braking: str, jerk: str, usual: tuple[float, float]
+) -> float:
+    """Equivalent delay from the time-out to braking with full acceleration.
 
     0.25 s to notice, and half the time in which the acceleration builds up (jerk-limited): 0.5 s
     with ArduCopter's defaults, which is what was measured (ardupilot.md 3, "Stream stops").
@@ -54,43 +56,43 @@ def _begins_to_brake_s(case: Case, braking: str, jerk: str, usual: tuple[float, 
 
 
 def _timeout(
-    value: float, slack_s: float, case: Case, what: str = "the vehicle flies on"
-) -> Verdict | None:
+    value: float, slack_s: float, case: CheckContext, what: str = "the vehicle flies on"
+) -> CheckResult | None:
     """A time-out of the stream: short enough for the certified reach, long enough for a radio."""
     what = f"after the last setpoint {what}"
     dead_man_s = case.limits.dead_man_s
     shortest_s = max(_SHORTEST_TIMEOUT_S, 3.0 * case.mission.task.settings.position_period_s)
-    longest_s = math.floor((dead_man_s - slack_s + ALL_THE_SAME) * 10.0) / 10.0
+    longest_s = math.floor((dead_man_s - slack_s + EQUAL_WITHIN) * 10.0) / 10.0
     if longest_s < shortest_s:
         return refused(
             f"{what}; with {shortest_s:g} s, the least for a radio, that is "
             f"{shortest_s + slack_s:.1f} s, and vehicle.dead_man_s = {dead_man_s:g}",
             f"Set vehicle.dead_man_s to {up_to_tenths(shortest_s + slack_s):g} or more",
         )
-    if value > dead_man_s - slack_s + ALL_THE_SAME:
+    if value > dead_man_s - slack_s + EQUAL_WITHIN:
         rule = (
             f"{what} for {value + slack_s:.1f} s, longer than vehicle.dead_man_s = {dead_man_s:g}"
         )
         return to_set(longest_s, rule)
-    if value < shortest_s - ALL_THE_SAME:
+    if value < shortest_s - EQUAL_WITHIN:
         rule = f"shorter than the {shortest_s:g} s in which a radio may lose setpoints"
         return to_set(min(_USUAL_TIMEOUT_S, longest_s), rule)
     return None
 
 
-def _guid_timeout(value: float, case: Case) -> Verdict | None:
+def _guid_timeout(value: float, case: CheckContext) -> CheckResult | None:
     """ArduCopter's GUID_TIMEOUT, at least 0.1 s (ardupilot.md 3)."""
     slack_s = _begins_to_brake_s(case, "WPNAV_ACCEL", "PSC_JERK_XY", (2.5, 5.0))
     return _timeout(max(value, 0.1), slack_s, case)
 
 
-def _offboard_timeout(value: float, case: Case) -> Verdict | None:
+def _offboard_timeout(value: float, case: CheckContext) -> CheckResult | None:
     """PX4's COM_OF_LOSS_T; the mode changes 0.12 s after it (px4.md 6)."""
     slack_s = 0.12 + _begins_to_brake_s(case, "MPC_ACC_HOR", "MPC_JERK_AUTO", (3.0, 4.0))
     return _timeout(value, slack_s, case)
 
 
-def _offboard_timeout_of_a_plane(value: float, case: Case) -> Verdict | None:
+def _offboard_timeout_of_a_plane(value: float, case: CheckContext) -> CheckResult | None:
     """PX4's COM_OF_LOSS_T; then it circles where it is (px4.md 10)."""
     return _timeout(value, 0.5, case, "the plane flies straight on")
 
@@ -103,7 +105,7 @@ _WITHOUT_STREAM: Final = {
     7: "stops its motors",
 }
 """COM_OBL_RC_ACT (px4.md 6): without RC, Position, Altitude and Stabilized sink."""
-_OFFBOARD_LOSS: Final[tuple[Check, ...]] = (
+_OFFBOARD_LOSS: Final[tuple[ParameterCheck, ...]] = (
     when(
         lambda value, _: value == 3,
         "when the stream stops it returns on a straight way that nobody has certified",
@@ -126,10 +128,10 @@ def _turning_m_s2(limits: Limits) -> float:
     return limits.speed_m_s**2 / limits.turn_radius_m
 
 
-def _turns(value: float, case: Case) -> Verdict | None:
+def _turns(value: float, case: CheckContext) -> CheckResult | None:
     """ArduCopter's WPNAV_ACCEL limits how curves are followed, too."""
     turn_m_s2 = _turning_m_s2(case.limits)
-    if turn_m_s2 <= _CORNERS * value + ALL_THE_SAME:
+    if turn_m_s2 <= _CORNERS * value + EQUAL_WITHIN:
         return None
     return note(
         f"the mission's tightest turns take {turn_m_s2:.1f} m/s2: beyond {_CORNERS * value:.1f} it "
@@ -138,8 +140,8 @@ def _turns(value: float, case: Case) -> Verdict | None:
     )
 
 
-def _tilt(value: float, case: Case) -> Verdict | None:
-    """Without drag, tilt is acceleration; how much drag there is nobody knows."""
+def _tilt(value: float, case: CheckContext) -> CheckResult | None:
+    """The tilt limit as acceleration, without drag, which is unknown."""
     needed_m_s2 = max(case.limits.acceleration_m_s2, _turning_m_s2(case.limits))
     has_m_s2 = _GRAVITY_M_S2 * math.tan(math.radians(min(max(value, 0.0), 80.0)))
     if has_m_s2 >= needed_m_s2:
@@ -152,7 +154,7 @@ def _tilt(value: float, case: Case) -> Verdict | None:
     )
 
 
-def _drag(value: float, case: Case) -> Verdict | None:
+def _drag(value: float, case: CheckContext) -> CheckResult | None:
     """Of ArduCopter's own airframe: 10.2 m/s at 30 deg, 15.5 m/s at 45 deg (ardupilot.md 3)."""
     held_m_s = 15.5 * math.tan(math.radians(min(value, 80.0))) ** 0.762
     speed = case.limits.speed_m_s
@@ -165,12 +167,12 @@ def _drag(value: float, case: Case) -> Verdict | None:
     )
 
 
-def _speed_of_offboard(value: float, case: Case) -> Verdict | None:
+def _speed_of_offboard(value: float, case: CheckContext) -> CheckResult | None:
     """At MPC_XY_VEL_MAX it falls behind without recovery (px4.md 5)."""
     speed = case.limits.speed_m_s
-    if speed <= 0.8 * value + ALL_THE_SAME:
+    if speed <= 0.8 * value + EQUAL_WITHIN:
         return None
-    if speed <= 0.85 * value + ALL_THE_SAME:
+    if speed <= 0.85 * value + EQUAL_WITHIN:
         return note(
             f"vehicle.speed_m_s = {speed:g} leaves less than 20 % to catch up with",
             f"Better {0.8 * value:.1f} m/s or less",
@@ -181,7 +183,7 @@ def _speed_of_offboard(value: float, case: Case) -> Verdict | None:
     )
 
 
-def _own_speed(value: float, case: Case) -> Verdict | None:
+def _own_speed(value: float, case: CheckContext) -> CheckResult | None:
     """The speed of the autopilot's own modes."""
     speed = case.limits.speed_m_s
     if abs(value - speed) <= 0.05 * speed:
@@ -189,8 +191,8 @@ def _own_speed(value: float, case: Case) -> Verdict | None:
     return note(f"on its own (return, loiter) it flies {value:g} m/s, the mission {speed:g}")
 
 
-def _only_speed(value: float, case: Case) -> Verdict | None:
-    """PX4's fixed wing flies this, whatever it is asked for (px4.md 10)."""
+def _only_speed(value: float, case: CheckContext) -> CheckResult | None:
+    """PX4's fixed wing always flies at this speed (px4.md 10)."""
     speed = case.limits.speed_m_s
     if value > 1.05 * speed:
         return refused(
@@ -207,11 +209,11 @@ def _tightest_circle_m(speed_m_s: float, bank_deg: float) -> float:
     return speed_m_s**2 / (_GRAVITY_M_S2 * math.tan(bank))
 
 
-def _bank(value: float, case: Case) -> Verdict | None:
+def _bank(value: float, case: CheckContext) -> CheckResult | None:
     """The bank limits how tightly it turns."""
     limits = case.limits
     tightest_m = _tightest_circle_m(limits.speed_m_s, value)
-    if tightest_m <= limits.turn_radius_m + ALL_THE_SAME:
+    if tightest_m <= limits.turn_radius_m + EQUAL_WITHIN:
         return None
     return refused(
         f"with {value:g} deg of bank its tightest turn at {limits.speed_m_s:g} m/s has a radius of "
@@ -220,15 +222,15 @@ def _bank(value: float, case: Case) -> Verdict | None:
     )
 
 
-def _circles(wider_m: float, bank: str) -> Check:
-    """Whether its own circles, flown so much wider, fit into those that the planner keeps clear.
+def _circles(wider_m: float, bank: str) -> ParameterCheck:
+    """Whether the autopilot's loiter circles, which are wider by this, stay in the cleared ones.
 
     bank: the parameter that limits the bank.
     """
 
-    def check(value: float, case: Case) -> Verdict | None:
+    def check(value: float, case: CheckContext) -> CheckResult | None:
         limits, flown_m = case.limits, abs(value) + wider_m
-        if limits.hovers or flown_m <= limits.loiter_radius_m + ALL_THE_SAME:
+        if limits.hovers or flown_m <= limits.loiter_radius_m + EQUAL_WITHIN:
             return None
         rule = (
             f"its circles are flown with {flown_m:g} m, and the mission keeps "
@@ -242,7 +244,7 @@ def _circles(wider_m: float, bank: str) -> Check:
     return check
 
 
-def _take_off_height(value: float, case: Case) -> Verdict | None:
+def _take_off_height(value: float, case: CheckContext) -> CheckResult | None:
     """The autopilot's own take-off ends there; the companion climbs on."""
     limits, home_amsl_m = case.limits, case.home_amsl_m
     if home_amsl_m is None or home_amsl_m + value <= limits.ceiling_amsl_m:
@@ -278,24 +280,24 @@ _CLIMBS: Final = _VERTICAL.format(verb="climbs")
 _SINKS: Final = _VERTICAL.format(verb="sinks")
 _RAISE: Final = "Raise it to {up:g}, or set "
 _OTHER_RATE: Final = _RAISE + "vehicle.climb_rate_m_s to {value:g}"
-_PLANE_CLIMBS: Final = least(
+_PLANE_CLIMBS: Final = at_least(
     _plane_climb_m_s, _CLIMBS, _RAISE + "a smaller vehicle.climb_angle_deg"
 )
-_PLANE_SINKS: Final = least(_plane_sink_m_s, _SINKS, _RAISE + "a smaller vehicle.dive_angle_deg")
+_PLANE_SINKS: Final = at_least(_plane_sink_m_s, _SINKS, _RAISE + "a smaller vehicle.dive_angle_deg")
 _AT_TAKE_OFF: Final = (
     "it climbs with {value:g} m/s at take-off, and the mission counts on {planned:g}"
 )
-_BRAKES: Final = least(
+_BRAKES: Final = at_least(
     lambda limits: limits.acceleration_m_s2,
     "it brakes with {value:g} m/s2, and the mission counts on {planned:g}",
     "Raise it, or set vehicle.acceleration_m_s2 to {value:g} or less",
 )
-_SLOWEST: Final = most(
+_SLOWEST: Final = at_most(
     lambda limits: limits.speed_m_s,
     "vehicle.speed_m_s = {planned:g} is slower than it may fly",
     "Fly {value:g} m/s or faster",
 )
-_FASTEST: Final = least(
+_FASTEST: Final = at_least(
     lambda limits: limits.speed_m_s,
     "vehicle.speed_m_s = {planned:g} is faster than it may fly",
     "Fly {value:g} m/s or slower",
@@ -305,7 +307,7 @@ _FASTEST: Final = least(
 # --- who else may take the vehicle ----------------------------------------------------------------
 
 
-def _guided_options(value: float, case: Case) -> Verdict | None:
+def _guided_options(value: float, case: CheckContext) -> CheckResult | None:
     """GUID_OPTIONS: bits that change what setpoints mean."""
     del case
     if int(value) & (16 | 32):
@@ -321,7 +323,7 @@ _GROUND_STATION: Final = when(  # its heartbeats must not count as a ground stat
     "the companion has the vehicle's system id, so its heartbeats would hide the loss of the "
     "ground station",
     "Set it to the ground station's own, 255",
-    says=Severity.REFUSE,
+    severity=Severity.REFUSE,
 )
 _FENCE_ACTION: Final = when(
     lambda value, case: case.value("FENCE_ENABLE", 0.0) and not value,
@@ -348,7 +350,9 @@ _PX4_FENCE: Final = (  # px4.md 7
     ),
 )
 _NO_GPS: Final = is_zero(
-    "the vehicle flies without GPS", "Set it to the number of its receivers", says=Severity.REFUSE
+    "the vehicle flies without GPS",
+    "Set it to the number of its receivers",
+    severity=Severity.REFUSE,
 )
 _GCS_FAILSAFE: Final = is_set(
     "if its ground station is lost it leaves GUIDED by itself; the companion does not count as one"
@@ -414,10 +418,10 @@ ARDUCOPTER_RULES: Final = (
         "WPNAV_SPEED",  # it does not limit velocities that are asked for (ardupilot.md 3)
         "speed of corrections and of the return",
         (
-            least(
+            at_least(
                 lambda limits: limits.speed_m_s,
                 "corrections and the autopilot's own return are no faster than {value:g} m/s",
-                says=Severity.NOTE,
+                severity=Severity.NOTE,
             ),
         ),
         scale=_CENTI,
@@ -427,13 +431,13 @@ ARDUCOPTER_RULES: Final = (
         "WPNAV_SPEED_UP",  # the machine waits twice as long for a take-off as it plans with
         "how fast it climbs",
         (
-            least(
+            at_least(
                 lambda limits: limits.climb_rate_m_s,
                 _AT_TAKE_OFF,
                 "Raise it, or set vehicle.climb_rate_m_s to {value:g}",
                 share=0.5,
             ),
-            least(lambda limits: limits.climb_rate_m_s, _AT_TAKE_OFF, says=Severity.NOTE),
+            at_least(lambda limits: limits.climb_rate_m_s, _AT_TAKE_OFF, severity=Severity.NOTE),
         ),
         _WANTED,
         _CENTI,
@@ -517,13 +521,13 @@ PX4_MULTICOPTER_RULES: Final = (
     _P(
         "MPC_Z_VEL_MAX_UP",
         "how fast it climbs",
-        (least(_climb_m_s, _CLIMBS, _OTHER_RATE),),
+        (at_least(_climb_m_s, _CLIMBS, _OTHER_RATE),),
         _ESSENTIAL,
     ),
     _P(
         "MPC_Z_VEL_MAX_DN",
         "how fast it sinks",
-        (least(_sink_m_s, _SINKS, _OTHER_RATE),),
+        (at_least(_sink_m_s, _SINKS, _OTHER_RATE),),
         _ESSENTIAL,
     ),
     _P("MPC_TILTMAX_AIR", "its tilt limits its speed", (_tilt,)),

@@ -1,8 +1,8 @@
 """The planner's settings as MAVLink parameters of our component (mavlink.md 2.5).
 
-All of them are REAL32 in C-cast encoding, and the table never changes.  A PARAM_SET is held to the
-rules that hold for a mission file; whatever becomes of it, the value as it is then is broadcast,
-and who is refused gets a PARAM_ERROR too.  What is set counts from the next plan on.
+All of them are REAL32 in C-cast encoding, and the table never changes.  A PARAM_SET is checked by
+the rules of mission files; the resulting value is always broadcast, and a refusal is also answered
+with PARAM_ERROR. Changes apply from the next plan on.
 """
 
 import math
@@ -14,11 +14,11 @@ from companion.mavlink.addressing import (
     Ids,
     Reply,
     address_of,
+    ids_text,
     may_command,
     sender_of,
-    written,
 )
-from companion.mavlink.commands import meant, speed_bounds_m_s
+from companion.mavlink.commands import from_float32, speed_bounds_m_s
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import FenceChanged
 from companion.mission.state import within_fence
@@ -50,7 +50,7 @@ class ParameterServer:
         self.task = task
         """As it is now: `follow` what something else changes."""
         self.targets_ne_m = targets_ne_m
-        """Must stay allowed, whatever is set."""
+        """Must remain valid after every change."""
         self.fence: FenceChanged | None = None
         """The vehicle's own: the rules hold within it as well."""
         self.charted = False
@@ -92,7 +92,7 @@ class ParameterServer:
         return self._sent_at_s + _PACE_S if self._next < len(PARAMETERS) else math.inf
 
     def follow(self, task: Task) -> list[Message]:
-        """The task is so now; the values that somebody else has changed, for everybody."""
+        """Take a changed task; broadcasts the values that were changed elsewhere."""
         changed = [] if task is self.task else differences(task, self.task)
         self.task = task
         return [self._value(_BY_NAME[name]) for name in changed]
@@ -115,17 +115,17 @@ class ParameterServer:
         return [self._value(index)] if 0 <= index < len(PARAMETERS) else []
 
     def _on_set(self, message: Message) -> Reply:
-        """Whatever becomes of it, everybody hears the value as it is then."""
+        """Set if allowed; the resulting value is broadcast in any case."""
         index = _BY_NAME.get(message.param_id)
         if index is None:
             unknown = _error(message, -1, wire.MAV_PARAM_ERROR_DOES_NOT_EXIST)
             text = f"{message.param_id!r}: there is no such parameter"
             return Reply(replies=[unknown], is_for_all=True, text=text)
-        parameter, value = PARAMETERS[index], meant(message.param_value)
+        parameter, value = PARAMETERS[index], from_float32(message.param_value)
         sender, error = sender_of(message), wire.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
         refused = changed = ""
         if not may_command(sender, self._commanders):
-            refused = f"{parameter.name}: {written(sender)} may not set it: link.commanders"
+            refused = f"{parameter.name}: {ids_text(sender)} may not set it: link.commanders"
             error = wire.MAV_PARAM_ERROR_PERMISSION_DENIED
         elif message.param_type != wire.MAV_PARAM_TYPE_REAL32:
             refused = f"{parameter.name}: its type is REAL32 (9), not {message.param_type}"
@@ -144,7 +144,7 @@ class ParameterServer:
         )
 
     def _refusal(self, parameter: Parameter, value: float) -> str:
-        """What the flight and the mission have against a value."""
+        """Why flight or mission do not allow a value; empty if they do."""
         if parameter.on_ground and self.airborne:
             return "it can be set on the ground only"
         too_slow, too_fast = value < self._slowest_m_s, value > self._fastest_m_s
@@ -164,6 +164,6 @@ class ParameterServer:
 
 
 def _error(message: Message, index: int, error: int) -> Message:
-    """PARAM_ERROR to who wanted to set a parameter."""
+    """PARAM_ERROR to the sender of a PARAM_SET."""
     name = message.param_id.encode("ascii", errors="replace")
     return wire.MAVLink_param_error_message(*sender_of(message), name, index, error)

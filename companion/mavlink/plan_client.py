@@ -1,7 +1,7 @@
 """Downloads mission, fence and rally points from the autopilot, and goes on watching them.
 
-Nobody says when somebody changes them (ardupilot.md 1 and 4), so their numbers are asked for every
-few seconds and everything is read again now and then; PX4 tells the ids of its lists.  Protocol:
+Changes are not announced (ardupilot.md 1 and 4), so the item counts are polled every few seconds
+and all items are downloaded again periodically; PX4 reports the ids of its lists.  Protocol:
 mavlink.md 2.3 and 2.5, px4.md 7.
 """
 
@@ -24,20 +24,20 @@ MESSAGES: Final = (
     wire.MAVLINK_MSG_ID_MISSION_ACK,
 )
 LOOK_S: Final = 4.0
-"""Between two looks at how many items there are."""
+"""Period of the polls of the item count."""
 READ_ALL_S: Final = 30.0
 _READ_ALL_PER_ITEM_S: Final = 0.5
 """Long lists are read less often: a few hundred items would fill a slow radio."""
 _FEW: Final = 24
 """Items of a list without an id that is read whole instead of counted."""
 _LIST_S: Final = 1.5
-"""For the first answer; once it is known how long answers take, four times that."""
+"""Time-out of the first answer; later, four times the measured response time."""
 _ITEM_S: Final = 0.25
-_MOST_LIST_TRIES: Final = 5
-_MOST_ITEM_TRIES: Final = 12
+_MAX_LIST_TRIES: Final = 5
+_MAX_ITEM_TRIES: Final = 12
 """A list of sixty must come at 25 % loss too."""
 _LATER_S: Final = 1.0
-"""After a refusal: somebody else is transferring."""
+"""Wait after a refusal: another client is transferring."""
 _LONGEST: Final = 10_000
 _REFUSED: Final = {
     wire.MAV_MISSION_DENIED: "somebody else is transferring it",
@@ -77,34 +77,34 @@ class Plan:
     version: int = 0
     """Rises with every change; 0: not read yet."""
     supported: bool = True
-    """Whether the autopilot has this kind of list at all."""
+    """Whether the autopilot supports this kind of list."""
 
 
 @final
 @dataclass(slots=True)
 class _Transfer:
-    """What is asked for now."""
+    """The transfer in progress."""
 
     kind: int
     only_look: bool
     reads: bool = False
-    """Items; else it is asked how many there are."""
+    """Whether items are requested; else the count."""
     asked_s: float = -math.inf
     tries: int = 0
     count: int = 0
     items: list[PlanItem] = field(default_factory=list)
     keys: list[bytes] = field(default_factory=list)
-    """Of the items: made as they come, for thousands at once take longer than an event may."""
+    """Keys of the items, computed as they arrive: thousands at once would take too long."""
     opaque_id: int = 0
     item_s: float = _ITEM_S
     smooth: bool = True
-    """Every item came soon, so there was hardly time for a change in between."""
+    """Every item came promptly, so a change in between is unlikely."""
 
 
 @final
 @dataclass(slots=True)
 class _Watch:
-    """When to ask for one kind again, and what of it is known."""
+    """Poll state of one kind of list."""
 
     due_s: float = -math.inf
     read_s: float = -math.inf
@@ -121,11 +121,10 @@ class _Watch:
 
 @final
 class PlanClient:
-    """Reads the three lists of one autopilot, one after the other, for ever.  Sans-IO.
+    """Downloads and polls the three lists of one autopilot.  Sans-IO.
 
-    After each of its MESSAGES and each tick send what is returned.  Only what is addressed to us
-    counts: others may transfer on the same link.  A download that is not complete
-    changes nothing.
+    After each of its MESSAGES and each tick send the messages returned.  Only messages addressed to
+    us count: other clients may transfer on the same link.  An incomplete download changes nothing.
     """
 
     def __init__(self, system_id: int, ours: tuple[int, int]) -> None:
@@ -156,7 +155,7 @@ class PlanClient:
         )
 
     def refresh(self) -> None:
-        """Read everything again now: the autopilot has rebooted, or somebody says so."""
+        """Download everything again now, after a reboot or on request."""
         self._transfer = None
         for watch in self._watches.values():
             watch.due_s = watch.read_s = -math.inf
@@ -166,8 +165,8 @@ class PlanClient:
             if not plan.supported:
                 self.plans[kind] = Plan(version=plan.version)
 
-    def by_another_clock(self, shift_s: float) -> None:
-        """Go on by a clock that shows so much more."""
+    def rebase_time(self, shift_s: float) -> None:
+        """Shift all stored times by this much: the clock was replaced."""
         if self._transfer is not None:
             self._transfer.asked_s += shift_s
         for watch in self._watches.values():
@@ -178,7 +177,7 @@ class PlanClient:
     # --- in -----------------------------------------------------------------------------------
 
     def on_message(self, message: Message, now_s: float) -> list[Message]:
-        """Take an answer; the next request."""
+        """Handle an answer; returns the next request."""
         source = (message.get_srcSystem(), message.get_srcComponent())
         if source != (self._system_id, AUTOPILOT_COMPONENT):
             return []
@@ -201,7 +200,7 @@ class PlanClient:
                 return self._on_ack(transfer, message, now_s)
 
     def _on_ids(self, message: Message) -> None:
-        """PX4 tells the ids of its lists once a second: one that is new is read at once."""
+        """PX4 reports the ids of its lists once a second: download a list whose id is new."""
         ids = _payload(message, 18)
         for kind, at in ((MISSION, 6), (FENCE, 10), (RALLY, 14)):
             (told,) = struct.unpack_from("<I", ids, at)
@@ -267,7 +266,7 @@ class PlanClient:
     # --- how a transfer ends ------------------------------------------------------------------
 
     def _looked(self, transfer: _Transfer, now_s: float) -> list[Message]:
-        """Nothing new; the autopilot is told that no item will be asked for."""
+        """No change; end the transfer, as no items will be requested."""
         self._done(transfer, now_s)
         over = self._ack(transfer.kind, wire.MAV_MISSION_OPERATION_CANCELLED)
         return [over, *self.on_time(now_s)]
@@ -299,7 +298,7 @@ class PlanClient:
         self._watches[transfer.kind].due_s = now_s + pause_s
 
     def _fail(self, transfer: _Transfer, why: str, now_s: float) -> list[Message]:
-        """What is known stays; try again later."""
+        """Keep the known list; retry later."""
         self._transfer = None
         self.trouble[transfer.kind] = why
         self._watches[transfer.kind].due_s = now_s + _LATER_S
@@ -308,7 +307,7 @@ class PlanClient:
     # --- out ----------------------------------------------------------------------------------
 
     def on_time(self, now_s: float) -> list[Message]:
-        """What is due: the same request again, or a look at the next list."""
+        """The request that is due: a retry, or a poll of the next list."""
         transfer = self._transfer
         if transfer is None:
             transfer = self._transfer = self._next(now_s)
@@ -317,7 +316,7 @@ class PlanClient:
         if now_s - transfer.asked_s < wait_s:
             return []
         transfer.smooth = False
-        if transfer.tries < (_MOST_ITEM_TRIES if transfer.reads else _MOST_LIST_TRIES):
+        if transfer.tries < (_MAX_ITEM_TRIES if transfer.reads else _MAX_LIST_TRIES):
             return [self._ask(transfer, now_s)]
         over = self._ack(transfer.kind, wire.MAV_MISSION_OPERATION_CANCELLED)
         return [over, *self._fail(transfer, "no answer", now_s)]
@@ -332,7 +331,7 @@ class PlanClient:
         return transfer.asked_s + wait_s
 
     def _next(self, now_s: float) -> _Transfer | None:
-        """The list whose turn it is: what was never read first, then the longest not looked at."""
+        """The next list to poll: one never read first, then the one not polled for longest."""
         due = [kind for kind, watch in self._watches.items() if now_s >= watch.due_s]
         if not due:
             return None

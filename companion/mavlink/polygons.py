@@ -1,6 +1,6 @@
 """Fence polygons made safe for the planner: simple, and moved outwards or inwards by a margin.
 
-All is on the plane: points are (north, east) in metres, polygons closed without saying so.
+Plane geometry: points are (north, east) in metres, polygons implicitly closed.
 """
 
 import math

@@ -1,8 +1,8 @@
-"""The checks before a flight: what the vehicle has said, held against the mission.
+"""Preflight checks: the vehicle's reports against the mission.
 
-One list, for `companion preflight`, which shows it, and for `fly`, which does not arm before it is
-passed (`Preflight`).  The mission machine has rules of its own besides: `as_flown` asks it what it
-would do now, so whatever it would refuse is refused before that, too.
+One list, for `companion preflight`, which shows it, and for `fly`, which does not arm before it has
+passed (`Preflight`).  `flight_check` also runs the mission machine's own rules, so that whatever it
+would refuse is reported here.
 """
 
 import enum
@@ -13,21 +13,21 @@ from typing import Protocol, final
 from msgspec.structs import replace
 
 from companion.mavlink import fence
+from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.dialect import COMPANION_COMPONENT
-from companion.mavlink.frames import Passed, Receiver
-from companion.mavlink.judgement import Severity
+from companion.mavlink.frames import Receiver, Skipped
 from companion.mavlink.link import VehicleSelector
+from companion.mavlink.parameter_checks import Severity
 from companion.mavlink.signing import Signing, timestamp_of
-from companion.mavlink.vehicle import VehicleSide
 from companion.mission import ground, stopped
-from companion.mission.decisions import Context, is_suspected
+from companion.mission.decisions import Context, is_duplicate_suspected
 from companion.mission.events import Item, Prepared, ScanDone, Tick, Vector
 from companion.mission.health import battery_lasts, distrust
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, Reason, State, Trigger
 
 _EARLIEST_S = 1_735_689_600.0  # 2025: a clock before that has not been set
-_MOST_LOOKS = 3
+_MAX_LOOKS = 3
 _PATIENCE_S = 5.0  # for rates and delays that have not come yet
 _LONG_DELAY_S = 0.5
 _LARGEST_GEOID_M = 110.0
@@ -40,8 +40,8 @@ _NO_RADAR = (
 _LISTENED_S = 5.0  # for other companions: `fly` does, before it takes over
 
 
-class Verdict(enum.Enum):
-    """What a check says of the flight."""
+class CheckStatus(enum.Enum):
+    """Result of a check."""
 
     PASSED = "ok"
     NOTED = "note"
@@ -51,22 +51,22 @@ class Verdict(enum.Enum):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """One point of the list."""
+    """One check of the list."""
 
     name: str
-    verdict: Verdict
+    status: CheckStatus
     what: str
-    """What was found, and the rule."""
+    """The finding and the rule."""
     remedy: str = ""
 
 
-class Heard(Protocol):
-    """What the checks read: a session, and what it has heard so far."""
+class PreflightInputs(Protocol):
+    """The part of a session that the checks read."""
 
     mission: Mission
     context: Context
     state: State
-    vehicle: VehicleSide | None
+    vehicle: AutopilotClient | None
     found: str
     selector: VehicleSelector
     receiver: Receiver
@@ -76,9 +76,9 @@ class Heard(Protocol):
 
 @final
 class Preflight:
-    """`fly` on the ground: the radar looks, then every check must pass before it is armed.
+    """Preflight of `fly`: one radar scan, then every check must pass before arming.
 
-    A radar that did not answer may have just been switched on: it looks again.
+    The scan is repeated if the radar did not answer: it may just have been switched on.
     """
 
     def __init__(self) -> None:
@@ -86,8 +86,8 @@ class Preflight:
         self._looked, self._looks = False, 0
         self._answered_s: float | None = None
 
-    def looks_from(self, heard: Heard) -> Vector | None:
-        """Where from the radar is to look now; None: it need not."""
+    def scan_position(self, heard: PreflightInputs) -> Vector | None:
+        """Position to scan from now; None if no scan is needed."""
         state, here = heard.state, heard.state.vehicle.position_nea_m
         if state.phase is not Phase.PREPARING or heard.context.shadow:
             return None
@@ -102,18 +102,18 @@ class Preflight:
         self._looks += 1
         return here
 
-    def judged(self, heard: Heard) -> Prepared | None:
-        """That all checks have passed, or which one has not; None: not everything is answered."""
+    def result(self, heard: PreflightInputs) -> Prepared | None:
+        """Whether the checks have passed, or which one failed; None while answers are missing."""
         state = heard.state
         due = self._looked and heard.last_scan is not None and Item.CHECKS not in state.prepared
         if not due or state.phase is not Phase.PREPARING or waiting_for(heard):
             return None
         if self._answered_s is None:
             self._answered_s = state.now_s
-        refused = [each for each in checks_of(heard) if each.verdict is Verdict.REFUSED]
+        refused = [each for each in checks_of(heard) if each.status is CheckStatus.REFUSED]
         if not refused:
             return Prepared(time_s=state.now_s, item=Item.CHECKS)
-        if refused[0].name == "radar" and self._looks < _MOST_LOOKS:
+        if refused[0].name == "radar" and self._looks < _MAX_LOOKS:
             self._looked = False
             return None
         if state.now_s - self._answered_s < _PATIENCE_S:
@@ -126,8 +126,8 @@ class Preflight:
         )
 
 
-def waiting_for(heard: Heard) -> str:
-    """What has not been answered yet, in words; empty: nothing."""
+def waiting_for(heard: PreflightInputs) -> str:
+    """What is still missing, as text; empty if nothing."""
     state, vehicle = heard.state, heard.vehicle
     if vehicle is None:
         return "the vehicle's heartbeat"
@@ -141,15 +141,15 @@ def waiting_for(heard: Heard) -> str:
     return ", ".join(waits)
 
 
-def checks_of(session: Heard) -> list[Check]:
-    """Every check, in the order in which a person would go through them."""
+def checks_of(session: PreflightInputs) -> list[Check]:
+    """All checks, in the order of a manual checklist."""
     vehicle = session.vehicle
     checks = [_heard(session)]
     if vehicle is None:
         return checks
     state = session.state
     checks += _link(session, vehicle)
-    checks.append(_alone(vehicle, state))
+    checks.append(_unique_ids(vehicle, state))
     checks += _parameters(vehicle)
     checks += _fence(session, vehicle)
     checks += _position(session, state)
@@ -160,18 +160,18 @@ def checks_of(session: Heard) -> list[Check]:
 
 
 def _check(name: str, passed: bool, what: str, remedy: str = "") -> Check:
-    verdict = Verdict.PASSED if passed else Verdict.REFUSED
-    return Check(name=name, verdict=verdict, what=what, remedy="" if passed else remedy)
+    verdict = CheckStatus.PASSED if passed else CheckStatus.REFUSED
+    return Check(name=name, status=verdict, what=what, remedy="" if passed else remedy)
 
 
 def _remark(name: str, what: str, remedy: str = "") -> Check:
-    return Check(name=name, verdict=Verdict.NOTED, what=what, remedy=remedy)
+    return Check(name=name, status=CheckStatus.NOTED, what=what, remedy=remedy)
 
 
 # --- link, ids
 
 
-def _heard(session: Heard) -> Check:
+def _heard(session: PreflightInputs) -> Check:
     vehicle, others = session.vehicle, sorted(session.selector.others)
     names = ", ".join(str(system) for system in others)
     if vehicle is not None:
@@ -186,7 +186,7 @@ def _heard(session: Heard) -> Check:
     return _check("vehicle", False, "none was heard", "Start it, or check --connect.")
 
 
-def _link(session: Heard, vehicle: VehicleSide) -> Iterator[Check]:
+def _link(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]:
     if session.state.reason is Reason.LINK_LOST:
         lost = Reason.LINK_LOST
         yield _check("link", False, lost.text, lost.remedy)
@@ -205,14 +205,14 @@ def _link(session: Heard, vehicle: VehicleSide) -> Iterator[Check]:
             else f", more than {_LONG_DELAY_S * 1e3:.0f} ms"
         )
         yield _check("link delay", ok, what, "Use a faster link.")
-    passed = session.receiver.passed.total() - session.receiver.passed[Passed.UNKNOWN]
+    passed = session.receiver.passed.total() - session.receiver.passed[Skipped.UNKNOWN]
     if passed:
         yield _remark("noise", f"{passed} times something that is no message was passed over")
 
 
-def _alone(vehicle: VehicleSide, state: State) -> Check:
-    """Nobody else speaks with the companion's own ids."""
-    found = state.namesake or is_suspected(state)
+def _unique_ids(vehicle: AutopilotClient, state: State) -> Check:
+    """No other component uses the companion's ids."""
+    found = state.duplicate_id or is_duplicate_suspected(state)
     ours = f"{vehicle.system_id}/{COMPANION_COMPONENT}"
     what = f"{ours}: {Reason.NOT_ALONE.text}" if found else f"nobody else is {ours}"
     return _check("companion", not found, what, Reason.NOT_ALONE.remedy)
@@ -221,26 +221,26 @@ def _alone(vehicle: VehicleSide, state: State) -> Check:
 # --- what the autopilot holds
 
 
-def _parameters(vehicle: VehicleSide) -> Iterator[Check]:
+def _parameters(vehicle: AutopilotClient) -> Iterator[Check]:
     if not vehicle.parameters.is_done:
         waiting = ", ".join(vehicle.parameters.waiting) or "no answer"
         yield _check("parameters", False, f"not read: {waiting}", "Check the link.")
         return
     for finding in vehicle.findings:
         refused = finding.severity is Severity.REFUSE
-        verdict = Verdict.REFUSED if refused else Verdict.NOTED
+        verdict = CheckStatus.REFUSED if refused else CheckStatus.NOTED
         what = finding.rule
         if finding.severity is Severity.SET and finding.set_to is not None:
             what = f"{what}; will be set to {finding.set_to:g}"
         value = "missing" if finding.value is None else f"{finding.value:g}"
         remedy = f"{finding.remedy}." if finding.remedy and finding.set_to is None else ""
-        yield Check(name=f"{finding.name} = {value}", verdict=verdict, what=what, remedy=remedy)
+        yield Check(name=f"{finding.name} = {value}", status=verdict, what=what, remedy=remedy)
     if not vehicle.findings:
         count = len(vehicle.parameters.values)
         yield _check("parameters", True, f"{count} read, none against the mission")
 
 
-def _fence(session: Heard, vehicle: VehicleSide) -> Iterator[Check]:
+def _fence(session: PreflightInputs, vehicle: AutopilotClient) -> Iterator[Check]:
     state, mission = session.state, session.mission
     if Item.PLANS not in state.prepared and not vehicle.plans.is_done:
         waiting = ", ".join(vehicle.plans.waiting)
@@ -258,12 +258,12 @@ def _fence(session: Heard, vehicle: VehicleSide) -> Iterator[Check]:
         yield _remark("landing", landing)
 
 
-def _against_fence(drawn: fence.Fence, session: Heard) -> Iterator[Check]:
+def _against_fence(drawn: fence.Fence, session: PreflightInputs) -> Iterator[Check]:
     against = fence.conflicts(drawn, session.mission.task, session.state.targets_ne_m)
     for line in against:
         what, _, remedy = line.rpartition(". ")
         yield _check("fence", False, what, f"{remedy}.")
-    for line in drawn.said:
+    for line in drawn.notes:
         yield _remark("fence", line)
     if not against:
         yield _check("fence", True, f"{len(drawn.zones)} zones of the vehicle's own are kept to")
@@ -272,7 +272,7 @@ def _against_fence(drawn: fence.Fence, session: Heard) -> Iterator[Check]:
 # --- where it is
 
 
-def _position(session: Heard, state: State) -> Iterator[Check]:
+def _position(session: PreflightInputs, state: State) -> Iterator[Check]:
     vehicle, limits = state.vehicle, state.task.limits
     distrusted = distrust(vehicle, state.now_s, limits)
     if distrusted is not None:
@@ -288,13 +288,13 @@ def _position(session: Heard, state: State) -> Iterator[Check]:
     if home is not None:
         what = f"the climb ends {height_m:.0f} m above home"
         yield _check("take-off", height_m > 0.0, what, Reason.HOME_TOO_HIGH.remedy)
-    clear = ground.may_rise(state, session.context)
+    clear = ground.may_take_off(state, session.context)
     where = "on the map and clear of zones" if clear else Reason.OUTSIDE.text
     yield _check("place", clear, where, Reason.OUTSIDE.remedy)
     yield from _datum(session, here)
 
 
-def _datum(session: Heard, here_nea_m: tuple[float, float, float]) -> Iterator[Check]:
+def _datum(session: PreflightInputs, here_nea_m: tuple[float, float, float]) -> Iterator[Check]:
     """The vehicle's AMSL against the ellipsoid, and against the terrain that is known."""
     geoid_m = None if session.vehicle is None else session.vehicle.geoid_m
     if geoid_m is not None:
@@ -314,7 +314,7 @@ def _datum(session: Heard, here_nea_m: tuple[float, float, float]) -> Iterator[C
     yield _check("datum", ok, what, "The terrain's vertical datum differs: see terrain.*.")
 
 
-def _battery(session: Heard, state: State) -> Iterator[Check]:
+def _battery(session: PreflightInputs, state: State) -> Iterator[Check]:
     left, mission = state.vehicle.battery, session.mission
     if left is None:
         yield _remark("battery", "the vehicle does not say what is left")
@@ -327,7 +327,7 @@ def _battery(session: Heard, state: State) -> Iterator[Check]:
     yield _check("battery", lasts, what, Reason.BATTERY_SHORT.remedy)
 
 
-def _radar(session: Heard) -> Iterator[Check]:
+def _radar(session: PreflightInputs) -> Iterator[Check]:
     scan, mission = session.last_scan, session.mission
     if mission.scanner_component_id is None:
         yield _remark("radar", "none: only terrain that is known in advance is flown over")
@@ -349,7 +349,7 @@ def _radar(session: Heard) -> Iterator[Check]:
 # --- signing and clock
 
 
-def _signing(session: Heard) -> Iterator[Check]:
+def _signing(session: PreflightInputs) -> Iterator[Check]:
     signed = session.receiver.signed
     if session.signing is None:
         if signed:
@@ -369,8 +369,8 @@ def _signing(session: Heard) -> Iterator[Check]:
 # --- all of it
 
 
-def as_flown(session: Heard) -> Check:
-    """What `fly` would do with a vehicle that has passed the checks."""
+def flight_check(session: PreflightInputs) -> Check:
+    """The mission machine's own verdict on a vehicle that has passed the checks."""
     context = Context(mission=session.mission, seed=0)
     state = session.state
     prepared = state.prepared | {Item.CHECKS}

@@ -1,9 +1,9 @@
-"""MAVLink 2 signing: who may speak to us, and proof of who we are.  mavlink.md 2.6, ardupilot.md 5.
+"""MAVLink 2 signing: verifies received frames, signs ours.  mavlink.md 2.6, ardupilot.md 5.
 
 A signature is 13 bytes after the checksum: link id, a time stamp of 48 bits that counts 10
-microseconds since 2015, and the first 48 bits of SHA-256(key + frame + link id + time stamp).
-Each stream (link id, system, component) must rise; a new one may be a minute behind us.  A time
-stamp ahead of ours is believed, and ours follows it: ArduPilot runs its own a minute ahead.
+microseconds since 2015, and the first 48 bits of SHA-256(key + frame + link id + time stamp).  Each
+stream (link id, system, component) must rise; a new one may be a minute behind us.  A time stamp
+ahead of ours is accepted, and ours follows it: ArduPilot's runs a minute ahead.
 
 pymavlink 2.4.50 signs what we send.  It does not check what comes in: it lets messages that its
 dialect lacks pass unchecked, and lets a forged frame move a stream's time before its signature
@@ -28,14 +28,14 @@ _EPOCH_S: Final = 1_420_070_400
 """1 January 2015, UTC, in seconds since 1970."""
 _LAST: Final = (1 << 48) - 1
 _BEHIND: Final = 60 * TICKS_PER_S
-_MOST_STREAMS: Final = 256
+_MAX_STREAMS: Final = 256
 _COMPLAIN_S: Final = 60.0
 _MARKER: Final = 0xFD
 _SIGNED: Final = 0x01
 _HEADER, _TAIL, _HASH = 10, 13, 6
 
-ALWAYS_TAKEN: Final = frozenset({wire.MAVLINK_MSG_ID_RADIO_STATUS})
-"""Believed unsigned: telemetry radios cannot sign."""
+ACCEPTED_UNSIGNED: Final = frozenset({wire.MAVLINK_MSG_ID_RADIO_STATUS})
+"""Accepted unsigned: telemetry radios cannot sign."""
 SECRETS: Final = frozenset(
     {
         wire.MAVLINK_MSG_ID_SETUP_SIGNING,
@@ -49,7 +49,7 @@ SECRETS: Final = frozenset(
 
 
 class Refusal(enum.Enum):
-    """Why a frame was not believed."""
+    """Why a frame was rejected."""
 
     UNSIGNED = "unsigned"
     WRONG = "wrongly signed"
@@ -93,7 +93,7 @@ def strip_signature(frame: bytes) -> bytes:
 
 @final
 class Signing:
-    """The key of one companion: signs what it sends, and judges what it hears."""
+    """Signs the frames that one companion sends, and verifies those it receives."""
 
     def __init__(self, *, key: bytes, timestamp: int, link_id: int = 0) -> None:
         """timestamp: of the first frame; higher than any that was ever used with this key."""
@@ -122,20 +122,20 @@ class Signing:
         codec.signing = self._ours
 
     def on_time(self, at_s: float) -> None:
-        """Let the time stamp follow a clock of which only the differences count, seconds."""
+        """Advance the time stamp by a clock, of which only differences matter, seconds."""
         if self._began is None:
             self._began = (at_s, self.timestamp)
         began_s, first = self._began
         self._raise_to(_bounded(first + (at_s - began_s) * TICKS_PER_S))
 
     def accepts(self, frame: bytes) -> bool:
-        """Whether a whole frame with the right checksum may be believed; what may not is counted.
+        """Whether to accept a whole frame with the right checksum; rejections are counted.
 
         Only a frame with the right signature changes anything.
         """
         if not is_signed(frame):
             number = frame[7] | frame[8] << 8 | frame[9] << 16 if frame[0] == _MARKER else frame[5]
-            return number in ALWAYS_TAKEN or self._refuse(Refusal.UNSIGNED)
+            return number in ACCEPTED_UNSIGNED or self._refuse(Refusal.UNSIGNED)
         digest = self._hash.copy()
         digest.update(frame[:-_HASH])
         if not hmac.compare_digest(digest.digest()[:_HASH], frame[-_HASH:]):
@@ -144,7 +144,7 @@ class Signing:
         stream = (frame[-_TAIL], frame[5], frame[6])
         newest = self._streams.get(stream)
         if newest is None:
-            if timestamp + _BEHIND < self.timestamp or len(self._streams) >= _MOST_STREAMS:
+            if timestamp + _BEHIND < self.timestamp or len(self._streams) >= _MAX_STREAMS:
                 return self._refuse(Refusal.OLD)
         elif timestamp <= newest:
             return self._refuse(Refusal.REPLAYED)
@@ -153,7 +153,7 @@ class Signing:
         return True
 
     def complaint(self, now_s: float) -> str | None:
-        """What was refused since the last one: at most once a minute, short as a STATUSTEXT."""
+        """Rejections since the last text: at most once a minute, short enough for a STATUSTEXT."""
         new = self.refused - self._told
         if not new or 0.0 <= now_s - self._told_at_s < _COMPLAIN_S:  # a clock may begin again
             return None

@@ -1,8 +1,8 @@
-"""The messages that a flight needs of the autopilot: asked for, and asked for again.
+"""Requests the message streams that a flight needs, and repeats the requests.
 
-A first request may get lost (ardupilot.md 0: the one in the first 60 ms after boot is acknowledged
-and forgotten), a reboot forgets them all, and an acknowledgement is worth nothing (mavlink.md C3):
-what counts is whether the message comes.
+A request may get lost (ardupilot.md 0: one in the first 60 ms after boot is acknowledged and
+dropped), a reboot clears them all, and ACKs are not reliable (mavlink.md C3): only the arrival of
+the message counts.
 """
 
 import math
@@ -18,8 +18,8 @@ _QUIET_S = 10.0  # between requests of what may well have nothing to say
 
 
 @final
-class Streams:
-    """What has been asked of one autopilot, and what came.  Sans-IO."""
+class StreamRequests:
+    """The stream requests to one autopilot, and the messages received.  Sans-IO."""
 
     def __init__(self, system_id: int, autopilot: Autopilot, position_rate_hz: float) -> None:
         self._system_id, self._autopilot = system_id, autopilot
@@ -28,7 +28,7 @@ class Streams:
             **autopilot.streams_hz,
         }
         self.count: dict[int, int] = {}
-        """How often each message has come since the autopilot began; whoever hears it counts."""
+        """How often each message was received since the autopilot booted; counted by the caller."""
         self._before: dict[int, int] = {}
         """The same when it was last looked at."""
         self._asked_s: dict[int, float] = {}
@@ -36,18 +36,18 @@ class Streams:
         self._wanted = False
 
     def begin(self, now_s: float) -> list[Message]:
-        """Ask for everything that does not come by itself."""
+        """Request everything that is not streamed by default."""
         self._wanted, self._looked_s, self._before = True, now_s, dict(self.count)
         self._asked_s = dict.fromkeys(self._wanted_hz, now_s)
         asked = [self._request(each, rate_hz) for each, rate_hz in self._wanted_hz.items()]
         return asked + self._once()
 
     def forget(self) -> None:
-        """The autopilot has rebooted: nothing that was asked for holds any more."""
+        """The autopilot has rebooted: all requests are void."""
         self.count, self._before, self._asked_s, self._looked_s = {}, {}, {}, -math.inf
 
-    def by_another_clock(self, shift_s: float) -> None:
-        """Go on by a clock that shows so much more."""
+    def rebase_time(self, shift_s: float) -> None:
+        """Shift all stored times by this much: the clock was replaced."""
         self._looked_s += shift_s
         self._asked_s = {key: at_s + shift_s for key, at_s in self._asked_s.items()}
 
@@ -57,7 +57,7 @@ class Streams:
         return self._looked_s + _LOOK_S if self._wanted else math.inf
 
     def on_time(self, now_s: float) -> list[Message]:
-        """Requests for what is missing or comes too seldom, every two seconds."""
+        """Requests for messages that are missing or too slow, every two seconds."""
         since_s = now_s - self._looked_s
         if not self._wanted or since_s < _LOOK_S:
             return []
@@ -74,14 +74,14 @@ class Streams:
         """Requests for what is never streamed, until it has come."""
         return [
             self._command(wire.MAV_CMD_REQUEST_MESSAGE, message_id)
-            for message_id in self._autopilot.asked_once
+            for message_id in self._autopilot.requested_once
             if message_id not in self.count
         ]
 
     @property
     def missing(self) -> list[str]:
-        """Names of what was asked for and never came, for people."""
-        quiet = self._autopilot.silent_at_times
+        """Names of requested messages that never came."""
+        quiet = self._autopilot.intermittent
         return [
             wire.mavlink_map[message_id].msgname
             for message_id in self._wanted_hz
@@ -93,7 +93,7 @@ class Streams:
         came = self.count.get(message_id, 0) - self._before.get(message_id, 0)
         if came >= max(expected, 1.0):
             return False
-        again_s = _QUIET_S if message_id in self._autopilot.silent_at_times else _LOOK_S
+        again_s = _QUIET_S if message_id in self._autopilot.intermittent else _LOOK_S
         if now_s - self._asked_s.get(message_id, -math.inf) < again_s:
             return False
         self._asked_s[message_id] = now_s

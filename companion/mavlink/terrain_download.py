@@ -1,10 +1,10 @@
-"""Scans of the terrain radar, one at a time, over TERRAIN_REQUEST, TERRAIN_DATA and TERRAIN_REPORT.
+"""Terrain radar client: one scan at a time by TERRAIN_REQUEST, TERRAIN_DATA and TERRAIN_REPORT.
 
-Requests cover 28 x 32 cells: 7 x 8 blocks of 4 x 4 (message definition: "row major 8x7 array
-of grids").  One is outstanding; what it leaves unanswered is asked for again, and stays unknown
-if that does not help either.  Cells run along true north and east of a request's corner, the
-lattice of the known map along the local frame: each request is laid so that its middle agrees,
-and how far its corners are off is part of the answer (design section 4).
+Requests cover 28 x 32 cells: 7 x 8 blocks of 4 x 4 (message definition: "row major 8x7 array of
+grids").  One is outstanding; blocks without an answer are requested again, and stay unknown if that
+fails too.  Cells run along true north and east of a request's corner, the lattice of the known map
+along the local frame: each request is laid so that its middle agrees, and how far its corners are
+off is part of the answer (design section 4).
 """
 
 import math
@@ -22,14 +22,14 @@ from companion.mission.state import State
 from companion.world.known_map import NO_ANSWER, NOT_SEEN, KnownMap, Scan
 
 MESSAGES = (wire.MAVLINK_MSG_ID_TERRAIN_DATA, wire.MAVLINK_MSG_ID_TERRAIN_REPORT)
-"""What the radar says of a scan."""
+"""The radar's answers."""
 BLOCK = 4
 BLOCK_ROWS, BLOCK_COLUMNS = 7, 8
 ROWS, COLUMNS = BLOCK_ROWS * BLOCK, BLOCK_COLUMNS * BLOCK
 _UNSEEN_WIRE = -32768
 _ANSWER_S = 1.0
 _PAUSE_S = 0.4  # between two answers: then the rest is lost
-_MOST_REQUESTS = 3  # of one area
+_MAX_REQUESTS = 3  # of one area
 _TICKS = 2.0  # a radar's answer may be older by so many positions
 _ALIKE_M = 0.01  # distances that differ by less are the same: what is asked hangs on no last digit
 
@@ -37,7 +37,7 @@ _ALIKE_M = 0.01  # distances that differ by less are the same: what is asked han
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Area:
-    """What one TERRAIN_REQUEST asks for."""
+    """The area of one TERRAIN_REQUEST."""
 
     row: int
     column: int
@@ -128,7 +128,7 @@ def _order(known: KnownMap, area: Area, point_ne_m: tuple[float, float]) -> int:
 
 @final
 class TerrainDownload:
-    """Asks for a scan area by area and collects the answers.  Pure: time is an argument."""
+    """Requests a scan area by area and collects the answers.  Pure: time is an argument."""
 
     def __init__(
         self,
@@ -143,7 +143,7 @@ class TerrainDownload:
         complete: bool = True,
         whole_width: bool = False,
     ) -> None:
-        """towards_ne_m: where the vehicle is going: what lies there is asked for first.
+        """towards_ne_m: where the vehicle is going: that direction is requested first.
 
         complete, whole_width: what the radar promises, as in `Scan`.
         """
@@ -171,7 +171,7 @@ class TerrainDownload:
         """Blocks answered."""
 
     def is_over(self, now_s: float) -> bool:
-        """Whether everything was answered or given up, or time is up."""
+        """Whether every request was answered or given up, or the deadline has passed."""
         return (self._area is None and not self._waiting) or now_s >= self._deadline_s
 
     def on_time(self, now_s: float) -> Message | None:
@@ -179,7 +179,7 @@ class TerrainDownload:
         if self._area is not None:
             if self._is_answering(now_s):
                 return None
-            self._give_back()
+            self._requeue()
         if not self._waiting or now_s >= self._deadline_s:
             return None
         area = self._waiting.pop(0)
@@ -191,7 +191,7 @@ class TerrainDownload:
         )
 
     def _is_answering(self, now_s: float) -> bool:
-        """Whether the outstanding request may still be answered, or answered further."""
+        """Whether answers to the outstanding request may still come."""
         assert self._area is not None
         if self._left != self._left_before:
             self._left_before, self._heard_at_s = self._left, now_s
@@ -208,7 +208,7 @@ class TerrainDownload:
             return
         if message.get_type() == "TERRAIN_REPORT":
             if message.pending == 0:
-                self._give_back()
+                self._requeue()
         elif self._left >> message.gridbit & 1 and message.grid_spacing == round(
             self._known.cell_m
         ):
@@ -229,11 +229,11 @@ class TerrainDownload:
         ]
         self._radar_nea_m[south:north, west:east] = radar_nea_m
 
-    def _give_back(self) -> None:
-        """End the outstanding request; what it left unanswered is asked for again."""
+    def _requeue(self) -> None:
+        """End the outstanding request and queue its missing blocks again."""
         area = self._area
         assert area is not None
-        if self._left and self._tries[area.row, area.column] < _MOST_REQUESTS:
+        if self._left and self._tries[area.row, area.column] < _MAX_REQUESTS:
             self._waiting.append(replace(area, mask=self._left))
         self._area = None
 
@@ -257,7 +257,7 @@ class TerrainDownload:
 
 
 @final
-class Scanning:
+class ScanClient:
     """The scan that is under way.  Sans-IO."""
 
     def __init__(self, mission: Mission) -> None:
@@ -268,7 +268,7 @@ class Scanning:
         """Whether there is a scan under way, or one that is over and was not told yet."""
 
     def begin(self, centre_nea_m: Vector, state: State, now_s: float) -> int:
-        """Look at what is within range of a point.  -> blocks of terrain to ask for."""
+        """Begin a scan around a point.  -> blocks of terrain to request."""
         mission, task, flight = self._mission, state.task, state.flight
         self.is_on = True
         if mission.scanner_component_id is None:
@@ -318,7 +318,7 @@ class Scanning:
 
 
 def _no_scan() -> Scan:
-    """The scan of a vehicle that has no radar: nothing was asked."""
+    """The empty scan of a vehicle without a radar."""
     return Scan(
         row=0,
         column=0,

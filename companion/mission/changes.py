@@ -1,4 +1,4 @@
-"""What is changed from outside during a mission: threats, settings, targets, orders."""
+"""External changes during a mission: threats, settings, targets, orders."""
 
 import enum
 import math
@@ -6,8 +6,8 @@ from typing import Final
 
 from msgspec.structs import replace
 
-from companion.mission import circling, following
-from companion.mission.decisions import Context, Step, because, give_up
+from companion.mission import following, loiter
+from companion.mission.decisions import Context, Step, give_up, with_hold_reason
 from companion.mission.events import (
     Command,
     Event,
@@ -17,19 +17,17 @@ from companion.mission.events import (
     OrderKind,
     Prepared,
     Rebooted,
-    Say,
     ScanDone,
     SetSpeed,
     SettingsChanged,
+    StatusText,
     TargetsChanged,
 )
 from companion.mission.health import battery_is_short
 from companion.mission.state import (
     OVER,
-    Asked,
+    Answered,
     Flight,
-    GoBack,
-    Home,
     OnSetpoints,
     Orders,
     Outward,
@@ -38,15 +36,17 @@ from companion.mission.state import (
     Planning,
     Reason,
     Replan,
+    ReplanHome,
+    ReturnOrdered,
     State,
-    Taken,
+    TakenOver,
     Trigger,
     Vehicle,
 )
 from companion.mission.stopped import fence_breached, resumed
 from companion.planner.adjustable import loosest
 from companion.planner.recheck import is_touched
-from companion.planner.rules import why_no_target
+from companion.planner.rules import target_refusal
 from companion.world.known_map import empty_map
 from companion.world.zone_index import index_of
 
@@ -55,39 +55,39 @@ _NOT_TO_GO_ON = (Phase.LANDING, Phase.HANDING_OVER, Phase.SHADOW, *OVER)
 _OF_VEHICLE = "mission changed"
 
 
-class Verdict(enum.Enum):
-    """What becomes of an order."""
+class OrderResult(enum.Enum):
+    """Result of an order."""
 
     ACCEPTED = "it is carried out"
     INVALID = "it cannot be carried out as it stands"
     NOT_NOW = "it cannot be carried out now"
 
 
-def verdict(state: State, order: Order) -> Verdict:
-    """Whether an order can be carried out, for its acknowledgement."""
+def order_result(state: State, order: Order) -> OrderResult:
+    """The result of an order, for its acknowledgement."""
     in_air = state.phase in (*_ON_PATH, Phase.HOLDING, Phase.ARRIVED)
     match order.kind:
         case OrderKind.REPOSITION:
-            if order.target_ne_m is None or why_no_target(state.task, order.target_ne_m):
-                return Verdict.INVALID
-            return Verdict.ACCEPTED if in_air else Verdict.NOT_NOW
+            if order.target_ne_m is None or target_refusal(state.task, order.target_ne_m):
+                return OrderResult.INVALID
+            return OrderResult.ACCEPTED if in_air else OrderResult.NOT_NOW
         case OrderKind.START | OrderKind.CONTINUE:
-            return Verdict.NOT_NOW if state.phase in _NOT_TO_GO_ON else Verdict.ACCEPTED
+            return OrderResult.NOT_NOW if state.phase in _NOT_TO_GO_ON else OrderResult.ACCEPTED
         case OrderKind.PAUSE:
-            return Verdict.ACCEPTED if _may_pause(state) else Verdict.NOT_NOW
+            return OrderResult.ACCEPTED if _may_pause(state) else OrderResult.NOT_NOW
         case OrderKind.RETURN:
-            held = state.hold is not None and not _is_calm(state)
-            return Verdict.ACCEPTED if in_air and not held else Verdict.NOT_NOW
+            held = state.hold is not None and not _accepts_orders(state)
+            return OrderResult.ACCEPTED if in_air and not held else OrderResult.NOT_NOW
         case OrderKind.SPEED:
-            return Verdict.NOT_NOW if state.phase in OVER else Verdict.ACCEPTED
+            return OrderResult.NOT_NOW if state.phase in OVER else OrderResult.ACCEPTED
 
 
 def why_not(state: State, order: Order) -> str:
-    """What the person is told whose order is not carried out."""
+    """Why an order is refused, as text for its sender."""
     why = f"the mission is {state.phase.value}"
-    if verdict(state, order) is Verdict.INVALID:
+    if order_result(state, order) is OrderResult.INVALID:
         place = order.target_ne_m
-        why = "it has no target" if place is None else why_no_target(state.task, place)
+        why = "it has no target" if place is None else target_refusal(state.task, place)
     elif order.kind is OrderKind.PAUSE and _is_short(state):
         why = Reason.BATTERY_LOW.text
     elif state.phase is Phase.HOLDING and state.reason is not None:
@@ -100,14 +100,14 @@ def _is_short(state: State) -> bool:
 
 
 def _may_pause(state: State) -> bool:
-    """Whether a pause is kept: it would end at once where the battery is short."""
+    """Whether a pause is possible: a low battery would end it at once."""
     if _is_short(state):
         return False
-    return _is_calm(state) or state.phase in _ON_PATH
+    return _accepts_orders(state) or state.phase in _ON_PATH
 
 
-def _is_calm(state: State) -> bool:
-    """Whether it is held so that a person's word counts at once."""
+def _accepts_orders(state: State) -> bool:
+    """Whether an order takes effect immediately in this hold."""
     return isinstance(state.hold, OnSetpoints) and state.reason is not Reason.BATTERY_LOW
 
 
@@ -125,10 +125,10 @@ EVENTS: Final = (
 
 
 def changed(state: State, event: Event, _context: Context) -> Step | None:
-    """What an event that is not a phase's own changes; None: it is left to the phase."""
+    """Handle an event that is independent of the phase; None: left to the phase."""
     match event:
         case ScanDone():
-            return circling.looked(state, event)
+            return loiter.on_loiter_scan(state, event)
         case FenceChanged():
             return _with_fence(state, event)
         case FenceBreach(time_s=time_s):
@@ -142,7 +142,7 @@ def changed(state: State, event: Event, _context: Context) -> Step | None:
                 flown_under = loosest(state.flown_under or state.given, task)
                 state = replace(state, flown_under=flown_under)
             state = state.with_rules(task, state.fence)
-            return state, [Say(text=f"set {what}")], None
+            return state, [StatusText(text=f"set {what}")], None
         case TargetsChanged(targets_ne_m=targets):
             return _with_targets(state, targets, _OF_VEHICLE)
         case Order():
@@ -152,7 +152,7 @@ def changed(state: State, event: Event, _context: Context) -> Step | None:
         case Prepared(refusal=refusal, remedy=remedy) if refusal and state.phase is Phase.ARMING:
             return give_up(state, Reason.REFUSED, f": {refusal}", remedy)
         case Prepared(refusal=refusal) if refusal and state.phase is not Phase.PREPARING:
-            return state, [Say(text=refusal, warning=True)], None
+            return state, [StatusText(text=refusal, warning=True)], None
         case _:
             return None
 
@@ -161,15 +161,15 @@ def changed(state: State, event: Event, _context: Context) -> Step | None:
 
 
 def _with_fence(state: State, event: FenceChanged) -> Step:
-    """Another fence: the rest of the path is looked at again, and left where it is touched."""
+    """A new fence: recheck the rest of the path, and stop if it conflicts."""
     known = state.fence is not None
     state = state.with_rules(state.given, event)
     count = len(event.zones)
-    says: list[Command] = [Say(text=f"fence: {count} zones", warning=known)]
+    says: list[Command] = [StatusText(text=f"fence: {count} zones", warning=known)]
     if (inside := _inside(state)) and state.phase not in _ON_PATH:
-        says.append(Say(text=f"inside zone {inside}", warning=True))
+        says.append(StatusText(text=f"inside zone {inside}", warning=True))
     if not _is_touched(state):
-        return state, says, None  # `circling` sees to the place where a plane waits
+        return state, says, None  # `loiter` sees to the place where a plane waits
     if state.phase not in _ON_PATH:  # a path that was to be gone on with
         flight = following.at_rest(state.flight, state.flight.hover_nea_m)
         return replace(state, flight=flight), says, None
@@ -178,7 +178,7 @@ def _with_fence(state: State, event: FenceChanged) -> Step:
 
 
 def _is_touched(state: State) -> bool:
-    """Whether the rest of the path breaks a rule that is new."""
+    """Whether the rest of the path conflicts with a new rule."""
     flight = state.flight
     legs = [(flight.leg, flight.reference.length_m), (flight.next_leg, 0.0)]
     legs += [(leg, 0.0) for leg in flight.back]
@@ -186,7 +186,7 @@ def _is_touched(state: State) -> bool:
 
 
 def _inside(state: State) -> str:
-    """The name of a zone that the vehicle is in; empty: none."""
+    """The name of a zone that the vehicle violates; empty: none."""
     here = state.vehicle.position_nea_m
     if here is None:
         return ""
@@ -198,25 +198,29 @@ def _inside(state: State) -> str:
 
 
 def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], why: str) -> Step:
-    """Other targets: the way to the first of them is planned from where the vehicle stops."""
+    """New targets: stop, and plan to the first of them."""
     if targets_ne_m == state.targets_ne_m and (why == _OF_VEHICLE or _flies_there(state)):
         return state, [], None
     if why == _OF_VEHICLE and (state.flight.returning or state.flight.fallen_back is not None):
-        return state, [Say(text="mission changed: returning all the same", warning=True)], None
+        return (
+            state,
+            [StatusText(text="mission changed: returning all the same", warning=True)],
+            None,
+        )
     if not targets_ne_m and state.phase not in (Phase.WAITING, Phase.PREPARING):
         text = "the vehicle's mission is empty: the old one is flown"
-        return state, [Say(text=text, warning=True)], None
+        return state, [StatusText(text=text, warning=True)], None
     for target in targets_ne_m:
-        if trouble := why_no_target(state.task, target):
-            return state, [Say(text=f"{why}: {trouble}", warning=True)], None
+        if trouble := target_refusal(state.task, target):
+            return state, [StatusText(text=f"{why}: {trouble}", warning=True)], None
     flight = replace(state.flight, target=0, route_ne_m=(), stops=0, failures=0, way=Outward())
-    search = Asked() if isinstance(flight.search, Planning) else flight.search
-    flight = replace(flight, fallen_back=None, search=search, planning_back=None, refusal=None)
+    search = Answered() if isinstance(flight.search, Planning) else flight.search
+    flight = replace(flight, fallen_back=None, search=search, planning_backtrack=None, refusal=None)
     vehicle = replace(state.vehicle, battery_short_at_s=None)  # it may reach this one
     state = replace(state, targets_ne_m=targets_ne_m, flight=flight, vehicle=vehicle)
     if why != _OF_VEHICLE:
         state = replace(state, orders=Orders())
-    says: list[Command] = [Say(text=why)]
+    says: list[Command] = [StatusText(text=why)]
     if state.phase in _ON_PATH and targets_ne_m:
         state, commands, trigger = following.stop(state, Reason.NEW_TARGET)
         return state, [*says, *commands], trigger
@@ -224,13 +228,13 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
         if state.asks == 0:
             return state, says, Trigger.NEXT_TARGET
         return replace(state, reason=Reason.TAKING_OVER), says, Trigger.FAULT  # it may hold by now
-    if isinstance(state.hold, Paused | GoBack):
-        return because(state, Reason.NEW_TARGET), says, None
+    if isinstance(state.hold, Paused | ReturnOrdered):
+        return with_hold_reason(state, Reason.NEW_TARGET), says, None
     return state, says, None
 
 
 def _flies_there(state: State) -> bool:
-    """Whether the vehicle is on its way to the first target, and nobody wants anything else."""
+    """Whether the vehicle is flying to the first target, with no other order active."""
     outward = state.phase is Phase.FLYING and state.flight.target == 0
     return outward and state.orders.active is None and not state.flight.homeward
 
@@ -255,38 +259,38 @@ def _ordered(state: State, order: Order) -> Step:
 
 
 def _go_on(state: State) -> Step:
-    """A pause is over: what stood before it stands again."""
+    """End a pause: the order suspended by it is active again."""
     flight, stop, wanted = state.flight, state.flight.stop, state.orders.suspended
     state = replace(state, orders=state.orders.continued())
     if state.phase in _ON_PATH and stop is not None and stop.reason is Reason.PAUSED:  # it brakes
         flight = replace(flight, stop=replace(stop, reason=wanted or Reason.CONTINUED))
-        return replace(state, flight=flight), [Say(text="going on")], None
+        return replace(state, flight=flight), [StatusText(text="going on")], None
     if isinstance(state.hold, Paused):
         state, commands, trigger = resumed(state)
-        return state, [Say(text="going on"), *commands], trigger
-    if isinstance(state.hold, Taken):
-        return replace(state, hold=replace(state.hold, told_at_s=state.now_s)), [], None
+        return state, [StatusText(text="going on"), *commands], trigger
+    if isinstance(state.hold, TakenOver):
+        return replace(state, hold=replace(state.hold, released_at_s=state.now_s)), [], None
     return state, [], None
 
 
 def _pause(state: State) -> Step:
-    """Hold until told otherwise; a return that was asked for, and has not begun, waits."""
+    """Hold until an order to continue; a return that has not begun is suspended."""
     if not _may_pause(state):
         return state, [], None
     state = replace(state, orders=state.orders.paused())
     if state.phase in _ON_PATH:
         return following.stop(state, Reason.PAUSED)
-    state = replace(state, flight=replace(state.flight, planning_back=None))
-    return because(state, Reason.PAUSED), [Say(text=Reason.PAUSED.text)], None
+    state = replace(state, flight=replace(state.flight, planning_backtrack=None))
+    return with_hold_reason(state, Reason.PAUSED), [StatusText(text=Reason.PAUSED.text)], None
 
 
 def _with_speed(state: State, speed_m_s: float | None) -> Step:
-    """A lower speed than the mission's; a higher one is cut to it: the proofs are about that."""
+    """Set the speed, limited to the mission's speed, for which paths are proven."""
     limit = math.inf if speed_m_s is None else speed_m_s
     top_m_s = state.task.limits.speed_m_s
     flight = replace(state.flight, speed_limit_m_s=limit)
     speed = min(limit, top_m_s)
-    commands: list[Command] = [Say(text=f"speed {speed:.1f} m/s")]
+    commands: list[Command] = [StatusText(text=f"speed {speed:.1f} m/s")]
     if state.phase in _ON_PATH:
         commands.append(SetSpeed(speed_m_s=speed))
     return replace(state, flight=flight), commands, None
@@ -299,7 +303,7 @@ def _return(state: State) -> Step:
     if state.phase is Phase.FLYING:
         return following.stop(state, Reason.RETURN_ASKED)
     if isinstance(state.hold, Replan | Paused):
-        return because(state, Reason.RETURN_ASKED), [], None
+        return with_hold_reason(state, Reason.RETURN_ASKED), [], None
     if state.phase is Phase.ARRIVED:
         if state.asks:  # for the end action's mode, which it may have by now
             return replace(state, reason=Reason.TAKING_OVER), [], Trigger.FAULT
@@ -311,7 +315,7 @@ def _return(state: State) -> Step:
 
 
 def _rebooted(state: State) -> Step:
-    """Everything that was known of the vehicle is prepared again; the terrain stays known."""
+    """The autopilot has rebooted: prepare again; the known terrain is kept."""
     flight = state.flight
     blank = Flight(
         known=flight.known,
@@ -320,10 +324,10 @@ def _rebooted(state: State) -> Step:
         legs_flown=flight.legs_flown,
         flown=flight.flown,
         speed_limit_m_s=flight.speed_limit_m_s,
-        way=Home() if flight.homeward else Outward(),
+        way=ReplanHome() if flight.homeward else Outward(),
         fallen_back=flight.fallen_back,
     )
-    vehicle = Vehicle(driving=state.vehicle.driving, bad_at_s=state.now_s)
+    vehicle = Vehicle(traits=state.vehicle.traits, bad_at_s=state.now_s)
     if flight.returning:  # the way back is asked for again
         orders = Orders(Reason.RETURN_ASKED)
         paused = state.orders.active is Reason.PAUSED
@@ -334,4 +338,4 @@ def _rebooted(state: State) -> Step:
         vehicle=vehicle,
         prepared=frozenset(),
     )
-    return state, [Say(text=Reason.REBOOTED.text, warning=True)], Trigger.PREPARE_AGAIN
+    return state, [StatusText(text=Reason.REBOOTED.text, warning=True)], Trigger.PREPARE_AGAIN

@@ -1,8 +1,8 @@
-"""What a companion that is started again in flight has to know of the one before it (design 7).
+"""Checkpoint: the state that a companion restarted in flight resumes from (design 7).
 
-Plain values, for a file: the path in force, how far the mission has come, the way here, the
-settings, and the vehicle's fence.  The known map is kept beside it.  Where they cannot be read, a
-vehicle in the air is taken over all the same, without them (`forgotten`).
+Plain values, for a file: the current path, the mission's progress, the flown path, the settings
+and the vehicle's fence.  The known map is stored beside it.  If they cannot be read, a vehicle in
+the air is still taken over, without them (`without_checkpoint`).
 """
 
 import math
@@ -16,12 +16,21 @@ from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged
 from companion.mission.mission import Mission
-from companion.mission.state import IN_AIR, Back, Home, Orders, Outward, Phase, Reason, State
+from companion.mission.state import (
+    IN_AIR,
+    Backtracking,
+    Orders,
+    Outward,
+    Phase,
+    Reason,
+    ReplanHome,
+    State,
+)
 from companion.path.subpath import Subpath
 from companion.planner import adjustable
 from companion.planner.outcomes import control_points
 from companion.planner.procedure import Leg
-from companion.planner.request import Refusal, Stretch
+from companion.planner.request import FlownSegment, Refusal
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, empty_map
@@ -29,10 +38,17 @@ from companion.world.threats import CircleZone, PolygonZone, Zone
 
 Values = dict[str, Any]
 
-NOT_SUCH = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
-"""What values that are no checkpoint may raise when they are restored."""
+DECODE_ERRORS = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
+"""Exceptions that restoring invalid values may raise."""
 PERIOD_S, LONGEST_S = 1.0, 10.0
-_LATER: Final[Values] = {"set_aside": None, "refusal": None, "sank": False}
+_ADDED_LATER: Final[Values] = {"set_aside": None, "refusal": None, "sank": False}
 """Fields that older checkpoints do not have."""
 
 
@@ -53,7 +69,7 @@ def values_of(state: State) -> Values:
 
 
 def _plain(value: Any) -> Any:
-    """Enumerations by their names, null for a limit that there is not."""
+    """Enumerations by name, infinite limits as null."""
     match value:
         case Enum():
             return value.name
@@ -68,7 +84,7 @@ def _plain(value: Any) -> Any:
         case FenceChanged():
             limits = {name: getattr(value, name) for name in ("floor_amsl_m", "ceiling_amsl_m")}
             return {"zones": [_of_zone(zone) for zone in value.zones], **limits}
-        case Stretch():
+        case FlownSegment():
             return [value.control_nea_m.tolist(), value.from_m, value.until_m]
         case float():
             return value if math.isfinite(value) else None
@@ -76,23 +92,23 @@ def _plain(value: Any) -> Any:
             return value
 
 
-def beginning(mission: Mission, resume: tuple[Values, KnownMap | None] | None) -> State:
-    """The state that a mission begins with: blank, or what another companion has left."""
+def initial_state(mission: Mission, resume: tuple[Values, KnownMap | None] | None) -> State:
+    """The initial state of a mission: blank, or from a checkpoint."""
     if resume is None:
-        return State.of(mission, blank(mission))
+        return State.of(mission, blank_map(mission))
     values, kept = resume
-    known = blank(mission, values)
+    known = blank_map(mission, values)
     if "lost" in values:
         state, time_s = State.of(mission, known), float(values["t_s"])
         flight = replace(state.flight, plan_id=int(values["plan_id"]))
         state = replace(state, now_s=time_s, since_s=time_s, airborne=True, flight=flight)
     else:
         state = restored(mission, kept or known, values)
-    return replace(state, news=". ".join(news_of(values)))
+    return replace(state, news=". ".join(restore_notes(values)))
 
 
-def blank(mission: Mission, values: Values | None = None) -> KnownMap:
-    """What is known of the terrain before the first scan; under the settings of a checkpoint."""
+def blank_map(mission: Mission, values: Values | None = None) -> KnownMap:
+    """The known map before the first scan; with the settings of a checkpoint, if given."""
     task = mission.task if values is None else _task(mission, values.get("settings"))
     return mission.known or empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
 
@@ -107,13 +123,13 @@ def _task(mission: Mission, settings: Values | None) -> Task:
     return task
 
 
-def forgotten(
+def without_checkpoint(
     why: str, *, system_id: int | None = None, time_s: float = 0.0, plan_id: int = 0
 ) -> Values:
-    """What stands for the checkpoint of a flight of which none can be read.
+    """Substitute for a checkpoint that cannot be read.
 
-    The vehicle may be in the air, so it is never armed: `airborne` from the beginning.
-    system_id, time_s, plan_id: the vehicle, its clock and the newest plan, where they are known.
+    The vehicle may be in the air, so `airborne` is set and it is never armed.  system_id, time_s,
+    plan_id: the vehicle, its clock and the newest plan, where known.
     """
     return {"lost": why, "system_id": system_id, "t_s": time_s, "plan_id": plan_id}
 
@@ -123,8 +139,8 @@ def without_map(values: Values, why: str) -> Values:
     return {**values, "map_lost": why}
 
 
-def news_of(values: Values) -> list[str]:
-    """What could not be restored, for people."""
+def restore_notes(values: Values) -> list[str]:
+    """What could not be restored, as text for the operator."""
     news = []
     if "lost" in values:
         news.append(f"taking over without memory of the flight: {values['lost']}")
@@ -133,19 +149,19 @@ def news_of(values: Values) -> list[str]:
     return news
 
 
-def told(values: Values) -> Values:
-    """The journal's entry about going on."""
+def resumed_entry(values: Values) -> Values:
+    """The journal entry of a resumed flight."""
     lost: Values = {key: values[key] for key in ("lost", "map_lost") if key in values}
     return {"phase": values.get("phase"), **lost}
 
 
 def restored(mission: Mission, known: KnownMap, values: Values) -> State:
-    """The state from which the mission goes on; one of `NOT_SUCH` if these are not such values.
+    """The state to resume from; raises one of `DECODE_ERRORS` for invalid values.
 
-    What the vehicle does now is not in it: the vehicle is prepared again.
+    The vehicle's state is not part of it: the vehicle is prepared again.
     """
     _must_be_finite(values)
-    values = _LATER | values
+    values = _ADDED_LATER | values
     kept, under = _read(values, _OF_STATE), values.get("flown_under")
     given = _task(mission, values.get("settings"))
     state = State.of(mission, known).with_rules(given, kept["fence"])
@@ -156,7 +172,11 @@ def restored(mission: Mission, known: KnownMap, values: Values) -> State:
         **_read(values, _OF_FLIGHT),
         leg=_leg(values["leg"], rules),
         next_leg=_leg(values["next_leg"], rules),
-        way=Back(back) if values["returning"] else Home() if values["homeward"] else Outward(),
+        way=Backtracking(back)
+        if values["returning"]
+        else ReplanHome()
+        if values["homeward"]
+        else Outward(),
     )
     time_s = float(values["t_s"])
     state = replace(
@@ -181,7 +201,7 @@ def _read(values: Values, kinds: dict[str, Callable[[Any], Any]]) -> Values:
 
 
 def _must_be_finite(value: Any) -> None:
-    """ValueError for a number that a vehicle cannot be sent to."""
+    """Raise ValueError for numbers that are not finite."""
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{value} among the numbers")
     inner = value.values() if isinstance(value, dict) else value
@@ -198,15 +218,15 @@ def _places(values: list[list[float]]) -> tuple[tuple[float, float], ...]:
     return tuple((float(north), float(east)) for north, east in values)
 
 
-def _stretches(values: list[Any]) -> tuple[Stretch, ...]:
+def _segments(values: list[Any]) -> tuple[FlownSegment, ...]:
     return tuple(
-        Stretch(control_nea_m=control_points(control), from_m=float(low), until_m=float(high))
+        FlownSegment(control_nea_m=control_points(control), from_m=float(low), until_m=float(high))
         for control, low, high in values
     )
 
 
 def _leg(values: Values | None, rules: Task) -> Leg | None:
-    """rules: those in force; whether it was proven under them, their digest tells."""
+    """rules: those in force; their digest tells whether the leg was proven under them."""
     if values is None:
         return None
     return Leg(
@@ -229,7 +249,7 @@ def _fence(values: Values | None) -> FenceChanged | None:
 
 @lru_cache(maxsize=1024)
 def _of_zone(zone: Zone) -> Values:
-    """Kept, not to be changed: it is asked for every second, and the same for a whole flight."""
+    """Cached, not to be modified: needed every second, and the same for a whole flight."""
     values: Values = {"name": zone.name, "keep_in": zone.keep_in}
     if isinstance(zone, CircleZone):
         return {**values, "circle": [zone.north_m, zone.east_m, zone.radius_m]}
@@ -256,7 +276,7 @@ _OF_FLIGHT: Final[dict[str, Callable[[Any], Any]]] = {
     "joined_m": float,
     "route_ne_m": _places,
     "speed_limit_m_s": lambda value: math.inf if value is None else float(value),
-    "flown": _stretches,
+    "flown": _segments,
     "refusal": lambda name: None if name is None else Refusal[name],
     "fallen_back": _reason,
 }
@@ -264,27 +284,27 @@ _OF_LEG: Final[dict[str, Callable[[Any], Any]]] = {
     **dict.fromkeys(("number", "plan_id"), int),
     **dict.fromkeys(("reaches_target", "through"), bool),
 }
-"""Fields that are kept, and what makes them of what `_plain` has made of them."""
+"""Fields that are stored, and their decoders from what `_plain` returns."""
 _WAY: Final = ("returning", "homeward", "leg", "next_leg", "back")
-kept_of: Final = attrgetter(
+persisted_fields: Final = attrgetter(
     *(*_OF_STATE, "orders", "phase", "obeyed", "given", "flown_under"),
     *(f"flight.{name}" for name in (*_OF_FLIGHT, "way", "leg", "next_leg")),
 )
-"""All of a state that a checkpoint is made of, but for the time."""
+"""All fields of a state in a checkpoint, except the time."""
 
 
 @final
-class Keeper:
-    """Says when there is something to keep: once a second, and when the map has grown.
+class CheckpointPolicy:
+    """Decides when to write a checkpoint: once a second, and when the map has grown.
 
-    Where nothing but the time has changed, every ten seconds: replacing a file wears out a card,
-    and took a sixth of a flight in lockstep.
+    If only the time has changed, every ten seconds: rewriting a file wears out flash memory, and
+    took a sixth of the run time of a flight in lockstep.
     """
 
     def __init__(self) -> None:
         self.kept_at_s = -math.inf
         self.kept: tuple[Any, ...] = ()
-        """`kept_of` that."""
+        """`persisted_fields` that."""
         self.known: KnownMap | None = None
 
     def due(
@@ -297,7 +317,7 @@ class Keeper:
         since_s = now_s - self.kept_at_s
         if 0.0 <= since_s < PERIOD_S and not (grown or at_once):
             return None, None
-        kept = kept_of(state)
+        kept = persisted_fields(state)
         if kept == self.kept and 0.0 <= since_s < LONGEST_S and not (grown or at_once):
             return None, None
         self.kept_at_s, self.known, self.kept = now_s, state.flight.known, kept

@@ -1,4 +1,4 @@
-"""What the handlers of all phases have in common: a step, asking, giving up, faults."""
+"""Common parts of the phase handlers: step, requests, giving up, faults."""
 
 import math
 from dataclasses import dataclass
@@ -14,18 +14,18 @@ from companion.planner.request import Refusal
 from companion.world.zone_index import index_of
 
 Step = tuple[State, list[Command], Trigger | None]
-"""The new state, what to do, and what moves the mission to another phase."""
+"""The new state, commands, and the trigger of a phase change."""
 
 ASK_AGAIN_S = 1.0
 GONE_S = 30.0
 GONE_IN_AIR_S = 600.0
 STOPPED_M_S = 0.5
 AT_M = 5.0
-BROKEN_OFF = "landing broken off: MISSION_START to the companion lands it"
+LANDING_ABORTED = "landing broken off: MISSION_START to the companion lands it"
 _HEARTBEAT_S = 5.0  # four or five of them missed (mavlink.md 2.1)
 _GROUNDED_S = 1.5
 _FENCE_S = 5.0  # between a breach of the fence, and what the autopilot does about it
-_SUSPECT_S = 2.5  # somebody with our ids who has said so much may have died meanwhile
+_SUSPECT_S = 2.5  # another companion with our ids may have died meanwhile
 _THERE_S = 5.0
 _SECOND_S = 5.0  # who hears another so soon after it took over has not been there first
 
@@ -33,25 +33,25 @@ _SECOND_S = 5.0  # who hears another so soon after it took over has not been the
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Context:
-    """What stays the same during a mission."""
+    """The constants of a mission."""
 
     mission: Mission
     seed: int
     lockstep: bool = False
-    """A simulator waits for each answer: what is silent for long has ended."""
+    """A simulator waits for each answer: a long silence means that it has ended."""
     shadow: bool = False
-    """Only watch: plan and say, never command."""
+    """Watch only: plan and report, never command."""
 
 
 def ask(state: State, *commands: Command) -> Step:
-    """Ask for something, once a second."""
+    """Send requests, once a second."""
     if state.now_s - state.asked_at_s < ASK_AGAIN_S:
         return state, [], None
     return replace(state, asked_at_s=state.now_s, asks=state.asks + 1), list(commands), None
 
 
-def words(state: State, reason: Reason) -> tuple[str, str]:
-    """What there is to say of a reason beyond its own text, and the remedy: the planner's own."""
+def reason_text(state: State, reason: Reason) -> tuple[str, str]:
+    """Detail and remedy of a reason; for plans the planner's own."""
     if reason is Reason.POSITION_ELSEWHERE:
         return f": {astray_m(state.vehicle):.0f} m away", reason.remedy
     refusal = state.flight.refusal
@@ -63,9 +63,9 @@ def words(state: State, reason: Reason) -> tuple[str, str]:
 
 
 def give_up(state: State, reason: Reason, detail: str = "", remedy: str = "") -> Step:
-    """End the mission; a vehicle in the air is left in its hold mode, or on its own way home."""
+    """End the mission; a vehicle in the air is left in its hold mode, or in RTL."""
     if not detail:
-        detail, remedy = words(state, reason)
+        detail, remedy = reason_text(state, reason)
     return replace(state, reason=reason, detail=detail, remedy=remedy), [], Trigger.GIVE_UP
 
 
@@ -80,36 +80,37 @@ def in_phase_s(state: State) -> float:
 
 
 def is_gone(state: State, event: Event, context: Context) -> bool:
-    """Whether the vehicle has been silent for too long to hope for it."""
+    """Whether the vehicle has been silent for too long."""
     return isinstance(event, LinkLost) and event.silent_s >= longest_silence_s(state, context)
 
 
 def longest_silence_s(state: State, context: Context) -> float:
-    """How long a silent vehicle is waited for.
-
-    One in the air for long: it may come back with nobody else to look after it.
-    """
+    """How long to wait for a silent vehicle: longer in the air, as it may come back unattended."""
     return GONE_IN_AIR_S if state.airborne and not context.lockstep else GONE_S
 
 
-def taken_by(state: State) -> Reason:
-    """Who has changed the mode: a person, or the autopilot for its own fence or another failsafe.
+def takeover_reason(state: State) -> Reason:
+    """Who has changed the mode: the pilot, or the autopilot for its fence or another failsafe.
 
-    Of the fence it says so, or it acts on a failsafe outside of it (PX4, which tells a companion
-    little).  A person who selects hold, return or land in a failsafe looks like the failsafe.
+    A fence breach is reported, or inferred from a failsafe outside of the fence (PX4).  A pilot who
+    selects hold, return or land during a failsafe cannot be told from the failsafe.
     """
     vehicle = state.vehicle
     if vehicle.mode not in (Mode.HOLD, Mode.RETURN, Mode.LAND):
         return Reason.MODE_TAKEN
     said = 0.0 <= state.now_s - vehicle.fence_breached_at_s < _FENCE_S
-    acts = vehicle.driving.streams_first and vehicle.failsafe and _is_out_of_its_fence(state)
+    acts = (
+        vehicle.traits.needs_setpoints_before_offboard
+        and vehicle.failsafe
+        and _is_out_of_its_fence(state)
+    )
     if said or acts:
         return Reason.FENCE_BREACHED
     return Reason.FAILSAFE if vehicle.failsafe else Reason.MODE_TAKEN
 
 
 def _is_out_of_its_fence(state: State) -> bool:
-    """Whether the vehicle is, as far as its position tells, where its own fence forbids it."""
+    """Whether the vehicle's position violates its own fence."""
     fence, here = state.fence, state.vehicle.position_nea_m
     if fence is None or here is None:
         return False
@@ -120,54 +121,60 @@ def _is_out_of_its_fence(state: State) -> bool:
 
 
 def is_silent(state: State) -> bool:
-    """Whether there are no heartbeats: who flies it is not known then, whatever else it says."""
+    """Whether there are no heartbeats: then it is unknown who controls the vehicle."""
     return state.now_s - state.vehicle.status_at_s > _HEARTBEAT_S
 
 
 def _lost_stream(vehicle: Vehicle) -> bool:
-    """Whether it holds because setpoints were lost on the way to it (PX4), not for a person."""
-    return vehicle.driving.streams_first and vehicle.failsafe and vehicle.mode is Mode.HOLD
+    """Whether it holds because setpoints were lost on the link (PX4), not on a pilot's command."""
+    return (
+        vehicle.traits.needs_setpoints_before_offboard
+        and vehicle.failsafe
+        and vehicle.mode is Mode.HOLD
+    )
 
 
 def is_grounded(state: State) -> bool:
-    """Whether the vehicle has been on the ground for a moment: one such word may be wrong."""
+    """True after 1.5 s of ON_GROUND: single reports are unreliable."""
     vehicle = state.vehicle
     on_ground = vehicle.landed is Landed.ON_GROUND
     return on_ground and state.now_s - vehicle.landed_at_s > _GROUNDED_S
 
 
-def rises(state: State) -> bool:
-    """Whether its autopilot's own take-off is ours: nobody else has selected it."""
+def is_own_takeoff(state: State) -> bool:
+    """Whether the autopilot's take-off mode was requested by us."""
     return state.phase in (Phase.ARMING, Phase.TAKING_OFF) or isinstance(state.hold, TakeOver)
 
 
-def is_led(state: State) -> bool:
-    """Whether the vehicle flies for us now, so that it has to be put on hold if we end."""
+def is_under_control(state: State) -> bool:
+    """Whether we control the vehicle now, so that it must be put on hold if we end."""
     phase, mode = state.phase, state.vehicle.mode
     flies = state.airborne and phase in (*IN_AIR, Phase.PREPARING, Phase.ARMING)
-    ours = mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and rises(state))
-    return flies and ours and not came_second(state)
+    ours = mode is Mode.GUIDED or (mode is Mode.TAKE_OFF and is_own_takeoff(state))
+    return flies and ours and not is_second_companion(state)
 
 
-def is_suspected(state: State) -> bool:
-    """Whether somebody else with our ids was heard lately, be it what a dead one has left."""
-    return 0.0 <= state.now_s - state.namesake_at_s < _SUSPECT_S
+def is_duplicate_suspected(state: State) -> bool:
+    """Whether another sender with our ids was heard lately, possibly frames left by a dead one."""
+    return 0.0 <= state.now_s - state.duplicate_id_at_s < _SUSPECT_S
 
 
-def came_second(state: State) -> bool:
-    """Whether there certainly is another companion, and this one has not had the vehicle before."""
-    is_there = state.namesake and 0.0 <= state.now_s - state.namesake_at_s < _THERE_S
-    is_late = not has_led(state) or 0.0 <= state.now_s - state.led_at_s < _SECOND_S
+def is_second_companion(state: State) -> bool:
+    """Whether there certainly is another companion, and this one has not had control before."""
+    is_there = state.duplicate_id and 0.0 <= state.now_s - state.duplicate_id_at_s < _THERE_S
+    is_late = (
+        not has_had_control(state) or 0.0 <= state.now_s - state.in_control_since_s < _SECOND_S
+    )
     return is_there and is_late
 
 
-def has_led(state: State) -> bool:
-    """Whether this companion has had the vehicle in the air."""
-    return state.led_at_s < math.inf
+def has_had_control(state: State) -> bool:
+    """Whether this companion has had control of the vehicle in the air."""
+    return state.in_control_since_s < math.inf
 
 
-def because(state: State, reason: Reason) -> State:
-    """A hold for another reason, from now on."""
+def with_hold_reason(state: State, reason: Reason) -> State:
+    """The state with another reason for the hold."""
     hold = state.hold if isinstance(state.hold, reason.hold) else reason.hold()
     state = replace(state, reason=reason, hold=hold, since_s=state.now_s)
     return replace(state, asked_at_s=-1e9, asks=0, obeyed=False)
@@ -178,12 +185,11 @@ def cannot_fly(
     event: Event,
     modes: tuple[Mode, ...] = (Mode.GUIDED,),
     *,
-    stands: bool = False,
+    may_be_grounded: bool = False,
 ) -> Reason | None:
-    """Why the flight cannot go on as it is; None: it can.  stands: it may still be on the ground.
+    """Why the flight cannot go on; None: it can.  stands: it may still be on the ground.
 
-    That the vehicle does not do what it is told comes before that its position is not to be
-    believed.
+    That the vehicle does not obey takes precedence over an invalid position.
     """
     vehicle = state.vehicle
     if isinstance(event, LinkLost) or state.now_s - vehicle.status_at_s > _HEARTBEAT_S:
@@ -191,10 +197,10 @@ def cannot_fly(
     if not vehicle.armed:
         return Reason.DISARMED
     if vehicle.mode not in modes:
-        taken = taken_by(state)
+        taken = takeover_reason(state)
         lost = taken is not Reason.FENCE_BREACHED and _lost_stream(vehicle)
         return Reason.STREAM_LOST if lost else taken
-    if not stands and vehicle.landed is Landed.ON_GROUND and is_grounded(state):
+    if not may_be_grounded and vehicle.landed is Landed.ON_GROUND and is_grounded(state):
         return Reason.GROUNDED
     return vehicle.distrust
 
@@ -205,5 +211,5 @@ def speed_m_s(event: Position) -> float:
 
 
 def is_at_rest(state: State, event: Position) -> bool:
-    """Whether the vehicle stands, as far as it can stand."""
-    return not state.vehicle.driving.hovers or speed_m_s(event) < STOPPED_M_S
+    """Whether the vehicle is at rest, or loitering if it is a plane."""
+    return not state.vehicle.traits.hovers or speed_m_s(event) < STOPPED_M_S

@@ -1,4 +1,4 @@
-"""What happened and what was decided, as journal entries: plain values, as `journal` declares."""
+"""Events and decisions as journal entries: plain values of the types declared in `journal`."""
 
 from collections.abc import Iterator
 from typing import Any, Final
@@ -29,11 +29,11 @@ _SAME: Final[dict[type, type[journal.Entry]]] = {
 }
 """Events and commands whose fields are those of their entry.
 
-Of the others, what many times a second happens is in the telemetry log."""
+Frequent events are only in the telemetry log."""
 
 
 def of_event(event: Event, state: State) -> Entry | None:
-    """The entry of an event, None for those that the telemetry log holds; state: after it."""
+    """The entry of an event, None for those only in the telemetry log; state: after the event."""
     if (kind := _SAME.get(type(event))) is not None:
         return _entry(kind, event)
     match event:
@@ -55,7 +55,7 @@ def of_event(event: Event, state: State) -> Entry | None:
             )
         case events.PlanReady(outcome=NotPlanned() as refused):
             return _entry(journal.PlanRefused, refused, reason=refused.refusal.name)
-        case events.Namesake(certain=True, news=True):
+        case events.DuplicateId(certain=True, news=True):
             return _entry(journal.AnotherCompanion)
         case events.Order():
             return _entry(journal.OrderGiven, event, order=event.kind.name)
@@ -64,7 +64,7 @@ def of_event(event: Event, state: State) -> Entry | None:
 
 
 def of_change(before: State, after: State) -> Iterator[Entry]:
-    """The entries of how far the mission has come."""
+    """The entries of the mission's progress."""
     if after.phase is not before.phase or after.reason is not before.reason:
         yield _entry(
             journal.Phase,
@@ -78,7 +78,7 @@ def of_change(before: State, after: State) -> Iterator[Entry]:
 
 
 def of_command(command: Command) -> Entry | None:
-    """The entry of what the autopilot is told; None: setpoints are in the telemetry log."""
+    """The entry of a command; None for setpoints, which are in the telemetry log."""
     kind = _SAME.get(type(command))
     return None if kind is None else _entry(kind, command)
 

@@ -1,4 +1,4 @@
-"""All that can happen to a mission, and all that it can ask for.  Two closed unions.
+"""The events of a mission and its commands: two closed unions.
 
 Times are the vehicle's (seconds since its boot); positions and velocities are north, east,
 up in the local frame, altitudes AMSL.
@@ -8,7 +8,7 @@ import enum
 from dataclasses import dataclass
 from typing import final
 
-from companion.mission.driving import Driving
+from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planner.settings import Task
 from companion.world.known_map import Scan
@@ -18,7 +18,7 @@ Vector = tuple[float, float, float]
 
 
 class Mode(enum.Enum):
-    """Flight modes, as far as the companion tells them apart."""
+    """Flight modes that the companion distinguishes."""
 
     GUIDED = "guided"
     """Flies where the companion tells it (ArduPilot GUIDED, PX4 OFFBOARD)."""
@@ -31,7 +31,7 @@ class Mode(enum.Enum):
 
 
 class Landed(enum.Enum):
-    """Where the autopilot thinks it is (MAV_LANDED_STATE)."""
+    """Landed state of the autopilot (MAV_LANDED_STATE)."""
 
     UNKNOWN = "unknown"
     ON_GROUND = "on ground"
@@ -57,31 +57,31 @@ class VehicleStatus:
     mode: Mode
     armed: bool
     failsafe: bool = False
-    """Whether the autopilot says that it acts on a failure of its own."""
+    """Whether the autopilot reports a failsafe (MAV_STATE critical or emergency)."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleFound:
-    """The autopilot is known: how it is driven, or None if it is none that the companion flies."""
+    """The autopilot is identified: its traits, or None if it is not supported."""
 
     time_s: float
     system_id: int
-    driving: Driving | None
+    traits: VehicleTraits | None
     name: str
-    """What it says that it is, for people."""
+    """Its autopilot and vehicle type, as text."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Position:
-    """Where the vehicle says it is."""
+    """The vehicle's reported position."""
 
     time_s: float
     position_nea_m: Vector
     velocity_nea_m_s: Vector
     heading_rad: float | None = None
-    """Where its nose points, in the local frame."""
+    """Its heading in the local frame."""
 
 
 @final
@@ -113,12 +113,12 @@ class GpsFix:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimator:
-    """Whether the autopilot's estimator vouches for the horizontal position."""
+    """Whether the autopilot's estimator reports a valid horizontal position."""
 
     time_s: float
     good: bool
     error_m: float | None = None
-    """Horizontal accuracy that it claims, if it claims any."""
+    """Horizontal accuracy, if reported."""
 
 
 @final
@@ -142,12 +142,12 @@ class Origin:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Echo:
-    """Where the autopilot says that it is flying to (POSITION_TARGET_*)."""
+    """The autopilot's reported target (POSITION_TARGET_*)."""
 
     time_s: float
     position_nea_m: Vector
     velocity_nea_m_s: Vector | None = None
-    """How that place moves; None: it does not say."""
+    """Velocity of the target; None if not reported."""
 
 
 @final
@@ -170,12 +170,12 @@ class LinkDelay:
 
 
 class Item(enum.Enum):
-    """What must have been looked at before a flight begins."""
+    """Preparations that must be complete before a flight."""
 
     PARAMETERS = "parameters"
     PLANS = "fence, rally points and mission"
     CHECKS = "the checks before a flight"
-    """On the ground only: link, radar, datum and whatever else `companion preflight` shows."""
+    """On the ground only: link, radar, datum and everything else in `companion preflight`."""
 
 
 @final
@@ -193,7 +193,7 @@ class Prepared:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FenceChanged:
-    """The vehicle's own fence, all of it, as it is from now on."""
+    """The vehicle's complete fence, as of now."""
 
     time_s: float
     zones: tuple[Zone, ...]
@@ -205,7 +205,7 @@ class FenceChanged:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetsChanged:
-    """The vehicle's own mission, of a mission that takes its targets from there."""
+    """The targets of the vehicle's mission, if ours takes them from there."""
 
     time_s: float
     targets_ne_m: tuple[tuple[float, float], ...]
@@ -214,17 +214,17 @@ class TargetsChanged:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SettingsChanged:
-    """Somebody set parameters of the planner: they count from the next plan on."""
+    """Planner parameters were set: they apply from the next plan on."""
 
     time_s: float
     task: Task
     """As it is now, all of it."""
     what: str
-    """For the journal and for people: name = value."""
+    """For the journal and the operator: name = value."""
 
 
 class OrderKind(enum.Enum):
-    """What a person at a ground station may tell the companion in flight."""
+    """Orders from a ground station in flight."""
 
     START = "start, or take over and go on"
     PAUSE = "pause"
@@ -237,7 +237,7 @@ class OrderKind(enum.Enum):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
-    """A command addressed to the companion, by somebody who may."""
+    """A command to the companion from an authorised sender."""
 
     time_s: float
     kind: OrderKind
@@ -317,20 +317,20 @@ class FenceBreach:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Namesake:
-    """Somebody with the companion's own ids has said something that it has not said."""
+class DuplicateId:
+    """Another sender with the companion's ids was heard."""
 
     time_s: float
     certain: bool
-    """Whether that has gone on for long enough: a companion that died leaves frames behind."""
+    """Whether it has gone on for long enough to exclude frames left by a dead companion."""
     news: bool = False
-    """Whether it is the first to be told of this, with that certainty."""
+    """Whether it is the first such event of this certainty."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StopAsked:
-    """A person wants the mission to end now."""
+    """The operator ends the mission now."""
 
     time_s: float
 
@@ -361,7 +361,7 @@ Event = (
     | PlannerDied
     | LinkLost
     | FenceBreach
-    | Namesake
+    | DuplicateId
     | StopAsked
 )
 
@@ -377,7 +377,7 @@ class Outcome(enum.Enum):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RequestStreams:
-    """Ask the autopilot for the messages that the mission needs."""
+    """Request the message streams that the mission needs."""
 
 
 @final
@@ -387,7 +387,7 @@ class SetMode:
 
     mode: Mode
     at_nea_m: Vector | None = None
-    """Where to hold, for an autopilot that can be told."""
+    """Where to hold, for autopilots that support it."""
 
 
 @final
@@ -408,7 +408,7 @@ class TakeOff:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetSpeed:
-    """Tell an autopilot that chooses its speed by itself how fast the mission is."""
+    """Send the mission's speed to an autopilot that controls its own speed."""
 
     speed_m_s: float
 
@@ -424,7 +424,7 @@ class StartScan:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """Have the next subpath computed; the answer counts from due_s on."""
+    """Compute the next subpath; the answer takes effect at due_s."""
 
     request: PlanRequest
     due_s: float
@@ -433,25 +433,25 @@ class Plan:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setpoint:
-    """Be here now, at this velocity, with the nose along yaw."""
+    """Position and velocity for now, with this yaw."""
 
     time_s: float
     position_nea_m: Vector
     velocity_nea_m_s: Vector
     yaw_rad: float
     stay: bool = False
-    """Stay here: a plane circles it; for what hovers the velocity is zero."""
+    """Hold here: a plane loiters; for multicopters the velocity is zero."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Say:
-    """A short text for whoever watches the vehicle."""
+class StatusText:
+    """A short text to ground stations and the terminal."""
 
     text: str
     warning: bool = False
     about: str = ""
-    """Of texts about the same thing only the newest is worth saying."""
+    """Topic: a newer text replaces a queued one of the same topic."""
 
 
 @final
@@ -465,5 +465,14 @@ class End:
 
 
 Command = (
-    RequestStreams | SetMode | Arm | TakeOff | SetSpeed | StartScan | Plan | Setpoint | Say | End
+    RequestStreams
+    | SetMode
+    | Arm
+    | TakeOff
+    | SetSpeed
+    | StartScan
+    | Plan
+    | Setpoint
+    | StatusText
+    | End
 )

@@ -7,7 +7,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.mission import following
-from companion.mission.circling import kept_clear
 from companion.mission.decisions import (
     AT_M,
     Context,
@@ -16,7 +15,7 @@ from companion.mission.decisions import (
     fault,
     give_up,
     is_gone,
-    words,
+    reason_text,
 )
 from companion.mission.events import (
     Command,
@@ -25,15 +24,16 @@ from companion.mission.events import (
     PlanLate,
     PlanReady,
     Position,
-    Say,
     ScanDone,
     StartScan,
+    StatusText,
     Vector,
 )
 from companion.mission.following import at_rest, at_rest_at_end, hold_setpoint
 from companion.mission.health import battery_forecast, battery_is_short
+from companion.mission.loiter import enforce_loiter_clearance
 from companion.mission.state import (
-    Asked,
+    Answered,
     Flight,
     Planning,
     Reason,
@@ -50,7 +50,7 @@ from companion.world.known_map import proven_range_m
 STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
 _DEPARTURES = 3
-MOST_STOPS = 12  # on the way to one target, for want of a successor
+MAX_STOPS = 12  # on the way to one target, for want of a successor
 _LEVEL_M_S = 1.0
 _TURNS = 3.0
 _SHORT_SIGHTED = 0.8  # of R
@@ -59,7 +59,7 @@ _TOLD_FORECAST, _TOLD_SHORT = 1, 2
 
 
 def flying(state: State, event: Event, context: Context) -> Step:
-    """Follow the leg, or wait for one; stop for whatever makes that unsafe."""
+    """Follow the leg, or wait for one; stop if that becomes unsafe."""
     reason = cannot_fly(state, event)
     if reason is not None:
         if is_gone(state, event, context):
@@ -79,28 +79,28 @@ def flying(state: State, event: Event, context: Context) -> Step:
 
 
 def _on_position(state: State, event: Position, context: Context) -> Step:
-    """Move the reference point and send it; scan when its time has come."""
-    if state.flight.leg is None and (step := kept_clear(state, event)) is not None:
+    """Advance the reference point and send it; scan at p_scan."""
+    if state.flight.leg is None and (step := enforce_loiter_clearance(state, event)) is not None:
         return step
     is_short = state.vehicle.battery_short_at_s is not None  # perhaps: it has to last a while
-    if is_short and runs_low(state):
+    if is_short and battery_runs_low(state):
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
     state, warning = battery_warning(state, context)
     if state.flight.leg is None:
         state, commands, trigger = _hover(state, event, context)
-    elif state.flight.circling and following.still_circles(state, event):
+    elif state.flight.circling and following.still_loiters(state, event):
         state, commands, trigger = circle(state, event, context)
     else:
         state, commands, trigger = _follow(state, event, context)
     return state, [*warning, *commands], trigger
 
 
-def runs_low(state: State) -> bool:
-    """Whether the battery ends the mission, or a pause on whatever way.
+def battery_runs_low(state: State) -> bool:
+    """Whether the battery ends the mission, or a pause.
 
-    A mission that is given up already, for anything, is on the way that is left to it.
+    Not for a mission that was already given up.
     """
     if not battery_is_short(state):
         return False
@@ -112,7 +112,7 @@ def runs_low(state: State) -> bool:
 
 
 def given_up_for_battery(state: State) -> State:
-    """The mission is given up for its fallback, or goes on with the way back that it is on."""
+    """Give up the mission for its fallback, or continue the return in progress."""
     flight = replace(state.flight, battery_told=_TOLD_SHORT)
     if not (flight.returning or flight.homeward):
         flight = replace(flight, fallen_back=Reason.BATTERY_LOW)
@@ -120,7 +120,7 @@ def given_up_for_battery(state: State) -> State:
 
 
 def battery_warning(state: State, context: Context) -> tuple[State, list[Command]]:
-    """Say that the battery will not last if it goes on like this, and that it does not: once."""
+    """Warn once that the battery will not last at the current rate, and once that it does not."""
     flight, tells = state.flight, 0
     if state.vehicle.battery_short_at_s is not None and battery_is_short(state):
         tells = _TOLD_SHORT
@@ -129,17 +129,17 @@ def battery_warning(state: State, context: Context) -> tuple[State, list[Command
     if tells <= flight.battery_told:
         return state, []
     state = replace(state, flight=replace(flight, battery_told=tells))
-    return state, [Say(text=Reason.BATTERY_LOW.text, warning=True)]
+    return state, [StatusText(text=Reason.BATTERY_LOW.text, warning=True)]
 
 
 def _follow(state: State, event: Position, context: Context) -> Step:
-    flight, task = following.moved_on(state, event), state.task
+    flight, task = following.advance_reference(state, event), state.task
     if state.now_s - flight.progress_at_s > STUCK_S:
         return give_up(state, Reason.NOT_FOLLOWING)
     leg = flight.leg
     assert leg is not None
-    if (reason := following.strays(state, flight, event)) is not None:
-        return departed(state, at_rest(state.flight, None), reason)
+    if (reason := following.departure_reason(state, flight, event)) is not None:
+        return on_departure(state, at_rest(state.flight, None), reason)
     flight, commands = following.setpoint(state, flight, event, context)
     if following.is_stopped(state, flight):
         return _at_its_end(replace(state, flight=flight), leg, commands)
@@ -151,7 +151,7 @@ def _follow(state: State, event: Position, context: Context) -> Step:
 
 
 def circle(state: State, event: Position, context: Context) -> Step:
-    """Stay on the circle until it leads the way of the path, once in each turn."""
+    """Stay on the circle until its tangent points along the path, once in each turn."""
     limits = state.task.limits
     turn_s = 2.0 * math.pi * limits.loiter_radius_m / limits.speed_m_s
     if state.now_s - state.flight.progress_at_s > _TURNS * turn_s + STUCK_S:
@@ -161,7 +161,7 @@ def circle(state: State, event: Position, context: Context) -> Step:
 
 
 def _at_its_end(state: State, leg: Leg, commands: list[Command]) -> Step:
-    """At rest at the end of the leg, or where it was to stop before that."""
+    """At rest at the end of the leg, or at the stop before it."""
     flight = state.flight
     if (stop := flight.stop) is not None:
         state = replace(state, flight=at_rest_at_end(flight), reason=stop.reason)
@@ -172,8 +172,8 @@ def _at_its_end(state: State, leg: Leg, commands: list[Command]) -> Step:
     return replace(state, flight=flight, reason=flight.shortfall), commands, Trigger.FAULT
 
 
-def departed(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH) -> Step:
-    """The vehicle is not where the path was checked: hold, and go on from there, not for ever.
+def on_departure(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH) -> Step:
+    """The vehicle is off the proven path: hold, and replan from there, a limited number of times.
 
     stopped: its flight at rest.
     """
@@ -190,12 +190,12 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         return state, [], None
     scanned_from = scanning.from_nea_m
     says = _scan_warnings(state, event)
-    stands = flight.leg is None and not context.shadow
-    if stands and event.is_partial and scanning.again < _MORE_SCANS:
+    may_be_grounded = flight.leg is None and not context.shadow
+    if may_be_grounded and event.is_partial and scanning.again < _MORE_SCANS:
         flight = replace(flight, progress_at_s=state.now_s)
         flight, scan = start_scan(flight, scanned_from, scanning.again + 1)
         return replace(state, flight=flight), [*says, *scan], None
-    flight = replace(flight, search=Asked())
+    flight = replace(flight, search=Answered())
     if event.asked and not event.answered and not scanning.again:
         if flight.leg is not None or not flight.failures:
             return _no_successor(replace(state, flight=flight), Reason.RADAR_SILENT)
@@ -225,27 +225,27 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
 
 
 def _scan_warnings(state: State, event: ScanDone) -> list[Command]:
-    """What a person should know of a scan that was worse than the mission expects."""
+    """Warnings about a scan that was worse than the mission expects."""
     says: list[Command] = []
     if event.answered < event.asked:
         text = f"scan: {event.answered} of {event.asked} blocks answered"
-        says.append(Say(text=text, warning=True, about="scan"))
+        says.append(StatusText(text=text, warning=True, about="scan"))
     wanted_m = state.task.settings.scan_range_m
     seen_m = proven_range_m(state.flight.known, event.scan)
     if event.asked and state.flight.plan_id == 0 and seen_m < _SHORT_SIGHTED * wanted_m:
         text = f"radar sees {seen_m / 1000:.1f} km of R = {wanted_m / 1000:.1f} km"
-        says.append(Say(text=text, warning=True))
+        says.append(StatusText(text=text, warning=True))
     return says
 
 
 def on_plan(state: State, event: PlanReady) -> Step:
-    """Take the next subpath, or note why there is none."""
+    """Accept the next subpath, or note why there is none."""
     flight, outcome, planning = state.flight, event.outcome, state.flight.search
     if outcome.plan_id != flight.plan_id or not isinstance(planning, Planning):
         return state, [], None  # the answer to a question that is no longer asked
     if planning.rules is not state.task:  # the rules have changed: it is asked for again
         return replace(state, flight=replace(flight, search=None)), [], None
-    state = replace(state, flight=replace(flight, search=Asked()))
+    state = replace(state, flight=replace(flight, search=Answered()))
     verified = state.task.settings.profile.verified
     if not isinstance(outcome, Planned) or (verified and not outcome.certificate.proven):
         refusal = outcome.refusal if isinstance(outcome, NotPlanned) else None
@@ -266,26 +266,28 @@ def on_plan(state: State, event: PlanReady) -> Step:
     number = flight.legs_flown + (flight.next_leg is not None)
     margin_m = min(outcome.certificate.clearance_m, outcome.certificate.keep_out_m)
     text = f"subpath {number}: {margin_m:.0f} m clear, cost {outcome.cost:.2f}"
-    return replace(state, flight=flight), [Say(text=text, about="plan")], None
+    return replace(state, flight=flight), [StatusText(text=text, about="plan")], None
 
 
 def _closed(outcome: NotPlanned) -> list[Command]:
-    """Where there is no way on, if that is proven."""
+    """A text if it is proven that the target cannot be reached."""
     if outcome.place_ne_m is None:
         return []
     north, east = (each / 1000.0 for each in outcome.place_ne_m)
-    return [Say(text=f"no way: closed {north:.1f} km N, {east:.1f} km E of origin", warning=True)]
+    return [
+        StatusText(text=f"no way: closed {north:.1f} km N, {east:.1f} km E of origin", warning=True)
+    ]
 
 
 def on_late_plan(state: State, event: PlanLate) -> Step:
-    """Note it: the leg is flown to its end unless the plan comes before p_prog."""
+    """Note a late plan: the leg is flown to its end unless the plan comes before p_prog."""
     if event.plan_id == state.flight.plan_id:
         state = replace(state, flight=replace(state.flight, shortfall=Reason.PLAN_LATE))
     return state, [], None
 
 
 def _hover(state: State, event: Position, context: Context) -> Step:
-    """Wait for a leg where the vehicle is, or straight above at the height of the take-off."""
+    """Hold while waiting for a leg: here, or straight above at the take-off height."""
     flight, settings = state.flight, state.task.settings
     here = flight.hover_nea_m or _waiting_place(state, event, context)
     here = _high_enough(state, context, here)
@@ -307,7 +309,7 @@ def _hover(state: State, event: Position, context: Context) -> Step:
 
 
 def _waiting_place(state: State, event: Position, context: Context) -> Vector:
-    """Where to wait for a leg: here, at a height within the band if nothing is in the way down."""
+    """Where to wait for a leg: here, within the altitude band if the descent is clear."""
     north, east, altitude = event.position_nea_m
     lowest_m = dataclasses.replace(context.mission, task=task_ahead(state, context)).take_off_amsl_m
     height_m = max(min(altitude, state.task.band_amsl_m[1]), lowest_m)
@@ -320,7 +322,7 @@ def _waiting_place(state: State, event: Position, context: Context) -> Vector:
 
 
 def _high_enough(state: State, context: Context, here: Vector) -> Vector:
-    """A place to wait at, no lower than where the next leg may begin: straight above, if it is."""
+    """The waiting place, raised to where the next leg may begin."""
     task = task_ahead(state, context)
     lowest_m = -math.inf if task is state.task else task.band_amsl_m[0]
     return here[0], here[1], max(here[2], lowest_m)
@@ -335,11 +337,11 @@ def task_ahead(state: State, context: Context) -> Task:
 
 
 def _is_there(state: State, event: Position, here: Vector) -> bool:
-    """Whether the vehicle is where it was told to stay: there, or circling it.
+    """Whether the vehicle holds at the commanded place, or loiters there.
 
-    A plane on its way to a circle has no leg planned from there: it would not fly where that is.
+    No leg is planned for a plane that has not reached its circle yet.
     """
-    if state.vehicle.driving.hovers:
+    if state.vehicle.traits.hovers:
         return math.dist(here, event.position_nea_m) <= AT_M
     error_m = max(AT_M, state.task.limits.tracking_error_m)
     level = abs(event.velocity_nea_m_s[2]) < _LEVEL_M_S
@@ -348,12 +350,12 @@ def _is_there(state: State, event: Position, here: Vector) -> bool:
 
 
 def _later(state: State, event: Position, flight: Flight) -> float:
-    """When the climb to the hover last went on: now, while the vehicle moves."""
+    """Time of the last progress of the climb to the hover: now, while the vehicle moves."""
     return state.now_s if abs(event.velocity_nea_m_s[2]) > 0.1 else flight.progress_at_s
 
 
 def _accepted(state: State, planned: Planned) -> Flight:
-    flight, hovers = state.flight, state.vehicle.driving.hovers
+    flight, hovers = state.flight, state.vehicle.traits.hovers
     leg = Leg.of(planned, flight.legs_flown + 1, state.task)
     flight = replace(
         flight,
@@ -377,11 +379,11 @@ def _accepted(state: State, planned: Planned) -> Flight:
 
 
 def _no_successor(state: State, reason: Reason) -> Step:
-    """A leg in flight is flown to its end; without one the vehicle holds now."""
+    """Without a successor a leg is flown to its end; without a leg the vehicle holds now."""
     flight = replace(state.flight, shortfall=reason)
     if flight.leg is not None:
-        text = f"{reason.text}{words(state, reason)[0]}"
-        return replace(state, flight=flight), [Say(text=text, warning=True)], None
+        text = f"{reason.text}{reason_text(state, reason)[0]}"
+        return replace(state, flight=flight), [StatusText(text=text, warning=True)], None
     flight = replace(at_rest(flight, flight.hover_nea_m), failures=flight.failures + 1)
     return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
 
@@ -389,6 +391,6 @@ def _no_successor(state: State, reason: Reason) -> Step:
 def start_scan(
     flight: Flight, centre_nea_m: Vector, again: int = 0
 ) -> tuple[Flight, list[Command]]:
-    """The flight while its surroundings are looked at."""
+    """Start a scan around a point."""
     flight = replace(flight, search=Scanning(centre_nea_m, again))
     return flight, [StartScan(centre_nea_m=centre_nea_m)]

@@ -1,7 +1,7 @@
-"""Following a leg: the reference point, the setpoint that is sent for it, and whether it is flown.
+"""Path following: the reference point, its setpoint, and whether the vehicle follows.
 
-What hovers is sent the reference point itself, which speeds up and slows down on its own and
-waits for the vehicle.  What cannot is sent a point ahead of where it is on the path.
+Multicopters are sent the reference point itself, which accelerates and brakes by itself and waits
+for the vehicle.  Planes are sent a point ahead of their position on the path.
 """
 
 import math
@@ -11,8 +11,9 @@ from msgspec.structs import replace
 
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
-from companion.mission.state import Asked, Back, Flight, Reason, State, Stop, Trigger
+from companion.mission.state import Answered, Backtracking, Flight, Reason, State, Stop, Trigger
 from companion.planner import join
+from companion.planner.loiter_search import LoiterQuery, loiter_point
 from companion.planner.procedure import (
     Leg,
     Reference,
@@ -24,8 +25,7 @@ from companion.planner.procedure import (
     off_path_m,
     sent_pose,
 )
-from companion.planner.refuge import Circler, loiter_point
-from companion.planner.request import Stretch
+from companion.planner.request import FlownSegment
 from companion.planner.settings import Task
 
 _DEPARTURE = 3.0  # tracking errors off the path
@@ -44,14 +44,14 @@ _BEYOND = 0.25  # loiter radii: if it is left there, the circle that it then fli
 def lead_m(state: State, reference: Reference) -> float:
     """How far ahead of the reference point the setpoint lies, along the path.
 
-    What the driving strategy asks for, and what the vehicle flies while the message is under way.
+    The lead of the vehicle traits, plus the distance flown during the link delay.
     """
     vehicle = state.vehicle
     delay_s = min(vehicle.round_trip_s, _LONGEST_DELAY_S)
-    if vehicle.driving.hovers:
+    if vehicle.traits.hovers:
         return delay_s * reference.speed_m_s
     over_ground = math.hypot(*vehicle.velocity_nea_m_s[:2])  # what counts in wind, not V
-    lead_m = (vehicle.driving.lead_s + delay_s) * over_ground
+    lead_m = (vehicle.traits.lead_s + delay_s) * over_ground
     return min(lead_m, _LONGEST_LEAD * state.task.limits.lead_m)
 
 
@@ -60,13 +60,13 @@ def sent_at_m(state: State) -> float:
     return state.flight.reference.length_m + lead_m(state, state.flight.reference)
 
 
-def moved_on(state: State, event: Position) -> Flight:
-    """The reference point one position later; at p_prog it goes over to the next leg."""
+def advance_reference(state: State, event: Position) -> Flight:
+    """Advance the reference point by one position; at p_prog switch to the next leg."""
     task, flight, vehicle = state.task, state.flight, state.vehicle
     leg = flight.leg
     assert leg is not None
     here = np.asarray(event.position_nea_m)
-    if vehicle.driving.hovers:
+    if vehicle.traits.hovers:
         reference = advance(
             flight.reference,
             leg,
@@ -92,11 +92,11 @@ def moved_on(state: State, event: Position) -> Flight:
     )
     if flight.next_leg is None or reference.length_m < leg.successor_at_m(task) - _ROUNDING_M:
         return flight
-    return gone_over(flight, leg, task)
+    return switched_to_next_leg(flight, leg, task)
 
 
-def gone_over(flight: Flight, leg: Leg, task: Task) -> Flight:
-    """The flight on the next leg: the reference point has come to p_prog of this one."""
+def switched_to_next_leg(flight: Flight, leg: Leg, task: Task) -> Flight:
+    """Switch to the next leg: the reference point has reached p_prog of this one."""
     over_at_m, reference = leg.successor_at_m(task), flight.reference
     return replace(
         flight,
@@ -110,12 +110,12 @@ def gone_over(flight: Flight, leg: Leg, task: Task) -> Flight:
         troubles=0,
         shortfall=Reason.NO_PLAN,
         legs_flown=flight.legs_flown + 1,
-        flown=_walked(flight, over_at_m),
+        flown=_flown_segments(flight, over_at_m),
     )
 
 
-def strays(state: State, flight: Flight, event: Position) -> Reason | None:
-    """Why it cannot be led on: it is not where the path was checked, or not led along it at all.
+def departure_reason(state: State, flight: Flight, event: Position) -> Reason | None:
+    """Why the leg cannot be continued: the vehicle is off the proven path, or not following.
 
     The latter once the autopilot's echo has disagreed with the setpoints for too long.
     """
@@ -123,7 +123,7 @@ def strays(state: State, flight: Flight, event: Position) -> Reason | None:
     assert leg is not None
     here, limits = np.asarray(event.position_nea_m), task.limits
     allowed_m = _DEPARTURE * limits.tracking_error_m
-    if not vehicle.driving.hovers:  # the circle about each point of the path is proven
+    if not vehicle.traits.hovers:  # the circle about each point of the path is proven
         off_m = math.dist(leg.subpath.pose(flight.reference.length_m).point_nea_m, here)
         allowed_m += limits.loiter_radius_m
     else:
@@ -137,8 +137,8 @@ def strays(state: State, flight: Flight, event: Position) -> Reason | None:
     return Reason.NOT_TAKEN if not_taken else None
 
 
-def still_circles(state: State, event: Position) -> bool:
-    """Whether a plane that is to leave its circle for the path does not fly the path's way yet."""
+def still_loiters(state: State, event: Position) -> bool:
+    """Whether a plane that is to leave its circle is not yet aligned with the path."""
     flight = state.flight
     assert flight.leg is not None
     at_m, limits = flight.reference.length_m, state.task.limits
@@ -146,7 +146,7 @@ def still_circles(state: State, event: Position) -> bool:
 
 
 def with_echo(state: State) -> Flight:
-    """The flight after an echo: when it last agreed with what was sent, or was not there."""
+    """The flight after a target report: when it last agreed with the setpoints, or was absent."""
     flight, echo = state.flight, state.vehicle.echo_nea_m
     if flight.sent is None or echo is None:
         return replace(flight, echoed_at_s=state.now_s)
@@ -162,14 +162,13 @@ def with_echo(state: State) -> Flight:
 def is_stopped(state: State, flight: Flight) -> bool:
     """Whether the reference point has come to the end of its leg, or where it is to stop.
 
-    Of a copter that is on its way back to the path there, not before it is on it: the setpoint
-    would jump.
+    For a copter that is rejoining the path only once it is on it: the setpoint would jump.
     """
     leg, stop = flight.leg, flight.stop
     assert leg is not None
     if flight.next_leg is not None and stop is None:
         return False
-    if state.vehicle.driving.hovers:
+    if state.vehicle.traits.hovers:
         joins = flight.offset is not None and not flight.offset.is_gone
         until_m = None if stop is None else stop.at_m
         return not joins and is_at_end(flight.reference, leg, until_m=until_m)
@@ -184,12 +183,12 @@ def is_stopped(state: State, flight: Flight) -> bool:
 def setpoint(
     state: State, flight: Flight, event: Position, context: Context
 ) -> tuple[Flight, list[Command]]:
-    """What the vehicle is sent for the reference point of a flight, if it is time for it."""
+    """The setpoint for the reference point, if one is due."""
     if not is_due(state):
         return flight, []
     leg, reference, next_leg = flight.leg, flight.reference, flight.next_leg
     assert leg is not None
-    hovers, ahead_m = state.vehicle.driving.hovers, lead_m(state, reference)
+    hovers, ahead_m = state.vehicle.traits.hovers, lead_m(state, reference)
     if hovers and flight.stop is not None:
         next_leg, end_m = None, min(leg.subpath.length_m, flight.stop.at_m)
         ahead_m = min(ahead_m, max(end_m - reference.length_m, 0.0))
@@ -224,28 +223,28 @@ def setpoint(
 def is_due(state: State) -> bool:
     """Whether it is time for another setpoint."""
     vehicle = state.vehicle
-    least_s = vehicle.driving.setpoint_period_s - 0.5 * vehicle.position_step_s
+    least_s = vehicle.traits.setpoint_period_s - 0.5 * vehicle.position_step_s
     return state.now_s - state.flight.sent_at_s > least_s
 
 
 def stop(state: State, reason: Reason) -> Step:
-    """Leave the path in order: along it, as soon as the vehicle can, and hold there."""
+    """Stop on the path as soon as the vehicle can, and hold there."""
     flight = state.flight
     if flight.leg is None:
         flight = at_rest(flight, flight.hover_nea_m or state.vehicle.position_nea_m)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
     limits = state.task.limits
-    if not state.vehicle.driving.hovers:
+    if not state.vehicle.traits.hovers:
         ahead_m = lead_m(state, flight.reference)
         pose = sent_pose(flight.reference, flight.leg, flight.next_leg, ahead_m, state.task)
         point = pose.point_nea_m
         if reason is Reason.NEW_THREAT:
-            circler = Circler(
+            query = LoiterQuery(
                 here_nea_m=state.vehicle.position_nea_m or point,
                 velocity_nea_m_s=state.vehicle.velocity_nea_m_s,
             )
-            point = loiter_point(flight.known, state.task, circler, (point,)) or point
-        flight = at_rest(unflown(flight), point)
+            point = loiter_point(flight.known, state.task, query, (point,)) or point
+        flight = at_rest(requeue_backtrack(flight), point)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
     brakes_m = limits.stopping_m(flight.reference.speed_m_s)
     leg = flight.leg
@@ -254,28 +253,28 @@ def stop(state: State, reason: Reason) -> Step:
     if flight.stop is not None:
         stop_at_m = min(stop_at_m, flight.stop.at_m)
     if flight.next_leg is not None:
-        flight = before_the_rest(flight, flight.next_leg)
+        flight = with_backtrack_legs(flight, flight.next_leg)
     stop = Stop(stop_at_m, reason)
-    flight = replace(flight, stop=stop, next_leg=None, search=Asked())
+    flight = replace(flight, stop=stop, next_leg=None, search=Answered())
     return replace(state, flight=flight), [], None
 
 
-def before_the_rest(flight: Flight, *legs: Leg) -> Flight:
-    """The flight with legs of the way back, if it is on that, again before the rest of it."""
-    return replace(flight, way=Back((*legs, *flight.back))) if flight.returning else flight
+def with_backtrack_legs(flight: Flight, *legs: Leg) -> Flight:
+    """Return the current legs to the remaining backtrack, if there is one."""
+    return replace(flight, way=Backtracking((*legs, *flight.back))) if flight.returning else flight
 
 
-def unflown(flight: Flight) -> Flight:
-    """The flight with the stretches in hand back on the list of what is left of the way back."""
+def requeue_backtrack(flight: Flight) -> Flight:
+    """Return the current legs to the remaining backtrack."""
     ahead = (leg for leg in (flight.leg, flight.next_leg) if leg is not None)
-    return before_the_rest(flight, *ahead)
+    return with_backtrack_legs(flight, *ahead)
 
 
 def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
-    """The flight without a leg: it begins again from where the vehicle stops."""
+    """The flight without a leg: the next one begins where the vehicle stops."""
     return replace(
         flight,
-        flown=_walked(flight, flight.reference.length_m),
+        flown=_flown_segments(flight, flight.reference.length_m),
         leg=None,
         next_leg=None,
         reference=Reference(),
@@ -283,12 +282,12 @@ def at_rest(flight: Flight, hover_nea_m: Vector | None) -> Flight:
         stop=None,
         hover_nea_m=hover_nea_m,
         search=None,
-        planning_back=None,
+        planning_backtrack=None,
     )
 
 
 def at_rest_at_end(flight: Flight) -> Flight:
-    """The flight at rest at the end of its leg, or where it stops, or hovers already."""
+    """The flight at rest at the end of its leg, at its stop, or at its hover."""
     leg = flight.leg
     if leg is None:
         return at_rest(flight, flight.hover_nea_m)
@@ -296,17 +295,19 @@ def at_rest_at_end(flight: Flight) -> Flight:
     return at_rest(flight, leg.subpath.pose(end_m).point_nea_m)
 
 
-def _walked(flight: Flight, until_m: float) -> tuple[Stretch, ...]:
-    """What was flown, and of this leg so much."""
+def _flown_segments(flight: Flight, until_m: float) -> tuple[FlownSegment, ...]:
+    """The flown segments, including this leg up to a length."""
     leg = flight.leg
     if leg is None or flight.returning:
         return flight.flown
     control = leg.subpath.control_nea_m
-    return *flight.flown, Stretch(control_nea_m=control, from_m=flight.joined_m, until_m=until_m)
+    return *flight.flown, FlownSegment(
+        control_nea_m=control, from_m=flight.joined_m, until_m=until_m
+    )
 
 
 def hold_setpoint(state: State, time_s: float, context: Context) -> tuple[Flight, list[Command]]:
-    """Stay where the flight came to rest: a position and an explicit velocity of zero."""
+    """Hold position: a setpoint with an explicit velocity of zero."""
     flight = state.flight
     here = flight.hover_nea_m
     if here is None or not is_due(state):
@@ -325,7 +326,7 @@ def hold_setpoint(state: State, time_s: float, context: Context) -> tuple[Flight
 
 
 def _towards_target_rad(state: State, here_nea_m: Vector) -> float:
-    """Where a vehicle that stays looks; at the target itself, where it has looked."""
+    """Yaw of a vehicle that holds: towards the target; at the target unchanged."""
     flight, target = state.flight, state.targets_ne_m[state.flight.target]
     north_m, east_m = target[0] - here_nea_m[0], target[1] - here_nea_m[1]
     if flight.sent is not None and math.hypot(north_m, east_m) < _AT_TARGET_M:
@@ -334,10 +335,10 @@ def _towards_target_rad(state: State, here_nea_m: Vector) -> float:
 
 
 def _on_the_way(state: State, here_nea_m: Vector) -> Vector:
-    """Where to stay for now: a climb or descent to there is led at the mission's climb rate."""
+    """The hold setpoint for now: climbs and descents are led at the mission's climb rate."""
     north, east, altitude = here_nea_m
     flight, at = state.flight, state.vehicle.position_nea_m
-    if not state.vehicle.driving.hovers or at is None:
+    if not state.vehicle.traits.hovers or at is None:
         return here_nea_m
     since_s = state.now_s - flight.sent_at_s
     sent = None if flight.sent is None else flight.sent.position_nea_m

@@ -10,41 +10,41 @@ from companion.geodesy import FloatArray
 from companion.mission import following, joining
 from companion.mission.decisions import (
     AT_M,
-    BROKEN_OFF,
+    LANDING_ABORTED,
     Context,
     Step,
     ask,
-    came_second,
     cannot_fly,
     fault,
     give_up,
-    has_led,
+    has_had_control,
     in_phase_s,
     is_at_rest,
+    is_duplicate_suspected,
     is_gone,
+    is_second_companion,
     is_silent,
-    is_suspected,
-    taken_by,
+    takeover_reason,
 )
-from companion.mission.driving import TakeOffWay
 from companion.mission.events import (
     Arm,
+    DuplicateId,
     Event,
     Item,
     Landed,
     LinkLost,
     Mode,
-    Namesake,
     Position,
     Prepared,
-    Say,
     SetMode,
+    StatusText,
     TakeOff,
     Vector,
     VehicleFound,
 )
 from companion.mission.health import battery_lasts
 from companion.mission.state import Orders, Phase, Reason, State, Trigger
+from companion.mission.vehicle_traits import TakeoffSequence
 from companion.world.zone_index import index_of
 
 _PREPARE_S = 120.0
@@ -60,9 +60,9 @@ _LEVEL_M_S = 1.0
 
 
 def waiting(state: State, event: Event, _context: Context) -> Step:
-    """For an autopilot that the mission is for; the runtime says when it has waited long enough."""
+    """Wait for a matching autopilot; the runtime decides how long."""
     if isinstance(event, VehicleFound):
-        if event.driving is None:
+        if event.traits is None:
             return give_up(state, Reason.WRONG_VEHICLE, f": {event.name}")
         return state, [], Trigger.VEHICLE_FOUND
     if isinstance(event, LinkLost):
@@ -71,24 +71,24 @@ def waiting(state: State, event: Event, _context: Context) -> Step:
 
 
 def preparing(state: State, event: Event, context: Context) -> Step:
-    """For a position that may be believed, home, parameters and fence, on the ground or in flight.
+    """Wait for a valid position, home, parameters and fence, on the ground or in flight.
 
-    What a companion before this one had prepared need not be prepared again in the air.
+    After a restart in the air, preparations of the previous companion are not repeated.
     """
     vehicle = state.vehicle
     if isinstance(event, LinkLost):
         return _silent(state, event, context)
     if isinstance(event, Prepared) and event.refusal and not context.shadow:
         if _is_flying(state):
-            return state, [Say(text=event.refusal, warning=True)], None
+            return state, [StatusText(text=event.refusal, warning=True)], None
         return give_up(state, Reason.REFUSED, f": {event.refusal}", event.remedy)
     if in_phase_s(state) > _PREPARE_S:
         return give_up(state, Reason.NOT_READY, _missing(state))
     if is_silent(state):
         return state, [], None
-    if came_second(state) and not context.shadow:
+    if is_second_companion(state) and not context.shadow:
         return give_up(state, Reason.NOT_ALONE)
-    if not (has_led(state) or context.shadow) and _may_not_be_alone(state):
+    if not (has_had_control(state) or context.shadow) and _may_not_be_alone(state):
         return state, [], None
     if state.landing and not context.shadow:
         return _landing_goes_on(state)
@@ -112,31 +112,31 @@ def preparing(state: State, event: Event, context: Context) -> Step:
 
 
 def _may_not_be_alone(state: State) -> bool:
-    """Whether it is too early to know that there is no other companion, as far as it can be.
+    """Whether it is too early to exclude another companion.
 
-    On the ground there is time enough for that while it arms; who goes on with a path of its own
-    must be quick, and yields if it then hears another (`came_second`).
+    On the ground there is time for that while arming; a companion that resumes its own path must be
+    quick, and yields if it hears another one later (`is_second_companion`).
     """
     takes_over = _is_flying(state) and state.flight.leg is None
-    return is_suspected(state) or (takes_over and in_phase_s(state) < _LISTEN_S)
+    return is_duplicate_suspected(state) or (takes_over and in_phase_s(state) < _LISTEN_S)
 
 
-def not_alone(state: State, event: Namesake, context: Context) -> Step:
-    """Somebody else with our ids: of two companions the one that came second takes no command.
+def on_duplicate_id(state: State, event: DuplicateId, context: Context) -> Step:
+    """Another companion with our ids: the one that came second must not take control.
 
-    Two streams of setpoints would pull the vehicle apart.  Whoever has had it in the air flies on
-    and says so; whoever hears the other before that ends.
+    Two setpoint streams would fight over the vehicle.  The companion that has had control in the
+    air continues with a warning; one that hears the other before that ends.
     """
-    if came_second(state) and not context.shadow:
+    if is_second_companion(state) and not context.shadow:
         begun = state.phase is not Phase.WAITING
         return give_up(state, Reason.NOT_ALONE) if begun else (state, [], None)
     if event.certain and event.news:
-        return state, [Say(text=f"{Reason.NOT_ALONE.text}: end it", warning=True)], None
+        return state, [StatusText(text=f"{Reason.NOT_ALONE.text}: end it", warning=True)], None
     return state, [], None
 
 
 def _landing_goes_on(state: State) -> Step:
-    """What a companion before this one had begun is seen to its end."""
+    """Complete a landing that the previous companion began."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return state, [], Trigger.LANDED
@@ -144,7 +144,7 @@ def _landing_goes_on(state: State) -> Step:
         return state, [], None
     state = replace(state, landing=False)
     if state.sank and vehicle.mode is not Mode.LAND:
-        says = Say(text=BROKEN_OFF, warning=True)
+        says = StatusText(text=LANDING_ABORTED, warning=True)
         return replace(state, orders=Orders(Reason.PAUSED)), [says], None
     return state, [], Trigger.END_LAND if vehicle.mode in (Mode.LAND, Mode.GUIDED) else None
 
@@ -160,7 +160,7 @@ def _is_flying(state: State) -> bool:
 
 
 def _missing(state: State) -> str:
-    """What a vehicle that does not get ready has not said."""
+    """The reports that a vehicle that does not get ready has not sent."""
     vehicle = state.vehicle
     missing = [item.value for item in Item if item not in state.prepared]
     if vehicle.home_nea_m is None:
@@ -180,7 +180,7 @@ def _on_ground(state: State, context: Context) -> Step:
         return give_up(state, Reason.ARMED_ALREADY)
     if height_m(state, context) <= 0.0:
         return give_up(state, Reason.HOME_TOO_HIGH)
-    if not may_rise(state, context):
+    if not may_take_off(state, context):
         return give_up(state, Reason.OUTSIDE)
     if not battery_lasts(state, context.mission):
         return give_up(state, Reason.BATTERY_SHORT)
@@ -188,7 +188,7 @@ def _on_ground(state: State, context: Context) -> Step:
 
 
 def _in_flight(state: State) -> Step:
-    """Take over in the air: the path of the companion that was here before, or stop first."""
+    """Take over in the air: rejoin the path of the previous companion, or stop first."""
     if not state.flight.leg and not state.prepared.issuperset(_ASKED_FOR):
         return state, [], None
     if not state.targets_ne_m:
@@ -196,8 +196,8 @@ def _in_flight(state: State) -> Step:
     mode = state.vehicle.mode
     if state.orders.active is not None or state.taken or state.flight.returning:
         ours = mode in (Mode.GUIDED, Mode.HOLD) and not state.taken
-        reason = Reason.TAKING_OVER if ours else taken_by(state)
-        flight = following.at_rest(following.unflown(state.flight), None)
+        reason = Reason.TAKING_OVER if ours else takeover_reason(state)
+        flight = following.at_rest(following.requeue_backtrack(state.flight), None)
         return replace(state, reason=reason, flight=flight), [], Trigger.IN_FLIGHT
     asked = state.asks > 0  # to hold: it may do so by now
     if mode is Mode.GUIDED and state.flight.leg is not None and not asked:
@@ -205,18 +205,18 @@ def _in_flight(state: State) -> Step:
         if joined is not None:
             return replace(state, flight=joined), [], Trigger.TAKE_OVER
     ours = mode in (Mode.GUIDED, Mode.HOLD, Mode.TAKE_OFF)
-    reason = Reason.TAKING_OVER if ours else taken_by(state)
+    reason = Reason.TAKING_OVER if ours else takeover_reason(state)
     return replace(state, reason=reason), [], Trigger.IN_FLIGHT
 
 
 def arming(state: State, event: Event, context: Context) -> Step:
-    """Ask for the mode that the take-off begins with, then to arm, once a second."""
-    vehicle, driving = state.vehicle, state.vehicle.driving
+    """Request the first mode of the take-off sequence, then arming, once a second."""
+    vehicle, traits = state.vehicle, state.vehicle.traits
     if isinstance(event, LinkLost):
         return give_up(state, Reason.LINK_LOST)
-    if is_suspected(state):
+    if is_duplicate_suspected(state):
         return state, [], None
-    first = Mode.GUIDED if driving.take_off is TakeOffWay.GUIDED_THEN_CLIMB else Mode.TAKE_OFF
+    first = Mode.GUIDED if traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB else Mode.TAKE_OFF
     if vehicle.mode is first and vehicle.armed:
         return state, [], Trigger.ARMED
     if vehicle.mode is first:
@@ -230,18 +230,18 @@ def arming(state: State, event: Event, context: Context) -> Step:
         return state, [], None  # its next heartbeat will say that it is armed
     if vehicle.mode is first:
         return ask(replace(state, armed_by_us=True), Arm())
-    if driving.take_off is TakeOffWay.CLIMB_THEN_ARM:
+    if traits.take_off is TakeoffSequence.CLIMB_THEN_ARM:
         return _ask_to_take_off(state, context)
     return ask(state, SetMode(mode=first))
 
 
 def taking_off(state: State, event: Event, context: Context) -> Step:
-    """Wait until it is at the floor of the band; ask for the climb, where that comes after arming.
+    """Wait until it is at the floor of the band; request the climb if that comes after arming.
 
-    An autopilot that climbs in a mode of its own then holds, and is taken over like any other.
+    An autopilot with a take-off mode holds after it, and is then taken over.
     """
-    vehicle, driving = state.vehicle, state.vehicle.driving
-    guided = driving.take_off is TakeOffWay.GUIDED_THEN_CLIMB
+    vehicle, traits = state.vehicle, state.vehicle.traits
+    guided = traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
     modes = (Mode.GUIDED,) if guided else (Mode.TAKE_OFF, Mode.HOLD, Mode.GUIDED)
     if vehicle.landed is Landed.ON_GROUND:
         return _still_on_ground(state, event, context, modes)
@@ -258,7 +258,7 @@ def taking_off(state: State, event: Event, context: Context) -> Step:
 
 
 def _has_climbed(state: State, event: Position, context: Context, *, guided: bool) -> bool:
-    """At the height asked for, or as high as the autopilot's own take-off goes."""
+    """Whether it is at the requested height, or at the end of the autopilot's own take-off."""
     landed, off_m = state.vehicle.landed, event.position_nea_m[2] - take_off_amsl_m(state, context)
     if guided:
         return landed is Landed.IN_AIR and abs(off_m) < AT_M and is_at_rest(state, event)
@@ -273,7 +273,7 @@ def _has_climbed(state: State, event: Position, context: Context, *, guided: boo
 
 
 def _still_on_ground(state: State, event: Event, context: Context, modes: tuple[Mode, ...]) -> Step:
-    reason = cannot_fly(state, event, modes, stands=True)
+    reason = cannot_fly(state, event, modes, may_be_grounded=True)
     if reason is not None:
         return give_up(state, reason)
     if height_m(state, context) <= 0.0:
@@ -286,15 +286,15 @@ def _still_on_ground(state: State, event: Event, context: Context, modes: tuple[
 
 
 def _ask_to_take_off(state: State, context: Context) -> Step:
-    """Until it is accepted; then again only if it has not begun after a while."""
+    """Request the take-off until it is accepted, and again if it has not begun after a while."""
     if state.now_s - state.vehicle.take_off_taken_at_s < _BEGINS_S:
         return state, [], None
     above_home_m, amsl_m = height_m(state, context), take_off_amsl_m(state, context)
     return ask(state, TakeOff(above_home_m=above_home_m, altitude_amsl_m=amsl_m))
 
 
-def may_rise(state: State, context: Context) -> bool:
-    """Whether the vehicle stands on the map and climbs clear of zones: a plane climbs ahead."""
+def may_take_off(state: State, context: Context) -> bool:
+    """Whether the vehicle is on the map and its climb-out clear of zones (planes: ahead)."""
     task, here = state.task, state.vehicle.position_nea_m
     if here is None:
         return False
@@ -307,7 +307,7 @@ def may_rise(state: State, context: Context) -> bool:
 
 
 def _climb_out_ne_m(state: State, context: Context, here: Vector) -> tuple[FloatArray, FloatArray]:
-    """Where the climb leads over: straight up, or straight on along a plane's nose."""
+    """Ground track of the climb-out: straight up, or ahead along a plane's heading."""
     limits, heading = state.task.limits, state.vehicle.heading_rad
     climb_s = max(height_m(state, context), 0.0) / limits.climb_rate_m_s
     ahead_m = 0.0 if limits.hovers or heading is None else limits.speed_m_s * climb_s

@@ -1,9 +1,9 @@
-"""Whether the vehicle's position may be believed, and its battery will last (design section 7).
+"""Position validity and battery endurance (design section 7).
 
-After a loss or a glitch all may vouch for a position that is wrong: estimators give in to a
-receiver that lies to them.  So the speeds that were told since the position was last believed say
-where it leads to, and it is believed again there only, or after it has been vouched for so long
-that it is the older one which must have been wrong.
+After a GPS loss or glitch all checks may pass for a wrong position: estimators reset to a wrong
+receiver.  So velocities are integrated since the position was last valid, and it is valid again
+only where they lead, or after it has passed all checks for so long that the older position must
+have been wrong.
 """
 
 import itertools
@@ -18,10 +18,10 @@ from companion.mission.state import Reason, State, Vehicle
 from companion.path.limits import Limits
 
 TRUST_S = 2.0
-"""A position must have been good for so long before a flight goes on by it."""
+"""A position must have been valid for this long before a flight resumes."""
 BELIEVED_AFTER_S = 60.0
-"""Vouched for so long without a jump, a position is believed wherever it is: most glitches are over
-by then, and what was believed before them may have been wrong."""
+"""A position that passes all checks for this long without a jump is valid wherever it is: most
+glitches are over by then, and the position before them may have been wrong."""
 _STALE_S = 0.5
 _FROZEN_S = 1.0
 _STILL_M_S = 1.0
@@ -43,10 +43,10 @@ _LAST_WORD_S = 10.0  # ten times as long as between two
 
 
 def with_position(vehicle: Vehicle, event: Position, limits: Limits) -> Vehicle:
-    """What is known of the vehicle after one more position.
+    """Update the vehicle by one position.
 
-    It has jumped if it cannot have been flown to from the last one: neither by what the vehicle can
-    do at all, nor, over a short time, at the speeds that it told.
+    It has jumped if it cannot be reached from the last one: neither by the vehicle's limits nor,
+    over a short time, at the reported velocities.
     """
     before, at_s = vehicle.position_nea_m, event.time_s
     elapsed_s, moved_at_s, jumped_at_s = 0.0, at_s, vehicle.jumped_at_s
@@ -95,9 +95,9 @@ def _flown_at_most_m(elapsed_s: float, limits: Limits) -> float:
 def _surprise(
     vehicle: Vehicle, before_nea_m: Vector, event: Position, elapsed_s: float
 ) -> tuple[tuple[float, float], float]:
-    """How far from where the mean of the speeds told leads a position is, north and east.
+    """Deviation of a position from that predicted by the mean reported velocity, north and east.
 
-    And how fast that mean is.
+    And the speed of that mean.
     """
     a, b = vehicle.velocity_nea_m_s, event.velocity_nea_m_s
     mean = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
@@ -112,10 +112,10 @@ def _surprise(
 def _reckoned(
     vehicle: Vehicle, before_nea_m: Vector, event: Position, limits: Limits, *, moves: bool
 ) -> tuple[tuple[float, float], float]:
-    """How far the position has come, north and east, from where it can be since it was believed.
+    """Deviation, north and east, of the position from the predicted one since it was last valid.
 
-    And for how long nothing has vouched for it.  What is flown unseen is none of the way, as far as
-    it can have been flown.
+    And how long no source has confirmed it.  Distance that can have been flown in gaps does not
+    count.
     """
     blind_s = vehicle.blind_s
     vouched = vehicle.fix_good and vehicle.estimator_good
@@ -134,23 +134,23 @@ def _reckoned(
 
 
 def astray_m(vehicle: Vehicle) -> float:
-    """How far from where the speeds lead the position is, since it was last believed."""
+    """Distance of the position from the predicted one, since it was last valid."""
     return math.hypot(*vehicle.astray_ne_m)
 
 
 def _may_differ_m(vehicle: Vehicle, limits: Limits) -> float:
-    """How far from there it may be and still be right.
+    """Allowed distance from the predicted position.
 
-    Both may be as wrong as the mission allows; speeds are told to a decimetre per second, and an
-    estimator without GPS goes wrong with the square of time, until it jumps to where GPS is.
+    Both may have the mission's navigation error; velocities are reported to 0.1 m/s, and the error
+    of an estimator without GPS grows with the square of time, until it resets to GPS.
     """
     since_s = vehicle.position_at_s - vehicle.believed_at_s
     blind_m = 0.5 * _TILT_M_S2 * vehicle.blind_s**2
     return 2.0 * limits.navigation_error_m + _TOLD_SPEED_M_S * since_s + blind_m
 
 
-def judged(vehicle: Vehicle, reason: Reason | None, now_s: float) -> Vehicle:
-    """The vehicle with why its position may not be believed now, and what is remembered of it."""
+def with_position_trust(vehicle: Vehicle, reason: Reason | None, now_s: float) -> Vehicle:
+    """The vehicle with the validity of its position updated."""
     if reason is None:
         return replace(vehicle, distrust=None)
     doubted_at_s = vehicle.doubted_at_s if reason is Reason.POSITION_ELSEWHERE else now_s
@@ -158,10 +158,10 @@ def judged(vehicle: Vehicle, reason: Reason | None, now_s: float) -> Vehicle:
 
 
 def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
-    """Why the position may not be believed now; None: it may.
+    """Why the position is invalid now; None: it is valid.
 
-    What speaks against it as it is told, wherever it is, comes first; then that all vouch again,
-    not yet for long, for a position at which the vehicle cannot be.
+    Reports of bad quality come first; then a position that passes all checks, not yet for long, but
+    which the vehicle cannot have reached.
     """
     if now_s - vehicle.position_at_s > _STALE_S:
         return Reason.POSITION_STALE
@@ -185,7 +185,7 @@ def distrust(vehicle: Vehicle, now_s: float, limits: Limits) -> Reason | None:
 
 
 def with_battery(state: State, event: Battery, mission: Mission) -> Vehicle:
-    """What is known of the vehicle after one more word of its battery."""
+    """Update the vehicle by one battery report."""
     vehicle, left = state.vehicle, event.remaining
     full = vehicle.battery_full
     in_air = vehicle.landed not in (Landed.ON_GROUND, Landed.UNKNOWN)
@@ -198,9 +198,9 @@ def with_battery(state: State, event: Battery, mission: Mission) -> Vehicle:
 
 
 def battery_is_short(state: State) -> bool:
-    """Whether all that was heard of the battery for a while says that it will not last.
+    """Whether all battery reports for a while say that it will not last.
 
-    A single word is believed, too, when nothing follows to contradict it.
+    A single report counts, too, if none follows.
     """
     vehicle, since_s = state.vehicle, state.vehicle.battery_short_at_s
     if since_s is None:
@@ -210,11 +210,11 @@ def battery_is_short(state: State) -> bool:
 
 
 def battery_lasts(state: State, mission: Mission) -> bool:
-    """Whether the battery reaches the target with the reserve, as far as that is known.
+    """Whether the battery reaches the target with the reserve, as far as known.
 
-    There is more left than the reserve, and enough where the mission says how long a full one
-    lasts.  What was measured in this flight is only warned of (`battery_forecast`): simulators, and
-    batteries that are not full, lose half of it in the first minute.
+    More than the reserve must be left, and enough for the distance if the mission gives the
+    endurance.  The consumption of this flight only causes a warning (`battery_forecast`):
+    simulators, and batteries that are not full, lose half of it in the first minute.
     """
     left = state.vehicle.battery
     if left is None:
@@ -229,7 +229,7 @@ def battery_lasts(state: State, mission: Mission) -> bool:
 
 
 def battery_forecast(state: State, mission: Mission) -> bool:
-    """Whether it reaches the target with the reserve if it goes on as in this flight so far."""
+    """Whether it reaches the target with the reserve at the consumption of this flight."""
     vehicle = state.vehicle
     if vehicle.battery_full is None or vehicle.battery is None:
         return True
@@ -242,7 +242,7 @@ def battery_forecast(state: State, mission: Mission) -> bool:
 
 
 def _to_go_m(state: State) -> float:
-    """The way that is left: back, or along the last plan's route and from target to target."""
+    """Remaining distance: the backtrack, or the last plan's route and on from target to target."""
     here, flight = state.vehicle.position_nea_m, state.flight
     if flight.returning:
         ahead = [leg for leg in (flight.leg, flight.next_leg, *flight.back) if leg is not None]

@@ -1,4 +1,4 @@
-"""Going on with a path that was left: after a restart, and on the way back."""
+"""Rejoining a path: after a restart, and for the backtrack."""
 
 import math
 
@@ -6,21 +6,21 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.mission.events import Vector
-from companion.mission.state import Asked, Flight, State
+from companion.mission.state import Answered, Flight, State
 from companion.planner import join
 from companion.planner.procedure import Leg, Reference
 
 _SPACING_M = 1.0
-_MOST_SAMPLES = 1000
-_ROUNDS, _LEAST_BEND = 6, 0.25
+_MAX_SAMPLES = 1000
+_ROUNDS, _MIN_BEND = 6, 0.25
 _FRESH_S = 1.0
 _ON_CIRCLE = 1.5  # loiter radii: a plane may be circling there
 
 
 def joined(state: State) -> Flight | None:
-    """The flight on its leg, or the leg after it, from where the vehicle is led now.
+    """Rejoin the leg, or the next one, from the current setpoint.
 
-    None if that is farther from the path than the vehicle was certified to be.
+    None if that is farther from the path than was proven.
     """
     vehicle, flight = state.vehicle, state.flight
     led_so = _led(state)
@@ -43,9 +43,9 @@ def joined(state: State) -> Flight | None:
     speed = max(float(np.dot(velocity, pose.tangent_nea)), 0.0)
     speed = min(speed, limits.speed_m_s)
     ends = went_over or flight.next_leg is None
-    if vehicle.driving.hovers and ends:  # what it cannot brake from by then is offset
+    if vehicle.traits.hovers and ends:  # what it cannot brake from by then is offset
         speed = min(speed, limits.braked_m_s(leg.subpath.length_m - at_m))
-    circling = not vehicle.driving.hovers and off_m > limits.tracking_error_m
+    circling = not vehicle.traits.hovers and off_m > limits.tracking_error_m
     flight = replace(
         flight,
         leg=leg,
@@ -56,26 +56,26 @@ def joined(state: State) -> Flight | None:
         joined_m=at_m,
         progress_at_s=state.now_s,
         hover_nea_m=pose.point_nea_m if circling else None,
-        search=None if went_over or flight.next_leg is None else Asked(),
+        search=None if went_over or flight.next_leg is None else Answered(),
     )
-    if vehicle.driving.hovers:
+    if vehicle.traits.hovers:
         offset = join.begin(np.asarray(led), np.asarray(velocity), pose, speed)
         flight = replace(flight, offset=offset)
     return flight
 
 
 def _led(state: State) -> tuple[Vector, Vector] | None:
-    """Where its autopilot leads the vehicle now, and how fast.  -> metres, m/s.
+    """The current setpoint of the vehicle and its velocity.  -> metres, m/s.
 
-    Where we sent it lately; else where the autopilot says that it flies to; else where it is.
-    What it has said is some tenths of a second old: its target has moved on since, unless it
-    stands: ArduPilot's does when it has waited for setpoints in vain.
+    Our own recent setpoint; else the autopilot's reported target; else the position.  A report is
+    some tenths of a second old: the target has moved since, unless it is stationary, as
+    ArduPilot's is after a setpoint time-out.
     """
     vehicle, flight = state.vehicle, state.flight
     here, velocity, echo = vehicle.position_nea_m, vehicle.velocity_nea_m_s, vehicle.echo_nea_m
     if here is None:
         return None
-    if not vehicle.driving.hovers:
+    if not vehicle.traits.hovers:
         return here, velocity
     if flight.sent is not None and state.now_s - flight.sent_at_s < _FRESH_S:
         return flight.sent.position_nea_m, velocity
@@ -91,7 +91,7 @@ def _led(state: State) -> tuple[Vector, Vector] | None:
 def nearest(leg: Leg, point_nea_m: Vector) -> tuple[float, float]:
     """Distance of a point from a leg, and the length along it where it is nearest, metres."""
     length_m = leg.subpath.length_m
-    spacing_m = max(_SPACING_M, length_m / _MOST_SAMPLES)
+    spacing_m = max(_SPACING_M, length_m / _MAX_SAMPLES)
     points = leg.subpath.sampled(spacing_m).points_nea_m
     distance = np.linalg.norm(points - np.asarray(point_nea_m), axis=-1)
     k = int(distance.argmin())
@@ -100,7 +100,7 @@ def nearest(leg: Leg, point_nea_m: Vector) -> tuple[float, float]:
     for _ in range(_ROUNDS):  # of Newton's method, which no last digit leads elsewhere
         pose = leg.subpath.pose(at_m)
         offset = np.asarray(point_nea_m) - pose.position_nea_m
-        bend = max(1.0 - float(offset @ pose.curvature_nea_1_m), _LEAST_BEND)
+        bend = max(1.0 - float(offset @ pose.curvature_nea_1_m), _MIN_BEND)
         at_m = min(max(at_m + float(offset @ pose.tangent_nea) / bend, low_m), high_m)
     there = leg.subpath.pose(at_m).position_nea_m
     return float(np.linalg.norm(np.asarray(point_nea_m) - there)), at_m

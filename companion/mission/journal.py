@@ -1,7 +1,7 @@
-"""The lines of journal.jsonl: these declarations are its schema (docs/reference/journal.md).
+"""Entry types of journal.jsonl: these declarations are its schema (docs/reference/journal.md).
 
-What is written takes its fields from them (`entries`), the reader checks lines against them
-(`telemetry.journal`), and the page is made from them, attribute docstrings included.
+The writer takes its fields from them (`entries`), the reader checks lines against them
+(`telemetry.journal`), and the page is generated from them, including the attribute docstrings.
 
 Names carry units; `_nea_m` is north, east (of the mission's local frame) and altitude AMSL, metres;
 times are the vehicle's clock.  JSON has no infinite numbers: where one may come up, it is null.
@@ -21,7 +21,7 @@ from companion.world.threats import CircleZone, PolygonZone, Zone
 
 SCHEMA: Final = "companion-journal"
 VERSION: Final = 3
-"""The newest.  What has changed: `telemetry.journal._TO_NEXT`."""
+"""The newest.  What has changed: `telemetry.journal._UPGRADES`."""
 
 if TYPE_CHECKING:
     AnyZone = Zone
@@ -39,7 +39,7 @@ NorthEastAltitude = tuple[float, float, float]
 
 @final
 class Header(Struct, frozen=True, kw_only=True):
-    """The first line; one more each time that the companion was started again in the flight."""
+    """The first line; another one each time the companion was restarted in flight."""
 
     schema: Literal["companion-journal"]
     """Says that this is a journal of the companion."""
@@ -74,21 +74,21 @@ class Entry(Struct, frozen=True, tag_field="kind"):
 
 @final
 class Phase(Entry, frozen=True, tag="phase"):
-    """The mission has moved on, or has another reason to be where it is."""
+    """The mission is in another phase, or in the same for another reason."""
 
     phase: str
-    """Where it stands now (docs/reference/mission-states.md)."""
+    """The phase now (docs/reference/mission-states.md)."""
     was: str
-    """And before."""
+    """The phase before."""
     reason: str | None
-    """Why it holds or ends, in words; null: no reason is needed."""
+    """Why it holds or ends, as text; null if there is no reason."""
     code: str | None
-    """The reason's name: words may be put better, names stay.  Since version 2."""
+    """The reason's name, which stays the same if its text is improved.  Since version 2."""
 
 
 @final
 class LegBegun(Entry, frozen=True, tag="leg"):
-    """The vehicle flies the next subpath: the one that was ready last."""
+    """The vehicle begins the next subpath: the newest one that was ready."""
 
     number: int
     """Counted from 1."""
@@ -96,19 +96,19 @@ class LegBegun(Entry, frozen=True, tag="leg"):
 
 @final
 class Resumed(Entry, frozen=True, tag="resumed"):
-    """A companion was started again, and goes on."""
+    """The companion was restarted, and resumes the flight."""
 
     phase: str | None
-    """Where the mission stood, as the one before has kept it (its name in capitals)."""
+    """The phase stored by the previous companion (its name in capitals)."""
     lost: str | None = None
-    """Why nothing of that could be read; left out if it could."""
+    """Why the checkpoint could not be read; omitted if it could."""
     map_lost: str | None = None
-    """Why the known map could not be read; left out if it could."""
+    """Why the known map could not be read; omitted if it could."""
 
 
 @final
 class StopAsked(Entry, frozen=True, tag="stop asked"):
-    """A person wants the end."""
+    """The operator has ended the mission."""
 
 
 @final
@@ -126,7 +126,7 @@ class End(Entry, frozen=True, tag="end"):
 
 @final
 class ScanAsked(Entry, frozen=True, tag="scan"):
-    """The radar is asked what it sees."""
+    """A scan was requested from the radar."""
 
     centre_nea_m: NorthEastAltitude
     """From where."""
@@ -136,32 +136,32 @@ class ScanAsked(Entry, frozen=True, tag="scan"):
 
 @final
 class ScanDone(Entry, frozen=True, tag="scan done"):
-    """The radar has answered as far as it will."""
+    """The scan is complete, or as complete as it gets."""
 
     blocks_asked: int
     """Of 4 x 4 cells."""
     blocks_answered: int
     """The others stay unknown."""
     registration_m: float
-    """By how much the cells may lie beside where they belong."""
+    """How far cells may be displaced."""
     cells_seen: int
     """Of the known map, so far."""
 
 
 @final
 class PlanAsked(Entry, frozen=True, tag="plan asked", kw_only=True):
-    """The next subpath is asked for."""
+    """A plan for the next subpath was requested."""
 
     plan_id: int
-    """Numbers the questions; the answer names it."""
+    """Number of the request, repeated in the answer."""
     due_s: float
-    """Vehicle time at which the answer counts, never before."""
+    """Vehicle time at which the answer takes effect, never earlier."""
     attempt: int
-    """How often this was asked in vain."""
+    """Number of failed attempts before."""
     rest: Rest | None = None
-    """The other choice: to fly that, to stop, and to leave from there; null: it stands."""
+    """The alternative: fly the rest of the leg, stop, and continue from there; null at rest."""
     from_rest: bool
-    """Whether it hovers at the start, and may leave in any direction."""
+    """Whether it starts from a hover, in any direction."""
     scan_nea_m: NorthEastAltitude
     """p_scan, where the vehicle is."""
     start_nea_m: NorthEastAltitude
@@ -173,29 +173,29 @@ class PlanAsked(Entry, frozen=True, tag="plan asked", kw_only=True):
     target_ne_m: NorthEast
     """Where to."""
     route_ne_m: tuple[NorthEast, ...]
-    """The way to the target that the last plan had in mind."""
+    """The route to the target of the last plan."""
 
 
 @final
 class PlanReady(Entry, frozen=True, tag="plan ready"):
-    """A subpath was found: the answer to `plan asked`, at the time when it counts."""
+    """A subpath was found: the answer to `plan asked`, when it takes effect."""
 
     plan_id: int
-    """Of the question."""
+    """Of the request."""
     kernel: str
-    """What computed it: `numba` or `numpy`, and a digest of the arithmetic of this processor."""
+    """The kernel: `numba` or `numpy`, and a digest of this processor's arithmetic."""
     evaluations: int
-    """Candidates that were looked at."""
+    """Candidates evaluated."""
     tries: int
     """Searches, each wider than the one before."""
     rank: int
-    """Its place among the candidates by cost; more than 0: better ones could not be proven."""
+    """Its rank by cost; more than 0: cheaper candidates could not be proven."""
     cost: float | None
     """Eq. 5."""
     to_go: float | None
-    """What is left to fly from its end, in the same currency."""
+    """Cost-to-go from its end, in the same unit."""
     terms: dict[str, float | None]
-    """The cost's terms, by name, 0 to 100; empty: a way out of trouble, not searched for."""
+    """The cost terms by name, 0 to 100; empty for an escape path, which has no cost."""
     guide_rad: float
     """Guide direction: from the local frame's north, clockwise."""
     reaches_target: bool
@@ -205,31 +205,31 @@ class PlanReady(Entry, frozen=True, tag="plan ready"):
     control_nea_m: Annotated[tuple[NorthEastAltitude, ...], Meta(min_length=4)]
     """Control points of a clamped cubic B-spline with evenly spaced inner knots."""
     certificate: Certificate
-    """What is proven of it."""
+    """Its certificate."""
 
 
 @final
 class PlanRefused(Entry, frozen=True, tag="plan refused", omit_defaults=True):
-    """There is no subpath: the answer to `plan asked`."""
+    """No subpath was found: the answer to `plan asked`."""
 
     plan_id: int
-    """Of the question."""
+    """Of the request."""
     reason: str
     """Name of the refusal: NOTHING_SAFE, ..."""
     broken: tuple[str, ...]
     """Bounds that the best candidate breaks."""
     evaluations: int
-    """Candidates that were looked at."""
+    """Candidates evaluated."""
     place_ne_m: tuple[float, float] | None = None
-    """North and east of where the way is closed; with NO_WAY only."""
+    """North and east of where all routes are blocked; with NO_WAY only."""
 
 
 @final
 class PlanLate(Entry, frozen=True, tag="plan late"):
-    """A plan was due and not there (in real time)."""
+    """A plan was due and not ready (real time only)."""
 
     plan_id: int
-    """Of the question."""
+    """Of the request."""
 
 
 # --- what others want
@@ -237,19 +237,19 @@ class PlanLate(Entry, frozen=True, tag="plan late"):
 
 @final
 class Fence(Entry, frozen=True, tag="fence"):
-    """The vehicle's own fence, all of it, as it is from now on."""
+    """The vehicle's complete fence, as of now."""
 
     zones: tuple[AnyZone, ...]
     """Circles and polygons."""
     floor_amsl_m: float | None
-    """Altitude below which it must not fly; null: it says nothing of that."""
+    """Minimum altitude; null if the fence has none."""
     ceiling_amsl_m: float | None
-    """Altitude above which it must not fly; null: it says nothing of that."""
+    """Maximum altitude; null if the fence has none."""
 
 
 @final
 class Targets(Entry, frozen=True, tag="targets"):
-    """The targets, as they are from now on: the vehicle's own mission."""
+    """The targets from now on, from the vehicle's mission."""
 
     targets_ne_m: tuple[NorthEast, ...]
     """In the order in which they are flown to."""
@@ -257,7 +257,7 @@ class Targets(Entry, frozen=True, tag="targets"):
 
 @final
 class Setting(Entry, frozen=True, tag="setting"):
-    """Somebody set a parameter of the planner."""
+    """A planner parameter was set."""
 
     what: str
     """Name = value."""
@@ -265,28 +265,28 @@ class Setting(Entry, frozen=True, tag="setting"):
 
 @final
 class CommandHeard(Entry, frozen=True, tag="command"):
-    """A MAVLink command that was addressed to the companion, and what was answered."""
+    """A MAVLink command to the companion, and the answer."""
 
     sender: str
     """System and component id: "255/190"."""
     command: int
     """MAV_CMD."""
     order: str | None = None
-    """The order that it means; left out if it means none."""
+    """Its order; omitted if it is none."""
     result: str | None = None
-    """MAV_RESULT of the answer, in words; left out for an order, which is judged later."""
+    """MAV_RESULT of the answer, as text; omitted for an order, which is decided later."""
     why: str | None = None
-    """Why it was refused; empty if there is nothing to say; left out for an order."""
+    """Why it was refused; may be empty; omitted for an order."""
 
 
 @final
 class OrderGiven(Entry, frozen=True, tag="order"):
-    """A command for the companion that was accepted, and is obeyed."""
+    """An order to the companion that was accepted."""
 
     order: Literal["START", "PAUSE", "CONTINUE", "REPOSITION", "SPEED", "RETURN"]
-    """What to do."""
+    """The order."""
     sender: str
-    """System and component id of whoever gave it: "255/190"."""
+    """System and component id of the sender: "255/190"."""
     target_ne_m: NorthEast | None
     """Where to go (REPOSITION)."""
     speed_m_s: float | None
@@ -303,17 +303,17 @@ class VehicleFound(Entry, frozen=True, tag="vehicle found"):
     system_id: int
     """MAVLink system id."""
     name: str
-    """What it says that it is."""
+    """Autopilot and vehicle type."""
 
 
 @final
 class Prepared(Entry, frozen=True, tag="prepared"):
-    """One of the things that must be looked at before a flight has been."""
+    """One of the preparations before a flight is complete."""
 
     item: str
     """What."""
     refusal: str
-    """Why the vehicle must not fly as it is; empty if it may."""
+    """Why the flight is refused; empty if it is not."""
 
 
 @final
@@ -349,7 +349,7 @@ class LinkDelay(Entry, frozen=True, tag="link delay"):
 
 @final
 class LinkLost(Entry, frozen=True, tag="link lost"):
-    """Nothing was heard of the vehicle for a while."""
+    """The vehicle was silent for a while."""
 
     silent_s: float
     """For how long."""
@@ -357,12 +357,12 @@ class LinkLost(Entry, frozen=True, tag="link lost"):
 
 @final
 class AnotherCompanion(Entry, frozen=True, tag="another companion"):
-    """Somebody else speaks with the companion's own system and component id."""
+    """Another sender uses the companion's system and component id."""
 
 
 @final
 class MessagesDropped(Entry, frozen=True, tag="messages dropped"):
-    """More has arrived than could be handled."""
+    """Messages arrived faster than they could be handled."""
 
     count: int
     """Messages, the oldest ones."""
@@ -373,20 +373,20 @@ class MessagesDropped(Entry, frozen=True, tag="messages dropped"):
 
 @final
 class ModeAsked(Entry, frozen=True, tag="set mode"):
-    """The autopilot is told to change its mode."""
+    """A mode change was requested from the autopilot."""
 
     mode: str
-    """The companion's word for it: guided, hold, land, return, take off."""
+    """The companion's name of it: guided, hold, land, return, take off."""
 
 
 @final
 class ArmAsked(Entry, frozen=True, tag="arm"):
-    """The autopilot is told to arm."""
+    """Arming was requested from the autopilot."""
 
 
 @final
 class TakeOffAsked(Entry, frozen=True, tag="take off"):
-    """The autopilot is told to take off."""
+    """A take-off was requested from the autopilot."""
 
     above_home_m: float
     """To this height."""
@@ -394,7 +394,7 @@ class TakeOffAsked(Entry, frozen=True, tag="take off"):
 
 @final
 class SetpointRefused(Entry, frozen=True, tag="setpoint refused"):
-    """A setpoint was out of range, and was not sent."""
+    """A setpoint was out of range and not sent."""
 
     setpoint: str
     """All of it, as Python prints it."""
@@ -402,24 +402,24 @@ class SetpointRefused(Entry, frozen=True, tag="setpoint refused"):
 
 @final
 class Said(Entry, frozen=True, tag="say"):
-    """What people at ground stations and at the terminal were told."""
+    """A text to ground stations and the terminal."""
 
     text: str
     """In words."""
     warning: bool
-    """Whether something is wrong."""
+    """Whether it is a warning."""
 
 
 @final
 class PartDied(Entry, frozen=True, tag="part died", omit_defaults=True):
-    """A part of the companion has died; noted by whoever notices, so perhaps twice."""
+    """A part of the companion has died; may be noted twice, by session and watchdog."""
 
     error: str
     """What it died of."""
     part: str | None = None
-    """Which one; noted by the watchdog only."""
+    """Its name; by the watchdog only."""
     hold_frames: int | None = None
-    """How many frames the vehicle was told to hold with; noted by the watchdog only."""
+    """Number of frames sent to hold the vehicle; by the watchdog only."""
 
 
 KINDS: Final[dict[str, type[Entry]]] = {
@@ -436,7 +436,7 @@ def plain(value: Any) -> Any:
 
 
 def entry_of(values: dict[str, Any]) -> Entry:
-    """The entry that such values are; KeyError: of no known kind; msgspec.ValidationError."""
+    """Decode an entry; KeyError: unknown kind; msgspec.ValidationError."""
     kind = KINDS[values["kind"]]
     if kind is PlanReady and isinstance(proven := values.get("certificate"), dict):
         known = {name: math.nan if each is None else each for name, each in proven.items()}

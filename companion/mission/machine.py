@@ -1,8 +1,8 @@
 """The mission machine: (state, event) -> (state, commands).  The only way a mission changes.
 
-An event first changes what is known of the vehicle and of the terrain, then the phase's own
-handler decides; a trigger moves the mission on through the table in `state`, and what it enters
-begins with its own commands.  No clock, no I/O: times are those of the events.
+An event first updates vehicle and terrain, then the handler of the phase decides; a trigger changes
+the phase by the table in `state`, and the new phase begins with its own commands.  No clock, no
+I/O: times are those of the events.
 """
 
 from collections.abc import Callable
@@ -10,19 +10,19 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from companion.mission import changes, ends, flying, following, ground, returning, stopped
+from companion.mission import backtracking, changes, fallback, flying, following, ground, stopped
 from companion.mission import shadow as watching
 from companion.mission.decisions import (
     Context,
     Step,
     is_grounded,
-    is_led,
-    words,
+    is_under_control,
+    reason_text,
 )
-from companion.mission.driving import UNKNOWN
 from companion.mission.events import (
     Battery,
     Command,
+    DuplicateId,
     Echo,
     End,
     Estimator,
@@ -33,53 +33,53 @@ from companion.mission.events import (
     LandedState,
     LinkDelay,
     Mode,
-    Namesake,
     Outcome,
     PlannerDied,
     Position,
     Prepared,
     RequestStreams,
-    Say,
     ScanDone,
     SetMode,
     SetSpeed,
+    StatusText,
     StopAsked,
     TakeOffTaken,
     VehicleFound,
     VehicleStatus,
 )
-from companion.mission.health import distrust, judged, with_battery, with_position
+from companion.mission.health import distrust, with_battery, with_position, with_position_trust
 from companion.mission.state import (
     IN_AIR,
     MOVES,
     ON_GROUND,
     OVER,
-    Down,
-    GoBack,
+    Grounded,
     HoldMode,
     Orders,
     Paused,
     Phase,
     Reason,
     Replan,
+    ReturnOrdered,
     Silent,
     State,
     StreamLost,
-    Taken,
+    TakenOver,
     TakeOver,
     Trigger,
 )
+from companion.mission.vehicle_traits import UNKNOWN
 
 _AS_IT_SHOULD = {
     Trigger.END_HOLD: "holding",
     Trigger.LANDED: "landed",
     Trigger.HANDED_ON: "its autopilot returns by itself",
 }
-"""Ends that leave nothing to be done for the vehicle, and what they left it doing."""
+"""Ends after which the vehicle needs nothing more, and what it is doing then."""
 
 
 def step(state: State, event: Event, context: Context) -> tuple[State, list[Command]]:
-    """One event: the new state, and what to do because of it."""
+    """Handle one event: the new state and the commands."""
     if state.phase in OVER:
         return state, []
     now_s = max(state.now_s, event.time_s)
@@ -93,7 +93,7 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
         return replace(state, now_s=now_s), []  # overtaken by a newer one
     reason = distrust(vehicle, now_s, limits)
     if reason is not None or vehicle.distrust is not None:
-        vehicle = judged(vehicle, reason, now_s)
+        vehicle = with_position_trust(vehicle, reason, now_s)
     airborne = state.airborne or (vehicle.armed and vehicle.landed is Landed.IN_AIR)
     state = replace(state, now_s=now_s, vehicle=vehicle, airborne=airborne)
     in_any_phase, step = _IN_ANY_PHASE.get(type(event)), None
@@ -101,7 +101,7 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
         step = in_any_phase(state, event, context)
     after, commands, trigger = step or IN_PHASE[state.phase](state, event, context)
     if trigger is Trigger.GIVE_UP and not context.shadow:
-        after, more, trigger = ends.instead(after, context)
+        after, more, trigger = fallback.fall_back(after, context)
         commands = [*commands, *more]
     phase = None if trigger is None else MOVES.get((after.phase, trigger))
     if trigger is None or phase is None:
@@ -113,11 +113,11 @@ def step(state: State, event: Event, context: Context) -> tuple[State, list[Comm
 
 
 def _observed(state: State, event: Event, now_s: float, context: Context) -> State:
-    """What is known of the vehicle and of the terrain after an event, now; not of its position."""
+    """Update vehicle and terrain by an event, except for positions."""
     vehicle, flight = state.vehicle, state.flight
     match event:
-        case VehicleFound(driving=driving):
-            vehicle = replace(vehicle, driving=driving or UNKNOWN)
+        case VehicleFound(traits=traits):
+            vehicle = replace(vehicle, traits=traits or UNKNOWN)
         case VehicleStatus(mode=mode, armed=armed, failsafe=failsafe):
             vehicle = replace(
                 vehicle, mode=mode, armed=armed, failsafe=failsafe, status_at_s=event.time_s
@@ -152,8 +152,8 @@ def _observed(state: State, event: Event, now_s: float, context: Context) -> Sta
                 echo_at_s=event.time_s,
             )
             flight = following.with_echo(replace(state, now_s=now_s, vehicle=vehicle))
-        case Namesake(certain=certain):
-            state = replace(state, namesake=certain, namesake_at_s=now_s)
+        case DuplicateId(certain=certain):
+            state = replace(state, duplicate_id=certain, duplicate_id_at_s=now_s)
         case Prepared(item=item, refusal="") if item not in state.prepared:
             state = replace(state, prepared=state.prepared | {item})
         case ScanDone(scan=scan) if state.phase not in ON_GROUND:  # else it was only to answer
@@ -175,10 +175,10 @@ def _died(state: State, event: PlannerDied, _context: Context) -> Step:
 _IN_ANY_PHASE: Final[dict[type[Event], Callable[[State, Any, Context], Step | None]]] = {
     StopAsked: _stop,
     PlannerDied: _died,
-    Namesake: ground.not_alone,
+    DuplicateId: ground.on_duplicate_id,
     **dict.fromkeys(changes.EVENTS, changes.changed),
 }
-"""Events that count whatever the phase; None: left to the phase all the same."""
+"""Handlers of events in any phase; None: also left to the phase."""
 
 IN_PHASE: Final[dict[Phase, Callable[[State, Event, Context], Step]]] = {
     Phase.WAITING: ground.waiting,
@@ -186,28 +186,32 @@ IN_PHASE: Final[dict[Phase, Callable[[State, Event, Context], Step]]] = {
     Phase.ARMING: ground.arming,
     Phase.TAKING_OFF: ground.taking_off,
     Phase.FLYING: flying.flying,
-    Phase.RETURNING: returning.returning,
+    Phase.RETURNING: backtracking.returning,
     Phase.HOLDING: stopped.holding,
     Phase.ARRIVED: stopped.arrived,
     Phase.LANDING: stopped.landing,
-    Phase.HANDING_OVER: ends.handing_over,
+    Phase.HANDING_OVER: fallback.handing_over,
     Phase.SHADOW: watching.shadow,
 }
-"""What each phase makes of an event; a mission that is over makes nothing of it."""
+"""The handler of each phase; a mission that is over ignores events."""
 
 
 def _enter(
     state: State, before: State, trigger: Trigger, context: Context, commands: list[Command]
 ) -> tuple[State, list[Command]]:
-    """What a phase begins with."""
+    """The entry actions of a phase."""
     if state.phase in IN_AIR:
-        led_at_s = state.now_s if before.phase is Phase.PREPARING else -1e9
-        state = replace(state, airborne=True, led_at_s=min(state.led_at_s, led_at_s))
+        in_control_since_s = state.now_s if before.phase is Phase.PREPARING else -1e9
+        state = replace(
+            state,
+            airborne=True,
+            in_control_since_s=min(state.in_control_since_s, in_control_since_s),
+        )
     match state.phase:
         case Phase.PREPARING:
-            says: list[Command] = [Say(text=f"mission {context.mission.name}")]
+            says: list[Command] = [StatusText(text=f"mission {context.mission.name}")]
             news = (stopped.landing_words(state, context), state.news)
-            says += [Say(text=text, warning=True) for text in news if text]
+            says += [StatusText(text=text, warning=True) for text in news if text]
             return replace(state, news=""), [*commands, RequestStreams(), *says]
         case Phase.FLYING | Phase.LANDING | Phase.RETURNING:
             return _set_out(state, commands)
@@ -232,11 +236,11 @@ def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command
     elif not state.flight.homeward:  # to a target again
         state = replace(state, flight=replace(flight, fallen_back=None))
     if state.phase is Phase.RETURNING:
-        went_back = returning.began(state)
+        went_back = backtracking.start_backtrack(state)
         assert went_back is not None  # whoever says go_back has looked
         state = replace(state, flight=went_back)
-        commands = [*commands, Say(text="returning", about="phase")]
-    if state.phase is not Phase.LANDING and state.vehicle.driving is not UNKNOWN:
+        commands = [*commands, StatusText(text="returning", about="phase")]
+    if state.phase is not Phase.LANDING and state.vehicle.traits is not UNKNOWN:
         speed = min(state.flight.speed_limit_m_s, state.task.limits.speed_m_s)
         commands = [*commands, SetSpeed(speed_m_s=speed)]
     return state, commands
@@ -247,17 +251,17 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     reason = state.reason or Reason.NO_PLAN
     state = replace(state, hold=reason.hold())
     match state.hold:
-        case Paused() | GoBack():
+        case Paused() | ReturnOrdered():
             state = replace(state, orders=replace(state.orders, active=reason))
-        case Taken():
+        case TakenOver():
             state = replace(state, taken=True)
-        case HoldMode() | StreamLost() | Down() | Silent():
+        case HoldMode() | StreamLost() | Grounded() | Silent():
             flight = replace(state.flight, troubles=state.flight.troubles + 1)
             state = replace(state, flight=flight)
         case Replan() | TakeOver() | None:
             pass
-    text = f"hold: {reason.text}{words(state, reason)[0]}"
-    says: list[Command] = [Say(text=text, warning=reason.warns, about="phase")]
+    text = f"hold: {reason.text}{reason_text(state, reason)[0]}"
+    says: list[Command] = [StatusText(text=text, warning=reason.warns, about="phase")]
     if isinstance(state.hold, HoldMode):
         state = replace(state, asked_at_s=state.now_s)
         says.append(SetMode(mode=Mode.HOLD))
@@ -265,13 +269,13 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
 
 
 def _ending(before: State, trigger: Trigger, context: Context) -> list[Command]:
-    """Leave the vehicle in its own hold, if it flies for us, and say how the mission ended."""
+    """Put the vehicle on hold, if we control it, and report how the mission ended."""
     end = _end_of(before, trigger)
     if context.shadow or trigger in _AS_IT_SHOULD:
         return [end]
     sent_up = before.phase is Phase.TAKING_OFF and before.asked_at_s > 0.0
     in_air = sent_up or not is_grounded(before)
-    if not (is_led(before) and before.vehicle.armed and in_air):
+    if not (is_under_control(before) and before.vehicle.armed and in_air):
         return [end]
     return [SetMode(mode=Mode.HOLD, at_nea_m=before.flight.hover_nea_m), end]
 
@@ -290,7 +294,7 @@ def _end_of(before: State, trigger: Trigger) -> End:
         how = _AS_IT_SHOULD[trigger]
         asked = fallen_back is Reason.RETURN_ASKED
         outcome = Outcome.STOPPED if asked else Outcome.FAILED
-        detail, remedy = words(before, fallen_back)
+        detail, remedy = reason_text(before, fallen_back)
         return End(outcome=outcome, reason=f"{how}: {fallen_back.text}{detail}", remedy=remedy)
     reason = before.reason or Reason.NO_PLAN
     outcome = Outcome.STOPPED if trigger is Trigger.STOP else Outcome.FAILED

@@ -1,4 +1,4 @@
-"""A mission: what is known in advance, as the mission machine and the protocols need it."""
+"""A mission: targets, task and options, as the mission machine and the protocols need them."""
 
 import enum
 from dataclasses import dataclass, replace
@@ -21,13 +21,13 @@ class EndAction(enum.Enum):
 
 
 class Fallback(enum.Enum):
-    """What a vehicle does that finds no way on, or whose battery will not last (see `ends`)."""
+    """What to do if there is no way on, or the battery will not last (see `fallback`)."""
 
     HOLD = "hold"
-    """Until a person takes it."""
+    """Until a pilot takes over."""
     LAND = "land"
     RETURN = "return"
-    """Back along the path that it has flown, and down; else by its autopilot's own return."""
+    """Backtrack along the flown path and land; else the autopilot's RTL."""
 
 
 @final
@@ -59,7 +59,7 @@ class Mission:
     position_rate_hz: Annotated[float, Ge(2.0), Le(200.0)] = 10.0
     """Rate at which the vehicle's position is asked for; one setpoint answers each position."""
     yaw_rad: float | None = None
-    """Where the nose points, in the local frame; None: along the path."""
+    """Fixed heading in the local frame; None: along the path."""
     fallback: Fallback = Fallback.RETURN
     attempts: Annotated[int, Ge(1), Le(100)] = 4
     """Plans in a row, from rest, that may fail before the fallback."""
@@ -80,7 +80,7 @@ class Mission:
     rally_ne_m: tuple[tuple[float, float], ...] = ()
     """Places to return to that a plan names."""
     notes: tuple[str, ...] = ()
-    """What was assumed or left out when the mission was read, for people."""
+    """Assumptions and ignored parts when the mission was read, as text for the operator."""
 
     def task_to(self, target: int, task: Task) -> Task:
         """The task on the way to a target: with its altitude as the lowest to plan for.
@@ -97,9 +97,9 @@ class Mission:
 
     @property
     def take_off_amsl_m(self) -> float:
-        """Where the climb-out ends: the floor of the band, plus what the vehicle may sink below.
+        """Where the climb-out ends: the floor of the band plus the tracking and navigation error.
 
-        Never lower than paths are planned: the first begins here.
+        Never lower than paths are planned, as the first one begins here.
         """
         limits = self.task.limits
         lowest_m, _ = self.task.band_amsl_m

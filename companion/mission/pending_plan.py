@@ -1,4 +1,4 @@
-"""The plan that was asked for: it counts from when it is due, however soon it is there."""
+"""The pending plan: it takes effect when due, however early it is ready."""
 
 import math
 from typing import final
@@ -9,7 +9,7 @@ from companion.planner.request import PlanOutcome
 
 @final
 class PendingPlan:
-    """At most one question to the planner, and its answer."""
+    """At most one plan request, and its answer."""
 
     def __init__(self) -> None:
         self.due_s = math.inf
@@ -18,7 +18,7 @@ class PendingPlan:
         self._late_told = False
 
     def ask(self, due_s: float) -> None:
-        """Another question; the answer to the one before is not wanted any more."""
+        """A new request; the answer to the previous one is dropped."""
         self.due_s, self._answer, self._late_told = due_s, None, False
 
     def forget(self) -> None:
@@ -26,17 +26,17 @@ class PendingPlan:
         self.ask(math.inf)
 
     def deliver(self, answer: PlanOutcome | PlannerDied, now_s: float) -> None:
-        """The answer; that there will be none counts at once."""
+        """Take the answer; a dead planner is reported at once."""
         self._answer = answer
         if isinstance(answer, PlannerDied):
             self.due_s = min(self.due_s, now_s)
 
     def is_missing(self, at_s: float) -> bool:
-        """Whether there is no answer by then though it is due."""
+        """Whether the answer is due by then and missing."""
         return self._answer is None and at_s >= self.due_s
 
-    def tell_late(self) -> bool:
-        """Whether it is news that the answer is late."""
+    def newly_late(self) -> bool:
+        """Whether the answer is late and that was not reported yet."""
         news, self._late_told = not self._late_told, True
         return news
 

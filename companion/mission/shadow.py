@@ -1,4 +1,4 @@
-"""The phase `shadow`: plan for what the vehicle does and say so, never command.
+"""The phase `shadow`: plan for the vehicle and report, never command.
 
 A leg is planned from where the vehicle is, as if it were to fly it; as long as it does, the
 successors follow as in flight.  When it does not, the next leg begins where it went.
@@ -10,7 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from companion.mission import flying, following, joining
-from companion.mission.decisions import Context, Step, give_up, is_gone, words
+from companion.mission.decisions import Context, Step, give_up, is_gone, reason_text
 from companion.mission.events import (
     Command,
     Event,
@@ -18,8 +18,8 @@ from companion.mission.events import (
     PlanLate,
     PlanReady,
     Position,
-    Say,
     ScanDone,
+    StatusText,
     Vector,
 )
 from companion.mission.health import TRUST_S
@@ -56,12 +56,12 @@ def shadow(state: State, event: Event, context: Context) -> Step:
 
 
 def _would(state: State, reason: Reason | None) -> Step:
-    """Say that it would hold now, or go on."""
+    """Report that it would hold now, or continue."""
     state = replace(state, flight=following.at_rest(state.flight, None))
     if reason is None:
-        return state, [Say(text="shadow: would go on")], None
-    text = f"shadow: would hold: {reason.text}{words(state, reason)[0]}"
-    return state, [Say(text=text, warning=True)], None
+        return state, [StatusText(text="shadow: would go on")], None
+    text = f"shadow: would hold: {reason.text}{reason_text(state, reason)[0]}"
+    return state, [StatusText(text=text, warning=True)], None
 
 
 def _on_position(state: State, event: Position) -> Step:
@@ -70,7 +70,7 @@ def _on_position(state: State, event: Position) -> Step:
     target = state.targets_ne_m[flight.target]
     if math.dist(here[:2], target) < max(_ARRIVED_M, state.task.limits.tracking_error_m):
         last = flight.target + 1 == len(state.targets_ne_m)
-        says: list[Command] = [] if last else [Say(text="shadow: target reached")]
+        says: list[Command] = [] if last else [StatusText(text="shadow: target reached")]
         at = flight.target if last else flight.target + 1
         flight = replace(following.at_rest(flight, None), target=at)
         return replace(state, flight=flight), says, None
@@ -80,7 +80,7 @@ def _on_position(state: State, event: Position) -> Step:
     if off_m > 3.0 * state.task.limits.tracking_error_m:
         text = f"shadow: the vehicle is {off_m:.0f} m off the path"
         flight = following.at_rest(flight, None)
-        return replace(state, flight=flight), [Say(text=text)], None
+        return replace(state, flight=flight), [StatusText(text=text)], None
     return _follow(state, at_m)
 
 
@@ -103,7 +103,7 @@ def _follow(state: State, at_m: float) -> Step:
     length_m = max(flight.reference.length_m, at_m)
     flight = replace(flight, reference=Reference(length_m=length_m, speed_m_s=speed))
     if flight.next_leg is not None and length_m >= leg.successor_at_m(task):
-        flight = following.gone_over(flight, leg, task)
+        flight = following.switched_to_next_leg(flight, leg, task)
         return replace(state, flight=flight), [], None
     if leg.subpath.length_m - length_m < 1.0:
         return replace(state, flight=following.at_rest(flight, None)), [], None

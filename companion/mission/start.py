@@ -1,4 +1,4 @@
-"""What a session is made of, as plain values: the first of its inputs."""
+"""The arguments of a session as plain values: the first of its inputs."""
 
 from typing import Annotated, Any, final
 
@@ -11,7 +11,7 @@ from companion.mission.mission import Mission
 from companion.world.known_map import KnownMap, digest_of, packed_map
 
 Resume = tuple[Values, KnownMap | None]
-"""What a companion before this one has left: its checkpoint, and its map if that can be read."""
+"""Data to resume from: the checkpoint, and the map if it can be read."""
 
 
 SystemId = Annotated[int, Meta(ge=1, le=255)]
@@ -20,7 +20,7 @@ SystemId = Annotated[int, Meta(ge=1, le=255)]
 
 @final
 class Start(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What makes one session out of a mission; the mission itself is kept elsewhere."""
+    """The arguments of a session besides the mission, which is stored elsewhere."""
 
     companion: str
     """Version."""
@@ -70,5 +70,5 @@ class Start(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def terrain_of(mission: Mission) -> str:
-    """What tells the terrain that a mission knows in advance from any other; "": it knows none."""
+    """Digest of the terrain that a mission knows in advance; "": none."""
     return "" if mission.known is None else digest_of(mission.known)

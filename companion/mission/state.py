@@ -1,4 +1,4 @@
-"""Phases, what moves a mission from one to the next, and everything that it remembers."""
+"""Phases, transitions and the state of a mission."""
 
 import dataclasses
 import enum
@@ -8,18 +8,18 @@ from typing import final
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from companion.mission.driving import UNKNOWN, Driving
 from companion.mission.events import FenceChanged, Item, Landed, Mode, Setpoint, Vector
 from companion.mission.mission import Mission
+from companion.mission.vehicle_traits import UNKNOWN, VehicleTraits
 from companion.planner.join import Offset
 from companion.planner.procedure import Leg, Reference
-from companion.planner.request import Refusal, Stretch
+from companion.planner.request import FlownSegment, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
 
 class Phase(enum.Enum):
-    """Where a mission stands (design section 7)."""
+    """Phase of a mission (design section 7)."""
 
     WAITING = "waiting"
     PREPARING = "preparing"
@@ -38,7 +38,7 @@ class Phase(enum.Enum):
 
 
 class Trigger(enum.Enum):
-    """What moves a mission on."""
+    """Cause of a phase change."""
 
     VEHICLE_FOUND = "the vehicle's heartbeat was heard"
     READY = "position, home, streams, parameters and fence are there, on the ground"
@@ -52,7 +52,7 @@ class Trigger(enum.Enum):
     NEXT_TARGET = "stopped at a target that is not the last"
     END_HOLD = "stopped at the last target, in the hold mode"
     END_LAND = "stopped at the last target, or where it came back to: told to land"
-    GO_BACK = "told to return: along the flown path"
+    BACKTRACK = "told to return: along the flown path"
     HAND_OVER = "no way back of ours is left: its autopilot is told to return by itself"
     HANDED_ON = "its autopilot returns by itself, and has it from here on"
     LANDED = "on the ground, disarmed"
@@ -93,9 +93,9 @@ MOVES: dict[tuple[Phase, Trigger], Phase] = {
     (Phase.ARRIVED, Trigger.NEXT_TARGET): Phase.FLYING,
     (Phase.ARRIVED, Trigger.END_HOLD): Phase.DONE,
     (Phase.ARRIVED, Trigger.END_LAND): Phase.LANDING,
-    (Phase.ARRIVED, Trigger.GO_BACK): Phase.RETURNING,
+    (Phase.ARRIVED, Trigger.BACKTRACK): Phase.RETURNING,
     (Phase.HOLDING, Trigger.RESUME): Phase.FLYING,
-    (Phase.HOLDING, Trigger.GO_BACK): Phase.RETURNING,
+    (Phase.HOLDING, Trigger.BACKTRACK): Phase.RETURNING,
     (Phase.HOLDING, Trigger.END_LAND): Phase.LANDING,
     (Phase.RETURNING, Trigger.RESUME): Phase.FLYING,
     (Phase.RETURNING, Trigger.END_LAND): Phase.LANDING,
@@ -112,67 +112,67 @@ MOVES: dict[tuple[Phase, Trigger], Phase] = {
     **{(phase, Trigger.STOP): Phase.DONE for phase in _ALL},
     **{(phase, Trigger.DIED): Phase.FAULTED for phase in _ALL},
 }
-"""The transition table.  What is absent changes nothing."""
+"""The transition table.  Absent pairs change nothing."""
 
 
 @final
 class Replan(Struct, frozen=True):
-    """On setpoints, in guided mode: after a pause a way on is planned again, not for ever."""
+    """Hold by setpoints; planning is retried after a pause, a limited number of times."""
 
 
 @final
 class Paused(Struct, frozen=True):
-    """On setpoints, until a person, or the battery, says otherwise."""
+    """Hold by setpoints, until another order or a low battery."""
 
 
 @final
-class GoBack(Struct, frozen=True):
-    """On setpoints, until the way back is proven."""
+class ReturnOrdered(Struct, frozen=True):
+    """Hold by setpoints, until the backtrack is proven."""
 
 
 @final
 class HoldMode(Struct, frozen=True):
-    """In the autopilot's own hold, until it stands and its position was good for a while."""
+    """The autopilot's hold mode, until it is at rest and its position was valid for a while."""
 
 
 @final
 class TakeOver(Struct, frozen=True):
-    """In the mode that it flew in, if that stops it by itself; then as `HoldMode`."""
+    """Stay in the current mode if that stops the vehicle; then as `HoldMode`."""
 
 
 @final
 class StreamLost(Struct, frozen=True):
-    """In its own hold for want of setpoints: sent some, it goes back to guided mode by itself."""
+    """The autopilot holds for lack of setpoints: a new stream returns it to guided mode."""
 
 
 @final
-class Taken(Struct, frozen=True):
-    """Not ours to command: with somebody else, or its autopilot, until a person gives it back."""
+class TakenOver(Struct, frozen=True):
+    """Not in control: taken over by a pilot or the autopilot, until handed back."""
 
-    told_at_s: float = -1e9
-    """When a person has said to go on with it."""
+    released_at_s: float = -1e9
+    """When the operator last ordered to continue."""
     failsafe_over: bool = False
-    """Whether it was said that the failsafe which took it is over."""
+    """Whether the end of the failsafe was reported."""
 
 
 @final
-class Down(Struct, frozen=True):
-    """Not ours to command: not armed, or on the ground, as far as it has said so."""
+class Grounded(Struct, frozen=True):
+    """Not in control: reported disarmed, or on the ground."""
 
 
 @final
 class Silent(Struct, frozen=True):
-    """Not ours to command: not heard."""
+    """Not in control: the vehicle is silent."""
 
 
-OnSetpoints = Replan | Paused | GoBack
-"""The position may be believed."""
-Hold = OnSetpoints | HoldMode | TakeOver | StreamLost | Taken | Down | Silent
-"""How a vehicle is held, with what has come of it since; `Reason` says which it is."""
+OnSetpoints = Replan | Paused | ReturnOrdered
+"""Holds with a valid position."""
+Hold = OnSetpoints | HoldMode | TakeOver | StreamLost | TakenOver | Grounded | Silent
+"""How a vehicle is held, with the state of the hold; selected by `Reason`."""
 
 
 class Reason(enum.Enum):
-    """Why a mission holds or ends, and the one next action to take."""
+    """Why a mission holds or ends, and the remedy."""
 
     NO_VEHICLE = ("no vehicle was heard", "Start it, or check --connect.")
     WRONG_VEHICLE = (
@@ -226,20 +226,20 @@ class Reason(enum.Enum):
     MODE_TAKEN = (
         "somebody else flies the vehicle",
         "Give it back: guided mode, or the command MISSION_START to the companion.",
-        Taken,
+        TakenOver,
     )
     FAILSAFE = (
         "the autopilot's own failsafe took the vehicle",
         "See its messages; when that is over, give it back: guided mode, or MISSION_START.",
-        Taken,
+        TakenOver,
     )
     FENCE_BREACHED = (
         "the vehicle's own fence stopped it",
         "Change its fence, or give it back (guided mode, or MISSION_START) to be led out of it.",
-        Taken,
+        TakenOver,
     )
-    DISARMED = ("the vehicle disarmed", "See its messages for the reason.", Down)
-    GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.", Down)
+    DISARMED = ("the vehicle disarmed", "See its messages for the reason.", Grounded)
+    GROUNDED = ("the vehicle is on the ground", "Look at it before it flies again.", Grounded)
     OFF_PATH = ("the vehicle left its path", "Raise vehicle.tracking_error_m or fly slower.")
     NOT_FOLLOWING = ("the vehicle does not follow its setpoints", "Check that it can fly them.")
     NOT_TAKEN = ("the autopilot does not take the setpoints", "See its messages for the reason.")
@@ -251,11 +251,11 @@ class Reason(enum.Enum):
     NEW_TARGET = ("a new target was given", "Wait for the way to it.", Replan, False)
     CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Replan, False)
     PAUSED = ("paused by a person", "Send the command to continue.", Paused, False)
-    RETURN_ASKED = ("told to return", "Wait until it has landed.", GoBack)
+    RETURN_ASKED = ("told to return", "Wait until it has landed.", ReturnOrdered)
     BATTERY_LOW = (
         "the battery will not reach the target and the reserve",
         "Bring the vehicle down.",
-        GoBack,
+        ReturnOrdered,
     )
     PLANNER_DIED = (
         "a part of the companion stopped with an error",
@@ -271,23 +271,23 @@ class Reason(enum.Enum):
         self.remedy = remedy
         """What to do about it."""
         self.hold = hold
-        """How a vehicle is held for it, if it is."""
+        """How a vehicle is held for this reason."""
         self.warns = warns
-        """Whether anything is wrong."""
+        """Whether it is a fault."""
 
 
 @final
 class Vehicle(Struct, frozen=True, kw_only=True):
-    """What the vehicle has said of itself."""
+    """The vehicle's reports."""
 
-    driving: Driving = UNKNOWN
+    traits: VehicleTraits = UNKNOWN
     mode: Mode | None = None
     armed: bool = False
     status_at_s: float = -1e9
     """When its heartbeat was heard last."""
     failsafe: bool = False
     fence_breached_at_s: float = -1e9
-    """When it last said that it breaches its own fence."""
+    """When it last reported a breach of its fence."""
     landed: Landed = Landed.UNKNOWN
     landed_at_s: float = -1e9
     """Since when."""
@@ -298,19 +298,19 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     fix_at_s: float = -1e9
     estimator_good: bool = False
     estimator_at_s: float = -1e9
-    """When these were heard of last."""
+    """When these were last reported."""
     estimator_failed_at_s: float = -1e9
     """When it last went bad."""
     error_m: float | None = None
-    """How accurate it claims to know its horizontal position."""
+    """Reported horizontal accuracy."""
     battery: float | None = None
     """Share that is left."""
     battery_at_s: float = -1e9
     """When it was last heard of."""
     battery_short_at_s: float | None = None
-    """Since when all that is heard of it says that it will not last; None: it will."""
+    """Since when all reports say that it will not last; None: it will."""
     battery_full: tuple[float, float] | None = None
-    """When the battery was first heard of in the air, and what was left then."""
+    """Time of the first report in the air, and the charge then."""
     round_trip_s: float = 0.0
     """Of the link."""
     echo_nea_m: Vector | None = None
@@ -328,57 +328,57 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     jumped_at_s: float = -1e9
     """When the position last changed by more than the vehicle can fly."""
     bad_at_s: float = 0.0
-    """When the position was last not to be believed, whatever the reason."""
+    """When the position was last invalid, for any reason."""
     distrust: Reason | None = None
-    """Why it is not to be believed now (`health.distrust`); None: it may be."""
+    """Why it is invalid now (`health.distrust`); None: it is valid."""
     doubted_at_s: float = -1e9
-    """When it was last not to be believed, for any reason but where it is."""
+    """When it was last invalid for another reason than its place."""
     believed_at_s: float = -1e9
-    """When a position came that was believed, after others that were."""
+    """When a valid position came that followed another valid one."""
     astray_ne_m: tuple[float, float] = (0.0, 0.0)
-    """How far the position has come since from where the speeds told lead."""
+    """Its deviation since then from the position predicted by the reported velocities."""
     blind_s: float = 0.0
-    """How long since then nothing has vouched for it, until it jumped."""
+    """How long since then no source has confirmed it, until it jumped."""
 
 
 @final
 class Scanning(Struct, frozen=True):
-    """The radar was asked for what is around a place; a plan follows."""
+    """A scan around a place was requested; a plan follows."""
 
     from_nea_m: Vector
     again: int = 0
-    """Scans from here that followed one which the radar had answered only in part."""
+    """Scans repeated from here because the answer was incomplete."""
 
 
 @final
-class Looking(Struct, frozen=True):
-    """The radar was asked, only to see where else to circle: no plan follows."""
+class LoiterScan(Struct, frozen=True):
+    """A scan was requested to find a place to loiter: no plan follows."""
 
 
 @final
 class Planning(Struct, frozen=True):
-    """The plan with the newest number was asked for."""
+    """The newest plan was requested."""
 
     rules: Task
-    """That it was asked under."""
+    """The task of the request."""
 
 
 @final
-class PlanningBack(Struct, frozen=True):
-    """The way back was asked for, as the plan with the newest number."""
+class PlanningBacktrack(Struct, frozen=True):
+    """A backtrack was requested, as the newest plan."""
 
     rules: Task
-    """That it was asked under."""
+    """The task of the request."""
     since_s: float
 
 
 @final
-class Asked(Struct, frozen=True):
-    """There was an answer: there is a successor, or this leg is flown to its end."""
+class Answered(Struct, frozen=True):
+    """The answer is there: a successor, or this leg is flown to its end."""
 
 
-Search = Scanning | Looking | Planning | Asked
-"""What has been asked for of what comes after this leg, or this wait for one."""
+Search = Scanning | LoiterScan | Planning | Answered
+"""Progress of the search for the next leg."""
 
 
 @final
@@ -387,7 +387,7 @@ class Outward(Struct, frozen=True):
 
 
 @final
-class Back(Struct, frozen=True):
+class Backtracking(Struct, frozen=True):
     """Along the flown path."""
 
     legs: tuple[Leg, ...]
@@ -395,12 +395,12 @@ class Back(Struct, frozen=True):
 
 
 @final
-class Home(Struct, frozen=True):
-    """To where the flight began, planned to like a target, as the flown path is too far."""
+class ReplanHome(Struct, frozen=True):
+    """To the start of the flight, planned to like a target, as the flown path is too far away."""
 
 
-Way = Outward | Back | Home
-"""Where the flight leads."""
+Direction = Outward | Backtracking | ReplanHome
+"""Direction of the flight."""
 
 
 @final
@@ -414,7 +414,7 @@ class Stop(Struct, frozen=True):
 
 @final
 class Flight(Struct, frozen=True, kw_only=True):
-    """How far the online procedure has come."""
+    """State of the online procedure."""
 
     known: KnownMap
     target: int = 0
@@ -424,78 +424,78 @@ class Flight(Struct, frozen=True, kw_only=True):
     joined_m: float = 0.0
     """Length along the leg at which it was begun."""
     circling: bool = False
-    """Whether a plane has yet to leave the circle about the start of its leg."""
+    """Whether a plane still loiters at the start of its leg."""
     offset: Offset | None = None
     """Between the path and where the vehicle is led: after a restart it decays."""
     stop: Stop | None = None
     hover_nea_m: Vector | None = None
-    """Where to stay while there is no leg."""
-    circled: tuple[Task, Vector] | None = None
-    """The rules, and the place to stay, that a plane's circle was last judged by."""
+    """Where to hold while there is no leg."""
+    loiter_checked: tuple[Task, Vector] | None = None
+    """Rules and hold position of the last check of a plane's loiter circle."""
     search: Search | None = None
-    looked_under: Task | None = None
-    """The rules under which a plane last looked where else to circle."""
+    loiter_scan_rules: Task | None = None
+    """The rules of the last scan for a place to loiter."""
     plan_id: int = 0
     """Of the newest plan request."""
     route_ne_m: tuple[tuple[float, float], ...] = ()
-    """The way to the target that the newest plan had in mind."""
+    """The route to the target of the newest plan."""
     shortfall: Reason = Reason.NO_PLAN
     """Why this leg has no successor (yet)."""
     refusal: Refusal | None = None
     """Why there is no plan, in the planner's own words."""
     failures: int = 0
-    """Attempts in a row, from rest, that gave no leg."""
+    """Failed attempts in a row, from rest."""
     legs_flown: int = 0
     stops: int = 0
     """How often the vehicle has stopped at the end of a leg that was not the last."""
     departures: int = 0
-    """How often the vehicle has left its path, or has not been led along it."""
+    """How often the vehicle has left its path, or not followed it."""
     troubles: int = 0
-    """How often it was held for its position, or another fault, since it last finished a leg."""
+    """Holds for its position or another fault since the last completed leg."""
     progress_at_s: float = 0.0
     """When the reference point last moved, or the wait for a leg began."""
     speed_limit_m_s: float = math.inf
-    """What a person has asked for; the mission's own speed holds as well."""
+    """The ordered speed; the mission's own speed limits it too."""
     sent: Setpoint | None = None
     """The last setpoint."""
     sent_at_s: float = -1e9
     echoed_at_s: float = 0.0
-    """When the autopilot's echo last agreed with what it was sent."""
-    flown: tuple[Stretch, ...] = ()
-    """The way here, for the way back."""
-    way: Way = Outward()
-    planning_back: PlanningBack | None = None
+    """When the reported target last agreed with the setpoint."""
+    flown: tuple[FlownSegment, ...] = ()
+    """The flown path, for the backtrack."""
+    way: Direction = Outward()
+    planning_backtrack: PlanningBacktrack | None = None
     battery_told: int = 0
-    """What a person was told of the battery: 1, at this rate it will not last; 2, it does not."""
+    """Battery warnings sent: 1, it will not last at this rate; 2, it does not last."""
     fallen_back: Reason | None = None
-    """Why the mission was given up for its fallback."""
-    in_vain: frozenset[Mode] = frozenset()
-    """Modes that were asked for, to bring the vehicle down, and not taken."""
+    """Why the mission was given up for its fallback; None: it was not."""
+    refused_modes: frozenset[Mode] = frozenset()
+    """Modes requested to bring the vehicle down that it did not take."""
 
     @property
     def returning(self) -> bool:
-        """Whether it leads back along the flown path."""
-        return isinstance(self.way, Back)
+        """Whether it follows the backtrack."""
+        return isinstance(self.way, Backtracking)
 
     @property
     def homeward(self) -> bool:
-        """Whether home is its target."""
-        return isinstance(self.way, Home)
+        """Whether a path home is planned."""
+        return isinstance(self.way, ReplanHome)
 
     @property
     def back(self) -> tuple[Leg, ...]:
-        """What is left of the way back."""
-        return self.way.legs if isinstance(self.way, Back) else ()
+        """The remaining backtrack."""
+        return self.way.legs if isinstance(self.way, Backtracking) else ()
 
 
 @final
 class Orders(Struct, frozen=True):
-    """What a person, or the battery, wants of the flight, whatever else happens meanwhile."""
+    """Orders of the operator, or of the battery, which outlast other holds."""
 
     active: Reason | None = None
     """PAUSED, RETURN_ASKED or BATTERY_LOW."""
     suspended: Reason | None = None
-    """What was active before a pause, and is again after it: RETURN_ASKED."""
+    """The order suspended by a pause: RETURN_ASKED."""
 
     def paused(self) -> "Orders":
         """With a pause."""
@@ -508,51 +508,51 @@ class Orders(Struct, frozen=True):
 
 @final
 class State(Struct, frozen=True, kw_only=True):
-    """Everything that the next decision depends on."""
+    """The complete state of the mission machine."""
 
     phase: Phase = Phase.WAITING
     since_s: float = 0.0
     """When the phase began."""
     now_s: float = 0.0
     asked_at_s: float = -1e9
-    """When the vehicle was last asked for what this phase waits for."""
+    """Time of the last request in this phase."""
     asks: int = 0
     """How often, in this phase."""
     obeyed: bool = False
-    """Whether the vehicle took the mode that this phase asked for."""
+    """Whether the vehicle took the mode that this phase requested."""
     armed_by_us: bool = False
-    """Whether it was the companion that asked it to arm."""
+    """Whether the companion requested the arming."""
     landing: bool = False
-    """Whether the companion before this one was landing it."""
+    """Whether the previous companion was landing it."""
     sank: bool = False
-    """Whether it had taken the land mode then: if it has left it, somebody wanted that."""
+    """Whether it had taken the land mode then: leaving it was a pilot's decision."""
     news: str = ""
-    """What is to be said as soon as there is somebody to hear it: what could not be restored."""
-    led_at_s: float = math.inf
-    """Since when this companion has had the vehicle in the air; long ago if it has taken it up."""
-    namesake_at_s: float = -1e9
-    """When somebody else with our ids was last heard."""
-    namesake: bool = False
-    """Whether that was certain."""
+    """Text to send once there is a vehicle: what could not be restored."""
+    in_control_since_s: float = math.inf
+    """Since when this companion has had control in the air; long ago if it has taken off."""
+    duplicate_id_at_s: float = -1e9
+    """When another sender with our ids was last heard."""
+    duplicate_id: bool = False
+    """Whether that is certain."""
     airborne: bool = False
-    """Whether the vehicle has been in the air since the companion began: then it is never armed."""
+    """Whether the vehicle has been in the air since the start: then it is never armed again."""
     prepared: frozenset[Item] = frozenset()
     orders: Orders = Orders()
     taken: bool = False
-    """Whether somebody else flies the vehicle, and has not given it back yet."""
+    """Whether a pilot or the autopilot has taken over, and has not handed back yet."""
     hold: Hold | None = None
     """How it is held, in the phase `holding`."""
     reason: Reason | None = None
     detail: str = ""
-    """What there is to say of the reason beyond its own text."""
+    """Detail of the reason."""
     remedy: str = ""
     given: Task
     """The task without the vehicle's fence."""
     fence: FenceChanged | None = None
     flown_under: Task | None = None
-    """The loosest that `given` has been in the air, if it was changed there."""
+    """The loosest version of `given` in the air, if it was changed there."""
     task: Task
-    """What planning depends on: the given task within the vehicle's own fence."""
+    """The task for planning: the given one within the vehicle's fence."""
     targets_ne_m: tuple[tuple[float, float], ...]
     vehicle: Vehicle = field(default_factory=Vehicle)
     flight: Flight
@@ -568,19 +568,19 @@ class State(Struct, frozen=True, kw_only=True):
         )
 
     def with_rules(self, given: Task, fence: FenceChanged | None) -> "State":
-        """The same state under another task or fence; the same rules told again are no others."""
+        """The state under another task or fence; unchanged if they are equal."""
         task = given if fence is None else within_fence(given, fence)
         task = self.task if task == self.task else task
         return replace(self, given=given, fence=fence, task=task)
 
-    def by_another_clock(self, shift_s: float) -> "State":
-        """The same state, with its times on a clock that shows shift_s more."""
+    def rebase_time(self, shift_s: float) -> "State":
+        """The state with all its times shifted by shift_s, for another clock."""
         return replace(
             self,
             now_s=self.now_s + shift_s,
             since_s=self.since_s + shift_s,
             asked_at_s=self.asked_at_s + shift_s,
-            namesake_at_s=self.namesake_at_s + shift_s,
+            duplicate_id_at_s=self.duplicate_id_at_s + shift_s,
             vehicle=replace(
                 self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s, battery_short_at_s=None
             ),

@@ -4,15 +4,14 @@ import math
 
 from msgspec.structs import replace
 
-from companion.mission import circling, ends, flying, following, returning
+from companion.mission import backtracking, fallback, flying, following, loiter
 from companion.mission.decisions import (
     AT_M,
-    BROKEN_OFF,
+    LANDING_ABORTED,
     STOPPED_M_S,
     Context,
     Step,
     ask,
-    because,
     cannot_fly,
     fault,
     give_up,
@@ -22,8 +21,9 @@ from companion.mission.decisions import (
     is_grounded,
     is_silent,
     longest_silence_s,
-    taken_by,
-    words,
+    reason_text,
+    takeover_reason,
+    with_hold_reason,
 )
 from companion.mission.events import (
     Battery,
@@ -34,24 +34,24 @@ from companion.mission.events import (
     Mode,
     PlanReady,
     Position,
-    Say,
     SetMode,
+    StatusText,
 )
 from companion.mission.health import TRUST_S
 from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import (
-    Down,
-    GoBack,
+    Grounded,
     HoldMode,
     OnSetpoints,
     Orders,
     Paused,
     Reason,
     Replan,
+    ReturnOrdered,
     Silent,
     State,
     StreamLost,
-    Taken,
+    TakenOver,
     TakeOver,
     Trigger,
 )
@@ -77,51 +77,51 @@ _LANDS_WITHIN = 1.5  # loiter radii
 
 
 def holding(state: State, event: Event, context: Context) -> Step:
-    """Stop in a way that the reason allows, and go on when it is gone."""
+    """Stop as the reason allows, and continue when it is gone."""
     if isinstance(event, Position):
-        step = fence_breached(state) or circling.kept_clear(state, event)
+        step = fence_breached(state) or loiter.enforce_loiter_clearance(state, event)
         if step is not None:
             return step
     hold = state.hold
     if is_gone(state, event, context):
         return give_up(state, Reason.LINK_LOST)
     if isinstance(event, LinkLost) or (is_silent(state) and not isinstance(hold, Silent)):
-        return because(_anew(state), Reason.LINK_LOST), [], None
+        return with_hold_reason(_replan_hover(state), Reason.LINK_LOST), [], None
     if not state.vehicle.armed:
         return give_up(state, Reason.DISARMED)
     if is_grounded(state):
         return give_up(state, Reason.GROUNDED)
     match hold:
-        case Replan() | Paused() | GoBack():
+        case Replan() | Paused() | ReturnOrdered():
             return _hold_on_setpoints(state, event, context, hold)
         case HoldMode() | TakeOver() | None:
             return _hold_in_its_own_mode(state, event, context)
         case StreamLost():
             return _lead_back(state, event, context)
-        case Taken():
-            return _let_go(state, event, context, hold)
-        case Down():
-            return _let_go(state, event, context, Taken())
+        case TakenOver():
+            return _while_taken_over(state, event, context, hold)
+        case Grounded():
+            return _while_taken_over(state, event, context, TakenOver())
         case Silent():
             return _heard_again(state, event, context)
 
 
 def fence_breached(state: State) -> Step | None:
-    """A hold that the vehicle's own fence is the reason for, as it turns out; None: it is not.
+    """Change the hold's reason to a breach of the vehicle's fence; None: it is not that.
 
-    PX4's was a loss of setpoints at first sight; and a fence drawn in flight is known to the
-    autopilot before the companion has read it.
+    On PX4 it looks like a loss of setpoints first; and the autopilot knows a fence changed in
+    flight before the companion has downloaded it.
     """
-    if not isinstance(state.hold, Taken | StreamLost) or state.reason is Reason.FENCE_BREACHED:
+    if not isinstance(state.hold, TakenOver | StreamLost) or state.reason is Reason.FENCE_BREACHED:
         return None
     by_itself = state.vehicle.failsafe or in_phase_s(state) < _BREACH_S
-    if not by_itself or taken_by(state) is not Reason.FENCE_BREACHED:
+    if not by_itself or takeover_reason(state) is not Reason.FENCE_BREACHED:
         return None
     return _taken(state)
 
 
 def _heard_again(state: State, event: Event, context: Context) -> Step:
-    """After a silence everything is prepared again; it may be of a part of the messages only."""
+    """Prepare again after a silence, which may have concerned some messages only."""
     if in_phase_s(state) > longest_silence_s(state, context):
         return give_up(state, Reason.LINK_LOST)
     if isinstance(event, Position) and not is_silent(state):
@@ -134,143 +134,149 @@ def _is_trusted(state: State) -> bool:
 
 
 def _is_elsewhere(state: State) -> bool:
-    """Whether all vouch for a position at which the vehicle cannot be."""
+    """Whether the position passes all checks but cannot have been reached."""
     reason = state.vehicle.distrust
     return reason is Reason.POSITION_ELSEWHERE and state.reason is not reason
 
 
 def _elsewhere(state: State) -> Step:
-    """Hold on for that, and say so: what it was held for until now is over."""
+    """Hold for that, with a text: the previous reason is over."""
     reason = Reason.POSITION_ELSEWHERE
-    says = Say(text=f"hold: {reason.text}{words(state, reason)[0]}", warning=True, about="phase")
-    return replace(because(_anew(state), reason), taken=False), [says], None
+    says = StatusText(
+        text=f"hold: {reason.text}{reason_text(state, reason)[0]}", warning=True, about="phase"
+    )
+    return replace(with_hold_reason(_replan_hover(state), reason), taken=False), [says], None
 
 
-def _let_go(state: State, event: Event, context: Context, hold: Taken) -> Step:
-    """Somebody else flies: command nothing until they select guided mode, or a person says so.
+def _while_taken_over(state: State, event: Event, context: Context, hold: TakenOver) -> Step:
+    """Another controller flies: send no command until guided mode is selected, or an order comes.
 
-    After a failsafe too: that its autopilot holds again looks just as if a pilot had chosen to.
+    Also after a failsafe: the autopilot's hold cannot be told from a pilot's.
     """
     if isinstance(event, Battery):
         state, warning = flying.battery_warning(state, context)
         return state, warning, None
-    told = state.now_s - hold.told_at_s < _TOLD_S
+    told = state.now_s - hold.released_at_s < _TOLD_S
     given_back = state.vehicle.mode is Mode.GUIDED or (told and state.vehicle.mode is Mode.HOLD)
     if given_back and _is_elsewhere(state):
         return _elsewhere(state)
     if not _is_trusted(state):
-        return _anew(state), [], None
+        return _replan_hover(state), [], None
     if state.vehicle.mode is Mode.GUIDED:
-        return resumed(_anew(state))
+        return resumed(_replan_hover(state))
     if told:
         return _ask_for_guided(state, event, context)
-    if hold.told_at_s > 0.0:
-        says = Say(text="guided mode was not taken", warning=True)
-        return replace(state, hold=replace(hold, told_at_s=-1e9)), [says], None
+    if hold.released_at_s > 0.0:
+        says = StatusText(text="guided mode was not taken", warning=True)
+        return replace(state, hold=replace(hold, released_at_s=-1e9)), [says], None
     acts = state.reason is not Reason.FAILSAFE or state.vehicle.failsafe
     if acts or hold.failsafe_over:
         return state, [], None
     state = replace(state, hold=replace(hold, failsafe_over=True))
-    return state, [Say(text=FAILSAFE_OVER, warning=True)], None
+    return state, [StatusText(text=FAILSAFE_OVER, warning=True)], None
 
 
 def resumed(state: State) -> Step:
-    """A hold is over: what a person wants comes first; else go on, or back.
+    """End of a hold: the active order first; else continue, or backtrack.
 
-    Too far from the way back, or with a threat on it, home is planned to like any target.
+    If the backtrack is too far away or blocked, a path home is planned.
     """
     wanted = state.orders.active
     if wanted not in (None, state.reason):
         flight = following.at_rest(state.flight, state.vehicle.position_nea_m)
-        return because(replace(state, flight=flight, taken=False), wanted), [], None
+        return with_hold_reason(replace(state, flight=flight, taken=False), wanted), [], None
     flight = state.flight
     if not flight.returning:
         return state, [], Trigger.RESUME
     clear = not any(is_touched(leg, 0.0, state.task) for leg in flight.back)
-    if clear and returning.began(state) is not None:
-        return state, [], Trigger.GO_BACK
-    return returning.homeward(state), [Say(text="returning another way")], Trigger.RESUME
+    if clear and backtracking.start_backtrack(state) is not None:
+        return state, [], Trigger.BACKTRACK
+    return (
+        backtracking.replan_home(state),
+        [StatusText(text="returning another way")],
+        Trigger.RESUME,
+    )
 
 
 def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSetpoints) -> Step:
-    """Stay at the end of the leg; try again after a pause, and not for ever."""
+    """Hold at the end of the leg; retry after a pause, a limited number of times."""
     reason = cannot_fly(state, event)
-    if reason is not None and reason.hold is Taken:
-        return _taken(_anew(state))
+    if reason is not None and reason.hold is TakenOver:
+        return _taken(_replan_hover(state))
     if reason is not None:
-        return because(_anew(state), reason), [], None
+        return with_hold_reason(_replan_hover(state), reason), [], None
     if isinstance(event, PlanReady):
-        return _way_back(state, event, context)
+        return _on_backtrack_plan(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
-    if flying.runs_low(state):  # a pause, too, ends before the battery does
-        low = because(flying.given_up_for_battery(state), Reason.BATTERY_LOW)
-        return low, [Say(text=f"hold: {Reason.BATTERY_LOW.text}", warning=True)], None
+    if flying.battery_runs_low(state):  # a pause, too, ends before the battery does
+        low = with_hold_reason(flying.given_up_for_battery(state), Reason.BATTERY_LOW)
+        return low, [StatusText(text=f"hold: {Reason.BATTERY_LOW.text}", warning=True)], None
     state, warning = flying.battery_warning(state, context)
     flight, commands = following.hold_setpoint(state, event.time_s, context)
     commands, state = [*warning, *commands], replace(state, flight=flight)
-    if flight.planning_back is not None:
-        if state.now_s - flight.planning_back.since_s > _ANSWER_S:
+    if flight.planning_backtrack is not None:
+        if state.now_s - flight.planning_backtrack.since_s > _ANSWER_S:
             return give_up(state, state.reason or Reason.NO_PLAN)
         return state, commands, None
     moving = not is_at_rest(state, event) and in_phase_s(state) < _SETTLE_S
     if isinstance(hold, Paused) or in_phase_s(state) < _PAUSE_S or moving:
         return state, commands, None
-    on_way_back = _is_on_way_back(state)
-    if isinstance(hold, GoBack) and not on_way_back:
+    on_way_back = _is_backtracking(state)
+    if isinstance(hold, ReturnOrdered) and not on_way_back:
         return _other_way(state, context)
     flight = state.flight
-    tries = flight.failures < context.mission.attempts and flight.stops <= flying.MOST_STOPS
+    tries = flight.failures < context.mission.attempts and flight.stops <= flying.MAX_STOPS
     if on_way_back or tries:
-        if state.reason is Reason.NEW_THREAT and state.vehicle.driving.hovers:
-            state = _anew(state)  # the band may be another one
+        if state.reason is Reason.NEW_THREAT and state.vehicle.traits.hovers:
+            state = _replan_hover(state)  # the band may be another one
         state, says, trigger = resumed(state)
         return state, [*commands, *says], trigger
     return _other_way(state, context)
 
 
-def _way_back(state: State, event: PlanReady, context: Context) -> Step:
-    """The way back is there; or else by the rules that it was flown by; or else there is none."""
-    flight, asked = state.flight, state.flight.planning_back
+def _on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step:
+    """Take the backtrack; if it failed, retry under the rules it was flown under; else give up."""
+    flight, asked = state.flight, state.flight.planning_backtrack
     if asked is None or event.outcome.plan_id != flight.plan_id:
         return state, [], None
     if asked.rules is not state.task:  # it was proven under other rules
-        return returning.ask(state, context)
-    back = returning.answered(state, event)
+        return backtracking.request_backtrack(state, context)
+    back = backtracking.on_backtrack_plan(state, event)
     whole = back is not None and back.legs[-1].reaches_target
-    if not whole and (looser := returning.as_flown(state)) is not None:
-        state, asking, trigger = returning.ask(looser[0], context)
-        return state, [Say(text=looser[1], warning=True), *asking], trigger
+    if not whole and (looser := backtracking.with_looser_rules(state)) is not None:
+        state, asking, trigger = backtracking.request_backtrack(looser[0], context)
+        return state, [StatusText(text=looser[1], warning=True), *asking], trigger
     if back is not None:
-        after = replace(state, flight=replace(flight, way=back, planning_back=None))
-        if returning.began(after) is not None:
-            return after, [], Trigger.GO_BACK
+        after = replace(state, flight=replace(flight, way=back, planning_backtrack=None))
+        if backtracking.start_backtrack(after) is not None:
+            return after, [], Trigger.BACKTRACK
     return give_up(state, state.reason or Reason.NO_PLAN)
 
 
-def _is_on_way_back(state: State) -> bool:
-    """Whether the way back is in hand, or was when the battery ended a pause on it."""
+def _is_backtracking(state: State) -> bool:
+    """Whether a backtrack is in progress, or was when the battery ended a pause."""
     low = state.reason is Reason.BATTERY_LOW
     return state.flight.returning or (low and state.flight.homeward)
 
 
 def _other_way(state: State, context: Context) -> Step:
-    """The way that was flown, back, if that is the fallback; else, or without one, as `ends` says.
+    """Backtrack if that is the fallback; else as `fallback` says.
 
-    Once home has been planned to in vain there is none.
+    Not once planning a path home has failed.
     """
     reason, flight = state.reason or Reason.NO_PLAN, state.flight
-    how = ends.wanted(state, context)
+    how = fallback.wanted_fallback(state, context)
     if how is not Fallback.RETURN or not flight.flown or flight.homeward:
         return give_up(state, reason)
     state = replace(state, flight=replace(flight, fallen_back=reason))
-    state, asking, trigger = returning.ask(state, context)
-    text = f"{reason.text}{words(state, reason)[0]}: flying back and landing"
-    return state, [Say(text=text, warning=True, about="end"), *asking], trigger
+    state, asking, trigger = backtracking.request_backtrack(state, context)
+    text = f"{reason.text}{reason_text(state, reason)[0]}: flying back and landing"
+    return state, [StatusText(text=text, warning=True, about="end"), *asking], trigger
 
 
 def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
-    """The autopilot holds, until it stands and its position was good for a while."""
+    """The autopilot holds, until the vehicle is at rest and its position was valid for a while."""
     vehicle, mode = state.vehicle, state.vehicle.mode
     taking_over = isinstance(state.hold, TakeOver)
     if mode not in (Mode.GUIDED, Mode.HOLD) and not (taking_over and mode is Mode.TAKE_OFF):
@@ -282,28 +288,30 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     if mode is Mode.HOLD or (taking_over and not _must_stop_first(state)):
         state = replace(state, obeyed=True)
     doubted = vehicle.distrust is not None
-    stands = not vehicle.driving.hovers or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
-    stands = stands or in_phase_s(state) > _SETTLE_S or state.flight.hover_nea_m is not None
-    if not state.obeyed or (mode is Mode.GUIDED and (doubted or not stands)):
-        return ask(replace(_anew(state), obeyed=False), SetMode(mode=Mode.HOLD))
-    if not stands or not _is_trusted(state):
-        return _anew(state), [], None
+    is_stationary = not vehicle.traits.hovers or math.hypot(*vehicle.velocity_nea_m_s) < STOPPED_M_S
+    is_stationary = (
+        is_stationary or in_phase_s(state) > _SETTLE_S or state.flight.hover_nea_m is not None
+    )
+    if not state.obeyed or (mode is Mode.GUIDED and (doubted or not is_stationary)):
+        return ask(replace(_replan_hover(state), obeyed=False), SetMode(mode=Mode.HOLD))
+    if not is_stationary or not _is_trusted(state):
+        return _replan_hover(state), [], None
     if mode is Mode.GUIDED:
-        return resumed(_anew(state))
+        return resumed(_replan_hover(state))
     return _ask_for_guided(state, event, context)
 
 
 def _taken(state: State) -> Step:
-    """Somebody else flies it from now on, or its autopilot does."""
-    reason = taken_by(state)
-    says = Say(text=f"hold: {reason.text}", warning=True, about="phase")
-    return replace(because(state, reason), taken=True), [says], None
+    """A pilot or the autopilot has taken over."""
+    reason = takeover_reason(state)
+    says = StatusText(text=f"hold: {reason.text}", warning=True, about="phase")
+    return replace(with_hold_reason(state, reason), taken=True), [says], None
 
 
 def _lead_back(state: State, event: Event, context: Context) -> Step:
-    """PX4 goes back to guided mode by itself as soon as setpoints come in again (px4.md 6).
+    """PX4 returns to OFFBOARD by itself as soon as setpoints arrive again (px4.md 6).
 
-    Nothing is asked of it: if it does not, it holds for another reason.
+    No mode is requested: if it does not return, it holds for another reason.
     """
     mode = state.vehicle.mode
     if mode not in (Mode.GUIDED, Mode.HOLD) or in_phase_s(state) > _LEADS_BACK_S:
@@ -311,9 +319,9 @@ def _lead_back(state: State, event: Event, context: Context) -> Step:
     if _is_elsewhere(state):
         return _elsewhere(state)
     if not _is_trusted(state):
-        return _anew(state), [], None
+        return _replan_hover(state), [], None
     if mode is Mode.GUIDED:
-        return resumed(_anew(state))
+        return resumed(_replan_hover(state))
     if not isinstance(event, Position):
         return state, [], None
     if state.flight.hover_nea_m is None:
@@ -323,20 +331,20 @@ def _lead_back(state: State, event: Event, context: Context) -> Step:
     return replace(state, flight=flight), stay, None
 
 
-def _anew(state: State) -> State:
-    """Where to wait for a leg is chosen again: it may be too low where the vehicle was held."""
+def _replan_hover(state: State) -> State:
+    """Choose the waiting place again: the vehicle may have been held too low."""
     return replace(state, flight=following.at_rest(state.flight, None))
 
 
 def _must_stop_first(state: State) -> bool:
-    """Whether it flies somewhere that nobody knows: what hovers, in guided mode."""
-    return state.vehicle.driving.hovers and state.vehicle.mode is Mode.GUIDED
+    """Copter in GUIDED with an unknown target."""
+    return state.vehicle.traits.hovers and state.vehicle.mode is Mode.GUIDED
 
 
 def _ask_for_guided(state: State, event: Event, context: Context) -> Step:
-    """Ask for guided mode; with setpoints for where it is, of autopilots that want them first."""
-    driving = state.vehicle.driving
-    if not (driving.hovers or driving.streams_first):
+    """Request guided mode; with setpoints at the position, for autopilots that need them first."""
+    traits = state.vehicle.traits
+    if not (traits.hovers or traits.needs_setpoints_before_offboard):
         return ask(state, SetMode(mode=Mode.GUIDED))  # refused before (ardupilot.md 7)
     if not isinstance(event, Position):
         return state, [], None
@@ -363,7 +371,7 @@ def arrived(state: State, event: Event, context: Context) -> Step:
     if in_phase_s(state) > _SETTLE_S + _OBEY_S:
         return give_up(state, Reason.NOT_OBEYING if asked else Reason.NOT_FOLLOWING)
     if isinstance(event, PlanReady):
-        return _way_back(state, event, context)
+        return _on_backtrack_plan(state, event, context)
     if not isinstance(event, Position):
         return state, [], None
     flight, commands = following.hold_setpoint(state, event.time_s, context)
@@ -378,17 +386,17 @@ def arrived(state: State, event: Event, context: Context) -> Step:
 
 def _end(state: State, context: Context, commands: list[Command]) -> Step:
     """The mission's end action."""
-    driving, action = state.vehicle.driving, context.mission.end_action
+    traits, action = state.vehicle.traits, context.mission.end_action
     if state.flight.homeward:
         action = EndAction.LAND
-    if action is EndAction.LAND and (driving.lands or state.flight.homeward):
-        return state, commands, Trigger.END_LAND if driving.lands else Trigger.HAND_OVER
+    if action is EndAction.LAND and (traits.lands or state.flight.homeward):
+        return state, commands, Trigger.END_LAND if traits.lands else Trigger.HAND_OVER
     if action is EndAction.RETURN and state.flight.flown:
-        if state.flight.planning_back is not None:
+        if state.flight.planning_backtrack is not None:
             return state, commands, None
-        state, asking, _ = returning.ask(state, context)
+        state, asking, _ = backtracking.request_backtrack(state, context)
         return state, [*commands, *asking], None
-    if driving.holds_in_guided:
+    if traits.holds_in_guided:
         told = in_phase_s(state) > _TOLD_TO_STAY_S
         return state, commands, Trigger.END_HOLD if told else None
     # an autopilot may refuse to hold about a point (its own fence): then anywhere
@@ -397,31 +405,31 @@ def _end(state: State, context: Context, commands: list[Command]) -> Step:
     return state, [*commands, *asking], None
 
 
-def reached(state: State) -> Say:
-    """What is said at a target: of a plane that has passed it farther away than it should, that."""
+def reached(state: State) -> StatusText:
+    """Text at a target; for a plane that missed it by too much, with the distance."""
     limits, here, there = state.task.limits, state.vehicle.position_nea_m, state.flight.hover_nea_m
-    if not state.vehicle.driving.hovers and here is not None and there is not None:
+    if not state.vehicle.traits.hovers and here is not None and there is not None:
         off_m = math.dist(here[:2], there[:2])
         if off_m > limits.tracking_error_m:
             text = f"target reached: passed {off_m:.0f} m away"
-            return Say(text=text, warning=True, about="phase")
-    return Say(text="target reached", about="phase")
+            return StatusText(text=text, warning=True, about="phase")
+    return StatusText(text="target reached", about="phase")
 
 
 def lands_within_m(state: State) -> float:
-    """How near to a place the vehicle comes down where it is told to land there.
+    """How near to a place the vehicle lands.
 
     PX4's planes land on a circle about where the mode begins (px4.md 10).
     """
     return (
         math.inf
-        if state.vehicle.driving.hovers
+        if state.vehicle.traits.hovers
         else _LANDS_WITHIN * state.task.limits.loiter_radius_m
     )
 
 
 def landed_off_m(state: State) -> float:
-    """How far from its last target, or from where it was to return to, metres."""
+    """Distance from its last target or return point, metres."""
     here, flight = state.vehicle.position_nea_m, state.flight
     if here is None or not state.targets_ne_m:
         return 0.0
@@ -433,21 +441,21 @@ def landed_off_m(state: State) -> float:
 
 
 def landing_words(state: State, context: Context) -> str:
-    """What a person should know before take-off of a landing at the target; "": nothing."""
-    driving = state.vehicle.driving
-    if context.mission.end_action is not EndAction.LAND or driving.hovers:
+    """A warning before take-off about the landing at the target; "": none."""
+    traits = state.vehicle.traits
+    if context.mission.end_action is not EndAction.LAND or traits.hovers:
         return ""
-    if not driving.lands:
-        return f"{driving.name} is not told to land: it circles the last target"
+    if not traits.lands:
+        return f"{traits.name} is not told to land: it circles the last target"
     within_m = lands_within_m(state)
-    return f"{driving.name} lands on a circle: up to {within_m:.0f} m from the target"
+    return f"{traits.name} lands on a circle: up to {within_m:.0f} m from the target"
 
 
 def _stands_at_target(state: State, event: Position) -> bool:
-    """At rest there; after a while, as near to it and to rest as the vehicle can be."""
+    """At rest at the target; after a while, as near to it and as slow as the vehicle can be."""
     here, limits = state.flight.hover_nea_m, state.task.limits
     off = math.inf if here is None else math.dist(event.position_nea_m, here)
-    if not state.vehicle.driving.hovers:
+    if not state.vehicle.traits.hovers:
         return off < _CIRCLES * limits.loiter_radius_m + limits.tracking_error_m
     if in_phase_s(state) > _SETTLE_S:
         return off < max(AT_M, limits.tracking_error_m)
@@ -455,7 +463,7 @@ def _stands_at_target(state: State, event: Position) -> bool:
 
 
 def landing(state: State, event: Event, context: Context) -> Step:
-    """Ask for the land mode until it is taken, then wait for the ground."""
+    """Request the land mode until it is taken, then wait for touchdown."""
     vehicle = state.vehicle
     if vehicle.landed is Landed.ON_GROUND and not vehicle.armed:
         return state, [], Trigger.LANDED
@@ -475,15 +483,16 @@ def landing(state: State, event: Event, context: Context) -> Step:
 
 
 def _broken_off(state: State) -> Step:
-    """It has left the land mode: it is not landed again before a person says so.
+    """The vehicle has left the land mode: not landed again without an order.
 
-    Held where it is if they selected guided mode; else it is theirs, and held once given back.
+    Hold in place if guided mode was selected; else the pilot has control, and it holds once handed
+    back.
     """
     guided = state.vehicle.mode is Mode.GUIDED
-    reason = Reason.PAUSED if guided else taken_by(state)
+    reason = Reason.PAUSED if guided else takeover_reason(state)
     flight = following.at_rest(state.flight, state.vehicle.position_nea_m if guided else None)
     state = replace(state, flight=flight)
     if reason is Reason.FENCE_BREACHED:
         return fault(state, reason)
     state, commands, trigger = fault(replace(state, orders=Orders(Reason.PAUSED)), reason)
-    return state, [*commands, Say(text=BROKEN_OFF, warning=True)], trigger
+    return state, [*commands, StatusText(text=LANDING_ABORTED, warning=True)], trigger

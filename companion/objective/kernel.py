@@ -291,7 +291,7 @@ def steering(
         level = math.sqrt(dn * dn + de * de)
         slow = max(level, 1e-9)
         curvature = abs(dn * dde - de * ddn) / (slow * slow * slow) * limits.turn_radius_m
-        turning += min(max(curvature * scene.margin - 1.0, 0.0), flight.MOST_EXCESS)
+        turning += min(max(curvature * scene.margin - 1.0, 0.0), flight.MAX_EXCESS)
         if da > climb * level:
             steep += math.atan2(da, level) - steepest[0]
         elif -da > dive * level:

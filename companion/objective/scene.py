@@ -40,7 +40,7 @@ ANGLE_SCALE = 100.0  # per radian of climb or dive in excess
 OUTSIDE_SCALE = 100.0  # per R / 20 outside the band or the map
 STRAIGHT_SCALE = 2.0  # per unit of squared curvature near the end, relative to the limit
 END_SHARE = 0.25  # of the curve's parameter, counted from its end, that ought to be straight
-MOST_EXCESS = 10.0  # of curvature over its limit that counts
+MAX_EXCESS = 10.0  # of curvature over its limit that counts
 DEAD_MAN_EVERY = 2  # samples
 BETWEEN = 3  # points a chord at which terrain and zones count: they are met at their corners
 
@@ -329,7 +329,7 @@ def _steering(first: FloatArray, second: FloatArray, scene: FlightScene) -> Floa
     """Curvature and steepness beyond the limits, and curvature at all near the end."""
     limits = scene.limits
     curvature = horizontal_curvature_1_m(first, second)[:, 1:] * limits.turn_radius_m
-    turning = np.clip(curvature * scene.margin - 1.0, 0.0, MOST_EXCESS).sum(axis=1)
+    turning = np.clip(curvature * scene.margin - 1.0, 0.0, MAX_EXCESS).sum(axis=1)
     angle = climb_angle_rad(first[:, 1:])
     steep = np.maximum(angle - limits.climb_angle_rad / scene.margin, 0.0)
     steep += np.maximum(-angle - limits.dive_angle_rad / scene.margin, 0.0)

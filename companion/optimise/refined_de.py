@@ -41,7 +41,7 @@ FEWEST = 4
 """Members that eq. 17 needs: a parent and three others."""
 _PER_ROOT = 1.1  # members at the start for each square root of an evaluation
 _LEAST, _MOST = 20, 150  # members at the start
-_MOST_GAIN = 1e9  # counts for one success: it may be infinite
+_MAX_GAIN = 1e9  # counts for one success: it may be infinite
 _COLLAPSED = 1e-5  # widest edge of a simplex that is begun anew
 
 START, EVOLVE, BUILD, REFLECT, EXPAND, OUTSIDE, INSIDE, SHRINK = range(8)
@@ -397,7 +397,7 @@ def _select(state: State, n: int) -> None:
         if trial_cost > cost:
             continue
         if trial_cost < cost:
-            gain = min(cost - trial_cost, _MOST_GAIN)
+            gain = min(cost - trial_cost, _MAX_GAIN)
             total += gain
             pulls += gain * state.pull[i]
             squares += gain * state.pull[i] ** 2

@@ -15,7 +15,7 @@ from companion.optimise.particle_swarm import ParticleSwarm
 from companion.optimise.refined_de import RefinedDE
 
 Maker = Callable[[int, int, np.random.Generator, FloatArray | None], Optimiser]
-"""From dimensions, evaluations that will be spent, chance, and seeds (K, D) in the unit cube."""
+"""From dimensions, evaluation budget, random generator, and seeds (K, D) in the unit cube."""
 
 
 def _classical(mutation: de.Mutation) -> Maker:
@@ -36,8 +36,8 @@ OPTIMISERS: dict[str, Maker] = {
 
 
 @contextmanager
-def lent(make: Maker) -> Iterator[str]:
-    """One more optimiser as long as it is needed: -> the name under which a task asks for it."""
+def temporarily_registered(make: Maker) -> Iterator[str]:
+    """Register an optimiser temporarily.  -> its name for a task."""
     name = f"own {id(make):x}"
     OPTIMISERS[name] = make
     try:

@@ -1,9 +1,8 @@
 """The settings of the planner that may be changed while a mission lasts.
 
-One table for all who change them or keep them: a ground station (`mavlink.parameter_server`), and a
-companion that goes on with the flight of another (`mission.checkpoint`).  What a value on its own
-may be stands with the field that holds it; what the values of a task may be together stands in
-`planner.rules`.
+One table for the parameter server (`mavlink.parameter_server`) and for checkpoints
+(`mission.checkpoint`).  The range of a single value is declared with its field; rules between the
+values of a task are in `planner.rules`.
 """
 
 import math
@@ -42,7 +41,7 @@ class Parameter:
     """Whether low itself is not allowed."""
     whole: bool
     unset: bool
-    """Whether 0 stands for "as the rules have it"."""
+    """Whether 0 means "computed by the rules"."""
     on_ground: bool
     """Whether it can be set only before take-off."""
 
@@ -65,7 +64,7 @@ class Parameter:
         return replace(task, **{"limits" if self.part is Limits else "settings": part})
 
     def refusal(self, value: float) -> str:
-        """The rule of its own that a value breaks; empty if it breaks none."""
+        """Why a value is out of range; empty if it is not."""
         if self.unset and value == 0.0:
             return ""
         if not math.isfinite(value):
@@ -82,7 +81,7 @@ def _parts(task: Task) -> dict[type, Any]:
 
 
 def loosest(task: Task, other: Task) -> Task:
-    """A task with the smaller distances and the lower speed of two: what either lets be flown."""
+    """A task with the smaller distances and the lower speed of two: the looser in each."""
     for parameter in _MARGINS:
         value = parameter.value(other)
         if value < parameter.value(task):

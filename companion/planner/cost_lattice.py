@@ -34,11 +34,11 @@ from companion.world.threats import Zone, detection_probability, is_near
 Place = tuple[float, float]
 IndexArray = npt.NDArray[np.int32]
 
-MOST_CELLS = 160  # across; a larger map is coarse beyond a window of this size
+MAX_CELLS = 160  # across; a larger map is coarse beyond a window of this size
 BLOCKED = 300.0  # cost per metre where nothing may fly
 _GUESSED_BLOCKED = 30.0  # where that is only guessed: if all is blocked, it is looked at first
 _REACH_CELLS = 2  # lattice points within so many cells of a place are joined to it directly
-_MOST_PIECES = 400  # of a straight line
+_MAX_PIECES = 400  # of a straight line
 
 
 @final
@@ -107,7 +107,7 @@ def line_cost_m(lattice: Lattice, from_ne_m: FloatArray, to_ne_m: FloatArray) ->
     offset = to_ne_m - from_ne_m
     length = np.hypot(offset[:, 0], offset[:, 1])
     most = float(length.max(initial=0.0)) / lattice.step_m
-    pieces = min(max(math.ceil(most), 1), _MOST_PIECES)
+    pieces = min(max(math.ceil(most), 1), _MAX_PIECES)
     along = np.linspace(0.0, 1.0, pieces + 1)[:, None, None]
     place = np.moveaxis(lattice.sample_of(from_ne_m + along * offset), -1, 0)  # (2, S, K)
     piece_m = length / pieces
@@ -135,7 +135,7 @@ def lattice_of(
     first, count, whole = [], [], True
     for axis, here in enumerate(known.cell_of(*here_ne_m)):
         across = max(known.upper_m.shape[axis] // (2 * cells), 1)
-        size = min(across, MOST_CELLS)
+        size = min(across, MAX_CELLS)
         middle = round(here / (2 * cells)) - size // 2
         first.append(2 * cells * min(max(middle, 0), across - size))
         count.append(2 * size + 1)

@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import dijkstra
 from companion.geodesy import BoolArray, FloatArray
 from companion.planner.cost_lattice import (
     BLOCKED,
-    MOST_CELLS,
+    MAX_CELLS,
     IndexArray,
     Lattice,
     Place,
@@ -116,7 +116,7 @@ def cost_to_go(
     seeds, far = _seeds(near, target_ne_m), None
     if not near.covers_map:
         most = max(known.upper_m.shape)
-        wide_cells = max(math.ceil(most / (2 * MOST_CELLS)), 1)
+        wide_cells = max(math.ceil(most / (2 * MAX_CELLS)), 1)
         wide = lattice_of(known, believed_m, task, here_ne_m, wide_cells)
         far = _solve(wide, _seeds(wide, target_ne_m))
         border = _border_seeds(near, far)

@@ -1,9 +1,9 @@
-"""The shortest way out, for a vehicle that hovers (or circles) where no certificate can begin.
+"""Escape: the shortest way out of a place where no certificate can begin.
 
-A threat that appears around the vehicle, or a slope that it is held beside: from there no curve
-keeps the required clearance.  The way out is a straight one, proven not to come nearer to the
-terrain than the vehicle is already, clear of every other threat, and clear of all at its end.
-Of a plane the circle that it flies has to be clear, so distances are those of its circle.
+If a threat appears around a hovering or loitering vehicle, or it holds beside a slope, no curve
+from there keeps the required clearance.  The escape path is straight, proven not to come nearer to
+the terrain than the vehicle already is, clear of every other threat, and clear of all at its end.
+For a plane distances are those of its loiter circle.
 """
 
 import math
@@ -40,19 +40,19 @@ _SAMPLES = 64
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trouble:
-    """What keeps a certificate from beginning where the vehicle is."""
+class StartViolation:
+    """Why no certificate can begin at the vehicle's position."""
 
     terrain_m: float
     """Distance to the known terrain, at most the required clearance."""
     unknown: bool
-    """Whether it is unknown ground, or the edge of the map, that is too near."""
+    """Whether unknown ground, or the edge of the map, is too near."""
     zones: tuple[Zone, ...]
     """Keep-outs that are too near, or around the vehicle."""
 
 
-def trouble(request: PlanRequest) -> Trouble | None:
-    """What is wrong with the place where a subpath is to start, None if nothing."""
+def start_violation(request: PlanRequest) -> StartViolation | None:
+    """Why no subpath can start at the requested place; None if it can."""
     required_m = request.task.required_clearance_m
     # A proof needs a little more than the bound itself; where a subpath was proven it had that.
     required_m = required_m * _PROVABLE if request.from_rest else required_m - _ROUNDING_M
@@ -63,13 +63,15 @@ def trouble(request: PlanRequest) -> Trouble | None:
     zones = tuple(zone for zone in task.zones if _gap_m(zone, start, task) < required_m)
     if terrain_m >= required_m and not zones:
         return None
-    return Trouble(terrain_m=terrain_m, unknown=seen_m >= required_m > terrain_m, zones=zones)
+    return StartViolation(
+        terrain_m=terrain_m, unknown=seen_m >= required_m > terrain_m, zones=zones
+    )
 
 
-def way_out(
-    request: PlanRequest, found: Trouble, prover: Prover
+def escape_path(
+    request: PlanRequest, found: StartViolation, prover: Prover
 ) -> tuple[Subpath, Certificate] | None:
-    """The shortest straight subpath out of trouble, and what is proven of it; None: there is none.
+    """The shortest straight escape path and its certificate; None: there is none.
 
     Proven: no nearer to the terrain than the vehicle is now, and with the whole clearance from
     where it first has that; no nearer to a zone that it is clear of than now.  Out of those that
@@ -120,7 +122,7 @@ def _towards_edge(request: PlanRequest, inside: tuple[Zone, ...], ends: FloatArr
 
 
 def _proven(
-    request: PlanRequest, found: Trouble, end: FloatArray, prover: Prover
+    request: PlanRequest, found: StartViolation, end: FloatArray, prover: Prover
 ) -> Certificate | None:
     """The certificate of the straight way to an end, if all of it is proven."""
     task, start = request.task, request.start.position_nea_m

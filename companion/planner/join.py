@@ -1,9 +1,8 @@
-"""The way back to the path for a vehicle that is not quite on it, without a jump.
+"""Rejoining the path without a setpoint jump, for a vehicle that is not quite on it.
 
-A companion that was started again in flight, or took over from somebody, begins with the setpoint
-where the vehicle (or the point that its autopilot flies to) is.  The difference to the reference
-point then decays like a critically damped spring: as fast as half of the mission's acceleration
-allows.
+A companion that was restarted in flight, or has taken over, begins with the setpoint at the vehicle
+(or at its autopilot's target).  The offset from the reference point then decays like a critically
+damped spring: as fast as half of the mission's acceleration allows.
 """
 
 import math
@@ -36,7 +35,7 @@ class Offset:
 
     @property
     def is_gone(self) -> bool:
-        """Whether nothing worth mentioning is left of it."""
+        """Whether it has decayed to almost nothing."""
         far = float(np.linalg.norm(self.position_nea_m))
         return far < _GONE_M and float(np.linalg.norm(self.velocity_nea_m_s)) < _GONE_M_S
 
@@ -58,7 +57,7 @@ def begin(
 
 
 def step(offset: Offset, elapsed_s: float, limits: Limits) -> Offset:
-    """The offset a little later: it decays, at a rate that is chosen anew each time.
+    """Advance the offset by one step, at a decay rate that is recomputed each time.
 
     As it shrinks it may decay faster.
     """

@@ -1,8 +1,7 @@
-"""What computes a plan: compiled by numba, or plain Python and numpy where that is absent.
+"""The kernels of a plan: compiled by numba, or plain Python and numpy.
 
 Both make the same search with the same random numbers and the same proof; costs agree to 1e-9.
-numba is imported by `compiled()` and nowhere else: it takes half a second, and a vehicle can be
-flown before that.
+numba is imported by `compiled()` only: that takes half a second, and flight can begin before.
 """
 
 import hashlib
@@ -29,7 +28,7 @@ from companion.path.certificate import Prover
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kernel:
-    """The two parts of a plan that take the time."""
+    """The time-consuming parts of a plan."""
 
     name: str
     """numba, or numpy."""
@@ -42,16 +41,13 @@ class Kernel:
 
     @property
     def signature(self) -> str:
-        """As the journal names it: what computes to the last digit what this one does."""
+        """Its name in the journal: equal names give equal results to the last digit."""
         return f"{self.name} {_arithmetic()}"
 
 
 @lru_cache(maxsize=1)
 def _arithmetic() -> str:
-    """Tells apart the processors and libraries whose last digits differ.
-
-    A digest of what some functions of libm, numpy, OpenBLAS and PROJ come to here.
-    """
+    """Digest of the platform's arithmetic: results of libm, numpy, OpenBLAS and PROJ."""
     x = np.linspace(0.1, 3.0, 1600)
     frame = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
     square = x.reshape(40, 40)

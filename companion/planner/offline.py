@@ -9,20 +9,20 @@ from typing import final
 from companion.planner.plan import plan
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.request import (
+    Backtrack,
     NotPlanned,
     Planned,
     PlanOutcome,
     PlanRequest,
     Refusal,
-    WayBack,
 )
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap, Scan
 from companion.world.simulated_scan import simulated_scan
 
-_LEAST_MOST_LEGS = 60
+_MIN_MOST_LEGS = 60
 _TIMES_AS_MANY = 6  # legs as a straight way of legs of full length has
-_MOST_ATTEMPTS = 4  # from one place, each with a wider search
+_MAX_ATTEMPTS = 4  # from one place, each with a wider search
 
 
 Scanner = Callable[[KnownMap, tuple[float, float, float], float], Scan]
@@ -61,11 +61,11 @@ def fly_offline(
     """Scan, plan, go on to p_prog, until the last target is reached or nothing can be planned.
 
     most_legs: it gives up after so many, with `TOO_MANY_LEGS`; None: six times as many as a
-    straight way has, or 60 if that is more.  From one place it asks four times, each time with a
-    wider search.
+    straight way has, or 60 if that is more.  From one place it plans up to four times, each time
+    with a wider search.
 
-    As in flight: at a target that is not the last the vehicle stops and begins again, and a leg
-    that has no successor is flown to its end, where the vehicle stops, looks and plans anew.
+    As in flight: the vehicle stops at each target, and a leg without a successor is flown to its
+    end, where the vehicle stops, scans and plans again.
     """
     if most_legs is None:
         most_legs = usual_most_legs(task, start_nea_m, targets_ne_m)
@@ -81,11 +81,11 @@ def usual_most_legs(
     start_nea_m: tuple[float, float, float],
     targets_ne_m: tuple[tuple[float, float], ...],
 ) -> int:
-    """How many legs a flight may have before it counts as one that does not get there."""
+    """The default limit of the number of legs of a flight."""
     places = [start_nea_m[:2], *targets_ne_m]
     leg_m = max(task.end_radius_m - task.tail_m, 0.1 * task.settings.scan_range_m)
     legs = sum(math.ceil(math.dist(a, b) / leg_m) for a, b in pairwise(places))
-    return max(_LEAST_MOST_LEGS, _TIMES_AS_MANY * legs)
+    return max(_MIN_MOST_LEGS, _TIMES_AS_MANY * legs)
 
 
 @final
@@ -113,7 +113,7 @@ class _Flight:
 
     @property
     def is_over(self) -> bool:
-        spent = len(self._legs) >= self._most_legs or self._attempt == _MOST_ATTEMPTS
+        spent = len(self._legs) >= self._most_legs or self._attempt == _MAX_ATTEMPTS
         return not self._left or spent
 
     def scan(self, truth: KnownMap, scanner: Scanner) -> None:
@@ -138,7 +138,7 @@ class _Flight:
         )
 
     def take(self, outcome: PlanOutcome) -> None:
-        assert not isinstance(outcome, WayBack)  # it is never asked for
+        assert not isinstance(outcome, Backtrack)  # it is never asked for
         if isinstance(outcome, NotPlanned):
             self._failure = outcome
             if self._from_rest:

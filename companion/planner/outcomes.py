@@ -1,6 +1,6 @@
-"""The answers to plan requests as plain values, for a file, and back, to the last bit.
+"""Encodes answers to plan requests as plain values and decodes them, exact to the last bit.
 
-A restored subpath is made of the same control points, so whatever follows from it is the same.
+A decoded subpath has the same control points, so all results based on it are the same.
 """
 
 from dataclasses import fields
@@ -12,11 +12,11 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.subpath import Subpath
-from companion.planner.request import NotPlanned, Planned, PlanOutcome, Refusal, WayBack
+from companion.planner.request import Backtrack, NotPlanned, Planned, PlanOutcome, Refusal
 
 Values = dict[str, Any]
 
-_KINDS: Final = {"planned": Planned, "not planned": NotPlanned, "way back": WayBack}
+_KINDS: Final = {"planned": Planned, "not planned": NotPlanned, "way back": Backtrack}
 _hints = cache(get_type_hints)
 
 
@@ -29,7 +29,7 @@ def values_of(outcome: PlanOutcome) -> Values:
             values["control_nea_m"] = values.pop("subpath").control_nea_m
         case NotPlanned():
             values["refusal"] = outcome.refusal.name
-        case WayBack():
+        case Backtrack():
             values["control_nea_m"] = [each.control_nea_m for each in values.pop("subpaths")]
     plain: Values = msgspec.to_builtins(
         {"kind": kind, **values}, enc_hook=lambda each: each.tolist()
@@ -38,7 +38,7 @@ def values_of(outcome: PlanOutcome) -> Values:
 
 
 def outcome_of(values: Values) -> PlanOutcome:
-    """The answer that they were made of.  KeyError, TypeError, ValueError: they are not such."""
+    """Decode an answer.  KeyError, TypeError, ValueError: invalid values."""
     if (kind := _KINDS.get(values["kind"])) is None:
         raise ValueError(f"no kind of answer: {values['kind']!r}")
     made: Values = {
@@ -51,11 +51,11 @@ def outcome_of(values: Values) -> PlanOutcome:
     rows = values["control_nea_m"]
     if kind is Planned:
         return Planned(subpath=_subpath(rows), **made)
-    return WayBack(subpaths=tuple(map(_subpath, rows)), **made)
+    return Backtrack(subpaths=tuple(map(_subpath, rows)), **made)
 
 
 def control_points(rows: list[list[float]]) -> FloatArray:
-    """The control points of a subpath.  ValueError: they are none."""
+    """The control points of a subpath.  ValueError: invalid values."""
     control = np.array(rows, dtype=np.float64)
     if control.ndim != 2 or control.shape[1] != 3 or len(control) < 4:
         raise ValueError("control points are rows of north, east, altitude")

@@ -1,4 +1,4 @@
-"""One plan: from what is known at p_scan to the next subpath, or the reason why there is none.
+"""One plan: the next subpath from the known map at p_scan, or a refusal with its reason.
 
 Guidance, search, proof: the best candidate that is proven safe is taken (verify, then commit);
 if none is, the search is repeated with more variables, other directions and a nearer end.
@@ -19,16 +19,16 @@ from companion.optimise.registry import OPTIMISERS
 from companion.path.certificate import certify, pack_surroundings
 from companion.path.proof_distance import Surroundings
 from companion.path.subpath import Subpath
-from companion.planner.closed import closed_at
+from companion.planner.backtrack import backtrack
 from companion.planner.cost_lattice import descent_m
 from companion.planner.cost_to_go import CostToGo, cost_to_go
-from companion.planner.escape import Trouble, trouble, way_out
+from companion.planner.escape import StartViolation, escape_path, start_violation
 from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.procedure import Leg, hover_pose
 from companion.planner.published import REACH, STREAM_PLAN, facing, plan_as_published
+from companion.planner.reachability import blocked_at
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
 from companion.planner.settings import Task
-from companion.planner.way_back import way_back
 from companion.world.clearance import (
     Surface,
     distance_to_terrain_m,
@@ -50,22 +50,24 @@ _SEARCH = refined_de.Settings()
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Try:
-    """One way of asking: more control points, the guide turned, a nearer end."""
+class _SearchVariant:
+    """A variant of the search: more control points, a turned guide, a nearer end."""
 
     points: int = 5
     turn_rad: float = 0.0
     reach: float = 1.0
 
 
-_FIRST = _Try()
-_OTHER_WAYS = (_Try(points=6), _Try(reach=0.7), _Try(reach=0.45))
-"""What is tried as well when the first answer is dearer than the cost-to-go had promised."""
-_HARDER = tuple(_Try(points=6, reach=reach) for reach in (0.7, 0.45))
-"""What is tried when that is much dearer, or nothing was proven."""
-_ANY_WAY = tuple(_Try(turn_rad=side * turn, reach=0.6) for turn in (0.7, 1.4) for side in (1, -1))
-"""What is tried when still nothing was proven, or what stands would have to go far about."""
-_ALL_ROUND = tuple(_Try(turn_rad=turn) for turn in (2.2, -2.2, math.pi))
+_FIRST = _SearchVariant()
+_OTHER_WAYS = (_SearchVariant(points=6), _SearchVariant(reach=0.7), _SearchVariant(reach=0.45))
+"""Tried as well if the first result costs more than the cost-to-go predicted."""
+_HARDER = tuple(_SearchVariant(points=6, reach=reach) for reach in (0.7, 0.45))
+"""Tried if that costs much more, or nothing was proven."""
+_ANY_WAY = tuple(
+    _SearchVariant(turn_rad=side * turn, reach=0.6) for turn in (0.7, 1.4) for side in (1, -1)
+)
+"""Tried if still nothing was proven, or a vehicle at rest would make a long detour."""
+_ALL_ROUND = tuple(_SearchVariant(turn_rad=turn) for turn in (2.2, -2.2, math.pi))
 
 
 def plan(
@@ -78,26 +80,26 @@ def plan(
     best so far is taken, if it can be proven.
     """
     if request.flown is not None:
-        return way_back(request.flown, request.task, request.known, kernel.prove, request.plan_id)
+        return backtrack(request.flown, request.task, request.known, kernel.prove, request.plan_id)
     if not request.task.settings.profile.verified:
         return plan_as_published(request, kernel.prove)
     refusal = _impossible(request)
     if refusal is not None:
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
-    found = trouble(request)
+    found = start_violation(request)
     if found is not None:
         return _escape(request, found, kernel)
     refusal = _unreachable(request)
     if refusal is not None:
         return NotPlanned(plan_id=request.plan_id, refusal=refusal)
-    patience = _Patience(stop)
+    patience = _TimeBudget(stop)
     outcome = _Plan(request, patience, kernel).outcome()
     return replace(outcome, stopped_after=patience.stopped_after)
 
 
 @final
-class _Patience:
-    """Asks whether time is up, and keeps how often it was not: then it is up for good."""
+class _TimeBudget:
+    """Wraps `stop`: counts the calls until it is true, and then stays true."""
 
     def __init__(self, stop: Callable[[], bool]) -> None:
         self._stop, self._went_on = stop, 0
@@ -113,7 +115,7 @@ class _Patience:
 
 
 def _impossible(request: PlanRequest) -> Refusal | None:
-    """What is wrong with the question itself, or with where it starts."""
+    """Why the request itself, or its start, is invalid; None if it is not."""
     task, limits = request.task, request.task.limits
     if not _is_sane(request):
         return Refusal.NO_QUESTION
@@ -132,7 +134,7 @@ def _impossible(request: PlanRequest) -> Refusal | None:
 
 
 def _unreachable(request: PlanRequest) -> Refusal | None:
-    """What is wrong with the target."""
+    """Why the target is invalid; None if it is not."""
     task, limits = request.task, request.task.limits
     target = np.array(request.target_ne_m)
     edges = zip(target, (limits.north_m, limits.east_m), strict=True)
@@ -149,7 +151,7 @@ def _unreachable(request: PlanRequest) -> Refusal | None:
 
 
 def _is_sane(request: PlanRequest) -> bool:
-    """Whether all numbers are numbers, and limits leave something to plan."""
+    """Whether all numbers are finite, and the limits leave room to plan."""
     limits, task, start = request.task.limits, request.task, request.start
     numbers = (
         *request.scan_nea_m,
@@ -172,9 +174,9 @@ def _is_sane(request: PlanRequest) -> bool:
     return bool(np.isfinite(numbers).all() and np.isfinite(positive).all() and min(positive) > 0.0)
 
 
-def _escape(request: PlanRequest, found: Trouble, kernel: Kernel) -> PlanOutcome:
-    """The shortest way out of a place where no certificate can begin."""
-    escape = way_out(request, found, kernel.prove) if request.from_rest else None
+def _escape(request: PlanRequest, found: StartViolation, kernel: Kernel) -> PlanOutcome:
+    """The shortest escape path from a place where no certificate can begin."""
+    escape = escape_path(request, found, kernel.prove) if request.from_rest else None
     if escape is None:
         refusal = Refusal.START_IN_KEEP_OUT if found.zones else Refusal.START_NEAR_TERRAIN
         if found.unknown and not found.zones:
@@ -201,7 +203,7 @@ def _escape(request: PlanRequest, found: Trouble, kernel: Kernel) -> PlanOutcome
 
 @final
 class _Plan:
-    """A plan in the making: what all its searches have in common."""
+    """One plan in progress: the common data of its searches."""
 
     def __init__(self, request: PlanRequest, stop: Callable[[], bool], kernel: Kernel) -> None:
         self._request, self._stop, self._kernel = request, stop, kernel
@@ -224,7 +226,7 @@ class _Plan:
     def outcome(self) -> Planned | NotPlanned:
         """The best subpath that is proven, or why there is none."""
         request = self._request
-        closed = closed_at(
+        closed = blocked_at(
             request.known,
             request.task,
             self._field,
@@ -246,10 +248,10 @@ class _Plan:
         return best
 
     def _is_better_to_stop(self, best: Planned) -> bool:
-        """Whether it costs less to stop at the end of the leg in flight and to leave from there.
+        """Whether it costs less to stop at the end of the current leg and continue from there.
 
-        What leaves from there is planned over the same ground, and ends on the same circle; all
-        round, where to go on is much dearer than was promised.
+        That plan uses the same map and end circle; in all directions, if continuing costs much more
+        than predicted.
         """
         rest, task = self._request.rest, self._request.task
         if rest is None:
@@ -259,16 +261,16 @@ class _Plan:
             return False
         start = facing(hover_pose(rest.end_nea_m), self._scene.guide_rad)
         scene = replace(self._scene, start=start, from_rest=True)
-        ways: tuple[_Try, ...] = (_FIRST,)
+        ways: tuple[_SearchVariant, ...] = (_FIRST,)
         if self._excess(best) > _MUCH_DEARER:
             ways += _ANY_WAY + _ALL_ROUND
         leaving = (None if self._stop() else self._attempt(how, scene) for how in ways)
         return any(each and self._price(each) + stop < self._price(best) for each in leaving)
 
-    def _to_edge_of_sight(self) -> tuple[_Try, ...]:
-        """To end where the cheapest way leaves what can be proven, within sight.
+    def _to_edge_of_sight(self) -> tuple[_SearchVariant, ...]:
+        """Variants that end where the cheapest route leaves the provable area, within scan range.
 
-        Beyond L; what stands may also fly less, and stop again.
+        Beyond L; a vehicle at rest may also fly less, and stop again.
         """
         scene, scan = self._scene, np.array(self._request.scan_nea_m[:2])
         route = np.array(self._field.route_ne_m)
@@ -282,7 +284,7 @@ class _Plan:
         least_m = self._shortest_m if scene.from_rest else self._request.task.scan_distance_m
         if not least_m < far_m < scene.end_radius_m:
             return ()
-        return (_Try(reach=far_m / scene.end_radius_m),)
+        return (_SearchVariant(reach=far_m / scene.end_radius_m),)
 
     def _refused(self, refusal: Refusal) -> NotPlanned:
         return NotPlanned(
@@ -293,11 +295,11 @@ class _Plan:
         )
 
     def _best(
-        self, best: Planned | None, ways: tuple[_Try, ...], *, enough: float
+        self, best: Planned | None, ways: tuple[_SearchVariant, ...], *, enough: float
     ) -> Planned | None:
-        """The cheapest of what is at hand and what ways of asking give, until it is cheap enough.
+        """The cheapest of the best so far and the given variants, until it is cheap enough.
 
-        enough: how much dearer than promised, in costs of R.
+        enough: allowed excess over the prediction, in costs of R.
         """
         for how in ways:
             if best is not None and self._excess(best) <= enough:
@@ -310,7 +312,7 @@ class _Plan:
         return best
 
     def _price(self, planned: Planned) -> float:
-        """By which ways are compared."""
+        """The cost by which candidates of different searches are compared."""
         task, total = self._request.task, planned.cost + planned.to_go
         if planned.reaches_target:
             return total
@@ -320,14 +322,14 @@ class _Plan:
         return total + (stop_m + _ENDS_SHORT * short_m) * self._per_metre
 
     def _excess(self, planned: Planned) -> float:
-        """How much dearer a subpath and what follows are than promised, in costs of R."""
+        """Excess cost of a subpath and what follows over the prediction, in costs of R."""
         range_m = self._request.task.settings.scan_range_m
         cost_of_r = self._per_metre * range_m
         promised_m = self._promised_m(self._request.start.point_nea_m)
         return (planned.cost + planned.to_go) / max(cost_of_r, 1e-9) - promised_m / range_m
 
     def _promised_m(self, place_nea_m: tuple[float, float, float]) -> float:
-        """The least that it costs to the target from a place, in metres of level flight."""
+        """The predicted minimum cost from a place to the target, in metres of level flight."""
         north, east, altitude = place_nea_m
         here, task = (np.array(north), np.array(east)), self._request.task
         level_m = float(self._field.at_m(*here))
@@ -336,7 +338,7 @@ class _Plan:
         climb_m = max(needed_m - altitude, 0.0) / math.tan(task.limits.climb_angle_rad)
         return level_m + down_m + climb_m
 
-    def _attempt(self, how: _Try, scene: FlightScene | None = None) -> Planned | None:
+    def _attempt(self, how: _SearchVariant, scene: FlightScene | None = None) -> Planned | None:
         """One search, and the best of its candidates that has a certificate."""
         self._tries += 1
         scene = _vary(scene or self._scene, how)
@@ -400,7 +402,7 @@ class _Plan:
         return None
 
     def _table(self, x: FloatArray, scene: FlightScene) -> dict[str, float]:
-        """The terms of a candidate, whatever it was searched for, by the guidance of this plan."""
+        """The cost terms of a candidate of any search, by the guidance of this plan."""
         guided = replace(
             scene,
             to_go=self._scene.to_go,
@@ -428,7 +430,7 @@ def _seeds(scene: FlightScene) -> FloatArray:
 
 
 def _azimuth(bearing_rad: float) -> float:
-    """The variable that stands for a bearing from the tangent."""
+    """The search variable of a bearing from the tangent."""
     return 0.5 + 0.5 * bearing_rad / SPREAD_RAD
 
 
@@ -490,10 +492,10 @@ def _end(request: PlanRequest) -> tuple[bool, float]:
     return False, min(reach, max(left - 0.35 * reach, 0.5 * reach))
 
 
-def _vary(scene: FlightScene, how: _Try) -> FlightScene:
-    """The scene as one try sees it; tries that are not straight do not end at the target.
+def _vary(scene: FlightScene, how: _SearchVariant) -> FlightScene:
+    """The scene of a search variant; variants with a turned guide do not end at the target.
 
-    A turned guide pulls by itself: the cost-to-go would lead back to where nothing was found.
+    A turned guide acts alone: the cost-to-go would lead back to where nothing was found.
     """
     scene = replace(scene, points=how.points)
     if how.turn_rad == 0.0 and how.reach == 1.0:

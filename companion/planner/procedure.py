@@ -7,8 +7,8 @@
 The next leg starts at p_prog of this one.  A leg that has no successor is flown to its end, where
 the vehicle stops: the tail is long enough for that.  A plane circles the end.
 
-What hovers follows a point that runs along the path on its own (`advance`); a plane, which flies
-as fast as it flies, is sent to a point ahead of where it is (`follow`).
+Multicopters follow a point that moves along the path by itself (`advance`); planes, whose speed is
+not commanded, are sent to a point ahead of their position (`follow`).
 """
 
 import math
@@ -42,10 +42,10 @@ class Leg:
     subpath: Subpath
     reaches_target: bool
     through: bool = False
-    """Whether it may be flown to its very end at full speed, into the leg that begins there (of the
-    way back, which is known in advance)."""
+    """Whether it may be flown to its end at full speed, into the leg that begins there (only for
+    the backtrack, which is known in advance)."""
     rules: Task | None = None
-    """What it was proven under; None: that is not known."""
+    """The task it was proven under; None if unknown."""
 
     @staticmethod
     def of(planned: Planned, number: int, rules: Task | None = None) -> "Leg":
@@ -85,9 +85,9 @@ class Leg:
     def can_be_left(self, task: Task) -> bool:
         """Whether a successor may take over in flight.
 
-        The certificate is about a vehicle that can always stop at the end; from a p_prog too near
-        to the end it could not, and a plane would be sent to points beyond it.  Such a leg is flown
-        to its end, and the next begins at rest.
+        The certificate assumes a vehicle that can stop at the end; from a p_prog too near to the
+        end it could not, and a plane would be sent to points beyond it.  Such a leg is flown to its
+        end, and the next begins at rest.
         """
         if not task.settings.profile.verified:
             return True
@@ -99,7 +99,7 @@ class Leg:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reference:
-    """The point of a leg where the vehicle ought to be."""
+    """The reference point on a leg: where the vehicle should be."""
 
     length_m: float = 0.0
     speed_m_s: float = 0.0
@@ -141,10 +141,10 @@ def advance(
 
 
 def follow(reference: Reference, leg: Leg, vehicle_nea_m: FloatArray, limits: Limits) -> Reference:
-    """Where a plane is along its leg: the nearest point of the path, seen from above.
+    """Reference point of a plane: the nearest point of the path, seen from above.
 
-    It never goes back, and is looked for no farther ahead than the plane can have come, so that
-    a path that comes near to itself does not lead it astray.
+    It never moves back, nor farther ahead than the plane can have flown, so that a path that comes
+    near to itself is not short-cut.
     """
     ahead_m = max(_WINDOW_S * limits.speed_m_s, limits.turn_radius_m)
     until_m = min(reference.length_m + ahead_m, leg.subpath.length_m)
@@ -185,7 +185,7 @@ def is_on_circle(
     position_nea_m: tuple[float, float, float],
     limits: Limits,
 ) -> bool:
-    """Whether a plane flies about a place where it was told to: not whether it goes there."""
+    """Whether a plane has reached its loiter circle."""
     most_m = limits.loiter_radius_m + _ON_CIRCLE * limits.tracking_error_m
     return math.dist(centre_nea_m, position_nea_m) <= most_m
 
@@ -235,5 +235,5 @@ def is_at_end(reference: Reference, leg: Leg, until_m: float | None = None) -> b
 
 
 def hover_pose(position_nea_m: tuple[float, float, float]) -> Pose:
-    """Where a vehicle at rest starts from; the tangent is chosen by the plan."""
+    """The start pose of a vehicle at rest; the plan chooses the tangent."""
     return Pose(position_nea_m=np.asarray(position_nea_m), tangent_nea=np.array([1.0, 0.0, 0.0]))

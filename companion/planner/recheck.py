@@ -1,7 +1,6 @@
-"""Whether what is left of a leg still keeps to rules that have changed in flight.
+"""Rechecks the rest of a leg against rules that have changed in flight.
 
-What was proven stays proven: a leg is judged only by what the rules ask for now and did not ask for
-when it was proven.
+What was proven stays proven: a leg is checked only against rules that are new or stricter.
 """
 
 import numpy as np
@@ -24,7 +23,7 @@ _BAND_SAMPLES = 100
 
 
 def is_touched(leg: Leg, from_m: float, task: Task) -> bool:
-    """Whether the rest of a leg breaks a rule that is new: a zone, the floor, the ceiling.
+    """Whether the rest of a leg violates a new rule: a zone, the floor, the ceiling.
 
     leg, from_m: the leg, and the length from which on it matters.  task: the rules now.
     """

@@ -1,4 +1,4 @@
-"""The question that a plan answers, and the answers that there are."""
+"""The plan request and its possible answers."""
 
 import enum
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from companion.world.known_map import KnownMap
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stretch:
-    """A part of a subpath that was flown: its control points, and the lengths between which."""
+class FlownSegment:
+    """A flown part of a subpath: its control points, and start and end length."""
 
     control_nea_m: FloatArray  # (points, 3)
     from_m: float
@@ -24,7 +24,7 @@ class Stretch:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rest:
-    """What is left of the leg in flight beyond p_prog: at its end the vehicle can stop."""
+    """The rest of the current leg beyond p_prog: at its end the vehicle can stop."""
 
     length_m: float
     end_nea_m: tuple[float, float, float]
@@ -33,7 +33,7 @@ class Rest:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlanRequest:
-    """The question: everything that the answer depends on."""
+    """A plan request: everything that the answer depends on."""
 
     plan_id: int
     seed: int
@@ -47,17 +47,17 @@ class PlanRequest:
     """Whether the vehicle hovers at the start, so that the path may leave in any direction."""
     target_ne_m: tuple[float, float]
     route_ne_m: tuple[tuple[float, float], ...] = ()
-    """The way to the target that the last plan had in mind: not left for a trifle."""
+    """The route to the target of the last plan: not left for a small gain."""
     rest: Rest | None = None
-    """Of the leg in flight; None: the vehicle stands, or nothing is known of it."""
-    flown: tuple[Stretch, ...] | None = None
-    """What was flown: the way back along it is asked for; None: the next subpath."""
+    """Of the current leg; None: the vehicle is at rest, or there is no leg."""
+    flown: tuple[FlownSegment, ...] | None = None
+    """The flown segments, to request a backtrack; None: the next subpath is requested."""
     attempt: int = 0
-    """How often this question has been asked in vain; each time the search is wider."""
+    """Number of failed attempts before; each time the search is wider."""
 
     @property
     def around(self) -> KnownMap:
-        """The known map; of a plane, as its circle is near to it."""
+        """The known map, for a plane dilated by its loiter circle."""
         return self.known.grown(self.task.limits.loiter_radius_m)
 
 
@@ -68,34 +68,34 @@ class Planned:
 
     plan_id: int
     kernel: str
-    """What computed it: replay needs to know."""
+    """The kernel that computed it, for replay."""
     subpath: Subpath
     reaches_target: bool
     cost: float
     """Eq. 5."""
     to_go: float
-    """What is left to fly from the end, in the same currency."""
+    """Cost-to-go from the end, in the same unit."""
     terms: dict[str, float]
     certificate: Certificate
     guide_rad: float
     route_ne_m: tuple[tuple[float, float], ...]
     evaluations: int
     rank: int
-    """Position among the candidates by cost: 0 is the best, more if better ones were unproven."""
+    """Rank by cost: 0 is the cheapest, more if cheaper ones could not be proven."""
     tries: int
     stopped_after: int | None = None
-    """How often the search was allowed to go on before its time was up; None: it never was.
+    """How often the search was continued before its time was up; None: it never was.
 
-    Asked again with the same patience, it finds the same."""
+    Repeated with the same number, it gives the same result."""
 
     @property
     def is_escape(self) -> bool:
-        """Whether it is the straight way out of trouble, which nobody searched for."""
+        """Whether it is a straight escape path, not the result of a search."""
         return not self.terms
 
 
 class Refusal(enum.Enum):
-    """Why there is no subpath, and what helps."""
+    """Why there is no subpath, and the remedy."""
 
     NOTHING_SAFE = (
         "no candidate subpath could be proven safe; "
@@ -164,7 +164,7 @@ class NotPlanned:
     refusal: Refusal
     broken: tuple[str, ...] = ()
     place_ne_m: tuple[float, float] | None = None
-    """Where it is closed, if it is (`NO_WAY`)."""
+    """Where all routes are blocked (`NO_WAY`)."""
     evaluations: int = 0
     stopped_after: int | None = None
     """As of Planned."""
@@ -172,14 +172,14 @@ class NotPlanned:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WayBack:
-    """The way back along what was flown, as far as it is proven; none if nothing is."""
+class Backtrack:
+    """The backtrack along the flown path, as far as it is proven; may be empty."""
 
     plan_id: int
     subpaths: tuple[Subpath, ...]
     through: tuple[bool, ...]
-    """Whether the next one begins at the very end of each, to be flown into at full speed."""
+    """For each, whether the next one continues it, to be entered at full speed."""
     reaches_start: bool
 
 
-PlanOutcome = Planned | NotPlanned | WayBack
+PlanOutcome = Planned | NotPlanned | Backtrack

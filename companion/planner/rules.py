@@ -1,7 +1,7 @@
-"""The rules that hold between the numbers of a task, whoever sets them.
+"""Rules between the numbers of a task, for all sources of settings.
 
-A mission file, the planner's parameters on the wire, targets from a ground station or from the
-vehicle, a replay under other settings, a flight that is resumed: all are held to these.  A broken
+Mission files, planner parameters over MAVLink, targets from a ground station or from the vehicle,
+replays under other settings and resumed flights are all checked by them.  A broken
 rule is an InputError whose field is named as in mission.toml.
 """
 
@@ -19,18 +19,18 @@ from companion.world.threats import Zone
 Place = tuple[float, float]
 
 _GRAVITY_M_S2 = 9.81
-_MOST_CELLS = 2.5e7
-_MOST_LATERAL_M_S2 = 20.0
-_MOST_BANK_DEG = 45.0
+_MAX_CELLS = 2.5e7
+_MAX_LATERAL_M_S2 = 20.0
+_MAX_BANK_DEG = 45.0
 """Of a plane: ArduPlane's default roll limit; PX4's is 50 degrees."""
 _SCAN_REQUESTS = 33
-_LEAST_BAND_ERRORS = 4.0
-_LEAST_AREA_M2 = 1.0
-_MOST_CORNERS = 2000
+_MIN_BAND_ERRORS = 4.0
+_MIN_AREA_M2 = 1.0
+_MAX_CORNERS = 2000
 
 
 def check_task(task: Task, where: str = "") -> None:
-    """Hold a task to every rule between its numbers.
+    """Check a task against every rule between its numbers.
 
     Raises InputError for the first that is broken; where comes before the field ("file: ").
     """
@@ -43,8 +43,8 @@ def newly_broken(
 ) -> InputError | None:
     """The first rule that a change of a task breaks; None: it breaks none.
 
-    What was broken before is no reason against a change: a fence that the vehicle got meanwhile may
-    lie about a target, and home at the edge of the map.
+    Rules that were broken before do not prevent a change: the vehicle's fence may exclude a target,
+    and home may be at the edge of the map.
     """
     checks: list[_Check] = [partial(check, where="") for check in _OF_TASKS]
     for number, target in enumerate(targets_ne_m):
@@ -55,8 +55,8 @@ def newly_broken(
     return None
 
 
-def why_no_target(task: Task, target_ne_m: Place) -> str:
-    """The rule that keeps a place from being a target, in words; empty: none."""
+def target_refusal(task: Task, target_ne_m: Place) -> str:
+    """Why a place cannot be a target, as text; empty if it can."""
     error = _broken(partial(check_target, target_ne_m=target_ne_m, field="target"), task)
     return "" if error is None else f"the target: {error.rule}"
 
@@ -97,15 +97,15 @@ def check_polygon(vertices_ne_m: tuple[Place, ...], field: str, name: str) -> No
     if len(set(vertices_ne_m)) < 3:
         remedy = "Give three or more different corners."
         raise InputError(field, name, "a polygon has three or more corners", remedy)
-    if len(corners) > _MOST_CORNERS:
-        rule = f"it has more than {_MOST_CORNERS} corners"
+    if len(corners) > _MAX_CORNERS:
+        rule = f"it has more than {_MAX_CORNERS} corners"
         raise InputError(field, name, rule, "Simplify it, outwards.")
     crossing = first_crossing(corners)
     if crossing is not None:
         a, b = crossing
         rule = f"the edges from its corners {a} and {b} (from 0) cross, so it has no clear inside"
         raise InputError(field, name, rule, "Draw it so that it does not cross itself.")
-    if abs(_area_m2(corners)) < _LEAST_AREA_M2:
+    if abs(_area_m2(corners)) < _MIN_AREA_M2:
         remedy = "Give corners that do not lie on one line."
         raise InputError(field, name, "it has no area", remedy)
 
@@ -157,15 +157,15 @@ def _check_map(task: Task, where: str) -> None:
             rule = f"it must be more than area.{axis}_min_m = {low:g}"
             raise InputError(f"{where}area.{axis}_max_m", high, rule, "Swap or widen them.")
     floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m
-    if ceiling - floor <= _LEAST_BAND_ERRORS * task.error_m:
+    if ceiling - floor <= _MIN_BAND_ERRORS * task.error_m:
         rule = (
             f"it must lie above altitude.floor_amsl_m = {floor:g} by more than 4 times "
             "vehicle.tracking_error_m + navigation_error_m"
         )
         raise InputError(f"{where}altitude.ceiling_amsl_m", ceiling, rule, "Widen the band.")
     cells = math.prod(high - low for low, high in (limits.north_m, limits.east_m))
-    if cells / task.cell_m**2 > _MOST_CELLS:
-        rule = f"the map has more than {_MOST_CELLS:.0e} cells of R / 80"
+    if cells / task.cell_m**2 > _MAX_CELLS:
+        rule = f"the map has more than {_MAX_CELLS:.0e} cells of R / 80"
         remedy = "Raise it, or make [area] smaller."
         raise InputError(f"{where}planner.scan_range_m", task.settings.scan_range_m, rule, remedy)
 
@@ -215,7 +215,7 @@ def _check_turns(task: Task, where: str) -> None:
 
 
 def _check_circle(task: Task, where: str) -> None:
-    """A plane flies on a while, turns back and circles, all of it kept from what is seen."""
+    """Check a plane's overshoot, turn and circle against the scan range."""
     limits, settings = task.limits, task.settings
     room = task.zone_search_clearance_m + limits.lead_m + 2.0 * limits.turn_radius_m
     if room > task.end_radius_m:
@@ -229,7 +229,7 @@ def _check_circle(task: Task, where: str) -> None:
 
 
 def _check_ground(task: Task, where: str) -> None:
-    """Where nothing will be scanned, the lowest path must be clear of the ground as stated."""
+    """Without a scanner the lowest path must clear the stated ground."""
     ground_m = task.stated_ground_amsl_m
     if ground_m is None:
         return
@@ -251,11 +251,11 @@ def _too_tight(speed_m_s: float, radius_m: float, *, hovers: bool) -> str:
     lateral = speed_m_s**2 / radius_m
     at_speed = f"at V = {speed_m_s:g} m/s it asks for"
     if hovers:
-        too_much = lateral > _MOST_LATERAL_M_S2
+        too_much = lateral > _MAX_LATERAL_M_S2
         return f"{at_speed} {lateral:.3g} m/s2 sideways, over 2 g" if too_much else ""
     bank = math.degrees(math.atan(lateral / _GRAVITY_M_S2))
-    too_much = bank > _MOST_BANK_DEG
-    return f"{at_speed} {bank:.0f} degrees of bank, over {_MOST_BANK_DEG:g}" if too_much else ""
+    too_much = bank > _MAX_BANK_DEG
+    return f"{at_speed} {bank:.0f} degrees of bank, over {_MAX_BANK_DEG:g}" if too_much else ""
 
 
 def _as_arrays(point: Place) -> tuple[FloatArray, FloatArray]:

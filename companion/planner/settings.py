@@ -1,4 +1,4 @@
-"""What the planner is told about a mission, and the distances that follow from it."""
+"""Planner settings and task, and the distances derived from them."""
 
 import hashlib
 import math
@@ -31,7 +31,7 @@ class PlannerSettings:
     planning_time_s: Positive
     """T."""
     scan_time_s: Positive = 4.0
-    """Longest time that a scan may take; what has not been answered by then stays unknown."""
+    """Time-out of a scan; cells without an answer stay unknown."""
     scan_distance_m: Positive | None = None
     """L, the distance of the scan before the end of the subpath; None: as short as eq. 4 allows."""
     position_period_s: float = 0.1
@@ -49,14 +49,14 @@ class PlannerSettings:
 @final
 @dataclass(frozen=True, kw_only=True)  # no slots: what is asked for with every position is kept
 class Task:
-    """All that is known in advance and that planning depends on."""
+    """Everything known in advance that planning depends on."""
 
     limits: Limits
     settings: PlannerSettings
     radars: tuple[Radar, ...] = ()
     zones: tuple[Zone, ...] = ()
     stated_ground_amsl_m: float | None = None
-    """Nowhere is the ground higher, and nothing is scanned; None: it is not known like this."""
+    """Upper bound of the ground for flights without a scanner; None: not stated."""
     _circles: FloatArray = field(init=False, repr=False, compare=False)
     """(radars, 3): north, east, range of each, so that looking for the near ones is one scan."""
 
@@ -77,7 +77,7 @@ class Task:
 
     @cached_property
     def digest(self) -> str:
-        """Tells it from every other task, in a file."""
+        """Digest that identifies the task in files."""
         return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
 
     @cached_property
@@ -96,7 +96,7 @@ class Task:
 
     @property
     def stop_m(self) -> float:
-        """What a stop, a scan and a plan from rest cost of time, as metres flown meanwhile."""
+        """The time for a stop, a scan and a plan from rest, as distance at cruise speed."""
         limits, settings = self.limits, self.settings
         time_s = limits.speed_m_s / limits.acceleration_m_s2
         return limits.speed_m_s * (time_s + settings.scan_time_s + settings.planning_time_s)
@@ -119,12 +119,12 @@ class Task:
 
     @property
     def error_m(self) -> float:
-        """How far the vehicle may be from where the path has it: tracking and navigation."""
+        """Allowed distance of the vehicle from the path: tracking and navigation error."""
         return self.limits.tracking_error_m + self.limits.navigation_error_m
 
     @property
     def margins(self) -> Margins:
-        """What a certificate asks of the curve, so that the vehicle on it keeps d_s."""
+        """The margins of a certificate, so that the vehicle on the curve keeps d_s."""
         return Margins(
             clearance_m=self.required_clearance_m,
             contact_m=self.error_m,
@@ -166,8 +166,8 @@ class Task:
     def end_radius_m(self) -> float:
         """Radius of the circle about p_scan on which subpaths end.
 
-        The paper's R; in profile `flight` so much less that the ground has been scanned within the
-        required clearance of the end, and where a vehicle comes that is left alone near it.
+        The paper's R; in profile `flight` less, so that the ground is scanned within the required
+        clearance of the end and of the dead-man reach from there.
         """
         settings, limits = self.settings, self.limits
         if not settings.profile.verified:

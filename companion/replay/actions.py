@@ -1,4 +1,4 @@
-"""What `companion replay` does: apart from the command, so that others need not load it."""
+"""The actions of `companion replay`, apart from the command line."""
 
 import json
 import sys
@@ -22,12 +22,12 @@ from companion.mission.start import Start, terrain_of
 from companion.planner.kernels import NUMPY, Kernel
 from companion.replay.differences import message_of
 from companion.replay.from_log import LogReplay
-from companion.replay.playback import Playing, play_file
-from companion.replay.report import same_json, same_words, what_if_table
-from companion.replay.same import Replay, Replayed, Step
+from companion.replay.playback import PlaybackSettings, play_file
+from companion.replay.report import replay_json, replay_text, what_if_table
+from companion.replay.reproduce import Replay, Replayed, Step
+from companion.replay.session_inputs import DamagedInputError, MissionOf, start_of
 from companion.replay.shadow import watch
-from companion.replay.shadow_words import renderables
-from companion.replay.told import MissionOf, TornError, start_of
+from companion.replay.shadow_text import renderables
 from companion.replay.what_if import what_if
 from companion.runtime.compiler import load_kernel
 from companion.runtime.loop import prompt_threads
@@ -50,14 +50,14 @@ def play(
     only: bool,
 ) -> None:
     """Play a log, or that of a run folder, to a ground station."""
-    playing = Playing(speed=speed or 1.0, from_s=span_s[0], until_s=span_s[1])
+    playing = PlaybackSettings(speed=speed or 1.0, from_s=span_s[0], until_s=span_s[1])
     play_file(_log(flight), connect, playing, system_id=system, only_vehicle=only)
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flown:
-    """How the flight of a log was flown: nothing in it says so."""
+    """Settings of a logged flight that the log itself does not contain."""
 
     mission: str | None
     profile: str | None
@@ -75,7 +75,7 @@ def same(
     *,
     by_step: bool,
 ) -> None:
-    """The same flight.  FlightFailed if it does not decide the same.
+    """Replay a flight and compare.  FlightFailed if any decision differs.
 
     load: gives what computes its plans again; called once the recording is known to fit.
     """
@@ -87,12 +87,12 @@ def same(
         replay = _of_log(flight, how, system, load)
     _run(replay, span_s[1], speed, console, by_step=by_step)
     found = replay.found
-    for finding in replay.told.findings if isinstance(replay, LogReplay) else ():
+    for finding in replay.inputs.findings if isinstance(replay, LogReplay) else ():
         console.print(f"note: {finding}", highlight=False, markup=False)
     _refuse_if_nothing_was_compared(found, flight, span_s)
-    for line in same_words(found):
+    for line in replay_text(found):
         console.print(line, highlight=False, markup=False)
-    _write(same_json(found), json_file)
+    _write(replay_json(found), json_file)
     if found.damaged and found.difference is None:
         raise _damaged(found, flight)
     if not found.is_identical:
@@ -135,7 +135,7 @@ def _run(
 ) -> None:
     """Replay so many seconds of the flight, at a speed if one is given."""
     began_s = time.monotonic()
-    with _bar("replaying", replay.told.size_bytes) as show, prompt_threads():
+    with _bar("replaying", replay.inputs.size_bytes) as show, prompt_threads():
         for each in replay.steps():
             found = replay.found
             if found.flown_s > until_s:
@@ -144,17 +144,17 @@ def _run(
                 time.sleep(max(began_s + found.flown_s / speed - time.monotonic(), 0.0))
             if by_step:
                 _print_step(each, console)
-            show(replay.told.read_bytes, f"replaying {found.now_s:,.0f} s")
+            show(replay.inputs.read_bytes, f"replaying {found.now_s:,.0f} s")
 
 
 def _print_step(step: Step, console: Console) -> None:
-    """What the session was told, what it did, and where it stands."""
+    """Print an input, its output and the state after it."""
     session, out = step.session, step.output
-    if step.told[0] == "receive":
+    if step.recorded_input[0] == "receive":
         return  # shown with what it leads to
     state = session.state
     reason = "" if state.reason is None else f" ({state.reason.name})"
-    lines = [f"t {session.now_s:.3f} s  {step.told[0]}  {state.phase.value}{reason}"]
+    lines = [f"t {session.now_s:.3f} s  {step.recorded_input[0]}  {state.phase.value}{reason}"]
     if (here := state.vehicle.position_nea_m) is not None:
         leg, along_m = state.flight.leg, state.flight.reference.length_m
         on = "" if leg is None else f", {along_m:,.1f} m along subpath {leg.number}"
@@ -224,7 +224,7 @@ def shadow(
     system: int | None,
     json_file: Path | None,
 ) -> None:
-    """Somebody's flight, watched in shadow; of a run folder its log."""
+    """Run in shadow mode on a log, or on that of a run folder."""
     console, flight = Console(soft_wrap=True), _log(flight)
     chosen = None if mission is None else load_mission(mission)
     kernel = None if chosen is None else kernel_for(plans=True, numba=True)
@@ -270,13 +270,13 @@ def _mission_of(folder: Path) -> MissionOf:
             raise _other_terrain(file)
         return mission
 
-    with suppress(TornError):  # is found again, at its place
+    with suppress(DamagedInputError):  # is found again, at its place
         mission_of(start_of(next(iter(InputsFile(folder / inputs.FILE)), ())))
     return mission_of
 
 
 def _other_terrain(mission_file: Path) -> InputError:
-    """It would decide otherwise, and rightly so."""
+    """The elevation file has changed, so decisions would differ."""
     elevation = elevation_file(str(mission_file))
     if elevation is None:
         field, value, what = "terrain", str(mission_file), "the terrain that it gives in advance"
@@ -288,7 +288,7 @@ def _other_terrain(mission_file: Path) -> InputError:
 
 
 def kernel_for(*, plans: bool, numba: bool) -> Kernel | None:
-    """What computes plans; None: nothing does."""
+    """The kernel for plans; None: plans are not computed."""
     if not plans:
         return None
     if not numba:

@@ -1,4 +1,4 @@
-"""What a replay did against what was recorded: frames and journal entries, one by one."""
+"""Compares a replay with the recording: frames and journal entries, one by one."""
 
 import json
 import re
@@ -25,9 +25,9 @@ from companion.telemetry.run_folder import (
 _SEQUENCE: Final = {0xFD: 4, 0xFE: 2}
 """Where a frame holds its sequence number, by its first byte: not compared, nor is the checksum."""
 NOTHING: Final = "nothing"
-"""Shown where one of the two has none."""
+"""Shown for a missing frame or entry."""
 _BEGUN_AGAIN_US: Final = 10_000_000
-"""A time that is so much earlier is of a clock that has begun again: the autopilot's, rebooted."""
+"""A time that is earlier by this much means that the autopilot has rebooted."""
 _TIME: Final = re.compile(rb'\{"t_s":([-+.eE\d]{1,25})[,}]')
 _LONGEST_LINE: Final = 2**24
 _SHOWN_BYTES: Final = 100
@@ -38,7 +38,7 @@ _Timed = tuple[int | None, bytes]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """Where a replay parts from the flight."""
+    """The first difference between a replay and the recording."""
 
     time_s: float
     """Vehicle time."""
@@ -48,7 +48,7 @@ class Difference:
     recorded: Any
     replayed: Any
     before: tuple[str, ...] = ()
-    """What led there, oldest first."""
+    """The inputs before it, oldest first."""
 
     def __str__(self) -> str:
         where = f"{self.what}.{self.field}" if self.field else self.what
@@ -64,7 +64,7 @@ def _shown(value: Any) -> str:
 
 @final
 class Recording:
-    """The frames and entries of a run folder, next to which a replay's are held as they come."""
+    """The recorded frames and entries of a run folder, compared with a replay's in order."""
 
     def __init__(self, folder: Path) -> None:
         """InputError if there is nothing to compare with."""
@@ -83,17 +83,17 @@ class Recording:
         self._is_passing = self._has_ended = False
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         self._log.close()
         self._journal.close()
 
     def begin_again(self) -> None:
-        """The companion was started once more: its clock may be another."""
+        """The companion was restarted: its clock may differ."""
         if not self._is_passing:
             self._epoch_us = None
 
     def first_difference(self, record: list[Stamped], journal: list[Entry]) -> Difference | None:
-        """Hold what one run gave against what comes next."""
+        """Compare the output of one run with the next records."""
         if self._is_passing and (record or journal):
             self._end_passing(record[0][0] if record else journal[0]["t_s"])
         if self._epoch_us is not None and self._log.takes(
@@ -110,9 +110,9 @@ class Recording:
         return None
 
     def pass_by(self, record: list[Stamped], journal: list[Entry]) -> None:
-        """What one run gave need not be what was recorded: whatever was, at those times, goes by.
+        """Skip the records of the times of one run's output, without comparing.
 
-        So the two stay side by side even if one of them has more than the other.
+        So both stay aligned even if one has more records than the other.
         """
         self._is_passing = True
         for time_s, _ in record:
@@ -127,7 +127,7 @@ class Recording:
         _skip_before(self._journal, _us(time_s))
 
     def pass_over(self, frames: int) -> None:
-        """What the watchdog did by itself: so many frames, and one entry."""
+        """Skip what the watchdog sent: this many frames, and one entry."""
         while frames > 0 and self._log.take() is not None:
             frames -= 1
         self._journal.take()
@@ -154,7 +154,7 @@ class Recording:
         return None
 
     def _is_damaged(self, time_s: float, frame: bytes) -> Difference | None:
-        """Whether the log ends here because what follows in it is no frame; asked once."""
+        """Whether the log ends here because the data after it is damaged; checked once."""
         if self._has_ended:
             return None
         self._has_ended, end = True, whole_records(self._path)
@@ -208,12 +208,12 @@ class _Lines:
         return taken
 
     def close(self) -> None:
-        """Nothing more is wanted."""
+        """Close the file."""
         self._lines.close()
 
 
 def _skip_before(recorded: Records | _Lines, at_us: int) -> None:
-    """Leave out what comes before a time, unless the clock has begun again between the two."""
+    """Skip records before a time, unless the clock was reset between the two."""
     while (head := recorded.head) is not None and (
         head[0] is None or at_us - _BEGUN_AGAIN_US < head[0] < at_us
     ):
@@ -221,7 +221,7 @@ def _skip_before(recorded: Records | _Lines, at_us: int) -> None:
 
 
 def _pass_by(recorded: Records | _Lines, at_us: int) -> None:
-    """Leave out what comes before a time, and the next thing of that time if there is one."""
+    """Skip records before a time, and the next record of that time if there is one."""
     _skip_before(recorded, at_us)
     if (head := recorded.head) is not None and head[0] == at_us:
         recorded.take()
@@ -238,7 +238,7 @@ def _entries(path: Path) -> Generator[_Timed]:
 
 
 def _time_us_of(line: bytes) -> int | None:
-    """When an entry was, by its first value: it need not be read as a whole for that."""
+    """Time of an entry by its first value, without decoding the whole entry."""
     found = _TIME.match(line)
     try:
         return None if found is None else _us(float(found[1]))
@@ -247,7 +247,7 @@ def _time_us_of(line: bytes) -> int | None:
 
 
 def _entry_of(line: bytes) -> dict[str, Any] | None:
-    """An entry of the journal; None: it is none."""
+    """Decode a journal entry; None if it is invalid."""
     try:
         entry = json.loads(line)
     except (ValueError, RecursionError):
@@ -264,7 +264,7 @@ def _compared(frame: bytes) -> bytes:
 
 
 def name_of(frame: bytes | None) -> str:
-    """What a frame says, by its name."""
+    """The message name of a frame."""
     if frame is None:
         return NOTHING
     message = message_of(frame)
@@ -272,14 +272,14 @@ def name_of(frame: bytes | None) -> str:
 
 
 def message_of(frame: bytes) -> Message | None:
-    """What a frame says; None: nothing that can be read."""
+    """The message of a frame; None if it cannot be decoded."""
     return next(iter(Receiver().feed(frame)), None)
 
 
 def frames_differ(time_s: float, recorded: bytes | None, frame: bytes | None) -> Difference | None:
-    """The first field in which two frames differ; None: in none but the sequence number.
+    """The first field in which two frames differ, sequence numbers apart; None: they are equal.
 
-    Of two frames one may be None: then there is none.
+    Either frame may be missing (None).
     """
     if recorded is None or frame is None:
         return _difference(time_s, "frame", "message", name_of(recorded), name_of(frame))

@@ -1,8 +1,8 @@
-"""The same flight from its telemetry log alone: what a log does not say has to be assumed.
+"""Replays a flight from its telemetry log alone.
 
-A log holds the frames, both ways, and neither silences, nor which frames came together, nor how
-long plans took: each frame is handled by itself, and each plan is there when it is asked for, as in
-lockstep.  So only flights that were flown in lockstep come out the same.
+A log has the frames, both ways, but neither silences, nor which frames came together, nor how long
+plans took: each frame is handled by itself, and each plan is ready at once, as in lockstep.  So
+only flights in lockstep are reproduced.
 """
 
 import math
@@ -21,21 +21,21 @@ from companion.mission.mission import Mission
 from companion.planner.kernels import Kernel
 from companion.planner.plan import plan
 from companion.replay.differences import frames_differ
-from companion.replay.same import REMEMBERED, Replayed, Step, in_words
-from companion.replay.told import tell
+from companion.replay.reproduce import REMEMBERED, Replayed, Step, in_words
+from companion.replay.session_inputs import feed
 from companion.session import Session
 from companion.telemetry.logs import Log, open_log
 
 _SILENT_S: Final = 0.2
 _LOOKED_AT: Final = 3000  # frames that tell whether a flight was flown in lockstep
 _OFTEN: Final = 50
-_MOST_AHEAD: Final = 1000  # frames of the one that the other does not have
+_MAX_AHEAD: Final = 1000  # frames of the one that the other does not have
 _TIMESYNC: Final = wire.MAVLINK_MSG_ID_TIMESYNC
 
 
 @final
 class LogReplay:
-    """Feeds what a log has of the vehicle to a new session, and compares what it sends."""
+    """Feeds a log's frames of the vehicle to a new session, and compares what it sends."""
 
     def __init__(
         self,
@@ -49,11 +49,11 @@ class LogReplay:
     ) -> None:
         """InputError if it is no log, or has several vehicles and none is chosen."""
         self.found = Replayed(starts=1)
-        self.told: Log = open_log(path, system_id=system_id)
-        self._lockstep = _was_in_lockstep(self.told)
+        self.inputs: Log = open_log(path, system_id=system_id)
+        self._lockstep = _was_in_lockstep(self.inputs)
         self._kernel = kernel
         self.session = Session(
-            replace(mission, system_id=self.told.system_id or mission.system_id),
+            replace(mission, system_id=self.inputs.system_id or mission.system_id),
             seed=seed,
             lockstep=self._lockstep,
             version=version,
@@ -76,8 +76,8 @@ class LogReplay:
         began_s, before_us, session, found = time.perf_counter(), math.inf, self.session, self.found
         if not self._lockstep:
             session.silence(0.0)
-        for record in self.told.records():
-            output, told = None, ("receive", record.frame, record.time_us * 1e-6)
+        for record in self.inputs.records():
+            output, recorded_input = None, ("receive", record.frame, record.time_us * 1e-6)
             if sender_of(record.frame)[1] == COMPANION_COMPONENT:
                 self._sent.append(record.frame)
                 self._compare()
@@ -85,21 +85,21 @@ class LogReplay:
                 gap_s, before_us = (record.time_us - before_us) * 1e-6, record.time_us
                 if gap_s > _SILENT_S and not self._lockstep:
                     session.silence(gap_s)
-                found.told += 1
-                output = self._tell(told)
-                self._before.append((session.now_s, told))
+                found.inputs += 1
+                output = self._tell(recorded_input)
+                self._before.append((session.now_s, recorded_input))
             found.go_on_to(session.now_s)
             found.took_s = time.perf_counter() - began_s
-            yield Step(told=told, output=output, session=session)
+            yield Step(recorded_input=recorded_input, output=output, session=session)
             if found.difference is not None:
                 return
         if self._sent:
             self._take(session.farewell())
         self._end()
 
-    def _tell(self, told: Input) -> Output:
+    def _tell(self, recorded_input: Input) -> Output:
         """What follows from it; plans are computed at once."""
-        tell(self.session, told)
+        feed(self.session, recorded_input)
         self._take(out := self.session.run())
         while out.plan is not None:
             self.found.plans += 1
@@ -118,27 +118,27 @@ class LogReplay:
             (time_s, now), was = self._made.popleft(), self._sent.popleft()
             self.found.difference = frames_differ(time_s, was, now)
             self.found.frames += self.found.difference is None
-        if max(len(self._made), len(self._sent)) > _MOST_AHEAD:
+        if max(len(self._made), len(self._sent)) > _MAX_AHEAD:
             self._end()
 
     def _end(self) -> None:
-        """No more is coming of the one or the other.  InputError if nothing can be compared."""
+        """End of either side.  InputError if nothing can be compared."""
         found = self.found
         if found.difference is not None:
             return
         if self._sent:
             found.difference = frames_differ(self.session.now_s, self._sent[0], None)
-        elif len(self._made) > _MOST_AHEAD and found.frames:
+        elif len(self._made) > _MAX_AHEAD and found.frames:
             found.difference = frames_differ(self._made[0][0], None, self._made[0][1])
         elif not found.frames:
             rule = "nothing in it was sent by a companion: there is nothing to compare with"
             remedy = "Give --shadow to see what it would have done."
-            raise InputError("RUN_DIR|LOG", str(self.told.path), rule, remedy)
+            raise InputError("RUN_DIR|LOG", str(self.inputs.path), rule, remedy)
         found.unrecorded = len(self._made)
 
 
 def _was_in_lockstep(log: Log) -> bool:
-    """Whether the simulator asked for the time after each step."""
+    """Whether the simulator sent a TIMESYNC after each step."""
     asked = 0
     for count, record in enumerate(log.records()):
         from_vehicle = sender_of(record.frame)[1] != COMPANION_COMPONENT

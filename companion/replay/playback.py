@@ -1,7 +1,7 @@
 """Plays a log to a ground station: frames as they were recorded, at their times, at any speed.
 
-When each frame is due follows from the log's time alone, so that nothing adds up: a frame that was
-sent late makes no other one late.  What the ground station answers is read and dropped.
+The time of each frame follows from the log's time alone, so that delays do not accumulate.  What
+the ground station answers is read and dropped.
 """
 
 import math
@@ -24,9 +24,9 @@ from companion.telemetry.logs import Record, open_log
 
 SLOWEST: Final = 0.1
 FASTEST: Final = 1000.0
-_MOST_GAP_US: Final = 10_000_000
+_MAX_GAP_US: Final = 10_000_000
 """A gap in the log that is longer is played as one of this length."""
-_MOST_BYTES_S: Final = 500_000.0
+_MAX_BYTES_S: Final = 500_000.0
 """UDP loses what the other side does not read in time, and a ground station parses no faster."""
 _BATCH_BYTES: Final = 8192
 _TOGETHER_S: Final = 0.001
@@ -37,11 +37,11 @@ _SHOWN_GAPS: Final = 5
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Playing:
+class PlaybackSettings:
     """What of a log to play, and how fast."""
 
     speed: float | None = 1.0
-    """Seconds of the log a second; None: as fast as the other side may be able to follow."""
+    """Factor of real time; None: as fast as a receiver is likely to follow."""
     from_s: float = 0.0
     """The first frame is the first one at or after this, seconds from the log's beginning."""
     until_s: float = math.inf
@@ -59,8 +59,8 @@ class Playing:
 
 @final
 @dataclass(slots=True, kw_only=True)
-class Played:
-    """What was sent; grows while it is played."""
+class PlaybackStats:
+    """Statistics of what was sent, updated while playing."""
 
     frames: int = 0
     bytes: int = 0
@@ -72,7 +72,7 @@ class Played:
 
     @property
     def words(self) -> list[str]:
-        """What a person should know of it, a line each."""
+        """Notes for the operator, a line each."""
         lines = [
             f"at {at_s:.1f} s: a gap of {length_s:.1f} s was shortened"
             for at_s, length_s in self.gaps[:_SHOWN_GAPS]
@@ -86,25 +86,27 @@ class Played:
 class Player:
     """Sends records over a link when they are due."""
 
-    def __init__(self, link: Link, clock: Clock, on_progress: Callable[[Played], None]) -> None:
+    def __init__(
+        self, link: Link, clock: Clock, on_progress: Callable[[PlaybackStats], None]
+    ) -> None:
         """clock: seconds that only rise; on_progress is called between frames."""
         self._link, self._clock, self._on_progress = link, clock, on_progress
 
     def wait_for_somebody(self) -> None:
-        """Wait until the other side has said anything: only then it is known where it is."""
+        """Wait for the first datagram of the other side, which tells its address."""
         while self._link.receive(_POLL_S) is None:
-            self._on_progress(Played())
+            self._on_progress(PlaybackStats())
         self._link.answer_to(self._link.sender)
 
-    def play(self, records: Iterable[Record], playing: Playing) -> Played:
+    def play(self, records: Iterable[Record], playing: PlaybackSettings) -> PlaybackStats:
         """Play records to their end.  Raises what reading them raises."""
-        played, began_s, free_s = Played(), self._clock(), -math.inf
+        played, began_s, free_s = PlaybackStats(), self._clock(), -math.inf
         batch: list[bytes] = []
         batch_bytes = 0
         for offset_us, frame in _timed(records, playing, played):
             due_s = began_s if playing.speed is None else began_s + offset_us * 1e-6 / playing.speed
             due_s = max(due_s, free_s)
-            free_s = max(free_s, due_s) + len(frame) / _MOST_BYTES_S
+            free_s = max(free_s, due_s) + len(frame) / _MAX_BYTES_S
             is_later = due_s > self._clock() + _TOGETHER_S
             if batch and (is_later or batch_bytes + len(frame) > _BATCH_BYTES):
                 self._send(batch, played, began_s)
@@ -116,7 +118,7 @@ class Player:
         self._send(batch, played, began_s)
         return played
 
-    def _send(self, batch: list[bytes], played: Played, began_s: float) -> None:
+    def _send(self, batch: list[bytes], played: PlaybackStats, began_s: float) -> None:
         self._link.send(batch)
         played.frames += len(batch)
         played.bytes += sum(map(len, batch))
@@ -124,13 +126,13 @@ class Player:
         self._on_progress(played)
 
     def _wait_until(self, due_s: float) -> None:
-        """Wait, and read what the other side says meanwhile: nobody else does."""
+        """Wait, and drain what the other side sends meanwhile."""
         while (wait_s := due_s - self._clock()) > 0.0:
             self._link.receive(min(wait_s, _POLL_S))
 
 
 def _timed(
-    records: Iterable[Record], playing: Playing, played: Played
+    records: Iterable[Record], playing: PlaybackSettings, played: PlaybackStats
 ) -> Iterator[tuple[int, bytes]]:
     """The frames to send, and when: microseconds of play, at real time, from the first of them."""
     first_us: int | None = None
@@ -146,9 +148,9 @@ def _timed(
         if at_s >= playing.until_s:
             return
         if begun:
-            if step_us > _MOST_GAP_US:
+            if step_us > _MAX_GAP_US:
                 played.gaps.append((at_s - step_us * 1e-6, step_us * 1e-6))
-            offset_us += min(step_us, _MOST_GAP_US)
+            offset_us += min(step_us, _MAX_GAP_US)
         begun, played.at_s = True, at_s
         if playing.only_vehicle is None or _is_of(record.frame, playing.only_vehicle):
             yield offset_us, record.frame
@@ -166,13 +168,13 @@ def _is_of(frame: bytes, vehicle: int) -> bool:
 def play_file(
     file: Path,
     connect: str,
-    playing: Playing,
+    playing: PlaybackSettings,
     *,
     system_id: int | None = None,
     only_vehicle: bool = False,
     clock: Clock = time.monotonic,
     console: Console | None = None,
-) -> Played:
+) -> PlaybackStats:
     """Play a log over the link that a connection string names, with a bar and a word at the end.
 
     system_id: of several vehicles in the log, the one that is played.  Raises InputError about the
@@ -192,7 +194,7 @@ def play_file(
     with open_link(connect) as link, bars:
         bar = bars.add_task("waiting for a ground station", total=log.size_bytes)
 
-        def show(played: Played) -> None:
+        def show(played: PlaybackStats) -> None:
             if played.frames:
                 words = f"playing {played.at_s:.0f} s"
                 bars.update(bar, completed=log.read_bytes, description=words)

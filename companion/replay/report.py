@@ -1,4 +1,4 @@
-"""What a replay has shown, for people."""
+"""The report of a replay, as text."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -9,16 +9,16 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.replay.differences import Difference
-from companion.replay.same import PlanDiffers, Replayed
+from companion.replay.reproduce import PlanDiffers, Replayed
 from companion.replay.what_if import Figures, WhatIf
 
-_MOST_PLANS = 5
+_MAX_PLANS = 5
 _LATE_S = 10.0
 """A flight that begins later by the vehicle's clock has other times than seconds of the flight."""
 
 
-def same_words(found: Replayed) -> list[str]:
-    """How the replay of a flight compares, line by line."""
+def replay_text(found: Replayed) -> list[str]:
+    """Report of a replay, line by line."""
     speed = f", {found.flown_s / found.took_s:,.0f}x real time" if found.took_s > 0.0 else ""
     lines = []
     if found.difference is not None:
@@ -39,8 +39,8 @@ def same_words(found: Replayed) -> list[str]:
         lines.append("no frame was compared: flight.tlog holds none")
     if found.starts > 1:
         lines.append(f"the companion was started {found.starts} times")
-    lines += [str(each) for each in found.plans_differ[:_MOST_PLANS]]
-    if (more := len(found.plans_differ) - _MOST_PLANS) > 0:
+    lines += [str(each) for each in found.plans_differ[:_MAX_PLANS]]
+    if (more := len(found.plans_differ) - _MAX_PLANS) > 0:
         lines.append(f"{more} more plans differ")
     if found.unrecorded:
         lines.append(f"{found.unrecorded} frames and entries came after the end of the recording")
@@ -61,11 +61,11 @@ def _verdict(found: Replayed) -> str:
     return "identical up to there" if found.compared else "nothing was compared"
 
 
-def same_json(found: Replayed) -> dict[str, Any]:
-    """How the replay of a flight compares, for a file."""
+def replay_json(found: Replayed) -> dict[str, Any]:
+    """Report of a replay for a JSON file."""
     values: dict[str, Any] = {
         "identical": found.is_identical,
-        "inputs": found.told,
+        "inputs": found.inputs,
         "ended_by": None if found.ended_by is None else found.ended_by.error,
         "difference": None if found.difference is None else _renamed(found.difference),
         "plans_differ": [_renamed(each) for each in found.plans_differ],
@@ -91,7 +91,7 @@ def _renamed(differs: Difference | PlanDiffers) -> dict[str, Any]:
 
 
 def what_if_table(found: Sequence[WhatIf]) -> RenderableType:
-    """Subpath by subpath, as flown -> as it would have been; below, both sums."""
+    """Table of subpaths, as flown -> with the changed settings; below, both sums."""
     table = Table()
     for heading in ("plan", "at", "cost", "clearance", "length", "time"):
         table.add_column(heading, justify="right", no_wrap=True)

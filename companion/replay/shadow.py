@@ -1,8 +1,8 @@
-"""Somebody else's flight in shadow: what the companion would have done on it.
+"""Shadow mode on a log: what the companion would have done on a recorded flight.
 
     report = watch(path, mission, kernel=kernel)
 
-The log is read once, in bounded memory, after a first look at whose it is and where it begins.
+The log is read once, in bounded memory, after a scan for its vehicle and first position.
 """
 
 import math
@@ -25,9 +25,9 @@ from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.plan import plan
 from companion.planner.settings import PlannerSettings, Task
 from companion.replay.shadow_notes import Notes
-from companion.replay.shadow_report import CouldNot, ShadowReport
+from companion.replay.shadow_report import Limitation, ShadowReport
 from companion.replay.shadow_watch import GPS, HEARTBEAT, POSITION, OnOutput, Watch
-from companion.telemetry.logs import Log, Missing, Oddity, open_log
+from companion.telemetry.logs import Anomaly, Log, Missing, open_log
 
 _SHOWN_BYTES: Final = 65_536
 _PATIENCE_US: Final = 30_000_000  # for a word of the GPS, once there are positions
@@ -38,11 +38,11 @@ _FAMILIES: Final = {
     wire.MAV_AUTOPILOT_PX4: "px4",
 }
 _LOSSES: Final = (
-    Oddity.GARBAGE,
-    Oddity.CHECKSUM,
-    Oddity.DAMAGED,
-    Oddity.ZERO_STAMP,
-    Oddity.WRONG_STAMP,
+    Anomaly.GARBAGE,
+    Anomaly.CHECKSUM,
+    Anomaly.DAMAGED,
+    Anomaly.ZERO_STAMP,
+    Anomaly.WRONG_STAMP,
 )
 """What may be why a message is not in a log."""
 _TERRAIN: Final = wire.MAVLINK_MSG_ID_TERRAIN_DATA
@@ -67,7 +67,7 @@ def watch(
     kernel: computes the plans; None: nothing is planned.
     system_id: of the vehicle, if there are several in the log; the mission's if it names one.
     on_progress: told the bytes read and their sum, now and then.
-    on_output: given all that the session puts out, for those who want to look closer.
+    on_output: called with each output of the session.
 
     Raises InputError if log, vehicle and mission do not fit together.
     """
@@ -104,16 +104,16 @@ def watch(
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Shadowed:
-    """The mission as it is watched."""
+    """The mission as used in shadow mode."""
 
     given: Mission | None
     mission: Mission
     plans: bool
     blind: bool
-    """Whether its radar is left out, as there is other knowledge of the ground."""
+    """Whether its radar is ignored, as the ground is known otherwise."""
 
 
-def _shadowed(given: Mission | None, look: "_Look", *, plans: bool) -> _Shadowed:
+def _shadowed(given: Mission | None, look: "_LogOverview", *, plans: bool) -> _Shadowed:
     chosen = _health_alone(look) if given is None else _fitting(given, look)
     plans = plans and given is not None
     if not plans:
@@ -129,7 +129,7 @@ def _shadowed(given: Mission | None, look: "_Look", *, plans: bool) -> _Shadowed
 def _conclude(
     report: ShadowReport, log: Log, shadowed: _Shadowed, watching: Watch, notes: Notes
 ) -> None:
-    """What there is to say once the log has ended."""
+    """Complete the report at the end of the log."""
     for seen in (report.health, report.outside):
         seen.sort(key=lambda each: each.from_s)
     report.heard = watching.heard
@@ -163,8 +163,8 @@ def _run(
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Look:
-    """Whose log it is, and where it begins."""
+class _LogOverview:
+    """Vehicle and first position of a log."""
 
     heartbeat: Message
     autopilot: Autopilot
@@ -172,7 +172,7 @@ class _Look:
     """Latitude, longitude and altitude AMSL: of the first position with a GPS fix, if any has."""
 
 
-def _look(log: Log) -> _Look:
+def _look(log: Log) -> _LogOverview:
     """Read the log up to the first position that may be one.  InputError if nothing can be done."""
     heartbeat: Message | None = None
     first: tuple[float, float, float] | None = None
@@ -205,7 +205,7 @@ def _look(log: Log) -> _Look:
     if autopilot is None:
         rule = f"it is of {described(heartbeat)}, which the companion does not fly"
         raise InputError("LOG", str(log.path), rule, f"It flies: {', '.join(NAMES)}.")
-    return _Look(heartbeat=heartbeat, autopilot=autopilot, place=place)
+    return _LogOverview(heartbeat=heartbeat, autopilot=autopilot, place=place)
 
 
 def _place_of(message: Message) -> tuple[float, float, float] | None:
@@ -217,7 +217,7 @@ def _place_of(message: Message) -> tuple[float, float, float] | None:
 
 
 def _of_no_use(log: Log, name: str) -> InputError:
-    """What is said of a log that was read to its end in vain."""
+    """The error about a log without a usable position."""
     missing: Missing | None = next((each for each in log.missing() if name in each.message), None)
     if missing is not None:
         rule = f"it has no {missing.message}: {missing.without}"
@@ -232,10 +232,10 @@ def _of_no_use(log: Log, name: str) -> InputError:
 # --- the mission
 
 
-def _fitting(mission: Mission, look: _Look) -> Mission:
+def _fitting(mission: Mission, look: _LogOverview) -> Mission:
     """The mission, if it is one for this vehicle at this place."""
     remedy = "Give the mission of this flight, or leave --mission out for its health alone."
-    hovers, family = look.autopilot.driving.hovers, _FAMILIES[look.heartbeat.autopilot]
+    hovers, family = look.autopilot.traits.hovers, _FAMILIES[look.heartbeat.autopilot]
     kind = "copter" if hovers else "plane"
     if mission.kind != kind or mission.autopilot not in (None, family):
         wanted = f"{mission.autopilot or 'any autopilot'}, {mission.kind}"
@@ -256,9 +256,9 @@ def _fitting(mission: Mission, look: _Look) -> Mission:
     return mission
 
 
-def _health_alone(look: _Look) -> Mission:
+def _health_alone(look: _LogOverview) -> Mission:
     """A mission about the first position that goes nowhere."""
-    hovers = look.autopilot.driving.hovers
+    hovers = look.autopilot.traits.hovers
     latitude, longitude, _ = look.place
     limits = Limits(
         speed_m_s=15.0 if hovers else 30.0,
@@ -303,13 +303,13 @@ def _notes(shadowed: _Shadowed, notes: Notes) -> list[str]:
     return said
 
 
-def _could_not(shadowed: _Shadowed, watching: Watch, notes: Notes) -> Iterator[CouldNot]:
-    """What the companion could not do, besides what follows from each missing message."""
+def _could_not(shadowed: _Shadowed, watching: Watch, notes: Notes) -> Iterator[Limitation]:
+    """Limitations other than those of missing messages."""
     report, rate_hz = notes.report, shadowed.mission.position_rate_hz
     remedies = {name: each.remedy for each in report.missing for name in each.message.split(" or ")}
     for name, since_s in watching.stood_in.items():
         what = "the GPS" if name == "GPS_RAW_INT" else "its estimator"
-        yield CouldNot(
+        yield Limitation(
             what=f"tell whether {what} is to be believed",
             because=f"{name} is missing: from {since_s:.0f} s on it was taken to be good "
             "(in flight the companion would not have begun)",
@@ -317,7 +317,7 @@ def _could_not(shadowed: _Shadowed, watching: Watch, notes: Notes) -> Iterator[C
             message=name,
         )
     if watching.slow_s > 0.0:
-        yield CouldNot(
+        yield Limitation(
             what="tell in time that a position is missing",
             because=f"GLOBAL_POSITION_INT comes at {1.0 / watching.slowest_s:.1f} Hz for "
             f"{watching.slow_s:.0f} s: in flight the companion asks for "
@@ -326,7 +326,7 @@ def _could_not(shadowed: _Shadowed, watching: Watch, notes: Notes) -> Iterator[C
             message="GLOBAL_POSITION_INT",
         )
     if report.watched_from_s is None:
-        yield CouldNot(
+        yield Limitation(
             what="begin",
             because="the position was never one to be believed",
             remedy="See what is missing, and the vehicle's health",
@@ -335,10 +335,10 @@ def _could_not(shadowed: _Shadowed, watching: Watch, notes: Notes) -> Iterator[C
         yield from _unplanned(shadowed.mission, watching, notes)
 
 
-def _unplanned(mission: Mission, watching: Watch, notes: Notes) -> Iterator[CouldNot]:
+def _unplanned(mission: Mission, watching: Watch, notes: Notes) -> Iterator[Limitation]:
     """Why there are no plans, or not all of them."""
     if mission.targets_from_vehicle:
-        yield CouldNot(
+        yield Limitation(
             what="plan to the targets of the vehicle's own mission",
             because="a log does not answer questions: MISSION_ITEM_INT is not heard",
             remedy="Give a mission with [[targets]]",
@@ -350,7 +350,7 @@ def _unplanned(mission: Mission, watching: Watch, notes: Notes) -> Iterator[Coul
         else:
             because = "TERRAIN_DATA is missing: nothing is known of the ground"
         refused = notes.refusals["NOTHING_SEEN"] + notes.refusals["START_NEAR_UNKNOWN"]
-        yield CouldNot(
+        yield Limitation(
             what=f"plan as it would ({notes.unanswered_scans} scans unanswered, "
             f"{refused} plans refused for it)",
             because=because,

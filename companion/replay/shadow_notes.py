@@ -1,6 +1,6 @@
-"""Watches the session of a shadow, and notes what it would have done and what it has seen.
+"""Observes the session in shadow mode and notes what it would have done.
 
-Lists are kept up to a limit, and what is beyond is counted: a log of days takes no more memory.
+Lists are limited, and the rest is counted, so that memory is bounded for long logs.
 """
 
 import itertools
@@ -12,8 +12,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from companion.geodesy import FloatArray, LocalFrame
-from companion.mavlink.judgement import Severity
-from companion.mavlink.vehicle import VehicleSide
+from companion.mavlink.autopilot_client import AutopilotClient
+from companion.mavlink.parameter_checks import Severity
 from companion.mission import journal
 from companion.mission.entries import Entry
 from companion.mission.events import Item, Landed, Vector
@@ -23,26 +23,26 @@ from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.planner.request import Refusal
 from companion.replay.shadow_report import (
-    Asked,
     Hold,
+    HoldReason,
     Observed,
-    Off,
     Place,
-    Said,
+    PlanAttempt,
     ShadowReport,
-    Why,
+    TrackDeviation,
+    VehicleReport,
 )
 from companion.session import Session
 
 MOST: Final = 2000
 """Of each kind of thing."""
-_MOST_WHY: Final = 50
-_MOST_OPEN: Final = 100  # plans that a path may still belong to
+_MAX_WHY: Final = 50
+_MAX_OPEN: Final = 100  # plans that a path may still belong to
 _EVER: Final = -1e8  # before that: not heard of yet
 _AT_END_M: Final = 1.0
 _SPACING_M: Final = 5.0
 _BEGINS: Final = "it begins to watch"
-_MOST_CHORDS: Final = 400
+_MAX_CHORDS: Final = 400
 
 _DOUBTS: Final = {
     Reason.POSITION_STALE: "no position",
@@ -57,13 +57,13 @@ _DISTRUST: Final = {
     Reason.NO_FIX,
     Reason.ESTIMATOR,
 }
-"""Why a position is not to be believed (mission/health.py).  Want of a plan is no such reason: what
-became of each plan stands beside it."""
+"""Reasons for an invalid position (mission/health.py).  Missing plans are not among them: each
+plan's result is reported separately."""
 
 
 @final
 class Notes:
-    """What one flight in shadow has shown so far."""
+    """The notes of one flight in shadow mode."""
 
     def __init__(self, report: ShadowReport, frame: LocalFrame, *, checks_area: bool) -> None:
         """report: what is noted goes there; checks_area: there is a mission with an area."""
@@ -82,7 +82,7 @@ class Notes:
         """Whether it could fly: the position was to be believed, since this session has begun."""
         self._had_fix = self._silent = False
         self._state: State | None = None
-        self._open: dict[int, Asked] = {}
+        self._open: dict[int, PlanAttempt] = {}
         self._cause = _BEGINS
         self._path: _Path | None = None
         self._paths: dict[int, _Path] = {}
@@ -94,9 +94,9 @@ class Notes:
         self._position: Vector | None = None
 
     def begin_again(self, *, afresh: bool = False) -> None:
-        """Another session takes over: it knows nothing yet.
+        """A new session begins.
 
-        afresh: nothing is held on to from before either.
+        afresh: discard the notes in progress as well.
         """
         self._forget_paths()
         if afresh:
@@ -113,7 +113,7 @@ class Notes:
         self.health.set("silence", on=False, at_s=at_s)
 
     def not_recorded(self, from_s: float, until_s: float) -> None:
-        """The log has nothing of this time: nothing is known of it, and nothing is held on to."""
+        """The log has a gap: end everything in progress."""
         self._end_all(from_s)
         self.health.set("not recorded", on=True, at_s=from_s)
         self.health.set("not recorded", on=False, at_s=until_s)
@@ -124,7 +124,7 @@ class Notes:
         if self._state is not None:
             self._note_at("the autopilot has rebooted", at_s, self._state)
 
-    def say(self, said: Said) -> None:
+    def say(self, said: VehicleReport) -> None:
         """The vehicle has said something."""
         self._keep(self.report.said, said, "said")
 
@@ -144,7 +144,7 @@ class Notes:
         self._at_s = at_s
         if in_air is not self._was_in_air:
             if self._was_in_air is not None or in_air:
-                self.say(Said(at_s=at_s, what="in the air" if in_air else "on the ground"))
+                self.say(VehicleReport(at_s=at_s, what="in the air" if in_air else "on the ground"))
             self._was_in_air = in_air
         doubt = distrust(state.vehicle, state.now_s, state.task.limits)
         self._on_hold(at_s, state, doubt)
@@ -172,8 +172,8 @@ class Notes:
         if hold is None:
             hold = self._hold = self._new_hold(at_s, state)
         if not hold.why or hold.why[-1].code != reason.name:
-            why = Why(at_s=at_s, code=reason.name, text=reason.text, remedy=reason.remedy)
-            if len(hold.why) < _MOST_WHY:
+            why = HoldReason(at_s=at_s, code=reason.name, text=reason.text, remedy=reason.remedy)
+            if len(hold.why) < _MAX_WHY:
                 hold.why.append(why)
         trusted = doubt is None and not self._silent and watching
         hold.trusted_s = (hold.trusted_s or at_s) if trusted else None
@@ -235,7 +235,7 @@ class Notes:
 
     def _on_asked(self, at_s: float, entry: journal.PlanAsked, state: State) -> None:
         goes_on = not entry.from_rest
-        asked = Asked(
+        asked = PlanAttempt(
             plan_id=entry.plan_id,
             at_s=at_s,
             vehicle_s=state.now_s,
@@ -245,7 +245,7 @@ class Notes:
         )
         self._keep(self.report.plans, asked, "plans")
         self._open[asked.plan_id] = asked
-        if len(self._open) > _MOST_OPEN:
+        if len(self._open) > _MAX_OPEN:
             del self._open[next(iter(self._open))]
 
     def _on_ready(self, plan: journal.PlanReady) -> None:
@@ -271,7 +271,7 @@ class Notes:
             if not asked.goes_on:  # the vehicle had left the last path long before
                 self._path = None
 
-    def _on_parameters(self, vehicle: VehicleSide) -> None:
+    def _on_parameters(self, vehicle: AutopilotClient) -> None:
         """Those that are known: of the others the log says nothing, and nobody can be asked."""
         for finding in vehicle.findings if self._checks_area else ():
             if finding.value is None:
@@ -282,7 +282,7 @@ class Notes:
                 self._judge(f"would have refused the flight: {finding}")
 
     def _judge(self, text: str) -> None:
-        if len(self.judged) < _MOST_WHY:
+        if len(self.judged) < _MAX_WHY:
             self.judged.setdefault(text)
 
     # --- what it has seen
@@ -326,7 +326,7 @@ class Notes:
             self._on_way(at_s, here, state)
 
     def _on_way(self, at_s: float, here: Vector, state: State) -> None:
-        """Hold the flown track against the newest planned subpath."""
+        """Compare the flown track with the newest planned subpath."""
         flight, path = state.flight, self._path
         if flight.leg is not None and (path is None or path.plan_id != flight.leg.plan_id):
             path = self._path = self._paths.get(flight.leg.plan_id)
@@ -343,7 +343,7 @@ class Notes:
             self._cause = f"{path.last_m:.0f} m off its path"
 
     def _forget_paths(self) -> None:
-        """None of the plans so far is of any use any more."""
+        """Discard the plans so far."""
         self._open.clear()
         self._paths.clear()
         self._path = None
@@ -351,7 +351,7 @@ class Notes:
     # --- helpers
 
     def _end_all(self, at_s: float) -> None:
-        """Nothing is known to go on after that."""
+        """End everything in progress."""
         self.health.end_all(at_s)
         self.outside.end_all(at_s)
 
@@ -384,7 +384,7 @@ class Notes:
 
 @final
 class _Spans:
-    """Times during which something was so."""
+    """Time spans during which a condition was true."""
 
     def __init__(
         self,
@@ -410,7 +410,7 @@ class _Spans:
         here: Vector | None = None,
         worst_m: float | None = None,
     ) -> None:
-        """It is so from now on, or not any more."""
+        """Set a condition to true or false."""
         span = self._open.get(kind)
         if on and span is None:
             span = self._open[kind] = Observed(
@@ -434,13 +434,13 @@ class _Path:
     def __init__(self, plan_id: int, subpath: Subpath) -> None:
         self.plan_id = plan_id
         length_m = subpath.length_m
-        chords = min(max(math.ceil(length_m / _SPACING_M), 1), _MOST_CHORDS)
+        chords = min(max(math.ceil(length_m / _SPACING_M), 1), _MAX_CHORDS)
         self._lengths_m = np.linspace(0.0, length_m, chords + 1)
         points: FloatArray = subpath.points_nea_m(self._lengths_m)
         self._starts, self._along = points[:-1], np.diff(points, axis=0)
         self._squares = np.maximum(np.einsum("sk,sk->s", self._along, self._along), 1e-12)
         self.last_m = self._at_m = 0.0
-        self.off = Off()
+        self.off = TrackDeviation()
 
     @property
     def has_ended(self) -> bool:
@@ -467,7 +467,7 @@ class _Path:
 
 
 def is_in_air(vehicle: Vehicle) -> bool:
-    """Whether it is; where it does not say, a vehicle that is armed is taken to be."""
+    """Whether it is in the air; if it does not report that, whether it is armed."""
     if vehicle.landed is Landed.UNKNOWN:
         return vehicle.armed
     return vehicle.landed is not Landed.ON_GROUND

@@ -1,4 +1,4 @@
-"""What a shadow has seen of somebody else's flight, as values: for people and for files."""
+"""The report of shadow mode, as values."""
 
 import math
 from collections import Counter
@@ -8,7 +8,7 @@ from typing import Any, Final, final
 
 import msgspec
 
-from companion.telemetry.logs import Finding, Missing
+from companion.telemetry.logs import LogAnomaly, Missing
 
 SCHEMA: Final = 1
 """Of `ShadowReport.as_json`."""
@@ -29,7 +29,7 @@ class Place:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Why:
+class HoldReason:
     """One reason to hold, and when it became the reason."""
 
     at_s: float
@@ -42,12 +42,12 @@ class Why:
 @final
 @dataclass(slots=True, kw_only=True)
 class Hold:
-    """A time in which the companion would have let the vehicle go into its own hold."""
+    """A time span in which the companion would have put the vehicle on hold."""
 
     let_go_s: float
     vehicle_s: float
     """The same by the vehicle's clock."""
-    why: list[Why]
+    why: list[HoldReason]
     """The first is why it let go; the others came while it held."""
     place: Place | None
     in_air: bool
@@ -60,7 +60,7 @@ class Hold:
 @final
 @dataclass(slots=True, kw_only=True)
 class Observed:
-    """Something about the vehicle's health, or where it was, for some time."""
+    """An observation about the vehicle's health or position, over a time span."""
 
     kind: str
     """What: "GPS fix lost", "jump", "below the floor"."""
@@ -75,7 +75,7 @@ class Observed:
 
 @final
 @dataclass(slots=True, kw_only=True)
-class Asked:
+class PlanAttempt:
     """A subpath that the companion would have planned, and how the flown track compares."""
 
     plan_id: int
@@ -95,12 +95,12 @@ class Asked:
     length_m: float | None = None
     clearance_m: float | None = None
     reaches_target: bool = False
-    off: "Off | None" = None
+    off: "TrackDeviation | None" = None
 
 
 @final
 @dataclass(slots=True, kw_only=True)
-class Off:
+class TrackDeviation:
     """How far the flown track was from a planned subpath."""
 
     from_s: float = math.inf
@@ -126,13 +126,13 @@ class Off:
         return values if self.positions else None
 
     @staticmethod
-    def of_all(parts: Iterable["Off | None"]) -> "Off | None":
+    def of_all(parts: Iterable["TrackDeviation | None"]) -> "TrackDeviation | None":
         """Of one part after the other; None: there were none."""
         there = [part for part in parts if part is not None and part.positions]
         if not there:
             return None
         farthest = max(there, key=lambda each: each.max_m)
-        return Off(
+        return TrackDeviation(
             from_s=there[0].from_s,
             until_s=there[-1].until_s,
             positions=sum(each.positions for each in there),
@@ -146,8 +146,8 @@ class Off:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Said:
-    """What the vehicle said or did by itself: a warning of its own, a mode."""
+class VehicleReport:
+    """A report of the vehicle: a warning, a mode change."""
 
     at_s: float
     what: str
@@ -157,8 +157,8 @@ class Said:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CouldNot:
-    """What the companion could not do on this log."""
+class Limitation:
+    """A limitation of shadow mode on this log."""
 
     what: str
     because: str
@@ -194,28 +194,28 @@ class ShadowReport:
     """When the companion would have been ready; None: never."""
     records: int = 0
     heard: int = 0
-    """Records that were of use."""
+    """Records that were used."""
     position_rate_hz: float | None = None
     holds: list[Hold] = field(default_factory=list)
     health: list[Observed] = field(default_factory=list)
     outside: list[Observed] = field(default_factory=list)
-    """Where the vehicle was when the mission does not allow that."""
-    plans: list[Asked] = field(default_factory=list)
-    said: list[Said] = field(default_factory=list)
-    could_not: list[CouldNot] = field(default_factory=list)
+    """Positions outside the mission's limits."""
+    plans: list[PlanAttempt] = field(default_factory=list)
+    said: list[VehicleReport] = field(default_factory=list)
+    could_not: list[Limitation] = field(default_factory=list)
     missing: tuple[Missing, ...] = ()
-    log_findings: tuple[Finding, ...] = ()
+    log_findings: tuple[LogAnomaly, ...] = ()
     notes: list[str] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
-    """How many more there were of what is kept up to a limit."""
+    """Number of dropped items of limited lists."""
     took_s: float = 0.0
 
     @property
-    def own_path(self) -> Off | None:
+    def own_path(self) -> TrackDeviation | None:
         """How far the flown track was from all planned subpaths together; None: there were none."""
         parts = [each.off for each in self.plans if each.off is not None and each.off.positions]
         flown_m = sum(part.until_m - part.from_m for part in parts)
-        whole = Off.of_all(parts)
+        whole = TrackDeviation.of_all(parts)
         return None if whole is None else replace(whole, from_m=0.0, until_m=flown_m)
 
     @property

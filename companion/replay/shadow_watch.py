@@ -1,8 +1,8 @@
-"""Feeds what a vehicle said in a log to sessions that only watch.
+"""Feeds the frames of a vehicle in a log to sessions in shadow mode.
 
-Only what its autopilot and its terrain radar said counts: what a companion or a ground station
-said on the same link is no word of the vehicle's, and no order to this companion.  Messages that
-tell a companion nothing are passed over unread.  Time is the vehicle's; silences are the log's.
+Only frames of its autopilot and its terrain radar are used, not those of a companion or ground
+station on the same link.  Messages that the companion does not use are skipped without decoding.
+Time is the vehicle's; silences are the log's.
 """
 
 from collections import Counter, deque
@@ -13,11 +13,11 @@ from typing import Final, final
 from companion.mavlink.autopilots import Autopilot, ardupilot, px4
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.frames import boot_ms_of, number_of, payload_of, sender_of
-from companion.mavlink.link import Output, Reading, VehicleClock
+from companion.mavlink.link import ClockReading, Output, VehicleClock
 from companion.mission.mission import Mission
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.replay.shadow_notes import Notes
-from companion.replay.shadow_report import Said
+from companion.replay.shadow_report import VehicleReport
 from companion.session import Session
 from companion.telemetry.logs import Record
 
@@ -52,10 +52,9 @@ LISTENED: Final = frozenset(
         wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
     }
 )
-"""Of the autopilot, besides the clocks.  Who only watches needs no battery, and echoes of setpoints
-are another companion's business."""
+"""Of the autopilot, besides the clocks.  Shadow mode needs neither battery nor setpoint echoes."""
 _TELLS: Final = {GPS: slice(28, 29), _LANDED: slice(0, 2)}
-"""Of what is said often, the bytes that matter: the fix, the landed state."""
+"""The relevant bytes of frequent messages: the fix, the landed state."""
 _SAYS_AGAIN_S: Final = 0.5
 _RADAR: Final = frozenset({wire.MAVLINK_MSG_ID_TERRAIN_DATA, wire.MAVLINK_MSG_ID_TERRAIN_REPORT})
 _QUIET_S: Final = 0.2  # less is no silence
@@ -76,7 +75,7 @@ _TYPE_AT, _BASE_MODE_AT = 4, 6
 
 @final
 class Watch:
-    """One vehicle of one log, watched by one session after the other."""
+    """Shadow mode for one vehicle of a log, with a new session after each reboot or silence."""
 
     def __init__(
         self,
@@ -121,7 +120,7 @@ class Watch:
         """Messages that were taken to be good because there are none, and since when."""
 
     def on_record(self, record: Record, at_s: float) -> None:
-        """The next frame of the log, whoever sent it; at_s: seconds after the first."""
+        """The next frame of the log, of any sender; at_s: seconds after the first."""
         frame = record.frame
         sender, number = sender_of(frame), number_of(frame)
         if sender == self._radar and number in _RADAR:
@@ -153,7 +152,7 @@ class Watch:
             self._take(at_s, self._session.run())
 
     def _says_the_same(self, frame: bytes, number: int, at_s: float) -> bool:
-        """Whether a message has only just been said like this."""
+        """Whether an equal message was just received."""
         tells = _TELLS.get(number)
         if tells is None:
             return False
@@ -198,7 +197,7 @@ class Watch:
     def _look_at_clock(self, frame: bytes, number: int, at_s: float) -> None:
         """Whether it has rebooted, also while no session could tell."""
         boot_ms = boot_ms_of(frame, number)
-        if boot_ms is not None and self._clock.read(boot_ms * 1e-3) is Reading.REBOOTED:
+        if boot_ms is not None and self._clock.read(boot_ms * 1e-3) is ClockReading.REBOOTED:
             self._notes.rebooted(at_s)
 
     def _hear_again(self, at_s: float) -> None:
@@ -262,7 +261,7 @@ class Watch:
         self._notes.on_output(at_s, self._session, out.journal)
 
     def _stand_in(self, at_s: float, wall_s: float) -> None:
-        """Say that GPS and estimator are good where the log never says anything of them."""
+        """Feed messages that report a good GPS and estimator if the log has none."""
         if at_s - self._stand_in_s < _STAND_IN_S:
             return
         self._stand_in_s = at_s
@@ -281,22 +280,22 @@ class Watch:
             if mode != self._mode:
                 self._mode = mode
                 name = self._autopilot.mode_name(mode)
-                self._notes.say(Said(at_s=at_s, what="mode", text=name))
+                self._notes.say(VehicleReport(at_s=at_s, what="mode", text=name))
             armed = bool(payload[_BASE_MODE_AT] & wire.MAV_MODE_FLAG_SAFETY_ARMED)
             if armed is not self._armed:
                 if self._armed is not None or armed:
-                    self._notes.say(Said(at_s=at_s, what="armed" if armed else "disarmed"))
+                    self._notes.say(VehicleReport(at_s=at_s, what="armed" if armed else "disarmed"))
                 self._armed = armed
         elif number == STATUSTEXT:
             payload = payload_of(frame, 54)
             if payload[0] <= _WARNING:
                 raw = payload[1:51].split(b"\0")[0].decode("utf-8", "replace")
                 text = "".join(c for c in raw if c.isprintable())
-                self._notes.say(Said(at_s=at_s, what="says", text=text))
+                self._notes.say(VehicleReport(at_s=at_s, what="says", text=text))
 
 
 def _all_is_well(heartbeat: Message) -> dict[int, bytes]:
-    """By their numbers, frames that say so of GPS and estimator, for logs that say nothing."""
+    """Frames by message number that report a good GPS and estimator, for logs without them."""
     codec = wire.MAVLink(
         None, srcSystem=heartbeat.get_srcSystem(), srcComponent=AUTOPILOT_COMPONENT
     )

@@ -1,6 +1,6 @@
-"""What if: each subpath planned once more from its recorded state, under other settings.
+"""What-if: each subpath planned again from its recorded state, under other settings.
 
-Nothing is flown by it: each plan starts where the recorded one started, and knows what it knew.
+Nothing is flown: each plan starts where the recorded one started, with the same known map.
 """
 
 import dataclasses
@@ -13,11 +13,11 @@ from companion.mission.mission import Mission
 from companion.planner.kernels import Kernel
 from companion.planner.outcomes import outcome_of
 from companion.planner.plan import plan
-from companion.planner.request import NotPlanned, PlanOutcome, PlanRequest, WayBack
+from companion.planner.request import Backtrack, NotPlanned, PlanOutcome, PlanRequest
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
-from companion.replay.same import Replay
-from companion.replay.told import MissionOf
+from companion.replay.reproduce import Replay
+from companion.replay.session_inputs import MissionOf
 
 _Part = TypeVar("_Part")
 
@@ -25,7 +25,7 @@ _Part = TypeVar("_Part")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
-    """What one answer gives, in figures."""
+    """The figures of one answer."""
 
     cost: float | None = None
     """Eq. 5; None: there is no subpath."""
@@ -42,7 +42,7 @@ class Figures:
     @staticmethod
     def of(outcome: PlanOutcome, speed_m_s: float) -> "Figures":
         """The figures of an answer."""
-        if isinstance(outcome, WayBack):
+        if isinstance(outcome, Backtrack):
             return Figures()
         if isinstance(outcome, NotPlanned):
             return Figures(refusal=outcome.refusal.name)
@@ -59,7 +59,7 @@ class Figures:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WhatIf:
-    """A subpath as it was flown, and as it would have been."""
+    """A subpath as flown, and with the changed settings."""
 
     plan_id: int
     t_s: float
@@ -80,8 +80,7 @@ def what_if(
 
     mission_of: the mission as flown; changed: the same with other settings; seed: another one.
     InputError if the folder holds no inputs, or if with the settings of that moment the changed
-    ones break a rule.  It ends where the recording does, or where the flight
-    cannot be followed any more.
+    ones break a rule.  It ends with the recording, or where the inputs can no longer be replayed.
     """
     replay = Replay(folder, mission_of, kernel=None, compares=False)
     asked: dict[int, tuple[float, PlanRequest]] = {}
@@ -89,9 +88,9 @@ def what_if(
         session = step.session
         if step.output is not None and step.output.plan is not None:
             asked[step.output.plan.plan_id] = session.now_s, step.output.plan
-        if step.told[0] != "deliver":
+        if step.recorded_input[0] != "deliver":
             continue
-        recorded = outcome_of(step.told[1])
+        recorded = outcome_of(step.recorded_input[1])
         time_s, request = asked.pop(recorded.plan_id, (0.0, None))
         if request is None or request.flown is not None:
             continue

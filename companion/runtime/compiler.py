@@ -1,4 +1,4 @@
-"""Where the planner's compiled kernel comes from, without ever waiting for a compiler in flight."""
+"""Loads the planner's compiled kernel without ever waiting for the compiler in flight."""
 
 import hashlib
 import os
@@ -33,9 +33,9 @@ _COMPLETE = "complete"  # a file beside the cached code: nothing of it is missin
 def load_kernel() -> Kernel:
     """The fastest kernel that there is: numba's, or numpy's where numba is absent or broken.
 
-    The first time it takes some ten seconds to compile; then it is loaded from a cache on disk.
-    Where no such cache can be written it is compiled each time; one that cannot be read (a power
-    cut may have torn it) is made anew.
+    The first time it takes some ten seconds to compile; then it is loaded from a cache on disk.  If
+    the cache cannot be written it is compiled each time; an unreadable one (after a power cut) is
+    rebuilt.
     """
     cache = _prepare_cache()
     if cache is None:
@@ -51,10 +51,10 @@ def load_kernel() -> Kernel:
 
 
 def load_beside_plans() -> Kernel:
-    """As `load_kernel`, but a process of its own compiles first what the cache does not hold.
+    """As `load_kernel`, but compiles what the cache lacks in a separate process first.
 
-    The compiler holds the interpreter for seconds: in a thread it would starve the plans that
-    numpy makes meanwhile, until the watchdog takes the planner for hung.
+    The compiler holds the interpreter lock for seconds: in a thread it would block the numpy plans
+    made meanwhile, until the watchdog considers the planner hung.
     """
     cache = _prepare_cache()
     if cache is not None and find_spec("numba") and not (cache / _COMPLETE).exists():
@@ -65,7 +65,7 @@ def load_beside_plans() -> Kernel:
 
 
 def main() -> None:
-    """Fill the cache, as long as the standard input is open; what flies goes first."""
+    """Fill the cache at low priority, as long as the standard input is open."""
 
     def ends_with_parent() -> None:
         sys.stdin.read()
@@ -82,7 +82,7 @@ def _compiled(cache: Path | None) -> Kernel | None:
         _warm_up(kernel)
     except ImportError:
         return None
-    except Exception as error:  # noqa: BLE001 - whatever is wrong with it, numpy can fly
+    except Exception as error:  # noqa: BLE001 - whatever fails, numpy still works
         text = f"the compiled kernel cannot be used: {type(error).__name__}: {error}"
         warnings.warn(text, RuntimeWarning, stacklevel=2)
         return None
@@ -116,7 +116,7 @@ def _prepare_cache() -> Path | None:
 
 
 def _warm_up(kernel: Kernel) -> None:
-    """One small plan over flat ground: whatever is compiled late is compiled now."""
+    """Run one small plan over flat ground, so that everything is compiled now."""
     side_m, range_m = (-2_000.0, 2_000.0), 1_000.0
     limits = Limits(
         speed_m_s=10.0,
@@ -177,7 +177,7 @@ class Planner:
                 self._thread.start()
 
     def wait(self) -> None:
-        """Load the kernel, and come back when that is done."""
+        """Load the kernel and wait until that is done."""
         self.start()
         self._thread.join()
 

@@ -1,4 +1,4 @@
-"""Connection strings: what they mean, and what is wrong with one that means nothing."""
+"""Parses connection strings."""
 
 import errno
 import re
@@ -9,7 +9,7 @@ from typing import Literal, final
 from companion.errors import InputError
 
 DEFAULT_BAUD = 57_600
-_MOST_BAUD = 12_000_000
+_MAX_BAUD = 12_000_000
 _REMEDY = (
     "Write udpin:127.0.0.1:14540 (wait for the vehicle), udpout:HOST:PORT, tcp:HOST:PORT (call "
     "it), tcpin:HOST:PORT or /dev/ttyACM0,57600 (serial port, baud rate)."
@@ -20,15 +20,15 @@ _WINDOWS_PORT = re.compile(r"(\\\\\.\\)?COM[0-9]{1,3}", re.IGNORECASE)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Address:
-    """Where a link over a network leads."""
+    """Address of a network link."""
 
     text: str
-    """As it was given, for errors."""
+    """The original text, for error messages."""
     kind: Literal["udpin", "udpout", "tcp", "tcpin"]
     host: str
     port: int
     option: str = "--connect"
-    """Of the command line: what errors are about."""
+    """Command line option, for error messages."""
 
     def resolved(self) -> tuple[str, int]:
         """The numeric address; InputError if there is no such host."""
@@ -50,7 +50,7 @@ class Device:
 
 
 def parsed(connection: str, option: str = "--connect") -> Address | Device:
-    """What a connection string means; InputError names the option, and the rule that it breaks."""
+    """Parse a connection string; InputError names the option and the rule."""
     kind, _, rest = connection.partition(":")
     if kind in ("udp", "udpin", "udpout", "tcp", "tcpin"):
         return _address(option, connection, kind, rest)
@@ -80,8 +80,8 @@ def _address(option: str, connection: str, kind: str, rest: str) -> Address:
 def _device(option: str, connection: str, name: str, baud: str) -> Device:
     if not name:
         raise InputError(option, connection, "no device is named", _REMEDY)
-    if not _is_number(baud, 1, _MOST_BAUD):
-        rule = f"a baud rate is a number from 1 to {_MOST_BAUD}"
+    if not _is_number(baud, 1, _MAX_BAUD):
+        rule = f"a baud rate is a number from 1 to {_MAX_BAUD}"
         raise InputError(option, connection, rule, _REMEDY)
     return Device(text=connection, name=name, baud=int(baud), option=option)
 

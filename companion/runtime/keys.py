@@ -1,4 +1,4 @@
-"""The signing key's file, and the time stamp that must never fall, kept beside it.
+"""The signing key's file, and beside it the time stamp, which must never decrease.
 
 FILE        a phrase, or 64 hexadecimal digits, on one line; nobody else may read it
 FILE.time   the newest time stamp, and the clock (microseconds since 1970) when it was kept
@@ -17,7 +17,7 @@ from companion.mavlink.signing import TICKS_PER_S, Signing, key_of, timestamp_of
 SAVE_EVERY_S: Final = 30.0
 """How often the time stamp is to be kept; and at the end."""
 _LONGEST_S: Final = 60.0
-"""Nobody runs on for longer than this after the last time stamp was kept."""
+"""No process runs on for longer than this after it saved its last time stamp."""
 _MARGIN_S: Final = 1.0
 _LARGEST: Final = 4096
 _LAST: Final = (1 << 48) - 1
@@ -25,7 +25,7 @@ _LAST: Final = (1 << 48) - 1
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kept:
+class StoredTimestamp:
     """What FILE.time holds."""
 
     timestamp: int
@@ -59,7 +59,7 @@ class SigningKey:
         return signing
 
     def save(self, timestamp: int, clock_s: float) -> None:
-        """Keep the time stamp: whole, whatever happens; never raises."""
+        """Save the time stamp atomically; never raises."""
         new = self._kept_in.with_name(f"{self._kept_in.name}.{os.getpid()}")
         try:
             with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
@@ -73,11 +73,11 @@ class SigningKey:
             self.failure = None
 
 
-def first_timestamp(clock_s: float, kept: Kept | None) -> int:
-    """A time stamp above all that were used: by the clock, unless it is behind what was kept.
+def first_timestamp(clock_s: float, kept: StoredTimestamp | None) -> int:
+    """A time stamp above all used ones: by the clock, unless that is behind the saved one.
 
-    A process that died went on for a while after it kept its time stamp: for as long as the clock
-    says, but no longer than a minute, and for a minute if the clock has gone back since.
+    A process that died may have run on after it saved its time stamp: by the clock, but no longer
+    than a minute, and a minute if the clock has gone back since.
     """
     now = timestamp_of(clock_s)
     if kept is None:
@@ -109,7 +109,7 @@ def _phrase(path: Path) -> str:
     return text
 
 
-def _kept(path: Path) -> Kept | None:
+def _kept(path: Path) -> StoredTimestamp | None:
     """What was kept; None if nothing was yet."""
     try:
         content = path.read_bytes()
@@ -126,4 +126,4 @@ def _kept(path: Path) -> Kept | None:
         rule = "it does not hold a time stamp and a clock"
         remedy = "Delete it if this computer's clock is right."
         raise InputError("signing key", str(path), rule, remedy)
-    return Kept(timestamp=timestamp, clock_s=clock_us * 1e-6)
+    return StoredTimestamp(timestamp=timestamp, clock_s=clock_us * 1e-6)

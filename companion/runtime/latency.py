@@ -1,9 +1,9 @@
-"""How quickly the companion answers, measured as it flies, in a few hundred integers."""
+"""Latency statistics of a flight, in a few hundred counters."""
 
 import math
 from typing import final
 
-_LEAST_S = 1e-5
+_MIN_S = 1e-5
 _PER_DECADE = 20  # neighbouring bounds differ by 12 %
 _DECADES = 7
 
@@ -19,7 +19,7 @@ class Histogram:
 
     def add(self, duration_s: float) -> None:
         """One more."""
-        place = math.ceil(_PER_DECADE * math.log10(max(duration_s, _LEAST_S) / _LEAST_S))
+        place = math.ceil(_PER_DECADE * math.log10(max(duration_s, _MIN_S) / _MIN_S))
         self._counts[min(place, len(self._counts) - 1)] += 1
         self.count += 1
         self.longest_s = max(self.longest_s, duration_s)
@@ -33,7 +33,7 @@ class Histogram:
         for place, count in enumerate(self._counts):
             reached += count
             if reached >= wanted:
-                return min(_LEAST_S * 10.0 ** (place / _PER_DECADE), self.longest_s)
+                return min(_MIN_S * 10.0 ** (place / _PER_DECADE), self.longest_s)
         return self.longest_s
 
 
@@ -45,7 +45,7 @@ class StreamTimes:
         self.answers = Histogram()
         self.gaps = Histogram()
         self.turns = Histogram()
-        """How long it took to deal with whatever had happened."""
+        """Time to handle the events of one iteration."""
         self.silences = Histogram()
         """From one word of the autopilot to the next: the stream can have no fewer gaps."""
         self._last_s: float | None = None
@@ -66,7 +66,7 @@ class StreamTimes:
         self._last_s = now_s
 
     def paused(self) -> None:
-        """The stream stops or starts on purpose here: no gap."""
+        """The stream stops or starts on purpose here: not a gap."""
         self._last_s = None
 
     def summary(self) -> dict[str, float | int | None]:

@@ -1,4 +1,4 @@
-"""Links to the vehicle by the connection strings that pymavlink's users know.
+"""Links to the vehicle, by connection strings as in pymavlink.
 
     udpin:HOST:PORT, udp:HOST:PORT   wait for the vehicle here, and answer where it is heard
     udpout:HOST:PORT                 call it there (a vehicle, or a router's server port)
@@ -6,11 +6,10 @@
     tcpin:HOST:PORT                  wait for its connection here; the newest one counts
     /dev/ttyACM0, COM3,57600, serial:/dev/ttyUSB0:921600   a serial port; 57600 baud if not said
 
-A link loses what it cannot send at once, as a radio does, and never raises for what may come back:
-a peer that is away, a device that was pulled out.  One thread receives, one other may send.  What
-comes in over a stream (TCP, serial) is passed on in the pieces in which it comes; what goes out is
-frames, each whole or not at all: a peer that does not read loses the newest, and a loss of the
-stream loses all that was waiting.
+A link drops what it cannot send at once, as a radio does, and never raises for temporary failures:
+an absent peer, an unplugged device.  One thread receives, another may send.  Bytes of a stream
+(TCP, serial) are passed on as they come; frames are sent whole or not at all: if the peer does not
+read the newest are dropped, and with the loss of a stream all that are buffered.
 """
 
 import contextlib
@@ -38,11 +37,11 @@ LARGEST_DATAGRAM = 1400  # stays below the usual MTU
 _AGAIN_S = 0.5
 """Between attempts to connect or to open again."""
 _PENDING_BYTES = 2048
-"""What may wait for a peer that reads slowly: half a second of setpoints, not more."""
+"""Buffer for a peer that reads slowly: half a second of setpoints, not more."""
 _PIECE_BYTES = 65536
 _UNANSWERED_MS = 5000  # a TCP peer that is gone without a word
 _LOST = (OSError, _TerminalError, TypeError, ValueError)
-"""What a stream raises that is gone; the last two, if it was closed just now."""
+"""Exceptions of a lost stream; the last two if it was just closed."""
 _Stream = TypeVar("_Stream", socket.socket, serial.Serial)
 
 
@@ -59,7 +58,7 @@ class Link(Protocol):
 
     @property
     def sender(self) -> object:
-        """Who sent what was received last, an argument of answer_to; None: there is only one."""
+        """Sender of the last data, an argument of answer_to; None: there is only one peer."""
         return None
 
     def receive(self, timeout_s: float) -> bytes | None:
@@ -67,15 +66,15 @@ class Link(Protocol):
         ...
 
     def answer_to(self, sender: object) -> None:
-        """From now on send there: that was the vehicle."""
+        """From now on send to this sender: the vehicle."""
         del sender
 
     def send(self, frames: list[bytes]) -> None:
-        """Send frames, whole and in order, or lose them; never waits."""
+        """Send frames, whole and in order, or drop them; never blocks."""
         ...
 
     def close(self) -> None:
-        """Let go of the port, the device or the peer; it is not opened again."""
+        """Close the port, the device or the connection for good."""
         ...
 
     def __enter__(self) -> Self:
@@ -111,8 +110,7 @@ def open_links(connections: Sequence[str], option: str) -> Iterator[list[Link]]:
 class GroundLinks:
     """Links to ground stations, besides the vehicle's: all are sent the same.
 
-    Answers are addressed to whom they are for.  Nothing that happens to one of these links is a
-    reason for a flight to end, or to wait.
+    Answers carry target ids.  No failure of these links ends or delays a flight.
     """
 
     def __init__(self, links: Sequence[Link]) -> None:
@@ -171,7 +169,7 @@ class UdpLink(Link):
             self._peer = sender
 
     def send(self, frames: list[bytes]) -> None:
-        """Frames in order, as few datagrams as they fit into.  Dropped while nobody was heard."""
+        """Send frames in order, in few datagrams; dropped before a peer was heard."""
         if self._peer is None:
             return
         batch = b""
@@ -183,12 +181,12 @@ class UdpLink(Link):
             batch += frame
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._socket.close()
 
 
 class _StreamLink(Link, Generic[_Stream]):
-    """One stream, or none at the moment: then receive() spends its time on getting one."""
+    """A link over a stream; while there is none, receive() tries to open it."""
 
     def __init__(self) -> None:
         self._stream: _Stream | None = None
@@ -228,7 +226,7 @@ class _StreamLink(Link, Generic[_Stream]):
             self._flush(stream)
 
     def _flush(self, stream: _Stream) -> None:
-        """Write what waits, as far as there is room; a stream that is lost leaves nothing."""
+        """Write the buffer, as far as there is room; a lost stream clears it."""
         try:
             while self._pending and (taken := self._write(stream, self._pending)):
                 self._pending = self._pending[taken:]
@@ -238,12 +236,12 @@ class _StreamLink(Link, Generic[_Stream]):
             self._pending = b""
 
     def close(self) -> None:
-        """Let go of the stream; no other is looked for, and whoever waits for one goes on."""
+        """Close the stream for good; a thread waiting for one returns."""
         self._over.set()
         self._drop()
 
     def _drop(self) -> None:
-        """The stream is gone: a new one begins with a whole frame."""
+        """The stream is lost: a new one begins with a whole frame."""
         stream, self._stream = self._stream, None
         with self._lock, contextlib.suppress(OSError):
             self._pending = b""
@@ -251,7 +249,7 @@ class _StreamLink(Link, Generic[_Stream]):
                 stream.close()
 
     def _is_due(self, timeout_s: float) -> bool:
-        """Whether to try to get a stream now: at once, then every _AGAIN_S; never once closed.
+        """Whether to try to open the stream now: at once, then every _AGAIN_S; never once closed.
 
         If it is too early, waits until it is due, at most timeout_s.
         """
@@ -263,11 +261,11 @@ class _StreamLink(Link, Generic[_Stream]):
         return not self._over.is_set()
 
     def _open(self, timeout_s: float) -> None:
-        """Try to get a stream, for so long.  One that listens waits until somebody calls."""
+        """Try to open the stream, for up to a time.  A server waits for a connection."""
 
     @abstractmethod
     def _read(self, stream: _Stream, timeout_s: float) -> bytes | None:
-        """What has arrived; None: nothing in time; b"" or one of _LOST: the stream is gone."""
+        """Received bytes; None: time-out; b"" or one of _LOST: the stream is lost."""
 
     @abstractmethod
     def _write(self, stream: _Stream, data: bytes) -> int:
@@ -275,7 +273,7 @@ class _StreamLink(Link, Generic[_Stream]):
 
 
 class _TcpLink(_StreamLink[socket.socket]):
-    """The part that is the same whoever called whom."""
+    """Common part of TCP client and server."""
 
     def _adopt(self, stream: socket.socket) -> None:
         stream.setblocking(False)
@@ -294,7 +292,7 @@ class _TcpLink(_StreamLink[socket.socket]):
 
 @final
 class TcpClient(_TcpLink):
-    """tcp:HOST:PORT.  A peer that is not there (yet, or any more) is called again and again."""
+    """tcp:HOST:PORT.  Connects again and again while the peer is absent."""
 
     def __init__(self, place: Address) -> None:
         super().__init__()
@@ -320,7 +318,7 @@ class TcpClient(_TcpLink):
                 self._adopt(calling)
 
     def close(self) -> None:
-        """Let go of the stream, or of the attempt to get one; it is not called again."""
+        """Close the stream, or stop connecting, for good."""
         calling, self._calling = self._calling, None
         if calling is not None:
             calling.close()
@@ -329,7 +327,7 @@ class TcpClient(_TcpLink):
 
 @final
 class TcpServer(_TcpLink):
-    """tcpin:HOST:PORT.  Whoever connects is the vehicle; a newer connection replaces an older."""
+    """tcpin:HOST:PORT.  The newest connection is the vehicle."""
 
     def __init__(self, place: Address) -> None:
         super().__init__()
@@ -355,14 +353,14 @@ class TcpServer(_TcpLink):
         return super().receive(0.0) if ready else None
 
     def close(self) -> None:
-        """Let go of the port and the stream."""
+        """Close the port and the stream."""
         self._listener.close()
         super().close()
 
 
 @final
 class SerialLink(_StreamLink[serial.Serial]):
-    """A serial port.  One that vanishes (a cable, a rebooting autopilot) is opened again."""
+    """A serial port.  Reopened after it vanished (a cable, a rebooting autopilot)."""
 
     def __init__(self, place: Device) -> None:
         super().__init__()
@@ -396,7 +394,7 @@ class SerialLink(_StreamLink[serial.Serial]):
         return data + stream.read(stream.in_waiting) if data else None
 
     def _write(self, stream: serial.Serial, data: bytes) -> int:
-        """Pyserial's own write spins until there is room for all."""
+        """Pyserial's own write would block until there is room for all."""
         if os.name == "posix":
             return os.write(stream.fileno(), data)
         return stream.write(data) or 0

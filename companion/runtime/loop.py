@@ -1,11 +1,11 @@
-"""Flies a session: the wall clock, the link, the threads, the run folder.
+"""Runs a session: the wall clock, the link, the threads, the run folder.
 
     readers ─► inbox ──► decider (the session) ──► gate ──► link, links to ground stations
     planning ──┘            │    └──► writer ──► run folder
                             └──► planning
 
-A slow disk, a long plan or a full terminal never delays a setpoint, and a part that dies shuts the
-gate (`watchdog`).  In lockstep the decider itself reads and writes: the vehicle waits for it.
+A slow disk, a long plan or a blocked terminal never delays a setpoint, and a part that dies shuts
+the gate (`watchdog`).  In lockstep the control loop itself reads and writes, as the vehicle waits.
 """
 
 import gc
@@ -15,19 +15,26 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import final
 
-from companion.mavlink.link import VEHICLE
+from companion.mavlink.link import VEHICLE_LINK
 from companion.mavlink.signing import strip_signature
 from companion.mission.events import End, Outcome
 from companion.runtime.compiler import Planner
-from companion.runtime.decider import Decider
+from companion.runtime.control_loop import ControlLoop
 from companion.runtime.latency import StreamTimes
 from companion.runtime.link import GroundLinks, Link
-from companion.runtime.parts import Answer, GroundReader, Inbox, Lost, Planning, Reader
 from companion.runtime.planner_process import PlannerProcess
 from companion.runtime.recorder import Batch, InlineWriter, Recorder, Writer, WriterThread
 from companion.runtime.watchdog import Clock, Failure, Gate, Watchdog
+from companion.runtime.workers import (
+    EventQueue,
+    GroundReader,
+    LinkReader,
+    PlanFunction,
+    PlannerWorker,
+    WorkerLost,
+)
 from companion.session import Session
-from companion.telemetry.flown import Flown
+from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 
 _HELD_S = 2.0  # for the watchdog to have told it to hold
@@ -42,17 +49,17 @@ def fly(
     folder: RunFolder,
     *,
     lockstep: bool,
-    on_progress: Callable[[Flown], None],
+    on_progress: Callable[[FlightSummary], None],
     stop_asked: Callable[[], bool],
-    planner: Answer | None = None,
+    planner: PlanFunction | None = None,
     persist: Callable[[], None] | None = None,
     ground: Sequence[Link] = (),
     clock: Clock = time.monotonic,
-) -> Flown:
+) -> FlightSummary:
     """Run a session until its mission ends; every end is a value, Flown.end.
 
     planner: by default the compiled one, in a process of its own unless in lockstep.
-    persist: keeps what must outlive the process; called every 30 s and at the end.
+    persist: saves what must outlive the process; called every 30 s and at the end.
     ground: links to ground stations, for a session that `has_ground`.
     on_progress is called in the caller's thread, stop_asked in another one.
     """
@@ -66,7 +73,7 @@ def fly(
 
 @contextmanager
 def prompt_threads() -> Iterator[None]:
-    """Threads get their turn quickly, and the collector rarely and without what is to stay."""
+    """Short thread switch interval, and rare garbage collection without permanent objects."""
     before_s, before = sys.getswitchinterval(), gc.get_threshold()
     sys.setswitchinterval(_SWITCH_S)
     gc.set_threshold(*_COLLECT)
@@ -82,7 +89,7 @@ def prompt_threads() -> Iterator[None]:
 
 @final
 class _Flight:
-    """The parts of one flight, how they begin and how they end."""
+    """Starts and stops the threads of one flight."""
 
     def __init__(
         self,
@@ -91,21 +98,21 @@ class _Flight:
         ground: Sequence[Link],
         folder: RunFolder,
         lockstep: bool,
-        planner: Answer,
+        planner: PlanFunction,
         persist: Callable[[], None] | None,
         stop_asked: Callable[[], bool],
         clock: Clock,
     ) -> None:
-        self.flown = Flown(session=session)
+        self.flown = FlightSummary(session=session)
         self._session, self._folder, self._lockstep = session, folder, lockstep
-        self._inbox = Inbox()
+        self._inbox = EventQueue()
         grounds = GroundLinks(ground)
         gate = Gate(link, clock, grounds)
         self._watchdog = Watchdog(
             gate,
             clock=clock,
             hold_frames=session.hold_frames,
-            last_words=session.last_words,
+            final_text=session.final_text,
             on_failure=self._on_failure,
             on_loss=self._on_loss,
             watches_time=not lockstep,
@@ -113,20 +120,20 @@ class _Flight:
         recorder = Recorder(folder, clock, persist)
         kind = InlineWriter if lockstep else WriterThread
         self._writer: Writer = kind(recorder, self._on_loss)
-        self._reader = Reader(link, self._inbox, gate, clock)
+        self._reader = LinkReader(link, self._inbox, gate, clock)
         self._ground = [
             GroundReader(each, number, self._inbox, clock)
-            for number, each in enumerate(ground, VEHICLE + 1)
+            for number, each in enumerate(ground, VEHICLE_LINK + 1)
         ]
-        self._planning = Planning(planner, self._inbox, lockstep=lockstep)
+        self._planning = PlannerWorker(planner, self._inbox, lockstep=lockstep)
         self._times = StreamTimes()
-        self._decider = Decider(
+        self._decider = ControlLoop(
             session=session,
             flown=self.flown,
             link=link,
             ground=grounds,
             gate=gate,
-            inbox=self._inbox,
+            event_queue=self._inbox,
             reader=self._reader,
             planning=self._planning,
             writer=self._writer,
@@ -137,7 +144,7 @@ class _Flight:
             clock=clock,
         )
 
-    def run(self, on_progress: Callable[[Flown], None]) -> None:
+    def run(self, on_progress: Callable[[FlightSummary], None]) -> None:
         self._watchdog.start()
         self._watchdog.watch(self._planning.part, self._planning.run)
         if isinstance(self._writer, WriterThread):
@@ -155,7 +162,7 @@ class _Flight:
             self._end()
 
     def _end(self) -> None:
-        """Whatever happened: the vehicle is not left without a word, nor the folder without it."""
+        """Always send the final frames, and record them."""
         failure = self._watchdog.failure
         if failure is not None and failure.part != self._decider.part.name:
             self._decider.ended.wait(_HELD_S)  # it tells the session, and notes what that does
@@ -173,7 +180,7 @@ class _Flight:
         self._folder.facts["latency"] = self._times.summary()
 
     def _on_loss(self, failure: Failure) -> None:
-        self._inbox.put(Lost(failure, vital=False))
+        self._inbox.put(WorkerLost(failure, vital=False))
 
     def _on_failure(self, failure: Failure, hold: list[bytes]) -> None:
         now_s = self._session.now_s
@@ -186,7 +193,7 @@ class _Flight:
         }
         record = [(now_s, strip_signature(frame)) for frame in hold]
         self._writer.put(Batch(record=record, journal=[noted], inputs=[("held", len(hold))]))
-        self._inbox.put(Lost(failure, vital=True))
+        self._inbox.put(WorkerLost(failure, vital=True))
 
 
 def _end_of(failure: Failure, end: End | None) -> End:

@@ -1,9 +1,9 @@
-"""Plans in a process of its own: no plan ever holds up a setpoint, and one that hangs is ended.
+"""Planner process: no plan ever delays a setpoint, and one that hangs is killed.
 
-In one process with the stream it would: where numba is absent, scipy's Dijkstra holds the
-interpreter for 0.2 s on a desktop computer, and for a second on a small one.
+In the same process it would: without numba, scipy's Dijkstra holds the interpreter lock for 0.2 s
+on a desktop computer, and for a second on a small one.
 
-The two talk in pickles over the child's standard input and output: questions and "enough" in,
+The protocol is pickles over the child's standard input and output: requests and "enough" in,
 "ready" and answers out.  A child whose parent has died reads the end of its input, and ends.
 """
 
@@ -26,7 +26,7 @@ _READY = "ready"
 
 
 class PlannerEndedError(Exception):
-    """The process that plans is gone, or cannot plan."""
+    """The planner process has ended or failed."""
 
 
 @final
@@ -48,7 +48,7 @@ class PlannerProcess:
         return None if self._child is None else self._child.pid
 
     def start(self) -> None:
-        """Start the process and come back when it is ready; PlannerEndedError if it cannot be."""
+        """Start the process and wait until it is ready; PlannerEndedError if it fails."""
         places = os.pathsep.join(place for place in sys.path if place)
         self._child = subprocess.Popen(
             [sys.executable, "-P", "-m", self._module],
@@ -82,7 +82,7 @@ class PlannerProcess:
             return outcome
 
     def close(self) -> None:
-        """End the process, whatever it does."""
+        """Kill the process."""
         child = self._child
         if child is not None:
             child.kill()
@@ -130,7 +130,7 @@ def main() -> None:
     """Answer requests until the input ends."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, who says farewell
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever prints must not end up among the answers
+    os.dup2(2, 1)  # printed output must not mix with the answers
     planner = Planner(lockstep=False, load=load_beside_plans)
     planner.start()
     questions: queue.SimpleQueue[PlanRequest | None] = queue.SimpleQueue()

@@ -1,4 +1,4 @@
-"""Asks a vehicle everything that a flight depends on, and nothing more: it is never armed."""
+"""Runs the preflight checks on a vehicle, which is never armed."""
 
 import time
 from collections.abc import Callable
@@ -12,24 +12,24 @@ from companion.session import Session
 _POLL_S: Final = 0.1
 _DEADLINE_S: Final = 60.0
 _SILENT_S: Final = 10.0
-_LEAST_S: Final = 1.5  # after everything was answered: one link delay more is measured
-_MOST_S: Final = 5.0  # for rates and delays that do not come
+_MIN_S: Final = 1.5  # after everything was answered: one link delay more is measured
+_MAX_S: Final = 5.0  # for rates and delays that do not come
 _SCAN_S: Final = 20.0
 
 
-def look_at(
+def run_preflight(
     session: Session,
     link: Link,
     *,
     stop_asked: Callable[[], bool],
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Run a session that only watches until all was answered, or there is no more hope of it.
+    """Run a session in shadow mode until everything was answered, or timed out.
 
-    on_progress: hears what is waited for, in words, whenever that changes.
+    on_progress: called with what is waited for, as text, when that changes.
     """
     began_s = heard_s = time.monotonic()
-    looker = _Looker(session)
+    looker = _PreflightRun(session)
     said = ""
     while not stop_asked():
         data, now_s = link.receive(_POLL_S), time.monotonic()
@@ -49,8 +49,8 @@ def look_at(
 
 
 @final
-class _Looker:
-    """When there is nothing more to wait for.  Has the radar look, once."""
+class _PreflightRun:
+    """Decides when the preflight is complete; starts one radar scan."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -62,7 +62,7 @@ class _Looker:
         state, vehicle = session.state, session.vehicle
         if self._looked_s is None and state.vehicle.position_nea_m and state.targets_ne_m:
             self._looked_s = now_s
-            session.look_around()
+            session.scan_now()
         if vehicle is None or waiting_for(session):
             return False
         if self._ready_s is None:
@@ -72,4 +72,4 @@ class _Looker:
         if looks and self._looked_s is not None and now_s - self._looked_s < _SCAN_S:
             return False
         settled = not vehicle.streams.missing and vehicle.round_trip_s is not None
-        return waited_s > (_LEAST_S if settled else _MOST_S)
+        return waited_s > (_MIN_S if settled else _MAX_S)

@@ -1,4 +1,4 @@
-"""The part that records: the run folder is written by it alone while a flight lasts."""
+"""The recorder: the only writer of the run folder during a flight."""
 
 import contextlib
 import queue
@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol, final
 
-from companion.runtime.watchdog import Clock, Failure, Part
+from companion.runtime.watchdog import Clock, Failure, Worker
 from companion.telemetry.run_folder import RunFolder
 from companion.world.known_map import KnownMap
 
 _DISK_S = 2.0
-_MOST_UNWRITTEN = 32 * 2**20  # bytes
+_MAX_UNWRITTEN = 32 * 2**20  # bytes
 _ENTRY_BYTES = 500  # what a journal entry takes, about
 _PERSIST_S = 30.0
 _LEAVE_S = 5.0
@@ -21,7 +21,7 @@ _LEAVE_S = 5.0
 @final
 @dataclass(slots=True, kw_only=True)
 class Batch:
-    """What one turn of the session leaves to be recorded."""
+    """The records of one iteration."""
 
     record: list[tuple[float, bytes]] = field(default_factory=list)
     journal: list[dict[str, Any]] = field(default_factory=list)
@@ -55,7 +55,7 @@ class Writer(Protocol):
         ...
 
     def close(self) -> None:
-        """Have everything written that can be."""
+        """Write everything that can be written."""
         ...
 
 
@@ -82,7 +82,7 @@ class Recorder:
             self.persist()
 
     def persist(self) -> None:
-        """Keep what must outlive this process."""
+        """Save what must outlive this process."""
         self._persisted_s = self._clock()
         if self._persist is not None:
             self._persist()
@@ -90,7 +90,7 @@ class Recorder:
 
 @final
 class InlineWriter:
-    """Writes at once, in the decider's thread."""
+    """Writes at once, in the control loop's thread."""
 
     def __init__(self, recorder: Recorder, on_loss: Callable[[Failure], None]) -> None:
         self._recorder, self._on_loss = recorder, on_loss
@@ -115,10 +115,10 @@ class InlineWriter:
 
 @final
 class WriterThread:
-    """Writes as soon as the disk lets it, and never makes anybody wait."""
+    """Writes in a thread of its own and never blocks the control loop."""
 
     def __init__(self, recorder: Recorder, on_loss: Callable[[Failure], None]) -> None:
-        self.part = Part(WRITER, vital=False)
+        self.part = Worker(WRITER, vital=False)
         self._recorder, self._on_loss = recorder, on_loss
         self._batches: queue.SimpleQueue[Batch | None] = queue.SimpleQueue()
         self._put_bytes = self._written_bytes = 0  # each is changed by one thread only
@@ -126,25 +126,25 @@ class WriterThread:
         self._done = threading.Event()
 
     def put(self, batch: Batch) -> None:
-        """Have it written soon; nothing more is, once too much is waiting."""
+        """Queue a batch; once the queue is full nothing more is recorded."""
         folder = self._recorder.folder
         if batch.is_empty or (folder.failure is not None and batch.checkpoint is None):
             return
-        if self._put_bytes - self._written_bytes > _MOST_UNWRITTEN:
+        if self._put_bytes - self._written_bytes > _MAX_UNWRITTEN:
             folder.failure = "the disk is too slow"
             return
         self._put_bytes += batch.size
         self._batches.put(batch)
 
     def run(self) -> None:
-        """Write until told to leave."""
+        """Write until stopped."""
         try:
-            self.part.rest()
+            self.part.idle()
             while (batch := self._next()) is not None:
                 self.part.beat(_DISK_S)
                 self._recorder.write(batch)
                 self._written_bytes += batch.size
-                self.part.rest()
+                self.part.idle()
                 self._tell()
             self._recorder.persist()
         except BaseException as error:
@@ -154,7 +154,7 @@ class WriterThread:
             self._done.set()
 
     def _next(self) -> Batch | None:
-        """All that is waiting, as one batch; None at the end."""
+        """All queued batches as one; None at the end."""
         first = self._batches.get()
         if first is None:
             return None
@@ -178,7 +178,7 @@ class WriterThread:
             self._on_loss(Failure(part=WRITER, error=failure))
 
     def close(self) -> None:
-        """Wait until all is written, for as long as the disk still answers."""
+        """Wait until all is written, as long as there is progress."""
         self._batches.put(None)
         before = -1
         while not self._done.wait(_LEAVE_S):

@@ -1,4 +1,4 @@
-"""The signals that would end the program."""
+"""Handling of termination signals."""
 
 import contextlib
 import signal
@@ -8,7 +8,7 @@ from types import FrameType
 
 @contextlib.contextmanager
 def stop_signals() -> Iterator[list[int]]:
-    """Collect what would end the program: the vehicle has to be told first."""
+    """Collect termination signals, so that the vehicle is put on hold first."""
     received: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:

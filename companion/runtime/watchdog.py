@@ -1,9 +1,9 @@
-"""Never a stream from a dead companion: a watchdog over its parts, and a gate that it can shut.
+"""Watchdog over the worker threads, and the gate that it shuts: a dead companion never streams.
 
-The parts (planner, reader, decider, writer) beat; one that has died or stands still is noticed
-within _TICK_S of its limit.  Then, within 300 ms of the death, nothing that the session says leaves
-any more, heartbeats included, and the watchdog itself tells the autopilot to hold (design 7,
-mavlink.md C1, C2).  The writer is different: a flight goes on without its recording.
+The workers (planner, reader, control loop, writer) beat; one that has died or stalled is detected
+within _TICK_S of its limit.  Then, within 300 ms of the death, no frame of the session is sent any
+more, heartbeats included, and the watchdog itself puts the autopilot on hold (design 7, mavlink.md
+C1, C2).  The writer is not vital: a flight goes on without its recording.
 """
 
 import contextlib
@@ -20,11 +20,11 @@ Clock = Callable[[], float]
 """Seconds that only ever grow, of this computer."""
 
 STALL_S = 0.2
-"""How long a part may stand still while setpoints are streamed."""
+"""How long a worker may stall while setpoints are streamed."""
 IDLE_STALL_S = 5.0
-"""The same while none are: a computer that is busy starting up is no danger to anybody."""
+"""The same without a stream: a busy computer at start-up is no danger."""
 STREAMING_S = 0.4
-"""Setpoints are being streamed if one was sent so recently."""
+"""Setpoints count as streamed if one was sent this recently."""
 _TICK_S = 0.025
 _HOLD_AGAIN_S = (0.0, 0.3, 0.7)
 """Waits before each time that the hold is sent: a datagram may get lost."""
@@ -36,15 +36,15 @@ _COMMAND_INT, _REPOSITION, _NO_SWITCH = 75, (192).to_bytes(2, "little"), bytes(4
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """A part that is gone."""
+    """A worker that has died."""
 
     part: str
     error: str
 
 
 @final
-class Part:
-    """One part of the companion, as the watchdog sees it."""
+class Worker:
+    """One worker thread, as seen by the watchdog."""
 
     def __init__(self, name: str, *, vital: bool = True) -> None:
         self.name, self.vital = name, vital
@@ -65,15 +65,15 @@ class Part:
         self.limit_s = limit_s
         self.beats += 1
 
-    def rest(self) -> None:
-        """Alive, and nothing to do."""
+    def idle(self) -> None:
+        """Alive and idle."""
         self.beat(math.inf)
 
 
-def waits_for_processor(part: Part) -> bool:
-    """Whether a part would run, but other programs have the processors: busy, not dead.
+def waits_for_processor(part: Worker) -> bool:
+    """Whether a worker is runnable but gets no processor time: busy, not dead.
 
-    Ready to run, and its own clock stands still since it was last asked about.  Only Linux tells.
+    Its state is runnable, and its processor time has not advanced since the last call.  Linux only.
     """
     try:
         task = Path(f"/proc/self/task/{part.thread_id}")
@@ -87,7 +87,7 @@ def waits_for_processor(part: Part) -> bool:
 
 @final
 class Gate:
-    """The session's only way to the link.  Shut, it stays shut."""
+    """The session's only way to the link.  Once shut it stays shut."""
 
     def __init__(self, link: Link, clock: Clock, ground: GroundLinks | None = None) -> None:
         self._link, self._clock, self._ground = link, clock, ground or GroundLinks([])
@@ -97,11 +97,11 @@ class Gate:
 
     @property
     def is_shut(self) -> bool:
-        """Whether nothing leaves any more."""
+        """Whether it is shut."""
         return self._is_shut
 
     def stall_limit_s(self) -> float:
-        """How long a part may stand still now."""
+        """How long a worker may stall now."""
         return STALL_S if self._clock() - self._streamed_s < STREAMING_S else IDLE_STALL_S
 
     def send(self, frames: list[bytes], to_ground: Sequence[bytes] = ()) -> bool:
@@ -116,11 +116,11 @@ class Gate:
         return True
 
     def shut(self) -> None:
-        """From now on nothing of the session's leaves; at most what is being sent just now."""
+        """Shut: no frame of the session is sent from now on, except one being sent just now."""
         self._is_shut = True
 
     def send_last(self, frames: list[bytes], to_ground: Sequence[bytes] = ()) -> None:
-        """The watchdog's own frames, through the shut gate; it waits for nobody."""
+        """Send the watchdog's own frames through the shut gate, without waiting."""
         locked = self._lock.acquire(timeout=_LOCK_S)
         try:
             self._link.send(frames)
@@ -132,7 +132,7 @@ class Gate:
 
 @final
 class Watchdog:
-    """Looks after the parts in a thread of its own."""
+    """Supervises the workers in a thread of its own."""
 
     def __init__(
         self,
@@ -140,27 +140,27 @@ class Watchdog:
         *,
         clock: Clock,
         hold_frames: Callable[[], list[bytes]],
-        last_words: Callable[[str], list[bytes]] = lambda _: [],
+        final_text: Callable[[str], list[bytes]] = lambda _: [],
         on_failure: Callable[[Failure, list[bytes]], None],
         on_loss: Callable[[Failure], None],
         watches_time: bool = True,
-        waits: Callable[[Part], bool] = waits_for_processor,
+        waits: Callable[[Worker], bool] = waits_for_processor,
     ) -> None:
         """A watchdog that is started by start().
 
         hold_frames: the frames that put the autopilot on hold, made when they are needed;
-        last_words: those that tell people why.
-        on_failure: told of a vital part's end, and of the frames that are sent on it;
-        on_loss: of the end of a part that is not vital.  watches_time: not in lockstep, where
-        nothing depends on this computer's clock; a part may die there, but take its time.
-        waits: whether a part stands still for want of a processor; that is excused for 5 s.
+        last_words: those with the reason as text. on_failure: told of a vital part's end, and of
+        the frames that are sent on it; on_loss: of the end of a part that is not vital.
+        watches_time: False in lockstep, where nothing depends on wall time: workers are only
+        checked for death. waits: whether a worker stalls for lack of processor time; tolerated for
+        5 s.
         """
         self.failure: Failure | None = None
         self._gate, self._clock = gate, clock
-        self._hold_frames, self._last_words = hold_frames, last_words
+        self._hold_frames, self._last_words = hold_frames, final_text
         self._on_failure, self._on_loss = on_failure, on_loss
         self._watches_time, self._waits = watches_time, waits
-        self._parts: list[Part] = []
+        self._parts: list[Worker] = []
         self._reserve: list[bytes] = []
         self._first = threading.Lock()
         self._wake = threading.Event()
@@ -171,19 +171,19 @@ class Watchdog:
         """Begin to look."""
         self._thread.start()
 
-    def watch(self, part: Part, work: Callable[[], None]) -> None:
-        """Start a part: its work in a thread of its own, whose end is noticed."""
+    def watch(self, part: Worker, work: Callable[[], None]) -> None:
+        """Start a worker in a thread of its own, whose end is detected."""
         self._parts.append(part)
         threading.Thread(
             target=self._guarded, args=(part, work), name=part.name, daemon=True
         ).start()
 
     def reserve(self, frames: list[bytes]) -> None:
-        """Frames that hold, as of now: sent if none can be made when they are needed."""
+        """Store hold frames, sent if none can be made when needed."""
         self._reserve = frames
 
-    def died(self, part: Part, error: str) -> None:
-        """A part has come to its end, or must be taken for dead."""
+    def died(self, part: Worker, error: str) -> None:
+        """A worker has ended, or must be considered dead."""
         self._forget(part)
         if self._ended.is_set():
             return
@@ -198,7 +198,7 @@ class Watchdog:
         self._wake.set()
 
     def end(self, timeout_s: float) -> None:
-        """Stop looking; a hold that is being sent is sent to its end."""
+        """Stop; a hold that is being sent is completed."""
         self._ended.set()
         if self.failure is None:
             self._wake.set()
@@ -206,23 +206,23 @@ class Watchdog:
             self._thread.join(timeout_s)
 
     def check(self) -> None:
-        """Whoever waits for the flight's end sees to it that somebody looks."""
+        """Check the workers if the watchdog's own thread has died."""
         if not self._thread.is_alive() and self.failure is None:
-            self.died(Part("watchdog"), "its thread has ended")
+            self.died(Worker("watchdog"), "its thread has ended")
             self._hold()
 
     # --- its thread
 
-    def _guarded(self, part: Part, work: Callable[[], None]) -> None:
+    def _guarded(self, part: Worker, work: Callable[[], None]) -> None:
         part.thread_id = threading.get_native_id()
         try:
             work()
-        except BaseException as error:  # noqa: BLE001 - whatever it was, the part is gone
+        except BaseException as error:  # noqa: BLE001 - whatever it was, the worker is dead
             self.died(part, f"{type(error).__name__}: {error}")
         else:
             self._forget(part)
 
-    def _forget(self, part: Part) -> None:
+    def _forget(self, part: Worker) -> None:
         if part in self._parts:
             self._parts.remove(part)
 
@@ -249,7 +249,7 @@ class Watchdog:
                     self.died(part, f"it has stood still for {part.still_s:.1f} s")
 
     def _hold(self) -> None:
-        """Tell the vehicle to hold; the session hears that it is over once it has said how."""
+        """Put the vehicle on hold; the session is notified after its hold frames were made."""
         try:
             frames = self._hold_frames()
         except Exception:  # noqa: BLE001 - the session is what may have died
@@ -270,7 +270,7 @@ class Watchdog:
 def is_setpoint(frame: bytes) -> bool:
     """Whether a MAVLink 2 frame tells a vehicle where to be: SET_POSITION_TARGET_*, DO_REPOSITION.
 
-    DO_REPOSITION with its switch to another mode (parameter 2) is an order to hold, no setpoint.
+    DO_REPOSITION with a mode change (parameter 2) is a hold command, no setpoint.
     COMMAND_INT holds its command after four parameters, two coordinates and a height (28 bytes).
     """
     if len(frame) < 12 or frame[0] != 0xFD:

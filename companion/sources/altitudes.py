@@ -13,7 +13,7 @@ from companion.world.clearance import distance_to_terrain_m
 
 _MENTIONED_M = 1.0  # a smaller difference is worth no mention
 _STEP_M = 5.0
-_MOST_SAMPLES = 2000  # of all ways together
+_MAX_SAMPLES = 2000  # of all ways together
 
 
 def carried_on(altitudes_amsl_m: list[float | None]) -> tuple[float | None, ...]:
@@ -58,7 +58,7 @@ def _ways(mission: Mission, targets: list[TargetTable]) -> Iterator[str]:
     lowest_m, _ = mission.task.band_amsl_m
     places = mission.targets_ne_m
     total_m = sum(math.dist(a, b) for a, b in itertools.pairwise(places))
-    spacing_m = max(mission.task.cell_m, total_m / _MOST_SAMPLES)
+    spacing_m = max(mission.task.cell_m, total_m / _MAX_SAMPLES)
     altitudes = zip(mission.altitudes_amsl_m[1:], targets[1:], strict=False)
     for (start, end), (wanted_m, table) in zip(itertools.pairwise(places), altitudes, strict=False):
         if wanted_m is None:

@@ -31,7 +31,7 @@ Nodata = Literal["sea"] | float | None
 Span = tuple[int, int]
 """From and to of rows or columns."""
 
-_MOST_CELLS = 2.5e8
+_MAX_CELLS = 2.5e8
 _STRIP_CELLS = 1 << 17
 _COARSEST_M = 500.0
 _DEG_M = 111_320.0
@@ -284,8 +284,8 @@ def _check_covered(source: Any, reached: _Reached) -> None:
 
 def _check_size(reached: _Reached) -> None:
     rows, columns = reached.rows, reached.columns
-    if (rows[1] - rows[0]) * (columns[1] - columns[0]) > _MOST_CELLS:
-        rule = f"[area] takes more than {_MOST_CELLS:.1e} of its cells"
+    if (rows[1] - rows[0]) * (columns[1] - columns[0]) > _MAX_CELLS:
+        rule = f"[area] takes more than {_MAX_CELLS:.1e} of its cells"
         raise _RefusedError(rule, "Make [area] smaller.")
 
 

@@ -12,7 +12,7 @@ from companion.errors import InputError
 RawTable = dict[str, Any]
 """A table as its file has it: nothing in it has been checked."""
 
-_MOST_BYTES = 64_000_000
+_MAX_BYTES = 64_000_000
 
 
 def read_text(path: Path, field: str, remedy: str) -> str:
@@ -21,8 +21,8 @@ def read_text(path: Path, field: str, remedy: str) -> str:
         rule = "it is a folder" if answer(path.is_dir) else "no such file"
         raise InputError(field, str(path), rule, remedy)
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            rule = f"it is larger than {_MOST_BYTES / 1e6:g} MB"
+        if path.stat().st_size > _MAX_BYTES:
+            rule = f"it is larger than {_MAX_BYTES / 1e6:g} MB"
             raise InputError(field, str(path), rule, remedy)
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

@@ -14,7 +14,7 @@ Corners = list[list[float]]
 _REMEDY = "Give a GeoJSON FeatureCollection of polygons and points; see docs/files.md."
 _KINDS = ("keep_out", "keep_in", "radar")
 _WGS84 = ("CRS84", "4326")
-_MOST_FEATURES = 100_000
+_MAX_FEATURES = 100_000
 
 
 @final
@@ -45,8 +45,8 @@ def read_geojson(path: Path, where: str) -> Threats:
 
 def threats_of(features: list[Any], name: str) -> Threats:
     """The threats of GeoJSON features; name: of the file.  Raises InputError naming the feature."""
-    if len(features) > _MOST_FEATURES:
-        rule = f"it has more than {_MOST_FEATURES:,}"
+    if len(features) > _MAX_FEATURES:
+        rule = f"it has more than {_MAX_FEATURES:,}"
         remedy = "Keep those that are near the mission."
         raise InputError(f"{name}: features", len(features), rule, remedy)
     threats = Threats()

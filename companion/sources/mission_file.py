@@ -1,4 +1,4 @@
-"""What the tables of a mission file mean: a `Mission`, or the rule that it breaks.
+"""Converts the tables of a mission file to a `Mission`, or reports the rule that is broken.
 
 A mission may name a .plan, a GeoJSON file and an elevation file.  The first two are taken into the
 table itself (`complete`), so that a run folder holds all that was flown.
@@ -19,7 +19,6 @@ from companion.path.limits import Limits
 from companion.planner.rules import check_target, check_task
 from companion.planner.settings import PlannerSettings, Task
 from companion.sources.altitudes import about_altitudes, carried_on
-from companion.sources.assumed import with_plan
 from companion.sources.elevation import read_known_map
 from companion.sources.files import RawTable, plain
 from companion.sources.mission_schema import (
@@ -29,6 +28,7 @@ from companion.sources.mission_schema import (
     ScannerTable,
 )
 from companion.sources.places import Place, place_of, radar_of, zones_of
+from companion.sources.plan_defaults import with_plan
 from companion.sources.plan_file import read_plan
 from companion.sources.threat_file import read_threats
 from companion.sources.waypoint_file import is_waypoint_list, read_waypoint_list

@@ -18,7 +18,7 @@ from companion.sources.files import RawTable, json_table
 from companion.sources.schema import validated
 
 _REMEDY = "Give a .plan that QGroundControl has saved."
-_MOST_TARGETS = 1000
+_MAX_TARGETS = 1000
 
 _PLACES = {16: "", 82: "spline", 17: "", 18: "loiter", 19: "loiter", 31: "loiter"}
 """Commands that go to a place, and what of them is not done."""
@@ -282,8 +282,8 @@ class Items:
             raise InputError(where, self._ended_by, "the mission ends before this item", remedy)
         check_place(latitude, longitude, where)
         targets = self._plan.targets
-        if len(targets) >= _MOST_TARGETS:
-            rule = f"it has more than {_MOST_TARGETS} waypoints"
+        if len(targets) >= _MAX_TARGETS:
+            rule = f"it has more than {_MAX_TARGETS} waypoints"
             raise InputError(where, len(targets) + 1, rule, "Divide the plan.")
         name = where.removeprefix(f"{self._plan.name}: ").removeprefix("mission.")
         targets.append({"name": name, "latitude_deg": latitude, "longitude_deg": longitude})

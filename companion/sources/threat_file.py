@@ -1,4 +1,4 @@
-"""Zones and radars from a file of whichever format: what it is, its content says.
+"""Zones and radars from a file, whose format is detected by its content.
 
 GeoJSON, KML (OGC 12-007r2, read as the GeoJSON that it corresponds to), and fence lists of
 Mission Planner and MAVProxy.

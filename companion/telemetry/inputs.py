@@ -1,4 +1,4 @@
-"""inputs.msgpack of a run folder: all that the session was told, in order (decision 0018).
+"""inputs.msgpack of a run folder: all inputs of the session, in order (decision 0018).
 
 A sequence of msgpack arrays: a header with schema and version, then one for each call of the
 session: its name, then its arguments.
@@ -49,7 +49,7 @@ class InputsFile:
     """Reads them again, as often as it is asked; memory is bounded by the longest record."""
 
     def __init__(self, path: Path) -> None:
-        """InputError if it is not such a file, or of a version that this companion cannot read."""
+        """InputError if it is another kind of file, or of an unsupported version."""
         self.path = path
         self.size_bytes = self.read_bytes = 0
         """Of the file, when it was read last; how much of it was read so far."""
@@ -93,9 +93,9 @@ class InputsFile:
 
 
 def whole_inputs(path: Path, start: int = 0) -> int:
-    """Where the last whole record ends.
+    """End of the last whole record.
 
-    start: where some record begins, to look no further back; 0 if the file is shorter than that.
+    start: the beginning of some record, to search from; 0 if the file is shorter.
     """
     at = start if start <= path.stat().st_size else 0
     with path.open("rb") as file:
@@ -109,7 +109,7 @@ def whole_inputs(path: Path, start: int = 0) -> int:
 
 
 def is_hole(path: Path, start: int) -> bool:
-    """Whether a file holds nothing but zeros from some place on, as after a power cut."""
+    """Whether a file has only zeros from an offset on, as after a power cut."""
     with path.open("rb") as file:
         file.seek(start)
         return not any(portion.strip(b"\0") for portion in iter(partial(file.read, _PORTION), b""))

@@ -26,7 +26,7 @@ from companion.mission.journal import KINDS, SCHEMA, VERSION, Entry, Header, ent
 from companion.mission.state import Reason
 
 _HEADER = b'{"schema":'
-_MOST_BYTES = 64 * 2**20  # of a line: a fence of 100,000 corners takes 4 MB
+_MAX_BYTES = 64 * 2**20  # of a line: a fence of 100,000 corners takes 4 MB
 _AS_WRITTEN = "Give the journal as the companion has written it."
 
 _Raw = dict[str, Any]
@@ -47,7 +47,7 @@ def _without_stops(entry: _Raw) -> _Raw:
     return entry
 
 
-_TO_NEXT: dict[int, Callable[[_Raw], _Raw]] = {1: _with_code, 2: _without_stops}
+_UPGRADES: dict[int, Callable[[_Raw], _Raw]] = {1: _with_code, 2: _without_stops}
 """How an entry of a version becomes one of the next."""
 
 
@@ -65,7 +65,7 @@ class Journal:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What was not as documented, each once, for people."""
+        """What was not as documented, each once, as text."""
         found = [f"{count} x {what}: left out" for what, count in self._unknown.items()]
         if self._torn_bytes:
             found.append(f"the last line is not whole ({self._torn_bytes} bytes): left out")
@@ -95,11 +95,11 @@ class Journal:
     def _whole_lines(self) -> Iterator[bytes]:
         try:
             with self.path.open("rb") as file:
-                while line := file.readline(_MOST_BYTES):
+                while line := file.readline(_MAX_BYTES):
                     if line.endswith(b"\n"):
                         yield line
-                    elif len(line) == _MOST_BYTES:
-                        rule = f"a line has no end within {_MOST_BYTES // 2**20} MB"
+                    elif len(line) == _MAX_BYTES:
+                        rule = f"a line has no end within {_MAX_BYTES // 2**20} MB"
                         raise InputError("journal", str(self.path), rule, _AS_WRITTEN)
                     else:
                         self._torn_bytes = len(line)
@@ -115,7 +115,7 @@ class Journal:
 
     def _reader_of(self, version: int) -> Callable[[bytes, str], Entry | None]:
         """What reads the entries of a version; older ones are brought up step by step."""
-        steps = [_TO_NEXT[each] for each in range(version, VERSION)]
+        steps = [_UPGRADES[each] for each in range(version, VERSION)]
 
         def read(text: bytes, where: str) -> Entry | None:
             raw = _decoded(text, where)

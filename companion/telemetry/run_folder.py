@@ -10,8 +10,8 @@
     resume.json    where the mission stands, and known.npz, the known map: for a restart in flight
     *.lost-1.*     what a restart could not read: kept, never written over
 
-Whatever was recorded stays readable to the last whole record, however the flight ends: each batch
-is handed to the operating system as soon as it is there.  resume.json, known.npz and run.json are
+Recorded data stays readable to the last whole record, however the flight ends: each batch is
+handed to the operating system at once.  resume.json, known.npz and run.json are
 replaced as a whole: there is always a whole one, older or newer.  They are forced to the disk too,
 so that a power cut does not take them, except where the vehicle is simulated and waits (`durable`).
 """
@@ -78,13 +78,13 @@ class RunFolder:
     ) -> None:
         """epoch_us: microseconds since 1970 at vehicle time 0, for the log's stamps.
 
-        set_aside: files that cannot be read, to be kept under another name.
+        set_aside: unreadable files, to be kept under another name.
 
-        durable: what is replaced outlives a power cut, not only this process.
+        durable: replaced files survive a power cut, not only this process.
 
-        resume: go on after whatever the folder holds.  InputError if it cannot be written to, or
-        holds a flight that is not to be resumed; a flight that is resumed goes on without being
-        recorded (`failure`).
+        resume: append to the folder's contents.  InputError if it cannot be written to, or holds a
+        flight that is not to be resumed; a resumed flight goes on without being recorded
+        (`failure`).
         """
         self.path = path
         self.failure: str | None = None
@@ -119,7 +119,7 @@ class RunFolder:
             raise InputError("--out", str(path), rule, "Give a folder that can be.") from error
 
     def _go_on(self, set_aside: Sequence[str]) -> None:
-        """Cut what a companion that was killed has left half written."""
+        """Truncate the incomplete records of a killed companion."""
         tlog, journal = self.path / "flight.tlog", self.path / "journal.jsonl"
         head: ResumeHead | None = None
         with suppress(OSError, ValueError):
@@ -164,7 +164,7 @@ class RunFolder:
         self._write(self._inputs, inputs.packed(told))
 
     def _write(self, file: io.FileIO | None, records: Sequence[bytes]) -> None:
-        """Write records, unless the disk has failed before: it must not end a flight."""
+        """Write records, unless the disk has failed before; never ends a flight."""
         batch = b"".join(records)
         if not batch or self.failure is not None or file is None:
             return
@@ -179,7 +179,7 @@ class RunFolder:
     # --- what is replaced
 
     def checkpoint(self, values: Mapping[str, Any]) -> None:
-        """Where the mission stands.  A disk that is full leaves the one before."""
+        """Replace the checkpoint.  A full disk leaves the previous one."""
         head = ResumeHead(
             epoch_us=self.epoch_us,
             starts=self._starts,
@@ -190,7 +190,7 @@ class RunFolder:
         self._replace("resume.json", lambda: journal_line(head))
 
     def known_map(self, known: KnownMap) -> None:
-        """What is known of the terrain.  A disk that is full leaves the one before."""
+        """Replace the known map.  A full disk leaves the previous one."""
         self._replace("known.npz", lambda: packed_map(known))
 
     def run_json(self, values: Mapping[str, Any]) -> None:
@@ -207,7 +207,7 @@ class RunFolder:
         return None
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         for file in (self._tlog, self._journal, self._inputs):
             if file is not None:
                 file.close()
@@ -249,7 +249,7 @@ def starts_of(journal: Path) -> int:
 
 
 def keep_aside(path: Path) -> None:
-    """Give a file that is there a name that no other has, so that it is not written over."""
+    """Rename an existing file to a unique name, so that it is not overwritten."""
     if not path.exists():
         return
     number = 1
@@ -322,21 +322,21 @@ class Records:
         return head
 
     def takes(self, records: bytes) -> bool:
-        """Whether exactly these records come next; then they are taken."""
+        """Whether exactly these records come next; if so they are consumed."""
         self._read(len(records))
         is_next = self._data.startswith(records, self._at)
         self._at += len(records) if is_next else 0
         return is_next
 
     def _read(self, size: int) -> None:
-        """Have so many bytes in memory, if there are as many."""
+        """Read until this many bytes are buffered, or to the end."""
         if len(self._data) - self._at < size:
             self._data_at += self._at
             self._data = self._data[self._at :] + self._file.read(size + _PORTION)
             self._at = 0
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
     def __enter__(self) -> Self:
@@ -402,9 +402,9 @@ def _replace(path: Path, content: bytes, *, durable: bool) -> None:
 
 
 def _cut(path: Path, size: int, *, longest_torn: int = _LONGEST_TORN) -> None:
-    """Take away what comes after the last whole record: one that is torn, or a hole of the disk.
+    """Truncate after the last whole record: a torn one, or zeros after a power cut.
 
-    If there is more than that, it may be readable to somebody: the file is kept aside.
+    If there is more than that, a copy of the file is kept.
     """
     has = path.stat().st_size
     if has == size:
@@ -416,7 +416,7 @@ def _cut(path: Path, size: int, *, longest_torn: int = _LONGEST_TORN) -> None:
 
 
 def _drop_torn(file: io.FileIO, records: Sequence[bytes], written: int) -> None:
-    """Take back the record of which only a part has been written."""
+    """Truncate a record that was written only in part."""
     torn = written
     for record in records:
         if torn < len(record):

@@ -1,1 +1,1 @@
-"""What people look at: figures, words, and the progress of a flight."""
+"""Figures, texts and the progress display of a flight."""

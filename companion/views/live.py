@@ -8,11 +8,11 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from companion.mission.decisions import words
-from companion.mission.state import IN_AIR, Reason, Taken
+from companion.mission.decisions import reason_text
+from companion.mission.state import IN_AIR, Reason, TakenOver
 from companion.mission.stopped import FAILSAFE_OVER
-from companion.telemetry.flown import Flown
-from companion.views.words import clearance_words
+from companion.telemetry.flight_summary import FlightSummary
+from companion.views.text import clearance_text
 
 _STANDS_S = 60.0  # a warning
 
@@ -28,7 +28,7 @@ class Progress:
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._told: tuple[object, ...] = ()
 
-    def show(self, flown: Flown) -> None:
+    def show(self, flown: FlightSummary) -> None:
         """Draw the flight as it stands now."""
         if self._broken:
             return
@@ -37,7 +37,7 @@ class Progress:
         except OSError:  # the terminal is gone; the flight goes on
             self._broken = True
 
-    def _show(self, flown: Flown) -> None:
+    def _show(self, flown: FlightSummary) -> None:
         state = flown.session.state
         if self._redraws:
             self._live.update(progress_table(flown), refresh=True)
@@ -56,7 +56,7 @@ class Progress:
                 self._live.stop()
 
 
-def progress_table(flown: Flown) -> Table:
+def progress_table(flown: FlightSummary) -> Table:
     """A heading and a line: fits into 80 columns."""
     state = flown.session.state
     table = Table(box=None, padding=(0, 1), pad_edge=False, caption_justify="left")
@@ -66,7 +66,7 @@ def progress_table(flown: Flown) -> Table:
     if flown.plans:
         values["subpath"] = f"{state.flight.legs_flown}"
         values["cost"] = f"{flown.plans[-1].cost:.2f}"
-        values["clearance"] = clearance_words(flown.plans[-1].certificate)
+        values["clearance"] = clearance_text(flown.plans[-1].certificate)
         values["planned in"] = f"{flown.plans_s[-1] * 1e3:.0f} ms"
     values["real time"] = f"{flown.times_real_time:.0f}x"
     for heading, width in zip(values, (10, 7, 8, 7, 5, 9, 10, 9), strict=True):
@@ -78,7 +78,7 @@ def progress_table(flown: Flown) -> Table:
     return table
 
 
-def progress_line(flown: Flown) -> str:
+def progress_line(flown: FlightSummary) -> str:
     """Phase, time, distance to go, subpath, its cost and clearance, planning time, speed-up."""
     session = flown.session
     state = session.state
@@ -89,7 +89,7 @@ def progress_line(flown: Flown) -> str:
         newest = flown.plans[-1]
         parts.append(f"subpath {state.flight.legs_flown:2d}")
         parts.append(f"cost {newest.cost:5.2f}")
-        parts.append(f"clearance {clearance_words(newest.certificate):>9}")
+        parts.append(f"clearance {clearance_text(newest.certificate):>9}")
     if flown.plans_s:
         parts.append(f"planned in {flown.plans_s[-1] * 1e3:4.0f} ms")
     if session.now_s > 0.0:
@@ -99,17 +99,17 @@ def progress_line(flown: Flown) -> str:
     return "  ".join(parts)
 
 
-def _notice(flown: Flown) -> str:
-    """Why the mission holds, and what its autopilot is about; else what was warned of just now."""
+def _notice(flown: FlightSummary) -> str:
+    """Why the mission holds, and the autopilot's failsafe; else the latest warning."""
     state, (reason, over, failsafe, warning) = flown.session.state, _news(flown)
     if over:
         return FAILSAFE_OVER
     if reason is not None:
-        return f"{reason.text}{words(state, reason)[0]}"
+        return f"{reason.text}{reason_text(state, reason)[0]}"
     return "the autopilot is in failsafe" if failsafe else warning
 
 
-def _news(flown: Flown) -> tuple[Reason | None, bool, bool, str]:
+def _news(flown: FlightSummary) -> tuple[Reason | None, bool, bool, str]:
     """What a notice is about: the reason to hold, the autopilot's failsafe, and a warning.
 
     A warning is old once the mission has moved on, or it has stood for a while.
@@ -118,6 +118,6 @@ def _news(flown: Flown) -> tuple[Reason | None, bool, bool, str]:
     said_in_phase = warned_at_s >= state.since_s
     stands = said_in_phase and 0.0 <= flown.session.now_s - warned_at_s < _STANDS_S
     failsafe = state.vehicle.failsafe and state.phase in IN_AIR
-    told = isinstance(state.hold, Taken) and state.hold.failsafe_over
+    told = isinstance(state.hold, TakenOver) and state.hold.failsafe_over
     over = told and state.reason is Reason.FAILSAFE
     return state.reason, over, failsafe, warning if stands else ""

@@ -10,7 +10,7 @@ from companion.mission.events import Vector
 from companion.mission.mission import Mission
 from companion.planner.offline import OfflineFlight
 from companion.planner.procedure import Leg
-from companion.telemetry.flown import Flown
+from companion.telemetry.flight_summary import FlightSummary
 from companion.world.known_map import KnownMap
 
 _SPACING_M = 100.0
@@ -25,7 +25,7 @@ def draw_offline(flight: OfflineFlight, mission: Mission, truth: KnownMap, path:
     return length_m
 
 
-def draw_flown(flown: Flown, path: Path) -> None:
+def draw_flown(flown: FlightSummary, path: Path) -> None:
     """Draw a flight over the terrain that it came to know."""
     session = flown.session
     legs = tuple(Leg.of(planned, number) for number, planned in enumerate(flown.plans, start=1))

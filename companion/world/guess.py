@@ -1,4 +1,4 @@
-"""The best guess of terrain that nobody has seen: what guidance reads, and no proof ever does.
+"""Estimate of unseen terrain for guidance; never used in proofs.
 
 Where the mission gives terrain for guidance (`KnownMap.guess_m`), that.  Else what has been seen is
 continued: Gaussian-process regression (kriging) with a squared exponential covariance, which gives
@@ -19,7 +19,7 @@ _REACH = 6.0  # of R about here: what lies farther away is as it was seen, or pl
 _FINE = 1.6  # of R about here: farther away the guess is as coarse as its blocks
 _BLOCK = 0.05  # of R: what was seen is averaged over such squares
 _RIM = 0.2  # of R: what was seen farther inside says nothing of what was not
-_MOST_BLOCKS = 300  # the nearest of them, and as many farther away
+_MAX_BLOCKS = 300  # the nearest of them, and as many farther away
 _HIGH = 0.2  # of the highest that was seen: only higher ones count far away
 _SCALES = (0.15, 0.2, 0.27)  # of R: lengths of the covariance, the likeliest is taken
 _NOISE = 0.02  # of the amplitude: cells are as high as the highest in them, not as their middle
@@ -122,9 +122,9 @@ def _rim(
     here = (np.array(here_ne_m) - (known.north_min_m, known.east_min_m)) / across_m - 0.5
     away = ((chosen - here) ** 2).sum(axis=1)
     chosen = chosen[np.argsort(away, kind="stable")]
-    far = chosen[_MOST_BLOCKS:]
-    far = far[(far % 2 == 0).all(axis=1) & high[*far.T]][:_MOST_BLOCKS]
-    return np.concatenate([chosen[:_MOST_BLOCKS], far])
+    far = chosen[_MAX_BLOCKS:]
+    far = far[(far % 2 == 0).all(axis=1) & high[*far.T]][:_MAX_BLOCKS]
+    return np.concatenate([chosen[:_MAX_BLOCKS], far])
 
 
 def _likeliest(
@@ -134,8 +134,8 @@ def _likeliest(
 
     Judged by every other of many blocks: the work grows with the third power.
     """
-    every = 1 if len(rise_m) < _MOST_BLOCKS // 2 else 2
-    some, rise = points_ne_m[:_MOST_BLOCKS:every], rise_m[:_MOST_BLOCKS:every]
+    every = 1 if len(rise_m) < _MAX_BLOCKS // 2 else 2
+    some, rise = points_ne_m[:_MAX_BLOCKS:every], rise_m[:_MAX_BLOCKS:every]
     best, likeliest = -np.inf, _SCALES[0] * range_m
     for scale in _SCALES:
         factor, weights = _solved(some, rise, scale * range_m)

@@ -1,4 +1,4 @@
-"""What the vehicle's scans have shown of the terrain so far.
+"""The known map: the terrain seen by the vehicle's scans so far.
 
 The map is a lattice of square cells over the mission's area, in the local frame.  Each cell
 holds an upper bound of the terrain in it: the highest terrain where a scan saw the cell, the
@@ -390,7 +390,7 @@ def packed_map(known: KnownMap) -> bytes:
 
 
 def unpacked_map(data: bytes) -> KnownMap:
-    """The map that they were made of.  ValueError if they cannot be read."""
+    """Decode a map.  ValueError if the data cannot be read."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as held:
             cell_m, north_m, east_m, registration_m = held["lattice"].tolist()
@@ -407,7 +407,7 @@ def unpacked_map(data: bytes) -> KnownMap:
 
 
 def digest_of(known: KnownMap) -> str:
-    """What tells a map from any other, to the millimetre: the same on every computer."""
+    """Digest of a map, rounded to millimetres: the same on every computer."""
     lattice = known.cell_m, known.north_min_m, known.east_min_m, known.registration_m
     digest = hashlib.sha256(repr((known.upper_m.shape, _millimetres(lattice).tolist())).encode())
     digest.update(_millimetres(known.upper_m).astype("<i8").tobytes())

@@ -155,7 +155,7 @@ def edges_of(vertices_ne_m: tuple[tuple[float, float], ...]) -> FloatArray:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NearCells:
-    """Cells of an area in which some zone may be near: elsewhere nobody needs to look."""
+    """Cells of an area that may be near a zone: elsewhere no check is needed."""
 
     north_min_m: float
     east_min_m: float
@@ -172,7 +172,7 @@ class NearCells:
         return ~inside | self.near[row, column]
 
 
-_MOST_CELLS = 512  # across
+_MAX_CELLS = 512  # across
 
 
 @lru_cache(maxsize=4)
@@ -187,7 +187,7 @@ def near_cells(
     Kept, and not to be changed.
     """
     most = max(north_m[1] - north_m[0], east_m[1] - east_m[0])
-    cell_m = max(0.5 * distance_m, most / _MOST_CELLS)
+    cell_m = max(0.5 * distance_m, most / _MAX_CELLS)
     north, east = (
         low + cell_m * np.arange(0.5, math.ceil((high - low) / cell_m), dtype=np.float64)
         for low, high in (north_m, east_m)

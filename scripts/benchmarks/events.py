@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pair import Pair
 from rich.table import Table
 
-from companion.mavlink.vehicle import VehicleSide
+from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mission import checkpoint, entries, machine
 from companion.runtime.compiler import load_kernel
 from companion.session import Session
@@ -113,8 +113,8 @@ def fly(vehicle: str, zones: int, corners: int, limit_s: float = 400.0) -> tuple
     patched = (
         (machine, "step", lambda _state, event, *_: type(event).__name__),
         (entries, "of_event", lambda event, *_: f"journal of {type(event).__name__}"),
-        (VehicleSide, "events", lambda *_: "fence and parameters"),
-        (checkpoint.Keeper, "due", lambda *_: "checkpoint"),
+        (AutopilotClient, "events", lambda *_: "fence and parameters"),
+        (checkpoint.CheckpointPolicy, "due", lambda *_: "checkpoint"),
         (Session, "receive", lambda *_: "bytes in"),
         (Session, "run", lambda *_: "whole turn"),
     )

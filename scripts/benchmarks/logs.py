@@ -48,7 +48,7 @@ DECODES = _READER.format(
     _OPENS.format("sum(len(receiver.feed(each.frame)) for each in log.records())")
 )
 ROWS = _READER.format("""from companion.telemetry.logs import dataflash, ulog
-from companion.telemetry.logs.findings import Findings
+from companion.telemetry.logs.anomalies import Findings
 from companion.telemetry.logs.window import Window
 class All:
     __contains__ = lambda self, name: name != "FMT"

@@ -8,7 +8,7 @@ from flights import HILLS, HILLS_MISSION, launch, run
 from programs import Program
 
 from companion.config import load_mission
-from companion.replay.same import Replay
+from companion.replay.reproduce import Replay
 from companion.runtime.compiler import load_kernel
 
 pytestmark = [pytest.mark.closed_loop, pytest.mark.nightly]  # and a golden flight is such a one

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from companion.compare import effects, table_1
-from companion.compare.dense import Violations
 from companion.compare.missions import Run
 from companion.compare.pictures import compose_effect, compose_table
+from companion.compare.violations import Violations
 
 CLEAN = Violations(
     route_m=150_000.0,

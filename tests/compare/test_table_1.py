@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.compare import table_1
-from companion.compare.dense import Violations
 from companion.compare.missions import Run
+from companion.compare.violations import Violations
 
 CLEAN = Violations(
     route_m=150_000.0,

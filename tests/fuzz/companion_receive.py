@@ -31,12 +31,12 @@ from companion.path.certificate import Certificate
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.planner.request import (
+    Backtrack,
     NotPlanned,
     Planned,
     PlanOutcome,
     PlanRequest,
     Refusal,
-    WayBack,
 )
 from companion.planner.settings import PlannerSettings, Task
 from companion.session import Session
@@ -136,7 +136,7 @@ def mission(autopilot: str, kind: str) -> Mission:
 def straight_plan(request: PlanRequest) -> PlanOutcome:
     """A straight and level subpath to the target; no way back."""
     if request.flown is not None:
-        return WayBack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
+        return Backtrack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
     start = np.asarray(request.start.position_nea_m, dtype=np.float64)
     target = np.array([*request.target_ne_m, start[2]])
     far = {"keep_out_m": math.inf, "turn_radius_m": math.inf, "pieces": 1, "broken": ()}

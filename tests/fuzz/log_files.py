@@ -11,7 +11,7 @@ from pathlib import Path
 
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.frames import Receiver
-from companion.telemetry.logs import Log, Oddity, Record, open_log
+from companion.telemetry.logs import Anomaly, Log, Record, open_log
 
 _GPS_EPOCH_S = 315_964_800
 _LETTERS = {"n": "4s", "N": "16s", "Z": "64s", "c": "h", "C": "H", "e": "i", "E": "I"}
@@ -101,7 +101,7 @@ def of(messages: list[Message], kind: str) -> list[Message]:
     return [message for message in messages if message.get_type() == kind]
 
 
-def counts(log: Log) -> dict[Oddity, int]:
+def counts(log: Log) -> dict[Anomaly, int]:
     """How often each oddity was met, as far as the log has been read."""
     return {finding.oddity: finding.count for finding in log.findings}
 

@@ -15,9 +15,8 @@ from typing import Any, Literal
 import numpy as np
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.autopilots import ALL, Autopilot, Here, autopilot_of, heading_rad
+from companion.mavlink.autopilots import ALL, Autopilot, LaunchPose, autopilot_of, heading_rad
 from companion.mavlink.dialect import codec, wire
-from companion.mission.driving import TakeOffWay
 from companion.mission.events import (
     Echo,
     Estimator,
@@ -35,6 +34,7 @@ from companion.mission.events import (
     Vector,
     VehicleStatus,
 )
+from companion.mission.vehicle_traits import TakeoffSequence
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import flat_world
 
@@ -53,7 +53,7 @@ _READ = {
     wire.MAVLINK_MSG_ID_COMMAND_ACK,
     wire.MAVLINK_MSG_ID_STATUSTEXT,
     wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-    *[number for autopilot in ALL for number in (*autopilot.streams_hz, *autopilot.asked_once)],
+    *[number for autopilot in ALL for number in (*autopilot.streams_hz, *autopilot.requested_once)],
 }
 
 
@@ -293,7 +293,7 @@ class Driver:
             # a plane sends everything at 1 Hz unasked
             if max(silent_s, self._interval_s.get(number, 0.0)) > 1.5 / hz:
                 self._command(wire.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / hz)
-        for number in self.pilot.asked_once:
+        for number in self.pilot.requested_once:
             if number not in self._heard_s:
                 self._command(wire.MAV_CMD_REQUEST_MESSAGE, number)
 
@@ -319,33 +319,33 @@ class Driver:
         """In the autopilot's own way, until it flies at this height above home."""
         home = self.newest[Home].position_nea_m
         command = TakeOff(above_home_m=height_m, altitude_amsl_m=home[2] + height_m)
-        here = Here(position_nea_m=self.here, heading_rad=self.heading_rad)
+        here = LaunchPose(position_nea_m=self.here, heading_rad=self.heading_rad)
         messages = self.pilot.take_off(command, here, self.frame, SYSTEM)
         flying = lambda: self.landed is Landed.IN_AIR  # noqa: E731
         arm = lambda: self.send(self.pilot.arm(SYSTEM))  # noqa: E731
-        match self.pilot.driving.take_off:
-            case TakeOffWay.GUIDED_THEN_CLIMB:
+        match self.pilot.traits.take_off:
+            case TakeoffSequence.GUIDED_THEN_CLIMB:
                 self.ask_mode(Mode.GUIDED)
                 self.until(lambda: self.armed, 30.0, arm)
                 self.until(
                     lambda: self.landed is not Landed.ON_GROUND, 20.0, lambda: self.send(messages)
                 )
                 self.until(flying, 30.0 + height_m)
-            case TakeOffWay.MODE_THEN_ARM:
+            case TakeoffSequence.MODE_THEN_ARM:
                 self.ask_mode(Mode.TAKE_OFF)
                 self.until(lambda: self.armed, 30.0, arm)
                 self.until(flying, 60.0)
                 self.ask_mode(Mode.GUIDED)
                 self.stay((*self.here[:2], command.altitude_amsl_m))
                 self.until(lambda: abs(self.here[2] - command.altitude_amsl_m) < 5.0, 120.0)
-            case TakeOffWay.CLIMB_THEN_ARM:
+            case TakeoffSequence.CLIMB_THEN_ARM:
                 self.until(lambda: self.mode is Mode.TAKE_OFF, 20.0, lambda: self.send(messages))
                 self.until(lambda: self.armed, 30.0, arm)
                 self.until(lambda: self.mode is Mode.HOLD, 60.0 + height_m)
 
     def setpoint(self, setpoint: Setpoint) -> None:
         """Send one, if the last was long enough ago."""
-        if setpoint.time_s - self._setpoint_s < self.pilot.driving.setpoint_period_s - 1e-6:
+        if setpoint.time_s - self._setpoint_s < self.pilot.traits.setpoint_period_s - 1e-6:
             return
         self._setpoint_s = setpoint.time_s
         messages = self.pilot.setpoint(
@@ -369,7 +369,7 @@ class Driver:
         self.on_position = reference.send
         if self.mode is not Mode.GUIDED:
             self.until(lambda: self.mode is Mode.GUIDED, 20.0, lambda: self.set_mode(Mode.GUIDED))
-        lead_m = self.pilot.driving.lead_s * speed_m_s
+        lead_m = self.pilot.traits.lead_s * speed_m_s
         while reference.length_m < route.length_m - lead_m - 1.0:
             self.run(0.1)
             assert self.mode is Mode.GUIDED
@@ -414,10 +414,10 @@ class _Reference:
 
     def send(self, position: Position) -> None:
         driver = self._driver
-        driving = driver.pilot.driving
+        traits = driver.pilot.traits
         elapsed_s = 0.0 if self._last_s is None else position.time_s - self._last_s
         self._last_s = position.time_s
-        if driving.hovers:
+        if traits.hovers:
             if driver.mode is Mode.GUIDED:
                 grown = self.speed_m_s + _ACCELERATION_M_S2 * elapsed_s
                 self.speed_m_s = min(grown, self._speed_m_s)
@@ -426,7 +426,7 @@ class _Reference:
             nearest_m = self._route.nearest_m(position.position_nea_m, self.length_m)
             self.length_m = max(self.length_m, nearest_m)
             self.speed_m_s = math.hypot(*position.velocity_nea_m_s)
-        ahead_m = driving.lead_s * self.speed_m_s
+        ahead_m = traits.lead_s * self.speed_m_s
         point, tangent = self._route.at(self.length_m + ahead_m)
         velocity = tuple(self.speed_m_s * t for t in tangent)
         driver.setpoint(

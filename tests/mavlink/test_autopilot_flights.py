@@ -138,7 +138,7 @@ def test_it_follows_a_curve(who: Who, lateral_m_s2: float, most_m: float) -> Non
 @each
 def test_the_echo_is_the_setpoint_and_px4s_plane_has_none(who: Who) -> None:
     driver, flight = _cruising(who)
-    assert bool(flight.echo_off_m) == driver.pilot.driving.echoes
+    assert bool(flight.echo_off_m) == driver.pilot.traits.reports_target
     settled = flight.echo_off_m[20:]
     assert max(settled, default=0.0) < 0.1
 

@@ -17,7 +17,7 @@ from companion.mavlink.autopilots import (
     PX4_FIXED_WING,
     PX4_MULTICOPTER,
     Autopilot,
-    Here,
+    LaunchPose,
     autopilot_of,
     described,
 )
@@ -53,7 +53,7 @@ def test_a_heartbeat_tells_which_autopilot_it_is(
     autopilot: int, kind: int, expected: Autopilot
 ) -> None:
     assert autopilot_of(heartbeat(autopilot, kind)) is expected
-    assert described(heartbeat(autopilot, kind)) == expected.name == expected.driving.name
+    assert described(heartbeat(autopilot, kind)) == expected.name == expected.traits.name
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_a_mode_that_there_is_not_is_not_asked_for(autopilot: Autopilot, mode: M
 @each
 def test_what_lands_has_a_mode_for_it(autopilot: Autopilot) -> None:
     lands = bool(autopilot.set_mode(SetMode(mode=Mode.LAND), FRAME, SYSTEM))
-    assert lands == autopilot.driving.lands
+    assert lands == autopilot.traits.lands
 
 
 @pytest.mark.parametrize(
@@ -202,7 +202,7 @@ CLIMB = TakeOff(above_home_m=60.0, altitude_amsl_m=548.0)
 
 
 def take_off(autopilot: Autopilot, heading_rad: float, command: TakeOff = CLIMB) -> Any:
-    here = Here(position_nea_m=CORNER, heading_rad=heading_rad)
+    here = LaunchPose(position_nea_m=CORNER, heading_rad=heading_rad)
     messages = autopilot.take_off(command, here, FRAME, SYSTEM)
     return over_the_wire(messages[0]) if messages else None
 
@@ -283,7 +283,7 @@ def test_only_arduplane_refuses_a_setpoint_in_words(result: int) -> None:
 @each
 def test_streams_have_rates_and_what_may_be_silent_is_one_of_them(autopilot: Autopilot) -> None:
     assert all(rate_hz > 0 for rate_hz in autopilot.streams_hz.values())
-    assert autopilot.silent_at_times <= set(autopilot.streams_hz)
+    assert autopilot.intermittent <= set(autopilot.streams_hz)
     assert wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT not in autopilot.streams_hz
 
 

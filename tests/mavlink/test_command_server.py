@@ -16,8 +16,8 @@ from pymavlink.dialects.v20 import all as wire
 from companion.config import load_mission
 from companion.geodesy import LocalFrame
 from companion.mavlink.addressing import Reply
-from companion.mavlink.commands import CommandServer, meant, speed_bounds_m_s
-from companion.mavlink.presence import Presence
+from companion.mavlink.commands import CommandServer, from_float32, speed_bounds_m_s
+from companion.mavlink.own_messages import OwnMessages
 from companion.mission.events import Order, OrderKind
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -49,11 +49,11 @@ def made(
         commanders=((255, 0), (1, 191)),
         frame=LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1]),
         limits=limits or MISSION.task.limits,
-        presence=Presence(version="1.2.3", sends_obstacles=obstacles),
+        own_messages=OwnMessages(version="1.2.3", sends_obstacles=obstacles),
     )
 
 
-def presence_of(server: CommandServer) -> Presence:
+def presence_of(server: CommandServer) -> OwnMessages:
     return server._presence
 
 
@@ -464,10 +464,10 @@ def test_no_message_whatever_breaks_it(
 def test_a_number_that_somebody_wrote_comes_back(number: Any) -> None:
     [on_the_wire] = struct.unpack("<f", struct.pack("<f", float(number)))
     if float(f"{float(number):.6g}") == float(number):
-        assert meant(on_the_wire) == float(number)
+        assert from_float32(on_the_wire) == float(number)
 
 
 @given(st.floats(width=32))
 def test_and_is_never_another_float(value: float) -> None:
-    same = struct.pack("<f", meant(value)) == struct.pack("<f", value)
+    same = struct.pack("<f", from_float32(value)) == struct.pack("<f", value)
     assert same or math.isnan(value)

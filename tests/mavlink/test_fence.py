@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from companion.geodesy import LocalFrame, deg_e7
 from companion.mavlink.fence import (
-    Drawing,
     Fence,
+    FenceBuilder,
     conflicts,
     in_force,
     margin_m,
@@ -47,8 +47,8 @@ def zones_of(
     items: Sequence[PlanItem], frame: LocalFrame, parameters: dict[str, float], **where: Any
 ) -> Fence:
     """A fence drawn to its end, and what parameters make of it."""
-    drawing = Drawing(items, frame, margin_m(parameters))
-    while (drawn := drawing.go_on()) is None:
+    drawing = FenceBuilder(items, frame, margin_m(parameters))
+    while (drawn := drawing.build_some()) is None:
         pass
     return in_force(drawn, parameters, **where)
 
@@ -132,7 +132,7 @@ def test_what_zones_allow_both_autopilots_allow(drawn: Any, points: Any) -> None
 def test_a_margin_is_kept_from_every_edge(shape: Any, points: Any, margin_m: float) -> None:
     bare = zones_of(shape, FRAME, ON)
     fence = zones_of(shape, FRAME, {**ON, "FENCE_MARGIN": margin_m})
-    if fence.refusal or any("without" in said for said in fence.said):
+    if fence.refusal or any("without" in said for said in fence.notes):
         return
     for at in points:
         if room_m(fence, at) > 0.0:
@@ -157,7 +157,7 @@ def test_a_long_side_is_where_the_autopilot_has_it() -> None:
 def test_out_of_a_polygon_that_crosses_itself_means_out_of_its_hull() -> None:
     bow = ((-100.0, -100.0), (100.0, 100.0), (100.0, -100.0), (-100.0, 100.0))
     fence = zones_of(ring(OUT, *bow), FRAME, ON)
-    assert "crosses itself" in fence.said[0]
+    assert "crosses itself" in fence.notes[0]
     assert allowed_by_ardupilot(ring(OUT, *bow), ON, (0.0, 90.0))  # a hole by the even-odd rule
     assert room_m(fence, (0.0, 90.0)) < -5.0
     inside = zones_of(ring(IN, *bow), FRAME, ON)
@@ -173,7 +173,7 @@ def test_inclusions_of_which_one_is_enough_are_those_that_the_vehicle_is_in() ->
         assert [zone.name for zone in fence.zones] == ["fence inclusion 1"]
     both = zones_of(items, FRAME, ON, here_ne_m=(10.0, 0.0))
     assert len(both.zones) == 2
-    assert "inside of all of" in both.said[0]
+    assert "inside of all of" in both.notes[0]
     assert len(zones_of(items, FRAME, {}).zones) == 2
 
 
@@ -251,13 +251,13 @@ def test_an_exclusion_that_lacks_corners_is_its_hull_and_return_points_are_none(
     assert isinstance(zone, PolygonZone)
     assert len(zone.vertices_ne_m) == 3
     assert fence.refusal.startswith("fence exclusion 1 is incomplete")
-    assert [said.split(":")[0] for said in fence.said] == ["fence exclusion 2"]
+    assert [said.split(":")[0] for said in fence.notes] == ["fence exclusion 2"]
 
 
 def test_a_fence_that_is_off_is_kept_and_said() -> None:
     fence = zones_of(ring(OUT, *SQUARE), FRAME, {**ON, "FENCE_ENABLE": 0.0})
     assert len(fence.zones) == 1
-    assert "FENCE_ENABLE = 0" in fence.said[0]
+    assert "FENCE_ENABLE = 0" in fence.notes[0]
 
 
 # --- about home -----------------------------------------------------------------------------------
@@ -353,7 +353,7 @@ def test_targets_are_the_places_between_take_off_and_the_end() -> None:
     found = targets_of(items, FRAME, home_first=True)
     assert [round(north) for north, _ in found.targets_ne_m] == [100, 200, 300]
     assert found.end_action is EndAction.RETURN
-    assert found.said == (
+    assert found.notes == (
         "item 2 (DO_CHANGE_SPEED) is not flown: left out",
         "item 6 (NAV_LOITER_TURNS) names no place: left out",
         "items 8 to 8 come after the end: left out",

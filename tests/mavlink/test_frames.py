@@ -9,8 +9,8 @@ from companion.mavlink.dialect import wire
 from companion.mavlink.frames import (
     LONGEST,
     Receiver,
-    claim,
     find_marker,
+    frame_extent,
     intact_end,
     number_of,
     payload_of,
@@ -48,7 +48,7 @@ def test_the_longest_frame_is_a_signed_one_with_all_of_its_payload() -> None:
     frame = bytes(wire.MAVLink_file_transfer_protocol_message(0, 1, 1, content).pack(codec))
     assert len(frame) == LONGEST - 1  # no message of 255 bytes can be packed in this dialect
     assert intact_end(frame, 0) == len(frame)
-    assert claim(frame, 0)[0] == len(frame)
+    assert frame_extent(frame, 0)[0] == len(frame)
 
 
 def test_the_frames_found_in_noise_are_those_that_the_receiver_finds() -> None:
@@ -61,7 +61,7 @@ def test_the_frames_found_in_noise_are_those_that_the_receiver_finds() -> None:
     data = bytes(noisy)
     found, at = [], 0
     while (marker := find_marker(data, at)) is not None:
-        end = claim(data, marker.start())[0]
+        end = frame_extent(data, marker.start())[0]
         if 0 < end <= len(data) and intact_end(data, marker.start()):
             found.append(data[marker.start() : end])
             at = end

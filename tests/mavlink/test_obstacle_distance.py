@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import all as wire
 
 from companion.geodesy import FloatArray, LocalFrame
 from companion.mavlink.dialect import codec
-from companion.mavlink.obstacle_distance import Around, distances_cm, obstacle_distance
+from companion.mavlink.obstacle_distance import VehicleSurroundings, distances_cm, obstacle_distance
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.threats import CircleZone, PolygonZone, Zone
 
@@ -27,12 +27,16 @@ def flat(cell_m: float = 25.0, height_m: float = 100.0) -> KnownMap:
     return replace(known, upper_m=np.full_like(known.upper_m, height_m))
 
 
-def around(known: KnownMap | None = None, zones: tuple[Zone, ...] = (), **changes: Any) -> Around:
+def around(
+    known: KnownMap | None = None, zones: tuple[Zone, ...] = (), **changes: Any
+) -> VehicleSurroundings:
     values = {"frame": FRAME, "position_nea_m": (0.0, 0.0, ALTITUDE_M)} | changes
-    return Around(known=flat() if known is None else known, zones=zones, **values)
+    return VehicleSurroundings(known=flat() if known is None else known, zones=zones, **values)
 
 
-def marched_m(where: Around, azimuths_rad: FloatArray, reach_m: float = REACH_M) -> FloatArray:
+def marched_m(
+    where: VehicleSurroundings, azimuths_rad: FloatArray, reach_m: float = REACH_M
+) -> FloatArray:
     """How far rays in these directions of the local frame come.  (N,) -> (N,), inf: all the way."""
     here = where.position_nea_m
     along = np.arange(0.0, reach_m, 1.0)

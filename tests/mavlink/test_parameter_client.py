@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.mavlink.dialect import wire
-from companion.mavlink.judgement import names_of
+from companion.mavlink.parameter_checks import names_of
 from companion.mavlink.parameter_client import (
     ANSWER_S,
     ParameterClient,

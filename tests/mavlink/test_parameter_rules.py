@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from companion.config import bundled, load_mission
 from companion.geodesy import LocalFrame
-from companion.mavlink.judgement import (
-    Finding,
+from companion.mavlink.parameter_checks import (
+    ParameterIssue,
     ParameterRule,
     Severity,
-    judge,
+    check_parameters,
     names_of,
     value_of,
 )
@@ -83,7 +83,7 @@ PX4 = defaults("px4", "copter") | {"COM_OBL_RC_ACT": 5.0}
 PX4_WING = defaults("px4", "plane") | {"COM_OBL_RC_ACT": 5.0}
 
 
-def found(findings: Iterable[Finding], name: str) -> Finding | None:
+def found(findings: Iterable[ParameterIssue], name: str) -> ParameterIssue | None:
     (one,) = [finding for finding in findings if finding.name == name] or [None]
     return one
 
@@ -96,7 +96,7 @@ def of(
     of_mission: Mission,
 ) -> tuple[Severity | None, float | None]:
     """What is said about one parameter with this value, all others being as given."""
-    finding = found(judge(rules, values | {name: value}, of_mission), name)
+    finding = found(check_parameters(rules, values | {name: value}, of_mission), name)
     return (None, None) if finding is None else (finding.severity, finding.set_to)
 
 
@@ -107,7 +107,7 @@ def of(
 def test_defaults_are_safe_but_for_what_was_measured_not_to_be(
     firmware: Firmware, kind: Kind
 ) -> None:
-    findings = judge(TABLES[firmware, kind], defaults(firmware, kind), mission(kind))
+    findings = check_parameters(TABLES[firmware, kind], defaults(firmware, kind), mission(kind))
     wrong = {(each.name, each.severity) for each in findings if each.severity is not NOTE}
     # px4.md 6: without RC the vehicle sinks when the stream stops
     assert wrong == ({("COM_OBL_RC_ACT", SET)} if firmware == "px4" else set())
@@ -120,7 +120,7 @@ def test_the_bundled_missions_fit_the_vehicles_that_fly_them(name: str) -> None:
     flown = world.vehicle
     assert (loaded.kind, loaded.autopilot) == (flown.kind, flown.autopilot)
     values = Simulation(world, seed=0).parameters.values()
-    findings = judge(TABLES[flown.autopilot, flown.kind], values, loaded)
+    findings = check_parameters(TABLES[flown.autopilot, flown.kind], values, loaded)
     wrong = {each.name for each in findings if each.severity is not NOTE}
     assert wrong == ({"COM_OBL_RC_ACT"} if flown.autopilot == "px4" else set())
 
@@ -152,7 +152,7 @@ def test_what_is_set_is_taken_and_then_nothing_is_left_to_set(
     rules, flown = TABLES[firmware, kind], mission(kind)
     client = ParameterClient(1, names_of(rules), bytewise=firmware == "px4")
     held.run(10.0, client, lambda: client.is_done)
-    findings = judge(rules, client.values, flown)
+    findings = check_parameters(rules, client.values, flown)
     to_set = [each for each in findings if each.severity is SET]
     assert {each.name for each in to_set} >= set(worst)
     for each in to_set:
@@ -160,33 +160,37 @@ def test_what_is_set_is_taken_and_then_nothing_is_left_to_set(
         client.set(each.name, each.set_to)
     held.run(10.0, client, lambda: client.is_done)
     assert client.failed_sets == {}
-    left = judge(rules, client.values, flown)
+    left = check_parameters(rules, client.values, flown)
     assert [str(each) for each in left if each.severity is not NOTE] == []
 
 
 @ALL_FOUR
 def test_a_mission_that_sets_nothing_refuses_instead(firmware: Firmware, kind: Kind) -> None:
     values = defaults(firmware, kind) | {"COM_OBL_RC_ACT": 0.0, "GUID_TIMEOUT": 5.0}
-    asked = judge(TABLES[firmware, kind], values, mission(kind))
-    refused = judge(TABLES[firmware, kind], values, mission(kind, sets=False))
+    asked = check_parameters(TABLES[firmware, kind], values, mission(kind))
+    refused = check_parameters(TABLES[firmware, kind], values, mission(kind, sets=False))
     assert not [each for each in refused if each.severity is SET or each.set_to is not None]
     names = {each.name for each in asked if each.severity in (SET, REFUSE)}
     assert {each.name for each in refused if each.severity is REFUSE} == names
 
 
 def test_a_line_names_parameter_value_rule_and_remedy() -> None:
-    findings = judge(PX4_MULTICOPTER_RULES, PX4 | {"COM_OBL_RC_ACT": 0.0}, mission())
+    findings = check_parameters(PX4_MULTICOPTER_RULES, PX4 | {"COM_OBL_RC_ACT": 0.0}, mission())
     assert str(findings[0]) == (
         "COM_OBL_RC_ACT = 0: when the stream stops the vehicle sinks without RC. It is set to 5."
     )
     for rules, values in ((PX4_MULTICOPTER_RULES, PX4), (ARDUCOPTER_RULES, ARDUCOPTER)):
-        for each in judge(rules, values, mission(sets=False, speed_m_s=40.0, climb_rate_m_s=9.0)):
+        for each in check_parameters(
+            rules, values, mission(sets=False, speed_m_s=40.0, climb_rate_m_s=9.0)
+        ):
             assert "\n" not in str(each)
             assert len(str(each)) < 300
 
 
 def test_the_worst_comes_first() -> None:
-    findings = judge(PX4_MULTICOPTER_RULES, PX4 | {"COM_OBL_RC_ACT": 0.0}, mission(speed_m_s=30.0))
+    findings = check_parameters(
+        PX4_MULTICOPTER_RULES, PX4 | {"COM_OBL_RC_ACT": 0.0}, mission(speed_m_s=30.0)
+    )
     order = [each.severity for each in findings]
     assert order == sorted(order, key=[REFUSE, SET, NOTE].index)
 
@@ -198,9 +202,9 @@ def test_what_the_autopilot_does_not_have_is_refused_only_if_it_is_essential(
     rules, values = TABLES[firmware, kind], defaults(firmware, kind)
     for rule in rules:
         without = {k: v for k, v in values.items() if k not in [each.name for each in rule.names]}
-        finding = found(judge(rules, without, mission(kind)), rule.name)
+        finding = found(check_parameters(rules, without, mission(kind)), rule.name)
         assert (None if finding is None else finding.severity) is rule.if_missing
-    (nothing,) = judge(rules, {}, mission(kind))
+    (nothing,) = check_parameters(rules, {}, mission(kind))
     assert nothing.severity is REFUSE
 
 
@@ -213,7 +217,7 @@ def test_no_value_whatever_raises(values: dict[str, float]) -> None:
         (ARDUPLANE_RULES, ARDUPLANE),
     ):
         wild = dict(zip(usual, values.values(), strict=False))
-        for finding in judge(rules, usual | values | wild, mission(), 480.0):
+        for finding in check_parameters(rules, usual | values | wild, mission(), 480.0):
             assert finding.set_to is None or math.isfinite(finding.set_to)
 
 
@@ -352,7 +356,7 @@ def test_circles_fit_into_what_is_kept_clear(
 def test_the_autopilots_own_take_off_must_not_end_above_the_ceiling() -> None:
     flown = mission("plane")
     for home_amsl_m, severity in ((None, None), (600.0, None), (620.0, REFUSE)):
-        findings = judge(ARDUPLANE_RULES, ARDUPLANE, flown, home_amsl_m)
+        findings = check_parameters(ARDUPLANE_RULES, ARDUPLANE, flown, home_amsl_m)
         finding = found(findings, "TKOFF_ALT")
         assert (None if finding is None else finding.severity) is severity
 
@@ -378,8 +382,8 @@ def test_newer_names_have_other_units_and_mean_the_same() -> None:
         newer[new] = newer.pop(old) * scale
     for limits in ({}, {"acceleration_m_s2": 4.0, "speed_m_s": 14.0}, {"dead_man_s": 2.0}):
         flown = mission(**limits)
-        old_way = judge(ARDUCOPTER_RULES, ARDUCOPTER, flown)
-        new_way = judge(ARDUCOPTER_RULES, newer, flown)
+        old_way = check_parameters(ARDUCOPTER_RULES, ARDUCOPTER, flown)
+        new_way = check_parameters(ARDUCOPTER_RULES, newer, flown)
         assert [(each.severity, each.rule) for each in new_way] == [
             (each.severity, each.rule) for each in old_way
         ]
@@ -393,7 +397,9 @@ def test_older_planes_have_centidegrees_and_centimetres() -> None:
     older["LIM_ROLL_CD"] = older.pop("ROLL_LIMIT_DEG") * 100.0
     older["TRIM_ARSPD_CM"] = older.pop("AIRSPEED_CRUISE") * 100.0
     flown = mission("plane", speed_m_s=22.0, turn_radius_m=200.0, climb_angle_rad=0.1)
-    assert judge(ARDUPLANE_RULES, older, flown) == judge(ARDUPLANE_RULES, ARDUPLANE, flown)
+    assert check_parameters(ARDUPLANE_RULES, older, flown) == check_parameters(
+        ARDUPLANE_RULES, ARDUPLANE, flown
+    )
 
 
 # --- who else may take the vehicle ----------------------------------------------------------------

@@ -12,7 +12,7 @@ from renewed import replace
 
 from companion.config import load_mission
 from companion.mavlink.dialect import codec, wire
-from companion.mavlink.preflight import Check, Verdict, as_flown, checks_of, waiting_for
+from companion.mavlink.preflight import Check, CheckStatus, checks_of, flight_check, waiting_for
 from companion.mavlink.signing import Signing, timestamp_of
 from companion.mission.events import Outcome
 from companion.mission.mission import Mission
@@ -112,13 +112,13 @@ class Pair:
     @property
     def checks(self) -> list[Check]:
         found = checks_of(self.session)
-        refused = any(check.verdict is Verdict.REFUSED for check in found)
-        return found if refused else [*found, as_flown(self.session)]
+        refused = any(check.status is CheckStatus.REFUSED for check in found)
+        return found if refused else [*found, flight_check(self.session)]
 
-    def verdict(self, name: str) -> str:
+    def status(self, name: str) -> str:
         """Of the check of this name, the worst if there are several; "" without one."""
-        found = [check.verdict for check in self.checks if check.name.split(" = ")[0] == name]
-        worst = sorted(found, key=list(Verdict).index)
+        found = [check.status for check in self.checks if check.name.split(" = ")[0] == name]
+        worst = sorted(found, key=list(CheckStatus).index)
         return worst[-1].value if worst else ""
 
     def words(self, name: str) -> str:
@@ -130,7 +130,7 @@ class Pair:
 
     @property
     def refused(self) -> list[str]:
-        return [check.name for check in self.checks if check.verdict is Verdict.REFUSED]
+        return [check.name for check in self.checks if check.status is CheckStatus.REFUSED]
 
 
 @pytest.fixture(scope="module", params=list(NAMES.values()))
@@ -145,11 +145,11 @@ def good(request: pytest.FixtureRequest) -> Pair:
 def test_a_vehicle_that_may_fly_passes(good: Pair) -> None:
     assert good.refused == []
     for name in ("vehicle", "messages", "fence", "targets", "position", "take-off", "place"):
-        assert good.verdict(name) == "ok", name
+        assert good.status(name) == "ok", name
     for name in ("battery", "ready", "link delay"):
-        assert good.verdict(name) == "ok", name
-    assert good.verdict("signing") == "note"
-    assert good.verdict("radar") == "note"
+        assert good.status(name) == "ok", name
+    assert good.status("signing") == "note"
+    assert good.status("radar") == "note"
 
 
 def test_every_line_names_what_and_what_is_refused_a_remedy(good: Pair) -> None:
@@ -209,7 +209,7 @@ def test_several_vehicles_and_none_chosen() -> None:
     chosen = Pair(system_id=1)
     chosen.hear(wire.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3).pack(other))
     chosen.looked_at()
-    assert chosen.verdict("vehicle") == "ok"
+    assert chosen.status("vehicle") == "ok"
     assert "also heard: 9" in chosen.words("vehicle")
 
 
@@ -218,14 +218,14 @@ def test_the_delay_of_the_link(delay_s: float | None, verdict: str) -> None:
     it = Pair().looked_at()
     assert it.session.vehicle is not None
     it.session.vehicle.round_trip_s = delay_s
-    assert it.verdict("link delay") == verdict
+    assert it.status("link delay") == verdict
 
 
 def test_noise_on_the_link_is_noted(good: Pair) -> None:
-    assert good.verdict("noise") == ""
+    assert good.status("noise") == ""
     it = Pair().looked_at()
     it.hear(b"\x00" * 40)
-    assert it.verdict("noise") == "note"
+    assert it.status("noise") == "note"
     assert it.refused == []
 
 
@@ -260,10 +260,10 @@ def test_a_vehicle_off_the_map_or_above_the_band() -> None:
     it = Pair().looked_at()
     there = replace(it.session.state.vehicle, position_nea_m=(5000.0, 0.0, 488.0))
     it.session.state = replace(it.session.state, vehicle=there)
-    assert it.verdict("place") == "refused"
+    assert it.status("place") == "refused"
     high = replace(there, position_nea_m=(0.0, 0.0, 700.0), home_nea_m=(0.0, 0.0, 700.0))
     it.session.state = replace(it.session.state, vehicle=high)
-    assert it.verdict("take-off") == "refused"
+    assert it.status("take-off") == "refused"
     assert "altitude.floor_amsl_m" in it.words("take-off")
 
 
@@ -272,7 +272,7 @@ def test_altitudes_that_are_no_amsl(geoid_m: float | None, verdict: str) -> None
     it = Pair().looked_at()
     assert it.session.vehicle is not None
     it.session.vehicle.geoid_m = geoid_m
-    assert it.verdict("geoid") == verdict
+    assert it.status("geoid") == verdict
 
 
 @pytest.mark.parametrize(("ground_m", "verdict"), [(486.0, "ok"), (560.0, "refused")])
@@ -282,7 +282,7 @@ def test_a_terrain_with_another_datum(ground_m: float, verdict: str) -> None:
     filled = np.full(known.upper_m.shape, ground_m)
     known = replace(known, upper_m=filled, seen=np.ones(known.seen.shape, dtype=bool))
     it = Pair(known=known).looked_at()
-    assert it.verdict("datum") == verdict
+    assert it.status("datum") == verdict
 
 
 @pytest.mark.parametrize(
@@ -294,7 +294,7 @@ def test_the_battery(left: float, endurance_s: float | None, verdict: str) -> No
     it.session.state = replace(
         it.session.state, vehicle=replace(it.session.state.vehicle, battery=left)
     )
-    assert it.verdict("battery") == verdict
+    assert it.status("battery") == verdict
     assert ("not given" in it.words("battery")) == (endurance_s is None)
 
 
@@ -302,7 +302,7 @@ def test_a_battery_that_says_nothing_is_noted() -> None:
     it = Pair()
     it.keeps = lambda message: message.get_type() not in ("SYS_STATUS", "BATTERY_STATUS")
     it.looked_at()
-    assert it.verdict("battery") == "note"
+    assert it.status("battery") == "note"
 
 
 # --- radar, signing, clock
@@ -323,8 +323,8 @@ def test_a_clock_that_was_never_set(clock_s: float, refused: bool) -> None:
     it = Pair("sitl-arducopter", signing=Signing(key=KEY, timestamp=timestamp, link_id=0))
     it.station(wire.MAVLink_setup_signing_message(1, 1, list(KEY), timestamp))
     it.looked_at()
-    assert it.verdict("clock") == ("refused" if refused else "ok")
-    assert it.verdict("signing") == "ok"
+    assert it.status("clock") == ("refused" if refused else "ok")
+    assert it.status("signing") == "ok"
 
 
 # --- what `fly` refuses is refused here, and the other way round
@@ -360,7 +360,7 @@ class Setup(NamedTuple):
     keywords: dict[str, Any]
     change: Change = lambda _: None
     check: str = ""
-    verdict: str = ""
+    status: str = ""
     words: tuple[str, ...] = ()
 
 
@@ -437,7 +437,7 @@ def test_what_fly_refuses_is_refused_here_and_the_other_way_round(setup: str) ->
     change(looked)
     looked.looked_at(20.0)
     if check:
-        assert looked.verdict(check) == verdict
+        assert looked.status(check) == verdict
         assert all(word in looked.words(check) for word in words), looked.words(check)
     flown = Pair(**keywords, shadow=False)
     if change is not armed:
@@ -466,5 +466,5 @@ def test_a_vehicle_in_the_air_would_be_taken_over() -> None:
     arm = (1, 1, wire.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1.0, 0, 0, 0, 0, 0, 0)
     it.station(wire.MAVLink_command_long_message(*arm))
     it.run(15.0)
-    assert it.verdict("ready") == "note"
+    assert it.status("ready") == "note"
     assert only_asks(it.sent)

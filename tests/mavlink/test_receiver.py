@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from companion.mavlink import frames as receiver_module
 from companion.mavlink.dialect import codec, wire
-from companion.mavlink.frames import Passed, Receiver
+from companion.mavlink.frames import Receiver, Skipped
 from companion.mavlink.signing import Signing
 
 KINDS = [wire.mavlink_map[number] for number in sorted(wire.mavlink_map)]
@@ -97,7 +97,7 @@ def test_every_frame_between_noise_comes_out_in_any_portions(
     receiver = Receiver()
     data = b"".join(noise + frame for noise, frame in parts)
     assert feed_all(receiver, portions(data, where)) == [frame for _, frame in parts]
-    assert receiver.passed[Passed.GARBAGE] == sum(len(noise) for noise, _ in parts)
+    assert receiver.passed[Skipped.GARBAGE] == sum(len(noise) for noise, _ in parts)
     assert receiver._rest == b""
 
 
@@ -147,10 +147,10 @@ def test_what_is_passed_over_is_counted_by_kind() -> None:
     noise = b"no frame at all"
     got = receiver.feed(noise + unknown() + good + setup + unknown(b"") + broken + FLUSH)
     assert [m.get_type() for m in got] == ["GLOBAL_POSITION_INT"]
-    assert receiver.passed[Passed.UNKNOWN] == 2
-    assert receiver.passed[Passed.SECRET] == 1
-    assert receiver.passed[Passed.CHECKSUM] == 1
-    assert receiver.passed[Passed.GARBAGE] == len(noise) + len(broken) + len(FLUSH)
+    assert receiver.passed[Skipped.UNKNOWN] == 2
+    assert receiver.passed[Skipped.SECRET] == 1
+    assert receiver.passed[Skipped.CHECKSUM] == 1
+    assert receiver.passed[Skipped.GARBAGE] == len(noise) + len(broken) + len(FLUSH)
 
 
 def test_what_an_unknown_message_carries_is_not_taken_for_a_frame() -> None:

@@ -12,7 +12,6 @@ from companion.config import load_mission
 from companion.mavlink.autopilots import ARDUCOPTER
 from companion.mission import machine
 from companion.mission.decisions import Context
-from companion.mission.driving import Driving, TakeOffWay
 from companion.mission.events import (
     Arm,
     Battery,
@@ -44,6 +43,7 @@ from companion.mission.events import (
 )
 from companion.mission.mission import EndAction, Mission
 from companion.mission.state import Phase, State
+from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.certificate import Certificate
 from companion.path.subpath import Subpath
 from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequest, Refusal
@@ -178,11 +178,11 @@ class Craft:
         self,
         of: Mission = MISSION,
         plan: Callable[[PlanRequest], PlanOutcome | None] = planned,
-        driving: Driving = ARDUCOPTER.driving,
+        traits: VehicleTraits = ARDUCOPTER.traits,
         shadow: bool = False,
     ) -> None:
         self.context = Context(mission=of, seed=1, shadow=shadow)
-        self.driving = driving
+        self.traits = traits
         self.told: list[Event] = []
         self.state = fresh(of)
         self.plan = plan
@@ -251,12 +251,12 @@ class Craft:
 
     @property
     def _by_itself(self) -> bool:
-        return self.driving.take_off is not TakeOffWay.GUIDED_THEN_CLIMB
+        return self.traits.take_off is not TakeoffSequence.GUIDED_THEN_CLIMB
 
     def _follow(self, setpoint: Setpoint) -> None:
         """Be there; what cannot hover flies towards it at the mission's speed."""
         there = setpoint.position_nea_m
-        if self.driving.hovers:
+        if self.traits.hovers:
             self.here, self.velocity = there, setpoint.velocity_nea_m_s
             return
         apart, step = math.dist(there, self.here), self.context.mission.task.limits.speed_m_s
@@ -301,7 +301,7 @@ class Craft:
             if self.battery is not None:
                 said.append(Battery(time_s=now, remaining=self.battery))
         if self.phase is Phase.WAITING:
-            found = VehicleFound(time_s=now, system_id=1, driving=self.driving, name="made up")
+            found = VehicleFound(time_s=now, system_id=1, traits=self.traits, name="made up")
             said.append(found)
         said, self.told = [*said, *self.told], []
         if self.scan_asked:

@@ -29,8 +29,7 @@ from wild import Wild
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER
 from companion.mission import changes, checkpoint
-from companion.mission.changes import Verdict
-from companion.mission.driving import Driving
+from companion.mission.changes import OrderResult
 from companion.mission.events import (
     Arm,
     Battery,
@@ -44,19 +43,20 @@ from companion.mission.events import (
     Outcome,
     Plan,
     Rebooted,
-    Say,
     SetMode,
     Setpoint,
     SetSpeed,
     SettingsChanged,
     StartScan,
+    StatusText,
     StopAsked,
     TakeOff,
     TargetsChanged,
 )
 from companion.mission.flying import on_scan
 from companion.mission.mission import EndAction, Fallback
-from companion.mission.state import Back, Phase, Reason, Scanning
+from companion.mission.state import Backtracking, Phase, Reason, Scanning
+from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.threats import CircleZone
 
 MOVING = (Arm, TakeOff, SetMode, Setpoint, SetSpeed)
@@ -92,7 +92,7 @@ def order(kind: OrderKind, craft: Craft) -> Order:
 @pytest.mark.parametrize("kind", OrderKind, ids=lambda kind: kind.name)
 def test_an_order_is_accepted_where_it_is_carried_out(kind: OrderKind, state: str) -> None:
     craft = AT_ONCE[state]()
-    assert (changes.verdict(craft.state, order(kind, craft)) is Verdict.ACCEPTED) == (
+    assert (changes.order_result(craft.state, order(kind, craft)) is OrderResult.ACCEPTED) == (
         state in TAKEN[kind]
     )
 
@@ -171,7 +171,7 @@ def test_a_lower_speed_is_flown_and_a_higher_one_is_cut_to_the_missions() -> Non
 def test_a_target_that_cannot_be_one_is_invalid(target_ne_m: tuple[float, float] | None) -> None:
     craft = flying(two_legs_away())
     asked = Order(time_s=craft.now_s, kind=OrderKind.REPOSITION, target_ne_m=target_ne_m)
-    assert changes.verdict(craft.state, asked) is Verdict.INVALID
+    assert changes.order_result(craft.state, asked) is OrderResult.INVALID
     why = "it has no target" if target_ne_m is None else "the target: it lies outside the map"
     assert changes.why_not(craft.state, asked).startswith(f"reposition refused: {why}")
 
@@ -208,7 +208,7 @@ def test_a_fence_that_does_not_touch_the_path_changes_the_next_plan_only() -> No
     before = craft.state.flight
     commands = craft.take(fence(craft, 4_000.0, -4_000.0, 500.0))
     assert craft.state.flight == before
-    assert [type(command) for command in commands] == [Say]
+    assert [type(command) for command in commands] == [StatusText]
     craft.run_until(lambda craft: len(craft.sent(Plan)) == 2)
     assert "drawn" in {zone.name for zone in craft.sent(Plan)[-1].request.task.zones}
 
@@ -241,7 +241,7 @@ def test_a_fence_on_the_way_back_of_a_vehicle_that_is_paused_leaves_it_led() -> 
     craft.fly_to(Phase.HOLDING)
     flight = craft.state.flight
     assert flight.hover_nea_m is not None
-    craft.state = replace(craft.state, flight=replace(flight, way=Back((leg,))))
+    craft.state = replace(craft.state, flight=replace(flight, way=Backtracking((leg,))))
     ahead_m = 10_000.0 * math.sqrt(0.5)
     craft.take(fence(craft, ahead_m, ahead_m, 500.0))
     assert craft.state.flight.hover_nea_m == flight.hover_nea_m
@@ -386,16 +386,16 @@ def test_a_battery_that_does_not_reach_the_target_is_not_taken_off_with() -> Non
 # --- restarts
 
 
-HOVERING = [each.driving for each in ALL if each.driving.hovers]
+HOVERING = [each.traits for each in ALL if each.traits.hovers]
 
 
-@pytest.mark.parametrize("driving", [each.driving for each in ALL], ids=lambda d: d.name)
+@pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
 @pytest.mark.parametrize("after_s", [0.3, 3.1, 8.7, 14.9, 21.3, 27.7])
 def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
-    driving: Driving, after_s: float
+    traits: VehicleTraits, after_s: float
 ) -> None:
     """Where the vehicle is led: 1 m and 1 m/s from where it was led, or from where it is."""
-    wild = Wild.calmly(driving).run_until(lambda wild: wild.state.flight.leg is not None)
+    wild = Wild.calmly(traits).run_until(lambda wild: wild.state.flight.leg is not None)
     wild.run_for(after_s)
     last = wild.sent(Setpoint)[-1]
     wild._restart()
@@ -404,7 +404,7 @@ def test_a_restart_at_any_moment_of_a_flight_goes_on_without_a_jump(
     first = next(c for c in wild.said_to[count:] if isinstance(c, Setpoint))
     passed_s = first.time_s - last.time_s
     assert passed_s < 6.0
-    if driving.hovers:
+    if traits.hovers:
         moved_m = math.dist(first.position_nea_m, last.position_nea_m)
         assert moved_m <= 1.0 + passed_s * math.hypot(*last.velocity_nea_m_s)
         was = (wild.velocity, last.velocity_nea_m_s)  # it has stopped at the last setpoint, or not
@@ -445,19 +445,19 @@ def test_a_companion_that_was_restarted_after_a_flight_never_arms(phase: Phase) 
 # --- shadow
 
 
-@pytest.mark.parametrize("driving", [each.driving for each in ALL], ids=lambda d: d.name)
-def test_a_shadow_plans_and_says_and_never_commands(driving: Driving) -> None:
-    wild = Wild.calmly(driving, shadow=True, end_action=EndAction.LAND).aloft(Mode.OTHER)
+@pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
+def test_a_shadow_plans_and_says_and_never_commands(traits: VehicleTraits) -> None:
+    wild = Wild.calmly(traits, shadow=True, end_action=EndAction.LAND).aloft(Mode.OTHER)
     wild.run_for(60.0)
     assert wild.state.phase is Phase.SHADOW
     assert wild.sent(Plan)
     moving: list[Command] = [c for c in wild.said_to if isinstance(c, MOVING)]
     assert not moving
-    assert wild.state.flight.leg is not None or wild.sent(Say)
+    assert wild.state.flight.leg is not None or wild.sent(StatusText)
 
 
 def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() -> None:
-    wild = Wild.calmly(PX4_MULTICOPTER.driving).aloft(Mode.TAKE_OFF).fly_to(Phase.HOLDING)
+    wild = Wild.calmly(PX4_MULTICOPTER.traits).aloft(Mode.TAKE_OFF).fly_to(Phase.HOLDING)
     assert (wild.state.reason, wild.mode) == (Reason.TAKING_OVER, Mode.TAKE_OFF)
     wild.take(StopAsked(time_s=wild.now_s))
     assert [each.mode for each in wild.sent(SetMode)] == [Mode.HOLD]
@@ -466,16 +466,16 @@ def test_a_mission_that_is_stopped_while_it_takes_over_a_climb_ends_in_a_hold() 
 @pytest.mark.parametrize("is_shadow", [True, False])
 def test_only_what_stands_looks_again_where_the_radar_left_something_out(is_shadow: bool) -> None:
     """A shadow's vehicle flies on meanwhile, wherever somebody else takes it."""
-    wild = Wild.calmly(ALL[0].driving, shadow=is_shadow).aloft(Mode.OTHER)
+    wild = Wild.calmly(ALL[0].traits, shadow=is_shadow).aloft(Mode.OTHER)
     flight = replace(wild.state.flight, leg=None, next_leg=None, search=Scanning((0, 0, 3000)))
     scanned = replace(scan_done(wild.state.now_s), asked=9, answered=4)
     _, commands, _ = on_scan(replace(wild.state, flight=flight), scanned, wild.context)
-    does = [type(command) for command in commands if not isinstance(command, Say)]
+    does = [type(command) for command in commands if not isinstance(command, StatusText)]
     assert does == [Plan if is_shadow else StartScan]
 
 
 def test_made_up_vehicles_are_driven_as_the_real_ones() -> None:
-    assert Craft().driving is ARDUCOPTER.driving
+    assert Craft().traits is ARDUCOPTER.traits
     assert TICK_S == 0.1
 
 

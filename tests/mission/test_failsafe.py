@@ -12,7 +12,6 @@ from renewed import replace
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_MULTICOPTER
 from companion.mission import checkpoint
-from companion.mission.driving import Driving
 from companion.mission.events import (
     Battery,
     Command,
@@ -20,43 +19,46 @@ from companion.mission.events import (
     Order,
     OrderKind,
     Outcome,
-    Say,
     SetMode,
     Setpoint,
+    StatusText,
 )
 from companion.mission.state import Phase, Reason
 from companion.mission.stopped import FAILSAFE_OVER
+from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import NotPlanned, Refusal
 
 EVERY_DRIVING = pytest.mark.parametrize(
-    "driving", [each.driving for each in ALL], ids=lambda driving: driving.name
+    "traits", [each.traits for each in ALL], ids=lambda traits: traits.name
 )
 WHERE = [Mode.HOLD, Mode.RETURN, Mode.LAND]
 
 
 def texts(commands: list[Command]) -> list[str]:
-    return [c.text for c in commands if isinstance(c, Say)]
+    return [c.text for c in commands if isinstance(c, StatusText)]
 
 
-def under_way(driving: Driving = ARDUCOPTER.driving) -> Craft:
+def under_way(traits: VehicleTraits = ARDUCOPTER.traits) -> Craft:
     """A copter at speed; a plane about to set out (made-up ones only fly where they are told)."""
-    if driving.hovers:
-        return flying(two_legs_away(), driving=driving)
-    return Craft(two_legs_away(), driving=driving).fly_to(Phase.FLYING)
+    if traits.hovers:
+        return flying(two_legs_away(), traits=traits)
+    return Craft(two_legs_away(), traits=traits).fly_to(Phase.FLYING)
 
 
-def taken(driving: Driving = ARDUCOPTER.driving, mode: Mode = Mode.RETURN) -> Craft:
+def taken(traits: VehicleTraits = ARDUCOPTER.traits, mode: Mode = Mode.RETURN) -> Craft:
     """Its failsafe has begun, in the air, and changed the mode."""
-    craft = under_way(driving)
+    craft = under_way(traits)
     craft.failsafe, craft.mode, craft.obeys_modes = True, mode, False
     return craft.run_until(lambda craft: craft.state.reason is not None).run_for(0.5)
 
 
 @EVERY_DRIVING
 @pytest.mark.parametrize("mode", WHERE)
-def test_a_mode_that_goes_in_a_failsafe_is_the_failsafes(driving: Driving, mode: Mode) -> None:
-    craft = taken(driving, mode)
-    if driving.streams_first and mode is Mode.HOLD:  # it may have lost setpoints: that goes first
+def test_a_mode_that_goes_in_a_failsafe_is_the_failsafes(traits: VehicleTraits, mode: Mode) -> None:
+    craft = taken(traits, mode)
+    if (
+        traits.needs_setpoints_before_offboard and mode is Mode.HOLD
+    ):  # it may have lost setpoints: that goes first
         assert craft.state.reason is Reason.STREAM_LOST
         craft.run_for(40.0)
     assert craft.state.reason is Reason.FAILSAFE
@@ -68,9 +70,9 @@ def test_a_mode_that_goes_in_a_failsafe_is_the_failsafes(driving: Driving, mode:
 @EVERY_DRIVING
 @pytest.mark.parametrize(("mode", "failsafe"), [(Mode.OTHER, True), (Mode.RETURN, False)])
 def test_a_pilots_mode_and_one_without_a_failsafe_are_somebody_elses(
-    driving: Driving, mode: Mode, failsafe: bool
+    traits: VehicleTraits, mode: Mode, failsafe: bool
 ) -> None:
-    craft = under_way(driving)
+    craft = under_way(traits)
     craft.failsafe, craft.mode, craft.obeys_modes = failsafe, mode, False
     craft.fly_to(Phase.HOLDING)
     assert craft.state.reason is Reason.MODE_TAKEN
@@ -78,7 +80,7 @@ def test_a_pilots_mode_and_one_without_a_failsafe_are_somebody_elses(
 
 def test_a_failsafe_that_takes_a_vehicle_held_for_its_position_is_said_so_too() -> None:
     """As PX4 does without GPS: first our hold, then its own descent."""
-    craft = flying(two_legs_away(), driving=PX4_MULTICOPTER.driving)
+    craft = flying(two_legs_away(), traits=PX4_MULTICOPTER.traits)
     craft.fix = False
     craft.fly_to(Phase.HOLDING).run_for(2.0)
     assert craft.state.reason is Reason.NO_FIX
@@ -90,9 +92,11 @@ def test_a_failsafe_that_takes_a_vehicle_held_for_its_position_is_said_so_too() 
 
 
 @EVERY_DRIVING
-def test_when_it_is_over_it_says_once_how_to_go_on_and_goes_on_only_then(driving: Driving) -> None:
+def test_when_it_is_over_it_says_once_how_to_go_on_and_goes_on_only_then(
+    traits: VehicleTraits,
+) -> None:
     """That its autopilot holds again does not mean that nobody else flies it."""
-    craft = taken(driving)
+    craft = taken(traits)
     craft.fix = False
     craft.run_for(5.0)
     craft.failsafe, craft.mode = False, Mode.HOLD
@@ -107,7 +111,7 @@ def test_when_it_is_over_it_says_once_how_to_go_on_and_goes_on_only_then(driving
     assert (craft.phase, craft.state.reason) == (Phase.HOLDING, Reason.FAILSAFE)
     craft.obeys_modes = True
     craft.obey(craft.take(Order(time_s=craft.now_s, kind=OrderKind.START)))
-    if driving.hovers:
+    if traits.hovers:
         assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
     else:
         craft.fly_to(Phase.FLYING)

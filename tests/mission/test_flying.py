@@ -24,7 +24,7 @@ from renewed import replace
 
 from companion.mission.events import Plan, PlanReady, Position, Setpoint, StartScan
 from companion.mission.joining import joined
-from companion.mission.state import Asked, Phase, Reason
+from companion.mission.state import Answered, Phase, Reason
 from companion.planner.procedure import hover_pose
 from companion.planner.request import Planned, PlanRequest
 
@@ -198,7 +198,7 @@ def test_who_joins_a_path_near_its_end_comes_to_rest_without_a_jump(
     )
     went_on = joined(state)
     assert went_on is not None
-    craft.state = replace(state, flight=replace(went_on, search=Asked()))
+    craft.state = replace(state, flight=replace(went_on, search=Answered()))
     craft.here, craft.velocity = at, velocity
     sent: list[Setpoint] = []
     while craft.state.phase is Phase.FLYING and len(sent) < 300:

@@ -11,34 +11,34 @@ from wild import Wild
 
 from companion.mavlink.autopilots import ALL
 from companion.mission import checkpoint
-from companion.mission.decisions import is_led
-from companion.mission.driving import Driving
+from companion.mission.decisions import is_under_control
 from companion.mission.events import (
     Arm,
     Command,
+    DuplicateId,
     End,
     Mode,
-    Namesake,
     Outcome,
-    Say,
     SetMode,
     Setpoint,
     SetSpeed,
+    StatusText,
     TakeOff,
 )
 from companion.mission.state import Phase, Reason
+from companion.mission.vehicle_traits import VehicleTraits
 
 MOVING = (Arm, TakeOff, SetMode, Setpoint, SetSpeed)
-BOTH = pytest.mark.parametrize("driving", [each.driving for each in ALL], ids=lambda d: d.name)
+BOTH = pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
 
 
-def beat(it: Craft | Wild, number: int) -> Namesake:
+def beat(it: Craft | Wild, number: int) -> DuplicateId:
     """As they come from the wire, one a second: the third is certain."""
-    return Namesake(time_s=it.now_s, certain=number >= 2, news=number == 2)
+    return DuplicateId(time_s=it.now_s, certain=number >= 2, news=number == 2)
 
 
 def warnings(commands: list[Command]) -> list[str]:
-    return [c.text for c in commands if isinstance(c, Say) and c.warning]
+    return [c.text for c in commands if isinstance(c, StatusText) and c.warning]
 
 
 def moving(commands: list[Command]) -> list[Command]:
@@ -96,8 +96,8 @@ def test_it_is_not_armed_with_another_companion_there() -> None:
 
 
 @BOTH
-def test_the_one_that_flies_flies_on_and_says_so_once(driving: Driving) -> None:
-    it = Wild.calmly(driving).run_until(lambda it: it.state.flight.leg is not None)
+def test_the_one_that_flies_flies_on_and_says_so_once(traits: VehicleTraits) -> None:
+    it = Wild.calmly(traits).run_until(lambda it: it.state.flight.leg is not None)
     said = shared(it, 20)
     assert warnings(said) == [f"{Reason.NOT_ALONE.text}: end it"]
     end = it.fly_to(Phase.DONE).said_to[-1]
@@ -107,24 +107,26 @@ def test_the_one_that_flies_flies_on_and_says_so_once(driving: Driving) -> None:
 
 @BOTH
 @pytest.mark.parametrize("mode", [Mode.GUIDED, Mode.HOLD, Mode.OTHER])
-def test_the_one_that_comes_second_ends_without_a_command(driving: Driving, mode: Mode) -> None:
+def test_the_one_that_comes_second_ends_without_a_command(
+    traits: VehicleTraits, mode: Mode
+) -> None:
     """The first streams, so in guided mode there is no second in which it is not heard."""
-    it = Wild.calmly(driving).aloft(mode)
+    it = Wild.calmly(traits).aloft(mode)
     said = shared(it, 6)
     assert it.state.phase is Phase.DONE
     assert it.sent(End)[0].reason == Reason.NOT_ALONE.text
     assert not moving(said)
     assert not moving(it.said_to)
-    assert not is_led(it.state)
+    assert not is_under_control(it.state)
 
 
 @BOTH
 @pytest.mark.parametrize("first_heard_s", [0.5, 1.5, 2.5])
 def test_one_that_hears_of_the_first_just_after_it_took_over_yields(
-    driving: Driving, first_heard_s: float
+    traits: VehicleTraits, first_heard_s: float
 ) -> None:
     """With the path of the companion before it, it takes over at once: that may be too soon."""
-    it = Wild.calmly(driving).run_until(lambda it: it.state.flight.leg is not None).run_for(5.0)
+    it = Wild.calmly(traits).run_until(lambda it: it.state.flight.leg is not None).run_for(5.0)
     it._restart()
     it.run_for(first_heard_s)
     for number in range(3):
@@ -149,7 +151,7 @@ def test_one_that_was_silent_with_its_vehicle_is_still_the_first() -> None:
 
 
 def test_a_shadow_says_so_and_watches_on() -> None:
-    it = Wild.calmly(ALL[0].driving, shadow=True).aloft(Mode.GUIDED)
+    it = Wild.calmly(ALL[0].traits, shadow=True).aloft(Mode.GUIDED)
     said = shared(it, 10)
     assert it.state.phase is Phase.SHADOW
     assert [text for text in warnings(said) if "another" in text]
@@ -160,8 +162,8 @@ def test_a_shadow_says_so_and_watches_on() -> None:
 
 
 @BOTH
-def test_without_its_memory_it_takes_over_in_flight_and_arrives(driving: Driving) -> None:
-    it = Wild.calmly(driving).run_until(lambda it: it.state.flight.leg is not None).run_for(8.0)
+def test_without_its_memory_it_takes_over_in_flight_and_arrives(traits: VehicleTraits) -> None:
+    it = Wild.calmly(traits).run_until(lambda it: it.state.flight.leg is not None).run_for(8.0)
     count = len(it.said_to)
     forget(it)
     end = it.fly_to(Phase.DONE).said_to[-1]
@@ -173,9 +175,9 @@ def test_without_its_memory_it_takes_over_in_flight_and_arrives(driving: Driving
 
 
 def test_without_its_memory_it_never_arms() -> None:
-    values = checkpoint.forgotten("torn", system_id=1, time_s=100.0)
+    values = checkpoint.without_checkpoint("torn", system_id=1, time_s=100.0)
     craft = Craft()
-    craft.state = checkpoint.beginning(MISSION, (values, None))
+    craft.state = checkpoint.initial_state(MISSION, (values, None))
     craft.now_s = 100.0
     craft.run_until(lambda craft: bool(craft.sent(End)))
     assert craft.end().reason == Reason.GROUNDED.text
@@ -185,7 +187,7 @@ def test_without_its_memory_it_never_arms() -> None:
 def forget(it: Wild) -> None:
     """Killed, and started again with files that cannot be read."""
     number = it.state.flight.plan_id
-    values = checkpoint.forgotten("torn", system_id=1, time_s=it.now_s, plan_id=number)
-    it.state = checkpoint.beginning(it.mission, (values, None))
+    values = checkpoint.without_checkpoint("torn", system_id=1, time_s=it.now_s, plan_id=number)
+    it.state = checkpoint.initial_state(it.mission, (values, None))
     it.later = []
     it.watch.restarted(it.now_s)

@@ -16,7 +16,7 @@ from made_up import MISSION, position
 from renewed import replace
 
 from companion.mission.events import Landed
-from companion.mission.health import TRUST_S, astray_m, distrust, judged, with_position
+from companion.mission.health import TRUST_S, astray_m, distrust, with_position, with_position_trust
 from companion.mission.state import Reason, Vehicle
 
 LIMITS = MISSION.task.limits
@@ -26,7 +26,7 @@ JUMP_M = 1.5 * math.hypot(150.0, 25.0) * 0.1 + 20.0  # in a tenth of a second, V
 
 
 def seen(vehicle: Vehicle, time_s: float) -> Vehicle:
-    return judged(vehicle, distrust(vehicle, time_s, LIMITS), time_s)
+    return with_position_trust(vehicle, distrust(vehicle, time_s, LIMITS), time_s)
 
 
 def after(*positions: tuple[float, float, float]) -> Vehicle:

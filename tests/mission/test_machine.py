@@ -54,11 +54,11 @@ from companion.mission.events import (
     PlanReady,
     Prepared,
     RequestStreams,
-    Say,
     SetMode,
     Setpoint,
     SetSpeed,
     StartScan,
+    StatusText,
     StopAsked,
     TakeOff,
     Tick,
@@ -82,7 +82,7 @@ def test_a_mission_step_by_step() -> None:
     take = craft.take
     assert take(Tick(time_s=1.0)) == []
     assert take(status(1.0, Mode.OTHER, armed=False)) == []
-    found = VehicleFound(time_s=1.0, system_id=1, driving=ARDUCOPTER.driving, name="ArduCopter")
+    found = VehicleFound(time_s=1.0, system_id=1, traits=ARDUCOPTER.traits, name="ArduCopter")
     commands = take(found)
     assert craft.phase is Phase.PREPARING
     assert commands[0] == RequestStreams()
@@ -133,7 +133,7 @@ def test_a_mission_step_by_step() -> None:
         assert take(status(now, Mode.GUIDED), *good) == []
         assert len(take(position(now, hover))) == 1
     [said] = take(PlanReady(time_s=10.6, outcome=planned(plan.request)))
-    assert isinstance(said, Say)
+    assert isinstance(said, StatusText)
     [first] = take(position(10.7, hover))
     assert isinstance(first, Setpoint)
     assert math.hypot(*first.velocity_nea_m_s) == pytest.approx(0.5)
@@ -294,7 +294,7 @@ def test_a_scan_of_what_is_known_already_needs_no_answer() -> None:
     craft = Craft().fly_to(Phase.FLYING)
     craft.take(position(craft.now_s + TICK_S, craft.here))
     known = replace(scan_done(craft.now_s, answered=0), asked=0)
-    assert [type(c) for c in craft.take(known) if not isinstance(c, Say)] == [Plan]
+    assert [type(c) for c in craft.take(known) if not isinstance(c, StatusText)] == [Plan]
 
 
 def test_a_dead_planner_ends_the_mission_in_the_hold_mode_with_the_same_event() -> None:
@@ -374,7 +374,7 @@ def test_it_holds_on_where_the_vehicle_cannot_be_says_how_far_off_and_goes_on_on
     assert craft.phase is Phase.HOLDING
     assert craft.state.reason is Reason.POSITION_ELSEWHERE
     why = f"hold: {Reason.POSITION_ELSEWHERE.text}: "
-    [said] = [say.text for say in craft.sent(Say) if say.text.startswith(why)]
+    [said] = [say.text for say in craft.sent(StatusText) if say.text.startswith(why)]
     off_m = float(said.removeprefix(why).removesuffix(" m away"))
     assert off_m == pytest.approx(50.0, abs=8.0)  # it stops from 150 m/s within a tick
     count = len(craft.commands)
@@ -394,7 +394,7 @@ def test_it_goes_on_by_a_position_that_is_vouched_for_a_minute_wherever_it_is() 
 def test_a_vehicle_given_back_where_it_cannot_be_is_held_and_that_is_said(
     autopilot: Autopilot,
 ) -> None:
-    craft = Craft(driving=autopilot.driving).fly_to(Phase.FLYING).run_for(10.0)
+    craft = Craft(traits=autopilot.traits).fly_to(Phase.FLYING).run_for(10.0)
     craft.mode = Mode.OTHER
     gives_in(craft)
     assert craft.state.reason is Reason.MODE_TAKEN
@@ -402,7 +402,7 @@ def test_a_vehicle_given_back_where_it_cannot_be_is_held_and_that_is_said(
     craft.run_for(5.0)
     assert craft.state.reason is Reason.POSITION_ELSEWHERE
     assert craft.mode is Mode.HOLD
-    assert craft.sent(Say)[-1].text.endswith(" m away")
+    assert craft.sent(StatusText)[-1].text.endswith(" m away")
     assert shifted(craft, -50.0).run_for(10.0).phase is Phase.FLYING
 
 
@@ -595,7 +595,7 @@ def test_a_vehicle_told_to_take_off_is_left_holding_though_it_still_says_it_is_o
 def test_a_take_off_that_was_accepted_is_asked_for_again_only_if_it_does_not_begin(
     autopilot: Autopilot,
 ) -> None:
-    craft = Craft(driving=autopilot.driving)
+    craft = Craft(traits=autopilot.traits)
     craft.takes_off, craft.accepts = False, True
     craft.run_until(lambda craft: bool(craft.sent(TakeOff)))
     assert len(craft.run_for(4.8).sent(TakeOff)) == 1
@@ -604,7 +604,7 @@ def test_a_take_off_that_was_accepted_is_asked_for_again_only_if_it_does_not_beg
 
 @pytest.mark.parametrize("autopilot", [ARDUCOPTER, PX4_MULTICOPTER], ids=["ardupilot", "px4"])
 def test_a_take_off_that_is_not_accepted_is_asked_for_once_a_second(autopilot: Autopilot) -> None:
-    craft = Craft(driving=autopilot.driving)
+    craft = Craft(traits=autopilot.traits)
     craft.takes_off = False
     craft.run_until(lambda craft: bool(craft.sent(TakeOff)))
     assert len(craft.run_for(3.5).sent(TakeOff)) == 4

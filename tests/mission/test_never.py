@@ -31,11 +31,11 @@ from companion.mission.events import (
     Plan,
     Position,
     RequestStreams,
-    Say,
     SetMode,
     Setpoint,
     SetSpeed,
     StartScan,
+    StatusText,
     TakeOff,
 )
 from companion.mission.state import Phase, Reason
@@ -43,7 +43,7 @@ from companion.mission.state import Phase, Reason
 SHARDS, EVENTS = 60, 20_000
 LONGEST = 6_000
 """Events of one program."""
-SAID = {Arm, End, Plan, RequestStreams, Say, SetMode, Setpoint, SetSpeed, StartScan, TakeOff}
+SAID = {Arm, End, Plan, RequestStreams, StatusText, SetMode, Setpoint, SetSpeed, StartScan, TakeOff}
 OFTEN = {
     Reason.NO_PLAN,
     Reason.RADAR_SILENT,
@@ -95,7 +95,7 @@ def test_nothing_happens_that_must_never_happen(number: int) -> None:
 @pytest.mark.nightly
 def test_the_programs_are_of_all_drivings_and_come_to_every_phase_and_command() -> None:
     watches = shard(SHARDS + 5, 400_000)
-    assert {watch.driving.name for watch in watches} == {each.driving.name for each in ALL}
+    assert {watch.traits.name for watch in watches} == {each.traits.name for each in ALL}
     assert {watch.context.shadow for watch in watches} == {True, False}
     assert sum(watch.orders.kept > 0 for watch in watches) > 10
     assert set().union(*(watch.phases for watch in watches)) == set(Phase)

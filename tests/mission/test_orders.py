@@ -25,8 +25,7 @@ from wild import Wild
 
 from companion.mavlink.autopilots import ALL
 from companion.mission import changes, checkpoint
-from companion.mission.changes import Verdict
-from companion.mission.driving import Driving
+from companion.mission.changes import OrderResult
 from companion.mission.events import (
     End,
     Mode,
@@ -36,28 +35,29 @@ from companion.mission.events import (
     Plan,
     PlanReady,
     Rebooted,
-    Say,
     SetMode,
     Setpoint,
     SetSpeed,
     SettingsChanged,
+    StatusText,
     StopAsked,
 )
 from companion.mission.mission import Fallback, Mission
 from companion.mission.state import Phase, Reason
-from companion.planner.request import PlanOutcome, PlanRequest, WayBack
+from companion.mission.vehicle_traits import VehicleTraits
+from companion.planner.request import Backtrack, PlanOutcome, PlanRequest
 
 OTHER_NE_M = (2_000.0, 2_000.0)
-DRIVINGS, NAME = [each.driving for each in ALL], operator.attrgetter("name")
-EVERY_DRIVING = pytest.mark.parametrize("driving", DRIVINGS, ids=NAME)
+DRIVINGS, NAME = [each.traits for each in ALL], operator.attrgetter("name")
+EVERY_DRIVING = pytest.mark.parametrize("traits", DRIVINGS, ids=NAME)
 
 
-def tell(craft: Craft, kind: OrderKind) -> Verdict:
+def tell(craft: Craft, kind: OrderKind) -> OrderResult:
     """An order, as the session gives it: obeyed if it is accepted."""
     target = OTHER_NE_M if kind is OrderKind.REPOSITION else None
     order = Order(time_s=craft.now_s, kind=kind, target_ne_m=target)
-    verdict = changes.verdict(craft.state, order)
-    if verdict is Verdict.ACCEPTED:
+    verdict = changes.order_result(craft.state, order)
+    if verdict is OrderResult.ACCEPTED:
         craft.obey(craft.take(order))
     return verdict
 
@@ -67,7 +67,7 @@ def home_or_on(request: PlanRequest) -> PlanOutcome:
     if request.flown is None:
         return planned(request)
     here = request.scan_nea_m
-    return WayBack(
+    return Backtrack(
         plan_id=request.plan_id,
         subpaths=(straight(here, (0.0, 0.0, here[2])),),
         through=(False,),
@@ -88,7 +88,7 @@ def asking_for_the_way_back() -> Craft:
     craft = under_way()
     tell(craft, OrderKind.RETURN)
     craft.plan = no_answer
-    return craft.run_until(lambda craft: craft.state.flight.planning_back is not None)
+    return craft.run_until(lambda craft: craft.state.flight.planning_backtrack is not None)
 
 
 HOLDING = Phase.HOLDING
@@ -120,10 +120,10 @@ def test_a_return_that_is_paused_is_a_return_again(pauses_s: float, continues_s:
     craft = under_way()
     tell(craft, OrderKind.RETURN)
     craft.run_for(pauses_s)
-    assert tell(craft, OrderKind.PAUSE) is Verdict.ACCEPTED
+    assert tell(craft, OrderKind.PAUSE) is OrderResult.ACCEPTED
     craft.run_for(continues_s)
     plans = len(craft.sent(Plan))
-    assert tell(craft, OrderKind.CONTINUE) is Verdict.ACCEPTED
+    assert tell(craft, OrderKind.CONTINUE) is OrderResult.ACCEPTED
     assert craft.fly_to(Phase.DONE).here[:2] == pytest.approx((0.0, 0.0), abs=1.0)
     assert all(plan.request.flown is not None for plan in craft.sent(Plan)[plans:])
     assert craft.end().reason == f"landed: {Reason.RETURN_ASKED.text}"
@@ -131,7 +131,7 @@ def test_a_return_that_is_paused_is_a_return_again(pauses_s: float, continues_s:
 
 def test_a_pause_while_the_way_back_is_planned_waits_for_a_word() -> None:
     craft = asking_for_the_way_back()
-    assert tell(craft, OrderKind.PAUSE) is Verdict.ACCEPTED
+    assert tell(craft, OrderKind.PAUSE) is OrderResult.ACCEPTED
     answer(craft)
     craft.plan = home_or_on
     count = len(craft.commands)
@@ -168,14 +168,14 @@ def test_told_to_return_out_of_a_pause_on_the_way_back_it_returns() -> None:
     craft.fly_to(Phase.RETURNING).run_for(10.0)
     tell(craft, OrderKind.PAUSE)
     craft.fly_to(HOLDING).run_for(10.0)
-    assert tell(craft, OrderKind.RETURN) is Verdict.ACCEPTED
+    assert tell(craft, OrderKind.RETURN) is OrderResult.ACCEPTED
     craft.run_for(1.0)
     assert craft.phase is Phase.RETURNING
 
 
-def on_its_way_back(driving: Driving) -> Wild:
+def on_its_way_back(traits: VehicleTraits) -> Wild:
     """Along what it flew: more than one stretch."""
-    wild = Wild.calmly(driving, targets_ne_m=((400.0, 300.0), (-500.0, 200.0)))
+    wild = Wild.calmly(traits, targets_ne_m=((400.0, 300.0), (-500.0, 200.0)))
     wild.run_until(lambda wild: wild.state.flight.target == 1).run_for(12.0)
     wild.take(Order(time_s=wild.now_s, kind=OrderKind.RETURN))
     wild.fly_to(Phase.RETURNING).run_for(3.0)
@@ -186,10 +186,10 @@ def on_its_way_back(driving: Driving) -> Wild:
 @EVERY_DRIVING
 @pytest.mark.parametrize("what", ["pause", "restart", "paused restart"])
 def test_no_stretch_of_the_way_back_is_lost_in_a_pause_or_a_restart(
-    driving: Driving, what: str
+    traits: VehicleTraits, what: str
 ) -> None:
     """A plane circles at once, a copter brakes first."""
-    wild = on_its_way_back(driving)
+    wild = on_its_way_back(traits)
     left = ways_left(wild)
     if "pause" in what:
         wild.take(Order(time_s=wild.now_s, kind=OrderKind.PAUSE))
@@ -204,13 +204,13 @@ def test_no_stretch_of_the_way_back_is_lost_in_a_pause_or_a_restart(
     assert wild.state.phase is Phase.RETURNING or wild.state.flight.homeward
 
 
-@pytest.mark.parametrize("driving", [each for each in DRIVINGS if each.hovers], ids=NAME)
+@pytest.mark.parametrize("traits", [each for each in DRIVINGS if each.hovers], ids=NAME)
 @pytest.mark.parametrize("what", ["pause", "pause and at once on", "restart", "paused restart"])
 def test_the_way_back_is_the_flown_one_after_a_pause_or_a_restart_on_it(
-    driving: Driving, what: str
+    traits: VehicleTraits, what: str
 ) -> None:
     """To its end, and never on to the targets."""
-    wild = on_its_way_back(driving)
+    wild = on_its_way_back(traits)
     plans = len(wild.sent(Plan))
     if "pause" in what:
         wild.take(Order(time_s=wild.now_s, kind=OrderKind.PAUSE))
@@ -223,7 +223,7 @@ def test_the_way_back_is_the_flown_one_after_a_pause_or_a_restart_on_it(
     wild.run_until(lambda wild: wild.over)
     assert len(wild.sent(Plan)) == plans
     assert wild.here == pytest.approx((0.0, 0.0, HOME_AMSL_M), abs=1.0)
-    assert f"hold: {Reason.OFF_PATH.text}" not in [say.text for say in wild.sent(Say)]
+    assert f"hold: {Reason.OFF_PATH.text}" not in [say.text for say in wild.sent(StatusText)]
 
 
 def ways_left(wild: Wild) -> list[bytes]:
@@ -251,7 +251,7 @@ def test_a_return_for_want_of_plans_goes_on_after_a_pause() -> None:
 
 def test_a_new_target_is_not_overruled_by_the_way_back_that_was_asked_for_before() -> None:
     craft = asking_for_the_way_back()
-    assert tell(craft, OrderKind.REPOSITION) is Verdict.ACCEPTED
+    assert tell(craft, OrderKind.REPOSITION) is OrderResult.ACCEPTED
     answer(craft)
     craft.plan = home_or_on
     assert craft.phase is HOLDING
@@ -264,7 +264,7 @@ def test_a_pause_is_not_overruled_by_the_fallback_that_was_planned_before() -> N
     craft = under_way(replace(two_legs_away(), fallback=Fallback.RETURN))
     craft.plan = lambda request: not_planned(request) if request.flown is None else None
     craft.run_until(lambda craft: craft.state.flight.fallen_back is Reason.NO_PLAN)
-    assert tell(craft, OrderKind.PAUSE) is Verdict.ACCEPTED
+    assert tell(craft, OrderKind.PAUSE) is OrderResult.ACCEPTED
     answer(craft)
     craft.run_for(60.0)
     assert (craft.phase, craft.state.reason) == (HOLDING, Reason.PAUSED)
@@ -281,7 +281,7 @@ def test_a_new_target_is_flown_to_at_the_speed_that_was_given_with_it() -> None:
         target_ne_m=(9_000.0, 2_000.0),
         speed_m_s=30.0,
     )
-    assert changes.verdict(craft.state, order) is Verdict.ACCEPTED
+    assert changes.order_result(craft.state, order) is OrderResult.ACCEPTED
     craft.obey(craft.take(order))
     craft.fly_to(HOLDING).fly_to(Phase.FLYING).run_for(60.0)
     assert craft.sent(SetSpeed)[-1].speed_m_s == 30.0
@@ -303,7 +303,7 @@ def no_way_back(request: PlanRequest) -> PlanOutcome:
     """A planner that proves nothing of the way back."""
     if request.flown is None:
         return planned(request)
-    return WayBack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
+    return Backtrack(plan_id=request.plan_id, subpaths=(), through=(), reaches_start=False)
 
 
 def set_in_flight(craft: Craft, safety_distance_m: float) -> None:
@@ -316,13 +316,13 @@ def ended(craft: Craft) -> bool:
     return craft.phase in (Phase.DONE, Phase.FAULTED)
 
 
-@pytest.mark.parametrize("driving", [each for each in DRIVINGS if each.hovers], ids=NAME)
+@pytest.mark.parametrize("traits", [each for each in DRIVINGS if each.hovers], ids=NAME)
 def test_an_accepted_return_that_cannot_be_flown_is_left_to_the_autopilots_own(
-    driving: Driving,
+    traits: VehicleTraits,
 ) -> None:
-    craft = flying(two_legs_away(), plan=no_way_back, driving=driving)
+    craft = flying(two_legs_away(), plan=no_way_back, traits=traits)
     craft.run_for(20.0)
-    assert tell(craft, OrderKind.RETURN) is Verdict.ACCEPTED
+    assert tell(craft, OrderKind.RETURN) is OrderResult.ACCEPTED
     craft.run_until(ended)
     assert craft.sent(SetMode)[-1].mode is Mode.RETURN
     assert craft.mode is Mode.RETURN
@@ -337,7 +337,7 @@ def test_so_is_one_that_finds_no_way_home_from_where_the_proven_one_ends() -> No
             home = abs(request.target_ne_m[0]) + abs(request.target_ne_m[1]) < 10.0
             return not_planned(request) if home else planned(request)
         north, east, up = request.scan_nea_m
-        return WayBack(
+        return Backtrack(
             plan_id=request.plan_id,
             subpaths=(straight((north, east, up), (0.5 * north, 0.5 * east, up)),),
             through=(False,),
@@ -385,7 +385,7 @@ def test_under_stricter_rules_the_way_back_is_the_one_that_was_flown_by_the_old_
     assert allowed_m[-2:] == [asked_m, flown_m]
     assert craft.state.task.settings.safety_distance_m == flown_m
     said = f"returning as it was flown: PLN_SAFE_DIST = {flown_m:g}"
-    assert Say(text=said, warning=True) in craft.commands
+    assert StatusText(text=said, warning=True) in craft.commands
 
 
 def test_settings_of_a_checkpoint_that_no_mission_may_have_are_none() -> None:
@@ -393,13 +393,13 @@ def test_settings_of_a_checkpoint_that_no_mission_may_have_are_none() -> None:
     values = checkpoint.values_of(craft.state)
     for name, value in (("PLN_SAFE_DIST", 1e5), ("PLN_SPEED", 500.0), ("PLN_EVALS", 1.0)):
         wrong = {**values, "settings": {**values["settings"], name: value}}
-        with pytest.raises(checkpoint.NOT_SUCH):
+        with pytest.raises(checkpoint.DECODE_ERRORS):
             checkpoint.restored(craft.context.mission, craft.state.flight.known, wrong)
 
 
 def test_told_to_return_twice_it_is_accepted_twice() -> None:
     craft = asking_for_the_way_back()
-    assert tell(craft, OrderKind.RETURN) is Verdict.ACCEPTED
+    assert tell(craft, OrderKind.RETURN) is OrderResult.ACCEPTED
     assert craft.state.reason is Reason.RETURN_ASKED
     answer(craft)
     assert craft.phase is Phase.RETURNING
@@ -410,7 +410,7 @@ def test_on_its_way_back_it_can_be_told_to_the_very_target_that_it_came_from() -
     craft.run_for(5.0)
     tell(craft, OrderKind.RETURN)
     craft.run_until(lambda craft: craft.phase is Phase.RETURNING)
-    assert tell(craft, OrderKind.REPOSITION) is Verdict.ACCEPTED
+    assert tell(craft, OrderKind.REPOSITION) is OrderResult.ACCEPTED
     assert not craft.state.flight.returning
     craft.run_until(lambda craft: craft.phase is Phase.ARRIVED)
 
@@ -421,7 +421,7 @@ def test_what_is_over_and_what_only_watches_obeys_no_order() -> None:
     shadow.run_until(lambda craft: craft.phase is Phase.SHADOW)
     for craft in (over, shadow):
         kinds = [kind for kind in OrderKind if craft is over or kind is not OrderKind.SPEED]
-        assert {tell(craft, kind) for kind in kinds} == {Verdict.NOT_NOW}
+        assert {tell(craft, kind) for kind in kinds} == {OrderResult.NOT_NOW}
 
 
 @pytest.mark.parametrize("obeys", [True, False])
@@ -432,7 +432,7 @@ def test_told_to_return_after_its_hold_was_asked_for_it_returns(obeys: bool) -> 
     craft.obeys_modes = obeys
     craft.run_until(lambda craft: any(c.mode is Mode.HOLD for c in craft.sent(SetMode)))
     assert craft.phase is Phase.ARRIVED
-    assert tell(craft, OrderKind.RETURN) is Verdict.ACCEPTED
+    assert tell(craft, OrderKind.RETURN) is OrderResult.ACCEPTED
     craft.mode, craft.obeys_modes = Mode.HOLD, True
     craft.run_until(lambda craft: craft.phase in (Phase.RETURNING, Phase.DONE), 60.0)
     assert craft.phase is Phase.RETURNING
@@ -443,7 +443,7 @@ def test_told_to_return_after_its_hold_was_asked_for_it_returns(obeys: bool) -> 
 def test_a_word_to_go_on_changes_nothing_where_nothing_was_paused() -> None:
     craft = holding_without_plan()
     before = craft.state
-    assert tell(craft, OrderKind.CONTINUE) is Verdict.ACCEPTED
+    assert tell(craft, OrderKind.CONTINUE) is OrderResult.ACCEPTED
     assert craft.state == replace(before, now_s=craft.state.now_s)
 
 

@@ -10,31 +10,31 @@ from made_up import Craft, flying, position, status
 from renewed import replace
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER, PX4_FIXED_WING, PX4_MULTICOPTER
-from companion.mission.driving import Driving
 from companion.mission.events import (
     FenceBreach,
     FenceChanged,
     Mode,
     Order,
     OrderKind,
-    Say,
     SetMode,
     Setpoint,
+    StatusText,
     VehicleStatus,
 )
-from companion.mission.state import Phase, Reason, Taken
+from companion.mission.state import Phase, Reason, TakenOver
+from companion.mission.vehicle_traits import VehicleTraits
 from companion.world.threats import CircleZone
 
 PX4S = pytest.mark.parametrize(
-    "driving", [PX4_MULTICOPTER.driving, PX4_FIXED_WING.driving], ids=lambda d: d.name
+    "traits", [PX4_MULTICOPTER.traits, PX4_FIXED_WING.traits], ids=lambda d: d.name
 )
-ALL_FOUR = pytest.mark.parametrize("driving", [each.driving for each in ALL], ids=lambda d: d.name)
+ALL_FOUR = pytest.mark.parametrize("traits", [each.traits for each in ALL], ids=lambda d: d.name)
 
 
-def aloft(driving: Driving) -> Craft:
+def aloft(traits: VehicleTraits) -> Craft:
     """On its path; the driving of another autopilot is put under it in flight."""
     craft = flying()
-    vehicle = replace(craft.state.vehicle, driving=driving)
+    vehicle = replace(craft.state.vehicle, traits=traits)
     craft.state = replace(craft.state, vehicle=vehicle)
     return craft
 
@@ -57,23 +57,23 @@ def reason(craft: Craft) -> Reason | None:
 @ALL_FOUR
 @pytest.mark.parametrize("mode", [Mode.HOLD, Mode.RETURN, Mode.LAND], ids=lambda m: m.value)
 def test_what_the_autopilot_does_after_it_has_said_that_its_fence_is_breached(
-    driving: Driving, mode: Mode
+    traits: VehicleTraits, mode: Mode
 ) -> None:
-    craft = aloft(driving)
+    craft = aloft(traits)
     craft.take(FenceBreach(time_s=craft.now_s))
     assert craft.state.phase is Phase.FLYING  # GF_ACTION may be a warning only
     commands = craft.take(status(craft.now_s, mode))
     assert reason(craft) is Reason.FENCE_BREACHED
     assert craft.state.taken
     assert not [c for c in commands if isinstance(c, SetMode | Setpoint)]
-    assert [c.text for c in commands if isinstance(c, Say)] == [
+    assert [c.text for c in commands if isinstance(c, StatusText)] == [
         f"hold: {Reason.FENCE_BREACHED.text}"
     ]
 
 
 @ALL_FOUR
-def test_it_may_say_so_after_it_has_acted(driving: Driving) -> None:
-    craft = aloft(driving)
+def test_it_may_say_so_after_it_has_acted(traits: VehicleTraits) -> None:
+    craft = aloft(traits)
     craft.take(status(craft.now_s, Mode.RETURN))
     assert reason(craft) is Reason.MODE_TAKEN
     craft.take(FenceBreach(time_s=craft.now_s))
@@ -81,9 +81,11 @@ def test_it_may_say_so_after_it_has_acted(driving: Driving) -> None:
 
 
 @PX4S
-def test_px4_tells_a_companion_of_no_fence_but_is_in_it_and_in_a_failsafe(driving: Driving) -> None:
+def test_px4_tells_a_companion_of_no_fence_but_is_in_it_and_in_a_failsafe(
+    traits: VehicleTraits,
+) -> None:
     """The fence is drawn, the autopilot holds, and only then has the companion read it."""
-    craft = aloft(driving)
+    craft = aloft(traits)
     craft.take(failsafe(craft))
     assert reason(craft) is Reason.STREAM_LOST
     craft.take(around(craft))
@@ -93,8 +95,8 @@ def test_px4_tells_a_companion_of_no_fence_but_is_in_it_and_in_a_failsafe(drivin
 
 
 @PX4S
-def test_a_fence_that_it_knew_is_the_reason_from_the_beginning(driving: Driving) -> None:
-    craft = aloft(driving)
+def test_a_fence_that_it_knew_is_the_reason_from_the_beginning(traits: VehicleTraits) -> None:
+    craft = aloft(traits)
     fence = around(craft)
     craft.state = craft.state.with_rules(craft.state.given, fence)
     craft.take(failsafe(craft))
@@ -102,8 +104,8 @@ def test_a_fence_that_it_knew_is_the_reason_from_the_beginning(driving: Driving)
 
 
 @PX4S
-def test_a_lost_stream_away_from_any_fence_is_a_lost_stream(driving: Driving) -> None:
-    craft = aloft(driving)
+def test_a_lost_stream_away_from_any_fence_is_a_lost_stream(traits: VehicleTraits) -> None:
+    craft = aloft(traits)
     far = CircleZone(name="far", north_m=5_000.0, east_m=-5_000.0, radius_m=50.0)
     fence = FenceChanged(time_s=craft.now_s, zones=(far,))
     craft.state = craft.state.with_rules(craft.state.given, fence)
@@ -113,19 +115,19 @@ def test_a_lost_stream_away_from_any_fence_is_a_lost_stream(driving: Driving) ->
 
 
 @ALL_FOUR
-def test_a_person_who_takes_over_inside_a_fence_is_a_person(driving: Driving) -> None:
-    craft = aloft(driving)
+def test_a_person_who_takes_over_inside_a_fence_is_a_person(traits: VehicleTraits) -> None:
+    craft = aloft(traits)
     craft.state = craft.state.with_rules(craft.state.given, around(craft))
     craft.take(status(craft.now_s, Mode.HOLD))
     assert reason(craft) is Reason.MODE_TAKEN
-    craft = aloft(driving)
+    craft = aloft(traits)
     craft.take(FenceBreach(time_s=craft.now_s))
     craft.take(status(craft.now_s, Mode.OTHER))  # stick and rudder
     assert reason(craft) is Reason.MODE_TAKEN
 
 
 def test_a_breach_of_long_ago_explains_nothing() -> None:
-    craft = aloft(ARDUCOPTER.driving)
+    craft = aloft(ARDUCOPTER.traits)
     craft.take(FenceBreach(time_s=craft.now_s))
     craft.run_for(10.0)
     craft.take(status(craft.now_s, Mode.RETURN))
@@ -134,8 +136,8 @@ def test_a_breach_of_long_ago_explains_nothing() -> None:
 
 def test_it_is_given_back_by_a_word_as_the_remedy_says() -> None:
     assert "MISSION_START" in Reason.FENCE_BREACHED.remedy
-    craft = aloft(ARDUCOPTER.driving)
+    craft = aloft(ARDUCOPTER.traits)
     craft.take(FenceBreach(time_s=craft.now_s))
     craft.take(status(craft.now_s, Mode.RETURN))
     craft.take(Order(time_s=craft.now_s, kind=OrderKind.START))
-    assert craft.state.hold == Taken(told_at_s=craft.now_s)
+    assert craft.state.hold == TakenOver(released_at_s=craft.now_s)

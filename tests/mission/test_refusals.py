@@ -17,7 +17,7 @@ from made_up import (
 )
 
 from companion.mission import checkpoint
-from companion.mission.events import Order, OrderKind, Outcome, Say
+from companion.mission.events import Order, OrderKind, Outcome, StatusText
 from companion.mission.mission import Fallback
 from companion.mission.state import Phase, Reason
 from companion.planner.request import NotPlanned, PlanRequest, Refusal
@@ -30,7 +30,7 @@ def refused(request: PlanRequest, refusal: Refusal = Refusal.TARGET_IN_KEEP_OUT)
 
 
 def warned(craft: Craft) -> list[str]:
-    return [say.text for say in craft.sent(Say) if say.warning]
+    return [say.text for say in craft.sent(StatusText) if say.warning]
 
 
 @pytest.mark.parametrize("refusal", Refusal)

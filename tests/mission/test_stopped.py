@@ -22,7 +22,7 @@ from made_up import (
 from renewed import replace
 
 from companion.mission import changes, checkpoint
-from companion.mission.changes import Verdict
+from companion.mission.changes import OrderResult
 from companion.mission.events import (
     Battery,
     Command,
@@ -32,18 +32,18 @@ from companion.mission.events import (
     OrderKind,
     Outcome,
     Plan,
-    Say,
     SetMode,
     Setpoint,
+    StatusText,
 )
 from companion.mission.health import battery_lasts
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.state import Phase, Reason
-from companion.planner.request import PlanOutcome, PlanRequest, WayBack
+from companion.planner.request import Backtrack, PlanOutcome, PlanRequest
 
 
 def warnings(commands: list[Command]) -> list[str]:
-    return [c.text for c in commands if isinstance(c, Say) and c.warning]
+    return [c.text for c in commands if isinstance(c, StatusText) and c.warning]
 
 
 def paused(of: Mission) -> Craft:
@@ -143,7 +143,7 @@ def going_back(of: Mission) -> Craft:
         if request.flown is None:
             return planned(request)
         subpaths = (straight(request.scan_nea_m, (0.0, 0.0, request.scan_nea_m[2])),)
-        return WayBack(
+        return Backtrack(
             plan_id=request.plan_id, subpaths=subpaths, through=(False,), reaches_start=True
         )
 
@@ -198,7 +198,7 @@ def test_a_pause_that_the_battery_would_end_at_once_is_refused(where: str) -> No
     craft.battery = 0.1
     craft.run_for(5.0)
     pause = Order(time_s=craft.now_s, kind=OrderKind.PAUSE)
-    assert changes.verdict(craft.state, pause) is Verdict.NOT_NOW
+    assert changes.order_result(craft.state, pause) is OrderResult.NOT_NOW
     assert changes.why_not(craft.state, pause) == f"pause refused: {Reason.BATTERY_LOW.text}"
     craft.obey(craft.take(pause))
     stop = craft.state.flight.stop
@@ -210,7 +210,7 @@ def test_on_the_way_back_it_is_warned_of_the_battery_once_and_goes_on() -> None:
     craft = going_back(two_legs_away())
     count, craft.battery = len(craft.commands), 0.1
     craft.run_for(8.0)
-    warnings = [c for c in craft.commands[count:] if isinstance(c, Say) and c.warning]
+    warnings = [c for c in craft.commands[count:] if isinstance(c, StatusText) and c.warning]
     assert [c.text for c in warnings] == [Reason.BATTERY_LOW.text]
     assert craft.phase is Phase.RETURNING
     assert craft.fly_to(Phase.DONE).landed is Landed.ON_GROUND

@@ -14,7 +14,6 @@ from watch_orders import WatchOrders
 
 from companion.mavlink.autopilots import Autopilot
 from companion.mission.decisions import Context
-from companion.mission.driving import Driving
 from companion.mission.events import (
     Arm,
     Command,
@@ -40,8 +39,9 @@ from companion.mission.events import (
 )
 from companion.mission.mission import Mission
 from companion.mission.state import MOVES, Phase, Reason, State
+from companion.mission.vehicle_traits import VehicleTraits
 from companion.path.subpath import Subpath
-from companion.planner.request import Planned, PlanOutcome, PlanRequest, WayBack
+from companion.planner.request import Backtrack, Planned, PlanOutcome, PlanRequest
 
 OVER = (Phase.DONE, Phase.FAULTED)
 MOVING = (SetMode, Setpoint, Arm, TakeOff, SetSpeed)
@@ -76,9 +76,9 @@ class Watch:
     """Sees every step of one program; AssertionError where a law is broken."""
 
     def __init__(
-        self, mission: Mission, driving: Driving, autopilot: Autopilot, context: Context
+        self, mission: Mission, traits: VehicleTraits, autopilot: Autopilot, context: Context
     ) -> None:
-        self.mission, self.driving, self.context = mission, driving, context
+        self.mission, self.traits, self.context = mission, traits, context
         self.autopilot = autopilot
         self.limits = mission.task.limits
         self.counts: Counter[str] = Counter()
@@ -214,7 +214,7 @@ class Watch:
     def _prove(self, outcome: PlanOutcome) -> None:
         if isinstance(outcome, Planned) and outcome.certificate.proven:
             self.proven.add(_name(outcome.subpath))
-        elif isinstance(outcome, WayBack):
+        elif isinstance(outcome, Backtrack):
             self.proven.update(map(_name, outcome.subpaths))
 
     def trusts(self, now_s: float) -> bool:
@@ -298,7 +298,7 @@ class Watch:
 
     def _near_m(self) -> float:
         limits = self.limits
-        if self.driving.hovers:
+        if self.traits.hovers:
             return limits.speed_m_s + 3.0 * limits.tracking_error_m + 5.0
         return 1.3 * limits.lead_m + 2.0 * limits.loiter_radius_m + 3.0 * limits.tracking_error_m
 
@@ -368,7 +368,7 @@ class Watch:
             self.spoke_at_s = max(self.spoke_at_s, after.now_s)
             return
         silent_s = after.now_s - self.spoke_at_s
-        assert silent_s <= 2.5 + self.driving.setpoint_period_s, (
+        assert silent_s <= 2.5 + self.traits.setpoint_period_s, (
             f"{self.key}: said nothing for {silent_s:.1f} s in guided mode"
         )
 

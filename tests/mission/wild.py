@@ -17,11 +17,11 @@ from watch import Watch
 from companion.mavlink.autopilots import ALL
 from companion.mission import changes, checkpoint, machine
 from companion.mission.decisions import Context
-from companion.mission.driving import Driving, TakeOffWay
 from companion.mission.events import (
     Arm,
     Battery,
     Command,
+    DuplicateId,
     Echo,
     Estimator,
     Event,
@@ -35,7 +35,6 @@ from companion.mission.events import (
     LinkDelay,
     LinkLost,
     Mode,
-    Namesake,
     Order,
     OrderKind,
     Origin,
@@ -63,9 +62,10 @@ from companion.mission.events import (
 )
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.mission.state import Phase, State
+from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
-from companion.planner.request import Planned, PlanOutcome, PlanRequest, WayBack
+from companion.planner.request import Backtrack, Planned, PlanOutcome, PlanRequest
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import empty_map
 from companion.world.threats import CircleZone, PolygonZone, Zone
@@ -97,16 +97,16 @@ _SETTINGS = PlannerSettings(
 _TARGETS = ((400.0, 300.0), (-500.0, 200.0), (-300.0, -600.0))
 
 
-def mission_for(driving: Driving, rng: np.random.Generator) -> Mission:
+def mission_for(traits: VehicleTraits, rng: np.random.Generator) -> Mission:
     """Any end, any fallback, one to three targets."""
     return replace(
         MISSION,
         name="wild",
-        task=Task(limits=_COPTER if driving.hovers else _PLANE, settings=_SETTINGS),
+        task=Task(limits=_COPTER if traits.hovers else _PLANE, settings=_SETTINGS),
         targets_ne_m=_TARGETS[: int(rng.integers(1, 4))],
         end_action=list(EndAction)[rng.integers(3)],
         fallback=list(Fallback)[rng.integers(3)],
-        kind="copter" if driving.hovers else "plane",
+        kind="copter" if traits.hovers else "plane",
         endurance_s=[None, 400.0][rng.integers(2)],
         yaw_rad=[None, 1.0][rng.integers(2)],
     )
@@ -118,13 +118,13 @@ class Wild:
     def __init__(self, seed: int, step: Callable[..., Any] | None = None) -> None:
         self.rng = rng = np.random.default_rng(seed)
         self.machine_step = step or machine.step
-        self.driving = ALL[seed % len(ALL)].driving
-        self.mission = mission_for(self.driving, rng)
+        self.traits = ALL[seed % len(ALL)].traits
+        self.mission = mission_for(self.traits, rng)
         self.context = Context(mission=self.mission, seed=1, shadow=bool(rng.random() < 0.08))
         limits = self.mission.task.limits
         known = empty_map(self.mission.task.cell_m, limits.north_m, limits.east_m)
         self.state = State.of(self.mission, known)
-        self.watch = Watch(self.mission, self.driving, ALL[seed % len(ALL)], self.context)
+        self.watch = Watch(self.mission, self.traits, ALL[seed % len(ALL)], self.context)
         self.trouble = float(
             rng.choice([0.0, 0.003, 0.02, 0.1, 0.4], p=[0.05, 0.2, 0.4, 0.25, 0.1])
         )
@@ -165,9 +165,9 @@ class Wild:
             self.here = (float(rng.normal(0, 50)), 0.0, HOME_AMSL_M + float(rng.uniform(2, 60)))
 
     @staticmethod
-    def calmly(driving: Driving, *, shadow: bool = False, **changes: Any) -> "Wild":
+    def calmly(traits: VehicleTraits, *, shadow: bool = False, **changes: Any) -> "Wild":
         """The same without any trouble, on the ground: a mission with one target."""
-        number = next(k for k, each in enumerate(ALL) if each.driving is driving)
+        number = next(k for k, each in enumerate(ALL) if each.traits is traits)
         made = Wild(number)
         defaults = {
             "targets_ne_m": _TARGETS[:1],
@@ -179,7 +179,7 @@ class Wild:
         made.mission = replace(made.mission, **{**defaults, **changes})
         made.context = Context(mission=made.mission, seed=1, shadow=shadow)
         made.state = State.of(made.mission, made.state.flight.known)
-        made.watch = Watch(made.mission, driving, ALL[number], made.context)
+        made.watch = Watch(made.mission, traits, ALL[number], made.context)
         made.lasting, made.lasting_in = (math.inf, ""), None
         made.busy, made.battery = False, 1.0
         made.calm, made.trouble, made.bad_plans, made.tick_s, made.now_s = True, 0.0, 0.0, 0.1, 0.0
@@ -271,8 +271,8 @@ class Wild:
     def said(self) -> list[Event]:
         now, said = self.now_s, [Tick(time_s=self.now_s)]
         if self.state.phase is Phase.WAITING:
-            name = self.driving.name
-            said.append(VehicleFound(time_s=now, system_id=1, driving=self.driving, name=name))
+            name = self.traits.name
+            said.append(VehicleFound(time_s=now, system_id=1, traits=self.traits, name=name))
         beat = round(now / self.tick_s) % max(round(1.0 / self.tick_s), 1)
         if beat == 0:
             failsafe = self.is_wrong("failsafe")
@@ -286,7 +286,7 @@ class Wild:
             said.append(LandedState(time_s=now, landed=self.landed))
             said.append(GpsFix(time_s=now, good=not self.is_wrong("fix")))
             said.append(Estimator(time_s=now, good=not self.is_wrong("estimator"), error_m=1.0))
-        if self.driving.echoes and self.mode is Mode.GUIDED and beat % 2 == 0:
+        if self.traits.reports_target and self.mode is Mode.GUIDED and beat % 2 == 0:
             echo = self.goal or self.here
             if self.is_wrong("echo"):
                 echo = (echo[0] + 900.0, echo[1], echo[2])
@@ -324,13 +324,16 @@ class Wild:
                 if self.calm:
                     self.later += [(now + 0.5, Prepared(time_s=now, item=item)) for item in Item]
             case SetMode(mode=mode):
-                streams = now - self.streamed_at_s < 1.0 or not self.driving.streams_first
+                streams = (
+                    now - self.streamed_at_s < 1.0
+                    or not self.traits.needs_setpoints_before_offboard
+                )
                 if mode is not Mode.GUIDED or streams:
                     self.mode, self.goal = mode, None
             case Arm():
                 self.armed = self.landed is Landed.ON_GROUND or self.armed
             case TakeOff(altitude_amsl_m=altitude):
-                by_itself = self.driving.take_off is not TakeOffWay.GUIDED_THEN_CLIMB
+                by_itself = self.traits.take_off is not TakeoffSequence.GUIDED_THEN_CLIMB
                 self.mode = Mode.TAKE_OFF if by_itself else self.mode
                 self.climb_to_m = altitude
                 self.later.append((now + 0.2, TakeOffTaken(time_s=now)))
@@ -379,7 +382,7 @@ class Wild:
         climbs_to_m = height_m + float(self.rng.uniform(-3, 3))
         return planned(request, LEG_M, climb_m=min(max(climbs_to_m, low_m), high_m) - height_m)
 
-    def way_back(self, request: PlanRequest) -> WayBack:
+    def way_back(self, request: PlanRequest) -> Backtrack:
         subpaths: list[Subpath] = []
         for stretch in reversed(request.flown or ()):
             flown = Subpath(control_nea_m=stretch.control_nea_m)
@@ -391,7 +394,7 @@ class Wild:
                 subpaths.append(back)
         if not self.calm and self.rng.random() < 0.2 + 0.5 * self.bad_plans:
             subpaths = subpaths[: len(subpaths) // 2]
-        return WayBack(
+        return Backtrack(
             plan_id=request.plan_id,
             subpaths=tuple(subpaths),
             through=tuple(bool(self.rng.random() < 0.5) for _ in subpaths),
@@ -424,7 +427,7 @@ class Wild:
                 share = min(most, 1.0 / tick_s)
                 d = [share * (b - a) for a, b in zip(self.here, self.goal, strict=True)]
                 velocity = (d[0], d[1], d[2])
-        if not self.driving.hovers and aloft and math.hypot(*velocity[:2]) < 5.0:
+        if not self.traits.hovers and aloft and math.hypot(*velocity[:2]) < 5.0:
             speed = limits.speed_m_s
             north, east = (at + v for at, v in zip((north, east), velocity[:2], strict=True))
             velocity = (
@@ -500,7 +503,7 @@ class Wild:
             Prepared(time_s=now, item=Item.PLANS, refusal="made up"),
             PlanLate(time_s=now, plan_id=int(rng.integers(0, 9))),
             ScanDone(time_s=now, scan=_SCAN, asked=9, answered=int(rng.integers(0, 10))),
-            VehicleFound(time_s=now, system_id=1, driving=self.driving, name="again"),
+            VehicleFound(time_s=now, system_id=1, traits=self.traits, name="again"),
         ]
         self.take(choices[rng.integers(len(choices))])
 
@@ -524,7 +527,7 @@ class Wild:
             target_ne_m=(at[0], at[1]) if kind is OrderKind.REPOSITION else None,
             speed_m_s=speed if kind in (OrderKind.SPEED, OrderKind.REPOSITION) else None,
         )
-        if changes.verdict(self.state, order) is changes.Verdict.ACCEPTED:
+        if changes.order_result(self.state, order) is changes.OrderResult.ACCEPTED:
             self.take(order)
 
     def _fence(self) -> None:
@@ -582,9 +585,9 @@ class Wild:
         values = json.loads(json.dumps(checkpoint.values_of(self.state)))
         if not self.calm and self.rng.random() < 0.2:  # it cannot be read
             number = self.state.flight.plan_id
-            values = checkpoint.forgotten("torn", time_s=self.now_s, plan_id=number)
+            values = checkpoint.without_checkpoint("torn", time_s=self.now_s, plan_id=number)
         lost = "lost" in values
-        self.state = checkpoint.beginning(self.mission, (values, self.state.flight.known))
+        self.state = checkpoint.initial_state(self.mission, (values, self.state.flight.known))
         self.state = replace(self.state, now_s=self.now_s, since_s=self.now_s)
         self.later = []
         self.watch.restarted(self.now_s, forgotten=lost)
@@ -592,7 +595,7 @@ class Wild:
     def _namesake(self) -> None:
         """Somebody with our ids, for certain or perhaps."""
         certain = bool(self.rng.random() < 0.3)
-        self.take(Namesake(time_s=self.now_s, certain=certain, news=certain))
+        self.take(DuplicateId(time_s=self.now_s, certain=certain, news=certain))
 
     def _death(self) -> None:
         if self.rng.random() < 0.5:

@@ -12,6 +12,7 @@ from planning import ask, column_distance_m, fly, spline
 
 from companion.path.limits import Limits
 from companion.path.subpath import Subpath
+from companion.planner.loiter_search import LoiterQuery, loiter_point
 from companion.planner.offline import OfflineFlight
 from companion.planner.plan import plan
 from companion.planner.procedure import (
@@ -22,7 +23,6 @@ from companion.planner.procedure import (
     off_path_m,
     sent_pose,
 )
-from companion.planner.refuge import Circler, loiter_point
 from companion.planner.request import NotPlanned, Planned, Refusal
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
@@ -286,15 +286,15 @@ def widest_m(leg: Leg, at_m: float, sense: float, angle: float) -> float:
 def test_a_refuge_is_the_first_preferred_place_that_is_clear(truth: KnownMap) -> None:
     here = (1_000.0, 4_500.0, 450.0)
     in_zone, clear = (3_300.0, 4_300.0, 450.0), (1_200.0, 4_600.0, 450.0)
-    assert loiter_point(truth, TASK, Circler(here_nea_m=here), (in_zone, clear)) == clear
-    assert loiter_point(truth, TASK, Circler(here_nea_m=here)) == pytest.approx(here)
+    assert loiter_point(truth, TASK, LoiterQuery(here_nea_m=here), (in_zone, clear)) == clear
+    assert loiter_point(truth, TASK, LoiterQuery(here_nea_m=here)) == pytest.approx(here)
 
 
 def test_a_refuge_from_a_zone_that_appears_is_near_and_clear_of_it(truth: KnownMap) -> None:
     zone = CircleZone(name="new", north_m=1_300.0, east_m=4_500.0, radius_m=250.0)
     task = replace(TASK, zones=(*ZONES, zone))
     for here in ((900.0, 4_500.0, 450.0), (1_200.0, 4_500.0, 450.0)):
-        point = loiter_point(truth, task, Circler(here_nea_m=here))
+        point = loiter_point(truth, task, LoiterQuery(here_nea_m=here))
         assert point is not None
         assert math.dist(point[:2], (1_300.0, 4_500.0)) >= 250.0 + LOITER + REQUIRED_M
         assert math.dist(point[:2], here[:2]) < 700.0
@@ -303,4 +303,4 @@ def test_a_refuge_from_a_zone_that_appears_is_near_and_clear_of_it(truth: KnownM
 
 def test_there_is_no_refuge_in_a_pit(blank: KnownMap) -> None:
     pit = replace(blank, upper_m=np.full_like(blank.upper_m, 5_000.0), seen=~blank.seen)
-    assert loiter_point(pit, TASK, Circler(here_nea_m=(1_000.0, 4_500.0, 450.0))) is None
+    assert loiter_point(pit, TASK, LoiterQuery(here_nea_m=(1_000.0, 4_500.0, 450.0))) is None

@@ -23,7 +23,7 @@ from companion.mavlink.dialect import Message
 from companion.mission.mission import Mission
 from companion.mission.start import Start
 from companion.replay.differences import message_of
-from companion.replay.same import Replay
+from companion.replay.reproduce import Replay
 from companion.telemetry.run_folder import journal_line
 
 GOLDENS: Final = Path(__file__).parent / "goldens"

@@ -26,7 +26,7 @@ from recordings import recording
 
 from companion.config import load_mission
 from companion.mavlink.link import Output
-from companion.replay.same import Replay
+from companion.replay.reproduce import Replay
 from companion.replay.shadow import watch
 from companion.runtime.compiler import load_kernel
 from companion.telemetry import inputs
@@ -169,7 +169,7 @@ def _cut(run: Path, to: Path, until_s: float) -> None:
     for step in replay.steps():
         if step.session.now_s > until_s:
             break
-        told.append(step.told)
+        told.append(step.recorded_input)
     to.write_bytes(b"".join(inputs.packed((inputs.HEADER, *told))))
 
 

@@ -18,11 +18,11 @@ from companion.config import load_mission, mission_text
 from companion.mission.mission import Mission
 from companion.mission.start import Start
 from companion.planner.kernels import Kernel
-from companion.replay.same import Replay, Replayed
+from companion.replay.reproduce import Replay, Replayed
 from companion.runtime import loop
 from companion.session import Session
 from companion.sources.files import toml_table, toml_text
-from companion.telemetry.flown import Flown
+from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
 from companion.telemetry.run_folder import RunFolder
 
@@ -44,7 +44,7 @@ def fly_short(
     lockstep: bool = True,
     booted_s: float = 0.0,
     until_s: float = 60.0,
-) -> Flown:
+) -> FlightSummary:
     """Record a flight of the mission of a text until a vehicle that was booted so long ago was
     watched for so long."""
     link = link or ScriptedLink(Vehicle(lockstep=lockstep))

@@ -12,7 +12,7 @@ from companion.config import load_mission
 from companion.mission import machine
 from companion.mission.events import Outcome
 from companion.planner.kernels import NUMPY
-from companion.replay.report import same_json, same_words
+from companion.replay.report import replay_json, replay_text
 from companion.replay.what_if import what_if
 from companion.telemetry.inputs import FILE, Input, InputsFile
 from companion.telemetry.run_folder import recorded_frames
@@ -66,10 +66,10 @@ def test_the_error_that_ended_a_flight_is_shown_again_at_its_place(ended: Path) 
     assert found.unrecorded == 0
     assert (found.ended_by.call, found.ended_by.error) == ("run", ERROR)
     assert found.ended_by.place.startswith("test_ended.breaks, line ")
-    lines = same_words(found)
+    lines = replay_text(found)
     assert lines[-1] == "identical"
     assert any(ERROR in line for line in lines)
-    assert same_json(found)["ended_by"] == ERROR
+    assert replay_json(found)["ended_by"] == ERROR
 
 
 @LOCKSTEP

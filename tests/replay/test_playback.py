@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as wire
 
 from companion.errors import InputError
-from companion.replay.playback import Played, Player, Playing, play_file
+from companion.replay.playback import PlaybackSettings, PlaybackStats, Player, play_file
 from companion.runtime.link import open_link
 from companion.telemetry.logs import Record, open_log
 
@@ -73,9 +73,9 @@ class TimedLink:
         self.sent += [(self.now_s, frame) for frame in batch]
         self.now_s += self._slow_s
 
-    def play(self, records: list[Record], **playing: Any) -> Played:
+    def play(self, records: list[Record], **playing: Any) -> PlaybackStats:
         player = Player(self, self.clock, lambda _: None)  # type: ignore[arg-type]
-        return player.play(records, Playing(**playing))
+        return player.play(records, PlaybackSettings(**playing))
 
     @property
     def times_s(self) -> list[float]:
@@ -186,7 +186,7 @@ def test_nothing_to_play() -> None:
 )
 def test_what_is_wrong_is_said_in_one_line(wrong: dict[str, float], words: str) -> None:
     with pytest.raises(InputError) as caught:
-        Playing(**wrong)
+        PlaybackSettings(**wrong)
     assert str(caught.value).startswith(words)
     assert "\n" not in str(caught.value)
 
@@ -242,7 +242,7 @@ def test_a_ground_station_hears_every_frame_in_order_and_at_its_time(
     records = frames(300)
     file = tlog(tmp_path / "flight.tlog", records)
     station.expect(300)
-    played = play_file(file, f"udpout:127.0.0.1:{station.port}", Playing(speed=10.0))
+    played = play_file(file, f"udpout:127.0.0.1:{station.port}", PlaybackSettings(speed=10.0))
     heard = station.wait()
     assert [bytes(m.get_msgbuf()) for _, m in heard] == [each.frame for each in records]
     assert played.frames == 300
@@ -258,7 +258,7 @@ def test_as_fast_as_possible_and_both_ways_or_one(station: Station, tmp_path: Pa
     file = tlog(tmp_path / "flight.tlog", frames(3000))
     station.expect(1000)
     connect = f"udpout:127.0.0.1:{station.port}"
-    play_file(file, connect, Playing(speed=None), only_vehicle=True)
+    play_file(file, connect, PlaybackSettings(speed=None), only_vehicle=True)
     senders = {(m.get_srcSystem(), m.get_srcComponent()) for _, m in station.wait()}
     assert senders == {(1, 1)}
     assert [m.custom_mode for _, m in station.heard] == list(range(0, 3000, 3))
@@ -267,7 +267,7 @@ def test_as_fast_as_possible_and_both_ways_or_one(station: Station, tmp_path: Pa
 def test_a_part_of_a_log(station: Station, tmp_path: Path) -> None:
     file = tlog(tmp_path / "flight.tlog", frames(600))
     station.expect(50)
-    playing = Playing(speed=100.0, from_s=20.0, until_s=25.0)
+    playing = PlaybackSettings(speed=100.0, from_s=20.0, until_s=25.0)
     played = play_file(file, f"udpout:127.0.0.1:{station.port}", playing)
     assert [m.custom_mode for _, m in station.wait()] == list(range(200, 250))
     assert played.at_s == pytest.approx(24.9)
@@ -288,7 +288,7 @@ def test_a_ground_station_that_calls_is_waited_for(tmp_path: Path) -> None:
         assert not waiting.is_alive()
         for _ in range(20):
             station.sendto(bytes(1000), ("127.0.0.1", port))
-        player.play(log.records(), Playing(speed=100.0))
+        player.play(log.records(), PlaybackSettings(speed=100.0))
         heard: list[Any] = []
         parser = wire.MAVLink(None)
         while len(heard) < 60:
@@ -302,11 +302,11 @@ def test_a_log_with_nothing_in_that_part_is_refused(
 ) -> None:
     file = tlog(tmp_path / "flight.tlog", frames(10))
     with pytest.raises(InputError, match=r"--from = 100\.0: no frame of the log lies there"):
-        play_file(file, f"udpout:127.0.0.1:{station.port}", Playing(from_s=100.0))
+        play_file(file, f"udpout:127.0.0.1:{station.port}", PlaybackSettings(from_s=100.0))
     assert capsys.readouterr().err == ""  # no line of a bar before the error
 
 
 def test_a_log_without_a_vehicle_has_none_to_play_alone(station: Station, tmp_path: Path) -> None:
     file = tlog(tmp_path / "flight.tlog", frames(9)[2::3] * 3)
     with pytest.raises(InputError, match="--only-vehicle = True: the log has no autopilot in it"):
-        play_file(file, f"udpout:127.0.0.1:{station.port}", Playing(), only_vehicle=True)
+        play_file(file, f"udpout:127.0.0.1:{station.port}", PlaybackSettings(), only_vehicle=True)

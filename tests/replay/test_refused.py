@@ -31,9 +31,9 @@ from companion.mavlink.dialect import codec, wire
 from companion.mission.start import Start
 from companion.planner.kernels import NUMPY, Kernel
 from companion.planner.request import PlanOutcome, PlanRequest
-from companion.replay import actions, same
+from companion.replay import actions, reproduce
 from companion.replay.differences import Recording
-from companion.replay.told import TornError, session_of, start_of, tell
+from companion.replay.session_inputs import DamagedInputError, feed, session_of, start_of
 from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
 from companion.telemetry.run_folder import recorded_frames
 
@@ -234,7 +234,7 @@ def planned_at_once(request: PlanRequest, stop: Callable[[], bool], _: Kernel) -
 def test_whatever_is_odd_in_the_inputs_nothing_is_raised_that_is_no_input_error(
     resumed_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(same, "plan", planned_at_once)
+    monkeypatch.setattr(reproduce, "plan", planned_at_once)
     whole = list(InputsFile(resumed_dir / FILE))
     telling = [n for n, each in enumerate(whole) if each[0] not in ("receive", "run")]
     assert {whole[n][0] for n in telling} >= {"start", "deliver", "stop", "farewell"}
@@ -301,8 +301,8 @@ def test_a_damaged_input_is_refused_and_what_came_before_it_is_shown(run: Path) 
 )
 def test_what_is_nothing_that_a_session_is_told_is_named(run_dir: Path, told: Input) -> None:
     session = session_of(start_of(next(iter(InputsFile(run_dir / FILE)))), mission_of_valley)
-    with pytest.raises(TornError):
-        tell(session, told)
+    with pytest.raises(DamagedInputError):
+        feed(session, told)
 
 
 def mission_of_valley(_: Start) -> Any:
@@ -319,7 +319,7 @@ def test_an_error_of_the_session_itself_is_not_called_a_broken_input(
 
     monkeypatch.setattr(session, "run", broken)
     with pytest.raises(KeyError, match="made up"):
-        tell(session, ("run",))
+        feed(session, ("run",))
 
 
 @pytest.mark.parametrize(
@@ -327,7 +327,7 @@ def test_an_error_of_the_session_itself_is_not_called_a_broken_input(
 )
 def test_a_start_that_is_none_is_named(run_dir: Path, change: dict[str, Any]) -> None:
     name, values = next(iter(InputsFile(run_dir / FILE)))
-    with pytest.raises(TornError, match="a start that is none"):
+    with pytest.raises(DamagedInputError, match="a start that is none"):
         start_of((name, {**values, **change}))
 
 

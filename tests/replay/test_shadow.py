@@ -28,9 +28,9 @@ from companion.path.subpath import Subpath
 from companion.planner.kernels import NUMPY
 from companion.replay.shadow import watch
 from companion.replay.shadow_notes import _Path
-from companion.replay.shadow_report import Hold, Said, ShadowReport
+from companion.replay.shadow_report import Hold, ShadowReport, VehicleReport
+from companion.replay.shadow_text import renderables
 from companion.replay.shadow_watch import LISTENED
-from companion.replay.shadow_words import renderables
 from companion.session import Session
 from companion.telemetry.logs import Record
 
@@ -290,12 +290,12 @@ def test_what_is_passed_over_unread_changes_nothing(name: str) -> None:
 
 def test_whatever_a_strategy_reads_of_the_health_is_heard() -> None:
     """But for echoes of setpoints, which say nothing of the vehicle."""
-    echoes = {
+    reports_target = {
         wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
         wire.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
     }
     read = {number for autopilot in ALL for number in autopilot.reads}
-    assert read - echoes <= LISTENED
+    assert read - reports_target <= LISTENED
 
 
 @pytest.mark.sample(3)
@@ -469,7 +469,7 @@ def test_people_read_when_and_why_it_lets_go() -> None:
 def test_a_vehicle_may_say_what_would_be_colours_here() -> None:
     """PX4 before 1.10 puts the module in brackets."""
     report = report_of(PX4)
-    says = Said(at_s=report.holds[0].let_go_s, what="says", text="[commander] lost[/b]")
+    says = VehicleReport(at_s=report.holds[0].let_go_s, what="says", text="[commander] lost[/b]")
     text = text_of(replace(report, said=[says]))
     assert "“[commander] lost[/b]”" in text
 

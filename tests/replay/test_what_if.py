@@ -25,7 +25,7 @@ def asked(changed: Mission, seed: int | None = None) -> list[WhatIf]:
 
 
 def test_the_same_settings_give_plans_as_good_as_were_flown_on_any_processor() -> None:
-    """The very same on one that computes alike: tests/replay/test_same.py."""
+    """The very same on one that computes alike: tests/replay/test_reproduce.py."""
     found = asked(load_mission(MISSION))
     assert len(found) >= 2
     for each in found:

@@ -91,9 +91,9 @@ class StubSession:
         return True
 
     def run(self) -> Output:
-        return self.taken()
+        return self.take_output()
 
-    def taken(self) -> Output:
+    def take_output(self) -> Output:
         out, self.out = self.out, Output()
         out.end, out.settled = self.end, True
         return out
@@ -113,7 +113,7 @@ class StubSession:
     def farewell(self) -> Output:
         return self.run()
 
-    def last_words(self, why: str) -> list[bytes]:
+    def final_text(self, why: str) -> list[bytes]:
         return [packed(wire.MAVLink_statustext_message(4, f"ended: {why}"[:50].encode()))]
 
     def hold_frames(self) -> list[bytes]:

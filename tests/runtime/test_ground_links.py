@@ -11,10 +11,10 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from stub_session import HEARTBEAT, HOLD, PATIENCE_S, SETPOINT, QueueLink, StubSession
-from test_parts import Rig
+from test_workers import Rig
 
 from companion.runtime.link import open_links
-from companion.runtime.parts import Datagram, GroundReader, Inbox
+from companion.runtime.workers import Datagram, EventQueue, GroundReader
 from companion.telemetry.run_folder import RunFolder
 
 
@@ -107,8 +107,8 @@ class Quiet(QueueLink):
 
 @pytest.mark.parametrize(("size", "most"), [(10, 500), (1000, 65)])
 def test_no_more_is_taken_from_one_than_a_ground_station_has_to_say(size: int, most: int) -> None:
-    link, inbox = Quiet(), Inbox()
-    reader = GroundReader(link, 1, inbox, lambda: 100.0)
+    link, event_queue = Quiet(), EventQueue()
+    reader = GroundReader(link, 1, event_queue, lambda: 100.0)
     thread = threading.Thread(target=reader.run)
     for _ in range(1200):
         link.incoming.put(bytes(size))
@@ -116,7 +116,7 @@ def test_no_more_is_taken_from_one_than_a_ground_station_has_to_say(size: int, m
     assert link.is_empty.wait(PATIENCE_S)
     reader.leave()
     thread.join(PATIENCE_S)
-    taken = inbox.take(0.0, most=2000)
+    taken = event_queue.take(0.0, most=2000)
     assert len(taken) == most
     assert all(isinstance(each, Datagram) and each.link == 1 for each in taken)
 

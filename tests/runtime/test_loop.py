@@ -21,9 +21,9 @@ from companion.mission.events import Mode, Outcome, SetMode, Setpoint
 from companion.mission.state import Reason
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.runtime import loop
-from companion.runtime.decider import newest_setpoint
+from companion.runtime.control_loop import newest_setpoint
 from companion.session import Session
-from companion.telemetry.flown import Flown
+from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 
 _MOST = 5000  # datagrams of one flight, or the test has failed
@@ -67,7 +67,9 @@ def folder(tmp_path: Path) -> Iterator[RunFolder]:
         yield folder
 
 
-def fly(link: ScriptedLink, folder: RunFolder, lockstep: bool = True, **keywords: Any) -> Flown:
+def fly(
+    link: ScriptedLink, folder: RunFolder, lockstep: bool = True, **keywords: Any
+) -> FlightSummary:
     return loop.fly(
         Session(MISSION, seed=1, lockstep=lockstep),
         link,

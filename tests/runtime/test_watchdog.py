@@ -1,4 +1,4 @@
-"""What the gate lets through and tells apart; `test_parts` has the watchdog at work."""
+"""What the gate lets through and tells apart; `test_workers` has the watchdog at work."""
 
 import sys
 import threading
@@ -17,8 +17,8 @@ from companion.runtime.watchdog import (
     STALL_S,
     Failure,
     Gate,
-    Part,
     Watchdog,
+    Worker,
     waits_for_processor,
 )
 from companion.runtime.watchdog import is_setpoint as is_setpoint
@@ -148,8 +148,8 @@ def test_a_link_that_is_stuck_in_the_middle_of_a_frame_does_not_keep_the_hold_ba
 def test_of_several_deaths_the_first_counts_and_the_hold_is_sent_for_it_once_in_full() -> None:
     rig = Rig()
     rig.watchdog.start()
-    rig.watchdog.died(Part("reader"), "first")
-    rig.watchdog.died(Part("planner"), "second")
+    rig.watchdog.died(Worker("reader"), "first")
+    rig.watchdog.died(Worker("planner"), "second")
     rig.watchdog.end(10.0)
     assert rig.failures == [(Failure(part="reader", error="first"), [HOLD])]
     assert rig.frames() == [HOLD] * 3
@@ -159,7 +159,7 @@ def test_of_several_deaths_the_first_counts_and_the_hold_is_sent_for_it_once_in_
 def test_a_part_that_is_not_vital_shuts_nothing() -> None:
     rig = Rig()
     rig.watchdog.start()
-    rig.watchdog.died(Part("writer", vital=False), "disk")
+    rig.watchdog.died(Worker("writer", vital=False), "disk")
     rig.watchdog.end(10.0)
     assert rig.losses == [Failure(part="writer", error="disk")]
     assert not rig.gate.is_shut
@@ -170,14 +170,14 @@ def test_after_the_end_of_a_flight_nothing_is_a_death() -> None:
     rig = Rig()
     rig.watchdog.start()
     rig.watchdog.end(10.0)
-    rig.watchdog.died(Part("planner"), "its process was ended")
+    rig.watchdog.died(Worker("planner"), "its process was ended")
     assert not rig.gate.is_shut
     assert rig.watchdog.failure is None
 
 
 def test_a_computer_that_was_asleep_for_a_minute_has_lost_nobody() -> None:
     """The watchdog slept as well: what it did not see is no sign of a death."""
-    rig, part, leaving = Rig(), Part("decider"), threading.Event()
+    rig, part, leaving = Rig(), Worker("decider"), threading.Event()
     part.beat(0.2)
     rig.watchdog.start()
     rig.watchdog.watch(part, lambda: leaving.wait() and None)
@@ -192,7 +192,7 @@ def test_a_computer_that_was_asleep_for_a_minute_has_lost_nobody() -> None:
 
 
 def test_a_death_that_is_noticed_by_the_watchdog_itself_has_its_words() -> None:
-    rig, part, leaving = Rig(each_look_s=0.03), Part("decider"), threading.Event()
+    rig, part, leaving = Rig(each_look_s=0.03), Worker("decider"), threading.Event()
     part.beat(0.2)
     rig.watchdog.start()
     rig.watchdog.watch(part, lambda: leaving.wait() and None)
@@ -206,7 +206,7 @@ def test_a_death_that_is_noticed_by_the_watchdog_itself_has_its_words() -> None:
 
 def test_a_part_that_gets_no_processor_is_excused_for_seconds_and_not_for_ever() -> None:
     waits = [True]
-    rig, part = Rig(waits=lambda _part: waits[0]), Part("decider")
+    rig, part = Rig(waits=lambda _part: waits[0]), Worker("decider")
     part.beat(STALL_S)
     rig.watchdog._parts.append(part)
     rig.watchdog._look(0.05)  # sees the beat
@@ -220,7 +220,7 @@ def test_a_part_that_gets_no_processor_is_excused_for_seconds_and_not_for_ever()
 
 def test_a_part_that_sleeps_or_computes_does_not_wait_for_a_processor() -> None:
     rig, leaving, ran = Rig(), threading.Event(), threading.Event()
-    sleeper, worker = Part("sleeper"), Part("worker")
+    sleeper, worker = Worker("sleeper"), Worker("worker")
 
     def work() -> None:
         while not leaving.is_set():
@@ -235,4 +235,4 @@ def test_a_part_that_sleeps_or_computes_does_not_wait_for_a_processor() -> None:
         ran.clear()
         assert ran.wait(until_s - time.monotonic())
     leaving.set()
-    assert not waits_for_processor(Part("one that never ran"))
+    assert not waits_for_processor(Worker("one that never ran"))

@@ -15,7 +15,7 @@ from companion.errors import InputError
 from companion.mission import journal as noted
 from companion.mission.journal import KINDS, VERSION, Header, PlanAsked, PlanReady
 from companion.mission.state import Reason
-from companion.telemetry.journal import _TO_NEXT, Journal
+from companion.telemetry.journal import _UPGRADES, Journal
 from companion.telemetry.journal_page import journal_markdown, words_of
 
 ROOT = Path(__file__).parents[2]
@@ -104,7 +104,7 @@ def test_the_page_explains_every_kind_and_every_field() -> None:
 
 
 def test_there_is_a_step_from_every_older_version_and_a_journal_of_it() -> None:
-    assert sorted(_TO_NEXT) == list(range(1, VERSION))
+    assert sorted(_UPGRADES) == list(range(1, VERSION))
     for version in range(1, VERSION):
         first = (OLD / f"version-{version}.jsonl").read_text(encoding="utf-8").splitlines()[0]
         assert json.loads(first)["version"] == version

@@ -16,8 +16,8 @@ from recordings import recording
 
 from companion.errors import InputError
 from companion.mavlink.dialect import wire
-from companion.telemetry.logs import Oddity, open_log
-from companion.telemetry.logs.findings import Findings, shown_time
+from companion.telemetry.logs import Anomaly, open_log
+from companion.telemetry.logs.anomalies import AnomalyCounter, shown_time
 from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, Timeline
 
 COPTER = recording("arducopter-gps-loss.tlog")
@@ -166,7 +166,7 @@ def test_one_wrong_byte_costs_two_messages_at_most(
 )
 def test_time_never_falls_whatever_the_stamps(stamps: list[int], is_sure: bool) -> None:
     timeline = Timeline(
-        Findings(),
+        AnomalyCounter(),
         first_us=YEAR_2000_US,
         last_us=YEAR_2100_US,
         start_us=YEAR_2000_US,
@@ -190,7 +190,7 @@ def test_a_log_that_is_gone_by_then_says_so(
     log = open_log(path)
     path.unlink()
     assert list(log.records()) == []
-    assert Oddity.UNREADABLE in [finding.oddity for finding in log.findings]
+    assert Anomaly.UNREADABLE in [finding.oddity for finding in log.findings]
 
 
 def test_times_beyond_the_calendar_can_be_shown() -> None:
@@ -199,10 +199,10 @@ def test_times_beyond_the_calendar_can_be_shown() -> None:
 
 
 def test_findings_count_and_keep_where_each_began() -> None:
-    findings = Findings()
-    findings.note(Oddity.GARBAGE, 1000, None, 5)
-    findings.note(Oddity.CHECKSUM, 2000, EPOCH_US)
-    findings.note(Oddity.GARBAGE, 3000, EPOCH_US, 7)
+    findings = AnomalyCounter()
+    findings.note(Anomaly.GARBAGE, 1000, None, 5)
+    findings.note(Anomaly.CHECKSUM, 2000, EPOCH_US)
+    findings.note(Anomaly.GARBAGE, 3000, EPOCH_US, 7)
     garbage, checksum = findings.all()
     assert (garbage.count, garbage.first_byte, garbage.first_time_us) == (12, 1000, None)
     assert str(garbage) == "12 bytes that belong to nothing were passed over (first at byte 1,000)"

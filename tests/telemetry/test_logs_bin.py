@@ -24,9 +24,9 @@ from recordings import recording
 
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
-from companion.telemetry.logs import Oddity, open_log
+from companion.telemetry.logs import Anomaly, open_log
+from companion.telemetry.logs.anomalies import AnomalyCounter
 from companion.telemetry.logs.dataflash import rows
-from companion.telemetry.logs.findings import Findings
 from companion.telemetry.logs.window import Window
 
 COPTER, PLANE = "arducopter-gps-loss", "arduplane-guided-reposition"
@@ -65,7 +65,7 @@ def test_entries_are_those_that_dfreader_reads(flights: dict[str, Path]) -> None
     theirs = [json.loads(line) for line in said.splitlines()]
     theirs = [each for each in theirs if each["mavpackettype"] != "FMT"]
     with Window(flights[COPTER]) as window:
-        ours = list(rows(window, Findings(), FORMATS))
+        ours = list(rows(window, AnomalyCounter(), FORMATS))
     assert len(ours) == len(theirs) > 10_000
     log = open_log(flights[COPTER])
     boot_us = next(log.records()).time_us - next(r.time_us for r in ours if r.time_us is not None)
@@ -167,7 +167,7 @@ def test_whose_log_it_is_stands_in_its_parameters(tmp_path: Path) -> None:
 def test_an_unknown_date_unknown_arming_and_what_is_missing_are_told(tmp_path: Path) -> None:
     log = opened(tmp_path, COPTER_START)
     told(log)
-    assert set(counts(log)) == {Oddity.NO_DATE, Oddity.SUBSTITUTED}
+    assert set(counts(log)) == {Anomaly.NO_DATE, Anomaly.SUBSTITUTED}
     assert any("taken for disarmed" in str(each) for each in log.findings)
     missing = {each.message: each for each in log.missing()}
     assert "LOG_BITMASK" in missing["GLOBAL_POSITION_INT"].remedy
@@ -219,8 +219,8 @@ def test_an_entry_that_is_damaged_is_left_out_and_the_rest_is_kept(tmp_path: Pat
     texts = [m.text for m in of(told(log), "STATUSTEXT")]
     assert texts == ["ArduCopter V4.5.7", "text 0", "text 3", "text 4"]
     found = counts(log)
-    assert found[Oddity.GARBAGE] == 20 + len(rest[2]) + len(b"noise")  # what noise follows, too
-    assert found[Oddity.CUT_SHORT] == 30
+    assert found[Anomaly.GARBAGE] == 20 + len(rest[2]) + len(b"noise")  # what noise follows, too
+    assert found[Anomaly.CUT_SHORT] == 30
     assert log.read_bytes == log.size_bytes
 
 
@@ -238,7 +238,7 @@ def test_numbers_that_fit_into_no_message_are_damage(tmp_path: Path) -> None:
     )
     log = opened(tmp_path, content)
     assert of(told(log), "GLOBAL_POSITION_INT") == []
-    assert counts(log)[Oddity.DAMAGED] == 3
+    assert counts(log)[Anomaly.DAMAGED] == 3
 
 
 def test_a_time_that_leaps_is_not_believed_once(tmp_path: Path) -> None:
@@ -247,14 +247,14 @@ def test_a_time_that_leaps_is_not_believed_once(tmp_path: Path) -> None:
     log = opened(tmp_path, content)
     texts = [m.text for m in of(told(log), "STATUSTEXT")][1:]
     assert texts == ["at 3000000", "at 4000000", "at 5000000", "at 6000000"]
-    assert counts(log)[Oddity.WRONG_STAMP] == 2
+    assert counts(log)[Anomaly.WRONG_STAMP] == 2
 
 
 def test_what_the_vehicle_could_not_write_is_told(tmp_path: Path) -> None:
     lost = b"".join(entry("DSF", 3000 + k, each, *([0] * 5)) for k, each in enumerate((0, 40, 42)))
     log = opened(tmp_path, COPTER_START + lost)
     told(log)
-    assert counts(log)[Oddity.LOST_ENTRIES] == 42
+    assert counts(log)[Anomaly.LOST_ENTRIES] == 42
 
 
 def test_a_format_that_cannot_be_is_not_taken(tmp_path: Path) -> None:
@@ -263,4 +263,4 @@ def test_a_format_that_cannot_be_is_not_taken(tmp_path: Path) -> None:
     content = fmt_entries() + wrong + COPTER_START[len(fmt_entries()) :]
     log = opened(tmp_path, content)
     assert [m.text for m in of(told(log), "STATUSTEXT")] == ["ArduCopter V4.5.7"]
-    assert counts(log)[Oddity.DAMAGED] == 1
+    assert counts(log)[Anomaly.DAMAGED] == 1

@@ -16,7 +16,7 @@ from test_logs_ulg import message, status, text
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
 from companion.replay.shadow import watch
-from companion.telemetry.logs import Log, Oddity
+from companion.telemetry.logs import Anomaly, Log
 
 V3_1: Formats = {
     "FMT": (128, "BBnNZ", "Type,Length,Name,Format"),  # one name less than letters
@@ -117,7 +117,7 @@ def test_an_old_logs_time_is_the_vehicles_and_not_that_of_the_gps_week(tmp_path:
     gps_s = WEEK * 604_800 + OF_WEEK_MS * 1e-3
     assert told[0][0] * 1e-6 == pytest.approx(315_964_800 + gps_s - 18, abs=1e-3)
     odd = {finding.oddity for finding in log.findings}
-    assert odd == {Oddity.SUBSTITUTED}  # nothing is damaged, and no stamp disbelieved
+    assert odd == {Anomaly.SUBSTITUTED}  # nothing is damaged, and no stamp disbelieved
     report = watch(log.path, None, kernel=None)
     assert report.vehicle == "ArduCopter"
     assert report.watched_from_s is not None
@@ -152,7 +152,7 @@ def test_a_clock_that_is_a_date_is_told_from_the_logs_beginning(
     assert told[-1][1].time_boot_ms - told[0][1].time_boot_ms == 100 * (FIXES - 1)
     assert told[0][1].time_boot_ms < 10_000
     odd = {finding.oddity for finding in log.findings}
-    assert odd == {Oddity.SUBSTITUTED}
+    assert odd == {Anomaly.SUBSTITUTED}
     assert any("clock is a date" in str(finding) for finding in log.findings)
 
 

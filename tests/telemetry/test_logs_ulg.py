@@ -15,8 +15,8 @@ from recordings import recording
 from companion.errors import InputError
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import decoded
-from companion.telemetry.logs import Log, Oddity, open_log
-from companion.telemetry.logs.findings import Findings
+from companion.telemetry.logs import Anomaly, Log, open_log
+from companion.telemetry.logs.anomalies import AnomalyCounter
 from companion.telemetry.logs.px4 import TOPICS, _direction
 from companion.telemetry.logs.ulog import PARAMETER, TEXT, rows
 from companion.telemetry.logs.window import Window
@@ -49,7 +49,7 @@ def text(time_us: int, said: bytes, level: bytes = b"4") -> bytes:
 
 def test_topics_parameters_and_texts_are_those_that_pyulog_reads() -> None:
     theirs = ULog(str(SHORT))
-    findings, ours = Findings(), defaultdict(list)
+    findings, ours = AnomalyCounter(), defaultdict(list)
     with Window(SHORT) as window:
         for row in rows(window, findings, TOPICS):
             ours[row.name].append(row.values)
@@ -241,7 +241,7 @@ def test_a_small_log_is_told(tmp_path: Path) -> None:
     assert [(m.text, m.severity) for m in texts[:1]] == [("Ready", 4)]
     assert "".join(m.text for m in texts[1:]) == "x" * 120
     assert [m.chunk_seq for m in texts[1:]] == [0, 1, 2]
-    assert counts(log) == {Oddity.NO_DATE: 1, Oddity.LOST_TIME: 250}
+    assert counts(log) == {Anomaly.NO_DATE: 1, Anomaly.LOST_TIME: 250}
     missing = {each.message: each.remedy for each in log.missing()}
     assert "estimator_status (SDLOG_PROFILE bit 0)" in missing["ESTIMATOR_STATUS"]
     setpoint = "POSITION_TARGET_LOCAL_NED or POSITION_TARGET_GLOBAL_INT"
@@ -255,7 +255,7 @@ def test_a_mode_that_is_none_costs_the_heartbeat_alone(tmp_path: Path) -> None:
     assert [m.text for m in of(messages, "STATUSTEXT")] == [str(k) for k in range(8)]
     assert of(messages, "SYSTEM_TIME")
     assert not of(messages, "HEARTBEAT")
-    assert counts(log)[Oddity.DAMAGED] == 1
+    assert counts(log)[Anomaly.DAMAGED] == 1
 
 
 def test_a_receiver_without_a_course_still_tells_of_its_fix() -> None:
@@ -281,9 +281,9 @@ def test_damage_costs_what_is_damaged(tmp_path: Path) -> None:
     assert "four" in texts
     assert "three" in texts
     found = counts(log)
-    assert found[Oddity.DAMAGED] >= 1
-    assert found[Oddity.GARBAGE] >= len(b"noise that is no message")
-    assert found[Oddity.CUT_SHORT] == len(text(0, b"five")) - 1
+    assert found[Anomaly.DAMAGED] >= 1
+    assert found[Anomaly.GARBAGE] >= len(b"noise that is no message")
+    assert found[Anomaly.CUT_SHORT] == len(text(0, b"five")) - 1
     assert log.read_bytes == log.size_bytes
 
 
@@ -301,7 +301,7 @@ def test_formats_that_would_fill_the_memory_are_not_taken(tmp_path: Path) -> Non
         content += message(b"A", b"\0" + struct.pack("<H", k) + name)
     log = opened(tmp_path, content + text(2_000_000, b"here"))
     assert [m.text for m in told(log)] == ["here"]
-    assert counts(log)[Oddity.DAMAGED] >= 6
+    assert counts(log)[Anomaly.DAMAGED] >= 6
 
 
 def test_a_log_of_a_later_format_is_refused(tmp_path: Path) -> None:

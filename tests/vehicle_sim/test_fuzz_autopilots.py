@@ -21,7 +21,16 @@ from hypothesis.stateful import (
 )
 from rig import STRONG
 
-from vehicle_sim.autopilots import Ack, Autopilot, Command, Place, Sender, Setpoint, Sticks, Text
+from vehicle_sim.autopilots import (
+    Ack,
+    Autopilot,
+    Command,
+    ManualControl,
+    Place,
+    Sender,
+    Setpoint,
+    Text,
+)
 from vehicle_sim.autopilots.factory import PERSONALITIES
 from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE
 from vehicle_sim.dynamics.copter import Copter
@@ -237,13 +246,15 @@ class Fuzz(RuleBasedStateMachine):
         self.autopilot.plans[kind] = tuple(items)
         self.check(self.autopilot.on_plan(kind))
 
-    @rule(sender=SENDERS, sticks=st.tuples(*[st.floats(-1.0, 1.0)] * 4))
-    def sticks(self, sender: Sender, sticks: Any) -> None:
+    @rule(sender=SENDERS, manual_control=st.tuples(*[st.floats(-1.0, 1.0)] * 4))
+    def manual_control(self, sender: Sender, manual_control: Any) -> None:
         """A pilot."""
-        pitch, roll, throttle, yaw = sticks
+        pitch, roll, throttle, yaw = manual_control
         self.check(
-            self.autopilot.on_sticks(
-                Sticks(sender=sender, pitch=pitch, roll=roll, throttle=abs(throttle), yaw=yaw)
+            self.autopilot.on_manual_control(
+                ManualControl(
+                    sender=sender, pitch=pitch, roll=roll, throttle=abs(throttle), yaw=yaw
+                )
             )
         )
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vehicle_sim.faults.conditions import LinkConditions
-from vehicle_sim.wire.impairments import MOST_FRAMES, Impairments
+from vehicle_sim.wire.impairments import MAX_FRAMES, Impairments
 
 S = 1_000_000
 STEP_US = 10_000
@@ -155,10 +155,10 @@ def test_what_is_on_its_way_arrives_after_the_link_has_cleared_and_before_what_f
 
 def test_a_full_queue_loses_what_comes_on_top() -> None:
     made = link(LinkConditions(delay_us=60 * S))
-    for k in range(MOST_FRAMES + 500):
+    for k in range(MAX_FRAMES + 500):
         made.push(k, b"x")
     assert made.lost == 500
-    assert len(made.pop(200 * S)) == MOST_FRAMES
+    assert len(made.pop(200 * S)) == MAX_FRAMES
     shuffled = link(LinkConditions(reordered=1.0, delay_us=60 * S))
     for _ in range(2000):
         shuffled.push(0, b"x")

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Sender, Setpoint, Sticks, Text
+from vehicle_sim.autopilots import Ack, Command, ManualControl, Sender, Setpoint, Text
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.frames import Packer, StreamParser
 
@@ -95,11 +95,11 @@ def test_set_mode_means_do_set_mode_in_either_firmware() -> None:
 
 def test_sticks_are_fractions_of_full_deflection() -> None:
     message = mavlink.MAVLink_manual_control_message(1, 1000, -500, 500, 0x7FFF, 0)
-    assert messages.sticks(sent(message), ANYBODY) == Sticks(
+    assert messages.manual_control(sent(message), ANYBODY) == ManualControl(
         sender=ANYBODY, pitch=1.0, roll=-0.5, throttle=0.5, yaw=0.0
     )
     wild = mavlink.MAVLink_manual_control_message(1, -32768, 30000, -1000, 0, 0)
-    assert messages.sticks(sent(wild), ANYBODY) == Sticks(
+    assert messages.manual_control(sent(wild), ANYBODY) == ManualControl(
         sender=ANYBODY, pitch=-1.0, roll=1.0, throttle=0.0, yaw=0.0
     )
 

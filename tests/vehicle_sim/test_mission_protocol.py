@@ -14,7 +14,17 @@ from hypothesis import strategies as st
 from pymavlink import mavwp
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Autopilot, Command, Place, Reply, Say, Send, Sender, Text
+from vehicle_sim.autopilots import (
+    Ack,
+    Autopilot,
+    Command,
+    Place,
+    Reply,
+    Sender,
+    SendMessage,
+    SendTelemetry,
+    Text,
+)
 from vehicle_sim.plans import PlanItem, PlanKind, Plans
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
@@ -42,7 +52,7 @@ class Vehicle:
             status=lambda: self.status,
             on_plan=self.on_plan,
             on_command=self.on_command,
-            style=SimpleNamespace(firmware=firmware, requests_mission_int=firmware == "px4"),
+            profile=SimpleNamespace(firmware=firmware, requests_mission_int=firmware == "px4"),
         )
         kind = Px4Missions if firmware == "px4" else ArduPilotMissions
         self.protocol = kind(cast(Autopilot, autopilot))
@@ -64,7 +74,7 @@ class Vehicle:
     def take(self, answers: Iterable[Reply]) -> None:
         for answer in answers:
             match answer:
-                case Say(message=message, to=to):
+                case SendMessage(message=message, to=to):
                     ((_, got),) = StreamParser(datagrams=True).feed(Packer(1, 1).frame(message))
                     self.inbox.append((to, got))
                 case Text(text=text):
@@ -306,7 +316,7 @@ def test_the_current_item_is_set_by_a_command_without_an_acknowledgement(
     assert vehicle.say(mavlink.MAVLink_mission_set_current_message(1, 1, 3)) == []
     (tell,), (asked,) = vehicle.other, vehicle.asked
     assert (asked.number, asked.parameters[0]) == (224, 3.0)
-    assert isinstance(tell, Send)
+    assert isinstance(tell, SendTelemetry)
     assert tell.message == 42
 
 

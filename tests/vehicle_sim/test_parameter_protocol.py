@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pymavlink import mavparm
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Autopilot, Reply, Say, Sender
+from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendMessage
 from vehicle_sim.parameters import Kind, Parameter, Parameters
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
@@ -41,9 +41,9 @@ class Vehicle:
                 for row in rows
             )
         self.parameters = Parameters(rows, {})
-        style = SimpleNamespace(firmware=firmware, bytewise_parameters=firmware == "px4")
+        profile = SimpleNamespace(firmware=firmware, bytewise_parameters=firmware == "px4")
         autopilot = SimpleNamespace(
-            parameters=self.parameters, style=style, on_parameter=self.on_parameter
+            parameters=self.parameters, profile=profile, on_parameter=self.on_parameter
         )
         self.told: list[str] = []
         self.protocol = ParameterProtocol(cast(Autopilot, autopilot))
@@ -66,7 +66,7 @@ class Vehicle:
 
 
 def arrived(answer: Reply) -> Any:
-    assert isinstance(answer, Say)
+    assert isinstance(answer, SendMessage)
     ((_, got),) = StreamParser(datagrams=True).feed(Packer(1, 1).frame(answer.message))
     return got
 
@@ -117,7 +117,9 @@ def test_a_list_goes_to_whoever_asked_and_two_can_be_under_way() -> None:
     for sender in (HERE, THERE):
         vehicle.ask(mavlink.MAVLink_param_request_list_message(1, 1), sender)
     answers = vehicle.protocol.step(10_000_000)
-    assert [answer.to for answer in answers if isinstance(answer, Say)] == [HERE] * 5 + [THERE] * 5
+    assert [answer.to for answer in answers if isinstance(answer, SendMessage)] == [HERE] * 5 + [
+        THERE
+    ] * 5
 
 
 def test_asking_again_begins_again() -> None:
@@ -168,7 +170,7 @@ def test_reading_by_index_and_by_name() -> None:
         (by_index,), (by_name,) = vehicle.read(index=2), vehicle.read("GUID_TIMEOUT")
         assert (arrived(by_index).param_id, arrived(by_index).param_index) == ("GUID_TIMEOUT", 2)
         assert (arrived(by_name).param_value, arrived(by_name).param_index) == (3.0, named)
-        assert isinstance(by_name, Say)
+        assert isinstance(by_name, SendMessage)
         assert by_name.to == HERE
         assert arrived(vehicle.read("SIXTEEN_LETTERS_")[0]).param_id == "SIXTEEN_LETTERS_"
 
@@ -188,7 +190,7 @@ def test_a_set_value_is_told_to_every_link_and_to_the_autopilot() -> None:
     for firmware, index in (("ardupilot", 65535), ("px4", 2)):
         vehicle = Vehicle(firmware)  # type: ignore[arg-type]
         (told,) = vehicle.set("GUID_TIMEOUT", 1.5)
-        assert isinstance(told, Say)
+        assert isinstance(told, SendMessage)
         assert told.to is None
         assert (arrived(told).param_value, arrived(told).param_index) == (1.5, index)
         assert vehicle.told == ["GUID_TIMEOUT"]
@@ -268,7 +270,7 @@ class Connection:
 
     def param_set_send(self, name: str, value: float, parm_type: int | None = None) -> None:
         answers = self.vehicle.set(name, value, 9 if parm_type is None else parm_type)
-        self.arrived += [arrived(answer) for answer in answers if isinstance(answer, Say)]
+        self.arrived += [arrived(answer) for answer in answers if isinstance(answer, SendMessage)]
 
     def recv_match(self, **_: object) -> Any:
         return self.arrived.pop(0)

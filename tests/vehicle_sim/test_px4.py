@@ -9,7 +9,7 @@ from vehicle_sim.autopilots import Ack, Reboot, Result
 from vehicle_sim.autopilots.px4.autopilot import parameter_rows
 from vehicle_sim.autopilots.px4.failsafe import Pilot
 from vehicle_sim.autopilots.px4.modes import Mode, base_mode
-from vehicle_sim.autopilots.px4.style import RATES_HZ, style
+from vehicle_sim.autopilots.px4.profile import RATES_HZ, profile
 from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
 from vehicle_sim.parameters import Kind
 
@@ -42,7 +42,7 @@ def test_parameters_have_legal_names_and_are_in_order() -> None:
 
 def test_what_can_be_streamed() -> None:
     """px4.md 2: FAILED for HEARTBEAT, MISSION_CURRENT and unknown ids."""
-    quad = style(vehicle_type=2, rates_hz=RATES_HZ)
+    quad = profile(vehicle_type=2, rates_hz=RATES_HZ)
     assert {30, 32, 33, 436, 140 - 110} <= quad.streamable
     assert not {0, 42, 9999, 140} & quad.streamable
     assert quad.not_streamable is Result.FAILED

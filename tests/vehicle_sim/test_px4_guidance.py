@@ -120,7 +120,7 @@ def test_the_law_has_no_preferred_side(
     across = math.sin(heading_rad - way_rad)
     if abs(across) > 1e-6 and abs(here) < 0.99 * GAINS.turn_1_s * SPEED_M_S:
         assert here == pytest.approx(-there, abs=1e-9)
-    assert abs(here) <= GAINS.turn_1_s * SPEED_M_S + SPEED_M_S**2 / guidance.LEAST_RADIUS_M
+    assert abs(here) <= GAINS.turn_1_s * SPEED_M_S + SPEED_M_S**2 / guidance.MIN_RADIUS_M
 
 
 @given(course_rad=ANGLES, wind_n=WINDS, wind_e=WINDS, airspeed=st.floats(12.0, 20.0))

@@ -10,14 +10,14 @@ from tracking_px4 import Rig, Vector
 from vehicle_sim.autopilots import Setpoint
 from vehicle_sim.autopilots.px4.modes import Mode
 from vehicle_sim.autopilots.px4.setpoints import (
-    Bearings,
     Projection,
+    SetpointFrames,
     Target,
     flyable,
     read_setpoint,
 )
 
-_BEARINGS = Bearings(
+_BEARINGS = SetpointFrames(
     projection=Projection(47.4, 8.5),
     origin_amsl_m=488.0,
     home_amsl_m=493.0,

@@ -166,8 +166,8 @@ def test_a_key_for_another_vehicle_is_not_ours() -> None:
 
 @pytest.mark.parametrize(("target", "taken"), [(1, True), (2, False), (0, False)])
 def test_sticks_name_only_a_system(target: int, *, taken: bool) -> None:
-    sticks = mavlink.MAVLink_manual_control_message(target, 0, 0, 500, 0, 0)
-    assert Vehicle().get(GCS, sticks, ON_GCS_LINK).to_autopilot is taken
+    manual_control = mavlink.MAVLink_manual_control_message(target, 0, 0, 500, 0, 0)
+    assert Vehicle().get(GCS, manual_control, ON_GCS_LINK).to_autopilot is taken
 
 
 def test_a_message_whose_own_id_field_looks_like_a_number_is_routed_by_its_real_one() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.chance import generator
+from vehicle_sim.rng import generator
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import parse_world
 

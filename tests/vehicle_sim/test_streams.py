@@ -10,7 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Result, Say, Send, Sender, Style, Text
+from vehicle_sim.autopilots import (
+    Ack,
+    Command,
+    FirmwareProfile,
+    Result,
+    Sender,
+    SendMessage,
+    SendTelemetry,
+    Text,
+)
 from vehicle_sim.wire.streams import Streams
 
 STEP_US = 10_000
@@ -21,10 +30,10 @@ POSITION, ATTITUDE, LOCAL, HEARTBEAT = 33, 30, 32, 0
 NOBODY_KNOWS = 230
 
 
-def style(firmware: Literal["ardupilot", "px4"], **rates_hz: float) -> Style:
+def profile(firmware: Literal["ardupilot", "px4"], **rates_hz: float) -> FirmwareProfile:
     is_px4 = firmware == "px4"
     known = frozenset({POSITION, ATTITUDE, LOCAL, 74, 148})
-    return Style(
+    return FirmwareProfile(
         firmware=firmware,
         vehicle_type=2,
         autopilot=12 if is_px4 else 3,
@@ -43,7 +52,7 @@ def style(firmware: Literal["ardupilot", "px4"], **rates_hz: float) -> Style:
     )
 
 
-def fresh(of: Style, links: int = 2) -> Streams:
+def fresh(of: FirmwareProfile, links: int = 2) -> Streams:
     streams = Streams(of)
     for link in range(links):
         streams.open(link, 0)
@@ -77,7 +86,7 @@ def counts(streams: Streams, seconds: float, begin_us: int = BOOTED_US) -> Count
 def test_a_rate_is_met_exactly_and_only_on_the_link_that_asked(
     firmware: Literal["ardupilot", "px4"], rate_hz: float
 ) -> None:
-    streams = fresh(style(firmware))
+    streams = fresh(profile(firmware))
     interval_us = round(1e6 / rate_hz)
     assert result(ask(streams, 511, POSITION, interval_us)) == Result.ACCEPTED
     if firmware == "ardupilot":
@@ -96,7 +105,7 @@ def test_the_count_of_each_message_is_time_over_interval(
     intervals: list[int], seconds: float
 ) -> None:
     numbers = [POSITION, ATTITUDE, LOCAL, 74, 148]
-    streams = fresh(style("px4"))
+    streams = fresh(profile("px4"))
     for number, interval_us in zip(numbers, intervals, strict=False):
         ask(streams, 511, number, interval_us)
     seen = counts(streams, seconds)
@@ -106,14 +115,14 @@ def test_the_count_of_each_message_is_time_over_interval(
 
 
 def test_nothing_is_due_before_it_is_said_to_be() -> None:
-    streams = fresh(style("px4", _30=100.0), links=1)
+    streams = fresh(profile("px4", _30=100.0), links=1)
     for now_us in range(0, 3_000_000, 1_000):
         before = streams.soonest_us
         assert bool(streams.due(now_us)) == (now_us >= before)
 
 
 def test_after_a_pause_each_message_comes_once_and_then_in_its_old_beat() -> None:
-    streams = fresh(style("px4", _30=50.0), links=1)
+    streams = fresh(profile("px4", _30=50.0), links=1)
     streams.due(10_000_000)
     assert streams.due(10_000_001) == []
     assert streams.due(10_020_000) == [(0, ATTITUDE)]
@@ -121,7 +130,7 @@ def test_after_a_pause_each_message_comes_once_and_then_in_its_old_beat() -> Non
 
 def test_minus_one_stops_and_zero_restores_the_default() -> None:
     for firmware in ("ardupilot", "px4"):
-        streams = fresh(style(firmware, _33=5.0))  # type: ignore[arg-type]
+        streams = fresh(profile(firmware, _33=5.0))  # type: ignore[arg-type]
         ask(streams, 511, POSITION, -1)
         ask(streams, 511, ATTITUDE, 100_000)
         assert counts(streams, 2.0)[0, POSITION] == 0
@@ -132,14 +141,14 @@ def test_minus_one_stops_and_zero_restores_the_default() -> None:
 
 
 def test_what_ardupilot_does_not_stream_is_denied_with_a_text() -> None:
-    text, ack = ask(fresh(style("ardupilot")), 511, NOBODY_KNOWS, 1e5)
+    text, ack = ask(fresh(profile("ardupilot")), 511, NOBODY_KNOWS, 1e5)
     assert text == Text(severity=6, text="No ap_message for mavlink id (230)")
     assert ack.result == Result.DENIED
 
 
 @pytest.mark.parametrize("number", [HEARTBEAT, 42, 12345, math.nan, -1.0, 1e30])
 def test_what_px4_does_not_stream_fails(number: float) -> None:
-    assert [ack.result for ack in ask(fresh(style("px4")), 511, number, 1e5)] == [Result.FAILED]
+    assert [ack.result for ack in ask(fresh(profile("px4")), 511, number, 1e5)] == [Result.FAILED]
 
 
 @pytest.mark.parametrize(
@@ -159,13 +168,13 @@ def test_what_px4_does_not_stream_fails(number: float) -> None:
 def test_reserved_parameters_must_be_zero(
     firmware: Literal["ardupilot", "px4"], parameters: tuple[float, ...], wanted: Result
 ) -> None:
-    assert result(ask(fresh(style(firmware)), 511, POSITION, 1e5, *parameters)) == wanted
+    assert result(ask(fresh(profile(firmware)), 511, POSITION, 1e5, *parameters)) == wanted
 
 
 @given(interval_us=st.floats(width=32), number=st.floats(width=32))
 def test_no_interval_and_no_number_breaks_the_table(interval_us: float, number: float) -> None:
     for firmware in ("ardupilot", "px4"):
-        streams = fresh(style(firmware))  # type: ignore[arg-type]
+        streams = fresh(profile(firmware))  # type: ignore[arg-type]
         for asked in (510, 511, 512):
             ask(streams, asked, POSITION, interval_us)
             ask(streams, asked, number, interval_us)
@@ -175,14 +184,14 @@ def test_no_interval_and_no_number_breaks_the_table(interval_us: float, number: 
 
 
 def test_ardupilots_intervals_are_whole_milliseconds_up_to_a_minute() -> None:
-    streams = fresh(style("ardupilot"))
+    streams = fresh(profile("ardupilot"))
     for asked, kept in ((10_900, 10_000), (5, 1_000), (-7, 1_000), (2e9, 60_000_000)):
         ask(streams, 511, POSITION, asked)
         assert streams.interval_us(0, POSITION) == kept
 
 
 def test_the_interval_can_be_asked_for() -> None:
-    streams = fresh(style("ardupilot"))
+    streams = fresh(profile("ardupilot"))
     ask(streams, 511, POSITION, 250_000)
     for number, told, accepted in (
         (POSITION, 250_000, Result.ACCEPTED),
@@ -190,7 +199,7 @@ def test_the_interval_can_be_asked_for() -> None:
         (NOBODY_KNOWS, 0, Result.FAILED),
     ):
         answer, ack = ask(streams, 510, number)
-        assert isinstance(answer, Say)
+        assert isinstance(answer, SendMessage)
         assert (answer.to, answer.message.message_id) == (HERE, number)
         assert (answer.message.interval_us, ack.result) == (told, accepted)
     answer, _ = ask(streams, 510, POSITION, by=THERE)
@@ -198,12 +207,12 @@ def test_the_interval_can_be_asked_for() -> None:
 
 
 def test_a_message_is_sent_once_after_ardupilots_answer_and_before_px4s() -> None:
-    send = Send(message=148, to=HERE)
+    send = SendTelemetry(message=148, to=HERE)
     ack = Ack(to=HERE, command=512, result=Result.ACCEPTED)
-    assert ask(fresh(style("ardupilot")), 512, 148) == [ack, send]
-    assert ask(fresh(style("px4")), 512, 148) == [send, ack]
-    assert result(ask(fresh(style("ardupilot")), 512, NOBODY_KNOWS)) == Result.FAILED
-    assert result(ask(fresh(style("px4")), 512, NOBODY_KNOWS)) == Result.DENIED
+    assert ask(fresh(profile("ardupilot")), 512, 148) == [ack, send]
+    assert ask(fresh(profile("px4")), 512, 148) == [send, ack]
+    assert result(ask(fresh(profile("ardupilot")), 512, NOBODY_KNOWS)) == Result.FAILED
+    assert result(ask(fresh(profile("px4")), 512, NOBODY_KNOWS)) == Result.DENIED
 
 
 def stream_request(group: int, rate_hz: int, *, start: int = 1) -> Any:
@@ -211,7 +220,7 @@ def stream_request(group: int, rate_hz: int, *, start: int = 1) -> Any:
 
 
 def test_a_data_stream_sets_its_whole_group_and_overrides_single_intervals() -> None:
-    streams = fresh(style("ardupilot"))
+    streams = fresh(profile("ardupilot"))
     ask(streams, 511, POSITION, 20_000)
     streams.on_data_stream(stream_request(6, 4), 0, BOOTED_US)
     seen = counts(streams, 10.0)
@@ -225,7 +234,7 @@ def test_a_data_stream_sets_its_whole_group_and_overrides_single_intervals() -> 
 
 
 def test_the_same_request_again_and_again_does_not_hold_up_a_slow_message() -> None:
-    streams = fresh(style("ardupilot"), links=1)
+    streams = fresh(profile("ardupilot"), links=1)
     seen = Counter[Any]()
     for now_us in range(BOOTED_US, BOOTED_US + 20_000_000, STEP_US):
         if now_us % 500_000 == 0:  # faster than the message itself
@@ -239,7 +248,7 @@ def test_the_same_request_again_and_again_does_not_hold_up_a_slow_message() -> N
 
 def test_a_stream_or_a_group_that_there_is_not_is_passed_over() -> None:
     for firmware in ("ardupilot", "px4"):
-        streams = fresh(style(firmware))  # type: ignore[arg-type]
+        streams = fresh(profile(firmware))  # type: ignore[arg-type]
         for request in (stream_request(77, 4), stream_request(6, 4, start=9)):
             streams.on_data_stream(request, 0, BOOTED_US)
         assert set(counts(streams, 2.0)) == {(0, HEARTBEAT), (1, HEARTBEAT)}
@@ -253,7 +262,7 @@ def test_ardupilot_loses_what_is_asked_in_its_first_moment_but_says_yes(
     firmware: Literal["ardupilot", "px4"], now_us: int, *, kept: bool
 ) -> None:
     booted_us = 77_000_000
-    streams = Streams(style(firmware))
+    streams = Streams(profile(firmware))
     streams.open(0, booted_us)
     command = Command(
         sender=HERE,

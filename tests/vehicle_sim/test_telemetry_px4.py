@@ -11,7 +11,7 @@ from recordings import recording
 from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Battery, Event, Report
-from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ
+from vehicle_sim.autopilots.px4.profile import FIXED_WING_RATES_HZ
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.dialect import layout_of, message_class
 from vehicle_sim.wire.frames import Packer

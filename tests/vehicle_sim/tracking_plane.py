@@ -7,7 +7,7 @@ import numpy as np
 import rig
 from rig import STEP_S
 
-from vehicle_sim.autopilots import Result, Say
+from vehicle_sim.autopilots import Result, SendMessage
 from vehicle_sim.autopilots.ardupilot.arduplane import ArduPlane
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.geodesy import LocalFrame
@@ -65,7 +65,7 @@ class Rig(rig.Rig):
 
     def reached(self) -> list[float]:
         """When MISSION_ITEM_REACHED was said."""
-        return [time_s for time_s, reply in self.said if isinstance(reply, Say)]
+        return [time_s for time_s, reply in self.said if isinstance(reply, SendMessage)]
 
 
 class Weave:

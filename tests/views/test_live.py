@@ -7,10 +7,10 @@ from renewed import replace
 from rich.console import Console
 
 from companion.config import load_mission
-from companion.mission.state import Phase, Reason, Silent, Taken
+from companion.mission.state import Phase, Reason, Silent, TakenOver
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.session import Session
-from companion.telemetry.flown import Flown
+from companion.telemetry.flight_summary import FlightSummary
 from companion.views.live import Progress, progress_line, progress_table
 
 
@@ -18,7 +18,9 @@ class Terminal:
     """A session that is told what its state is, and the lines that are printed of it."""
 
     def __init__(self) -> None:
-        self.flown = Flown(session=Session(load_mission("environment-1"), seed=1, lockstep=False))
+        self.flown = FlightSummary(
+            session=Session(load_mission("environment-1"), seed=1, lockstep=False)
+        )
         self.console = Console(width=200, force_terminal=False, record=True)
         self.progress = Progress(self.console)
 
@@ -64,7 +66,7 @@ def test_the_autopilots_failsafe_and_its_end_are_said() -> None:
         102.0, failsafe=True, phase=Phase.HOLDING, since_s=102.0, reason=Reason.FAILSAFE
     )
     assert Reason.FAILSAFE.text in held
-    over = terminal.show(130.0, hold=Taken(failsafe_over=True))
+    over = terminal.show(130.0, hold=TakenOver(failsafe_over=True))
     assert FAILSAFE_OVER in over[-1]
     [silent] = terminal.show(135.0, reason=Reason.LINK_LOST, hold=Silent())
     assert Reason.LINK_LOST.text in silent

@@ -1,9 +1,8 @@
-"""What goes into an autopilot and what comes out: values in SI units, no bytes, no clock.
+"""Inputs and outputs of the simulated autopilots: values in SI units, no bytes, no clock.
 
-wire/ turns frames into these and these into frames.  One module a personality:
-ardupilot/arducopter.py, ardupilot/arduplane.py, px4/multicopter.py, px4/fixed_wing.py; what two of
-them share, and their parts, are beside them.  Parameters and what is said at boot are data: *.parm
-and *.boot.
+wire/ converts frames to these and back. One module per autopilot: ardupilot/arducopter.py,
+ardupilot/arduplane.py, px4/multicopter.py, px4/fixed_wing.py; what two of them share, and their
+parts, are beside them.  Parameters and boot messages are data: *.parm and *.boot.
 """
 
 import enum
@@ -19,7 +18,7 @@ from vehicle_sim.plans import PlanKind, Plans
 from vehicle_sim.sensors.gps import Fix
 
 HIGHEST_HOME_M = 1e5
-"""A home that is put higher, or lower, is refused: HOME_POSITION could not tell of it."""
+"""Limit of home's altitude, up and down: HOME_POSITION could not encode more."""
 
 
 class Result(enum.IntEnum):
@@ -111,7 +110,7 @@ class Setpoint:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sticks:
+class ManualControl:
     """A MANUAL_CONTROL: deflections from -1 to 1, throttle from 0 to 1."""
 
     sender: Sender
@@ -127,7 +126,7 @@ class Sticks:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ack:
-    """The answer to a command, to the asker on the link that the command came by."""
+    """COMMAND_ACK to the sender of a command, on the link it came by."""
 
     to: Sender
     command: int
@@ -158,8 +157,8 @@ class Event:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Send:
-    """Send the stream message of this number once; to everybody if nobody is named."""
+class SendTelemetry:
+    """Send the telemetry message of this number once; to all links if no receiver is given."""
 
     message: int
     to: Sender | None = None
@@ -167,8 +166,8 @@ class Send:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Say:
-    """Send this very message (wire/dialect.py): to one client, or to every link."""
+class SendMessage:
+    """Send this message (wire/dialect.py): to one client, or to every link."""
 
     message: Any
     to: Sender | None = None
@@ -176,8 +175,8 @@ class Say:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SayParameter:
-    """Broadcast the PARAM_VALUE of this name: the autopilot has changed it by itself."""
+class SendParameter:
+    """Broadcast the PARAM_VALUE of a parameter that the autopilot has changed itself."""
 
     name: str
 
@@ -185,10 +184,10 @@ class SayParameter:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reboot:
-    """Start again: intervals are gone, the UDP source port changes, time_boot_ms begins at 0."""
+    """Reboot: intervals are reset, the UDP source port changes, time_boot_ms begins at 0."""
 
 
-Reply = Ack | Text | Event | Send | Say | SayParameter | Reboot
+Reply = Ack | Text | Event | SendTelemetry | SendMessage | SendParameter | Reboot
 
 # --- to tell --------------------------------------------------------------------------------------
 
@@ -210,7 +209,7 @@ class Place:
 @final
 @dataclass(slots=True, kw_only=True)
 class Estimate:
-    """Where the autopilot believes to be: what it steers by and what it tells.  Mutable."""
+    """The autopilot's position estimate, used for control and telemetry.  Mutable."""
 
     latitude_deg: float
     longitude_deg: float
@@ -219,7 +218,7 @@ class Estimate:
     velocity_east_m_s: float = 0.0
     velocity_up_m_s: float = 0.0
     position_ok: bool = False
-    """There is a horizontal position to fly by."""
+    """Whether there is a horizontal position."""
     flags: int = 0
     """EKF_STATUS_REPORT.flags or ESTIMATOR_STATUS.flags, whichever the autopilot sends."""
     velocity_variance: float = 0.0
@@ -229,7 +228,7 @@ class Estimate:
     compass_variance: float = 0.0
     terrain_variance: float = 0.0
     frozen_altitude_amsl_m: float | None = None
-    """What is said of the height above the sea while the position is lost; None: the truth."""
+    """Reported altitude AMSL while the position is lost; None: the estimate."""
     horizontal_accuracy_m: float = 0.0
     vertical_accuracy_m: float = 0.0
 
@@ -242,7 +241,7 @@ class Estimate:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetEcho:
-    """What the autopilot steers for, in the estimator's local frame: POSITION_TARGET_LOCAL_NED."""
+    """The autopilot's target in the estimator's local frame: POSITION_TARGET_LOCAL_NED."""
 
     position_ned_m: tuple[float, float, float] | None
     velocity_ned_m_s: tuple[float, float, float] | None
@@ -250,13 +249,13 @@ class TargetEcho:
     yaw_rad: float
     yaw_rate_rad_s: float = 0.0
     type_mask: int | None = None
-    """As the real one fills it in; None: made from what is there."""
+    """As recorded; None: derived from the fields that are set."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waypoint:
-    """The place that it flies to: POSITION_TARGET_GLOBAL_INT and NAV_CONTROLLER_OUTPUT."""
+    """The current waypoint: POSITION_TARGET_GLOBAL_INT and NAV_CONTROLLER_OUTPUT."""
 
     place: Place
     distance_m: float = 0.0
@@ -271,7 +270,7 @@ class Waypoint:
 
 @final
 class Status(NamedTuple):
-    """What an autopilot says of itself, at one time.  A tuple: they are made often."""
+    """An autopilot's status at one time.  A tuple: they are created often."""
 
     mode: int
     """custom_mode of the heartbeat."""
@@ -318,7 +317,7 @@ class Status(NamedTuple):
 @final
 @dataclass(slots=True, kw_only=True)
 class Report:
-    """All that telemetry is made of; refers to live objects, to be read at once."""
+    """The data of all telemetry; refers to live objects, to be read at once."""
 
     autopilot: "Autopilot"
     fix: Fix
@@ -333,22 +332,22 @@ class Report:
     vehicle: Vehicle = field(init=False)
     """For attitude and airspeed only: position and velocity are the estimate's."""
     estimate: Estimate = field(init=False)
-    style: "Style" = field(init=False)
+    profile: "FirmwareProfile" = field(init=False)
     _status: Status | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         autopilot = self.autopilot
         self.vehicle, self.estimate = autopilot.vehicle, autopilot.estimate
-        self.style = autopilot.style
+        self.profile = autopilot.profile
 
     def renew(self, time_us: int, unix_us: int) -> None:
-        """Time has gone on: what the autopilot says of itself is asked for anew."""
+        """Advance the time: the status is requested again when needed."""
         self.time_us, self.unix_us = time_us, unix_us
         self._status = None
 
     @property
     def status(self) -> Status:
-        """Asked for when a message first needs it: most, such as ATTITUDE, do not."""
+        """Computed when a message first needs it: most, like ATTITUDE, do not."""
         status = self._status
         if status is None:
             status = self._status = self.autopilot.status()
@@ -360,8 +359,8 @@ class Report:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Style:
-    """How a firmware speaks: what wire/ needs to know of it.  Fixed for a personality."""
+class FirmwareProfile:
+    """Profile of a firmware's MAVLink behaviour, for wire/.  Constant per autopilot."""
 
     firmware: Literal["ardupilot", "px4"]
     vehicle_type: int
@@ -372,7 +371,7 @@ class Style:
     software_version: int
     custom_version: bytes = bytes(8)
     rates_hz: Mapping[int, float]
-    """What a fresh link gets unasked, by message number."""
+    """Default rates of a new link, by message number."""
     streamable: frozenset[int]
     """What SET_MESSAGE_INTERVAL accepts."""
     requestable: frozenset[int]
@@ -386,9 +385,9 @@ class Style:
     requests_mission_int: bool
     """Asks for items by MISSION_REQUEST_INT (PX4) or MISSION_REQUEST (ArduPilot)."""
     texts_need: Literal["anybody", "ground station"]
-    """Who must have been heard on a link before STATUSTEXT goes there."""
+    """Sender that must have been heard on a link before STATUSTEXT is sent there."""
     signs: bool
-    """Knows MAVLink 2 signing."""
+    """Supports MAVLink 2 signing."""
     data_streams: Mapping[int, Sequence[int]] = field(default_factory=dict)
     """REQUEST_DATA_STREAM: group -> message numbers."""
 
@@ -396,22 +395,21 @@ class Style:
 class Autopilot(Protocol):
     """One personality.
 
-    Steers the vehicle that it is given, and never reads where that really is but through the fix:
-    it flies by its estimate.
+    Controls the given vehicle by its estimate; it reads the true position only through the GPS fix.
     """
 
-    style: Style
+    profile: FirmwareProfile
     parameters: Parameters
     plans: Plans
     estimate: Estimate
 
     @property
     def vehicle(self) -> Vehicle:
-        """What it steers."""
+        """The controlled vehicle."""
 
     @property
     def mode_name(self) -> str:
-        """The mode it flies in, as its users call it."""
+        """Name of the flight mode."""
 
     @property
     def armed(self) -> bool:
@@ -429,25 +427,25 @@ class Autopilot(Protocol):
         """Fly on to now_us (since boot), over ground of this height, with the newest GPS fix."""
 
     def on_command(self, command: Command) -> Sequence[Reply]:
-        """Do what is asked, or say why not."""
+        """Handle a command; returns the replies."""
 
     def on_setpoint(self, setpoint: Setpoint) -> Sequence[Reply]:
-        """Steer for this from now on."""
+        """Take a setpoint."""
 
     def on_attitude(self, target: AttitudeTarget) -> Sequence[Reply]:
         """Fly at this attitude, or turn at these rates, from now on."""
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
-        """Somebody else is there: MAV_TYPE of the heartbeat (6 is a ground station)."""
+        """A heartbeat of another component, with its MAV_TYPE (6 is a ground station)."""
 
-    def on_sticks(self, sticks: Sticks) -> Sequence[Reply]:
-        """The pilot moves the sticks."""
+    def on_manual_control(self, manual_control: ManualControl) -> Sequence[Reply]:
+        """Take a MANUAL_CONTROL."""
 
     def on_parameter(self, name: str) -> Sequence[Reply]:
-        """A parameter has been set from outside."""
+        """A parameter was set by a client."""
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
-        """A mission, fence or rally list has been replaced from outside."""
+        """A mission, fence or rally list was replaced by a client."""
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: the pilot changes to the mode that pilots of this firmware hold the vehicle in."""
@@ -459,4 +457,4 @@ class Autopilot(Protocol):
         """Fault: the estimator's origin moves by this much."""
 
     def status(self) -> Status:
-        """What there is to tell."""
+        """The status for telemetry."""

@@ -32,7 +32,7 @@ _STEEPEST_CDEG = 8000.0
 
 @final
 @dataclass(frozen=True, slots=True)
-class Personality:
+class AutopilotVariant:
     """An autopilot with a kind of vehicle, and what its own simulation flies it with."""
 
     autopilot: Callable[..., ArduCopter | ArduPlane | Px4Multicopter | Px4FixedWing]
@@ -45,16 +45,18 @@ class Personality:
 
 
 PERSONALITIES: Final = {
-    ("ardupilot", "copter"): Personality(
+    ("ardupilot", "copter"): AutopilotVariant(
         ArduCopter, "MAV_SYSID", gps.ARDUCOPTER, "ardupilot copter"
     ),
-    ("ardupilot", "plane"): Personality(ArduPlane, "MAV_SYSID", gps.ARDUPLANE, "ardupilot plane"),
-    ("px4", "copter"): Personality(Px4Multicopter, "MAV_SYS_ID", gps.PX4, "px4"),
-    ("px4", "plane"): Personality(Px4FixedWing, "MAV_SYS_ID", gps.PX4, "px4"),
+    ("ardupilot", "plane"): AutopilotVariant(
+        ArduPlane, "MAV_SYSID", gps.ARDUPLANE, "ardupilot plane"
+    ),
+    ("px4", "copter"): AutopilotVariant(Px4Multicopter, "MAV_SYS_ID", gps.PX4, "px4"),
+    ("px4", "plane"): AutopilotVariant(Px4FixedWing, "MAV_SYS_ID", gps.PX4, "px4"),
 }
 
 
-def personality_of(vehicle: Vehicle) -> Personality:
+def personality_of(vehicle: Vehicle) -> AutopilotVariant:
     """The one that a world asks for."""
     return PERSONALITIES[vehicle.autopilot, vehicle.kind]
 

@@ -35,6 +35,6 @@ def compare(recording: Recording, flight: Flight, simulated: Side) -> list[Row]:
 
 
 def _reason(row: Row, flight: Flight) -> str | None:
-    """Why this row does not agree; None if nobody knows."""
+    """Why this row does not agree; None if unexplained."""
     found = (reason.why for reason in flight.reasons if row.is_explained_by(reason))
     return next(found, None)

@@ -17,7 +17,7 @@ from typing import Protocol, final
 
 import msgspec
 
-from vehicle_sim.conformance.log import Heard, Place, Recording, decoded, heard
+from vehicle_sim.conformance.log import Place, Recording, TimedFrame, decoded, heard
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import World, flat_world
@@ -27,7 +27,7 @@ _FILE = Path(__file__).with_name("flights.toml")
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stretch:
+class ExcludedSpan:
     """Seconds after the first record that are not compared."""
 
     begin_s: float
@@ -93,7 +93,7 @@ class Flight:
     """Name of its file."""
     parameters: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[Fault, ...] = ()
-    left_out: tuple[Stretch, ...] = ()
+    left_out: tuple[ExcludedSpan, ...] = ()
     placements: tuple[Placement, ...] = ()
     reasons: tuple[Reason, ...] = ()
 
@@ -162,7 +162,7 @@ class Player:
         self._recording = recording
         self._flight = flight
 
-    def run(self) -> Iterator[Heard]:
+    def run(self) -> Iterator[TimedFrame]:
         """Fly the whole recording; yields what comes back."""
         flying, recording = self._flying, self._recording
         begin_us, end_us = (round(t * 1e6) for t in (recording.begin_s, recording.end_s))
@@ -194,7 +194,7 @@ class Player:
         vehicle.heading_rad = math.atan2(position.vy, position.vx) % math.tau
         vehicle.roll_rad = attitude.roll
 
-    def _out(self, begin_us: int) -> Iterator[Heard]:
+    def _out(self, begin_us: int) -> Iterator[TimedFrame]:
         now_us = self._flying.now_us
         for link, frame in self._flying.take_frames():
             if link == _LINK and now_us >= begin_us:
@@ -204,7 +204,7 @@ class Player:
 # --- The simulated vehicle that takes the place of the recorded one -------------------------------
 
 
-def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[Heard]:
+def play(recording: Recording, flight: Flight, *, seed: int = 0) -> list[TimedFrame]:
     """Everything that the simulated vehicle says while the recorded client flies it."""
     simulation = simulation_of(recording, flight, seed=seed)
     return list(Player(simulation, recording, flight).run())

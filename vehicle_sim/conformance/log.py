@@ -34,7 +34,7 @@ _V2_HEAD = 10
 _AUTOPILOT = 1
 
 
-class Heard(NamedTuple):
+class TimedFrame(NamedTuple):
     """A frame, and when it was on the wire."""
 
     time_s: float
@@ -56,8 +56,8 @@ class EventSaid:
     """Without the zeros at the end, which MAVLink 2 does not send."""
 
 
-def decoded(heard: Heard) -> Any:
-    """The message in a frame; MAVLink_unknown for one that nobody here knows."""
+def decoded(heard: TimedFrame) -> Any:
+    """Decode a frame; MAVLink_unknown for an unknown message."""
     if heard.number == EVENT:
         return _event(heard.frame)
     # A decoder of its own for each frame would cost more than the decoding.
@@ -92,10 +92,10 @@ class Side:
     Of other components of the vehicle only that they speak at all.
     """
 
-    def __init__(self, said: Iterable[Heard]) -> None:
-        self._by_number = dict[int, list[Heard]]()
+    def __init__(self, said: Iterable[TimedFrame]) -> None:
+        self._by_number = dict[int, list[TimedFrame]]()
         self.speakers = set[tuple[int, int]]()
-        """System and component of everybody who said something."""
+        """System and component ids of all senders."""
         for h in said:
             self.speakers.add((h.system, h.component))
             if h.component == _AUTOPILOT:
@@ -107,7 +107,7 @@ class Side:
         """Of all messages that it said."""
         return frozenset(self._by_number)
 
-    def heard(self, number: int) -> Sequence[Heard]:
+    def heard(self, number: int) -> Sequence[TimedFrame]:
         """Every frame of this message."""
         return self._by_number.get(number, ())
 
@@ -209,12 +209,12 @@ def records(stream: io.BufferedIOBase, name: str) -> Iterator[Record]:
         yield Record(struct.unpack(">Q", head)[0], start + tail)
 
 
-def heard(time_s: float, frame: bytes) -> Heard:
+def heard(time_s: float, frame: bytes) -> TimedFrame:
     """A frame with its identity read from its head."""
     if frame[0] == _V1:
-        return Heard(time_s, frame[5], frame[3], frame[4], frame)
+        return TimedFrame(time_s, frame[5], frame[3], frame[4], frame)
     number = frame[7] | frame[8] << 8 | frame[9] << 16
-    return Heard(time_s, number, frame[5], frame[6], frame)
+    return TimedFrame(time_s, number, frame[5], frame[6], frame)
 
 
 @final
@@ -239,9 +239,9 @@ class Recording:
     kind: Literal["copter", "plane"]
     system: int
     home: Place
-    sent: tuple[Heard, ...]
+    sent: tuple[TimedFrame, ...]
     """By the clients: everything that does not come from the autopilot."""
-    said: tuple[Heard, ...]
+    said: tuple[TimedFrame, ...]
     """By the autopilot."""
     begin_s: float
     end_s: float
@@ -261,7 +261,7 @@ def read_recording(path: Path) -> Recording:
 
 def recording(name: str, of: Iterable[Record]) -> Recording:
     """The flight that these records tell of."""
-    raw, epoch_us = list[Heard](), None
+    raw, epoch_us = list[TimedFrame](), None
     for time_us, frame in of:
         epoch_us = time_us if epoch_us is None else epoch_us
         raw.append(heard((time_us - epoch_us) * 1e-6, frame))
@@ -288,12 +288,12 @@ def recording(name: str, of: Iterable[Record]) -> Recording:
     )
 
 
-def _first_of_autopilot(raw: Iterable[Heard]) -> Heard | None:
+def _first_of_autopilot(raw: Iterable[TimedFrame]) -> TimedFrame | None:
     beats = (h for h in raw if h.number == _HEARTBEAT)
     return next((h for h in beats if decoded(h).autopilot in (_ARDUPILOT, _PX4)), None)
 
 
-def _stamps(raw: Iterable[Heard], identity: tuple[int, int]) -> Iterator[tuple[float, float]]:
+def _stamps(raw: Iterable[TimedFrame], identity: tuple[int, int]) -> Iterator[tuple[float, float]]:
     for h in raw:
         if h.number in _STAMPED and (h.system, h.component) == identity:
             at = 6 if h.frame[0] == _V1 else 10
@@ -301,7 +301,7 @@ def _stamps(raw: Iterable[Heard], identity: tuple[int, int]) -> Iterator[tuple[f
             yield h.time_s, int.from_bytes(h.frame[at:end], "little") * 1e-3
 
 
-def _home(said: Iterable[Heard]) -> Place:
+def _home(said: Iterable[TimedFrame]) -> Place:
     """From HOME_POSITION, or else the estimator's origin, or else the first fix."""
     found = dict[int, tuple[float, float, float]]()
     yaw_rad = 0.0

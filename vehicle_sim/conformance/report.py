@@ -21,7 +21,7 @@ class Summary:
     rows: int
     agree: int
     unexplained: int
-    """Do not agree, and nobody knows why."""
+    """Disagreeing rows without an explanation."""
 
     @property
     def share(self) -> float:

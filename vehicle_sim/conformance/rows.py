@@ -14,7 +14,7 @@ Key = TypeVar("Key", bound=Hashable)
 Event = tuple[float, Key]
 Match = tuple[Event[Key] | None, Event[Key] | None]
 
-LEAST_S = 1.1
+MIN_S = 1.1
 """No event has to be nearer than this: a change may be seen with the next heartbeat only."""
 FLOWN = 0.1
 """What follows from flying may come this part of the time since its cause earlier or later."""
@@ -89,7 +89,7 @@ class Comparison:
         """
         place = bisect.bisect_right(self.causes, at_s) - 1
         flown_s = 0.0 if place < 0 else min(FLOWN * (at_s - self.causes[place]), FLOWN_MOST_S)
-        return max(LEAST_S, flown_s + interval_s)
+        return max(MIN_S, flown_s + interval_s)
 
     def is_left_out(self, at_s: float | None) -> bool:
         """Whether this vehicle time lies in a stretch that is not compared."""

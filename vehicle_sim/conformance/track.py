@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple, final
 
-from vehicle_sim.conformance.log import Heard, decoded, message_name
+from vehicle_sim.conformance.log import TimedFrame, decoded, message_name
 from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, changes
 from vehicle_sim.geodesy import metres_per_degree
 
@@ -42,7 +42,7 @@ class Phase(enum.Enum):
     """Without satellites or with wrong ones, and until it is back."""
 
 
-class Nearness(NamedTuple):
+class Tolerances(NamedTuple):
     """How near the simulated vehicle must be to the real one."""
 
     horizontal_m: float
@@ -55,25 +55,25 @@ class Nearness(NamedTuple):
 
 _NEARNESS = {
     "copter": {
-        Phase.GROUND: Nearness(2.0, 1.5, 0.5, 0.3, 10.0, 2.0),
-        Phase.TAKEOFF: Nearness(3.0, 3.0, 1.0, 0.7, 20.0, 6.0),
-        Phase.FLIGHT: Nearness(2.0, 1.5, 1.0, 0.7, 15.0, 6.0),
-        Phase.CHASE: Nearness(10.0, 2.0, 2.5, 1.0, 25.0, 10.0),
-        Phase.LANDING: Nearness(3.0, 3.0, 1.0, 0.7, 20.0, 6.0),
-        Phase.BLIND: Nearness(35.0, 6.0, 4.0, 1.5, 45.0, 12.0),
+        Phase.GROUND: Tolerances(2.0, 1.5, 0.5, 0.3, 10.0, 2.0),
+        Phase.TAKEOFF: Tolerances(3.0, 3.0, 1.0, 0.7, 20.0, 6.0),
+        Phase.FLIGHT: Tolerances(2.0, 1.5, 1.0, 0.7, 15.0, 6.0),
+        Phase.CHASE: Tolerances(10.0, 2.0, 2.5, 1.0, 25.0, 10.0),
+        Phase.LANDING: Tolerances(3.0, 3.0, 1.0, 0.7, 20.0, 6.0),
+        Phase.BLIND: Tolerances(35.0, 6.0, 4.0, 1.5, 45.0, 12.0),
     },
     "plane": {
-        Phase.GROUND: Nearness(15.0, 3.0, 3.0, 0.5, 15.0, 6.0),
-        Phase.TAKEOFF: Nearness(25.0, 10.0, 3.0, 2.0, 20.0, 12.0),
-        Phase.FLIGHT: Nearness(20.0, 8.0, 2.5, 1.5, 20.0, 12.0),
+        Phase.GROUND: Tolerances(15.0, 3.0, 3.0, 0.5, 15.0, 6.0),
+        Phase.TAKEOFF: Tolerances(25.0, 10.0, 3.0, 2.0, 20.0, 12.0),
+        Phase.FLIGHT: Tolerances(20.0, 8.0, 2.5, 1.5, 20.0, 12.0),
         **dict.fromkeys(
-            (Phase.CHASE, Phase.LANDING, Phase.BLIND), Nearness(25.0, 10.0, 3.0, 1.5, 30.0, 12.0)
+            (Phase.CHASE, Phase.LANDING, Phase.BLIND), Tolerances(25.0, 10.0, 3.0, 1.5, 30.0, 12.0)
         ),
     },
 }
 
 
-def nearness(kind: str, phase: Phase) -> Nearness:
+def tolerances_for(kind: str, phase: Phase) -> Tolerances:
     """The tolerance for a vehicle in a phase."""
     return _NEARNESS[kind][phase]
 
@@ -176,7 +176,7 @@ class _Apart(NamedTuple):
     shown: str
 
 
-Measure = Callable[[Any, Any, Nearness], _Apart]
+Measure = Callable[[Any, Any, Tolerances], _Apart]
 
 
 class _Look(NamedTuple):
@@ -196,10 +196,10 @@ def track_rows(comparison: Comparison) -> Iterator[Row]:
     def away_m(lat_1: int, lon_1: int, lat_2: int, lon_2: int) -> float:
         return math.hypot((lat_1 - lat_2) * 1e-7 * earth[0], (lon_1 - lon_2) * 1e-7 * earth[1])
 
-    def horizontally(a: Any, b: Any, near: Nearness) -> _Apart:
+    def horizontally(a: Any, b: Any, near: Tolerances) -> _Apart:
         return _apart(away_m(a.lat, a.lon, b.lat, b.lon), near.horizontal_m, "m")
 
-    def aimed(a: Any, b: Any, near: Nearness) -> _Apart:
+    def aimed(a: Any, b: Any, near: Tolerances) -> _Apart:
         apart_m = away_m(a.lat_int, a.lon_int, b.lat_int, b.lon_int)
         return max(
             _apart(apart_m, near.horizontal_m, "m"),
@@ -253,7 +253,7 @@ def _bin(
     for second in seconds:
         real, simulated = (s.at(second) for s in samplers)
         if real is not None and simulated is not None:
-            apart.append(look.measure(real, simulated, nearness(kind, phases.at(second))))
+            apart.append(look.measure(real, simulated, tolerances_for(kind, phases.at(second))))
         else:
             only_real += real is not None
             only_simulated += simulated is not None
@@ -288,7 +288,7 @@ def _bin_row(kind: str, at_s: float, found: Sequence[tuple[_Look, _Apart]], tole
 def _tolerance(kind: str, vehicle: str, phases: Phases, seconds: Sequence[float]) -> str:
     parts = []
     for phase in sorted({phases.at(s) for s in seconds}, key=lambda p: p.value):
-        near = nearness(vehicle, phase)
+        near = tolerances_for(vehicle, phase)
         limits = {
             "track": f"{near.horizontal_m:g} m, height {near.vertical_m:g} m",
             "motion": f"{near.speed_m_s:g} m/s, climb {near.climb_m_s:g} m/s, "
@@ -303,7 +303,7 @@ def _tolerance(kind: str, vehicle: str, phases: Phases, seconds: Sequence[float]
 class _Sampler:
     """The message nearest to a time."""
 
-    def __init__(self, heard: Sequence[Heard]) -> None:
+    def __init__(self, heard: Sequence[TimedFrame]) -> None:
         self._heard = heard
         self._times = [h.time_s for h in heard]
 
@@ -324,11 +324,11 @@ def _apart(difference: float, tolerance: float, unit: str) -> _Apart:
     return _Apart(abs(difference) / tolerance, f"{abs(difference):.2f} {unit} apart")
 
 
-def _local_track(a: Any, b: Any, near: Nearness) -> _Apart:
+def _local_track(a: Any, b: Any, near: Tolerances) -> _Apart:
     return _apart(math.hypot(a.x - b.x, a.y - b.y), near.horizontal_m, "m")
 
 
-def _global_height(a: Any, b: Any, near: Nearness) -> _Apart:
+def _global_height(a: Any, b: Any, near: Tolerances) -> _Apart:
     """Above home and above mean sea level: the receiver's error is in both."""
     return max(
         _apart(
@@ -338,20 +338,20 @@ def _global_height(a: Any, b: Any, near: Nearness) -> _Apart:
     )
 
 
-def _local_height(a: Any, b: Any, near: Nearness) -> _Apart:
+def _local_height(a: Any, b: Any, near: Tolerances) -> _Apart:
     return _apart(a.z - b.z, near.vertical_m, "m of height")
 
 
-def _speed(a: Any, b: Any, near: Nearness) -> _Apart:
+def _speed(a: Any, b: Any, near: Tolerances) -> _Apart:
     ours, theirs = (math.hypot(m.vx, m.vy) / 100.0 for m in (a, b))
     return _apart(ours - theirs, near.speed_m_s, "m/s")
 
 
-def _climb(a: Any, b: Any, near: Nearness) -> _Apart:
+def _climb(a: Any, b: Any, near: Tolerances) -> _Apart:
     return _apart((a.vz - b.vz) / 100.0, near.climb_m_s, "m/s of climb")
 
 
-def _heading(a: Any, b: Any, near: Nearness) -> _Apart:
+def _heading(a: Any, b: Any, near: Tolerances) -> _Apart:
     if _UNKNOWN_HEADING in (a.hdg, b.hdg):
         same = a.hdg == b.hdg
         return _Apart(0.0 if same else math.inf, "no heading")
@@ -359,12 +359,12 @@ def _heading(a: Any, b: Any, near: Nearness) -> _Apart:
     return _apart(apart_deg, near.heading_deg, "deg of heading")
 
 
-def _tilt(a: Any, b: Any, near: Nearness) -> _Apart:
+def _tilt(a: Any, b: Any, near: Tolerances) -> _Apart:
     ours, theirs = (math.degrees(math.acos(math.cos(m.roll) * math.cos(m.pitch))) for m in (a, b))
     return _apart(ours - theirs, near.tilt_deg, "deg of tilt")
 
 
-def _echo(a: Any, b: Any, near: Nearness) -> _Apart:
+def _echo(a: Any, b: Any, near: Tolerances) -> _Apart:
     places = {"x": near.horizontal_m, "y": near.horizontal_m, "z": near.vertical_m}
     return max(
         _field(name, getattr(a, name), getattr(b, name), tolerance)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from vehicle_sim.conformance.log import EVENT, Heard, message_name
+from vehicle_sim.conformance.log import EVENT, TimedFrame, message_name
 from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, interval_s, whole
 
 COUNT_PART = 0.02
@@ -50,7 +50,7 @@ def _speakers_row(comparison: Comparison) -> Row:
     return whole("speakers", "system/component", sides, "equal", sides[0] != sides[1])
 
 
-def _count_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard]) -> Row:
+def _count_row(number: int, real: Sequence[TimedFrame], simulated: Sequence[TimedFrame]) -> Row:
     allowed = max(COUNT_LEAST, COUNT_PART * len(real))
     times = [h.time_s for h in real]
     usual_s = interval_s(times)
@@ -63,7 +63,7 @@ def _count_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard]) -
     return whole("count", message_name(number), shown, f"{allowed:.0f}", difference / allowed)
 
 
-def _first_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard]) -> Row:
+def _first_row(number: int, real: Sequence[TimedFrame], simulated: Sequence[TimedFrame]) -> Row:
     ours, theirs = real[0].time_s, simulated[0].time_s
     tolerance_s = max(FIRST_S, interval_s([h.time_s for h in real]))
     return Row(
@@ -77,7 +77,7 @@ def _first_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard]) -
     )
 
 
-def _silence_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard]) -> Row:
+def _silence_row(number: int, real: Sequence[TimedFrame], simulated: Sequence[TimedFrame]) -> Row:
     (at_s, ours), (_, theirs) = _longest(real), _longest(simulated)
     usual_s = interval_s([h.time_s for h in real])
     allowed_s = max(SILENCE_S, 1.1 * usual_s, 0.05 * ours)
@@ -92,7 +92,7 @@ def _silence_row(number: int, real: Sequence[Heard], simulated: Sequence[Heard])
     )
 
 
-def _longest(heard: Sequence[Heard]) -> tuple[float, float]:
+def _longest(heard: Sequence[TimedFrame]) -> tuple[float, float]:
     """When the longest gap between two of them began, and its length."""
     gaps = [(b.time_s - a.time_s, a.time_s) for a, b in itertools.pairwise(heard)]
     gap_s, at_s = max(gaps, default=(0.0, heard[0].time_s))

@@ -1,4 +1,4 @@
-"""The battery: drained by flying, in the way of each firmware's own simulation.
+"""Battery model, as in each firmware's own simulation.
 
 ArduPilot's copter (libraries/SITL/SIM_Battery): a resting voltage by what is left of
 SIM_BATT_CAP_AH, less the current times a resistance; with no capacity, as by default, the voltage
@@ -71,7 +71,7 @@ class BatteryConditions:
     least: float = 0.5
     """Where that ends, 0 to 1 (PX4)."""
     most: float = 1.0
-    """What is left is told to be no more than this, 0 to 1."""
+    """Upper limit of the reported charge, 0 to 1."""
 
 
 @final

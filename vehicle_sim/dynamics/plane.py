@@ -106,7 +106,7 @@ class Plane:
         return along if along > 0.0 else 0.0
 
     def fall(self, dt_s: float) -> None:
-        """One step without an engine or anybody who steers: it glides straight on."""
+        """One step without motor and control: it glides straight ahead."""
         self.advance(0.0, -self.limits.sink_max_m_s, self.limits.airspeed_min_m_s, dt_s)
         self.throttle = 0.0
 

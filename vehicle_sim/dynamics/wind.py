@@ -24,7 +24,7 @@ from vehicle_sim.dynamics import Vehicle
 
 FOOT_M = 0.3048
 _LOWEST_FT, _HIGHEST_FT = 10.0, 1000.0
-_LEAST_SPEED_M_S = 3.0
+_MIN_SPEED_M_S = 3.0
 """Of the air past the vehicle, for a vehicle that drifts with it still feels the gusts change."""
 _RETUNE_S = 0.25
 _BLOCK = 5 * 512
@@ -235,7 +235,7 @@ class Wind:
                 vehicle.velocity_north_m_s - self._mean_m_s[0],
                 vehicle.velocity_east_m_s - self._mean_m_s[1],
             ),
-            _LEAST_SPEED_M_S,
+            _MIN_SPEED_M_S,
         )
         level_m, vertical_m = lengths_m(height_m)
         self._gusts.tune(level_m / past_m_s, vertical_m / past_m_s, dt_s)

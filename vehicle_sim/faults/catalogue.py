@@ -183,7 +183,7 @@ def _or_zero(placeholder: str) -> Make:
 
 
 def _way(_: Numbers, words: Words, __: Context) -> float:
-    """Not named: both ways, whatever was before."""
+    """Default: both ways, regardless of the state before."""
     return {"": 0.0, "to_vehicle": 1.0, "from_vehicle": 2.0}[words.get("WAY", "").lower()]
 
 

@@ -16,7 +16,7 @@ from vehicle_sim.parameters import Kind, Parameter, Parameters
 from vehicle_sim.sensors.gps import GpsConditions
 from vehicle_sim.sensors.terrain_radar import RadarConditions
 
-_LEAST_SATELLITES = 4
+_MIN_SATELLITES = 4
 """With fewer PX4's simulated receiver has no fix (px4.md 8)."""
 
 _FARTHEST = 1e5
@@ -230,7 +230,7 @@ def conditions_of(parameters: Readable) -> Conditions:
             scaled = value * row.scale
             asked[section][name] = round(scaled) if isinstance(usual, int) else scaled
     gps, link = asked["gps"], asked["link"]
-    if "SIM_GPS_USED" in parameters and gps["satellites"] < _LEAST_SATELLITES:
+    if "SIM_GPS_USED" in parameters and gps["satellites"] < _MIN_SATELLITES:
         gps["enabled"] = False
     gps["swell_m"] = max(gps.get("swell_m", 0.0), 0.0)
     way = round(value_of(parameters, "SIM_LNK_WAY"))

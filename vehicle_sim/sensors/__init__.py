@@ -1,1 +1,1 @@
-"""What the vehicle is told of itself and of the ground, with the errors of real sensors."""
+"""Sensor models, with the errors of real sensors."""

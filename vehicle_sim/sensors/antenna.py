@@ -1,4 +1,4 @@
-"""What the antenna of a GPS receiver sees: a place and a velocity at a time, and a jammer."""
+"""Position and velocity samples at the GPS antenna, and a jammer."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 EARTH_DEG_M = 111_318.84502145034
 """Metres to a degree as ArduPilot has them: drifts and wanders of its receiver are made with it."""
 _FORGOTTEN_US = 1_000_000
-_LEAST_SATELLITES = 4
+_MIN_SATELLITES = 4
 _WILD_M_S = 400.0
 _WILD_M = 200.0
 
@@ -74,7 +74,7 @@ class Jamming:
         else:
             if self._changes(0, now_us):
                 satellites = 2 + int(rng.integers(15))
-                locked = satellites >= _LEAST_SATELLITES and bool(rng.integers(2))
+                locked = satellites >= _MIN_SATELLITES and bool(rng.integers(2))
             if self._changes(1, now_us):
                 up = float(rng.uniform(-_WILD_M_S, _WILD_M_S))
             if self._changes(2, now_us):

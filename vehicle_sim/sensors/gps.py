@@ -1,4 +1,4 @@
-"""GPS: what the receiver says, late, noisy, wrong or not at all.
+"""GPS receiver model: delay, noise, errors and loss.
 
 The receivers are those of ArduPilot's and PX4's own simulations (libraries/SITL/SIM_GPS.cpp,
 SensorGpsSim.cpp), with the times and accuracies that the recorded flights show.

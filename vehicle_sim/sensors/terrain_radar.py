@@ -2,8 +2,8 @@
 
 A cell's height is that of its highest true terrain, rounded up to the metre.  A cell is seen if any
 point of it may have a free line of sight to the radar, and its middle is not farther than the
-radar's range.  So a cell within range that is not seen is hidden, every point of it: whoever reads
-the scan may conclude that.
+radar's range.  So a cell within range that is not seen is completely hidden, and a reader of the
+scan may rely on that.
 
 Lines of sight are marched through a grid of lower bounds of the terrain: what blocks a line there
 blocks it in truth.  A cell is seen if its highest point, its middle or a corner
@@ -34,7 +34,7 @@ _GRID_MARGIN = 0.25
 _TILE_CELLS = 100
 _PASSES = 4
 _PARTS = 3  # a side
-_MOST_DIVISIONS = 2
+_MAX_DIVISIONS = 2
 _LOWEST_M, _HIGHEST_M = -32767.0, 32767.0
 
 
@@ -248,7 +248,7 @@ class TerrainRadar:
             return 0
         side_m = float(np.hypot(*(quads_ne_m[:, 1] - quads_ne_m[:, 0]).T).max())
         times = math.log(max(0.5 * side_m / self._grid_about(*eye[:2]).cell_m, 1.0), _PARTS)
-        return min(math.ceil(times - 1e-9), _MOST_DIVISIONS)
+        return min(math.ceil(times - 1e-9), _MAX_DIVISIONS)
 
     def _may_be_seen(
         self, eye: tuple[float, float, float], corners_ne_m: FloatArray, highest_amsl_m: FloatArray

@@ -181,9 +181,9 @@ def _values(kind: Any) -> Callable[[Any], Sequence[Any]]:
 
 
 def _fitted(value: Any, code: str) -> Any:
-    """The nearest value that this field can carry; zero for what is not a number.
+    """The nearest value that this field can carry; zero for NaN.
 
-    A real autopilot casts, and sends something; nobody asked it not to.
+    A real autopilot casts, and sends some value.
     """
     if isinstance(value, bytes):
         return value

@@ -31,7 +31,7 @@ _find_marker = re.compile(rb"[\xfd\xfe]").search
 
 @final
 class StreamParser:
-    """What arrives on one link, into frames and messages; whatever comes, nothing is raised.
+    """Parses the bytes of one link into frames and messages; never raises.
 
     MAVLink 1 and 2; time is linear in the bytes, and less than a frame of them is kept.  With
     ``datagrams`` a frame never goes on in the next call: so a cut one cannot swallow the next.

@@ -1,4 +1,4 @@
-"""MAVLink FTP of a vehicle without files: every question has its answer, and it is no.
+"""MAVLink FTP of a vehicle without files: every request is refused.
 
 So clients that look for files first (parameters, component metadata) go on at once with the plain
 protocols.  Layout of the payload: mavlink.io, services/ftp.
@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Say, Sender
+from vehicle_sim.autopilots import Sender, SendMessage
 
 _HEAD: Final = struct.Struct("<HBBBBBxI")
 """Sequence, session, opcode, size, opcode that is answered, end of burst, offset."""
@@ -29,7 +29,7 @@ _REFUSALS: Final[dict[int, int]] = {
 """By opcode: the first byte of the data; 0 is of those that can be done."""
 
 
-def answer(message: Any, sender: Sender) -> Say | None:
+def answer(message: Any, sender: Sender) -> SendMessage | None:
     """The answer to a FILE_TRANSFER_PROTOCOL; none to what is itself an answer."""
     payload = bytes(message.payload).ljust(_PAYLOAD_BYTES, b"\0")
     sequence, session, opcode, _, _, _, offset = _HEAD.unpack_from(payload)
@@ -42,4 +42,4 @@ def answer(message: Any, sender: Sender) -> Say | None:
         *(0, sender.system, sender.component),
         list((head + bytes([refusal])).ljust(_PAYLOAD_BYTES, b"\0")),
     )
-    return Say(message=reply, to=sender)
+    return SendMessage(message=reply, to=sender)

@@ -1,4 +1,4 @@
-"""What a bad link does to frames: loses, delays, doubles, shuffles and corrupts them.
+"""Link impairments: loss, delay, duplication, reordering and corruption of frames.
 
 One object for each link and direction, in the time of the simulation, seeded.  While `active` is
 False frames need not pass through here at all.
@@ -13,7 +13,7 @@ import numpy as np
 
 from vehicle_sim.faults.conditions import LinkConditions
 
-MOST_FRAMES = 20_000
+MAX_FRAMES = 20_000
 """Waiting at once; what comes on top is lost."""
 _HELD_MOST_US = 500_000
 """A frame that is to be overtaken goes on after this even if none comes after it."""
@@ -101,7 +101,7 @@ class Impairments:
             sent = frame
             if frame and self._happens(conditions.corrupted):
                 sent = self._corrupted(frame)
-            if self._happens(conditions.reordered) and len(self._held) < MOST_FRAMES:
+            if self._happens(conditions.reordered) and len(self._held) < MAX_FRAMES:
                 overtakers = 1 + int(self._draw() * _OVERTAKEN_BY_MOST)
                 # Its own push counts as one of those that overtake it.
                 self._held.append(_Held(overtakers + 1, now_us + _HELD_MOST_US, sent))
@@ -110,7 +110,7 @@ class Impairments:
 
     def _enqueue(self, now_us: int, frame: bytes) -> None:
         """Arrives in order, unless the jitter lets it overtake."""
-        if len(self._waiting) >= MOST_FRAMES:
+        if len(self._waiting) >= MAX_FRAMES:
             self.lost += 1
             return
         conditions = self._conditions

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Event, Sender, Setpoint, Sticks, Text
+from vehicle_sim.autopilots import Ack, Command, Event, ManualControl, Sender, Setpoint, Text
 from vehicle_sim.autopilots.attitude import AttitudeTarget
 from vehicle_sim.parameters import Firmware
 from vehicle_sim.wire.dialect import message_class
@@ -98,13 +98,13 @@ def attitude_target(message: Any) -> AttitudeTarget:
     )
 
 
-def sticks(message: Any, origin: Sender) -> Sticks:
+def manual_control(message: Any, origin: Sender) -> ManualControl:
     """A MANUAL_CONTROL; an axis that the pilot does not have is in the middle."""
 
     def deflection(raw: int) -> float:
         return 0.0 if raw == _NO_DEFLECTION else max(-1.0, min(raw / _DEFLECTION, 1.0))
 
-    return Sticks(
+    return ManualControl(
         sender=origin,
         pitch=deflection(message.x),
         roll=deflection(message.y),
@@ -153,7 +153,7 @@ def event(value: Event, sequence: int, boot_ms: int) -> Any:
 
 
 def time_sync(tc1_ns: int, ts1_ns: int, to: Sender | None = None) -> Any:
-    """TIMESYNC: a question with tc1 = 0, else an answer, to whoever asked."""
+    """TIMESYNC: a request with tc1 = 0, else an answer to its sender."""
     return _TimeSync(
         tc1=tc1_ns,
         ts1=ts1_ns,

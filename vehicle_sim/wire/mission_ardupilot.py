@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final, final
 
-from vehicle_sim.autopilots import Autopilot, Command, Reply, Send, Sender, Text
+from vehicle_sim.autopilots import Autopilot, Command, Reply, Sender, SendTelemetry, Text
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.wire import mission_protocol as wire
 from vehicle_sim.wire.mission_protocol import (
@@ -165,7 +165,7 @@ def _warning(text: str) -> Text:
 
 ERASED_AFTER_US: Final = 30_000
 """Circles straight after a polygon: ACKed and within 50 ms erased (ardupilot.md 4, found bug)."""
-_MOST_ITEMS: Final = {PlanKind.MISSION: 724, PlanKind.FENCE: 255, PlanKind.RALLY: 100}
+_MAX_ITEMS: Final = {PlanKind.MISSION: 724, PlanKind.FENCE: 255, PlanKind.RALLY: 100}
 """What the storage of the simulated board holds; of rally points not known."""
 _NAMES: Final = {PlanKind.MISSION: "Mission", PlanKind.FENCE: "Fence", PlanKind.RALLY: "Rally"}
 _RECEIVED: Final = {
@@ -202,7 +202,7 @@ class ArduPilotMissions(MissionProtocol):
             # ground stations take a MISSION_CURRENT for the answer
             return [
                 *self._do(wire.make_current(message.seq, sender)),
-                Send(message=wire.MISSION_CURRENT, to=sender),
+                SendTelemetry(message=wire.MISSION_CURRENT, to=sender),
             ]
         if name == "MISSION_ACK":
             return []
@@ -239,7 +239,7 @@ class ArduPilotMissions(MissionProtocol):
 
     def _whole(self, upload: Upload) -> bool:
         del upload
-        return self._autopilot.style.requests_mission_int
+        return self._autopilot.profile.requests_mission_int
 
     def _gave_up(self, upload: Upload) -> list[Reply]:
         kind = upload.kind
@@ -252,9 +252,9 @@ class ArduPilotMissions(MissionProtocol):
         running = self._uploads.get(kind)
         if running is not None and not running.is_from(sender):
             return [ack(MissionResult.DENIED, kind, sender)]
-        self._uploads.pop(kind, None)  # whoever uploads may begin again
-        if count > _MOST_ITEMS[kind]:
-            text = f"Only {_MOST_ITEMS[kind]} items are supported"
+        self._uploads.pop(kind, None)  # the same client may begin again
+        if count > _MAX_ITEMS[kind]:
+            text = f"Only {_MAX_ITEMS[kind]} items are supported"
             return [
                 ack(MissionResult.NO_SPACE, kind, sender),
                 Text(severity=_WARNING, text=text),
@@ -341,7 +341,7 @@ class ArduPilotMissions(MissionProtocol):
         return [wire.tell_item(item, kind, seq, sender, whole=whole)]
 
     def _home_item(self) -> PlanItem:
-        """Item 0 of a mission is home, whatever was uploaded; zero before there is one."""
+        """Item 0 of a mission is always home, not what was uploaded; zero before home is set."""
         home = self._autopilot.status().home
         if home is None:
             return PlanItem(frame=0, command=_WAYPOINT)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Autopilot, Command, Reply, Say, Sender
+from vehicle_sim.autopilots import Ack, Autopilot, Command, Reply, Sender, SendMessage
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.wire.dialect import message_class
 
@@ -100,7 +100,7 @@ def read_item(message: Any) -> PlanItem | MissionResult:
 
 def tell_item(
     item: PlanItem, kind: PlanKind, seq: int, to: Sender, *, whole: bool, current: bool = False
-) -> Say:
+) -> SendMessage:
     """The item as a MISSION_ITEM_INT (whole), or as a MISSION_ITEM."""
     make: Any = mavlink.MAVLink_mission_item_int_message
     place: tuple[float, float] = (item.x, item.y)
@@ -110,17 +110,17 @@ def tell_item(
         *(to.system, to.component, seq, item.frame, item.command, int(current)),
         *(int(item.autocontinue), *item.parameters, *place, item.z_m, int(kind)),
     )
-    return Say(message=message, to=to)
+    return SendMessage(message=message, to=to)
 
 
-def tell_count(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> Say:
+def tell_count(count: int, kind: PlanKind, to: Sender, opaque_id: int = 0) -> SendMessage:
     """MISSION_COUNT: so many items are there to be asked for."""
-    return Say(message=_Count(to.system, to.component, count, int(kind), opaque_id), to=to)
+    return SendMessage(message=_Count(to.system, to.component, count, int(kind), opaque_id), to=to)
 
 
-def ack(result: MissionResult, kind: int, to: Sender, opaque_id: int = 0) -> Say:
+def ack(result: MissionResult, kind: int, to: Sender, opaque_id: int = 0) -> SendMessage:
     """MISSION_ACK: how it ended; the kind may be one that there is not."""
-    return Say(message=_Ack(to.system, to.component, int(result), kind, opaque_id), to=to)
+    return SendMessage(message=_Ack(to.system, to.component, int(result), kind, opaque_id), to=to)
 
 
 def make_current(seq: int, sender: Sender) -> Command:
@@ -193,7 +193,9 @@ class MissionProtocol(ABC):
         if self._whole(upload):
             make = mavlink.MAVLink_mission_request_int_message
         to = upload.sender
-        return Say(message=make(to.system, to.component, upload.next, int(upload.kind)), to=to)
+        return SendMessage(
+            message=make(to.system, to.component, upload.next, int(upload.kind)), to=to
+        )
 
     def _store(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> list[Reply]:
         """The list is replaced, and the autopilot told."""

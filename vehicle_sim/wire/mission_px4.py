@@ -9,12 +9,12 @@ import zlib
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
-from vehicle_sim.autopilots import Autopilot, Reply, Send, Sender, Text
+from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendTelemetry, Text
 from vehicle_sim.plans import PlanItem, PlanKind
 from vehicle_sim.wire import mission_protocol as wire
 from vehicle_sim.wire.mission_protocol import MissionProtocol, MissionResult, Upload, ack
 
-_MOST_ITEMS: Final = {PlanKind.MISSION: 2000, PlanKind.FENCE: 256, PlanKind.RALLY: 128}
+_MAX_ITEMS: Final = {PlanKind.MISSION: 2000, PlanKind.FENCE: 256, PlanKind.RALLY: 128}
 _ALL_KINDS: Final = 255
 _MISSION_FRAME: Final = 2
 _PLACE_FRAMES: Final = frozenset({0, 3, 5, 6})
@@ -50,7 +50,7 @@ class _Link:
     sending: bool = False
     """A list is handed out."""
     next: int = 0
-    """The item that is asked for next, by whichever side."""
+    """The next item requested, by either side."""
     count: int = 0
     whole: bool = True
     """Whether items go as integers (MISSION_ITEM_INT) now."""
@@ -166,7 +166,7 @@ class Px4Missions(MissionProtocol):
         kind = wire.kind_of(message)
         if kind is None:
             return [ack(MissionResult.INVALID, asked, sender)]
-        if message.count > _MOST_ITEMS[kind]:
+        if message.count > _MAX_ITEMS[kind]:
             return [ack(MissionResult.NO_SPACE, asked, sender)]
         link.partner, link.kind, link.next, link.count = source, kind, 0, message.count
         if message.count == 0:
@@ -282,7 +282,7 @@ class Px4Missions(MissionProtocol):
             return [_critical("WPM: WP CURR CMD: Not in list")]
         return [
             *self._do(wire.make_current(message.seq, sender)),
-            Send(message=wire.MISSION_CURRENT, to=None),
+            SendTelemetry(message=wire.MISSION_CURRENT, to=None),
         ]
 
 

@@ -11,12 +11,12 @@ from typing import Any, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Autopilot, Reply, Say, Sender
+from vehicle_sim.autopilots import Autopilot, Reply, Sender, SendMessage
 from vehicle_sim.parameters import Kind
 
 VALUES_PER_S = 1348 / 1.5
 """ArduPilot's 1,348 values take 1.5 s on loopback (ardupilot.md 1); PX4's are sent as fast."""
-_MOST_AT_ONCE = 20
+_MAX_AT_ONCE = 20
 """Values in one step, however late it is: no burst that a socket cannot take."""
 _UNASKED = 65535
 """param_index of a value that ArduPilot sends by itself, after a PARAM_SET or read by name."""
@@ -43,8 +43,8 @@ class ParameterProtocol:
 
     def __init__(self, autopilot: Autopilot) -> None:
         self._autopilot, self._parameters = autopilot, autopilot.parameters
-        self._bytewise = autopilot.style.bytewise_parameters
-        self._is_px4 = autopilot.style.firmware == "px4"
+        self._bytewise = autopilot.profile.bytewise_parameters
+        self._is_px4 = autopilot.profile.firmware == "px4"
         self._listings: dict[int, _Listing] = {}
         self._rows = self._parameters.rows
         self._indices = {row.name: index for index, row in enumerate(self._rows)}
@@ -71,13 +71,13 @@ class ParameterProtocol:
         answers = list[Reply]()
         for link, listing in list(self._listings.items()):
             due = int((now_us - listing.begun_us) * 1e-6 * VALUES_PER_S)
-            last = min(due, listing.sent + _MOST_AT_ONCE, len(self._rows))
+            last = min(due, listing.sent + _MAX_AT_ONCE, len(self._rows))
             if listing.hash_first and last > listing.sent:
                 listing.hash_first = False
-                answers.append(Say(message=self._hash_value(), to=listing.to))
+                answers.append(SendMessage(message=self._hash_value(), to=listing.to))
             for index in range(listing.sent, last):
                 value = self.value(self._rows[index].name, index)
-                answers.append(Say(message=value, to=listing.to))
+                answers.append(SendMessage(message=value, to=listing.to))
             listing.sent = max(listing.sent, last)
             if listing.sent >= len(self._rows):
                 del self._listings[link]
@@ -122,16 +122,16 @@ class ParameterProtocol:
     # --- reading and setting ------------------------------------------------------------------
 
     def _on_read(self, message: Any, sender: Sender) -> list[Reply]:
-        """Nobody answers a request for what there is not."""
+        """A request for an unknown parameter is not answered."""
         index, name = message.param_index, message.param_id
         if index >= 0:
             found = self._rows[index : index + 1]
-            return [Say(message=self.value(row.name, index), to=sender) for row in found]
+            return [SendMessage(message=self.value(row.name, index), to=sender) for row in found]
         if self._is_px4 and name == _HASH:
-            return [Say(message=self._hash_value(), to=sender)]
+            return [SendMessage(message=self._hash_value(), to=sender)]
         if name not in self._parameters:
             return []
-        return [Say(message=self.value(name), to=sender)]
+        return [SendMessage(message=self.value(name), to=sender)]
 
     def _on_set(self, message: Any, sender: Sender) -> list[Reply]:
         name = message.param_id
@@ -145,9 +145,9 @@ class ParameterProtocol:
             return []
         if not math.isfinite(value):
             # ArduPilot ignores it; PX4 compares it with the old value, which is never different
-            return [Say(message=self.value(name), to=sender)] if self._is_px4 else []
+            return [SendMessage(message=self.value(name), to=sender)] if self._is_px4 else []
         self._parameters[name] = value
-        return [Say(message=self.value(name)), *self._autopilot.on_parameter(name)]
+        return [SendMessage(message=self.value(name)), *self._autopilot.on_parameter(name)]
 
     def _asked(self, message: Any, kind: Kind) -> float | None:
         """The value that a PARAM_SET means; None for one of the wrong type (PX4 only)."""

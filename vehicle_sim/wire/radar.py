@@ -46,8 +46,8 @@ class RadarComponent:
         self.due_us = HEARTBEAT_US
         """Nothing is to be done before."""
 
-    def say_hello(self) -> None:
-        """A heartbeat, out of turn."""
+    def send_heartbeat(self) -> None:
+        """Send a heartbeat now."""
         self._radio.broadcast(messages.radar_heartbeat(), self._id)
 
     def receive(self, message: Any, sender: Sender) -> None:
@@ -66,7 +66,7 @@ class RadarComponent:
         if now_us >= self._beat_us:
             self._beat_us += HEARTBEAT_US * (1 + (now_us - self._beat_us) // HEARTBEAT_US)
             if not conditions.silent:
-                self.say_hello()
+                self.send_heartbeat()
         if conditions.silent:
             self._asked = self._answer = None
         if self._asked is not None and self._answer is None:

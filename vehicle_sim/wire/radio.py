@@ -1,7 +1,7 @@
 """The vehicle's side of all its links: bytes in, messages for the vehicle out, and back.
 
 Parsing, signatures, routing and sequence numbers come together here; what the messages mean does
-not.  Frames that are for somebody on another link go there unchanged.
+not.  Frames for another link are forwarded unchanged.
 """
 
 from collections.abc import Container, Iterable
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from vehicle_sim.autopilots import Style
+from vehicle_sim.autopilots import FirmwareProfile
 from vehicle_sim.faults.conditions import LinkConditions
 from vehicle_sim.wire.frames import Packer, StreamParser
 from vehicle_sim.wire.impairments import Impairments
@@ -39,15 +39,15 @@ class Radio:
         *,
         system: int,
         radar_component: int | None,
-        style: Style,
+        profile: FirmwareProfile,
         links: int,
         byte_streams: Container[int],
         forwards_all: bool,
         rng: np.random.Generator,
     ) -> None:
         self.links = range(links)
-        self.signing = Signing(links=links) if style.signs else None
-        self.router = Router(system=system, radar=radar_component, firmware=style.firmware)
+        self.signing = Signing(links=links) if profile.signs else None
+        self.router = Router(system=system, radar=radar_component, firmware=profile.firmware)
         self._system, self._radar = system, radar_component
         self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
         self._packers = {
@@ -143,7 +143,7 @@ class Radio:
         self._past.append(self._question)
 
     def send_last_again(self) -> None:
-        """The same frame once more: somebody else may be listening by now."""
+        """Send the same frame again: another client may be listening now."""
         if self._question is not None:
             self._past.append(self._question)
 

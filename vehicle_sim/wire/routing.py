@@ -1,4 +1,4 @@
-"""Who gets what: which frames go on to other links, and which are for this vehicle.
+"""Routing: which frames are forwarded to other links, and which are for this vehicle.
 
 ArduPilot does it as measured in ardupilot.md 3 ("Who may send") and 5, and as MAVLink_routing.cpp
 says; PX4 as px4.md 2 says, and passes frames on as its mavlink_main.cpp does on links that were
@@ -31,12 +31,12 @@ _COMMANDS: Final = frozenset(
 _MISSION: Final = frozenset({37, 38, 39, 40, 41, 43, 44, 45, 47, 51, 73})
 _PARAMETERS: Final = frozenset({20, 21, 23})
 _ADDRESSED: Final = _COMMANDS | _MISSION | _PARAMETERS
-"""PX4 takes these only if they name its system: to 0 is to nobody."""
+"""PX4 accepts these only with its system id, not as broadcasts."""
 _FOR_EVERY_COMPONENT: Final = frozenset({512, 519})
-"""Commands that PX4 takes whatever component they name: requests for messages and versions."""
+"""Commands that PX4 accepts for any component: requests for messages and versions."""
 _MISSION_PLANNER: Final = 190
 """PX4 takes missions that are addressed to this component too."""
-_MOST_ROUTES: Final = 20
+_MAX_ROUTES: Final = 20
 """MAVLINK_MAX_ROUTES of ArduPilot: who comes later is not learnt."""
 
 
@@ -62,7 +62,7 @@ def targets(message: Any) -> Target:
 
 @final
 class Router:
-    """Learns who lives where.
+    """Learns on which link each component is.
 
     The radar is a component of its own, on a link inside the vehicle that never needs learning.
     """
@@ -85,7 +85,7 @@ class Router:
         self._links.clear()
 
     def heard(self, link: int) -> bool:
-        """Whether somebody has spoken on this link since the boot."""
+        """Whether any sender was heard on this link since the boot."""
         return link in self._links
 
     def route(self, message: Any, link: int) -> Route:
@@ -99,7 +99,7 @@ class Router:
             return _NOWHERE  # our own, come back: ardupilot.md 3, "Who may send"
         if link not in self._links:
             self._links = sorted([*self._links, link])
-        if source[0] and len(self._routes) < _MOST_ROUTES:
+        if source[0] and len(self._routes) < _MAX_ROUTES:
             self._routes.add((*source, link))
         return self._px4(message, link) if is_px4 else self._ardupilot(message, source, link)
 
@@ -138,9 +138,9 @@ class Router:
     def _matching(
         self, system: int | None, component: int | None, link: int, *, anybody: bool
     ) -> tuple[int, ...]:
-        """The links, other than the one it came by, where one lives whom it is for.
+        """The links, other than the source, with a target of the message.
 
-        anybody: whatever its component is.
+        anybody: match the system only.
         """
         found = {
             at

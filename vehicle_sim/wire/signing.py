@@ -17,8 +17,8 @@ AHEAD: Final = 60 * 100_000
 """The vehicle starts a minute after the time stamp of its key, and takes a new stream that is at
 most a minute behind its own time."""
 _SAVE_US: Final = 30_000_000
-"""So often the key is stored anew with the time that has been reached."""
-_MOST_STREAMS: Final = 16
+"""Period of storing the key with the current time stamp."""
+_MAX_STREAMS: Final = 16
 _TAIL, _HASH = 13, 6
 _SIGNED: Final = 0x01
 _MARKER_2: Final = 0xFD
@@ -119,7 +119,7 @@ class Signing:
         signer = self._signers[link]
         newest = self._streams.get(stream)
         if newest is None:
-            if len(self._streams) >= _MOST_STREAMS or timestamp + AHEAD < signer.timestamp:
+            if len(self._streams) >= _MAX_STREAMS or timestamp + AHEAD < signer.timestamp:
                 return False
         elif timestamp <= newest:
             return False

@@ -1,4 +1,4 @@
-"""Which message goes out when, on each link: default rates, and what clients ask for.
+"""Message scheduling on each link: default rates, and requested intervals.
 
 Sources: ardupilot.md 1, px4.md 2, and the handlers of SET_MESSAGE_INTERVAL in the two firmwares.
 Intervals run on the vehicle's clock.
@@ -11,7 +11,16 @@ from typing import Any, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Ack, Command, Reply, Result, Say, Send, Style, Text
+from vehicle_sim.autopilots import (
+    Ack,
+    Command,
+    FirmwareProfile,
+    Reply,
+    Result,
+    SendMessage,
+    SendTelemetry,
+    Text,
+)
 
 GET_MESSAGE_INTERVAL = 510
 SET_MESSAGE_INTERVAL = 511
@@ -31,15 +40,15 @@ _LONGEST_US, _SHORTEST_US = 60_000_000, 1_000
 class Streams:
     """The table of intervals of every link of one autopilot."""
 
-    def __init__(self, style: Style) -> None:
+    def __init__(self, profile: FirmwareProfile) -> None:
         self.soonest_us = NEVER_US
         """Nothing is due before."""
-        self._style = style
-        self._is_px4 = style.firmware == "px4"
+        self._style = profile
+        self._is_px4 = profile.firmware == "px4"
         self._intervals_us: dict[tuple[int, int], int] = {}
         """By link and message number; what is not in it is not sent."""
         self._due: list[tuple[int, int, int]] = []
-        """A heap of time, message number and link.  Entries that were changed are built anew."""
+        """A heap of time, message number and link.  Changed entries are rebuilt."""
         self._links: set[int] = set()
         self._booted_us = 0
 
@@ -145,13 +154,13 @@ class Streams:
         shown = number & 0xFFFF  # the field has 16 bits
         message = mavlink.MAVLink_message_interval_message(shown, interval_us)
         result = Result.ACCEPTED if known or self._is_px4 else Result.FAILED
-        return [Say(message=message, to=command.sender), _ack(command, result)]
+        return [SendMessage(message=message, to=command.sender), _ack(command, result)]
 
     def _on_request(self, command: Command) -> list[Reply]:
         number = _whole(command.parameters[0])
         if number not in self._style.requestable:
             return [_ack(command, Result.DENIED if self._is_px4 else Result.FAILED)]
-        send, ack = Send(message=number, to=command.sender), _ack(command, Result.ACCEPTED)
+        send, ack = SendTelemetry(message=number, to=command.sender), _ack(command, Result.ACCEPTED)
         return [send, ack] if self._is_px4 else [ack, send]  # as in the recorded flights
 
     # --- the table ----------------------------------------------------------------------------
@@ -172,7 +181,7 @@ class Streams:
             self._rebuild(link, now_us, changed)
 
     def _rebuild(self, link: int, now_us: int, numbers: set[int] | None = None) -> None:
-        """Build the heap anew: these messages of this link are first due one interval from now."""
+        """Rebuild the heap: these messages of this link are first due one interval from now."""
         kept = [
             entry
             for entry in self._due

@@ -99,7 +99,7 @@ def _builder(kind: Any, form: Form) -> Builder:
 
 def is_plane(report: Report) -> bool:
     """A fixed wing."""
-    return report.style.vehicle_type == PLANE
+    return report.profile.vehicle_type == PLANE
 
 
 def boot_ms(report: Report) -> int:
@@ -269,7 +269,7 @@ COMMON: Final[Table] = {
     },
     "HOME_POSITION": {"latitude longitude altitude": lambda r: place_e7_mm(r.status.home)},
     "HEARTBEAT": {
-        "type autopilot": lambda r: (r.style.vehicle_type, r.style.autopilot),
+        "type autopilot": lambda r: (r.profile.vehicle_type, r.profile.autopilot),
         "base_mode custom_mode": lambda r: (r.status.base_mode, r.status.mode),
         "system_status": lambda r: r.status.system_status,
         "mavlink_version": 3,

@@ -266,9 +266,9 @@ MESSAGES: Final = telemetry.builders(
             "vtol_state": lambda r: 0 if is_plane(r) else mavlink.MAV_VTOL_STATE_MC
         },
         "AUTOPILOT_VERSION": {
-            "capabilities": lambda r: r.style.capabilities,
-            "flight_sw_version": lambda r: r.style.software_version,
-            "flight_custom_version": lambda r: list(r.style.custom_version),
+            "capabilities": lambda r: r.profile.capabilities,
+            "flight_sw_version": lambda r: r.profile.software_version,
+            "flight_custom_version": lambda r: list(r.profile.custom_version),
             "uid2": lambda r: [*r.hardware_id.to_bytes(8, "little"), *[0] * 10],
         },
         "POSITION_TARGET_GLOBAL_INT": {
@@ -283,7 +283,7 @@ MESSAGES: Final = telemetry.builders(
         },
         "FENCE_STATUS": {"breach_status breach_count breach_type breach_time": _fence},
         "WIND": {"direction speed": _wind, "speed_z": lambda r: -r.vehicle.wind_up_m_s},
-        # it has no terrain data, and asks for some until somebody answers
+        # it has no terrain data, and requests it until it is answered
         "TERRAIN_REPORT": {
             "lat lon": lambda r: place_e7(r.estimate) if r.status.origin else (0, 0),
             "spacing": lambda r: 0 if r.status.origin else 100,

@@ -274,13 +274,13 @@ MESSAGES: Final = telemetry.builders(
             "charge_state": 1,
         },
         "AUTOPILOT_VERSION": {
-            "capabilities": lambda r: r.style.capabilities,
-            "flight_sw_version": lambda r: r.style.software_version,
-            "middleware_sw_version": lambda r: r.style.software_version,
+            "capabilities": lambda r: r.profile.capabilities,
+            "flight_sw_version": lambda r: r.profile.software_version,
+            "middleware_sw_version": lambda r: r.profile.software_version,
             "os_sw_version": 101854463,
             "board_version": 1,
-            "flight_custom_version": lambda r: list(r.style.custom_version),
-            "middleware_custom_version": lambda r: list(r.style.custom_version),
+            "flight_custom_version": lambda r: list(r.profile.custom_version),
+            "middleware_custom_version": lambda r: list(r.profile.custom_version),
             "uid": lambda r: r.hardware_id,
         },
         "ESTIMATOR_STATUS": {
@@ -373,7 +373,7 @@ MESSAGES: Final = telemetry.builders(
             "safe_return": _return_s,
             "land mission_next_item mission_end commanded_action": (-1,) * 4,
         },
-        # so that who has missed an event can ask for it; flags 1: the sequence has begun anew
+        # so that missed events can be requested; flags 1: the sequence was reset
         "CURRENT_EVENT_SEQUENCE": {
             "sequence": lambda r: r.event_sequence,
             "flags": lambda r: 1 if r.time_us < 3_000_000 else 0,

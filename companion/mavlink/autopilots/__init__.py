@@ -1,10 +1,10 @@
-"""One strategy per autopilot and kind of vehicle: how it is flown, and what it says (design 4)."""
+"""One strategy per autopilot and vehicle type: commands, setpoints, decoding (design 4)."""
 
 from collections.abc import Mapping
 
 from companion.mavlink.autopilots.arducopter import ARDUCOPTER
 from companion.mavlink.autopilots.arduplane import ARDUPLANE
-from companion.mavlink.autopilots.common import ROTORCRAFT, Autopilot, Here
+from companion.mavlink.autopilots.common import ROTORCRAFT, Autopilot, LaunchPose
 from companion.mavlink.autopilots.messages import heading_rad
 from companion.mavlink.autopilots.px4_fixed_wing import PX4_FIXED_WING
 from companion.mavlink.autopilots.px4_multicopter import PX4_MULTICOPTER
@@ -25,7 +25,7 @@ _WINGED: Mapping[int, Autopilot] = {
 
 
 def autopilot_of(heartbeat: Message) -> Autopilot | None:
-    """The strategy for who sends this; None: nobody that the companion flies (VTOL, rover, ...)."""
+    """The strategy for the sender of this; None: not supported (VTOL, rover, ...)."""
     if heartbeat.type in ROTORCRAFT:
         return _HOVERING.get(heartbeat.autopilot)
     if heartbeat.type == wire.MAV_TYPE_FIXED_WING:
@@ -34,7 +34,7 @@ def autopilot_of(heartbeat: Message) -> Autopilot | None:
 
 
 def described(heartbeat: Message) -> str:
-    """Who sends this heartbeat, in words, flown or not: "PX4, VTOL tiltrotor"."""
+    """Autopilot and vehicle type of a heartbeat as text: "PX4, VTOL tiltrotor"."""
     autopilot = autopilot_of(heartbeat)
     if autopilot is not None:
         return autopilot.name
@@ -54,7 +54,7 @@ __all__ = [
     "PX4_FIXED_WING",
     "PX4_MULTICOPTER",
     "Autopilot",
-    "Here",
+    "LaunchPose",
     "autopilot_of",
     "described",
     "heading_rad",

@@ -7,16 +7,18 @@ setpoints, which it does not acknowledge: the echo tells.  Measured: ardupilot.m
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import ardupilot, messages
-from companion.mavlink.autopilots.common import Autopilot, Here
+from companion.mavlink.autopilots.common import Autopilot, LaunchPose
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_rules import ARDUCOPTER_RULES
-from companion.mission.driving import Driving, TakeOffWay
 from companion.mission.events import Mode, TakeOff
+from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 
 _ECHO = wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED
 
 
-def _take_off(command: TakeOff, here: Here, frame: LocalFrame, system_id: int) -> list[Message]:
+def _take_off(
+    command: TakeOff, here: LaunchPose, frame: LocalFrame, system_id: int
+) -> list[Message]:
     """NAV_TAKEOFF to a height above home, in GUIDED and armed.
 
     Any setpoint before EXTENDED_SYS_STATE says `in air` abandons it.
@@ -29,7 +31,9 @@ def _take_off(command: TakeOff, here: Here, frame: LocalFrame, system_id: int) -
 
 
 ARDUCOPTER = Autopilot(
-    driving=Driving(name="ArduCopter", hovers=True, take_off=TakeOffWay.GUIDED_THEN_CLIMB),
+    traits=VehicleTraits(
+        name="ArduCopter", hovers=True, take_off=TakeoffSequence.GUIDED_THEN_CLIMB
+    ),
     rules=ARDUCOPTER_RULES,
     modes=ardupilot.ArduPilotModes(
         "COPTER_MODE",
@@ -45,8 +49,8 @@ ARDUCOPTER = Autopilot(
         },
     ),
     streams_hz=ardupilot.streams_hz(_ECHO, 5.0),
-    silent_at_times=ardupilot.SILENT | {_ECHO},  # it comes only in GUIDED
-    reads={
+    intermittent=ardupilot.INTERMITTENT | {_ECHO},  # it comes only in GUIDED
+    decoders={
         wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ardupilot.estimator,
         wire.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: ardupilot.local_echo,
     },

@@ -9,16 +9,16 @@ from companion.mavlink.autopilots.messages import echo_at
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import Echo, Estimator, Mode, Vector
 
-SILENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION, wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN})
+INTERMITTENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION, wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN})
 """Until there is one."""
 NEEDED = (
     wire.EKF_ATTITUDE | wire.EKF_VELOCITY_HORIZ | wire.EKF_POS_HORIZ_ABS | wire.EKF_POS_VERT_ABS
 )
-"""Of an estimator whose horizontal position may be believed."""
+"""Flags of an estimator with a valid horizontal position."""
 _BAD = wire.EKF_CONST_POS_MODE | wire.EKF_UNINITIALIZED | wire.EKF_GPS_GLITCHING
 _REJECTED = 1.0
-"""Innovation over its gate: from here on the estimator throws the measurements away, and will give
-in to them 10 s later with a jump.  Healthy flights stay below 0.1 (recorded)."""
+"""Innovation test ratio: above this the estimator rejects the measurements, and 10 s later it
+resets to them with a jump.  Healthy flights stay below 0.1 (recorded)."""
 _NO_VELOCITY = (
     wire.POSITION_TARGET_TYPEMASK_VX_IGNORE
     | wire.POSITION_TARGET_TYPEMASK_VY_IGNORE
@@ -26,7 +26,7 @@ _NO_VELOCITY = (
 )
 _M_PER_DEG = 111_318.84502145034
 """Of ArduPilot's flat earth: one degree of latitude, anywhere."""
-_LEAST_SCALE = 0.01
+_MIN_SCALE = 0.01
 
 
 def streams_hz(echo: int, echo_hz: float) -> Mapping[int, float]:
@@ -106,5 +106,5 @@ def _offset_deg(
     """Latitude and longitude of a point of the flat earth about an origin."""
     latitude = origin_deg[0] + north_m / _M_PER_DEG
     middle = math.radians(0.5 * (origin_deg[0] + latitude))
-    scale = max(math.cos(middle), _LEAST_SCALE) if math.isfinite(middle) else 1.0
+    scale = max(math.cos(middle), _MIN_SCALE) if math.isfinite(middle) else 1.0
     return latitude, origin_deg[1] + east_m / (_M_PER_DEG * scale)

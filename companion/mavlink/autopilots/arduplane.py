@@ -1,35 +1,37 @@
 """ArduPlane: DO_REPOSITION, streamed, to a point well ahead on the path.
 
-SET_POSITION_TARGET moves it up and down only.  In GUIDED it flies at the point, then circles it,
-for ever: nothing ends when the stream does.  There is no mode to land where it is, and LOITER
-circles where it begins.  Measured: ardupilot.md 7.
+SET_POSITION_TARGET moves it up and down only.  In GUIDED it flies to the point, then circles it
+indefinitely: there is no stream time-out.  It has no mode that lands in place, and LOITER circles
+where it is entered.  Measured: ardupilot.md 7.
 """
 
 import math
 
 from companion.geodesy import LocalFrame, deg
 from companion.mavlink.autopilots import ardupilot, messages
-from companion.mavlink.autopilots.common import Autopilot, Here
+from companion.mavlink.autopilots.common import Autopilot, LaunchPose
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_rules import ARDUPLANE_RULES
-from companion.mission.driving import Driving, TakeOffWay
 from companion.mission.events import Echo, Mode, Setpoint, TakeOff
+from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 
 _ECHO = wire.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT
 _FOLLOWING_RADIUS_M = 10.0
-"""A larger one makes it circle beside the path (ardupilot.md 7)."""
+"""With a larger one it circles beside the path (ardupilot.md 7)."""
 _WIDER_M = 20.0
-"""By so much its circles are wider than asked, at 23 m/s (17 to 20 m measured)."""
+"""Its circles are this much wider than requested, at 23 m/s (17 to 20 m measured)."""
 _CIRCLE_M = 60.0
-"""To ask for when nobody says how wide the circle may be."""
+"""Radius to request if no limit is given."""
 _FASTEST_M_S = 300.0
 
 
-def _take_off(command: TakeOff, here: Here, frame: LocalFrame, system_id: int) -> list[Message]:
+def _take_off(
+    command: TakeOff, here: LaunchPose, frame: LocalFrame, system_id: int
+) -> list[Message]:
     """Mode TAKEOFF, which climbs to its parameter TKOFF_ALT straight ahead, then circles.
 
-    It runs off as soon as it is armed, and takes no height.  What is missing to the mission's it
-    climbs in GUIDED, on a circle.
+    It starts rolling as soon as it is armed, and takes no height.  The rest of the climb to the
+    mission's height is flown in GUIDED, on a circle.
     """
     del command, here, frame
     return [messages.set_mode(system_id, wire.PLANE_MODE_TAKEOFF)]
@@ -46,7 +48,7 @@ def _set_speed(speed_m_s: float, system_id: int) -> list[Message]:
 def _setpoint(
     setpoint: Setpoint, frame: LocalFrame, system_id: int, *, loiter_radius_m: float = 0.0
 ) -> list[Message] | None:
-    """DO_REPOSITION without the switch to GUIDED: a pilot who took the mode keeps it."""
+    """DO_REPOSITION without the change to GUIDED: a pilot who took over keeps control."""
     aimed = messages.aim(setpoint, frame)
     if aimed is None or not math.isfinite(loiter_radius_m):
         return None
@@ -81,10 +83,10 @@ def _refuses_setpoint(message: Message) -> bool:
 
 
 ARDUPLANE = Autopilot(
-    driving=Driving(
+    traits=VehicleTraits(
         name="ArduPlane",
         hovers=False,
-        take_off=TakeOffWay.MODE_THEN_ARM,
+        take_off=TakeoffSequence.MODE_THEN_ARM,
         lead_s=5.5,
         setpoint_period_s=0.25,
         holds_in_guided=True,
@@ -101,8 +103,8 @@ ARDUPLANE = Autopilot(
         },
     ),
     streams_hz=ardupilot.streams_hz(_ECHO, 4.0),
-    silent_at_times=ardupilot.SILENT | {_ECHO},  # it does not come in MANUAL
-    reads={
+    intermittent=ardupilot.INTERMITTENT | {_ECHO},  # it does not come in MANUAL
+    decoders={
         wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ardupilot.estimator,
         wire.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: _echo,
     },

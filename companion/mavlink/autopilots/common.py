@@ -1,14 +1,13 @@
-"""What all autopilots are told alike, and what each file about one of them has to say of it."""
+"""Commands common to all autopilots, and the interface that each strategy fills in."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, final
 
 from companion.geodesy import LocalFrame
-from companion.mavlink.autopilots.messages import READS, Reader, command_long, set_mode
+from companion.mavlink.autopilots.messages import DECODERS, Decoder, command_long, set_mode
 from companion.mavlink.dialect import Message, wire
-from companion.mavlink.judgement import ParameterRule
-from companion.mission.driving import Driving
+from companion.mavlink.parameter_checks import ParameterRule
 from companion.mission.events import (
     Event,
     Mode,
@@ -18,6 +17,7 @@ from companion.mission.events import (
     Vector,
     VehicleStatus,
 )
+from companion.mission.vehicle_traits import VehicleTraits
 
 ROTORCRAFT = frozenset(
     {
@@ -32,15 +32,15 @@ ROTORCRAFT = frozenset(
         wire.MAV_TYPE_GENERIC_MULTIROTOR,
     }
 )
-"""MAV_TYPE of what hovers.  A VTOL is neither this nor a plane, and is not flown."""
+"""MAV_TYPE of multicopters. A VTOL is neither this nor a plane, and is not supported."""
 
 _FAILSAFE = (wire.MAV_STATE_CRITICAL, wire.MAV_STATE_EMERGENCY)
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Here:
-    """Where a vehicle stands before it takes off."""
+class LaunchPose:
+    """Position and heading before take-off."""
 
     position_nea_m: Vector
     heading_rad: float
@@ -48,23 +48,23 @@ class Here:
 
 
 class Modes(Protocol):
-    """One value per family of autopilots, or per kind of vehicle where their numbers differ."""
+    """Mode numbers of a firmware, or of a vehicle type where they differ within it."""
 
     def mode_of(self, custom_mode: int) -> Mode:
         """The mode that a heartbeat reports."""
         ...
 
     def name_of(self, custom_mode: int) -> str:
-        """The same in the autopilot's own words."""
+        """The autopilot's own name of the mode."""
         ...
 
     def numbers_of(self, mode: Mode) -> tuple[int, ...] | None:
-        """What DO_SET_MODE asks for, main and sub mode where it has both; None: no such mode."""
+        """Parameters of DO_SET_MODE: mode, or main and sub mode; None: not supported."""
         ...
 
 
-class SetpointSayer(Protocol):
-    """How a setpoint is said."""
+class SetpointEncoder(Protocol):
+    """Encodes a setpoint as messages."""
 
     def __call__(
         self,
@@ -77,74 +77,74 @@ class SetpointSayer(Protocol):
         """None if any value is not finite or out of range.
 
         A NaN would abort ArduPilot's process, and 0, 0 would be flown to.  `loiter_radius_m` is
-        the circle that a plane that stays may fly at most (`Limits.loiter_radius_m`).
+        the largest circle for a plane that holds (`Limits.loiter_radius_m`).
         """
         ...
 
 
-def _nothing_to_say(*_: object) -> list[Message]:
+def _no_messages(*_: object) -> list[Message]:
     return []
 
 
-def _says_no_such_thing(_: Message) -> bool:
+def _never(_: Message) -> bool:
     return False
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Autopilot:
-    """How one kind of autopilot and vehicle is told what to do, and what its messages mean.
+    """Encodes commands for one autopilot and vehicle type, and decodes its messages.
 
-    Without state: one value serves any number of vehicles.  Messages are addressed to component 1
-    of the system given.  What has a default here, most of them have no say in.
+    Stateless: one value serves any number of vehicles.  Messages are addressed to component 1 of
+    the given system.  Defaults fit most autopilots.
     """
 
-    driving: Driving
+    traits: VehicleTraits
     """What the mission has to know of it."""
     rules: tuple[ParameterRule, ...]
-    """What its parameters have to be for a safe flight."""
+    """Parameter checks for a safe flight."""
     modes: Modes
-    """How it numbers and names its modes."""
+    """Its mode numbers and names."""
     streams_hz: Mapping[int, float]
     """Message id -> rate to ask for by SET_MESSAGE_INTERVAL, besides GLOBAL_POSITION_INT."""
-    silent_at_times: frozenset[int]
-    """Those of the streams that say nothing while there is nothing to say: no fault."""
-    asked_once: tuple[int, ...] = ()
+    intermittent: frozenset[int]
+    """Streams that may be silent without a fault."""
+    requested_once: tuple[int, ...] = ()
     """Message ids to ask for by REQUEST_MESSAGE until they have come: never streamed."""
-    reads: Mapping[int, Reader]
-    """Message id -> how it is read, for what not all autopilots say alike."""
-    take_off: Callable[[TakeOff, Here, LocalFrame, int], list[Message]]
-    """Send it up in its own way; the order of mode, arming and this is `driving.take_off`.
+    decoders: Mapping[int, Decoder]
+    """Message id -> decoder, for messages that differ between autopilots."""
+    take_off: Callable[[TakeOff, LaunchPose, LocalFrame, int], list[Message]]
+    """Take-off command; the sequence of mode, arming and this is `traits.take_off`.
 
     (command, here, frame, system_id); empty if a value is not finite or out of range.
     """
-    setpoint: SetpointSayer
-    """The one way to a setpoint."""
-    set_speed: Callable[[float, int], list[Message]] = _nothing_to_say
-    """Tell one that chooses its speed by itself how fast to fly: (speed_m_s, system_id)."""
-    hold_about: Callable[[Vector, LocalFrame, int], list[Message]] = _nothing_to_say
-    """Hold about a point, for one that can be told where: (at_nea_m, frame, system_id)."""
-    refuses_setpoint: Callable[[Message], bool] = _says_no_such_thing
+    setpoint: SetpointEncoder
+    """The only function that encodes setpoints."""
+    set_speed: Callable[[float, int], list[Message]] = _no_messages
+    """Speed command for an autopilot that controls its own speed: (speed_m_s, system_id)."""
+    hold_about: Callable[[Vector, LocalFrame, int], list[Message]] = _no_messages
+    """Hold at a point, if the autopilot supports it: (at_nea_m, frame, system_id)."""
+    refuses_setpoint: Callable[[Message], bool] = _never
     """Whether a message says that a setpoint was not taken.
 
-    By default none does: setpoints are not acknowledged, and the echo tells.
+    Never by default: setpoints are not acknowledged; the position target echo shows it.
     """
 
     @property
     def name(self) -> str:
-        """For people: ArduCopter, ArduPlane, PX4 multicopter, PX4 fixed wing."""
-        return self.driving.name
+        """Display name: ArduCopter, ArduPlane, PX4 multicopter, PX4 fixed wing."""
+        return self.traits.name
 
     def mode_of(self, custom_mode: int) -> Mode:
         """The mode that a heartbeat reports."""
         return self.modes.mode_of(custom_mode)
 
     def mode_name(self, custom_mode: int) -> str:
-        """The same in the autopilot's own words."""
+        """The autopilot's own name of the mode."""
         return self.modes.name_of(custom_mode)
 
     def set_mode(self, command: SetMode, frame: LocalFrame, system_id: int) -> list[Message]:
-        """Ask for a mode; empty if it has no such mode.  Only a heartbeat tells that it obeys."""
+        """Request a mode; empty if unsupported.  Only the heartbeat confirms it."""
         if command.mode is Mode.HOLD and command.at_nea_m is not None:
             about = self.hold_about(command.at_nea_m, frame, system_id)
             if about:
@@ -163,13 +163,13 @@ class Autopilot:
         frame: LocalFrame,
         origin_nea_m: Vector | None = None,
     ) -> Event | None:
-        """What a message of the autopilot means for the mission; None: nothing.
+        """The mission event of an autopilot message; None if there is none.
 
         `origin_nea_m` is the newest `Origin`, which an echo in the autopilot's own local frame
-        is measured from; without it such an echo means nothing.
+        is measured from; without it that echo is ignored.
         """
         number = message.get_msgId()
-        read = self.reads.get(number) or READS.get(number)
+        read = self.decoders.get(number) or DECODERS.get(number)
         if read is not None:
             return read(message, now_s, frame, origin_nea_m)
         if number != wire.MAVLINK_MSG_ID_HEARTBEAT:

@@ -1,8 +1,8 @@
-"""Messages to events, setpoints and commands to messages: what goes over the wire either way.
+"""Messages to events, and setpoints and commands to messages.
 
-Units, frames and datums change here only: inside is the local frame, altitudes AMSL, SI; on the
-wire are latitude and longitude in 1e-7 degrees and true-north NED.  What is sent is refused if it
-is not finite or out of range.
+Units, frames and datums are converted here only.  Inside: local frame, altitudes AMSL, SI.  On the
+wire: latitude and longitude in 1e-7 degrees, true-north NED.  Values that are not finite or out of
+range are never sent.
 """
 
 import math
@@ -28,12 +28,12 @@ from companion.mission.events import (
 HIGHEST_AMSL_M = 50_000.0
 _LOWEST_AMSL_M = -500.0
 _FASTEST_M_S = 1000.0
-"""ArduCopter takes more for an error and stops (ardupilot.md 3)."""
+"""ArduCopter treats more as an error and stops (ardupilot.md 3)."""
 _FURTHEST_M = 2.0e7
 """Half way round: no local frame reaches further."""
 _NOWHERE_DEG = 0.01
-"""So near to latitude = longitude = 0 nobody is, and nobody is to be sent: what has no position
-yet says that it is there, and an ArduPlane drifts about there by some metres (recorded)."""
+"""Treat (0, 0) +- 0.01 degrees as "no position": autopilots report it before they have one, and an
+ArduPlane drifts about there by some metres (recorded)."""
 _LATEST_S = 4.29e6
 """time_boot_ms is an unsigned 32-bit number."""
 
@@ -53,8 +53,8 @@ _LANDED = {
     wire.MAV_LANDED_STATE_LANDING: Landed.LANDING,
 }
 
-Reader = Callable[[Message, float, LocalFrame, Vector | None], Event | None]
-"""(message, now_s, frame, origin_nea_m) -> what it means; arguments as of `Autopilot.event_of`."""
+Decoder = Callable[[Message, float, LocalFrame, Vector | None], Event | None]
+"""(message, now_s, frame, origin_nea_m) -> event; arguments as in `Autopilot.event_of`."""
 
 # --- in
 
@@ -75,7 +75,7 @@ def position(message: Message, _now_s: float, frame: LocalFrame, *_: object) -> 
 
 
 def heading_rad(message: Message) -> float | None:
-    """Where the nose points by GLOBAL_POSITION_INT, from true north; None: it does not say."""
+    """Heading of GLOBAL_POSITION_INT, from true north; None if not given."""
     return None if message.hdg == NO_HEADING else math.radians(message.hdg * 0.01)
 
 
@@ -105,11 +105,11 @@ def _battery(message: Message, now_s: float, *_: object) -> Battery | None:
 
 
 def _one_battery(message: Message, now_s: float, *_: object) -> Battery | None:
-    """Of the first one: others may drive something else."""
+    """Battery 0 only: others may power something else."""
     return _battery(message, now_s) if message.id == 0 else None
 
 
-READS: Final[Mapping[int, Reader]] = {
+DECODERS: Final[Mapping[int, Decoder]] = {
     wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: position,
     wire.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
     wire.MAVLINK_MSG_ID_GPS_RAW_INT: _gps,
@@ -118,7 +118,7 @@ READS: Final[Mapping[int, Reader]] = {
     wire.MAVLINK_MSG_ID_SYS_STATUS: _battery,
     wire.MAVLINK_MSG_ID_BATTERY_STATUS: _one_battery,
 }
-"""Message id -> how it is read, of what all autopilots say alike; HEARTBEAT takes their modes."""
+"""Message id -> decoder, for messages common to all autopilots; HEARTBEAT needs their modes."""
 
 
 def echo_at(
@@ -128,7 +128,7 @@ def echo_at(
     frame: LocalFrame,
     velocity_nea_m_s: Vector | None = None,
 ) -> Echo | None:
-    """An echo of a setpoint there; None if it is no place."""
+    """A position target echo; None if the position is invalid."""
     latitude, longitude = place_deg
     if not all(map(math.isfinite, (latitude, longitude, altitude_amsl_m))):
         return None
@@ -144,7 +144,7 @@ def echo_at(
 def _place(
     latitude_e7: int, longitude_e7: int, altitude_m: float, frame: LocalFrame
 ) -> Vector | None:
-    """A place of the wire; None about latitude = longitude = 0: then there is none yet."""
+    """A position from the wire; None near latitude = longitude = 0, which means "none yet"."""
     latitude, longitude = latitude_e7 * _E7, longitude_e7 * _E7
     if max(abs(latitude), abs(longitude)) < _NOWHERE_DEG:
         return None
@@ -155,7 +155,7 @@ def _place(
 
 
 def is_nowhere(latitude_deg: float, longitude_deg: float) -> bool:
-    """Whether this stands for having no position."""
+    """Whether these coordinates mean "no position"."""
     return max(abs(latitude_deg), abs(longitude_deg)) < _NOWHERE_DEG
 
 
@@ -185,7 +185,7 @@ def aim(setpoint: Setpoint, frame: LocalFrame) -> tuple[tuple[int, int], Vector,
 
 
 def wire_place(position_nea_m: Vector, frame: LocalFrame) -> tuple[int, int] | None:
-    """Latitude and longitude, 1e-7 degrees; None for a place that nobody should be sent to."""
+    """Latitude and longitude, 1e-7 degrees; None for an invalid destination."""
     north_m, east_m, altitude_m = position_nea_m
     if not all(map(math.isfinite, position_nea_m)):
         return None
@@ -211,7 +211,7 @@ def position_target(
 ) -> list[Message] | None:
     """SET_POSITION_TARGET_GLOBAL_INT in frame 5: AMSL, which all autopilots get right.
 
-    By default position, velocity and yaw, for what can stand still: to stay is a velocity of zero.
+    By default position, velocity and yaw, for multicopters: to hold is a velocity of zero.
     """
     del loiter_radius_m
     aimed = aim(setpoint, frame)
@@ -280,7 +280,7 @@ def reposition(
     radius_m: float,
     yaw_rad: float,
 ) -> Message:
-    """DO_REPOSITION, at the speed that it has.
+    """DO_REPOSITION at the current speed.
 
     switch: whether it is to go into the mode for this; yaw_rad: to a plane of ArduPilot's the sense
     of its circles, 0 clockwise.

@@ -1,8 +1,8 @@
 """What PX4's multicopter and fixed wing share: setpoints in OFFBOARD; both hold in AUTO.LOITER.
 
-PX4 acknowledges a change of mode twice, the first time whatever happens: only the heartbeat
-counts.  OFFBOARD is only taken while setpoints come in, and a running stream takes it back after a
-failsafe by itself: stop streaming before any other mode.  Measured: px4.md.
+PX4 acknowledges a mode change twice, the first time unconditionally: only the heartbeat counts.
+OFFBOARD needs a running setpoint stream, and after a failsafe a running stream re-enters it: stop
+streaming before requesting any other mode.  Measured: px4.md.
 """
 
 import math
@@ -51,14 +51,14 @@ NEEDED = (
     | wire.ESTIMATOR_POS_HORIZ_ABS
     | wire.ESTIMATOR_POS_VERT_ABS
 )
-"""Of an estimator whose horizontal position may be believed."""
+"""Flags of an estimator with a valid horizontal position."""
 _BAD = wire.ESTIMATOR_GPS_GLITCH | wire.ESTIMATOR_ACCEL_ERROR
 _REJECTED = 1.0
 """Innovation over its gate, where EKF2 throws the measurement away; healthy: below 0.4.  NaN of one
 that it does not use."""
 EARTH_M = 6_371_000.0
 """Of the sphere that PX4 projects with."""
-AS_IT_POINTS = math.nan
+KEEP_YAW = math.nan
 """Yaw of a command: MAVLink's "not given".  PX4 takes for radians what the message definition of
 NAV_TAKEOFF has in degrees.  The one place where something not finite is sent, and never in a
 setpoint."""
@@ -69,8 +69,8 @@ STREAMS_HZ: Mapping[int, float] = {
     wire.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
     wire.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
 }
-SILENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION})  # until there is one
-ASKED_ONCE = (wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, wire.MAVLINK_MSG_ID_HOME_POSITION)
+INTERMITTENT = frozenset({wire.MAVLINK_MSG_ID_HOME_POSITION})  # until there is one
+REQUESTED_ONCE = (wire.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, wire.MAVLINK_MSG_ID_HOME_POSITION)
 
 
 @final
@@ -102,7 +102,7 @@ def take_off(to_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Messag
     place = messages.wire_place(to_nea_m, frame)
     if place is None:
         return []
-    parameters = (0.0, 0.0, 0.0, AS_IT_POINTS)
+    parameters = (0.0, 0.0, 0.0, KEEP_YAW)
     number = wire.MAV_CMD_NAV_TAKEOFF
     return [messages.command_int(system_id, number, parameters, place, to_nea_m[2])]
 

@@ -1,21 +1,21 @@
 """PX4 fixed wing: a point of the path and the tangent there, in OFFBOARD.  Measured: px4.md 10.
 
-Its speed is its parameter FW_AIRSPD_TRIM, whatever is asked for.  Setpoints are not acknowledged,
-and no echo comes in OFFBOARD.  It runs off as soon as it is armed.
+It always flies at FW_AIRSPD_TRIM.  Setpoints are not acknowledged, and there is no position target
+echo in OFFBOARD.  It starts rolling as soon as it is armed.
 """
 
 import math
 
 from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots import messages, px4
-from companion.mavlink.autopilots.common import Autopilot, Here
+from companion.mavlink.autopilots.common import Autopilot, LaunchPose
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_rules import PX4_FIXED_WING_RULES
-from companion.mission.driving import Driving, TakeOffWay
 from companion.mission.events import Setpoint, TakeOff, Vector
+from companion.mission.vehicle_traits import TakeoffSequence, VehicleTraits
 
 _RUNWAY_M = 300.0
-"""A fixed wing is sent up to a point this far ahead: then it ends in AUTO.LOITER (px4.md 10)."""
+"""The take-off target is this far ahead, so that it ends in AUTO.LOITER (px4.md 10)."""
 
 
 def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Message]:
@@ -30,12 +30,14 @@ def _hold_about(at_nea_m: Vector, frame: LocalFrame, system_id: int) -> list[Mes
             at_nea_m[2],
             switch=True,
             radius_m=0.0,
-            yaw_rad=px4.AS_IT_POINTS,
+            yaw_rad=px4.KEEP_YAW,
         )
     ]
 
 
-def _take_off(command: TakeOff, here: Here, frame: LocalFrame, system_id: int) -> list[Message]:
+def _take_off(
+    command: TakeOff, here: LaunchPose, frame: LocalFrame, system_id: int
+) -> list[Message]:
     """NAV_TAKEOFF to a point 300 m ahead at an altitude AMSL; ends in AUTO.LOITER about it.
 
     Without a point it stays in AUTO.TAKEOFF.
@@ -65,20 +67,20 @@ def _setpoint(
 
 
 PX4_FIXED_WING = Autopilot(
-    driving=Driving(
+    traits=VehicleTraits(
         name="PX4 fixed wing",
         hovers=False,
-        take_off=TakeOffWay.CLIMB_THEN_ARM,
+        take_off=TakeoffSequence.CLIMB_THEN_ARM,
         lead_s=1.5,
-        streams_first=True,
-        echoes=False,
+        needs_setpoints_before_offboard=True,
+        reports_target=False,
     ),
     rules=PX4_FIXED_WING_RULES,
     modes=px4.Px4Modes(),
     streams_hz=px4.STREAMS_HZ,
-    silent_at_times=px4.SILENT,
-    asked_once=px4.ASKED_ONCE,
-    reads={wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS: px4.estimator},
+    intermittent=px4.INTERMITTENT,
+    requested_once=px4.REQUESTED_ONCE,
+    decoders={wire.MAVLINK_MSG_ID_ESTIMATOR_STATUS: px4.estimator},
     take_off=_take_off,
     setpoint=_setpoint,
     hold_about=_hold_about,

@@ -1,4 +1,4 @@
-"""What maps show of a flight, whatever their format: places, lines and areas with their facts."""
+"""Features of a flight for maps of any format: places, lines and areas with attributes."""
 
 import math
 from collections.abc import Iterator

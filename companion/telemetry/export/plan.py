@@ -24,7 +24,7 @@ from companion.world.threats import CircleZone, Zone
 Json = dict[str, Any]
 Source = Literal["flown", "planned"]
 
-_MOST_WAYPOINTS = 300
+_MAX_WAYPOINTS = 300
 """Autopilots hold some 500 to 700 mission items."""
 _FINEST_M = 2.0
 _ABSOLUTE = 2
@@ -114,7 +114,7 @@ def _planned(flight: RecordedFlight) -> FloatArray:
 def _waypoints(path_nea_m: FloatArray) -> tuple[FloatArray, float]:
     """So few points of a path that an autopilot can hold them, and how far off it they are."""
     error_m = _FINEST_M
-    while len(chosen := shapes.corners(path_nea_m, error_m)) > _MOST_WAYPOINTS:
+    while len(chosen := shapes.corners(path_nea_m, error_m)) > _MAX_WAYPOINTS:
         error_m *= 2.0
     return path_nea_m[chosen], error_m
 

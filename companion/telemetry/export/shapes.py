@@ -13,7 +13,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _CURVE_POINTS = 2000
 _CURVE_ERROR_M = 0.25  # a hand's breadth off the curve, which nobody sees
 _CIRCLE_POINTS = 72
-MOST_POINTS = 50_000
+MAX_POINTS = 50_000
 """Of a drawn track: more than that, and map programs become slow."""
 
 
@@ -84,7 +84,7 @@ def thinned(part: slice, total: int) -> IntArray:
 
     The first and the last one stay.  total: positions of the whole track.
     """
-    step = -(-total // MOST_POINTS)
+    step = -(-total // MAX_POINTS)
     indices = np.arange(part.start, part.stop, step)
     return indices if indices[-1] == part.stop - 1 else np.append(indices, part.stop - 1)
 

@@ -12,13 +12,13 @@ from typing import Any, Final, final
 
 from companion.mavlink.dialect import Message, wire
 from companion.telemetry.logs import dataflash
-from companion.telemetry.logs.findings import Findings, Oddity
+from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter
 from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, earliest
 from companion.telemetry.logs.translated import (
-    Pace,
+    NumberedMessages,
+    RateLimiter,
     Row,
     Source,
-    Told,
     battery,
     boot_ms,
     system_time,
@@ -102,7 +102,7 @@ def look(path: Path) -> Source:
     """Look through a log once."""
     looked = _Look()
     with Window(path) as window:
-        for row in dataflash.rows(window, Findings(), _TELLING, looked.counts):
+        for row in dataflash.rows(window, AnomalyCounter(), _TELLING, looked.counts):
             looked.at_row(row)
     return Source(
         kind="bin",
@@ -117,7 +117,7 @@ def look(path: Path) -> Source:
     )
 
 
-def _entries(window: Window, findings: Findings) -> Iterator[Row]:
+def _entries(window: Window, findings: AnomalyCounter) -> Iterator[Row]:
     """What is translated; what the logger could not write is noted."""
     dropped = 0
     for row in dataflash.rows(window, findings, ROWS | {_STATISTICS}):
@@ -126,7 +126,7 @@ def _entries(window: Window, findings: Findings) -> Iterator[Row]:
             continue
         count = row.values.get("Dp")
         if isinstance(count, int) and count > dropped:
-            findings.note(Oddity.LOST_ENTRIES, row.byte, None, count - dropped)
+            findings.note(Anomaly.LOST_ENTRIES, row.byte, None, count - dropped)
             dropped = count
 
 
@@ -146,7 +146,7 @@ def _substitutes(looked: "_Look") -> Iterator[str]:
 
 @final
 class _Look:
-    """What one pass through the file has told."""
+    """Results of one pass through the file."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -224,13 +224,13 @@ def _epoch_us(row: Row) -> int | None:
 
 @final
 class _Rows:
-    """What the entries of one pass make the vehicle say; see `translated.OnRow`."""
+    """Translates the entries of one pass; see `translated.OnRow`."""
 
     def __init__(self, looked: "_Look") -> None:
         self._mav_type, self._epoch_us = looked.mav_type, looked.epoch_us
         self._has_position, self._has_velocity = looked.has_position, looked.has_velocity
         self._has_ekf3 = looked.counts["XKF1"] > 0  # then what EKF2 says is not what is flown by
-        self._pace = Pace()
+        self._pace = RateLimiter()
         self._mode: int | None = None
         self._armed, self._landed = False, wire.MAV_LANDED_STATE_UNDEFINED
         self._failsafes: set[int] = set()
@@ -243,10 +243,10 @@ class _Rows:
         self._accuracy: Mapping[str, Any] = {}
         self._capacity_mah = 0.0
         self._load = 0
-        self._told = Told(len(looked.parameters))
+        self._told = NumberedMessages(len(looked.parameters))
 
     def on_row(self, row: Row, boot_us: int) -> Iterator[Message]:
-        """What one entry makes it say."""
+        """Messages of one entry."""
         if self._has_ekf3 and row.name in _EKF2:
             return
         yield from _HANDLERS[row.name](self, row.values, boot_us)

@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-from companion.telemetry.logs.findings import Findings, Oddity
+from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter
 from companion.telemetry.logs.search import find_entry
 from companion.telemetry.logs.translated import Row
 from companion.telemetry.logs.window import Window
@@ -142,7 +142,7 @@ _FMT_FORMAT: Final = Format(
 
 def rows(
     window: Window,
-    findings: Findings,
+    findings: AnomalyCounter,
     wanted: Collection[str],
     counts: Counter[str] | None = None,
 ) -> Iterator[Row]:
@@ -176,7 +176,7 @@ def rows(
         if kind.name in wanted:
             yield kind.row(data, at, window.base + at)
         elif kind is _FMT_FORMAT and data[at + _HEAD] != FMT and known is formats:
-            findings.note(Oddity.DAMAGED, window.base + at, None)
+            findings.note(Anomaly.DAMAGED, window.base + at, None)
         formats = known
         if counts is not None:
             counts[kind.name] += 1
@@ -200,7 +200,7 @@ def _resume(
     window: Window,
     at: int,
     formats: dict[int, Format],
-    findings: Findings,
+    findings: AnomalyCounter,
     kind: Format | None,
 ) -> int:
     """Where in the window an entry begins that another follows; what is passed is noted."""
@@ -216,9 +216,9 @@ def _resume(
     passed = window.base + begin - byte
     at_end = begin == len(window.data)
     if at_end and known and kind is None and passed < _LONGEST:
-        findings.note(Oddity.CUT_SHORT, byte, None, passed)
+        findings.note(Anomaly.CUT_SHORT, byte, None, passed)
     elif passed <= (kind.length if kind is not None else _LONGEST) and head[:2] == MAGIC:
-        findings.note(Oddity.DAMAGED, byte, None)
+        findings.note(Anomaly.DAMAGED, byte, None)
     else:
-        findings.note(Oddity.GARBAGE, byte, None, passed)
+        findings.note(Anomaly.GARBAGE, byte, None, passed)
     return begin

@@ -1,4 +1,4 @@
-"""What the companion listens to, and how to have it recorded where a log lacks it."""
+"""The messages that the companion needs, and how to get them recorded."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ _PX4: Final = int(wire.MAV_AUTOPILOT_PX4)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Missing:
-    """A message that the companion listens to and a log never has."""
+    """A message that the companion needs and a log lacks."""
 
     message: str
     """Its MAVLink name; of several that serve alike, joined by "or"."""
     without: str
-    """What cannot be told or done without it."""
+    """What is impossible without it."""
     remedy: str
-    """How to have it recorded."""
+    """How to get it recorded."""
     vital: bool
-    """Whether the companion cannot fly without it."""
+    """Whether the companion needs it to fly."""
 
     def __str__(self) -> str:
         return f"{self.message} is missing: {self.without}. {self.remedy}"

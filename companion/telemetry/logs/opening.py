@@ -27,10 +27,10 @@ _OTHERS: Final = {
 
 
 def open_log(path: Path, *, system_id: int | None = None) -> Log:
-    """Open a log of anybody's; system_id: of the vehicle, where there are several in it.
+    """Open a log; system_id: of the vehicle, if there are several.
 
     InputError if there is no such file, nothing in it can be read, or it is not clear whose log it
-    is.  The whole file is looked through once, in bounded memory.
+    is.  The whole file is scanned once, in bounded memory.
     """
     try:
         if not path.exists():
@@ -63,7 +63,7 @@ def _opened(path: Path, size: int, system_id: int | None) -> Log:
 
 
 def _kind_of(path: Path) -> Kind | None:
-    """What stands first in it that only one kind of log has; None: nothing that is of any."""
+    """The log type by its first unambiguous content; None: unknown."""
     with Window(path) as window:
         while True:
             data = window.data
@@ -98,8 +98,8 @@ _SIGNS: Final[dict[Kind, Callable[[bytes], int | None]]] = {
     "bin": dataflash.first_format,
     "tlog": first_frame,
 }
-"""Where in bytes the first thing stands that cannot be chance: a description of a kind of entry, or
-a frame whose checksum is right."""
+"""Finds the first content that cannot be coincidence: a format description, or a frame with the
+right checksum."""
 _SIGN_BYTES: Final = max(LONGEST, ulog.SIGN_BYTES, dataflash.SIGN_BYTES)
 _OPENERS: Final[dict[Kind, Callable[[Path, int, int | None], Log | None]]] = {
     "tlog": open_tlog,

@@ -19,14 +19,14 @@ from companion.mavlink.autopilots.px4 import EARTH_M
 from companion.mavlink.dialect import Message, wire
 from companion.mavlink.parameter_client import encoded
 from companion.telemetry.logs import ulog
-from companion.telemetry.logs.findings import Findings
+from companion.telemetry.logs.anomalies import AnomalyCounter
 from companion.telemetry.logs.timeline import YEAR_2000_US, YEAR_2100_US, earliest
 from companion.telemetry.logs.translated import (
     LONGEST_US,
-    Pace,
+    NumberedMessages,
+    RateLimiter,
     Row,
     Source,
-    Told,
     battery,
     boot_ms,
     system_time,
@@ -85,7 +85,7 @@ def look(path: Path) -> Source:
         window.more(0)
         _check_flags(path, window.data)
         begun_us = int.from_bytes(window.data[8:16].ljust(8, b"\0"), "little")
-        for row in ulog.rows(window, Findings(), _TELLING, looked.counts):
+        for row in ulog.rows(window, AnomalyCounter(), _TELLING, looked.counts):
             looked.at_row(row)
     times = sorted(looked.times_us)
     sane = bool(times) and 0 <= times[len(times) // 2] - begun_us < LONGEST_US
@@ -98,7 +98,7 @@ def look(path: Path) -> Source:
         epoch_us = zero_us
     counts = looked.counts
 
-    def rows(window: Window, findings: Findings) -> Iterator[Row]:
+    def rows(window: Window, findings: AnomalyCounter) -> Iterator[Row]:
         """What was published before the log began is told at its beginning."""
         for row in ulog.rows(window, findings, TOPICS):
             if row.time_us is None or not (zero_us or row.time_us < start_us):
@@ -145,7 +145,7 @@ def _check_flags(path: Path, head: bytes) -> None:
 
 @final
 class _Look:
-    """What one pass through the file has told."""
+    """Results of one pass through the file."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -189,11 +189,11 @@ class _Look:
 
 @final
 class _Rows:
-    """What the entries of one pass make the vehicle say; see `translated.OnRow`."""
+    """Translates the entries of one pass; see `translated.OnRow`."""
 
     def __init__(self, looked: "_Look", epoch_us: int | None) -> None:
         self._counts, self._epoch_us = looked.counts, epoch_us
-        self._pace = Pace()
+        self._pace = RateLimiter()
         self._status: Mapping[str, Any] = {}
         self._landed: bool | None = None
         self._local: Mapping[str, Any] = {}
@@ -202,10 +202,10 @@ class _Rows:
         self._projection: Proj | None = None
         self._flags: Mapping[str, Any] = {}
         self._rates = (math.nan, math.nan, math.nan)
-        self._told = Told(len(looked.parameters))
+        self._told = NumberedMessages(len(looked.parameters))
 
     def on_row(self, row: Row, boot_us: int) -> Iterator[Message]:
-        """What one entry makes it say."""
+        """Messages of one entry."""
         yield from _HANDLERS[row.name](self, row.values, boot_us)
         if self._status and self._pace.is_due("heartbeat", boot_us, _SECOND_US):
             yield from self._heartbeat()

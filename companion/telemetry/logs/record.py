@@ -1,4 +1,4 @@
-"""What every log is read as: a stream of timed MAVLink frames."""
+"""The common interface of logs: a stream of timed MAVLink frames."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -7,7 +7,7 @@ from typing import Protocol, final
 
 from companion.errors import InputError
 from companion.mavlink.dialect import wire
-from companion.telemetry.logs.findings import Finding, Findings, Oddity
+from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter, LogAnomaly
 from companion.telemetry.logs.needed import Kind, Missing, missing_of
 from companion.telemetry.logs.timeline import Timeline
 from companion.telemetry.logs.window import Window
@@ -24,7 +24,7 @@ class Record:
     """As it stood in the log, MAVLink 1 or 2, signed or not."""
 
 
-class Reading(Protocol):
+class LogReader(Protocol):
     """One pass through a log of some kind."""
 
     byte: int
@@ -52,16 +52,16 @@ class Log:
     """The vehicle that is read; None: there is no heartbeat of an autopilot in it."""
     autopilot: int | None
     """MAV_AUTOPILOT; None: nothing tells."""
-    begin: Callable[[Findings, set[int]], Reading]
-    """A new pass: what is odd goes there, and the numbers of what the autopilot has said."""
+    begin: Callable[[AnomalyCounter, set[int]], LogReader]
+    """Begin a pass: notes anomalies, and the numbers of the autopilot's messages."""
     read_bytes: int = 0
     """How far `records` has come."""
-    _findings: Findings = field(default_factory=Findings)
+    _findings: AnomalyCounter = field(default_factory=AnomalyCounter)
     _heard: set[int] = field(default_factory=set)
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What is odd, as far as `records` has come."""
+    def findings(self) -> tuple[LogAnomaly, ...]:
+        """Anomalies, as far as `records` has come."""
         return self._findings.all()
 
     def missing(self) -> tuple[Missing, ...]:
@@ -74,7 +74,7 @@ class Log:
 
         Frames of other vehicles, and those with secrets, are left out.
         """
-        self._findings, self._heard, self.read_bytes = Findings(), set(), 0
+        self._findings, self._heard, self.read_bytes = AnomalyCounter(), set(), 0
         findings, heard = self._findings, self._heard
         reading = self.begin(findings, heard)
         with Window(self.path) as window:
@@ -84,11 +84,11 @@ class Log:
             self.read_bytes = byte = window.base + len(window.data)
             reading.timeline.finish(byte)
             if window.failed:
-                findings.note(Oddity.UNREADABLE, byte, reading.timeline.now_us)
+                findings.note(Anomaly.UNREADABLE, byte, reading.timeline.now_us)
 
 
 def chosen(path: Path, systems: tuple[int, ...], asked: int | None) -> int | None:
-    """The vehicle that is meant; InputError if that is not clear."""
+    """The selected vehicle; InputError if it is ambiguous."""
     those = ", ".join(str(each) for each in systems)
     if asked is not None:
         if asked not in systems:

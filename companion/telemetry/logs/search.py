@@ -1,4 +1,4 @@
-"""The next intact MAVLink frame of a file, or entry of a log, whatever lies before it."""
+"""Finds the next intact MAVLink frame of a file, or entry of a log."""
 
 import re
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""A first look at a log of MAVLink frames: whose it is, and what its time stamps mean."""
+"""First pass over a log of MAVLink frames: its vehicles, and the meaning of its time stamps."""
 
 import enum
 import re
@@ -26,7 +26,7 @@ _NO_AUTOPILOTS = (wire.MAV_TYPE_GCS, wire.MAV_TYPE_ONBOARD_CONTROLLER)
 
 
 class Stamps(enum.Enum):
-    """What stands before each frame."""
+    """The format of the time stamp before each frame."""
 
     MICROSECONDS = "microseconds since 1970, big-endian"
     LITTLE_ENDIAN = "microseconds since 1970, little-endian"
@@ -55,7 +55,7 @@ _DATED = (
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survey:
-    """What a first look tells."""
+    """Result of the first pass."""
 
     autopilots: dict[int, int]
     """System id -> MAV_AUTOPILOT, of all that send an autopilot's heartbeat."""

@@ -1,15 +1,15 @@
-"""Time stamps of anybody's clock to a time that never falls; what they did is a finding."""
+"""Converts time stamps to a monotonic time and notes their anomalies."""
 
 import itertools
 from collections.abc import Sequence
 from typing import Final, final
 
-from companion.telemetry.logs.findings import Findings, Oddity
+from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter
 
 YEAR_2000_US: Final = 946_684_800_000_000
 YEAR_2100_US: Final = 4_102_444_800_000_000
 BACK_US: Final = 1_000_000
-"""A clock that falls by more was set, or is another one."""
+"""A clock that falls by more was set, or replaced."""
 JITTER_US: Final = 1_000
 """Programs that log in several threads, or a link's number in the last bits, make less."""
 _GAP_US: Final = 600_000_000
@@ -19,13 +19,13 @@ _GAP_US: Final = 600_000_000
 class Timeline:
     """Follows one log's clock.
 
-    A stamp that leaps is believed once the next one agrees with it: until then, the time of the
-    one before goes on.  After a leap back time goes on from where it was.
+    A stamp after a jump is accepted once the next one agrees with it: until then the previous time
+    continues.  After a jump back time continues from where it was.
     """
 
     def __init__(
         self,
-        findings: Findings,
+        findings: AnomalyCounter,
         *,
         first_us: int,
         last_us: int,
@@ -56,7 +56,7 @@ class Timeline:
         if not -BACK_US <= step_us <= _GAP_US:
             return self._leap(stamp_us, byte)
         if step_us < -self._jitter_us:
-            self._findings.note(Oddity.TIME_JITTER, byte, now_us)
+            self._findings.note(Anomaly.TIME_JITTER, byte, now_us)
         if self._doubted_us is not None:
             self._drop_doubt(byte)
         self._stamp_us = stamp_us
@@ -84,9 +84,9 @@ class Timeline:
             self._doubted_us = stamp_us
             return self.now_us, False
         if stamp_us < self._stamp_us:
-            self._findings.note(Oddity.TIME_BACK, byte, self.now_us)
+            self._findings.note(Anomaly.TIME_BACK, byte, self.now_us)
         else:
-            self._findings.note(Oddity.TIME_GAP, byte, self.now_us)
+            self._findings.note(Anomaly.TIME_GAP, byte, self.now_us)
         # No more of a shift than keeps it from falling: what leaps again and again stays bounded.
         self._shift_us = max(self.now_us - stamp_us, 0)
         self._stamp_us, self._doubted_us = stamp_us, None
@@ -99,16 +99,16 @@ class Timeline:
         return self._start_us if self.now_us is None else self.now_us
 
     def finish(self, byte: int) -> None:
-        """There is no more: what was doubted to the end was wrong."""
+        """End of the log: a jump still in doubt was wrong."""
         if self._doubted_us is not None:
             self._drop_doubt(byte)
 
     def _drop_doubt(self, byte: int) -> None:
         self._doubted_us = None
-        self._findings.note(Oddity.WRONG_STAMP, byte, self.now_us)
+        self._findings.note(Anomaly.WRONG_STAMP, byte, self.now_us)
 
     def _note_senseless(self, stamp_us: int, byte: int) -> None:
-        kind = Oddity.ZERO_STAMP if stamp_us == 0 else Oddity.WRONG_STAMP
+        kind = Anomaly.ZERO_STAMP if stamp_us == 0 else Anomaly.WRONG_STAMP
         self._findings.note(kind, byte, self.now_us)
 
 

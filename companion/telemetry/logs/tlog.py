@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Final, NamedTuple, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
-from companion.mavlink.frames import LONGEST, V1, V2, boot_ms_of, claim, intact_end
+from companion.mavlink.frames import LONGEST, V1, V2, boot_ms_of, frame_extent, intact_end
 from companion.mavlink.signing import SECRETS, is_signed
-from companion.telemetry.logs.findings import Findings, Oddity
+from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter
 from companion.telemetry.logs.record import Log, Record, chosen
 from companion.telemetry.logs.search import STAMP_BYTES, find_intact
 from companion.telemetry.logs.survey import Stamps, Survey, survey
@@ -25,12 +25,12 @@ from companion.telemetry.logs.window import Window
 _AHEAD: Final = STAMP_BYTES + LONGEST + STAMP_BYTES + LONGEST
 """A record, and the one after it."""
 _ABOUT_STAMPS: Final = {
-    Stamps.LITTLE_ENDIAN: (Oddity.LITTLE_ENDIAN,),
-    Stamps.MILLISECONDS: (Oddity.MILLISECONDS,),
-    Stamps.LITTLE_MILLISECONDS: (Oddity.LITTLE_ENDIAN, Oddity.MILLISECONDS),
-    Stamps.SINCE_BOOT: (Oddity.NO_DATE,),
-    Stamps.SENSELESS: (Oddity.NO_STAMPS,),
-    Stamps.NONE: (Oddity.NO_STAMPS,),
+    Stamps.LITTLE_ENDIAN: (Anomaly.LITTLE_ENDIAN,),
+    Stamps.MILLISECONDS: (Anomaly.MILLISECONDS,),
+    Stamps.LITTLE_MILLISECONDS: (Anomaly.LITTLE_ENDIAN, Anomaly.MILLISECONDS),
+    Stamps.SINCE_BOOT: (Anomaly.NO_DATE,),
+    Stamps.SENSELESS: (Anomaly.NO_STAMPS,),
+    Stamps.NONE: (Anomaly.NO_STAMPS,),
 }
 
 
@@ -51,7 +51,7 @@ def open_tlog(path: Path, size_bytes: int, system_id: int | None) -> Log | None:
         systems=systems,
         system_id=vehicle,
         autopilot=looked.autopilots.get(vehicle or 0),
-        begin=partial(_Reading, looked, vehicle),
+        begin=partial(_TlogReader, looked, vehicle),
     )
 
 
@@ -65,11 +65,11 @@ class _Found(NamedTuple):
 
 
 @final
-class _Reading:
+class _TlogReader:
     """One pass through a log; see `record.Reading`."""
 
     def __init__(
-        self, looked: Survey, vehicle: int | None, findings: Findings, heard: set[int]
+        self, looked: Survey, vehicle: int | None, findings: AnomalyCounter, heard: set[int]
     ) -> None:
         self._vehicle, self._findings, self._heard = vehicle, findings, heard
         self._others = frozenset(looked.autopilots) - {vehicle}
@@ -89,7 +89,7 @@ class _Reading:
         for oddity in _ABOUT_STAMPS.get(looked.stamps, ()):
             findings.note(oddity, 0, None)
         if self._by_vehicle and looked.boot_us is None:
-            findings.note(Oddity.NO_DATE, 0, None)
+            findings.note(Anomaly.NO_DATE, 0, None)
 
     def records(self, window: Window) -> Iterator[Record]:
         """All frames, but those of other vehicles and those with secrets."""
@@ -146,10 +146,10 @@ class _Reading:
             stamp = data[begin - STAMP_BYTES : begin]
             time_us, _ = self.timeline.read(self._stamps.read(stamp), base + begin)
         else:
-            self._findings.note(Oddity.NO_STAMP, base + begin, self.timeline.now_us)
+            self._findings.note(Anomaly.NO_STAMP, base + begin, self.timeline.now_us)
             time_us = self.timeline.last_us
         if not known:
-            self._findings.note(Oddity.UNKNOWN, base + begin, time_us)
+            self._findings.note(Anomaly.UNKNOWN, base + begin, time_us)
         plain = frame[0] == V2 and not frame[2] and number not in SECRETS
         if (not plain or system in self._others) and self._is_left_out(
             frame, number, system, (base + begin, time_us)
@@ -160,17 +160,17 @@ class _Reading:
         return Record(time_us, frame)
 
     def _is_left_out(self, frame: bytes, number: int, system: int, place: tuple[int, int]) -> bool:
-        """Note what is odd about a frame; whether it is not to be seen."""
+        """Note a frame's anomalies; whether it is left out."""
         if system in self._others:
-            self._findings.note(Oddity.OTHER_VEHICLE, *place)
+            self._findings.note(Anomaly.OTHER_VEHICLE, *place)
             return True
         if number in SECRETS:
-            self._findings.note(Oddity.SECRET, *place)
+            self._findings.note(Anomaly.SECRET, *place)
             return True
         if frame[0] == V1:
-            self._findings.note(Oddity.MAVLINK_1, *place)
+            self._findings.note(Anomaly.MAVLINK_1, *place)
         elif is_signed(frame):
-            self._findings.note(Oddity.SIGNED, *place)
+            self._findings.note(Anomaly.SIGNED, *place)
         return False
 
     def _by_clock(self, frame: bytes, number: int, sender: tuple[int, int], byte: int) -> int:
@@ -186,7 +186,7 @@ class _Reading:
         data, begin, now_us = window.data, at + self._stamp_bytes, self.timeline.now_us
         if at >= len(data):
             return None
-        end, number = claim(data, begin) if _may_begin(data, begin) else (0, None)
+        end, number = frame_extent(data, begin) if _may_begin(data, begin) else (0, None)
         whole = number is not None and end <= len(data)
         byte = window.base + at
         if whole:
@@ -196,19 +196,19 @@ class _Reading:
                 if last or _may_begin(data, following):
                     return _Found(*place, known=False)
             elif last or intact_end(data, following):
-                self._findings.note(Oddity.CHECKSUM, place[0], now_us)
+                self._findings.note(Anomaly.CHECKSUM, place[0], now_us)
                 return _Found(place[1], place[1])
         cut_short = not whole and (end > len(data) or begin >= len(data))
         found = find_intact(window, byte)
         if found is None:
             rest = window.base + len(window.data) - byte
-            oddity = Oddity.CUT_SHORT if cut_short else Oddity.GARBAGE
+            oddity = Anomaly.CUT_SHORT if cut_short else Anomaly.GARBAGE
             self._findings.note(oddity, byte, now_us, rest)
             return None
         gap = found[0] - byte
         stamped = gap >= self._stamp_bytes
         if passed := gap - self._stamp_bytes if stamped else gap:
-            self._findings.note(Oddity.GARBAGE, byte, now_us, passed)
+            self._findings.note(Anomaly.GARBAGE, byte, now_us, passed)
         return _Found(*found, stamped=stamped)
 
 

@@ -1,4 +1,4 @@
-"""Logs that autopilots write themselves, told as the MAVLink messages that they would have sent."""
+"""Translates the autopilots' own logs into the MAVLink messages that they would have sent."""
 
 import struct
 from collections.abc import Callable, Iterable, Iterator
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal, NamedTuple, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
-from companion.telemetry.logs.findings import Findings, Oddity
+from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter
 from companion.telemetry.logs.record import Record
 from companion.telemetry.logs.timeline import BACK_US, Timeline
 from companion.telemetry.logs.window import Window
@@ -14,7 +14,7 @@ from companion.telemetry.logs.window import Window
 LONGEST_US: Final = 366 * 86_400 * 1_000_000
 """No vehicle is up for longer than a year."""
 _TEXT_BYTES: Final = 50
-_MOST_CHUNKS: Final = 6
+_MAX_CHUNKS: Final = 6
 
 
 class Row(NamedTuple):
@@ -30,7 +30,7 @@ class Row(NamedTuple):
 
 
 OnRow = Callable[[Row, int], Iterable[Message]]
-"""What one entry makes the vehicle say; the number: microseconds since boot, now.
+"""Messages of one entry; the number: microseconds since boot, now.
 
 ValueError, KeyError, TypeError, ArithmeticError or struct.error if an entry cannot be so.
 """
@@ -53,7 +53,7 @@ class Source:
     """When the log begins, microseconds since boot."""
     substitutes: tuple[str, ...]
     """What is made of something else than usual."""
-    rows: Callable[[Window, Findings], Iterator[Row]]
+    rows: Callable[[Window, AnomalyCounter], Iterator[Row]]
     """The entries that are translated, in the order of the file."""
     translator: Callable[[], OnRow]
     """A new one, for a pass through the file."""
@@ -63,12 +63,12 @@ class Source:
 class Translation:
     """One pass through such a log; see `record.Reading`."""
 
-    def __init__(self, source: Source, findings: Findings, heard: set[int]) -> None:
+    def __init__(self, source: Source, findings: AnomalyCounter, heard: set[int]) -> None:
         self._source, self._findings, self._heard = source, findings, heard
         for text in source.substitutes:
-            findings.note(Oddity.SUBSTITUTED, 0, None, detail=text)
+            findings.note(Anomaly.SUBSTITUTED, 0, None, detail=text)
         if source.epoch_us is None:
-            findings.note(Oddity.NO_DATE, 0, None)
+            findings.note(Anomaly.NO_DATE, 0, None)
         self.byte, self._epoch_us = 0, source.epoch_us or 0
         self.timeline = Timeline(
             findings,
@@ -86,10 +86,10 @@ class Translation:
         """What the vehicle would have sent."""
         for row in self._source.rows(window, self._findings):
             self.byte = row.byte
-            yield from self._told(row)
+            yield from self._messages_of(row)
 
-    def _told(self, row: Row) -> list[Record]:
-        """What one entry makes the vehicle say; nothing if it is damaged."""
+    def _messages_of(self, row: Row) -> list[Record]:
+        """Messages of one entry; none if it is damaged."""
         time_us = self.timeline.last_us
         if row.time_us is not None:
             time_us, believed = self.timeline.read(self._epoch_us + row.time_us, row.byte)
@@ -102,7 +102,7 @@ class Translation:
             frames = [self._packed(message) for message in messages]
         except (ArithmeticError, KeyError, TypeError, ValueError, struct.error):
             # A damaged entry, which nothing protects: numbers that fit into no message, or texts.
-            self._findings.note(Oddity.DAMAGED, row.byte, time_us)
+            self._findings.note(Anomaly.DAMAGED, row.byte, time_us)
             return []
         self._heard.update(message.get_msgId() for message in messages)
         return [Record(time_us, frame) for frame in frames]
@@ -115,24 +115,24 @@ class Translation:
 
 @final
 @dataclass(slots=True)
-class Pace:
-    """Thins out what a log has more of than a link would carry."""
+class RateLimiter:
+    """Limits the rate of messages to that of a link."""
 
-    said_us: dict[str, int] = field(default_factory=dict)
+    sent_us: dict[str, int] = field(default_factory=dict)
 
     def is_due(self, what: str, time_us: int, period_us: int) -> bool:
-        """Whether it was said long enough ago; then it is said now."""
-        before_us = self.said_us.get(what)
+        """Whether its period has passed; then it counts as sent now."""
+        before_us = self.sent_us.get(what)
         if before_us is not None and 0 <= time_us - before_us < period_us:
             return False
-        self.said_us[what] = time_us
+        self.sent_us[what] = time_us
         return True
 
 
 @final
 @dataclass(slots=True)
-class Told:
-    """What every log has in the same form: parameters and texts, which are numbered."""
+class NumberedMessages:
+    """Builds parameters and texts, which are numbered, for any log."""
 
     parameters: int
     """How many there are."""
@@ -151,7 +151,7 @@ class Told:
         """STATUSTEXTs of a text of any length."""
         self._texts += 1
         content = "".join(c for c in text if c.isprintable()).encode("ascii", "replace")
-        content = content[: _MOST_CHUNKS * _TEXT_BYTES - 1]
+        content = content[: _MAX_CHUNKS * _TEXT_BYTES - 1]
         if len(content) <= _TEXT_BYTES:
             return [wire.MAVLink_statustext_message(severity, content)] if content else []
         identity = self._texts % 0xFFFF + 1

@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, final
 
-from companion.telemetry.logs.findings import Findings, Oddity
+from companion.telemetry.logs.anomalies import Anomaly, AnomalyCounter
 from companion.telemetry.logs.search import find_entry
 from companion.telemetry.logs.translated import Row
 from companion.telemetry.logs.window import Window
@@ -52,9 +52,9 @@ _TYPES: Final = {
     "char": "c",
 }
 _FIELD = re.compile(r"([A-Za-z_]\w*)(?:\[(\d{1,5})\])? ([A-Za-z_]\w*)")
-_MOST_NESTED: Final = 8
-_MOST_FIELDS: Final = 512
-_MOST_DESCRIPTIONS: Final = 4 << 20
+_MAX_NESTED: Final = 8
+_MAX_FIELDS: Final = 512
+_MAX_DESCRIPTIONS: Final = 4 << 20
 """Bytes of formats and subscriptions that are kept; a log has 100 kB of them."""
 
 
@@ -106,7 +106,7 @@ class _Described:
 
     formats: dict[str, tuple[_Part, ...]] = field(default_factory=dict)
     topics: dict[int, Topic] = field(default_factory=dict)
-    _room: int = _MOST_DESCRIPTIONS
+    _room: int = _MAX_DESCRIPTIONS
     _sizes: dict[str, int | None] = field(default_factory=dict)
 
     def on_format(self, content: bytes) -> bool:
@@ -116,7 +116,7 @@ class _Described:
         matches = [_FIELD.fullmatch(each) for each in listed.split(";") if each]
         if not colon or not name.isidentifier() or None in matches or self._room < 0:
             return False
-        if len(matches) > _MOST_FIELDS or any(
+        if len(matches) > _MAX_FIELDS or any(
             each and each[2] and not int(each[2]) for each in matches
         ):
             return False
@@ -183,7 +183,7 @@ class _Described:
         if kind in self._sizes:
             return self._sizes[kind]
         parts = self.formats.get(kind)
-        if parts is None or depth > _MOST_NESTED:
+        if parts is None or depth > _MAX_NESTED:
             return None
         total = 0
         for part in parts:
@@ -197,7 +197,7 @@ class _Described:
 
 def rows(
     window: Window,
-    findings: Findings,
+    findings: AnomalyCounter,
     wanted: Collection[str],
     counts: Counter[str] | None = None,
 ) -> Iterator[Row]:
@@ -270,7 +270,7 @@ def _is_cut_short(data: bytes, at: int) -> bool:
     return at + _HEAD + size > len(data) and data[at + 2] in _KINDS
 
 
-def _row(message: bytes, byte: int, described: _Described, findings: Findings) -> Row | None:
+def _row(message: bytes, byte: int, described: _Described, findings: AnomalyCounter) -> Row | None:
     """What a whole message is for others, other than data of a topic that is known."""
     kind, content = message[2:3], message[_HEAD:]
     sound: bool = True
@@ -295,11 +295,11 @@ def _row(message: bytes, byte: int, described: _Described, findings: Findings) -
                 (time_us,) = struct.unpack_from("<Q", content, head - 8)
                 return Row(TEXT, time_us, values, byte)
         case b"O":
-            findings.note(Oddity.LOST_TIME, byte, None, content[0] | content[1] << 8)
+            findings.note(Anomaly.LOST_TIME, byte, None, content[0] | content[1] << 8)
         case _:
             pass
     if not sound:
-        findings.note(Oddity.DAMAGED, byte, None)
+        findings.note(Anomaly.DAMAGED, byte, None)
     return None
 
 
@@ -314,7 +314,7 @@ def _key_value(content: bytes) -> tuple[str, float | int] | None:
     return name, value
 
 
-def _resume(window: Window, at: int, described: _Described, findings: Findings) -> int:
+def _resume(window: Window, at: int, described: _Described, findings: AnomalyCounter) -> int:
     """Where in the window a message begins that another follows; what is passed is noted."""
     byte = window.base + at
     size = (window.data[at] | window.data[at + 1] << 8) if at + 1 < len(window.data) else 0
@@ -327,9 +327,9 @@ def _resume(window: Window, at: int, described: _Described, findings: Findings) 
     begin = find_entry(window, at + 1, _find_head, _AHEAD, is_one)
     passed = window.base + begin - byte
     if begin == len(window.data) and cut_short:
-        findings.note(Oddity.CUT_SHORT, byte, None, passed)
+        findings.note(Anomaly.CUT_SHORT, byte, None, passed)
     elif passed == size + _HEAD:
-        findings.note(Oddity.DAMAGED, byte, None)
+        findings.note(Anomaly.DAMAGED, byte, None)
     else:
-        findings.note(Oddity.GARBAGE, byte, None, passed)
+        findings.note(Anomaly.GARBAGE, byte, None, passed)
     return begin

@@ -171,7 +171,7 @@ def test_the_newest_targets_count_and_the_fence_is_there_once() -> None:
 
 
 def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(tmp_path: Path) -> None:
-    count = 3 * shapes.MOST_POINTS - 7
+    count = 3 * shapes.MAX_POINTS - 7
     numbers = np.arange(count, dtype=np.float64)
     zeros = np.zeros(count)
     long = Track(
@@ -188,7 +188,7 @@ def test_a_long_track_is_thinned_evenly_and_keeps_its_ends(tmp_path: Path) -> No
         heading_deg=zeros,
     )
     kept = shapes.thinned(slice(0, count), count)
-    assert len(kept) <= shapes.MOST_POINTS + 1
+    assert len(kept) <= shapes.MAX_POINTS + 1
     assert (kept[0], kept[-1]) == (0, count - 1)
     assert set(np.diff(kept)[:-1]) == {3}
     write_kml(built(long, phase(0.0, "flying")), tmp_path / "long.kml")

@@ -11,12 +11,12 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.conformance.compare import compare
 from vehicle_sim.conformance.flights import Flight, flight_of
-from vehicle_sim.conformance.log import Heard, Recording, Side, decoded
+from vehicle_sim.conformance.log import Recording, Side, TimedFrame, decoded
 from vehicle_sim.conformance.report import Summary
 from vehicle_sim.conformance.rows import Row
 
 Recorded = Callable[[str], Recording]
-Change = Callable[[Heard], Iterable[Heard]]
+Change = Callable[[TimedFrame], Iterable[TimedFrame]]
 COPTER, PX4, PLANE = (
     "arducopter-gps-loss.tlog",
     "px4-gps-loss.tlog",
@@ -25,7 +25,7 @@ COPTER, PX4, PLANE = (
 TARGET_FIELDS = ("x", "y", "z")
 
 
-def rows_of(recording: Recording, said: Iterable[Heard]) -> list[Row]:
+def rows_of(recording: Recording, said: Iterable[TimedFrame]) -> list[Row]:
     return compare(recording, flight_of(recording), Side(said))
 
 
@@ -57,7 +57,7 @@ def test_silence_agrees_with_nothing(recorded: Recorded, name: str) -> None:
 # --- each kind of row can fail --------------------------------------------------------------------
 
 
-def with_fields(h: Heard, **fields: Any) -> Heard:
+def with_fields(h: TimedFrame, **fields: Any) -> TimedFrame:
     """The same frame but for these fields."""
     message = decoded(h)
     for name, value in fields.items():
@@ -69,7 +69,7 @@ def with_fields(h: Heard, **fields: Any) -> Heard:
 def at(number: int, begin_s: float, end_s: float, change: Change) -> Change:
     """The change to messages of this number between these times."""
 
-    def changed(h: Heard) -> Iterable[Heard]:
+    def changed(h: TimedFrame) -> Iterable[TimedFrame]:
         return change(h) if h.number == number and begin_s <= h.time_s < end_s else (h,)
 
     return changed
@@ -83,7 +83,7 @@ def adding(**steps: Any) -> Change:
     return lambda h: (with_fields(h, **{n: getattr(decoded(h), n) + s for n, s in steps.items()}),)
 
 
-def lost(h: Heard) -> Iterable[Heard]:  # noqa: ARG001
+def lost(h: TimedFrame) -> Iterable[TimedFrame]:  # noqa: ARG001
     return ()
 
 
@@ -92,17 +92,17 @@ def later(seconds: float) -> Change:
 
 
 def of_component(component: int) -> Change:
-    def changed(h: Heard) -> Iterable[Heard]:
+    def changed(h: TimedFrame) -> Iterable[TimedFrame]:
         return (h, h._replace(component=component))
 
     return changed
 
 
-def text_digit(h: Heard) -> Iterable[Heard]:
+def text_digit(h: TimedFrame) -> Iterable[TimedFrame]:
     return (with_fields(h, _text_raw=re.sub("584", "600", decoded(h).text).encode()),)
 
 
-def event_argument(h: Heard) -> Iterable[Heard]:
+def event_argument(h: TimedFrame) -> Iterable[TimedFrame]:
     frame = bytearray(h.frame)
     frame[10 + 13] ^= 0xFF  # the first argument, behind the 13 bytes of the other fields
     return (h._replace(frame=bytes(frame)),)

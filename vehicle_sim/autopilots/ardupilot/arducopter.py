@@ -11,6 +11,7 @@ from typing import ClassVar, final
 
 from vehicle_sim.autopilots import (
     Command,
+    FirmwareProfile,
     Landed,
     Place,
     Reply,
@@ -18,7 +19,6 @@ from vehicle_sim.autopilots import (
     Setpoint,
     State,
     Status,
-    Style,
     TargetEcho,
     Text,
     Waypoint,
@@ -33,7 +33,7 @@ from vehicle_sim.autopilots.ardupilot.copter_guided import (
     IGNORE_YAW,
     IGNORE_YAW_RATE,
     NOTHING,
-    Bearings,
+    SetpointFrames,
     Stop,
     Submode,
     Target,
@@ -45,7 +45,7 @@ from vehicle_sim.autopilots.ardupilot.flat_earth import (
     flat_earth_ned_m,
     offset,
 )
-from vehicle_sim.autopilots.ardupilot.style import HEARTBEAT, TIMESYNC, style
+from vehicle_sim.autopilots.ardupilot.profile import HEARTBEAT, TIMESYNC, profile
 from vehicle_sim.autopilots.attitude import (
     IGNORE_RATES,
     IGNORE_THRUST,
@@ -82,7 +82,7 @@ class ArduCopter(ArduPilot):
     """One copter's autopilot; steers the copter that it is given."""
 
     vehicle: Copter
-    style: Style = style(
+    profile: FirmwareProfile = profile(
         vehicle_type=2, capabilities=64495, rates_hz={HEARTBEAT: 1.0, TIMESYNC: 0.1}
     )
     MODES: ClassVar[Mapping[int, str]] = modes.MODES
@@ -119,7 +119,7 @@ class ArduCopter(ArduPilot):
         ekf = self.ekf
         if ekf.glitching is not self._was_glitching:
             self._was_glitching = ekf.glitching
-            self.say(2, "GPS Glitch or Compass error" if ekf.glitching else "Glitch cleared")
+            self.send_text(2, "GPS Glitch or Compass error" if ekf.glitching else "Glitch cleared")
         if ekf.aiding is not self._was_aiding:
             self._was_aiding = ekf.aiding
             if not ekf.aiding and self.armed:
@@ -130,14 +130,14 @@ class ArduCopter(ArduPilot):
             if up_m >= IN_FLIGHT_ALIGNMENT_M:
                 self._aligned_in_flight = True
                 for lane in (0, 1):
-                    self.say(6, f"EKF3 IMU{lane} MAG0 in-flight yaw alignment complete")
+                    self.send_text(6, f"EKF3 IMU{lane} MAG0 in-flight yaw alignment complete")
 
     def _on_origin(self) -> None:
         super()._on_origin()
         assert self.home is not None
         self.change_parameter("BARO1_GND_PRESS", 101325.0625)
         self.change_parameter("BARO2_GND_PRESS", 101323.640625)
-        self.say(6, f"Field Elevation Set: {self.home.altitude_amsl_m:.0f}m")
+        self.send_text(6, f"Field Elevation Set: {self.home.altitude_amsl_m:.0f}m")
 
     # --- modes and failsafes --------------------------------------------------------------------
 
@@ -161,14 +161,14 @@ class ArduCopter(ArduPilot):
                 if self._ekf_failures == EKF_CHECKS - 1 and self.ekf.primary == 0:
                     self.ekf.switch_lane(1)
                 elif self._ekf_failures == EKF_CHECKS:
-                    self.say(2, "EKF variance")
+                    self.send_text(2, "EKF variance")
                     self.failsafe = True
                     self._on_ekf_failsafe()
         elif self._ekf_failures:
             self._ekf_failures -= 1
             if self._ekf_failures == 0 and self.failsafe:
                 self.failsafe = False
-                self.say(2, "EKF Failsafe Cleared")
+                self.send_text(2, "EKF Failsafe Cleared")
 
     def _on_ekf_failsafe(self) -> None:
         """FS_EKF_ACTION 1: land, wherever it is."""
@@ -176,18 +176,18 @@ class ArduCopter(ArduPilot):
             self.set_mode(modes.LAND)
             self.flight.motion.lands_with_position = False
             self.flight.motion.pauses_until_us = self.now_us + FAILSAFE_PAUSE_US
-            self.say(2, "EKF Failsafe: changed to LAND Mode")
+            self.send_text(2, "EKF Failsafe: changed to LAND Mode")
 
     def on_gcs_failsafe(self) -> None:
         """FS_GCS_ENABLE 1: return; 5: land."""
-        self.say(4, "GCS Failsafe")
+        self.send_text(4, "GCS Failsafe")
         self._go_home_or_land(land=self.parameters["FS_GCS_ENABLE"] == 5)
 
     def on_battery_failsafe(self, action: int) -> None:
         """1: land; 2: return; 3: return; 4: land; 5: stop the motors."""
         if action == 0:
             return None
-        self.say(4, "Battery Failsafe")
+        self.send_text(4, "Battery Failsafe")
         if action == 5:
             return self.disarm()
         return self._go_home_or_land(land=action in (1, 4))
@@ -223,13 +223,13 @@ class ArduCopter(ArduPilot):
 
     def on_armed(self) -> None:
         """It idles until a take-off, or until DISARM_DELAY is over."""
-        self.say(6, "Arming motors")
+        self.send_text(6, "Arming motors")
         self.flight.standing()
 
     def disarm(self) -> None:
         """Stop the motors, wherever it is."""
         if self.armed:
-            self.say(6, "Disarming motors")
+            self.send_text(6, "Disarming motors")
             self.change_parameter("MOT_THST_HOVER", self.parameters["MOT_THST_HOVER"])
         super().disarm()
         self.flight.abandon_takeoff()
@@ -363,7 +363,7 @@ class ArduCopter(ArduPilot):
         origin, home, flight = self.ekf.origin, self.home, self.flight
         if self.mode != modes.GUIDED or home is None or origin is None or flight.guided.paused:
             return ()
-        bearings = Bearings(
+        bearings = SetpointFrames(
             vehicle=self.estimate.place,
             heading_rad=self.vehicle.heading_rad,
             home=home,
@@ -406,7 +406,7 @@ class ArduCopter(ArduPilot):
         self.flight.yaw.look_ahead()
         told, self._refused_text = self._refused_text, stop.text
         if stop.text is not None and stop.text != told:
-            self.say(2, stop.text)
+            self.send_text(2, stop.text)
 
     def _take(self, target: Target) -> bool:
         """Steer for it, unless it lies where the fence forbids: that is dropped in silence."""
@@ -527,7 +527,7 @@ class ArduCopter(ArduPilot):
         return 4 if auto.paused else 5 if auto.complete else 3
 
     def status(self) -> Status:
-        """What there is to tell."""
+        """The status for telemetry."""
         return self.status_with(
             base_mode=self.base_mode(),
             system_status=self.system_status(),

@@ -29,11 +29,11 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     NAMES,
     Mode,
 )
-from vehicle_sim.autopilots.ardupilot.style import (
+from vehicle_sim.autopilots.ardupilot.profile import (
     GPS_GLOBAL_ORIGIN,
     HEARTBEAT,
     HOME_POSITION,
-    style,
+    profile,
 )
 from vehicle_sim.autopilots.attitude import (
     IGNORE_RATES,
@@ -75,7 +75,7 @@ class ArduPlane(ArduPilot):
     """One vehicle's autopilot; steers the plane that it is given."""
 
     vehicle: Plane
-    style = style(vehicle_type=1, capabilities=CAPABILITIES, rates_hz=_RATES_HZ)
+    profile = profile(vehicle_type=1, capabilities=CAPABILITIES, rates_hz=_RATES_HZ)
     MODES: ClassVar[Mapping[int, str]] = NAMES
     TABLE = TABLE
     TIMING = TIMING
@@ -101,7 +101,7 @@ class ArduPlane(ArduPilot):
             self.mode = Mode.MANUAL
             self.send(HEARTBEAT)
         if self.ekf.began_aiding:
-            self.say(6, "AHRS: EKF3 active")
+            self.send_text(6, "AHRS: EKF3 active")
         self._flight.step(dt_s, ground_amsl_m)
 
     def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
@@ -127,7 +127,7 @@ class ArduPlane(ArduPilot):
     def _on_origin(self) -> None:
         """The estimator's origin is set; it is told two seconds later."""
         for core in ("EKF2 IMU0", "EKF2 IMU1", "EKF3 IMU0"):
-            self.say(6, f"{core} origin set")
+            self.send_text(6, f"{core} origin set")
         origin = self.ekf.origin
         if origin is not None:
             height_m = round(origin.altitude_amsl_m)
@@ -158,7 +158,7 @@ class ArduPlane(ArduPilot):
         goes_on = self.mode == Mode.AUTO and self.parameters["FS_LONG_ACTN"] == 0.0
         if not goes_on and self.flying:
             self.set_mode(Mode.RTL)
-        self.say(4, f"GCS Failsafe On: {self.mode_name}")
+        self.send_text(4, f"GCS Failsafe On: {self.mode_name}")
 
     def on_battery_failsafe(self, action: int) -> None:
         """1 returns, 2 lands where the mission does, or returns."""
@@ -176,7 +176,7 @@ class ArduPlane(ArduPilot):
     def set_mode(self, mode: int) -> bool:
         """Fly in this mode from now on, if it can be."""
         if 17 <= mode <= 25 and mode not in NAMES:
-            self.say(6, "Q_ENABLE 0")
+            self.send_text(6, "Q_ENABLE 0")
             return False
         return super().set_mode(mode)
 
@@ -231,7 +231,7 @@ class ArduPlane(ArduPilot):
         if command.frame is None:
             return Result.UNSUPPORTED
         if not math.isfinite(p[6]):
-            self.say(2, "SIM: NaN height in DO_REPOSITION stops the real autopilot")
+            self.send_text(2, "SIM: NaN height in DO_REPOSITION stops the real autopilot")
             return Result.DENIED
         place = self.place_of(command)
         if isinstance(place, Result):
@@ -342,24 +342,24 @@ class ArduPlane(ArduPilot):
                 self._add_height(-setpoint.position[2])
             return self._taken()
         if setpoint.frame not in (0, 3, 5, 6, 10, 11):
-            self.say(4, "Invalid coord frame in SET_POSTION_TARGET_GLOBAL_INT")
+            self.send_text(4, "Invalid coord frame in SET_POSTION_TARGET_GLOBAL_INT")
         elif not setpoint.type_mask & 4:
             altitude_m = self.altitude_amsl_m(setpoint.position[2], setpoint.frame)
             if altitude_m is not None:
                 navigation.set_altitude(altitude_m)
             elif not math.isfinite(setpoint.position[2]):
-                self.say(2, "SIM: NaN height in a setpoint stops the real autopilot")
+                self.send_text(2, "SIM: NaN height in a setpoint stops the real autopilot")
         return self._taken()
 
     def _add_height(self, climb_m: float) -> None:
         navigation, home = self._flight.navigation, self.home
         if not math.isfinite(climb_m):
-            self.say(2, "SIM: NaN height in a setpoint stops the real autopilot")
+            self.send_text(2, "SIM: NaN height in a setpoint stops the real autopilot")
         elif navigation.next is not None:
             altitude_m = navigation.next.altitude_amsl_m + climb_m
             navigation.set_altitude(altitude_m)
             above_m = altitude_m - (home.altitude_amsl_m if home else 0.0)
-            self.say(6, f"Change alt to {above_m:.1f}")
+            self.send_text(6, f"Change alt to {above_m:.1f}")
 
     # --- arming -------------------------------------------------------------------------------
 
@@ -382,7 +382,7 @@ class ArduPlane(ArduPilot):
         """The motor may turn."""
         self.change_parameter("BARO1_GND_PRESS", 101324.0234375)
         self.change_parameter("BARO2_GND_PRESS", 101324.609375)
-        self.say(6, "Throttle armed")
+        self.send_text(6, "Throttle armed")
         if self.mode == Mode.AUTO:
             self._flight.mission.begin(1)
 
@@ -390,7 +390,7 @@ class ArduPlane(ArduPilot):
         """Stop the motor, wherever it is."""
         super().disarm()
         self._flight.takeoff.abandon()
-        self.say(6, "Throttle disarmed")
+        self.send_text(6, "Throttle disarmed")
 
     # --- telling --------------------------------------------------------------------------------
 
@@ -416,7 +416,7 @@ class ArduPlane(ArduPilot):
         return None if self.mode not in BY_ITSELF else self._flight.waypoint()
 
     def status(self) -> Status:
-        """What there is to tell."""
+        """The status for telemetry."""
         return self.status_with(
             base_mode=self.base_mode(),
             system_status=self.system_status(),

@@ -1,8 +1,8 @@
 """What ArduCopter and ArduPlane share: modes, commands, arming, failsafes, what there is to tell.
 
-A personality derives from ArduPilot, adds its modes and flies.  Times are microseconds since
-boot.  What it says (`say`, `send`, `change_parameter`) is collected, and goes out with the answer
-to what it is doing.  Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights.
+A personality derives from ArduPilot, adds its modes and flies.  Times are microseconds since boot.
+What it says (`send_text`, `send`, `change_parameter`) is collected, and goes out with the answer to
+what it is doing.  Sources: ardupilot.md 1, 2, 4, 5 and the recorded flights.
 """
 
 import abc
@@ -19,23 +19,23 @@ from vehicle_sim.autopilots import (
     Ack,
     Command,
     Estimate,
+    FirmwareProfile,
+    ManualControl,
     Place,
     Reboot,
     Reply,
     Result,
-    Say,
-    SayParameter,
-    Send,
     Sender,
+    SendMessage,
+    SendParameter,
+    SendTelemetry,
     Status,
-    Sticks,
-    Style,
     Text,
 )
 from vehicle_sim.autopilots.ardupilot.ekf3 import Ekf3, Timing
 from vehicle_sim.autopilots.ardupilot.fence import NAMES, Fence
 from vehicle_sim.autopilots.ardupilot.flat_earth import flat_earth_ned_m
-from vehicle_sim.autopilots.ardupilot.style import (
+from vehicle_sim.autopilots.ardupilot.profile import (
     AUTOPILOT_VERSION,
     GPS_GLOBAL_ORIGIN,
     HEARTBEAT,
@@ -65,14 +65,14 @@ def boot_of(name: str) -> list[Due]:
         if first.isdigit():
             rows.append((int(at), Text(severity=int(first), text=rest[0])))
         else:
-            rows.append((int(at), (first, float(rest[0])) if rest else SayParameter(name=first)))
+            rows.append((int(at), (first, float(rest[0])) if rest else SendParameter(name=first)))
     return rows
 
 
 class ArduPilot(abc.ABC):
     """One vehicle's autopilot; a personality says what it flies like."""
 
-    style: Style
+    profile: FirmwareProfile
     MODES: ClassVar[Mapping[int, str]]
     """Names of the modes by number."""
     TABLE: ClassVar[tuple[Parameter, ...]]
@@ -96,7 +96,7 @@ class ArduPilot(abc.ABC):
         self.parameters = Parameters(self.TABLE, parameters)
         self.plans = plans
         self.battery: Battery | None = None
-        """What the power module measures; whoever drains it puts it here."""
+        """The power module's measurements, set by the simulation."""
         self.estimate = Estimate(latitude_deg=0.0, longitude_deg=0.0, altitude_amsl_m=0.0)
         self._out: list[Reply] = []
         self.ekf = Ekf3(self.estimate, self.TIMING, self._out, rng)
@@ -134,31 +134,31 @@ class ArduPilot(abc.ABC):
 
     # --- saying things ----------------------------------------------------------------------------
 
-    def say(self, severity: int, text: str) -> None:
+    def send_text(self, severity: int, text: str) -> None:
         """A STATUSTEXT."""
         self._out.append(Text(severity=severity, text=text))
 
     def send(self, *messages: int) -> None:
-        """These stream messages out of turn, to everybody."""
-        self._out.extend(Send(message=message) for message in messages)
+        """Send these telemetry messages once, to all links."""
+        self._out.extend(SendTelemetry(message=message) for message in messages)
 
     def reply(self, reply: Reply) -> None:
         """Anything else."""
         self._out.append(reply)
 
     def change_parameter(self, name: str, value: float) -> None:
-        """Set a parameter by itself and tell everybody."""
+        """Set a parameter and broadcast it."""
         if name in self.parameters:
             self.parameters[name] = value
-            self._out.append(SayParameter(name=name))
+            self._out.append(SendParameter(name=name))
 
     def later(self, after_us: int, what: Reply | tuple[str, float]) -> None:
-        """Say this so much later."""
+        """Send this after a delay."""
         bisect.insort(self._due, (self.now_us + after_us, what), key=lambda row: row[0])
 
     def reached(self, number: int) -> None:
-        """MISSION_ITEM_REACHED, to everybody."""
-        self.reply(Say(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
+        """Send MISSION_ITEM_REACHED to all links."""
+        self.reply(SendMessage(message=mavlink.MAVLink_mission_item_reached_message(seq=number)))
 
     def _taken(self) -> list[Reply]:
         taken = self._out.copy()
@@ -232,11 +232,11 @@ class ArduPilot(abc.ABC):
         """The estimator's origin is set, and home with it."""
         self.home = self.ekf.origin
         self.send(GPS_GLOBAL_ORIGIN, HOME_POSITION)
-        self.say(6, "EKF3 IMU0 origin set")
+        self.send_text(6, "EKF3 IMU0 origin set")
         self.change_parameter("MIS_TOTAL", max(len(self.plans[PlanKind.MISSION]), 1))
 
     def say_statistics(self) -> None:
-        """Time flown, if it has changed, and time run: PARAM_VALUEs that nobody asked for."""
+        """Send flight time, if changed, and run time: unsolicited PARAM_VALUEs."""
         flown_s = self._flown_us // 1_000_000
         if flown_s != self._said_flown_s:
             self._said_flown_s = flown_s
@@ -266,7 +266,7 @@ class ArduPilot(abc.ABC):
             self._gcs_seen_us = self.now_us
             if self._gcs_lost:
                 self._gcs_lost = False
-                self.say(4, "GCS Failsafe Cleared")
+                self.send_text(4, "GCS Failsafe Cleared")
         return self._taken()
 
     def _check_battery(self) -> None:
@@ -285,7 +285,7 @@ class ArduPilot(abc.ABC):
                 self._battery_acted = level
                 how = "critical" if level == 2 else "low"
                 used = f"{battery.voltage_v:.2f}V used {battery.consumed_mah:.0f} mAh"
-                self.say(4, f"Battery 1 is {how} {used}")
+                self.send_text(4, f"Battery 1 is {how} {used}")
                 if self.armed:
                     self.on_battery_failsafe(int(parameters[action]))
             return
@@ -305,7 +305,7 @@ class ArduPilot(abc.ABC):
         if new and self.now_us >= self._fence_left_alone_us:
             names = [name for bit, name in NAMES.items() if new & bit]
             joined = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-            self.say(5, f"{joined} fence{'s' if len(names) > 1 else ''} breached")
+            self.send_text(5, f"{joined} fence{'s' if len(names) > 1 else ''} breached")
             self.on_fence_breach(int(self.parameters["FENCE_ACTION"]))
 
     @abc.abstractmethod
@@ -316,7 +316,7 @@ class ArduPilot(abc.ABC):
 
     @property
     def mode_name(self) -> str:
-        """The mode it flies in, as its users call it."""
+        """Name of the flight mode."""
         return self.MODES.get(self.mode, str(self.mode))
 
     @abc.abstractmethod
@@ -326,13 +326,13 @@ class ArduPilot(abc.ABC):
     def set_mode(self, mode: int) -> bool:
         """Fly in this mode from now on, if it can be."""
         if mode not in self.MODES:
-            self.say(4, f"No such mode {mode}")
+            self.send_text(4, f"No such mode {mode}")
             return False
         if mode == self.mode:
             return True
         refusal = self.enter_mode(mode)
         if refusal is not None:
-            self.say(4, f"Mode change to {self.MODES[mode]} failed: {refusal}")
+            self.send_text(4, f"Mode change to {self.MODES[mode]} failed: {refusal}")
             return False
         self.mode = mode
         self.send(HEARTBEAT)
@@ -341,7 +341,7 @@ class ArduPilot(abc.ABC):
     # --- commands ---------------------------------------------------------------------------------
 
     def handlers(self) -> dict[int, Callable[[Command], Result]]:
-        """What answers which MAV_CMD; a personality adds its own."""
+        """Handlers by MAV_CMD; subclasses add their own."""
         return {
             176: self._do_set_mode,
             179: self._do_set_home,
@@ -359,7 +359,7 @@ class ArduPilot(abc.ABC):
         }
 
     def on_command(self, command: Command) -> Sequence[Reply]:
-        """Do what is asked, or say why not."""
+        """Handle a command; returns the replies."""
         result = Result.UNSUPPORTED
         if command.target_component in (0, 1):
             handler = self._handlers.get(command.number)
@@ -380,7 +380,7 @@ class ArduPilot(abc.ABC):
         if was_breached and self.fence.enabled:
             self._fence_left_alone_us = self.now_us + RECOVERY_US
             self.fence.breached = was_breached
-            self.say(6, "Manual recovery started")
+            self.send_text(6, "Manual recovery started")
         return Result.ACCEPTED
 
     def place_of(self, command: Command) -> Place | Result:
@@ -456,7 +456,7 @@ class ArduPilot(abc.ABC):
 
     def _capabilities(self, command: Command) -> Result:
         if command.parameters[0] == 1.0:
-            self._out.append(Send(message=AUTOPILOT_VERSION, to=command.sender))
+            self._out.append(SendTelemetry(message=AUTOPILOT_VERSION, to=command.sender))
         return Result.ACCEPTED
 
     def _run_prearm_checks(self, command: Command) -> Result:
@@ -465,7 +465,7 @@ class ArduPilot(abc.ABC):
             return Result.TEMPORARILY_REJECTED
         refusal = self.arming_refusal()
         if refusal is not None:
-            self.say(2, f"PreArm: {refusal}")
+            self.send_text(2, f"PreArm: {refusal}")
         return Result.ACCEPTED
 
     # --- arming -----------------------------------------------------------------------------------
@@ -484,7 +484,7 @@ class ArduPilot(abc.ABC):
             return Result.ACCEPTED
         refusal = None if force in (FORCE_ARM, FORCE_DISARM) else self.arming_refusal()
         if refusal is not None:
-            self.say(2, f"Arm: {refusal}")
+            self.send_text(2, f"Arm: {refusal}")
             return Result.FAILED
         self.armed = self._was_armed = True
         if self.ekf.position_ok:
@@ -523,9 +523,9 @@ class ArduPilot(abc.ABC):
 
     # --- the rest of the protocol -----------------------------------------------------------------
 
-    def on_sticks(self, sticks: Sticks) -> Sequence[Reply]:
+    def on_manual_control(self, manual_control: ManualControl) -> Sequence[Reply]:
         """MANUAL_CONTROL is not flown."""
-        del sticks
+        del manual_control
         return ()
 
     def on_parameter(self, name: str) -> Sequence[Reply]:
@@ -534,12 +534,12 @@ class ArduPilot(abc.ABC):
             self.fence.enabled = bool(self.parameters[name])
         if name.startswith("SIM_GPS1_GLTCH_"):
             return [
-                SayParameter(name=f"SIM_GPS1_GLTCH_{axis}") for axis in "XYZ" if axis != name[-1]
+                SendParameter(name=f"SIM_GPS1_GLTCH_{axis}") for axis in "XYZ" if axis != name[-1]
             ]
         return ()
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
-        """A mission, fence or rally list has been replaced from outside."""
+        """A mission, fence or rally list was replaced by a client."""
         names = {PlanKind.MISSION: "MIS_TOTAL", PlanKind.FENCE: "FENCE_TOTAL"}
         name, count = names.get(kind, "RALLY_TOTAL"), len(self.plans[kind])
         if kind is PlanKind.FENCE:

@@ -397,7 +397,7 @@ class Auto:
         motion.control.start_vertical()
 
     def _announce(self, number: int, item: PlanItem) -> None:
-        self._host.say(6, f"Mission: {number} {_NAMES.get(item.command, str(item.command))}")
+        self._host.send_text(6, f"Mission: {number} {_NAMES.get(item.command, str(item.command))}")
 
     def _do(self, number: int, item: PlanItem) -> None:
         """Things that take no time."""
@@ -412,7 +412,7 @@ class Auto:
     def _reached(self) -> None:
         goal = self.goal
         assert goal is not None
-        self._host.say(6, f"Reached command #{goal.number}")
+        self._host.send_text(6, f"Reached command #{goal.number}")
         self._host.reached(goal.number)
         self._advance(goal.number + 1)
 

@@ -98,7 +98,7 @@ class Flight:
         self.motion.takeoff_us, self._reached_us = self.host.now_us, None
 
     def abandon_takeoff(self) -> None:
-        """Whatever comes next is no take-off."""
+        """Abandon the take-off."""
         self.motion.takeoff_us = self._reached_us = None
 
     @property
@@ -193,11 +193,11 @@ class Flight:
         self.on_ground = True
         self.abandon_takeoff()
         self.control.rest()
-        host.say(6, f"SIM Hit ground at {sinking:f} m/s")
+        host.send_text(6, f"SIM Hit ground at {sinking:f} m/s")
         if speed > CRASH_M_S:
             host.landed = True
             if host.armed:
-                host.say(0, "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0")
+                host.send_text(0, "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0")
                 host.disarm()
         else:
             self._touched_us = host.now_us
@@ -255,7 +255,7 @@ class Flight:
         return (parameters["PILOT_SPEED_DN"] or parameters["PILOT_SPEED_UP"]) / 100.0
 
     def _fall(self, dt_s: float) -> Vector:
-        """Nobody holds the sticks: the motors idle."""
+        """No stick input: the motors idle."""
         copter = self.copter
         north, east, _ = self.control.levelled(dt_s)
         most = copter.limits.speed_vertical_m_s

@@ -17,9 +17,9 @@ from vehicle_sim.geodesy import metres_per_degree
 
 # --- How ArduCopter reads SET_POSITION_TARGET: masks, frames, and what it calls "stop" ------------
 # Measured on ArduCopter 4.7 (ardupilot.md 3): any single ignored axis drops its whole group, bits
-# above 11 are not read, and whatever makes no sense stops the vehicle without an answer.  Where the
-# real one aborts its process (a number that is not finite, a position in the millions), this one
-# stops and says so, with a text that begins with "SIM:".
+# above 11 are not read, and invalid setpoints stop the vehicle without an answer.  Where the real
+# one aborts its process (a number that is not finite, a position in the millions), this one stops
+# and sends a text that begins with "SIM:".
 
 IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
 _FORCE, IGNORE_YAW, IGNORE_YAW_RATE = 0x200, 0x400, 0x800
@@ -33,7 +33,7 @@ _FASTEST_M_S = 1000.0
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """A setpoint that was understood; what it leaves out is None.  Vectors north, east, up."""
+    """A decoded setpoint; missing parts are None.  Vectors north, east, up."""
 
     place: Place | None
     velocity_neu_m_s: Vector | None
@@ -45,15 +45,15 @@ class Target:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stop:
-    """A setpoint that means "stop", and what is said about it, if anything."""
+    """A setpoint that means "stop", with a text, if any."""
 
     text: str | None = None
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bearings:
-    """What setpoints are measured from."""
+class SetpointFrames:
+    """Reference frames of setpoints."""
 
     vehicle: Place
     heading_rad: float
@@ -61,8 +61,8 @@ class Bearings:
     origin: Place
 
 
-def read_setpoint(setpoint: Setpoint, bearings: Bearings) -> Target | Stop:
-    """What ArduCopter makes of a setpoint in GUIDED."""
+def read_setpoint(setpoint: Setpoint, bearings: SetpointFrames) -> Target | Stop:
+    """Decode a setpoint as ArduCopter does in GUIDED."""
     mask = setpoint.type_mask
     use_position = not mask & IGNORE_POSITION
     use_velocity = not mask & IGNORE_VELOCITY
@@ -102,7 +102,7 @@ def read_setpoint(setpoint: Setpoint, bearings: Bearings) -> Target | Stop:
 
 
 def _fatal(setpoint: Setpoint, *, use_position: bool, use_acceleration: bool) -> str | None:
-    """What would end the real one's process: a floating point trap."""
+    """Values that would abort the real autopilot: a floating point trap."""
     mask = setpoint.type_mask
     used = [
         *(setpoint.position if use_position else ()),
@@ -117,7 +117,7 @@ def _fatal(setpoint: Setpoint, *, use_position: bool, use_acceleration: bool) ->
     return None
 
 
-def _place(setpoint: Setpoint, bearings: Bearings, *, use_velocity: bool) -> Place | Stop:
+def _place(setpoint: Setpoint, bearings: SetpointFrames, *, use_velocity: bool) -> Place | Stop:
     """Where the setpoint is."""
     if not setpoint.is_global:
         return _local_place(setpoint, bearings)
@@ -135,13 +135,13 @@ def _place(setpoint: Setpoint, bearings: Bearings, *, use_velocity: bool) -> Pla
     return Place(latitude_deg, longitude_deg, altitude_m)
 
 
-def _local_place(setpoint: Setpoint, bearings: Bearings) -> Place:
+def _local_place(setpoint: Setpoint, bearings: SetpointFrames) -> Place:
     if setpoint.frame == _LOCAL_NED:
         return flat_earth_place(bearings.origin, setpoint.position)
     return offset(bearings.vehicle, *_north_east_up(setpoint, setpoint.position, bearings))
 
 
-def _north_east_up(setpoint: Setpoint, vector: Vector, bearings: Bearings) -> Vector:
+def _north_east_up(setpoint: Setpoint, vector: Vector, bearings: SetpointFrames) -> Vector:
     """Turn a vector out of the setpoint's frame."""
     x, y, down = vector
     if setpoint.is_global or setpoint.frame not in (_BODY_NED, _BODY_OFFSET_NED):
@@ -150,7 +150,7 @@ def _north_east_up(setpoint: Setpoint, vector: Vector, bearings: Bearings) -> Ve
     return x * cosine - y * sine, x * sine + y * cosine, -down
 
 
-LEAST_TIMEOUT_S = 0.1
+MIN_TIMEOUT_S = 0.1
 NOTHING: Vector = (0.0, 0.0, 0.0)
 KP_1_S2 = 0.75
 KV_1_S = 4.0
@@ -199,7 +199,7 @@ class Tracker:
         self.forget()
 
     def forget(self) -> None:
-        """Whatever comes next is no stream."""
+        """Forget the setpoint stream."""
         self._slope: Vector = (0.0, 0.0, 0.0)
         self._interval_s = 0.0
 
@@ -275,10 +275,10 @@ class Guided:
 
     def set_timeout(self, timeout_s: float) -> None:
         """GUID_TIMEOUT."""
-        self.timeout_us = max(timeout_s, LEAST_TIMEOUT_S) * 1e6
+        self.timeout_us = max(timeout_s, MIN_TIMEOUT_S) * 1e6
 
     def stop(self) -> None:
-        """Begin anew, with a velocity of nothing: mode_guided.init."""
+        """Reset to zero velocity: mode_guided.init."""
         self._begin(Submode.VELOCITY)
         self.velocity = self.acceleration = NOTHING
 
@@ -309,7 +309,7 @@ class Guided:
         return Place(self.latitude_deg, self.longitude_deg, self.altitude_amsl_m)
 
     def take(self, target: Target, now_us: int) -> None:
-        """Steer for this from now on."""
+        """Take a setpoint."""
         submode = _submode(target)
         velocity = target.velocity_neu_m_s or NOTHING
         if self.tracker is not None:

@@ -1,10 +1,10 @@
-"""EKF3 as seen from outside: what ArduPilot's estimator says and believes, and when.
+"""Model of EKF3: the estimate and status of ArduPilot's estimator.
 
-An inertial filter follows the truth closely whatever GPS does for some seconds: the estimate here
-is the truth plus an error, and this module models the error: next to nothing while GPS is used, a
-step when the filter gives in to a receiver that has jumped, a slow drift when there is no GPS, and
-a position that stands still when it has "stopped aiding".  Times are those of the recorded
-flight arducopter-gps-loss.tlog (ardupilot.md 5).
+An inertial filter follows the truth closely for some seconds regardless of GPS: the estimate here
+is the truth plus an error, which this module models: almost none while GPS is fused, a step when
+the filter resets to a receiver that has jumped, a slow drift without GPS, and a frozen position
+when it has "stopped aiding".  Times are those of the recorded flight arducopter-gps-loss.tlog
+(ardupilot.md 5).
 """
 
 import math
@@ -44,7 +44,7 @@ STEADY_US = 7_150_000
 STOPS_US = 15_050_000
 """Without GPS for so long: "stopped aiding"."""
 OUTAGE_US = 1_000_000
-"""After such a gap the first fix is believed."""
+"""After a gap of this length the first fix is accepted."""
 RESUMES_US = 90_000
 LANES = (((290_000, 1), (3_090_000, 0), (10_290_000, 1)), (300_000, 6_100_000, 10_300_000))
 FOLLOWS = 0.02

@@ -1,7 +1,7 @@
 """ArduPilot's fence: height, circle about home, polygons and circles, inclusion and exclusion.
 
-Source: ardupilot.md 4.  Margins decide only how far the avoidance library keeps away: a breach is
-being outside, whatever FENCE_MARGIN says.
+Source: ardupilot.md 4.  Margins only affect the avoidance library: a breach means being outside,
+regardless of FENCE_MARGIN.
 """
 
 import math
@@ -74,7 +74,7 @@ class Fence:
         self.load()
 
     def load(self, now_us: int = 0) -> None:
-        """Read the list again; nobody looks at it for a moment after."""
+        """Read the list again; checks pause for a moment."""
         self._looks_us = now_us + _LOADING_US
         self.zones = zones_of(self._plans[PlanKind.FENCE])
 

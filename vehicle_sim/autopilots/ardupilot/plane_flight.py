@@ -74,7 +74,7 @@ class Takeoff:
         self._directed = False
 
     def abandon(self) -> None:
-        """Whatever comes next is no take-off."""
+        """Abandon the take-off."""
         self.stage = Stage.IDLE
 
     @property
@@ -199,8 +199,8 @@ class Flight:
         plane.turn_efficiency = TURN_EFFICIENCY
         parameters = host.parameters
         self.navigation = Navigation(host.estimate, plane, parameters)
-        self.takeoff = Takeoff(parameters, host.say)
-        self.guided = Guided(parameters, host.say)
+        self.takeoff = Takeoff(parameters, host.send_text)
+        self.guided = Guided(parameters, host.send_text)
         self.mission = Mission(host, plane, self.navigation, self.guided)
         self.heights = HeightControl(climb_max_m_s=5.0, sink_max_m_s=5.0)
         self.flying = False
@@ -217,7 +217,7 @@ class Flight:
         """TAKEOFF has settled where it goes."""
         self._settling = False
         """Climbing on with the speed that is left from a take-off."""
-        self.landing = Landing(parameters, host.say)
+        self.landing = Landing(parameters, host.send_text)
         self._still_us = 0
         self.read_parameters()
 
@@ -265,10 +265,10 @@ class Flight:
         missing_m = parameters["TKOFF_ALT"] - above_m
         navigation.active_radius_m = 0.0
         if missing_m <= 0.0:
-            self._host.say(6, "Above TKOFF alt - loitering")
+            self._host.send_text(6, "Above TKOFF alt - loitering")
             navigation.start(here, here)
             return
-        self._host.say(6, "Climbing to TKOFF alt then loitering")
+        self._host.send_text(6, "Climbing to TKOFF alt then loitering")
         self._aim_ahead(missing_m)
 
     def _aim_ahead(self, up_m: float) -> None:
@@ -348,7 +348,7 @@ class Flight:
             elif not self._aimed:
                 self._aimed = True
                 course_deg = math.degrees(self.navigation.course_rad) % 360.0
-                self._host.say(
+                self._host.send_text(
                     6,
                     f"Takeoff to {parameters['TKOFF_ALT']:.0f}m for "
                     f"{parameters['TKOFF_DIST']:.1f}m heading {course_deg:.1f} deg",
@@ -374,7 +374,7 @@ class Flight:
         if not mission.runs and host.armed and not host.landed:
             self.mission_over = True
             host.set_mode(Mode.RTL)
-            self._host.say(6, "Mission complete, changing mode to RTL")
+            self._host.send_text(6, "Mission complete, changing mode to RTL")
             return 0.0
         if self.takeoff.stage is Stage.CLIMBING:
             if not mission.takes_off:
@@ -527,7 +527,7 @@ class Flight:
         if delay_us > 0.0 and host.now_us - self._still_us >= delay_us:
             self.landing.flaring = False
             host.disarm()
-            self._host.say(6, "Auto disarmed")
+            self._host.send_text(6, "Auto disarmed")
 
     def _touch_down(self, ground_amsl_m: float) -> None:
         """Wheels or nose on the ground."""
@@ -540,7 +540,7 @@ class Flight:
         if not self.landing.flaring and sink > CRASH_M_S:
             self.crashed = True
             plane.stand(ground_amsl_m)
-            self._host.say(0, "Crash detected")
+            self._host.send_text(0, "Crash detected")
 
     @property
     def indicated_m_s(self) -> float:

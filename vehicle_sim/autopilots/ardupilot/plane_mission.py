@@ -123,14 +123,14 @@ class Guided:
         return before_m_s + min(max(self._airspeed_m_s - before_m_s, -most), most)
 
     def altitude_amsl_m(self, present_m: float, dt_s: float) -> float | None:
-        """The height to be at now; based anew on the present one each time, so that it crawls."""
+        """The height demand; based on the present height each time, so that it changes slowly."""
         if self._altitude_amsl_m is None:
             return None
         most_m = self._rate_m_s * dt_s
         return min(max(self._altitude_amsl_m, present_m - most_m), present_m + most_m)
 
     def forced(self, now_us: int) -> Forced:
-        """What of it holds still."""
+        """The demands that have not expired."""
         lasting = zip(self._forced, self._forced_until_us, strict=True)
         return Forced(*(None if now_us > until_us else value for value, until_us in lasting))
 
@@ -231,7 +231,7 @@ class Mission:
 
     def _announce(self, number: int, item: PlanItem) -> None:
         name = _NAMES.get(item.command, f"ID={item.command}")
-        self._host.say(6, f"Mission: {number} {name}")
+        self._host.send_text(6, f"Mission: {number} {name}")
 
     def place_of(self, item: PlanItem) -> Place:
         """Where the item is; of 0, 0 where the vehicle is."""
@@ -304,7 +304,7 @@ class Mission:
             if navigation.next is None or climbed_m < navigation.next.altitude_amsl_m:
                 return False
             above_m = climbed_m - (host.home or host.estimate.place).altitude_amsl_m
-            host.say(6, f"Takeoff complete at {above_m:.2f}m")
+            host.send_text(6, f"Takeoff complete at {above_m:.2f}m")
             return True
         to_go_m = abs(navigation.target_amsl_m - host.estimate.place.altitude_amsl_m)
         if item.command == CHANGE_ALTITUDE:
@@ -318,10 +318,10 @@ class Mission:
         asked_m = item.parameters[1]
         accept_m = asked_m if math.isfinite(asked_m) and asked_m > 0.0 else self._accept_m
         if distance_m <= accept_m:
-            host.say(6, f"Reached waypoint #{number} dist {int(distance_m)}m")
+            host.send_text(6, f"Reached waypoint #{number} dist {int(distance_m)}m")
             return True
         if navigation.along >= 1.0:
-            host.say(6, f"Passed waypoint #{number} dist {int(distance_m)}m")
+            host.send_text(6, f"Passed waypoint #{number} dist {int(distance_m)}m")
             return True
         return False
 

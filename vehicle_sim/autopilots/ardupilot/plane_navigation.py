@@ -45,7 +45,7 @@ NAMES: dict[int, str] = {mode.value: mode.name for mode in Mode}
 GLIDES = frozenset(
     {Mode.MANUAL, Mode.STABILIZE, Mode.TRAINING, Mode.ACRO, Mode.FBWA, Mode.AUTOTUNE}
 )
-"""The pilot's throttle, which nobody holds: the motor stands still."""
+"""Manual throttle without stick input: the motor is off."""
 SLOW = frozenset({Mode.FBWB, Mode.CRUISE})
 """The pilot's throttle is the airspeed, which is the least, and height is held."""
 LOITERS = frozenset({Mode.GUIDED, Mode.RTL, Mode.LOITER, Mode.AVOID_ADSB, Mode.THERMAL})
@@ -153,7 +153,7 @@ class L1:
         self._integral_rad = 0.0
 
     def forget(self) -> None:
-        """Begin anew: another leg, another mode."""
+        """Reset for another leg or mode."""
         self._integral_rad = 0.0
         self.circling = False
 

@@ -15,17 +15,17 @@ from vehicle_sim.autopilots import (
     Ack,
     Command,
     Event,
+    FirmwareProfile,
     Landed,
+    ManualControl,
     Place,
     Reply,
     Result,
-    Send,
     Sender,
+    SendTelemetry,
     Setpoint,
     State,
     Status,
-    Sticks,
-    Style,
     TargetEcho,
     Waypoint,
 )
@@ -34,7 +34,7 @@ from vehicle_sim.autopilots.px4 import failsafe, health
 from vehicle_sim.autopilots.px4.ekf2 import Ekf2
 from vehicle_sim.autopilots.px4.failsafe import Action, Cause, Incidents, Pilot
 from vehicle_sim.autopilots.px4.fence import Fence
-from vehicle_sim.autopilots.px4.health import Diary, Gimbal, text
+from vehicle_sim.autopilots.px4.health import Gimbal, LoggerState, text
 from vehicle_sim.autopilots.px4.mission import Mission, Surroundings
 from vehicle_sim.autopilots.px4.modes import (
     CUSTOM_MODES,
@@ -45,7 +45,13 @@ from vehicle_sim.autopilots.px4.modes import (
     base_mode,
 )
 from vehicle_sim.autopilots.px4.position_control import Orbit
-from vehicle_sim.autopilots.px4.setpoints import Bearings, Projection, Target, Vector, read_setpoint
+from vehicle_sim.autopilots.px4.setpoints import (
+    Projection,
+    SetpointFrames,
+    Target,
+    Vector,
+    read_setpoint,
+)
 from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.battery import Battery
 from vehicle_sim.faults.conditions import SIM_PARAMETERS_PX4
@@ -67,7 +73,7 @@ _LOW_M: Final = 1.2
 """Below this, in the air, there is no height above ground: flags 0x33f in the logs."""
 _CHECK_US: Final = 100_000
 _DO_SET_MODE: Final = 176
-_MOST_RAD_S: Final = 10.0
+_MAX_RAD_S: Final = 10.0
 
 
 def parameter_rows(*names: str) -> tuple[Parameter, ...]:
@@ -85,10 +91,10 @@ class Px4(abc.ABC):
     """
 
     HANDLERS: ClassVar[Mapping[int, "Handler | None"]]
-    """What answers which MAV_CMD; None: nobody."""
+    """Handlers by MAV_CMD; None: not answered."""
     TABLES: ClassVar[tuple[str, ...]]
     """Of its parameters."""
-    style: Style
+    profile: FirmwareProfile
     measures_airspeed = False
     orbits = False
     """Flies DO_ORBIT in a mode of its own."""
@@ -138,14 +144,14 @@ class Px4(abc.ABC):
         """NAV_LAND's latitude and longitude."""
         self.speed_m_s: float | None = None
         """DO_CHANGE_SPEED, in AUTO modes."""
-        self.mission = Mission(plans, self._surroundings, self.say, self._obey_mission)
+        self.mission = Mission(plans, self._surroundings, self.emit, self._obey_mission)
         self.fence = Fence(plans)
         self.pilot = Pilot()
         self.gimbal = Gimbal()
         self.offboard_signal = False
         """A setpoint was seen within COM_OF_LOSS_T, as of the last check."""
         self._checks = health.Checks(airspeed=self.measures_airspeed)
-        self._diary = Diary(self.parameters, rng)
+        self._diary = LoggerState(self.parameters, rng)
         self._incidents = Incidents()
         self._remember_nothing()
         self._set_up()
@@ -218,7 +224,7 @@ class Px4(abc.ABC):
 
     @property
     def mode_name(self) -> str:
-        """The mode it flies in, as its users call it."""
+        """Name of the flight mode."""
         return NAMES[self.mode]
 
     def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
@@ -256,7 +262,7 @@ class Px4(abc.ABC):
         if self.armed and self.landed:
             self._disarm_by_itself()
         if now_us >= self.gimbal.due_us:
-            self.say(*self.gimbal.take(now_us))
+            self.emit(*self.gimbal.take(now_us))
         if not self._said:
             return ()
         said, self._said = self._said, []
@@ -266,7 +272,7 @@ class Px4(abc.ABC):
     def rates_rad_s(self) -> tuple[float, float, float]:
         """Of roll, pitch and heading."""
         roll, pitch, yaw = self._turning_rad
-        most, scale = _MOST_RAD_S, 1.0 / self._turning_s
+        most, scale = _MAX_RAD_S, 1.0 / self._turning_s
         return (
             min(max(roll * scale, -most), most),
             min(max(pitch * scale, -most), most),
@@ -279,7 +285,7 @@ class Px4(abc.ABC):
             return ()
         target = read_setpoint(
             setpoint,
-            Bearings(
+            SetpointFrames(
                 projection=self.projection,
                 origin_amsl_m=self._reference.altitude_amsl_m,
                 home_amsl_m=(self.home or self._reference).altitude_amsl_m,
@@ -308,34 +314,34 @@ class Px4(abc.ABC):
         return ()
 
     def _hear_offboard(self, *, by_attitude: bool) -> None:
-        """A setpoint counts as a sign of life, whatever the mode."""
+        """A setpoint counts as a sign of life in any mode."""
         self._signal_us, self.needs_no_position = self.now_us, by_attitude
         if not self.offboard_signal:  # the arming checks run at once for it
             self.offboard_signal = self._select_due = True
             self._next_check_us = self.now_us
 
     def on_heartbeat(self, sender: Sender, vehicle_type: int) -> Sequence[Reply]:
-        """Somebody else is there."""
+        """A heartbeat of another component."""
         ours = sender.system == int(self.parameters["MAV_SYS_ID"])
         self.pilot.hear(vehicle_type, self.now_us, ours=ours)
         return ()
 
-    def on_sticks(self, sticks: Sticks) -> Sequence[Reply]:
-        """The pilot moves the sticks."""
-        first = self.pilot.take(sticks, self.now_us)
+    def on_manual_control(self, manual_control: ManualControl) -> Sequence[Reply]:
+        """Take a MANUAL_CONTROL."""
+        first = self.pilot.take(manual_control, self.now_us)
         if first and not self.armed and self.intended is Mode.LOITER:
             self.command_mode(Mode.POSCTL)
         elif self._overrides():
             self.command_mode(Mode.POSCTL)
-            self.say(text(6, "Pilot took over using sticks"))
+            self.emit(text(6, "Pilot took over using sticks"))
         return ()
 
     def on_parameter(self, name: str) -> Sequence[Reply]:  # noqa: ARG002 - read live
-        """A parameter has been set from outside."""
+        """A parameter was set by a client."""
         return ()
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
-        """A mission, fence or rally list has been replaced from outside."""
+        """A mission, fence or rally list was replaced by a client."""
         if kind is PlanKind.MISSION:
             self.mission.restart()
         return ()
@@ -360,7 +366,7 @@ class Px4(abc.ABC):
         return ()
 
     def status(self) -> Status:
-        """What there is to tell."""
+        """The status for telemetry."""
         mode, armed = self.mode, self.armed
         return Status(
             mode=CUSTOM_MODES[mode],
@@ -390,7 +396,7 @@ class Px4(abc.ABC):
     # --- commands -----------------------------------------------------------------------------
 
     def on_command(self, command: Command) -> Sequence[Reply]:
-        """Do what is asked, or say why not."""
+        """Handle a command; returns the replies."""
         handler = self.HANDLERS.get(command.number, _unsupported)
         if handler is None:
             return ()
@@ -405,7 +411,7 @@ class Px4(abc.ABC):
 
     # --- what it tells them -------------------------------------------------------------------
 
-    def say(self, *replies: Reply) -> None:
+    def emit(self, *replies: Reply) -> None:
         """Send these at the end of the step."""
         self._said.extend(replies)
 
@@ -415,7 +421,7 @@ class Px4(abc.ABC):
             self.landed = False
             self._flown = True
             self._contact_us = self._landed_us = None
-            self.say(
+            self.emit(
                 Event(number=health.TAKEOFF_DETECTED, log_levels=health.INFO),
                 text(6, "Takeoff detected"),
             )
@@ -430,7 +436,7 @@ class Px4(abc.ABC):
         elif self.now_us - self._contact_us >= LANDED_US:
             self.landed = True
             self._landed_us = self.now_us
-            self.say(
+            self.emit(
                 Event(number=health.LANDING_DETECTED, log_levels=health.INFO),
                 text(6, "Landing detected"),
             )
@@ -446,7 +452,7 @@ class Px4(abc.ABC):
         now_us, parameters, estimate = self.now_us, self.parameters, self.estimate
         self._said += self._diary.due(now_us)
         if self.pilot.misses_companion(now_us, parameters["COM_OBC_LOSS_T"]):
-            self.say(text(2, "Connection to mission computer lost"))
+            self.emit(text(2, "Connection to mission computer lost"))
         self._checks.logs_always = self._diary.logs_always
         self._still = not self.armed and now_us - self._disarmed_us >= _STILL_US
         self._low = self._height_m < _LOW_M and not self.landed and self.mode is not Mode.TAKEOFF
@@ -477,7 +483,7 @@ class Px4(abc.ABC):
             return
         number = health.FUSION_STARTED if self._fusing else health.FUSION_STOPPED
         words = "started" if self._fusing else "stopped"
-        self.say(
+        self.emit(
             Event(number=number, log_levels=health.INFO),
             text(6, f"GNSS data fusion {words}"),
         )
@@ -522,7 +528,7 @@ class Px4(abc.ABC):
             else Action.NONE
         )
         if self._incidents.note(Cause.FENCE, action):
-            self.say(text(4, "Geofence: approaching or outside geofence"))
+            self.emit(text(4, "Geofence: approaching or outside geofence"))
 
     def _watch_battery(self) -> None:
         parameters = self.parameters
@@ -530,7 +536,7 @@ class Px4(abc.ABC):
         choice = int(parameters["COM_LOW_BAT_ACT"])
         action = failsafe.battery_action(self.battery.remaining, thresholds, choice)
         if self._incidents.note(Cause.BATTERY, action):
-            self.say(text(2, "Critical battery level, land now"))
+            self.emit(text(2, "Critical battery level, land now"))
 
     def _select(self) -> None:
         """Which mode is flown now."""
@@ -563,13 +569,13 @@ class Px4(abc.ABC):
     def _tell_failsafe(self, action: Action) -> None:
         arguments = CUSTOM_MODES[self.intended].to_bytes(4, "little") + bytes((action,))
         number = health.DISENGAGED if action is Action.DESCEND else health.FAILSAFE
-        self.say(
+        self.emit(
             Event(number=number, log_levels=health.CRITICAL, arguments=arguments),
             text(2, "Failsafe activated"),
         )
-        by_hand = failsafe.MODES.get(action) in MANUAL_MODES
-        if by_hand and not self.pilot.present(self.now_us, self.parameters["COM_RC_LOSS_T"]):
-            self.say(text(4, "Matching flight task was not able to run"))
+        manual = failsafe.MODES.get(action) in MANUAL_MODES
+        if manual and not self.pilot.present(self.now_us, self.parameters["COM_RC_LOSS_T"]):
+            self.emit(text(4, "Matching flight task was not able to run"))
 
     # --- modes and arming ---------------------------------------------------------------------
 
@@ -605,7 +611,7 @@ class Px4(abc.ABC):
         land: tuple[float, float] | None = None,
         orbit: Orbit | None = None,
     ) -> Result:
-        """Somebody wants this mode.  On the ground, disarmed, every mode is accepted."""
+        """Request a mode.  On the ground, disarmed, every mode is accepted."""
         if self.armed and not self._can_run(mode):
             return Result.TEMPORARILY_REJECTED
         self.takeoff_place, self.reposition, self.land_place = takeoff, reposition, land
@@ -643,7 +649,7 @@ class Px4(abc.ABC):
         if self.armed:
             return Result.ACCEPTED
         if not forced and not self.armable:
-            self.say(text(2, "Arming denied: Resolve system health failures first"))
+            self.emit(text(2, "Arming denied: Resolve system health failures first"))
             return Result.TEMPORARILY_REJECTED
         now_us = self.now_us
         self.armed = True
@@ -653,7 +659,7 @@ class Px4(abc.ABC):
             self.set_home(self.estimate.place)
         self.pilot.at_arming = self.pilot.present(now_us, self.parameters["COM_RC_LOSS_T"])
         arguments = bytes((health.ARMED_BY_COMMAND,))
-        self.say(
+        self.emit(
             Event(number=health.ARMED, log_levels=health.INFO, arguments=arguments),
             text(6, "Armed by external command"),
         )
@@ -673,7 +679,7 @@ class Px4(abc.ABC):
         self.landed = self.landed or self._contact_us is not None
         self._incidents.forget()
         self.intended = self._after_disarming
-        self.say(
+        self.emit(
             Event(number=health.DISARMED, log_levels=health.INFO, arguments=bytes((reason,))),
             text(6, f"Disarmed by {health.REASONS.get(reason, 'landing')}"),
         )
@@ -730,7 +736,7 @@ class Px4(abc.ABC):
     def _set_origin(self, place: Place) -> None:
         self.origin = place
         self.projection = Projection(place.latitude_deg, place.longitude_deg)
-        self.say(Send(message=49))
+        self.emit(SendTelemetry(message=49))
 
     def set_home(self, place: Place) -> None:
         """Home is here."""

@@ -8,7 +8,15 @@ gimbals get no answer at all.
 import math
 from typing import Final
 
-from vehicle_sim.autopilots import HIGHEST_HOME_M, Command, Event, Place, Reboot, Result, Send
+from vehicle_sim.autopilots import (
+    HIGHEST_HOME_M,
+    Command,
+    Event,
+    Place,
+    Reboot,
+    Result,
+    SendTelemetry,
+)
 from vehicle_sim.autopilots.px4 import health
 from vehicle_sim.autopilots.px4.autopilot import Handler, Px4
 from vehicle_sim.autopilots.px4.health import text
@@ -52,7 +60,7 @@ def _set_mode(px4: Px4, command: Command) -> Result:
     mode = mode_of(int(main), int(sub))
     if mode is None or (mode is Mode.ORBIT and not px4.orbits):
         if main == MAIN_AUTO:  # follow-me, precision landing, ...
-            px4.say(text(2, "Unsupported auto mode"))
+            px4.emit(text(2, "Unsupported auto mode"))
         return Result.TEMPORARILY_REJECTED
     return px4.command_mode(mode)
 
@@ -64,7 +72,7 @@ def _arm(px4: Px4, command: Command) -> Result:
     if wanted == 1.0:
         return px4.arm(forced=force == _FORCE)
     if px4.armed and not px4.landed and force != _FORCE and px4.mode not in MANUAL_MODES:
-        px4.say(text(2, "Disarming denied: not landed"))
+        px4.emit(text(2, "Disarming denied: not landed"))
         return Result.TEMPORARILY_REJECTED
     px4.disarm(health.DISARMED_BY_COMMAND)
     return Result.ACCEPTED
@@ -74,7 +82,7 @@ def _take_off(px4: Px4, command: Command) -> Result:
     place = _place(px4, command)
     result = px4.command_mode(Mode.TAKEOFF, takeoff=place)
     if result is not Result.ACCEPTED:
-        px4.say(text(2, "Takeoff denied! Please disarm and retry"))
+        px4.emit(text(2, "Takeoff denied! Please disarm and retry"))
     return result
 
 
@@ -83,7 +91,7 @@ def _land(px4: Px4, command: Command) -> Result:
     given = math.isfinite(latitude_deg) and math.isfinite(longitude_deg)
     result = px4.command_mode(Mode.LAND, land=(latitude_deg, longitude_deg) if given else None)
     if result is Result.ACCEPTED:
-        px4.say(
+        px4.emit(
             Event(number=health.LANDING_HERE, log_levels=health.INFO),
             text(6, "Landing at current position"),
         )
@@ -93,7 +101,7 @@ def _land(px4: Px4, command: Command) -> Result:
 def _return(px4: Px4, _: Command) -> Result:
     result = px4.command_mode(Mode.RTL)
     if result is Result.ACCEPTED:
-        px4.say(text(6, "Returning to launch"))
+        px4.emit(text(6, "Returning to launch"))
     return result
 
 
@@ -103,7 +111,7 @@ def _reposition(px4: Px4, command: Command) -> Result:
     if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
         north_m, east_m = px4.projection.to_local(latitude_deg, longitude_deg)
         if not px4.fence.allows(px4.projection, north_m, east_m):
-            px4.say(text(2, "Reposition is outside geofence"))
+            px4.emit(text(2, "Reposition is outside geofence"))
             return Result.DENIED
     flags, yaw = command.parameters[1], command.parameters[3]
     switches = math.isfinite(flags) and bool(int(flags) & 1)
@@ -145,7 +153,7 @@ def _orbit(px4: Px4, command: Command) -> Result:
     if orbit.flyable or not px4.orbits:
         result = px4.command_mode(Mode.ORBIT if px4.orbits else Mode.LOITER, orbit=orbit)
     if result is not Result.ACCEPTED:
-        px4.say(text(2, "Orbit command rejected"))
+        px4.emit(text(2, "Orbit command rejected"))
     return result
 
 
@@ -176,7 +184,7 @@ def _set_home(px4: Px4, command: Command) -> Result:
         if abs(altitude_m) > HIGHEST_HOME_M:
             return Result.DENIED
         px4.set_home(Place(latitude_deg, longitude_deg, altitude_m))
-    px4.say(Send(message=242))
+    px4.emit(SendTelemetry(message=242))
     return Result.ACCEPTED
 
 
@@ -210,7 +218,7 @@ def _reboot(px4: Px4, command: Command) -> Result:
     if px4.armed:
         return Result.TEMPORARILY_REJECTED
     if first in (1.0, 3.0):
-        px4.say(Reboot())
+        px4.emit(Reboot())
     return Result.ACCEPTED if first in (0.0, 1.0, 3.0) else Result.DENIED
 
 
@@ -232,7 +240,7 @@ def _answer(message: int) -> Handler:
     """An old command that asks for one message."""
 
     def send(px4: Px4, command: Command) -> Result:
-        px4.say(Send(message=message, to=command.sender))
+        px4.emit(SendTelemetry(message=message, to=command.sender))
         return Result.ACCEPTED
 
     return send

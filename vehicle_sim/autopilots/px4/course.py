@@ -32,7 +32,7 @@ from vehicle_sim.parameters import Parameters
 
 AIRSPEED_BUFFER_M_S = 1.5
 """A bearing that leaves less airspeed than this across the wind is only partly feasible."""
-LEAST_RADIUS_M = 0.5
+MIN_RADIUS_M = 0.5
 SWITCH_DISTANCE = 0.32
 """NPFG_SW_DST_MLT: share of the distance at which a path begins to pull."""
 PERIOD_SAFETY = 1.5
@@ -167,7 +167,7 @@ def bearing(
     feasible = _feasible(across, tail, airspeed, wind) * _feasible(
         cross(wind_m_s, course), dot(wind_m_s, course), airspeed, wind
     )
-    here = curvature / max(1.0 - curvature * error_m, abs(curvature) * LEAST_RADIUS_M)
+    here = curvature / max(1.0 - curvature * error_m, abs(curvature) * MIN_RADIUS_M)
     rate_rad_s = here * max(dot(velocity_m_s, tangent), 0.0)
     through_air = math.sqrt(max(airspeed * airspeed - across * across, 0.0))
     ratio = 1.0 + tail / max(through_air, 1e-6)
@@ -209,7 +209,7 @@ AHEAD_M_S = 0.05
 """What is told is no more than this above what is flown."""
 SLOWS_DOWN_S = 2.0
 """Time constant: 13.8 to 11.5 m/s in 4.5 s when the landing begins."""
-MOST_TRADED_M = 15.0
+MAX_TRADED_M = 15.0
 
 
 def true_airspeed_m_s(equivalent_m_s: float, altitude_amsl_m: float) -> float:
@@ -264,7 +264,7 @@ class Energy:
     ) -> None:
         """Climb or sink towards a height, less what the airspeed lacks of the wanted one."""
         lacking_m = (wanted_m_s * wanted_m_s - airspeed_m_s * airspeed_m_s) / (2.0 * GRAVITY_M_S2)
-        lacking_m = min(max(lacking_m, -MOST_TRADED_M), MOST_TRADED_M)
+        lacking_m = min(max(lacking_m, -MAX_TRADED_M), MAX_TRADED_M)
         climb = (altitude_amsl_m - lacking_m - here_amsl_m) / response_s
         self.climb_m_s = min(max(climb, -sink_most_m_s), climb_most_m_s)
 
@@ -359,7 +359,7 @@ class Course:
         """At this bank, wherever that leads."""
         self._kind, self._bank_wanted_rad = _Kind.BLIND, bank_rad
 
-    def bank_by_hand(self, share: float) -> None:
+    def bank_from_stick(self, share: float) -> None:
         """A share of FW_R_LIM, from -1 to 1."""
         self.circle_blindly(min(max(share, -1.0), 1.0) * self.limits.bank_most_rad)
 
@@ -400,7 +400,7 @@ class Course:
         self._at_once = False
 
     def climb(self, rate_m_s: float) -> None:
-        """At this rate, whatever the height; negative: sink."""
+        """Climb at this rate, independent of height; negative: sink."""
         self.climb_rate_m_s, self._at_once = rate_m_s, False
 
     def climb_out(self, rate_m_s: float) -> None:

@@ -7,7 +7,7 @@ triggered by an incident (fence, lost pilot, battery) stays until another mode i
 import enum
 from typing import Final, final
 
-from vehicle_sim.autopilots import Sender, Sticks
+from vehicle_sim.autopilots import ManualControl, Sender
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, NEED_POSITION, Mode
 
 
@@ -174,7 +174,7 @@ def instead_of(
 # --- Whom PX4 hears: the pilot's sticks (MANUAL_CONTROL) and ground stations ----------------------
 
 _GROUND_STATION, _ONBOARD_CONTROLLER = 6, 18
-_CENTRED: Final = Sticks(
+_CENTRED: Final = ManualControl(
     sender=Sender(system=255, component=190), pitch=0.0, roll=0.0, throttle=0.5, yaw=0.0
 )
 
@@ -184,7 +184,7 @@ class Pilot:
     """The newest sticks and when they came.  Mutable."""
 
     def __init__(self) -> None:
-        self.sticks: Sticks | None = None
+        self.manual_control: ManualControl | None = None
         self.heard_us: int | None = None
         self.at_arming = False
         """There was a pilot when it was armed: only then losing one matters."""
@@ -192,20 +192,20 @@ class Pilot:
         self._ground_station_us: int | None = None
         self._companion_us: int | None = None
 
-    def take(self, sticks: Sticks, now_us: int) -> bool:
+    def take(self, manual_control: ManualControl, now_us: int) -> bool:
         """A MANUAL_CONTROL; tells whether it is the first one."""
-        first = self.sticks is None
-        self.sticks, self.heard_us = sticks, now_us
+        first = self.manual_control is None
+        self.manual_control, self.heard_us = manual_control, now_us
         return first
 
     def hold(self, now_us: int) -> None:
         """Fault: a pilot is there from now on, hands off."""
         self._held = True
-        self.sticks = self.sticks or _CENTRED
+        self.manual_control = self.manual_control or _CENTRED
         self.heard_us = now_us
 
     def hear(self, vehicle_type: int, now_us: int, *, ours: bool) -> None:
-        """A heartbeat of somebody else, of the same system or another."""
+        """A heartbeat of another component, of this system or another."""
         if vehicle_type == _GROUND_STATION:
             self._ground_station_us = now_us
         elif vehicle_type == _ONBOARD_CONTROLLER and ours:
@@ -232,15 +232,15 @@ class Pilot:
 
     def moves(self, threshold: float) -> bool:
         """A stick is out of the centre by more than this share of its travel."""
-        sticks = self.sticks
-        if sticks is None:
+        manual_control = self.manual_control
+        if manual_control is None:
             return False
         return (
             max(
-                abs(sticks.pitch),
-                abs(sticks.roll),
-                abs(sticks.yaw),
-                abs(2.0 * sticks.throttle - 1.0),
+                abs(manual_control.pitch),
+                abs(manual_control.roll),
+                abs(manual_control.yaw),
+                abs(2.0 * manual_control.throttle - 1.0),
             )
             > threshold
         )

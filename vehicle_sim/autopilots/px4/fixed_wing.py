@@ -3,8 +3,7 @@
 OFFBOARD takes from SET_POSITION_TARGET what FixedWingModeManager takes: a position alone is flown
 at, straight, and circled tightly when there; a position with a velocity is a point of a path and
 its direction there; an acceleration with them bends that path, to the wrong side; without a
-position nothing is steered and the last commands stay.  The speed is FW_AIRSPD_TRIM whatever is
-asked.
+position nothing is steered and the last commands stay.  The speed is always FW_AIRSPD_TRIM.
 
 The recorded aeroplane sank to the ground after its take-off (px4-fixedwing-offboard.tlog, 25 to
 150 s).  This one does not.
@@ -21,8 +20,8 @@ from vehicle_sim.autopilots.px4.autopilot import Px4
 from vehicle_sim.autopilots.px4.commands import HANDLERS
 from vehicle_sim.autopilots.px4.course import Course, Limits, size
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
+from vehicle_sim.autopilots.px4.profile import FIXED_WING_RATES_HZ, profile
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
-from vehicle_sim.autopilots.px4.style import FIXED_WING_RATES_HZ, style
 from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane, PlaneLimits
 
 # --- A fixed wing of PX4 on its wheels, and in the seconds before and after (px4.md 10) -----------
@@ -123,7 +122,7 @@ class Px4FixedWing(Px4):
     vehicle: Plane
     HANDLERS = HANDLERS
     TABLES = ("px4/common", "px4/fixed_wing")
-    style = style(vehicle_type=_AEROPLANE, rates_hz=FIXED_WING_RATES_HZ)
+    profile = profile(vehicle_type=_AEROPLANE, rates_hz=FIXED_WING_RATES_HZ)
     measures_airspeed = True
 
     def _set_up(self) -> None:
@@ -294,7 +293,7 @@ class Px4FixedWing(Px4):
         elif mode is Mode.RTL:
             self.return_home()
         elif mode in MANUAL_MODES:
-            self._by_hand()
+            self._fly_manual()
         elif mode is Mode.DESCEND and self._since_s > self.parameters["NAV_GPSF_LT"]:
             course.climb(-_DESCEND_M_S)
         course.bank_most_rad = math.pi
@@ -359,7 +358,7 @@ class Px4FixedWing(Px4):
             course.airspeed_m_s = self.cruise_m_s(Mode.TAKEOFF)
             return
         if not course.holds_altitude:
-            self.say(CLEARED)
+            self.emit(CLEARED)
         course.hold_altitude(goal_m + _CLEARED_M)
         place = self.takeoff_place
         if place is not None and math.isfinite(place[0]) and math.isfinite(place[1]):
@@ -392,7 +391,7 @@ class Px4FixedWing(Px4):
                 self._glide()
                 return
             self._flare_us, self._flare_from_m_s = self.now_us, sink_m_s
-            self.say(FLARING)
+            self.emit(FLARING)
         since_s = (self.now_us - self._flare_us) * 1e-6
         course.airspeed_m_s = FLARE_BRAKES_M_S
         course.climb_out(
@@ -411,18 +410,20 @@ class Px4FixedWing(Px4):
         sink_m_s = self._landing_airspeed_m_s() * glide + SINKS_FASTER_1_S * too_fast_m_s
         self.course.climb(-sink_m_s)
 
-    def _by_hand(self) -> None:
+    def _fly_manual(self) -> None:
         """Position and Altitude mode: without a pilot straight on at this height."""
-        sticks, course, parameters = self.pilot.sticks, self.course, self.parameters
-        if sticks is None or not self.pilot.present(self.now_us, parameters["COM_RC_LOSS_T"]):
+        manual_control, course, parameters = self.pilot.manual_control, self.course, self.parameters
+        if manual_control is None or not self.pilot.present(
+            self.now_us, parameters["COM_RC_LOSS_T"]
+        ):
             return
-        if abs(sticks.roll) > _STICK or self.mode is not Mode.POSCTL:
-            course.bank_by_hand(sticks.roll)
+        if abs(manual_control.roll) > _STICK or self.mode is not Mode.POSCTL:
+            course.bank_from_stick(manual_control.roll)
         elif course.blind:
             course.straight(self.local_m, self.vehicle.heading_rad)
-        if abs(sticks.pitch) > _STICK:
-            rate = "FW_T_SINK_R_SP" if sticks.pitch > 0.0 else "FW_T_CLMB_R_SP"
-            course.climb(-sticks.pitch * parameters[rate])
+        if abs(manual_control.pitch) > _STICK:
+            rate = "FW_T_SINK_R_SP" if manual_control.pitch > 0.0 else "FW_T_CLMB_R_SP"
+            course.climb(-manual_control.pitch * parameters[rate])
         elif not course.holds_altitude:
             course.hold_altitude(self.estimate.altitude_amsl_m)
 
@@ -435,7 +436,7 @@ class Px4FixedWing(Px4):
             return
         if leg.command == mission.TAKEOFF:
             if self.estimate.altitude_amsl_m >= leg.altitude_amsl_m:
-                self.say(CLEARED)
+                self.emit(CLEARED)
                 self.mission.arrived()
         elif leg.command == mission.LAND:
             self.land()
@@ -532,13 +533,13 @@ class Px4FixedWing(Px4):
         """Tell of the take-off, and leave the ground at its airspeed."""
         if not self._runway_said and self.now_us - self._armed_us >= _RUNWAY_US:
             self._runway_said = True
-            self.say(ON_RUNWAY)
+            self.emit(ON_RUNWAY)
         if airspeed_m_s >= TAKEOFF_SEEN_M_S:
             self._took_off()
         takeoff_m_s = self._takeoff_airspeed_m_s()
         if airspeed_m_s >= ROTATES_AT * takeoff_m_s and not self._rotated:
             self._rotated = True
-            self.say(ROTATING)
+            self.emit(ROTATING)
         if airspeed_m_s >= LIFTS_OFF_AT * takeoff_m_s:
             self._took_off()
             self._wheels = False

@@ -10,7 +10,7 @@ from typing import Any, Final, final
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Event, Reply, Say, SayParameter, Text
+from vehicle_sim.autopilots import Event, Reply, SendMessage, SendParameter, Text
 from vehicle_sim.parameters import Parameters
 
 INFO, WARNING, CRITICAL, PROTOCOL = 0x66, 0x44, 0x42, 0x88
@@ -134,7 +134,7 @@ _AT_BOOT: Final = (
     *("SIH_KDV", "SIH_LOC_H0", "SYS_AUTOCONFIG", "SYS_AUTOSTART"),
 )
 UNASKED: Final = ((1_000_000, _AT_BOOT), (5_360_000, _BAROMETER))
-"""What is said unasked, and when after boot (px4-offboard-short.tlog)."""
+"""Unsolicited messages, and when after boot (px4-offboard-short.tlog)."""
 LEARNT: Final = ("CAL_ACC0_XOFF", "CAL_ACC0_YOFF", "CAL_ACC0_ZOFF")
 """What a long flight teaches, m/s^2."""
 LEARNT_M_S2: Final = 0.03
@@ -152,7 +152,7 @@ _CALIBRATED_US: Final = 240_000_000
 
 
 @final
-class Diary:
+class LoggerState:
     """One boot's.  Mutable."""
 
     def __init__(self, parameters: Parameters, rng: np.random.Generator) -> None:
@@ -167,11 +167,11 @@ class Diary:
         return int(self._parameters["SDLOG_MODE"]) >= 1
 
     def due(self, now_us: int) -> list[Reply]:
-        """What is to be said now without being asked."""
+        """Unsolicited messages that are due."""
         said: list[Reply] = []
         if self._unasked and now_us >= self._unasked[0][0]:
             names, self._unasked = self._unasked[0][1], self._unasked[1:]
-            said += [SayParameter(name=name) for name in names if name in self._parameters]
+            said += [SendParameter(name=name) for name in names if name in self._parameters]
         if self._log_due and now_us >= _LOG_US:
             self._log_due = False
             if self.logs_always:
@@ -195,12 +195,12 @@ class Diary:
             return []
         for name in LEARNT:
             parameters[name] = float(self._rng.normal(0.0, LEARNT_M_S2))
-        return [SayParameter(name=name) for name in AFTER_FLIGHT]
+        return [SendParameter(name=name) for name in AFTER_FLIGHT]
 
 
 _FIRST_US: Final = 250_000
 _AGAIN_US: Final = (1_000_000, 510_000, 510_000)
-"""After the one before: nobody has answered (px4-gps-loss.tlog, 174.84 s and on)."""
+"""Repetition periods without an answer (px4-gps-loss.tlog, from 174.84 s on)."""
 _NAN: Final = math.nan
 NEVER_US: Final = 1 << 62
 
@@ -212,7 +212,7 @@ def _command(number: int, confirmation: int, *parameters: float) -> Any:
 
 @final
 class Gimbal:
-    """Acquires control, turns the gimbal straight, releases it; repeats while nobody answers."""
+    """Acquires control, turns the gimbal straight, releases it; repeats without an answer."""
 
     def __init__(self) -> None:
         self.due_us = NEVER_US
@@ -224,13 +224,13 @@ class Gimbal:
         self.due_us = now_us + _FIRST_US
         self._sent = 0
 
-    def take(self, now_us: int) -> list[Say]:
+    def take(self, now_us: int) -> list[SendMessage]:
         """What is due now."""
         acquire = _command(1001, self._sent, 1.0, 1.0, -1.0, -1.0)
-        said = [Say(message=acquire)]
+        said = [SendMessage(message=acquire)]
         if self._sent == 0:
-            said.append(Say(message=_command(1000, 0, _NAN, _NAN, _NAN, _NAN, 2.0)))
-            said.append(Say(message=_command(1001, 0, -3.0, -3.0, -1.0, -1.0)))
+            said.append(SendMessage(message=_command(1000, 0, _NAN, _NAN, _NAN, _NAN, 2.0)))
+            said.append(SendMessage(message=_command(1001, 0, -3.0, -3.0, -1.0, -1.0)))
         self.due_us = now_us + _AGAIN_US[self._sent] if self._sent < len(_AGAIN_US) else NEVER_US
         self._sent += 1
         return said

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Place, Reply, Say
+from vehicle_sim.autopilots import Place, Reply, SendMessage
 from vehicle_sim.autopilots.px4.modes import Mode
 from vehicle_sim.autopilots.px4.setpoints import height_of
 from vehicle_sim.plans import Jumps, PlanItem, PlanKind, Plans
@@ -130,7 +130,7 @@ class Mission:
         if self._arrived_us is None:
             self._arrived_us = now_us
             reached = mavlink.MAVLink_mission_item_reached_message(seq=self.current)
-            self._say(Say(message=reached))
+            self._say(SendMessage(message=reached))
         if now_us - self._arrived_us >= leg.hold_s * 1e6 and leg.command != LAND:
             self.next()
 

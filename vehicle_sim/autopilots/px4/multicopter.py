@@ -16,13 +16,13 @@ from vehicle_sim.autopilots.px4.position_control import (
     PositionControl,
     Trajectory,
     Wanted,
-    by_hand,
+    manual,
     sink,
     stopping_point,
     turning_rad_s,
 )
+from vehicle_sim.autopilots.px4.profile import RATES_HZ, profile
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
-from vehicle_sim.autopilots.px4.style import RATES_HZ, style
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
 
 _QUADROTOR: Final = 2
@@ -60,7 +60,7 @@ class Px4Multicopter(Px4):
     vehicle: Copter
     HANDLERS = HANDLERS
     TABLES = ("px4/common", "px4/multicopter")
-    style = style(vehicle_type=_QUADROTOR, rates_hz=RATES_HZ)
+    profile = profile(vehicle_type=_QUADROTOR, rates_hz=RATES_HZ)
     learns = orbits = True
 
     def _set_up(self) -> None:
@@ -94,7 +94,7 @@ class Px4Multicopter(Px4):
     def _begin(self, mode: Mode, before: Mode) -> None:
         """Start the smooth motion of the AUTO modes from what the vehicle does."""
         self._refresh()
-        self._path.limit(self.parameters, by_hand=mode in MANUAL_MODES)
+        self._path.limit(self.parameters, manual=mode in MANUAL_MODES)
         north, east, up = self._velocity
         continues = before is mode and self._flying
         if not continues:
@@ -170,7 +170,7 @@ class Px4Multicopter(Px4):
             return
         self._version = parameters.version
         self._control.gains = Gains(parameters)
-        self._path.limit(parameters, by_hand=self.mode in MANUAL_MODES)
+        self._path.limit(parameters, manual=self.mode in MANUAL_MODES)
         self.vehicle.drag_1_m = 0.0
         self.vehicle.response_s = _RESPONSE_S
         self.vehicle.drag_1_s = parameters["SIH_KDV"] / max(parameters["SIH_MASS"], 0.1)
@@ -258,7 +258,7 @@ class Px4Multicopter(Px4):
             self._flying = False
 
     def _start(self, wanted: Wanted) -> bool:
-        """Whether the motors have spun up and somebody wants up: then the take-off ramp begins."""
+        """Whether the take-off ramp begins: motors spun up and a climb demanded."""
         if self.now_us - self._armed_us < self.parameters["COM_SPOOLUP_TIME"] * 1e6:
             return False
         position, velocity, acceleration = wanted
@@ -292,7 +292,7 @@ class Px4Multicopter(Px4):
         if mode is Mode.DESCEND:
             return sink(self.parameters)
         if mode in MANUAL_MODES:
-            return self._by_hand(dt_s)
+            return self._fly_manual(dt_s)
         self._automatic(dt_s)
         return self._path.wanted()
 
@@ -441,14 +441,14 @@ class Px4Multicopter(Px4):
 
     # --- by hand ------------------------------------------------------------------------------
 
-    def _by_hand(self, dt_s: float) -> Wanted:
+    def _fly_manual(self, dt_s: float) -> Wanted:
         parameters, pilot = self.parameters, self.pilot
-        sticks = pilot.sticks
-        if sticks is None or not pilot.present(self.now_us, parameters["COM_RC_LOSS_T"]):
+        manual_control = pilot.manual_control
+        if manual_control is None or not pilot.present(self.now_us, parameters["COM_RC_LOSS_T"]):
             return sink(parameters)
-        self._yaw_rad += turning_rad_s(sticks, parameters) * dt_s
-        return by_hand(
-            sticks,
+        self._yaw_rad += turning_rad_s(manual_control, parameters) * dt_s
+        return manual(
+            manual_control,
             self._path,
             parameters,
             self.vehicle.heading_rad,

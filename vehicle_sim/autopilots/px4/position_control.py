@@ -7,7 +7,7 @@ is cut, position first, at MPC_XY_VEL_MAX; the wanted acceleration at the tilt l
 import math
 from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilots import Sticks
+from vehicle_sim.autopilots import ManualControl
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Vector
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2
 from vehicle_sim.parameters import Parameters
@@ -173,11 +173,11 @@ class Trajectory:
         self.a = [0.0, 0.0, 0.0]
         self.most, self.most_up, self.jerk = 3.0, 4.0, 4.0
 
-    def limit(self, parameters: Parameters, *, by_hand: bool) -> None:
+    def limit(self, parameters: Parameters, *, manual: bool) -> None:
         """Take the limits of the AUTO modes, or of the sticks."""
-        self.most = max(parameters["MPC_ACC_HOR_MAX" if by_hand else "MPC_ACC_HOR"], 0.5)
+        self.most = max(parameters["MPC_ACC_HOR_MAX" if manual else "MPC_ACC_HOR"], 0.5)
         self.most_up = max(parameters["MPC_ACC_UP_MAX"], 0.5)
-        self.jerk = max(parameters["MPC_JERK_MAX" if by_hand else "MPC_JERK_AUTO"], 0.5)
+        self.jerk = max(parameters["MPC_JERK_MAX" if manual else "MPC_JERK_AUTO"], 0.5)
 
     def start(self, position: Vector, velocity: Vector) -> None:
         """From what the vehicle does."""
@@ -216,7 +216,7 @@ class Trajectory:
     ) -> None:
         """One step towards a place; speeds: cruise, up and down in m/s.  NaN axes: come to rest.
 
-        down_m_s: go down this fast, whatever the goal's height is.
+        down_m_s: descend at this speed, regardless of the goal's height.
         """
         p = self.p
         north_m, east_m, down_m = goal[0] - p[0], goal[1] - p[1], goal[2] - p[2]
@@ -258,13 +258,13 @@ def sink(parameters: Parameters) -> Wanted:
     return NOTHING, (_NAN, _NAN, parameters["MPC_LAND_SPEED"]), NOTHING
 
 
-def turning_rad_s(sticks: Sticks, parameters: Parameters) -> float:
+def turning_rad_s(manual_control: ManualControl, parameters: Parameters) -> float:
     """Rate of the heading that the yaw stick asks for."""
-    return beyond(sticks.yaw) * math.radians(parameters["MPC_MAN_Y_MAX"])
+    return beyond(manual_control.yaw) * math.radians(parameters["MPC_MAN_Y_MAX"])
 
 
-def by_hand(
-    sticks: Sticks,
+def manual(
+    manual_control: ManualControl,
     path: Trajectory,
     parameters: Parameters,
     heading_rad: float,
@@ -273,9 +273,9 @@ def by_hand(
     holds_position: bool,
 ) -> Wanted:
     """One step of Position mode (holds_position), or of the others as if they were Altitude."""
-    lift = 2.0 * sticks.throttle - 1.0
+    lift = 2.0 * manual_control.throttle - 1.0
     down_m_s = -beyond(lift) * parameters["MPC_Z_VEL_MAX_UP" if lift > 0.0 else "MPC_Z_VEL_MAX_DN"]
-    ahead, aside = beyond(sticks.pitch), beyond(sticks.roll)
+    ahead, aside = beyond(manual_control.pitch), beyond(manual_control.roll)
     sine, cosine = math.sin(heading_rad), math.cos(heading_rad)
     north, east = ahead * cosine - aside * sine, ahead * sine + aside * cosine
     if holds_position:
@@ -298,8 +298,8 @@ def beyond(stick: float) -> float:
 
 
 _RADIUS_M: Final = (1.0, 1000.0)
-_MOST_M_S: Final = 10.0
-_MOST_M_S2: Final = 2.0
+_MAX_M_S: Final = 10.0
+_MAX_M_S2: Final = 2.0
 _GAIN_1_S: Final = 0.5
 
 
@@ -320,8 +320,8 @@ class Orbit(NamedTuple):
         size_m, speed_m_s = abs(self.radius_m), abs(self.speed_m_s)
         return (
             _RADIUS_M[0] <= size_m <= _RADIUS_M[1]
-            and speed_m_s <= _MOST_M_S
-            and speed_m_s**2 <= _MOST_M_S2 * size_m
+            and speed_m_s <= _MAX_M_S
+            and speed_m_s**2 <= _MAX_M_S2 * size_m
         )
 
     def velocity_m_s(self, north_m: float, east_m: float, cruise_m_s: float) -> tuple[float, float]:

@@ -85,8 +85,8 @@ class Target(NamedTuple):
 
 
 @final
-class Bearings(NamedTuple):
-    """What setpoints are measured from."""
+class SetpointFrames(NamedTuple):
+    """Reference frames of setpoints."""
 
     projection: Projection
     origin_amsl_m: float
@@ -95,8 +95,8 @@ class Bearings(NamedTuple):
     heading_rad: float
 
 
-def read_setpoint(setpoint: Setpoint, bearings: Bearings) -> Target | None:
-    """What PX4 makes of a setpoint; None: it is dropped and does not count."""
+def read_setpoint(setpoint: Setpoint, bearings: SetpointFrames) -> Target | None:
+    """Decode a setpoint as PX4 does; None: it is dropped and does not count."""
     mask = setpoint.type_mask
     if not setpoint.is_global and setpoint.frame not in (_LOCAL_NED, _BODY_NED):
         return None
@@ -153,7 +153,7 @@ def height_of(frame: int, altitude_m: float, home: Place, ground_amsl_m: float) 
     return None
 
 
-def _global_position(setpoint: Setpoint, bearings: Bearings) -> Vector | None:
+def _global_position(setpoint: Setpoint, bearings: SetpointFrames) -> Vector | None:
     """In the local frame; NOTHING if any axis is masked; None: unknown frame."""
     if setpoint.type_mask & _POSITION_BITS:
         return NOTHING

@@ -1,0 +1,473 @@
+"""Client of one autopilot: its protocols besides setpoints, and decoding of its messages.
+
+Streams, parameters, its mission, fence and rally points, link delay.  Sans-IO: messages in,
+messages and events out.
+"""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Final, final
+
+from companion.mavlink import fence, parameter_client, plan_client
+from companion.mavlink.autopilots import Autopilot, LaunchPose, autopilot_of
+from companion.mavlink.autopilots.messages import NO_HEADING, position
+from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
+from companion.mavlink.parameter_checks import ParameterIssue, Severity, check_parameters, names_of
+from companion.mavlink.parameter_client import ParameterClient, is_bytewise
+from companion.mavlink.plan_client import FENCE, MISSION, RALLY, PlanClient
+from companion.mavlink.streams import StreamRequests
+from companion.mission.decisions import Context
+from companion.mission.events import (
+    Arm,
+    Event,
+    FenceBreach,
+    FenceChanged,
+    GpsFix,
+    Home,
+    Item,
+    LinkDelay,
+    Mode,
+    Origin,
+    Position,
+    Prepared,
+    SetMode,
+    SetSpeed,
+    TakeOff,
+    TakeOffTaken,
+    TargetsChanged,
+    Vector,
+    VehicleStatus,
+)
+from companion.mission.mission import Mission
+from companion.mission.state import State
+
+_POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+_ASK_TIME_S = 1.0
+_TELL_SPEED_S = 1.0
+_NOT_YET = (wire.MAV_RESULT_TEMPORARILY_REJECTED, wire.MAV_RESULT_IN_PROGRESS)
+_MAX_OUTSTANDING = 10
+_MAX_SETS = 3  # of one parameter: a client that sets it back so often means it
+_SMOOTH = 0.3  # of a new round trip
+_NEWS_S = 0.005  # a change of less moves no setpoint by much
+_HOME_MOVED_M = 5.0
+_BREACHED = re.compile(r"\bfences? breached|^geofence: approaching or outside", re.IGNORECASE)
+"""ArduPilot: `Polygon fence breached` (ardupilot.md 4); PX4, where a ground station listens too."""
+_FAMILY = {
+    "ardupilot": wire.MAV_AUTOPILOT_ARDUPILOTMEGA,
+    "px4": wire.MAV_AUTOPILOT_PX4,
+}
+
+
+AutopilotCommand = SetMode | SetSpeed | Arm | TakeOff
+"""Commands to an autopilot, besides setpoints."""
+
+
+@final
+class AutopilotClient:
+    """The protocols of one autopilot: streams, parameters, plans, time synchronisation."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        system_id: int,
+        autopilot: Autopilot,
+        number: int,
+        *,
+        lockstep: bool,
+        sets_parameters: bool,
+    ) -> None:
+        """number: HEARTBEAT.autopilot; sets_parameters: False only reports what to set."""
+        self.system_id, self.autopilot = system_id, autopilot
+        self.streams = StreamRequests(system_id, autopilot, mission.position_rate_hz)
+        self.parameters = ParameterClient(
+            system_id, names_of(autopilot.rules), bytewise=is_bytewise(number)
+        )
+        self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
+        self.is_news = True
+        """Whether something was read since the parameters and lists were last looked at."""
+        self.findings: list[ParameterIssue] = []
+        """Of the parameters, as they were judged last."""
+        self.origin_nea_m: Vector | None = None
+        self.round_trip_s: float | None = None
+        self.geoid_m: float | None = None
+        """How far its mean sea level lies above the ellipsoid, as its GPS has it."""
+        self.asks_time_often = number == wire.MAV_AUTOPILOT_PX4
+        """Whether it sends TIMESYNC at 10 Hz by itself (px4.md 2)."""
+        self.notes: list[str] = []
+        """What a person should hear of, since last looked at."""
+        self._mission, self._lockstep = mission, lockstep
+        self._sets_parameters = sets_parameters
+        self._home_nea_m: Vector | None = None
+        self._heading_cdeg = 0
+        self._judged = -1
+        self._sets: dict[str, int] = {}
+        """How often each parameter was set."""
+        self._refusal_told = ""
+        self._home_first = number == wire.MAV_AUTOPILOT_ARDUPILOTMEGA
+        self._breaches = 0
+        self._drawing_of: tuple[int, float] | None = None
+        self._drawing: fence.FenceBuilder | None = None
+        self._drawn: fence.Fence | None = None
+        """The newest list of the fence, once all of it is drawn."""
+        self._fence_made_of: object = None
+        self._fence_told: FenceChanged | None = None
+        self._fence_said: tuple[str, ...] = ()
+        self.fence: fence.Fence | None = None
+        """Its own fence, once it was read."""
+        self.here_ne_m: tuple[float, float] | None = None
+        self._targets_version = 0
+        self._parameters_told = self._plans_told = False
+        self._began = False
+        self._asked_time_s = self._told_round_trip_s = -1e9
+        self._outstanding: dict[int, float] = {}
+        self._speed: list[Message] = []
+        """What tells it how fast to fly, until it has said that it will."""
+        self._speed_told_s = -1e9
+
+    @staticmethod
+    def found(heartbeat: Message, context: Context) -> "AutopilotClient | None":
+        """The client for the sender of this heartbeat; None if the mission is not for it."""
+        mission = context.mission
+        autopilot = autopilot_of(heartbeat)
+        if autopilot is None or autopilot.traits.hovers != (mission.kind == "copter"):
+            return None
+        if mission.autopilot is not None and heartbeat.autopilot != _FAMILY[mission.autopilot]:
+            return None
+        return AutopilotClient(
+            mission,
+            heartbeat.get_srcSystem(),
+            autopilot,
+            heartbeat.autopilot,
+            lockstep=context.lockstep,
+            sets_parameters=not context.shadow,
+        )
+
+    def begin(self, now_s: float) -> list[Message]:
+        """Begin all requests."""
+        self._began = True
+        return self.streams.begin(now_s)
+
+    def rebase_time(self, shift_s: float) -> None:
+        """Shift all stored times by this much: the clock was replaced."""
+        self.streams.rebase_time(shift_s)
+        self.parameters.rebase_time(shift_s)
+        self.plans.rebase_time(shift_s)
+
+    def rebooted(self) -> None:
+        """The autopilot has rebooted: request everything again."""
+        self.streams.forget()
+        self.parameters.restart()
+        self.plans.refresh()
+        self._parameters_told = self._plans_told = False
+        self.origin_nea_m = self._home_nea_m = None
+        self._sets.clear()
+        self._refusal_told = ""
+        self._speed = []
+        if self._fence_told is not None and self._fence_told.zones:
+            count = len(self._fence_told.zones)
+            self.notes.append(f"fence: read again, {count} zones stay in force")
+
+    # --- in
+
+    def on_message(self, message: Message, now_s: float) -> list[Message]:
+        """Handle a message of the autopilot; returns the replies."""
+        self.count(number := message.get_msgId(), now_s)
+        client: ParameterClient | PlanClient | None = None
+        if number in parameter_client.MESSAGES:
+            client = self.parameters
+        elif number in plan_client.MESSAGES:
+            client = self.plans
+        if client is None:
+            return []
+        self.is_news = True
+        return client.on_message(message, now_s)
+
+    def count(self, number: int, now_s: float) -> None:
+        """It has sent a message of this kind."""
+        count = self.streams.count
+        count[number] = count.get(number, 0) + 1
+        self.parameters.heard_s = now_s
+
+    def on_position(self, message: Message, now_s: float) -> Position | None:
+        """Decode GLOBAL_POSITION_INT: a fast path of `on_message` and `event_of`."""
+        self.count(_POSITION, now_s)
+        if message.hdg != NO_HEADING:
+            self._heading_cdeg = message.hdg
+        event = position(message, now_s, self._mission.frame)
+        if event is not None:
+            self.here_ne_m = event.position_nea_m[:2]
+        return event
+
+    def event_of(self, message: Message, now_s: float) -> Event | None:
+        """The mission event of one of its messages; None if there is none."""
+        number = message.get_msgId()
+        if (handler := _HANDLERS.get(number)) is not None:
+            return handler(self, message, now_s)
+        frame = self._mission.frame
+        event = self.autopilot.event_of(message, now_s, frame, self.origin_nea_m)
+        if isinstance(event, GpsFix) and message.alt_ellipsoid:
+            self.geoid_m = (message.alt_ellipsoid - message.alt) * 1e-3
+        self._remember(event)
+        return event
+
+    def _on_command_ack(self, message: Message, now_s: float) -> Event | None:
+        """ACK of a speed change: turns and stopping distance are proven for that speed."""
+        asked = any(message.command == each.command for each in self._speed)
+        if asked and message.result not in _NOT_YET:
+            self._speed = []
+            if message.result != wire.MAV_RESULT_ACCEPTED:
+                self.notes.append("the autopilot does not take the mission's speed")
+        accepted = message.result == wire.MAV_RESULT_ACCEPTED
+        if message.command == wire.MAV_CMD_NAV_TAKEOFF and accepted:
+            return TakeOffTaken(time_s=now_s)
+        return None
+
+    def _on_statustext(self, message: Message, now_s: float) -> Event | None:
+        return None if _BREACHED.search(message.text) is None else FenceBreach(time_s=now_s)
+
+    def _on_fence_status(self, message: Message, now_s: float) -> Event | None:
+        before, self._breaches = self._breaches, message.breach_count
+        news = message.breach_status and message.breach_count != before
+        return FenceBreach(time_s=now_s) if news else None
+
+    def _remember(self, event: Event | None) -> None:
+        if isinstance(event, VehicleStatus) and event.mode is not Mode.GUIDED:
+            self._speed = []  # it, or another controller, decides now
+        elif isinstance(event, Home):
+            before = self._home_nea_m
+            if before is None or _apart(before, event.position_nea_m):
+                self._home_nea_m, self.is_news = event.position_nea_m, True
+        elif isinstance(event, Origin):
+            moved = self.origin_nea_m is not None and _apart(
+                self.origin_nea_m, event.position_nea_m
+            )
+            if moved:
+                self.notes.append("the autopilot's origin has moved")
+            self.origin_nea_m = event.position_nea_m
+
+    def journal_entry(self, message: Message) -> dict[str, Any] | None:
+        """The journal entry of a message, besides that of its event; None if there is none."""
+        number = message.get_msgId()
+        if number == wire.MAVLINK_MSG_ID_STATUSTEXT:
+            return {"kind": "vehicle says", "text": message.text}
+        if number != wire.MAVLINK_MSG_ID_COMMAND_ACK or (
+            message.command == wire.MAV_CMD_DO_REPOSITION
+            and not self.autopilot.refuses_setpoint(message)
+        ):
+            return None
+        return {"kind": "acknowledged", "command": message.command, "result": message.result}
+
+    def on_timesync(self, message: Message, now_s: float, at_s: float) -> LinkDelay | None:
+        """The link delay by the answer to our TIMESYNC, if it has changed.
+
+        at_s: when it arrived, by the clock that asked.
+        """
+        asked_s = self._outstanding.pop(message.ts1, None)
+        if asked_s is None:
+            return None
+        took_s = max(at_s - asked_s, 0.0)
+        before_s = self.round_trip_s
+        smooth_s = took_s if before_s is None else before_s + _SMOOTH * (took_s - before_s)
+        self.round_trip_s = smooth_s
+        if abs(smooth_s - self._told_round_trip_s) < _NEWS_S:
+            return None
+        self._told_round_trip_s = smooth_s
+        return LinkDelay(time_s=now_s, round_trip_s=smooth_s)
+
+    # --- out
+
+    def command_messages(self, command: AutopilotCommand, state: State) -> list[Message]:
+        """The messages of a command."""
+        autopilot, system, frame = self.autopilot, self.system_id, self._mission.frame
+        match command:
+            case SetMode():
+                return autopilot.set_mode(command, frame, system)
+            case SetSpeed(speed_m_s=speed):
+                self._speed = autopilot.set_speed(speed, system)
+                self._speed_told_s = state.now_s
+                return self._speed
+            case Arm():
+                return autopilot.arm(system)
+            case TakeOff():
+                here = state.vehicle.position_nea_m
+                if here is None:
+                    return []
+                place = LaunchPose(
+                    position_nea_m=here, heading_rad=math.radians(self._heading_cdeg * 0.01)
+                )
+                return autopilot.take_off(command, place, frame, system)
+
+    @property
+    def due_s(self) -> float:
+        """When `on_time` has something to do, at the latest; -inf: at any time."""
+        if not self._began:
+            return math.inf
+        if self.notes or not self.parameters.is_done:
+            return -math.inf
+        speed_s = self._speed_told_s + _TELL_SPEED_S if self._speed else math.inf
+        return min(speed_s, self.streams.due_s, self.plans.due_s)
+
+    @property
+    def due_at_s(self) -> float:
+        """When the next TIMESYNC is due, by the runtime's clock."""
+        asks = self._began and not self._lockstep
+        return self._asked_time_s + _ASK_TIME_S if asks else math.inf
+
+    def on_time(self, now_s: float, at_s: float | None) -> list[Message]:
+        """The messages that are due; at_s: the runtime's clock, None in lockstep."""
+        if not self._began:
+            return []
+        asked = self.streams.on_time(now_s)
+        if self._speed and now_s - self._speed_told_s >= _TELL_SPEED_S:
+            self._speed_told_s = now_s
+            asked += self._speed
+        self.is_news = self.is_news or not self.parameters.is_done  # it may give one up
+        asked += self.parameters.on_time(now_s)
+        asked += self.plans.on_time(now_s)
+        if at_s is not None and not self._lockstep:
+            asked += self._ask_time(at_s)
+        return asked
+
+    def _ask_time(self, at_s: float) -> list[Message]:
+        if 0.0 <= at_s - self._asked_time_s < _ASK_TIME_S:
+            return []
+        self._asked_time_s = at_s
+        ts1 = max(round(at_s * 1e9), 1)
+        self._outstanding[ts1] = at_s
+        while len(self._outstanding) > _MAX_OUTSTANDING:
+            self._outstanding.pop(next(iter(self._outstanding)))
+        return [wire.MAVLink_timesync_message(0, ts1)]
+
+    def events(self, now_s: float) -> list[Event]:
+        """New events since the last call."""
+        if not (self._began and self.is_news):
+            return []
+        events = self._checked_parameters(now_s) + self._read_plans(now_s)
+        self.is_news = self._drawing is not None  # some of a fence with each message
+        return events
+
+    def _checked_parameters(self, now_s: float) -> list[Event]:
+        client = self.parameters
+        if not client.is_done or client.version == self._judged:
+            return []
+        self._judged = client.version
+        home = None if self._home_nea_m is None else self._home_nea_m[2]
+        findings = check_parameters(
+            self.autopilot.rules, client.values, self._mission, home_amsl_m=home
+        )
+        self.findings = findings
+        if self._set(findings):
+            return []  # they are judged again once they are read back
+        refused = [
+            each
+            for each in findings
+            if each.severity is Severity.REFUSE
+            or (each.severity is Severity.SET and self._sets_parameters)
+        ]
+        refusal = self._in_words(refused[0]) if refused else ""
+        again, self._refusal_told = refusal == self._refusal_told != "", refusal
+        self._parameters_told = True
+        return [] if again else [Prepared(time_s=now_s, item=Item.PARAMETERS, refusal=refusal)]
+
+    def _set(self, findings: list[ParameterIssue]) -> bool:
+        """Set parameters as the checks demand, with a text for each; whether there was any.
+
+        A parameter that another client keeps setting back is refused instead.
+        """
+        client, any_set = self.parameters, False
+        for finding in findings if self._sets_parameters else ():
+            name, times = finding.name, self._sets.get(finding.name, 0)
+            wanted = finding.severity is Severity.SET and name not in client.failed_sets
+            if not wanted or finding.set_to is None or times >= _MAX_SETS:
+                continue
+            client.set(name, finding.set_to)
+            self._sets[name], any_set = times + 1, True
+            if times == 0:
+                self.notes.append(f"set {name} to {finding.set_to:g}")
+        return any_set
+
+    def _in_words(self, finding: ParameterIssue) -> str:
+        """Text of a result that prevents the flight."""
+        if finding.severity is Severity.SET and self._sets.get(finding.name, 0) >= _MAX_SETS:
+            what = f"{finding.name} = {finding.value:g}: somebody keeps setting it back"
+            return f"{what}. End that: {finding.rule}"
+        return str(finding)
+
+    def _read_plans(self, now_s: float) -> list[Event]:
+        plans, mission = self.plans, self._mission
+        if not plans.is_done or not self.parameters.is_done:
+            return []
+        told, refusal = list[Event](), ""
+        if mission.fence_from_vehicle:
+            if not self._build_fence():
+                return []
+            made_of = (plans.plans[FENCE].version, self.parameters.version, self._home_nea_m)
+            if made_of != self._fence_made_of:
+                self._fence_made_of = made_of
+                refusal = self._update_fence(now_s, told)
+        version = plans.plans[MISSION].version
+        if mission.targets_from_vehicle and version != self._targets_version:
+            self._targets_version = version
+            route = fence.targets_of(
+                plans.plans[MISSION].items, mission.frame, home_first=self._home_first
+            )
+            self.notes += route.notes
+            if route.end_action not in (None, mission.end_action):
+                words = f"its mission ends with {route.end_action.value}"
+                self.notes.append(f"{words}; what counts is end.action: {mission.end_action.value}")
+            told.append(TargetsChanged(time_s=now_s, targets_ne_m=route.targets_ne_m))
+        waits = mission.fence_from_vehicle and self.fence is not None and self.fence.needs_home
+        if refusal or not (self._plans_told or waits):
+            self._plans_told = True
+            told.append(Prepared(time_s=now_s, item=Item.PLANS, refusal=refusal))
+        return told
+
+    def _build_fence(self) -> bool:
+        """Build more zones of the fence; whether it is complete."""
+        plan, margin_m = self.plans.plans[FENCE], fence.margin_m(self.parameters.values)
+        if (plan.version, margin_m) != self._drawing_of:
+            self._drawing_of = (plan.version, margin_m)
+            self._drawing = fence.FenceBuilder(plan.items, self._mission.frame, margin_m)
+        if self._drawing is not None and (drawn := self._drawing.build_some()) is not None:
+            self._drawn, self._drawing = drawn, None
+        return self._drawing is None
+
+    def _update_fence(self, now_s: float, told: list[Event]) -> str:
+        """Report the current fence; returns why the mission conflicts with it, if it does.
+
+        Until all of it is known the previously reported one stays in force.
+        """
+        assert self._drawn is not None
+        mission = self._mission
+        whole = fence.in_force(
+            self._drawn,
+            self.parameters.values,
+            home_nea_m=self._home_nea_m,
+            here_ne_m=self.here_ne_m,
+        )
+        self.fence = whole
+        rally = fence.rally_of(self.plans.plans[RALLY].items, mission.frame)
+        event = whole.changed(now_s, rally)
+        is_new = self._fence_told is None or replace(event, time_s=0.0) != self._fence_told
+        if is_new and not whole.needs_home:
+            self._fence_told = replace(event, time_s=0.0)
+            told.append(event)
+        self.notes += [each for each in whole.notes if each not in self._fence_said]
+        self._fence_said = whole.notes
+        against = fence.conflicts(whole, mission.task, mission.targets_ne_m)
+        return against[0] if against else ""
+
+
+def _apart(one: Vector, other: Vector) -> bool:
+    return max(abs(a - b) for a, b in zip(one, other, strict=True)) > _HOME_MOVED_M
+
+
+_Handler = Callable[[AutopilotClient, Message, float], Event | None]
+_HANDLERS: Final[Mapping[int, _Handler]] = {
+    wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: AutopilotClient.on_position,
+    wire.MAVLINK_MSG_ID_COMMAND_ACK: AutopilotClient._on_command_ack,
+    wire.MAVLINK_MSG_ID_STATUSTEXT: AutopilotClient._on_statustext,
+    wire.MAVLINK_MSG_ID_FENCE_STATUS: AutopilotClient._on_fence_status,
+}

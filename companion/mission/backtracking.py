@@ -1,0 +1,160 @@
+"""Backtrack: return along the flown path, each segment proven again (design section 7)."""
+
+from msgspec.structs import replace
+
+from companion.mission import flying, following, joining
+from companion.mission.decisions import Context, Step, cannot_fly, fault, give_up, is_gone
+from companion.mission.events import Event, Plan, PlanReady, Position
+from companion.mission.state import (
+    Backtracking,
+    Flight,
+    PlanningBacktrack,
+    Reason,
+    ReplanHome,
+    State,
+    Trigger,
+)
+from companion.planner import adjustable
+from companion.planner.procedure import Leg, Reference, hover_pose
+from companion.planner.request import Backtrack, PlanRequest
+
+
+def request_backtrack(state: State, context: Context) -> Step:
+    """Request the proof of the backtrack; it takes effect as soon as it is ready."""
+    planning = PlanningBacktrack(state.task, since_s=state.now_s)
+    flight = replace(state.flight, plan_id=state.flight.plan_id + 1, planning_backtrack=planning)
+    here = state.vehicle.position_nea_m or (0.0, 0.0, 0.0)
+    request = PlanRequest(
+        plan_id=flight.plan_id,
+        seed=context.seed,
+        task=state.task,
+        known=flight.known,
+        scan_nea_m=here,
+        start=hover_pose(here),
+        from_rest=True,
+        target_ne_m=here[:2],
+        flown=flight.flown,
+    )
+    return replace(state, flight=flight), [Plan(request=request, due_s=state.now_s)], None
+
+
+def on_backtrack_plan(state: State, event: PlanReady) -> Backtracking | None:
+    """The requested backtrack; None if there is none."""
+    outcome = event.outcome
+    if not isinstance(outcome, Backtrack) or not outcome.subpaths:
+        return None
+    last = len(outcome.subpaths) - 1
+    legs = tuple(
+        Leg(
+            number=number + 1,
+            plan_id=outcome.plan_id,
+            subpath=subpath,
+            reaches_target=number == last and outcome.reaches_start,
+            through=through,
+            rules=state.task,
+        )
+        for number, (subpath, through) in enumerate(
+            zip(outcome.subpaths, outcome.through, strict=True)
+        )
+    )
+    return Backtracking(legs)
+
+
+def with_looser_rules(state: State) -> tuple[State, str] | None:
+    """The state under the looser rules that the path was flown under, and a text about them.
+
+    The distances kept on the way out are kept on the way back, even if larger ones were set since;
+    map and zones count as known now.
+    """
+    if state.flown_under is None:
+        return None
+    looser = adjustable.loosest(state.given, state.flown_under)
+    changed = adjustable.differences(looser, state.given)
+    if not changed:
+        return None
+    values = ", ".join(f"{name} = {value:g}" for name, value in changed.items())
+    return state.with_rules(looser, state.fence), f"returning as it was flown: {values}"
+
+
+def start_backtrack(state: State) -> Flight | None:
+    """Begin the first remaining leg of the backtrack; None if it is too far off."""
+    flight = state.flight
+    here = state.vehicle.position_nea_m
+    if not flight.back or here is None:
+        return None
+    leg, *rest = flight.back
+    flight = replace(flight, leg=leg, next_leg=None, hover_nea_m=None, stop=None)
+    joined = joining.joined(replace(state, flight=flight))
+    if joined is None:
+        return None
+    at_rest = Reference(length_m=joined.reference.length_m)
+    joined = replace(joined, way=Backtracking(tuple(rest)), reference=at_rest)
+    return _with_next(joined)
+
+
+def _with_next(flight: Flight) -> Flight:
+    """The flight with the next backtrack leg ready, if it may be entered at full speed."""
+    if flight.leg is None or not flight.leg.through or not flight.back:
+        return flight
+    following_leg, *rest = flight.back
+    return replace(flight, next_leg=following_leg, way=Backtracking(tuple(rest)))
+
+
+def replan_home(state: State) -> State:
+    """Plan a path home: the start of the flight becomes the only target."""
+    flight = state.flight
+    start = flight.flown[0].control_nea_m[0] if flight.flown else (0.0, 0.0, 0.0)
+    home = (float(start[0]), float(start[1]))
+    flight = replace(flight, way=ReplanHome(), target=0, route_ne_m=(), stops=0, failures=0)
+    return replace(state, targets_ne_m=(home,), flight=flight)
+
+
+def returning(state: State, event: Event, context: Context) -> Step:
+    """Follow the backtrack leg by leg; stop if that becomes unsafe."""
+    if is_gone(state, event, context):
+        return give_up(state, Reason.LINK_LOST)
+    reason = cannot_fly(state, event)
+    if reason is not None:
+        return fault(_stopped(state), reason)
+    if not isinstance(event, Position):
+        return state, [], None
+    state, warning = flying.battery_warning(state, context)
+    state, commands, trigger = _on_position(state, event, context)
+    return state, [*warning, *commands], trigger
+
+
+def _on_position(state: State, event: Position, context: Context) -> Step:
+    if state.flight.circling and following.still_loiters(state, event):
+        return flying.circle(state, event, context)
+    flight = following.advance_reference(state, event)
+    if flight.leg is not state.flight.leg:  # through the join, onto what was the next stretch
+        flight = _with_next(flight)
+    if state.now_s - flight.progress_at_s > flying.STUCK_S:
+        return give_up(state, Reason.NOT_FOLLOWING)
+    if (reason := following.departure_reason(state, flight, event)) is not None:
+        return flying.on_departure(state, _stopped(state).flight, reason)
+    flight, commands = following.setpoint(state, flight, event, context)
+    state = replace(state, flight=flight)
+    if not following.is_stopped(state, flight):
+        return state, commands, None
+    if (stop := flight.stop) is not None:
+        return replace(_stopped(state), reason=stop.reason), commands, Trigger.FAULT
+    if flight.back and flight.leg is not None:
+        went_on = start_backtrack(state)
+        if went_on is None:
+            state, more, trigger = flying.on_departure(state, _stopped(state).flight)
+            return state, [*commands, *more], trigger
+        return replace(state, flight=went_on), commands, None
+    there = flight.leg is not None and flight.leg.reaches_target
+    state = replace(state, flight=following.at_rest_at_end(flight))
+    if not there:  # no more of it was proven: from here home is planned to
+        return replan_home(state), commands, Trigger.RESUME
+    lands = state.vehicle.traits.lands
+    return state, commands, Trigger.END_LAND if lands else Trigger.HAND_OVER
+
+
+def _stopped(state: State) -> State:
+    """At rest, with the current backtrack leg still to be flown."""
+    flight = state.flight
+    hover = None if flight.stop is None else following.at_rest_at_end(flight).hover_nea_m
+    return replace(state, flight=following.at_rest(following.requeue_backtrack(flight), hover))

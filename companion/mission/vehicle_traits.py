@@ -1,0 +1,45 @@
+"""Vehicle traits: what the mission has to know of an autopilot and vehicle type (design section 4).
+
+One value per autopilot and vehicle type, defined in `companion.mavlink.autopilots` beside the
+message encoding.
+"""
+
+import enum
+from dataclasses import dataclass
+from typing import Final, final
+
+
+class TakeoffSequence(enum.Enum):
+    """The take-off sequence of an autopilot."""
+
+    GUIDED_THEN_CLIMB = "guided mode, arm, then the command to climb"
+    MODE_THEN_ARM = "the take-off mode, then arm"
+    CLIMB_THEN_ARM = "the command to climb, then arm"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleTraits:
+    """Traits of one autopilot and vehicle type."""
+
+    name: str
+    """Display name: ArduCopter, ArduPlane, PX4 multicopter, PX4 fixed wing."""
+    hovers: bool
+    """Whether it can hover; planes hold by loitering."""
+    take_off: TakeoffSequence
+    lead_s: float = 0.0
+    """How far ahead of the reference point the setpoint lies."""
+    setpoint_period_s: float = 0.0
+    """Least time between two setpoints; 0: one for each position."""
+    needs_setpoints_before_offboard: bool = False
+    """Whether guided mode needs a running setpoint stream (OFFBOARD)."""
+    holds_in_guided: bool = False
+    """Whether it holds at its last setpoint in guided mode indefinitely."""
+    reports_target: bool = True
+    """Whether it reports its target in guided mode (POSITION_TARGET_*)."""
+    lands: bool = True
+    """Whether it has a mode to land in place."""
+
+
+UNKNOWN: Final = VehicleTraits(name="", hovers=True, take_off=TakeoffSequence.GUIDED_THEN_CLIMB)
+"""Before there is a vehicle."""

@@ -1,0 +1,137 @@
+"""Backtrack: the flown path reversed, segment by segment, and proven again.
+
+A segment of a B-spline, cut at its knots, is one cubic per piece: reversed it is the same curve.
+It must be proven again: map and zones may have changed, climbs become dives, and the dead-man reach
+points in the other direction.
+"""
+
+from dataclasses import replace
+from itertools import pairwise, zip_longest
+
+import numpy as np
+
+from companion.geodesy import FloatArray
+from companion.path.certificate import Prover, certify, cubics_of, pack_surroundings
+from companion.path.limits import Limits
+from companion.path.subpath import Subpath
+from companion.planner.request import Backtrack, FlownSegment
+from companion.planner.settings import Task
+from companion.world.known_map import KnownMap
+
+_SHORTEST_M = 0.5  # no piece is shorter
+_APART_M = 0.05  # farther apart two stretches are joined by a straight leg
+_SMOOTH = 1e-6  # of the unit tangent: more is a corner, at which the vehicle stops
+
+
+def backtrack(
+    flown: tuple[FlownSegment, ...], task: Task, known: KnownMap, prover: Prover, plan_id: int = 0
+) -> Backtrack:
+    """Subpaths back along the flown segments, from their end to their start.
+
+    flown: in flight order.  The subpaths end before the first one that cannot be proven; then
+    `reaches_start` is False.  A `through` subpath may be flown into the next at full speed, else
+    the vehicle stops at its end.  The vehicle starts at rest.
+    """
+    curves = _curves_back(flown)
+    subpaths: list[Subpath] = []
+    throughs: list[bool] = []
+    from_rest = True
+    for control, follows in zip_longest(curves, curves[1:]):
+        subpath = Subpath(control_nea_m=control)
+        through = follows is not None and _is_smooth(control, follows)
+        through = through and _is_proven(subpath, task, known, prover, from_rest, stops=False)
+        if not through and not _is_proven(subpath, task, known, prover, from_rest, stops=True):
+            break
+        subpaths.append(subpath)
+        throughs.append(through)
+        from_rest = not through
+    return Backtrack(
+        plan_id=plan_id,
+        subpaths=tuple(subpaths),
+        through=tuple(throughs),
+        reaches_start=len(subpaths) == len(curves),
+    )
+
+
+def _curves_back(flown: tuple[FlownSegment, ...]) -> list[FloatArray]:
+    """Control points of cubics, each from the end of the one before.  -> each (4, 3)."""
+    curves: list[FloatArray] = []
+    for stretch in reversed(flown):
+        for control in _turned_round(stretch):
+            if curves:
+                gap_m = float(np.linalg.norm(control[0] - curves[-1][-1]))
+                if gap_m > _APART_M:
+                    curves.append(_straight(curves[-1][-1], control[0]))
+                else:
+                    control = np.concatenate([curves[-1][-1:], control[1:]])
+            curves.append(control)
+    return curves
+
+
+def _turned_round(stretch: FlownSegment) -> list[FloatArray]:
+    """A segment of a leg, reversed, as Bezier control points of its pieces."""
+    subpath = Subpath(control_nea_m=stretch.control_nea_m)
+    first_m, last_m = stretch.from_m + _SHORTEST_M, stretch.until_m - _SHORTEST_M
+    if last_m <= stretch.from_m:
+        return []
+    cubics = cubics_of(stretch.control_nea_m)
+    knots = [k / len(cubics) for k in range(1, len(cubics))]
+    cuts = [
+        subpath.parameter_at(stretch.from_m),
+        *(u for u in knots if first_m < subpath.length_at_m(u) < last_m),
+        subpath.parameter_at(stretch.until_m),
+    ]
+    pieces = []
+    for a, b in pairwise(cuts):
+        span = min(int(0.5 * (a + b) * len(cubics)), len(cubics) - 1)
+        pieces.append(_bezier(cubics[span], a * len(cubics) - span, b * len(cubics) - span)[::-1])
+    return pieces[::-1]
+
+
+def _bezier(cubic: FloatArray, a: float, b: float) -> FloatArray:
+    """Bezier control points of a part of a cubic.  (4, 3) of 1, t, t^2, t^3 -> (4, 3)."""
+    start, end = (np.array([1.0, t, t * t, t * t * t]) @ cubic for t in (a, b))
+    leaving, arriving = (
+        np.array([0.0, 1.0, 2.0 * t, 3.0 * t * t]) @ cubic * (b - a) / 3.0 for t in (a, b)
+    )
+    return np.stack([start, start + leaving, end - arriving, end])
+
+
+def _straight(start: FloatArray, end: FloatArray) -> FloatArray:
+    return start + np.linspace(0.0, 1.0, 4)[:, None] * (end - start)
+
+
+def _is_smooth(control: FloatArray, follows: FloatArray) -> bool:
+    """Whether a curve goes on in the direction of the one before it."""
+    before, after = control[3] - control[2], follows[1] - follows[0]
+    before, after = (leg / max(float(np.linalg.norm(leg)), 1e-12) for leg in (before, after))
+    return float(np.linalg.norm(before - after)) < _SMOOTH
+
+
+def _is_proven(
+    subpath: Subpath, task: Task, known: KnownMap, prover: Prover, from_rest: bool, *, stops: bool
+) -> bool:
+    control = subpath.control_nea_m[:, :2]
+    centre = 0.5 * (control.min(axis=0) + control.max(axis=0))
+    surroundings = pack_surroundings(
+        known,
+        _both_ways(task.limits),
+        (),
+        task.zones,
+        task.margins,
+        centre_ne_m=(float(centre[0]), float(centre[1])),
+        reach_m=float(np.linalg.norm(control - centre, axis=-1).max()),
+        stops=stops,
+    )
+    return certify(subpath, surroundings, from_rest=from_rest, prover=prover).proven
+
+
+def _both_ways(limits: Limits) -> Limits:
+    """The limits of a path that was flown in the other direction.
+
+    Multicopters climb as steeply as they dive, only slower (`procedure.allowed_speed_m_s`).
+    """
+    if not limits.hovers:
+        return limits
+    steepest = max(limits.climb_angle_rad, limits.dive_angle_rad)
+    return replace(limits, climb_angle_rad=steepest, dive_angle_rad=steepest)

@@ -1,0 +1,262 @@
+"""Searches a place where a plane can loiter if its surroundings are no longer safe."""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.geodesy import BoolArray, FloatArray
+from companion.planner.settings import Task
+from companion.world.clearance import (
+    distance_to_terrain_m,
+    distances_to_terrain_m,
+    sees_anything,
+)
+from companion.world.known_map import KnownMap
+from companion.world.zone_field import ZoneField, zone_field
+from companion.world.zone_index import ZoneIndex, index_of
+
+Vector = tuple[float, float, float]
+Ways = tuple[FloatArray, FloatArray, BoolArray]
+"""Ways to M of N places: (M, S, 2), their lengths (M,), and to which (N,)."""
+
+_BEARINGS, _LENGTHS = 36, 16
+_FARTHEST = 0.4  # of R
+_SAMPLES, _ROUGHLY = 64, 24  # of the way there; to see which places are worth a closer look
+_LOOKED_AT, _MIN_LOOKED_AT = 40, 3  # ways that are looked at closely, the best first: each takes
+# the longer, the more zones there are where they begin
+_AT_ONCE = 16  # circles that are held against the terrain
+_INTRUDING = 5.0  # metres of way for each metre of it that has no clearance left
+_SLACK_M = 1.0
+_TURNS = (0.5, 1.0)  # of the turn radius of paths: autopilots turn more tightly to a point
+_EITHER_SIDE_RAD = math.radians(135.0)  # so far behind that it may turn either way
+_AHEAD_RAD = 1e-6
+_STILL_M_S = 1.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoiterQuery:
+    """A query for a place to loiter."""
+
+    here_nea_m: Vector
+    velocity_nea_m_s: Vector = (0.0, 0.0, 0.0)
+    """Over ground; a plane turns from there towards the place (zero: straight flight)."""
+    height_amsl_m: float | None = None
+    """Of the places to look at; None: its own, within the band."""
+    stays_m: float = math.inf
+    """Its current distance to zones while loitering: no way to the new place may come nearer."""
+
+
+def loiter_point(
+    known: KnownMap, task: Task, query: LoiterQuery, preferred: Sequence[Vector] = ()
+) -> Vector | None:
+    """A point to loiter (or hover) at: its circle is clear of terrain and zones.
+
+    The first preferred point with a clear way, else the point around the vehicle with the shortest
+    way, where parts too near to zones count several times; at this height or half way to the
+    ceiling; with the required clearance about the circle, or if there is none with the vehicle's
+    errors.  Of the way there, which begins with a turn:
+
+    - it clears terrain by the errors, or comes no nearer than the vehicle is; all of it counts as
+    flown at the lower of its ends, as a climb takes longer than the way; - it clears zones by the
+    errors, or comes no nearer than the vehicle is, or than its present circle.
+
+    Unknown ground is never clear.  None: there is no such place, or none among the best by
+    approximate distances (`ZoneField`): only those are checked exactly.
+    """
+    reach_m = _FARTHEST * task.settings.scan_range_m
+    here = np.asarray(query.here_nea_m)
+    if not sees_anything(known, (float(here[0]), float(here[1])), reach_m):
+        return None
+    places, loiter_m = _places_ne_m(here, reach_m, preferred), task.limits.loiter_radius_m
+    index = index_of(task.zones)
+    allowed_m = min(
+        task.error_m, index.nearest(float(here[0]), float(here[1]))[1] - _SLACK_M, query.stays_m
+    )
+    field = _field(task, index, places, here[:2])
+    clear_at = field.keeps(places[:, 0], places[:, 1], task.error_m + loiter_m)
+    if not clear_at.any():
+        return None
+    rank, nearest_m = np.full((2, len(places)), -np.inf)
+    rank[clear_at], nearest_m[clear_at] = _judged(task, query, field, places[clear_at])
+    may_be_open = (nearest_m + field.error_m >= allowed_m) | (allowed_m < -field.most_m)
+    open_ = np.flatnonzero(clear_at & may_be_open)
+    clear = _clear(task, query, field, places[: len(preferred)])
+    heights = _heights_m(task, query)
+    spot = float(here[0]), float(here[1])
+    looks = max(_LOOKED_AT // max(len(index.near(spot, spot, task.error_m)), 1), _MIN_LOOKED_AT)
+    for clearance_m in (task.required_clearance_m, task.error_m):
+        keeps = field.keeps(places[open_, 0], places[open_, 1], clearance_m + loiter_m)
+        points = (
+            (float(places[k, 0]), float(places[k, 1]), height_m)
+            for k in _in_order(open_[keeps], rank, clear)
+            for height_m in ((preferred[k][2],) if k < len(preferred) else heights)
+        )
+        for point in _clear_of_terrain(known, task, query, points, clearance_m):
+            if _is_open(known, task, query, field, point, allowed_m):
+                return point
+            looks -= 1
+            if looks == 0:
+                return None
+    return None
+
+
+def _is_open(
+    known: KnownMap, task: Task, query: LoiterQuery, field: ZoneField, point: Vector, gap_m: float
+) -> bool:
+    """Whether all possible ways to a point clear zones and terrain."""
+    place = np.array(point[:2])
+    off_zones = _keeps_off_zones(task, query, field, place, gap_m)
+    return off_zones and _keeps_off_terrain(known, task, query, point)
+
+
+def _places_ne_m(here: FloatArray, reach_m: float, preferred: Sequence[Vector]) -> FloatArray:
+    """The preferred ones, here, and rings about here, the nearest first.  -> (N, 2)."""
+    turns = np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False)
+    radii = np.linspace(0.0, reach_m, _LENGTHS + 1)[1:, None, None]
+    rings = here[:2] + radii * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    first = np.array([point[:2] for point in preferred]).reshape(-1, 2)
+    return np.concatenate([first, here[None, :2], rings.reshape(-1, 2)])
+
+
+def _heights_m(task: Task, query: LoiterQuery) -> tuple[float, float]:
+    low, high = task.band_amsl_m
+    wanted = query.here_nea_m[2] if query.height_amsl_m is None else query.height_amsl_m
+    level = min(max(wanted, low), high)
+    return level, 0.5 * (level + high)
+
+
+def _in_order(index: NDArray[np.intp], rank: FloatArray, clear: list[int]) -> Iterator[int]:
+    """The preferred ones whose way is clear of zones; then all, the best first."""
+    first = [k for k in clear if k in index]
+    yield from first
+    order = index[np.argsort(np.round(rank[index], 3), kind="stable")]
+    yield from (int(k) for k in order if int(k) not in first)
+
+
+# --- ways, and zones
+
+
+def _field(task: Task, index: ZoneIndex, places: FloatArray, here: FloatArray) -> ZoneField:
+    """Distances to zones about the ways: none leads farther than its place, or its turn."""
+    farthest_m = float(np.hypot(*(places - here).T).max())
+    reach_m = max(farthest_m, 2.0 * task.limits.turn_radius_m)
+    return zone_field(index, here - reach_m, here + reach_m, task.zone_clearance_m)
+
+
+def _judged(
+    task: Task, query: LoiterQuery, field: ZoneField, places: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Of the ways to each place: how bad they are, about, and their least distance to zones, about.
+
+    Bad is the length, and what of it is too near to zones, several times: metres, each by the share
+    of the required clearance that is missing there.  The worst of what the vehicle may fly counts:
+    wide or tight turns, and to places behind it turns to either side.  -> (N,) x 2
+    """
+    length_m, intruding_m = np.zeros(len(places)), np.zeros(len(places))
+    nearest_m = np.full(len(places), np.inf)
+    for ways, lengths_m, flown in _ways_ne_m(task, query, places, _ROUGHLY):
+        gaps_m = field.gaps_m(ways[..., 0], ways[..., 1])
+        missing = np.maximum(1.0 - gaps_m / task.required_clearance_m, 0.0)
+        into_m = missing.mean(axis=-1) * lengths_m
+        length_m[flown] = np.maximum(length_m[flown], lengths_m)
+        intruding_m[flown] = np.maximum(intruding_m[flown], into_m)
+        nearest_m[flown] = np.minimum(nearest_m[flown], gaps_m.min(axis=-1))
+    return length_m + _INTRUDING * intruding_m, nearest_m
+
+
+def _clear(task: Task, query: LoiterQuery, field: ZoneField, places: FloatArray) -> list[int]:
+    """Which places have a way that keeps the required clearance of zones."""
+    clearance_m = task.required_clearance_m
+    return [
+        k
+        for k, place in enumerate(places)
+        if _keeps_off_zones(task, query, field, place, clearance_m)
+    ]
+
+
+def _keeps_off_zones(
+    task: Task, query: LoiterQuery, field: ZoneField, place: FloatArray, gap_m: float
+) -> bool:
+    """Whether all that may be flown to a place keeps this distance from zones."""
+    ways = [each for each, _, _ in _ways_ne_m(task, query, place[None], _SAMPLES)]
+    points = np.concatenate(ways).reshape(-1, 2)
+    return bool(field.keeps(points[:, 0], points[:, 1], gap_m).all())
+
+
+def _ways_ne_m(task: Task, query: LoiterQuery, places: FloatArray, samples: int) -> Iterator[Ways]:
+    """The ways to places."""
+    here, velocity = np.asarray(query.here_nea_m[:2]), query.velocity_nea_m_s
+    away = places - here
+    if task.limits.hovers or math.hypot(*velocity[:2]) < _STILL_M_S:
+        share = np.linspace(0.0, 1.0, samples + 1)[1:, None]
+        always = np.ones(len(places), dtype=bool)
+        yield here + share * away[:, None], np.hypot(away[:, 0], away[:, 1]), always
+        return
+    course = math.atan2(velocity[1], velocity[0])
+    bearing = np.arctan2(away[:, 1], away[:, 0]) - course
+    bearing = np.arctan2(np.sin(bearing), np.cos(bearing))
+    for side in (-1.0, 1.0):
+        flown = (side * bearing >= 0.0) | (np.abs(bearing) > _EITHER_SIDE_RAD)
+        for tightness in _TURNS:
+            radius_m = side * tightness * task.limits.turn_radius_m
+            ways, lengths_m = _turns_ne_m(here, course, radius_m, places[flown], samples)
+            yield ways, lengths_m, flown
+
+
+def _turns_ne_m(
+    here: FloatArray, course: float, radius_m: float, places: FloatArray, samples: int
+) -> tuple[FloatArray, FloatArray]:
+    """A turn (radius > 0: to the right) until the nose points at a place, then straight there.
+
+    A place within the turn is never pointed at: the whole turn.  -> (N, S, 2) and lengths (N,)
+    """
+    side, size_m = math.copysign(1.0, radius_m), abs(radius_m)
+    centre = here + radius_m * np.array([-math.sin(course), math.cos(course)])
+    away = places - centre
+    apart_m = np.hypot(away[:, 0], away[:, 1])
+    straight_m = np.sqrt(np.maximum(apart_m**2 - size_m**2, 0.0))
+    then = np.arctan2(away[:, 1], away[:, 0]) + np.arctan2(radius_m, straight_m)
+    turn = np.mod(side * (then - course), 2.0 * math.pi)
+    turn = np.where(turn > 2.0 * math.pi - _AHEAD_RAD, 0.0, turn)
+    turn = np.where(apart_m <= size_m, 2.0 * math.pi, turn)
+    lengths_m = size_m * turn + straight_m
+    along_m = np.linspace(0.0, 1.0, samples + 1)[1:] * lengths_m[:, None]
+    turned = course + side * np.minimum(along_m / size_m, turn[:, None])
+    beyond_m = np.maximum(along_m - size_m * turn[:, None], 0.0)
+    north = centre[0] + radius_m * np.sin(turned) + beyond_m * np.cos(turned)
+    east = centre[1] - radius_m * np.cos(turned) + beyond_m * np.sin(turned)
+    return np.stack([north, east], axis=-1), lengths_m
+
+
+# --- terrain
+
+
+def _clear_of_terrain(
+    known: KnownMap, task: Task, query: LoiterQuery, points: Iterable[Vector], clearance_m: float
+) -> Iterator[Vector]:
+    """Those of the points whose circle keeps this distance, at the lower end of the way too."""
+    circle, points = known.grown(task.limits.loiter_radius_m), iter(points)
+    while some := list(islice(points, _AT_ONCE)):
+        there = np.array(some)
+        there[:, 2] = np.minimum(there[:, 2], query.here_nea_m[2])
+        gaps_m = distances_to_terrain_m(circle, there, clearance_m)
+        yield from (some[k] for k in np.flatnonzero(gaps_m >= clearance_m))
+
+
+def _keeps_off_terrain(known: KnownMap, task: Task, query: LoiterQuery, point: Vector) -> bool:
+    """Whether the way to a point keeps off terrain by the errors, or as far as the vehicle does."""
+    lowest_m = min(point[2], query.here_nea_m[2])
+    error_m, here = task.error_m, np.asarray(query.here_nea_m)
+    least_m = min(error_m, distance_to_terrain_m(known, here, error_m) - _SLACK_M)
+    for ways, _, _ in _ways_ne_m(task, query, np.array([point[:2]]), _SAMPLES):
+        flown = ways.reshape(-1, 2)
+        way = np.concatenate([flown, np.full((len(flown), 1), lowest_m)], axis=1)
+        if (distances_to_terrain_m(known, way, error_m) < least_m).any():
+            return False
+    return True

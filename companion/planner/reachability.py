@@ -1,0 +1,92 @@
+"""Reachability: whether the known map proves that there is no way to the target."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import scipy.ndimage
+
+from companion.geodesy import BoolArray
+from companion.planner.cost_lattice import IndexArray, Place
+from companion.planner.cost_to_go import CostToGo
+from companion.planner.settings import Task
+from companion.world.known_map import KnownMap
+from companion.world.threats import is_near
+
+_EVERYWHERE = np.ones((3, 3), dtype=bool)
+
+
+def blocked_at(
+    known: KnownMap, task: Task, field: CostToGo, here_ne_m: Place, target_ne_m: Place
+) -> Place | None:
+    """Where the cheapest route meets the barrier, north and east; None: not all are blocked.
+
+    Ground that was not seen is open, and so is what a sight line bounds.  What is closed is so for
+    any curve: a point of the lattice is barred if everywhere within half a diagonal of it, and at
+    any altitude, a certificate would break.  So the lattice point nearest to a curve that can be
+    proven is never barred, and as the curve goes on it steps to one of the eight next to it: a
+    flood fill finds all that curves can reach.
+    """
+    if not field.is_barred:
+        return None
+    known = _finer(known)
+    barred = _barred(known, task)
+    regions = np.asarray(scipy.ndimage.label(~barred, structure=_EVERYWHERE)[0], dtype=np.int32)
+    here, target = (int(_at(known, regions, place)) for place in (here_ne_m, target_ne_m))
+    if 0 in (here, target) or here == target:
+        return None
+    route = np.array(field.route_ne_m)
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
+    at = np.arange(0.0, along[-1], 0.5 * known.cell_m)
+    points = np.stack([np.interp(at, along, route[:, axis]) for axis in (0, 1)], axis=-1)
+    leaves = np.array([int(_at(known, regions, point)) != here for point in points])
+    north, east = points[int(leaves.argmax())]
+    return float(north), float(east)
+
+
+def _at(known: KnownMap, regions: IndexArray, place: Place) -> int:
+    row, column = known.cell_of(*place)
+    rows, columns = regions.shape
+    return int(regions[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
+
+
+def _barred(known: KnownMap, task: Task) -> BoolArray:
+    """The cells about whose middles no curve can be proven, at any altitude.  (rows, columns)."""
+    ceiling_m = task.limits.ceiling_amsl_m - task.error_m
+    clearance_m, half_m = task.required_clearance_m, math.sqrt(0.5) * known.cell_m
+    top = np.where(known.firm, known.upper_m, -np.inf)
+    barred = np.zeros(top.shape, dtype=bool)
+    reach = math.ceil(clearance_m / known.cell_m)
+    for i in range(-reach, reach + 1):
+        for j in range(-reach, reach + 1):
+            away_m = math.hypot(max(abs(i) - 0.5, 0.0), max(abs(j) - 0.5, 0.0)) * known.cell_m
+            away_m += half_m
+            if away_m < clearance_m:
+                enough_m = ceiling_m - math.sqrt(clearance_m**2 - away_m**2)
+                barred |= _shifted(top > enough_m, i, j)
+    north, east = known.middles_m(0, 0, (top.shape[0], top.shape[1]))
+    for zone in task.zones:
+        barred |= is_near(zone, north[:, 0], east[0], task.zone_clearance_m - half_m)
+    return barred
+
+
+def _finer(known: KnownMap) -> KnownMap:
+    """The same map, each cell as two by two."""
+    return replace(
+        known,
+        cell_m=0.5 * known.cell_m,
+        upper_m=known.upper_m.repeat(2, axis=0).repeat(2, axis=1),
+        seen=known.firm.repeat(2, axis=0).repeat(2, axis=1),
+        given=None,
+        guess_m=None,
+    )
+
+
+def _shifted(cells: BoolArray, rows: int, columns: int) -> BoolArray:
+    """The cells so many rows and columns further; False beyond the edge."""
+    result = np.zeros_like(cells)
+    height, width = cells.shape
+    result[max(rows, 0) : height + min(rows, 0), max(columns, 0) : width + min(columns, 0)] = cells[
+        max(-rows, 0) : height + min(-rows, 0), max(-columns, 0) : width + min(-columns, 0)
+    ]
+    return result

@@ -1,0 +1,147 @@
+"""Feeds recorded inputs to an equal session."""
+
+import math
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, final
+
+import msgspec
+
+from companion.mavlink.link import VEHICLE_LINK, Input, Output
+from companion.mission import checkpoint
+from companion.mission.mission import Mission
+from companion.mission.start import Resume, Start, SystemId
+from companion.objective.scene import PROFILES
+from companion.planner.outcomes import outcome_of
+from companion.planner.request import PlanOutcome
+from companion.session import Session
+from companion.world.known_map import unpacked_map
+
+RUNTIME_RECORDS = frozenset({"unsent", "raised", "held"})
+"""Records about a session and its output, which are not fed to the session."""
+SESSION_CALLS = frozenset(
+    {
+        *("receive", "run", "silence", "deliver", "stop", "complain", "part_died"),
+        *("recording_stopped", "farewell"),
+    }
+)
+"""The calls of a session that are inputs."""
+MissionOf = Callable[[Start], Mission]
+"""The mission that a session flew: by its profile, from wherever it is kept."""
+
+
+class DamagedInputError(Exception):
+    """A record is not a valid input of a session."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedError:
+    """An error raised by a session, or by the control loop around it."""
+
+    call: str
+    """Of the session: a name among `SESSION_CALLS`, or another; "" if it did not come out of it."""
+    error: str
+    place: str = ""
+    """In the code, if it was raised here."""
+
+    @staticmethod
+    def of(call: str, error: Exception) -> "RecordedError":
+        """An error that a session has raised just now."""
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{Path(last.filename).stem}.{last.name}, line {last.lineno}"
+        return RecordedError(call=call, error=f"{type(error).__name__}: {error}", place=place)
+
+    def __str__(self) -> str:
+        return self.error if not self.place else f"{self.error} ({self.place})"
+
+
+def start_of(recorded_input: Input) -> Start:
+    """What a session was made of, of a recorded input.  TornError: it is none."""
+    try:
+        start = msgspec.convert(recorded_input[1], Start)
+        msgspec.convert((start.resume or {}).get("system_id"), SystemId | None)
+    except (IndexError, msgspec.ValidationError) as error:
+        raise DamagedInputError(f"a start that is none ({error})") from error
+    if start.profile not in PROFILES:
+        raise DamagedInputError(f"a start that is none (profile {start.profile!r:.40})")
+    return start
+
+
+def session_of(start: Start, mission_of: MissionOf) -> Session:
+    """Create a session.  TornError: its checkpoint cannot be read.
+
+    Errors of the session itself are passed on.
+    """
+    mission = replace(mission_of(start), system_id=start.system_id)
+    return Session(
+        mission,
+        seed=start.seed,
+        lockstep=start.lockstep,
+        shadow=start.shadow,
+        resume=_resume_of(start, mission),
+        has_ground=start.has_ground,
+        version=start.companion,
+    )
+
+
+def _resume_of(start: Start, mission: Mission) -> Resume | None:
+    if start.resume is None:
+        return None
+    try:
+        known = None if start.known is None else unpacked_map(start.known)
+        if known is not None:
+            known = known.with_what_was_given(checkpoint.blank_map(mission, start.resume))
+        resume = start.resume, known
+        checkpoint.initial_state(mission, resume)
+    except checkpoint.DECODE_ERRORS as error:
+        why = f"{type(error).__name__}: {error}"
+        raise DamagedInputError(f"a start that cannot be gone on from ({why})") from error
+    return resume
+
+
+def feed(session: Session, recorded_input: Input) -> Output | None:
+    """Feed an input to a session; returns its output, if it was a run.
+
+    TornError: it is not a valid input.  Errors of the session are passed on.
+    """
+    match recorded_input:
+        case ("receive", bytes(data), at_s) if at_s is None or _is_time(at_s):
+            session.receive(data, at_s)
+        case ("receive", bytes(data), at_s, int(link)) if link > VEHICLE_LINK and (
+            at_s is None or _is_time(at_s)
+        ):
+            session.receive(data, at_s, link)
+        case ("run",):
+            return session.run()
+        case ("silence", silent_s) if _is_time(silent_s):
+            session.silence(silent_s)
+        case ("deliver", values):
+            session.deliver(answer_of(values))
+        case ("stop",):
+            session.stop()
+        case ("complain", str(text)):
+            session.complain(text)
+        case ("part_died", str(part), str(error)):
+            session.part_died(part, error)
+        case ("recording_stopped", str(why)):
+            session.recording_stopped(why)
+        case ("farewell",):
+            return session.farewell()
+        case _:
+            raise DamagedInputError(f"an input that is none ({recorded_input[0]!r:.40})")
+    return None
+
+
+def answer_of(values: Any) -> PlanOutcome:
+    """The answer of the planner that was delivered.  TornError: it is none."""
+    try:
+        return outcome_of(values)
+    except checkpoint.DECODE_ERRORS as error:
+        raise DamagedInputError(f"an answer of the planner that is none ({error!r:.80})") from error
+
+
+def _is_time(value: Any) -> bool:
+    return type(value) in (float, int) and math.isfinite(value)

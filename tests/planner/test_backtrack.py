@@ -1,0 +1,152 @@
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from planning import ask, spline
+
+from companion.path import proof
+from companion.path.subpath import Subpath
+from companion.planner.backtrack import backtrack
+from companion.planner.offline import OfflineFlight, fly_offline
+from companion.planner.plan import plan
+from companion.planner.request import Backtrack, FlownSegment
+from companion.planner.settings import Task
+from companion.world.known_map import KnownMap
+from companion.world.threats import CircleZone
+
+sys.path.insert(0, str(Path(__file__).parent))
+from dense_check import violations
+
+START, TARGET = (1_000.0, 1_200.0, 500.0), (4_800.0, 2_600.0)
+
+
+@pytest.fixture(scope="module")
+def flight(task: Task, blank: KnownMap, truth: KnownMap) -> OfflineFlight:
+    flight = fly_offline(
+        task, blank=blank, truth=truth, start_nea_m=START, targets_ne_m=(TARGET,), seed=3
+    )
+    assert flight.failure is None
+    assert len(flight.legs) >= 3
+    return flight
+
+
+def flown(flight: OfflineFlight) -> tuple[FlownSegment, ...]:
+    return tuple(
+        FlownSegment(control_nea_m=leg.subpath.control_nea_m, from_m=0.0, until_m=until_m)
+        for leg, until_m in zip(flight.legs, flight.flown_m, strict=True)
+    )
+
+
+def test_it_leads_back_to_the_start_along_the_same_curve(flight: OfflineFlight, task: Task) -> None:
+    back = backtrack(flown(flight), task, flight.known, proof.prove, plan_id=9)
+    assert back.reaches_start
+    assert back.plan_id == 9
+    ends = [subpath.control_nea_m[[0, -1]] for subpath in back.subpaths]
+    assert ends[0][0] == pytest.approx(flight.legs[-1].subpath.control_nea_m[-1])
+    assert ends[-1][1] == pytest.approx(np.array(START))
+    for before, after in pairwise(ends):
+        assert before[1] == pytest.approx(after[0], abs=1e-9)
+    length_m = sum(subpath.length_m for subpath in back.subpaths)
+    assert length_m == pytest.approx(sum(flight.flown_m), rel=1e-5)
+    there = np.concatenate(
+        [
+            leg.subpath.points_nea_m(np.arange(0.0, until_m, 2.0))
+            for leg, until_m in zip(flight.legs, flight.flown_m, strict=True)
+        ]
+    )
+    for subpath in back.subpaths:
+        for point in spline(subpath.control_nea_m)(np.linspace(0.0, 1.0, 20)):
+            assert np.linalg.norm(there - point, axis=-1).min() < 2.0
+
+
+def test_every_part_of_it_is_safe_also_for_a_vehicle_that_dies_at_full_speed(
+    flight: OfflineFlight, task: Task
+) -> None:
+    back = backtrack(flown(flight), task, flight.known, proof.prove)
+    assert back.through == (True,) * (len(back.subpaths) - 1) + (False,)
+    steep = max(task.limits.climb_angle_rad, task.limits.dive_angle_rad)
+    both = replace(task, limits=replace(task.limits, climb_angle_rad=steep, dive_angle_rad=steep))
+    for subpath in back.subpaths:
+        assert violations(subpath.control_nea_m, both, flight.known, from_rest=False) == []
+
+
+def test_the_curves_meet_in_the_same_direction_where_the_vehicle_does_not_stop(
+    flight: OfflineFlight, task: Task
+) -> None:
+    back = backtrack(flown(flight), task, flight.known, proof.prove)
+    for before, after in pairwise(back.subpaths):
+        end, start = before.pose(before.length_m), after.pose(0.0)
+        assert end.tangent_nea == pytest.approx(start.tangent_nea, abs=1e-5)
+        assert end.curvature_nea_1_m == pytest.approx(start.curvature_nea_1_m, abs=1e-6)
+
+
+def test_a_new_zone_on_the_way_ends_it_before_that(flight: OfflineFlight, task: Task) -> None:
+    north, east, _ = flight.legs[1].subpath.pose(200.0).point_nea_m
+    zone = CircleZone(name="new", north_m=north, east_m=east, radius_m=100.0)
+    fenced = replace(task, zones=(*task.zones, zone))
+    back = backtrack(flown(flight), fenced, flight.known, proof.prove)
+    assert not back.reaches_start
+    assert back.subpaths
+    for subpath in back.subpaths:
+        points = spline(subpath.control_nea_m)(np.linspace(0.0, 1.0, 200))
+        assert zone.distance_m(points[:, 0], points[:, 1]).min() >= task.required_clearance_m
+
+
+def test_a_part_of_a_leg_and_a_corner_and_a_gap_are_joined(task: Task, truth: KnownMap) -> None:
+    def line(*ends: tuple[float, float, float]) -> np.ndarray:
+        start, end = np.array(ends)
+        return np.asarray(start + np.linspace(0.0, 1.0, 5)[:, None] * (end - start))
+
+    first = line((1_000.0, 1_000.0, 500.0), (2_000.0, 1_000.0, 500.0))
+    second = line((1_700.0, 1_000.0, 500.0), (1_700.0, 2_000.0, 500.0))  # from where it stopped
+    third = line((1_700.0, 1_420.0, 500.0), (1_000.0, 1_420.0, 500.0))  # it was held 20 m aside
+    parts = (
+        FlownSegment(control_nea_m=first, from_m=100.0, until_m=700.0),
+        FlownSegment(control_nea_m=second, from_m=0.0, until_m=400.0),
+        FlownSegment(control_nea_m=third, from_m=0.0, until_m=300.0),
+    )
+    back = backtrack(parts, task, truth, proof.prove)
+    assert back.reaches_start
+    ends = [subpath.control_nea_m[-1].tolist() for subpath in back.subpaths]
+    corners = [(1_700.0, 1_420.0), (1_700.0, 1_400.0), (1_700.0, 1_000.0), (1_100.0, 1_000.0)]
+    assert back.subpaths[0].control_nea_m[0] == pytest.approx([1_400.0, 1_420.0, 500.0], abs=0.5)
+    for corner in corners:
+        near = [np.hypot(end[0] - corner[0], end[1] - corner[1]) for end in ends]
+        assert min(near) < 1.0
+    for subpath, through, after in zip(
+        back.subpaths, back.through, back.subpaths[1:], strict=False
+    ):
+        turn = subpath.pose(subpath.length_m).tangent_nea @ after.pose(0.0).tangent_nea
+        assert through == (turn > 0.99)
+
+
+def test_nothing_flown_is_no_way_and_at_home(task: Task, truth: KnownMap) -> None:
+    back = backtrack((), task, truth, proof.prove)
+    assert back.subpaths == ()
+    assert back.reaches_start
+
+
+def test_the_planner_answers_with_the_way_back_if_that_is_asked(
+    flight: OfflineFlight, task: Task
+) -> None:
+    end = flight.legs[-1].subpath.pose(1e9).point_nea_m
+    request = ask(task, flight.known, end, plan_id=77, flown=flown(flight))
+    outcome = plan(request)
+    assert isinstance(outcome, Backtrack)
+    assert outcome.plan_id == 77
+    assert outcome.reaches_start
+    assert isinstance(outcome.subpaths[0], Subpath)
+
+
+@pytest.mark.parametrize(("above_m", "parts"), [(0.001, 1), (-0.001, 0), (-0.7, 0)])
+def test_what_begins_below_what_is_asked_above_the_floor_is_not_proven_though_it_was_flown(
+    task: Task, truth: KnownMap, above_m: float, parts: int
+) -> None:
+    low_m = task.limits.floor_amsl_m + task.margins.band_inset_m + above_m
+    control = np.linspace((1_000.0, 600.0, low_m), (1_600.0, 600.0, low_m + 20.0), 4)
+    stretch = FlownSegment(control_nea_m=control, from_m=0.0, until_m=600.0)
+    back = backtrack((stretch,), task, truth, proof.prove)
+    assert (len(back.subpaths), back.reaches_start) == (parts, bool(parts))

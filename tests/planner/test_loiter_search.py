@@ -1,0 +1,193 @@
+"""Where a plane is sent to circle: a vehicle of our own flies there, not what refuge thinks."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from companion.path.limits import Limits
+from companion.planner.loiter_search import LoiterQuery, loiter_point
+from companion.planner.settings import PlannerSettings, Task
+from companion.world.known_map import KnownMap, empty_map
+from companion.world.threats import CircleZone, PolygonZone, Zone
+
+V, TURN_M, LOITER_M = 18.0, 100.0, 80.0
+LIMITS = Limits(
+    speed_m_s=V,
+    acceleration_m_s2=2.0,
+    climb_rate_m_s=3.0,
+    turn_radius_m=TURN_M,
+    climb_angle_rad=0.1,
+    dive_angle_rad=0.1,
+    floor_amsl_m=60.0,
+    ceiling_amsl_m=260.0,
+    north_m=(-2_000.0, 2_000.0),
+    east_m=(-2_000.0, 2_000.0),
+    tracking_error_m=12.0,
+    loiter_radius_m=LOITER_M,
+)
+SETTINGS = PlannerSettings(
+    scan_range_m=1_600.0, safety_distance_m=30.0, planning_time_s=1.0, scan_time_s=1.0
+)
+TASK = Task(limits=LIMITS, settings=SETTINGS)
+REQUIRED_M = TASK.required_clearance_m
+HEIGHT_M = 120.0
+STEP_S = 0.1
+
+
+def flat(height_m: float = 0.0) -> KnownMap:
+    """All of the map, seen."""
+    blank = empty_map(20.0, LIMITS.north_m, LIMITS.east_m)
+    return replace(
+        blank, upper_m=np.full_like(blank.upper_m, height_m), seen=np.ones_like(blank.seen)
+    )
+
+
+def gap_m(zones: tuple[Zone, ...], north: float, east: float) -> float:
+    return min(float(zone.distance_m(np.asarray(north), np.asarray(east))) for zone in zones)
+
+
+def flown_m(
+    zones: tuple[Zone, ...], circler: LoiterQuery, to: tuple[float, float, float], radius_m: float
+) -> list[float]:
+    """Distances to zones of a plane that always turns its nose towards the point, step by step."""
+    north, east, _ = circler.here_nea_m
+    course = math.atan2(circler.velocity_nea_m_s[1], circler.velocity_nea_m_s[0])
+    gaps = []
+    for _ in range(1_000):
+        if math.dist((north, east), to[:2]) < LOITER_M:
+            break
+        gaps.append(gap_m(zones, north, east))
+        bearing = math.atan2(to[1] - east, to[0] - north)
+        error = math.remainder(bearing - course, math.tau)
+        most = V / radius_m * STEP_S
+        course += min(max(error, -most), most)
+        north += V * STEP_S * math.cos(course)
+        east += V * STEP_S * math.sin(course)
+    return gaps
+
+
+def heading(course_deg: float) -> tuple[float, float, float]:
+    course = math.radians(course_deg)
+    return V * math.cos(course), V * math.sin(course), 0.0
+
+
+@pytest.mark.parametrize("radius_m", [0.5 * TURN_M, TURN_M])
+def test_the_circle_is_clear_and_the_way_there_never_comes_nearer_than_staying(
+    radius_m: float,
+) -> None:
+    rng = np.random.default_rng(7)
+    reached = 0
+    for _ in range(60):
+        at = rng.uniform(-250.0, 250.0, 2)
+        zone = CircleZone(name="new", north_m=0.0, east_m=0.0, radius_m=float(rng.uniform(50, 150)))
+        circler = LoiterQuery(
+            here_nea_m=(float(at[0]), float(at[1]), HEIGHT_M),
+            velocity_nea_m_s=heading(float(rng.uniform(0, 360))),
+        )
+        point = loiter_point(flat(), replace(TASK, zones=(zone,)), circler)
+        if point is None:
+            continue
+        assert gap_m((zone,), *point[:2]) - LOITER_M >= TASK.error_m
+        gaps = flown_m((zone,), circler, point, radius_m)
+        now_m = gap_m((zone,), *circler.here_nea_m[:2])
+        assert min(gaps, default=math.inf) >= min(TASK.error_m, now_m) - 3.0
+        reached += 1
+    assert reached > 40
+
+
+def test_among_polygons_of_many_corners_it_is_as_clear_as_their_edges_have_it() -> None:
+    rng = np.random.default_rng(5)
+    reached = 0
+    for _ in range(12):
+        zones = []
+        for k in range(10):
+            middle = rng.uniform(-900.0, 900.0, 2) * (k > 0) + rng.uniform(-120.0, 120.0, 2)
+            turns = np.linspace(0.0, math.tau, 60, endpoint=False)
+            reach = rng.uniform(30.0, 90.0, 60)[:, None]
+            places = middle + reach * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+            vertices = tuple((n, e) for n, e in places.tolist())
+            zones.append(PolygonZone(name=str(k), vertices_ne_m=vertices))
+        circler = LoiterQuery(
+            here_nea_m=(0.0, 0.0, HEIGHT_M), velocity_nea_m_s=heading(float(rng.uniform(0, 360)))
+        )
+        point = loiter_point(flat(), replace(TASK, zones=tuple(zones)), circler)
+        if point is None:
+            continue
+        reached += 1
+        assert gap_m(tuple(zones), *point[:2]) - LOITER_M >= TASK.error_m
+        gaps = flown_m(tuple(zones), circler, point, TURN_M)
+        now_m = gap_m(tuple(zones), 0.0, 0.0)
+        assert min(gaps, default=math.inf) >= min(TASK.error_m, now_m) - 3.0
+    assert reached >= 8
+
+
+@pytest.mark.parametrize("course_deg", range(0, 360, 30))
+def test_out_of_a_zone_it_is_led_by_a_turn_and_does_not_come_back(course_deg: int) -> None:
+    """Wherever the nose points, deep inside, it is out within a half turn and the depth."""
+    zone = CircleZone(name="new", north_m=0.0, east_m=0.0, radius_m=120.0)
+    circler = LoiterQuery(
+        here_nea_m=(-60.0, 0.0, HEIGHT_M),
+        velocity_nea_m_s=heading(course_deg),
+        stays_m=-120.0,
+    )
+    point = loiter_point(flat(), replace(TASK, zones=(zone,)), circler)
+    assert point is not None
+    assert gap_m((zone,), *point[:2]) - LOITER_M >= REQUIRED_M
+    gaps = np.array(flown_m((zone,), circler, point, TURN_M))
+    near = np.flatnonzero(gaps < SETTINGS.safety_distance_m)
+    depth_m = SETTINGS.safety_distance_m + 60.0
+    assert (near[-1] + 1) * STEP_S <= (math.pi * TURN_M + depth_m) / V
+    assert (np.diff(near) == 1).all()  # once out, it stays out
+
+
+def test_the_way_out_goes_on_rather_than_back_through_the_zone() -> None:
+    """It has just left a zone: the nearest place by its length alone may lie behind it."""
+    zone = CircleZone(name="new", north_m=0.0, east_m=0.0, radius_m=70.0)
+    for course_deg in (0.0, 40.0, -40.0):
+        circler = LoiterQuery(
+            here_nea_m=(103.0, 0.0, HEIGHT_M), velocity_nea_m_s=heading(course_deg)
+        )
+        point = loiter_point(flat(), replace(TASK, zones=(zone,)), circler)
+        assert point is not None
+        assert min(flown_m((zone,), circler, point, TURN_M)) >= 32.0
+
+
+def test_nothing_is_clear_where_the_ground_is_not_known() -> None:
+    blank = empty_map(20.0, LIMITS.north_m, LIMITS.east_m)
+    zone = CircleZone(name="new", north_m=0.0, east_m=0.0, radius_m=70.0)
+    circler = LoiterQuery(here_nea_m=(103.0, 0.0, HEIGHT_M), velocity_nea_m_s=heading(0.0))
+    assert loiter_point(blank, replace(TASK, zones=(zone,)), circler) is None
+    half = flat()
+    half.upper_m[half.middles_m(0, 0, half.upper_m.shape)[0][:, 0] > 150.0] = np.inf
+    away = LoiterQuery(here_nea_m=(-103.0, 0.0, HEIGHT_M), velocity_nea_m_s=heading(180.0))
+    point = loiter_point(half, replace(TASK, zones=(zone,)), away)
+    assert point is not None
+    assert point[0] + LOITER_M + REQUIRED_M <= 160.0
+    assert loiter_point(half, replace(TASK, zones=(zone,)), circler) is None  # no room to turn
+
+
+def test_a_hill_on_the_way_counts_at_the_height_that_the_plane_has() -> None:
+    """A climb takes longer than the way: a place beyond the hill is none for a plane below it."""
+    corners = ((-900.0, -900.0), (-900.0, 900.0), (20.0, 900.0), (20.0, -900.0))
+    task = replace(TASK, zones=(PolygonZone(name="land", vertices_ne_m=corners),))
+    known = flat()
+    north, _ = known.middles_m(0, 0, known.upper_m.shape)
+    known.upper_m[(north[:, 0] > 150.0) & (north[:, 0] < 250.0)] = 60.0
+    for height_m, found in ((65.0, False), (HEIGHT_M, True)):
+        circler = LoiterQuery(
+            here_nea_m=(0.0, 0.0, height_m),
+            velocity_nea_m_s=heading(0.0),
+            height_amsl_m=HEIGHT_M,
+        )
+        assert (loiter_point(known, task, circler) is not None) is found
+
+
+def test_what_hovers_is_led_straight() -> None:
+    """No turn begins its way: a wall of zones beside it is no hindrance."""
+    task = replace(TASK, limits=replace(LIMITS, loiter_radius_m=0.0))
+    beside = CircleZone(name="beside", north_m=0.0, east_m=75.0, radius_m=20.0)
+    circler = LoiterQuery(here_nea_m=(0.0, 0.0, HEIGHT_M), velocity_nea_m_s=heading(90.0))
+    point = loiter_point(flat(), replace(task, zones=(beside,)), circler)
+    assert point == (0.0, 0.0, HEIGHT_M)

@@ -1,0 +1,203 @@
+"""That there is no way is said only where there is none, and where there is none, at once.
+
+And a way that only looks dear is taken.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import planning
+import pytest
+import scipy.ndimage
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.config import load_mission
+from companion.geodesy import BoolArray, FloatArray
+from companion.planner.cost_to_go import cost_to_go
+from companion.planner.offline import OfflineFlight
+from companion.planner.reachability import blocked_at
+from companion.planner.request import Refusal
+from companion.planner.settings import Task
+from companion.world.known_map import KnownMap, empty_map
+from companion.world.threats import CircleZone, PolygonZone, Zone
+
+_BASE = load_mission("environment-1").task
+SIZE_M, CELL_M = 40e3, 250.0
+TASK = replace(
+    _BASE,
+    radars=(),
+    zones=(),
+    limits=replace(_BASE.limits, north_m=(0.0, SIZE_M), east_m=(0.0, SIZE_M)),
+)
+BLANK = empty_map(CELL_M, (0.0, SIZE_M), (0.0, SIZE_M))
+ROWS = BLANK.upper_m.shape[0]
+NORTH, EAST = BLANK.middles_m(0, 0, (ROWS, ROWS))
+HERE, TARGET = (5e3, 20e3), (35e3, 20e3)
+CLEAR_M = TASK.required_clearance_m
+
+
+def all_seen(height_m: FloatArray) -> KnownMap:
+    height = np.broadcast_to(height_m, (ROWS, ROWS)).astype(np.float64)
+    return replace(BLANK, upper_m=height, seen=np.ones((ROWS, ROWS), dtype=bool))
+
+
+def closed(known: KnownMap, task: Task = TASK) -> tuple[float, float] | None:
+    field = cost_to_go(known, task, HERE, TARGET)
+    return blocked_at(known, task, field, HERE, TARGET)
+
+
+def wall(gap_m: float = 0.0, at_m: float = 30e3) -> FloatArray:
+    """Over the ceiling from edge to edge, but for a gap."""
+    across = np.abs(NORTH - 20e3) < 300.0
+    return np.asarray(np.where(across & (np.abs(EAST - at_m) > 0.5 * gap_m), 6e3, 0.0))
+
+
+def test_a_wall_from_edge_to_edge_leaves_no_way_and_is_the_place() -> None:
+    place = closed(all_seen(wall()))
+    assert place is not None
+    assert abs(place[0] - 20e3) < 300.0 + CLEAR_M + CELL_M
+
+
+def test_a_gap_of_twice_the_clearance_and_some_cells_is_a_way() -> None:
+    assert closed(all_seen(wall(gap_m=2.0 * CLEAR_M + 4.0 * CELL_M))) is None
+
+
+def test_a_gap_of_much_less_than_twice_the_clearance_is_none() -> None:
+    assert closed(all_seen(wall(gap_m=2.9 * CELL_M, at_m=30_125.0))) is not None
+
+
+def test_ground_that_was_not_seen_may_hold_a_way() -> None:
+    known = all_seen(wall())
+    seen = known.seen & (EAST < 30e3)
+    assert closed(replace(known, seen=seen)) is None
+
+
+def test_a_bound_is_not_ground() -> None:
+    known = all_seen(wall())
+    assert closed(replace(known, seen=known.seen & (EAST < 39e3))) is None
+
+
+def test_zones_close_ways_too() -> None:
+    fence = PolygonZone(
+        name="fence",
+        vertices_ne_m=((18e3, -1e3), (22e3, -1e3), (22e3, 41e3), (18e3, 41e3)),
+    )
+    shut = replace(TASK, zones=(fence,))
+    ajar = replace(
+        TASK,
+        zones=(
+            replace(
+                fence,
+                vertices_ne_m=tuple(
+                    (north, min(east, 36e3)) for north, east in fence.vertices_ne_m
+                ),
+            ),
+        ),
+    )
+    assert closed(all_seen(np.zeros((1, 1))), shut) is not None
+    assert closed(all_seen(np.zeros((1, 1))), ajar) is None
+
+
+circles = st.lists(
+    st.tuples(st.floats(8e3, 32e3), st.floats(0.0, SIZE_M), st.floats(1e3, 7e3)), max_size=9
+)
+
+
+@given(peaks=circles, zones=circles)
+def test_where_it_says_that_there_is_none_a_finer_fill_finds_none(
+    peaks: list[tuple[float, float, float]], zones: list[tuple[float, float, float]]
+) -> None:
+    """Independently: points 60 m apart, and their distances."""
+    height = np.zeros((ROWS, ROWS))
+    for north, east, spread in peaks:
+        inside = np.hypot(NORTH - north, EAST - east) < spread
+        height = np.maximum(height, np.where(inside, 6e3, 0.0))
+    task = replace(
+        TASK,
+        zones=tuple(
+            CircleZone(name=f"{k}", north_m=n, east_m=e, radius_m=0.5 * r)
+            for k, (n, e, r) in enumerate(zones)
+        ),
+    )
+    if closed(all_seen(height), task) is not None:
+        assert not _joined(_free(height > 5e3, task.zones))
+
+
+def _free(high: BoolArray, zones: tuple[Zone, ...]) -> BoolArray:
+    """Points where a curve can be proven: so far from the edges of all cells that are too high."""
+    step = 62.5
+    at = np.arange(0.5 * step, SIZE_M, step)
+    each = round(CELL_M / step)
+    cells = high.repeat(each, axis=0).repeat(each, axis=1)
+    away = scipy.ndimage.distance_transform_edt(~cells, sampling=step) - 0.5 * step
+    free = away >= CLEAR_M + step if cells.any() else np.ones_like(cells)
+    for zone in zones:
+        free &= zone.distance_m(*np.meshgrid(at, at, indexing="ij")) >= CLEAR_M + step
+    return np.asarray(free)
+
+
+def _joined(free: BoolArray) -> bool:
+    regions, _ = scipy.ndimage.label(free, structure=np.ones((3, 3)))
+    step = SIZE_M / free.shape[0]
+    here, target = (regions[int(n / step), int(e / step)] for n, e in (HERE, TARGET))
+    return bool(here != 0 and here == target)
+
+
+def fly(
+    task: Task, height_m: FloatArray, start: tuple[float, float], target: tuple[float, float]
+) -> OfflineFlight:
+    """From 3,100 m over the start; height_m: of the cells of the task's map, or one for all."""
+    blank = empty_map(CELL_M, task.limits.north_m, task.limits.east_m)
+    height = np.broadcast_to(height_m, blank.upper_m.shape).astype(float)
+    truth = replace(blank, upper_m=height, seen=np.ones_like(blank.seen))
+    return planning.fly(task, truth, (*start, 3_100.0), target)
+
+
+def test_a_closed_world_is_given_up_once_it_has_been_seen() -> None:
+    flight = fly(TASK, wall(), HERE, TARGET)
+    assert flight.failure is not None
+    assert flight.failure.refusal is Refusal.NO_WAY
+    assert sum(flight.flown_m) < 3.0 * SIZE_M
+    assert math.dist(HERE, TARGET) < SIZE_M
+
+
+def test_a_target_that_needs_a_climb_at_its_end_is_flown_to_straight() -> None:
+    """600 m from two edges of the map the search stays high: once it flew past, again and again."""
+    start, target = (5e3, 5e3), (SIZE_M - 600.0, SIZE_M - 600.0)
+    flight = fly(TASK, np.array(0.0), start, target)
+    assert flight.failure is None
+    assert sum(flight.flown_m) < 1.02 * math.dist(start, target)
+
+
+@pytest.mark.parametrize(
+    ("crest_m", "east_m", "half_width_m"), [(4_000.0, 30e3, 4e3), (3_200.0, 20e3, 2e3)]
+)
+def test_the_saddle_of_a_ridge_is_climbed_to_and_crossed(
+    crest_m: float, east_m: float, half_width_m: float
+) -> None:
+    """Too high for a climb at its foot; and its far side is guessed to be as high as the ridge."""
+    crest = np.where(np.abs(EAST - east_m) < 3e3, crest_m, 6e3)
+    ridge = crest * np.maximum(1.0 - np.abs(NORTH - 20e3) / half_width_m, 0.0)
+    flight = fly(TASK, ridge, HERE, TARGET)
+    assert flight.failure is None
+    assert sum(flight.flown_m) < 2.5 * 2.0 * math.dist(HERE, (20e3, east_m))
+
+
+def test_the_gap_of_a_keep_out_wall_is_flown_through() -> None:
+    """An end beside the wall looked through it: the wall was flown along, again and again."""
+    size_m, start, gap, target = 100e3, (0.0, 0.0), (50e3, 60e3), (95e3, 95e3)
+    area = (-5e3, size_m)
+    task = replace(TASK, limits=replace(TASK.limits, north_m=area, east_m=area))
+    half = task.zone_search_clearance_m + 150.0
+    walls = tuple(
+        PolygonZone(
+            name=f"wall from {low:.0f}",
+            vertices_ne_m=((50e3, low), (50e3, high), (50.1e3, high), (50.1e3, low)),
+        )
+        for low, high in ((-6e3, gap[1] - half), (gap[1] + half, size_m + 1e3))
+    )
+    flight = fly(replace(task, zones=walls), np.array(0.0), start, target)
+    assert flight.failure is None
+    assert sum(flight.flown_m) < 1.1 * (math.dist(start, gap) + math.dist(gap, target))

@@ -1,0 +1,368 @@
+"""A flight replayed decides the same; whatever was changed in its recording is found and named."""
+
+import contextlib
+import json
+import random
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from flights import launch
+from pymavlink import mavutil  # noqa: TID251 - counts the frames independently
+from pymavlink.dialects.v20 import all as wire
+from short_flight import companion, mission_of, replayed, rewritten
+
+from companion.config import load_mission
+from companion.errors import InputError
+from companion.planner.kernels import NUMPY
+from companion.replay.differences import message_of
+from companion.replay.from_log import LogReplay
+from companion.replay.what_if import what_if
+from companion.runtime.compiler import load_kernel
+from companion.telemetry.inputs import FILE, Input, packed
+from companion.telemetry.run_folder import recorded_frames
+
+pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("same")]  # it is flown once
+HILLS = Path(__file__).parents[1] / "closed_loop" / "hills"
+WORLD, MISSION = HILLS / "world.toml", HILLS / "mission.toml"
+STAMP = 8
+EVER_US = 4_000_000_000_000_000
+
+
+@pytest.fixture(scope="session")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A whole flight in lockstep, with a fault on its way."""
+    folder = tmp_path_factory.mktemp("same")
+    (folder / "faults.txt").write_text(
+        "at 80 s for 60 s: link_duplication 30 %\n", encoding="utf-8"
+    )
+    options = ("--faults", str(folder / "faults.txt"))
+    flight = launch(folder / "run", str(WORLD), str(MISSION), simulator_options=options)
+    try:
+        flight.wait()
+    finally:
+        flight.kill()
+    assert flight.outcome == "arrived"
+    return flight.folder
+
+
+@pytest.fixture
+def copy(run_dir: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(run_dir, tmp_path / "run"))
+
+
+# --- the same
+
+
+def test_a_flight_is_replayed_to_the_last_frame_entry_and_plan(run_dir: Path) -> None:
+    found = replayed(run_dir, load_kernel())
+    assert found.is_identical
+    assert not found.plans_differ
+    assert not found.torn
+    assert found.unrecorded == 0
+    log = mavutil.mavlink_connection(str(run_dir / "flight.tlog"))
+    frames = 0
+    while log.recv_msg() is not None:
+        frames += 1
+    log.close()
+    assert found.frames == frames > 5_000
+    lines = (run_dir / "journal.jsonl").read_text(encoding="utf-8").splitlines()
+    assert found.entries == len(lines) - 1  # a header
+    answers = ("plan ready", "plan refused")
+    plans = sum(1 for line in lines if json.loads(line).get("kind") in answers)
+    assert found.plans_computed == found.plans == plans > 2
+
+
+def test_the_same_settings_give_the_plans_that_were_flown_on_this_processor(run_dir: Path) -> None:
+    mission = load_mission(str(run_dir / "mission.toml"))
+    found = list(what_if(run_dir, mission_of(run_dir), mission, seed=None, kernel=load_kernel()))
+    assert len(found) > 2
+    for each in found:
+        assert each.now == each.flown
+
+
+def test_with_another_kernel_decisions_are_the_same_and_plans_are_reported(run_dir: Path) -> None:
+    found = replayed(run_dir, NUMPY)
+    assert found.is_identical
+    for each in found.plans_differ:
+        numba, numpy = each.kernels
+        assert (numba.split()[0], numpy) == ("numba", NUMPY.signature)
+        assert f"{numba}, now {numpy}" in str(each)
+
+
+def test_the_telemetry_log_alone_tells_a_flight_in_lockstep(run_dir: Path) -> None:
+    log = run_dir / "flight.tlog"
+    mission = load_mission(str(MISSION))
+    replay = LogReplay(log, mission, seed=1, kernel=load_kernel(), version="0")
+    run(replay)
+    assert replay.found.is_identical
+    ours = [frame for _, frame in recorded_frames(log) if frame[6] == 195]
+    version_and_farewell = 30  # what depends on the version, and what came after the last input
+    assert replay.found.frames > len(ours) - version_and_farewell
+
+
+def test_a_log_flown_with_another_seed_is_found_out(run_dir: Path) -> None:
+    mission, kernel = load_mission(str(MISSION)), load_kernel()
+    replay = LogReplay(run_dir / "flight.tlog", mission, seed=2, kernel=kernel, version="0")
+    run(replay)
+    assert replay.found.difference.what == "SET_POSITION_TARGET_GLOBAL_INT"
+    *_, last = replay.found.difference.before
+    assert last == f"t {replay.found.difference.time_s:.3f} s  heard GLOBAL_POSITION_INT"
+
+
+def run(replay: LogReplay) -> None:
+    for _ in replay.steps():
+        pass
+
+
+def from_log(run_dir: Path, log: Path, keeps: Callable[[int, bytes], bool]) -> LogReplay:
+    """Of a log with some of the frames of the flight's, by their number."""
+    records = enumerate(recorded_frames(run_dir / "flight.tlog"))
+    kept = [struct.pack(">Q", us) + frame for k, (us, frame) in records if keeps(k, frame)]
+    log.write_bytes(b"".join(kept))
+    return LogReplay(log, load_mission(str(MISSION)), seed=1, kernel=load_kernel(), version="0")
+
+
+def test_a_log_with_a_frame_more_than_the_companion_sends_is_found_out(
+    run_dir: Path, tmp_path: Path
+) -> None:
+    replay = from_log(run_dir, tmp_path / "more.tlog", lambda _k, _frame: True)
+    beat = next(f for _, f in recorded_frames(replay.inputs.path) if f[6:8] == b"\xc3\0")
+    with replay.inputs.path.open("ab") as out:
+        out.write(struct.pack(">Q", EVER_US) + beat)
+    run(replay)
+    difference = replay.found.difference
+    assert difference is not None
+    assert str(difference).endswith("frame.message: recorded 'HEARTBEAT', replayed nothing")
+
+
+def test_a_log_in_which_the_companion_falls_silent_is_found_out(
+    run_dir: Path, tmp_path: Path
+) -> None:
+    """A few frames more at the end are what was not recorded any more; a thousand are not."""
+    replay = from_log(run_dir, tmp_path / "a.tlog", lambda k, frame: k < 2000 or frame[6] != 195)
+    run(replay)
+    difference = replay.found.difference
+    assert difference.recorded == "nothing"
+    log = list(recorded_frames(run_dir / "flight.tlog"))
+    last_us = max(us for us, frame in log[:2000] if frame[6] == 195)
+    assert difference.time_s == pytest.approx((last_us - log[0][0]) * 1e-6, abs=1.1)
+    end = [k for k, (_, frame) in enumerate(log) if frame[6] == 195][-100]
+    short = from_log(run_dir, tmp_path / "b.tlog", lambda k, frame: k < end or frame[6] != 195)
+    run(short)
+    assert short.found.is_identical
+    assert 90 < short.found.unrecorded < 100
+
+
+def test_a_log_in_which_there_is_no_companion_is_refused(run_dir: Path, tmp_path: Path) -> None:
+    replay = from_log(run_dir, tmp_path / "alone.tlog", lambda _, frame: frame[6] != 195)
+    with pytest.raises(InputError, match=r"nothing to compare with\. Give --shadow"):
+        run(replay)
+
+
+@pytest.mark.parametrize(
+    ("way", "option"),
+    [
+        ([], ["--step"]),
+        ([], ["--speed", "3"]),
+        ([], ["--from", "5"]),
+        ([], ["--only-vehicle"]),
+        (["--shadow"], ["--profile", "paper"]),
+        (["--connect", "udpout:127.0.0.1:9"], ["--json", "x"]),
+        (["--set", "planner.seed=1"], ["--no-plans"]),
+    ],
+)
+def test_what_is_of_no_use_here_is_refused(way: list[str], option: list[str]) -> None:
+    code, _, said = companion("replay", WORLD, *way, *option)
+    assert code == 2
+    assert f"error: {option[0].replace('--no-', '--')} = " in said
+    assert len(said.splitlines()) == 1
+
+
+# --- what was changed
+
+
+def test_another_position_is_found_at_its_time_and_field(copy: Path) -> None:
+    log, at_us = list(recorded_frames(copy / "flight.tlog")), 0
+
+    def change(told: list[Input]) -> None:
+        nonlocal at_us
+        for number, each in enumerate(told[3000:], start=3000):
+            if each[0] != "receive":
+                continue
+            frames = frames_of(each[1])
+            for place, frame in enumerate(frames):
+                message = message_of(frame)
+                if message is not None and message.get_type() == "GLOBAL_POSITION_INT":
+                    message.lat += 1000
+                    frames[place] = bytes(message.pack(codec_of(frame)))
+                    told[number] = ("receive", b"".join(frames), each[2])
+                    at_us = next(t for t, held in log if held == frame)
+                    return
+
+    rewritten(copy, change)
+    difference = replayed(copy).difference
+    assert (difference.what, difference.field) == ("GLOBAL_POSITION_INT", "lat")
+    assert difference.replayed - difference.recorded == 1000
+    assert difference.time_s == pytest.approx((at_us - log[0][0]) * 1e-6 + 0.0, abs=0.2)
+    assert difference.before
+    assert any("GLOBAL_POSITION_INT" in line for line in difference.before)
+
+
+def frames_of(data: bytes) -> list[bytes]:
+    frames, at = [], 0
+    while at < len(data):
+        size = 12 + data[at + 1]
+        frames.append(data[at : at + size])
+        at += size
+    return frames
+
+
+def codec_of(frame: bytes) -> wire.MAVLink:
+    codec = wire.MAVLink(None, srcSystem=frame[5], srcComponent=frame[6])
+    codec.seq = frame[4]
+    return codec
+
+
+def test_another_setpoint_in_the_log_is_found(copy: Path) -> None:
+    path = copy / "flight.tlog"
+    data, at, seen = bytearray(path.read_bytes()), 0, 0
+    while seen < 300:
+        size = STAMP + 12 + data[at + STAMP + 1]
+        frame = bytes(data[at + STAMP : at + size])
+        seen += frame[7] == wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
+        at += size
+    at -= size
+    message = message_of(frame)
+    was = message.vx
+    message.vx = was + 0.5
+    data[at + STAMP : at + size] = message.pack(codec_of(frame))
+    path.write_bytes(data)
+    (time_us,) = struct.unpack_from(">Q", data, at)
+    (first_us,) = struct.unpack_from(">Q", data, 0)
+    difference = replayed(copy).difference
+    assert (difference.what, difference.field) == ("SET_POSITION_TARGET_GLOBAL_INT", "vx")
+    assert difference.recorded == pytest.approx(was + 0.5)
+    assert difference.replayed == pytest.approx(was)
+    assert difference.time_s == pytest.approx((time_us - first_us) * 1e-6, abs=0.2)
+
+
+def test_another_entry_in_the_journal_is_found_and_the_command_ends_with_1(copy: Path) -> None:
+    path = copy / "journal.jsonl"
+    text = path.read_text(encoding="utf-8")
+    was = '"kind":"phase","phase":"flying"'
+    assert was in text
+    path.write_text(text.replace(was, '"kind":"phase","phase":"landing"', 1), encoding="utf-8")
+    code, out, _ = companion("replay", copy, "--no-plans")
+    assert code == 1
+    assert "phase.phase: recorded 'landing', replayed 'flying'" in out
+    assert "what led there:" in out
+    assert "not identical" in out
+
+
+def test_nothing_before_from_is_compared(copy: Path) -> None:
+    path = copy / "journal.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    place = next(i for i, line in enumerate(lines) if '"kind":"arm"' in line)
+    at_s = json.loads(lines[place])["t_s"]
+    lines[place] = lines[place].replace('"kind":"arm"', '"kind":"leg"')
+    path.write_text("".join(lines), encoding="utf-8")
+    assert not replayed(copy, from_s=at_s - 1.0).is_identical
+    assert replayed(copy, from_s=at_s + 1.0).is_identical
+
+
+def test_another_weight_changes_plans_and_not_what_is_flown_by_the_recorded_ones(
+    copy: Path,
+) -> None:
+    path = copy / "mission.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text + "\n[planner.weights]\nlength = 2.0\n", encoding="utf-8")
+    found = replayed(copy, load_kernel())
+    assert found.difference is None
+    assert not found.is_identical
+    assert found.plans_differ
+    assert not any(each.is_excused for each in found.plans_differ)
+
+
+# --- how it is shown
+
+
+def test_step_by_step_it_shows_what_came_the_state_and_what_was_sent(
+    run_dir: Path, tmp_path: Path
+) -> None:
+    report = tmp_path / "report.json"
+    options = ("--step", "--until", "60", "--no-plans", "--json", report)
+    code, shown, _ = companion("replay", run_dir, *options)
+    assert code == 0
+    assert "t 50.000 s  run  taking off" in shown
+    assert "  sends COMMAND_LONG" in shown
+    assert '"kind": "arm"' in shown
+    assert "t 61" not in shown
+    found = json.loads(report.read_text(encoding="utf-8"))
+    assert found["identical"] is True
+    assert found["flown_s"] == pytest.approx(60.0, abs=1.0)
+    assert found["plans"] == 0
+
+
+# --- what is torn or spoiled
+
+
+def test_a_recording_that_was_cut_anywhere_is_the_same_up_to_there(
+    run_dir: Path, tmp_path: Path
+) -> None:
+    rng = random.Random(1)
+    for number in range(6):
+        folder = Path(shutil.copytree(run_dir, tmp_path / f"{number}"))
+        for name, least in ((FILE, 40_000), ("flight.tlog", 0), ("journal.jsonl", 0)):
+            path = folder / name
+            size = path.stat().st_size
+            if name == FILE or rng.random() < 0.5:
+                with path.open("r+b") as file:
+                    file.truncate(rng.randint(least, min(size, 120_000) if name == FILE else size))
+        found = replayed(folder)
+        assert found.is_identical, found
+        shutil.rmtree(folder)
+
+
+def test_inputs_that_were_spoiled_anywhere_end_in_words(run_dir: Path, tmp_path: Path) -> None:
+    """Nothing is ever raised but an InputError; what can be told is told, the rest is named."""
+    data = (run_dir / FILE).read_bytes()[:30_000]
+    rng = random.Random(2)
+    folder = Path(shutil.copytree(run_dir, tmp_path / "spoiled"))
+    ended = 0
+    for _ in range(60):
+        spoiled = bytearray(data)
+        for _ in range(rng.randint(1, 6)):
+            spoiled[rng.randrange(len(spoiled))] = rng.randrange(256)
+        (folder / FILE).write_bytes(spoiled)
+        with contextlib.suppress(InputError):
+            found = replayed(folder)
+            ended += bool(found.torn or found.damaged) or found.difference is not None
+    assert ended > 8
+
+
+@pytest.mark.parametrize(
+    ("content", "rule"),
+    [
+        (b"", "it does not begin like the inputs of a flight"),
+        (b"{}", "it does not begin like the inputs of a flight"),
+        (packed([("companion-inputs", 99)])[0], "this companion reads version 1"),
+    ],
+)
+def test_what_is_no_recording_is_refused_in_one_line(
+    tmp_path: Path, content: bytes, rule: str
+) -> None:
+    (tmp_path / FILE).write_bytes(content)
+    shutil.copy(MISSION, tmp_path / "mission.toml")
+    (tmp_path / "flight.tlog").touch()
+    (tmp_path / "journal.jsonl").touch()
+    with pytest.raises(InputError, match=rule):
+        replayed(tmp_path)
+
+
+def test_a_folder_without_inputs_is_refused_in_one_line(tmp_path: Path) -> None:
+    shutil.copy(MISSION, tmp_path / "mission.toml")
+    with pytest.raises(InputError, match="it cannot be read"):
+        replayed(tmp_path)
