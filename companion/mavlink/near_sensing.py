@@ -23,6 +23,8 @@ _BODY: Final = (wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED)
 _NORTH: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_LOCAL_NED)
 _UNKNOWN_CM: Final = 65_535
 _SECTORS: Final = 8
+HORIZONTAL: Final = range(_SECTORS)
+"""Orientations of DISTANCE_SENSOR: sectors of 45 degrees, clockwise from the nose."""
 _KEPT_S = 3.0
 _GAP_S = 0.3  # between two positions or attitudes of which a pose is made
 _OTHER_CLOCK_S = 1.0  # a stamp farther from the vehicle's time is none of its clock
@@ -122,10 +124,10 @@ class _Track:
 class Sight(enum.Enum):
     """What the silence of a sensor means, or that it is not silent."""
 
-    SEES = "it sees something"
-    NOTHING_THERE = "nothing is in its reach"
-    DEAD = "it is dead"
-    NEVER_HEARD = "it has not been heard"
+    SEES = "it saw something"
+    NOTHING_THERE = "nothing was in its reach"
+    DEAD = "it was dead"
+    NEVER_HEARD = "it had not been heard"
 
 
 @final
@@ -188,7 +190,7 @@ class NearSensing:
 
     def on_distance_sensor(self, message: Message, now_s: float) -> None:
         """One of ArduPilot's eight sectors; those of one stamp belong together."""
-        if not 0 <= message.orientation < _SECTORS:
+        if message.orientation not in HORIZONTAL:
             return
         if self._set and next(iter(self._set.values())).time_boot_ms != message.time_boot_ms:
             self._take_set(now_s)

@@ -138,6 +138,7 @@ def _conclude(
     report.missing, report.log_findings = log.missing(), log.findings
     report.could_not = list(_could_not(shadowed, watching, notes))
     report.notes = _notes(shadowed, notes)
+    report.near_things = watching.near_things()
 
 
 def _run(

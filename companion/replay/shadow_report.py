@@ -8,6 +8,7 @@ from typing import Any, Final, final
 
 import msgspec
 
+from companion.mavlink.near_sensing import Sight
 from companion.telemetry.logs import LogAnomaly, Missing
 
 SCHEMA: Final = 1
@@ -156,6 +157,25 @@ class VehicleReport:
 
 
 @final
+@dataclass(slots=True, kw_only=True)
+class NearThings:
+    """What one sensor has seen in a flight."""
+
+    sensor: str
+    """Its message and component."""
+    range_m: float
+    sweeps: int = 0
+    seconds: dict[str, float] = field(default_factory=lambda: {each.name: 0.0 for each in Sight})
+    """How long it saw something, or what its silence was, by `Sight`."""
+    free_m2: float = 0.0
+    """Area that beams have passed all over."""
+    occupied_m2: float = 0.0
+    """Area where something stood, or may have stood, as far as it was told."""
+    refused: dict[str, int] = field(default_factory=dict)
+    """How often something was not believed, by the reason."""
+
+
+@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limitation:
     """A limitation of shadow mode on this log."""
@@ -205,6 +225,7 @@ class ShadowReport:
     could_not: list[Limitation] = field(default_factory=list)
     missing: tuple[Missing, ...] = ()
     log_findings: tuple[LogAnomaly, ...] = ()
+    near_things: list[NearThings] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
     """Number of dropped items of limited lists."""

@@ -10,8 +10,10 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from companion.mavlink.near_sensing import Sight
 from companion.replay.shadow_report import (
     Hold,
+    NearThings,
     Observed,
     Place,
     PlanAttempt,
@@ -226,6 +228,8 @@ def _tail(report: ShadowReport) -> list[str]:
             f"s), {own.rms_m:,.1f} m rms, over {own.positions:,} positions and "
             f"{own.until_m:,.0f} m of path"
         )
+    for near in report.near_things:
+        lines += _near_words(near)
     lines += [f"could not {each}" for each in report.could_not]
     recorded_input = {each.message for each in report.could_not}
     for missing in sorted(report.missing, key=lambda each: not each.vital):
@@ -238,6 +242,16 @@ def _tail(report: ShadowReport) -> list[str]:
     heard = f"{report.heard:,} of {report.records:,} messages were of use"
     lines.append(f"{heard}; {report.times_real_time:,.0f}x real time")
     return lines
+
+
+def _near_words(near: NearThings) -> Iterator[str]:
+    times = [f"{Sight[name].value} for {s:,.0f} s" for name, s in near.seconds.items() if s]
+    yield (
+        f"near things, by {near.sensor}, up to {near.range_m:g} m, {near.sweeps:,} sweeps: "
+        f"{near.free_m2:,.0f} m2 free, {near.occupied_m2:,.0f} m2 where something stands"
+    )
+    yield f"  {'; '.join(times)}"
+    yield from (f"  {why}: {count:,} times" for why, count in near.refused.items())
 
 
 def _where(place: Place | None) -> str:

@@ -16,8 +16,10 @@ from companion.mavlink.frames import boot_ms_of, number_of, payload_of, sender_o
 from companion.mavlink.link import ClockReading, Output, VehicleClock
 from companion.mission.mission import Mission
 from companion.planner.request import PlanOutcome, PlanRequest
+from companion.replay import shadow_near
+from companion.replay.shadow_near import NearWatch
 from companion.replay.shadow_notes import Notes
-from companion.replay.shadow_report import VehicleReport
+from companion.replay.shadow_report import NearThings, VehicleReport
 from companion.session import Session
 from companion.telemetry.logs import Record
 
@@ -95,6 +97,7 @@ class Watch:
         self._aboard, self._clock = aboard, VehicleClock(0.0)
         self._system = heartbeat.get_srcSystem()
         self._radar = (self._system, mission.scanner_component_id)
+        self._near = NearWatch(mission.frame, self._system)
         self._session: Session | None = None
         self._periods: deque[float] = deque(maxlen=_PERIODS)
         self._last_said: dict[int, tuple[float, bytes]] = {}
@@ -123,6 +126,8 @@ class Watch:
         """The next frame of the log, of any sender; at_s: seconds after the first."""
         frame = record.frame
         sender, number = sender_of(frame), number_of(frame)
+        if number in shadow_near.MESSAGES:
+            self._near.on_frame(frame, sender, number)
         if sender == self._radar and number in _RADAR:
             self.heard_of[number] += 1
             self._feed(frame, record.time_us * 1e-6, at_s)
@@ -150,6 +155,10 @@ class Watch:
             self._be_silent(self._heard_s, at_s)
         if self._session is not None:
             self._take(at_s, self._session.run())
+
+    def near_things(self) -> list[NearThings]:
+        """What each sensor of near things has seen, at the end of the log."""
+        return [sensor.finish() for sensor in self._near.sensors.values()]
 
     def _says_the_same(self, frame: bytes, number: int, at_s: float) -> bool:
         """Whether an equal message was just received."""

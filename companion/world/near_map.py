@@ -14,7 +14,7 @@ has gone, or was dust, is forgotten by rule.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, final
 
 import numpy as np
@@ -26,6 +26,8 @@ from companion.world.rays import IntArray, Lattice
 
 _NO_GAP_RAD = 1e-6
 """What is left of a turn that sectors go all round."""
+Kind = Literal["obstacle_distance", "distance_sensor"]
+"""What the messages of a sensor are called."""
 Window = tuple[slice, slice]
 """Rows and columns of a lattice."""
 
@@ -92,8 +94,7 @@ def _least_of_runs(values: FloatArray, first: IntArray, length: IntArray) -> Flo
 class NearSensor:
     """A sensor that looks about horizontally: how it is mounted, and what it promises."""
 
-    kind: Literal["obstacle_distance", "distance_sensor"]
-    """What its messages are called."""
+    kind: Kind
     component_id: int
     """MAVLink component that sends them."""
     yaw_rad: float = 0.0
@@ -160,6 +161,32 @@ class NearMap:
             met_since_s=np.full(lattice.shape, np.inf),
             met_s=np.full(lattice.shape, -np.inf),
         )
+
+    def about(self, place_ne_m: tuple[float, float]) -> "NearMap":
+        """The same map with a place in its middle; what is then outside is forgotten."""
+        lattice = self.lattice
+        shift = [
+            math.floor((at - low) / lattice.cell_m) - count // 2
+            for at, low, count in zip(
+                place_ne_m, (lattice.north_min_m, lattice.east_min_m), lattice.shape, strict=True
+            )
+        ]
+        moved = replace(
+            lattice,
+            north_min_m=lattice.north_min_m + shift[0] * lattice.cell_m,
+            east_min_m=lattice.east_min_m + shift[1] * lattice.cell_m,
+        )
+        result = NearMap.empty(moved, self.rules)
+        old, new = (
+            tuple(
+                slice(max(sign * by, 0), max(count + min(sign * by, 0), 0))
+                for by, count in zip(shift, lattice.shape, strict=True)
+            )
+            for sign in (1, -1)
+        )
+        for name in ("passes", "passed_since_s", "met_since_s", "met_s"):
+            getattr(result, name)[new] = getattr(self, name)[old]
+        return result
 
     def occupied(self, window: Window = (slice(None), slice(None))) -> BoolArray:
         """(rows, columns), where something stands, or stood just now."""

@@ -232,3 +232,15 @@ def test_an_echo_where_all_was_free_is_something_new_and_blocks_all_of_its_arc()
         cell = cell_of(8.0 * math.cos(turned), 8.0 * math.sin(turned))
         assert near.occupied()[cell]
         assert not near.free()[cell]
+
+
+def test_a_map_that_moves_along_keeps_what_is_inside_and_forgets_the_rest() -> None:
+    near = NearMap.empty(LATTICE, RULES)
+    looked(near, post(6.0, 0.0, 0.5), 40)
+    moved = near.about((10.1, -5.3)).about((0.0, 0.0))
+    assert moved.lattice.shape == LATTICE.shape
+    for there in (10.0, 5.0, -5.0):
+        assert moved.free()[cell_of(there, there)] == near.free()[cell_of(there, there)]
+    assert moved.occupied()[cell_of(5.5, 0.0)]
+    assert near.free()[cell_of(-15.2, 0.0)]
+    assert not moved.free()[cell_of(-15.2, 0.0)]  # it was outside meanwhile

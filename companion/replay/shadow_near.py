@@ -1,0 +1,153 @@
+"""What the sensors of near things in a log have seen: a map of it, and what their silence meant."""
+
+import math
+from collections import Counter
+from typing import Final, final
+
+from companion.geodesy import LocalFrame, deg
+from companion.mavlink.autopilots.messages import is_nowhere
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
+from companion.mavlink.frames import Receiver
+from companion.mavlink.near_sensing import HORIZONTAL, NearSensing, Poses
+from companion.replay.shadow_report import NearThings
+from companion.world.near_map import Kind, NearMap, NearSensor, Rules
+from companion.world.rays import Lattice
+
+_ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
+_POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+_HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
+_SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
+_AROUND: Final = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE
+MESSAGES: Final = frozenset({_ATTITUDE, _POSITION, _HEALTH, _SECTORS, _AROUND})
+"""All that is read here."""
+_CELLS_PER_RANGE: Final = 64
+_LEAST_CELL_M: Final = 0.25
+_REACHES: Final = 4.0  # ranges from the middle of the map to its edge; moved at half of that
+_LATENCY_S: Final = 0.04  # measured behind ArduPilot (docs/reference/proximity.md)
+_LONGEST_S: Final = 1.0  # between two positions: a longer time is none of any sight
+
+
+@final
+class _Sensor:
+    """One sensor that was heard."""
+
+    def __init__(self, name: str, sensor: NearSensor, poses: Poses) -> None:
+        self.sensing = NearSensing(sensor, poses)
+        self.found = NearThings(sensor=name, range_m=sensor.range_m)
+        self.map: NearMap | None = None
+        self._reach_m = _REACHES * sensor.range_m
+        self._cell_m = max(sensor.range_m / _CELLS_PER_RANGE, _LEAST_CELL_M)
+        self._left = Counter[str]()
+
+    def take(self) -> None:
+        """Put the sweeps of which the pose is known by now on the map."""
+        for sweep in self.sensing.sweeps():
+            self.found.sweeps += 1
+            north_m, east_m = sweep.sensor_ne_m
+            if self.map is None:
+                size = 2 * round(self._reach_m / self._cell_m)
+                self.map = NearMap.empty(
+                    Lattice(
+                        cell_m=self._cell_m,
+                        north_min_m=north_m - self._reach_m,
+                        east_min_m=east_m - self._reach_m,
+                        shape=(size, size),
+                    ),
+                    Rules(),
+                )
+            lattice = self.map.lattice
+            aside_m = max(
+                abs(north_m - lattice.north_min_m - self._reach_m),
+                abs(east_m - lattice.east_min_m - self._reach_m),
+            )
+            if aside_m > 0.5 * self._reach_m:
+                before, self.map = self.map, self.map.about(sweep.sensor_ne_m)
+                self._left += _counts(before)
+                self._left -= _counts(self.map)
+            self.map.add(sweep)
+
+    def finish(self) -> NearThings:
+        """All of it, at the end of the log."""
+        cells = self._left + (Counter() if self.map is None else _counts(self.map))
+        self.found.free_m2 = cells["free"] * self._cell_m**2
+        self.found.occupied_m2 = cells["occupied"] * self._cell_m**2
+        self.found.refused = dict(self.sensing.refused)
+        return self.found
+
+
+def _counts(near: NearMap) -> Counter[str]:
+    free, occupied = int(near.free().sum()), int(near.occupied().sum())
+    return Counter(free=free, occupied=occupied)
+
+
+@final
+class NearWatch:
+    """Reads the sensors of one vehicle's near things, each by the kind of its messages.
+
+    What we send ourselves comes back from others, and is left out.
+    """
+
+    def __init__(self, frame: LocalFrame, system_id: int) -> None:
+        self._frame, self._system_id = frame, system_id
+        self._poses, self._receiver = Poses(), Receiver()
+        self.here: tuple[float, tuple[float, float]] = -math.inf, (0.0, 0.0)
+        """Vehicle time, and north and east in the local frame, of the newest position."""
+        self.sensors: dict[tuple[Kind, int], _Sensor] = {}
+
+    def on_frame(self, frame: bytes, sender: tuple[int, int], number: int) -> None:
+        """The next frame of a log, of any sender."""
+        system_id, component = sender
+        if system_id != self._system_id or component == COMPANION_COMPONENT:
+            return
+        if component != AUTOPILOT_COMPONENT and number != _AROUND:
+            return
+        if not self.sensors and number in (_ATTITUDE, _HEALTH):
+            return  # most logs are without a sensor
+        for message in self._receiver.feed(frame):
+            if number == _ATTITUDE:
+                at_s = message.time_boot_ms * 1e-3
+                self._poses.on_attitude(at_s, message.roll, message.pitch, message.yaw)
+            elif number == _POSITION:
+                self._on_position(message)
+            elif math.isfinite(now_s := self.here[0]):
+                self._on_sensor(message, number, component, now_s)
+        for sensor in self.sensors.values():
+            sensor.take()
+
+    def _on_position(self, message: Message) -> None:
+        latitude_deg, longitude_deg = deg(message.lat), deg(message.lon)
+        if is_nowhere(latitude_deg, longitude_deg):
+            return
+        now_s = message.time_boot_ms * 1e-3
+        north_m, east_m = self._frame.to_local_m(latitude_deg, longitude_deg)
+        place = north_m, east_m, message.alt * 1e-3
+        self._poses.on_position(now_s, place, self._frame.grid_north_rad(north_m, east_m))
+        before_s, self.here = self.here[0], (now_s, (north_m, east_m))
+        if 0.0 < now_s - before_s < _LONGEST_S:
+            for sensor in self.sensors.values():
+                sensor.found.seconds[sensor.sensing.sight(now_s).name] += now_s - before_s
+
+    def _on_sensor(self, message: Message, number: int, component: int, now_s: float) -> None:
+        if number == _HEALTH:
+            for (kind, _), sensor in self.sensors.items():
+                if kind == "distance_sensor":
+                    sensor.sensing.on_health(message, now_s)
+        elif number == _AROUND:
+            sensor = self._sensor("obstacle_distance", component, message)
+            sensor.sensing.on_obstacle_distance(message, now_s)
+        elif message.orientation in HORIZONTAL:
+            sensor = self._sensor("distance_sensor", component, message)
+            sensor.sensing.on_distance_sensor(message, now_s)
+
+    def _sensor(self, kind: Kind, component: int, message: Message) -> _Sensor:
+        if (kind, component) not in self.sensors:
+            mounted = NearSensor(
+                kind=kind,
+                component_id=component,
+                range_m=max(message.max_distance, 1) * 0.01,
+                blind_m=message.min_distance * 0.01,
+                latency_s=_LATENCY_S,
+            )
+            name = f"{message.get_type()} of component {component}"
+            self.sensors[kind, component] = _Sensor(name, mounted, self._poses)
+        return self.sensors[kind, component]

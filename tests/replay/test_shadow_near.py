@@ -1,0 +1,108 @@
+"""What a lidar behind a real autopilot saw among posts of known place (recordings/README.md)."""
+
+import io
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import all as wire
+from recordings import recording
+from rich.console import Console
+
+from companion.geodesy import LocalFrame
+from companion.mavlink.frames import number_of, sender_of
+from companion.replay import shadow_near
+from companion.replay.shadow import watch
+from companion.replay.shadow_near import NearWatch
+from companion.replay.shadow_report import ShadowReport
+from companion.replay.shadow_text import renderables
+from companion.telemetry.logs import open_log
+from companion.world.near_map import NearMap
+
+NAME = "arducopter-lidar.tlog"
+HOME = LocalFrame(latitude_deg=51.8752066, longitude_deg=14.6487830)
+POSTS = np.array([(3 + 10 * i, 2 + 10 * j) for i in range(-10, 10) for j in range(-10, 10)])
+
+
+@pytest.fixture(scope="module")
+def report() -> ShadowReport:
+    return watch(recording(NAME), None, kernel=None)
+
+
+def test_times_of_silence_are_told_apart(report: ShadowReport) -> None:
+    """219.7 to 244.2 s no sector had an echo, which counts after half a second; it was well."""
+    (near,) = report.near_things
+    assert near.sensor == "DISTANCE_SENSOR of component 1"
+    assert near.range_m == 16.0
+    assert near.seconds["NOTHING_THERE"] == pytest.approx(24.0, abs=0.5)
+    assert near.seconds["DEAD"] == near.seconds["NEVER_HEARD"] == 0.0
+
+
+def test_it_stands_in_the_report_that_people_read(report: ShadowReport) -> None:
+    file = io.StringIO()
+    console = Console(file=file, width=120)
+    for part in renderables(report):
+        console.print(part)
+    words = " ".join(file.getvalue().split())
+    assert "near things, by DISTANCE_SENSOR of component 1, up to 16 m," in words
+    assert "nothing was in its reach for 24 s" in words
+
+
+def test_a_flight_without_such_a_sensor_says_nothing_of_it() -> None:
+    assert watch(recording("px4-offboard-short.tlog"), None, kernel=None).near_things == []
+
+
+def maps_by_second() -> Iterator[tuple[float, NearMap, NDArray[np.float64]]]:
+    """The vehicle's time, the map as it is then, and where the vehicle is; in the air."""
+    watching, shown_s = NearWatch(HOME, 1), 55.0
+    for record in open_log(recording(NAME), system_id=1).records():
+        frame, number = record.frame, number_of(record.frame)
+        if number in shadow_near.MESSAGES:
+            watching.on_frame(frame, sender_of(frame), number)
+        now_s, here_ne_m = watching.here
+        if number == wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT and shown_s <= now_s < 220.0:
+            (sensor,) = watching.sensors.values()
+            assert sensor.map is not None
+            yield now_s, sensor.map, here_ne_m
+            shown_s = now_s + 1.0
+
+
+def cells_of(near: NearMap, points: NDArray[np.float64]) -> tuple[Any, Any]:
+    low = np.array([near.lattice.north_min_m, near.lattice.east_min_m])
+    cells = np.floor((points - low) / near.lattice.cell_m).astype(int)
+    cells = cells[((cells >= 0) & (cells < near.lattice.shape)).all(axis=1)]
+    return cells[:, 0], cells[:, 1]
+
+
+def test_at_no_time_is_any_point_of_a_post_free_and_the_space_between_them_is() -> None:
+    turn = np.linspace(0.0, math.tau, 400)
+    around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    surfaces = (POSTS[:, None] + around).reshape(-1, 2)
+    share = []
+    for now_s, near, here in maps_by_second():
+        assert not near.free()[cells_of(near, surfaces)].any(), now_s
+        assert not near.free()[cells_of(near, POSTS)].any(), now_s
+        disc = here + 4.0 * np.random.default_rng(1).uniform(-1.0, 1.0, (2000, 2))
+        apart = np.hypot(*(disc[:, None] - POSTS[None]).transpose(2, 0, 1)).min(axis=1) - 1.0
+        inside = np.hypot(*(disc - here).T) < 4.0
+        share.append(near.free()[cells_of(near, disc[inside & (apart > 0.75)])].mean())
+    assert len(share) > 150
+    assert np.mean(share) > 0.85
+
+
+@pytest.mark.parametrize("sender", [(1, 195), (2, 196)])
+def test_what_we_send_and_what_others_see_is_none_of_our_eyes(sender: tuple[int, int]) -> None:
+    watching = NearWatch(HOME, 1)
+    ours = wire.MAVLink(None, srcSystem=1, srcComponent=1)
+    position = wire.MAVLink_global_position_int_message(
+        1000, 518752066, 146487830, 100_000, 0, 0, 0, 0, 0
+    )
+    other = wire.MAVLink(None, srcSystem=sender[0], srcComponent=sender[1])
+    distances = wire.MAVLink_obstacle_distance_message(0, 0, [500] * 72, 5, 20, 4000)
+    for codec, message in ((ours, position), (other, distances)):
+        frame = bytes(message.pack(codec))
+        watching.on_frame(frame, sender_of(frame), number_of(frame))
+    assert not watching.sensors
