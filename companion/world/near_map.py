@@ -2,7 +2,7 @@
 
 Such a sensor sees a slab: what stands at the height of its beams.  A cell is free where beams have
 passed over all of it, occupied where something has sent an echo back, at whatever height of the
-slab, and unknown else.  What follows from a sweep is what a sensor promises (design section 12):
+slab, and unknown else.  What follows from a sweep is what a sensor promises (decision 0022):
 
 - a sector that tells of an echo has nothing nearer than that in it, all across its width, and one
   that is clear has nothing nearer than it says;
