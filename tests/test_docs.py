@@ -123,7 +123,7 @@ def test_every_section_that_is_cited_is_on_its_page() -> None:
             numbers = re.findall(r"[A-HC]?\d+(?:\.\d+)?|[A-H]\d?", cited[2] or cited[4])
             assert set(numbers) <= sections(page), f"{path}: {cited[0]}"
             found[page] += 1
-    assert set(found) == {*CITED} - {"proximity"}
+    assert set(found) == {*CITED}
     assert found.total() > 150
 
 
