@@ -142,7 +142,7 @@ def test_what_fly_refuses_preflight_refuses() -> None:
     looks = bus.joins(session(shadow=True))
     bus.run(6.0)
     [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
-    assert check.verdict is CheckStatus.REFUSED
+    assert check.status is CheckStatus.REFUSED
     assert check.what == f"1/195: {Reason.NOT_ALONE.text}"
     assert check.remedy == Reason.NOT_ALONE.remedy
 
@@ -152,7 +152,7 @@ def test_alone_preflight_says_so() -> None:
     looks = bus.joins(session(shadow=True))
     bus.run(6.0)
     [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
-    assert (check.verdict, check.what) == (CheckStatus.PASSED, "nobody else is 1/195")
+    assert (check.status, check.what) == (CheckStatus.PASSED, "nobody else is 1/195")
 
 
 def test_what_a_companion_before_this_one_has_left_in_buffers_holds_nothing_up_for_long() -> None:

@@ -160,8 +160,8 @@ def checks_of(session: PreflightInputs) -> list[Check]:
 
 
 def _check(name: str, passed: bool, what: str, remedy: str = "") -> Check:
-    verdict = CheckStatus.PASSED if passed else CheckStatus.REFUSED
-    return Check(name=name, status=verdict, what=what, remedy="" if passed else remedy)
+    status = CheckStatus.PASSED if passed else CheckStatus.REFUSED
+    return Check(name=name, status=status, what=what, remedy="" if passed else remedy)
 
 
 def _remark(name: str, what: str, remedy: str = "") -> Check:
@@ -228,13 +228,13 @@ def _parameters(vehicle: AutopilotClient) -> Iterator[Check]:
         return
     for finding in vehicle.findings:
         refused = finding.severity is Severity.REFUSE
-        verdict = CheckStatus.REFUSED if refused else CheckStatus.NOTED
+        status = CheckStatus.REFUSED if refused else CheckStatus.NOTED
         what = finding.rule
         if finding.severity is Severity.SET and finding.set_to is not None:
             what = f"{what}; will be set to {finding.set_to:g}"
         value = "missing" if finding.value is None else f"{finding.value:g}"
         remedy = f"{finding.remedy}." if finding.remedy and finding.set_to is None else ""
-        yield Check(name=f"{finding.name} = {value}", status=verdict, what=what, remedy=remedy)
+        yield Check(name=f"{finding.name} = {value}", status=status, what=what, remedy=remedy)
     if not vehicle.findings:
         count = len(vehicle.parameters.values)
         yield _check("parameters", True, f"{count} read, none against the mission")

@@ -22,7 +22,12 @@ from companion.mavlink.link import VehicleClock
 from companion.session import Session
 
 COMPANION = Path(__file__).parents[2] / "companion"
-READ_FROM_LOGS_ONLY = ("telemetry/logs", "mavlink/frames.py")
+READ_FROM_LOGS_ONLY = (
+    "telemetry/logs",
+    "mavlink/frames.py",
+    "mavlink/near_sensing.py",
+    "replay/shadow_near.py",
+)
 
 
 def frame_of(number: int, rng: random.Random, system: int = 1, component: int = 1) -> bytes:

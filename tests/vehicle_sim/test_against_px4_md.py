@@ -116,7 +116,7 @@ LINKS = [
     case("1.3", "nor for its own heartbeat", (False, True), links.texts_and_events, 18),
     case("1.3", "STATUSTEXT to a ground station", (True, True), links.texts_and_events, 6),
     case("1.3", "STATUSTEXT on that same link only", (False, True), links.texts_by_link),
-    *looks("2", links.traffic, reports_target=True, wind=False, gimbal={1000, 1001}),
+    *looks("2", links.traffic, echoes=True, wind=False, gimbal={1000, 1001}),
     *looks(
         "2 (480/s and 14 to 17 kB/s there, these in px4-offboard-short.tlog)",
         links.traffic,

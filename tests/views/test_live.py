@@ -34,7 +34,7 @@ class Terminal:
         return self.console.export_text().splitlines()
 
     def warn(self, text: str) -> None:
-        self.flown.session._say(text, warning=True)
+        self.flown.session._send_text(text, warning=True)
 
 
 def test_why_it_holds_is_not_said_any_more_once_it_flies() -> None:
