@@ -1,19 +1,14 @@
-"""What lidars say, of frames as they come over the wire and of a flight between real posts."""
+"""What lidars say, message by message (a flight between real posts: replay/test_shadow_near.py)."""
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as wire
-from recordings import recording
-from tlog import frames_of
 
-from companion.geodesy import LocalFrame
 from companion.mavlink.near_sensing import NearSensing, Poses, Sight
-from companion.world.near_map import NearMap, NearSensor, Rules, Sweep
-from companion.world.rays import Lattice
+from companion.world.near_map import NearSensor, Sweep
 
 LIDAR = NearSensor(kind="obstacle_distance", component_id=196, range_m=40.0, latency_s=0.0)
 NOW_S = 10.0
@@ -193,73 +188,9 @@ def test_a_pose_that_is_not_known_is_not_guessed() -> None:
     assert poses.at(NOW_S + 1.05) is None
 
 
-# --- a lidar behind a real autopilot, among 400 posts of known place
-
-POSTS = np.array([(3 + 10 * i, 2 + 10 * j) for i in range(-10, 10) for j in range(-10, 10)])
-HOME = LocalFrame(latitude_deg=51.8752066, longitude_deg=14.6487830)
 BEHIND_AUTOPILOT = NearSensor(
     kind="distance_sensor", component_id=1, range_m=16.0, latency_s=0.04, blind_m=0.2
 )
-
-
-def heard() -> Iterator[Any]:
-    """What the autopilot sent."""
-    for _, message in frames_of(recording("arducopter-lidar.tlog").read_bytes()):
-        if (message.get_srcSystem(), message.get_srcComponent()) == (1, 1):
-            yield message
-
-
-@pytest.fixture(scope="module")
-def flown() -> tuple[NearMap, list[tuple[float, Sight]]]:
-    """The map after the flight, and what the lidar was thought to see, by vehicle time."""
-    lattice = Lattice(cell_m=0.25, north_min_m=-120.0, east_min_m=-130.0, shape=(840, 920))
-    poses, near = Poses(), NearMap.empty(lattice, Rules())
-    sensing, sights, now_s = NearSensing(BEHIND_AUTOPILOT, poses), [], 0.0
-    for message in heard():
-        match message.get_type():
-            case "GLOBAL_POSITION_INT" if message.lat:
-                now_s = message.time_boot_ms * 1e-3
-                north, east = HOME.to_local_m(message.lat * 1e-7, message.lon * 1e-7)
-                where = (north, east, message.alt * 1e-3)
-                poses.on_position(now_s, where, HOME.grid_north_rad(north, east))
-                sights.append((now_s, sensing.sight(now_s)))
-            case "ATTITUDE":
-                at_s = message.time_boot_ms * 1e-3
-                poses.on_attitude(at_s, message.roll, message.pitch, message.yaw)
-            case "DISTANCE_SENSOR":
-                sensing.on_distance_sensor(message, now_s)
-            case "SYS_STATUS":
-                sensing.on_health(message, now_s)
-        for sweep in sensing.sweeps():
-            if 52.0 < sweep.time_s < 250.0:  # in the air
-                near.add(sweep)
-    return near, sights
-
-
-def test_between_real_posts_no_point_of_any_is_thought_free(
-    flown: tuple[NearMap, list[tuple[float, Sight]]],
-) -> None:
-    near, _ = flown
-    lattice, free = near.lattice, near.free()
-    turn = np.linspace(0.0, math.tau, 400)
-    for radius_m in (0.5, 0.9, 1.0):
-        rim = radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-        points = (POSTS[:, None] + rim).reshape(-1, 2)
-        cells = np.floor((points - (lattice.north_min_m, lattice.east_min_m)) / lattice.cell_m)
-        rows, columns = cells.astype(int).T
-        on_map = (rows >= 0) & (rows < free.shape[0]) & (columns >= 0) & (columns < free.shape[1])
-        assert not free[rows[on_map], columns[on_map]].any()
-    assert free.sum() * lattice.cell_m**2 > 5000.0
-
-
-def test_silence_in_the_open_is_nothing_there_and_not_a_dead_lidar(
-    flown: tuple[NearMap, list[tuple[float, Sight]]],
-) -> None:
-    _, sights = flown
-    open_s = {sight for time_s, sight in sights if 222.0 < time_s < 243.0}
-    assert open_s == {Sight.NOTHING_THERE}
-    among_s = {sight for time_s, sight in sights if 60.0 < time_s < 215.0}
-    assert among_s == {Sight.SEES}
 
 
 def test_a_lidar_that_dies_is_told_from_one_that_sees_nothing() -> None:
