@@ -50,7 +50,8 @@ from companion.world.known_map import proven_range_m
 STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
 _DEPARTURES = 3
-MAX_STOPS = 12  # on the way to one target, for want of a successor
+_MAX_STOPS = 12  # on the way to one target, for want of a successor
+_MAX_STOPS_NEAR = 100  # where sight is short
 _LEVEL_M_S = 1.0
 _TURNS = 3.0
 _SHORT_SIGHTED = 0.8  # of R
@@ -95,6 +96,11 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     else:
         state, commands, trigger = _follow(state, event, context)
     return state, [*warning, *commands], trigger
+
+
+def max_stops(context: Context) -> int:
+    """Stops on the way to one target after which it is given up."""
+    return _MAX_STOPS if context.mission.near is None else _MAX_STOPS_NEAR
 
 
 def battery_runs_low(state: State) -> bool:
