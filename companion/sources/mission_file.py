@@ -128,7 +128,7 @@ def mission_of(
     check_task(task, f"{where}: ")
     zones, far = zones_of(model, task, frame, where)
     task = replace(task, zones=zones)
-    said = (vehicle, model.fallback, model.battery, link, model.scanner, model.from_vehicle)
+    said = (model.scanner, vehicle, model.fallback, model.battery, link, model.from_vehicle)
     as_written = {
         key: value
         for table in said
