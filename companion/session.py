@@ -22,6 +22,7 @@ from typing import Any, Final, final
 
 from msgspec.structs import replace
 
+from companion.mavlink import near_scanner
 from companion.mavlink.autopilot_client import AutopilotClient, AutopilotCommand
 from companion.mavlink.autopilots import described
 from companion.mavlink.component import REQUESTS, Component
@@ -37,6 +38,7 @@ from companion.mavlink.link import (
     VehicleClock,
     VehicleSelector,
 )
+from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.own_messages import heartbeat
 from companion.mavlink.preflight import Preflight
 from companion.mavlink.signing import Signing
@@ -74,6 +76,7 @@ _ROUTINE: Final = (
     events.Battery,
     events.LandedState,
     events.VehicleStatus,
+    events.NearSeen,
 )
 """Frequent events: without journal entries, and housekeeping can wait."""
 
@@ -83,6 +86,7 @@ class Role(enum.Enum):
 
     AUTOPILOT = "its autopilot"
     RADAR = "its terrain radar"
+    NEAR_SENSOR = "its sensor of near things"
     __hash__ = object.__hash__  # Enum's is slow, and asked for with every message
 
 
@@ -114,7 +118,7 @@ class Session:
         """When a person was last warned, and of what."""
         self.vehicle: AutopilotClient | None = None
         """The autopilot, once it is known."""
-        self._inbox = Inbox(signing)
+        self._inbox = Inbox(signing, near_scanner.messages_of(mission.near))
         self.receiver = self._inbox.receivers[VEHICLE_LINK]
         self.signing = signing
         self._lockstep, self._version = lockstep, version
@@ -124,12 +128,14 @@ class Session:
         self._outbox = FrameEncoder(self.selector.system_id, signing, has_ground=has_ground)
         self._out = self._outbox.out
         self._texts = StatusTexts()
-        self._scanning = ScanClient(mission)
+        self.near = None if mission.near is None else NearScanner(mission)
+        """Reads the sensor of near things, if that is the mission's scanner."""
+        self._scanning = self.near or ScanClient(mission)
         self._preflight = Preflight()
         self._component: Component | None = None
         self._time_asked = 0
         self._plan = PendingPlan()
-        self._keeper = checkpoint.CheckpointPolicy()
+        self._keeper = checkpoint.CheckpointPolicy(keeps_map=mission.near is None)
         self._end: End | None = None
         self._confirming: SetMode | None = None
         self._mode: Mode | None = None
@@ -140,6 +146,7 @@ class Session:
         """The same by the clock of the outside."""
         self._roles = {
             mission.scanner_component_id: Role.RADAR,
+            None if mission.near is None else mission.near.component_id: Role.NEAR_SENSOR,
             AUTOPILOT_COMPONENT: Role.AUTOPILOT,
         }
         """Of the components of our vehicle."""
@@ -337,12 +344,26 @@ class Session:
 
     def _on_scan(self, heard: Incoming) -> None:
         """A scan answer of the radar."""
+        assert isinstance(self._scanning, ScanClient)
         self._scanning.on_message(heard.message, self.state.vehicle.position_nea_m)
         self._scan_on()
 
     def _on_radar(self, _heard: Incoming) -> None:
         """Any other message of the radar."""
         self._scan_on()
+
+    def _on_near(self, heard: Incoming) -> None:
+        """A message of the sensor of near things; of another kind, it says nothing."""
+        if self.near is not None and heard.number in near_scanner.MESSAGES.values():
+            self.near.on_message(heard.message, self.now_s)
+
+    def _look_near(self, position: events.Position | None) -> None:
+        """Tell the mission what the sensor of near things has seen."""
+        assert self.near is not None
+        if position is not None:
+            self.near.on_position(position.time_s, position.position_nea_m)
+        if (seen := self.near.seen(self.now_s)) is not None:
+            self._handle(seen)
 
     def _on_heartbeat(self, heard: Incoming) -> None:
         if self.vehicle is None:
@@ -356,7 +377,10 @@ class Session:
         now_s, plan, shadow = self.clock.now_s, self._plan, self.context.shadow
         if now_s >= plan.due_s and not shadow and (answer := plan.take(now_s)) is not None:
             self._handle(answer)
-        if (event := vehicle.on_position(heard.message, now_s)) is not None:
+        event = vehicle.on_position(heard.message, now_s)
+        if self.near is not None:
+            self._look_near(event)
+        if event is not None:
             self._handle(event)
         if now_s >= plan.due_s and shadow and (answer := plan.take(now_s)) is not None:
             self._handle(answer)  # the position before may be a second old
@@ -373,6 +397,8 @@ class Session:
         if (vehicle := self.vehicle) is None:
             return
         message, now_s = heard.message, self.clock.now_s
+        if self.near is not None and heard.number in near_scanner.OF_AUTOPILOT:
+            self.near.on_message(message, now_s)
         if replies := vehicle.on_message(message, now_s):
             self._outbox.send(replies, now_s)
         if (event := vehicle.event_of(message, now_s)) is not None:
@@ -388,6 +414,9 @@ class Session:
         if (vehicle := self.vehicle) is None:
             return
         vehicle.count(heard.number, self.now_s)
+        if self.near is not None and heard.number == near_scanner.ATTITUDE:
+            self.near.on_message(heard.message, self.now_s)
+            self._look_near(None)
         if vehicle.is_news or vehicle.notes:
             self._look_at_news(vehicle)
         self._housekeeping()
@@ -700,5 +729,6 @@ _HANDLERS: Final[Mapping[tuple[Role, int], Callable[[Session, Incoming], None]]]
 _OTHERS: Final[Mapping[Role, Callable[[Session, Incoming], None]]] = {
     Role.AUTOPILOT: Session._on_autopilot,
     Role.RADAR: Session._on_radar,
+    Role.NEAR_SENSOR: Session._on_near,
 }
 """The dispatch table; default handlers by role."""

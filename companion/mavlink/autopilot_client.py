@@ -14,6 +14,7 @@ from companion.mavlink import fence, parameter_client, plan_client
 from companion.mavlink.autopilots import Autopilot, LaunchPose, autopilot_of
 from companion.mavlink.autopilots.messages import NO_HEADING, position
 from companion.mavlink.dialect import COMPANION_COMPONENT, Message, wire
+from companion.mavlink.near_scanner import streams_hz
 from companion.mavlink.parameter_checks import ParameterIssue, Severity, check_parameters, names_of
 from companion.mavlink.parameter_client import ParameterClient, is_bytewise
 from companion.mavlink.plan_client import FENCE, MISSION, RALLY, PlanClient
@@ -80,7 +81,9 @@ class AutopilotClient:
     ) -> None:
         """number: HEARTBEAT.autopilot; sets_parameters: False only reports what to set."""
         self.system_id, self.autopilot = system_id, autopilot
-        self.streams = StreamRequests(system_id, autopilot, mission.position_rate_hz)
+        self.streams = StreamRequests(
+            system_id, autopilot, mission.position_rate_hz, streams_hz(mission.near)
+        )
         self.parameters = ParameterClient(
             system_id, names_of(autopilot.rules), bytewise=is_bytewise(number)
         )

@@ -54,8 +54,9 @@ _OFTEN_MS = 50  # PX4 sends ATTITUDE every 10 ms, LOCAL_POSITION_NED every 33 ms
 class Inbox:
     """Received messages of all links that have not been handled yet, in order."""
 
-    def __init__(self, signing: Signing | None) -> None:
-        self.receivers = {VEHICLE_LINK: Receiver(signing, _UNDECODED)}
+    def __init__(self, signing: Signing | None, wanted: frozenset[int] = frozenset()) -> None:
+        """wanted: numbers of messages to decode that are not by default."""
+        self.receivers = {VEHICLE_LINK: Receiver(signing, _UNDECODED - wanted)}
         """By the number of the link."""
         self.waiting: deque[Incoming] = deque(maxlen=_MAX_WAITING)
         self.dropped = 0

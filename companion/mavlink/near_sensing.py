@@ -6,7 +6,6 @@ does not mean empty; a value is repeated for up to 1.75 s; what we send comes ba
 """
 
 import bisect
-import enum
 import math
 from collections import Counter, deque
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ import numpy as np
 from companion.geodesy import FloatArray, wrap_rad
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import Vector
-from companion.world.near_map import NearSensor, Sweep
+from companion.world.near_map import NearSensor, Sight, Sweep
 
 _BODY: Final = (wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED)
 _NORTH: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_LOCAL_NED)
@@ -45,6 +44,10 @@ class Pose:
     """Clockwise from grid north."""
     grid_north_rad: float
     """True azimuth of grid north there."""
+    speed_m_s: float
+    """Over ground."""
+    yaw_rate_rad_s: float
+    """Without a sign."""
 
 
 @final
@@ -68,13 +71,16 @@ class Poses:
         position, attitude = self._positions.at(time_s), self._attitudes.at(time_s)
         if position is None or attitude is None:
             return None
-        north, east, altitude, grid_north_rad = position
+        (north, east, altitude, grid_north_rad), velocity = position
+        (roll_rad, pitch_rad, yaw_rad), rates = attitude
         return Pose(
             position_nea_m=(north, east, altitude),
-            roll_rad=attitude[0],
-            pitch_rad=attitude[1],
-            yaw_rad=wrap_rad(attitude[2] - grid_north_rad),
+            roll_rad=roll_rad,
+            pitch_rad=pitch_rad,
+            yaw_rad=wrap_rad(yaw_rad - grid_north_rad),
             grid_north_rad=grid_north_rad,
+            speed_m_s=math.hypot(velocity[0], velocity[1]),
+            yaw_rate_rad_s=abs(rates[2]),
         )
 
     def is_over(self, time_s: float) -> bool:
@@ -106,28 +112,24 @@ class _Track:
         old = bisect.bisect_left(self._times, time_s - _KEPT_S)
         del self._times[:old], self._values[:old]
 
-    def at(self, time_s: float) -> tuple[float, ...] | None:
+    def at(self, time_s: float) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+        """The values at a time, and how fast they changed."""
         after = bisect.bisect_left(self._times, time_s)
         if after == len(self._times) or (after == 0 and self._times[0] != time_s):
             return None
-        before = after if self._times[after] == time_s else after - 1
+        before = max(after - 1, 0)
         span_s = self._times[after] - self._times[before]
         if span_s > _GAP_S:
-            return None
-        share = (time_s - self._times[before]) / span_s if span_s > 0.0 else 0.0
+            if self._times[after] != time_s:
+                return None
+            before, span_s = after, 0.0
         steps = [b - a for a, b in zip(self._values[before], self._values[after], strict=True)]
         if self._angles:
             steps = [wrap_rad(step) for step in steps]
-        return tuple(a + share * step for a, step in zip(self._values[before], steps, strict=True))
-
-
-class Sight(enum.Enum):
-    """What the silence of a sensor means, or that it is not silent."""
-
-    SEES = "it saw something"
-    NOTHING_THERE = "nothing was in its reach"
-    DEAD = "it was dead"
-    NEVER_HEARD = "it had not been heard"
+        since_s = time_s - self._times[before]
+        rates = tuple(step / span_s if span_s > 0.0 else 0.0 for step in steps)
+        pairs = zip(self._values[before], rates, strict=True)
+        return tuple(value + since_s * rate for value, rate in pairs), rates
 
 
 @final
@@ -154,7 +156,8 @@ class NearSensing:
         """How often something was not believed, by the reason."""
         self._looks: deque[_Look] = deque(maxlen=20)
         self._set: dict[int, Message] = {}
-        self._full_since_s: dict[int, float] = {}
+        self._full_since_s = np.empty(0)
+        """Since when each sector, as the sensor counts them, has said "max"; inf: it does not."""
         self._heard_s = self._health_s = -math.inf
         self._well = False
         """By its last word, at `_health_s`."""
@@ -287,15 +290,10 @@ class NearSensing:
         """
         least_cm, most_cm = limits_cm
         full = (told_cm == most_cm) | ((told_cm >= empty_cm) & (told_cm != _UNKNOWN_CM))
-        for sector in range(len(told_cm)):
-            if not full[sector]:
-                self._full_since_s.pop(sector, None)
-        since = np.array(
-            [
-                self._full_since_s.setdefault(k, time_s) if full[k] else math.inf
-                for k in range(len(told_cm))
-            ]
-        )
+        if len(self._full_since_s) != len(full):
+            self._full_since_s = np.full(len(full), np.inf)
+        since = np.where(full, np.minimum(self._full_since_s, time_s), np.inf)
+        self._full_since_s = since
         empty = full & (time_s - since >= _EMPTY_AFTER_S)
         if math.isfinite(empty_cm):
             empty |= full & (told_cm >= empty_cm)
@@ -325,7 +323,7 @@ def _sweep(look: _Look, pose: Pose, sensor: NearSensor) -> Sweep:
     count = len(look.clear_m)
     turn_rad = pose.yaw_rad + sensor.yaw_rad if look.from_nose else -pose.grid_north_rad
     middle = look.first_rad + (np.arange(count) + 0.5) * look.width_rad
-    along = middle + sensor.yaw_rad if look.from_nose else middle - pose.yaw_rad
+    along = middle + turn_rad - pose.yaw_rad
     roll, pitch = pose.roll_rad, pose.pitch_rad
     forward, right = np.cos(along), np.sin(along)
     ahead = forward * math.cos(pitch) + right * math.sin(roll) * math.sin(pitch)
@@ -349,6 +347,10 @@ def _sweep(look: _Look, pose: Pose, sensor: NearSensor) -> Sweep:
         echo_m=np.where(echo_m <= stays_m, echo_m, np.inf),
         range_m=sensor.range_m,
         blind_m=sensor.blind_m,
-        error_m=sensor.range_error_m + sensor.position_error_m,
-        bearing_error_rad=sensor.bearing_error_rad + float(bent.max(initial=0.0)),
+        error_m=sensor.range_error_m
+        + sensor.position_error_m
+        + sensor.latency_error_s * pose.speed_m_s,
+        bearing_error_rad=sensor.bearing_error_rad
+        + sensor.latency_error_s * pose.yaw_rate_rad_s
+        + float(bent.max(initial=0.0)),
     )

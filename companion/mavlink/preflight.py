@@ -17,6 +17,7 @@ from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mavlink.dialect import COMPANION_COMPONENT
 from companion.mavlink.frames import Receiver, Skipped
 from companion.mavlink.link import VehicleSelector
+from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.parameter_checks import Severity
 from companion.mavlink.signing import Signing, timestamp_of
 from companion.mission import ground, stopped
@@ -25,6 +26,7 @@ from companion.mission.events import Item, Prepared, ScanDone, Tick, Vector
 from companion.mission.health import battery_lasts, distrust
 from companion.mission.mission import Mission
 from companion.mission.state import Phase, Reason, State, Trigger
+from companion.world.near_map import NearSensor
 
 _EARLIEST_S = 1_735_689_600.0  # 2025: a clock before that has not been set
 _MAX_LOOKS = 3
@@ -71,6 +73,7 @@ class PreflightInputs(Protocol):
     selector: VehicleSelector
     receiver: Receiver
     signing: Signing | None
+    near: NearScanner | None
     last_scan: ScanDone | None
 
 
@@ -329,7 +332,9 @@ def _battery(session: PreflightInputs, state: State) -> Iterator[Check]:
 
 def _radar(session: PreflightInputs) -> Iterator[Check]:
     scan, mission = session.last_scan, session.mission
-    if mission.scanner_component_id is None:
+    if mission.near is not None:
+        yield from _near_sensor(session, mission.near)
+    elif mission.scanner_component_id is None:
         yield _remark("radar", "none: only terrain that is known in advance is flown over")
     elif not session.state.targets_ne_m or session.state.vehicle.position_nea_m is None:
         yield _remark("radar", "not asked: where from and where to is not known")
@@ -344,6 +349,16 @@ def _radar(session: PreflightInputs) -> Iterator[Check]:
         else:  # what is left out stays unknown, and is asked for again in flight
             remedy = "Give its link more bandwidth, or raise planner.scan_time_s."
             yield _remark("radar", f"{what} in time: it sees less at once", remedy)
+
+
+def _near_sensor(session: PreflightInputs, sensor: NearSensor) -> Iterator[Check]:
+    state = session.state
+    what = f"{sensor.kind.upper()} of component {sensor.component_id}: {state.vehicle.sight.value}"
+    sees = not state.vehicle.sight.is_blind
+    yield _check("sensor", sees, what, Reason.SENSOR_SILENT.remedy)
+    if session.near is not None and session.near.refused:
+        told = ", ".join(f"{why} ({count} times)" for why, count in session.near.refused.items())
+        yield _remark("sensor", f"not believed: {told}")
 
 
 # --- signing and clock

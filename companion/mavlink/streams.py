@@ -6,6 +6,7 @@ the message counts.
 """
 
 import math
+from collections.abc import Mapping
 from typing import final
 
 from companion.mavlink.autopilots import Autopilot
@@ -21,12 +22,21 @@ _QUIET_S = 10.0  # between requests of what may well have nothing to say
 class StreamRequests:
     """The stream requests to one autopilot, and the messages received.  Sans-IO."""
 
-    def __init__(self, system_id: int, autopilot: Autopilot, position_rate_hz: float) -> None:
+    def __init__(
+        self,
+        system_id: int,
+        autopilot: Autopilot,
+        position_rate_hz: float,
+        more_hz: Mapping[int, float],
+    ) -> None:
+        """more_hz: what else the mission needs, by message number."""
         self._system_id, self._autopilot = system_id, autopilot
         self._wanted_hz = {
             wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: position_rate_hz,
             **autopilot.streams_hz,
+            **more_hz,
         }
+        self._quiet = autopilot.intermittent | {wire.MAVLINK_MSG_ID_DISTANCE_SENSOR}
         self.count: dict[int, int] = {}
         """How often each message was received since the autopilot booted; counted by the caller."""
         self._before: dict[int, int] = {}
@@ -81,11 +91,10 @@ class StreamRequests:
     @property
     def missing(self) -> list[str]:
         """Names of requested messages that never came."""
-        quiet = self._autopilot.intermittent
         return [
             wire.mavlink_map[message_id].msgname
             for message_id in self._wanted_hz
-            if message_id not in self.count and message_id not in quiet
+            if message_id not in self.count and message_id not in self._quiet
         ]
 
     def _is_missing(self, message_id: int, rate_hz: float, since_s: float, now_s: float) -> bool:
@@ -93,7 +102,7 @@ class StreamRequests:
         came = self.count.get(message_id, 0) - self._before.get(message_id, 0)
         if came >= max(expected, 1.0):
             return False
-        again_s = _QUIET_S if message_id in self._autopilot.intermittent else _LOOK_S
+        again_s = _QUIET_S if message_id in self._quiet else _LOOK_S
         if now_s - self._asked_s.get(message_id, -math.inf) < again_s:
             return False
         self._asked_s[message_id] = now_s

@@ -13,6 +13,7 @@ from companion.mission.events import (
     Event,
     FenceBreach,
     FenceChanged,
+    NearSeen,
     Order,
     OrderKind,
     Prepared,
@@ -45,7 +46,7 @@ from companion.mission.state import (
 )
 from companion.mission.stopped import fence_breached, resumed
 from companion.planner.adjustable import loosest
-from companion.planner.recheck import is_touched
+from companion.planner.recheck import is_touched, meets_near_things
 from companion.planner.rules import target_refusal
 from companion.world.known_map import empty_map
 from companion.world.zone_index import index_of
@@ -112,6 +113,7 @@ def _accepts_orders(state: State) -> bool:
 
 
 EVENTS: Final = (
+    NearSeen,
     ScanDone,
     FenceChanged,
     FenceBreach,
@@ -127,6 +129,8 @@ EVENTS: Final = (
 def changed(state: State, event: Event, _context: Context) -> Step | None:
     """Handle an event that is independent of the phase; None: left to the phase."""
     match event:
+        case NearSeen():
+            return _with_near_things(state, event)
         case ScanDone():
             return loiter.on_loiter_scan(state, event)
         case FenceChanged():
@@ -175,6 +179,30 @@ def _with_fence(state: State, event: FenceChanged) -> Step:
         return replace(state, flight=flight), says, None
     state, commands, trigger = following.stop(state, Reason.NEW_THREAT)
     return state, [*says, *commands], trigger
+
+
+def _with_near_things(state: State, event: NearSeen) -> Step:
+    """A sensor has looked around: stop if it is blind now, or something is in the way."""
+    vehicle = state.vehicle
+    if event.sight is not vehicle.sight:
+        vehicle = replace(vehicle, sight=event.sight, sight_at_s=event.time_s)
+        state = replace(state, vehicle=vehicle)
+    flight = state.flight
+    if state.phase not in _ON_PATH or flight.leg is None:
+        return state, [], None
+    stops_for = None if flight.stop is None else flight.stop.reason
+    if event.sight.is_blind:
+        if flight.returning or stops_for is not None:
+            return state, [], None  # what was flown before is flown again
+        state, commands, trigger = following.stop(state, Reason.SENSOR_SILENT)
+        return state, [StatusText(text=Reason.SENSOR_SILENT.text, warning=True), *commands], trigger
+    if stops_for is Reason.NEW_THREAT:
+        return state, [], None
+    kept_m = state.task.settings.safety_distance_m + state.task.limits.tracking_error_m
+    legs = [(flight.leg, flight.reference.length_m), (flight.next_leg, 0.0)]
+    if any(leg and meets_near_things(leg, at_m, event.near, kept_m) for leg, at_m in legs):
+        return following.stop(state, Reason.NEW_THREAT)
+    return state, [], None
 
 
 def _is_touched(state: State) -> bool:

@@ -301,7 +301,9 @@ class CheckpointPolicy:
     took a sixth of the run time of a flight in lockstep.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, keeps_map: bool = True) -> None:
+        """keeps_map: not one of near things, which may have moved."""
+        self._keeps_map = keeps_map
         self.kept_at_s = -math.inf
         self.kept: tuple[Any, ...] = ()
         """`persisted_fields` that."""
@@ -313,7 +315,7 @@ class CheckpointPolicy:
         """The checkpoint, if it is time for one, and the map, if it has changed since the last."""
         if state.phase not in (*IN_AIR, Phase.PREPARING, Phase.ARMING):
             return None, None
-        grown = state.flight.known is not self.known
+        grown = self._keeps_map and state.flight.known is not self.known
         since_s = now_s - self.kept_at_s
         if 0.0 <= since_s < PERIOD_S and not (grown or at_once):
             return None, None

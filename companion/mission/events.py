@@ -12,6 +12,7 @@ from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import PlanOutcome, PlanRequest
 from companion.planner.settings import Task
 from companion.world.known_map import Scan
+from companion.world.near_map import NearMap, Sight
 from companion.world.threats import Zone
 
 Vector = tuple[float, float, float]
@@ -257,6 +258,17 @@ class Rebooted:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
+class NearSeen:
+    """The sensor of near things has looked around, or its silence means something else now."""
+
+    time_s: float
+    sight: Sight
+    near: NearMap
+    """As it is now: it changes with the next sweep, so it is not kept."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanDone:
     """The radar has answered as far as it will; cells answered of cells asked for."""
 
@@ -356,6 +368,7 @@ Event = (
     | Order
     | Rebooted
     | ScanDone
+    | NearSeen
     | PlanReady
     | PlanLate
     | PlannerDied

@@ -197,6 +197,8 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         return replace(state, flight=flight), [*says, *scan], None
     flight = replace(flight, search=Answered())
     if event.asked and not event.answered and not scanning.again:
+        if context.mission.near is not None:
+            return _no_successor(replace(state, flight=flight), Reason.SENSOR_SILENT)
         if flight.leg is not None or not flight.failures:
             return _no_successor(replace(state, flight=flight), Reason.RADAR_SILENT)
         flight = replace(flight, shortfall=Reason.RADAR_SILENT)  # on what is known already
@@ -232,7 +234,13 @@ def _scan_warnings(state: State, event: ScanDone) -> list[Command]:
         says.append(StatusText(text=text, warning=True, about="scan"))
     wanted_m = state.task.settings.scan_range_m
     seen_m = proven_range_m(state.flight.known, event.scan)
-    if event.asked and state.flight.plan_id == 0 and seen_m < _SHORT_SIGHTED * wanted_m:
+    has_range = event.scan.range_m > 0.0
+    if (
+        has_range
+        and event.asked
+        and state.flight.plan_id == 0
+        and seen_m < _SHORT_SIGHTED * wanted_m
+    ):
         text = f"radar sees {seen_m / 1000:.1f} km of R = {wanted_m / 1000:.1f} km"
         says.append(StatusText(text=text, warning=True))
     return says

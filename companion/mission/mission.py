@@ -10,6 +10,7 @@ from companion.geodesy import LocalFrame
 from companion.planner.settings import Task
 from companion.ranges import Positive
 from companion.world.known_map import KnownMap
+from companion.world.near_map import NearSensor
 
 
 class EndAction(enum.Enum):
@@ -56,6 +57,8 @@ class Mission:
     """Whether what the radar does not show is hidden (`Scan.complete`)."""
     scanner_whole_width: bool = False
     """If it is not complete: whether lines of sight bound what they pass (`Scan.whole_width`)."""
+    near: NearSensor | None = None
+    """What looks about horizontally, where that is the scanner, in place of a terrain radar."""
     position_rate_hz: Annotated[float, Ge(2.0), Le(200.0)] = 10.0
     """Rate at which the vehicle's position is asked for; one setpoint answers each position."""
     yaw_rad: float | None = None

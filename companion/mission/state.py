@@ -16,6 +16,7 @@ from companion.planner.procedure import Leg, Reference
 from companion.planner.request import FlownSegment, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
+from companion.world.near_map import Sight
 
 
 class Phase(enum.Enum):
@@ -244,6 +245,11 @@ class Reason(enum.Enum):
     NOT_FOLLOWING = ("the vehicle does not follow its setpoints", "Check that it can fly them.")
     NOT_TAKEN = ("the autopilot does not take the setpoints", "See its messages for the reason.")
     NOT_OBEYING = ("the vehicle did not take the mode asked for", "Take over by hand.")
+    SENSOR_SILENT = (
+        "the sensor of near things is silent",
+        "Check it, its driver and its link.",
+        Replan,
+    )
     RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", Replan)
     NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", Replan)
     PLAN_LATE = ("the next subpath was not ready in time", "Raise planner.planning_time_s.", Replan)
@@ -333,6 +339,10 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """Why it is invalid now (`health.distrust`); None: it is valid."""
     doubted_at_s: float = -1e9
     """When it was last invalid for another reason than its place."""
+    sight: Sight = Sight.NOTHING_THERE
+    """Of its sensor of near things, if the mission has one."""
+    sight_at_s: float = -1e9
+    """When that changed."""
     believed_at_s: float = -1e9
     """When a valid position came that followed another valid one."""
     astray_ne_m: tuple[float, float] = (0.0, 0.0)

@@ -64,6 +64,7 @@ _TOLD_S = 30.0  # that guided mode is asked for on a person's word
 _LEADS_BACK_S = 30.0  # a link that comes back later finds a vehicle that holds
 _TROUBLES = 8
 _PAUSE_S = 2.0  # between attempts to plan from rest
+_SENSOR_S = 15.0  # for a sensor to see again, before each of them
 _THERE_M = 1.0
 _SETTLE_S = 30.0  # for a vehicle that does not come quite to rest
 _HOLD_S = 300.0  # for a position that does not get better
@@ -220,7 +221,10 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
             return give_up(state, state.reason or Reason.NO_PLAN)
         return state, commands, None
     moving = not is_at_rest(state, event) and in_phase_s(state) < _SETTLE_S
-    if isinstance(hold, Paused) or in_phase_s(state) < _PAUSE_S or moving:
+    near, pause_s = context.mission.near, _PAUSE_S
+    if near is not None:  # what it sees now is on the map at once
+        pause_s = _SENSOR_S if state.vehicle.sight.is_blind else state.task.settings.planning_time_s
+    if isinstance(hold, Paused) or in_phase_s(state) < pause_s or moving:
         return state, commands, None
     on_way_back = _is_backtracking(state)
     if isinstance(hold, ReturnOrdered) and not on_way_back:

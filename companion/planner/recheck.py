@@ -11,6 +11,7 @@ from companion.path.proof import piece_of
 from companion.path.proof_distance import ZoneTable, zone_distance
 from companion.planner.procedure import Leg
 from companion.planner.settings import Task
+from companion.world.near_map import NearMap
 from companion.world.threats import Zone
 from companion.world.zone_index import index_of
 
@@ -74,6 +75,25 @@ def comes_too_near(leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m:
         if not _is_clear(cubics, pieces[k].tolist(), table, wanted_m):
             return True
     return False
+
+
+def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float) -> bool:
+    """Whether something stands nearer than required to the rest of a leg, seen from above.
+
+    Looked at every half cell along the leg; what lies between two points is nearer by less than a
+    thirtieth of a cell where required_m is a cell or more.
+    """
+    cell_m = near.lattice.cell_m
+    steps = max(round(2.0 * (leg.subpath.length_m - from_m) / cell_m), 1)
+    lengths = np.linspace(from_m, leg.subpath.length_m, steps + 1)
+    points = leg.subpath.points_nea_m(lengths)[:, :2]
+    window = near.about_points(points, required_m)
+    cells = np.argwhere(near.occupied(window))
+    corner = near.lattice.north_min_m, near.lattice.east_min_m
+    first = np.array([window[0].start, window[1].start])
+    middles = (cells + first + 0.5) * cell_m + corner
+    gaps = np.maximum(np.abs(points[:, None] - middles) - 0.5 * cell_m, 0.0)
+    return bool((np.hypot(gaps[..., 0], gaps[..., 1]) < required_m).any())
 
 
 def _is_clear(cubics: FloatArray, piece: list[float], table: ZoneTable, wanted_m: float) -> bool:

@@ -44,6 +44,8 @@ class PlannerSettings:
     weights: Weights = field(default_factory=Weights)
     optimiser: str | None = None
     """What searches, by its name in `optimise.registry`; None: the profile's."""
+    cell_m: Positive | None = None
+    """Size of the cells of the known map; None: R / 80, in the whole metres of TERRAIN_REQUEST."""
 
 
 @final
@@ -72,8 +74,9 @@ class Task:
 
     @property
     def cell_m(self) -> float:
-        """Size of the cells of the known map: R / 80, in the whole metres of the wire."""
-        return float(max(round(self.settings.scan_range_m / _CELLS_PER_RANGE), 1))
+        """Size of the cells of the known map."""
+        settings = self.settings
+        return settings.cell_m or float(max(round(settings.scan_range_m / _CELLS_PER_RANGE), 1))
 
     @cached_property
     def digest(self) -> str:

@@ -8,8 +8,8 @@ from typing import Any, Final, final
 
 import msgspec
 
-from companion.mavlink.near_sensing import Sight
 from companion.telemetry.logs import LogAnomaly, Missing
+from companion.world.near_map import Sight
 
 SCHEMA: Final = 1
 """Of `ShadowReport.as_json`."""

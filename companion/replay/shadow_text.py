@@ -10,7 +10,6 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from companion.mavlink.near_sensing import Sight
 from companion.replay.shadow_report import (
     Hold,
     NearThings,
@@ -21,6 +20,7 @@ from companion.replay.shadow_report import (
     TrackDeviation,
     VehicleReport,
 )
+from companion.world.near_map import Sight
 
 _MAX_ROWS: Final = 30
 _NEAR_S: Final = 60.0

@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame, wrap_rad
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.objective.scene import PROFILES, Weights
 from companion.path.limits import Limits
@@ -33,7 +34,11 @@ from companion.sources.plan_file import read_plan
 from companion.sources.threat_file import read_threats
 from companion.sources.waypoint_file import is_waypoint_list, read_waypoint_list
 from companion.world.known_map import KnownMap, empty_map
+from companion.world.near_map import NearSensor
 
+_LIDAR_COMPONENT = wire.MAV_COMP_ID_OBSTACLE_AVOIDANCE
+_OF_RADARS = {"kind", "scanner_complete", "scanner_whole_width"}
+_NEAR_CELLS_PER_RANGE, _NEAR_CELLS = 64, 4e6
 _DATUM_ERROR_M = 5.0
 """Of an elevation file that says nothing of it."""
 
@@ -108,9 +113,12 @@ def mission_of(
     frame = LocalFrame(
         latitude_deg=model.origin.latitude_deg, longitude_deg=model.origin.longitude_deg
     )
+    near, limits, settings = _near_sensor(model, where), _limits(model), _settings(model, profile)
+    if near is not None:
+        settings = replace(settings, cell_m=_near_cell_m(limits, near.range_m))
     task = Task(
-        limits=_limits(model),
-        settings=_settings(model, profile),
+        limits=limits,
+        settings=settings,
         radars=tuple(
             radar_of(radar, frame, f"{where}: radars[{index}]")
             for index, radar in enumerate(model.radars)
@@ -137,7 +145,8 @@ def mission_of(
         altitudes_amsl_m=carried_on([table.altitude_amsl_m for table in tables]),
         task=task,
         end_action=EndAction(model.end.action),
-        scanner_component_id=_scanner_id(vehicle),
+        scanner_component_id=None if near is not None else _scanner_id(vehicle),
+        near=near,
         yaw_rad=None if vehicle.yaw_deg is None else wrap_rad(math.radians(vehicle.yaw_deg)),
         fallback=Fallback(model.fallback.action),
         known=_known_map(model, task, frame, where),
@@ -185,6 +194,54 @@ def _check_kind(model: MissionTable, where: str) -> None:
         if action == "land" and vehicle.autopilot == "ardupilot":
             rule = "ArduPlane cannot be told to land where it is"
             raise InputError(f"{where}: {key}", action, rule, 'Write "hold" or "return".')
+
+
+def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
+    """The sensor of near things, where that is the scanner.  Raises InputError."""
+    table, band, field = model.scanner, model.altitude, f"{where}: scanner"
+    kind = table.kind
+    if kind == "terrain_radar":
+        for key in sorted(table.model_fields_set - _OF_RADARS):
+            rule = "a terrain radar has no such key: it is of the other kinds"
+            remedy = 'Remove it, or write kind = "obstacle_distance" or "distance_sensor".'
+            raise InputError(f"{field}.{key}", getattr(table, key), rule, remedy)
+        return None
+    for key in ("scanner_complete", "scanner_whole_width"):
+        if key in table.model_fields_set:
+            remedy = 'Remove it, or write kind = "terrain_radar".'
+            name = key.removeprefix("scanner_")
+            raise InputError(f"{field}.{name}", getattr(table, key), "it is a radar's", remedy)
+    if model.vehicle.scanner_component_id is not None:
+        rule, value = "it is the terrain radar's", model.vehicle.scanner_component_id
+        name = f"{where}: vehicle.scanner_component_id"
+        raise InputError(name, value, rule, "Write scanner.component.")
+    if model.vehicle.kind != "copter":
+        rule = "only what can stop may fly by a sensor of near things"
+        raise InputError(f"{field}.kind", kind, rule, "Use a terrain radar for a plane.")
+    height_m = band.ceiling_amsl_m - band.floor_amsl_m
+    if table.speaks_for_m < height_m:
+        rule = f"its beams are flat, and altitude's band is {height_m:g} m high"
+        remedy = f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."
+        raise InputError(f"{field}.speaks_for_m", table.speaks_for_m, rule, remedy)
+    if model.terrain is None or model.terrain.trust == "guidance":
+        rule = "a sensor of near things does not see the ground"
+        remedy = "Add [terrain] with highest_amsl_m, or with an elevation file that is trusted."
+        raise InputError(f"{where}: terrain", None, rule, remedy)
+    usual = AUTOPILOT_COMPONENT if kind == "distance_sensor" else _LIDAR_COMPONENT
+    return NearSensor(
+        kind=kind,
+        component_id=usual if table.component is None else table.component,
+        yaw_rad=math.radians(table.yaw_deg),
+        bearing_error_rad=math.radians(table.bearing_error_deg),
+        range_m=model.planner.scan_range_m,
+        **table.of(NearSensor) | {"kind": kind},
+    )
+
+
+def _near_cell_m(limits: Limits, range_m: float) -> float:
+    """Cells of R / 64, but no more than four million."""
+    sides = ((high - low) for low, high in (limits.north_m, limits.east_m))
+    return max(range_m / _NEAR_CELLS_PER_RANGE, math.sqrt(max(math.prod(sides), 0.0) / _NEAR_CELLS))
 
 
 def _scanner_id(vehicle: MissionVehicleTable) -> int | None:
@@ -268,7 +325,10 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
         remedy = 'Write terrain.trust = "proof", or remove scanner = false.'
         raise InputError(f"{where}: terrain.trust", table.trust, rule, remedy)
     blank = empty_map(task.cell_m, task.limits.north_m, task.limits.east_m)
+    near = model.scanner.kind != "terrain_radar"
     if table.highest_amsl_m is not None:
+        if near:
+            return replace(blank, guess_m=np.full(blank.upper_m.shape, table.highest_amsl_m))
         return _level(blank, table.highest_amsl_m, may_be_scanned=model.vehicle.scanner)
     assert table.file is not None
     assert table.vertical_datum is not None
@@ -282,14 +342,17 @@ def _known_map(model: MissionTable, task: Task, frame: LocalFrame, where: str) -
         may_be_scanned=model.vehicle.scanner,
         field=f"{where}: terrain.file",
     )
+    if near:  # known is the ground, and nothing of what stands on it
+        return replace(blank, guess_m=told.upper_m)
     if table.trust != "guidance":
         return told
     return replace(blank, guess_m=np.where(told.firm, told.upper_m, np.nan))
 
 
 def _stated_ground(model: MissionTable) -> float | None:
-    """How high the ground is, where that is stated and nothing will be scanned."""
-    if model.terrain is None or model.vehicle.scanner:
+    """How high the ground is, where that is stated and it will not be scanned."""
+    scans_ground = model.vehicle.scanner and model.scanner.kind == "terrain_radar"
+    if model.terrain is None or scans_ground:
         return None
     return model.terrain.highest_amsl_m
 

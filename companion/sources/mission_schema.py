@@ -21,6 +21,7 @@ from companion.sources.schema import (
     Table,
     keys_of,
 )
+from companion.world.near_map import NearSensor
 
 Slope = Annotated[float, Field(gt=0.0, lt=90.0)]
 Name = Annotated[str, Field(min_length=1, max_length=100)]
@@ -88,10 +89,24 @@ class MissionVehicleTable(
     yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
 
 
+_MOUNTING = ("forward_m", "right_m", "blind_m", "latency_s", "latency_error_s")
+_PROMISES = ("range_error_m", "position_error_m", "speaks_for_m")
+
+
 class ScannerTable(
-    keys_of(Mission, scanner_complete="complete", scanner_whole_width="whole_width")  # type: ignore[misc]
+    keys_of(Mission, scanner_complete="complete", scanner_whole_width="whole_width"),  # type: ignore[misc]
+    keys_of(NearSensor, *_MOUNTING, *_PROMISES),  # type: ignore[misc]
 ):
-    """What the terrain radar promises."""
+    """What the scanner is, how it is mounted and what it promises.
+
+    The first two are of the terrain radar, all others of lidars and the like.
+    """
+
+    kind: Literal["terrain_radar", "obstacle_distance", "distance_sensor"] = "terrain_radar"
+    component: Annotated[int, Field(ge=1, le=250)] | None = None
+    """MAVLink component that sends them; left out: 196 for OBSTACLE_DISTANCE, else the autopilot"""
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0
+    bearing_error_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 1.0
 
 
 class WeightsTable(keys_of(Weights, *(each.name for each in fields(Weights)))):  # type: ignore[misc]

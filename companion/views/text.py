@@ -13,6 +13,7 @@ from companion.mission.mission import EndAction, Mission
 from companion.path.certificate import Certificate
 from companion.planner.request import Planned
 from companion.telemetry.flight_summary import FlightSummary
+from companion.world.near_map import NearSensor
 
 
 def mission_summary(mission: Mission) -> str:
@@ -87,6 +88,8 @@ def _sight(mission: Mission) -> str:
         if mission.known.guess_m is not None:
             share = float(np.isfinite(mission.known.guess_m).mean())
             known = f" A file guides over {share:.0%} of the map, and proves nothing."
+    if mission.near is not None:
+        return _near_sight(mission, mission.near)
     if mission.scanner_component_id is None:
         return f"There is no terrain radar: only known terrain is flown over.{known}"
     gaps = ""
@@ -102,6 +105,18 @@ def _sight(mission: Mission) -> str:
         f"before the end of each subpath it scans for up to {settings.scan_time_s:g} s, plans for "
         f"{settings.planning_time_s:g} s (T), and goes over to the next subpath "
         f"{_m(task.tail_m)} before the end.{known}"
+    )
+
+
+def _near_sight(mission: Mission, sensor: NearSensor) -> str:
+    """What looks about, and what that proves."""
+    task, settings = mission.task, mission.task.settings
+    return (
+        f"{sensor.kind.upper()} of component {sensor.component_id} shows what stands within "
+        f"{_m(sensor.range_m)} (R) at the height of flight; what it has not passed is unknown. "
+        f"{_m(task.scan_distance_m)} (L) before the end of each subpath the next is planned for "
+        f"{settings.planning_time_s:g} s (T), and taken {_m(task.tail_m)} before the end. What "
+        "stands in the way stops the vehicle at once."
     )
 
 

@@ -52,6 +52,8 @@ class Scan:
     """
     whole_width: bool = False
     """Whether each cell that it shows was seen in every direction in which the cell lies."""
+    supersedes: bool = False
+    """Whether it is all that is known of its window: cells without an answer are unknown again."""
 
 
 @final
@@ -105,7 +107,7 @@ class KnownMap:
         return inside and bool(np.isfinite(self.upper_m[row, column]))
 
     def with_scan(self, scan: Scan) -> "KnownMap":
-        """The map after one more scan: nothing that was known is lost."""
+        """The map after one more scan: nothing that was known is lost, unless it supersedes it."""
         after = replace(
             self,
             upper_m=self.upper_m.copy(),
@@ -114,6 +116,8 @@ class KnownMap:
         )
         upper, seen = after.upper_m[_window(scan)], after.seen[_window(scan)]  # views
         now_seen = np.isfinite(scan.heights_m)
+        if scan.supersedes:
+            upper[:], seen[:] = np.inf, False
         np.copyto(upper, scan.heights_m, where=now_seen)
         seen |= now_seen
         if scan.complete:

@@ -13,6 +13,7 @@ Sensors and autopilots send wrong empty sweeps for up to 0.9 s: they do not wipe
 has gone, or was dust, is forgotten by rule.
 """
 
+import enum
 import math
 from dataclasses import dataclass, replace
 from typing import Literal, final
@@ -30,6 +31,20 @@ Kind = Literal["obstacle_distance", "distance_sensor"]
 """What the messages of a sensor are called."""
 Window = tuple[slice, slice]
 """Rows and columns of a lattice."""
+
+
+class Sight(enum.Enum):
+    """What the silence of a sensor means, or that it is not silent."""
+
+    SEES = "it saw something"
+    NOTHING_THERE = "nothing was in its reach"
+    DEAD = "it was dead"
+    NEVER_HEARD = "it had not been heard"
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether nothing is known of what is there now."""
+        return self in (Sight.DEAD, Sight.NEVER_HEARD)
 
 
 @final
@@ -108,7 +123,9 @@ class NearSensor:
     blind_m: NotNegative = 0.3
     """Nearer than this it shows nothing: the vehicle itself is there."""
     latency_s: NotNegative = 0.05
-    """How long before the time stamp of a message the measurement was."""
+    """How long before the time stamp of a message the measurement was, in the middle of a turn."""
+    latency_error_s: NotNegative = 0.05
+    """How much longer or shorter ago it may have been, for a beam at the ends of the turn, too."""
     range_error_m: NotNegative = 0.1
     """How wrong a distance may be."""
     bearing_error_rad: NotNegative = 0.02
@@ -198,7 +215,7 @@ class NearMap:
 
     def add(self, sweep: Sweep) -> Window:
         """One more sweep.  -> the rows and columns that it may have changed."""
-        window = self._within(sweep.range_m + sweep.error_m, sweep.sensor_ne_m)
+        window = self.about_points(np.array([sweep.sensor_ne_m]), sweep.range_m + sweep.error_m)
         passed, met = self._passed(sweep, window), self._met(sweep, window)
         rules, now_s = self.rules, sweep.time_s
         passes, passed_since_s = self.passes[window], self.passed_since_s[window]  # views
@@ -217,17 +234,17 @@ class NearMap:
         met_since_s[wiped | gone] = np.inf
         return window
 
-    def _within(self, reach_m: float, place_ne_m: tuple[float, float]) -> Window:
+    def about_points(self, points_ne_m: FloatArray, reach_m: float) -> Window:
+        """The rows and columns within reach of points, north and east.  (N, 2)."""
         lattice = self.lattice
-        low = lattice.north_min_m, lattice.east_min_m
-        first, last = (
-            [
-                min(max(math.floor((at + by_m - edge) / lattice.cell_m) + more, 0), most)
-                for at, edge, most in zip(place_ne_m, low, lattice.shape, strict=True)
-            ]
-            for by_m, more in ((-reach_m, 0), (reach_m, 1))
+        corner = np.array([lattice.north_min_m, lattice.east_min_m])
+        low, high = points_ne_m.min(axis=0) - reach_m, points_ne_m.max(axis=0) + reach_m
+        first = np.floor((low - corner) / lattice.cell_m).astype(np.intp)
+        last = np.floor((high - corner) / lattice.cell_m).astype(np.intp) + 1
+        (row, column), (row_end, column_end) = (
+            np.clip(each, 0, lattice.shape).tolist() for each in (first, last)
         )
-        return slice(first[0], last[0]), slice(first[1], last[1])
+        return slice(row, row_end), slice(column, column_end)
 
     def _passed(self, sweep: Sweep, window: Window) -> BoolArray:
         """The cells of a window that beams have passed all over.

@@ -1,0 +1,172 @@
+"""The scanner of a mission that looks about with a lidar: keeps the map of near things.
+
+Its sweeps come by themselves.  What it has seen becomes part of the known map when the mission asks
+for a scan; in between, the mission is told of every sweep, as something may be in its way.
+"""
+
+import math
+from typing import Final, final
+
+import numpy as np
+
+from companion.geodesy import LocalFrame
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.near_sensing import NearSensing, Poses
+from companion.mission.events import NearSeen, ScanDone, Vector
+from companion.mission.mission import Mission
+from companion.mission.state import State
+from companion.world.known_map import NO_ANSWER, KnownMap, Scan
+from companion.world.near_map import NearMap, NearSensor, Rules, Sight, Window
+
+ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
+HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
+_SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
+OF_AUTOPILOT: Final = (HEALTH, _SECTORS, wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE)
+MESSAGES: Final = {
+    "obstacle_distance": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
+    "distance_sensor": _SECTORS,
+}
+"""What each kind of sensor sends."""
+_RATE_HZ: Final = 20.0
+_HIGH: Final = 1.0  # of R above the ceiling: there occupied cells end
+
+
+def messages_of(sensor: NearSensor | None) -> frozenset[int]:
+    """What is read of its autopilot and of itself."""
+    return frozenset() if sensor is None else frozenset({ATTITUDE, MESSAGES[sensor.kind]})
+
+
+def streams_hz(sensor: NearSensor | None) -> dict[int, float]:
+    """What the autopilot has to send for it, and how often."""
+    if sensor is None:
+        return {}
+    wanted = {ATTITUDE: _RATE_HZ}
+    if sensor.kind == "distance_sensor" and sensor.component_id == AUTOPILOT_COMPONENT:
+        wanted[MESSAGES[sensor.kind]] = _RATE_HZ
+    return wanted
+
+
+@final
+class NearScanner:
+    """One sensor and its map.  Sans-IO; times are those of the vehicle."""
+
+    def __init__(self, mission: Mission) -> None:
+        """Its map says where the cells are, and as a guess how high the ground is proven to be."""
+        sensor, blank = mission.near, mission.known
+        assert sensor is not None
+        assert blank is not None
+        assert blank.guess_m is not None
+        self.is_on = False
+        """Whether there is a scan under way."""
+        self._frame: LocalFrame = mission.frame
+        self._poses = Poses()
+        self._kind, self._component = sensor.kind, sensor.component_id
+        self._sensing = NearSensing(sensor, self._poses)
+        self._on_distances = (
+            self._sensing.on_distance_sensor
+            if sensor.kind == "distance_sensor"
+            else self._sensing.on_obstacle_distance
+        )
+        self._near = NearMap.empty(blank.lattice, Rules())
+        self._ground_m = blank.guess_m
+        limits, settings = mission.task.limits, mission.task.settings
+        self._top_m = limits.ceiling_amsl_m + _HIGH * settings.scan_range_m
+        self._scan_time_s = settings.scan_time_s
+        self._began_s = self._swept_s = -math.inf
+        self._changed: Window | None = None
+        """Where sweeps may have changed something since the last scan."""
+        self._told: Window | None = None
+        """What the last scan has told."""
+        self._before: KnownMap | None = None
+        """The map of the mission before it."""
+        self._sight = Sight.NEVER_HEARD
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """How often something was not believed, by the reason."""
+        return dict(self._sensing.refused)
+
+    # --- what is heard
+
+    def on_position(self, time_s: float, here_nea_m: Vector) -> None:
+        """Its position, too."""
+        grid_north_rad = self._frame.grid_north_rad(here_nea_m[0], here_nea_m[1])
+        self._poses.on_position(time_s, here_nea_m, grid_north_rad)
+
+    def on_message(self, message: Message, now_s: float) -> None:
+        """A message of the sensor; ATTITUDE or SYS_STATUS of the autopilot."""
+        number = message.get_msgId()
+        if number == ATTITUDE:
+            at_s = message.time_boot_ms * 1e-3
+            self._poses.on_attitude(at_s, message.roll, message.pitch, message.yaw)
+        elif number == MESSAGES[self._kind] and message.get_srcComponent() == self._component:
+            self._on_distances(message, now_s)
+        elif number == HEALTH and self._kind == "distance_sensor":
+            self._sensing.on_health(message, now_s)
+
+    def seen(self, now_s: float) -> NearSeen | None:
+        """What is new: sweeps, or what the silence means; None: nothing."""
+        sweeps, sight = self._sensing.sweeps(), self._sensing.sight(now_s)
+        for sweep in sweeps:
+            self._changed = _both(self._changed, self._near.add(sweep))
+            self._swept_s = now_s
+        if not sweeps and sight is self._sight:
+            return None
+        self._sight = sight
+        return NearSeen(time_s=now_s, sight=sight, near=self._near)
+
+    # --- scans
+
+    def begin(self, _centre_nea_m: Vector, state: State, now_s: float) -> int:
+        """Begin a scan: the next sweep ends it.  -> 1, the blocks of it."""
+        if self._told is not None and state.flight.known is self._before:
+            self._changed = _both(self._changed, self._told)  # nobody has taken it
+        self._before, self._told = state.flight.known, None
+        self._began_s, self.is_on = now_s, True
+        return 1
+
+    def stop(self) -> None:
+        """Forget it."""
+        self.is_on = False
+
+    def on_time(self, _now_s: float) -> None:
+        """Nothing has to be asked for."""
+
+    def done(self, now_s: float) -> ScanDone | None:
+        """The scan, once it is over: with the next sweep, or without any in time."""
+        answered = self._swept_s > self._began_s
+        if not self.is_on or not (answered or now_s - self._began_s >= self._scan_time_s):
+            return None
+        self.is_on = False
+        self._told, self._changed = self._changed, None
+        return ScanDone(time_s=now_s, scan=self._scan(self._told), asked=1, answered=int(answered))
+
+    def _scan(self, window: Window | None) -> Scan:
+        """All that is known of a window; None: nothing is new."""
+        supersedes = window is not None
+        window = window or (slice(0, 0), slice(0, 0))
+        free, occupied = self._near.free(window), self._near.occupied(window)
+        heights = np.where(free, self._ground_m[window], NO_ANSWER)
+        heights[occupied] = self._top_m
+        return Scan(
+            row=window[0].start,
+            column=window[1].start,
+            heights_m=heights,
+            radar_nea_m=np.zeros((1, 1, 3)),
+            range_m=0.0,
+            drift_m=0.0,
+            registration_m=0.0,
+            complete=False,
+            supersedes=supersedes,
+        )
+
+
+def _both(a: Window | None, b: Window) -> Window:
+    """The least window that holds both."""
+    if a is None:
+        return b
+    rows, columns = (
+        slice(min(one.start, other.start), max(one.stop, other.stop))
+        for one, other in zip(a, b, strict=True)
+    )
+    return rows, columns
