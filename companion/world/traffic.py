@@ -1,0 +1,176 @@
+"""Others in the air: tracks as moving cylinders, claims as straight pieces of space.
+
+Two vehicles are apart if they are so horizontally or vertically.  All of this is sound for
+continuous time and whole stretches, not for samples (docs/decisions/0023).
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from companion.geodesy import FloatArray
+
+CLAIM_S = 1.0
+"""How long a stretch has been claimed before it is entered."""
+HEARD_S = 0.7
+"""Who was not heard for longer may have claimed anything that it can reach since."""
+STRAIGHT_M = 1.0
+"""How far the path may be from the chord when it is claimed; from later ones, twice that."""
+FORGOTTEN_S, CLAIM_FORGOTTEN_S = 60.0, 30.0
+"""After a silence of so long an aircraft, or what a vehicle has claimed, counts no more."""
+_CLAIM_SAMPLES = 9
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Separation:
+    """Least distances between two vehicles' reported positions: one of the two is kept."""
+
+    horizontal_m: float
+    vertical_m: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Track:
+    """An aircraft, as last reported: a cylinder that moves straight on and grows."""
+
+    name: str
+    time_s: float
+    """When it was there, by our clock."""
+    position_nea_m: tuple[float, float, float]
+    velocity_nea_m_s: tuple[float, float, float]
+    error_m: float
+    error_up_m: float
+    """Infinite: it may be at any height."""
+    growth_m_s: float
+    growth_up_m_s: float
+    system: int | None = None
+    """MAVLink system id, if it is one that is heard on the link."""
+
+    def at(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Centres, radii, half heights.  (N,) -> (N, 3), (N,), (N,)."""
+        age_s = np.maximum(times_s - self.time_s, 0.0)
+        centre = np.asarray(self.position_nea_m) + age_s[:, None] * self.velocity_nea_m_s
+        return (
+            centre,
+            self.error_m + self.growth_m_s * age_s,
+            self.error_up_m + self.growth_up_m_s * age_s,
+        )
+
+    def reach_s(self, here_nea_m: Sequence[float], speed_m_s: float, now_s: float) -> float:
+        """Earliest time from now on at which it can be met by a vehicle of this speed."""
+        centre, radius, _ = (each[0] for each in self.at(np.array([now_s])))
+        gap_m = math.dist(centre[:2], here_nea_m[:2]) - float(radius)
+        closing = math.hypot(*self.velocity_nea_m_s[:2]) + self.growth_m_s + speed_m_s
+        return max(gap_m, 0.0) / max(closing, 1e-6)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Claim:
+    """A straight stretch that a vehicle of ours keeps to until it says otherwise."""
+
+    system: int
+    heard_s: float
+    begin_nea_m: tuple[float, float, float]
+    end_nea_m: tuple[float, float, float]
+
+    def grown_m(self, now_s: float, fastest_m_s: float, longest_m: float) -> float:
+        """How far from the stretch it may have claimed, or be, by now; 0 if it was just heard.
+
+        fastest_m_s, longest_m: of any of ours, and of its claims.
+        """
+        silent_s = now_s - self.heard_s
+        return longest_m + fastest_m_s * silent_s if silent_s > HEARD_S else 0.0
+
+
+def keeps_apart(
+    points_nea_m: FloatArray,
+    times_s: FloatArray,
+    tracks: Iterable[Track],
+    separation: Separation,
+    slack_m: float = 0.0,
+) -> bool:
+    """Whether a motion keeps the separation from all tracks, between its samples too.
+
+    points_nea_m (N, 3) at times_s (N,), straight between them to slack_m.  A track may be anywhere
+    in its cylinder.
+    """
+    for track in tracks:
+        centre, radius, half = track.at(times_s)
+        apart = points_nea_m - centre
+        level = _least_norm(apart[:-1, :2], apart[1:, :2])
+        up = np.where(
+            apart[:-1, 2] * apart[1:, 2] <= 0.0,
+            0.0,
+            np.minimum(np.abs(apart[:-1, 2]), np.abs(apart[1:, 2])),
+        )
+        near = level < separation.horizontal_m + radius[1:] + slack_m
+        if np.any(near & (up < separation.vertical_m + half[1:] + slack_m)):
+            return False
+    return True
+
+
+def _least_norm(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Least distance of segments from the origin.  (N, 2) x2 -> (N,)."""
+    along = end - start
+    squared = np.maximum((along * along).sum(axis=1), 1e-12)
+    share = np.clip(-(start * along).sum(axis=1) / squared, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(start + share[:, None] * along, axis=1))
+
+
+def free_pieces(
+    points_nea_m: FloatArray, claim: Claim, separation: Separation, grown_m: float = 0.0
+) -> FloatArray:
+    """Which pieces between points keep the separation from a claim.  (N, 3) -> (N - 1,), bool.
+
+    Sound: each piece, straight, as a whole from all of the claimed stretch.
+    """
+    share = np.linspace(0.0, 1.0, _CLAIM_SAMPLES)[:, None]
+    begin, end = np.asarray(claim.begin_nea_m), np.asarray(claim.end_nea_m)
+    cuts = begin + share * (end - begin)  # (M + 1, 3)
+    level = _between(points_nea_m[:-1, :2], points_nea_m[1:, :2], cuts[:-1, :2], cuts[1:, :2])
+    low, high = (
+        pick(points_nea_m[:-1, 2], points_nea_m[1:, 2]) for pick in (np.minimum, np.maximum)
+    )
+    bottom, top = (pick(cuts[:-1, 2], cuts[1:, 2]) for pick in (np.minimum, np.maximum))
+    up = np.maximum(low[:, None] - top, bottom - high[:, None])
+    near = level < separation.horizontal_m + grown_m
+    return np.asarray(~np.any(near & (up < separation.vertical_m + grown_m), axis=1))
+
+
+def _between(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
+    """Distances between level segments a-b and c-d.  (N, 2) x2, (M, 2) x2 -> (N, M)."""
+    a, b, c, d = a[:, None], b[:, None], c[None], d[None]
+
+    def to_segment(point: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+        start, end = start - point, end - point
+        along = end - start
+        squared = np.maximum((along * along).sum(axis=-1), 1e-12)
+        share = np.clip(-(start * along).sum(axis=-1) / squared, 0.0, 1.0)
+        return np.asarray(np.linalg.norm(start + share[..., None] * along, axis=-1))
+
+    def side(start: FloatArray, end: FloatArray, point: FloatArray) -> FloatArray:
+        one, two = end - start, point - start
+        return np.asarray(one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0])
+
+    crossing = (side(a, b, c) * side(a, b, d) < 0.0) & (side(c, d, a) * side(c, d, b) < 0.0)
+    ends = (to_segment(a, c, d), to_segment(b, c, d), to_segment(c, a, b), to_segment(d, a, b))
+    return np.where(crossing, 0.0, np.minimum.reduce(ends))
+
+
+def straight_until(points_nea_m: FloatArray) -> int:
+    """Index of the last point up to which all points are within `STRAIGHT_M` of the chord there."""
+    begin = points_nea_m[0]
+    for last in range(len(points_nea_m) - 1, 1, -1):
+        chord = points_nea_m[last] - begin
+        squared = max(float(chord @ chord), 1e-12)
+        offset = points_nea_m[1:last] - begin
+        share = np.clip(offset @ chord / squared, 0.0, 1.0)
+        if np.linalg.norm(offset - share[:, None] * chord, axis=1).max() <= STRAIGHT_M:
+            return last
+    return min(1, len(points_nea_m) - 1)
