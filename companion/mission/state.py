@@ -533,8 +533,8 @@ class Traffic(Struct, frozen=True, kw_only=True):
     waits: bool = False
     """Whether a plane has to loiter."""
     moved_at_s: float = 0.0
-    forced: bool = False
-    """Whether the vehicle is in the way where it stands."""
+    forced_since_s: float = math.inf
+    """Since when the vehicle is in the way where it stands."""
     level_m: float | None = None
     """Altitude to climb or descend to, out of the way."""
     level_since_s: float = math.inf

@@ -46,7 +46,7 @@ _SPEEDS = (1.0, 0.75, 0.5, 0.25, 0.0)
 _LAW_STEP_S = 0.5
 _STILL_M_S = 0.05
 _PATIENCE_S, _LAST_PATIENCE_S = 20.0, 40.0
-_AGAIN_S = 10.0
+_AGAIN_S, _NO_LEVEL_S = 10.0, 5.0
 _THERE_M = 1.0
 _ON_PATH = (Phase.FLYING, Phase.RETURNING)
 
@@ -68,13 +68,16 @@ class _Scene:
     clear: Separation
     """Of tracks."""
 
-    def free(self, points: FloatArray, *, before: int | None = None) -> FloatArray:
-        """Which pieces no claim comes near to; before: only those that go before this system."""
-        free = np.ones(len(points) - 1, dtype=bool)
+    def free(self, points: FloatArray, ours: int) -> tuple[FloatArray, FloatArray]:
+        """Which pieces no claim comes near to, and which none that goes before this system."""
+        every = np.ones(len(points) - 1, dtype=bool)
+        before = every.copy()
         for claim, grown_m in self.claims:
-            if before is None or claim.system < before or grown_m:
-                free &= free_pieces(points, claim, self.apart, grown_m)
-        return free
+            free = free_pieces(points, claim, self.apart, grown_m)
+            every &= free
+            if claim.system < ours or grown_m:
+                before &= free
+        return every, before
 
 
 def heard(state: State, event: OthersHeard) -> State:
@@ -106,14 +109,14 @@ def observe(state: State, context: Context) -> tuple[State, list[Command]]:
     if still and rules.claims:
         stands = np.stack([scene.here, scene.here])
         fresh = dataclasses.replace(scene, claims=tuple(c for c in scene.claims if not c[1]))
-        forced = forced or not fresh.free(stands, before=traffic.ours).all()
+        forced = forced or not fresh.free(stands, traffic.ours)[1].all()
     flies = state.task.limits
     needed_m = min(flies.lead_m + flies.speed_m_s, float(scene.ahead_m[-1])) - _THERE_M
     left_m = traffic.committed_m - traffic.flown_m
     traffic = replace(
         traffic,
         speed_m_s=speed_m_s,
-        forced=forced and still,
+        forced_since_s=min(traffic.forced_since_s, state.now_s) if forced and still else math.inf,
         moved_at_s=traffic.moved_at_s if still and leg is not None else state.now_s,
         waits=not flies.hovers and leg is not None and (speed_m_s == 0.0 or left_m < needed_m),
     )
@@ -267,8 +270,9 @@ def _claimed(traffic: Traffic, scene: _Scene) -> Traffic:
     if not scene.claims:
         nobodys_m = mine_m = flown_m + float(ahead_m[-1])
     else:
-        nobodys_m = flown_m + _first_m(scene.free(scene.points), ahead_m)
-        mine_m = flown_m + _first_m(scene.free(scene.points, before=traffic.ours), ahead_m)
+        every, before = scene.free(scene.points, traffic.ours)
+        nobodys_m = flown_m + _first_m(every, ahead_m)
+        mine_m = flown_m + _first_m(before, ahead_m)
     committed_m = traffic.committed_m
     most_m = max(min(mine_m, flown_m + float(ahead_m[-1])), committed_m)
     asked = [(since_s, min(end_m, most_m)) for since_s, end_m in traffic.asked]
@@ -370,7 +374,11 @@ def _with_level(state: State, scene: _Scene) -> State:
         climbs = traffic.climbs or state.now_s - traffic.level_since_s >= CLAIM_S
         return replace(state, traffic=replace(traffic, climbs=climbs))
     may = state.phase in _ON_PATH or isinstance(state.hold, Replan)
-    if not (may and state.vehicle.traits.hovers and (traffic.forced or _is_stuck(state))):
+    if not (
+        may
+        and state.vehicle.traits.hovers
+        and (math.isfinite(traffic.forced_since_s) or _is_stuck(state))
+    ):
         return state
     for level_m in _levels(state, scene):
         if _is_free(state, scene, level_m):
@@ -511,14 +519,16 @@ def _told(state: State, scene: _Scene) -> tuple[State, list[Command]]:
     slow = flight.reference.speed_m_s < 0.5 * state.task.limits.speed_m_s
     waits = flight.leg is not None and slow and traffic.taken_m < ahead_m
     reason = None
-    if traffic.forced and traffic.level_m is None:
+    if traffic.level_m is None and state.now_s - traffic.forced_since_s > _NO_LEVEL_S:
         reason = Reason.NO_LEVEL
     elif traffic.waits or traffic.speed_m_s < math.inf or waits:
         reason = Reason.GIVING_WAY
     if reason is None:
         over = state.now_s - traffic.told_at_s > _AGAIN_S
         return replace(state, traffic=replace(traffic, told=None)) if over else state, []
-    fresh = reason is not traffic.told
+    fresh = traffic.told is None or (reason is Reason.NO_LEVEL and traffic.told is not reason)
+    reason = reason if fresh else traffic.told
+    assert reason is not None
     traffic = replace(traffic, told=reason, told_at_s=state.now_s)
     text = f"{reason.text}: {_who(scene, traffic)}"
     return replace(state, traffic=traffic), [StatusText(text=text)] if fresh else []

@@ -21,7 +21,7 @@ STRAIGHT_M = 1.0
 """How far the path may be from the chord when it is claimed; from later ones, twice that."""
 FORGOTTEN_S, CLAIM_FORGOTTEN_S = 60.0, 30.0
 """After a silence of so long an aircraft, or what a vehicle has claimed, counts no more."""
-_CLAIM_SAMPLES = 9
+_CLAIM_PIECES = 8
 
 
 @final
@@ -116,11 +116,10 @@ def keeps_apart(
 
 
 def _least_norm(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Least distance of segments from the origin.  (N, 2) x2 -> (N,)."""
-    along = end - start
-    squared = np.maximum((along * along).sum(axis=1), 1e-12)
-    share = np.clip(-(start * along).sum(axis=1) / squared, 0.0, 1.0)
-    return np.asarray(np.linalg.norm(start + share[:, None] * along, axis=1))
+    """Least distance of level segments from the origin.  (..., 2) x2 -> (...)."""
+    (x, y), (dx, dy) = (np.moveaxis(each, -1, 0) for each in (start, end - start))
+    share = np.clip(-(x * dx + y * dy) / np.maximum(dx * dx + dy * dy, 1e-12), 0.0, 1.0)
+    return np.hypot(x + share * dx, y + share * dy)
 
 
 def free_pieces(
@@ -128,39 +127,25 @@ def free_pieces(
 ) -> FloatArray:
     """Which pieces between points keep the separation from a claim.  (N, 3) -> (N - 1,), bool.
 
-    Sound: each piece, straight, as a whole from all of the claimed stretch.
+    Sound: each piece, straight, as a whole from all of the claimed stretch; too careful by half
+    the length of a piece at most.
     """
-    share = np.linspace(0.0, 1.0, _CLAIM_SAMPLES)[:, None]
     begin, end = np.asarray(claim.begin_nea_m), np.asarray(claim.end_nea_m)
-    cuts = begin + share * (end - begin)  # (M + 1, 3)
-    level = _between(points_nea_m[:-1, :2], points_nea_m[1:, :2], cuts[:-1, :2], cuts[1:, :2])
-    low, high = (
-        pick(points_nea_m[:-1, 2], points_nea_m[1:, 2]) for pick in (np.minimum, np.maximum)
-    )
-    bottom, top = (pick(cuts[:-1, 2], cuts[1:, 2]) for pick in (np.minimum, np.maximum))
-    up = np.maximum(low[:, None] - top, bottom - high[:, None])
-    near = level < separation.horizontal_m + grown_m
-    return np.asarray(~np.any(near & (up < separation.vertical_m + grown_m), axis=1))
-
-
-def _between(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
-    """Distances between level segments a-b and c-d.  (N, 2) x2, (M, 2) x2 -> (N, M)."""
-    a, b, c, d = a[:, None], b[:, None], c[None], d[None]
-
-    def to_segment(point: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-        start, end = start - point, end - point
-        along = end - start
-        squared = np.maximum((along * along).sum(axis=-1), 1e-12)
-        share = np.clip(-(start * along).sum(axis=-1) / squared, 0.0, 1.0)
-        return np.asarray(np.linalg.norm(start + share[..., None] * along, axis=-1))
-
-    def side(start: FloatArray, end: FloatArray, point: FloatArray) -> FloatArray:
-        one, two = end - start, point - start
-        return np.asarray(one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0])
-
-    crossing = (side(a, b, c) * side(a, b, d) < 0.0) & (side(c, d, a) * side(c, d, b) < 0.0)
-    ends = (to_segment(a, c, d), to_segment(b, c, d), to_segment(c, a, b), to_segment(d, a, b))
-    return np.where(crossing, 0.0, np.minimum.reduce(ends))
+    level_m, up_m = separation.horizontal_m + grown_m, separation.vertical_m + grown_m
+    for axis, kept_m in ((0, level_m), (1, level_m), (2, up_m)):
+        low, high = min(begin[axis], end[axis]) - kept_m, max(begin[axis], end[axis]) + kept_m
+        if points_nea_m[:, axis].max() <= low or points_nea_m[:, axis].min() >= high:
+            return np.ones(len(points_nea_m) - 1, dtype=bool)
+    cuts = begin + np.linspace(0.0, 1.0, _CLAIM_PIECES + 1)[:, None] * (end - begin)
+    start, stop = points_nea_m[:-1], points_nea_m[1:]
+    half_m = 0.5 * np.hypot(*(stop - start).T[:2])
+    middle = 0.5 * (start[:, None, :2] + stop[:, None, :2])  # (N, 1, 2)
+    level = _least_norm(cuts[:-1, :2] - middle, cuts[1:, :2] - middle) - half_m[:, None]
+    bottom, top = np.minimum(cuts[:-1, 2], cuts[1:, 2]), np.maximum(cuts[:-1, 2], cuts[1:, 2])
+    over = np.minimum(start[:, 2], stop[:, 2])[:, None] - top
+    under = bottom - np.maximum(start[:, 2], stop[:, 2])[:, None]
+    near = (level < level_m) & (np.maximum(over, under) < up_m)
+    return np.asarray(~near.any(axis=1))
 
 
 def straight_until(points_nea_m: FloatArray) -> int:
