@@ -28,6 +28,7 @@ from vehicle_sim.wire.mission_ardupilot import ArduPilotMissions
 from vehicle_sim.wire.mission_protocol import MissionProtocol
 from vehicle_sim.wire.mission_px4 import Px4Missions
 from vehicle_sim.wire.parameter_protocol import ParameterProtocol
+from vehicle_sim.wire.proximity import DISTANCE_SENSOR, RANGEFINDER, RangeSensors
 from vehicle_sim.wire.radio import Radio
 from vehicle_sim.wire.streams import COMMANDS as STREAM_COMMANDS
 from vehicle_sim.wire.streams import Streams
@@ -68,13 +69,16 @@ class FlightController:
         boot_us: int,
         hardware_id: int,
         on_text: Callable[[Text], None],
+        ranging: RangeSensors | None = None,
     ) -> None:
         profile = autopilot.profile
         self.autopilot = autopilot
         self.parameters = autopilot.parameters
         self.boot_us = boot_us
         self.wants_reboot = False
-        self.setpoints_ignored = False
+        self.setpoints_ignored = self.rangefinder_off = False
+        self.ranging = ranging
+        """None: PX4, which has no proximity sensors here."""
         self._radio, self._on_text = radio, on_text
         self.now_us = boot_us
         self._messages = _TELEMETRY[profile.firmware]
@@ -112,6 +116,10 @@ class FlightController:
         for link, number in self.streams.due(now_us):
             if number == _POSITION and link == 0:
                 positioned = True
+            if number in (DISTANCE_SENSOR, RANGEFINDER):
+                for message in self._ranges(number, link):
+                    self._radio.send(message, link)
+                continue
             message = built.get(number)
             if message is None:
                 build = self._messages.get(number)
@@ -121,6 +129,15 @@ class FlightController:
             ):
                 self._radio.send(message, link)
         return positioned
+
+    def _ranges(self, number: int, link: int) -> list[Any]:
+        """What range sensors say on this link now; of PX4 only the one that looks down."""
+        if self.ranging is not None:
+            self.ranging.rangefinder_off = self.rangefinder_off
+            return self.ranging.messages(number, link, self.now_us - self.boot_us)
+        build = None if self.rangefinder_off else self._messages.get(number)
+        message = build(self.report) if build else None
+        return [] if message is None else [message]
 
     def _told_already(self, link: int, now_us: int) -> bool:
         """CURRENT_MODE is sent at 2 Hz and at once on a change, however often it is asked for."""
@@ -140,6 +157,8 @@ class FlightController:
     def _renew_report(self) -> None:
         report, now_us = self.report, self.now_us
         report.renew(now_us - self.boot_us, _EPOCH_US + now_us if report.fix.usable else 0)
+        if self.ranging is not None:
+            report.range_sensors = self.ranging.bits(now_us - self.boot_us)
 
     # --- out ----------------------------------------------------------------------------------
 
@@ -167,6 +186,11 @@ class FlightController:
 
     def _send(self, number: int, to: Sender | None) -> None:
         """Send the message of this number, if it has data."""
+        if number in (DISTANCE_SENSOR, RANGEFINDER):
+            for link in self._radio.links if to is None else (to.link,):
+                for message in self._ranges(number, link):
+                    self._radio.send(message, link)
+            return
         build = self._messages.get(number)
         if build is None:
             return
@@ -223,6 +247,10 @@ class FlightController:
     def _on_attitude(self, message: Any, _: Sender) -> None:
         if not self.setpoints_ignored:
             self.answer(self.autopilot.on_attitude(messages.attitude_target(message)))
+
+    def _on_obstacle_distance(self, message: Any, _: Sender) -> None:
+        if self.ranging is not None:
+            self.ranging.proximity.on_obstacle_distance(message, self.now_us - self.boot_us)
 
     def _on_command(self, message: Any, sender: Sender) -> None:
         command = messages.command(message, sender)
@@ -299,6 +327,7 @@ _HANDLERS: dict[str, _Handler] = {
     "TIMESYNC": FlightController._on_time_sync,
     "SET_POSITION_TARGET_GLOBAL_INT": FlightController._on_setpoint,
     "SET_POSITION_TARGET_LOCAL_NED": FlightController._on_setpoint,
+    "OBSTACLE_DISTANCE": FlightController._on_obstacle_distance,
     "SET_ATTITUDE_TARGET": FlightController._on_attitude,
     "COMMAND_LONG": FlightController._on_command,
     "COMMAND_INT": FlightController._on_command,

@@ -4,8 +4,11 @@ Here its parts meet: the world and its faults, the vehicle, its sensors, the fli
 terrain radar and the radio.
 """
 
+import math
 from collections.abc import Callable, Container, Mapping
 from typing import final
+
+import numpy as np
 
 from vehicle_sim import truth
 from vehicle_sim.autopilots import Autopilot, Sender, SendParameter, Text
@@ -14,6 +17,7 @@ from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.dynamics.wind import Wind
+from vehicle_sim.errors import InputError
 from vehicle_sim.faults.conditions import conditions_of, take_one_shots
 from vehicle_sim.faults.timeline import Timeline
 from vehicle_sim.flight_controller import FlightController
@@ -21,8 +25,12 @@ from vehicle_sim.parameters import Parameters
 from vehicle_sim.plans import Plans
 from vehicle_sim.rng import generator
 from vehicle_sim.sensors.gps import Gps
+from vehicle_sim.sensors.lidar import Lidar, LidarTable, body_down_neu
 from vehicle_sim.sensors.terrain_radar import TerrainRadar
+from vehicle_sim.terrain import FloatArray
 from vehicle_sim.wire import messages
+from vehicle_sim.wire.lidar import LidarDriver
+from vehicle_sim.wire.proximity import RPLIDAR, Proximity, RangeSensors
 from vehicle_sim.wire.radar import RadarComponent
 from vehicle_sim.wire.radio import Radio, Received
 from vehicle_sim.world import Scanner, World
@@ -39,6 +47,11 @@ _NOT_SURVIVED = "SIM:"
 """So begins a text about something that the real autopilot does not survive."""
 _DOWN_US = 1_100_000
 """Without power: until the first heartbeat after it there is a gap of 2.1 s (ardupilot.md 5)."""
+_NEAR_M = 3.0
+"""Nearer to a thing than this, its distance is looked at in every step."""
+_ALONG_M = 0.01
+_FARTHEST_DOWN_M = 655.0
+_OF_OBSTACLES = ("OBSTACLE_DISTANCE", "OBSTACLE_DISTANCE_3D", "DISTANCE_SENSOR")
 
 
 @final
@@ -80,6 +93,11 @@ class Simulation:
         self._world, self._frame, self._seed = world, world.frame, seed
         self._terrain = world.truth()
         self._ground_amsl_m = self._terrain.height_at_amsl_m(vehicle.north_m, vehicle.east_m)
+        self._scene = world.scene(self._terrain)
+        self.nearest_m = self._near_m = math.inf
+        """To a tree, wall, building or wire: the least of the whole flight; and the least since
+        the last line of truth."""
+        self._unwatched_m = 0.0
         place = self._frame.to_geographic(vehicle.north_m, vehicle.east_m)
         self._vehicle = make_vehicle(vehicle, *place, self._ground_amsl_m)
         self._plans = Plans()
@@ -91,10 +109,15 @@ class Simulation:
         self._truth: list[str] = [truth.header(world, seed)]
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         self._boots, self._port_change = 0, False
-        autopilot = self._make_autopilot(overrides_of(vehicle))
+        lidar = world.lidar
+        overrides = overrides_of(vehicle)
+        if lidar is not None and lidar.output == "autopilot":
+            overrides = {"PRX1_TYPE": RPLIDAR} | overrides
+        autopilot = self._make_autopilot(overrides)
         self._radio = Radio(
             system=vehicle.system_id,
             radar_component=None if world.scanner is None else world.scanner.component_id,
+            lidar_component=lidar.component_id if lidar and lidar.output == "driver" else None,
             profile=autopilot.profile,
             links=links,
             byte_streams=byte_streams,
@@ -102,6 +125,7 @@ class Simulation:
             rng=generator(seed, "links"),
         )
         self._scanner = None if world.scanner is None else self._make_scanner(world.scanner)
+        self._lidar = None if lidar is None else self._make_lidar(lidar)
         self._timeline = Timeline.parse(
             faults,
             name="faults",
@@ -112,6 +136,10 @@ class Simulation:
         self._boot(autopilot)
         self._shown = (self.mode_name, False)
         self._look_down()
+        if self.nearest_m == 0.0:
+            at = (vehicle.north_m, vehicle.east_m)
+            rule = "stands inside a tree, wall, building or wire"
+            raise InputError("vehicle.north_m, east_m", at, rule, "Move it, or clear the place.")
 
     @property
     def plans(self) -> Plans:
@@ -122,6 +150,13 @@ class Simulation:
         radar = TerrainRadar(self._terrain, self._frame, range_m=scanner.range_m)
         rng = generator(self._seed, "radar")
         return RadarComponent(radar, rng, self._radio, scanner.component_id)
+
+    def _make_lidar(self, settings: LidarTable) -> tuple[Lidar, LidarDriver | None]:
+        lidar = Lidar(self._scene, settings, generator(self._seed, "lidar"))
+        if settings.output == "autopilot":
+            return lidar, None
+        rng = generator(self._seed, "lidar driver")
+        return lidar, LidarDriver(lidar, settings, rng, self._radio)
 
     def _make_autopilot(self, overrides: Mapping[str, float]) -> Autopilot:
         self._boots += 1
@@ -139,11 +174,30 @@ class Simulation:
             boot_us=self.now_us,
             hardware_id=self._hardware_id,
             on_text=self._on_text,
+            ranging=self._make_ranging(autopilot.parameters),
         )
         rng = generator(self._seed, f"gps {self._boots}")
         self._gps = Gps(self._personality.receiver, rng)
         self._parameters = autopilot.parameters
         self._refresh()
+
+    def _make_ranging(self, parameters: Parameters) -> RangeSensors | None:
+        if "PRX1_TYPE" not in parameters:
+            return None
+        lidar, kind = self._world.lidar, int(parameters["PRX1_TYPE"])
+        limits_m = (0.0, 0.0) if lidar is None else (lidar.min_m, lidar.range_m)
+        return RangeSensors(parameters, Proximity(kind, *limits_m), self._range_down_m)
+
+    def _place_nea_m(self) -> FloatArray:
+        vehicle = self._vehicle
+        local_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
+        return np.array([*local_m, vehicle.altitude_amsl_m])
+
+    def _range_down_m(self) -> float:
+        """Along the body's downward axis, to whatever is there."""
+        down = body_down_neu(self._vehicle)
+        met_m = self._scene.ray_lengths_m(self._place_nea_m(), down[None], _FARTHEST_DOWN_M)
+        return min(float(met_m[0]), _FARTHEST_DOWN_M)
 
     # --- to look at ---------------------------------------------------------------------------
 
@@ -219,6 +273,8 @@ class Simulation:
         self._controller.send_heartbeat()
         if self._scanner is not None:
             self._scanner.send_heartbeat()
+        if self._lidar is not None and self._lidar[1] is not None:
+            self._lidar[1].send_heartbeat()
 
     def begin(self) -> None:
         """Reset the frame counters: the number of heartbeats before depends on wall time."""
@@ -269,6 +325,7 @@ class Simulation:
         self._conditions = conditions_of(parameters)
         self._seen_version = parameters.version
         self._controller.setpoints_ignored = self._conditions.setpoints_ignored
+        self._controller.rangefinder_off = self._conditions.rangefinder_off
         self._radio.impair(self._conditions.link)
         if "MAV_OPTIONS" in parameters:
             self._radio.router.enforce = bool(int(parameters["MAV_OPTIONS"]) & 1)
@@ -321,6 +378,12 @@ class Simulation:
             self._since_power_s = 0.0
         if controller.wants_reboot:
             self._go_down()
+        if not self._scene.empty:
+            self._watch_near()
+        if self._lidar is not None:
+            self._step_lidar()
+        if controller.ranging is not None:
+            controller.ranging.proximity.step(since_boot_us)
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
         if looks and not complete:  # without positions there are ticks all the same
             complete = controller.streams.interval_us(0, _POSITION) is None
@@ -328,12 +391,56 @@ class Simulation:
             self._scanner.step(now_us, vehicle, conditions.radar, tick=complete)
         return complete
 
+    def _step_lidar(self) -> None:
+        """Measure; what the autopilot gets of it, it gets at once."""
+        assert self._lidar is not None
+        (lidar, driver), controller = self._lidar, self._controller
+        wrong, since_boot_us = self._conditions.lidar, self.now_us - controller.boot_us
+        north_m, east_m, _ = self._place_nea_m()
+        fired = lidar.step(self.now_us, self._vehicle, (north_m, east_m), wrong)
+        proximity = None if controller.ranging is None else controller.ranging.proximity
+        if driver is None:
+            if proximity is not None and not wrong.silent:
+                angles_rad, distances_m = lidar.angles_rad[fired], lidar.distances_m[fired]
+                proximity.on_beams(angles_rad, distances_m, since_boot_us)
+            return
+        for message in driver.step(self.now_us, controller.boot_us, wrong):
+            if proximity is not None:
+                proximity.on_obstacle_distance(message, since_boot_us)
+            if wrong.mirrored and self.companion is not None:
+                self._radio.send_as(message, self.companion.system, self.companion.component)
+
+    def _watch_near(self) -> None:
+        """How near it has come to anything; whoever touches something crashes."""
+        vehicle, controller = self._vehicle, self._controller
+        way = (vehicle.velocity_north_m_s, vehicle.velocity_east_m_s, vehicle.velocity_up_m_s)
+        step_m = math.hypot(*way) * _STEP_S
+        self._unwatched_m -= step_m
+        if self._unwatched_m > 0.0:
+            return
+        here = self._place_nea_m()
+        near_m = float(self._scene.distance_m(here)[0])
+        self._unwatched_m = near_m - _NEAR_M
+        if 0.0 < near_m < step_m:  # it may have flown through
+            share = np.linspace(0.0, 1.0, math.ceil(step_m / _ALONG_M) + 1)[:, None]
+            near_m = float(self._scene.distance_m(here - share * _STEP_S * np.array(way)).min())
+        self._near_m = min(self._near_m, near_m)
+        if near_m == 0.0 and controller.autopilot.armed and not controller.autopilot.landed:
+            self._notice("it hits a tree, wall, building or wire")
+            vehicle.velocity_north_m_s = vehicle.velocity_east_m_s = 0.0
+            controller.answer(controller.autopilot.crash())
+
     def _look_down(self) -> None:
         """Where it is in the world, how high the ground is there; one line of truth."""
         vehicle, autopilot = self._vehicle, self._controller.autopilot
         self._local_m = self._frame.to_local(vehicle.latitude_deg, vehicle.longitude_deg)
         self._ground_amsl_m = self._terrain.height_at_amsl_m(*self._local_m)
-        self._truth.append(truth.line(self.now_us, self._local_m, vehicle, autopilot))
+        near_m = None
+        if not self._scene.empty:
+            here = (*self._local_m, vehicle.altitude_amsl_m)
+            near_m = min(self._near_m, float(self._scene.distance_m(np.array(here))[0]))
+            self.nearest_m, self._near_m = min(self.nearest_m, near_m), math.inf
+        self._truth.append(truth.line(self.now_us, self._local_m, vehicle, autopilot, near_m))
         shown = (autopilot.mode_name, autopilot.armed)
         if shown != self._shown:
             self._shown = shown
@@ -389,6 +496,8 @@ class Simulation:
             return
         if kind == "HEARTBEAT" and sender.link == 0:
             self._meet(sender, message.system_status)
+        if self._conditions.lidar.mirrored and kind in _OF_OBSTACLES:
+            self._radio.send_back(received)
         self._controller.receive(message, sender, self.now_us)
         if self.on_message is not None:
             self.on_message(kind)

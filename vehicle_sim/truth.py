@@ -26,8 +26,17 @@ def header(world: World, seed: int) -> str:
     )
 
 
-def line(now_us: int, local_m: tuple[float, float], vehicle: Vehicle, autopilot: Autopilot) -> str:
-    """One moment.  Written by hand: json.dumps would take longer than the flying."""
+def line(
+    now_us: int,
+    local_m: tuple[float, float],
+    vehicle: Vehicle,
+    autopilot: Autopilot,
+    near_m: float | None,
+) -> str:
+    """One moment; near_m: least distance to any near thing since the one before, None: no things.
+
+    Written by hand: json.dumps would take longer than the flying.
+    """
     north_m, east_m = local_m
     return (
         f'{{"t_s": {now_us * 1e-6:.2f}, "north_m": {north_m:.4f}, "east_m": {east_m:.4f}, '
@@ -37,5 +46,6 @@ def line(now_us: int, local_m: tuple[float, float], vehicle: Vehicle, autopilot:
         f'"velocity_east_m_s": {vehicle.velocity_east_m_s:.4f}, '
         f'"velocity_up_m_s": {vehicle.velocity_up_m_s:.4f}, '
         f'"mode": "{autopilot.mode_name}", "armed": {str(autopilot.armed).lower()}, '
-        f'"landed": {str(autopilot.landed).lower()}}}'
+        f'"landed": {str(autopilot.landed).lower()}'
+        + ("}" if near_m is None else f', "near_m": {near_m:.3f}}}')
     )

@@ -6,6 +6,8 @@ and so is an altitude whose key does not say what it is measured from.
 
 import dataclasses
 import difflib
+import itertools
+import math
 import tomllib
 import types
 import typing
@@ -21,6 +23,9 @@ from vehicle_sim.elevation import VerticalDatum, read_grid
 from vehicle_sim.errors import InputError, did_you_mean
 from vehicle_sim.geodesy import LocalFrame
 from vehicle_sim.parameters import Firmware
+from vehicle_sim.rng import generator
+from vehicle_sim.scene import Scene, Upright, drawn_wood
+from vehicle_sim.sensors.lidar import LidarTable
 from vehicle_sim.terrain import Combine, PeakTerrain, Terrain
 
 _REFUSE_UNKNOWN = ConfigDict(extra="forbid")
@@ -136,6 +141,101 @@ class Scanner:
     range_m: _Positive
 
 
+_Place = tuple[_Local, _Local]
+"""North and east."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Tree:
+    """A cylinder on the ground."""
+
+    north_m: _Local
+    east_m: _Local
+    radius_m: _Positive
+    height_m: _Positive
+    """Above the ground, as of the next four."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Building:
+    """A prism with a flat roof; its height is above the highest ground at a corner."""
+
+    corners_ne_m: Annotated[tuple[_Place, ...], Field(min_length=3)]
+    height_m: _Positive
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Wall:
+    """Upright along a line of points; its ends are round."""
+
+    points_ne_m: Annotated[tuple[_Place, ...], Field(min_length=2)]
+    thickness_m: _Positive
+    height_m: _Positive
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Wire:
+    """Level between two ends: it can be touched, and no lidar sees it."""
+
+    ends_ne_m: tuple[_Place, _Place]
+    height_m: _Positive
+    thickness_m: _Positive = 0.02
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Clearing:
+    """Where no tree of a wood stands."""
+
+    north_m: _Local
+    east_m: _Local
+    radius_m: _Positive
+
+
+_Range = tuple[_Positive, _Positive]
+"""Least and most."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
+class Wood:
+    """Trees that are drawn when the world is read: the same ones for the same seed."""
+
+    seed: Annotated[int, Field(strict=True, ge=0)]
+    north_min_m: _Local
+    north_max_m: _Local
+    east_min_m: _Local
+    east_max_m: _Local
+    spacing_m: _Range
+    """Between two trees, from middle to middle: it varies from place to place."""
+    radius_m: _Range
+    height_m: _Range
+    clearing_share: Annotated[_Real, Field(ge=0, le=0.9)] = 0.0
+    """Of the area: clearings that are drawn too."""
+    clearings: tuple[Clearing, ...] = ()
+    """These are always there."""
+
+    def trees(self) -> list[Tree]:
+        """As drawn."""
+        rng = generator(self.seed, "wood")
+        edges_m = (self.north_min_m, self.north_max_m, self.east_min_m, self.east_max_m)
+        places = drawn_wood(rng, edges_m, self.spacing_m, self.clearing_share)
+        (thin, thick), (low, high) = self.radius_m, self.height_m
+        draws = rng.random((len(places), 2)) * [thick - thin, high - low] + [thin, low]
+        return [
+            Tree(north_m=north, east_m=east, radius_m=radius, height_m=height)
+            for (north, east), (radius, height) in zip(places.tolist(), draws.tolist(), strict=True)
+            if all(
+                math.hypot(north - c.north_m, east - c.east_m) >= c.radius_m + radius
+                for c in self.clearings
+            )
+        ]
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, config=_REFUSE_UNKNOWN)
 class World:
@@ -150,6 +250,12 @@ class World:
     """Left out: the vehicle has none."""
     radars: tuple[Threat, ...] = ()
     area: AreaTable | None = None
+    trees: tuple[Tree, ...] = ()
+    woods: tuple[Wood, ...] = ()
+    buildings: tuple[Building, ...] = ()
+    walls: tuple[Wall, ...] = ()
+    wires: tuple[Wire, ...] = ()
+    lidar: LidarTable | None = None
 
     @property
     def frame(self) -> LocalFrame:
@@ -172,6 +278,42 @@ class World:
             for p in table.peaks
         ]
         return PeakTerrain.of(rows, combine=table.combine, ground_amsl_m=table.ground_amsl_m)
+
+    def scene(self, terrain: Terrain | None = None) -> Scene:
+        """Terrain and near things: `distance_m` of it is the true clearance of any points."""
+        terrain = terrain or self.truth()
+        trees = [*self.trees, *(tree for wood in self.woods for tree in wood.trees())]
+        things = [
+            _standing(terrain, [(t.north_m, t.east_m)], t.radius_m, t.height_m) for t in trees
+        ]
+        for building in self.buildings:
+            prism = _standing(terrain, building.corners_ne_m, 0.0, building.height_m)
+            things.append(prism._replace(closed=True))
+        for wall in self.walls:
+            points, half_m = wall.points_ne_m, 0.5 * wall.thickness_m
+            things += [
+                _standing(terrain, ends, half_m, wall.height_m)
+                for ends in itertools.pairwise(points)
+            ]
+        for wire in self.wires:
+            half_m = 0.5 * wire.thickness_m
+            line = _standing(terrain, wire.ends_ne_m, half_m, wire.height_m + half_m)
+            bottom_m = line.top_amsl_m - wire.thickness_m
+            things.append(line._replace(bottom_amsl_m=bottom_m, visible=False))
+        return Scene(terrain, things)
+
+    def with_woods_of(self, seed: int) -> "World":
+        """The same world with other trees in its woods: what benchmarks draw."""
+        woods = (dataclasses.replace(wood, seed=seed + k) for k, wood in enumerate(self.woods))
+        return dataclasses.replace(self, woods=tuple(woods))
+
+
+def _standing(
+    terrain: Terrain, corners_ne_m: Sequence[_Place], half_width_m: float, height_m: float
+) -> Upright:
+    """On the ground, and as high above its highest at a corner."""
+    ground_amsl_m = max(terrain.height_at_amsl_m(*corner) for corner in corners_ne_m)
+    return Upright(corners_ne_m, half_width_m, -math.inf, ground_amsl_m + height_m)
 
 
 _WORLD = TypeAdapter(World)
@@ -214,6 +356,7 @@ def parse_world(table: dict[str, Any], folder: Path | None = None) -> World:
         raise _explained((unknown or problems)[0]) from None
     _check_terrain(world)
     _check_vehicle(world.vehicle)
+    _check_near(world)
     if folder is None or world.terrain.file is None:
         return world
     beside = str(folder / world.terrain.file)
@@ -268,6 +411,41 @@ def _check_vehicle(vehicle: Vehicle) -> None:
     if slowest is not None and fastest is not None and slowest >= fastest:
         rule = "must be less than airspeed_max_m_s"
         raise InputError("vehicle.airspeed_min_m_s", slowest, rule, "Swap or widen them.")
+
+
+_MOST_TREES = 200_000
+
+
+def _check_near(world: World) -> None:
+    """Ranges that are none, shapes without extent, and a lidar that nothing reads."""
+    for k, wood in enumerate(world.woods):
+        north_m, east_m = wood.north_max_m - wood.north_min_m, wood.east_max_m - wood.east_min_m
+        if north_m <= 0.0 or east_m <= 0.0:
+            rule = "its least must lie below its most"
+            raise InputError(f"woods.{k}", (north_m, east_m), rule, "Swap or widen them.")
+        for key in ("spacing_m", "radius_m", "height_m"):
+            if getattr(wood, key)[0] > getattr(wood, key)[1]:
+                rule = "gives the least first"
+                raise InputError(f"woods.{k}.{key}", getattr(wood, key), rule, "Swap them.")
+        if north_m * east_m > _MOST_TREES * wood.spacing_m[0] ** 2:
+            rule = f"would have more than {_MOST_TREES} trees"
+            raise InputError(f"woods.{k}.spacing_m", wood.spacing_m, rule, "Widen it.")
+    for k, building in enumerate(world.buildings):
+        if len(set(building.corners_ne_m)) < len(building.corners_ne_m):
+            field, rule = f"buildings.{k}.corners_ne_m", "names a corner twice"
+            raise InputError(field, building.corners_ne_m, rule, "Leave one out.")
+    lidar = world.lidar
+    if lidar is None:
+        return
+    if lidar.min_m >= lidar.range_m:
+        rule = f"must be less than range_m, which is {lidar.range_m:g}"
+        raise InputError("lidar.min_m", lidar.min_m, rule, "Lessen it.")
+    if lidar.output == "autopilot" and world.vehicle.autopilot != "ardupilot":
+        rule = f"{world.vehicle.autopilot} has no driver for it"
+        raise InputError("lidar.output", lidar.output, rule, "Write driver.")
+    if world.scanner is not None and world.scanner.component_id == lidar.component_id:
+        rule = "is the terrain radar's too"
+        raise InputError("lidar.component_id", lidar.component_id, rule, "Choose another.")
 
 
 def flat_world(

@@ -18,6 +18,7 @@ ways over it are flown high and in short legs, and a way round is rarely dearer.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import final
@@ -100,6 +101,23 @@ class Lattice:
             for axis in (0, 1)
         ]
         return np.add.outer(near[0] * self.shape[1], near[1]).ravel().astype(np.int32)
+
+
+def bars(lattices: Sequence[Lattice], route_ne_m: FloatArray) -> bool:
+    """Whether a route comes to a sample where nothing may fly.  (K, 2), north and east.
+
+    lattices: the first that holds a point counts there.  It is looked at twice a sample.
+    """
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(route_ne_m, axis=0).T)))
+    at = np.arange(0.0, along[-1], 0.5 * lattices[0].step_m)
+    left = np.stack([np.interp(at, along, route_ne_m[:, k]) for k in (0, 1)], axis=-1)
+    for lattice in lattices:
+        samples = np.rint(lattice.sample_of(left)).astype(np.intp)
+        inside = ((samples >= 0) & (samples < lattice.cost.shape)).all(axis=1)
+        if (lattice.cost[tuple(samples[inside].T)] >= BLOCKED).any():
+            return True
+        left = left[~inside]
+    return False
 
 
 def line_cost_m(lattice: Lattice, from_ne_m: FloatArray, to_ne_m: FloatArray) -> FloatArray:

@@ -25,6 +25,7 @@ from companion.planner.cost_lattice import (
     IndexArray,
     Lattice,
     Place,
+    bars,
     lattice_of,
     line_cost_m,
 )
@@ -113,11 +114,12 @@ def cost_to_go(
     believed_m = guessed_m(known, here_ne_m, task.settings.scan_range_m)
     cells = max(round(task.settings.scan_range_m / (2 * _CELLS_PER_RANGE * known.cell_m)), 1)
     near = lattice_of(known, believed_m, task, here_ne_m, cells)
-    seeds, far = _seeds(near, target_ne_m), None
+    seeds, far, lattices = _seeds(near, target_ne_m), None, [near]
     if not near.covers_map:
         most = max(known.upper_m.shape)
         wide_cells = max(math.ceil(most / (2 * MAX_CELLS)), 1)
         wide = lattice_of(known, believed_m, task, here_ne_m, wide_cells)
+        lattices.append(wide)
         far = _solve(wide, _seeds(wide, target_ne_m))
         border = _border_seeds(near, far)
         seeds = seeds.joined(border) if near.holds(target_ne_m) else border
@@ -139,13 +141,8 @@ def cost_to_go(
         value=on_lattice(vertex_m=_smooth_edges(solved)),
         needed=on_lattice(vertex_m=_needed_m(solved, target_ne_m, task)),
         route_ne_m=route,
-        is_barred=_is_barred(near, np.array(route)),
+        is_barred=bars(lattices, np.array(route)),
     )
-
-
-def _is_barred(lattice: Lattice, route_ne_m: FloatArray) -> bool:
-    cost_m = line_cost_m(lattice, route_ne_m[:-1], route_ne_m[1:])
-    return float(cost_m.sum()) >= BLOCKED * lattice.step_m
 
 
 @final

@@ -31,7 +31,8 @@ def about_altitudes(mission: Mission, targets: list[TargetTable], where: str) ->
     Raises InputError about a target that nothing of the band is high enough for, or whose ground
     is not known.
     """
-    if mission.known is None or mission.scanner_component_id is not None:
+    may_scan = mission.near is not None or mission.scanner_component_id is not None
+    if mission.known is None or may_scan:
         return
     lowest_m, _ = mission.task.band_amsl_m
     altitudes = mission.altitudes_amsl_m or (None,) * len(targets)

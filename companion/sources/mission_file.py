@@ -230,12 +230,11 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
         raise InputError(f"{where}: terrain", None, rule, remedy)
     usual = AUTOPILOT_COMPONENT if kind == "distance_sensor" else _LIDAR_COMPONENT
     return NearSensor(
-        kind=kind,
         component_id=usual if table.component is None else table.component,
         yaw_rad=math.radians(table.yaw_deg),
         bearing_error_rad=math.radians(table.bearing_error_deg),
         range_m=model.planner.scan_range_m,
-        **table.of(NearSensor) | {"kind": kind},
+        **table.of(NearSensor),
     )
 
 

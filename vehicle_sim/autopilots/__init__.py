@@ -329,6 +329,8 @@ class Report:
     hardware_id: int = 1
     event_sequence: int = 65525
     """Of the newest EVENT (PX4)."""
+    range_sensors: tuple[int, int] = (0, 0)
+    """Bits of SYS_STATUS: proximity and rangefinder, and those of them that are not well."""
     vehicle: Vehicle = field(init=False)
     """For attitude and airspeed only: position and velocity are the estimate's."""
     estimate: Estimate = field(init=False)
@@ -446,6 +448,9 @@ class Autopilot(Protocol):
 
     def on_plan(self, kind: PlanKind) -> Sequence[Reply]:
         """A mission, fence or rally list was replaced by a client."""
+
+    def crash(self) -> Sequence[Reply]:
+        """It has hit something: the motors stop, wherever it is."""
 
     def pilot_takes(self) -> Sequence[Reply]:
         """Fault: the pilot changes to the mode that pilots of this firmware hold the vehicle in."""

@@ -30,6 +30,10 @@ _LIMITS = {
     "COUNT": (0.0, 50.0),
     "VOLTAGE": (0.0, 60.0),
     "RATE": (0.1, 100.0),
+    "TURN": (-360.0, 360.0),
+    "AHEAD": (-1e9, 1e9),
+    "FLOOD": (0.1, 1000.0),
+    "FRAME": (0.0, 255.0),
     "LINK": (0.0, 23.0),
     "VALUE": (-1e9, 1e9),
 }
@@ -342,6 +346,82 @@ FAULTS: tuple[Fault, ...] = (
         "RATE Hz",
         "The radar answers this many requests a second.",
         {"SIM_RDR_HZ": "RATE"},
+    ),
+    Fault(
+        "lidar_dead",
+        "",
+        "The lidar measures nothing any more: its driver keeps its heartbeat and sends no "
+        "distances; ArduPilot's own says unhealthy.",
+        {"SIM_LDR_DEAD": 1.0},
+    ),
+    Fault("lidar_blind", "", "The lidar gets no echo back.", {"SIM_LDR_BLIND": 1.0}),
+    Fault(
+        "lidar_off",
+        "",
+        "The lidar's driver falls silent: no distances, no heartbeat.",
+        {"SIM_LDR_OFF": 1.0},
+    ),
+    Fault(
+        "lidar_loss",
+        "PERCENT %",
+        "This share of OBSTACLE_DISTANCE is lost between driver and autopilot; 100 %: that link.",
+        {"SIM_LDR_LOSS": "PERCENT"},
+    ),
+    Fault(
+        "lidar_dust",
+        "PERCENT %",
+        "This share of the beams returns within 3 m from dust, rain or sun.",
+        {"SIM_LDR_DUST": "PERCENT"},
+    ),
+    Fault(
+        "lidar_stuck",
+        "",
+        "The same distances again and again, with new stamps.",
+        {"SIM_LDR_STUCK": 1.0},
+    ),
+    Fault(
+        "lidar_turned",
+        "TURN deg",
+        "It is mounted turned by this (backwards: 180), and nobody knows.",
+        {"SIM_LDR_YAW": "TURN"},
+    ),
+    Fault(
+        "lidar_clock",
+        "AHEAD ms [jumping JITTER ms]",
+        "The driver's stamps are ahead by this, each one by up to so much more or less.",
+        {"SIM_LDR_CLOCK": "AHEAD", "SIM_LDR_JUMP": _or_zero("JITTER")},
+    ),
+    Fault(
+        "lidar_rate",
+        "FLOOD Hz",
+        "The driver sends so often; 200 Hz is a flood.",
+        {"SIM_LDR_HZ": "FLOOD"},
+    ),
+    Fault(
+        "lidar_frame",
+        "FRAME",
+        "The driver claims this MAV_FRAME for what is in the body's (12).",
+        {"SIM_LDR_FRAME": "FRAME"},
+    ),
+    Fault(
+        "lidar_junk",
+        "PERCENT %",
+        "This share of the driver's distances is 0, 65535 or beyond the limits; of so many "
+        "messages an angle is NaN.",
+        {"SIM_LDR_JUNK": "PERCENT"},
+    ),
+    Fault(
+        "lidar_mirror",
+        "",
+        "What a client says of obstacles comes back to it, and the driver's messages come once "
+        "more in the companion's name.",
+        {"SIM_LDR_MIRROR": 1.0},
+    ),
+    Fault(
+        "rangefinder_off",
+        "",
+        "The downward rangefinder is dead: DISTANCE_SENSOR falls silent, RANGEFINDER says 0.",
+        {"SIM_RFND_OFF": 1.0},
     ),
     Fault(
         "setpoints_ignored",

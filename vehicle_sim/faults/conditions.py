@@ -14,6 +14,7 @@ from vehicle_sim.dynamics.battery import BatteryConditions
 from vehicle_sim.dynamics.wind import WindConditions
 from vehicle_sim.parameters import Kind, Parameter, Parameters
 from vehicle_sim.sensors.gps import GpsConditions
+from vehicle_sim.sensors.lidar import LidarConditions
 from vehicle_sim.sensors.terrain_radar import RadarConditions
 
 _MIN_SATELLITES = 4
@@ -134,6 +135,20 @@ _OWN = (
     _row("SIM_RDR_NOISE", "radar.noise_m", 0.0, -10_000.0, 10_000.0),
     _row("SIM_RDR_DELAY", "radar.delay_s", 0.0, 0.0, 60_000.0, scale=1e-3),
     _row("SIM_RDR_HZ", "radar.rate_hz", 0.0, 0.0, 100.0),
+    _switch("SIM_LDR_DEAD", "lidar.dead"),
+    _switch("SIM_LDR_BLIND", "lidar.blind"),
+    _switch("SIM_LDR_OFF", "lidar.silent"),
+    _share("SIM_LDR_LOSS", "lidar.frames_lost"),
+    _share("SIM_LDR_DUST", "lidar.dust"),
+    _switch("SIM_LDR_STUCK", "lidar.stuck"),
+    _row("SIM_LDR_YAW", "lidar.turned_rad", 0.0, -360.0, 360.0, scale=_RADIANS),
+    _row("SIM_LDR_CLOCK", "lidar.clock_us", 0.0, -1e9, 1e9, scale=1e3),
+    _row("SIM_LDR_JUMP", "lidar.clock_jump_us", 0.0, 0.0, 60_000.0, scale=1e3),
+    _row("SIM_LDR_HZ", "lidar.rate_hz", 0.0, 0.0, 1000.0),
+    _row("SIM_LDR_FRAME", "lidar.frame", 12, 0, 255, kind=Kind.INT16),
+    _share("SIM_LDR_JUNK", "lidar.junk"),
+    _switch("SIM_LDR_MIRROR", "lidar.mirrored"),
+    _switch("SIM_RFND_OFF", "rangefinder_off"),
     _switch("SIM_SP_IGNORE", "setpoints_ignored"),
     _far("SIM_EKF_RST_N"),
     _far("SIM_EKF_RST_E"),
@@ -201,10 +216,12 @@ class Conditions:
     battery: BatteryConditions = field(default_factory=BatteryConditions)
     link: LinkConditions = field(default_factory=LinkConditions)
     radar: RadarConditions = field(default_factory=RadarConditions)
+    lidar: LidarConditions = field(default_factory=LidarConditions)
+    rangefinder_off: bool = False
     setpoints_ignored: bool = False
 
 
-_SECTIONS: Final = ("gps", "wind", "battery", "link", "radar")
+_SECTIONS: Final = ("gps", "wind", "battery", "link", "radar", "lidar")
 _GAUGE = _row("BATT_CAPACITY", "battery.gauge_mah", 3300.0, 0.0, 1e6)
 """A real parameter of ArduPilot's, to be found in its own table."""
 _FIELDS: Final = tuple(

@@ -172,8 +172,8 @@ def pong(question: Any, to: Sender) -> Any:
     )
 
 
-def radar_heartbeat() -> Any:
-    """HEARTBEAT of the terrain radar: there, active, and not an autopilot."""
+def component_heartbeat() -> Any:
+    """HEARTBEAT of the terrain radar and of the lidar's driver: active, no autopilot."""
     return mavlink.MAVLink_heartbeat_message(
         type=mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
         autopilot=mavlink.MAV_AUTOPILOT_INVALID,

@@ -48,7 +48,7 @@ class RadarComponent:
 
     def send_heartbeat(self) -> None:
         """Send a heartbeat now."""
-        self._radio.broadcast(messages.radar_heartbeat(), self._id)
+        self._radio.broadcast(messages.component_heartbeat(), self._id)
 
     def receive(self, message: Any, sender: Sender) -> None:
         """Handle a message that is for the radar; commands that name it are refused."""

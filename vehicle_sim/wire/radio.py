@@ -39,6 +39,7 @@ class Radio:
         *,
         system: int,
         radar_component: int | None,
+        lidar_component: int | None = None,
         profile: FirmwareProfile,
         links: int,
         byte_streams: Container[int],
@@ -47,13 +48,18 @@ class Radio:
     ) -> None:
         self.links = range(links)
         self.signing = Signing(links=links) if profile.signs else None
-        self.router = Router(system=system, radar=radar_component, firmware=profile.firmware)
-        self._system, self._radar = system, radar_component
+        self.router = Router(
+            system=system,
+            radar=radar_component,
+            lidar=lidar_component,
+            firmware=profile.firmware,
+        )
+        self._system = system
         self._parsers = [StreamParser(datagrams=link not in byte_streams) for link in self.links]
         self._packers = {
             (link, component): Packer(system, component)
             for link in self.links
-            for component in (AUTOPILOT_COMPONENT, radar_component)
+            for component in (AUTOPILOT_COMPONENT, radar_component, lidar_component)
             if component is not None
         }
         if self.signing is not None:
@@ -131,6 +137,17 @@ class Radio:
     def send(self, message: Any, link: int, component: int = AUTOPILOT_COMPONENT) -> None:
         """Queue a message of one of the vehicle's components."""
         self._outbox.append((link, self._packers[link, component].frame(message)))
+
+    def send_back(self, received: Received) -> None:
+        """Send a client its own frame."""
+        self._outbox.append((received.link, bytes(received.message.get_msgbuf())))
+
+    def send_as(self, message: Any, system: int, component: int) -> None:
+        """Send a message in somebody else's name, on every link."""
+        for link in self.links:
+            key = (link, -component)
+            packer = self._packers.setdefault(key, Packer(system, component))
+            self._outbox.append((link, packer.frame(message)))
 
     def broadcast(self, message: Any, component: int = AUTOPILOT_COMPONENT) -> None:
         """The same, on every link."""

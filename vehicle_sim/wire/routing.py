@@ -64,17 +64,25 @@ def targets(message: Any) -> Target:
 class Router:
     """Learns on which link each component is.
 
-    The radar is a component of its own, on a link inside the vehicle that never needs learning.
+    The radar is a component of its own, on a link inside the vehicle that never needs learning;
+    the lidar's driver is another, which listens to nobody.
     """
 
     def __init__(
-        self, *, system: int, component: int = 1, radar: int | None = None, firmware: Firmware
+        self,
+        *,
+        system: int,
+        component: int = 1,
+        radar: int | None = None,
+        lidar: int | None = None,
+        firmware: Firmware,
     ) -> None:
         self.enforce = False
         """MAV_OPTIONS bit 0: only the own system and the ground station may command."""
         self.ground_system = 255
         """MAV_GCS_SYSID."""
         self._system, self._component, self._radar = system, component, radar
+        self._inside = {radar, lidar}
         self._firmware = firmware
         self._routes = set[tuple[int, int, int]]()
         self._links: list[int] = []
@@ -94,7 +102,7 @@ class Router:
         source = (header.srcSystem, header.srcComponent)
         is_px4 = self._firmware == "px4"
         if source[0] == self._system and (
-            source[1] == self._radar or (source[1] == self._component and not is_px4)
+            source[1] in self._inside or (source[1] == self._component and not is_px4)
         ):
             return _NOWHERE  # our own, come back: ardupilot.md 3, "Who may send"
         if link not in self._links:

@@ -51,6 +51,13 @@ _FIELD_MGAUSS: Final = (232, 52, -528)
 
 def _masks(report: Report) -> tuple[int, int, int]:
     """What is there, wanted and well."""
+    present, enabled, health = _usual_masks(report)
+    there, lost = report.range_sensors
+    return present | there, enabled | there, (health | there) & ~lost
+
+
+def _usual_masks(report: Report) -> tuple[int, int, int]:
+    """Without proximity sensor and rangefinder."""
     status = report.status
     gps = _GPS if report.fix.fix_type > 0 else 0
     prearm = _PREARM_CHECK if status.prearm_ok else 0

@@ -521,6 +521,12 @@ class ArduPilot(abc.ABC):
         self.armed = False
         self.ekf.to_first_lane()
 
+    def crash(self) -> Sequence[Reply]:
+        """It has hit something."""
+        self.send_text(0, "Crash: Disarming: AngErr=90>30, Accel=0.5<3.0")
+        self.disarm()
+        return self._taken()
+
     # --- the rest of the protocol -----------------------------------------------------------------
 
     def on_manual_control(self, manual_control: ManualControl) -> Sequence[Reply]:

@@ -687,6 +687,12 @@ class Px4(abc.ABC):
         if self.intended is not self.mode:
             self._change(self.intended)
 
+    def crash(self) -> Sequence[Reply]:
+        """It has hit something, which its failure detector notices at once."""
+        self.disarm(health.DISARMED_BY_FAILURE)
+        said, self._said = self._said, []
+        return said
+
     def _disarm_by_itself(self) -> None:
         """COM_DISARM_LAND after landing, COM_DISARM_PRFLT after arming without take-off."""
         now_us = self.now_us

@@ -29,6 +29,7 @@ FUSION_STARTED: Final = 32069699
 
 ARMED_BY_COMMAND = 4
 DISARMED_BY_COMMAND, DISARMED_BY_LANDING, DISARMED_UNFLOWN = 4, 6, 7
+DISARMED_BY_FAILURE = 11
 """arm_disarm_reason_t."""
 
 REPORT_INTERVAL_US: Final = 2_050_000
@@ -54,6 +55,7 @@ REASONS: Final = {
     DISARMED_BY_COMMAND: "external command",
     DISARMED_BY_LANDING: "landing",
     DISARMED_UNFLOWN: "auto preflight disarming",
+    DISARMED_BY_FAILURE: "failure detector",
 }
 BOOT_UNIX_S: Final = 1795227739.3
 """GPS time at boot, of px4-offboard-short.tlog."""

@@ -1,0 +1,187 @@
+"""A horizontal lidar: beams in the plane of the vehicle's body, however it leans.
+
+Of a spinning one each beam is measured from where the vehicle is when the beam gets there, of a
+sector sensor all at once.  A distance is in metres; inf: no echo came back; NaN: not measured, as
+outside the field of view or nearer than the least distance.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as table
+
+from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.scene import Scene
+from vehicle_sim.terrain import FloatArray
+
+_DUST_M = 3.0
+_ABOVE_FEET_M = 0.15
+_Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+_Rate = Annotated[_Real, Field(ge=0.5, le=50)]
+
+
+@final
+@table(frozen=True, slots=True, kw_only=True, config=ConfigDict(extra="forbid"))
+class LidarTable:
+    """The lidar on board, as a world file describes it."""
+
+    range_m: Annotated[_Real, Field(gt=0, le=600)]
+    min_m: Annotated[_Real, Field(gt=0)] = 0.2
+    """Nearer than this it measures nothing."""
+    kind: Literal["spinning", "sectors"] = "spinning"
+    """One beam that turns, or all beams at once."""
+    output: Literal["driver", "autopilot"] = "driver"
+    """OBSTACLE_DISTANCE of a component, or an RPLidar on ArduPilot (PRX1_TYPE 5)."""
+    component_id: Annotated[int, Field(strict=True, ge=2, le=255)] = 196
+    rate_hz: _Rate = 10.0
+    """Of the driver's messages."""
+    turns_1_s: _Rate = 10.0
+    """Sweeps a second."""
+    step_deg: Annotated[_Real, Field(ge=0.2, le=45)] = 3.6
+    """Between two beams."""
+    width_deg: Annotated[_Real, Field(ge=5, le=360)] = 360.0
+    """Of the field of view, half to each side of the sensor's nose."""
+    increment_deg: Annotated[_Real, Field(ge=5, le=90)] = 5.0
+    """Of the driver's sectors: the nearest echo in each is told."""
+    angle_offset_deg: Annotated[_Real, Field(ge=-360, le=360)] | None = None
+    """Of the middle of the driver's first sector from the vehicle's nose; without it 0, or the
+    left edge of a field of view of less than a turn."""
+    yaw_deg: Annotated[_Real, Field(ge=-360, le=360)] = 0.0
+    """How it is mounted, clockwise from the vehicle's nose; the driver corrects for it."""
+    noise_m: Annotated[_Real, Field(ge=0)] = 0.0
+    """Standard deviation of a distance."""
+    lost_share: Annotated[_Real, Field(ge=0, le=1)] = 0.0
+    """Of the echoes: they do not come back, as if nothing were there."""
+    latency_s: Annotated[_Real, Field(ge=0, le=5)] = 0.0
+    """From the middle of a sweep to its message; half a sweep at least."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LidarConditions:
+    """What is wrong with the lidar and its driver.  Shares are 0 to 1."""
+
+    dead: bool = False
+    """It measures nothing any more; its driver is well."""
+    blind: bool = False
+    """It measures, and no echo comes back."""
+    silent: bool = False
+    """The driver says nothing: no heartbeat either."""
+    frames_lost: float = 0.0
+    """Between the driver and the autopilot."""
+    dust: float = 0.0
+    """Share of the beams with a near echo of nothing: dust, rain, sun."""
+    stuck: bool = False
+    """The same distances for ever, with new stamps."""
+    turned_rad: float = 0.0
+    """It is mounted turned by this, and nobody knows."""
+    clock_us: int = 0
+    """The driver's clock is ahead by this."""
+    clock_jump_us: int = 0
+    """Each stamp is wrong by up to this, either way."""
+    rate_hz: float = 0.0
+    """Of the driver's messages; 0: as in the world."""
+    frame: int = 12
+    """MAV_FRAME that the driver claims."""
+    junk: float = 0.0
+    """Share of the distances that are 0, 65535 or beyond the limits, and of messages whose
+    increment or offset is NaN."""
+    mirrored: bool = False
+    """What a client says of obstacles comes back to it, and all that the driver says is said in the
+    companion's name too."""
+
+
+@final
+class Lidar:
+    """The sensor head."""
+
+    def __init__(self, scene: Scene, settings: LidarTable, rng: np.random.Generator) -> None:
+        self._scene, self._settings, self._rng = scene, settings, rng
+        count = round(360.0 / settings.step_deg)
+        self._off_nose_rad = np.arange(count) * (math.tau / count)
+        wrapped_deg = np.degrees(np.remainder(self._off_nose_rad + math.pi, math.tau)) - 180.0
+        self._in_view = np.abs(wrapped_deg) <= 0.5 * settings.width_deg + 1e-9
+        self.angles_rad = self._off_nose_rad + math.radians(settings.yaw_deg)
+        """Of all beams, clockwise from the vehicle's nose, as the mounting is known.  (B,)"""
+        self.distances_m = np.full(count, np.nan)
+        """The newest of every beam.  (B,)"""
+        self._turns = float(rng.random())
+        self._turned_us = 0
+        self.middle_us = 0
+        """When the newest sweep was half done."""
+
+    def step(
+        self,
+        now_us: int,
+        vehicle: Vehicle,
+        local_m: tuple[float, float],
+        conditions: LidarConditions,
+    ) -> NDArray[np.intp]:
+        """Measure what is due; returns which beams, in order.
+
+        local_m: the vehicle's place; the local frame's north is taken for true north.
+        """
+        turns = self._turns + (now_us - self._turned_us) * 1e-6 * self._settings.turns_1_s
+        count = len(self.distances_m)
+        if self._settings.kind == "sectors":
+            fired = np.arange(count if int(turns) > int(self._turns) else 0)
+            if len(fired):
+                self.middle_us = now_us
+        else:
+            fired = np.arange(int(self._turns * count), min(int(turns * count), 2 * count)) % count
+            self.middle_us = now_us - round(5e5 / self._settings.turns_1_s)
+        self._turns, self._turned_us = turns % 1.0, now_us
+        fired = fired[self._in_view[fired]]
+        if len(fired) and not (conditions.dead or conditions.stuck):
+            eye_nea_m = (*local_m, vehicle.altitude_amsl_m + _ABOVE_FEET_M)
+            self.distances_m[fired] = self._measured(fired, eye_nea_m, vehicle, conditions)
+        return fired[:0] if conditions.dead else fired
+
+    def _measured(
+        self,
+        fired: NDArray[np.intp],
+        eye_nea_m: tuple[float, float, float],
+        vehicle: Vehicle,
+        conditions: LidarConditions,
+    ) -> FloatArray:
+        settings, rng = self._settings, self._rng
+        ways = directions_neu(self.angles_rad[fired] + conditions.turned_rad, vehicle)
+        true_m = self._scene.ray_lengths_m(eye_nea_m, ways, settings.range_m)
+        noise, lost, dust = rng.standard_normal(len(fired)), *rng.random((2, len(fired)))
+        told_m = true_m + settings.noise_m * noise
+        told_m[lost < settings.lost_share] = np.inf
+        if conditions.blind:
+            told_m[:] = np.inf
+        if conditions.dust:
+            span_m = min(_DUST_M, settings.range_m) - settings.min_m
+            near_m = settings.min_m + rng.random(len(fired)) * span_m
+            told_m = np.where(dust < conditions.dust, np.minimum(told_m, near_m), told_m)
+        told_m[told_m < settings.min_m] = np.nan
+        told_m[told_m > settings.range_m] = np.inf
+        return told_m
+
+
+def body_down_neu(vehicle: Vehicle) -> FloatArray:
+    """The body's downward axis: north, east, up.  -> (3,)."""
+    sine_r, cosine_r = math.sin(vehicle.roll_rad), math.cos(vehicle.roll_rad)
+    sine_p, cosine_p = math.sin(vehicle.pitch_rad), math.cos(vehicle.pitch_rad)
+    sine_y, cosine_y = math.sin(vehicle.heading_rad), math.cos(vehicle.heading_rad)
+    level = cosine_r * sine_p
+    north, east = level * cosine_y + sine_r * sine_y, level * sine_y - sine_r * cosine_y
+    return np.array([north, east, -cosine_r * cosine_p])
+
+
+def directions_neu(angles_rad: NDArray[np.floating], vehicle: Vehicle) -> FloatArray:
+    """Unit vectors in the plane of the vehicle's body: north, east, up.  (R,) -> (R, 3)."""
+    forward, right = np.cos(angles_rad), np.sin(angles_rad)
+    sine_r, cosine_r = math.sin(vehicle.roll_rad), math.cos(vehicle.roll_rad)
+    sine_p, cosine_p = math.sin(vehicle.pitch_rad), math.cos(vehicle.pitch_rad)
+    sine_y, cosine_y = math.sin(vehicle.heading_rad), math.cos(vehicle.heading_rad)
+    level = forward * cosine_p + right * sine_r * sine_p  # along the heading
+    aside = right * cosine_r
+    up = forward * sine_p - right * sine_r * cosine_p
+    return np.stack([level * cosine_y - aside * sine_y, level * sine_y + aside * cosine_y, up], -1)
