@@ -374,16 +374,21 @@ def _with_level(state: State, scene: _Scene) -> State:
         climbs = traffic.climbs or state.now_s - traffic.level_since_s >= CLAIM_S
         return replace(state, traffic=replace(traffic, climbs=climbs))
     may = state.phase in _ON_PATH or isinstance(state.hold, Replan)
-    if not (
-        may
-        and state.vehicle.traits.hovers
-        and (math.isfinite(traffic.forced_since_s) or _is_stuck(state))
-    ):
+    forced = math.isfinite(traffic.forced_since_s)
+    if not (may and state.vehicle.traits.hovers and (forced or _is_stuck(state))):
         return state
     for level_m in _levels(state, scene):
-        if _is_free(state, scene, level_m):
+        goes_on = forced or _is_way_free(scene, level_m)
+        if goes_on and _is_free(state, scene, level_m):
             return replace(state, traffic=_level(traffic, level_m, state.now_s, traffic.floor_m))
     return state
+
+
+def _is_way_free(scene: _Scene, level_m: float) -> bool:
+    """Whether the way ahead would be free at another level."""
+    points = scene.points.copy()
+    points[:, 2] = level_m
+    return all(free_pieces(points, claim, scene.apart, m).all() for claim, m in scene.claims)
 
 
 def _level(traffic: Traffic, to_m: float | None, since_s: float, floor_m: float | None) -> Traffic:
