@@ -132,7 +132,7 @@ class Session:
         self.near = None if mission.near is None else NearScanner(mission)
         """Reads the sensor of near things, if that is the mission's scanner."""
         self._scanning = self.near or ScanClient(mission)
-        self._others = None if mission.traffic is None else traffic.Listener(mission)
+        self._others = mission.traffic and traffic.Listener(mission)
         self._preflight = Preflight()
         self._component: Component | None = None
         self._time_asked = 0

@@ -43,6 +43,7 @@ _CLAIM_PERIOD_S = 0.2
 _AHEAD_S = 3.0  # of flight, and the braking distance: how long a claim is at most
 _PIECES = 48
 _SPEEDS = (1.0, 0.75, 0.5, 0.25, 0.0)
+_SHARES = (1.0, 0.5, 0.25)  # of the separation, if no speed keeps it all
 _LAW_STEP_S = 0.5
 _STILL_M_S = 0.05
 _PATIENCE_S, _LAST_PATIENCE_S = 20.0, 40.0
@@ -312,7 +313,7 @@ def _end_of_claim(state: State, scene: _Scene) -> Vector:
 
 
 def _fastest(state: State, rules: TrafficRules, scene: _Scene) -> tuple[float, bool]:
-    """The largest speed that keeps clear of all tracks, and whether not even a stop does."""
+    """The largest speed that keeps clear of all tracks, or the most of it; whether none does."""
     if not scene.tracks:
         return math.inf, False
     limits = state.task.limits
@@ -322,10 +323,15 @@ def _fastest(state: State, rules: TrafficRules, scene: _Scene) -> tuple[float, b
         times = np.arange(times[0], times[1] + _LAW_STEP_S, _LAW_STEP_S)
         points = np.broadcast_to(scene.points[-1], (len(times), 3))
         return math.inf, not keeps_apart(points, times, scene.tracks, scene.clear, slack_m)
-    for share in _SPEEDS if limits.hovers else _SPEEDS[:1]:
-        points, times = time_law(state, share * limits.speed_m_s, rules.horizon_s)
-        if keeps_apart(points, times, scene.tracks, scene.clear, slack_m):
-            return (math.inf if share == 1.0 else share * limits.speed_m_s), False
+    speeds = [share * limits.speed_m_s for share in (_SPEEDS if limits.hovers else _SPEEDS[:1])]
+    laws: list[tuple[FloatArray, FloatArray]] = []
+    for kept in _SHARES:
+        for number, speed in enumerate(speeds):
+            if number == len(laws):
+                laws.append(time_law(state, speed, rules.horizon_s))
+            points, times = laws[number]
+            if keeps_apart(points, times, scene.tracks, scene.clear, slack_m, kept):
+                return (math.inf if number == 0 and kept == 1.0 else speed), kept < 1.0
     return 0.0, True
 
 

@@ -94,11 +94,12 @@ def keeps_apart(
     tracks: Iterable[Track],
     separation: Separation,
     slack_m: float = 0.0,
+    share: float = 1.0,
 ) -> bool:
     """Whether a motion keeps the separation from all tracks, between its samples too.
 
     points_nea_m (N, 3) at times_s (N,), straight between them to slack_m.  A track may be anywhere
-    in its cylinder.
+    in its cylinder.  share: of what is to be kept, errors included.
     """
     for track in tracks:
         centre, radius, half = track.at(times_s)
@@ -109,8 +110,8 @@ def keeps_apart(
             0.0,
             np.minimum(np.abs(apart[:-1, 2]), np.abs(apart[1:, 2])),
         )
-        near = level < separation.horizontal_m + radius[1:] + slack_m
-        if np.any(near & (up < separation.vertical_m + half[1:] + slack_m)):
+        near = level < share * (separation.horizontal_m + radius[1:]) + slack_m
+        if np.any(near & (up < share * (separation.vertical_m + half[1:]) + slack_m)):
             return False
     return True
 

@@ -225,7 +225,7 @@ class Nearest:
     kept: float = math.inf
     """Least share of the separation that was kept, horizontally or vertically."""
     clear_m: float = math.inf
-    """Level, to an aircraft."""
+    """The same, to an aircraft."""
 
     def look(self, drones: list[Drone], planes: list[Aircraft], now_s: float) -> None:
         rules = _TABLE["traffic"]
@@ -238,7 +238,11 @@ class Nearest:
                 self.kept = min(self.kept, kept)
                 self.level_m = min(self.level_m, math.hypot(level_m, up_m))
             for plane in planes:
-                self.clear_m = min(self.clear_m, math.dist(one[:2], plane.position(now_s)[:2]))
+                apart = one - plane.position(now_s)
+                level_m, up_m = math.hypot(apart[0], apart[1]), abs(float(apart[2]))
+                kept = max(level_m / rules["separation_m"], up_m / rules["vertical_separation_m"])
+                self.kept = min(self.kept, kept)
+                self.clear_m = min(self.clear_m, math.hypot(level_m, up_m))
 
 
 _KERNELS: list[Kernel] = []
