@@ -29,6 +29,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "sample(n): each nth case, with --all every one")
+    if not config.pluginmanager.hasplugin("xdist"):
+        config.addinivalue_line("markers", "xdist_group(name): without xdist there is one worker")
 
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups

@@ -57,6 +57,7 @@ def test_a_clone_is_tested_that_has_nothing_but_the_commit(checkout: Path, tmp_p
     assert list(scratch.iterdir()) == []  # nothing is left behind
 
 
+@pytest.mark.nightly  # pytest and xdist are pinned
 def test_tests_of_one_group_are_run_by_one_worker(tmp_path: Path) -> None:
     """With pytest 9.2 they are not, and nothing says so: flights are then flown once a worker."""
     for name in ("one", "two"):

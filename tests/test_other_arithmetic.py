@@ -1,7 +1,8 @@
 """The deciding tests once more, in a process that computes otherwise: another processor's digits.
 
 numba compiles for the plainest processor, OpenBLAS and numpy take the kernels of an old one and
-glibc its functions without fused multiplication.  The positions are nudged too (tests/nudge.py).
+glibc its functions without fused multiplication.  What numba compiles so is flown with `--all`
+alone: to compile it takes longer than all the rest.  The positions are nudged too (tests/nudge.py).
 """
 
 import os
@@ -18,11 +19,10 @@ from companion.planner.kernels import NUMPY
 ROOT = Path(__file__).parents[1]
 DECIDING = (
     "tests/replay/test_golden.py",
-    "tests/replay/test_what_if.py",
     "tests/mission/test_orders.py",
     "tests/planner/test_recheck.py",
     "-k",
-    "(not test_orders or flown_one) and (not what_if or any_processor) and not what_it_decided",
+    "(not test_orders or flown_one) and not what_it_decided",
 )
 ALL_DECIDING = ("-n", "auto", "tests/replay", "tests/mission", "tests/planner")
 LONGEST_S = 3_600.0

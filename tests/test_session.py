@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as wire
 
@@ -191,6 +191,7 @@ def replayed(chunks: list[bytes]) -> tuple[list[bytes], list[Any]]:
     return frames, journal
 
 
+@settings(max_examples=12)
 @given(cuts=st.lists(st.integers(0, len(PREFLIGHT)), max_size=60))
 def test_it_does_not_matter_where_the_bytes_are_cut(cuts: list[int]) -> None:
     edges = [0, *sorted(cuts), len(PREFLIGHT)]
@@ -581,6 +582,7 @@ MAY_WATCH = {
 # --- garbage
 
 
+@settings(max_examples=12)
 @given(
     places=st.lists(st.integers(0, 200), min_size=1, max_size=20),
     junk=st.binary(min_size=1, max_size=80).map(

@@ -1,4 +1,4 @@
-"""Telemetry logs (.tlog) read by pymavlink's parser alone, frame by frame."""
+"""Telemetry logs (.tlog), frame by frame: read by pymavlink's parser alone, or as we read ours."""
 
 import struct
 from collections.abc import Iterator
@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import all as wire
+
+from companion.telemetry.run_folder import Records
 
 
 def frames_of(data: bytes) -> Iterator[tuple[int, Any]]:
@@ -23,3 +25,9 @@ def frames_of(data: bytes) -> Iterator[tuple[int, Any]]:
 def messages(folder: Path) -> list[Any]:
     """All of a run folder's log."""
     return [message for _, message in frames_of((folder / "flight.tlog").read_bytes())]
+
+
+def recorded_frames(path: Path) -> list[tuple[int, bytes]]:
+    """Stamp, in microseconds, and frame of each record, as the companion reads its own log."""
+    with Records(path) as records:
+        return list(iter(records.take, None))

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from vehicle_sim.terrain import FloatArray, PeakTerrain, Terrain
 
 _PIECE_M = 8.0
-_GROUND_STEP_M = 2.0
+_GROUND_STEP_M = 1.0
 _TINY = 1e-12
 _POINTS_AT_ONCE = 4096
 

@@ -262,14 +262,14 @@ class Receiver:
     ) -> None:
         """signing: None accepts any frame, signed or not.
 
-        needless: numbers of messages that are passed on undecoded.
+        ignored: numbers of messages that are passed on undecoded.
         """
         self.passed: Counter[Skipped] = Counter()
         """Bytes of garbage, and frames; what was not believed is in Signing.refused."""
         self.signed = 0
         """Frames that carried a signature, right or wrong."""
         self._signing = signing
-        self._needless, self._link = ignored, link
+        self._ignored, self._link = ignored, link
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Message]:
@@ -324,7 +324,7 @@ class Receiver:
             if mcrf4xx(covered) != data[end] | data[end + 1] << 8 or number in SECRETS:
                 break
             frame, message = data[at : end + _CHECKSUM], None
-            if number not in self._needless:
+            if number not in self._ignored:
                 try:
                     message = decoded(frame, kind)
                 except wire.MAVError:
@@ -349,7 +349,7 @@ class Receiver:
             self.passed[Skipped.SECRET] += 1
             return True
         plain, message = strip_signature(frame) if signed else frame, None
-        if kind.id not in self._needless:
+        if kind.id not in self._ignored:
             try:
                 message = decoded(plain, kind)
             except wire.MAVError:

@@ -145,9 +145,8 @@ class NearScanner:
         """All that is known of a window; None: nothing is new."""
         supersedes = window is not None
         window = window or (slice(0, 0), slice(0, 0))
-        free, occupied = self._near.free(window), self._near.occupied(window)
-        heights = np.where(free, self._ground_m[window], NO_ANSWER)
-        heights[occupied] = self._top_m
+        heights = np.where(self._near.free(window), self._ground_m[window], NO_ANSWER)
+        heights[self._near.closed(window)] = self._top_m
         return Scan(
             row=window[0].start,
             column=window[1].start,

@@ -306,7 +306,7 @@ class CheckpointPolicy:
         self._keeps_map = keeps_map
         self.kept_at_s = -math.inf
         self.kept: tuple[Any, ...] = ()
-        """`persisted_fields` that."""
+        """The `persisted_fields` of the last checkpoint."""
         self.known: KnownMap | None = None
 
     def due(

@@ -187,7 +187,7 @@ def cannot_fly(
     *,
     may_be_grounded: bool = False,
 ) -> Reason | None:
-    """Why the flight cannot go on; None: it can.  stands: it may still be on the ground.
+    """Why the flight cannot go on; None: it can.
 
     That the vehicle does not obey takes precedence over an invalid position.
     """

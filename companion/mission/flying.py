@@ -50,7 +50,8 @@ from companion.world.known_map import proven_range_m
 STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
 _DEPARTURES = 3
-MAX_STOPS = 12  # on the way to one target, for want of a successor
+_MAX_STOPS = 12  # on the way to one target, for want of a successor
+_MAX_STOPS_NEAR = 100  # where sight is short
 _LEVEL_M_S = 1.0
 _TURNS = 3.0
 _SHORT_SIGHTED = 0.8  # of R
@@ -116,6 +117,11 @@ def make_way(state: State, event: Position, context: Context) -> Step | None:
         return following.stop(state, Reason.GIVING_WAY)
     waits = replace(state, flight=replace(flight, progress_at_s=state.now_s))
     return circle(waits, event, context)
+
+
+def max_stops(context: Context) -> int:
+    """Stops on the way to one target after which it is given up."""
+    return _MAX_STOPS if context.mission.near is None else _MAX_STOPS_NEAR
 
 
 def battery_runs_low(state: State) -> bool:

@@ -264,12 +264,12 @@ def stop(state: State, reason: Reason) -> Step:
 
 
 def with_backtrack_legs(flight: Flight, *legs: Leg) -> Flight:
-    """Return the current legs to the remaining backtrack, if there is one."""
+    """The flight with these legs put before the rest of its backtrack, if it is on one."""
     return replace(flight, way=Backtracking((*legs, *flight.back))) if flight.returning else flight
 
 
 def requeue_backtrack(flight: Flight) -> Flight:
-    """Return the current legs to the remaining backtrack."""
+    """The flight with its current legs put back before the rest of its backtrack."""
     ahead = (leg for leg in (flight.leg, flight.next_leg) if leg is not None)
     return with_backtrack_legs(flight, *ahead)
 

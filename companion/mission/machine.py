@@ -245,7 +245,7 @@ def _set_out(state: State, commands: list[Command]) -> tuple[State, list[Command
         state = replace(state, flight=replace(flight, fallen_back=None))
     if state.phase is Phase.RETURNING:
         went_back = backtracking.start_backtrack(state)
-        assert went_back is not None  # whoever says go_back has looked
+        assert went_back is not None  # whoever triggers it has looked
         state = replace(state, flight=went_back)
         commands = [*commands, StatusText(text="returning", about="phase")]
     if state.phase is not Phase.LANDING and state.vehicle.traits is not UNKNOWN:

@@ -639,7 +639,7 @@ class State(Struct, frozen=True, kw_only=True):
         return replace(self, given=given, fence=fence, task=task)
 
     def rebase_time(self, shift_s: float) -> "State":
-        """The state with all its times shifted by shift_s, for another clock."""
+        """The state on a clock that shows shift_s more: its own time, and the waits that go on."""
         return replace(
             self,
             now_s=self.now_s + shift_s,

@@ -19,7 +19,7 @@ from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
 _SHORTEST_M = 0.5  # no piece is shorter
-_APART_M = 0.05  # farther apart two stretches are joined by a straight leg
+_APART_M = 0.05  # farther apart two segments are joined by a straight leg
 _SMOOTH = 1e-6  # of the unit tangent: more is a corner, at which the vehicle stops
 
 
@@ -56,8 +56,8 @@ def backtrack(
 def _curves_back(flown: tuple[FlownSegment, ...]) -> list[FloatArray]:
     """Control points of cubics, each from the end of the one before.  -> each (4, 3)."""
     curves: list[FloatArray] = []
-    for stretch in reversed(flown):
-        for control in _turned_round(stretch):
+    for segment in reversed(flown):
+        for control in _reversed(segment):
             if curves:
                 gap_m = float(np.linalg.norm(control[0] - curves[-1][-1]))
                 if gap_m > _APART_M:
@@ -68,18 +68,18 @@ def _curves_back(flown: tuple[FlownSegment, ...]) -> list[FloatArray]:
     return curves
 
 
-def _turned_round(stretch: FlownSegment) -> list[FloatArray]:
+def _reversed(segment: FlownSegment) -> list[FloatArray]:
     """A segment of a leg, reversed, as Bezier control points of its pieces."""
-    subpath = Subpath(control_nea_m=stretch.control_nea_m)
-    first_m, last_m = stretch.from_m + _SHORTEST_M, stretch.until_m - _SHORTEST_M
-    if last_m <= stretch.from_m:
+    subpath = Subpath(control_nea_m=segment.control_nea_m)
+    first_m, last_m = segment.from_m + _SHORTEST_M, segment.until_m - _SHORTEST_M
+    if last_m <= segment.from_m:
         return []
-    cubics = cubics_of(stretch.control_nea_m)
+    cubics = cubics_of(segment.control_nea_m)
     knots = [k / len(cubics) for k in range(1, len(cubics))]
     cuts = [
-        subpath.parameter_at(stretch.from_m),
+        subpath.parameter_at(segment.from_m),
         *(u for u in knots if first_m < subpath.length_at_m(u) < last_m),
-        subpath.parameter_at(stretch.until_m),
+        subpath.parameter_at(segment.until_m),
     ]
     pieces = []
     for a, b in pairwise(cuts):

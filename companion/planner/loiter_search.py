@@ -63,8 +63,9 @@ def loiter_point(
     errors.  Of the way there, which begins with a turn:
 
     - it clears terrain by the errors, or comes no nearer than the vehicle is; all of it counts as
-    flown at the lower of its ends, as a climb takes longer than the way; - it clears zones by the
-    errors, or comes no nearer than the vehicle is, or than its present circle.
+      flown at the lower of its ends, as a climb takes longer than the way;
+    - it clears zones by the errors, or comes no nearer than the vehicle is, or than its present
+      circle.
 
     Unknown ground is never clear.  None: there is no such place, or none among the best by
     approximate distances (`ZoneField`): only those are checked exactly.

@@ -59,7 +59,7 @@ class RecordedError:
 
 
 def start_of(recorded_input: Input) -> Start:
-    """What a session was made of, of a recorded input.  TornError: it is none."""
+    """What a session was made of, of a recorded input.  DamagedInputError: it is none."""
     try:
         start = msgspec.convert(recorded_input[1], Start)
         msgspec.convert((start.resume or {}).get("system_id"), SystemId | None)
@@ -71,7 +71,7 @@ def start_of(recorded_input: Input) -> Start:
 
 
 def session_of(start: Start, mission_of: MissionOf) -> Session:
-    """Create a session.  TornError: its checkpoint cannot be read.
+    """Create a session.  DamagedInputError: its checkpoint cannot be read.
 
     Errors of the session itself are passed on.
     """
@@ -105,7 +105,7 @@ def _resume_of(start: Start, mission: Mission) -> Resume | None:
 def feed(session: Session, recorded_input: Input) -> Output | None:
     """Feed an input to a session; returns its output, if it was a run.
 
-    TornError: it is not a valid input.  Errors of the session are passed on.
+    DamagedInputError: it is not a valid input.  Errors of the session are passed on.
     """
     match recorded_input:
         case ("receive", bytes(data), at_s) if at_s is None or _is_time(at_s):
@@ -136,7 +136,7 @@ def feed(session: Session, recorded_input: Input) -> Output | None:
 
 
 def answer_of(values: Any) -> PlanOutcome:
-    """The answer of the planner that was delivered.  TornError: it is none."""
+    """The answer of the planner that was delivered.  DamagedInputError: it is none."""
     try:
         return outcome_of(values)
     except checkpoint.DECODE_ERRORS as error:

@@ -106,7 +106,6 @@ class Watch:
         self._heard_s: float | None = None
         self._position_s: float | None = None
         self._clock_s = 0.0
-        self._slow_since_s: float | None = None
         self._first_position_s: float | None = None
         self._stand_in_s = -1e9
         self._stand_ins = _all_is_well(heartbeat)

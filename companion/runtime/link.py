@@ -201,6 +201,8 @@ class _StreamLink(Link, Generic[_Stream]):
         stream = self._stream
         if stream is None:
             self._open(timeout_s)
+            if self._over.is_set():  # it was closed meanwhile
+                self._drop()
             return None
         try:
             data = self._read(stream, timeout_s)
@@ -300,14 +302,14 @@ class TcpClient(_TcpLink):
         self._calling: socket.socket | None = None
 
     def _open(self, timeout_s: float) -> None:
-        if self._calling is None:
-            if not self._is_due(timeout_s):
-                return
-            self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-            self._calling.setblocking(False)
-            self._calling.connect_ex(self._address)
         calling = self._calling
         with contextlib.suppress(*_LOST):  # it was closed just now
+            if calling is None:
+                if not self._is_due(timeout_s):
+                    return
+                calling = self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+                calling.setblocking(False)
+                calling.connect_ex(self._address)
             answered = select.select((), [calling], [calling], timeout_s)
             if not (answered[1] or answered[2]):
                 return

@@ -1,8 +1,8 @@
 """Runs a session: the wall clock, the link, the threads, the run folder.
 
-    readers ─► inbox ──► decider (the session) ──► gate ──► link, links to ground stations
-    planning ──┘            │    └──► writer ──► run folder
-                            └──► planning
+    readers ─► event queue ──► control loop (the session) ──► gate ──► link, ground station links
+    planning ───────┘               │    └──► writer ──► run folder
+                                    └──► planning
 
 A slow disk, a long plan or a blocked terminal never delays a setpoint, and a part that dies shuts
 the gate (`watchdog`).  In lockstep the control loop itself reads and writes, as the vehicle waits.
@@ -56,10 +56,10 @@ def fly(
     ground: Sequence[Link] = (),
     clock: Clock = time.monotonic,
 ) -> FlightSummary:
-    """Run a session until its mission ends; every end is a value, Flown.end.
+    """Run a session until its mission ends; every end is a value, `FlightSummary.end`.
 
     planner: by default the compiled one, in a process of its own unless in lockstep.
-    persist: saves what must outlive the process; called every 30 s and at the end.
+    persist: saves what must outlive the process; called every SAVE_EVERY_S (`keys`) and at the end.
     ground: links to ground stations, for a session that `has_ground`.
     on_progress is called in the caller's thread, stop_asked in another one.
     """
@@ -105,7 +105,7 @@ class _Flight:
     ) -> None:
         self.flown = FlightSummary(session=session)
         self._session, self._folder, self._lockstep = session, folder, lockstep
-        self._inbox = EventQueue()
+        self._event_queue = EventQueue()
         grounds = GroundLinks(ground)
         gate = Gate(link, clock, grounds)
         self._watchdog = Watchdog(
@@ -120,20 +120,20 @@ class _Flight:
         recorder = Recorder(folder, clock, persist)
         kind = InlineWriter if lockstep else WriterThread
         self._writer: Writer = kind(recorder, self._on_loss)
-        self._reader = LinkReader(link, self._inbox, gate, clock)
+        self._reader = LinkReader(link, self._event_queue, gate, clock)
         self._ground = [
-            GroundReader(each, number, self._inbox, clock)
+            GroundReader(each, number, self._event_queue, clock)
             for number, each in enumerate(ground, VEHICLE_LINK + 1)
         ]
-        self._planning = PlannerWorker(planner, self._inbox, lockstep=lockstep)
+        self._planning = PlannerWorker(planner, self._event_queue, lockstep=lockstep)
         self._times = StreamTimes()
-        self._decider = ControlLoop(
+        self._control_loop = ControlLoop(
             session=session,
             flown=self.flown,
             link=link,
             ground=grounds,
             gate=gate,
-            event_queue=self._inbox,
+            event_queue=self._event_queue,
             reader=self._reader,
             planning=self._planning,
             writer=self._writer,
@@ -153,9 +153,9 @@ class _Flight:
             self._watchdog.watch(self._reader.part, self._reader.run)
         for reader in self._ground:
             self._watchdog.watch(reader.part, reader.run)
-        self._watchdog.watch(self._decider.part, self._decider.run)
+        self._watchdog.watch(self._control_loop.part, self._control_loop.run)
         try:
-            while not self._decider.ended.wait(_PROGRESS_S) and self._watchdog.failure is None:
+            while not self._control_loop.ended.wait(_PROGRESS_S) and self._watchdog.failure is None:
                 self._watchdog.check()
                 on_progress(self.flown)
         finally:
@@ -164,10 +164,10 @@ class _Flight:
     def _end(self) -> None:
         """Always send the final frames, and record them."""
         failure = self._watchdog.failure
-        if failure is not None and failure.part != self._decider.part.name:
-            self._decider.ended.wait(_HELD_S)  # it tells the session, and notes what that does
-        self._decider.leave()
-        self._decider.ended.wait(0.0 if failure is not None else _HELD_S)
+        if failure is not None and failure.part != self._control_loop.part.name:
+            self._control_loop.ended.wait(_HELD_S)  # it tells the session, and notes what that does
+        self._control_loop.leave()
+        self._control_loop.ended.wait(0.0 if failure is not None else _HELD_S)
         self._watchdog.end(_HELD_S)
         failure = self._watchdog.failure
         if failure is not None:
@@ -180,7 +180,7 @@ class _Flight:
         self._folder.facts["latency"] = self._times.summary()
 
     def _on_loss(self, failure: Failure) -> None:
-        self._inbox.put(WorkerLost(failure, vital=False))
+        self._event_queue.put(WorkerLost(failure, vital=False))
 
     def _on_failure(self, failure: Failure, hold: list[bytes]) -> None:
         now_s = self._session.now_s
@@ -193,7 +193,7 @@ class _Flight:
         }
         record = [(now_s, strip_signature(frame)) for frame in hold]
         self._writer.put(Batch(record=record, journal=[noted], inputs=[("held", len(hold))]))
-        self._inbox.put(WorkerLost(failure, vital=True))
+        self._event_queue.put(WorkerLost(failure, vital=True))
 
 
 def _end_of(failure: Failure, end: End | None) -> End:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol, final
 
+from companion.runtime.keys import SAVE_EVERY_S
 from companion.runtime.watchdog import Clock, Failure, Worker
 from companion.telemetry.run_folder import RunFolder
 from companion.world.known_map import KnownMap
@@ -14,7 +15,6 @@ from companion.world.known_map import KnownMap
 _DISK_S = 2.0
 _MAX_UNWRITTEN = 32 * 2**20  # bytes
 _ENTRY_BYTES = 500  # what a journal entry takes, about
-_PERSIST_S = 30.0
 _LEAVE_S = 5.0
 
 
@@ -64,7 +64,7 @@ class Recorder:
     """Writes batches into the run folder."""
 
     def __init__(self, folder: RunFolder, clock: Clock, persist: Callable[[], None] | None) -> None:
-        """persist: called every 30 s and at the end."""
+        """persist: called every SAVE_EVERY_S and at the end."""
         self.folder = folder
         self._clock, self._persist = clock, persist
         self._persisted_s = clock()
@@ -78,7 +78,7 @@ class Recorder:
             self.folder.known_map(batch.known)
         if batch.checkpoint is not None:
             self.folder.checkpoint(batch.checkpoint)
-        if self._clock() - self._persisted_s >= _PERSIST_S:
+        if self._clock() - self._persisted_s >= SAVE_EVERY_S:
             self.persist()
 
     def persist(self) -> None:

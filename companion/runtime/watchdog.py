@@ -148,16 +148,15 @@ class Watchdog:
     ) -> None:
         """A watchdog that is started by start().
 
-        hold_frames: the frames that put the autopilot on hold, made when they are needed;
-        last_words: those with the reason as text. on_failure: told of a vital part's end, and of
-        the frames that are sent on it; on_loss: of the end of a part that is not vital.
-        watches_time: False in lockstep, where nothing depends on wall time: workers are only
-        checked for death. waits: whether a worker stalls for lack of processor time; tolerated for
-        5 s.
+        hold_frames: makes the frames that put the autopilot on hold; final_text: those with the
+        reason as text.  on_failure: told of a vital worker's end, and of the frames that are sent
+        on it; on_loss: of the end of a worker that is not vital.  watches_time: False in lockstep,
+        where nothing depends on wall time: workers are only checked for death.  waits: whether a
+        worker stalls for lack of processor time, which is tolerated for 5 s.
         """
         self.failure: Failure | None = None
         self._gate, self._clock = gate, clock
-        self._hold_frames, self._last_words = hold_frames, final_text
+        self._hold_frames, self._final_text = hold_frames, final_text
         self._on_failure, self._on_loss = on_failure, on_loss
         self._watches_time, self._waits = watches_time, waits
         self._parts: list[Worker] = []
@@ -257,7 +256,7 @@ class Watchdog:
         assert self.failure is not None
         words: list[bytes] = []
         with contextlib.suppress(Exception):  # that it holds is what counts
-            words = self._last_words(f"the {self.failure.part} has died ({self.failure.error})")
+            words = self._final_text(f"the {self.failure.part} has died ({self.failure.error})")
         self._on_failure(self.failure, [*frames, *words])
         for wait_s in _HOLD_AGAIN_S:
             threading.Event().wait(wait_s)

@@ -91,7 +91,7 @@ class LinkReader:
 
     def __init__(self, link: Link, event_queue: EventQueue, gate: Gate, clock: Clock) -> None:
         self.part = Worker("reader")
-        self._link, self._inbox, self._gate, self._clock = link, event_queue, gate, clock
+        self._link, self._event_queue, self._gate, self._clock = link, event_queue, gate, clock
         self._leaving = threading.Event()
 
     def run(self) -> None:
@@ -104,7 +104,7 @@ class LinkReader:
         self.part.beat(self._gate.stall_limit_s())
         data = self._link.receive(timeout_s)
         if data is not None:
-            self._inbox.put(Datagram(data, self._link.sender, self._clock()))
+            self._event_queue.put(Datagram(data, self._link.sender, self._clock()))
 
     def leave(self) -> None:
         """End soon."""
@@ -118,7 +118,7 @@ class GroundReader:
     def __init__(self, link: Link, number: int, event_queue: EventQueue, clock: Clock) -> None:
         """number: of the link, from 1."""
         self.part = Worker(f"ground link {number}", vital=False)
-        self._link, self._number, self._inbox, self._clock = link, number, event_queue, clock
+        self._link, self._number, self._event_queue, self._clock = link, number, event_queue, clock
         self._leaving = threading.Event()
         self._second = self._pieces = self._bytes = 0
 
@@ -127,7 +127,7 @@ class GroundReader:
         while not self._leaving.is_set():
             data, now_s = self._link.receive(POLL_S), self._clock()
             if data is not None and self._is_affordable(len(data), int(now_s)):
-                self._inbox.put(Datagram(data, self._link.sender, now_s, self._number))
+                self._event_queue.put(Datagram(data, self._link.sender, now_s, self._number))
 
     def leave(self) -> None:
         """End soon."""
@@ -150,7 +150,7 @@ class PlannerWorker:
 
     def __init__(self, planner: PlanFunction, event_queue: EventQueue, *, lockstep: bool) -> None:
         self.part = Worker("planner")
-        self._planner, self._inbox, self._lockstep = planner, event_queue, lockstep
+        self._planner, self._event_queue, self._lockstep = planner, event_queue, lockstep
         self._requests: queue.SimpleQueue[PlanRequest | PlannerEndedError | None] = (
             queue.SimpleQueue()
         )
@@ -176,7 +176,7 @@ class PlannerWorker:
             began_s = time.perf_counter()
             outcome = self._planner(request, self._enough(request, asked, began_s))
             self.part.idle()
-            self._inbox.put(PlanComputed(asked, outcome, time.perf_counter() - began_s))
+            self._event_queue.put(PlanComputed(asked, outcome, time.perf_counter() - began_s))
 
     def leave(self) -> None:
         """Stop, in the middle of a plan if the planner supports it."""

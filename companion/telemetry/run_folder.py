@@ -20,7 +20,7 @@ import io
 import json
 import os
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Self, final
@@ -344,13 +344,6 @@ class Records:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def recorded_frames(path: Path) -> Iterator[tuple[int, bytes]]:
-    """The records of a telemetry log of ours, to the last whole one: us since 1970, frame."""
-    with Records(path) as records:
-        while (record := records.take()) is not None:
-            yield record
 
 
 def _record_bytes(data: bytes) -> int:

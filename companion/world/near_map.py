@@ -145,10 +145,17 @@ class Rules:
     """A cell is free that so many sweeps in a row have passed."""
     wiped_after_s: float = 1.0
     """An occupied cell is free again only if all sweeps over so long have passed it."""
+    looks: int = 10
+    """A cell that so many sweeps from near by have not shown to be free will not be."""
+    near_by: float = 0.4
+    """From within this share of the sensor's range."""
     standing_after_s: float = 3.0
     """What was met again and again over so long stands there: it is not forgotten."""
-    forgotten_after_s: float = 10.0
-    """Anything else that was not met for so long has gone: the cell is unknown again."""
+    forgotten_after_s: float = 60.0
+    """Anything else that was not met for so long may have gone: the cell is unknown again.
+
+    Long enough to fly out of a dead end: what is unknown is an open way.
+    """
 
 
 @final
@@ -166,6 +173,8 @@ class NearMap:
     """When something was first met in the cell; inf: nothing was, or it has gone."""
     met_s: FloatArray
     """When it was met last."""
+    looks: NDArray[np.uint8]
+    """How many sweeps from near by had the cell, or what is before it, in sight."""
 
     @staticmethod
     def empty(lattice: Lattice, rules: Rules) -> "NearMap":
@@ -177,6 +186,7 @@ class NearMap:
             passed_since_s=np.full(lattice.shape, np.inf),
             met_since_s=np.full(lattice.shape, np.inf),
             met_s=np.full(lattice.shape, -np.inf),
+            looks=np.zeros(lattice.shape, dtype=np.uint8),
         )
 
     def about(self, place_ne_m: tuple[float, float]) -> "NearMap":
@@ -201,7 +211,7 @@ class NearMap:
             )
             for sign in (1, -1)
         )
-        for name in ("passes", "passed_since_s", "met_since_s", "met_s"):
+        for name in ("passes", "passed_since_s", "met_since_s", "met_s", "looks"):
             getattr(result, name)[new] = getattr(self, name)[old]
         return result
 
@@ -213,10 +223,20 @@ class NearMap:
         """(rows, columns), where nothing stands."""
         return (self.passes[window] >= self.rules.sightings) & ~self.occupied(window)
 
+    def closed(self, window: Window = (slice(None), slice(None))) -> BoolArray:
+        """(rows, columns), where something stands, or so near to it that no beam clears the cell.
+
+        No way leads there: unknown cells elsewhere may turn out to be free.
+        """
+        looked = self.looks[window] >= self.rules.looks
+        return self.occupied(window) | (looked & ~self.free(window))
+
     def add(self, sweep: Sweep) -> Window:
         """One more sweep.  -> the rows and columns that it may have changed."""
         window = self.about_points(np.array([sweep.sensor_ne_m]), sweep.range_m + sweep.error_m)
-        passed, met = self._passed(sweep, window), self._met(sweep, window)
+        (passed, looked), met = self._passed(sweep, window), self._met(sweep, window)
+        looks = self.looks[window]
+        looks[looked & (looks < np.iinfo(np.uint8).max)] += 1
         rules, now_s = self.rules, sweep.time_s
         passes, passed_since_s = self.passes[window], self.passed_since_s[window]  # views
         met_since_s, met_s = self.met_since_s[window], self.met_s[window]
@@ -246,11 +266,11 @@ class NearMap:
         )
         return slice(row, row_end), slice(column, column_end)
 
-    def _passed(self, sweep: Sweep, window: Window) -> BoolArray:
-        """The cells of a window that beams have passed all over.
+    def _passed(self, sweep: Sweep, window: Window) -> tuple[BoolArray, BoolArray]:
+        """The cells of a window that beams have passed all over, and those that were near by.
 
-        Every sector that comes within the errors of such a cell is clear to beyond its farthest
-        corner.
+        Every sector that comes within the errors of a passed cell is clear to beyond its farthest
+        corner.  Near by: and nothing stands before them.
         """
         lattice, (rows, columns) = self.lattice, window
         south_m = lattice.north_min_m - sweep.sensor_ne_m[0]
@@ -263,7 +283,9 @@ class NearMap:
         aside_rad[away_m <= around_m] = math.pi
         clear_m = sweep.clear_between_m(np.arctan2(east, north), aside_rad)
         passed: BoolArray = away_m + around_m <= clear_m
-        return passed | (away_m + half_m <= sweep.blind_m)
+        looked: BoolArray = away_m <= self.rules.near_by * sweep.range_m
+        looked &= away_m - around_m <= clear_m
+        return passed | (away_m + half_m <= sweep.blind_m), looked
 
     def _met(self, sweep: Sweep, window: Window) -> BoolArray:
         """The cells of a window in which something may have sent an echo back.

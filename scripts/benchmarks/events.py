@@ -6,7 +6,9 @@ A companion flies a mission of the simulator's without sockets (`pair`); in flig
 given a fence of so many polygons, all over the area and one on the path, then another one around
 the vehicle, then none.  Measured is the processor time of each event in the mission's machine, of
 each fence as it is drawn, of checkpoints, and of each whole turn of the session.  What plans is
-left out: it has a process of its own.  1 if an event took longer than the bar.
+left out: it has a process of its own.  Each flight is flown twice, and the lesser time of each
+event counts: both are the same but for what other programs take.  1 if an event took longer than
+its bar, or a turn, which handles all events that came in at once, than its own.
 """
 
 import math
@@ -27,11 +29,13 @@ from rich.table import Table
 from companion.mavlink.autopilot_client import AutopilotClient
 from companion.mission import checkpoint, entries, machine
 from companion.runtime.compiler import load_kernel
+from companion.runtime.loop import prompt_threads
 from companion.session import Session
 from companion.world.threats import PolygonZone
 from vehicle_sim.plans import PlanItem, PlanKind
 
-_BAR_MS = 20.0
+_BAR_MS, _TURN_BAR_MS = 20.0, 50.0  # a turn is shorter than the period of a stream of 20 Hz
+_TURN = "whole turn"
 _FIRST_S, _AROUND_S, _NONE_S = 5.0, 75.0, 140.0
 """After it began to fly; the companion reads a hundred items a second here."""
 
@@ -116,7 +120,7 @@ def fly(vehicle: str, zones: int, corners: int, limit_s: float = 400.0) -> tuple
         (AutopilotClient, "events", lambda *_: "fence and parameters"),
         (checkpoint.CheckpointPolicy, "due", lambda *_: "checkpoint"),
         (Session, "receive", lambda *_: "bytes in"),
-        (Session, "run", lambda *_: "whole turn"),
+        (Session, "run", lambda *_: _TURN),
     )
     patches = [
         patch.object(owner, call, timed(times, name, getattr(owner, call)))
@@ -125,14 +129,15 @@ def fly(vehicle: str, zones: int, corners: int, limit_s: float = 400.0) -> tuple
     for each in patches:
         each.start()
     try:
-        pair.fly(limit_s=limit_s)
+        with prompt_threads():  # as in flight
+            pair.fly(limit_s=limit_s)
     finally:
         for each in patches:
             each.stop()
     return times, pair
 
 
-def table_of(vehicle: str, times: Times) -> Table:
+def table_of(vehicle: str, times: dict[str, list[float]]) -> Table:
     """Milliseconds, the longest first."""
     title = f"{vehicle}: processor time, ms"
     table = running.figures(title, "event", "count", "median", "p99", "most")
@@ -150,13 +155,17 @@ def main() -> int:
     every: dict[str, dict[str, list[float]]] = {}
     slow = False
     for vehicle in options.vehicle:
-        times, pair = fly(vehicle, options.zones, options.corners)
-        every[vehicle] = dict(times)
+        (once, pair), (again, _) = (fly(vehicle, options.zones, options.corners) for _ in "12")
+        pairs = {name: zip(taken, again[name], strict=True) for name, taken in once.items()}
+        times = every[vehicle] = {name: [min(two) for two in pairs[name]] for name in pairs}
         console.print(table_of(vehicle, times))
         told = [len(e["zones"]) for e in pair.flown.journal if e["kind"] == "fence"]
         ended = pair.flown.died or f"{pair.flown.outcome} ({pair.flown.reason})"
         console.print(f"fences told: {told} zones; {ended}\n", markup=False)
-        slow |= any(max(taken) > 1e-3 * _BAR_MS for taken in times.values())
+        slow |= any(
+            max(taken) > 1e-3 * (_TURN_BAR_MS if name == _TURN else _BAR_MS)
+            for name, taken in times.items()
+        )
         if pair.flown.died:
             return 1
     running.store(options.json, every)

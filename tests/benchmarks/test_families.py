@@ -93,7 +93,13 @@ def test_worlds_of_small_vehicles_have_their_clearances_and_cells() -> None:
         assert not plane.limits.hovers
 
 
-@pytest.fixture(scope="module", params=["gathered", "copter", "relief"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "copter",
+        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("gathered", "relief")),
+    ],
+)
 def flown(request: pytest.FixtureRequest) -> tuple[worlds.BenchmarkWorld, rival.RivalFlight]:
     world = quick(request.param)
     return world, rival.fly(world)

@@ -42,7 +42,7 @@ def each(*names: str, nightly: Container[str] = ()) -> pytest.MarkDecorator:
 _NIGHTLY = ("upper-valley", "valley", "environment-1", "environment-2")
 EACH_SCENE = each("hills", *_NIGHTLY, nightly=_NIGHTLY)
 """The hills are of the same kind as the paper's environments, and a third as long."""
-NIGHTLY_AUTOPILOTS = ("sitl-arducopter", "sitl-px4", "sitl-arduplane")
+NIGHTLY_AUTOPILOTS = ("sitl-arducopter", "sitl-px4", "sitl-px4-plane")
 """They fly elsewhere: `test_resume`, `test_no_radar` and `test_planes`."""
 NIGHTLY = pytest.mark.nightly
 

@@ -1,10 +1,7 @@
 """Whole flights, and what ends one."""
 
-import itertools
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +17,7 @@ from flights import (
     folder_of,
     launch,
 )
-from programs import BIN, HURRIED, free_port
+from programs import HURRIED, free_port
 
 pytestmark = pytest.mark.closed_loop
 
@@ -33,27 +30,6 @@ def test_a_flight_arrives_and_its_true_track_keeps_every_bound(flown: Any, name:
     track = true_track.judge_files(folder / "world.toml", folder / "mission.toml", truth)
     assert track.ok, [str(check) for check in track.violations]
     assert flight.truth[-1]["mode"] == "BRAKE"
-
-
-@pytest.mark.xdist_group("hills")
-def test_mavlogdump_reads_the_stream_of_setpoints(flown: Any) -> None:
-    flight = flown(HILLS, HILLS_MISSION, "--seed", "3")
-    dump = subprocess.run(
-        [
-            *(sys.executable, "-W", "ignore", BIN / "mavlogdump.py", "--format", "json"),
-            *("--types", "SET_POSITION_TARGET_GLOBAL_INT", flight.folder / "flight.tlog"),
-        ],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-    )
-    setpoints = [json.loads(line)["data"] for line in dump.stdout.splitlines()]
-    assert len(setpoints) > 1000
-    assert {each["coordinate_frame"] for each in setpoints} == {5}
-    assert {each["type_mask"] for each in setpoints} == {2496}
-    times = [each["time_boot_ms"] for each in setpoints]
-    assert all(after - before == 100 for before, after in itertools.pairwise(times))
 
 
 @pytest.mark.nightly

@@ -80,7 +80,7 @@ def test_the_same_plan_over_stated_ground_is_flown_at_its_altitudes(
 @pytest.mark.parametrize(
     ("autopilot", "fault"),
     [
-        ("ardupilot", "radar_off"),
+        pytest.param("ardupilot", "radar_off", marks=NIGHTLY),  # the golden copter-goes-back
         pytest.param("ardupilot", "battery 12 %", marks=NIGHTLY),
         pytest.param("px4", "battery 12 %", marks=NIGHTLY),
         pytest.param("px4", "radar_off", marks=NIGHTLY),

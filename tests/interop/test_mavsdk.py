@@ -37,7 +37,6 @@ def said(transcript: str, what: str) -> str:
     return found[1]
 
 
-@pytest.mark.parametrize("session", ["mavsdk", "mavsdk-3"], indirect=True)
 def test_telemetry_parameters_mission_and_geofence(session: Any) -> None:
     _, transcript = session("ground")
     assert said(transcript, "version") == "1.17.0"

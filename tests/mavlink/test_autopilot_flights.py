@@ -61,8 +61,9 @@ def guided(who: Who) -> Driver:
 @functools.cache
 def _cruising(who: Who) -> tuple[Driver, Flight]:
     driver = guided(who)
-    length_m = 200.0 if who in COPTERS else 700.0
-    flight = driver.follow(straight(driver, length_m), speed(who))
+    length_m = 250.0 if who in COPTERS else 750.0
+    skip_m = 150.0 if who in COPTERS else 500.0
+    flight = driver.follow(straight(driver, length_m), speed(who), skip_m=skip_m)
     return driver, flight
 
 
@@ -107,9 +108,8 @@ def test_it_takes_off_in_its_own_way_and_is_above_the_ground_where_it_was_sent(w
 
 @each
 def test_it_follows_a_straight_line(who: Who) -> None:
-    driver = guided(who)
-    skip_m = 150.0 if who in COPTERS else 500.0
-    flight = driver.follow(straight(driver, skip_m + 250.0), speed(who), skip_m=skip_m)
+    _, flight = _cruising(who)
+    assert len(flight.off_m) > 50
     assert flight.most_m < (1.0 if who in COPTERS else 3.6)
     if who in COPTERS:
         assert max(flight.behind_m) < 1.0  # neither early nor late
@@ -126,13 +126,19 @@ def test_it_follows_a_straight_line(who: Who) -> None:
         (PLANES[1], 3.5, 6.0),
     ],
 )
-def test_it_follows_a_curve(who: Who, lateral_m_s2: float, most_m: float) -> None:
+def test_it_follows_a_curve_and_is_believed_all_the_way(
+    who: Who, lateral_m_s2: float, most_m: float
+) -> None:
     driver = guided(who)
+    driver.events.clear()
     lead_in_m = 150.0 if who in COPTERS else 600.0
     route = weaving(driver, speed(who), lateral_m_s2, lead_in_m)
     flight = driver.follow(route, speed(who), skip_m=lead_in_m)
     assert flight.most_m < most_m
     assert len(flight.off_m) > 100
+    checks = [e.good for e in driver.events if isinstance(e, GpsFix | Estimator)]
+    assert len(checks) > 100
+    assert all(checks)
 
 
 @each
@@ -308,14 +314,3 @@ def test_it_is_not_believed_before_its_estimate_goes_wrong(who: Who, fault: str)
             break
         assert math.dist(driver.here[:2], driver.truly[:2]) < behind_m
     assert not driver.believed
-
-
-@each
-def test_a_healthy_flight_is_believed_all_the_way(who: Who) -> None:
-    driver = guided(who)
-    driver.events.clear()
-    lead_in_m = 150.0 if who in COPTERS else 300.0
-    driver.follow(weaving(driver, speed(who), 1.2, lead_in_m), speed(who))
-    checks = [e.good for e in driver.events if isinstance(e, GpsFix | Estimator)]
-    assert len(checks) > 100
-    assert all(checks)

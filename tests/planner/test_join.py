@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning import limits
 
@@ -23,6 +23,7 @@ def test_it_begins_where_the_vehicle_is_and_as_fast() -> None:
     assert begin(POSE.point_nea_m, (3.0, 4.0, 0.0), POSE, 5.0).is_gone
 
 
+@settings(max_examples=15)
 @given(position=vectors, velocity=vectors, tick_s=st.sampled_from([0.02, 0.05, 0.1, 0.2]))
 def test_it_fades_smoothly_within_half_of_the_acceleration(
     position: tuple[float, ...], velocity: tuple[float, ...], tick_s: float

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from short_flight import ScriptedLink, Vehicle, fly_short, replayed, rewritten
+from tlog import recorded_frames
 
 from companion.config import load_mission
 from companion.mission import machine
@@ -15,7 +16,6 @@ from companion.planner.kernels import NUMPY
 from companion.replay.report import replay_json, replay_text
 from companion.replay.what_if import what_if
 from companion.telemetry.inputs import FILE, Input, InputsFile
-from companion.telemetry.run_folder import recorded_frames
 
 ERROR = "ZeroDivisionError: made up"
 

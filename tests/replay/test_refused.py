@@ -24,6 +24,7 @@ from short_flight import (
     short_mission,
     straight_plan,
 )
+from tlog import recorded_frames
 
 from companion.config import load_mission
 from companion.errors import InputError
@@ -35,7 +36,6 @@ from companion.replay import actions, reproduce
 from companion.replay.differences import Recording
 from companion.replay.session_inputs import DamagedInputError, feed, session_of, start_of
 from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
-from companion.telemetry.run_folder import recorded_frames
 
 BOOTED_S, BEGAN_S, FLOWN_S = 3600.0, 3603.0, 33.0
 """It is known when the vehicle was booted once its clock has been heard some times."""
@@ -119,7 +119,7 @@ def test_that_no_frame_was_compared_is_said(run: Path) -> None:
 
 
 def test_what_came_before_from_may_be_more_or_less_than_was_recorded(run: Path) -> None:
-    log = list(recorded_frames(run / "flight.tlog"))
+    log = recorded_frames(run / "flight.tlog")
     early = [n for n, (at_us, _) in enumerate(log) if 5.0 < flown_s(at_us) < 15.0]
     spoiled = list(log)
     del spoiled[early[3]], spoiled[early[40]]
@@ -136,7 +136,7 @@ def test_what_came_before_from_may_be_more_or_less_than_was_recorded(run: Path) 
 
 
 def test_what_differs_after_from_is_found_at_its_place(run: Path) -> None:
-    log = list(recorded_frames(run / "flight.tlog"))
+    log = recorded_frames(run / "flight.tlog")
     early = next(n for n, (at_us, _) in enumerate(log) if flown_s(at_us) > 5.0)
     late = next(n for n, (at_us, _) in enumerate(log) if flown_s(at_us) > 25.0)
     late_s = BEGAN_S + flown_s(log[late][0])

@@ -13,6 +13,7 @@ from flights import launch
 from pymavlink import mavutil  # noqa: TID251 - counts the frames independently
 from pymavlink.dialects.v20 import all as wire
 from short_flight import companion, mission_of, replayed, rewritten
+from tlog import recorded_frames
 
 from companion.config import load_mission
 from companion.errors import InputError
@@ -22,7 +23,6 @@ from companion.replay.from_log import LogReplay
 from companion.replay.what_if import what_if
 from companion.runtime.compiler import load_kernel
 from companion.telemetry.inputs import FILE, Input, packed
-from companion.telemetry.run_folder import recorded_frames
 
 pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("same")]  # it is flown once
 HILLS = Path(__file__).parents[1] / "closed_loop" / "hills"
@@ -146,7 +146,7 @@ def test_a_log_in_which_the_companion_falls_silent_is_found_out(
     run(replay)
     difference = replay.found.difference
     assert difference.recorded == "nothing"
-    log = list(recorded_frames(run_dir / "flight.tlog"))
+    log = recorded_frames(run_dir / "flight.tlog")
     last_us = max(us for us, frame in log[:2000] if frame[6] == 195)
     assert difference.time_s == pytest.approx((last_us - log[0][0]) * 1e-6, abs=1.1)
     end = [k for k, (_, frame) in enumerate(log) if frame[6] == 195][-100]
@@ -185,7 +185,7 @@ def test_what_is_of_no_use_here_is_refused(way: list[str], option: list[str]) ->
 
 
 def test_another_position_is_found_at_its_time_and_field(copy: Path) -> None:
-    log, at_us = list(recorded_frames(copy / "flight.tlog")), 0
+    log, at_us = recorded_frames(copy / "flight.tlog"), 0
 
     def change(told: list[Input]) -> None:
         nonlocal at_us

@@ -261,7 +261,16 @@ def test_both_logs_of_one_flight_tell_the_same() -> None:
 # --- against the session itself
 
 
-@pytest.mark.parametrize("name", [ARDUPILOT, PX4, "arduplane-guided-reposition.tlog"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        PX4,
+        *(
+            pytest.param(name, marks=pytest.mark.nightly)
+            for name in (ARDUPILOT, "arduplane-guided-reposition.tlog")
+        ),
+    ],
+)
 def test_what_is_passed_over_unread_changes_nothing(name: str) -> None:
     """All frames of the autopilot, one by one, to a session of its own."""
     chosen = replace(mission(name), targets_ne_m=(), system_id=1)

@@ -147,6 +147,27 @@ def test_a_tcp_link_that_was_closed_calls_nobody(
         server.listener.accept()
 
 
+@pytest.mark.parametrize("step", ["setblocking", "connect_ex", "getsockopt"])
+def test_a_tcp_link_that_is_closed_while_it_calls_lets_go_of_its_peer(
+    server: Server, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    link, real = open_link(f"tcp:127.0.0.1:{server.port}"), getattr(socket.socket, step)
+
+    def closing(called: socket.socket, *arguments: Any) -> Any:
+        link.close()
+        return real(called, *arguments)
+
+    closes = type("Closes", (socket.socket,), {step: closing})
+    with monkeypatch.context() as patched:
+        patched.setattr(socket, "socket", closes)
+        for _ in range(3):
+            assert link.receive(0.02) is None
+    server.listener.setblocking(False)
+    with contextlib.suppress(BlockingIOError), server.listener.accept()[0] as peer:
+        peer.settimeout(PATIENCE_S)
+        assert peer.recv(1) == b""
+
+
 def test_a_tcp_peer_that_does_not_read_loses_whole_frames_and_makes_nobody_wait(
     server: Server,
 ) -> None:
@@ -343,6 +364,26 @@ def test_a_serial_link_that_was_closed_leaves_its_device_to_others(
     link.close()
     for _ in range(3):
         assert link.receive(0.01) is None
+    open_link(str(terminal.name)).close()
+
+
+def test_a_serial_link_that_is_closed_while_it_opens_its_device_again_leaves_it_to_others(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(links, "_AGAIN_S", 0.0)
+    link = open_link(str(terminal.name))
+    terminal.pull()
+    assert link.receive(0.02) is None
+    terminal.plug()
+    real = termios.tcsetattr
+
+    def closing(*arguments: Any) -> None:
+        monkeypatch.setattr(termios, "tcsetattr", real)
+        link.close()
+        real(*arguments)
+
+    monkeypatch.setattr(termios, "tcsetattr", closing)
+    assert link.receive(0.02) is None
     open_link(str(terminal.name)).close()
 
 

@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 from pymavlink import mavutil  # noqa: TID251 - the reader that users have is the oracle
 from pymavlink.dialects.v20 import all as wire
+from tlog import recorded_frames
 
 from companion.errors import InputError
 from companion.mission.start import Resume
-from companion.telemetry.run_folder import RunFolder, recorded_frames, resume_head, whole_records
+from companion.telemetry.run_folder import RunFolder, resume_head, whole_records
 from companion.telemetry.run_folder import known_map as read_known_map
 from companion.world.known_map import KnownMap, empty_map
 
@@ -363,7 +364,7 @@ def test_frames_are_read_again_to_the_last_whole_one_whatever_comes_after_it(
         frame * 2**18,
     ):
         path.write_bytes(record * many + torn)
-        assert list(recorded_frames(path)) == [(EPOCH_US, frame)] * many
+        assert recorded_frames(path) == [(EPOCH_US, frame)] * many
         assert whole_records(path) == len(record) * many
 
 

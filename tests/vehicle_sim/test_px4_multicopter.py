@@ -24,8 +24,10 @@ flown = functools.cache(Row.fly)
 
 
 def _between(row: Row) -> bool:
-    """Whether other rows of its kind have more extreme rates or look-aheads."""
-    return row.rate_hz in (5.0, 10.0) or row.carrot_m == 8.0
+    """Whether other rows of its kind have more extreme speeds, rates or look-aheads."""
+    if row.carrot_m:
+        return row.carrot_m == 8.0
+    return row.rate_hz in (5.0, 10.0) or row.speed_m_s in (5.0, 10.0)
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,70 @@ def test_what_is_wrong_is_named_with_its_remedy(
     assert all(word in message for word in words), message
 
 
+WOOD: Table = {
+    "seed": 1,
+    "north_min_m": 0.0,
+    "north_max_m": 90.0,
+    "east_min_m": 0.0,
+    "east_max_m": 90.0,
+    "spacing_m": [4.0, 8.0],
+    "radius_m": [0.2, 0.4],
+    "height_m": [10.0, 20.0],
+}
+SQUARE = [[0.0, 0.0], [0.0, 9.0], [9.0, 9.0]]
+
+
+@pytest.mark.parametrize(
+    ("near", "words"),
+    [
+        ({"trees": [{"north_m": 1.0}]}, ["trees.0.east_m", "missing"]),
+        (
+            {"trees": [{"north_m": 9.0, "east_m": 0.0, "radius_m": 0.0, "height_m": 9.0}]},
+            ["trees.0.radius_m = 0.0", "greater than 0"],
+        ),
+        ({"walls": [{"points_ne_m": [[0.0, 1.0]]}]}, ["walls.0.points_ne_m", "at least 2"]),
+        (
+            {"buildings": [{"corners_ne_m": [*SQUARE, SQUARE[0]], "height_m": 9.0}]},
+            ["buildings.0.corners_ne_m", "twice"],
+        ),
+        ({"wires": [{"ends_ne_m": [[0.0, 1.0]], "height_m": 3.0}]}, ["wires.0.ends_ne_m"]),
+        ({"woods": [WOOD | {"spacing_m": [8.0, 4.0]}]}, ["woods.0.spacing_m", "least first"]),
+        ({"woods": [WOOD | {"north_max_m": -5.0}]}, ["woods.0", "least must lie below"]),
+        ({"woods": [WOOD | {"spacing_m": [0.01, 1.0]}]}, ["woods.0.spacing_m", "200000 trees"]),
+        ({"woods": [WOOD | {"radus_m": 1.0}]}, ["woods.0.radus_m", "radius_m"]),
+        (
+            {"woods": [WOOD | {"clearings": [{"north_m": 1.0, "east_m": 1.0}]}]},
+            ["woods.0.clearings.0.radius_m", "missing"],
+        ),
+        ({"lidar": {"range_m": float("nan")}}, ["lidar.range_m", "finite"]),
+        ({"lidar": {"range_m": 9.0, "min_m": 9.0}}, ["lidar.min_m = 9.0", "range_m"]),
+        ({"lidar": {"range_m": 9.0, "kind": "flash"}}, ["lidar.kind = 'flash'", "'spinning'"]),
+        ({"lidar": {"range_m": 9.0, "turns_s": 9.0}}, ["lidar.turns_s", "turns_1_s"]),
+        ({"lidar": {"range_m": 9.0, "component_id": 100}}, ["lidar.component_id", "radar"]),
+    ],
+)
+def test_near_things_that_cannot_be_are_refused_in_one_line(
+    world_table: Table, near: Table, words: list[str]
+) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_world(world_table | near)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert all(word in message for word in words), message
+
+
+def test_px4_has_no_lidar_of_its_own(world_table: Table) -> None:
+    table = changed(world_table, "vehicle", "autopilot", "px4")
+    with pytest.raises(InputError, match=r"lidar\.output = 'autopilot'.*px4"):
+        parse_world(table | {"lidar": {"range_m": 9.0, "output": "autopilot"}})
+
+
+def test_nobody_starts_inside_a_tree(world_table: Table) -> None:
+    tree = {"north_m": 0.3, "east_m": 0.0, "radius_m": 0.5, "height_m": 9.0}
+    with pytest.raises(InputError, match=r"vehicle\.north_m.*stands inside"):
+        Simulation(parse_world(world_table | {"trees": [tree]}))
+
+
 def test_a_missing_key_is_named(world_table: Table) -> None:
     del world_table["scanner"]["range_m"]
     with pytest.raises(InputError, match=r"scanner\.range_m .*missing"):

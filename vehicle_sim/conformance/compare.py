@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 
-from vehicle_sim.conformance import answers, states, track, traffic
+from vehicle_sim.conformance import answers, lidar, states, track, traffic
 from vehicle_sim.conformance.flights import Flight
 from vehicle_sim.conformance.log import Recording, Side
 from vehicle_sim.conformance.rows import Comparison, Row
@@ -20,6 +20,7 @@ _ALL = (
     traffic.traffic_rows,
     track.track_rows,
     track.battery_rows,
+    lidar.lidar_rows,
 )
 
 

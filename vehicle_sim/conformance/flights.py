@@ -13,14 +13,16 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol, final
+from typing import Any, Protocol, final
 
 import msgspec
+import numpy as np
 
 from vehicle_sim.conformance.log import Place, Recording, TimedFrame, decoded, heard
 from vehicle_sim.dynamics import Vehicle
+from vehicle_sim.sensors.lidar import LidarTable
 from vehicle_sim.simulation import Simulation
-from vehicle_sim.world import World, flat_world
+from vehicle_sim.world import Tree, World, flat_world
 
 _FILE = Path(__file__).with_name("flights.toml")
 
@@ -59,6 +61,28 @@ class Fault:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Posts:
+    """Round posts on a square grid, endlessly high."""
+
+    north_m: float
+    """Of the first, by the metres below from home, as the next one."""
+    east_m: float
+    apart_m: float
+    count: int
+    """A side."""
+    radius_m: float
+    metres_per_latitude: float
+    """The recorded simulator's own flat earth."""
+    metres_per_longitude: float
+
+    def places_ne_m(self) -> list[tuple[float, float]]:
+        """In those metres."""
+        steps = [k * self.apart_m for k in range(self.count)]
+        return [(self.north_m + north, self.east_m + east) for north in steps for east in steps]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Reason:
     """Why some rows of some recordings do not agree."""
 
@@ -92,6 +116,10 @@ class Flight:
     recording: str = ""
     """Name of its file."""
     parameters: Mapping[str, float] = field(default_factory=dict)
+    posts: Posts | None = None
+    """What its lidar sees."""
+    lidar: Mapping[str, Any] = field(default_factory=dict)
+    """As in a world file."""
     faults: tuple[Fault, ...] = ()
     left_out: tuple[ExcludedSpan, ...] = ()
     placements: tuple[Placement, ...] = ()
@@ -125,6 +153,7 @@ def flight_of(recording: Recording) -> Flight:
 # --- The client's half of a recorded flight into a simulation, in vehicle time.  No I/O -----------
 
 _LINK = 0
+_POST_M = 1000.0
 _ATTITUDE, _GLOBAL = 30, 33
 
 
@@ -216,7 +245,7 @@ def simulation_of(recording: Recording, flight: Flight, *, seed: int = 0) -> Sim
 
 
 def world_of(recording: Recording, flight: Flight) -> World:
-    """Level ground at home."""
+    """Level ground at home, with the posts around it."""
     home = flight.home
     world = flat_world(
         recording.kind,
@@ -228,7 +257,19 @@ def world_of(recording: Recording, flight: Flight) -> World:
         system_id=recording.system,
     )
     vehicle = dataclasses.replace(world.vehicle, parameters=dict(flight.parameters))
-    return dataclasses.replace(world, vehicle=vehicle)
+    world = dataclasses.replace(world, vehicle=vehicle)
+    if flight.posts is None:
+        return world
+    posts = flight.posts
+    places = np.array(posts.places_ne_m()) / (posts.metres_per_latitude, posts.metres_per_longitude)
+    north_m, east_m = world.frame.to_local_many(
+        home.latitude_deg + places[:, 0], home.longitude_deg + places[:, 1]
+    )
+    trees = tuple(
+        Tree(north_m=north, east_m=east, radius_m=posts.radius_m, height_m=_POST_M)
+        for north, east in zip(north_m.tolist(), east_m.tolist(), strict=True)
+    )
+    return dataclasses.replace(world, trees=trees, lidar=LidarTable(**flight.lidar))
 
 
 def timeline(recording: Recording, flight: Flight) -> str:

@@ -230,10 +230,9 @@ def faults_page() -> str:
 _PAGE = """# Faults
 
 Made from `vehicle_sim/faults/catalogue.py` by `scripts/docs`. A line of a timeline reads
-`at TIME: FAULT`, or `at TIME for TIME: FAULT` for one that ends; times are of the simulation and
-name their unit (`ms`, `s`, `min`, `h`). `estimator_reset`, `origin_move`, `pilot` and `reboot`
-happen once and take no `for`. The parameters can also be set by PARAM_SET in flight. Where faults
-overlap the latest counts, and the one that it covered returns when it ends. `SIM_GPS_USED` is PX4's
-only, `SIM_BATT_VOLTAGE` and `battery_voltage` are ArduPilot's only.
+`at TIME: FAULT` or `at TIME for TIME: FAULT`, with units (`ms`, `s`, `min`, `h`).
+`estimator_reset`, `origin_move`, `pilot` and `reboot` happen once and take no `for`.
+Of overlapping faults the latest counts.
+`SIM_GPS_USED` is PX4's only, `SIM_BATT_VOLTAGE` and `battery_voltage` are ArduPilot's only.
 
 """

@@ -20,6 +20,7 @@ from vehicle_sim.terrain import FloatArray
 
 _DUST_M = 3.0
 _ABOVE_FEET_M = 0.15
+_OFF_SPEED = (0.014, 0.02)  # no motor keeps step with an autopilot: rows of bogus "max" end
 _Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _Rate = Annotated[_Real, Field(ge=0.5, le=50)]
 
@@ -110,6 +111,8 @@ class Lidar:
         self.distances_m = np.full(count, np.nan)
         """The newest of every beam.  (B,)"""
         self._turns = float(rng.random())
+        off = rng.uniform(*_OFF_SPEED) * rng.choice([-1.0, 1.0])
+        self._turns_1_s = settings.turns_1_s * (1.0 + float(off))
         self._turned_us = 0
         self.middle_us = 0
         """When the newest sweep was half done."""
@@ -125,7 +128,7 @@ class Lidar:
 
         local_m: the vehicle's place; the local frame's north is taken for true north.
         """
-        turns = self._turns + (now_us - self._turned_us) * 1e-6 * self._settings.turns_1_s
+        turns = self._turns + (now_us - self._turned_us) * 1e-6 * self._turns_1_s
         count = len(self.distances_m)
         if self._settings.kind == "sectors":
             fired = np.arange(count if int(turns) > int(self._turns) else 0)
@@ -133,7 +136,7 @@ class Lidar:
                 self.middle_us = now_us
         else:
             fired = np.arange(int(self._turns * count), min(int(turns * count), 2 * count)) % count
-            self.middle_us = now_us - round(5e5 / self._settings.turns_1_s)
+            self.middle_us = now_us - round(5e5 / self._turns_1_s)
         self._turns, self._turned_us = turns % 1.0, now_us
         fired = fired[self._in_view[fired]]
         if len(fired) and not (conditions.dead or conditions.stuck):

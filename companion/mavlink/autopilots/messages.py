@@ -251,7 +251,7 @@ def command_int(
     place_e7: tuple[int, int] = (0, 0),
     altitude_amsl_m: float = 0.0,
 ) -> Message:
-    """COMMAND_INT to the autopilot, in frame 5 (AMSL); place: latitude, longitude."""
+    """COMMAND_INT to the autopilot, in frame 5 (AMSL); place_e7: latitude, longitude."""
     return wire.MAVLink_command_int_message(
         system_id,
         AUTOPILOT_COMPONENT,

@@ -12,6 +12,7 @@ FILES = (
     "arducopter-gps-loss.tlog",
     "arducopter-guided-10mps.tlog",
     "arduplane-guided-reposition.tlog",
+    "arducopter-lidar.tlog",
     "arducopter-guided-global-stream-faults.tlog",
     "px4-fixedwing-offboard.tlog",
     "px4-offboard-8mps.tlog",

@@ -49,6 +49,7 @@ def test_a_flight_does_not_agree_with_another_one(recorded: Recorded, name: str)
     assert Summary.of(rows_of(flight, other.said)).share < 0.75
 
 
+@pytest.mark.sample(3)
 def test_silence_agrees_with_nothing(recorded: Recorded, name: str) -> None:
     flight = recorded(name)
     assert {row.kind for row in rows_of(flight, ()) if row.agrees} == set()

@@ -50,6 +50,7 @@ from vehicle_sim.sensors.gps import Fix
 Due = tuple[int, Reply | tuple[str, float]]
 """When since boot, and what: something to say, or a parameter that changes and is said."""
 
+_RPLIDAR_A2 = 5
 SLOW_US = 100_000
 FIRST_STATISTICS_US, STATISTICS_US = 30_440_000, 31_010_000
 FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
@@ -111,6 +112,8 @@ class ArduPilot(abc.ABC):
         self._was_armed = False
         self._attitude_rad = self.rates_rad_s = (0.0, 0.0, 0.0)
         self._due = sorted(self.boot(), key=lambda row: row[0])
+        if self.parameters["PRX1_TYPE"] == _RPLIDAR_A2:
+            self.later(3_010_000, Text(severity=6, text="RPLidar A2 hw=6 fw=17.42"))
         self._slow_us = SLOW_US
         self._statistics_us = FIRST_STATISTICS_US
         self._flown_us = 0

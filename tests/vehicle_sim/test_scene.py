@@ -1,0 +1,211 @@
+"""Distances and beams among near things against shapely, and woods against their law."""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+from scipy.spatial import cKDTree
+
+from vehicle_sim.scene import Scene
+from vehicle_sim.terrain import FloatArray
+from vehicle_sim.world import Wood, World, parse_world
+
+GROUND_M = 100.0
+Solid = tuple[Any, float, float]
+"""A shapely geometry in north and east, from a height to a height."""
+
+
+def world(**near: Any) -> World:
+    return parse_world(
+        {
+            "schema": 1,
+            "name": "near",
+            "origin": {"latitude_deg": 47.0, "longitude_deg": 8.0},
+            "terrain": {"combine": "maximum", "ground_amsl_m": GROUND_M},
+            "vehicle": {"kind": "copter", "autopilot": "ardupilot"},
+            **near,
+        }
+    )
+
+
+def drawn(seed: int) -> tuple[World, list[Solid]]:
+    """Random things, and the same as shapely has them."""
+    rng = np.random.default_rng(seed)
+    solids: list[Solid] = []
+    trees, walls, buildings = [], [], []
+
+    def height() -> float:
+        return float(rng.uniform(3.0, 20.0))
+
+    for _ in range(30):
+        (n, e), r, h = rng.uniform(-30, 30, 2).tolist(), float(rng.uniform(0.1, 2.0)), height()
+        trees.append({"north_m": n, "east_m": e, "radius_m": r, "height_m": h})
+        solids.append((shapely.Point(n, e).buffer(r, quad_segs=128), -math.inf, GROUND_M + h))
+    for _ in range(4):
+        points, t, h = rng.uniform(-30, 30, (3, 2)).tolist(), float(rng.uniform(0.2, 2)), height()
+        walls.append({"points_ne_m": points, "thickness_m": t, "height_m": h})
+        line = shapely.LineString(points).buffer(t / 2, quad_segs=128)
+        solids.append((line, -math.inf, GROUND_M + h))
+    for _ in range(4):
+        angles = np.sort(rng.uniform(0, math.tau, 6))
+        rays = rng.uniform(2, 12, (6, 1)) * np.stack([np.cos(angles), np.sin(angles)], -1)
+        corners, h = (rng.uniform(-30, 30, 2) + rays).tolist(), height()
+        if shapely.Polygon(corners).is_valid:
+            buildings.append({"corners_ne_m": corners, "height_m": h})
+            solids.append((shapely.Polygon(corners), -math.inf, GROUND_M + h))
+    return world(trees=trees, walls=walls, buildings=buildings), solids
+
+
+def away_m(solids: list[Solid], points: FloatArray) -> FloatArray:
+    flat = shapely.points(points[:, :2])
+    each = [
+        np.hypot(
+            shapely.distance(shape, flat),
+            np.maximum(np.maximum(points[:, 2] - top, bottom - points[:, 2]), 0.0),
+        )
+        for shape, bottom, top in solids
+    ]
+    return np.min(each, axis=0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_distances_are_shapelys(seed: int) -> None:
+    made, solids = drawn(seed)
+    rng = np.random.default_rng(seed + 100)
+    points = rng.uniform([-60, -60, GROUND_M], [60, 60, GROUND_M + 40], (100, 3))
+    assert made.scene().distance_m(points) == pytest.approx(away_m(solids, points), abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_level_beams_are_as_long_as_shapelys_lines(seed: int) -> None:
+    made, solids = drawn(seed)
+    rng = np.random.default_rng(seed + 200)
+    angles = rng.uniform(0, math.tau, 60)
+    ways = np.stack([np.cos(angles), np.sin(angles), np.zeros(60)], -1)
+    eye = np.array([*rng.uniform(-30, 30, 2), GROUND_M + 5.0])
+    while away_m(solids, eye[None])[0] == 0.0:
+        eye[:2] += 1.0
+    tall = shapely.union_all([shape for shape, _, top in solids if top > eye[2]])
+    expected = []
+    for way in ways:
+        line = shapely.LineString([eye[:2], eye[:2] + 40.0 * way[:2]]).intersection(tall)
+        expected.append(math.inf if line.is_empty else shapely.Point(eye[:2]).distance(line))
+    found = made.scene().ray_lengths_m(eye, ways, 40.0)
+    assert found == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tilted_beams_end_where_small_steps_first_are_inside(seed: int) -> None:
+    made, solids = drawn(seed)
+    rng = np.random.default_rng(seed + 300)
+    ways = rng.normal(size=(12, 3)) * [1.0, 1.0, 0.4]
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    eye = np.array([0.0, 0.0, GROUND_M + 22.0])  # above all roofs: beams come down on them
+    found = made.scene().ray_lengths_m(eye, ways, 60.0)
+    steps = np.arange(0.0, 60.0, 0.02)
+    for shape, _, _ in solids:
+        shapely.prepare(shape)
+    for way, length in zip(ways, found, strict=True):
+        points = eye + steps[:, None] * way
+        inside = points[:, 2] < GROUND_M
+        for shape, _, top in solids:
+            inside |= (points[:, 2] <= top) & shapely.contains_xy(shape, *points[:, :2].T)
+        first = steps[inside.argmax()] if inside.any() else math.inf
+        assert length == pytest.approx(first, abs=0.05) or length > 59.9
+
+
+def test_beams_meet_a_hill_where_small_steps_do() -> None:
+    hill = [
+        {
+            "north_m": 40.0,
+            "east_m": 0.0,
+            "height_amsl_m": GROUND_M + 30.0,
+            "spread_north_m": 15.0,
+            "spread_east_m": 20.0,
+        }
+    ]
+    made = world(terrain={"combine": "maximum", "ground_amsl_m": GROUND_M, "peaks": hill})
+    terrain, eye = made.truth(), np.array([0.0, 0.0, GROUND_M + 10.0])
+    pitches = np.radians([-25.0, -5.0, 0.0, 5.0, 20.0])
+    ways = np.stack([np.cos(pitches), 0 * pitches, np.sin(pitches)], -1)
+    found = made.scene().ray_lengths_m(eye, ways, 60.0)
+    steps = np.arange(0.0, 60.0, 0.005)
+    for way, length in zip(ways, found, strict=True):
+        points = eye + steps[:, None] * way
+        below = points[:, 2] < terrain.height_amsl_m(points[:, 0], points[:, 1])
+        assert length == pytest.approx(steps[below.argmax()] if below.any() else math.inf, abs=0.1)
+
+
+def test_a_wire_is_touched_and_not_seen() -> None:
+    made = world(wires=[{"ends_ne_m": [[10.0, -5.0], [10.0, 5.0]], "height_m": 8.0}]).scene()
+    at = np.array([0.0, 0.0, GROUND_M + 8.0])
+    assert made.distance_m(at) == pytest.approx(9.99)
+    assert made.distance_m(at + np.array([10.0, 0.0, 0.005])) == 0.0
+    assert np.isinf(made.ray_lengths_m(at, np.array([[1.0, 0.0, 0.0]]), 40.0)).all()
+
+
+def test_without_things_nothing_is_near() -> None:
+    made = world().scene()
+    assert made.empty
+    assert np.isinf(made.distance_m(np.zeros((3, 3)))).all()
+
+
+# --- woods ----------------------------------------------------------------------------------------
+
+WOOD: dict[str, Any] = {
+    "seed": 7,
+    "north_min_m": -20.0,
+    "north_max_m": 180.0,
+    "east_min_m": 0.0,
+    "east_max_m": 150.0,
+    "spacing_m": [4.0, 8.0],
+    "radius_m": [0.2, 0.5],
+    "height_m": [10.0, 20.0],
+    "clearing_share": 0.1,
+    "clearings": [{"north_m": 50.0, "east_m": 60.0, "radius_m": 15.0}],
+}
+
+
+def wood_of(**changes: Any) -> Wood:
+    (wood,) = world(woods=[WOOD | changes]).woods
+    return wood
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_wood_keeps_its_spacing_and_its_clearings(seed: int) -> None:
+    trees = wood_of(seed=seed).trees()
+    places = np.array([(t.north_m, t.east_m) for t in trees])
+    assert (places >= [-20.0, 0.0]).all()
+    assert (places <= [180.0, 150.0]).all()
+    next_m = cKDTree(places).query(places, k=2)[0][:, 1]
+    assert next_m.min() >= 4.0
+    assert np.quantile(next_m, 0.1) < 5.5  # clumps
+    assert np.quantile(next_m, 0.9) > 6.0
+    clear_m = np.hypot(*(places - [50.0, 60.0]).T) - [t.radius_m for t in trees]
+    assert clear_m.min() >= 15.0
+    assert all(0.2 <= t.radius_m <= 0.5 and 10.0 <= t.height_m <= 20.0 for t in trees)
+
+
+def test_clearings_take_their_share() -> None:
+    counts = [len(wood_of(clearing_share=s, clearings=[]).trees()) for s in (0.0, 0.3, 0.6)]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[2] < 0.6 * counts[0]
+
+
+def test_the_same_seed_draws_the_same_wood_and_another_another() -> None:
+    made = world(woods=[WOOD])
+    assert made.woods[0].trees() == world(woods=[WOOD]).woods[0].trees()
+    other = made.with_woods_of(8)
+    assert other.woods[0].trees() == wood_of(seed=8).trees() != made.woods[0].trees()
+    assert dataclasses.replace(other, woods=made.woods) == made
+
+
+def test_a_scene_has_each_tree_of_its_woods() -> None:
+    made = world(woods=[WOOD])
+    scene: Scene = made.scene()
+    for tree in made.woods[0].trees()[::40]:
+        at = [tree.north_m + tree.radius_m + 1.0, tree.east_m, GROUND_M + 5.0]
+        assert scene.distance_m(np.array(at))[0] <= 1.0 + 1e-9
