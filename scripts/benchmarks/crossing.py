@@ -39,6 +39,7 @@ _SHARED = frozenset({0, 33, 87})  # heartbeats, positions, claims
 _LIMIT_S = 400.0
 _START_M, _END_M = 150.0, 240.0
 _AIRCRAFT = 3
+SEPARATION_M, SEPARATION_UP_M = 10.0, 6.0
 _TABLE: dict[str, Any] = {
     "schema": 1,
     "name": "crossing",
@@ -74,7 +75,7 @@ _TABLE: dict[str, Any] = {
         "evaluations": 600,
     },
     "terrain": {"highest_amsl_m": HOME_AMSL_M + 5.0},
-    "traffic": {"separation_m": 10.0, "vertical_separation_m": 6.0},
+    "traffic": {"separation_m": SEPARATION_M, "vertical_separation_m": SEPARATION_UP_M},
     "end": {"action": "hold"},
 }
 
@@ -228,19 +229,18 @@ class Nearest:
     """The same, to an aircraft."""
 
     def look(self, drones: list[Drone], planes: list[Aircraft], now_s: float) -> None:
-        rules = _TABLE["traffic"]
         places = [each.position() for each in drones if each.is_up]
         for index, one in enumerate(places):
             for other in places[:index]:
                 apart = one - other
                 level_m, up_m = math.hypot(apart[0], apart[1]), abs(float(apart[2]))
-                kept = max(level_m / rules["separation_m"], up_m / rules["vertical_separation_m"])
+                kept = max(level_m / SEPARATION_M, up_m / SEPARATION_UP_M)
                 self.kept = min(self.kept, kept)
                 self.level_m = min(self.level_m, math.hypot(level_m, up_m))
             for plane in planes:
                 apart = one - plane.position(now_s)
                 level_m, up_m = math.hypot(apart[0], apart[1]), abs(float(apart[2]))
-                kept = max(level_m / rules["separation_m"], up_m / rules["vertical_separation_m"])
+                kept = max(level_m / SEPARATION_M, up_m / SEPARATION_UP_M)
                 self.kept = min(self.kept, kept)
                 self.clear_m = min(self.clear_m, math.hypot(level_m, up_m))
 

@@ -1,12 +1,7 @@
 """Companions that cross one point, in process: the real sessions, with lost messages."""
 
-import sys
-from pathlib import Path
-
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "benchmarks"))
 import crossing
+import pytest
 
 
 @pytest.mark.parametrize("seed", [1, 5])
@@ -21,7 +16,7 @@ def test_two_that_meet_head_on_keep_apart_and_arrive(seed: int) -> None:
 def test_it_waits_for_aircraft_says_so_once_and_goes_on() -> None:
     trial = crossing.fly(1, 3, 0.1, 3)
     assert trial["arrived"] == 1
-    assert trial["clear_m"] > crossing._TABLE["traffic"]["separation_m"]
+    assert trial["clear_m"] > crossing.SEPARATION_M
     assert sum("giving way" in text for text in trial["texts"][1]) == 1
 
 
