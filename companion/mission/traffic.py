@@ -64,6 +64,8 @@ class _Scene:
     claims: tuple[tuple[Claim, float], ...]
     """With how far they may have grown since they were heard."""
     tracks: tuple[Track, ...]
+    bent_m: float
+    """How far the path may be from the chord that is claimed."""
     apart: Separation
     """Of claims."""
     clear: Separation
@@ -210,7 +212,9 @@ def _scene(state: State, rules: TrafficRules, traffic: Traffic) -> _Scene:
     ahead_m, path = _path_ahead(state, longest_m)
     error_m = task.error_m
     wide_m = error_m + limits.loiter_radius_m  # a plane may be beside its way by its circle
-    bent_m = 4.0 * STRAIGHT_M
+    bent_m = STRAIGHT_M
+    if not limits.hovers:  # it needs a claim as long as its lead, in a turn too
+        bent_m = (limits.lead_m + 2.0 * limits.speed_m_s) ** 2 / (8.0 * limits.turn_radius_m)
     fastest_m_s = math.hypot(limits.speed_m_s, limits.climb_rate_m_s)
     claims = tuple(
         (claim, claim.grown_m(now_s, fastest_m_s, longest_m)) for claim in traffic.claims
@@ -229,9 +233,10 @@ def _scene(state: State, rules: TrafficRules, traffic: Traffic) -> _Scene:
         ahead_m=np.concatenate([[0.0], ahead_m]),
         claims=claims if rules.claims else (),
         tracks=tracks,
+        bent_m=bent_m,
         apart=Separation(
-            horizontal_m=rules.separation_m + 2.0 * wide_m + bent_m,
-            vertical_m=rules.vertical_separation_m + 2.0 * error_m + bent_m,
+            horizontal_m=rules.separation_m + 2.0 * wide_m + 4.0 * bent_m,
+            vertical_m=rules.vertical_separation_m + 2.0 * error_m + 4.0 * bent_m,
         ),
         clear=Separation(
             horizontal_m=rules.separation_m + wide_m,
@@ -277,7 +282,9 @@ def _claimed(traffic: Traffic, scene: _Scene) -> Traffic:
     committed_m = traffic.committed_m
     most_m = max(min(mine_m, flown_m + float(ahead_m[-1])), committed_m)
     asked = [(since_s, min(end_m, most_m)) for since_s, end_m in traffic.asked]
-    wanted_m = min(flown_m + float(ahead_m[straight_until(scene.points)]), most_m)
+    from_path = int(scene.bent_m > STRAIGHT_M)  # a plane may be beside it
+    last = straight_until(scene.points[from_path:], scene.bent_m) + from_path
+    wanted_m = min(flown_m + float(ahead_m[last]), most_m)
     ripe_m = max((end_m for since_s, end_m in asked if now_s - since_s >= CLAIM_S), default=0.0)
     committed_m = max(committed_m, min(ripe_m, nobodys_m))
     asked = [(s, m) for s, m in asked if now_s - s < CLAIM_S or m == ripe_m]

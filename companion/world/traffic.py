@@ -149,14 +149,14 @@ def free_pieces(
     return np.asarray(~near.any(axis=1))
 
 
-def straight_until(points_nea_m: FloatArray) -> int:
-    """Index of the last point up to which all points are within `STRAIGHT_M` of the chord there."""
+def straight_until(points_nea_m: FloatArray, most_m: float = STRAIGHT_M) -> int:
+    """Index of the last point up to which no point is farther than that from the chord there."""
     begin = points_nea_m[0]
     for last in range(len(points_nea_m) - 1, 1, -1):
         chord = points_nea_m[last] - begin
         squared = max(float(chord @ chord), 1e-12)
         offset = points_nea_m[1:last] - begin
         share = np.clip(offset @ chord / squared, 0.0, 1.0)
-        if np.linalg.norm(offset - share[:, None] * chord, axis=1).max() <= STRAIGHT_M:
+        if np.linalg.norm(offset - share[:, None] * chord, axis=1).max() <= most_m:
             return last
     return min(1, len(points_nea_m) - 1)
