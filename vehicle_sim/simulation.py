@@ -29,6 +29,7 @@ from vehicle_sim.sensors.lidar import Lidar, LidarTable, body_down_neu
 from vehicle_sim.sensors.terrain_radar import TerrainRadar
 from vehicle_sim.terrain import FloatArray
 from vehicle_sim.wire import messages
+from vehicle_sim.wire.adsb import AdsbReceiver
 from vehicle_sim.wire.lidar import LidarDriver
 from vehicle_sim.wire.proximity import RPLIDAR, Proximity, RangeSensors
 from vehicle_sim.wire.radar import RadarComponent
@@ -126,6 +127,9 @@ class Simulation:
         )
         self._scanner = None if world.scanner is None else self._make_scanner(world.scanner)
         self._lidar = None if lidar is None else self._make_lidar(lidar)
+        self._adsb = (
+            AdsbReceiver(world.traffic, self._frame, self._radio) if world.traffic else None
+        )
         self._timeline = Timeline.parse(
             faults,
             name="faults",
@@ -387,6 +391,8 @@ class Simulation:
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
         if looks and not complete:  # without positions there are ticks all the same
             complete = controller.streams.interval_us(0, _POSITION) is None
+        if self._adsb is not None and now_us >= self._adsb.due_us:
+            self._adsb.step(now_us)
         if self._scanner is not None and now_us >= self._scanner.due_us:
             self._scanner.step(now_us, vehicle, conditions.radar, tick=complete)
         return complete

@@ -14,6 +14,7 @@ from companion.planner.settings import Task
 from companion.world.known_map import Scan
 from companion.world.near_map import NearMap, Sight
 from companion.world.threats import Zone
+from companion.world.traffic import Claim, Track
 
 Vector = tuple[float, float, float]
 
@@ -341,6 +342,18 @@ class DuplicateId:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OthersHeard:
+    """All that is known of others in the air, before a position."""
+
+    time_s: float
+    ours: int
+    """Our system id."""
+    tracks: tuple[Track, ...]
+    claims: tuple[Claim, ...]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StopAsked:
     """The operator ends the mission now."""
 
@@ -375,6 +388,7 @@ Event = (
     | LinkLost
     | FenceBreach
     | DuplicateId
+    | OthersHeard
     | StopAsked
 )
 
@@ -458,6 +472,16 @@ class Setpoint:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ClaimWay:
+    """Tell other vehicles of ours which straight stretch this one keeps to."""
+
+    time_s: float
+    begin_nea_m: Vector
+    end_nea_m: Vector
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StatusText:
     """A short text to ground stations and the terminal."""
 
@@ -486,6 +510,7 @@ Command = (
     | StartScan
     | Plan
     | Setpoint
+    | ClaimWay
     | StatusText
     | End
 )

@@ -6,7 +6,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from companion.mission import following
+from companion.mission import following, traffic
 from companion.mission.decisions import (
     AT_M,
     Context,
@@ -88,6 +88,8 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
+    if (step := make_way(state, event, context)) is not None:
+        return step
     state, warning = battery_warning(state, context)
     if state.flight.leg is None:
         state, commands, trigger = _hover(state, event, context)
@@ -96,6 +98,25 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     else:
         state, commands, trigger = _follow(state, event, context)
     return state, [*warning, *commands], trigger
+
+
+def make_way(state: State, event: Position, context: Context) -> Step | None:
+    """Leave the path for others in the air: for another level; a plane loiters, or goes on to."""
+    flight, others = state.flight, state.traffic
+    if others is None:
+        return None
+    if others.level_m is not None:
+        at = flight.hover_nea_m or event.position_nea_m
+        if flight.leg is not None:
+            at = flight.leg.subpath.pose(flight.reference.length_m).point_nea_m
+        stopped = at_rest(following.requeue_backtrack(flight), at)
+        return fault(replace(state, flight=stopped), Reason.TRAFFIC)
+    if not others.waits:
+        return None
+    if not flight.circling:
+        return following.stop(state, Reason.GIVING_WAY)
+    waits = replace(state, flight=replace(flight, progress_at_s=state.now_s))
+    return circle(waits, event, context)
 
 
 def max_stops(context: Context) -> int:
@@ -345,9 +366,10 @@ def _high_enough(state: State, context: Context, here: Vector) -> Vector:
 def task_ahead(state: State, context: Context) -> Task:
     """The task on the way to the target: no lower than the mission's altitude for it."""
     mission, flight = context.mission, state.flight
-    if flight.homeward or state.targets_ne_m != mission.targets_ne_m:
-        return state.task
-    return mission.task_to(flight.target, state.task)
+    task = state.task
+    if not flight.homeward and state.targets_ne_m == mission.targets_ne_m:
+        task = mission.task_to(flight.target, task)
+    return traffic.plan_floor(state, task)
 
 
 def _is_there(state: State, event: Position, here: Vector) -> bool:

@@ -9,6 +9,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
+from companion.mission import traffic
 from companion.mission.decisions import Context, Step
 from companion.mission.events import Command, Position, Setpoint, Vector
 from companion.mission.state import Answered, Backtracking, Flight, Reason, State, Stop, Trigger
@@ -66,6 +67,8 @@ def advance_reference(state: State, event: Position) -> Flight:
     leg = flight.leg
     assert leg is not None
     here = np.asarray(event.position_nea_m)
+    until_m = None if flight.stop is None else flight.stop.at_m
+    until_m, speed_limit_m_s = traffic.limits(state, until_m, flight.speed_limit_m_s)
     if vehicle.traits.hovers:
         reference = advance(
             flight.reference,
@@ -74,12 +77,13 @@ def advance_reference(state: State, event: Position) -> Flight:
             here,
             task.limits,
             goes_on=flight.next_leg is not None,
-            until_m=None if flight.stop is None else flight.stop.at_m,
-            speed_limit_m_s=flight.speed_limit_m_s,
+            until_m=until_m,
+            speed_limit_m_s=speed_limit_m_s,
         )
     else:
         reference = follow(flight.reference, leg, here, task.limits)
     sets_out = reference.length_m > flight.reference.length_m or flight.circling
+    sets_out = sets_out or traffic.is_held_back(state)
     offset = flight.offset
     if offset is not None:
         offset = join.step(offset, vehicle.position_step_s, task.limits)

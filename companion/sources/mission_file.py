@@ -14,7 +14,7 @@ import numpy as np
 from companion.errors import InputError
 from companion.geodesy import LocalFrame, wrap_rad
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
-from companion.mission.mission import EndAction, Fallback, Mission
+from companion.mission.mission import EndAction, Fallback, Mission, TrafficRules
 from companion.objective.scene import PROFILES, Weights
 from companion.path.limits import Limits
 from companion.planner.rules import check_target, check_task
@@ -151,6 +151,7 @@ def mission_of(
         fallback=Fallback(model.fallback.action),
         known=_known_map(model, task, frame, where),
         reserve=model.battery.reserve_percent / 100.0,
+        traffic=model.traffic and TrafficRules(**model.traffic.of(TrafficRules)),
         rally_ne_m=tuple(
             place_of(point, frame, f"{where}: rally_points[{index}]")
             for index, point in enumerate(model.rally_points)

@@ -123,6 +123,7 @@ class WorldTable(Table):
     radars: list[RadarTable] = []
     vehicle: WorldVehicleTable
     scanner: dict[str, Any] = {}
+    traffic: list[dict[str, Any]] = []
 
 
 class FileWorldTable(WorldTable):

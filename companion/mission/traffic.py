@@ -1,0 +1,565 @@
+"""Right of way: how far and how fast a vehicle may go for others in the air (docs/decisions/0023).
+
+`observe` decides it at each position; following, the hold and the next plan keep to it.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from msgspec.structs import replace
+
+from companion.geodesy import FloatArray
+from companion.mission.decisions import Context, with_hold_reason
+from companion.mission.events import ClaimWay, Command, OthersHeard, StatusText, Vector
+from companion.mission.mission import TrafficRules
+from companion.mission.state import (
+    HoldMode,
+    OnSetpoints,
+    Phase,
+    Reason,
+    Replan,
+    State,
+    Traffic,
+)
+from companion.planner.procedure import Reference, advance
+from companion.planner.settings import Task
+from companion.world.clearance import distance_to_terrain_m
+from companion.world.traffic import (
+    CLAIM_S,
+    STRAIGHT_M,
+    Claim,
+    Separation,
+    Track,
+    free_pieces,
+    keeps_apart,
+    straight_until,
+)
+
+_CLAIM_PERIOD_S = 0.2
+_AHEAD_S = 3.0  # of flight, and the braking distance: how long a claim is at most
+_PIECES = 48
+_SPEEDS = (1.0, 0.75, 0.5, 0.25, 0.0)
+_SHARES = (1.0, 0.5, 0.25)  # of the separation, if no speed keeps it all
+_LAW_STEP_S = 0.5
+_STILL_M_S = 0.05
+_PATIENCE_S, _LAST_PATIENCE_S = 20.0, 40.0
+_AGAIN_S, _NO_LEVEL_S = 10.0, 5.0
+_THERE_M = 1.0
+_ON_PATH = (Phase.FLYING, Phase.RETURNING)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Scene:
+    """Where the vehicle is, the way ahead, and who may be in it."""
+
+    now_s: float
+    here: FloatArray
+    points: FloatArray  # (N, 3): here, the reference point, then along the path
+    ahead_m: FloatArray  # (N,): from the reference point
+    claims: tuple[tuple[Claim, float], ...]
+    """With how far they may have grown since they were heard."""
+    tracks: tuple[Track, ...]
+    bent_m: float
+    """How far the path may be from the chord that is claimed."""
+    apart: Separation
+    """Of claims."""
+    clear: Separation
+    """Of tracks."""
+
+    def free(self, points: FloatArray, ours: int) -> tuple[FloatArray, FloatArray]:
+        """Which pieces no claim comes near to, and which none that goes before this system."""
+        every = np.ones(len(points) - 1, dtype=bool)
+        before = every.copy()
+        for claim, grown_m in self.claims:
+            free = free_pieces(points, claim, self.apart, grown_m)
+            every &= free
+            if claim.system < ours or grown_m:
+                before &= free
+        return every, before
+
+
+def heard(state: State, event: OthersHeard) -> State:
+    """What is known of others has changed."""
+    if (traffic := state.traffic) is None:
+        return state
+    traffic = replace(traffic, ours=event.ours, tracks=event.tracks, claims=event.claims)
+    return replace(state, traffic=traffic)
+
+
+def observe(state: State, context: Context) -> tuple[State, list[Command]]:
+    """At each position: how far and fast it may go, whether to leave the path, and its claim."""
+    rules, traffic = context.mission.traffic, state.traffic
+    if rules is None or traffic is None or state.vehicle.position_nea_m is None:
+        return state, []
+    ours = state.phase in _ON_PATH or isinstance(state.hold, OnSetpoints)
+    if not ours:
+        blank = Traffic(ours=traffic.ours, tracks=traffic.tracks, claims=traffic.claims)
+        return _with_claim(replace(state, traffic=blank), context, _column(state, context))
+    traffic = _moved(state, traffic)
+    scene = _scene(state, rules, traffic)
+    leg = state.flight.leg
+    if leg is not None and rules.claims:
+        traffic = _claimed(traffic, scene)
+    elif leg is not None:
+        traffic = replace(traffic, committed_m=math.inf)
+    speed_m_s, forced = _fastest(state, rules, scene)
+    still = leg is None or state.flight.reference.speed_m_s <= _STILL_M_S
+    if still and rules.claims:
+        stands = np.stack([scene.here, scene.here])
+        fresh = dataclasses.replace(scene, claims=tuple(c for c in scene.claims if not c[1]))
+        forced = forced or not fresh.free(stands, traffic.ours)[1].all()
+    flies = state.task.limits
+    needed_m = min(flies.lead_m + flies.speed_m_s, float(scene.ahead_m[-1])) - _THERE_M
+    left_m = traffic.committed_m - traffic.flown_m
+    traffic = replace(
+        traffic,
+        speed_m_s=speed_m_s,
+        forced_since_s=min(traffic.forced_since_s, state.now_s) if forced and still else math.inf,
+        moved_at_s=traffic.moved_at_s if still and leg is not None else state.now_s,
+        waits=not flies.hovers and leg is not None and (speed_m_s == 0.0 or left_m < needed_m),
+    )
+    state = _with_level(replace(state, traffic=traffic), scene)
+    state, says = _told(state, scene)
+    end = _end_of_claim(state, scene)
+    state, claims = _with_claim(state, context, end)
+    return state, [*says, *claims]
+
+
+def _with_claim(
+    state: State, context: Context, end_nea_m: Vector | None
+) -> tuple[State, list[Command]]:
+    """Send the claim, if it is time to."""
+    rules, traffic, here = context.mission.traffic, state.traffic, state.vehicle.position_nea_m
+    assert rules is not None
+    assert traffic is not None
+    due = state.now_s - traffic.claimed_at_s >= _CLAIM_PERIOD_S - 0.05
+    if end_nea_m is None or here is None or not rules.claims or not due:
+        return state, []
+    sent = ClaimWay(time_s=state.now_s, begin_nea_m=here, end_nea_m=end_nea_m)
+    return replace(state, traffic=replace(traffic, claimed_at_s=state.now_s)), [sent]
+
+
+def _column(state: State, context: Context) -> Vector | None:
+    """The other end of the claim while the autopilot takes off, lands or holds; None: no claim."""
+    here = state.vehicle.position_nea_m
+    home = state.vehicle.home_nea_m
+    if here is None or not state.airborne:
+        return None
+    if state.phase is Phase.TAKING_OFF:
+        return here[0], here[1], context.mission.take_off_amsl_m
+    if state.phase is Phase.LANDING and home is not None:
+        return here[0], here[1], min(home[2], here[2])
+    stays = state.phase is Phase.ARRIVED or isinstance(state.hold, HoldMode)
+    return here if stays else None
+
+
+# --- the way ahead
+
+
+def _moved(state: State, traffic: Traffic) -> Traffic:
+    """Count what the reference point has moved; without a leg, or on a new one, from nothing."""
+    flight = state.flight
+    leg, at_m = flight.leg, flight.reference.length_m
+    (old, old_next), before_m = traffic.legs, traffic.at_m
+    legs = (leg, flight.next_leg)
+    if leg is not None and leg is old:
+        moved_m = at_m - before_m
+    elif leg is not None and old is not None and leg is old_next:
+        moved_m = old.successor_at_m(state.task) - before_m + at_m
+    else:
+        return replace(
+            traffic,
+            legs=legs,
+            at_m=at_m,
+            flown_m=0.0,
+            asked=(),
+            committed_m=0.0,
+            floor_m=traffic.floor_m if leg is None else None,
+        )
+    flown_m = traffic.flown_m + max(moved_m, 0.0)
+    asked, committed_m = traffic.asked, traffic.committed_m
+    if leg is old and flight.next_leg is not old_next:  # another way beyond p_prog
+        kept_m = state.task.limits.stopping_m(flight.reference.speed_m_s)
+        kept_m = flown_m + max(leg.successor_at_m(state.task) - at_m, kept_m)
+        asked = tuple((since_s, min(end_m, kept_m)) for since_s, end_m in asked)
+        committed_m = min(committed_m, kept_m)
+    return replace(
+        traffic,
+        legs=legs,
+        at_m=at_m,
+        flown_m=flown_m,
+        asked=asked,
+        committed_m=max(committed_m, flown_m),
+    )
+
+
+def _longest_m(task: Task) -> float:
+    """How long a claim is at most."""
+    limits = task.limits
+    return _AHEAD_S * limits.speed_m_s + limits.stopping_m(limits.speed_m_s) + limits.lead_m
+
+
+def _scene(state: State, rules: TrafficRules, traffic: Traffic) -> _Scene:
+    task, limits, now_s = state.task, state.task.limits, state.now_s
+    assert state.vehicle.position_nea_m is not None
+    here = np.asarray(state.vehicle.position_nea_m)
+    longest_m = _longest_m(task)
+    ahead_m, path = _path_ahead(state, longest_m)
+    error_m = task.error_m
+    wide_m = error_m + limits.loiter_radius_m  # a plane may be beside its way by its circle
+    bent_m = STRAIGHT_M
+    if not limits.hovers:  # it needs a claim as long as its lead, in a turn too
+        bent_m = (limits.lead_m + 2.0 * limits.speed_m_s) ** 2 / (8.0 * limits.turn_radius_m)
+    fastest_m_s = math.hypot(limits.speed_m_s, limits.climb_rate_m_s)
+    claims = tuple(
+        (claim, claim.grown_m(now_s, fastest_m_s, longest_m)) for claim in traffic.claims
+    )
+    agreed = {claim.system for claim, grown_m in claims if not grown_m and rules.claims}
+    tracks = tuple(
+        track
+        for track in traffic.tracks
+        if track.system not in agreed
+        and track.reach_s(state.vehicle.position_nea_m, limits.speed_m_s, now_s) < rules.horizon_s
+    )
+    return _Scene(
+        now_s=now_s,
+        here=here,
+        points=np.concatenate([here[None], path]),
+        ahead_m=np.concatenate([[0.0], ahead_m]),
+        claims=claims if rules.claims else (),
+        tracks=tracks,
+        bent_m=bent_m,
+        apart=Separation(
+            horizontal_m=rules.separation_m + 2.0 * wide_m + 4.0 * bent_m,
+            vertical_m=rules.vertical_separation_m + 2.0 * error_m + 4.0 * bent_m,
+        ),
+        clear=Separation(
+            horizontal_m=rules.separation_m + wide_m,
+            vertical_m=rules.vertical_separation_m + error_m,
+        ),
+    )
+
+
+def _path_ahead(state: State, longest_m: float) -> tuple[FloatArray, FloatArray]:
+    """Lengths from the reference point on, and the points of the path there.  (N,), (N, 3)."""
+    flight = state.flight
+    leg, at_m = flight.leg, flight.reference.length_m
+    if leg is None:
+        assert state.vehicle.position_nea_m is not None
+        return np.zeros(1), np.asarray(flight.hover_nea_m or state.vehicle.position_nea_m)[None]
+    over_m, beyond_m = leg.subpath.length_m, 0.0
+    if flight.stop is not None:
+        over_m = min(over_m, flight.stop.at_m)
+    elif flight.next_leg is not None:
+        over_m = leg.successor_at_m(state.task)
+        beyond_m = flight.next_leg.subpath.length_m
+    left_m = max(min(over_m - at_m + beyond_m, longest_m), 0.0)
+    ahead_m = np.linspace(0.0, left_m, _PIECES + 1)
+    points = leg.subpath.points_nea_m(np.minimum(at_m + ahead_m, over_m))
+    if flight.next_leg is not None and beyond_m:
+        onto = at_m + ahead_m > over_m
+        points[onto] = flight.next_leg.subpath.points_nea_m(at_m + ahead_m[onto] - over_m)
+    return ahead_m, points
+
+
+# --- claims
+
+
+def _claimed(traffic: Traffic, scene: _Scene) -> Traffic:
+    """Claim the way ahead; enter what has been claimed for long enough, and nobody else claims."""
+    now_s, flown_m, ahead_m = scene.now_s, traffic.flown_m, scene.ahead_m
+    if not scene.claims:
+        nobodys_m = mine_m = flown_m + float(ahead_m[-1])
+    else:
+        every, before = scene.free(scene.points, traffic.ours)
+        nobodys_m = flown_m + _first_m(every, ahead_m)
+        mine_m = flown_m + _first_m(before, ahead_m)
+    committed_m = traffic.committed_m
+    most_m = max(min(mine_m, flown_m + float(ahead_m[-1])), committed_m)
+    asked = [(since_s, min(end_m, most_m)) for since_s, end_m in traffic.asked]
+    from_path = int(scene.bent_m > STRAIGHT_M)  # a plane may be beside it
+    last = straight_until(scene.points[from_path:], scene.bent_m) + from_path
+    wanted_m = min(flown_m + float(ahead_m[last]), most_m)
+    ripe_m = max((end_m for since_s, end_m in asked if now_s - since_s >= CLAIM_S), default=0.0)
+    committed_m = max(committed_m, min(ripe_m, nobodys_m))
+    asked = [(s, m) for s, m in asked if now_s - s < CLAIM_S or m == ripe_m]
+    if not asked or wanted_m > asked[-1][1]:
+        asked.append((now_s, wanted_m))
+    return replace(traffic, asked=tuple(asked), committed_m=committed_m, taken_m=nobodys_m)
+
+
+def _first_m(free: FloatArray, ahead_m: FloatArray) -> float:
+    """Length ahead at which the first piece that is not free begins; (0: from here to the path)."""
+    taken = np.flatnonzero(np.logical_not(free[1:]))
+    return float(ahead_m[-1] if not len(taken) else ahead_m[taken[0] + 1])
+
+
+def _end_of_claim(state: State, scene: _Scene) -> Vector:
+    """The end of the stretch that is claimed now."""
+    traffic, flight = state.traffic, state.flight
+    assert traffic is not None
+    if traffic.level_m is not None:
+        return float(scene.here[0]), float(scene.here[1]), traffic.level_m
+    if flight.leg is None:
+        place = scene.points[-1]
+    else:
+        end_m = max([traffic.committed_m, *(end_m for _, end_m in traffic.asked)])
+        left_m = end_m - traffic.flown_m
+        place = np.array(
+            [np.interp(left_m, scene.ahead_m[1:], axis) for axis in scene.points[1:].T]
+        )
+    return float(place[0]), float(place[1]), float(place[2])
+
+
+# --- tracks
+
+
+def _fastest(state: State, rules: TrafficRules, scene: _Scene) -> tuple[float, bool]:
+    """The largest speed that keeps clear of all tracks, or the most of it; whether none does."""
+    if not scene.tracks:
+        return math.inf, False
+    limits = state.task.limits
+    slack_m = 0.1 + (limits.speed_m_s * _LAW_STEP_S) ** 2 / (8.0 * limits.turn_radius_m)
+    if state.flight.leg is None:
+        times = scene.now_s + np.array([0.0, rules.horizon_s])
+        times = np.arange(times[0], times[1] + _LAW_STEP_S, _LAW_STEP_S)
+        points = np.broadcast_to(scene.points[-1], (len(times), 3))
+        return math.inf, not keeps_apart(points, times, scene.tracks, scene.clear, slack_m)
+    speeds = [share * limits.speed_m_s for share in (_SPEEDS if limits.hovers else _SPEEDS[:1])]
+    laws: list[tuple[FloatArray, FloatArray]] = []
+    for kept in _SHARES:
+        for number, speed in enumerate(speeds):
+            if number == len(laws):
+                laws.append(time_law(state, speed, rules.horizon_s))
+            points, times = laws[number]
+            if keeps_apart(points, times, scene.tracks, scene.clear, slack_m, kept):
+                return (math.inf if number == 0 and kept == 1.0 else speed), kept < 1.0
+    return 0.0, True
+
+
+def time_law(state: State, speed_m_s: float, horizon_s: float) -> tuple[FloatArray, FloatArray]:
+    """Where the reference point will be, at no more than this speed.  -> (N, 3), (N,)."""
+    flight, limits, task = state.flight, state.task.limits, state.task
+    leg, next_leg, reference = flight.leg, flight.next_leg, flight.reference
+    assert leg is not None
+    until_m = None if flight.stop is None else flight.stop.at_m
+    count = math.ceil(horizon_s / _LAW_STEP_S)
+    points = [leg.subpath.pose(reference.length_m).position_nea_m]
+    for _ in range(count):
+        if limits.hovers:
+            reference = advance(
+                reference,
+                leg,
+                _LAW_STEP_S,
+                points[-1],
+                limits,
+                goes_on=next_leg is not None,
+                until_m=until_m,
+                speed_limit_m_s=min(speed_m_s, flight.speed_limit_m_s),
+            )
+        else:
+            length_m = min(reference.length_m + speed_m_s * _LAW_STEP_S, leg.subpath.length_m)
+            reference = Reference(length_m=length_m, speed_m_s=speed_m_s)
+        if next_leg is not None and reference.length_m >= (over := leg.successor_at_m(task)):
+            reference = dataclasses.replace(reference, length_m=reference.length_m - over)
+            leg, next_leg = next_leg, None
+        points.append(leg.subpath.pose(reference.length_m).position_nea_m)
+    return np.array(points), state.now_s + _LAW_STEP_S * np.arange(count + 1, dtype=np.float64)
+
+
+# --- out of the way
+
+
+def _with_level(state: State, scene: _Scene) -> State:
+    """Choose a level to go to, drop it when it is taken, or note that the vehicle is there."""
+    traffic = state.traffic
+    assert traffic is not None
+    if (level_m := traffic.level_m) is not None:
+        done = abs(float(scene.here[2]) - level_m) < _THERE_M
+        if done or not _is_free(state, scene, level_m):
+            floor_m = level_m if done else traffic.floor_m
+            return replace(state, traffic=_level(traffic, None, math.inf, floor_m))
+        climbs = traffic.climbs or state.now_s - traffic.level_since_s >= CLAIM_S
+        return replace(state, traffic=replace(traffic, climbs=climbs))
+    may = state.phase in _ON_PATH or isinstance(state.hold, Replan)
+    forced = math.isfinite(traffic.forced_since_s)
+    if not (may and state.vehicle.traits.hovers and (forced or _is_stuck(state))):
+        return state
+    for level_m in _levels(state, scene):
+        goes_on = forced or _is_way_free(scene, level_m)
+        if goes_on and _is_free(state, scene, level_m):
+            return replace(state, traffic=_level(traffic, level_m, state.now_s, traffic.floor_m))
+    return state
+
+
+def _is_way_free(scene: _Scene, level_m: float) -> bool:
+    """Whether the way ahead would be free at another level."""
+    points = scene.points.copy()
+    points[:, 2] = level_m
+    return all(free_pieces(points, claim, scene.apart, m).all() for claim, m in scene.claims)
+
+
+def _level(traffic: Traffic, to_m: float | None, since_s: float, floor_m: float | None) -> Traffic:
+    return replace(traffic, level_m=to_m, level_since_s=since_s, climbs=False, floor_m=floor_m)
+
+
+def _is_stuck(state: State) -> bool:
+    """Whether it has been kept from going on for too long; the others had their time before."""
+    traffic, flight = state.traffic, state.flight
+    assert traffic is not None
+    if flight.leg is None or flight.stop is not None:
+        return False
+    first = any(claim.system < traffic.ours for claim in traffic.claims) or traffic.speed_m_s == 0.0
+    waited_s = state.now_s - traffic.moved_at_s
+    return waited_s > (_PATIENCE_S if first else _LAST_PATIENCE_S)
+
+
+def _levels(state: State, scene: _Scene) -> Iterator[float]:
+    """Levels that may clear others, in the band and over proven ground, the nearest first."""
+    low_m, high_m = state.task.band_amsl_m
+    height_m = float(scene.here[2])
+    near_m = scene.apart.horizontal_m + _longest_m(state.task)
+    found = []
+    for claim, _ in scene.claims:
+        ends = claim.begin_nea_m, claim.end_nea_m
+        if min(math.dist(end[:2], scene.here[:2]) for end in ends) <= 2.0 * near_m:
+            heights = [end[2] for end in ends]
+            step_m = scene.apart.vertical_m + _THERE_M
+            found += [max(heights) + step_m, min(heights) - step_m]
+    for track in scene.tracks:
+        _, _, half = track.at(np.array([scene.now_s + 10.0]))
+        step_m = scene.clear.vertical_m + float(half[0]) + _THERE_M
+        found += [track.position_nea_m[2] + step_m, track.position_nea_m[2] - step_m]
+    for level_m in sorted(found, key=lambda level_m: (abs(level_m - height_m), -level_m)):
+        if not low_m <= level_m <= high_m:
+            continue
+        foot = np.array([*scene.here[:2], level_m])
+        required_m = state.task.required_clearance_m
+        if level_m > height_m or (
+            distance_to_terrain_m(state.flight.known, foot, required_m) >= required_m
+        ):
+            yield level_m
+
+
+def _is_free(state: State, scene: _Scene, level_m: float) -> bool:
+    """Whether the vehicle may go to a level: nobody else is there, or on the way to it.
+
+    Through what is claimed about the vehicle itself it goes away from where that comes from: the
+    other cannot have entered what lies on that side (docs/decisions/0023).
+    """
+    here = scene.here
+    column = np.linspace(here, [here[0], here[1], level_m], 9)
+    stands, ends = column[[0, 0]], column[[-1, -1]]
+    for claim, grown_m in scene.claims:
+        if free_pieces(column, claim, scene.apart, grown_m).all():
+            continue
+        over_m = claim.begin_nea_m[2] - float(here[2])
+        away = level_m > here[2] if over_m < -_THERE_M else level_m < here[2]
+        level = abs(over_m) <= _THERE_M
+        about_us = not free_pieces(stands, claim, scene.apart, grown_m).all()
+        if grown_m or not about_us or not (away or level):
+            return False
+        if not free_pieces(ends, claim, scene.apart).all():
+            return False
+    if not scene.tracks:
+        return True
+    climb_s = abs(level_m - float(here[2])) / state.task.limits.climb_rate_m_s + CLAIM_S
+    times = scene.now_s + climb_s + np.arange(0.0, 10.0, _LAW_STEP_S)
+    points = np.broadcast_to(column[-1], (len(times), 3))
+    return keeps_apart(points, times, scene.tracks, scene.clear)
+
+
+# --- for the phases
+
+
+def limits(state: State, until_m: float | None, speed_m_s: float) -> tuple[float | None, float]:
+    """Where to stop on the leg, and how fast to fly, for others in the air as well."""
+    flight, traffic = state.flight, state.traffic
+    if traffic is None or flight.leg is None:
+        return until_m, speed_m_s
+    left_m = max(traffic.committed_m - traffic.flown_m, 0.0)
+    at_m = flight.reference.length_m + left_m
+    if at_m < flight.leg.subpath.length_m:  # else on the next one
+        until_m = at_m if until_m is None else min(until_m, at_m)
+    speed_m_s = min(speed_m_s, traffic.speed_m_s, state.task.limits.braked_m_s(left_m))
+    return until_m, speed_m_s
+
+
+def is_held_back(state: State) -> bool:
+    """Whether it stands for others in the air: it is not stuck."""
+    traffic = state.traffic
+    if traffic is None or state.flight.leg is None:
+        return False
+    return traffic.waits or min(traffic.committed_m - traffic.flown_m, traffic.speed_m_s) < _THERE_M
+
+
+def plan_floor(state: State, task: Task) -> Task:
+    """The task of a plan from rest: no lower than the level that the vehicle went to."""
+    traffic, flight = state.traffic, state.flight
+    if traffic is None or traffic.floor_m is None or flight.leg is not None or flight.failures:
+        return task
+    raised_m = max(traffic.floor_m - _THERE_M - task.band_amsl_m[0], 0.0)
+    floor_m = task.limits.floor_amsl_m + raised_m
+    return dataclasses.replace(task, limits=dataclasses.replace(task.limits, floor_amsl_m=floor_m))
+
+
+def hold(state: State) -> tuple[State, list[Command]]:
+    """While it holds: to the level that was chosen, once the way there is its own."""
+    traffic, hover = state.traffic, state.flight.hover_nea_m
+    if traffic is None or traffic.level_m is None or not isinstance(state.hold, Replan):
+        return state, []
+    says: list[Command] = []
+    if state.reason is not Reason.TRAFFIC:
+        state = with_hold_reason(state, Reason.TRAFFIC)
+        says = [StatusText(text=f"hold: {Reason.TRAFFIC.text}", about="phase")]
+    if traffic.climbs and hover is not None:
+        flight = replace(state.flight, hover_nea_m=(hover[0], hover[1], traffic.level_m))
+        state = replace(state, flight=flight)
+    return state, says
+
+
+def keeps_holding(state: State) -> bool:
+    """Whether to wait where it is, or for the level that it goes to."""
+    traffic = state.traffic
+    return traffic is not None and traffic.level_m is not None
+
+
+def _told(state: State, scene: _Scene) -> tuple[State, list[Command]]:
+    """Say once why it slows down or stands."""
+    traffic, flight = state.traffic, state.flight
+    assert traffic is not None
+    ahead_m = traffic.flown_m + float(scene.ahead_m[-1])
+    slow = flight.reference.speed_m_s < 0.5 * state.task.limits.speed_m_s
+    waits = flight.leg is not None and slow and traffic.taken_m < ahead_m
+    reason = None
+    if traffic.level_m is None and state.now_s - traffic.forced_since_s > _NO_LEVEL_S:
+        reason = Reason.NO_LEVEL
+    elif traffic.waits or traffic.speed_m_s < math.inf or waits:
+        reason = Reason.GIVING_WAY
+    if reason is None:
+        over = state.now_s - traffic.told_at_s > _AGAIN_S
+        return replace(state, traffic=replace(traffic, told=None)) if over else state, []
+    fresh = traffic.told is None or (reason is Reason.NO_LEVEL and traffic.told is not reason)
+    reason = reason if fresh else traffic.told
+    assert reason is not None
+    traffic = replace(traffic, told=reason, told_at_s=state.now_s)
+    text = f"{reason.text}: {_who(scene, traffic)}"
+    return replace(state, traffic=traffic), [StatusText(text=text)] if fresh else []
+
+
+def _who(scene: _Scene, traffic: Traffic) -> str:
+    """The one in the way."""
+    for claim, grown_m in scene.claims:
+        if not free_pieces(scene.points, claim, scene.apart, grown_m).all():
+            return f"system {claim.system}"
+    nearest = min(
+        (*scene.tracks, *traffic.tracks),
+        key=lambda track: math.dist(track.position_nea_m[:2], scene.here[:2]),
+        default=None,
+    )
+    return "" if nearest is None else nearest.name

@@ -1,0 +1,58 @@
+"""Scripted aircraft, as an ADS-B receiver hears them: ADSB_VEHICLE once a second.
+
+The receiver is wired to the autopilot, which keeps its frames off other links and sends what it has
+heard as its own (ArduPilot, PX4): so here they come from the autopilot's component.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final, final
+
+from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.wire.dialect import message_class
+from vehicle_sim.wire.radio import Radio
+from vehicle_sim.world import Aircraft
+
+_PERIOD_US = 1_000_000
+_FIRST_US = 250_000  # not with everything else
+_GEOMETRIC, _LIGHT, _ALL_VALID = 1, 1, 0x9F  # coordinates, altitude, course, both speeds, callsign
+_AdsbVehicle: Final = message_class("ADSB_VEHICLE")
+
+
+@final
+class AdsbReceiver:
+    """Hears all scripted aircraft, at any distance."""
+
+    def __init__(self, aircraft: Sequence[Aircraft], frame: LocalFrame, radio: Radio) -> None:
+        self._aircraft, self._frame, self._radio = aircraft, frame, radio
+        self.due_us = _FIRST_US
+
+    def step(self, now_us: int) -> None:
+        """Say where they are now."""
+        self.due_us += _PERIOD_US
+        for each in self._aircraft:
+            self._radio.broadcast(self._report(each, now_us * 1e-6))
+
+    def _report(self, aircraft: Aircraft, now_s: float) -> object:
+        course_rad = math.radians(aircraft.course_deg)
+        flown_m = aircraft.speed_m_s * now_s
+        latitude_deg, longitude_deg = self._frame.to_geographic(
+            aircraft.north_m + flown_m * math.cos(course_rad),
+            aircraft.east_m + flown_m * math.sin(course_rad),
+        )
+        altitude_m = aircraft.altitude_amsl_m + aircraft.climb_m_s * now_s
+        return _AdsbVehicle(
+            aircraft.icao_address,
+            round(latitude_deg * 1e7),
+            round(longitude_deg * 1e7),
+            _GEOMETRIC,
+            round(altitude_m * 1e3),
+            round(aircraft.course_deg % 360.0 * 100.0),
+            round(aircraft.speed_m_s * 100.0),
+            round(aircraft.climb_m_s * 100.0),
+            aircraft.callsign.encode("ascii"),
+            _LIGHT,
+            1,
+            _ALL_VALID,
+            0,
+        )
