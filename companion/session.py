@@ -91,6 +91,16 @@ class Role(enum.Enum):
     __hash__ = object.__hash__  # Enum's is slow, and asked for with every message
 
 
+def _roles_of(mission: Mission) -> dict[int | None, Role]:
+    """Of the components of our vehicle."""
+    sensor = None if mission.near is None else mission.near.component_id
+    return {
+        mission.scanner_component_id: Role.RADAR,
+        sensor: Role.NEAR_SENSOR,
+        AUTOPILOT_COMPONENT: Role.AUTOPILOT,
+    }
+
+
 @final
 class Session:
     """Receiver, clock, protocols and mission machine of one companion."""
@@ -146,12 +156,7 @@ class Session:
         """When there is something to do in `_housekeeping`, at the latest; -inf: at once."""
         self._due_at_s = math.inf
         """The same by the clock of the outside."""
-        self._roles = {
-            mission.scanner_component_id: Role.RADAR,
-            None if mission.near is None else mission.near.component_id: Role.NEAR_SENSOR,
-            AUTOPILOT_COMPONENT: Role.AUTOPILOT,
-        }
-        """Of the components of our vehicle."""
+        self._roles = _roles_of(mission)
         self._silence_told_s = 0.0
         self._at_s: float | None = None
         start = Start.of(self.context, resume, version=version, has_ground=has_ground)

@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 
 from vehicle_sim import truth
-from vehicle_sim.autopilots import Autopilot, Sender, SendParameter, Text
+from vehicle_sim.autopilots import Autopilot, FirmwareProfile, Sender, SendParameter, Text
 from vehicle_sim.autopilots.factory import make_vehicle, overrides_of, personality_of
 from vehicle_sim.dynamics.battery import POWER_STEP_S, Battery, PowerModule
 from vehicle_sim.dynamics.copter import Copter
@@ -115,40 +115,48 @@ class Simulation:
         if lidar is not None and lidar.output == "autopilot":
             overrides = {"PRX1_TYPE": RPLIDAR} | overrides
         autopilot = self._make_autopilot(overrides)
-        self._radio = Radio(
-            system=vehicle.system_id,
-            radar_component=None if world.scanner is None else world.scanner.component_id,
-            lidar_component=lidar.component_id if lidar and lidar.output == "driver" else None,
-            profile=autopilot.profile,
-            links=links,
-            byte_streams=byte_streams,
-            forwards_all=forwards_all,
-            rng=generator(seed, "links"),
-        )
+        self._radio = self._make_radio(autopilot.profile, links, byte_streams, forwards_all)
         self._scanner = None if world.scanner is None else self._make_scanner(world.scanner)
         self._lidar = None if lidar is None else self._make_lidar(lidar)
         self._adsb = (
             AdsbReceiver(world.traffic, self._frame, self._radio) if world.traffic else None
         )
+        latitude_deg = world.origin.latitude_deg
         self._timeline = Timeline.parse(
-            faults,
-            name="faults",
-            firmware=vehicle.autopilot,
-            latitude_deg=world.origin.latitude_deg,
+            faults, name="faults", firmware=vehicle.autopilot, latitude_deg=latitude_deg
         )
         self._down_until_us, self._since_power_s = 0, 0.0
         self._boot(autopilot)
         self._shown = (self.mode_name, False)
         self._look_down()
-        if self.nearest_m == 0.0:
-            at = (vehicle.north_m, vehicle.east_m)
-            rule = "stands inside a tree, wall, building or wire"
-            raise InputError("vehicle.north_m, east_m", at, rule, "Move it, or clear the place.")
+        self._must_stand_free()
 
     @property
     def plans(self) -> Plans:
         """Mission, fence and rally points as the autopilot stores them."""
         return self._plans
+
+    def _must_stand_free(self) -> None:
+        if self.nearest_m == 0.0:
+            at = (self._world.vehicle.north_m, self._world.vehicle.east_m)
+            rule = "stands inside a tree, wall, building or wire"
+            raise InputError("vehicle.north_m, east_m", at, rule, "Move it, or clear the place.")
+
+    def _make_radio(
+        self, profile: FirmwareProfile, links: int, byte_streams: Container[int], forwards_all: bool
+    ) -> Radio:
+        world = self._world
+        lidar = world.lidar
+        return Radio(
+            system=world.vehicle.system_id,
+            radar_component=None if world.scanner is None else world.scanner.component_id,
+            lidar_component=lidar.component_id if lidar and lidar.output == "driver" else None,
+            profile=profile,
+            links=links,
+            byte_streams=byte_streams,
+            forwards_all=forwards_all,
+            rng=generator(self._seed, "links"),
+        )
 
     def _make_scanner(self, scanner: Scanner) -> RadarComponent:
         radar = TerrainRadar(self._terrain, self._frame, range_m=scanner.range_m)
