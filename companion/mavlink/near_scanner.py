@@ -61,14 +61,14 @@ class NearScanner:
         self._frame: LocalFrame = mission.frame
         self._poses = Poses()
         self._kind, self._component = sensor.kind, sensor.component_id
-        self._sensing = NearSensing(sensor, self._poses)
+        self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
         self._on_distances = (
             self._sensing.on_distance_sensor
             if sensor.kind == "distance_sensor"
             else self._sensing.on_obstacle_distance
         )
         self._near = NearMap.empty(blank.lattice, Rules())
-        self._ground_m = blank.guess_m
+        self._known, self._ground_m = blank, blank.guess_m
         limits, settings = mission.task.limits, mission.task.settings
         self._top_m = limits.ceiling_amsl_m + _HIGH * settings.scan_range_m
         self._scan_time_s = settings.scan_time_s
@@ -85,6 +85,11 @@ class NearScanner:
     def refused(self) -> dict[str, int]:
         """How often something was not believed, by the reason."""
         return dict(self._sensing.refused)
+
+    def _ground_at_m(self, north_m: float, east_m: float) -> float:
+        row, column = self._known.cell_of(north_m, east_m)
+        rows, columns = self._ground_m.shape
+        return float(self._ground_m[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
 
     # --- what is heard
 

@@ -8,6 +8,7 @@ does not mean empty; a value is repeated for up to 1.75 s; what we send comes ba
 import bisect
 import math
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -29,6 +30,7 @@ _GAP_S = 0.3  # between two positions or attitudes of which a pose is made
 _OTHER_CLOCK_S = 1.0  # a stamp farther from the vehicle's time is none of its clock
 _EMPTY_AFTER_S = 1.2  # the longest row of wrong "max" took 0.9 s, the shortest true one 2.9 s
 _SILENT_S = 0.6  # several messages at 10 Hz
+_ABOVE_GROUND = 0.7  # of the height: a beam that has come down farther may meet the ground
 _HEALTH_S = 2.5  # between two SYS_STATUS, and one of them lost
 
 
@@ -150,8 +152,14 @@ class _Look:
 class NearSensing:
     """Reads one sensor."""
 
-    def __init__(self, sensor: NearSensor, poses: Poses) -> None:
-        self._sensor, self._poses = sensor, poses
+    def __init__(
+        self,
+        sensor: NearSensor,
+        poses: Poses,
+        ground_amsl_m: Callable[[float, float], float] = lambda _north_m, _east_m: -math.inf,
+    ) -> None:
+        """ground_amsl_m: how high the ground is at a place, north and east, where that is known."""
+        self._sensor, self._poses, self._ground_amsl_m = sensor, poses, ground_amsl_m
         self.refused: Counter[str] = Counter()
         """How often something was not believed, by the reason."""
         self._looks: deque[_Look] = deque(maxlen=20)
@@ -260,7 +268,9 @@ class NearSensing:
             if pose is None:
                 self._refuse("where the vehicle was is not known")
             else:
-                result.append(_sweep(look, pose, self._sensor))
+                north, east, altitude = pose.position_nea_m
+                height_m = max(altitude - self._ground_amsl_m(north, east), 0.0)
+                result.append(_sweep(look, pose, self._sensor, height_m))
         return result
 
     def _time_of(self, stamp_s: float, now_s: float) -> float:
@@ -315,10 +325,11 @@ class NearSensing:
         )
 
 
-def _sweep(look: _Look, pose: Pose, sensor: NearSensor) -> Sweep:
+def _sweep(look: _Look, pose: Pose, sensor: NearSensor, height_m: float) -> Sweep:
     """In the local frame.  The tilt of the vehicle shortens distances and turns bearings a little.
 
-    What a tilted beam says beyond where it leaves the slab that it speaks for is left out.
+    What a tilted beam says beyond where it leaves the slab that it speaks for is left out, and
+    where it comes near the ground, height_m below.
     """
     count = len(look.clear_m)
     turn_rad = pose.yaw_rad + sensor.yaw_rad if look.from_nose else -pose.grid_north_rad
@@ -331,7 +342,9 @@ def _sweep(look: _Look, pose: Pose, sensor: NearSensor) -> Sweep:
     down = -forward * math.sin(pitch) + right * math.sin(roll) * math.cos(pitch)
     level = np.hypot(ahead, aside)
     bent = np.abs(np.mod(np.arctan2(aside, ahead) - along + math.pi, math.tau) - math.pi)
-    stays_m = sensor.speaks_for_m / np.maximum(np.abs(down), 1e-9) * level
+    below_m = min(sensor.speaks_for_m, _ABOVE_GROUND * height_m)
+    depth_m = np.where(down > 0.0, below_m, sensor.speaks_for_m)
+    stays_m = depth_m / np.maximum(np.abs(down), 1e-9) * level
     echo_m = look.echo_m * level
     north, east, _ = pose.position_nea_m
     cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
