@@ -185,10 +185,11 @@ def test_what_has_gone_leaves_free_cells_once_beams_pass_them_long_enough() -> N
 
 
 def passer_by(standing_s: float) -> NearMap:
-    """It was met for so long, then never looked at for 20 s."""
+    """It was met for so long, then not looked at for longer than things in motion are remembered."""
     near = NearMap.empty(LATTICE, RULES)
     looked(near, post(6.0, 0.0, 0.5), round(standing_s / PERIOD_S) + 1)
-    says_nothing = sweep_of(np.full(72, np.inf), clear_m=np.zeros(72), time_s=standing_s + 20.0)
+    later_s = standing_s + RULES.forgotten_after_s + 1.0
+    says_nothing = sweep_of(np.full(72, np.inf), clear_m=np.zeros(72), time_s=later_s)
     near.add(says_nothing)
     return near
 
