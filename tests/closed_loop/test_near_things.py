@@ -1,4 +1,4 @@
-"""Flights by a lidar through a garden that nobody knows in advance: trees, and a wall with a gap."""
+"""Flights by a lidar through an unknown garden: trees, and a wall with a gap."""
 
 import math
 from pathlib import Path
@@ -138,3 +138,20 @@ def is_hold(row: dict[str, Any], reason: Reason) -> bool:
 
 def velocity_m_s(row: dict[str, Any]) -> tuple[float, float]:
     return row["velocity_north_m_s"], row["velocity_east_m_s"]
+
+
+OF_DRIVER = ("component = 196\n", "")
+TREE = "[[trees]]\nnorth_m = 30.0\neast_m = 1.0\nradius_m = 0.3\nheight_m = 15.0\n"
+
+
+def test_eight_wide_sectors_of_an_autopilot_that_is_silent_in_the_open_lead_past_a_tree(
+    tmp_path: Path,
+) -> None:
+    """While nothing is in its reach nothing is said: its health tells that from a dead sensor."""
+    mission(tmp_path, ('kind = "obstacle_distance"', 'kind = "distance_sensor"'), OF_DRIVER)
+    world = tmp_path / "world.toml"
+    world.write_text(f'{WORLD}output = "autopilot"\n{TREE}', encoding="utf-8")
+    flight = flown_through(tmp_path, world)
+    flight.ended_well()
+    assert min(row["near_m"] for row in flight.truth if not row["landed"]) >= SAFE_M
+    assert not any(Reason.SENSOR_SILENT.text in text for text in flight.says)

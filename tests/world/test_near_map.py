@@ -185,7 +185,7 @@ def test_what_has_gone_leaves_free_cells_once_beams_pass_them_long_enough() -> N
 
 
 def passer_by(standing_s: float) -> NearMap:
-    """It was met for so long, then not looked at for longer than things in motion are remembered."""
+    """It was met for so long, then not looked at until things in motion are forgotten."""
     near = NearMap.empty(LATTICE, RULES)
     looked(near, post(6.0, 0.0, 0.5), round(standing_s / PERIOD_S) + 1)
     later_s = standing_s + RULES.forgotten_after_s + 1.0
