@@ -1,0 +1,168 @@
+"""What a copter does about something that appears before it: a post of 0.6 m, seen by a lidar.
+
+    scripts/bench popup [--runs 3] [--json FILE]
+
+Companion and simulator without sockets, by the missions forest and street (lidars of 16 and 40 m,
+10 and 20 Hz, with noise, lost echoes and latency), over open ground.  At full speed a post stands
+so far ahead: its surface from where the copter truly is.  Reaction: from then to the first setpoint
+of the stop; "went round": it was avoided without one.  Limit: v^2 / 2a + v t with that t and the
+mission's a; nearer than that nothing can stop.  1 if one was touched that was farther away.
+"""
+
+import json
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import running
+from pymavlink.dialects.v20 import all as wire
+
+import vehicle_sim
+from companion.config import load_mission
+from companion.mission.state import Reason
+from companion.planner.plan import plan
+from companion.runtime.compiler import load_kernel
+from companion.session import Session
+from vehicle_sim.scene import Scene, Upright
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.world import World, read_world
+
+_WORLDS = Path(vehicle_sim.__file__).parents[1] / "companion" / "environments"
+_MISSIONS = ("forest", "street")
+_AHEAD_M = (15.0, 10.0, 6.0, 4.0)
+_RADIUS_M = 0.3
+_STANDS_M_S = 0.1
+_AT_SPEED = 0.95
+_WATCHED_S, _LIMIT_S = 12.0, 200.0
+_SETPOINT = wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
+_KERNEL = load_kernel()
+
+
+def open_world(name: str) -> World:
+    """That of a bundled mission, without anything that stands in it."""
+    world = read_world(_WORLDS / name / "world.toml")
+    return replace(world, woods=(), walls=(), buildings=(), trees=(), wires=())
+
+
+class Flight:
+    """One flight, until some seconds after the post has appeared."""
+
+    def __init__(self, name: str, seed: int) -> None:
+        self.mission = load_mission(name)
+        self.session = Session(self.mission, seed=seed, lockstep=True)
+        self.simulation = Simulation(open_world(name), seed=seed)
+        self.asked: Any = None
+        self.setpoints: list[float] = []
+        """When they were sent."""
+        self._parser = wire.MAVLink(None)
+
+    @property
+    def now_s(self) -> float:
+        return self.simulation.now_us * 1e-6
+
+    def step(self) -> None:
+        """One step of the simulator, and all that the companion says to it."""
+        self.simulation.step()
+        for _, frame in self.simulation.take_frames():
+            self.session.receive(frame, self.now_s)
+            out = self.session.run()
+            while True:
+                self.asked = out.plan or self.asked
+                for sent in out.frames:
+                    self._keep(sent)
+                    self.simulation.receive(0, sent)
+                if not out.awaits_plan:
+                    break
+                self.session.deliver(plan(self.asked, lambda: False, _KERNEL))
+                out = self.session.run()
+
+    def _keep(self, frame: bytes) -> None:
+        for message in self._parser.parse_buffer(frame) or ():
+            if message.get_msgId() == _SETPOINT:
+                self.setpoints.append(self.now_s)
+
+    def place(self, ahead_m: float) -> Upright:
+        """A post before the copter, and in the simulator's world from now on."""
+        simulation, vehicle = self.simulation, self.simulation.vehicle
+        north, east, _ = simulation._place_nea_m()
+        v_n, v_e = vehicle.velocity_north_m_s, vehicle.velocity_east_m_s
+        by = (ahead_m + _RADIUS_M) / math.hypot(v_n, v_e)
+        post = Upright(((north + by * v_n, east + by * v_e),), _RADIUS_M, 400.0, 420.0)
+        scene = Scene(simulation._terrain, (post,))
+        assert simulation._lidar is not None
+        simulation._scene = simulation._lidar[0]._scene = scene
+        return post
+
+    def gap_m(self, post: Upright) -> float:
+        """From the copter to the post."""
+        return math.dist(self.simulation._place_nea_m()[:2], post.corners_ne_m[0]) - _RADIUS_M
+
+    @property
+    def speed_m_s(self) -> float:
+        vehicle = self.simulation.vehicle
+        return math.hypot(vehicle.velocity_north_m_s, vehicle.velocity_east_m_s)
+
+
+def popped_up(name: str, ahead_m: float, seed: int) -> dict[str, Any]:
+    """What came of one post."""
+    it = Flight(name, seed)
+    limits = it.mission.task.limits
+    while True:
+        it.step()
+        assert it.now_s < _LIMIT_S, it.session.state.phase
+        slowest = min(it.speed_m_s, it.session.state.flight.reference.speed_m_s)
+        if slowest >= _AT_SPEED * limits.speed_m_s:
+            break
+    began_s, speed, post = it.now_s, it.speed_m_s, it.place(ahead_m)
+    gaps_m, stops, stood = [it.gap_m(post)], list[float](), False
+    while it.now_s < began_s + _WATCHED_S and not stood:
+        it.step()
+        gaps_m.append(it.gap_m(post))
+        stop, stood = it.session.state.flight.stop, it.speed_m_s < _STANDS_M_S
+        if stop is not None and stop.reason is Reason.NEW_THREAT:
+            stops.append(it.now_s)
+    told = [at_s for at_s in it.setpoints if stops and at_s >= stops[0]]
+    react_s = told[0] - began_s if told else None
+    return {
+        "mission": name,
+        "speed_m_s": speed,
+        "ahead_m": ahead_m,
+        "seed": seed,
+        "reaction_s": react_s,
+        "least_m": min(gaps_m),
+        "stood": stood,
+        "touched": min(gaps_m) <= 0.0,
+        "limit_m": speed**2 / (2.0 * limits.acceleration_m_s2) + speed * (react_s or 0.0),
+    }
+
+
+def main() -> int:
+    given, console = running.begin(__doc__, runs=3)
+    headings = "speed", "ahead", "limit", "reaction", "least gap", "stopped", "touched"
+    table = running.figures("A post appears", "mission", *headings)
+    found = []
+    for name in _MISSIONS:
+        for ahead_m in _AHEAD_M:
+            runs = [popped_up(name, ahead_m, seed) for seed in range(1, given.runs + 1)]
+            found += runs
+            reactions = [run["reaction_s"] for run in runs if run["reaction_s"] is not None]
+            table.add_row(
+                name,
+                f"{max(run['speed_m_s'] for run in runs):.1f} m/s",
+                f"{ahead_m:.0f} m",
+                f"{max(run['limit_m'] for run in runs):.1f} m",
+                f"{max(reactions):.2f} s" if reactions else "went round",
+                f"{min(run['least_m'] for run in runs):.1f} m",
+                f"{sum(run['stood'] for run in runs)} of {len(runs)}",
+                f"{sum(run['touched'] for run in runs)}",
+            )
+    console.print(table)
+    running.store(given.json, found)
+    kept = not any(run["touched"] and run["limit_m"] < run["ahead_m"] for run in found)
+    return running.ended(console, kept=kept)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
