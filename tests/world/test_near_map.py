@@ -185,10 +185,10 @@ def test_what_has_gone_leaves_free_cells_once_beams_pass_them_long_enough() -> N
 
 
 def passer_by(standing_s: float) -> NearMap:
-    """It was met for so long, then never looked at for 20 s."""
+    """It was met for so long, then never looked at for 80 s."""
     near = NearMap.empty(LATTICE, RULES)
     looked(near, post(6.0, 0.0, 0.5), round(standing_s / PERIOD_S) + 1)
-    says_nothing = sweep_of(np.full(72, np.inf), clear_m=np.zeros(72), time_s=standing_s + 20.0)
+    says_nothing = sweep_of(np.full(72, np.inf), clear_m=np.zeros(72), time_s=standing_s + 80.0)
     near.add(says_nothing)
     return near
 
