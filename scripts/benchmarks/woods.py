@@ -51,7 +51,7 @@ def fly(name: str, seed: int) -> dict[str, Any]:
 def _told(out: Path) -> dict[str, Any]:
     """Of truth and journal."""
     rows = [json.loads(line) for line in (out / "truth.jsonl").read_text().splitlines()[1:]]
-    entries = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()]
+    entries = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()[1:]]
     phases = [each for each in entries if each["kind"] == "phase"]
     began_s = next(each["t_s"] for each in phases if each["phase"] == "flying")
     ended_s = next((each["t_s"] for each in phases if each["phase"] == "arrived"), math.nan)
