@@ -138,10 +138,14 @@ class NearScanner:
         """Nothing has to be asked for."""
 
     def done(self, now_s: float) -> ScanDone | None:
-        """The scan, once it is over: with the next sweep, or without any in time."""
-        answered = self._swept_s > self._began_s
-        if not self.is_on or not (answered or now_s - self._began_s >= self._scan_time_s):
+        """The scan, once it is over: with the next sweep, or without any in time.
+
+        A sensor that is well and silent has answered: what it saw before is all that there is.
+        """
+        swept = self._swept_s > self._began_s
+        if not self.is_on or not (swept or now_s - self._began_s >= self._scan_time_s):
             return None
+        answered = swept or not self._sight.is_blind
         self.is_on = False
         self._told, self._changed = self._changed, None
         return ScanDone(time_s=now_s, scan=self._scan(self._told), asked=1, answered=int(answered))

@@ -224,10 +224,11 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
         rule = f"its beams are flat, and altitude's band is {height_m:g} m high"
         remedy = f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."
         raise InputError(f"{field}.speaks_for_m", table.speaks_for_m, rule, remedy)
-    if model.terrain is None or model.terrain.trust == "guidance":
+    trust = model.terrain and model.terrain.trust
+    if model.terrain is None or trust == "guidance":
         rule = "a sensor of near things does not see the ground"
         remedy = "Add [terrain] with highest_amsl_m, or with an elevation file that is trusted."
-        raise InputError(f"{where}: terrain", None, rule, remedy)
+        raise InputError(f"{where}: terrain{trust and '.trust' or ''}", trust, rule, remedy)
     usual = AUTOPILOT_COMPONENT if kind == "distance_sensor" else _LIDAR_COMPONENT
     return NearSensor(
         component_id=usual if table.component is None else table.component,

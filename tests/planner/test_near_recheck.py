@@ -1,0 +1,131 @@
+"""What bars the way, seen near by or believed: against brute force."""
+
+import math
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.path.subpath import Subpath
+from companion.planner.cost_lattice import BLOCKED, Lattice, bars
+from companion.planner.procedure import Leg
+from companion.planner.recheck import meets_near_things
+from companion.world import rays
+from companion.world.near_map import NearMap, Rules
+
+CELL_M = 0.25
+PLACE = rays.Lattice(cell_m=CELL_M, north_min_m=-5.0, east_min_m=-10.0, shape=(120, 80))
+
+
+def a_leg(rng: np.random.Generator) -> Leg:
+    """About 15 m, curved, level, from within the map towards the north; it may leave the map."""
+    turn = np.cumsum(rng.normal(0.0, 0.4, 4))
+    steps = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1) * 4.0
+    control = np.array([0.0, 0.0, 400.0]) + np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    return Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+
+
+def near_map(occupied: list[tuple[int, int]]) -> NearMap:
+    near = NearMap.empty(PLACE, Rules())
+    for cell in occupied:
+        near.met_since_s[cell] = near.met_s[cell] = 1.0
+    return near
+
+
+def gap_m(points: np.ndarray, cells: list[tuple[int, int]]) -> float:  # type: ignore[type-arg]
+    """From the nearest of points to the nearest square.  Each by itself."""
+    least = math.inf
+    for row, column in cells:
+        low = np.array([PLACE.north_min_m + row * CELL_M, PLACE.east_min_m + column * CELL_M])
+        apart = np.maximum(np.maximum(low - points, points - low - CELL_M), 0.0)
+        least = min(least, float(np.hypot(*apart.T).min()))
+    return least
+
+
+@given(seed=st.integers(0, 10**6), required_m=st.floats(CELL_M, 3.0), share=st.floats(0.0, 0.99))
+def test_a_leg_meets_what_stands_nearer_to_its_rest_than_required(
+    seed: int, required_m: float, share: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    leg = a_leg(rng)
+    cells = [tuple(rng.integers(0, PLACE.shape).tolist()) for _ in range(rng.integers(0, 6))]
+    from_m = share * leg.subpath.length_m
+    lengths = np.linspace(from_m, leg.subpath.length_m, 4001)
+    gap = gap_m(leg.subpath.points_nea_m(lengths)[:, :2], cells)
+    meets = meets_near_things(leg, from_m, near_map(cells), required_m)
+    if gap >= required_m + 1e-9:
+        assert not meets
+    elif gap < required_m - CELL_M / 30.0:
+        assert meets
+
+
+def test_what_is_behind_or_was_wiped_out_is_not_met() -> None:
+    control = np.outer(np.linspace(0.0, 1.0, 4), [16.0, 0.0, 0.0])
+    leg = Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=True)
+    near = near_map([(20, 40)])  # at the leg's begin
+    assert meets_near_things(leg, 0.0, near, 0.5)
+    assert not meets_near_things(leg, 2.0, near, 0.5)
+    near.met_since_s[20, 40] = math.inf
+    assert not meets_near_things(leg, 0.0, near, 0.5)
+    assert meets_near_things(leg, leg.subpath.length_m, near_map([(84, 40)]), 0.5)  # at its end
+
+
+# --- routes
+
+
+def costs(rng: np.random.Generator, rows: int, step_m: float, corner_m: float) -> Lattice:
+    cost = np.where(rng.random((rows, rows)) < 0.04, BLOCKED + rng.random((rows, rows)), 30.0)
+    nothing = np.zeros_like(cost)
+    return Lattice(
+        north_min_m=corner_m,
+        east_min_m=corner_m,
+        step_m=step_m,
+        cost=cost,
+        height=nothing,
+        ramp_m=nothing,
+        lowest_m=nothing,
+        costly=cost >= BLOCKED,
+        covers_map=False,
+    )
+
+
+def is_blocked(lattices: list[Lattice], point: np.ndarray, within: float) -> bool:  # type: ignore[type-arg]
+    """Whether the point lies within so much of a step, north and east, of a blocked sample.
+
+    In the first lattice that holds it.
+    """
+    for lattice in lattices:
+        at = (point - (lattice.north_min_m, lattice.east_min_m)) / lattice.step_m
+        samples = lattice.cost.shape
+        if (at < -0.5).any() or (at > np.array(samples) - 0.5).any():
+            continue
+        row, column = np.clip(np.floor(at + 0.5).astype(int), 0, np.array(samples) - 1)
+        aside = max(abs(at[0] - row), abs(at[1] - column))
+        return bool(lattice.cost[row, column] >= BLOCKED and aside <= within)
+    return False
+
+
+@given(seed=st.integers(0, 10**6))
+def test_a_route_is_barred_where_it_passes_a_blocked_sample(seed: int) -> None:
+    """The fine lattice counts where there is one, the wide one elsewhere."""
+    rng = np.random.default_rng(seed)
+    lattices = [costs(rng, 21, 1.0, -10.0), costs(rng, 21, 4.0, -40.0)]
+    route = rng.uniform(-35.0, 35.0, (int(rng.integers(2, 6)), 2))
+    legs = np.hypot(*np.diff(route, axis=0).T)
+    along = np.append(0.0, np.cumsum(legs))
+    at = np.linspace(0.0, along[-1] - 0.51, 6000)
+    points = np.stack([np.interp(at, along, route[:, k]) for k in (0, 1)], axis=-1)
+    if bars(lattices, route):
+        more = np.linspace(0.0, along[-1], 6000)
+        ends = np.stack([np.interp(more, along, route[:, k]) for k in (0, 1)], axis=-1)
+        assert any(is_blocked(lattices, point, 0.51) for point in ends)
+    else:
+        assert not any(is_blocked(lattices, point, 0.24) for point in points)
+
+
+def test_no_way_at_all_and_a_way_outside_of_all_lattices_are_not_barred() -> None:
+    lattices = [costs(np.random.default_rng(1), 5, 1.0, 0.0)]
+    lattices[0].cost[:] = BLOCKED
+    assert not bars(lattices, np.array([[2.0, 2.0]]))
+    assert not bars(lattices, np.array([[50.0, 2.0], [60.0, 2.0]]))
+    assert bars(lattices, np.array([[2.0, 2.0], [2.0, 3.0]]))

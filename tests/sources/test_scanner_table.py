@@ -1,0 +1,130 @@
+"""The table [scanner] of a mission: what looks about, and what is refused of it, in one line."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.config import load_mission, mission_text
+from companion.errors import InputError
+from companion.mavlink.near_scanner import messages_of, streams_hz
+from companion.mission.mission import Mission
+
+BEFORE, _REST = mission_text("forest").split("[scanner]")
+AFTER = "[planner]" + _REST.split("[planner]")[1]
+WIDE = "speaks_for_m = 4.0\n"
+OBSTACLE = f'kind = "obstacle_distance"\n{WIDE}'
+SECTORS = f'kind = "distance_sensor"\n{WIDE}'
+STATED = "[terrain]\nhighest_amsl_m = 400.5"
+PLANE = 'kind = "plane"\nloiter_radius_m = 30.0'
+
+
+def load(folder: Path, scanner: str, *changes: tuple[str, str]) -> Mission:
+    text = f"{BEFORE}[scanner]\n{scanner}\n{AFTER}"
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    path = folder / "mission.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_mission(str(path))
+
+
+@pytest.mark.parametrize(
+    ("scanner", "kind", "component", "of_autopilot"),
+    [
+        (OBSTACLE, "obstacle_distance", 196, False),
+        (SECTORS, "distance_sensor", 1, True),
+        (f"{SECTORS}component = 158", "distance_sensor", 158, False),
+    ],
+)
+def test_each_kind_says_what_is_listened_to_and_of_whom(
+    tmp_path: Path, scanner: str, kind: str, component: int, of_autopilot: bool
+) -> None:
+    mission = load(tmp_path, scanner)
+    assert mission.near is not None
+    assert (mission.near.kind, mission.near.component_id) == (kind, component)
+    assert mission.scanner_component_id is None
+    number = {"obstacle_distance": 330, "distance_sensor": 132}[kind]
+    assert messages_of(mission.near) == {30, number}
+    assert set(streams_hz(mission.near)) == ({30, number} if of_autopilot else {30})
+
+
+def test_all_that_is_said_of_it_is_taken_and_the_vehicle_stays_what_it_is(tmp_path: Path) -> None:
+    more = "component = 50\nyaw_deg = 90.0\nforward_m = 0.1\nright_m = -0.2\nblind_m = 0.4\n"
+    more += "latency_s = 0.01\nlatency_error_s = 0.02\nrange_error_m = 0.3\n"
+    more += "position_error_m = 0.06\nbearing_error_deg = 2.0"
+    mission = load(tmp_path, OBSTACLE + more)
+    near = mission.near
+    assert near is not None
+    assert mission.kind == "copter"
+    assert (near.component_id, near.forward_m, near.right_m, near.blind_m) == (50, 0.1, -0.2, 0.4)
+    assert near.yaw_rad == pytest.approx(0.5 * math.pi)
+    assert near.bearing_error_rad == pytest.approx(math.radians(2.0))
+    assert (near.latency_s, near.latency_error_s) == (0.01, 0.02)
+    assert (near.range_error_m, near.position_error_m, near.speaks_for_m) == (0.3, 0.06, 4.0)
+    assert near.range_m == mission.task.settings.scan_range_m
+
+
+def test_the_ground_is_a_guess_and_nothing_of_what_stands_on_it_is_known(tmp_path: Path) -> None:
+    known = load(tmp_path, OBSTACLE).known
+    assert known is not None
+    assert known.guess_m is not None
+    assert (known.guess_m == 400.5).all()
+    assert not known.firm.any()
+
+
+_MISSING: tuple[str, str] = (STATED, "")
+_NO_SCANNER = ('kind = "copter"', 'kind = "copter"\nscanner = false')
+
+
+@pytest.mark.parametrize(
+    ("scanner", "change", "field", "words"),
+    [
+        ('kind = "radar"', None, "scanner.kind", "terrain_radar"),
+        ("component = 196", None, "scanner.component = 196", "it is of the other kinds"),
+        ("blind_m = 0.3", None, "scanner.blind_m = 0.3", "it is of the other kinds"),
+        (f"{OBSTACLE}complete = true", None, "scanner.complete = True", "it is a radar's"),
+        (f"{SECTORS}whole_width = false", None, "scanner.whole_width = False", "a radar's"),
+        (
+            OBSTACLE,
+            ('kind = "copter"', 'kind = "copter"\nscanner_component_id = 100'),
+            "vehicle.scanner_component_id = 100",
+            "Write scanner.component.",
+        ),
+        (OBSTACLE, ('kind = "copter"', PLANE), "scanner.kind = 'obstacle_distance'", "can stop"),
+        (
+            'kind = "obstacle_distance"\nspeaks_for_m = 3.9',
+            None,
+            "scanner.speaks_for_m = 3.9",
+            "band is 4 m high",
+        ),
+        ('kind = "obstacle_distance"', None, "scanner.speaks_for_m", "band is 4 m high"),
+        (OBSTACLE, _MISSING, "terrain", "does not see the ground"),
+        (SECTORS, _NO_SCANNER, "scanner = ", "Remove one of them."),
+        (f"{OBSTACLE}component = 0", None, "scanner.component = 0", "greater than or equal to 1"),
+        (f"{OBSTACLE}component = 251", None, "scanner.component = 251", "less than or equal"),
+        (f"{OBSTACLE}yaw_deg = 361.0", None, "scanner.yaw_deg = 361.0", "less than or equal"),
+        (f"{OBSTACLE}bearing_error_deg = 46.0", None, "bearing_error_deg = 46.0", "less than"),
+        (f"{OBSTACLE}latency_s = -0.1", None, "scanner.latency_s = -0.1", "greater than"),
+        (f"{OBSTACLE}range_error_m = nan", None, "scanner.range_error_m = nan", "finite"),
+        (f"{OBSTACLE}blind_m = '1'", None, "scanner.blind_m = '1'", "number"),
+        (f"{OBSTACLE}reach_m = 3.0", None, "scanner.reach_m = 3.0", ""),
+        ("kind = 'obstacle_distance'\nspeaks_for_m = 0.0", None, "speaks_for_m = 0.0", "greater"),
+    ],
+)
+def test_what_breaks_a_rule_is_refused_in_one_line(
+    tmp_path: Path, scanner: str, change: Any, field: str, words: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, scanner, *([] if change is None else [change]))
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    assert field in message
+    assert words in message
+
+
+def test_terrain_for_guidance_is_not_enough(tmp_path: Path) -> None:
+    file = 'file = "dem.tif"\nvertical_datum = "EGM96"\ntrust = "guidance"'
+    with pytest.raises(InputError, match="terrain.trust = 'guidance': a sensor of near things does"):
+        load(tmp_path, OBSTACLE, (STATED, f"[terrain]\n{file}"))
