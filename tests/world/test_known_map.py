@@ -385,3 +385,37 @@ def test_a_scan_means_the_same_on_a_bigger_map(seed: int, row: int, column: int)
 def test_the_cell_of_a_point_on_an_edge_hangs_on_no_last_digit(seed: int) -> None:
     known = empty_map(250.0, (-5_000.0, 5_000.0), (-5_000.0, 5_000.0))
     assert known.cell_of(*nudged((0.0, 250.0), seed)) == (20, 21)
+
+
+@given(seed=st.integers(0, 10**6))
+def test_a_scan_that_supersedes_is_all_that_is_known_of_its_window(seed: int) -> None:
+    """And one that does not loses nothing; neither changes a cell outside, or the map before it."""
+    rng = np.random.default_rng(seed)
+    before = empty_map(CELL_M, (0.0, 2000.0), (0.0, 2000.0))
+    before.upper_m[:] = rng.choice([np.inf, 10.0, 500.0], before.upper_m.shape)
+    before.seen[:] = np.isfinite(before.upper_m)
+    row, column = rng.integers(0, 10, 2)
+    heights = rng.choice([NO_ANSWER, NOT_SEEN, 42.0], rng.integers(0, 10, 2))
+    for supersedes in (True, False):
+        scan = Scan(
+            row=int(row),
+            column=int(column),
+            heights_m=heights,
+            radar_nea_m=np.zeros((1, 1, 3)),
+            range_m=0.0,
+            drift_m=0.0,
+            registration_m=0.0,
+            complete=False,
+            supersedes=supersedes,
+        )
+        upper, seen = before.upper_m.copy(), before.seen.copy()
+        after = before.with_scan(scan)
+        np.testing.assert_array_equal(before.upper_m, upper)
+        for place, height in np.ndenumerate(heights):
+            cell = row + place[0], column + place[1]
+            if height == 42.0:
+                upper[cell], seen[cell] = height, True
+            elif supersedes:
+                upper[cell], seen[cell] = np.inf, False
+        np.testing.assert_array_equal(after.upper_m, upper)
+        np.testing.assert_array_equal(after.seen, seen)

@@ -244,3 +244,32 @@ def test_a_map_that_moves_along_keeps_what_is_inside_and_forgets_the_rest() -> N
     assert moved.occupied()[cell_of(5.5, 0.0)]
     assert near.free()[cell_of(-15.2, 0.0)]
     assert not moved.free()[cell_of(-15.2, 0.0)]  # it was outside meanwhile
+
+
+def test_closed_is_where_something_stands_and_where_no_beam_comes_through() -> None:
+    """A gap too narrow for a beam is closed once it was looked at for long; what is far is open."""
+    posts = np.concatenate([post(4.0, -0.2, 0.1), post(4.0, 0.2, 0.1), [[100.0, 100.0]]])
+    near = NearMap.empty(LATTICE, RULES)
+    assert not near.closed().any()
+    looked(near, posts, RULES.looks - 1)
+    early = near.closed()
+    np.testing.assert_array_equal(early, near.occupied())
+    looked(near, posts, 1, start_s=5.0)
+    closed = near.closed()
+    assert closed[cell_of(4.0, -0.2)]
+    assert closed[cell_of(4.0, 0.2)]
+    assert closed[cell_of(3.8, 0.0)]  # no sector clears it
+    assert not closed[cell_of(2.0, 0.0)]  # free
+    assert not closed[cell_of(12.0, 0.0)]  # behind: unknown, and far
+    assert not (closed & near.free()).any()
+    assert (closed | ~near.occupied()).all()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_closed_and_free_never_meet_and_a_window_says_the_same(seed: int) -> None:
+    near, _ = flown(seed)
+    closed = near.closed()
+    assert not (closed & near.free()).any()
+    assert not (near.occupied() & ~closed).any()
+    window = slice(20, 90), slice(50, 130)
+    np.testing.assert_array_equal(near.closed(window), closed[window])

@@ -1,0 +1,237 @@
+"""The scanner that keeps the map of near things: what becomes known, and what is not believed."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace as changed
+from pymavlink.dialects.v20 import all as wire
+
+from companion.config import load_mission
+from companion.mavlink.near_scanner import NearScanner
+from companion.mission.events import ScanDone
+from companion.mission.mission import Mission
+from companion.mission.state import State
+from companion.world.near_map import Sight
+
+PERIOD_S = 0.1
+HERE_NEA_M = (20.0, 20.0, 405.0)
+THING_M = 5.0
+"""There is one of 10 degrees width in the north; beyond it nothing is seen."""
+GROUND_AMSL_M = 400.5
+CEILING_AMSL_M, RANGE_M = 408.0, 16.0
+
+
+def mission() -> Mission:
+    return load_mission("forest")
+
+
+def fresh(of: Mission) -> State:
+    assert of.known is not None
+    return State.of(of, of.known)
+
+
+def distances(
+    time_s: float, *, thing: bool = True, component: int = 196, system: int = 1, **fields: Any
+) -> Any:
+    told = [1601] * 72
+    if thing:
+        told[71] = told[0] = told[1] = round(100.0 * THING_M)
+    values = {
+        "time_usec": round(time_s * 1e6),
+        "sensor_type": 0,
+        "distances": told,
+        "increment": 5,
+        "min_distance": 20,
+        "max_distance": 1600,
+        "increment_f": 5.0,
+        "angle_offset": 0.0,
+        "frame": wire.MAV_FRAME_BODY_FRD,
+    }
+    message = wire.MAVLink_obstacle_distance_message(**{**values, **fields})
+    message.pack(wire.MAVLink(None, srcSystem=system, srcComponent=component))
+    return message
+
+
+class Standing:
+    """A scanner on a vehicle that stands still, at 10 Hz."""
+
+    def __init__(self) -> None:
+        self.mission = mission()
+        self.scanner, self.state = NearScanner(self.mission), fresh(self.mission)
+        self.now_s = 100.0
+
+    def tick(self, *messages: Any, thing: bool = True) -> Any:
+        """The messages, or one sweep, and a position after it; what it has seen."""
+        said = messages or (distances(self.now_s, thing=thing),)
+        for message in said:
+            self.scanner.on_message(message, self.now_s)
+        return self.move_on()
+
+    def move_on(self, by_s: float = PERIOD_S) -> Any:
+        self.now_s += by_s
+        attitude = wire.MAVLink_attitude_message(round(self.now_s * 1e3), 0, 0, 0, 0, 0, 0)
+        self.scanner.on_message(attitude, self.now_s)
+        self.scanner.on_position(self.now_s, HERE_NEA_M)
+        return self.scanner.seen(self.now_s)
+
+    def run(self, count: int, *, thing: bool = True) -> "Standing":
+        for _ in range(count):
+            self.tick(thing=thing)
+        return self
+
+    def scan(self, *, takes: bool = True) -> ScanDone:
+        """A whole scan; takes: the mission puts it on its map."""
+        self.scanner.begin(HERE_NEA_M, self.state, self.now_s)
+        self.tick()
+        done = self.scanner.done(self.now_s)
+        assert done is not None
+        assert done.answered == 1
+        if takes:
+            known = self.state.flight.known.with_scan(done.scan)
+            self.state = replace_known(self.state, known)
+        return done
+
+    def upper_m(self, north_m: float, east_m: float) -> float:
+        known = self.state.flight.known
+        return float(known.upper_m[known.cell_of(north_m, east_m)])
+
+
+def replace_known(state: State, known: Any) -> State:
+    return changed(state, flight=changed(state.flight, known=known))
+
+
+def test_a_scan_puts_on_the_map_what_is_free_what_is_closed_and_nothing_else() -> None:
+    it = Standing().run(20)
+    it.scan()
+    assert it.upper_m(22.0, 20.0) == GROUND_AMSL_M
+    assert it.upper_m(15.0, 20.0) == GROUND_AMSL_M
+    top_m = CEILING_AMSL_M + RANGE_M
+    assert it.upper_m(20.0 + THING_M, 20.0) == top_m
+    assert it.upper_m(20.0 + THING_M + 3.0, 20.0) == math.inf  # behind it
+    assert it.upper_m(60.0, 20.0) == math.inf
+    assert it.upper_m(20.0, 20.0) == GROUND_AMSL_M  # where the vehicle is
+
+
+def test_a_later_scan_takes_back_what_is_not_free_any_more_and_frees_what_has_gone() -> None:
+    it = Standing().run(20, thing=False)
+    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    it.scan()
+    it.run(10)
+    it.scan()
+    assert it.upper_m(20.0 + THING_M, 20.0) > CEILING_AMSL_M
+    it.run(40, thing=False)
+    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    it.tick(thing=False)
+    done = it.scanner.done(it.now_s)
+    assert done is not None
+    it.state = replace_known(it.state, it.state.flight.known.with_scan(done.scan))
+    assert it.upper_m(20.0 + THING_M, 20.0) == GROUND_AMSL_M
+
+
+def test_what_a_scan_told_that_nobody_took_is_told_again() -> None:
+    """As after a stop in the moment of a scan."""
+    one, other = Standing().run(20), Standing().run(20)
+    for it in (one, other):
+        it.scan(takes=it is one)
+        it.scanner.stop()
+        it.scan()
+    np.testing.assert_array_equal(
+        one.state.flight.known.upper_m, other.state.flight.known.upper_m
+    )
+    assert np.isfinite(other.state.flight.known.upper_m).any()
+
+
+def test_a_scan_of_a_sensor_that_says_nothing_new_changes_nothing() -> None:
+    it = Standing().run(20)
+    it.scan()
+    before = it.state.flight.known
+    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    it.move_on(1.0)
+    it.move_on()
+    done = it.scanner.done(it.now_s)
+    assert done is not None
+    assert (done.asked, done.answered) == (1, 0)
+    np.testing.assert_array_equal(before.with_scan(done.scan).upper_m, before.upper_m)
+    assert it.scanner.done(it.now_s) is None
+    assert not it.scanner.is_on
+
+
+def test_a_scan_waits_for_the_next_sweep_and_no_longer_than_it_may_take() -> None:
+    it = Standing().run(5)
+    it.scanner.begin(HERE_NEA_M, it.state, it.now_s)
+    assert it.scanner.done(it.now_s) is None
+    it.move_on(0.15)
+    assert it.scanner.done(it.now_s) is None
+    it.move_on()
+    assert it.scanner.done(it.now_s) is not None
+
+
+def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> None:
+    near = mission().near
+    assert near is not None
+    of = replace(mission(), near=replace(near, kind="distance_sensor", component_id=1))
+    scanner, bit = NearScanner(of), wire.MAV_SYS_STATUS_SENSOR_PROXIMITY
+    for now_s, health, answered in ((100.0, bit, 1), (105.0, 0, 0)):
+        status = wire.MAVLink_sys_status_message(bit, bit, health, *([0] * 10))
+        scanner.on_message(status, now_s)
+        seen = scanner.seen(now_s)
+        assert seen is not None
+        assert seen.sight is (Sight.NOTHING_THERE if answered else Sight.NEVER_HEARD)
+        scanner.begin(HERE_NEA_M, fresh(of), now_s)
+        done = scanner.done(now_s + 1.0)
+        assert done is not None
+        assert done.answered == answered
+
+
+@pytest.mark.parametrize("component", [1, 195, 197])
+def test_what_others_say_of_obstacles_is_not_believed(component: int) -> None:
+    """Also what we say, when somebody mirrors it."""
+    it = Standing().run(10)
+    before = it.scanner.seen(it.now_s), it.scanner._near.passes.copy()  # noqa: SLF001
+    for _ in range(20):
+        it.tick(distances(it.now_s, component=component, distances=[100] * 72))
+    np.testing.assert_array_equal(it.scanner._near.passes, before[1])  # noqa: SLF001
+    assert not it.scanner._near.occupied()[it.state.flight.known.cell_of(19.0, 20.0)]  # noqa: SLF001
+
+
+def test_silence_is_told_once_and_so_is_the_return_of_sight() -> None:
+    it = Standing().run(10)
+    told = [it.move_on() for _ in range(30)]
+    assert [seen.sight for seen in told if seen] == [Sight.DEAD]
+    seen = [it.tick() for _ in range(3)]
+    assert all(each is not None and each.sight is Sight.SEES for each in seen)
+
+
+def test_a_flood_a_jump_of_clocks_and_junk_cost_no_more_than_what_is_kept() -> None:
+    """200 Hz is 20 messages in a tick; a stamp of another clock counts as now; NaN says nothing."""
+    it = Standing()
+    for _ in range(10):
+        seen = it.tick(*(distances(it.now_s + 1e-4 * k) for k in range(20)))
+    assert seen is not None
+    jumping = (distances(time_s) for time_s in (0.0, 1e9, it.now_s - 50.0, it.now_s + 50.0))
+    assert it.tick(*jumping) is not None
+    junk = (
+        distances(it.now_s, increment_f=math.nan),
+        distances(it.now_s, angle_offset=math.inf),
+        distances(it.now_s, frame=99),
+        distances(it.now_s, max_distance=10),
+        distances(it.now_s, increment=0, increment_f=0.0),
+    )
+    was = it.scanner.refused
+    assert it.tick(*junk) is None
+    refused = it.scanner.refused
+    assert sum(refused.values()) - sum(was.values()) == len(junk)
+    assert refused["a stamp of another clock"] == 4
+    it.scan()
+    assert it.upper_m(22.0, 20.0) == GROUND_AMSL_M
+    assert it.upper_m(20.0 + THING_M, 20.0) > CEILING_AMSL_M
+
+
+def test_a_vehicle_clock_that_begins_anew_leaves_no_sight_of_a_dead_sensor() -> None:
+    it = Standing().run(10)
+    it.now_s = 2.0
+    told = [it.move_on() for _ in range(10)]
+    assert [seen.sight for seen in told if seen] == [Sight.DEAD]
