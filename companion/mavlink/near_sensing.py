@@ -252,7 +252,10 @@ class NearSensing:
             )
 
     def sight(self, now_s: float) -> Sight:
-        """Whether the sensor sees, or what its silence means.  A clock that fell counts as silence."""
+        """Whether the sensor sees, or what its silence means.
+
+        A clock that fell counts as silence.
+        """
         if 0.0 <= now_s - self._heard_s <= _SILENT_S:
             return Sight.SEES
         if self._well and 0.0 <= now_s - self._health_s <= _HEALTH_S:

@@ -138,9 +138,7 @@ def test_what_a_scan_told_that_nobody_took_is_told_again() -> None:
         it.scan(takes=it is one)
         it.scanner.stop()
         it.scan()
-    np.testing.assert_array_equal(
-        one.state.flight.known.upper_m, other.state.flight.known.upper_m
-    )
+    np.testing.assert_array_equal(one.state.flight.known.upper_m, other.state.flight.known.upper_m)
     assert np.isfinite(other.state.flight.known.upper_m).any()
 
 
@@ -190,11 +188,11 @@ def test_a_healthy_sensor_of_the_autopilot_that_sees_nothing_has_answered() -> N
 def test_what_others_say_of_obstacles_is_not_believed(component: int) -> None:
     """Also what we say, when somebody mirrors it."""
     it = Standing().run(10)
-    before = it.scanner.seen(it.now_s), it.scanner._near.passes.copy()  # noqa: SLF001
+    before = it.scanner.seen(it.now_s), it.scanner._near.passes.copy()
     for _ in range(20):
         it.tick(distances(it.now_s, component=component, distances=[100] * 72))
-    np.testing.assert_array_equal(it.scanner._near.passes, before[1])  # noqa: SLF001
-    assert not it.scanner._near.occupied()[it.state.flight.known.cell_of(19.0, 20.0)]  # noqa: SLF001
+    np.testing.assert_array_equal(it.scanner._near.passes, before[1])
+    assert not it.scanner._near.occupied()[it.state.flight.known.cell_of(19.0, 20.0)]
 
 
 def test_silence_is_told_once_and_so_is_the_return_of_sight() -> None:
