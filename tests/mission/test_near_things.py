@@ -1,0 +1,125 @@
+"""What the mission does when its sensor of near things sees something, or does not see."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from made_up import Craft, flying, mission, two_legs_away
+
+from companion.mission.events import NearSeen, Setpoint, StatusText
+from companion.mission.mission import Fallback
+from companion.mission.state import Phase, Reason
+from companion.world.near_map import NearMap, NearSensor, Rules, Sight
+from companion.world.rays import Lattice
+
+SENSOR = NearSensor(kind="obstacle_distance", component_id=196, range_m=20_000.0)
+MISSION = two_legs_away(mission(near=SENSOR, fallback=Fallback.RETURN))
+CELL_M = 100.0
+PLACE = Lattice(cell_m=CELL_M, north_min_m=-1000.0, east_min_m=-1000.0, shape=(300, 300))
+
+
+def near(*things_ne_m: tuple[float, float]) -> NearMap:
+    result = NearMap.empty(PLACE, Rules())
+    for north, east in things_ne_m:
+        cell = round(north / CELL_M) + 10, round(east / CELL_M) + 10
+        result.met_since_s[cell] = result.met_s[cell] = 1.0
+    return result
+
+
+def seen(craft: Craft, sight: Sight = Sight.SEES, *things_ne_m: tuple[float, float]) -> NearSeen:
+    return NearSeen(time_s=craft.now_s, sight=sight, near=near(*things_ne_m))
+
+
+def told(craft: Craft, reason: Reason) -> int:
+    return sum(text.text == reason.text for text in craft.sent(StatusText))
+
+
+def ahead(craft: Craft, by_m: float) -> tuple[float, float]:
+    """A place on the path."""
+    flight = craft.state.flight
+    assert flight.leg is not None
+    north, east, _ = flight.leg.subpath.pose(flight.reference.length_m + by_m).point_nea_m
+    return north, east
+
+
+@pytest.mark.parametrize("sight", [Sight.DEAD, Sight.NEVER_HEARD])
+def test_a_sensor_that_falls_silent_stops_it_on_its_path_until_it_sees_again(sight: Sight) -> None:
+    craft = flying(MISSION)
+    leg, at_m = craft.state.flight.leg, craft.state.flight.reference.length_m
+    assert leg is not None
+    brakes_m = MISSION.task.limits.stopping_m(craft.state.flight.reference.speed_m_s)
+    for _ in range(3):
+        craft.take(seen(craft, sight))
+    assert told(craft, Reason.SENSOR_SILENT) == 1
+    before = len(craft.sent(Setpoint))
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.SENSOR_SILENT
+    stop = leg.subpath.pose(at_m + brakes_m).point_nea_m
+    assert np.linalg.norm(np.subtract(craft.here, stop)) < 15.0 + 0.01 * brakes_m
+    assert len(craft.sent(Setpoint)) - before > 20
+    for place in [setpoint.position_nea_m for setpoint in craft.sent(Setpoint)[before:]]:
+        line = leg.subpath.control_nea_m
+        along = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
+        apart = np.subtract(place, line[0])
+        assert np.linalg.norm(apart - (apart @ along) * along) < 0.1  # on its path
+    craft.run_for(5.0)
+    assert craft.phase is Phase.HOLDING
+    craft.take(seen(craft))
+    craft.fly_to(Phase.FLYING)
+    craft.fly_to(Phase.ARRIVED)
+
+
+def test_a_sensor_that_stays_dead_is_asked_for_a_while_and_then_it_flies_back() -> None:
+    craft = flying(MISSION)
+    craft.answered = 0
+    craft.take(seen(craft, Sight.DEAD))
+    craft.fly_to(Phase.HOLDING)
+    since_s = craft.now_s
+    craft.run_until(lambda craft: craft.phase is Phase.RETURNING, limit_s=300.0)
+    assert craft.now_s - since_s > 30.0
+    craft.take(seen(craft, Sight.DEAD))  # what was flown before is flown again
+    craft.run_until(lambda craft: craft.phase in (Phase.LANDING, Phase.DONE, Phase.FAULTED))
+    assert craft.phase is Phase.LANDING
+    assert np.hypot(*craft.here[:2]) < 100.0
+
+
+def test_something_in_its_way_stops_it_at_once() -> None:
+    craft = flying(MISSION)
+    craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
+    stop = craft.state.flight.stop
+    assert stop is not None
+    assert stop.reason is Reason.NEW_THREAT
+    assert told(craft, Reason.SENSOR_SILENT) == 0
+    craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
+    assert craft.state.flight.stop is stop  # it is told once
+    craft.fly_to(Phase.HOLDING)
+    assert craft.state.reason is Reason.NEW_THREAT
+
+
+def test_something_beside_behind_or_gone_stops_nobody() -> None:
+    craft = flying(MISSION)
+    north, east = ahead(craft, 6000.0)
+    kept_m = MISSION.task.settings.safety_distance_m + MISSION.task.limits.tracking_error_m
+    aside_m = kept_m + 2.0 * CELL_M
+    leg = craft.state.flight.leg
+    assert leg is not None
+    behind = tuple(leg.subpath.pose(0.0).point_nea_m[:2])
+    if np.hypot(*np.subtract(ahead(craft, 0.0), behind)) < aside_m:
+        craft.run_for(10.0)
+    craft.take(seen(craft, Sight.SEES, (north - aside_m, east + aside_m), behind))
+    assert craft.state.flight.stop is None
+    craft.take(seen(craft, Sight.NOTHING_THERE))
+    assert craft.state.flight.stop is None
+
+
+def test_what_stands_in_the_way_outweighs_a_dead_sensor() -> None:
+    """A stop for want of sight becomes one for what was seen: it is planned anew from there."""
+    craft = flying(MISSION)
+    craft.take(seen(craft, Sight.DEAD))
+    craft.take(seen(craft, Sight.SEES, ahead(craft, 3000.0)))
+    stop = craft.state.flight.stop
+    assert stop is not None
+    assert stop.reason is Reason.NEW_THREAT

@@ -1,0 +1,118 @@
+"""The whole companion with a lidar as its eyes, as bytes in and bytes out."""
+
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import all as wire
+
+sys.path.insert(0, str(Path(__file__).parent / "runtime"))
+import scripted_vehicle
+from scripted_vehicle import Pair, Vehicle
+
+from companion.config import load_mission
+from companion.mission.state import Phase, Reason
+from companion.session import Session
+
+HOME_AMSL_M = 400.0
+EMPTY, REACH_CM = 1601, 1600
+
+
+class Seeing(Vehicle):
+    """A vehicle with a lidar that sees one post of 0.6 m, or nothing."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.driver = wire.MAVLink(None, srcSystem=1, srcComponent=196)
+        self.parameters["GUID_TIMEOUT"] = 0.5
+        self.is_dead = False
+        self.post_ne_m: tuple[float, float] | None = None
+        self.sent_sweeps = 0
+
+    def tick(self) -> bytes:
+        said = super().tick()
+        if self.is_dead:
+            return said
+        told = [EMPTY] * 72
+        if self.post_ne_m is not None:
+            north, east = self.post_ne_m[0] - self.north_m, self.post_ne_m[1] - self.east_m
+            away_m, bearing = math.hypot(north, east) - 0.3, math.atan2(east, north)
+            half = math.asin(0.3 / (away_m + 0.3))
+            for k in range(72):
+                off = math.remainder(math.radians(5.0 * k) - bearing, math.tau)
+                if abs(off) < half + math.radians(2.5) and away_m < 16.0:
+                    told[k] = round(100.0 * away_m)
+        sweep = wire.MAVLink_obstacle_distance_message(
+            self.time_ms * 1000, 0, told, 5, 20, REACH_CM, 5.0, 0.0, wire.MAV_FRAME_BODY_FRD
+        )
+        return self.pack(sweep, self.driver) + said
+
+
+@pytest.fixture(autouse=True)
+def _low(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scripted_vehicle, "HOME_AMSL_M", HOME_AMSL_M)
+
+
+def flying() -> tuple[Pair, Seeing]:
+    """At speed on a straight way that the mission's map does not know to be clear."""
+    vehicle = Seeing()
+    it = Pair(Session(load_mission("forest"), seed=1, lockstep=True), vehicle)
+    it.run_until(lambda it: it.session.state.flight.reference.speed_m_s > 2.0)
+    assert it.session.state.phase is Phase.FLYING
+    return it, vehicle
+
+
+def is_stopping(it: Pair, reason: Reason) -> bool:
+    stop = it.session.state.flight.stop
+    return stop is not None and stop.reason is reason
+
+
+def place(it: Pair, by_m: float) -> tuple[float, float]:
+    flight = it.session.state.flight
+    assert flight.leg is not None
+    north, east, _ = flight.leg.subpath.pose(flight.reference.length_m + by_m).point_nea_m
+    return north, east
+
+
+def test_a_lidar_that_is_unplugged_stops_it_and_it_goes_on_when_it_sees_again() -> None:
+    it, vehicle = flying()
+    vehicle.is_dead, since_s = True, it.session.now_s
+    it.run_until(lambda it: is_stopping(it, Reason.SENSOR_SILENT), limit_s=2.0)
+    assert it.session.now_s - since_s <= 1.0
+    it.run_until(lambda it: it.session.state.phase is Phase.HOLDING, limit_s=10.0)
+    assert it.session.state.reason is Reason.SENSOR_SILENT
+    for _ in range(30):
+        it.tick()
+    assert it.session.state.phase is Phase.HOLDING
+    vehicle.is_dead = False
+    it.run_until(lambda it: it.session.state.phase is Phase.FLYING, limit_s=3.0)
+    texts = [text.text for text in it.sent("STATUSTEXT")]
+    assert sum("sensor of near things is silent" in text for text in texts) <= 2
+
+
+def test_something_that_steps_into_its_way_stops_it_within_a_fifth_of_a_second() -> None:
+    it, vehicle = flying()
+    vehicle.post_ne_m, since_s = place(it, 6.0), it.session.now_s
+    it.run_until(lambda it: is_stopping(it, Reason.NEW_THREAT), limit_s=1.0)
+    assert it.session.now_s - since_s <= 0.2 + 1e-6
+    it.run_until(lambda it: it.session.state.phase is Phase.HOLDING, limit_s=10.0)
+    assert it.session.state.reason is Reason.NEW_THREAT
+    north, east = vehicle.post_ne_m
+    assert math.hypot(north - vehicle.north_m, east - vehicle.east_m) - 0.3 > 1.0
+
+
+def test_a_post_beside_its_way_and_one_of_another_component_stop_nobody() -> None:
+    it, vehicle = flying()
+    (north, east), aside_m = place(it, 5.0), 4.0
+    vehicle.post_ne_m = north - aside_m / math.sqrt(2.0), east + aside_m / math.sqrt(2.0)
+    for _ in range(10):
+        it.tick()
+    assert it.session.state.flight.stop is None
+    vehicle.post_ne_m, vehicle.driver = place(it, 5.0), wire.MAVLink(None, 1, 195)
+    mirrored: list[Any] = []
+    for _ in range(5):
+        it.tick()
+        mirrored.append(is_stopping(it, Reason.NEW_THREAT))
+    assert not any(mirrored)
