@@ -8,6 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import Craft, flying, mission, two_legs_away
+from test_orders import home_or_on
 
 from companion.mission.events import NearSeen, Setpoint, StatusText
 from companion.mission.mission import Fallback
@@ -73,7 +74,7 @@ def test_a_sensor_that_falls_silent_stops_it_on_its_path_until_it_sees_again(sig
 
 
 def test_a_sensor_that_stays_dead_is_asked_for_a_while_and_then_it_flies_back() -> None:
-    craft = flying(MISSION)
+    craft = flying(MISSION, plan=home_or_on)
     craft.answered = 0
     craft.take(seen(craft, Sight.DEAD))
     craft.fly_to(Phase.HOLDING)
