@@ -238,6 +238,9 @@ def plan_command(
     if place.origin_deg != (chosen.frame.latitude_deg, chosen.frame.longitude_deg):
         rule = f"the mission's origin differs from that of the world, {place.origin_deg}"
         raise InputError("MISSION", mission, rule, "Give the mission of this world.")
+    if chosen.near is not None:
+        rule = "its scanner is a sensor of near things, and only a terrain radar is simulated here"
+        raise InputError("MISSION", mission, rule, f"Fly it: scripts/fly {mission}.")
     task, limits = chosen.task, chosen.task.limits
     blank = chosen.known or empty_map(task.cell_m, limits.north_m, limits.east_m)
     truth = true_map(place.terrain, blank)

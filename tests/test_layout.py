@@ -22,7 +22,7 @@ def test_the_pages_that_are_made_from_the_code_are_up_to_date() -> None:
     from vehicle_sim.faults.timeline import faults_page
 
     made = {
-        "faults.md": faults_page(),
+        "reference/faults.md": faults_page(),
         "reference/mission-states.md": mission_states_markdown(),
         "troubleshooting.md": troubleshooting_markdown(),
     }

@@ -111,20 +111,15 @@ class Simulation:
         self._hardware_id = int(generator(seed, "hardware id").integers(1, 2**63))
         self._boots, self._port_change = 0, False
         lidar = world.lidar
-        overrides = overrides_of(vehicle)
-        if lidar is not None and lidar.output == "autopilot":
-            overrides = {"PRX1_TYPE": RPLIDAR} | overrides
-        autopilot = self._make_autopilot(overrides)
+        reads_lidar = lidar is not None and lidar.output == "autopilot"
+        given = {"PRX1_TYPE": RPLIDAR} if reads_lidar else {}
+        autopilot = self._make_autopilot(given | overrides_of(vehicle))
         self._radio = self._make_radio(autopilot.profile, links, byte_streams, forwards_all)
         self._scanner = None if world.scanner is None else self._make_scanner(world.scanner)
         self._lidar = None if lidar is None else self._make_lidar(lidar)
-        self._adsb = (
-            AdsbReceiver(world.traffic, self._frame, self._radio) if world.traffic else None
-        )
-        latitude_deg = world.origin.latitude_deg
-        self._timeline = Timeline.parse(
-            faults, name="faults", firmware=vehicle.autopilot, latitude_deg=latitude_deg
-        )
+        heard = world.traffic
+        self._adsb = AdsbReceiver(heard, self._frame, self._radio) if heard else None
+        self._timeline = self._read_faults(faults)
         self._down_until_us, self._since_power_s = 0, 0.0
         self._boot(autopilot)
         self._shown = (self.mode_name, False)
@@ -135,6 +130,10 @@ class Simulation:
     def plans(self) -> Plans:
         """Mission, fence and rally points as the autopilot stores them."""
         return self._plans
+
+    def _read_faults(self, text: str) -> Timeline:
+        firmware, latitude_deg = self._world.vehicle.autopilot, self._world.origin.latitude_deg
+        return Timeline.parse(text, name="faults", firmware=firmware, latitude_deg=latitude_deg)
 
     def _must_stand_free(self) -> None:
         if self.nearest_m == 0.0:

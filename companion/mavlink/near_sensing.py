@@ -30,7 +30,7 @@ _GAP_S = 0.3  # between two positions or attitudes of which a pose is made
 _OTHER_CLOCK_S = 1.0  # a stamp farther from the vehicle's time is none of its clock
 _EMPTY_AFTER_S = 1.2  # the longest row of wrong "max" took 0.9 s, the shortest true one 2.9 s
 _SILENT_S = 0.6  # several messages at 10 Hz
-_ABOVE_GROUND = 0.7  # of the height: a beam that has come down farther may meet the ground
+_ABOVE_GROUND = 0.8  # of the height: a beam that has come down farther may meet the ground
 _HEALTH_S = 2.5  # between two SYS_STATUS, and one of them lost
 
 
@@ -252,7 +252,10 @@ class NearSensing:
             )
 
     def sight(self, now_s: float) -> Sight:
-        """Whether the sensor sees, or what its silence means: so is a clock that fell."""
+        """Whether the sensor sees, or what its silence means.
+
+        A clock that fell counts as silence.
+        """
         if 0.0 <= now_s - self._heard_s <= _SILENT_S:
             return Sight.SEES
         if self._well and 0.0 <= now_s - self._health_s <= _HEALTH_S:

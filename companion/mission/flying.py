@@ -49,7 +49,7 @@ from companion.world.known_map import proven_range_m
 
 STUCK_S = 30.0  # the reference point waits no longer for a vehicle that does not follow
 _ANSWER_SLACK_S = 60.0
-_DEPARTURES = 3
+_DEPARTURES, _DEPARTURES_NEAR = 3, 10  # the latter where a tracking error is a few decimetres
 _MAX_STOPS = 12  # on the way to one target, for want of a successor
 _MAX_STOPS_NEAR = 100  # where sight is short
 _LEVEL_M_S = 1.0
@@ -204,7 +204,8 @@ def on_departure(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH
 
     stopped: its flight at rest.
     """
-    if state.flight.departures >= _DEPARTURES:
+    is_near = state.task.settings.cell_m is not None
+    if state.flight.departures >= (_DEPARTURES_NEAR if is_near else _DEPARTURES):
         return give_up(state, Reason.NOT_FOLLOWING if reason is Reason.OFF_PATH else reason)
     flight = replace(stopped, departures=stopped.departures + 1)
     return fault(replace(state, flight=flight), reason)

@@ -347,7 +347,7 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """Why it is invalid now (`health.distrust`); None: it is valid."""
     doubted_at_s: float = -1e9
     """When it was last invalid for another reason than its place."""
-    sight: Sight = Sight.NOTHING_THERE
+    sight: Sight = Sight.NEVER_HEARD
     """Of its sensor of near things, if the mission has one."""
     sight_at_s: float = -1e9
     """When that changed."""

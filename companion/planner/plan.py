@@ -63,6 +63,8 @@ _OTHER_WAYS = (_SearchVariant(points=6), _SearchVariant(reach=0.7), _SearchVaria
 """Tried as well if the first result costs more than the cost-to-go predicted."""
 _HARDER = tuple(_SearchVariant(points=6, reach=reach) for reach in (0.7, 0.45))
 """Tried if that costs much more, or nothing was proven."""
+_SHORT = tuple(_SearchVariant(reach=reach) for reach in (0.3, 0.2))
+"""Tried from rest where sight is short: a step forward shows more than a long way back."""
 _ANY_WAY = tuple(
     _SearchVariant(turn_rad=side * turn, reach=0.6) for turn in (0.7, 1.4) for side in (1, -1)
 )
@@ -226,18 +228,17 @@ class _Plan:
     def outcome(self) -> Planned | NotPlanned:
         """The best subpath that is proven, or why there is none."""
         request = self._request
-        closed = blocked_at(
-            request.known,
-            request.task,
-            self._field,
-            request.start.point_nea_m[:2],
-            request.target_ne_m,
-        )
+        closed = None
+        if request.task.settings.cell_m is None:  # where a near thing stands is told too widely
+            here_ne_m, target_ne_m = request.start.point_nea_m[:2], request.target_ne_m
+            closed = blocked_at(request.known, request.task, self._field, here_ne_m, target_ne_m)
         if closed is not None:
             return NotPlanned(plan_id=request.plan_id, refusal=Refusal.NO_WAY, place_ne_m=closed)
         ways = (_FIRST, *self._to_edge_of_sight(), *_OTHER_WAYS)
         best = self._best(None, ways, enough=_DEARER)
         best = self._best(best, _HARDER, enough=_MUCH_DEARER)
+        if request.from_rest and request.task.settings.cell_m is not None:
+            best = self._best(best, _SHORT, enough=_MUCH_DEARER)
         if best is None or request.from_rest:
             ways = _ANY_WAY + (_ALL_ROUND if request.from_rest else ())
             best = self._best(best, ways, enough=_MUCH_DEARER)

@@ -228,7 +228,8 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
     if model.terrain is None or trust == "guidance":
         rule = "a sensor of near things does not see the ground"
         remedy = "Add [terrain] with highest_amsl_m, or with an elevation file that is trusted."
-        raise InputError(f"{where}: terrain{(trust and '.trust') or ''}", trust, rule, remedy)
+        key = "terrain.trust" if trust else "terrain"
+        raise InputError(f"{where}: {key}", trust, rule, remedy)
     usual = AUTOPILOT_COMPONENT if kind == "distance_sensor" else _LIDAR_COMPONENT
     return NearSensor(
         component_id=usual if table.component is None else table.component,

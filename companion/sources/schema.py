@@ -124,6 +124,12 @@ class WorldTable(Table):
     vehicle: WorldVehicleTable
     scanner: dict[str, Any] = {}
     traffic: list[dict[str, Any]] = []
+    trees: list[dict[str, Any]] = []
+    woods: list[dict[str, Any]] = []
+    buildings: list[dict[str, Any]] = []
+    walls: list[dict[str, Any]] = []
+    wires: list[dict[str, Any]] = []
+    lidar: dict[str, Any] = {}
 
 
 class FileWorldTable(WorldTable):

@@ -53,6 +53,8 @@ def load_resume_data(folder: Path, mission: Mission) -> ResumeData:
         return _forgotten(history, f"{_CHECKPOINT} is not there")
     except (OSError, ValueError) as error:
         return _forgotten(_history(folder), f"{_CHECKPOINT}: {_why(error)}")
+    if mission.near is not None:  # near things may have moved: their map is not kept
+        return ResumeData(resume=(values, None))
     try:
         known = known_map(folder)
         blank = checkpoint.blank_map(mission, values)

@@ -147,6 +147,8 @@ class Rules:
     """An occupied cell is free again only if all sweeps over so long have passed it."""
     looks: int = 10
     """A cell that so many sweeps from near by have not shown to be free will not be."""
+    sharp_m: float = 1.5
+    """The place of a thing is known that was met by a sector no wider than this there."""
     near_by: float = 0.4
     """From within this share of the sensor's range."""
     standing_after_s: float = 3.0
@@ -173,6 +175,8 @@ class NearMap:
     """When something was first met in the cell; inf: nothing was, or it has gone."""
     met_s: FloatArray
     """When it was met last."""
+    sharp: BoolArray
+    """Whether by a sector that tells where it is."""
     looks: NDArray[np.uint8]
     """How many sweeps from near by had the cell, or what is before it, in sight."""
 
@@ -186,6 +190,7 @@ class NearMap:
             passed_since_s=np.full(lattice.shape, np.inf),
             met_since_s=np.full(lattice.shape, np.inf),
             met_s=np.full(lattice.shape, -np.inf),
+            sharp=np.zeros(lattice.shape, dtype=bool),
             looks=np.zeros(lattice.shape, dtype=np.uint8),
         )
 
@@ -211,7 +216,7 @@ class NearMap:
             )
             for sign in (1, -1)
         )
-        for name in ("passes", "passed_since_s", "met_since_s", "met_s", "looks"):
+        for name in ("passes", "passed_since_s", "met_since_s", "met_s", "sharp", "looks"):
             getattr(result, name)[new] = getattr(self, name)[old]
         return result
 
@@ -226,15 +231,17 @@ class NearMap:
     def closed(self, window: Window = (slice(None), slice(None))) -> BoolArray:
         """(rows, columns), where something stands, or so near to it that no beam clears the cell.
 
-        No way leads there: unknown cells elsewhere may turn out to be free.
+        No way leads there: unknown cells elsewhere may turn out to be free, and so may those of a
+        wide sector in which something stands somewhere.
         """
         looked = self.looks[window] >= self.rules.looks
-        return self.occupied(window) | (looked & ~self.free(window))
+        stands = self.occupied(window) & self.sharp[window]
+        return stands | (looked & ~self.free(window))
 
     def add(self, sweep: Sweep) -> Window:
         """One more sweep.  -> the rows and columns that it may have changed."""
         window = self.about_points(np.array([sweep.sensor_ne_m]), sweep.range_m + sweep.error_m)
-        (passed, looked), met = self._passed(sweep, window), self._met(sweep, window)
+        (passed, looked), (met, sharp) = self._passed(sweep, window), self._met(sweep, window)
         looks = self.looks[window]
         looks[looked & (looks < np.iinfo(np.uint8).max)] += 1
         rules, now_s = self.rules, sweep.time_s
@@ -246,12 +253,14 @@ class NearMap:
         passes[met | ~(passed | self.free(window))] = 0
         met_since_s[met] = np.minimum(met_since_s[met], now_s)
         met_s[met] = now_s
+        self.sharp[window][sharp] = True
 
         wiped = (passes >= rules.sightings) & (now_s - passed_since_s >= rules.wiped_after_s)
         moved = met_s - met_since_s < rules.standing_after_s
         gone = moved & (now_s - met_s >= rules.forgotten_after_s)
         passes[gone & ~wiped & (met_since_s < np.inf)] = 0
         met_since_s[wiped | gone] = np.inf
+        self.sharp[window][wiped | gone] = False
         return window
 
     def about_points(self, points_ne_m: FloatArray, reach_m: float) -> Window:
@@ -287,15 +296,16 @@ class NearMap:
         looked &= away_m - around_m <= clear_m
         return passed | (away_m + half_m <= sweep.blind_m), looked
 
-    def _met(self, sweep: Sweep, window: Window) -> BoolArray:
-        """The cells of a window in which something may have sent an echo back.
+    def _met(self, sweep: Sweep, window: Window) -> tuple[BoolArray, BoolArray]:
+        """The cells of a window in which something may have sent an echo back, and the sharp ones.
 
         The nearest echo of a sector blocks its whole arc, but what is known to be free: that stays
         so, as long as there is another place on the arc for the thing to be.
         """
         result: BoolArray = np.zeros_like(self.passes[window], dtype=bool)
+        sharp = result.copy()
         if not result.size:
-            return result
+            return result, sharp
         height, width = result.shape[0], result.shape[1]
         rows, columns = self._arcs(sweep)  # (sectors, points)
         row, column = rows - window[0].start, columns - window[1].start
@@ -305,7 +315,10 @@ class NearMap:
         elsewhere = inside & ~self.free(window)[row, column]
         says = np.where(elsewhere.any(axis=1, keepdims=True), elsewhere, inside)
         result[row[says], column[says]] = True
-        return result
+        echo_m = sweep.echo_m[np.isfinite(sweep.echo_m)]
+        says &= (echo_m * sweep.width_rad <= self.rules.sharp_m)[:, None]
+        sharp[row[says], column[says]] = True
+        return result, sharp
 
     def _arcs(self, sweep: Sweep) -> tuple[IntArray, IntArray]:
         """Rows and columns of points close together on the arcs from which echoes have come."""

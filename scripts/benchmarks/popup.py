@@ -9,7 +9,6 @@ of the stop; "went round": it was avoided without one.  Limit: v^2 / 2a + v t wi
 mission's a; nearer than that nothing can stop.  1 if one was touched that was farther away.
 """
 
-import json
 import math
 import sys
 from dataclasses import replace

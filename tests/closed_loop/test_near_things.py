@@ -1,4 +1,4 @@
-"""Flights by a lidar through an unknown garden: trees, and a wall with a gap."""
+"""Flights by a lidar through a garden that nobody knows: trees, and a wall with a gap."""
 
 import math
 from pathlib import Path

@@ -126,5 +126,7 @@ def test_what_breaks_a_rule_is_refused_in_one_line(
 
 def test_terrain_for_guidance_is_not_enough(tmp_path: Path) -> None:
     file = 'file = "dem.tif"\nvertical_datum = "EGM96"\ntrust = "guidance"'
-    with pytest.raises(InputError, match=r"terrain\.trust = 'guidance': a sensor of near"):
+    with pytest.raises(
+        InputError, match=r"terrain\.trust = 'guidance': a sensor of near things does"
+    ):
         load(tmp_path, OBSTACLE, (STATED, f"[terrain]\n{file}"))

@@ -223,7 +223,7 @@ def faults_table() -> str:
 
 
 def faults_page() -> str:
-    """docs/faults.md."""
+    """docs/reference/faults.md."""
     return _PAGE + faults_table()
 
 
