@@ -139,7 +139,7 @@ def popped_up(name: str, ahead_m: float, seed: int) -> dict[str, Any]:
 
 def main() -> int:
     given, console = running.begin(__doc__, runs=3)
-    headings = "speed", "ahead", "limit", "reaction", "least gap", "stopped", "touched"
+    headings = "speed", "ahead", "limit", "reaction", "least gap", "came to rest", "touched"
     table = running.figures("A post appears", "mission", *headings)
     found = []
     for name in _MISSIONS:
