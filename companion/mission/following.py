@@ -68,7 +68,9 @@ def advance_reference(state: State, event: Position) -> Flight:
     assert leg is not None
     here = np.asarray(event.position_nea_m)
     until_m = None if flight.stop is None else flight.stop.at_m
-    until_m, speed_limit_m_s = traffic.limits(state, until_m, flight.speed_limit_m_s)
+    speed_limit_m_s = flight.speed_limit_m_s
+    if state.traffic is not None:
+        until_m, speed_limit_m_s = traffic.limits(state, until_m, speed_limit_m_s)
     if vehicle.traits.hovers:
         reference = advance(
             flight.reference,
@@ -83,7 +85,7 @@ def advance_reference(state: State, event: Position) -> Flight:
     else:
         reference = follow(flight.reference, leg, here, task.limits)
     sets_out = reference.length_m > flight.reference.length_m or flight.circling
-    sets_out = sets_out or traffic.is_held_back(state)
+    sets_out = sets_out or (state.traffic is not None and traffic.is_held_back(state))
     offset = flight.offset
     if offset is not None:
         offset = join.step(offset, vehicle.position_step_s, task.limits)

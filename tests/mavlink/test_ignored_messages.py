@@ -26,6 +26,8 @@ READ_FROM_LOGS_ONLY = (
     "telemetry/logs",
     "mavlink/frames.py",
     "mavlink/near_sensing.py",
+    "mavlink/near_scanner.py",
+    "mavlink/streams.py",
     "replay/shadow_near.py",
 )
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
-from test_scene import GROUND_M, world
+from test_near_scene import GROUND_M, world
 
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.wire.proximity import BY_MAVLINK, RPLIDAR, Proximity

@@ -24,7 +24,7 @@ def sent(message: Any) -> Any:
 
 
 def test_the_sender_is_who_and_where() -> None:
-    assert messages.sender(sent(messages.radar_heartbeat()), 2) == ANYBODY
+    assert messages.sender(sent(messages.component_heartbeat()), 2) == ANYBODY
 
 
 def test_a_command_long_is_taken_as_it_is() -> None:
