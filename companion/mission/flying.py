@@ -88,7 +88,8 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
-    if (step := make_way(state, event, context)) is not None:
+    watches = state.traffic is not None
+    if watches and (step := make_way(state, event, context)) is not None:
         return step
     state, warning = battery_warning(state, context)
     if state.flight.leg is None:
