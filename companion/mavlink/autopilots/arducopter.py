@@ -32,7 +32,10 @@ def _take_off(
 
 ARDUCOPTER = Autopilot(
     traits=VehicleTraits(
-        name="ArduCopter", hovers=True, take_off=TakeoffSequence.GUIDED_THEN_CLIMB
+        name="ArduCopter",
+        hovers=True,
+        take_off=TakeoffSequence.GUIDED_THEN_CLIMB,
+        turn_lag_s2=0.5,  # of its shaping, 2 (WPNAV_ACCEL / PSC_JERK_XY)^2; 0.6 to 0.8 was measured
     ),
     rules=ARDUCOPTER_RULES,
     modes=ardupilot.ArduPilotModes(
