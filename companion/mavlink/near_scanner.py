@@ -21,12 +21,13 @@ from companion.world.near_map import NearMap, NearSensor, Rules, Sight, Window
 ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
 HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
 _SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
-OF_AUTOPILOT: Final = (HEALTH, _SECTORS, wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE)
 MESSAGES: Final = {
     "obstacle_distance": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
     "distance_sensor": _SECTORS,
+    "obstacle_distance_3d": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE_3D,
 }
 """What each kind of sensor sends."""
+OF_AUTOPILOT: Final = (HEALTH, *MESSAGES.values())
 _RATE_HZ: Final = 20.0
 _HIGH: Final = 1.0  # of R above the ceiling: there occupied cells end
 
@@ -62,11 +63,7 @@ class NearScanner:
         self._poses = Poses()
         self._kind, self._component = sensor.kind, sensor.component_id
         self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
-        self._on_distances = (
-            self._sensing.on_distance_sensor
-            if sensor.kind == "distance_sensor"
-            else self._sensing.on_obstacle_distance
-        )
+        self._on_distances = getattr(self._sensing, f"on_{sensor.kind}")
         self._near = NearMap.empty(blank.lattice, Rules())
         self._known, self._ground_m = blank, blank.guess_m
         limits, settings = mission.task.limits, mission.task.settings
