@@ -82,7 +82,7 @@ class AutopilotClient:
         """number: HEARTBEAT.autopilot; sets_parameters: False only reports what to set."""
         self.system_id, self.autopilot = system_id, autopilot
         self.streams = StreamRequests(
-            system_id, autopilot, mission.position_rate_hz, streams_hz(mission.near)
+            system_id, autopilot, mission.position_rate_hz, streams_hz(mission)
         )
         self.parameters = ParameterClient(
             system_id, names_of(autopilot.rules), bytewise=is_bytewise(number)

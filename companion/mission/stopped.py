@@ -230,6 +230,11 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     if isinstance(hold, Paused) or in_phase_s(state) < pause_s or moving:
         return state, commands, None
     on_way_back = _is_backtracking(state)
+    goes_back = on_way_back or state.flight.homeward
+    if state.vehicle.ground_above_m and not goes_back and isinstance(hold, Replan):
+        if in_phase_s(state) < _SENSOR_S * context.mission.attempts:
+            return state, commands, None
+        return _other_way(with_hold_reason(state, Reason.GROUND_NEARER), context)
     if isinstance(hold, ReturnOrdered) and not on_way_back:
         return _other_way(state, context)
     flight = state.flight

@@ -75,7 +75,7 @@ _ERRORS = ("tracking_error_m", "navigation_error_m", "dead_man_s")
 
 
 class MissionVehicleTable(
-    keys_of(Mission, "autopilot", "system_id", "position_rate_hz"),  # type: ignore[misc]
+    keys_of(Mission, "autopilot", "system_id", "position_rate_hz", "rangefinder_error_m"),  # type: ignore[misc]
     keys_of(Limits, *_SPEEDS, *_ERRORS),  # type: ignore[misc]
 ):
     """What the vehicle can fly, and how it is to be flown."""

@@ -155,3 +155,32 @@ def test_eight_wide_sectors_of_an_autopilot_that_is_silent_in_the_open_lead_past
     flight.ended_well()
     assert min(row["near_m"] for row in flight.truth if not row["landed"]) >= SAFE_M
     assert not any(Reason.SENSOR_SILENT.text in text for text in flight.says)
+
+
+HILL = """
+[[terrain.peaks]]
+north_m = 60.0
+east_m = 0.0
+height_amsl_m = 402.4
+spread_north_m = 250.0
+spread_east_m = 2000.0
+[vehicle.parameters]
+RNGFND1_TYPE = 100
+RNGFND1_MAX = 12.0
+"""
+LOOKS_DOWN = ('kind = "copter"', 'kind = "copter"\nrangefinder_error_m = 1.0')
+
+
+def test_ground_that_is_higher_than_stated_stops_it_and_it_flies_back(tmp_path: Path) -> None:
+    """2.9 m below the band, where the mission states 3.5 and its lidar looks over it."""
+    mission(tmp_path, LOOKS_DOWN)
+    world = tmp_path / "world.toml"
+    world.write_text(f"{WORLD}{TREE}{HILL}", encoding="utf-8")
+    flight = flown_through(tmp_path, world)
+    [held] = [row["t_s"] for row in flight.journal if is_hold(row, Reason.GROUND_NEARER)]
+    [stopped] = [row for row in flight.truth if abs(row["t_s"] - held) < 0.06][:1]
+    assert stopped["altitude_amsl_m"] - 402.4 > 1.0
+    assert flight.outcome == "failed"
+    landed = flight.truth[-1]
+    assert landed["landed"]
+    assert math.hypot(landed["north_m"], landed["east_m"]) < 2.0

@@ -48,8 +48,8 @@ def test_each_kind_says_what_is_listened_to_and_of_whom(
     assert (mission.near.kind, mission.near.component_id) == (kind, component)
     assert mission.scanner_component_id is None
     number = {"obstacle_distance": 330, "distance_sensor": 132, "obstacle_distance_3d": 11037}[kind]
-    assert messages_of(mission.near) == {30, number}
-    assert set(streams_hz(mission.near)) == ({30, number} if of_autopilot else {30})
+    assert messages_of(mission) == {30, number}
+    assert set(streams_hz(mission)) == ({30, number} if of_autopilot else {30})
 
 
 def test_all_that_is_said_of_it_is_taken_and_the_vehicle_stays_what_it_is(tmp_path: Path) -> None:
