@@ -89,8 +89,9 @@ class NearWatch:
     What we send ourselves comes back from others, and is left out.
     """
 
-    def __init__(self, frame: LocalFrame, system_id: int) -> None:
-        self._frame, self._system_id = frame, system_id
+    def __init__(self, frame: LocalFrame, system_id: int, stated: NearSensor | None = None) -> None:
+        """stated: by the mission, how the sensor of its kind and component is mounted."""
+        self._frame, self._system_id, self._stated = frame, system_id, stated
         self._poses, self._receiver = Poses(), Receiver()
         self.here: tuple[float, tuple[float, float]] = -math.inf, (0.0, 0.0)
         """Vehicle time, and north and east in the local frame, of the newest position."""
@@ -155,6 +156,9 @@ class NearWatch:
                 blind_m=min(_FARTHEST_M, max(0.0, least_m)),
                 latency_s=_LATENCY_S,
             )
+            of = self._stated
+            if of is not None and (of.kind, of.component_id) == (kind, component):
+                mounted = of
             name = f"{message.get_type()} of component {component}"
             self.sensors[kind, component] = _Sensor(name, mounted, self._poses)
         return self.sensors[kind, component]
