@@ -154,7 +154,7 @@ class Tree:
     east_m: _Local
     radius_m: _Positive
     height_m: _Positive
-    """Above the ground, as of the next four."""
+    """Above the ground, as those of buildings, walls and wires."""
 
 
 @final
