@@ -111,7 +111,8 @@ def _range(value: dict[str, Any]) -> str:
             if inner.get("type") == "array":
                 said.append(f"{each['minItems']}{'' if 'maxItems' in each else ' or more'} places")
             else:
-                said.append(f"least and most, each {_interval(inner)}")
+                which = "least and most" if "prefixItems" in each else "numbers"
+                said.append(f"{which}, each {_interval(inner)}")
         else:
             said.append(each.get("pattern", "") or _interval(each) or _WORDS.get(each["type"], ""))
     return " or ".join(said)

@@ -184,3 +184,23 @@ def test_ground_that_is_higher_than_stated_stops_it_and_it_flies_back(tmp_path: 
     landed = flight.truth[-1]
     assert landed["landed"]
     assert math.hypot(landed["north_m"], landed["east_m"]) < 2.0
+
+
+CAMERA = (
+    ('kind = "obstacle_distance"', 'kind = "obstacle_distance_3d"\nbeam_deg = 4.0\nblind_m = 1.2'),
+    ("speed_m_s = 2.8", "speed_m_s = 1.5"),
+    ("acceleration_m_s2 = 2.5", "acceleration_m_s2 = 2.0"),
+)
+"""It does not see where it starts: the mission states that 1.2 m are clear there."""
+ROWS = "kind = 'sectors'\noutput = 'points'\nwidth_deg = 96.0\n"
+ROWS += f"rows_deg = {[-3.0 * k for k in range(10)]}\n"
+
+
+def test_the_points_of_a_depth_camera_lead_through_the_gap(tmp_path: Path) -> None:
+    """Where they end on the ground, it sees what is free: there are no points in the open."""
+    mission(tmp_path, *CAMERA)
+    world = garden(tmp_path, of_lidar=ROWS)
+    farther = ("range_m = 16.0", "range_m = 20.0"), ("step_deg = 2.5", "step_deg = 3.0")
+    flight = flown_through(tmp_path, edited(world, world, *farther))
+    flight.ended_well()
+    stays_clear(flight)
