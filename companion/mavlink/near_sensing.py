@@ -181,6 +181,8 @@ class NearSensing:
         """Messages of one stamp and frame,"""
         self._set_s = -math.inf
         """and when the first of them came."""
+        self._sectors: set[int] = set()
+        """Those of ArduPilot's eight that were ever told."""
         self._full_since_s = np.empty(0)
         """Since when each sector, as the sensor counts them, has said "max"; inf: it does not."""
         self._heard_s = self._health_s = -math.inf
@@ -265,11 +267,18 @@ class NearSensing:
         )
 
     def _take_sectors(self) -> None:
+        """A sector is told from its first echo on: one that never was has none, as at "max".
+
+        Unless it was left out at the end of a set, where a link was too slow for the rest.
+        """
         messages, self._set = self._set, []
         told_cm = np.full(_SECTORS, float(_UNKNOWN_CM))
         for message in messages:
             told_cm[message.orientation] = message.current_distance
         one = messages[0]
+        self._sectors.update(message.orientation for message in messages)
+        left_out = set(range(max(message.orientation for message in messages))) - self._sectors
+        told_cm[list(left_out)] = one.max_distance
         if not 0 <= one.min_distance < one.max_distance:
             return self._refuse("max_distance is no more than min_distance")
         width_rad = math.tau / _SECTORS
