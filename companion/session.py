@@ -41,6 +41,7 @@ from companion.mavlink.link import (
 from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.own_messages import heartbeat
 from companion.mavlink.preflight import Preflight
+from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing
 from companion.mavlink.statustext import StatusTexts, final_text, severity_of
 from companion.mavlink.terrain_download import MESSAGES as TERRAIN
@@ -77,6 +78,7 @@ _ROUTINE: Final = (
     events.LandedState,
     events.VehicleStatus,
     events.NearSeen,
+    events.GroundSeen,
     events.OthersHeard,
 )
 """Frequent events: without journal entries, and housekeeping can wait."""
@@ -129,7 +131,7 @@ class Session:
         """When a person was last warned, and of what."""
         self.vehicle: AutopilotClient | None = None
         """The autopilot, once it is known."""
-        self._inbox = Inbox(signing, near_scanner.messages_of(mission.near))
+        self._inbox = Inbox(signing, near_scanner.messages_of(mission))
         self.receiver = self._inbox.receivers[VEHICLE_LINK]
         self.signing = signing
         self._lockstep, self._version = lockstep, version
@@ -141,6 +143,8 @@ class Session:
         self._texts = StatusTexts()
         self.near = None if mission.near is None else NearScanner(mission)
         """Reads the sensor of near things, if that is the mission's scanner."""
+        self.rangefinder = Rangefinder.of(mission)
+        """Reads the one that looks down, if the mission compares it with the map."""
         self._scanning = self.near or ScanClient(mission)
         self._others = mission.traffic and traffic.Listener(mission)
         self._preflight = Preflight()
@@ -382,6 +386,13 @@ class Session:
         if (seen := self.near.seen(self.now_s)) is not None:
             self._handle(seen)
 
+    def _look_down(self, position: events.Position) -> None:
+        """Tell the mission when the ground is nearer than its map says."""
+        assert self.rangefinder is not None
+        self.rangefinder.on_position(position.time_s, position.position_nea_m)
+        if (seen := self.rangefinder.seen(self.now_s, self.state.flight.known)) is not None:
+            self._handle(seen)
+
     def _on_heartbeat(self, heard: Incoming) -> None:
         if self.vehicle is None:
             self._identify_vehicle(heard.message)
@@ -398,6 +409,8 @@ class Session:
         if self.near is not None:
             self._look_near(event)
         if event is not None:
+            if self.rangefinder is not None:
+                self._look_down(event)
             if self._others is not None:
                 self._handle(self._others.others(event, vehicle.system_id))
             self._handle(event)
@@ -418,6 +431,8 @@ class Session:
         message, now_s = heard.message, self.clock.now_s
         if self.near is not None and heard.number in near_scanner.OF_AUTOPILOT:
             self.near.on_message(message, now_s)
+        if self.rangefinder is not None and heard.number == near_scanner.SECTORS:
+            self.rangefinder.on_message(message, now_s)
         if replies := vehicle.on_message(message, now_s):
             self._outbox.send(replies, now_s)
         if (event := vehicle.event_of(message, now_s)) is not None:
@@ -436,6 +451,8 @@ class Session:
         if self.near is not None and heard.number == near_scanner.ATTITUDE:
             self.near.on_message(heard.message, self.now_s)
             self._look_near(None)
+        if self.rangefinder is not None and heard.number == near_scanner.ATTITUDE:
+            self.rangefinder.on_message(heard.message, self.now_s)
         if vehicle.is_news or vehicle.notes:
             self._look_at_news(vehicle)
         self._housekeeping()

@@ -20,9 +20,11 @@ def test_a_function_has_at_most_60_lines() -> None:
 def test_the_pages_that_are_made_from_the_code_are_up_to_date() -> None:
     from companion.views.states import mission_states_markdown, troubleshooting_markdown
     from vehicle_sim.faults.timeline import faults_page
+    from vehicle_sim.world_page import world_page
 
     made = {
         "reference/faults.md": faults_page(),
+        "reference/world.md": world_page(),
         "reference/mission-states.md": mission_states_markdown(),
         "troubleshooting.md": troubleshooting_markdown(),
     }

@@ -149,7 +149,7 @@ class Simulation:
         return Radio(
             system=world.vehicle.system_id,
             radar_component=None if world.scanner is None else world.scanner.component_id,
-            lidar_component=lidar.component_id if lidar and lidar.output == "driver" else None,
+            lidar_component=lidar.component_id if lidar and lidar.output != "autopilot" else None,
             profile=profile,
             links=links,
             byte_streams=byte_streams,
@@ -418,7 +418,7 @@ class Simulation:
                 proximity.on_beams(angles_rad, distances_m, since_boot_us)
             return
         for message in driver.step(self.now_us, controller.boot_us, wrong):
-            if proximity is not None:
+            if proximity is not None and message.get_type() == "OBSTACLE_DISTANCE":
                 proximity.on_obstacle_distance(message, since_boot_us)
             if wrong.mirrored and self.companion is not None:
                 self._radio.send_as(message, self.companion.system, self.companion.component)

@@ -154,7 +154,7 @@ class Tree:
     east_m: _Local
     radius_m: _Positive
     height_m: _Positive
-    """Above the ground, as of the next four."""
+    """Above the ground, as those of buildings, walls and wires."""
 
 
 @final
@@ -457,6 +457,9 @@ def _check_near(world: World) -> None:
     if lidar.min_m >= lidar.range_m:
         rule = f"must be less than range_m, which is {lidar.range_m:g}"
         raise InputError("lidar.min_m", lidar.min_m, rule, "Lessen it.")
+    if len(lidar.rows_deg) > 1 and lidar.output != "points":
+        rule, remedy = "only points have rows", 'Write lidar.output = "points", or leave it out.'
+        raise InputError("lidar.rows_deg", lidar.rows_deg, rule, remedy)
     if lidar.output == "autopilot" and world.vehicle.autopilot != "ardupilot":
         rule = f"{world.vehicle.autopilot} has no driver for it"
         raise InputError("lidar.output", lidar.output, rule, "Write driver.")

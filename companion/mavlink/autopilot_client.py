@@ -82,11 +82,10 @@ class AutopilotClient:
         """number: HEARTBEAT.autopilot; sets_parameters: False only reports what to set."""
         self.system_id, self.autopilot = system_id, autopilot
         self.streams = StreamRequests(
-            system_id, autopilot, mission.position_rate_hz, streams_hz(mission.near)
+            system_id, autopilot, mission.position_rate_hz, streams_hz(mission)
         )
-        self.parameters = ParameterClient(
-            system_id, names_of(autopilot.rules), bytewise=is_bytewise(number)
-        )
+        wanted = names_of(rule for rule in autopilot.rules if rule.matters(mission))
+        self.parameters = ParameterClient(system_id, wanted, bytewise=is_bytewise(number))
         self.plans = PlanClient(system_id, (system_id, COMPANION_COMPONENT))
         self.is_news = True
         """Whether something was read since the parameters and lists were last looked at."""

@@ -10,37 +10,45 @@ from typing import Final, final
 import numpy as np
 
 from companion.geodesy import LocalFrame
+from companion.mavlink import rangefinder
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.near_sensing import NearSensing, Poses
 from companion.mission.events import NearSeen, ScanDone, Vector
 from companion.mission.mission import Mission
 from companion.mission.state import State
 from companion.world.known_map import NO_ANSWER, KnownMap, Scan
-from companion.world.near_map import NearMap, NearSensor, Rules, Sight, Window
+from companion.world.near_map import NearMap, Rules, Sight, Window
 
 ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
 HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
-_SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
-OF_AUTOPILOT: Final = (HEALTH, _SECTORS, wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE)
+SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
 MESSAGES: Final = {
     "obstacle_distance": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
-    "distance_sensor": _SECTORS,
+    "distance_sensor": SECTORS,
+    "obstacle_distance_3d": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE_3D,
 }
 """What each kind of sensor sends."""
+OF_AUTOPILOT: Final = (HEALTH, *MESSAGES.values())
 _RATE_HZ: Final = 20.0
 _HIGH: Final = 1.0  # of R above the ceiling: there occupied cells end
 
 
-def messages_of(sensor: NearSensor | None) -> frozenset[int]:
-    """What is read of its autopilot and of itself."""
-    return frozenset() if sensor is None else frozenset({ATTITUDE, MESSAGES[sensor.kind]})
+def messages_of(mission: Mission) -> frozenset[int]:
+    """What is read of the autopilot and of the sensor."""
+    wanted = set() if mission.near is None else {ATTITUDE, MESSAGES[mission.near.kind]}
+    if mission.rangefinder_error_m is not None:
+        wanted |= {ATTITUDE, SECTORS}
+    return frozenset(wanted)
 
 
-def streams_hz(sensor: NearSensor | None) -> dict[int, float]:
-    """What the autopilot has to send for it, and how often."""
+def streams_hz(mission: Mission) -> dict[int, float]:
+    """What the autopilot has to send for them, and how often."""
+    sensor, wanted = mission.near, dict[int, float]()
+    if mission.rangefinder_error_m is not None:
+        wanted = {ATTITUDE: _RATE_HZ, SECTORS: rangefinder.RATE_HZ}
     if sensor is None:
-        return {}
-    wanted = {ATTITUDE: _RATE_HZ}
+        return wanted
+    wanted[ATTITUDE] = _RATE_HZ
     if sensor.kind == "distance_sensor" and sensor.component_id == AUTOPILOT_COMPONENT:
         wanted[MESSAGES[sensor.kind]] = _RATE_HZ
     return wanted
@@ -62,11 +70,7 @@ class NearScanner:
         self._poses = Poses()
         self._kind, self._component = sensor.kind, sensor.component_id
         self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
-        self._on_distances = (
-            self._sensing.on_distance_sensor
-            if sensor.kind == "distance_sensor"
-            else self._sensing.on_obstacle_distance
-        )
+        self._on_distances = getattr(self._sensing, f"on_{sensor.kind}")
         self._near = NearMap.empty(blank.lattice, Rules())
         self._known, self._ground_m = blank, blank.guess_m
         limits, settings = mission.task.limits, mission.task.settings

@@ -1,4 +1,4 @@
-"""What lidars and the like say of near things, as sweeps: OBSTACLE_DISTANCE and DISTANCE_SENSOR.
+"""What lidars, depth cameras and the like say of near things, as sweeps.
 
 Measured on real autopilots (docs/reference/proximity.md), whose traps decide what is believed here:
 the silence of a lidar behind an autopilot means that nothing is in reach, or that it is dead; "max"
@@ -21,6 +21,7 @@ from companion.world.near_map import NearSensor, Sight, Sweep
 
 _BODY: Final = (wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED)
 _NORTH: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_LOCAL_NED)
+_NORTH_OFFSET: Final = (wire.MAV_FRAME_LOCAL_OFFSET_NED,)
 _UNKNOWN_CM: Final = 65_535
 _SECTORS: Final = 8
 HORIZONTAL: Final = range(_SECTORS)
@@ -30,6 +31,8 @@ _GAP_S = 0.3  # between two positions or attitudes of which a pose is made
 _OTHER_CLOCK_S = 1.0  # a stamp farther from the vehicle's time is none of its clock
 _EMPTY_AFTER_S = 1.2  # the longest row of wrong "max" took 0.9 s, the shortest true one 2.9 s
 _SILENT_S = 0.6  # several messages at 10 Hz
+_SET_S = 0.1  # in which the messages of one stamp come: a stamp may stand still
+_SET_MOST = 5000  # messages
 _ABOVE_GROUND = 0.8  # of the height: a beam that has come down farther may meet the ground
 _HEALTH_S = 2.5  # between two SYS_STATUS, and one of them lost
 
@@ -137,7 +140,7 @@ class _Track:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Look:
-    """What one message, or one set of messages, says; before the pose is known."""
+    """What the sectors of one message, or of one set of messages, say; before the pose is known."""
 
     time_s: float
     first_rad: float
@@ -145,6 +148,17 @@ class _Look:
     width_rad: float
     clear_m: FloatArray
     echo_m: FloatArray
+    from_nose: bool
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Points:
+    """What one set of points says; before the pose is known."""
+
+    time_s: float
+    points_m: FloatArray  # (3, N)
+    """From the sensor: ahead, right and down, or north, east and down."""
     from_nose: bool
 
 
@@ -162,8 +176,13 @@ class NearSensing:
         self._sensor, self._poses, self._ground_amsl_m = sensor, poses, ground_amsl_m
         self.refused: Counter[str] = Counter()
         """How often something was not believed, by the reason."""
-        self._looks: deque[_Look] = deque(maxlen=20)
-        self._set: dict[int, Message] = {}
+        self._looks: deque[_Look | _Points] = deque(maxlen=20)
+        self._set: list[Message] = []
+        """Messages of one stamp and frame,"""
+        self._set_s = -math.inf
+        """and when the first of them came."""
+        self._sectors: set[int] = set()
+        """Those of ArduPilot's eight that were ever told."""
         self._full_since_s = np.empty(0)
         """Since when each sector, as the sensor counts them, has said "max"; inf: it does not."""
         self._heard_s = self._health_s = -math.inf
@@ -197,23 +216,69 @@ class NearSensing:
             width_rad=width_rad,
             from_nose=message.frame in _BODY,
         )
-        self._heard_s = now_s
+        if (told_cm != _UNKNOWN_CM).any():  # one that knows nothing at all is blind
+            self._heard_s = now_s
 
     def on_distance_sensor(self, message: Message, now_s: float) -> None:
         """One of ArduPilot's eight sectors; those of one stamp belong together."""
         if message.orientation not in HORIZONTAL:
             return
-        if self._set and next(iter(self._set.values())).time_boot_ms != message.time_boot_ms:
-            self._take_set(now_s)
-        self._set[message.orientation] = message
+        if self._is_over(now_s, time_boot_ms=message.time_boot_ms):
+            self._take_sectors()
+        self._keep(message, now_s)
+
+    def on_obstacle_distance_3d(self, message: Message, now_s: float) -> None:
+        """One point; those of one stamp belong together, as ArduPilot has it."""
+        least_m, most_m = message.min_distance, message.max_distance
+        away_m = math.hypot(message.x, message.y, message.z)
+        if not math.isfinite(away_m):
+            return self._refuse("a point is not finite")
+        if message.frame not in (*_BODY, *_NORTH_OFFSET):
+            return self._refuse("frame is neither the body's nor north's about the vehicle")
+        if not (0.0 <= least_m < most_m < math.inf):
+            return self._refuse("max_distance is no more than min_distance")
+        if not max(least_m, 0.01) <= away_m < most_m:  # drivers put 9999 where they see nothing
+            return self._refuse("a distance is outside its limits")
+        if self._is_over(now_s, time_boot_ms=message.time_boot_ms, frame=message.frame):
+            self._take_points()
+        self._keep(message, now_s)
+
+    def _is_over(self, now_s: float, **same: int) -> bool:
+        """Whether a message with these fields begins another set."""
+        if not self._set:
+            return False
+        differs = any(getattr(self._set[0], key) != value for key, value in same.items())
+        return differs or not 0.0 <= now_s - self._set_s <= _SET_S or len(self._set) >= _SET_MOST
+
+    def _keep(self, message: Message, now_s: float) -> None:
+        if not self._set:
+            self._set_s = now_s
+        self._set.append(message)
         self._heard_s = now_s
 
-    def _take_set(self, now_s: float) -> None:
-        messages, self._set = self._set, {}
+    def _take_points(self) -> None:
+        messages, self._set = self._set, []
+        self._looks.append(
+            _Points(
+                time_s=self._time_of(messages[0].time_boot_ms * 1e-3, self._set_s),
+                points_m=np.array([(each.x, each.y, each.z) for each in messages]).T,
+                from_nose=messages[0].frame in _BODY,
+            )
+        )
+
+    def _take_sectors(self) -> None:
+        """A sector is told from its first echo on: one that never was has none, as at "max".
+
+        Unless it was left out at the end of a set, where a link was too slow for the rest.
+        """
+        messages, self._set = self._set, []
         told_cm = np.full(_SECTORS, float(_UNKNOWN_CM))
-        for sector, message in messages.items():
-            told_cm[sector] = message.current_distance
-        one = next(iter(messages.values()))
+        for message in messages:
+            told_cm[message.orientation] = message.current_distance
+        one = messages[0]
+        self._sectors.update(message.orientation for message in messages)
+        left_out = set(range(max(message.orientation for message in messages))) - self._sectors
+        told_cm[list(left_out)] = one.max_distance
         if not 0 <= one.min_distance < one.max_distance:
             return self._refuse("max_distance is no more than min_distance")
         width_rad = math.tau / _SECTORS
@@ -221,7 +286,7 @@ class NearSensing:
             told_cm,
             (one.min_distance, one.max_distance),
             empty_cm=math.inf,
-            time_s=self._time_of(one.time_boot_ms * 1e-3, now_s),
+            time_s=self._time_of(one.time_boot_ms * 1e-3, self._set_s),
             first_rad=-0.5 * width_rad,
             width_rad=width_rad,
             from_nose=True,
@@ -273,7 +338,10 @@ class NearSensing:
             else:
                 north, east, altitude = pose.position_nea_m
                 height_m = max(altitude - self._ground_amsl_m(north, east), 0.0)
-                result.append(_sweep(look, pose, self._sensor, height_m))
+                if isinstance(look, _Look):
+                    result.append(_sweep(look, pose, self._sensor, height_m))
+                else:
+                    result.append(_sweep_of_points(look, pose, self._sensor, height_m))
         return result
 
     def _time_of(self, stamp_s: float, now_s: float) -> float:
@@ -331,36 +399,108 @@ class NearSensing:
 def _sweep(look: _Look, pose: Pose, sensor: NearSensor, height_m: float) -> Sweep:
     """In the local frame.  The tilt of the vehicle shortens distances and turns bearings a little.
 
-    What a tilted beam says beyond where it leaves the slab that it speaks for is left out, and
-    where it comes near the ground, height_m below.
+    What a tilted beam says beyond where it leaves the slab that it speaks for is left out.
     """
     count = len(look.clear_m)
     turn_rad = pose.yaw_rad + sensor.yaw_rad if look.from_nose else -pose.grid_north_rad
     middle = look.first_rad + (np.arange(count) + 0.5) * look.width_rad
     along = middle + turn_rad - pose.yaw_rad
-    roll, pitch = pose.roll_rad, pose.pitch_rad
-    forward, right = np.cos(along), np.sin(along)
-    ahead = forward * math.cos(pitch) + right * math.sin(roll) * math.sin(pitch)
-    aside = right * math.cos(roll)
-    down = -forward * math.sin(pitch) + right * math.sin(roll) * math.cos(pitch)
+    ahead, aside, down = _levelled(pose, np.cos(along), np.sin(along), np.zeros(count))
     level = np.hypot(ahead, aside)
     bent = np.abs(np.mod(np.arctan2(aside, ahead) - along + math.pi, math.tau) - math.pi)
-    below_m = min(sensor.speaks_for_m, _ABOVE_GROUND * height_m)
-    depth_m = np.where(down > 0.0, below_m, sensor.speaks_for_m)
-    stays_m = depth_m / np.maximum(np.abs(down), 1e-9) * level
+    stays_m = _depth_m(down, sensor, height_m) / np.maximum(np.abs(down), 1e-9) * level
     echo_m = look.echo_m * level
-    north, east, _ = pose.position_nea_m
-    cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-    return Sweep(
-        time_s=look.time_s,
-        sensor_ne_m=(
-            north + cos * sensor.forward_m - sin * sensor.right_m,
-            east + sin * sensor.forward_m + cos * sensor.right_m,
-        ),
+    return _seen_from(
+        pose,
+        sensor,
+        look.time_s,
         first_rad=look.first_rad + turn_rad,
         width_rad=look.width_rad,
         clear_m=np.minimum(look.clear_m * level, stays_m),
         echo_m=np.where(echo_m <= stays_m, echo_m, np.inf),
+        bent_rad=float(bent.max(initial=0.0)),
+    )
+
+
+def _sweep_of_points(look: _Points, pose: Pose, sensor: NearSensor, height_m: float) -> Sweep:
+    """Each point is the end of a ray, and nothing stands before it within the ray's beam.
+
+    Of sectors a quarter as wide as a beam a ray clears those whose middle lies within it, up to the
+    point or to where it leaves the slab; a point within the slab closes all that its beam touches.
+    What the middles leave out is an error of bearing.  Where there is no point nothing is said.
+    """
+    x, y, down = look.points_m
+    if look.from_nose:
+        cos, sin = math.cos(sensor.yaw_rad), math.sin(sensor.yaw_rad)
+        x, y, down = _levelled(pose, cos * x - sin * y, sin * x + cos * y, down)
+    turn_rad = pose.yaw_rad if look.from_nose else -pose.grid_north_rad
+    count = math.ceil(4.0 * math.tau / sensor.beam_rad)
+    width_rad = math.tau / count
+    wide = sensor.beam_rad / width_rad  # in sectors
+    low = (np.arctan2(y, x) + turn_rad) / width_rad - 0.5 * wide
+    share = _depth_m(down, sensor, height_m) / np.maximum(np.abs(down), 1e-9)
+    level_m, first = np.hypot(x, y), np.floor(low).astype(np.intp)
+    clear_m, echo_m = np.zeros(count), np.full(count, np.inf)
+    for sector in (first + k for k in range(math.floor(wide) + 2)):
+        inside = (low <= sector + 0.5) & (sector + 0.5 <= low + wide)
+        met = (sector <= low + wide) & (share >= 1.0)
+        np.maximum.at(clear_m, sector[inside] % count, (level_m * np.minimum(share, 1.0))[inside])
+        np.minimum.at(echo_m, sector[met] % count, level_m[met])
+    return _seen_from(
+        pose,
+        sensor,
+        look.time_s,
+        width_rad=width_rad,
+        clear_m=np.minimum(clear_m, echo_m),
+        echo_m=echo_m,
+        bent_rad=0.5 * width_rad,
+    )
+
+
+def _levelled(
+    pose: Pose, ahead: FloatArray, right: FloatArray, down: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """From the body's axes to level ones along its heading.  (N,) x3 -> (N,) x3."""
+    sin_r, cos_r = math.sin(pose.roll_rad), math.cos(pose.roll_rad)
+    sin_p, cos_p = math.sin(pose.pitch_rad), math.cos(pose.pitch_rad)
+    under = right * sin_r + down * cos_r
+    return (
+        ahead * cos_p + under * sin_p,
+        right * cos_r - down * sin_r,
+        under * cos_p - ahead * sin_p,
+    )
+
+
+def _depth_m(down: FloatArray, sensor: NearSensor, height_m: float) -> FloatArray:
+    """How far above or below the sensor each beam speaks: not near the ground, height_m below."""
+    below_m = min(sensor.speaks_for_m, _ABOVE_GROUND * height_m)
+    return np.where(down > 0.0, below_m, sensor.speaks_for_m)
+
+
+def _seen_from(
+    pose: Pose,
+    sensor: NearSensor,
+    time_s: float,
+    *,
+    width_rad: float,
+    clear_m: FloatArray,
+    echo_m: FloatArray,
+    first_rad: float = 0.0,
+    bent_rad: float = 0.0,
+) -> Sweep:
+    """With the place of the sensor, and what may be wrong."""
+    north, east, _ = pose.position_nea_m
+    cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+    return Sweep(
+        time_s=time_s,
+        sensor_ne_m=(
+            north + cos * sensor.forward_m - sin * sensor.right_m,
+            east + sin * sensor.forward_m + cos * sensor.right_m,
+        ),
+        first_rad=first_rad,
+        width_rad=width_rad,
+        clear_m=clear_m,
+        echo_m=echo_m,
         range_m=sensor.range_m,
         blind_m=sensor.blind_m,
         error_m=sensor.range_error_m
@@ -368,5 +508,5 @@ def _sweep(look: _Look, pose: Pose, sensor: NearSensor, height_m: float) -> Swee
         + sensor.latency_error_s * pose.speed_m_s,
         bearing_error_rad=sensor.bearing_error_rad
         + sensor.latency_error_s * pose.yaw_rate_rad_s
-        + float(bent.max(initial=0.0)),
+        + bent_rad,
     )

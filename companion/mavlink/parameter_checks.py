@@ -106,6 +106,8 @@ class ParameterRule:
     """The value times this is in SI."""
     also: Alias | None = None
     """Its older or newer name."""
+    matters: Callable[[Mission], bool] = lambda _: True
+    """For other missions it is not asked for."""
 
     @property
     def names(self) -> tuple[Alias, ...]:

@@ -26,6 +26,7 @@ from companion.mavlink.parameter_checks import (
     up_to_tenths,
     when,
 )
+from companion.mission.mission import Mission
 from companion.path.limits import Limits
 
 _GRAVITY_M_S2: Final = 9.81
@@ -318,6 +319,12 @@ def _guided_options(value: float, case: CheckContext) -> CheckResult | None:
     return None
 
 
+def _by_its_own_lidar(mission: Mission) -> bool:
+    """Whether the sensor of near things is one of the autopilot."""
+    near = mission.near
+    return near is not None and near.kind == "distance_sensor"
+
+
 _GROUND_STATION: Final = when(  # its heartbeats must not count as a ground station's
     lambda value, case: value == case.value("MAV_SYSID", -1.0),
     "the companion has the vehicle's system id, so its heartbeats would hide the loss of the "
@@ -332,6 +339,16 @@ _FENCE_ACTION: Final = when(
 _AVOIDANCE: Final = when(  # bit 1: proximity
     lambda value, case: case.mission.sends_obstacles and int(value) & 2,
     "its own avoidance will act on the OBSTACLE_DISTANCE that the companion sends",
+)
+_ITS_OWN_LIDAR: Final = when(  # position with velocity is never touched (proximity.md 2)
+    lambda value, case: _by_its_own_lidar(case.mission) and int(value) & 2,
+    "with the lidar it refuses to arm near things, and changes setpoints of velocity alone",
+    "Set it to 1 or 0",
+)
+_ITS_OWN_WAY: Final = when(
+    lambda value, _: value,
+    "with the lidar and GUID_OPTIONS 64 it flies ways of its own",
+    "Set it to 0, then reboot",
 )
 _RC_LOST: Final = when(  # bit 2 exempts OFFBOARD (px4.md 6)
     lambda value, case: not int(value) & 4 and case.value("COM_RC_IN_MODE", 0.0) != 4,
@@ -451,7 +468,8 @@ ARDUCOPTER_RULES: Final = (
         "what it does when its position fails",
         (is_zero("it does nothing by itself when its position fails", "Set it to 1 (land)"),),
     ),
-    _P("AVOID_ENABLE", "its own avoidance of obstacles", (_AVOIDANCE,)),
+    _P("AVOID_ENABLE", "its own avoidance of obstacles", (_AVOIDANCE, _ITS_OWN_LIDAR)),
+    _P("OA_TYPE", "its own ways round things", (_ITS_OWN_WAY,), matters=_by_its_own_lidar),
     *_ARDUPILOT,
 )
 """ArduCopter.  Of velocity and position the velocity is not limited by WPNAV_SPEED."""

@@ -19,6 +19,7 @@ from companion.mavlink.frames import Receiver, Skipped
 from companion.mavlink.link import VehicleSelector
 from companion.mavlink.near_scanner import NearScanner
 from companion.mavlink.parameter_checks import Severity
+from companion.mavlink.rangefinder import Rangefinder
 from companion.mavlink.signing import Signing, timestamp_of
 from companion.mission import ground, stopped
 from companion.mission.decisions import Context, is_duplicate_suspected
@@ -34,6 +35,7 @@ _PATIENCE_S = 5.0  # for rates and delays that have not come yet
 _LONG_DELAY_S = 0.5
 _LARGEST_GEOID_M = 110.0
 _FEWEST_ANSWERS = 0.9
+_NO_RANGEFINDER = "Set RNGFND1_TYPE and RNGFND1_ORIENT 25, or leave rangefinder_error_m out."
 _NO_RADAR = (
     "Start it, or correct vehicle.scanner_component_id. Where there is none, say so in a "
     "mission.toml, which may name a .plan: vehicle.scanner = false, and [terrain] with an "
@@ -74,6 +76,7 @@ class PreflightInputs(Protocol):
     receiver: Receiver
     signing: Signing | None
     near: NearScanner | None
+    rangefinder: Rangefinder | None
     last_scan: ScanDone | None
 
 
@@ -158,6 +161,10 @@ def checks_of(session: PreflightInputs) -> list[Check]:
     checks += _position(session, state)
     checks += _battery(session, state)
     checks += _radar(session)
+    if session.rangefinder is not None:
+        heard = session.state.now_s - session.rangefinder.heard_s <= _PATIENCE_S
+        what = "the one that faces down: " + ("heard" if heard else "not heard")
+        checks.append(_check("rangefinder", heard, what, _NO_RANGEFINDER))
     checks += _signing(session)
     return checks
 

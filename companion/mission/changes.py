@@ -6,13 +6,14 @@ from typing import Final
 
 from msgspec.structs import replace
 
-from companion.mission import following, loiter
+from companion.mission import following, loiter, low_ground
 from companion.mission.decisions import Context, Step, give_up, with_hold_reason
 from companion.mission.events import (
     Command,
     Event,
     FenceBreach,
     FenceChanged,
+    GroundSeen,
     NearSeen,
     Order,
     OrderKind,
@@ -114,6 +115,7 @@ def _accepts_orders(state: State) -> bool:
 
 EVENTS: Final = (
     NearSeen,
+    GroundSeen,
     ScanDone,
     FenceChanged,
     FenceBreach,
@@ -131,6 +133,8 @@ def changed(state: State, event: Event, _context: Context) -> Step | None:
     match event:
         case NearSeen():
             return _with_near_things(state, event)
+        case GroundSeen():
+            return low_ground.on_ground_seen(state, event)
         case ScanDone():
             return loiter.on_loiter_scan(state, event)
         case FenceChanged():

@@ -270,6 +270,16 @@ class NearSeen:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GroundSeen:
+    """The downward rangefinder does not agree with the known map, or does again."""
+
+    time_s: float
+    above_m: float
+    """So much higher is the ground than the map says, with several readings; 0: it agrees."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanDone:
     """The radar has answered as far as it will; cells answered of cells asked for."""
 
@@ -382,6 +392,7 @@ Event = (
     | Rebooted
     | ScanDone
     | NearSeen
+    | GroundSeen
     | PlanReady
     | PlanLate
     | PlannerDied

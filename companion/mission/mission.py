@@ -75,6 +75,9 @@ class Mission:
     """If it is not complete: whether lines of sight bound what they pass (`Scan.whole_width`)."""
     near: NearSensor | None = None
     """What looks about horizontally, where that is the scanner, in place of a terrain radar."""
+    rangefinder_error_m: Positive | None = None
+    """So much nearer than the map says its downward rangefinder may see the ground; None: it is not
+    looked at."""
     position_rate_hz: Annotated[float, Ge(2.0), Le(200.0)] = 10.0
     """Rate at which the vehicle's position is asked for; one setpoint answers each position."""
     yaw_rad: float | None = None

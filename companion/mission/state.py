@@ -251,6 +251,11 @@ class Reason(enum.Enum):
         "Check it, its driver and its link.",
         Replan,
     )
+    GROUND_NEARER = (
+        "the ground is nearer than the map says",
+        "Check map, altitude datum and rangefinder.",
+        Replan,
+    )
     RADAR_SILENT = ("the terrain radar did not answer", "Check the radar.", Replan)
     NO_PLAN = ("no safe subpath was found", "Relax the mission's planner settings.", Replan)
     PLAN_LATE = ("the next subpath was not ready in time", "Raise planner.planning_time_s.", Replan)
@@ -351,6 +356,8 @@ class Vehicle(Struct, frozen=True, kw_only=True):
     """Of its sensor of near things, if the mission has one."""
     sight_at_s: float = -1e9
     """When that changed."""
+    ground_above_m: float = 0.0
+    """How much higher than on the map its rangefinder has seen the ground, last; 0: it is not."""
     believed_at_s: float = -1e9
     """When a valid position came that followed another valid one."""
     astray_ne_m: tuple[float, float] = (0.0, 0.0)

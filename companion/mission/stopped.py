@@ -66,6 +66,7 @@ _TROUBLES = 8
 _PAUSE_S = 2.0  # between attempts to plan from rest
 _SENSOR_S = 15.0  # for a sensor to see again, before each of them
 _THERE_M = 1.0
+_SETTLED = 2.0  # tracking errors: with three it would have left its next path at once
 _SETTLE_S = 30.0  # for a vehicle that does not come quite to rest
 _HOLD_S = 300.0  # for a position that does not get better
 _OBEY_S = 60.0  # for the end action's mode, and for a descent that stands still
@@ -223,13 +224,18 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
         if state.now_s - flight.planning_backtrack.since_s > _ANSWER_S:
             return give_up(state, state.reason or Reason.NO_PLAN)
         return state, commands, None
-    moving = not is_at_rest(state, event) and in_phase_s(state) < _SETTLE_S
+    moving = not _is_settled(state, event) and in_phase_s(state) < _SETTLE_S
     near, pause_s = context.mission.near, _PAUSE_S
     if near is not None:  # what it sees now is on the map at once
         pause_s = _SENSOR_S if state.vehicle.sight.is_blind else state.task.settings.planning_time_s
     if isinstance(hold, Paused) or in_phase_s(state) < pause_s or moving:
         return state, commands, None
     on_way_back = _is_backtracking(state)
+    goes_back = on_way_back or state.flight.homeward
+    if state.vehicle.ground_above_m and not goes_back and isinstance(hold, Replan):
+        if in_phase_s(state) < _SENSOR_S * context.mission.attempts:
+            return state, commands, None
+        return _other_way(with_hold_reason(state, Reason.GROUND_NEARER), context)
     if isinstance(hold, ReturnOrdered) and not on_way_back:
         return _other_way(state, context)
     flight = state.flight
@@ -240,6 +246,15 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
         state, says, trigger = resumed(state)
         return state, [*commands, *says], trigger
     return _other_way(state, context)
+
+
+def _is_settled(state: State, event: Position) -> bool:
+    """Whether it is at rest where it is told to be: it may swing through after a hard stop."""
+    hover = state.flight.hover_nea_m
+    if hover is None or not state.vehicle.traits.hovers or not is_at_rest(state, event):
+        return is_at_rest(state, event)
+    off_m = math.dist(hover, event.position_nea_m)
+    return off_m <= _SETTLED * state.task.limits.tracking_error_m
 
 
 def _on_backtrack_plan(state: State, event: PlanReady, context: Context) -> Step:

@@ -18,12 +18,14 @@ _POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
 _SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
 _AROUND: Final = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE
-MESSAGES: Final = frozenset({_ATTITUDE, _POSITION, _HEALTH, _SECTORS, _AROUND})
+_POINTS: Final = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE_3D
+MESSAGES: Final = frozenset({_ATTITUDE, _POSITION, _HEALTH, _SECTORS, _AROUND, _POINTS})
 """All that is read here."""
 _CELLS_PER_RANGE: Final = 64
 _LEAST_CELL_M: Final = 0.25
 _REACHES: Final = 4.0  # ranges from the middle of the map to its edge; moved at half of that
 _LATENCY_S: Final = 0.04  # measured behind ArduPilot (docs/reference/proximity.md)
+_FARTHEST_M: Final = 655.35
 _LONGEST_S: Final = 1.0  # between two positions: a longer time is none of any sight
 
 
@@ -87,8 +89,9 @@ class NearWatch:
     What we send ourselves comes back from others, and is left out.
     """
 
-    def __init__(self, frame: LocalFrame, system_id: int) -> None:
-        self._frame, self._system_id = frame, system_id
+    def __init__(self, frame: LocalFrame, system_id: int, stated: NearSensor | None = None) -> None:
+        """stated: by the mission, how the sensor of its kind and component is mounted."""
+        self._frame, self._system_id, self._stated = frame, system_id, stated
         self._poses, self._receiver = Poses(), Receiver()
         self.here: tuple[float, tuple[float, float]] = -math.inf, (0.0, 0.0)
         """Vehicle time, and north and east in the local frame, of the newest position."""
@@ -99,7 +102,7 @@ class NearWatch:
         system_id, component = sender
         if system_id != self._system_id or component == COMPANION_COMPONENT:
             return
-        if component != AUTOPILOT_COMPONENT and number != _AROUND:
+        if component != AUTOPILOT_COMPONENT and number not in (_AROUND, _POINTS):
             return
         if not self.sensors and number in (_ATTITUDE, _HEALTH):
             return  # most logs are without a sensor
@@ -135,19 +138,27 @@ class NearWatch:
         elif number == _AROUND:
             sensor = self._sensor("obstacle_distance", component, message)
             sensor.sensing.on_obstacle_distance(message, now_s)
+        elif number == _POINTS:
+            sensor = self._sensor("obstacle_distance_3d", component, message)
+            sensor.sensing.on_obstacle_distance_3d(message, now_s)
         elif message.orientation in HORIZONTAL:
             sensor = self._sensor("distance_sensor", component, message)
             sensor.sensing.on_distance_sensor(message, now_s)
 
     def _sensor(self, kind: Kind, component: int, message: Message) -> _Sensor:
         if (kind, component) not in self.sensors:
+            unit_m = 1.0 if kind == "obstacle_distance_3d" else 0.01
+            least_m, most_m = message.min_distance * unit_m, message.max_distance * unit_m
             mounted = NearSensor(
                 kind=kind,
                 component_id=component,
-                range_m=max(message.max_distance, 1) * 0.01,
-                blind_m=message.min_distance * 0.01,
+                range_m=min(_FARTHEST_M, max(0.01, most_m)),
+                blind_m=min(_FARTHEST_M, max(0.0, least_m)),
                 latency_s=_LATENCY_S,
             )
+            of = self._stated
+            if of is not None and (of.kind, of.component_id) == (kind, component):
+                mounted = of
             name = f"{message.get_type()} of component {component}"
             self.sensors[kind, component] = _Sensor(name, mounted, self._poses)
         return self.sensors[kind, component]

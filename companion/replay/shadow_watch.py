@@ -97,7 +97,7 @@ class Watch:
         self._aboard, self._clock = aboard, VehicleClock(0.0)
         self._system = heartbeat.get_srcSystem()
         self._radar = (self._system, mission.scanner_component_id)
-        self._near = NearWatch(mission.frame, self._system)
+        self._near = NearWatch(mission.frame, self._system, mission.near)
         self._session: Session | None = None
         self._periods: deque[float] = deque(maxlen=_PERIODS)
         self._last_said: dict[int, tuple[float, bytes]] = {}

@@ -7,13 +7,13 @@ table itself (`complete`), so that a run folder holds all that was flown.
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import final, get_args
 
 import numpy as np
 
 from companion.errors import InputError
 from companion.geodesy import LocalFrame, wrap_rad
-from companion.mavlink.dialect import AUTOPILOT_COMPONENT, wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, wire
 from companion.mission.mission import EndAction, Fallback, Mission, TrafficRules
 from companion.objective.scene import PROFILES, Weights
 from companion.path.limits import Limits
@@ -34,7 +34,7 @@ from companion.sources.plan_file import read_plan
 from companion.sources.threat_file import read_threats
 from companion.sources.waypoint_file import is_waypoint_list, read_waypoint_list
 from companion.world.known_map import KnownMap, empty_map
-from companion.world.near_map import NearSensor
+from companion.world.near_map import Kind, NearSensor
 
 _LIDAR_COMPONENT = wire.MAV_COMP_ID_OBSTACLE_AVOIDANCE
 _OF_RADARS = {"kind", "scanner_complete", "scanner_whole_width"}
@@ -204,7 +204,7 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
     if kind == "terrain_radar":
         for key in sorted(table.model_fields_set - _OF_RADARS):
             rule = "a terrain radar has no such key: it is of the other kinds"
-            remedy = 'Remove it, or write kind = "obstacle_distance" or "distance_sensor".'
+            remedy = f"Remove it, or write one of these kinds: {', '.join(get_args(Kind))}."
             raise InputError(f"{field}.{key}", getattr(table, key), rule, remedy)
         return None
     for key in ("scanner_complete", "scanner_whole_width"):
@@ -216,10 +216,17 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
         rule, value = "it is the terrain radar's", model.vehicle.scanner_component_id
         name = f"{where}: vehicle.scanner_component_id"
         raise InputError(name, value, rule, "Write scanner.component.")
+    if table.component == COMPANION_COMPONENT:
+        rule, remedy = "that is the companion itself", "Give the driver another, as 196."
+        raise InputError(f"{field}.component", table.component, rule, remedy)
     if model.vehicle.kind != "copter":
         rule = "only what can stop may fly by a sensor of near things"
         raise InputError(f"{field}.kind", kind, rule, "Use a terrain radar for a plane.")
     height_m = band.ceiling_amsl_m - band.floor_amsl_m
+    if kind != "obstacle_distance_3d" and "beam_deg" in table.model_fields_set:
+        rule = "it is of points, and sectors say how wide they are"
+        remedy = 'Remove it, or write kind = "obstacle_distance_3d".'
+        raise InputError(f"{field}.beam_deg", table.beam_deg, rule, remedy)
     if table.speaks_for_m < height_m:
         rule = f"its beams are flat, and altitude's band is {height_m:g} m high"
         remedy = f"Raise it to {height_m:g} if what stands there is so tall, or narrow the band."
@@ -235,6 +242,7 @@ def _near_sensor(model: MissionTable, where: str) -> NearSensor | None:
         component_id=usual if table.component is None else table.component,
         yaw_rad=math.radians(table.yaw_deg),
         bearing_error_rad=math.radians(table.bearing_error_deg),
+        beam_rad=math.radians(table.beam_deg),
         range_m=model.planner.scan_range_m,
         **table.of(NearSensor),
     )

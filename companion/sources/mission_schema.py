@@ -21,7 +21,7 @@ from companion.sources.schema import (
     Table,
     keys_of,
 )
-from companion.world.near_map import NearSensor
+from companion.world.near_map import Kind, NearSensor
 
 Slope = Annotated[float, Field(gt=0.0, lt=90.0)]
 Name = Annotated[str, Field(min_length=1, max_length=100)]
@@ -75,7 +75,7 @@ _ERRORS = ("tracking_error_m", "navigation_error_m", "dead_man_s")
 
 
 class MissionVehicleTable(
-    keys_of(Mission, "autopilot", "system_id", "position_rate_hz"),  # type: ignore[misc]
+    keys_of(Mission, "autopilot", "system_id", "position_rate_hz", "rangefinder_error_m"),  # type: ignore[misc]
     keys_of(Limits, *_SPEEDS, *_ERRORS),  # type: ignore[misc]
 ):
     """What the vehicle can fly, and how it is to be flown."""
@@ -102,11 +102,12 @@ class ScannerTable(
     The first two are of the terrain radar, all others of lidars and the like.
     """
 
-    kind: Literal["terrain_radar", "obstacle_distance", "distance_sensor"] = "terrain_radar"
+    kind: Literal["terrain_radar", Kind] = "terrain_radar"
     component: Annotated[int, Field(ge=1, le=250)] | None = None
-    """MAVLink component that sends them; left out: 196 for OBSTACLE_DISTANCE, else the autopilot"""
+    """MAVLink component that sends them; left out: the autopilot for its sectors, else 196"""
     yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0
     bearing_error_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 1.0
+    beam_deg: Annotated[float, Field(ge=0.2, le=45.0)] = 2.0
 
 
 class WeightsTable(keys_of(Weights, *(each.name for each in fields(Weights)))):  # type: ignore[misc]

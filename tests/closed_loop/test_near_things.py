@@ -155,3 +155,52 @@ def test_eight_wide_sectors_of_an_autopilot_that_is_silent_in_the_open_lead_past
     flight.ended_well()
     assert min(row["near_m"] for row in flight.truth if not row["landed"]) >= SAFE_M
     assert not any(Reason.SENSOR_SILENT.text in text for text in flight.says)
+
+
+HILL = """
+[[terrain.peaks]]
+north_m = 60.0
+east_m = 0.0
+height_amsl_m = 402.4
+spread_north_m = 250.0
+spread_east_m = 2000.0
+[vehicle.parameters]
+RNGFND1_TYPE = 100
+RNGFND1_MAX = 12.0
+"""
+LOOKS_DOWN = ('kind = "copter"', 'kind = "copter"\nrangefinder_error_m = 1.0')
+
+
+def test_ground_that_is_higher_than_stated_stops_it_until_it_is_given_up(tmp_path: Path) -> None:
+    """2.2 m below its path, where the mission states 4 and its lidar looks over it."""
+    mission(tmp_path, LOOKS_DOWN)
+    world = tmp_path / "world.toml"
+    world.write_text(f"{WORLD}{TREE}{HILL}", encoding="utf-8")
+    flight = flown_through(tmp_path, world)
+    [held] = [row["t_s"] for row in flight.journal if is_hold(row, Reason.GROUND_NEARER)]
+    stands = [row for row in flight.truth if held + 5.0 < row["t_s"] < held + 59.0]
+    assert len(stands) > 500
+    assert all(row["altitude_amsl_m"] - 402.4 > 1.0 for row in stands)
+    assert all(math.hypot(*velocity_m_s(row)) < 0.3 for row in stands)
+    assert flight.outcome == "failed"
+    assert Reason.GROUND_NEARER.text in flight.end["reason"]
+
+
+CAMERA = (
+    ('kind = "obstacle_distance"', 'kind = "obstacle_distance_3d"\nbeam_deg = 4.0\nblind_m = 1.2'),
+    ("speed_m_s = 2.8", "speed_m_s = 1.5"),
+    ("acceleration_m_s2 = 2.5", "acceleration_m_s2 = 2.0"),
+)
+"""It does not see where it starts: the mission states that 1.2 m are clear there."""
+ROWS = "kind = 'sectors'\noutput = 'points'\nwidth_deg = 96.0\n"
+ROWS += f"rows_deg = {[-3.0 * k for k in range(10)]}\n"
+
+
+def test_the_points_of_a_depth_camera_lead_through_the_gap(tmp_path: Path) -> None:
+    """Where they end on the ground, it sees what is free: there are no points in the open."""
+    mission(tmp_path, *CAMERA)
+    world = garden(tmp_path, of_lidar=ROWS)
+    farther = ("range_m = 16.0", "range_m = 20.0"), ("step_deg = 2.5", "step_deg = 3.0")
+    flight = flown_through(tmp_path, edited(world, world, *farther))
+    flight.ended_well()
+    stays_clear(flight)

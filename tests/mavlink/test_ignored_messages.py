@@ -27,6 +27,7 @@ READ_FROM_LOGS_ONLY = (
     "mavlink/frames.py",
     "mavlink/near_sensing.py",
     "mavlink/near_scanner.py",
+    "mavlink/rangefinder.py",
     "mavlink/streams.py",
     "replay/shadow_near.py",
 )

@@ -188,6 +188,14 @@ def test_a_pose_that_is_not_known_is_not_guessed() -> None:
     assert poses.at(NOW_S + 1.05) is None
 
 
+def test_a_sensor_that_knows_nothing_in_any_direction_does_not_see() -> None:
+    sensing = NearSensing(LIDAR, standing())
+    sensing.on_obstacle_distance(obstacle_distance([UNKNOWN] * 72), NOW_S)
+    assert sensing.sight(NOW_S) is Sight.NEVER_HEARD
+    sensing.on_obstacle_distance(obstacle_distance([UNKNOWN] * 71), NOW_S)
+    assert sensing.sight(NOW_S) is Sight.SEES
+
+
 BEHIND_AUTOPILOT = NearSensor(
     kind="distance_sensor", component_id=1, range_m=16.0, latency_s=0.04, blind_m=0.2
 )
@@ -204,3 +212,33 @@ def test_a_lidar_that_dies_is_told_from_one_that_sees_nothing() -> None:
         status = wire.MAVLink_sys_status_message(bit, bit, health, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
         sensing.on_health(status, NOW_S + 1.0)
         assert sensing.sight(NOW_S + 1.5) is sight
+
+
+def test_sectors_whose_stamp_stands_still_go_on_to_be_taken() -> None:
+    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
+    for at_s, cm in ((NOW_S, 700), (NOW_S + 0.15, 500), (NOW_S + 0.3, 400)):
+        beam = wire.MAVLink_distance_sensor_message(9950, 20, 1600, cm, 0, 10, 0, 0)
+        sensing.on_distance_sensor(beam, at_s)
+    assert [sweep.echo_m[0] for sweep in sensing.sweeps()] == pytest.approx([7.0, 5.0])
+
+
+def test_a_sector_that_was_never_told_is_empty_but_at_the_end_of_a_set() -> None:
+    """The link may have been too slow for the last ones (proximity.md 1)."""
+    poses, sensing = Poses(), None
+    for k in range(60):
+        poses.on_position(NOW_S + 0.05 * k, (0.0, 0.0, 5.0), 0.0)
+        poses.on_attitude(NOW_S + 0.05 * k, 0.0, 0.0, 0.0)
+    sensing = NearSensing(BEHIND_AUTOPILOT, poses)
+    for k in range(50):
+        now_s = NOW_S + 0.05 * (k + 1)
+        for sector in (0, 2, 5) if k < 40 else (0, 5):  # later the 2 is lost
+            at_ms = round(1e3 * now_s)
+            beam = wire.MAVLink_distance_sensor_message(at_ms, 20, 1600, 700, 0, 10, sector, 0)
+            sensing.on_distance_sensor(beam, now_s)
+        sweeps = sensing.sweeps()
+        if k == 20:
+            assert sweeps[-1].clear_m.tolist() == [7.0, 0.0, 7.0, 0.0, 0.0, 7.0, 0.0, 0.0]
+        elif k == 35:
+            expected = [7.0, 16.0, 7.0, 16.0, 16.0, 7.0, 0.0, 0.0]
+            assert sweeps[-1].clear_m == pytest.approx(expected)
+    assert sweeps[-1].clear_m == pytest.approx([7.0, 16.0, 0.0, 16.0, 16.0, 7.0, 0.0, 0.0])

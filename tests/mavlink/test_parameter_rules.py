@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from held import FOUR, HOME_DEG, Firmware, Held, Kind
@@ -32,6 +32,8 @@ from companion.mavlink.parameter_rules import (
 from companion.mission.mission import EndAction, Mission
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
+from companion.world.near_map import Kind as sensor_kind
+from companion.world.near_map import NearSensor
 from vehicle_sim.parameters import table
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import read_world
@@ -447,6 +449,23 @@ def test_obstacles_that_are_sent_may_wake_its_own_avoidance() -> None:
     assert of(ARDUCOPTER_RULES, ARDUCOPTER, "AVOID_ENABLE", 3.0, sends)[0] is NOTE
     assert of(ARDUCOPTER_RULES, ARDUCOPTER, "AVOID_ENABLE", 1.0, sends)[0] is None
     assert of(ARDUCOPTER_RULES, ARDUCOPTER, "AVOID_ENABLE", 3.0, mission())[0] is None
+
+
+@pytest.mark.parametrize("kind", get_args(sensor_kind))
+def test_a_lidar_on_the_autopilot_may_wake_its_own_avoidance(kind: sensor_kind) -> None:
+    by_lidar = dataclasses.replace(
+        mission(), near=NearSensor(kind=kind, component_id=1, range_m=16.0)
+    )
+    is_its_own = kind == "distance_sensor"
+    for value, wakes in ((0.0, False), (1.0, False), (2.0, True), (3.0, True), (7.0, True)):
+        expected = NOTE if is_its_own and wakes else None
+        assert of(ARDUCOPTER_RULES, ARDUCOPTER, "AVOID_ENABLE", value, by_lidar)[0] is expected
+    [rule] = [rule for rule in ARDUCOPTER_RULES if rule.name == "OA_TYPE"]
+    assert rule.matters(by_lidar) == is_its_own
+    assert not rule.matters(mission())
+    for value in (0.0, 1.0, 3.0):
+        expected = NOTE if value else None
+        assert of(ARDUCOPTER_RULES, ARDUCOPTER, "OA_TYPE", value, by_lidar)[0] is expected
 
 
 def test_a_fence_that_is_on_and_does_nothing_is_said() -> None:

@@ -129,6 +129,26 @@ def test_what_stands_in_the_way_outweighs_a_dead_sensor() -> None:
     assert stop.reason is Reason.NEW_THREAT
 
 
+def test_a_vehicle_that_swings_through_after_its_stop_is_waited_for() -> None:
+    """It would have left its next path at once: that begins where it is told to hold."""
+    craft = flying(MISSION)
+    craft.take(seen(craft, Sight.SEES, ahead(craft, 6000.0)))
+    craft.fly_to(Phase.HOLDING)
+    off_m, speed_m_s = 2.5 * MISSION.task.limits.tracking_error_m, 5.0
+    craft.follows, craft.velocity = False, (speed_m_s, 0.0, 0.0)
+    craft.by_hand = craft.velocity
+    craft.run_for(off_m / speed_m_s)
+    craft.velocity = craft.by_hand = (0.0, 0.0, 0.0)
+    settings = MISSION.task.settings
+    craft.run_for(settings.planning_time_s + 10.0)
+    assert craft.phase is Phase.HOLDING
+    craft.follows = True
+    craft.fly_to(Phase.FLYING)
+    craft.run_for(settings.planning_time_s + 10.0)
+    assert craft.phase is Phase.FLYING
+    assert craft.state.flight.departures == 0
+
+
 def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() -> None:
     craft = flying(MISSION)
     flight, vehicle = craft.state.flight, craft.state.vehicle

@@ -23,7 +23,7 @@ from companion.replay.shadow_near import NearWatch
 from companion.replay.shadow_report import ShadowReport
 from companion.replay.shadow_text import renderables
 from companion.telemetry.logs import open_log
-from companion.world.near_map import NearMap
+from companion.world.near_map import NearMap, NearSensor
 
 NAME = "arducopter-lidar.tlog"
 HOME = LocalFrame(latitude_deg=51.8752066, longitude_deg=14.6487830)
@@ -114,3 +114,35 @@ def test_what_we_send_and_what_others_see_is_none_of_our_eyes(sender: tuple[int,
         frame = bytes(message.pack(codec))
         watching.on_frame(frame, sender_of(frame), number_of(frame))
     assert not watching.sensors
+
+
+@pytest.mark.parametrize(
+    ("component", "east_m", "range_m"), [(1, 5.0, 12.0), (2, 0.0, 40.0), (None, 0.0, 40.0)]
+)
+def test_the_sensor_of_the_mission_is_mounted_as_the_mission_says(
+    component: int | None, east_m: float, range_m: float
+) -> None:
+    """5 m ahead of the sensor is something; by the mission it looks to the right."""
+    right = NearSensor(
+        kind="distance_sensor", component_id=component or 1, range_m=12.0, yaw_rad=math.pi / 2.0
+    )
+    watching = NearWatch(HOME, 1, None if component is None else right)
+    codec = wire.MAVLink(None, srcSystem=1, srcComponent=1)
+    for k in range(8):
+        at_ms = 1000 + 50 * k
+        said = (
+            wire.MAVLink_global_position_int_message(
+                at_ms, 518752066, 146487830, 100_000, 0, 0, 0, 0, 0
+            ),
+            wire.MAVLink_distance_sensor_message(at_ms, 20, 4000, 500, 0, 10, 0, 0),
+            wire.MAVLink_attitude_message(at_ms, 0, 0, 0, 0, 0, 0),
+        )
+        for message in said:
+            frame = bytes(message.pack(codec))
+            watching.on_frame(frame, sender_of(frame), number_of(frame))
+    (sensor,) = watching.sensors.values()
+    assert sensor.map is not None
+    ahead = np.array([[5.0 if east_m == 0.0 else 0.0, east_m]])
+    assert sensor.map.occupied()[cells_of(sensor.map, ahead)].all()
+    assert not sensor.map.occupied()[cells_of(sensor.map, ahead[:, ::-1])].any()
+    assert sensor.found.range_m == range_m

@@ -1,0 +1,96 @@
+"""The downward rangefinder of the autopilot: whether the ground is nearer than the map says."""
+
+import math
+from collections import deque
+from typing import Final, final
+
+from companion.geodesy import LocalFrame
+from companion.mavlink.dialect import Message, wire
+from companion.mavlink.near_sensing import Poses
+from companion.mission.events import GroundSeen, Vector
+from companion.mission.mission import Mission
+from companion.world.known_map import KnownMap
+
+ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
+RATE_HZ: Final = 10.0
+_DOWN: Final = wire.MAV_SENSOR_ROTATION_PITCH_270
+_AGREE = 4  # readings in a row: one, or two, may be wrong
+_KEPT_S = 1.0  # for a reading to find its pose, and to agree with others
+
+
+@final
+class Rangefinder:
+    """Compares what it measures with the known map.  Sans-IO; times are those of the vehicle.
+
+    Only within its limits: beyond max_distance autopilots send the true value, 65534 or nothing,
+    and what is below min_distance is the vehicle itself (proximity.md 3, 4).
+    """
+
+    @staticmethod
+    def of(mission: Mission) -> "Rangefinder | None":
+        """The one that the mission compares with its map."""
+        error_m = mission.rangefinder_error_m
+        return None if error_m is None else Rangefinder(mission.frame, error_m)
+
+    def __init__(self, frame: LocalFrame, error_m: float) -> None:
+        """error_m: so much higher than the map says the ground may seem."""
+        self.heard_s = -math.inf
+        """When it last said anything."""
+        self._frame, self._error_m, self._poses = frame, error_m, Poses()
+        self._readings: deque[tuple[float, float]] = deque(maxlen=_AGREE)
+        """Time and distance, until the pose is known."""
+        self._above: deque[tuple[float, float]] = deque(maxlen=_AGREE)
+        """Time, and how much higher than on the map the ground was."""
+        self._is_told = False
+
+    def on_position(self, time_s: float, here_nea_m: Vector) -> None:
+        """Where the vehicle is."""
+        grid_north_rad = self._frame.grid_north_rad(here_nea_m[0], here_nea_m[1])
+        self._poses.on_position(time_s, here_nea_m, grid_north_rad)
+
+    def on_message(self, message: Message, now_s: float) -> None:
+        """ATTITUDE or DISTANCE_SENSOR of the autopilot."""
+        at_s = message.time_boot_ms * 1e-3
+        if message.get_msgId() == ATTITUDE:
+            self._poses.on_attitude(at_s, message.roll, message.pitch, message.yaw)
+        elif message.orientation == _DOWN:
+            self.heard_s = now_s
+            told_cm = message.current_distance
+            if max(message.min_distance, 1) <= told_cm < message.max_distance:
+                self._readings.append((at_s, told_cm * 0.01))
+
+    def seen(self, now_s: float, known: KnownMap) -> GroundSeen | None:
+        """What all of the last few readings say: by how much the ground is nearer, or no more."""
+        while self._readings and self._poses.is_over(self._readings[0][0]):
+            at_s, distance_m = self._readings.popleft()
+            above_m = self._above_map_m(at_s, distance_m, known)
+            if above_m is not None:
+                self._above.append((at_s, above_m))
+        if len(self._above) < _AGREE or not 0.0 <= now_s - self._above[0][0] <= _KEPT_S:
+            return None
+        least_m, most_m = (pick(above_m for _, above_m in self._above) for pick in (min, max))
+        self._above.popleft()  # each reading is looked at once as the newest
+        if least_m > self._error_m:
+            self._is_told = True
+            return GroundSeen(time_s=now_s, above_m=least_m)
+        if self._is_told and most_m <= self._error_m:
+            self._is_told = False
+            return GroundSeen(time_s=now_s, above_m=0.0)
+        return None
+
+    def _above_map_m(self, at_s: float, distance_m: float, known: KnownMap) -> float | None:
+        """How much higher the foot of the beam is than the map about it; None: not known."""
+        pose = self._poses.at(at_s)
+        if pose is None:
+            return None
+        north_m, east_m, altitude_m = pose.position_nea_m
+        sin_r, cos_r = math.sin(pose.roll_rad), math.cos(pose.roll_rad)
+        ahead_m = distance_m * cos_r * math.sin(pose.pitch_rad)  # the body's down axis leans ahead
+        left_m = distance_m * sin_r
+        cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+        foot = north_m + cos * ahead_m + sin * left_m, east_m + sin * ahead_m - cos * left_m
+        row, column = known.cell_of(*foot)
+        about = known.upper_m[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        if not about.size or not math.isfinite(highest_m := float(about.max())):
+            return None
+        return altitude_m - distance_m * cos_r * math.cos(pose.pitch_rad) - highest_m

@@ -1,0 +1,130 @@
+"""The downward rangefinder against a known map, on ground whose height is known everywhere."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as wire
+
+from companion.geodesy import LocalFrame
+from companion.mavlink.rangefinder import Rangefinder
+from companion.mission.events import GroundSeen
+from companion.world.known_map import KnownMap
+
+MAP_M, ERROR_M, ALTITUDE_M = 400.0, 1.0, 408.0
+FRAME = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
+
+
+def known(upper_m: Any = MAP_M) -> KnownMap:
+    """Cells of 2 m; the vehicle is in the middle of them."""
+    heights = np.broadcast_to(np.asarray(upper_m, dtype=np.float64), (40, 40)).copy()
+    return KnownMap(
+        cell_m=2.0,
+        north_min_m=-40.0,
+        east_min_m=-40.0,
+        upper_m=heights,
+        seen=np.isfinite(heights),
+    )
+
+
+class Hovering:
+    """Over the middle of the map, at 10 Hz."""
+
+    def __init__(self, of: KnownMap, *, lean: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+        self.known, self.lean, self.now_s = of, lean, 50.0
+        self.finder = Rangefinder(FRAME, ERROR_M)
+
+    def reads(self, *distances_m: float, **fields: Any) -> list[GroundSeen]:
+        """What it makes of these, one after the other, and a position after each."""
+        found = []
+        for distance_m in distances_m:
+            values = {
+                "time_boot_ms": round(1e3 * self.now_s),
+                "min_distance": 20,
+                "max_distance": 4000,
+                "current_distance": round(100.0 * distance_m),
+                "type": 0,
+                "id": 0,
+                "orientation": 25,
+                "covariance": 0,
+            }
+            at_ms = round(1e3 * self.now_s)
+            attitude = wire.MAVLink_attitude_message(at_ms, *self.lean, 0, 0, 0)
+            self.finder.on_message(attitude, self.now_s)
+            message = wire.MAVLink_distance_sensor_message(**{**values, **fields})
+            self.finder.on_message(message, self.now_s)
+            self.finder.on_position(self.now_s, (0.0, 0.0, ALTITUDE_M))
+            if (seen := self.finder.seen(self.now_s, self.known)) is not None:
+                found.append(seen)
+            self.now_s += 0.1
+        return found
+
+
+@given(ground_m=st.floats(380.0, 406.0), roll=st.floats(-0.5, 0.5), pitch=st.floats(-0.5, 0.5))
+def test_it_is_told_exactly_where_the_ground_is_higher_than_the_map_by_more_than_the_error(
+    ground_m: float, roll: float, pitch: float
+) -> None:
+    """However the vehicle leans; what it is told is by how much."""
+    slant_m = (ALTITUDE_M - ground_m) / (math.cos(roll) * math.cos(pitch))
+    found = Hovering(known(), lean=(roll, pitch, 0.7)).reads(*[slant_m] * 6)
+    above_m = ground_m - MAP_M
+    if abs(above_m - ERROR_M) > 0.02:
+        assert bool(found) == (above_m > ERROR_M)
+    for each in found:
+        assert each.above_m == pytest.approx(above_m, abs=0.02)
+
+
+@pytest.mark.parametrize("wrong", [(3.0,), (3.0, 3.0), (3.0, 8.0, 3.0, 8.0, 3.0, 8.0)])
+def test_single_wrong_readings_are_no_ground(wrong: tuple[float, ...]) -> None:
+    assert Hovering(known()).reads(8.0, 8.0, *wrong, 8.0, 8.0, 8.0) == []
+
+
+def test_it_says_so_for_as_long_as_it_lasts_and_once_when_it_is_over() -> None:
+    it = Hovering(known())
+    assert [each.above_m for each in it.reads(*[5.0] * 8)] == pytest.approx([3.0] * 5)
+    assert it.reads(5.0, 8.0, 8.0, 8.0)[1:] == []
+    assert [each.above_m for each in it.reads(*[8.0] * 10)] == [0.0]
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"current_distance": 0},
+        {"current_distance": 15},  # below the least
+        {"current_distance": 65_534, "max_distance": 400},  # PX4 in the air
+        {"current_distance": 500, "max_distance": 400},  # ArduPilot above its limit
+        {"min_distance": 500, "max_distance": 400},
+        {"orientation": 0},
+        {"orientation": 24},
+        {"time_boot_ms": 0},  # of another clock: there is no pose of that time
+        {"time_boot_ms": 4_294_967_295},
+    ],
+)
+def test_what_cannot_be_believed_says_nothing(fields: dict[str, int]) -> None:
+    assert Hovering(known()).reads(*[3.0] * 8, **fields) == []
+
+
+def test_where_the_map_knows_nothing_nothing_is_compared() -> None:
+    upper = np.full((40, 40), MAP_M)
+    upper[21, 20] = math.inf
+    assert Hovering(known(upper)).reads(*[3.0] * 8) == []
+
+
+def test_the_beam_is_compared_with_the_map_where_it_ends() -> None:
+    """Nose up by 45 degrees, towards the east: its foot is 8 m to the east."""
+    upper = np.full((40, 40), MAP_M)
+    upper[:, 23:] = MAP_M + 5.0
+    slant_m = 3.0 * math.sqrt(2.0)
+    east = (0.0, math.radians(45.0), math.radians(90.0))
+    assert Hovering(known(upper), lean=east).reads(*[slant_m] * 6) != []  # 3 m east: low there
+    upper[:, 21:] = MAP_M + 5.0
+    assert Hovering(known(upper), lean=east).reads(*[slant_m] * 6) == []
+    west = (0.0, math.radians(45.0), math.radians(-90.0))
+    assert Hovering(known(upper), lean=west).reads(*[slant_m] * 6) != []
+    rolled = (math.radians(45.0), 0.0, 0.0)  # right side down: the foot lies to the left, west
+    assert Hovering(known(upper), lean=rolled).reads(*[slant_m] * 6) != []
+    rolled = (math.radians(-45.0), 0.0, 0.0)
+    assert Hovering(known(upper), lean=rolled).reads(*[slant_m] * 6) == []
