@@ -6,7 +6,6 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import final
 
@@ -45,10 +44,13 @@ _PIECES = 48
 _SPEEDS = (1.0, 0.75, 0.5, 0.25, 0.0)
 _SHARES = (1.0, 0.5, 0.25)  # of the separation, if no speed keeps it all
 _LAW_STEP_S = 0.5
+_SLACK_S = 0.5  # in which a plane is told to loiter at the end of what it may enter
 _STILL_M_S = 0.05
 _PATIENCE_S, _LAST_PATIENCE_S = 20.0, 40.0
 _AGAIN_S, _NO_LEVEL_S = 10.0, 5.0
 _THERE_M = 1.0
+_LEVELS = 32  # of the band, that are looked at
+_FREE_M = 5.0  # by more than that a level is free when it is chosen: it stays so for a while
 _ON_PATH = (Phase.FLYING, Phase.RETURNING)
 
 
@@ -126,14 +128,16 @@ def observe(state: State, context: Context) -> tuple[State, list[Command]]:
             for claim, grown_m in scene.claims
         )
     flies = state.task.limits
-    needed_m = min(flies.lead_m + flies.speed_m_s, float(scene.ahead_m[-1])) - _THERE_M
-    left_m = traffic.committed_m - traffic.flown_m
+    needed_m = flies.lead_m + _SLACK_S * flies.speed_m_s
+    needed_m = min(needed_m, float(scene.ahead_m[-1])) - _THERE_M
     traffic = replace(
         traffic,
         speed_m_s=speed_m_s,
         forced_since_s=min(traffic.forced_since_s, state.now_s) if forced and still else math.inf,
         moved_at_s=traffic.moved_at_s if still and leg is not None else state.now_s,
-        waits=not flies.hovers and leg is not None and (speed_m_s == 0.0 or left_m < needed_m),
+        waits=not flies.hovers
+        and leg is not None
+        and (speed_m_s == 0.0 or entered_m(traffic) < needed_m),
     )
     state = _with_level(replace(state, traffic=traffic), scene)
     state, says = _told(state, scene)
@@ -377,7 +381,7 @@ def _with_level(state: State, scene: _Scene) -> State:
     for level_m in _levels(state, scene):
         there = scene.points.copy()
         there[:, 2] = level_m
-        if (forced or scene.free(there)[0].all()) and _is_free(state, scene, level_m):
+        if (forced or scene.free(there)[0].all()) and _is_free(state, scene, level_m, _FREE_M):
             chosen = _level(traffic, level_m, traffic.floor_m)
             return replace(state, traffic=replace(chosen, level_since_s=state.now_s))
     return state
@@ -398,34 +402,17 @@ def _is_stuck(state: State) -> bool:
     return waited_s > (_PATIENCE_S if first else _LAST_PATIENCE_S)
 
 
-def _levels(state: State, scene: _Scene) -> Iterator[float]:
-    """Levels that may clear others, in the band and over proven ground, the nearest first."""
+def _levels(state: State, scene: _Scene) -> list[float]:
+    """Levels in the band, the nearest first."""
     low_m, high_m = state.task.band_amsl_m
     height_m = float(scene.here[2])
-    near_m = scene.apart.horizontal_m + _longest_m(state.task)
-    found = []
-    for claim, _ in scene.claims:
-        ends = claim.begin_nea_m, claim.end_nea_m
-        if min(math.dist(end[:2], scene.here[:2]) for end in ends) <= 2.0 * near_m:
-            heights = [end[2] for end in ends]
-            step_m = scene.apart.vertical_m + _THERE_M
-            found += [max(heights) + step_m, min(heights) - step_m]
-    for track in scene.tracks:
-        [centre], _, [half_m] = track.at(np.array([scene.now_s + 10.0]))
-        step_m = scene.clear.vertical_m + float(half_m) + _THERE_M
-        found += [float(centre[2]) + step_m, float(centre[2]) - step_m]
-    for level_m in sorted(found, key=lambda level_m: (abs(level_m - height_m), -level_m)):
-        if not low_m <= level_m <= high_m:
-            continue
-        foot = np.array([*scene.here[:2], level_m])
-        required_m = state.task.required_clearance_m
-        if level_m > height_m or (
-            distance_to_terrain_m(state.flight.known, foot, required_m) >= required_m
-        ):
-            yield level_m
+    step_m = max((high_m - low_m) / _LEVELS, 2.0 * _THERE_M)
+    levels = np.arange(low_m, high_m, step_m).tolist()
+    away = (each for each in levels if abs(each - height_m) > _THERE_M)
+    return sorted(away, key=lambda level_m: (abs(level_m - height_m), -level_m))
 
 
-def _is_free(state: State, scene: _Scene, level_m: float) -> bool:
+def _is_free(state: State, scene: _Scene, level_m: float, slack_m: float = 0.0) -> bool:
     """Whether the vehicle may go to a level: nobody else is there, or on the way to it.
 
     Through what is claimed about the vehicle itself it goes away from where that comes from: the
@@ -444,15 +431,26 @@ def _is_free(state: State, scene: _Scene, level_m: float) -> bool:
             return False
         if _is_near(column[-1], claim, scene.apart):
             return False
-    if not scene.tracks:
-        return True
-    climb_s = abs(level_m - float(here[2])) / state.task.limits.climb_rate_m_s + CLAIM_S
-    times = scene.now_s + climb_s + np.arange(0.0, 10.0, _LAW_STEP_S)
+    traffic, here_m = state.traffic, float(here[2])
+    assert traffic is not None
+    climb_s = abs(level_m - here_m) / state.task.limits.climb_rate_m_s + CLAIM_S
+    until_s = max(traffic.rules.horizon_s, climb_s + _LAW_STEP_S)
+    times = scene.now_s + np.arange(climb_s, until_s + _LAW_STEP_S, _LAW_STEP_S)
     points = np.broadcast_to(column[-1], (len(times), 3))
-    return keeps_apart(points, times, scene.tracks, scene.clear)
+    if not keeps_apart(points, times, scene.tracks, scene.clear, slack_m):
+        return False
+    required_m = state.task.required_clearance_m
+    return level_m > here_m or (
+        distance_to_terrain_m(state.flight.known, column[-1], required_m) >= required_m
+    )
 
 
 # --- for the phases
+
+
+def entered_m(traffic: Traffic) -> float:
+    """How far ahead of the reference point the path may be entered."""
+    return max(traffic.committed_m - traffic.flown_m, 0.0)
 
 
 def limits(state: State, until_m: float | None, speed_m_s: float) -> tuple[float | None, float]:
@@ -460,7 +458,7 @@ def limits(state: State, until_m: float | None, speed_m_s: float) -> tuple[float
     flight, traffic = state.flight, state.traffic
     if traffic is None or flight.leg is None:
         return until_m, speed_m_s
-    left_m = max(traffic.committed_m - traffic.flown_m, 0.0)
+    left_m = entered_m(traffic)
     at_m = flight.reference.length_m + left_m
     if at_m < flight.leg.subpath.length_m:  # else on the next one
         until_m = at_m if until_m is None else min(until_m, at_m)
@@ -473,7 +471,7 @@ def is_held_back(state: State) -> bool:
     traffic = state.traffic
     if traffic is None or state.flight.leg is None:
         return False
-    return traffic.waits or min(traffic.committed_m - traffic.flown_m, traffic.speed_m_s) < _THERE_M
+    return traffic.waits or min(entered_m(traffic), traffic.speed_m_s) < _THERE_M
 
 
 def settled_m(state: State) -> float:
@@ -521,11 +519,11 @@ def _told(state: State, scene: _Scene) -> tuple[State, list[Command]]:
     assert traffic is not None
     ahead_m = traffic.flown_m + float(scene.ahead_m[-1])
     slow = flight.reference.speed_m_s < 0.5 * state.task.limits.speed_m_s
-    waits = flight.leg is not None and slow and traffic.taken_m < ahead_m
+    waits = flight.leg is not None and (slow or traffic.waits) and traffic.taken_m < ahead_m
     reason = None
     if traffic.level_m is None and state.now_s - traffic.forced_since_s > _NO_LEVEL_S:
         reason = Reason.NO_LEVEL
-    elif traffic.waits or traffic.speed_m_s < math.inf or waits:
+    elif waits or traffic.speed_m_s < math.inf:
         reason = Reason.GIVING_WAY
     if reason is None:
         over = state.now_s - traffic.told_at_s > _AGAIN_S

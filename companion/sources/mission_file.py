@@ -35,6 +35,7 @@ from companion.sources.threat_file import read_threats
 from companion.sources.waypoint_file import is_waypoint_list, read_waypoint_list
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import NearSensor
+from companion.world.traffic import CLAIM_S
 
 _LIDAR_COMPONENT = wire.MAV_COMP_ID_OBSTACLE_AVOIDANCE
 _OF_RADARS = {"kind", "scanner_complete", "scanner_whole_width"}
@@ -116,9 +117,14 @@ def mission_of(
     near, limits, settings = _near_sensor(model, where), _limits(model), _settings(model, profile)
     if near is not None:
         settings = replace(settings, cell_m=_near_cell_m(limits, near.range_m))
+    others = model.traffic and TrafficRules(**model.traffic.of(TrafficRules))
+    claim_s = 0.0
+    if others is not None and others.claims and near is None:
+        claim_s = 2.0 * CLAIM_S + limits.stopping_m(limits.speed_m_s) / limits.speed_m_s
     task = Task(
         limits=limits,
         settings=settings,
+        claim_s=claim_s,
         radars=tuple(
             radar_of(radar, frame, f"{where}: radars[{index}]")
             for index, radar in enumerate(model.radars)
@@ -151,7 +157,7 @@ def mission_of(
         fallback=Fallback(model.fallback.action),
         known=_known_map(model, task, frame, where),
         reserve=model.battery.reserve_percent / 100.0,
-        traffic=model.traffic and TrafficRules(**model.traffic.of(TrafficRules)),
+        traffic=others,
         rally_ne_m=tuple(
             place_of(point, frame, f"{where}: rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
