@@ -85,6 +85,13 @@ class _Scene:
                 before &= free
         return every, before
 
+    def is_claimed(self) -> bool:
+        """Whether one that goes before this system is to come near to where it stands."""
+        return any(
+            claim.system < self.ours and not grown_m and _is_near(self.here, claim, self.apart)
+            for claim, grown_m in self.claims
+        )
+
 
 def heard(state: State, event: OthersHeard) -> State:
     """What is known of others has changed."""
@@ -122,11 +129,7 @@ def observe(state: State, context: Context) -> tuple[State, list[Command]]:
         traffic = replace(traffic, committed_m=math.inf)
     speed_m_s, forced = _fastest(state, traffic.rules.horizon_s, scene)
     still = leg is None or state.flight.reference.speed_m_s <= _STILL_M_S
-    if still:
-        forced = forced or any(
-            claim.system < scene.ours and not grown_m and _is_near(scene.here, claim, scene.apart)
-            for claim, grown_m in scene.claims
-        )
+    forced = forced or (still and scene.is_claimed())
     flies = state.task.limits
     needed_m = flies.lead_m + _SLACK_S * flies.speed_m_s
     needed_m = min(needed_m, float(scene.ahead_m[-1])) - _THERE_M
@@ -381,7 +384,11 @@ def _with_level(state: State, scene: _Scene) -> State:
     for level_m in _levels(state, scene):
         there = scene.points.copy()
         there[:, 2] = level_m
-        if (forced or scene.free(there)[0].all()) and _is_free(state, scene, level_m, _FREE_M):
+        if forced:  # of tracks only those count that are here when it could be there
+            goes = scene.is_claimed() or not _is_clear(state, scene, height_m, level_m)
+        else:
+            goes = bool(scene.free(there)[0].all())
+        if goes and _is_free(state, scene, level_m, _FREE_M):
             chosen = _level(traffic, level_m, traffic.floor_m)
             return replace(state, traffic=replace(chosen, level_since_s=state.now_s))
     return state
@@ -431,18 +438,25 @@ def _is_free(state: State, scene: _Scene, level_m: float, slack_m: float = 0.0) 
             return False
         if _is_near(column[-1], claim, scene.apart):
             return False
-    traffic, here_m = state.traffic, float(here[2])
-    assert traffic is not None
-    climb_s = abs(level_m - here_m) / state.task.limits.climb_rate_m_s + CLAIM_S
-    until_s = max(traffic.rules.horizon_s, climb_s + _LAW_STEP_S)
-    times = scene.now_s + np.arange(climb_s, until_s + _LAW_STEP_S, _LAW_STEP_S)
-    points = np.broadcast_to(column[-1], (len(times), 3))
-    if not keeps_apart(points, times, scene.tracks, scene.clear, slack_m):
+    if not _is_clear(state, scene, level_m, level_m, slack_m):
         return False
     required_m = state.task.required_clearance_m
-    return level_m > here_m or (
+    return level_m > here[2] or (
         distance_to_terrain_m(state.flight.known, column[-1], required_m) >= required_m
     )
+
+
+def _is_clear(
+    state: State, scene: _Scene, at_m: float, level_m: float, slack_m: float = 0.0
+) -> bool:
+    """Whether no track comes near to a height, from when the vehicle could be at a level."""
+    assert state.traffic is not None
+    north, east, height_m = scene.here.tolist()
+    climb_s = abs(level_m - height_m) / state.task.limits.climb_rate_m_s + CLAIM_S
+    until_s = max(state.traffic.rules.horizon_s, climb_s + _LAW_STEP_S)
+    times = scene.now_s + np.arange(climb_s, until_s + _LAW_STEP_S, _LAW_STEP_S)
+    points = np.broadcast_to([north, east, at_m], (len(times), 3))
+    return keeps_apart(points, times, scene.tracks, scene.clear, slack_m)
 
 
 # --- for the phases
