@@ -382,11 +382,11 @@ def _with_level(state: State, scene: _Scene) -> State:
     if not (may and state.vehicle.traits.hovers and (forced or _is_stuck(state))):
         return state
     for level_m in _levels(state, scene):
-        there = scene.points.copy()
-        there[:, 2] = level_m
         if forced:  # of tracks only those count that are here when it could be there
             goes = scene.is_claimed() or not _is_clear(state, scene, height_m, level_m)
         else:
+            there = scene.points.copy()
+            there[:, 2] = level_m
             goes = bool(scene.free(there)[0].all())
         if goes and _is_free(state, scene, level_m, _FREE_M):
             chosen = _level(traffic, level_m, traffic.floor_m)
