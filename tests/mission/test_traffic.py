@@ -46,7 +46,6 @@ BOTH = pytest.mark.parametrize(
     "traits", [ARDUCOPTER.traits, ALL[-1].traits], ids=["copter", "plane"]
 )
 Heard = tuple[tuple[Track, ...], tuple[Claim, ...]]
-SPEED = (30.0, 0.0, 0.0)
 NOBODY: Heard = ((), ())
 
 
@@ -332,17 +331,21 @@ def test_a_copter_goes_on_by_itself_from_the_level_that_it_went_to() -> None:
 def test_a_copter_stays_where_it_is_if_an_aircraft_has_passed_before_it_could_be_elsewhere() -> (
     None
 ):
-    """It comes over in ten seconds, its height known to 40 m only: the level is 20 s away."""
-    met_s = 40.0
-
-    def others(now_s: float) -> Heard:
-        place = (30.0 * (now_s - met_s), 0.0, 3030.0)
-        track = aircraft(now_s, place, error_m=30.0, error_up_m=40.0, velocity_nea_m_s=SPEED)
-        return (track,) if now_s > met_s - 10.0 else (), ()
-
-    among = Among(ARDUCOPTER.traits, SEEN, targets=((30.0, 20.0),), others=others)
-    among.run_until(lambda w: w.now_s > met_s + 10.0)
-    assert not any(Reason.TRAFFIC.text in text for text in among.said())
+    """It comes at 30 m/s, its height known to 40 m only: a free level is 20 s away."""
+    tracks: tuple[Track, ...] = ()
+    among = Among(ARDUCOPTER.traits, SEEN, others=lambda _now_s: (tracks, ()))
+    wild = among.run_until(lambda w: w.state.flight.reference.length_m > 60.0).wild
+    (north, east, height_m), seen_s = wild.here, wild.now_s
+    comes = {"velocity_nea_m_s": (30.0, 0.0, 0.0), "error_m": 200.0, "error_up_m": 40.0}
+    tracks = (aircraft(seen_s, (north - 240.0, east, height_m), **comes),)
+    stood = False
+    while wild.now_s < seen_s + 15.0:
+        among.tick()
+        assert wild.state.traffic is not None
+        stood = stood or wild.state.traffic.forced_since_s < wild.now_s
+        assert wild.state.traffic.level_m is None
+    assert stood
+    among.fly_to(Phase.ARRIVED)
 
 
 def test_who_is_named_is_in_the_way() -> None:
