@@ -16,6 +16,7 @@ from renewed import replace
 from wild import Wild
 
 from companion.mavlink.autopilots import ALL, ARDUCOPTER
+from companion.mission import following
 from companion.mission.events import (
     ClaimWay,
     Mode,
@@ -156,6 +157,15 @@ def test_what_is_entered_has_been_claimed_for_a_second(traits: VehicleTraits) ->
     limits = among.wild.mission.task.limits
     aside_m = 0.1 if limits.hovers else 2.0 * limits.loiter_radius_m  # it leaves its circle so
     assert among.unclaimed_m() <= aside_m + 2.0
+    begun = next(
+        c for c in among.wild.sent(ClaimWay) if math.dist(c.begin_nea_m, c.end_nea_m) > 5.0
+    )
+    sets_out_s = next(
+        at_s
+        for at_s, phase, on_leg, place in among.places
+        if phase is Phase.FLYING and on_leg and math.dist(place, begun.begin_nea_m) > aside_m
+    )
+    assert sets_out_s - begun.time_s >= 1.0
     lengths = [math.dist(c.begin_nea_m, c.end_nea_m) for c in among.wild.sent(ClaimWay)]
     assert max(lengths) < 300.0  # of 800 m
     times = [claim.time_s for claim in among.run_for(10.0).wild.sent(ClaimWay)]
@@ -271,6 +281,20 @@ def test_a_plane_told_to_return_waits_where_it_is_and_comes_home(traits: Vehicle
     among.run_until(lambda w: math.dist(w.here, start) < 100.0, limit_s=120.0)
 
 
+@PLANES
+def test_a_plane_is_sent_to_no_point_that_it_may_not_enter(traits: VehicleTraits) -> None:
+    """In a tail wind it flies faster over the ground than V, and is sent farther ahead."""
+    among = Among(traits).run_until(lambda w: w.state.flight.reference.length_m > 50.0)
+    state = among.wild.state
+    assert state.traffic is not None
+    fast = replace(state.vehicle, velocity_nea_m_s=(30.0, 10.0, 0.0))
+    for left_m in (0.0, 40.0, 90.0, 500.0):
+        traffic = replace(state.traffic, committed_m=state.traffic.flown_m + left_m)
+        windy = replace(state, vehicle=fast, traffic=traffic)
+        lead_m = following.lead_m(windy, state.flight.reference)
+        assert lead_m == pytest.approx(min(left_m, 1.3 * state.task.limits.lead_m))
+
+
 # --- tracks, and out of the way
 
 
@@ -284,12 +308,19 @@ class Above:
         return tuple(replace(track, time_s=now_s) for track in self.tracks), ()
 
 
-def on_its_way_to_a_level() -> tuple[Among, Above]:
+def to_a_level() -> tuple[Among, Above]:
+    """A copter that is about to leave for another level."""
     above = Above()
     among = Among(ARDUCOPTER.traits, SEEN, others=above)
     wild = among.run_until(lambda w: w.state.flight.reference.length_m > 60.0).wild
     north, east, height_m = wild.here
     above.tracks = (aircraft(wild.now_s, (north, east, height_m), error_m=300.0),)
+    among.run_until(lambda w: w.state.traffic is not None and w.state.traffic.level_m is not None)
+    return among.run_for(0.5), above
+
+
+def on_its_way_to_a_level() -> tuple[Among, Above]:
+    among, above = to_a_level()
     among.run_until(lambda w: w.state.traffic is not None and w.state.traffic.climbs)
     return among.run_for(1.0), above
 
@@ -311,8 +342,8 @@ def test_a_copter_stops_on_the_way_to_a_level_that_is_free_no_longer() -> None:
     assert max(towards * (height - height_m) for height in heights) < 2.0
 
 
-def test_a_return_ordered_on_the_way_to_a_level_is_carried_out() -> None:
-    among, above = on_its_way_to_a_level()
+def test_a_return_ordered_before_it_leaves_for_a_level_is_carried_out() -> None:
+    among, above = to_a_level()
     among.wild.take(Order(time_s=among.wild.now_s, kind=OrderKind.RETURN))
     above.tracks = ()
     among.run_until(lambda w: w.state.phase is not Phase.HOLDING, limit_s=20.0)
