@@ -118,13 +118,10 @@ def mission_of(
     if near is not None:
         settings = replace(settings, cell_m=_near_cell_m(limits, near.range_m))
     others = model.traffic and TrafficRules(**model.traffic.of(TrafficRules))
-    claim_s = 0.0
-    if others is not None and others.claims and near is None:
-        claim_s = 2.0 * CLAIM_S + limits.stopping_m(limits.speed_m_s) / limits.speed_m_s
     task = Task(
         limits=limits,
         settings=settings,
-        claim_s=claim_s,
+        claim_s=0.0 if near is not None else _claim_s(others, limits),
         radars=tuple(
             radar_of(radar, frame, f"{where}: radars[{index}]")
             for index, radar in enumerate(model.radars)
@@ -166,6 +163,13 @@ def mission_of(
         **as_written,
     )
     return replace(mission, notes=(*mission.notes, *about_altitudes(mission, tables, where)))
+
+
+def _claim_s(others: TrafficRules | None, limits: Limits) -> float:
+    """How much earlier to plan: to claim what is planned, before it is too late to stop."""
+    if others is None or not others.claims:
+        return 0.0
+    return 2.0 * CLAIM_S + limits.stopping_m(limits.speed_m_s) / limits.speed_m_s
 
 
 # --- rules between fields
