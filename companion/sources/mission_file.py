@@ -110,10 +110,8 @@ def mission_of(
     Raises InputError for the first rule between fields that is broken.
     """
     _check_kind(model, where)
-    vehicle, link = model.vehicle, model.link
-    frame = LocalFrame(
-        latitude_deg=model.origin.latitude_deg, longitude_deg=model.origin.longitude_deg
-    )
+    vehicle, link, origin = model.vehicle, model.link, model.origin
+    frame = LocalFrame(latitude_deg=origin.latitude_deg, longitude_deg=origin.longitude_deg)
     near, limits, settings = _near_sensor(model, where), _limits(model), _settings(model, profile)
     if near is not None:
         settings = replace(settings, cell_m=_near_cell_m(limits, near.range_m))
