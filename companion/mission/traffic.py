@@ -374,7 +374,8 @@ def _with_level(state: State, scene: _Scene) -> State:
             climbs = traffic.climbs or state.now_s - traffic.level_since_s >= CLAIM_S
             return replace(state, traffic=replace(traffic, climbs=climbs))
         floor_m = level_m if done else traffic.floor_m
-        state = replace(state, traffic=_level(traffic, None, floor_m))
+        ended = replace(traffic, level_m=None, climbs=False, floor_m=floor_m)
+        state = replace(state, traffic=ended)
         if done or hover is None or not traffic.climbs:
             return state
         flight = replace(state.flight, hover_nea_m=(hover[0], hover[1], height_m))
@@ -390,13 +391,9 @@ def _with_level(state: State, scene: _Scene) -> State:
             there[:, 2] = level_m
             goes = bool(scene.free(there)[0].all())
         if goes and _is_free(state, scene, level_m, _FREE_M):
-            chosen = _level(traffic, level_m, traffic.floor_m)
-            return replace(state, traffic=replace(chosen, level_since_s=state.now_s))
+            chosen = replace(traffic, level_m=level_m, level_since_s=state.now_s)
+            return replace(state, traffic=chosen)
     return state
-
-
-def _level(traffic: Traffic, to_m: float | None, floor_m: float | None) -> Traffic:
-    return replace(traffic, level_m=to_m, level_since_s=math.inf, climbs=False, floor_m=floor_m)
 
 
 def _is_stuck(state: State) -> bool:
@@ -524,8 +521,7 @@ def hold(state: State) -> tuple[State, list[Command]]:
 
 def keeps_holding(state: State) -> bool:
     """Whether to wait where it is, or for the level that it goes to."""
-    traffic = state.traffic
-    return traffic is not None and traffic.level_m is not None
+    return state.traffic is not None and state.traffic.level_m is not None
 
 
 def _told(state: State, scene: _Scene) -> tuple[State, list[Command]]:
@@ -541,12 +537,11 @@ def _told(state: State, scene: _Scene) -> tuple[State, list[Command]]:
     elif waits or traffic.speed_m_s < math.inf:
         reason = Reason.GIVING_WAY
     if reason is None:
-        over = state.now_s - traffic.told_at_s > _AGAIN_S
-        return replace(state, traffic=replace(traffic, told=None)) if over else state, []
-    fresh = traffic.told is None or (reason is Reason.NO_LEVEL and traffic.told is not reason)
-    reason = reason if fresh else traffic.told
-    assert reason is not None
-    traffic = replace(traffic, told=reason, told_at_s=state.now_s)
+        return state, []
+    fresh = state.now_s - traffic.told_at_s > _AGAIN_S
+    fresh = fresh or (reason is Reason.NO_LEVEL and traffic.told is not reason)
+    told = reason if fresh else traffic.told
+    traffic = replace(traffic, told=told, told_at_s=state.now_s)
     text = f"{reason.text}{_who(scene)}"
     return replace(state, traffic=traffic), [StatusText(text=text)] if fresh else []
 
