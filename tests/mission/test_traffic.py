@@ -47,6 +47,7 @@ BOTH = pytest.mark.parametrize(
     "traits", [ARDUCOPTER.traits, ALL[-1].traits], ids=["copter", "plane"]
 )
 Heard = tuple[tuple[Track, ...], tuple[Claim, ...]]
+SPREAD = (150.0, 150.0, 15.0)
 NOBODY: Heard = ((), ())
 
 
@@ -402,3 +403,39 @@ def test_what_a_copter_cannot_stop_before_is_its_own() -> None:
     until_m, speed_m_s = limits(after, None, math.inf)
     assert until_m == pytest.approx(state.flight.reference.length_m + 20.0, abs=0.1)
     assert speed_m_s == pytest.approx(10.0, abs=0.02)
+
+
+@BOTH
+@pytest.mark.parametrize("seed", range(4))
+def test_whatever_others_do_it_goes_on_once_they_are_gone(traits: VehicleTraits, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+
+    def others(now_s: float) -> Heard:
+        if now_s > 150.0:
+            return NOBODY
+        if rng.random() < 0.05:
+            drawn.clear()
+            for system in range(1, int(rng.integers(1, 5))):
+                near = [wild.here[k] + float(rng.normal(0.0, s)) for k, s in enumerate(SPREAD)]
+                far = [near[k] + float(rng.normal(0.0, s)) for k, s in enumerate(SPREAD)]
+                velocity = tuple(float(v) for v in rng.normal(0.0, (20.0, 20.0, 3.0)))
+                drawn.append((system, tuple(near), tuple(far), velocity))
+        late_s = float(rng.choice([0.0, 0.0, 2.0]))
+        claims = [
+            Claim(system=system, heard_s=now_s - late_s, begin_nea_m=near, end_nea_m=far)
+            for system, near, far, _ in drawn
+            if system % 2
+        ]
+        tracks = [
+            aircraft(now_s, near, velocity_nea_m_s=velocity)
+            for system, near, _, velocity in drawn
+            if not system % 2
+        ]
+        return tuple(tracks), tuple(claims)
+
+    drawn: list[Any] = []
+    among = Among(traits, others=others)
+    wild = among.wild
+    among.run_until(lambda w: w.now_s > 150.0).run_until(lambda w: w.over, limit_s=400.0)
+    assert wild.watch.phases & {Phase.ARRIVED, Phase.DONE}
+    assert Phase.FAULTED not in wild.watch.phases
