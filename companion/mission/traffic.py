@@ -347,7 +347,7 @@ def _time_law(state: State, speed_m_s: float, horizon_s: float) -> tuple[FloatAr
                 limits,
                 goes_on=next_leg is not None,
                 until_m=None if flight.stop is None else flight.stop.at_m,
-                slows_to=leg.slows_to(task),
+                slows_to_m_s=leg.slows_to_m_s(task),
                 speed_limit_m_s=min(speed_m_s, flight.speed_limit_m_s),
             )
         else:
