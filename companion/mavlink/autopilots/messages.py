@@ -146,8 +146,8 @@ def place_of(
 ) -> Vector | None:
     """A position from the wire; None near latitude = longitude = 0, which means "none yet"."""
     latitude, longitude = latitude_e7 * _E7, longitude_e7 * _E7
-    if is_nowhere(latitude, longitude) or abs(longitude) > 180.0:  # beyond a pole it is infinite
-        return None
+    if max(abs(latitude), abs(longitude)) < _NOWHERE_DEG or abs(longitude) > 180.0:
+        return None  # beyond a pole it is not finite
     north_m, east_m = frame.to_local_m(latitude, longitude)
     if not (math.isfinite(north_m) and math.isfinite(east_m)):
         return None
