@@ -8,13 +8,10 @@ many tracks, each so often; what is refused or too much is counted, and told onc
 import math
 from typing import Final, final
 
+import numpy as np
+
 from companion.geodesy import rotate
-from companion.mavlink.autopilots.messages import (
-    POSITION_VELOCITY,
-    aim,
-    is_nowhere,
-    position,
-)
+from companion.mavlink.autopilots.messages import POSITION_VELOCITY, aim, place_of, position
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import Incoming
 from companion.mission import events
@@ -38,8 +35,9 @@ _HEIGHTS_M = -500.0, 30_000.0
 _ADSB_ERROR_M, _SYSTEM_ERROR_M, _SYSTEM_ERROR_UP_M = 50.0, 5.0, 10.0
 _PRESSURE_ERROR_M, _GEOMETRIC_ERROR_M = 300.0, 120.0
 _GROWTH_M_S, _GROWTH_SHARE = 1.0, 0.1
-_GROWTH_UP_M_S, _GROWTH_UP_ADSB_M_S = 0.5, 2.0
+_GROWTH_UP_M_S, _GROWTH_UP_ADSB_M_S, _GROWTH_UP_UNKNOWN_M_S = 0.5, 2.0, 15.0
 _SAME_M, _SAME_M_S = 50.0, 5.0
+_MOVES_M_S = 1.0
 
 
 @final
@@ -119,49 +117,46 @@ class Listener:
             return
         if not self._is_due(key, now_s):
             return
-        latitude, longitude = message.lat * 1e-7, message.lon * 1e-7
-        if is_nowhere(latitude, longitude) or abs(latitude) > 90.0 or abs(longitude) > 180.0:
+        place = place_of(message.lat, message.lon, message.altitude * 1e-3, self._frame)
+        if place is None:
             self.refused += 1
             return
-        north_m, east_m = self._frame.to_local_m(latitude, longitude)
-        if not (math.isfinite(north_m) and math.isfinite(east_m)):
-            self.refused += 1
-            return
-        altitude_m, error_up_m = message.altitude * 1e-3, math.inf
+        error_up_m = math.inf
         if not flags & wire.ADSB_FLAGS_VALID_ALTITUDE:
-            altitude_m = 0.0
-        elif not _HEIGHTS_M[0] <= altitude_m <= _HEIGHTS_M[1]:
-            altitude_m, self.refused = 0.0, self.refused + 1
-        elif message.altitude_type == wire.ADSB_ALTITUDE_TYPE_GEOMETRIC:
-            error_up_m = _GEOMETRIC_ERROR_M
+            pass
+        elif not _HEIGHTS_M[0] <= place[2] <= _HEIGHTS_M[1]:
+            self.refused += 1
         else:
-            error_up_m = _PRESSURE_ERROR_M
-        velocity, growth_m_s = self._velocity_of(message, (north_m, east_m))
+            geometric = message.altitude_type == wire.ADSB_ALTITUDE_TYPE_GEOMETRIC
+            error_up_m = _GEOMETRIC_ERROR_M if geometric else _PRESSURE_ERROR_M
+        velocity, growth_m_s, growth_up_m_s = self._velocity_of(message, place)
         self._keep(
             key,
             Track(
                 name=key,
                 time_s=now_s - message.tslc,
-                position_nea_m=(north_m, east_m, altitude_m),
+                position_nea_m=place,
                 velocity_nea_m_s=velocity,
                 error_m=_ADSB_ERROR_M,
                 error_up_m=error_up_m,
                 growth_m_s=growth_m_s,
-                growth_up_m_s=_GROWTH_UP_ADSB_M_S + _GROWTH_SHARE * abs(velocity[2]),
+                growth_up_m_s=growth_up_m_s,
             ),
         )
 
-    def _velocity_of(self, message: Message, place: tuple[float, float]) -> tuple[Vector, float]:
-        """Velocity in the local frame, and how fast the place grows uncertain, m/s."""
-        flags, speed = message.flags, message.hor_velocity * 0.01
-        up = message.ver_velocity * 0.01
+    def _velocity_of(self, message: Message, place: Vector) -> tuple[Vector, float, float]:
+        """Velocity in the local frame; how fast the place grows uncertain, level and up, m/s."""
+        flags, speed, up = message.flags, message.hor_velocity * 0.01, message.ver_velocity * 0.01
+        growth_up_m_s = _GROWTH_UP_ADSB_M_S + _GROWTH_SHARE * abs(up)
+        if not flags & wire.ADSB_FLAGS_VERTICAL_VELOCITY_VALID:
+            up, growth_up_m_s = 0.0, _GROWTH_UP_UNKNOWN_M_S
         if not flags & wire.ADSB_FLAGS_VALID_VELOCITY or speed > _FASTEST_M_S:
-            return (0.0, 0.0, 0.0), _UNKNOWN_M_S
+            return (0.0, 0.0, up), _UNKNOWN_M_S, growth_up_m_s
         if not flags & wire.ADSB_FLAGS_VALID_HEADING or message.heading > 36_000:
-            return (0.0, 0.0, up), _GROWTH_M_S + speed
-        course = math.radians(message.heading * 0.01) - self._frame.grid_north_rad(*place)
+            return (0.0, 0.0, up), _GROWTH_M_S + speed, growth_up_m_s
+        course = math.radians(message.heading * 0.01) - self._frame.grid_north_rad(*place[:2])
         along = speed * math.cos(course), speed * math.sin(course)
-        return (*along, up), _GROWTH_M_S + _GROWTH_SHARE * speed
+        return (*along, up), _GROWTH_M_S + _GROWTH_SHARE * speed, growth_up_m_s
 
     def _on_system(self, heard: Incoming, now_s: float) -> None:
         name = f"system {heard.system}"
@@ -189,25 +184,21 @@ class Listener:
 
     def _on_claim(self, heard: Incoming, now_s: float) -> None:
         message = heard.message
-        velocity = message.vx, message.vy, -message.vz
-        numbers = (*velocity, message.alt)
-        latitude, longitude = message.lat_int * 1e-7, message.lon_int * 1e-7
-        sane = all(map(math.isfinite, numbers)) and math.hypot(*velocity) * _SPAN_S <= _LONGEST_M
-        sane = sane and _HEIGHTS_M[0] <= message.alt <= _HEIGHTS_M[1]
-        if not sane or is_nowhere(latitude, longitude) or heard.system in self._disarmed:
-            self.refused += not sane
+        if message.type_mask != POSITION_VELOCITY or heard.system in self._disarmed:
             return
-        north_m, east_m = self._frame.to_local_m(latitude, longitude)
-        if not (math.isfinite(north_m) and math.isfinite(east_m)):
+        place = place_of(message.lat_int, message.lon_int, message.alt, self._frame)
+        covers_m = math.hypot(message.vx, message.vy, message.vz) * _SPAN_S  # not a number, perhaps
+        high = _HEIGHTS_M[0] <= message.alt <= _HEIGHTS_M[1]
+        if place is None or not (high and covers_m <= _LONGEST_M):
             self.refused += 1
             return
-        turn = -self._frame.grid_north_rad(north_m, east_m)
-        ahead, aside = rotate(velocity[0] * _SPAN_S, velocity[1] * _SPAN_S, turn)
+        turn = -self._frame.grid_north_rad(*place[:2])
+        ahead, aside = rotate(message.vx * _SPAN_S, message.vy * _SPAN_S, turn)
         self._claims[heard.system] = Claim(  # of 255 systems at most
             system=heard.system,
             heard_s=now_s,
-            begin_nea_m=(north_m, east_m, message.alt),
-            end_nea_m=(north_m + ahead, east_m + aside, message.alt + velocity[2] * _SPAN_S),
+            begin_nea_m=place,
+            end_nea_m=(place[0] + ahead, place[1] + aside, place[2] - message.vz * _SPAN_S),
         )
 
     def _on_farewell(self, heard: Incoming) -> None:
@@ -226,8 +217,11 @@ class Listener:
     def _keep(self, key: str, track: Track) -> None:
         """Keep a track, if need be in place of the one that is met last."""
         before = self._tracks.get(key)
-        if before is not None and before.time_s > track.time_s:
-            return  # re-sent, later and older
+        if before is not None:
+            moves = math.hypot(*track.velocity_nea_m_s[:2]) > _MOVES_M_S
+            resent = moves and before.position_nea_m == track.position_nea_m  # by ArduPilot, 5 s
+            if resent or before.time_s > track.time_s:
+                return
         self._tracks[key] = track
         if len(self._tracks) > _MOST:
             speed = self._task.limits.speed_m_s
@@ -246,14 +240,13 @@ def _lasts(at_s: float, now_s: float, longest_s: float = FORGOTTEN_S) -> bool:
 
 def _is_same(aircraft: Track, system: Track) -> bool:
     """Whether an ADS-B track and a system on the link are one aircraft."""
-    later_s = max(aircraft.time_s, system.time_s)
-    moved = [
-        [at + (later_s - each.time_s) * v for at, v in zip(*pair, strict=True)]
-        for each in (aircraft, system)
-        if (pair := (each.position_nea_m[:2], each.velocity_nea_m_s[:2]))
-    ]
     differs = math.dist(aircraft.velocity_nea_m_s[:2], system.velocity_nea_m_s[:2])
-    return math.dist(*moved) <= _SAME_M and differs <= _SAME_M_S
+    if differs > _SAME_M_S:
+        return False
+    times_s = np.array([max(aircraft.time_s, system.time_s)])
+    ([here], _, [up_m]), ([there], _, [also_m]) = aircraft.at(times_s), system.at(times_s)
+    north, east, over = (here - there).tolist()
+    return math.hypot(north, east) <= _SAME_M and abs(over) <= up_m + also_m
 
 
 def claim_message(claim: events.ClaimWay, mission: Mission) -> Message | None:

@@ -124,7 +124,8 @@ def returning(state: State, event: Event, context: Context) -> Step:
 
 
 def _on_position(state: State, event: Position, context: Context) -> Step:
-    if (step := flying.make_way(state, event, context)) is not None:
+    others = state.traffic
+    if others is not None and (step := flying.make_way(state, others, event, context)) is not None:
         return step
     if state.flight.circling and following.still_loiters(state, event):
         return flying.circle(state, event, context)

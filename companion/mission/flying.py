@@ -39,6 +39,7 @@ from companion.mission.state import (
     Reason,
     Scanning,
     State,
+    Traffic,
     Trigger,
 )
 from companion.planner.procedure import Leg, Reference, hover_pose, is_on_circle
@@ -88,8 +89,8 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
         state, commands, trigger = following.stop(given_up_for_battery(state), Reason.BATTERY_LOW)
         if trigger is not None:
             return state, commands, trigger
-    watches = state.traffic is not None
-    if watches and (step := make_way(state, event, context)) is not None:
+    others = state.traffic
+    if others is not None and (step := make_way(state, others, event, context)) is not None:
         return step
     state, warning = battery_warning(state, context)
     if state.flight.leg is None:
@@ -101,21 +102,22 @@ def _on_position(state: State, event: Position, context: Context) -> Step:
     return state, [*warning, *commands], trigger
 
 
-def make_way(state: State, event: Position, context: Context) -> Step | None:
+def make_way(state: State, others: Traffic, event: Position, context: Context) -> Step | None:
     """Leave the path for others in the air: for another level; a plane loiters, or goes on to."""
-    flight, others = state.flight, state.traffic
-    if others is None:
-        return None
+    flight, leg = state.flight, state.flight.leg
     if others.level_m is not None:
         at = flight.hover_nea_m or event.position_nea_m
-        if flight.leg is not None:
-            at = flight.leg.subpath.pose(flight.reference.length_m).point_nea_m
+        if leg is not None:
+            at = leg.subpath.pose(flight.reference.length_m).point_nea_m
         stopped = at_rest(following.requeue_backtrack(flight), at)
         return fault(replace(state, flight=stopped), Reason.TRAFFIC)
-    if not others.waits:
+    if not others.waits or leg is None:
         return None
     if not flight.circling:
-        return following.stop(state, Reason.GIVING_WAY)
+        if flight.reference.length_m > flight.joined_m:
+            return following.stop(state, Reason.GIVING_WAY)
+        start = leg.subpath.pose(flight.joined_m).point_nea_m  # led back to it, not on it yet
+        flight = replace(flight, circling=True, hover_nea_m=start)
     waits = replace(state, flight=replace(flight, progress_at_s=state.now_s))
     return circle(waits, event, context)
 
@@ -293,9 +295,9 @@ def on_plan(state: State, event: PlanReady) -> Step:
         if isinstance(outcome, NotPlanned) and refusal is not flight.refusal:
             commands = [*_closed(outcome), *commands]
         return state, commands, trigger
-    leg = flight.leg
-    late = leg is not None and following.sent_at_m(state) > leg.successor_at_m(state.task)
-    if late:
+    leg, at_m = flight.leg, flight.reference.length_m
+    soonest_m = max(following.sent_at_m(state), at_m + traffic.settled_m(state))
+    if leg is not None and soonest_m > leg.successor_at_m(state.task):
         return _no_successor(state, Reason.PLAN_LATE)
     if flight.stop is not None:
         return state, [], None  # it was asked for a way that the vehicle no longer goes

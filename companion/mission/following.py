@@ -53,6 +53,8 @@ def lead_m(state: State, reference: Reference) -> float:
         return delay_s * reference.speed_m_s
     over_ground = math.hypot(*vehicle.velocity_nea_m_s[:2])  # what counts in wind, not V
     lead_m = (vehicle.traits.lead_s + delay_s) * over_ground
+    if state.traffic is not None:
+        lead_m = min(lead_m, traffic.entered_m(state.traffic))
     return min(lead_m, _LONGEST_LEAD * state.task.limits.lead_m)
 
 

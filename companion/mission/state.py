@@ -9,7 +9,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from companion.mission.events import FenceChanged, Item, Landed, Mode, Setpoint, Vector
-from companion.mission.mission import Mission
+from companion.mission.mission import Mission, TrafficRules
 from companion.mission.vehicle_traits import UNKNOWN, VehicleTraits
 from companion.planner.join import Offset
 from companion.planner.procedure import Leg, Reference
@@ -520,6 +520,7 @@ class Traffic(Struct, frozen=True, kw_only=True):
     Lengths are those flown along the legs since the reference point was last at rest off a leg.
     """
 
+    rules: TrafficRules
     ours: int = 0
     """Our system id."""
     tracks: tuple[Track, ...] = ()
@@ -635,7 +636,7 @@ class State(Struct, frozen=True, kw_only=True):
             given=mission.task,
             task=mission.task,
             targets_ne_m=mission.targets_ne_m,
-            traffic=None if mission.traffic is None else Traffic(),
+            traffic=mission.traffic and Traffic(rules=mission.traffic),
             flight=Flight(known=known),
         )
 
@@ -653,7 +654,7 @@ class State(Struct, frozen=True, kw_only=True):
             since_s=self.since_s + shift_s,
             asked_at_s=self.asked_at_s + shift_s,
             duplicate_id_at_s=self.duplicate_id_at_s + shift_s,
-            traffic=None if self.traffic is None else Traffic(),
+            traffic=self.traffic and Traffic(rules=self.traffic.rules),
             vehicle=replace(
                 self.vehicle, bad_at_s=self.vehicle.bad_at_s + shift_s, battery_short_at_s=None
             ),

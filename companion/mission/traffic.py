@@ -4,8 +4,8 @@
 """
 
 import dataclasses
+import functools
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import final
 
@@ -15,7 +15,6 @@ from msgspec.structs import replace
 from companion.geodesy import FloatArray
 from companion.mission.decisions import Context, with_hold_reason
 from companion.mission.events import ClaimWay, Command, OthersHeard, StatusText, Vector
-from companion.mission.mission import TrafficRules
 from companion.mission.state import (
     HoldMode,
     OnSetpoints,
@@ -45,10 +44,13 @@ _PIECES = 48
 _SPEEDS = (1.0, 0.75, 0.5, 0.25, 0.0)
 _SHARES = (1.0, 0.5, 0.25)  # of the separation, if no speed keeps it all
 _LAW_STEP_S = 0.5
+_SLACK_S = 0.5  # in which a plane is told to loiter at the end of what it may enter
 _STILL_M_S = 0.05
 _PATIENCE_S, _LAST_PATIENCE_S = 20.0, 40.0
 _AGAIN_S, _NO_LEVEL_S = 10.0, 5.0
 _THERE_M = 1.0
+_LEVELS = 32  # of the band, that are looked at
+_FREE_M = 5.0  # by more than that a level is free when it is chosen: it stays so for a while
 _ON_PATH = (Phase.FLYING, Phase.RETURNING)
 
 
@@ -58,6 +60,7 @@ class _Scene:
     """Where the vehicle is, the way ahead, and who may be in it."""
 
     now_s: float
+    ours: int
     here: FloatArray
     points: FloatArray  # (N, 3): here, the reference point, then along the path
     ahead_m: FloatArray  # (N,): from the reference point
@@ -71,16 +74,23 @@ class _Scene:
     clear: Separation
     """Of tracks."""
 
-    def free(self, points: FloatArray, ours: int) -> tuple[FloatArray, FloatArray]:
+    def free(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Which pieces no claim comes near to, and which none that goes before this system."""
         every = np.ones(len(points) - 1, dtype=bool)
         before = every.copy()
         for claim, grown_m in self.claims:
             free = free_pieces(points, claim, self.apart, grown_m)
             every &= free
-            if claim.system < ours or grown_m:
+            if claim.system < self.ours or grown_m:
                 before &= free
         return every, before
+
+    def is_claimed(self) -> bool:
+        """Whether one that goes before this system is to come near to where it stands."""
+        return any(
+            claim.system < self.ours and not grown_m and _is_near(self.here, claim, self.apart)
+            for claim, grown_m in self.claims
+        )
 
 
 def heard(state: State, event: OthersHeard) -> State:
@@ -91,64 +101,68 @@ def heard(state: State, event: OthersHeard) -> State:
     return replace(state, traffic=traffic)
 
 
+def _is_near(place: FloatArray, claim: Claim, apart: Separation, grown_m: float = 0.0) -> bool:
+    """Whether a claim comes too near to a place."""
+    return not free_pieces(np.stack([place, place]), claim, apart, grown_m).all()
+
+
 def observe(state: State, context: Context) -> tuple[State, list[Command]]:
     """At each position: how far and fast it may go, whether to leave the path, and its claim."""
-    rules, traffic = context.mission.traffic, state.traffic
-    if rules is None or traffic is None or state.vehicle.position_nea_m is None:
+    traffic, here = state.traffic, state.vehicle.position_nea_m
+    if traffic is None or here is None:
         return state, []
-    ours = state.phase in _ON_PATH or isinstance(state.hold, OnSetpoints)
-    if not ours:
-        blank = Traffic(ours=traffic.ours, tracks=traffic.tracks, claims=traffic.claims)
-        return _with_claim(replace(state, traffic=blank), context, _column(state, context))
+    if not (state.phase in _ON_PATH or isinstance(state.hold, OnSetpoints)):
+        traffic = Traffic(
+            rules=traffic.rules,
+            ours=traffic.ours,
+            tracks=traffic.tracks,
+            claims=traffic.claims,
+            claimed_at_s=traffic.claimed_at_s,
+        )
+        return _with_claim(replace(state, traffic=traffic), here, _column(state, here, context))
     traffic = _moved(state, traffic)
-    scene = _scene(state, rules, traffic)
+    scene = _scene(state, traffic, np.asarray(here))
     leg = state.flight.leg
-    if leg is not None and rules.claims:
+    if leg is not None and traffic.rules.claims:
         traffic = _claimed(traffic, scene)
     elif leg is not None:
         traffic = replace(traffic, committed_m=math.inf)
-    speed_m_s, forced = _fastest(state, rules, scene)
+    speed_m_s, forced = _fastest(state, traffic.rules.horizon_s, scene)
     still = leg is None or state.flight.reference.speed_m_s <= _STILL_M_S
-    if still and rules.claims:
-        stands = np.stack([scene.here, scene.here])
-        fresh = dataclasses.replace(scene, claims=tuple(c for c in scene.claims if not c[1]))
-        forced = forced or not fresh.free(stands, traffic.ours)[1].all()
+    forced = forced or (still and scene.is_claimed())
     flies = state.task.limits
-    needed_m = min(flies.lead_m + flies.speed_m_s, float(scene.ahead_m[-1])) - _THERE_M
-    left_m = traffic.committed_m - traffic.flown_m
+    needed_m = flies.lead_m + _SLACK_S * flies.speed_m_s
+    needed_m = min(needed_m, float(scene.ahead_m[-1])) - _THERE_M
     traffic = replace(
         traffic,
         speed_m_s=speed_m_s,
         forced_since_s=min(traffic.forced_since_s, state.now_s) if forced and still else math.inf,
         moved_at_s=traffic.moved_at_s if still and leg is not None else state.now_s,
-        waits=not flies.hovers and leg is not None and (speed_m_s == 0.0 or left_m < needed_m),
+        waits=not flies.hovers
+        and leg is not None
+        and (speed_m_s == 0.0 or entered_m(traffic) < needed_m),
     )
     state = _with_level(replace(state, traffic=traffic), scene)
     state, says = _told(state, scene)
-    end = _end_of_claim(state, scene)
-    state, claims = _with_claim(state, context, end)
+    state, claims = _with_claim(state, here, _end_of_claim(state, scene))
     return state, [*says, *claims]
 
 
-def _with_claim(
-    state: State, context: Context, end_nea_m: Vector | None
-) -> tuple[State, list[Command]]:
-    """Send the claim, if it is time to."""
-    rules, traffic, here = context.mission.traffic, state.traffic, state.vehicle.position_nea_m
-    assert rules is not None
+def _with_claim(state: State, here: Vector, end: Vector | None) -> tuple[State, list[Command]]:
+    """Send the claim, if there is one and it is time to."""
+    traffic = state.traffic
     assert traffic is not None
     due = state.now_s - traffic.claimed_at_s >= _CLAIM_PERIOD_S - 0.05
-    if end_nea_m is None or here is None or not rules.claims or not due:
+    if end is None or not traffic.rules.claims or not due:
         return state, []
-    sent = ClaimWay(time_s=state.now_s, begin_nea_m=here, end_nea_m=end_nea_m)
+    sent = ClaimWay(time_s=state.now_s, begin_nea_m=here, end_nea_m=end)
     return replace(state, traffic=replace(traffic, claimed_at_s=state.now_s)), [sent]
 
 
-def _column(state: State, context: Context) -> Vector | None:
+def _column(state: State, here: Vector, context: Context) -> Vector | None:
     """The other end of the claim while the autopilot takes off, lands or holds; None: no claim."""
-    here = state.vehicle.position_nea_m
     home = state.vehicle.home_nea_m
-    if here is None or not state.airborne:
+    if not state.airborne:
         return None
     if state.phase is Phase.TAKING_OFF:
         return here[0], here[1], context.mission.take_off_amsl_m
@@ -163,38 +177,25 @@ def _column(state: State, context: Context) -> Vector | None:
 
 def _moved(state: State, traffic: Traffic) -> Traffic:
     """Count what the reference point has moved; without a leg, or on a new one, from nothing."""
-    flight = state.flight
+    flight, (old, old_next) = state.flight, traffic.legs
     leg, at_m = flight.leg, flight.reference.length_m
-    (old, old_next), before_m = traffic.legs, traffic.at_m
-    legs = (leg, flight.next_leg)
+    brakes_m = state.task.limits.stopping_m(flight.reference.speed_m_s)
+    before_m, traffic = traffic.at_m, replace(traffic, legs=(leg, flight.next_leg), at_m=at_m)
     if leg is not None and leg is old:
         moved_m = at_m - before_m
     elif leg is not None and old is not None and leg is old_next:
         moved_m = old.successor_at_m(state.task) - before_m + at_m
-    else:
-        return replace(
-            traffic,
-            legs=legs,
-            at_m=at_m,
-            flown_m=0.0,
-            asked=(),
-            committed_m=0.0,
-            floor_m=traffic.floor_m if leg is None else None,
-        )
-    flown_m = traffic.flown_m + max(moved_m, 0.0)
-    asked, committed_m = traffic.asked, traffic.committed_m
+    else:  # what a vehicle cannot stop before that is led back to a path is its own
+        floor_m = traffic.floor_m if leg is None else None
+        return replace(traffic, flown_m=0.0, asked=(), committed_m=brakes_m, floor_m=floor_m)
+    flown_m, kept_m = traffic.flown_m + max(moved_m, 0.0), math.inf
     if leg is old and flight.next_leg is not old_next:  # another way beyond p_prog
-        kept_m = state.task.limits.stopping_m(flight.reference.speed_m_s)
-        kept_m = flown_m + max(leg.successor_at_m(state.task) - at_m, kept_m)
-        asked = tuple((since_s, min(end_m, kept_m)) for since_s, end_m in asked)
-        committed_m = min(committed_m, kept_m)
+        kept_m = flown_m + max(leg.successor_at_m(state.task) - at_m, brakes_m)
     return replace(
         traffic,
-        legs=legs,
-        at_m=at_m,
         flown_m=flown_m,
-        asked=asked,
-        committed_m=max(committed_m, flown_m),
+        asked=tuple((since_s, min(end_m, kept_m)) for since_s, end_m in traffic.asked),
+        committed_m=max(min(traffic.committed_m, kept_m), flown_m),
     )
 
 
@@ -204,35 +205,32 @@ def _longest_m(task: Task) -> float:
     return _AHEAD_S * limits.speed_m_s + limits.stopping_m(limits.speed_m_s) + limits.lead_m
 
 
-def _scene(state: State, rules: TrafficRules, traffic: Traffic) -> _Scene:
-    task, limits, now_s = state.task, state.task.limits, state.now_s
-    assert state.vehicle.position_nea_m is not None
-    here = np.asarray(state.vehicle.position_nea_m)
-    longest_m = _longest_m(task)
-    ahead_m, path = _path_ahead(state, longest_m)
-    error_m = task.error_m
+def _scene(state: State, traffic: Traffic, here: FloatArray) -> _Scene:
+    rules, limits, now_s = traffic.rules, state.task.limits, state.now_s
+    longest_m = _longest_m(state.task)
+    ahead_m, path = _path_ahead(state, here, longest_m)
+    error_m = state.task.error_m
     wide_m = error_m + limits.loiter_radius_m  # a plane may be beside its way by its circle
     bent_m = STRAIGHT_M
     if not limits.hovers:  # it needs a claim as long as its lead, in a turn too
         bent_m = (limits.lead_m + 2.0 * limits.speed_m_s) ** 2 / (8.0 * limits.turn_radius_m)
     fastest_m_s = math.hypot(limits.speed_m_s, limits.climb_rate_m_s)
-    claims = tuple(
-        (claim, claim.grown_m(now_s, fastest_m_s, longest_m)) for claim in traffic.claims
-    )
-    agreed = {claim.system for claim, grown_m in claims if not grown_m and rules.claims}
-    tracks = tuple(
-        track
-        for track in traffic.tracks
-        if track.system not in agreed
-        and track.reach_s(state.vehicle.position_nea_m, limits.speed_m_s, now_s) < rules.horizon_s
-    )
+    claims = traffic.claims if rules.claims else ()
+    grown = tuple((claim, claim.grown_m(now_s, fastest_m_s, longest_m)) for claim in claims)
+    agreed = {claim.system for claim, grown_m in grown if not grown_m}
     return _Scene(
         now_s=now_s,
+        ours=traffic.ours,
         here=here,
         points=np.concatenate([here[None], path]),
         ahead_m=np.concatenate([[0.0], ahead_m]),
-        claims=claims if rules.claims else (),
-        tracks=tracks,
+        claims=grown,
+        tracks=tuple(
+            track
+            for track in traffic.tracks
+            if track.system not in agreed
+            and track.reach_s(here.tolist(), limits.speed_m_s, now_s) < rules.horizon_s
+        ),
         bent_m=bent_m,
         apart=Separation(
             horizontal_m=rules.separation_m + 2.0 * wide_m + 4.0 * bent_m,
@@ -245,13 +243,12 @@ def _scene(state: State, rules: TrafficRules, traffic: Traffic) -> _Scene:
     )
 
 
-def _path_ahead(state: State, longest_m: float) -> tuple[FloatArray, FloatArray]:
+def _path_ahead(state: State, here: FloatArray, longest_m: float) -> tuple[FloatArray, FloatArray]:
     """Lengths from the reference point on, and the points of the path there.  (N,), (N, 3)."""
     flight = state.flight
     leg, at_m = flight.leg, flight.reference.length_m
     if leg is None:
-        assert state.vehicle.position_nea_m is not None
-        return np.zeros(1), np.asarray(flight.hover_nea_m or state.vehicle.position_nea_m)[None]
+        return np.zeros(1), np.asarray(flight.hover_nea_m or here)[None]
     over_m, beyond_m = leg.subpath.length_m, 0.0
     if flight.stop is not None:
         over_m = min(over_m, flight.stop.at_m)
@@ -273,14 +270,9 @@ def _path_ahead(state: State, longest_m: float) -> tuple[FloatArray, FloatArray]
 def _claimed(traffic: Traffic, scene: _Scene) -> Traffic:
     """Claim the way ahead; enter what has been claimed for long enough, and nobody else claims."""
     now_s, flown_m, ahead_m = scene.now_s, traffic.flown_m, scene.ahead_m
-    if not scene.claims:
-        nobodys_m = mine_m = flown_m + float(ahead_m[-1])
-    else:
-        every, before = scene.free(scene.points, traffic.ours)
-        nobodys_m = flown_m + _first_m(every, ahead_m)
-        mine_m = flown_m + _first_m(before, ahead_m)
+    nobodys_m, mine_m = (flown_m + _first_m(free, ahead_m) for free in scene.free(scene.points))
     committed_m = traffic.committed_m
-    most_m = max(min(mine_m, flown_m + float(ahead_m[-1])), committed_m)
+    most_m = max(mine_m, committed_m)
     asked = [(since_s, min(end_m, most_m)) for since_s, end_m in traffic.asked]
     from_path = int(scene.bent_m > STRAIGHT_M)  # a plane may be beside it
     last = straight_until(scene.points[from_path:], scene.bent_m) + from_path
@@ -319,35 +311,30 @@ def _end_of_claim(state: State, scene: _Scene) -> Vector:
 # --- tracks
 
 
-def _fastest(state: State, rules: TrafficRules, scene: _Scene) -> tuple[float, bool]:
+def _fastest(state: State, horizon_s: float, scene: _Scene) -> tuple[float, bool]:
     """The largest speed that keeps clear of all tracks, or the most of it; whether none does."""
     if not scene.tracks:
         return math.inf, False
     limits = state.task.limits
     slack_m = 0.1 + (limits.speed_m_s * _LAW_STEP_S) ** 2 / (8.0 * limits.turn_radius_m)
     if state.flight.leg is None:
-        times = scene.now_s + np.array([0.0, rules.horizon_s])
-        times = np.arange(times[0], times[1] + _LAW_STEP_S, _LAW_STEP_S)
+        times = np.arange(scene.now_s, scene.now_s + horizon_s + _LAW_STEP_S, _LAW_STEP_S)
         points = np.broadcast_to(scene.points[-1], (len(times), 3))
         return math.inf, not keeps_apart(points, times, scene.tracks, scene.clear, slack_m)
-    speeds = [share * limits.speed_m_s for share in (_SPEEDS if limits.hovers else _SPEEDS[:1])]
-    laws: list[tuple[FloatArray, FloatArray]] = []
+    law = functools.cache(lambda speed_m_s: _time_law(state, speed_m_s, horizon_s))
     for kept in _SHARES:
-        for number, speed in enumerate(speeds):
-            if number == len(laws):
-                laws.append(time_law(state, speed, rules.horizon_s))
-            points, times = laws[number]
-            if keeps_apart(points, times, scene.tracks, scene.clear, slack_m, kept):
-                return (math.inf if number == 0 and kept == 1.0 else speed), kept < 1.0
+        for share in _SPEEDS if limits.hovers else _SPEEDS[:1]:
+            speed_m_s = share * limits.speed_m_s
+            if keeps_apart(*law(speed_m_s), scene.tracks, scene.clear, slack_m, kept):
+                return (math.inf if share == kept == 1.0 else speed_m_s), kept < 1.0
     return 0.0, True
 
 
-def time_law(state: State, speed_m_s: float, horizon_s: float) -> tuple[FloatArray, FloatArray]:
+def _time_law(state: State, speed_m_s: float, horizon_s: float) -> tuple[FloatArray, FloatArray]:
     """Where the reference point will be, at no more than this speed.  -> (N, 3), (N,)."""
     flight, limits, task = state.flight, state.task.limits, state.task
     leg, next_leg, reference = flight.leg, flight.next_leg, flight.reference
     assert leg is not None
-    until_m = None if flight.stop is None else flight.stop.at_m
     count = math.ceil(horizon_s / _LAW_STEP_S)
     points = [leg.subpath.pose(reference.length_m).position_nea_m]
     for _ in range(count):
@@ -359,7 +346,7 @@ def time_law(state: State, speed_m_s: float, horizon_s: float) -> tuple[FloatArr
                 points[-1],
                 limits,
                 goes_on=next_leg is not None,
-                until_m=until_m,
+                until_m=None if flight.stop is None else flight.stop.at_m,
                 slows_to_m_s=leg.slows_to_m_s(task),
                 speed_limit_m_s=min(speed_m_s, flight.speed_limit_m_s),
             )
@@ -377,36 +364,36 @@ def time_law(state: State, speed_m_s: float, horizon_s: float) -> tuple[FloatArr
 
 
 def _with_level(state: State, scene: _Scene) -> State:
-    """Choose a level to go to, drop it when it is taken, or note that the vehicle is there."""
-    traffic = state.traffic
+    """Choose a level to go to, note that the vehicle is there, or stop on the way to it."""
+    traffic, hover, height_m = state.traffic, state.flight.hover_nea_m, float(scene.here[2])
     assert traffic is not None
-    if (level_m := traffic.level_m) is not None:
-        done = abs(float(scene.here[2]) - level_m) < _THERE_M
-        if done or not _is_free(state, scene, level_m):
-            floor_m = level_m if done else traffic.floor_m
-            return replace(state, traffic=_level(traffic, None, math.inf, floor_m))
-        climbs = traffic.climbs or state.now_s - traffic.level_since_s >= CLAIM_S
-        return replace(state, traffic=replace(traffic, climbs=climbs))
     may = state.phase in _ON_PATH or isinstance(state.hold, Replan)
+    if (level_m := traffic.level_m) is not None:
+        done = abs(height_m - level_m) < _THERE_M
+        if may and not done and _is_free(state, scene, level_m):
+            climbs = traffic.climbs or state.now_s - traffic.level_since_s >= CLAIM_S
+            return replace(state, traffic=replace(traffic, climbs=climbs))
+        floor_m = level_m if done else traffic.floor_m
+        ended = replace(traffic, level_m=None, climbs=False, floor_m=floor_m)
+        state = replace(state, traffic=ended)
+        if done or hover is None or not traffic.climbs:
+            return state
+        flight = replace(state.flight, hover_nea_m=(hover[0], hover[1], height_m))
+        return replace(state, flight=flight)
     forced = math.isfinite(traffic.forced_since_s)
     if not (may and state.vehicle.traits.hovers and (forced or _is_stuck(state))):
         return state
     for level_m in _levels(state, scene):
-        goes_on = forced or _is_way_free(scene, level_m)
-        if goes_on and _is_free(state, scene, level_m):
-            return replace(state, traffic=_level(traffic, level_m, state.now_s, traffic.floor_m))
+        if forced:  # of tracks only those count that are here when it could be there
+            goes = scene.is_claimed() or not _is_clear(state, scene, height_m, level_m)
+        else:
+            there = scene.points.copy()
+            there[:, 2] = level_m
+            goes = bool(scene.free(there)[0].all())
+        if goes and _is_free(state, scene, level_m, _FREE_M):
+            chosen = replace(traffic, level_m=level_m, level_since_s=state.now_s)
+            return replace(state, traffic=chosen)
     return state
-
-
-def _is_way_free(scene: _Scene, level_m: float) -> bool:
-    """Whether the way ahead would be free at another level."""
-    points = scene.points.copy()
-    points[:, 2] = level_m
-    return all(free_pieces(points, claim, scene.apart, m).all() for claim, m in scene.claims)
-
-
-def _level(traffic: Traffic, to_m: float | None, since_s: float, floor_m: float | None) -> Traffic:
-    return replace(traffic, level_m=to_m, level_since_s=since_s, climbs=False, floor_m=floor_m)
 
 
 def _is_stuck(state: State) -> bool:
@@ -420,34 +407,17 @@ def _is_stuck(state: State) -> bool:
     return waited_s > (_PATIENCE_S if first else _LAST_PATIENCE_S)
 
 
-def _levels(state: State, scene: _Scene) -> Iterator[float]:
-    """Levels that may clear others, in the band and over proven ground, the nearest first."""
+def _levels(state: State, scene: _Scene) -> list[float]:
+    """Levels in the band, the nearest first."""
     low_m, high_m = state.task.band_amsl_m
     height_m = float(scene.here[2])
-    near_m = scene.apart.horizontal_m + _longest_m(state.task)
-    found = []
-    for claim, _ in scene.claims:
-        ends = claim.begin_nea_m, claim.end_nea_m
-        if min(math.dist(end[:2], scene.here[:2]) for end in ends) <= 2.0 * near_m:
-            heights = [end[2] for end in ends]
-            step_m = scene.apart.vertical_m + _THERE_M
-            found += [max(heights) + step_m, min(heights) - step_m]
-    for track in scene.tracks:
-        _, _, half = track.at(np.array([scene.now_s + 10.0]))
-        step_m = scene.clear.vertical_m + float(half[0]) + _THERE_M
-        found += [track.position_nea_m[2] + step_m, track.position_nea_m[2] - step_m]
-    for level_m in sorted(found, key=lambda level_m: (abs(level_m - height_m), -level_m)):
-        if not low_m <= level_m <= high_m:
-            continue
-        foot = np.array([*scene.here[:2], level_m])
-        required_m = state.task.required_clearance_m
-        if level_m > height_m or (
-            distance_to_terrain_m(state.flight.known, foot, required_m) >= required_m
-        ):
-            yield level_m
+    step_m = max((high_m - low_m) / _LEVELS, 2.0 * _THERE_M)
+    levels = np.arange(low_m, high_m, step_m).tolist()
+    away = (each for each in levels if abs(each - height_m) > _THERE_M)
+    return sorted(away, key=lambda level_m: (abs(level_m - height_m), -level_m))
 
 
-def _is_free(state: State, scene: _Scene, level_m: float) -> bool:
+def _is_free(state: State, scene: _Scene, level_m: float, slack_m: float = 0.0) -> bool:
     """Whether the vehicle may go to a level: nobody else is there, or on the way to it.
 
     Through what is claimed about the vehicle itself it goes away from where that comes from: the
@@ -455,27 +425,44 @@ def _is_free(state: State, scene: _Scene, level_m: float) -> bool:
     """
     here = scene.here
     column = np.linspace(here, [here[0], here[1], level_m], 9)
-    stands, ends = column[[0, 0]], column[[-1, -1]]
-    for claim, grown_m in scene.claims:
+    committed = state.traffic is not None and state.traffic.climbs
+    for claim, grown_m in () if committed else scene.claims:
         if free_pieces(column, claim, scene.apart, grown_m).all():
             continue
         over_m = claim.begin_nea_m[2] - float(here[2])
         away = level_m > here[2] if over_m < -_THERE_M else level_m < here[2]
         level = abs(over_m) <= _THERE_M
-        about_us = not free_pieces(stands, claim, scene.apart, grown_m).all()
-        if grown_m or not about_us or not (away or level):
+        if grown_m or not (away or level) or not _is_near(here, claim, scene.apart):
             return False
-        if not free_pieces(ends, claim, scene.apart).all():
+        if _is_near(column[-1], claim, scene.apart):
             return False
-    if not scene.tracks:
-        return True
-    climb_s = abs(level_m - float(here[2])) / state.task.limits.climb_rate_m_s + CLAIM_S
-    times = scene.now_s + climb_s + np.arange(0.0, 10.0, _LAW_STEP_S)
-    points = np.broadcast_to(column[-1], (len(times), 3))
-    return keeps_apart(points, times, scene.tracks, scene.clear)
+    if not _is_clear(state, scene, level_m, level_m, slack_m):
+        return False
+    required_m = state.task.required_clearance_m
+    return level_m > here[2] or (
+        distance_to_terrain_m(state.flight.known, column[-1], required_m) >= required_m
+    )
+
+
+def _is_clear(
+    state: State, scene: _Scene, at_m: float, level_m: float, slack_m: float = 0.0
+) -> bool:
+    """Whether no track comes near to a height, from when the vehicle could be at a level."""
+    assert state.traffic is not None
+    north, east, height_m = scene.here.tolist()
+    climb_s = abs(level_m - height_m) / state.task.limits.climb_rate_m_s + CLAIM_S
+    until_s = max(state.traffic.rules.horizon_s, climb_s + _LAW_STEP_S)
+    times = scene.now_s + np.arange(climb_s, until_s + _LAW_STEP_S, _LAW_STEP_S)
+    points = np.broadcast_to([north, east, at_m], (len(times), 3))
+    return keeps_apart(points, times, scene.tracks, scene.clear, slack_m)
 
 
 # --- for the phases
+
+
+def entered_m(traffic: Traffic) -> float:
+    """How far ahead of the reference point the path may be entered."""
+    return max(traffic.committed_m - traffic.flown_m, 0.0)
 
 
 def limits(state: State, until_m: float | None, speed_m_s: float) -> tuple[float | None, float]:
@@ -483,7 +470,7 @@ def limits(state: State, until_m: float | None, speed_m_s: float) -> tuple[float
     flight, traffic = state.flight, state.traffic
     if traffic is None or flight.leg is None:
         return until_m, speed_m_s
-    left_m = max(traffic.committed_m - traffic.flown_m, 0.0)
+    left_m = entered_m(traffic)
     at_m = flight.reference.length_m + left_m
     if at_m < flight.leg.subpath.length_m:  # else on the next one
         until_m = at_m if until_m is None else min(until_m, at_m)
@@ -496,7 +483,15 @@ def is_held_back(state: State) -> bool:
     traffic = state.traffic
     if traffic is None or state.flight.leg is None:
         return False
-    return traffic.waits or min(traffic.committed_m - traffic.flown_m, traffic.speed_m_s) < _THERE_M
+    return traffic.waits or min(entered_m(traffic), traffic.speed_m_s) < _THERE_M
+
+
+def settled_m(state: State) -> float:
+    """How far ahead the path may not change any more: it would be entered without a claim."""
+    traffic, flight = state.traffic, state.flight
+    if traffic is None or not traffic.rules.claims:
+        return 0.0
+    return state.task.limits.stopping_m(flight.reference.speed_m_s)
 
 
 def plan_floor(state: State, task: Task) -> Task:
@@ -526,8 +521,7 @@ def hold(state: State) -> tuple[State, list[Command]]:
 
 def keeps_holding(state: State) -> bool:
     """Whether to wait where it is, or for the level that it goes to."""
-    traffic = state.traffic
-    return traffic is not None and traffic.level_m is not None
+    return state.traffic is not None and state.traffic.level_m is not None
 
 
 def _told(state: State, scene: _Scene) -> tuple[State, list[Command]]:
@@ -536,31 +530,30 @@ def _told(state: State, scene: _Scene) -> tuple[State, list[Command]]:
     assert traffic is not None
     ahead_m = traffic.flown_m + float(scene.ahead_m[-1])
     slow = flight.reference.speed_m_s < 0.5 * state.task.limits.speed_m_s
-    waits = flight.leg is not None and slow and traffic.taken_m < ahead_m
+    waits = flight.leg is not None and (slow or traffic.waits) and traffic.taken_m < ahead_m
     reason = None
     if traffic.level_m is None and state.now_s - traffic.forced_since_s > _NO_LEVEL_S:
         reason = Reason.NO_LEVEL
-    elif traffic.waits or traffic.speed_m_s < math.inf or waits:
+    elif waits or traffic.speed_m_s < math.inf:
         reason = Reason.GIVING_WAY
     if reason is None:
-        over = state.now_s - traffic.told_at_s > _AGAIN_S
-        return replace(state, traffic=replace(traffic, told=None)) if over else state, []
-    fresh = traffic.told is None or (reason is Reason.NO_LEVEL and traffic.told is not reason)
-    reason = reason if fresh else traffic.told
-    assert reason is not None
-    traffic = replace(traffic, told=reason, told_at_s=state.now_s)
-    text = f"{reason.text}: {_who(scene, traffic)}"
+        return state, []
+    fresh = state.now_s - traffic.told_at_s > _AGAIN_S
+    fresh = fresh or (reason is Reason.NO_LEVEL and traffic.told is not reason)
+    told = reason if fresh else traffic.told
+    traffic = replace(traffic, told=told, told_at_s=state.now_s)
+    text = f"{reason.text}{_who(scene)}"
     return replace(state, traffic=traffic), [StatusText(text=text)] if fresh else []
 
 
-def _who(scene: _Scene, traffic: Traffic) -> str:
-    """The one in the way."""
+def _who(scene: _Scene) -> str:
+    """The one in the way, as a detail of the reason."""
     for claim, grown_m in scene.claims:
         if not free_pieces(scene.points, claim, scene.apart, grown_m).all():
-            return f"system {claim.system}"
+            return f": system {claim.system}"
     nearest = min(
-        (*scene.tracks, *traffic.tracks),
-        key=lambda track: math.dist(track.position_nea_m[:2], scene.here[:2]),
+        scene.tracks,
+        key=lambda track: track.reach_s(scene.here.tolist(), 0.0, scene.now_s),
         default=None,
     )
-    return "" if nearest is None else nearest.name
+    return "" if nearest is None else f": {nearest.name}"

@@ -35,6 +35,7 @@ from companion.sources.threat_file import read_threats
 from companion.sources.waypoint_file import is_waypoint_list, read_waypoint_list
 from companion.world.known_map import KnownMap, empty_map
 from companion.world.near_map import Kind, NearSensor
+from companion.world.traffic import CLAIM_S
 
 _LIDAR_COMPONENT = wire.MAV_COMP_ID_OBSTACLE_AVOIDANCE
 _OF_RADARS = {"kind", "scanner_complete", "scanner_whole_width"}
@@ -109,16 +110,16 @@ def mission_of(
     Raises InputError for the first rule between fields that is broken.
     """
     _check_kind(model, where)
-    vehicle, link = model.vehicle, model.link
-    frame = LocalFrame(
-        latitude_deg=model.origin.latitude_deg, longitude_deg=model.origin.longitude_deg
-    )
+    vehicle, link, origin = model.vehicle, model.link, model.origin
+    frame = LocalFrame(latitude_deg=origin.latitude_deg, longitude_deg=origin.longitude_deg)
     near, limits, settings = _near_sensor(model, where), _limits(model), _settings(model, profile)
     if near is not None:
         settings = replace(settings, cell_m=_near_cell_m(limits, near.range_m))
+    others = model.traffic and TrafficRules(**model.traffic.of(TrafficRules))
     task = Task(
         limits=limits,
         settings=settings,
+        claim_s=0.0 if near is not None else _claim_s(others, limits),
         radars=tuple(
             radar_of(radar, frame, f"{where}: radars[{index}]")
             for index, radar in enumerate(model.radars)
@@ -151,7 +152,7 @@ def mission_of(
         fallback=Fallback(model.fallback.action),
         known=_known_map(model, task, frame, where),
         reserve=model.battery.reserve_percent / 100.0,
-        traffic=model.traffic and TrafficRules(**model.traffic.of(TrafficRules)),
+        traffic=others,
         rally_ne_m=tuple(
             place_of(point, frame, f"{where}: rally_points[{index}]")
             for index, point in enumerate(model.rally_points)
@@ -160,6 +161,13 @@ def mission_of(
         **as_written,
     )
     return replace(mission, notes=(*mission.notes, *about_altitudes(mission, tables, where)))
+
+
+def _claim_s(others: TrafficRules | None, limits: Limits) -> float:
+    """How much earlier to plan: to claim what is planned, before it is too late to stop."""
+    if others is None or not others.claims:
+        return 0.0
+    return 2.0 * CLAIM_S + limits.stopping_m(limits.speed_m_s) / limits.speed_m_s
 
 
 # --- rules between fields

@@ -63,9 +63,11 @@ class Track:
 
     def reach_s(self, here_nea_m: Sequence[float], speed_m_s: float, now_s: float) -> float:
         """Earliest time from now on at which it can be met by a vehicle of this speed."""
-        centre, radius, _ = (each[0] for each in self.at(np.array([now_s])))
-        gap_m = math.dist(centre[:2], here_nea_m[:2]) - float(radius)
-        closing = math.hypot(*self.velocity_nea_m_s[:2]) + self.growth_m_s + speed_m_s
+        age_s = max(now_s - self.time_s, 0.0)
+        (north, east, _), (vn, ve, _) = self.position_nea_m, self.velocity_nea_m_s
+        gap_m = math.dist((north + age_s * vn, east + age_s * ve), here_nea_m[:2])
+        gap_m -= self.error_m + self.growth_m_s * age_s
+        closing = math.hypot(vn, ve) + self.growth_m_s + speed_m_s
         return max(gap_m, 0.0) / max(closing, 1e-6)
 
 
@@ -105,11 +107,8 @@ def keeps_apart(
         centre, radius, half = track.at(times_s)
         apart = points_nea_m - centre
         level = _least_norm(apart[:-1, :2], apart[1:, :2])
-        up = np.where(
-            apart[:-1, 2] * apart[1:, 2] <= 0.0,
-            0.0,
-            np.minimum(np.abs(apart[:-1, 2]), np.abs(apart[1:, 2])),
-        )
+        low, high = np.sort([apart[:-1, 2], apart[1:, 2]], axis=0)
+        up = np.maximum(np.maximum(low, -high), 0.0)
         near = level < share * (separation.horizontal_m + radius[1:]) + slack_m
         if np.any(near & (up < share * (separation.vertical_m + half[1:]) + slack_m)):
             return False

@@ -1,6 +1,6 @@
 """How vehicles that all cross one point keep apart, and keep clear of aircraft, with lost messages.
 
-    scripts/bench crossing [--seeds 200] [--lost 0.1] [--jobs 2] [--json FILE]
+    scripts/bench crossing [--seeds 200] [--first 0] [--vehicles 2 4 8] [--lost 0.1] [--jobs 2]
 
 Each vehicle has its own companion (`Session`, with the planner in process); its vehicle does what
 it is told.  Between them go positions, heartbeats and claims, of which a share is lost and the
@@ -208,7 +208,7 @@ def fly(count: int, aircraft: int, lost: float, seed: int) -> dict[str, Any]:
         nearest.look(drones, planes, now_s)
     return {
         "seed": seed,
-        "level_m": nearest.level_m,
+        "least_m": nearest.least_m,
         "kept": nearest.kept,
         "clear_m": nearest.clear_m,
         "arrived": sum(drone.outcome == "arrived" for drone in drones),
@@ -221,7 +221,7 @@ def fly(count: int, aircraft: int, lost: float, seed: int) -> dict[str, Any]:
 class Nearest:
     """How near they have come."""
 
-    level_m: float = math.inf
+    least_m: float = math.inf
     """Least distance between vehicles, all axes."""
     kept: float = math.inf
     """Least share of the separation that was kept, horizontally or vertically."""
@@ -232,17 +232,14 @@ class Nearest:
         places = [each.position() for each in drones if each.is_up]
         for index, one in enumerate(places):
             for other in places[:index]:
-                apart = one - other
-                level_m, up_m = math.hypot(apart[0], apart[1]), abs(float(apart[2]))
-                kept = max(level_m / SEPARATION_M, up_m / SEPARATION_UP_M)
-                self.kept = min(self.kept, kept)
-                self.level_m = min(self.level_m, math.hypot(level_m, up_m))
+                self.least_m = min(self.least_m, self._apart_m(one - other))
             for plane in planes:
-                apart = one - plane.position(now_s)
-                level_m, up_m = math.hypot(apart[0], apart[1]), abs(float(apart[2]))
-                kept = max(level_m / SEPARATION_M, up_m / SEPARATION_UP_M)
-                self.kept = min(self.kept, kept)
-                self.clear_m = min(self.clear_m, math.hypot(level_m, up_m))
+                self.clear_m = min(self.clear_m, self._apart_m(one - plane.position(now_s)))
+
+    def _apart_m(self, apart: FloatArray) -> float:
+        level_m, up_m = math.hypot(apart[0], apart[1]), abs(float(apart[2]))
+        self.kept = min(self.kept, max(level_m / SEPARATION_M, up_m / SEPARATION_UP_M))
+        return math.hypot(level_m, up_m)
 
 
 _KERNELS: list[Kernel] = []
@@ -259,7 +256,7 @@ def _row(found: list[dict[str, Any]], count: int, alone_s: float) -> list[str]:
     there = delays[np.isfinite(delays)]
     kept = [trial["kept"] for trial in found if math.isfinite(trial["kept"])]
     clear = [trial["clear_m"] for trial in found if math.isfinite(trial["clear_m"])]
-    least = [trial["level_m"] for trial in found if math.isfinite(trial["level_m"])]
+    least = [trial["least_m"] for trial in found if math.isfinite(trial["least_m"])]
     return [
         f"{len(there)} of {count * len(found)}",
         f"{min(least):.1f}" if least else "",

@@ -89,6 +89,7 @@ def test_an_aircraft_is_where_and_when_it_was_last_heard_of() -> None:
         (ALL_VALID & ~2, math.inf, 50.0, 6.0),
         (ALL_VALID & ~8, 120.0, 0.0, 100.0),
         (ALL_VALID & ~4, 120.0, 0.0, 51.0),
+        (ALL_VALID & ~128, 120.0, 50.0, 6.0),
     ],
 )
 def test_what_is_not_valid_is_uncertain(
@@ -98,6 +99,8 @@ def test_what_is_not_valid_is_uncertain(
     assert track.error_up_m == height
     assert math.hypot(*track.velocity_nea_m_s[:2]) == pytest.approx(speed, abs=0.01)
     assert track.growth_m_s == pytest.approx(growth)
+    climbs = (-2.0, 2.2) if flags & 128 else (0.0, 15.0)
+    assert (track.velocity_nea_m_s[2], track.growth_up_m_s) == pytest.approx(climbs)
 
 
 def test_no_coordinates_an_old_report_or_our_own_transponder_is_no_track() -> None:
@@ -132,6 +135,24 @@ def test_a_system_that_has_a_transponder_is_one_track() -> None:
     assert len(far.tracks) == 2
 
 
+def test_an_aircraft_above_a_system_is_another_one() -> None:
+    speed = {"heading": 30687, "hor_velocity": 500}
+    above = aircraft(tslc=0, altitude=4_100_000, **speed)
+    assert len(heard(frame_of(position_of(), 3), above).tracks) == 2
+
+
+def test_a_report_that_is_repeated_gets_older() -> None:
+    """ArduPilot repeats its last one for five seconds, with the age that it had."""
+    listener = Listener(MISSION)
+    for second in range(5):
+        listener.on_message(frame_of(aircraft(tslc=0)), 100.0 + second, OURS)
+    [track] = listener.others(replace(HERE, time_s=104.0), OURS).tracks
+    assert track.time_s == 100.0
+    listener.on_message(frame_of(aircraft(tslc=0, hor_velocity=0)), 105.0, OURS)
+    [track] = listener.others(replace(HERE, time_s=105.0), OURS).tracks
+    assert track.time_s == 105.0  # it stands
+
+
 def test_a_track_is_forgotten_after_a_minute() -> None:
     listener = Listener(MISSION)
     listener.on_message(frame_of(aircraft(tslc=0)), 100.0, OURS)
@@ -154,7 +175,8 @@ def test_a_thousand_aircraft_leave_the_nearest_and_are_told_once() -> None:
 def test_a_flood_is_read_twenty_times_a_second() -> None:
     listener = Listener(MISSION)
     for tick in range(200):
-        listener.on_message(frame_of(aircraft(tslc=0)), 100.0 + 0.005 * tick, OURS)
+        report = aircraft(tslc=0, lon=80000000 + 5 * tick)
+        listener.on_message(frame_of(report), 100.0 + 0.005 * tick, OURS)
     assert len({listener.others(HERE, OURS).tracks[0].time_s}) == 1
     [track] = listener.others(replace(HERE, time_s=101.0), OURS).tracks
     assert 100.9 <= track.time_s <= 100.995
@@ -198,6 +220,12 @@ def test_only_companions_of_others_claim_and_a_farewell_ends_it() -> None:
     assert heard(frame_of(message, 3, 1)).claims == ()
     farewell = frame_of(heartbeat(armed=False, status=wire.MAV_STATE_POWEROFF), 3, 195)
     assert heard(frame_of(message, 3, 195), farewell).claims == ()
+
+
+def test_another_kind_of_target_is_no_claim() -> None:
+    message = claim_message(CLAIM, MISSION)
+    message.type_mask = 2496
+    assert heard(frame_of(message, 3, 195)).claims == ()
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1e9])

@@ -47,6 +47,22 @@ def test_an_aircraft_is_told_of_once_a_second_by_the_autopilot(world_table: dict
     assert (last.heading, last.hor_velocity, last.ver_velocity) == (9000, 4000, 100)
 
 
+def test_the_course_is_from_true_north_far_from_the_origin(world_table: dict[str, Any]) -> None:
+    world_table["traffic"] = [AIRCRAFT | {"east_m": 100_000.0, "course_deg": 0.0}]
+    simulation = Simulation(parse_world(world_table))
+    codec, told = wire.MAVLink(None), []
+    for _ in range(200):
+        simulation.step()
+        for _, frame in simulation.take_frames():
+            told += [m for m in codec.parse_buffer(frame) or () if m.get_type() == "ADSB_VEHICLE"]
+    first, last = told[0], told[-1]
+    flown_deg, _, _ = pyproj.Geod(ellps="WGS84").inv(
+        first.lon * 1e-7, first.lat * 1e-7, last.lon * 1e-7, last.lat * 1e-7
+    )
+    assert abs(math.remainder(first.heading * 0.01 - flown_deg, 360.0)) < 0.05
+    assert abs(math.remainder(flown_deg, 360.0)) > 0.5
+
+
 def test_an_aircraft_without_a_course_is_refused(world_table: dict[str, Any]) -> None:
     world_table["traffic"] = [{k: v for k, v in AIRCRAFT.items() if k != "course_deg"}]
     with pytest.raises(InputError, match=r"traffic\.0\.course_deg .*missing"):

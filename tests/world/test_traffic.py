@@ -173,3 +173,14 @@ def test_two_that_want_the_same_never_both_enter_whatever_is_lost(lost: float) -
     assert all(len(entered) <= 1 for entered in ways)  # nobody leaves in this
     if lost <= 0.1:
         assert sum(map(len, ways)) == len(ways)
+
+
+def test_nobody_is_met_sooner_than_the_earliest_time() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        other, here = track(rng), rng.uniform(-400.0, 400.0, 3)
+        earliest_s = other.reach_s(here.tolist(), 10.0, 1.0)
+        for after_s in np.linspace(0.0, 0.999 * earliest_s, 20).tolist():
+            [there], [radius], _ = other.at(np.array([1.0 + after_s]))
+            gap_m = math.dist(there[:2], here[:2].tolist()) - radius
+            assert gap_m >= 10.0 * after_s - 1e-6

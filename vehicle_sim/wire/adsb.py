@@ -8,12 +8,13 @@ import math
 from collections.abc import Sequence
 from typing import Final, final
 
-from vehicle_sim.geodesy import LocalFrame
+from vehicle_sim.geodesy import WGS84, LocalFrame
 from vehicle_sim.wire.dialect import message_class
 from vehicle_sim.wire.radio import Radio
 from vehicle_sim.world import Aircraft
 
 _PERIOD_US = 1_000_000
+_BASELINE_M = 100.0
 _FIRST_US = 250_000  # not with everything else
 _GEOMETRIC, _LIGHT, _ALL_VALID = 1, 1, 0x9F  # coordinates, altitude, course, both speeds, callsign
 _AdsbVehicle: Final = message_class("ADSB_VEHICLE")
@@ -34,12 +35,15 @@ class AdsbReceiver:
             self._radio.broadcast(self._report(each, now_us * 1e-6))
 
     def _report(self, aircraft: Aircraft, now_s: float) -> object:
-        course_rad = math.radians(aircraft.course_deg)
-        flown_m = aircraft.speed_m_s * now_s
-        latitude_deg, longitude_deg = self._frame.to_geographic(
-            aircraft.north_m + flown_m * math.cos(course_rad),
-            aircraft.east_m + flown_m * math.sin(course_rad),
+        course_rad, flown_m = math.radians(aircraft.course_deg), aircraft.speed_m_s * now_s
+        (latitude_deg, longitude_deg), ahead = (
+            self._frame.to_geographic(
+                aircraft.north_m + along_m * math.cos(course_rad),
+                aircraft.east_m + along_m * math.sin(course_rad),
+            )
+            for along_m in (flown_m, flown_m + _BASELINE_M)
         )
+        true_course_deg, _, _ = WGS84.inv(longitude_deg, latitude_deg, *ahead[::-1])
         altitude_m = aircraft.altitude_amsl_m + aircraft.climb_m_s * now_s
         return _AdsbVehicle(
             aircraft.icao_address,
@@ -47,7 +51,7 @@ class AdsbReceiver:
             round(longitude_deg * 1e7),
             _GEOMETRIC,
             round(altitude_m * 1e3),
-            round(aircraft.course_deg % 360.0 * 100.0),
+            round(true_course_deg * 100.0) % 36_000,
             round(aircraft.speed_m_s * 100.0),
             round(aircraft.climb_m_s * 100.0),
             aircraft.callsign.encode("ascii"),

@@ -61,7 +61,7 @@ Decoder = Callable[[Message, float, LocalFrame, Vector | None], Event | None]
 
 def position(message: Message, _now_s: float, frame: LocalFrame, *_: object) -> Position | None:
     """GLOBAL_POSITION_INT: the vehicle's position, if it has one."""
-    place = _place(message.lat, message.lon, message.alt * 1e-3, frame)
+    place = place_of(message.lat, message.lon, message.alt * 1e-3, frame)
     if place is None:
         return None
     turn, heading = -frame.grid_north_rad(place[0], place[1]), message.hdg
@@ -89,12 +89,12 @@ def _gps(message: Message, now_s: float, *_: object) -> GpsFix:
 
 
 def _home(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Home | None:
-    place = _place(message.latitude, message.longitude, message.altitude * 1e-3, frame)
+    place = place_of(message.latitude, message.longitude, message.altitude * 1e-3, frame)
     return None if place is None else Home(time_s=now_s, position_nea_m=place)
 
 
 def _origin(message: Message, now_s: float, frame: LocalFrame, *_: object) -> Origin | None:
-    place = _place(message.latitude, message.longitude, message.altitude * 1e-3, frame)
+    place = place_of(message.latitude, message.longitude, message.altitude * 1e-3, frame)
     return None if place is None else Origin(time_s=now_s, position_nea_m=place)
 
 
@@ -141,13 +141,13 @@ def echo_at(
     return Echo(time_s=now_s, position_nea_m=place, velocity_nea_m_s=velocity_nea_m_s)
 
 
-def _place(
+def place_of(
     latitude_e7: int, longitude_e7: int, altitude_m: float, frame: LocalFrame
 ) -> Vector | None:
     """A position from the wire; None near latitude = longitude = 0, which means "none yet"."""
     latitude, longitude = latitude_e7 * _E7, longitude_e7 * _E7
-    if max(abs(latitude), abs(longitude)) < _NOWHERE_DEG:
-        return None
+    if max(abs(latitude), abs(longitude)) < _NOWHERE_DEG or abs(longitude) > 180.0:
+        return None  # beyond a pole it is not finite
     north_m, east_m = frame.to_local_m(latitude, longitude)
     if not (math.isfinite(north_m) and math.isfinite(east_m)):
         return None
