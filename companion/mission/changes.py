@@ -199,7 +199,7 @@ def _with_near_things(state: State, event: NearSeen) -> Step:
     if stops_for is Reason.NEW_THREAT:
         return state, [], None
     kept_m = state.task.settings.safety_distance_m + state.task.limits.tracking_error_m
-    legs = [(flight.leg, flight.reference.length_m), (flight.next_leg, 0.0)]
+    legs = [(flight.leg, following.vehicle_at_m(state, flight.leg)), (flight.next_leg, 0.0)]
     if any(leg and meets_near_things(leg, at_m, event.near, kept_m) for leg, at_m in legs):
         return following.stop(state, Reason.NEW_THREAT)
     return state, [], None

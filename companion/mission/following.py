@@ -233,6 +233,21 @@ def is_due(state: State) -> bool:
     return state.now_s - state.flight.sent_at_s > least_s
 
 
+def vehicle_at_m(state: State, leg: Leg) -> float:
+    """Length along the leg where the vehicle is; not beyond the reference point.
+
+    A copter that gains speed is up to a second behind that, and would stop as much later.
+    """
+    at_m, vehicle = state.flight.reference.length_m, state.vehicle
+    if vehicle.position_nea_m is None:
+        return at_m
+    pose = leg.subpath.pose(at_m)
+    here = np.asarray(vehicle.position_nea_m)
+    here = here + (state.now_s - vehicle.position_at_s) * np.asarray(vehicle.velocity_nea_m_s)
+    behind_m = float((pose.position_nea_m - here) @ pose.tangent_nea)
+    return max(at_m - max(behind_m, 0.0), 0.0)
+
+
 def stop(state: State, reason: Reason) -> Step:
     """Stop on the path as soon as the vehicle can, and hold there."""
     flight = state.flight
@@ -252,10 +267,11 @@ def stop(state: State, reason: Reason) -> Step:
             point = loiter_point(flight.known, state.task, query, (point,)) or point
         flight = at_rest(requeue_backtrack(flight), point)
         return replace(state, flight=flight, reason=reason), [], Trigger.FAULT
-    brakes_m = limits.stopping_m(flight.reference.speed_m_s)
     leg = flight.leg
     assert leg is not None
-    stop_at_m = min(flight.reference.length_m + brakes_m, leg.subpath.length_m)
+    brakes_m = limits.stopping_m(flight.reference.speed_m_s)
+    stop_at_m = max(vehicle_at_m(state, leg) + brakes_m, flight.reference.length_m)
+    stop_at_m = min(stop_at_m, leg.subpath.length_m)
     if flight.stop is not None:
         stop_at_m = min(stop_at_m, flight.stop.at_m)
     if flight.next_leg is not None:

@@ -24,6 +24,9 @@ from companion.planner.request import Planned, Rest
 from companion.planner.settings import Task
 
 _LEAD_S = 1.0  # the reference point waits when it is this far ahead of the vehicle, at full speed
+_GAINS = (
+    0.6  # of that: so far ahead it gains no more speed, else the vehicle catches up faster than V
+)
 _ARRIVED_M = 0.05  # what is left of the speed there is worth no mention
 _CHORDS = 32  # of the part of the path on which the nearest point is looked for
 _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
@@ -118,10 +121,10 @@ def advance(
 ) -> Reference:
     """Move the reference point: speed up, cruise at V, slow down to stop at the end of the leg.
 
-    It slows down with the mission's acceleration, harder where the path demands a lower speed,
-    and waits for a vehicle that has fallen behind.  goes_on: the next leg is ready, so there
-    is no stop at the end of this one.  until_m: the length at which to stop if that is before the
-    end.  speed_limit_m_s: in place of V if that is less.
+    It slows down with the mission's acceleration, harder where the path demands a lower speed;
+    it gains speed the more slowly the farther behind the vehicle is, and waits if it is too far.
+    goes_on: the next leg is ready, so there is no stop at the end of this one.  until_m: the length
+    at which to stop if that is before the end.  speed_limit_m_s: in place of V if that is less.
     """
     pose = leg.subpath.pose(reference.length_m)
     allowed = allowed_speed_m_s(pose, limits)
@@ -132,10 +135,12 @@ def advance(
     if not goes_on or until_m is not None:
         allowed = min(allowed, limits.braked_m_s(left))
     change = limits.acceleration_m_s2 * elapsed_s
-    speed = min(max(allowed, reference.speed_m_s - 2.0 * change), reference.speed_m_s + change)
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
-    if lead > max(_LEAD_S * limits.speed_m_s, 2.0 * limits.tracking_error_m):
+    most = max(_LEAD_S * limits.speed_m_s, 2.0 * limits.tracking_error_m)
+    if lead > most:
         return Reference(length_m=reference.length_m, speed_m_s=0.0)
+    faster = change * min(max(1.0 - lead / (_GAINS * most), 0.0), 1.0)
+    speed = min(max(allowed, reference.speed_m_s - 2.0 * change), reference.speed_m_s + faster)
     step = min(0.5 * (reference.speed_m_s + speed) * elapsed_s, left)
     return Reference(length_m=reference.length_m + step, speed_m_s=speed)
 

@@ -5,14 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 sys.path.insert(0, str(Path(__file__).parent))
 from made_up import Craft, flying, mission, two_legs_away
 from test_orders import home_or_on
 
+from companion.mission import changes, following
 from companion.mission.events import NearSeen, Setpoint, StatusText
 from companion.mission.mission import Fallback
 from companion.mission.state import Phase, Reason
+from companion.planner.procedure import Reference
 from companion.world.near_map import NearMap, NearSensor, Rules, Sight
 from companion.world.rays import Lattice
 
@@ -124,3 +127,39 @@ def test_what_stands_in_the_way_outweighs_a_dead_sensor() -> None:
     stop = craft.state.flight.stop
     assert stop is not None
     assert stop.reason is Reason.NEW_THREAT
+
+
+def test_a_copter_behind_its_reference_stops_as_far_from_where_it_is_itself() -> None:
+    craft = flying(MISSION)
+    flight, vehicle = craft.state.flight, craft.state.vehicle
+    leg, at_m = flight.leg, flight.reference.length_m
+    assert leg is not None
+    assert vehicle.position_nea_m is not None
+    behind_m = 0.4 * at_m
+    place = leg.subpath.pose(at_m - behind_m).point_nea_m
+    behind = replace(craft.state, vehicle=replace(vehicle, position_nea_m=place))
+    stopped, _, _ = following.stop(behind, Reason.NEW_THREAT)
+    assert stopped.flight.stop is not None
+    brakes_m = flight.reference.speed_m_s**2 / (2.0 * MISSION.task.limits.acceleration_m_s2)
+    stops_at_m = max(at_m - behind_m + brakes_m, at_m)
+    assert stopped.flight.stop.at_m == pytest.approx(stops_at_m, rel=1e-3)
+    age_s = 1.0  # of the position: it has flown on since
+    later = replace(behind, now_s=behind.now_s + age_s)
+    gained_m = following.vehicle_at_m(later, leg) - following.vehicle_at_m(behind, leg)
+    assert gained_m == pytest.approx(np.linalg.norm(vehicle.velocity_nea_m_s) * age_s, rel=1e-3)
+
+
+def test_what_stands_between_a_copter_and_its_reference_stops_it() -> None:
+    craft = flying(MISSION)
+    flight, vehicle = craft.state.flight, craft.state.vehicle
+    leg = flight.leg
+    assert leg is not None
+    ahead_of_it = Reference(length_m=0.8 * leg.subpath.length_m)
+    north, east, _ = leg.subpath.pose(0.5 * leg.subpath.length_m).point_nea_m
+    thing = seen(craft, Sight.SEES, (north, east))
+    for at_m, stops in ((0.0, True), (ahead_of_it.length_m, False)):
+        there = replace(vehicle, position_nea_m=leg.subpath.pose(at_m).point_nea_m)
+        state = replace(craft.state, vehicle=there, flight=replace(flight, reference=ahead_of_it))
+        step = changes.changed(state, thing, craft.context)
+        assert step is not None
+        assert (step[0].flight.stop is not None) == stops

@@ -131,6 +131,40 @@ def test_it_waits_for_a_vehicle_that_does_not_follow_and_goes_on_with_it(tick_s:
     assert reference.speed_m_s > 0.0
 
 
+def overshoot_m_s(references_m: list[float], tick_s: float, jerk_m_s3: float) -> float:
+    """By how much a follower of limited jerk (ArduCopter's P 1/s, acceleration A) exceeds V.
+
+    Given the reference's places in advance, or (empty) with the reference that waits for it.
+    """
+    at_m = speed = gain = 0.0
+    fastest, leg, reference = 0.0, leg_to(4_000.0, 0.0, 0.0), Reference()
+    for k in range(int(30.0 / tick_s)):
+        if references_m:
+            wanted_m = references_m[min(k, len(references_m) - 1)]
+            wanted = min(A * k * tick_s, V)
+        else:
+            here = np.array([at_m, 0.0, 0.0])
+            reference = advance(reference, leg, tick_s, here, LIMITS, goes_on=True)
+            wanted_m, wanted = reference.length_m, reference.speed_m_s
+        pull = min(max(2.0 * (wanted + wanted_m - at_m - speed), -A), A)
+        gain += min(max(pull - gain, -jerk_m_s3 * tick_s), jerk_m_s3 * tick_s)
+        speed += gain * tick_s
+        at_m += speed * tick_s
+        fastest = max(fastest, speed)
+    return fastest - V
+
+
+@pytest.mark.parametrize("jerk_m_s3", [2.0, 3.0, 5.0])
+def test_it_waits_for_a_vehicle_that_gains_speed_so_that_it_overshoots_less(
+    jerk_m_s3: float,
+) -> None:
+    tick_s = 0.05
+    times = np.arange(0.0, 30.0, tick_s)
+    ramp = np.where(times < V / A, 0.5 * A * times**2, V * times - 0.5 * V**2 / A)
+    trapezium = overshoot_m_s(ramp.tolist(), tick_s, jerk_m_s3)
+    assert overshoot_m_s([], tick_s, jerk_m_s3) < 0.7 * trapezium
+
+
 def test_a_vehicle_that_is_ahead_does_not_pull_the_reference_point_along() -> None:
     leg = leg_to(2_000.0, 0.0, 0.0)
     ahead = advance(
