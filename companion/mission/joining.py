@@ -44,7 +44,7 @@ def joined(state: State) -> Flight | None:
     speed = min(speed, limits.speed_m_s)
     ends = went_over or flight.next_leg is None
     if vehicle.traits.hovers and ends:  # what it cannot brake from by then is offset
-        speed = min(speed, limits.braked_m_s(leg.subpath.length_m - at_m))
+        speed = min(speed, limits.braked_m_s(leg.subpath.length_m - at_m, limits.overrun_m))
     circling = not vehicle.traits.hovers and off_m > limits.tracking_error_m
     flight = replace(
         flight,

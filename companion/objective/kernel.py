@@ -18,7 +18,7 @@ from companion.objective.scene import FlightScene, Weights
 from companion.path.bspline import uniform_basis
 from companion.path.certificate import pack_zones
 from companion.path.limits import Limits
-from companion.path.proof_distance import ZoneTable, polygon_at
+from companion.path.proof_distance import ZoneTable, braked_m_s, polygon_at
 from companion.path.subpath import Pose
 from companion.world.clearance import Surface
 from companion.world.threats import NearCells
@@ -236,10 +236,11 @@ def dead_man_m(points: FloatArray, ahead: FloatArray, scene: FlightScene) -> flo
     """How far points of the dead-man stretches lie too low, metres in all."""
     total, limits = 0.0, scene.limits
     for j in range(1, len(points), flight.DEAD_MAN_EVERY):
-        room = points[-1, 3] - points[j, 3]
+        left, overrun = points[-1, 3] - points[j, 3], limits.overrun_m
+        speed = braked_m_s(left, limits.acceleration_m_s2, limits.dead_man_s, overrun)
         if scene.from_rest:
-            room = min(room, points[j, 3])
-        speed = min(math.sqrt(2.0 * limits.acceleration_m_s2 * room), limits.speed_m_s)
+            speed = min(speed, math.sqrt(2.0 * limits.acceleration_m_s2 * points[j, 3]))
+        speed = min(speed, limits.speed_m_s)
         reach = speed * limits.dead_man_s + speed * speed / (2.0 * limits.acceleration_m_s2)
         dn, de, da = ahead[j, 0], ahead[j, 1], ahead[j, 2]
         reach /= max(math.sqrt(dn * dn + de * de + da * da), 1e-9)

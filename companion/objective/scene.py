@@ -308,12 +308,15 @@ def _reach_m(points: FloatArray, scene: FlightScene) -> FloatArray:
     """
     chords = np.linalg.norm(np.diff(points, axis=1), axis=-1)
     flown = np.concatenate([np.zeros((len(points), 1)), np.cumsum(chords, axis=1)], axis=1)
-    room = flown[:, -1:] - flown
+    left, limits = flown[:, -1:] - flown, scene.limits
+    braking, flies_on_s = limits.acceleration_m_s2, limits.dead_man_s
+    speed = np.minimum(np.sqrt(2.0 * braking * left), limits.speed_m_s)
     if scene.from_rest:
-        room = np.minimum(room, flown)
-    limits = scene.limits
-    speed = np.minimum(np.sqrt(2.0 * limits.acceleration_m_s2 * room), limits.speed_m_s)
-    return speed * limits.dead_man_s + speed**2 / (2.0 * limits.acceleration_m_s2)
+        speed = np.minimum(speed, np.sqrt(2.0 * braking * flown))
+    if limits.overrun_m < limits.speed_m_s * flies_on_s:
+        within = flies_on_s**2 + 2.0 * (left + limits.overrun_m) / braking
+        speed = np.minimum(speed, braking * (np.sqrt(within) - flies_on_s))
+    return speed * flies_on_s + speed**2 / (2.0 * braking)
 
 
 def detections(points: FloatArray, radars: tuple[Radar, ...], margin_m: float = 0.0) -> FloatArray:

@@ -173,6 +173,7 @@ def pack_surroundings(
         clearance_m=float(margins.clearance_m),
         contact_m=float(margins.contact_m),
         dead_man_s=float(margins.dead_man_s),
+        overrun_m=float(limits.overrun_m),
         speed_m_s=float(limits.speed_m_s),
         acceleration_m_s2=float(limits.acceleration_m_s2),
         stops=stops,

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import final
 
+from companion.path.proof_distance import braked_m_s
 from companion.ranges import NotNegative, Positive
 
 
@@ -30,6 +31,9 @@ class Limits:
     """How wrong its position may be: the estimator's error, and that of the altitude datum."""
     dead_man_s: NotNegative = 3.5
     """How long it flies straight on after the last setpoint, before it brakes."""
+    overrun_m: float = math.inf
+    """How far beyond the end of a leg, where it stops, it may come if the companion dies: it slows
+    down in time."""
     loiter_radius_m: float = 0.0
     """Of a plane, which cannot stand still: it holds on circles of at most this radius, and so
     does its autopilot if the companion dies.  0: a vehicle that can hover."""
@@ -56,9 +60,18 @@ class Limits:
             return 0.0
         return speed_m_s**2 / (2.0 * self.acceleration_m_s2)
 
-    def braked_m_s(self, left_m: float) -> float:
-        """The highest speed from which the vehicle stops within so many metres, m/s."""
-        return math.sqrt(2.0 * self.acceleration_m_s2 * max(left_m, 0.0))
+    def braked_m_s(self, left_m: float, overrun_m: float = math.inf) -> float:
+        """The highest speed from which the vehicle stops within so many metres, m/s.
+
+        overrun_m: how much farther it may come if the companion dies meanwhile.
+        """
+        left_m = max(left_m, 0.0)
+        return braked_m_s(left_m, self.acceleration_m_s2, self.dead_man_s, overrun_m)
+
+    def slowing_m(self, speed_m_s: float) -> float:
+        """How far before the end of a leg the vehicle begins to slow down for it, metres."""
+        flies_on_m = speed_m_s * self.dead_man_s if self.hovers else 0.0
+        return self.stopping_m(speed_m_s) + max(flies_on_m - self.overrun_m, 0.0)
 
     @property
     def lead_m(self) -> float:

@@ -16,6 +16,7 @@ from companion.geodesy import FloatArray
 from companion.path.proof_distance import (
     Segment,
     Surroundings,
+    braked_m_s,
     terrain_distance,
     zone_distance,
 )
@@ -107,8 +108,10 @@ def stretch_of(
     segment, sag, cosine, length = piece
     x, y, z, dx, dy, dz = segment
     twice, speed = 2.0 * here.acceleration_m_s2, here.speed_m_s
-    brakes = min(max(left - speed * speed / twice, 0.0), length)  # where it begins to slow down
-    fastest = min(speed, math.sqrt(twice * left))
+    slows = speed * speed / twice + max(speed * here.dead_man_s - here.overrun_m, 0.0)
+    brakes = min(max(left - slows, 0.0), length)  # where it begins to slow down
+    fastest = braked_m_s(left, here.acceleration_m_s2, here.dead_man_s, here.overrun_m)
+    fastest = min(speed, fastest)
     rising = min(speed, math.sqrt(twice * flown))
     farthest = reach(here, min(fastest, rising))
     chord = math.sqrt(dx * dx + dy * dy + dz * dz)

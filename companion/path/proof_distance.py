@@ -51,6 +51,7 @@ class Surroundings(NamedTuple):
     clearance_m: float
     contact_m: float
     dead_man_s: float
+    overrun_m: float
     speed_m_s: float
     acceleration_m_s2: float
     stops: bool
@@ -65,6 +66,18 @@ class Surroundings(NamedTuple):
     map_north_m: float
     map_west_m: float
     map_east_m: float
+
+
+def braked_m_s(left: float, acceleration: float, dead_man_s: float, overrun: float) -> float:
+    """The highest speed that can be braked within `left`, and within `overrun` more after a time.
+
+    v^2 = 2 a left, but v dead_man_s + v^2 / 2a <= left + overrun.
+    """
+    speed = math.sqrt(2.0 * acceleration * left)
+    if speed * dead_man_s > overrun:
+        within = 2.0 * (left + overrun) / acceleration
+        speed = acceleration * (math.sqrt(dead_man_s * dead_man_s + within) - dead_man_s)
+    return speed
 
 
 def column_gap(at: float, segment: Segment, box: Box) -> tuple[float, float]:

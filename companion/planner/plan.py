@@ -219,7 +219,7 @@ class _Plan:
         )
         self._scene = _scene(request, self._field)
         limits = request.task.limits
-        self._shortest_m = max(limits.stopping_m(limits.speed_m_s), limits.lead_m)
+        self._shortest_m = max(limits.slowing_m(limits.speed_m_s), limits.lead_m)
         settings = request.task.settings
         self._per_metre = settings.weights.length * 100.0 / (2.4 * settings.scan_range_m)
         self._evaluations = self._tries = 0
@@ -271,7 +271,7 @@ class _Plan:
     def _to_edge_of_sight(self) -> tuple[_SearchVariant, ...]:
         """Variants that end where the cheapest route leaves the provable area, within scan range.
 
-        Beyond L; a vehicle at rest may also fly less, and stop again.
+        Shorter ones are flown more slowly; a vehicle at rest may also stop again.
         """
         scene, scan = self._scene, np.array(self._request.scan_nea_m[:2])
         route = np.array(self._field.route_ne_m)
@@ -282,7 +282,9 @@ class _Plan:
         barred = np.flatnonzero(lowest > scene.band_amsl_m[1])
         away = np.hypot(*(points[: barred[0] if len(barred) else None] - scan).T)
         far_m = float(away.max(initial=0.0))
-        least_m = self._shortest_m if scene.from_rest else self._request.task.scan_distance_m
+        limits, least_m = self._request.task.limits, self._shortest_m
+        if scene.from_rest:
+            least_m = max(limits.stopping_m(limits.speed_m_s), limits.lead_m)
         if not least_m < far_m < scene.end_radius_m:
             return ()
         return (_SearchVariant(reach=far_m / scene.end_radius_m),)

@@ -27,6 +27,8 @@ _LEAD_S = 1.0  # the reference point waits when it is this far ahead of the vehi
 _GAINS = (
     0.6  # of that: so far ahead it gains no more speed, else the vehicle catches up faster than V
 )
+_SLOWEST = 0.25  # of V: what would have to be left more slowly is flown to its end
+_ROUNDING_M = 1e-6
 _ARRIVED_M = 0.05  # what is left of the speed there is worth no mention
 _CHORDS = 32  # of the part of the path on which the nearest point is looked for
 _WINDOW_S = 5.0  # how far ahead it is looked for, in seconds of flight
@@ -70,14 +72,40 @@ class Leg:
         is_past_scan = at_m >= self.subpath.length_m - task.scan_distance_m
         return is_past_scan and not self.reaches_target and self.can_be_left(task)
 
-    def successor_at_m(self, task: Task) -> float:
-        """Length flown at p_prog: the tail before the end."""
-        length_m = self.subpath.length_m
+    def leaving(self, task: Task) -> tuple[float, float]:
+        """Length flown at p_prog, the tail before the end, and the speed there.
+
+        A copter flies a leg shorter than L so slowly that scan and plan, begun at its start at
+        speed V, are done while it can still stop at the end.
+        """
+        limits, length_m, speed_m_s = task.limits, self.subpath.length_m, task.limits.speed_m_s
         if self.through:
-            return length_m
-        scan_at_m = max(length_m - task.scan_distance_m, 0.0)
-        earliest_m = scan_at_m + task.shortest_scan_distance_m - task.tail_m
-        return min(max(length_m - task.tail_m, earliest_m), length_m)
+            return length_m, speed_m_s
+        least_m = task.shortest_scan_distance_m
+        earliest_m = max(length_m - task.scan_distance_m, 0.0) + least_m - task.tail_m
+        at_m = min(max(length_m - task.tail_m, earliest_m), length_m)
+        if length_m >= least_m or not (limits.hovers and task.settings.profile.verified):
+            return at_m, speed_m_s
+        braking, time_s = limits.acceleration_m_s2, (least_m - task.tail_m) / speed_m_s
+        slower_m_s = [speed_m_s]  # (V - v)^2 / 2a + v t + what it slows down in from v: the length
+        for flies_on_s, over_m in ((0.0, 0.0), (limits.dead_man_s, limits.overrun_m)):
+            half_s = 0.5 * (time_s + flies_on_s - speed_m_s / braking)
+            room_m = length_m + over_m - 0.5 * speed_m_s**2 / braking
+            root_s = math.sqrt(max(half_s**2 + room_m / braking, 0.0))
+            slower_m_s.append(max(braking * (root_s - half_s), 0.0))
+        slow_m_s = min(slower_m_s)
+        return slow_m_s * time_s + 0.5 * (speed_m_s - slow_m_s) ** 2 / braking, slow_m_s
+
+    def slows_to(self, task: Task) -> tuple[float, float] | None:
+        """`leaving`, if it is less than V there."""
+        is_last = self.reaches_target or self.through
+        if is_last or self.subpath.length_m >= task.shortest_scan_distance_m:
+            return None
+        return self.leaving(task) if self.can_be_left(task) else None
+
+    def successor_at_m(self, task: Task) -> float:
+        """Length flown at p_prog."""
+        return self.leaving(task)[0]
 
     def rest(self, task: Task) -> Rest:
         """What is left of it beyond p_prog."""
@@ -94,9 +122,10 @@ class Leg:
         """
         if not task.settings.profile.verified:
             return True
-        limits = task.limits
-        left_m = self.subpath.length_m - self.successor_at_m(task)
-        return left_m >= max(limits.stopping_m(limits.speed_m_s), limits.lead_m)
+        limits, (at_m, speed_m_s) = task.limits, self.leaving(task)
+        left_m = self.subpath.length_m - at_m + _ROUNDING_M
+        slows_m = max(limits.slowing_m(speed_m_s), limits.lead_m)
+        return left_m >= slows_m and speed_m_s >= _SLOWEST * limits.speed_m_s
 
 
 @final
@@ -117,6 +146,7 @@ def advance(
     *,
     goes_on: bool,
     until_m: float | None = None,
+    slows_to: tuple[float, float] | None = None,
     speed_limit_m_s: float | None = None,
 ) -> Reference:
     """Move the reference point: speed up, cruise at V, slow down to stop at the end of the leg.
@@ -124,16 +154,22 @@ def advance(
     It slows down with the mission's acceleration, harder where the path demands a lower speed;
     it gains speed the more slowly the farther behind the vehicle is, and waits if it is too far.
     goes_on: the next leg is ready, so there is no stop at the end of this one.  until_m: the length
-    at which to stop if that is before the end.  speed_limit_m_s: in place of V if that is less.
+    at which to stop if that is before the end.  slows_to: see `Leg.slows_to`.
+    speed_limit_m_s: in place of V if that is less.
     """
     pose = leg.subpath.pose(reference.length_m)
     allowed = allowed_speed_m_s(pose, limits)
     if speed_limit_m_s is not None:
         allowed = min(allowed, max(speed_limit_m_s, 0.0))
+    if slows_to is not None:
+        before_m = max(slows_to[0] - reference.length_m, 0.0)
+        allowed = min(allowed, math.hypot(slows_to[1], limits.braked_m_s(before_m)))
     end_m = leg.subpath.length_m if until_m is None else min(leg.subpath.length_m, until_m)
     left = max(end_m - reference.length_m, 0.0)
     if not goes_on or until_m is not None:
         allowed = min(allowed, limits.braked_m_s(left))
+        to_end = max(leg.subpath.length_m - reference.length_m, 0.0)
+        allowed = min(allowed, limits.braked_m_s(to_end, limits.overrun_m))
     change = limits.acceleration_m_s2 * elapsed_s
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
     most = max(_LEAD_S * limits.speed_m_s, 2.0 * limits.tracking_error_m)

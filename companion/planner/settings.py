@@ -176,5 +176,6 @@ class Task:
         if not settings.profile.verified:
             return settings.scan_range_m
         beyond = limits.speed_m_s * limits.dead_man_s if limits.hovers else 0.0
+        beyond = min(beyond, limits.overrun_m)  # it slows down for its end
         reserve = max(self.zone_search_clearance_m, beyond + self.error_m)
         return settings.scan_range_m - (reserve + 2.0 * math.sqrt(2.0) * self.cell_m)

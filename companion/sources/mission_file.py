@@ -294,6 +294,7 @@ def _limits(model: MissionTable) -> Limits:
         ceiling_amsl_m=band.ceiling_amsl_m,
         north_m=(area.north_min_m, area.north_max_m),
         east_m=(area.east_min_m, area.east_max_m),
+        overrun_m=math.inf if vehicle.loiter_radius_m else model.planner.safety_distance_m,
         **vehicle.of(Limits) | {"loiter_radius_m": vehicle.loiter_radius_m or 0.0},
     )
 

@@ -49,6 +49,7 @@ def stretches_nea_m(curve: Any, task: Task, *, from_rest: bool) -> FloatArray:
         room = min(flown[-1] - at, at) if from_rest else flown[-1] - at
         speed = min(limits.speed_m_s, math.sqrt(2.0 * limits.acceleration_m_s2 * room))
         reach = speed * limits.dead_man_s + speed**2 / (2.0 * limits.acceleration_m_s2)
+        reach = min(reach, flown[-1] - at + limits.overrun_m)  # it slows down in time
         tangent = curve(u, 1) / np.linalg.norm(curve(u, 1))
         points += [curve(u) + ahead * tangent for ahead in np.append(np.arange(0, reach, 4), reach)]
     return np.array(points)
