@@ -10,7 +10,7 @@ from companion.path.subpath import Pose, Subpath
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
-_PATIENT_S = 2.0  # a vehicle that hovers is in no hurry
+_MORE, _PATIENT_S = 3.0, 3.0  # T for each failed attempt, and at most, where it hovers anyway
 
 
 @final
@@ -68,7 +68,7 @@ class PlanRequest:
         time_s = self.task.settings.planning_time_s
         if not self.from_rest:
             return time_s
-        return max(time_s, min((1 + self.attempt) * time_s, _PATIENT_S))
+        return max(time_s, min((1.0 + _MORE * self.attempt) * time_s, _PATIENT_S))
 
 
 @final
