@@ -205,7 +205,7 @@ def on_departure(state: State, stopped: Flight, reason: Reason = Reason.OFF_PATH
 
     stopped: its flight at rest.
     """
-    is_near = state.task.settings.cell_m is not None
+    is_near = state.task.settings.is_near
     if state.flight.departures >= (_DEPARTURES_NEAR if is_near else _DEPARTURES):
         return give_up(state, Reason.NOT_FOLLOWING if reason is Reason.OFF_PATH else reason)
     flight = replace(stopped, departures=stopped.departures + 1)

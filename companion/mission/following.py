@@ -80,7 +80,7 @@ def advance_reference(state: State, event: Position) -> Flight:
             task.limits,
             goes_on=flight.next_leg is not None,
             until_m=until_m,
-            slows_to=None if flight.returning else leg.slows_to(task),
+            slows_to_m_s=None if flight.returning else leg.slows_to_m_s(task),
             speed_limit_m_s=speed_limit_m_s,
         )
     else:

@@ -360,7 +360,7 @@ def time_law(state: State, speed_m_s: float, horizon_s: float) -> tuple[FloatArr
                 limits,
                 goes_on=next_leg is not None,
                 until_m=until_m,
-                slows_to=leg.slows_to(task),
+                slows_to_m_s=leg.slows_to_m_s(task),
                 speed_limit_m_s=min(speed_m_s, flight.speed_limit_m_s),
             )
         else:

@@ -229,7 +229,7 @@ class _Plan:
         """The best subpath that is proven, or why there is none."""
         request = self._request
         closed = None
-        if request.task.settings.cell_m is None:  # where a near thing stands is told too widely
+        if not request.task.settings.is_near:  # where a near thing stands is told too widely
             here_ne_m, target_ne_m = request.start.point_nea_m[:2], request.target_ne_m
             closed = blocked_at(request.known, request.task, self._field, here_ne_m, target_ne_m)
         if closed is not None:
@@ -237,7 +237,7 @@ class _Plan:
         ways = (_FIRST, *self._to_edge_of_sight(), *_OTHER_WAYS)
         best = self._best(None, ways, enough=_DEARER)
         best = self._best(best, _HARDER, enough=_MUCH_DEARER)
-        if request.from_rest and request.task.settings.cell_m is not None:
+        if request.from_rest and request.task.settings.is_near:
             best = self._best(best, _SHORT, enough=_MUCH_DEARER)
         if best is None or request.from_rest:
             ways = _ANY_WAY + (_ALL_ROUND if request.from_rest else ())
@@ -271,7 +271,7 @@ class _Plan:
     def _to_edge_of_sight(self) -> tuple[_SearchVariant, ...]:
         """Variants that end where the cheapest route leaves the provable area, within scan range.
 
-        Shorter ones are flown more slowly; a vehicle at rest may also stop again.
+        Beyond L; a vehicle at rest may also fly less, and stop again.
         """
         scene, scan = self._scene, np.array(self._request.scan_nea_m[:2])
         route = np.array(self._field.route_ne_m)
@@ -282,9 +282,11 @@ class _Plan:
         barred = np.flatnonzero(lowest > scene.band_amsl_m[1])
         away = np.hypot(*(points[: barred[0] if len(barred) else None] - scan).T)
         far_m = float(away.max(initial=0.0))
-        limits, least_m = self._request.task.limits, self._shortest_m
+        limits, least_m = self._request.task.limits, self._request.task.scan_distance_m
         if scene.from_rest:
             least_m = max(limits.stopping_m(limits.speed_m_s), limits.lead_m)
+        elif self._request.task.settings.is_near:  # its sight ends at the next tree
+            least_m = self._shortest_m
         if not least_m < far_m < scene.end_radius_m:
             return ()
         return (_SearchVariant(reach=far_m / scene.end_radius_m),)

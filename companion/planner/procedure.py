@@ -94,14 +94,15 @@ class Leg:
             root_s = math.sqrt(max(half_s**2 + room_m / braking, 0.0))
             slower_m_s.append(max(braking * (root_s - half_s), 0.0))
         slow_m_s = min(slower_m_s)
-        return slow_m_s * time_s + 0.5 * (speed_m_s - slow_m_s) ** 2 / braking, slow_m_s
+        at_m = slow_m_s * time_s + 0.5 * (speed_m_s - slow_m_s) ** 2 / braking
+        return min(at_m, length_m), slow_m_s
 
-    def slows_to(self, task: Task) -> tuple[float, float] | None:
-        """`leaving`, if it is less than V there."""
+    def slows_to_m_s(self, task: Task) -> float | None:
+        """The speed that a short leg is flown at, from its start on; None: V."""
         is_last = self.reaches_target or self.through
         if is_last or self.subpath.length_m >= task.shortest_scan_distance_m:
             return None
-        return self.leaving(task) if self.can_be_left(task) else None
+        return self.leaving(task)[1] if self.can_be_left(task) else None
 
     def successor_at_m(self, task: Task) -> float:
         """Length flown at p_prog."""
@@ -146,7 +147,7 @@ def advance(
     *,
     goes_on: bool,
     until_m: float | None = None,
-    slows_to: tuple[float, float] | None = None,
+    slows_to_m_s: float | None = None,
     speed_limit_m_s: float | None = None,
 ) -> Reference:
     """Move the reference point: speed up, cruise at V, slow down to stop at the end of the leg.
@@ -154,16 +155,13 @@ def advance(
     It slows down with the mission's acceleration, harder where the path demands a lower speed;
     it gains speed the more slowly the farther behind the vehicle is, and waits if it is too far.
     goes_on: the next leg is ready, so there is no stop at the end of this one.  until_m: the length
-    at which to stop if that is before the end.  slows_to: see `Leg.slows_to`.
+    at which to stop if that is before the end.  slows_to_m_s: see `Leg.slows_to_m_s`;
     speed_limit_m_s: in place of V if that is less.
     """
     pose = leg.subpath.pose(reference.length_m)
     allowed = allowed_speed_m_s(pose, limits)
     if speed_limit_m_s is not None:
         allowed = min(allowed, max(speed_limit_m_s, 0.0))
-    if slows_to is not None:
-        before_m = max(slows_to[0] - reference.length_m, 0.0)
-        allowed = min(allowed, math.hypot(slows_to[1], limits.braked_m_s(before_m)))
     end_m = leg.subpath.length_m if until_m is None else min(leg.subpath.length_m, until_m)
     left = max(end_m - reference.length_m, 0.0)
     if not goes_on or until_m is not None:
@@ -171,6 +169,8 @@ def advance(
         to_end = max(leg.subpath.length_m - reference.length_m, 0.0)
         allowed = min(allowed, limits.braked_m_s(to_end, limits.overrun_m))
     change = limits.acceleration_m_s2 * elapsed_s
+    if slows_to_m_s is not None:
+        allowed = min(allowed, max(slows_to_m_s, reference.speed_m_s - change))
     lead = float((pose.position_nea_m - vehicle_nea_m) @ pose.tangent_nea)
     most = max(_LEAD_S * limits.speed_m_s, 2.0 * limits.tracking_error_m)
     if lead > most:

@@ -189,7 +189,7 @@ def _check_scan_distance(task: Task, where: str) -> None:
         remedy = "Lower planning_time_s, speed_m_s or safety_distance_m, or raise scan_range_m."
         given = settings.planning_time_s
         raise InputError(f"{where}planner.planning_time_s", given, rule, remedy)
-    if settings.cell_m is not None:
+    if settings.is_near:
         return  # no TERRAIN_REQUEST is sent
     least = _SCAN_REQUESTS * settings.position_period_s
     if settings.scan_time_s < least:

@@ -47,6 +47,11 @@ class PlannerSettings:
     cell_m: Positive | None = None
     """Size of the cells of the known map; None: R / 80, in the whole metres of TERRAIN_REQUEST."""
 
+    @property
+    def is_near(self) -> bool:
+        """Whether it flies among near things, by a sensor whose map has cells of its own."""
+        return self.cell_m is not None
+
 
 @final
 @dataclass(frozen=True, kw_only=True)  # no slots: what is asked for with every position is kept

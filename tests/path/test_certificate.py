@@ -287,6 +287,19 @@ def test_a_path_that_does_not_end_in_a_stop_is_left_at_full_speed(off: float) ->
     assert certified(*level(), zones=(zone,), margins=margins).proven
 
 
+@pytest.mark.parametrize("off", [-1.0, 1.0])
+def test_a_vehicle_that_slows_down_for_its_end_needs_no_more_beyond_it_than_its_overrun(
+    off: float,
+) -> None:
+    slowing, margins = replace(LIMITS, overrun_m=15.0), replace(MARGINS, clearance_m=20.0)
+    wall = 3_500.0 + slowing.overrun_m + MARGINS.contact_m + off
+    zone = CircleZone(name="w", north_m=wall + 50.0, east_m=2_000.0, radius_m=50.0)
+    told = certified(*level(), zones=(zone,), margins=margins, limits=slowing)
+    assert told.broken == (("dead-man reach",) if off < 0 else ())
+    told = certified(*level(), zones=(zone,), margins=margins)
+    assert told.broken == ("dead-man reach",)
+
+
 def test_a_path_wholly_inside_a_polygon_is_not_safe() -> None:
     square = ((0.0, 0.0), (0.0, 4e3), (4e3, 4e3), (4e3, 0.0))
     told = certified(*level(), zones=(PolygonZone(name="s", vertices_ne_m=square),))

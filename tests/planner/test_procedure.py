@@ -186,6 +186,51 @@ def test_the_end_is_reached_within_five_centimetres(left: float) -> None:
         assert is_at_end(reference, leg) == (left < 0.05)
 
 
+SLOWING = replace(LIMITS, overrun_m=5.0)  # V and the dead man: 3.5 V
+SHORT = replace(TASK, limits=SLOWING)
+
+
+@given(tick_s=st.sampled_from([0.02, 0.05]))
+def test_towards_the_end_its_dead_man_reach_ends_no_farther_beyond_than_the_overrun(
+    tick_s: float,
+) -> None:
+    leg, reference, seconds = leg_to(600.0, 0.0, 0.0), Reference(), 0.0
+    while not is_at_end(reference, leg):
+        here = leg.subpath.pose(reference.length_m).position_nea_m
+        reference = advance(reference, leg, tick_s, here, SLOWING, goes_on=False)
+        left_m = 600.0 - reference.length_m
+        reach_m = reference.speed_m_s * SLOWING.dead_man_s + reference.speed_m_s**2 / (2.0 * A)
+        assert reach_m <= left_m + SLOWING.overrun_m + V * tick_s
+        seconds += tick_s
+        assert seconds < 120.0
+
+
+@given(length_m=st.floats(20.0, 500.0), from_rest=st.booleans())
+def test_a_short_leg_is_flown_so_slowly_that_its_successor_comes_while_it_can_still_stop(
+    length_m: float, from_rest: bool
+) -> None:
+    if not from_rest:  # shorter ones are not planned in flight
+        length_m = max(length_m, SLOWING.slowing_m(V))
+    leg, tick_s = leg_to(length_m, 0.0, 0.0), 0.02
+    slow = leg.slows_to_m_s(SHORT)
+    assert (slow is not None) <= (length_m < SHORT.shortest_scan_distance_m)
+    if not leg.can_be_left(SHORT):
+        assert length_m < 0.8 * SHORT.shortest_scan_distance_m
+        return
+    at_m = leg.successor_at_m(SHORT)
+    reference, seconds = Reference(speed_m_s=0.0 if from_rest else V), 0.0
+    while reference.length_m < at_m:
+        here = leg.subpath.pose(reference.length_m).position_nea_m
+        reference = advance(reference, leg, tick_s, here, SLOWING, goes_on=True, slows_to_m_s=slow)
+        seconds += tick_s
+    settings = SHORT.settings
+    assert seconds >= settings.planning_time_s + settings.scan_time_s
+    speed, left_m = reference.speed_m_s, length_m - reference.length_m
+    stops_m = speed**2 / (2.0 * A)
+    assert stops_m <= left_m + 2.0 * V * tick_s
+    assert speed * SLOWING.dead_man_s + stops_m <= left_m + SLOWING.overrun_m + 2.0 * V * tick_s
+
+
 # --- where to scan and where the next leg takes over
 
 
