@@ -102,7 +102,9 @@ class Bendy(Clearances):
                     self._ahead_m *= 1.1
                     if aside == turn == 0.0:
                         self._before = None
-                    return here + min(abs(offset), first_m) * self._kept(here, way, margin_m)
+                    return here + min(abs(offset), first_m) * self._kept(
+                        here, way, margin_m, first_m
+                    )
         clear = [way for margin_m, way in found if margin_m > self._required_m]
         if clear:
             self._ahead_m *= 1.05
@@ -111,11 +113,11 @@ class Bendy(Clearances):
         margin_m, way = max(found, key=lambda each: each[0])
         return here + max(first_m + margin_m - self._required_m, 0.0) * way
 
-    def _kept(self, here: complex, way: complex, margin_m: float) -> complex:
+    def _kept(self, here: complex, way: complex, margin_m: float, first_m: float) -> complex:
         """The new direction, or the one before where the new one is a sharp turn for little."""
         before = self._before
         if before is not None and abs(cmath.phase(way / before)) > _RESISTS_RAD:
-            before_m = self.margin_m(here, here + self._ahead_m * before)
+            before_m = self.margin_m(here, here + first_m * before)
             if margin_m < _RATIO * before_m:
                 return before
         self._before = way
