@@ -253,8 +253,8 @@ def on_scan(state: State, event: ScanDone, context: Context) -> Step:
         attempt=flight.failures,
     )
     flight = replace(flight, plan_id=request.plan_id, search=Planning(task))
-    due_s = event.time_s + task.settings.planning_time_s
-    return replace(state, flight=flight), [*says, Plan(request=request, due_s=due_s)], None
+    plan = Plan(request=request, due_s=event.time_s + request.time_s)
+    return replace(state, flight=flight), [*says, plan], None
 
 
 def _scan_warnings(state: State, event: ScanDone) -> list[Command]:

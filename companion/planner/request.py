@@ -10,6 +10,8 @@ from companion.path.subpath import Pose, Subpath
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 
+_MORE, _PATIENT_S = 3.0, 3.0  # T for each failed attempt, and at most, where it hovers anyway
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,6 +61,14 @@ class PlanRequest:
     def around(self) -> KnownMap:
         """The known map, for a plane dilated by its loiter circle."""
         return self.known.grown(self.task.limits.loiter_radius_m)
+
+    @property
+    def time_s(self) -> float:
+        """How long the answer may take: T; at rest more, as each attempt searches more."""
+        time_s = self.task.settings.planning_time_s
+        if not self.from_rest:
+            return time_s
+        return max(time_s, min((1.0 + _MORE * self.attempt) * time_s, _PATIENT_S))
 
 
 @final

@@ -172,7 +172,7 @@ class PlannerWorker:
             if isinstance(request, PlannerEndedError):
                 raise request
             asked += 1
-            self.part.beat(request.task.settings.planning_time_s + _PLANNER_SLACK_S)
+            self.part.beat(request.time_s + _PLANNER_SLACK_S)
             began_s = time.perf_counter()
             outcome = self._planner(request, self._enough(request, asked, began_s))
             self.part.idle()
@@ -198,7 +198,7 @@ class PlannerWorker:
 
     def _enough(self, request: PlanRequest, number: int, began_s: float) -> Callable[[], bool]:
         """When to stop searching: before T is over in real time, or if obsolete."""
-        due_s = began_s + _SEARCHING * request.task.settings.planning_time_s
+        due_s = began_s + _SEARCHING * request.time_s
         return lambda: (
             self._left
             or (not self._lockstep and (time.perf_counter() > due_s or number < self.newest))

@@ -80,14 +80,16 @@ class Sweep:
         ring = self.clear_m if left_rad < _NO_GAP_RAD else np.append(self.clear_m, 0.0)
 
         def sector_of(turned_rad: FloatArray) -> IntArray:
-            turns = (turned_rad - self.first_rad) * (1.0 / math.tau)
+            turns = turned_rad - self.first_rad
+            turns *= 1.0 / math.tau
             turns -= np.floor(turns)
             turns *= math.tau / self.width_rad
-            return np.minimum(turns.astype(np.intp), len(ring) - 1)
+            sector = turns.astype(np.intp)
+            return np.minimum(sector, len(ring) - 1, out=sector)
 
         low, high = sector_of(bearing_rad - aside_rad), sector_of(bearing_rad + aside_rad)
         span = high - low
-        span += np.where(span < 0, len(ring) + 1, 1)
+        span += 1 + len(ring) * (span < 0)
         all_round = (low == high) & (2.0 * aside_rad > self.width_rad)
         span[all_round | (aside_rad >= math.pi)] = len(ring)
         return _least_of_runs(ring, low, span)
@@ -95,13 +97,18 @@ class Sweep:
 
 def _least_of_runs(values: FloatArray, first: IntArray, length: IntArray) -> FloatArray:
     """The least of each run of values in a ring.  Two runs of a power of two cover any other."""
-    runs = [values]
-    while 2 ** len(runs) <= len(values):
-        runs.append(np.minimum(runs[-1], np.roll(runs[-1], -(2 ** (len(runs) - 1)))))
-    level = np.log2(length).astype(np.intp)
-    table, last = np.stack(runs), (first + length - 2**level) % len(values)
-    least: FloatArray = np.minimum(table[level, first], table[level, last])
-    return least
+    count, runs = len(values), [values]
+    while 2 ** len(runs) <= count:
+        step = 2 ** (len(runs) - 1)
+        runs.append(np.minimum(runs[-1], np.concatenate([runs[-1][step:], runs[-1][:step]])))
+    lengths = np.maximum(np.arange(count + 1), 1)
+    levels = np.log2(lengths).astype(np.intp)
+    table = np.stack(runs).ravel()
+    row = (levels * count).take(length)  # of the table
+    last = first + (lengths - 2**levels).take(length)
+    last -= count * (last >= count)
+    last += row
+    return np.minimum(table.take(row + first), table.take(last))
 
 
 @final
@@ -245,24 +252,25 @@ class NearMap:
         window = self.about_points(np.array([sweep.sensor_ne_m]), sweep.range_m + sweep.error_m)
         (passed, looked), (met, sharp) = self._passed(sweep, window), self._met(sweep, window)
         looks = self.looks[window]
-        looks[looked & (looks < np.iinfo(np.uint8).max)] += 1
+        looks += looked & (looks < np.iinfo(np.uint8).max)
         rules, now_s = self.rules, sweep.time_s
         passes, passed_since_s = self.passes[window], self.passed_since_s[window]  # views
         met_since_s, met_s = self.met_since_s[window], self.met_s[window]
 
-        passed_since_s[passed & (passes == 0)] = now_s
-        passes[passed & (passes < np.iinfo(np.uint8).max)] += 1
-        passes[met | ~(passed | self.free(window))] = 0
-        met_since_s[met] = np.minimum(met_since_s[met], now_s)
-        met_s[met] = now_s
-        self.sharp[window][sharp] = True
+        np.copyto(passed_since_s, now_s, where=passed & (passes == 0))
+        passes += passed & (passes < np.iinfo(np.uint8).max)
+        np.copyto(passes, 0, where=met | ~(passed | self.free(window)))
+        np.minimum(met_since_s, now_s, out=met_since_s, where=met)
+        np.copyto(met_s, now_s, where=met)
+        self.sharp[window] |= sharp
 
         wiped = (passes >= rules.sightings) & (now_s - passed_since_s >= rules.wiped_after_s)
         moved = met_s - met_since_s < rules.standing_after_s
         gone = moved & (now_s - met_s >= rules.forgotten_after_s)
-        passes[gone & ~wiped & (met_since_s < np.inf)] = 0
-        met_since_s[wiped | gone] = np.inf
-        self.sharp[window][wiped | gone] = False
+        np.copyto(passes, 0, where=gone & ~wiped & (met_since_s < np.inf))
+        over = wiped | gone
+        np.copyto(met_since_s, np.inf, where=over)
+        self.sharp[window] &= ~over
         return window
 
     def about_points(self, points_ne_m: FloatArray, reach_m: float) -> Window:

@@ -51,10 +51,11 @@ def open_world(name: str) -> World:
 class Flight:
     """One flight, until some seconds after the post has appeared."""
 
-    def __init__(self, name: str, seed: int) -> None:
+    def __init__(self, name: str, seed: int, world: World | None = None) -> None:
+        """world: by default that of the mission, without anything that stands in it."""
         self.mission = load_mission(name)
         self.session = Session(self.mission, seed=seed, lockstep=True)
-        self.simulation = Simulation(open_world(name), seed=seed)
+        self.simulation = Simulation(world or open_world(name), seed=seed)
         self.asked: Any = None
         self.setpoints: list[float] = []
         """When they were sent."""

@@ -1,7 +1,11 @@
 """Fly the bundled lidar missions among trees drawn anew: arrivals, clearance, time, holds.
 
-Both programs over UDP, in lockstep.  Seed k draws the trees of `forest` and the lidar's noise; the
-houses of `street` stay.  Distances are true ones, of the simulator, to the nearest thing.
+    scripts/bench woods [--flights 50] [--first 201] [--pilot companion] [--world forest] [--json F]
+
+Seed k draws the trees of `forest` and the lidar's noise; the houses of `street` stay.  The
+companion flies over UDP in lockstep, its rivals (`woods_rivals`) without sockets, in the same
+worlds, with the same lidar, the same map of what it has seen and the same speed.  Distances are
+true ones: every 0.1 m of the way to all things there are.  Held: not arrived, nothing touched.
 """
 
 import json
@@ -10,27 +14,47 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import running
 import tomlkit
+import woods_rivals
+from numpy.typing import NDArray
 from pair_processes import BIN, free_port
 
+from vehicle_sim.world import World, read_world
+
 WORLDS = ("forest", "street")
+RIVALS = {"bendy ruler": woods_rivals.Bendy, "A*": woods_rivals.AStar}
+PILOTS = ("companion", *RIVALS)
 HERE = Path(__file__).parents[2] / "companion" / "environments"
 
 LIMIT_S = 900.0
 
 
-def fly(name: str, seed: int) -> dict[str, Any]:
-    """One flight: what its run folder says of it."""
+def fly(name: str, pilot: str, seed: int) -> dict[str, Any]:
+    """One flight: what came of it."""
     out = Path(tempfile.mkdtemp(prefix=f"{name}-{seed}-"))
     world = tomlkit.parse((HERE / name / "world.toml").read_text(encoding="utf-8"))
     for wood in world.get("woods", []):
         wood["seed"] = seed
     (out / "world.toml").write_text(tomlkit.dumps(world), encoding="utf-8")
+    truth = read_world(out / "world.toml")
+    if pilot in RIVALS:
+        seconds, track = woods_rivals.fly(name, truth, seed, RIVALS[pilot])
+        found = {"seconds": seconds, "holds": None, "end": None, **_told(truth, track)}
+    else:
+        found = _flown(name, seed, out, truth)
+    shutil.rmtree(out)
+    return {"world": name, "pilot": pilot, "seed": seed, **found}
+
+
+def _flown(name: str, seed: int, out: Path, truth: World) -> dict[str, Any]:
+    """By the companion: what its run folder says of it."""
     link = f"127.0.0.1:{free_port()}"
     vehicle = [BIN / "vehicle-sim", out / "world.toml", "--lockstep", "--seed", str(seed)]
     vehicle += ["--connect", f"udpout:{link}", "--out", out]
@@ -38,64 +62,108 @@ def fly(name: str, seed: int) -> dict[str, Any]:
     companion += ["--connect", f"udpin:{link}", "--out", out]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(vehicle, **quiet) as simulator:  # type: ignore[call-overload]
-        try:
-            code = subprocess.run(companion, timeout=LIMIT_S, check=False, **quiet).returncode  # type: ignore[call-overload]
-        except subprocess.TimeoutExpired:
-            code = -1
+        with suppress(subprocess.TimeoutExpired):
+            subprocess.run(companion, timeout=LIMIT_S, check=False, **quiet)  # type: ignore[call-overload]
         simulator.terminate()
-    found = {"world": name, "seed": seed, "code": code, **_told(out)}
-    shutil.rmtree(out)
-    return found
-
-
-def _told(out: Path) -> dict[str, Any]:
-    """Of truth and journal."""
     rows = [json.loads(line) for line in (out / "truth.jsonl").read_text().splitlines()[1:]]
     entries = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()[1:]]
     phases = [each for each in entries if each["kind"] == "phase"]
     began_s = next(each["t_s"] for each in phases if each["phase"] == "flying")
-    ended_s = next((each["t_s"] for each in phases if each["phase"] == "arrived"), math.nan)
+    ends = (each for each in entries if each["kind"] == "end")
+    end = next(ends, {"outcome": "failed", "reason": "no end within the time"})
+    arrived_s = [each["t_s"] for each in phases if each["phase"] == "arrived"]
+    kept = end["outcome"] == "arrived" and arrived_s
     flown = [row for row in rows if began_s <= row["t_s"] and not row["landed"]]
-    place = np.array([(row["north_m"], row["east_m"]) for row in flown])
+    places = [(row["north_m"], row["east_m"], row["altitude_amsl_m"]) for row in flown]
     return {
-        "seconds": ended_s - began_s,
-        "flown_m": float(np.hypot(*np.diff(place, axis=0).T).sum()),
-        "straight_m": math.dist(place[0], place[-1]),
-        "nearest_m": min(row["near_m"] for row in flown),
+        "seconds": arrived_s[0] - began_s if kept else math.inf,
         "holds": sum(each["phase"] == "holding" for each in phases),
-        "end": phases[-1].get("reason"),
+        "end": None if kept else end["reason"],
+        **_told(truth, np.array(places)),
     }
 
 
+def _told(world: World, track_nea_m: NDArray[np.float64]) -> dict[str, float]:
+    """Of the way."""
+    return {
+        "flown_m": float(np.hypot(*np.diff(track_nea_m[:, :2], axis=0).T).sum()),
+        "straight_m": math.dist(track_nea_m[0, :2], track_nea_m[-1, :2]),
+        "nearest_m": true_gap_m(world, track_nea_m),
+    }
+
+
+def true_gap_m(world: World, track_nea_m: NDArray[np.float64]) -> float:
+    """The least distance of a way, every 0.1 m of it, to all that stands in a world."""
+    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(track_nea_m, axis=0), axis=1)))
+    at_m = np.arange(0.0, along_m[-1] + 0.1, 0.1)
+    points = np.stack([np.interp(at_m, along_m, column) for column in track_nea_m.T], axis=-1)
+    least_m = math.inf
+    for thing in world.scene(world.truth()).things:
+        above_m = np.maximum(points[:, 2] - thing.top_amsl_m, thing.bottom_amsl_m - points[:, 2])
+        corners = np.array(thing.corners_ne_m)
+        ends = np.roll(corners, -1, axis=0)
+        if not thing.closed and len(corners) > 1:
+            corners, ends = corners[:-1], ends[:-1]
+        for start, end in zip(corners, ends, strict=True):
+            along, away = end - start, points[:, :2] - start
+            share = np.clip(away @ along / max(along @ along, 1e-12), 0.0, 1.0)
+            aside_m = np.hypot(*(away - share[:, None] * along).T) - thing.half_width_m
+            gaps_m = np.hypot(np.maximum(aside_m, 0.0), np.maximum(above_m, 0.0))
+            least_m = min(least_m, float(gaps_m.min()))
+    return least_m
+
+
 def main() -> int:
-    """Fly them, print the table; 1 if a vehicle came nearer than d_s or none knows why it ended."""
-    options, console = running.begin(__doc__, flights=10, first=1, jobs=2, world=["both", *WORLDS])
+    """Fly them, print the table; 1 if the companion came too near or ended without a reason."""
+    options, console = running.begin(
+        __doc__, flights=10, first=1, jobs=2, world=["both", *WORLDS], pilot=["all", *PILOTS]
+    )
     worlds = WORLDS if options.world == "both" else (options.world,)
+    pilots = PILOTS if options.pilot == "all" else (options.pilot,)
     seeds = range(options.first, options.first + options.flights)
-    todo = [(name, seed) for name in worlds for seed in seeds]
-    found = []
-    for _, future in running.in_processes(fly, todo, options.jobs, "woods", console):
-        found.append(future.result())
-    headings = ("arrived", "least m", "flown / straight", "m/s", "holds", "not arrived")
-    table = running.figures("Among near things", "world", *headings)
+    todo = [(name, pilot, seed) for name in worlds for pilot in pilots for seed in seeds]
+    flights = running.in_processes(fly, todo, options.jobs, "woods", console)
+    found = [future.result() for _, future in flights]
+    headings = (
+        "arrived",
+        "held",
+        "touched",
+        "least m",
+        "flown / straight",
+        "m/s",
+        "s",
+        "holds",
+        "why",
+    )
+    table = running.figures("Among near things", "", *headings)
     kept = True
-    for name in worlds:
-        mine = [each for each in found if each["world"] == name]
-        arrived = [each for each in mine if each["code"] == 0]
-        mission = tomlkit.parse((HERE / name / "mission.toml").read_text(encoding="utf-8"))
+    for name, pilot in product(worlds, pilots):
+        mine = [each for each in found if (each["world"], each["pilot"]) == (name, pilot)]
+        arrived = [each for each in mine if each["seconds"] < math.inf]
+        touched = [each for each in mine if each["nearest_m"] <= 0.0]
         nearest_m = min(each["nearest_m"] for each in mine)
-        kept &= nearest_m >= mission["planner"]["safety_distance_m"]
-        kept &= all(each["end"] for each in mine if each["code"] != 0)
-        ratio = np.median([each["flown_m"] / each["straight_m"] for each in arrived] or [math.nan])
-        speed = np.median([each["flown_m"] / each["seconds"] for each in arrived] or [math.nan])
+        if pilot not in RIVALS:
+            mission = tomlkit.parse((HERE / name / "mission.toml").read_text(encoding="utf-8"))
+            kept &= nearest_m >= mission["planner"]["safety_distance_m"]
+            kept &= all(each["end"] for each in mine if each not in arrived)
+        middle = {
+            "ratio": [each["flown_m"] / each["straight_m"] for each in arrived],
+            "speed": [each["flown_m"] / each["seconds"] for each in arrived],
+            "time": [each["seconds"] for each in arrived],
+            "holds": [each["holds"] for each in mine if each["holds"] is not None],
+        }
+        ratio, speed, seconds, holds = (np.median(each or [math.nan]) for each in middle.values())
         table.add_row(
-            name,
+            f"{name}, {pilot}",
             f"{len(arrived)} of {len(mine)}",
+            str(sum(each not in arrived and each not in touched for each in mine)),
+            str(len(touched)),
             f"{nearest_m:.2f}",
             f"{ratio:.2f}",
             f"{speed:.2f}",
-            f"{np.median([each['holds'] for each in mine]):.0f}",
-            "; ".join(f"{each['seed']}: {each['end']}" for each in mine if each["code"] != 0),
+            f"{seconds:.0f}",
+            f"{holds:.0f}",
+            "; ".join(f"{each['seed']}: {each['end']}" for each in mine if each["end"]),
         )
     console.print(table)
     running.store(options.json, found)

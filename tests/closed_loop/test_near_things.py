@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import shapely
-from flights import ENVIRONMENTS, Flight, edited, launch
+from flights import ENVIRONMENTS, Flight, edited, kept, launch, run
 
 from companion.config import load_mission
 from companion.mission.state import Reason
@@ -130,6 +130,33 @@ def test_a_lidar_that_is_dead_for_a_while_is_waited_for_in_a_hold(tmp_path: Path
     stands = [row for row in flight.truth if silent + 3.0 < row["t_s"] < 66.0]
     assert all(math.hypot(*velocity_m_s(row)) < 0.3 for row in stands)
     assert flight.says.count(Reason.SENSOR_SILENT.text) == 1
+
+
+def test_killed_between_the_trees_and_started_again_it_learns_them_anew_and_arrives(
+    tmp_path: Path,
+) -> None:
+    """Things move: what was known of them is not kept, and no leg is planned on it."""
+    garden(tmp_path)
+    mission(tmp_path)
+    options = "--resume", "--system", 1
+    flight = launch(tmp_path / "run", tmp_path / "world.toml", tmp_path / "mission.toml", *options)
+    flight.companion.until(lambda: is_past_the_first_trees(kept(flight.folder)), every_s=0.01)
+    flight.companion.kill()
+    flight.companion = run(*map(str, flight.companion.process.args))  # type: ignore[union-attr]
+    flight.wait()
+    flight.ended_well()
+    stays_clear(flight)
+    assert not (flight.folder / "known.npz").exists()
+    journal = flight.journal
+    [_, again] = [number for number, row in enumerate(journal) if "schema" in row]
+    seen = {row["cells_seen"] for row in journal[:again] if row.get("kind") == "scan done"}
+    anew = [row["cells_seen"] for row in journal[again:] if row.get("kind") == "scan done"]
+    assert anew[0] < max(seen)
+    assert not any(row.get("kind") in ("arm", "take off") for row in journal[again:])
+
+
+def is_past_the_first_trees(now: dict[str, Any] | None) -> bool:
+    return now is not None and now["phase"] == "FLYING" and now["legs_flown"] >= 4
 
 
 def is_hold(row: dict[str, Any], reason: Reason) -> bool:

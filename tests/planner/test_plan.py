@@ -217,6 +217,17 @@ def test_each_attempt_searches_wider(task: Task, truth: KnownMap) -> None:
     assert third.evaluations == 3 * first.evaluations
 
 
+@pytest.mark.parametrize("time_s", [0.1, 0.4, 1.0, 3.0, 10.0])
+def test_a_wider_search_has_more_time_where_the_vehicle_hovers_but_no_longer_than_3_s_or_t(
+    task: Task, truth: KnownMap, time_s: float
+) -> None:
+    task = with_budget(task, 3000, planning_time_s=time_s)
+    for attempt in range(5):
+        at_rest = ask(task, truth, attempt=attempt, from_rest=True).time_s
+        assert at_rest == pytest.approx(min((1 + 3 * attempt) * time_s, max(3.0, time_s)))
+        assert ask(task, truth, attempt=attempt, from_rest=False).time_s == time_s
+
+
 def test_the_cost_is_the_weighted_sum_of_the_terms_that_are_reported(
     task: Task, truth: KnownMap
 ) -> None:

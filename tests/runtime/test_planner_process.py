@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from companion.planner.kernels import NUMPY
 from companion.planner.plan import plan
 from companion.planner.request import NotPlanned, Planned
 from companion.runtime.planner_process import PlannerEndedError, PlannerProcess
+from companion.world.known_map import KnownMap
 
 
 def never() -> bool:
@@ -51,6 +53,36 @@ def test_a_plan_is_the_same_from_another_process(planner: PlannerProcess) -> Non
         np.testing.assert_allclose(found.subpath.control_nea_m, control, atol=1e-6)
     else:
         assert isinstance(found, NotPlanned)
+
+
+ECHO = """
+import companion.runtime.planner_process as process
+class Planner:
+    def __init__(self, *, lockstep, load): pass
+    def start(self): pass
+    def __call__(self, request, stop): return request.known
+process.Planner = Planner
+process.main()
+"""
+
+
+def test_arrays_arrive_as_they_were_whatever_their_order_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planner, request = module(tmp_path, monkeypatch, ECHO), request_of(1)
+    heights = np.arange(1_000_000.0).reshape(1000, 1000)
+    heights[3, :3] = np.nan, np.inf, -np.inf
+    frozen = heights.copy()
+    frozen.setflags(write=False)
+    try:
+        for upper_m in (heights, heights.T, heights[::3, 1:-5], heights[:0], frozen):
+            known = replace(request.known, upper_m=upper_m, seen=upper_m > 7.0)
+            echo = planner(replace(request, known=known), never)
+            assert isinstance(echo, KnownMap)
+            np.testing.assert_array_equal(echo.upper_m, upper_m)
+            np.testing.assert_array_equal(echo.seen, known.seen)
+    finally:
+        planner.close()
 
 
 def test_one_process_answers_any_number_of_questions(planner: PlannerProcess) -> None:
