@@ -73,6 +73,9 @@ def advance_reference(state: State, event: Position) -> Flight:
     speed_limit_m_s = flight.speed_limit_m_s
     if state.traffic is not None:
         until_m, speed_limit_m_s = traffic.limits(state, until_m, speed_limit_m_s)
+    slows_to_m_s = None
+    if leg.subpath.length_m < task.shortest_scan_distance_m and not flight.returning:
+        slows_to_m_s = leg.slows_to_m_s(task)
     if vehicle.traits.hovers:
         reference = advance(
             flight.reference,
@@ -82,7 +85,7 @@ def advance_reference(state: State, event: Position) -> Flight:
             task.limits,
             goes_on=flight.next_leg is not None,
             until_m=until_m,
-            slows_to_m_s=None if flight.returning else leg.slows_to_m_s(task),
+            slows_to_m_s=slows_to_m_s,
             speed_limit_m_s=speed_limit_m_s,
         )
     else:

@@ -19,6 +19,7 @@ import numpy as np
 
 from companion.geodesy import FloatArray
 from companion.path.limits import Limits
+from companion.path.proof_distance import braked_m_s
 from companion.path.subpath import Pose, Subpath
 from companion.planner.request import Planned, Rest
 from companion.planner.settings import Task
@@ -165,9 +166,11 @@ def advance(
     end_m = leg.subpath.length_m if until_m is None else min(leg.subpath.length_m, until_m)
     left = max(end_m - reference.length_m, 0.0)
     if not goes_on or until_m is not None:
-        allowed = min(allowed, limits.braked_m_s(left))
         to_end = max(leg.subpath.length_m - reference.length_m, 0.0)
-        allowed = min(allowed, limits.braked_m_s(to_end, limits.overrun_m))
+        braking, dead_man_s = limits.acceleration_m_s2, limits.dead_man_s
+        allowed = min(allowed, braked_m_s(to_end, braking, dead_man_s, limits.overrun_m))
+        if until_m is not None:
+            allowed = min(allowed, limits.braked_m_s(left))
     change = limits.acceleration_m_s2 * elapsed_s
     if slows_to_m_s is not None:
         allowed = min(allowed, max(slows_to_m_s, reference.speed_m_s - change))
