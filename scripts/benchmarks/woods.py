@@ -3,18 +3,13 @@
     scripts/bench woods [--flights 50] [--first 201] [--pilot companion] [--world forest] [--json F]
 
 Seed k draws the trees of `forest` and the lidar's noise; the houses of `street` stay.  The
-companion flies over UDP in lockstep, its rivals (`woods_rivals`) without sockets, in the same
-worlds, with the same lidar, the same map of what it has seen and the same speed.  Distances are
-true ones: every 0.1 m of the way to all things there are.  Held: not arrived, nothing touched.
+companion and its rivals (`woods_rivals`) fly without sockets, in the same worlds, with the same
+lidar, the same map of what it has seen and the same speed.  Distances are true ones: every 0.1 m
+of the way to all things there are.  Held: not arrived, nothing touched.
 """
 
-import json
 import math
-import shutil
-import subprocess
 import sys
-import tempfile
-from contextlib import suppress
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -24,12 +19,16 @@ import running
 import tomlkit
 import woods_rivals
 from numpy.typing import NDArray
-from pair_processes import BIN, free_port
+from popup import Flight
 
+from companion.mission.state import OVER, Phase
 from vehicle_sim.world import World, read_world
 
 WORLDS = ("forest", "street")
-RIVALS = {"bendy ruler": woods_rivals.Bendy, "A*": woods_rivals.AStar}
+RIVALS: dict[str, type[woods_rivals.Bendy | woods_rivals.AStar]] = {
+    "bendy ruler": woods_rivals.Bendy,
+    "A*": woods_rivals.AStar,
+}
 PILOTS = ("companion", *RIVALS)
 HERE = Path(__file__).parents[2] / "companion" / "environments"
 
@@ -38,48 +37,34 @@ LIMIT_S = 900.0
 
 def fly(name: str, pilot: str, seed: int) -> dict[str, Any]:
     """One flight: what came of it."""
-    out = Path(tempfile.mkdtemp(prefix=f"{name}-{seed}-"))
-    world = tomlkit.parse((HERE / name / "world.toml").read_text(encoding="utf-8"))
-    for wood in world.get("woods", []):
-        wood["seed"] = seed
-    (out / "world.toml").write_text(tomlkit.dumps(world), encoding="utf-8")
-    truth = read_world(out / "world.toml")
+    truth = read_world(HERE / name / "world.toml").with_woods_of(seed)
     if pilot in RIVALS:
         seconds, track = woods_rivals.fly(name, truth, seed, RIVALS[pilot])
         found = {"seconds": seconds, "holds": None, "end": None, **_told(truth, track)}
     else:
-        found = _flown(name, seed, out, truth)
-    shutil.rmtree(out)
+        found = _flown(name, seed, truth)
     return {"world": name, "pilot": pilot, "seed": seed, **found}
 
 
-def _flown(name: str, seed: int, out: Path, truth: World) -> dict[str, Any]:
-    """By the companion: what its run folder says of it."""
-    link = f"127.0.0.1:{free_port()}"
-    vehicle = [BIN / "vehicle-sim", out / "world.toml", "--lockstep", "--seed", str(seed)]
-    vehicle += ["--connect", f"udpout:{link}", "--out", out]
-    companion = [BIN / "companion", "fly", HERE / name / "mission.toml", "--lockstep"]
-    companion += ["--connect", f"udpin:{link}", "--out", out]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen(vehicle, **quiet) as simulator:  # type: ignore[call-overload]
-        with suppress(subprocess.TimeoutExpired):
-            subprocess.run(companion, timeout=LIMIT_S, check=False, **quiet)  # type: ignore[call-overload]
-        simulator.terminate()
-    rows = [json.loads(line) for line in (out / "truth.jsonl").read_text().splitlines()[1:]]
-    entries = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()[1:]]
-    phases = [each for each in entries if each["kind"] == "phase"]
-    began_s = next(each["t_s"] for each in phases if each["phase"] == "flying")
-    ends = (each for each in entries if each["kind"] == "end")
-    end = next(ends, {"outcome": "failed", "reason": "no end within the time"})
-    arrived_s = [each["t_s"] for each in phases if each["phase"] == "arrived"]
-    kept = end["outcome"] == "arrived" and arrived_s
-    flown = [row for row in rows if began_s <= row["t_s"] and not row["landed"]]
-    places = [(row["north_m"], row["east_m"], row["altitude_amsl_m"]) for row in flown]
+def _flown(name: str, seed: int, truth: World) -> dict[str, Any]:
+    """By the companion."""
+    it, phases, began_s, track = Flight(name, seed, truth), [Phase.WAITING], math.inf, []
+    while it.session.state.phase not in (Phase.ARRIVED, *OVER) and it.now_s < LIMIT_S:
+        it.step()
+        phase = it.session.state.phase
+        if phase is not phases[-1]:
+            phases.append(phase)
+        if phase is Phase.FLYING:
+            began_s = min(began_s, it.now_s)
+        if it.now_s >= began_s:
+            track.append(it.simulation._place_nea_m())
+    arrived = phases[-1] is Phase.ARRIVED
+    reason = it.session.state.reason
     return {
-        "seconds": arrived_s[0] - began_s if kept else math.inf,
-        "holds": sum(each["phase"] == "holding" for each in phases),
-        "end": None if kept else end["reason"],
-        **_told(truth, np.array(places)),
+        "seconds": it.now_s - began_s if arrived else math.inf,
+        "holds": phases.count(Phase.HOLDING),
+        "end": None if arrived or reason is None else reason.text,
+        **_told(truth, np.array(track)),
     }
 
 
