@@ -130,9 +130,9 @@ def test_an_error_or_a_dead_man_time_may_be_0_and_not_negative(file: Path, key: 
 
 
 def test_a_dead_man_reach_that_sight_cannot_hold_is_refused_before_take_off(file: Path) -> None:
-    """V times 99 s, and to brake, is 17.1 km: with the rest of L too much for R = 20 km."""
-    tail_m = 150.0 * 99.0 + 150.0**2 / (2.0 * 5.0)
-    message = refused(file, vehicle("dead_man_s = 99.0"))
+    """V times 40 s, and to brake, is 8.25 km: with the rest of L too much for R = 20 km."""
+    tail_m = 150.0 * 40.0 + 150.0**2 / (2.0 * 5.0)
+    message = refused(file, vehicle("dead_man_s = 40.0"))
     assert "eq. 4" in message
     assert f"L = {150.0 * (5.0 + 4.0 + 0.3) + tail_m:g} m" in message
 

@@ -33,7 +33,7 @@ class Limits:
     """How long it flies straight on after the last setpoint, before it brakes."""
     overrun_m: float = math.inf
     """How far beyond the end of a leg, where it stops, it may come if the companion dies: it slows
-    down in time."""
+    down in time.  Of use where sight is short; elsewhere the reserve beyond ends holds it all."""
     loiter_radius_m: float = 0.0
     """Of a plane, which cannot stand still: it holds on circles of at most this radius, and so
     does its autopilot if the companion dies.  0: a vehicle that can hover."""

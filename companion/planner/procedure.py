@@ -76,8 +76,8 @@ class Leg:
     def leaving(self, task: Task) -> tuple[float, float]:
         """Length flown at p_prog, the tail before the end, and the speed there.
 
-        A copter flies a leg shorter than L so slowly that scan and plan, begun at its start at
-        speed V, are done while it can still stop at the end.
+        Among near things a leg shorter than L is flown so slowly that scan and plan, begun at its
+        start at speed V, are done while it can still stop at the end.
         """
         limits, length_m, speed_m_s = task.limits, self.subpath.length_m, task.limits.speed_m_s
         if self.through:
@@ -85,7 +85,7 @@ class Leg:
         least_m = task.shortest_scan_distance_m
         earliest_m = max(length_m - task.scan_distance_m, 0.0) + least_m - task.tail_m
         at_m = min(max(length_m - task.tail_m, earliest_m), length_m)
-        if length_m >= least_m or not (limits.hovers and task.settings.profile.verified):
+        if length_m >= least_m or not task.settings.is_near:
             return at_m, speed_m_s
         braking, time_s = limits.acceleration_m_s2, (least_m - task.tail_m) / speed_m_s
         slower_m_s = [speed_m_s]  # (V - v)^2 / 2a + v t + what it slows down in from v: the length

@@ -115,6 +115,7 @@ def mission_of(
     near, limits, settings = _near_sensor(model, where), _limits(model), _settings(model, profile)
     if near is not None:
         settings = replace(settings, cell_m=_near_cell_m(limits, near.range_m))
+        limits = replace(limits, overrun_m=settings.safety_distance_m)
     others = model.traffic and TrafficRules(**model.traffic.of(TrafficRules))
     task = Task(
         limits=limits,
@@ -310,7 +311,6 @@ def _limits(model: MissionTable) -> Limits:
         ceiling_amsl_m=band.ceiling_amsl_m,
         north_m=(area.north_min_m, area.north_max_m),
         east_m=(area.east_min_m, area.east_max_m),
-        overrun_m=math.inf if vehicle.loiter_radius_m else model.planner.safety_distance_m,
         **vehicle.of(Limits) | {"loiter_radius_m": vehicle.loiter_radius_m or 0.0},
     )
 

@@ -215,7 +215,7 @@ def test_ground_that_is_higher_than_stated_stops_it_until_it_is_given_up(tmp_pat
 
 CAMERA = (
     ('kind = "obstacle_distance"', 'kind = "obstacle_distance_3d"\nbeam_deg = 4.0\nblind_m = 1.2'),
-    ("speed_m_s = 2.8", "speed_m_s = 1.5"),
+    ("speed_m_s = 3.0", "speed_m_s = 1.5"),
     ("acceleration_m_s2 = 2.5", "acceleration_m_s2 = 2.0"),
 )
 """It does not see where it starts: the mission states that 1.2 m are clear there."""

@@ -187,7 +187,7 @@ def test_the_end_is_reached_within_five_centimetres(left: float) -> None:
 
 
 SLOWING = replace(LIMITS, overrun_m=5.0)  # V and the dead man: 3.5 V
-SHORT = replace(TASK, limits=SLOWING)
+SHORT = replace(TASK, limits=SLOWING, settings=replace(TASK.settings, cell_m=1.0))
 
 
 @given(tick_s=st.sampled_from([0.02, 0.05]))
