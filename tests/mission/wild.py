@@ -354,7 +354,7 @@ class Wild:
         """An answer in time, late or never; safe, not proven, or none."""
         draw = self.rng.random()
         late_s = 0.0
-        if draw < 0.1 * (self.bad_plans > 0):
+        if draw < 0.1 * (self.bad_plans > 0) and not self.calm:
             late_s = float(self.rng.choice([0.5, 5.0, 30.0, 1e9]))
             self.later.append((due_s, PlanLate(time_s=due_s, plan_id=request.plan_id)))
         outcome = self.answer(request)
