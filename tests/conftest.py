@@ -5,9 +5,12 @@ marked `nightly` states a law that others state with fewer draws: it runs with `
 all but each nth of the cases of a test that is marked `sample(n)`.
 """
 
+import os
+import shutil
 import zlib
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -59,6 +62,17 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """With --all a test that is flown under a nudge is flown under each."""
     if "nudge" in metafunc.fixturenames and metafunc.config.getoption("--all"):
         metafunc.parametrize("nudge", SEEDS, indirect=True, ids=lambda seed: f"nudge {seed}")
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Path:
+    """Debian's browser; without it a test is skipped, but not in CI."""
+    if found := shutil.which("chromium"):
+        return Path(found)
+    reason = "there is no chromium: on Debian, apt-get install chromium"
+    if os.environ.get("WITH_BROWSER"):
+        pytest.fail(reason)
+    pytest.skip(reason)
 
 
 @pytest.fixture

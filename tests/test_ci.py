@@ -50,11 +50,29 @@ def test_a_clone_is_tested_that_has_nothing_but_the_commit(checkout: Path, tmp_p
     lines = said.read_text(encoding="utf-8").splitlines()
     assert lines[:3] == [".ci", ".git", "scripts"]
     assert "options: -k this" in lines
-    assert "home: " in lines
+    assert {"home: ", "WITH_BROWSER=1"} <= set(lines)
     assert "pip: [global]" in lines
     assert not [line for line in lines if "elsewhere" in line or line.startswith("VENV=")]
     assert "shared" not in "".join(lines[3:6])
     assert list(scratch.iterdir()) == []  # nothing is left behind
+
+
+def test_who_may_not_install_a_browser_is_told_what_is_missing(tmp_path: Path) -> None:
+    for name, says in (("id", "1000"), ("apt-get", "")):
+        (tmp_path / name).write_text(f"#!/bin/sh\necho {says}\n", encoding="utf-8")
+        (tmp_path / name).chmod(0o755)
+    done = subprocess.run(
+        [shutil.which("bash") or "bash", "-c", f". {RUN.parents[1]}/scripts/setup-browser.sh"],
+        env={"PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "apt-get install chromium" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.nightly  # pytest and xdist are pinned
