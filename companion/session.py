@@ -173,6 +173,12 @@ class Session:
         """Vehicle time."""
         return self.clock.now_s
 
+    @property
+    def frames_heard(self) -> tuple[int, int]:
+        """Frames of our autopilot so far, and how many are missing between them."""
+        sender = (self.selector.system_id or 0, AUTOPILOT_COMPONENT)
+        return self._inbox.counted.get(sender, (0, 0, 0))[1:]
+
     # --- what the runtime calls
 
     def receive(self, data: bytes, at_s: float | None = None, link: int = VEHICLE_LINK) -> bool:
@@ -462,6 +468,11 @@ class Session:
         for event in vehicle.events(self.now_s):
             self._handle(event)
         self._due_s = -math.inf
+
+    def _on_wind(self, heard: Incoming) -> None:
+        """For people to see: nothing is decided by it."""
+        if self.vehicle is not None:
+            self.vehicle.on_wind(heard.message, self.now_s)
 
     def _on_timesync(self, heard: Incoming) -> None:
         """A TIMESYNC answer, or a request: a simulator in lockstep advances once it is answered."""
@@ -762,6 +773,8 @@ _HANDLERS: Final[Mapping[tuple[Role, int], Callable[[Session, Incoming], None]]]
     (Role.AUTOPILOT, _POSITION): Session._on_position,
     (Role.AUTOPILOT, _HEARTBEAT): Session._on_heartbeat,
     (Role.AUTOPILOT, _TIMESYNC): Session._on_timesync,
+    (Role.AUTOPILOT, wire.MAVLINK_MSG_ID_WIND): Session._on_wind,
+    (Role.AUTOPILOT, wire.MAVLINK_MSG_ID_WIND_COV): Session._on_wind,
     **{(Role.AUTOPILOT, number): Session._after_time_only for number in TIME_ONLY_MESSAGES},
     **{(Role.RADAR, number): Session._on_scan for number in TERRAIN},
 }

@@ -99,6 +99,10 @@ class AutopilotClient:
         """Whether it sends TIMESYNC at 10 Hz by itself (px4.md 2)."""
         self.notes: list[str] = []
         """What a person should hear of, since last looked at."""
+        self.said: tuple[float, str] = (-math.inf, "")
+        """When it last sent a text, and what."""
+        self.wind: tuple[float, float, float] | None = None
+        """When it last told the wind, and where that blows to: true north and east, m/s."""
         self._mission, self._lockstep = mission, lockstep
         self._sets_parameters = sets_parameters
         self._home_nea_m: Vector | None = None
@@ -226,7 +230,17 @@ class AutopilotClient:
             return TakeOffTaken(time_s=now_s)
         return None
 
+    def on_wind(self, message: Message, now_s: float) -> None:
+        """WIND of ArduPilot, whose direction is where it comes from, or WIND_COV of PX4."""
+        if message.get_msgId() == wire.MAVLINK_MSG_ID_WIND_COV:
+            self.wind = now_s, message.wind_x, message.wind_y
+        else:
+            from_rad = math.radians(message.direction)
+            north, east = -math.cos(from_rad), -math.sin(from_rad)
+            self.wind = now_s, message.speed * north, message.speed * east
+
     def _on_statustext(self, message: Message, now_s: float) -> Event | None:
+        self.said = now_s, message.text
         return None if _BREACHED.search(message.text) is None else FenceBreach(time_s=now_s)
 
     def _on_fence_status(self, message: Message, now_s: float) -> Event | None:

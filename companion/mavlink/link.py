@@ -30,6 +30,7 @@ TIME_ONLY_MESSAGES: Final = frozenset(
 )
 """Messages of which only time_boot_ms is used: not decoded."""
 _UNDECODED: Final = IGNORED_MESSAGES | TIME_ONLY_MESSAGES
+_BEGUN_AGAIN = 128
 _MAX_WAITING = 5000  # messages: 1.5 s of the busiest autopilot, and then the oldest go
 
 _HEARTBEATS = 3  # of one system, and of no other, at one a second: then it is the vehicle
@@ -61,6 +62,8 @@ class Inbox:
         self.waiting: deque[Incoming] = deque(maxlen=_MAX_WAITING)
         self.dropped = 0
         """How many were too many."""
+        self.counted: dict[tuple[int, int], tuple[int, int, int]] = {}
+        """System and component on the vehicle's link -> last sequence number, frames, gaps."""
         self._signing = signing
 
     def feed(self, data: bytes, at_s: float | None, link: int) -> list[Incoming]:
@@ -70,6 +73,15 @@ class Inbox:
         heard = self.receivers[link].read(data, at_s)
         self.dropped += max(len(self.waiting) + len(heard) - _MAX_WAITING, 0)
         self.waiting.extend(heard)
+        if link == VEHICLE_LINK:
+            counted = self.counted
+            for each in heard:
+                sender, frame = (each.system, each.component), each.frame
+                number = frame[4] if frame[0] == V2 else frame[2]
+                before, frames, lost = counted.get(sender, (number - 1, 0, 0))
+                gap = (number - before - 1) & 0xFF
+                # more than half of all numbers: it is late, came twice, or its sender began again
+                counted[sender] = number, frames + 1, lost + (gap if gap < _BEGUN_AGAIN else 0)
         return heard
 
 

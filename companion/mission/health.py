@@ -223,7 +223,7 @@ def battery_lasts(state: State, mission: Mission) -> bool:
         return False
     if mission.endurance_s is None:
         return True
-    return (left - mission.reserve) * mission.endurance_s >= _to_go_m(
+    return (left - mission.reserve) * mission.endurance_s >= _battery_way_m(
         state
     ) / state.task.limits.speed_m_s
 
@@ -238,10 +238,15 @@ def battery_forecast(state: State, mission: Mission) -> bool:
     if elapsed_s < _DRAIN_S or lost < _TELLING:
         return True
     left_s = (vehicle.battery - mission.reserve) * elapsed_s / (lost - _STEP)
-    return left_s >= _to_go_m(state) / state.task.limits.speed_m_s
+    return left_s >= _battery_way_m(state) / state.task.limits.speed_m_s
 
 
-def _to_go_m(state: State) -> float:
+def _battery_way_m(state: State) -> float:
+    """The remaining distance that the battery must last for, detours on the way out included."""
+    return way_left_m(state) * (1.0 if state.flight.returning else _DETOUR)
+
+
+def way_left_m(state: State) -> float:
     """Remaining distance: the backtrack, or the last plan's route and on from target to target."""
     here, flight = state.vehicle.position_nea_m, state.flight
     if flight.returning:
@@ -257,4 +262,4 @@ def _to_go_m(state: State) -> float:
         apart_m = list(map(math.dist, route, from_here))
         route = route[apart_m.index(min(apart_m)) :]
     places = [here[:2], *route, *state.targets_ne_m[flight.target :]]
-    return _DETOUR * sum(map(math.dist, places, places[1:]))
+    return sum(map(math.dist, places, places[1:]))

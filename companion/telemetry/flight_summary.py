@@ -42,8 +42,8 @@ class FlightSummary:
         """Horizontal distance from the vehicle to its target."""
         state = self.session.state
         here = state.vehicle.position_nea_m
-        target = self.session.mission.targets_ne_m[state.flight.target]
-        return None if here is None else math.dist(here[:2], target)
+        targets = state.targets_ne_m[state.flight.target :]
+        return math.dist(here[:2], targets[0]) if here is not None and targets else None
 
     @property
     def may_go_on(self) -> bool:

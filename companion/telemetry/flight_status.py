@@ -1,0 +1,232 @@
+"""A flight at one moment, as values: what the terminal, `fly --json` and the live view show.
+
+Made a few times a second from a session's newest state, by whichever thread shows it: what decides
+does no work for it.
+"""
+
+import math
+from typing import Final, final
+
+import numpy as np
+from msgspec import Struct
+
+from companion.mission.decisions import reason_text
+from companion.mission.events import Vector
+from companion.mission.health import way_left_m
+from companion.mission.state import IN_AIR, Phase, Reason, State, TakenOver
+from companion.mission.stopped import FAILSAFE_OVER
+from companion.planner.procedure import off_path_m
+from companion.telemetry.flight_summary import FlightSummary
+from companion.world.clearance import distance_to_terrain_m
+from companion.world.known_map import KnownMap
+
+LOOKS: Final = 8.0
+"""Safety distances: things that are farther away than this are not looked for."""
+_WARNED_S = 60.0  # for how long a warning or a text stands
+_WIND_S = 10.0  # for how long what the vehicle says of the wind does
+_MOVES_M_S = 0.2
+
+
+@final
+class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="status"):
+    """The flight at one moment."""
+
+    t_s: float
+    """Vehicle time: seconds since its boot (until its clock is known, since the start)."""
+    wall_s: float
+    """Since the vehicle was first heard."""
+    times_real_time: float
+    """Vehicle time over wall time since then."""
+    phase: str
+    """Of the mission (docs/reference/mission-states.md)."""
+    reason: str | None
+    """Why it holds or ends, as text; null: it does neither."""
+    code: str | None
+    """The reason's name, which stays the same if its text is improved."""
+    remedy: str | None
+    """What to do about it."""
+    warning: str | None
+    """The companion's latest warning of this phase, for a minute."""
+    vehicle: str
+    """What the vehicle says that it is; empty before it was heard."""
+    vehicle_text: str | None
+    """The autopilot's latest STATUSTEXT, for a minute."""
+    mode: str | None
+    """The autopilot's flight mode, in the companion's words."""
+    armed: bool
+    """As the autopilot reports."""
+    failsafe: bool
+    """Whether the autopilot reports a failsafe, in the air."""
+    target: int
+    """Which target is flown to, counted from 1; 0: none is known."""
+    targets: int
+    """How many there are."""
+    to_go_m: float | None
+    """From the vehicle to that target, straight, horizontally."""
+    way_left_m: float | None
+    """To the last target along the newest plan's route, or what is left of the way back."""
+    time_left_s: float | None
+    """That at the speed that is flown with; null while nothing is flown."""
+    latitude_deg: float | None
+    """Of the vehicle, WGS84."""
+    longitude_deg: float | None
+    """Of the vehicle, WGS84."""
+    position_nea_m: Vector | None
+    """Of the vehicle in the mission's local frame."""
+    position_age_s: float | None
+    """How old that is."""
+    altitude_amsl_m: float | None
+    """Of the vehicle."""
+    above_ground_m: float | None
+    """Height above the highest ground that the known map allows for below; null: unknown."""
+    clearance_m: float | None
+    """Distance to the terrain and things that are known; at most 8 safety distances."""
+    safety_distance_m: float
+    """d_s of the mission: what the vehicle has to keep from them."""
+    speed_m_s: float
+    """Over ground."""
+    course_rad: float | None
+    """Of that, clockwise from the local frame's north; null at rest."""
+    climb_m_s: float
+    """Upwards."""
+    off_path_m: float | None
+    """Distance from the path, across it; null: there is none."""
+    tracking_error_m: float
+    """How far off the path the mission allows for."""
+    wind_m_s: float | None
+    """As the autopilot says; null: it does not."""
+    wind_from_rad: float | None
+    """Where it comes from, clockwise from true north."""
+    battery_left: float | None
+    """Share, 0 to 1; null: the autopilot does not say."""
+    battery_reserve: float
+    """What the mission wants to be left at the target."""
+    link_age_s: float | None
+    """Since the autopilot's clock was last heard; null: never."""
+    link_round_trip_s: float | None
+    """To the vehicle and back; null: not measured."""
+    frames_heard: int
+    """From the autopilot since the start."""
+    frames_lost: int
+    """Gaps in their sequence numbers: lost, or filtered on the way."""
+    subpaths_flown: int
+    """Subpaths begun, this one included."""
+    plans_failed: int
+    """Failed attempts in a row, from rest."""
+    refusal: str | None
+    """Why the newest request has no plan, as text."""
+    plan_cost: float | None
+    """Of the newest plan (eq. 5)."""
+    plan_took_s: float | None
+    """How long the newest answer took."""
+    plan_length_m: float | None
+    """Of the newest plan."""
+    plan_clearance_m: float | None
+    """What is proven for all of it; as far as known if it is not proven."""
+    plan_broken: tuple[str, ...]
+    """The bounds that could not be proven for it; empty: it is proven safe."""
+
+
+def flight_status(flown: FlightSummary) -> FlightStatus:
+    """The flight as it stands now."""
+    session = flown.session
+    state, clock, autopilot = session.state, session.clock, session.vehicle
+    vehicle, flight, task = state.vehicle, state.flight, state.task
+    here, now_s = vehicle.position_nea_m, clock.going_on_s
+    reason, remedy = _reason(state)
+    warned_at_s, warning = session.warned
+    said_at_s, said = (-math.inf, "") if autopilot is None else autopilot.said
+    latitude = longitude = None
+    if here is not None:
+        latitude, longitude = map(float, session.mission.frame.to_geodetic_deg(*here[:2]))
+    north_m_s, east_m_s, up_m_s = vehicle.velocity_nea_m_s
+    speed_m_s = math.hypot(north_m_s, east_m_s)
+    wind = None if autopilot is None else autopilot.wind
+    if wind is not None and not 0.0 <= now_s - wind[0] < _WIND_S:
+        wind = None
+    left_m = way_left_m(state) if here is not None and state.targets_ne_m else None
+    cruise_m_s = min(task.limits.speed_m_s, flight.speed_limit_m_s)
+    flies = state.phase in (Phase.FLYING, Phase.RETURNING) and cruise_m_s > 0.0
+    leg, off_m = flight.leg, None
+    if leg is not None and here is not None:
+        off_m = off_path_m(flight.reference, leg, np.asarray(here))
+    plan = flown.plans[-1] if flown.plans else None
+    heard, lost = session.frames_heard
+    return FlightStatus(
+        t_s=round(now_s, 6),
+        wall_s=flown.elapsed_s,
+        times_real_time=flown.times_real_time,
+        phase=state.phase.value,
+        reason=reason,
+        code=None if state.reason is None else state.reason.name,
+        remedy=remedy,
+        warning=warning if _stands(warned_at_s, now_s, state.since_s) else None,
+        vehicle=session.found,
+        vehicle_text=said if _stands(said_at_s, now_s) else None,
+        mode=None if vehicle.mode is None else vehicle.mode.value,
+        armed=vehicle.armed,
+        failsafe=vehicle.failsafe and state.phase in IN_AIR,
+        target=min(flight.target + 1, len(state.targets_ne_m)),
+        targets=len(state.targets_ne_m),
+        to_go_m=flown.to_go_m,
+        way_left_m=left_m,
+        time_left_s=left_m / cruise_m_s if flies and left_m is not None else None,
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        position_nea_m=here,
+        position_age_s=None if here is None else now_s - vehicle.position_at_s,
+        altitude_amsl_m=None if here is None else here[2],
+        above_ground_m=None if here is None else _above_ground_m(flight.known, here),
+        clearance_m=None if here is None else _clearance_m(state, here),
+        safety_distance_m=task.settings.safety_distance_m,
+        speed_m_s=speed_m_s,
+        course_rad=math.atan2(east_m_s, north_m_s) % math.tau if speed_m_s >= _MOVES_M_S else None,
+        climb_m_s=up_m_s,
+        off_path_m=off_m,
+        tracking_error_m=task.limits.tracking_error_m,
+        wind_m_s=None if wind is None else math.hypot(*wind[1:]),
+        wind_from_rad=None if wind is None else math.atan2(-wind[2], -wind[1]) % math.tau,
+        battery_left=vehicle.battery,
+        battery_reserve=session.mission.reserve,
+        link_age_s=now_s - clock.now_s if clock.is_known else None,
+        link_round_trip_s=None if autopilot is None else autopilot.round_trip_s,
+        frames_heard=heard,
+        frames_lost=lost,
+        subpaths_flown=flight.legs_flown,
+        plans_failed=flight.failures,
+        refusal=None if flight.refusal is None else flight.refusal.value,
+        plan_cost=None if plan is None else plan.cost,
+        plan_took_s=flown.plans_s[-1] if flown.plans_s else None,
+        plan_length_m=None if plan is None else plan.subpath.length_m,
+        plan_clearance_m=None if plan is None else plan.certificate.clearance_m,
+        plan_broken=() if plan is None else plan.certificate.broken,
+    )
+
+
+def _reason(state: State) -> tuple[str | None, str | None]:
+    """Why the mission holds or ends, and the remedy."""
+    reason = state.reason
+    if reason is None:
+        return None, None
+    over = isinstance(state.hold, TakenOver) and state.hold.failsafe_over
+    if over and reason is Reason.FAILSAFE:
+        return FAILSAFE_OVER, reason.remedy
+    detail, remedy = reason_text(state, reason)
+    return f"{reason.text}{state.detail or detail}", state.remedy or remedy
+
+
+def _stands(said_at_s: float, now_s: float, since_s: float = -math.inf) -> bool:
+    """Whether a text is news: said in this phase, and not long ago."""
+    return said_at_s >= since_s and 0.0 <= now_s - said_at_s < _WARNED_S
+
+
+def _above_ground_m(known: KnownMap, here_nea_m: Vector) -> float | None:
+    if not known.is_known(*here_nea_m[:2]):
+        return None
+    return here_nea_m[2] - float(known.upper_m[known.cell_of(*here_nea_m[:2])])
+
+
+def _clearance_m(state: State, here_nea_m: Vector) -> float:
+    most_m = LOOKS * state.task.settings.safety_distance_m
+    known = state.flight.known
+    return distance_to_terrain_m(known, np.asarray(here_nea_m), most_m, seen_only=True)

@@ -1,0 +1,146 @@
+"""What is shown of a flight is what the vehicle said, as other programs read its messages."""
+
+import math
+import random
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from pymavlink.dialects.v20 import all as wire
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "replay"))
+from golden import GOLDENS
+
+from companion.config import load_mission
+from companion.mission.state import Phase
+from companion.replay import session_inputs
+from companion.session import Session
+from companion.telemetry import inputs
+from companion.telemetry.flight_status import FlightStatus, flight_status
+from companion.telemetry.flight_summary import FlightSummary
+from companion.telemetry.inputs import InputsFile
+from vehicle_sim.geodesy import LocalFrame
+
+EVERY = 25  # inputs
+
+
+def flights(name: str) -> Iterator[tuple[FlightSummary, dict[str, Any]]]:
+    """A golden flight again, and by name the newest messages of its autopilot until then."""
+    folder, newest = GOLDENS / name, dict[str, Any]()
+    start, *rest = InputsFile(folder / inputs.FILE)
+    of = session_inputs.start_of(start)
+    session = session_inputs.session_of(
+        of, lambda _: load_mission(str(folder / "mission.toml"), of.profile)
+    )
+    flown, parser = FlightSummary(session=session), wire.MAVLink(None)
+    for number, each in enumerate(rest):
+        if each[0] == "receive" and len(each) == 3:
+            for message in parser.parse_buffer(each[1]) or ():
+                if (message.get_srcSystem(), message.get_srcComponent()) == (1, 1):
+                    newest[message.get_type()] = message
+        session_inputs.feed(session, each)
+        if number % EVERY == 0:
+            yield flown, newest
+
+
+def to_target_m(flown: FlightSummary, position: Any) -> float:
+    """By the geodesy of the other program."""
+    frame, state = flown.session.mission.frame, flown.session.state
+    theirs = LocalFrame(latitude_deg=frame.latitude_deg, longitude_deg=frame.longitude_deg)
+    here = theirs.to_local(position.lat * 1e-7, position.lon * 1e-7)
+    return math.dist(here, state.targets_ne_m[state.flight.target])
+
+
+@pytest.mark.parametrize("name", ["copter-loses-gps", "px4-plane-told-to-return"])
+def test_it_is_what_the_messages_say(name: str) -> None:
+    seen: list[FlightStatus] = []
+    for flown, newest in flights(name):
+        it, position = flight_status(flown), newest.get("GLOBAL_POSITION_INT")
+        if position is None or it.position_nea_m is None or not newest.get("SYS_STATUS"):
+            continue
+        state = flown.session.state
+        if state.vehicle.position_at_s * 1e3 != pytest.approx(position.time_boot_ms):
+            continue  # the newest has not been handled yet
+        assert it.latitude_deg == pytest.approx(position.lat * 1e-7, abs=1e-6)
+        assert it.longitude_deg == pytest.approx(position.lon * 1e-7, abs=1e-6)
+        assert it.altitude_amsl_m == pytest.approx(position.alt * 1e-3)
+        assert it.speed_m_s == pytest.approx(math.hypot(position.vx, position.vy) * 1e-2)
+        assert it.climb_m_s == pytest.approx(-position.vz * 1e-2)
+        assert it.position_age_s == pytest.approx(it.t_s - position.time_boot_ms * 1e-3, abs=1e-3)
+        said = (newest[each] for each in ("SYS_STATUS", "BATTERY_STATUS") if each in newest)
+        assert 100.0 * (it.battery_left or 0.0) in [
+            pytest.approx(x.battery_remaining) for x in said
+        ]
+        assert it.armed == bool(newest["HEARTBEAT"].base_mode & 128)
+        assert it.to_go_m == pytest.approx(to_target_m(flown, position), rel=1e-4, abs=0.1)
+        assert it.way_left_m is not None
+        if state.phase is Phase.FLYING and it.time_left_s is not None:
+            assert it.way_left_m > 0.999 * it.to_go_m
+            assert it.time_left_s * flown.session.mission.task.limits.speed_m_s == pytest.approx(
+                it.way_left_m
+            )
+        seen.append(it)
+    assert len(seen) > 50
+    assert {each.phase for each in seen} >= {"flying", "holding"}
+    assert all((each.reason is None) == (each.code is None) for each in seen)
+
+
+def test_it_is_whole_as_json() -> None:
+    for flown, _ in flights("copter-loses-gps"):
+        it = flight_status(flown)
+        back = msgspec.json.decode(msgspec.json.encode(it), type=FlightStatus)
+        assert back == it
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_frames_that_are_missing_are_counted(seed: int) -> None:
+    rng, autopilot = random.Random(seed), wire.MAVLink(None, srcSystem=1, srcComponent=1)
+    session = Session(load_mission("environment-1"), seed=1, lockstep=False)
+    dropped, sent = 0, 600
+    for number in range(sent):
+        frame = wire.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3).pack(autopilot)
+        autopilot.seq = (autopilot.seq + 1) % 256
+        other = wire.MAVLink_heartbeat_message(6, 8, 0, 0, 3, 3).pack(wire.MAVLink(None, 255, 190))
+        if 5 < number < sent - 1 and rng.random() < 0.2:
+            dropped += 1
+        else:
+            session.receive(frame + other)
+    session.run()
+    it = flight_status(FlightSummary(session=session))
+    assert (it.frames_heard, it.frames_lost) == (sent - dropped, dropped)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        wire.MAVLink_wind_message(direction=-120.0, speed=5.0, speed_z=1.0),  # comes from 240
+        wire.MAVLink_wind_cov_message(
+            0,
+            5.0 * math.cos(math.radians(60)),
+            5.0 * math.sin(math.radians(60)),
+            1,
+            0,
+            0,
+            100,
+            1,
+            1,
+        ),  # blows to 60
+    ],
+    ids=["ArduPilot", "PX4"],
+)
+def test_the_wind_is_told_as_where_it_comes_from(message: Any) -> None:
+    autopilot = wire.MAVLink(None, srcSystem=1, srcComponent=1)
+    session = Session(load_mission("environment-1"), seed=1, lockstep=False)
+    for _ in range(3):
+        session.receive(wire.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3).pack(autopilot))
+    session.receive(message.pack(autopilot))
+    session.run()
+    flown = FlightSummary(session=session)
+    it = flight_status(flown)
+    assert it.wind_m_s == pytest.approx(5.0)
+    assert it.wind_from_rad == pytest.approx(math.radians(240.0))
+    session.silence(15.0)
+    assert flight_status(flown).wind_m_s is None
