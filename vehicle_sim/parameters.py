@@ -88,28 +88,32 @@ class Parameters:
         return dict(self._values)
 
 
-# --- the autopilots' tables: *.parm beside them, a row a line in the wire's order -----------------
+# --- the tables: *.parm, a row a line in the wire's order -----------------------------------------
 
 _KINDS = {"i8": Kind.INT8, "i16": Kind.INT16, "i32": Kind.INT32, "real": Kind.REAL32}
 
 
-def lines_of(name: str, splits: int = -1) -> Iterator[list[str]]:
-    """The words of each line of a table beside this module, split so often at most."""
-    text = resources.files("vehicle_sim.autopilots").joinpath(name).read_text("utf-8")
+def lines_of(
+    name: str,
+    splits: int | None = None,
+    *,
+    separator: str | None = None,
+    beside: str = "autopilots",
+) -> Iterator[list[str]]:
+    """The words of each line of a table in this subpackage, split so often at most."""
+    text = resources.files(f"vehicle_sim.{beside}").joinpath(name).read_text("utf-8")
     for line in text.splitlines():
         if not line.startswith("#"):
-            yield line.split(maxsplit=splits)
+            yield line.split(separator, -1 if splits is None else splits)
+
+
+def row_of(name: str, default: str, kind: str = "real", *limits: str) -> Parameter:
+    """The row that a line is: name, default, type (a float without one), least and most."""
+    bounds = dict(zip(("least", "most"), map(float, limits), strict=False))
+    return Parameter(name=name, default=float(default), kind=_KINDS[kind], **bounds)
 
 
 def table(*names: str) -> tuple[Parameter, ...]:
-    """The rows of these files; a later one of the same name replaces the earlier one in its place.
-
-    A line is name, default, type (a float without one), least and most.
-    """
-    rows: dict[str, Parameter] = {}
-    for name in names:
-        for key, default, *rest in lines_of(f"{name}.parm"):
-            kind, limits = _KINDS[rest[0] if rest else "real"], map(float, rest[1:])
-            bounds = dict(zip(("least", "most"), limits, strict=False))
-            rows[key] = Parameter(name=key, default=float(default), kind=kind, **bounds)
+    """The rows of these files; a later one replaces an earlier one of its name in its place."""
+    rows = {words[0]: row_of(*words) for name in names for words in lines_of(f"{name}.parm")}
     return tuple(rows.values())

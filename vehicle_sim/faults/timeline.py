@@ -229,7 +229,7 @@ def faults_page() -> str:
 
 _PAGE = """# Faults
 
-Made from `vehicle_sim/faults/catalogue.py` by `scripts/docs`. A line of a timeline reads
+Made from `vehicle_sim/faults/catalogue.table` by `scripts/docs`. A line of a timeline reads
 `at TIME: FAULT` or `at TIME for TIME: FAULT`, with units (`ms`, `s`, `min`, `h`).
 `estimator_reset`, `origin_move`, `pilot` and `reboot` happen once and take no `for`.
 Of overlapping faults the latest counts.
