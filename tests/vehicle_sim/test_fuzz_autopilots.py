@@ -34,7 +34,7 @@ from vehicle_sim.autopilots import (
 from vehicle_sim.autopilots.factory import PERSONALITIES
 from vehicle_sim.autopilots.px4.fixed_wing import SIH_AIRPLANE
 from vehicle_sim.dynamics.copter import Copter
-from vehicle_sim.dynamics.plane import Plane
+from vehicle_sim.dynamics.plane import Plane, PlaneLimits
 from vehicle_sim.plans import PlanItem, PlanKind, Plans
 from vehicle_sim.sensors.gps import Gps, GpsConditions, Receiver
 
@@ -87,7 +87,7 @@ KINDS: dict[str, tuple[Any, Any]] = {
 def make(kind: str) -> tuple[Autopilot, Receiver]:
     """One of the four, just booted."""
     firmware, flies = KINDS[kind]
-    limits = SIH_AIRPLANE if firmware == "px4" else None
+    limits = SIH_AIRPLANE if firmware == "px4" else PlaneLimits()
     one = PERSONALITIES[firmware, flies]
     airframe = (
         Copter(**_PLACE, limits=STRONG) if flies == "copter" else Plane(**_PLACE, limits=limits)

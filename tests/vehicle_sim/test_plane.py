@@ -17,7 +17,7 @@ def plane(heading_deg: float = 0.0, limits: PlaneLimits | None = None) -> Plane:
         longitude_deg=LONGITUDE_DEG,
         altitude_amsl_m=500.0,
         heading_rad=math.radians(heading_deg),
-        limits=limits,
+        limits=limits or PlaneLimits(),
     )
 
 

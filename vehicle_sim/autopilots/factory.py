@@ -73,16 +73,15 @@ def make_vehicle(
             heading_rad=math.radians(vehicle.heading_deg),
             limits=_plane_limits(vehicle),
         )
-    copter = Copter(
+    return Copter(
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
         altitude_amsl_m=ground_amsl_m,
         limits=_copter_limits(vehicle),
         drag_1_s=_drag_1_s(vehicle),
         drag_1_m=_COPTER_DRAG_1_M if _only_drag_limits(vehicle) else 0.0,
+        heading_rad=math.radians(vehicle.heading_deg),
     )
-    copter.heading_rad = math.radians(vehicle.heading_deg)
-    return copter
 
 
 def _copter_limits(vehicle: Vehicle) -> Limits:

@@ -1,37 +1,68 @@
 """How vehicles move: point masses in moving air, stepped by the autopilot; no clock, no chance."""
 
-from typing import Protocol
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+from vehicle_sim.geodesy import metres_per_degree
 
 
-class Vehicle(Protocol):
-    """The truth: what every kind of vehicle has.  True north, true east, up; mutable, one per run.
+@dataclass(slots=True, kw_only=True, eq=False)
+class Vehicle(ABC):
+    """The truth: what every kind of vehicle has.  True north, true east, up; one per run.
 
     The autopilot never reads the position from here (it has an Estimate): only sensors, the truth
-    file and the ground do.
+    file and the ground do.  Mutable, with plain floats, on purpose: this is the inner loop, a
+    hundred steps for each second of flight, and no arrays are involved.  Position is geographic
+    (geodesy.py says why).
     """
 
     latitude_deg: float
     longitude_deg: float
     altitude_amsl_m: float
-    velocity_north_m_s: float
-    velocity_east_m_s: float
-    velocity_up_m_s: float
-    acceleration_north_m_s2: float
-    acceleration_east_m_s2: float
-    acceleration_up_m_s2: float
-    roll_rad: float
-    pitch_rad: float
-    heading_rad: float
-    airspeed_m_s: float
-    throttle: float
+    heading_rad: float = 0.0
+    velocity_north_m_s: float = field(init=False, default=0.0)
+    velocity_east_m_s: float = field(init=False, default=0.0)
+    velocity_up_m_s: float = field(init=False, default=0.0)
+    acceleration_north_m_s2: float = field(init=False, default=0.0)
+    acceleration_east_m_s2: float = field(init=False, default=0.0)
+    acceleration_up_m_s2: float = field(init=False, default=0.0)
+    roll_rad: float = field(init=False, default=0.0)
+    pitch_rad: float = field(init=False, default=0.0)
+    airspeed_m_s: float = field(init=False, default=0.0)
+    throttle: float = field(init=False, default=0.0)
     """0 to 1."""
-    wind_north_m_s: float
+    wind_north_m_s: float = field(init=False, default=0.0)
     """Where the air goes to; set from outside before each step, as are the other two."""
-    wind_east_m_s: float
-    wind_up_m_s: float
+    wind_east_m_s: float = field(init=False, default=0.0)
+    wind_up_m_s: float = field(init=False, default=0.0)
 
+    @abstractmethod
     def stand(self, altitude_amsl_m: float) -> None:
         """Come to rest at this height."""
 
+    @abstractmethod
     def fall(self, dt_s: float) -> None:
         """One step without motors."""
+
+    def _rest(self, altitude_amsl_m: float) -> None:
+        """Level and without motion, at this height."""
+        self.altitude_amsl_m = altitude_amsl_m
+        self.velocity_north_m_s = self.velocity_east_m_s = self.velocity_up_m_s = 0.0
+        self.acceleration_north_m_s2 = self.acceleration_east_m_s2 = 0.0
+        self.acceleration_up_m_s2 = 0.0
+        self.roll_rad = self.pitch_rad = self.throttle = 0.0
+
+    def _move(self, north_m_s: float, east_m_s: float, up_m_s: float, dt_s: float) -> None:
+        """Take on this velocity; the position advances by the mean of the old and the new."""
+        metres_north, metres_east = metres_per_degree(self.latitude_deg)
+        half_s = 0.5 * dt_s
+        self.latitude_deg += (self.velocity_north_m_s + north_m_s) * half_s / metres_north
+        east_deg = (self.velocity_east_m_s + east_m_s) * half_s / metres_east
+        longitude_deg = self.longitude_deg + east_deg
+        if not -180.0 <= longitude_deg < 180.0:
+            longitude_deg = (longitude_deg + 180.0) % 360.0 - 180.0
+        self.longitude_deg = longitude_deg
+        self.altitude_amsl_m += (self.velocity_up_m_s + up_m_s) * half_s
+        self.velocity_north_m_s = north_m_s
+        self.velocity_east_m_s = east_m_s
+        self.velocity_up_m_s = up_m_s

@@ -3,16 +3,13 @@
 Commanded is what the thrust does: drag and wind come on top, and the autopilot has to make up for
 them as a real one does.  Without drag, and with no limit on the tilt, the vehicle does what it is
 told.
-
-Mutable, with plain floats, on purpose: this is the inner loop, a hundred steps for each second of
-flight, and no arrays are involved.  Position is geographic (geodesy.py says why).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
-from vehicle_sim.geodesy import metres_per_degree
+from vehicle_sim.dynamics import Vehicle
 
 GRAVITY_M_S2 = 9.80665
 HOVER_THROTTLE = 0.39
@@ -34,72 +31,28 @@ class Limits:
 
 
 @final
-class Copter:
-    """Where the vehicle is and how it moves: true north, true east, up."""
+@dataclass(slots=True, kw_only=True, eq=False)
+class Copter(Vehicle):
+    """Where the vehicle is and how it moves.
 
-    __slots__ = (
-        "_thrust_east_m_s2",
-        "_thrust_north_m_s2",
-        "acceleration_east_m_s2",
-        "acceleration_north_m_s2",
-        "acceleration_up_m_s2",
-        "airspeed_m_s",
-        "altitude_amsl_m",
-        "drag_1_m",
-        "drag_1_s",
-        "heading_rad",
-        "hover_throttle",
-        "latitude_deg",
-        "limits",
-        "longitude_deg",
-        "pitch_rad",
-        "response_s",
-        "roll_rad",
-        "throttle",
-        "velocity_east_m_s",
-        "velocity_north_m_s",
-        "velocity_up_m_s",
-        "wind_east_m_s",
-        "wind_north_m_s",
-        "wind_up_m_s",
-    )
+    The autopilot turns its heading, at once: it has no part in how a point mass moves.
+    """
 
-    def __init__(
-        self,
-        *,
-        latitude_deg: float,
-        longitude_deg: float,
-        altitude_amsl_m: float,
-        limits: Limits,
-        drag_1_s: float = 0.0,
-        drag_1_m: float = 0.0,
-        hover_throttle: float = HOVER_THROTTLE,
-    ) -> None:
-        self.limits = limits
-        self.response_s = RESPONSE_S
-        """Time constant from commanded to actual acceleration."""
-        self.drag_1_s = drag_1_s
-        """Deceleration for each m/s through the air, linear as PX4's SIH has it (SIH_KDV)."""
-        self.drag_1_m = drag_1_m
-        """The same for each square of m/s, which ArduPilot's simulation has besides."""
-        self.hover_throttle = hover_throttle
-        self.wind_north_m_s = self.wind_east_m_s = self.wind_up_m_s = 0.0
-        self.heading_rad = 0.0
-        """True; the autopilot turns it, at once, for it has no part in how a point mass moves."""
-        self.latitude_deg = latitude_deg
-        self.longitude_deg = longitude_deg
-        self.altitude_amsl_m = altitude_amsl_m
-        self.stand(altitude_amsl_m)
+    limits: Limits
+    drag_1_s: float = 0.0
+    """Deceleration for each m/s through the air, linear as PX4's SIH has it (SIH_KDV)."""
+    drag_1_m: float = 0.0
+    """The same for each square of m/s, which ArduPilot's simulation has besides."""
+    hover_throttle: float = HOVER_THROTTLE
+    response_s: float = field(init=False, default=RESPONSE_S)
+    """Time constant from commanded to actual acceleration."""
+    _thrust_north_m_s2: float = field(init=False, default=0.0)
+    _thrust_east_m_s2: float = field(init=False, default=0.0)
 
     def stand(self, altitude_amsl_m: float) -> None:
         """Come to rest at this height."""
-        self.altitude_amsl_m = altitude_amsl_m
-        self.velocity_north_m_s = self.velocity_east_m_s = self.velocity_up_m_s = 0.0
-        self.acceleration_north_m_s2 = self.acceleration_east_m_s2 = 0.0
-        self.acceleration_up_m_s2 = 0.0
-        self._thrust_north_m_s2 = self._thrust_east_m_s2 = 0.0
-        self.roll_rad = self.pitch_rad = self.throttle = 0.0
-        self.airspeed_m_s = 0.0
+        self._rest(altitude_amsl_m)
+        self._thrust_north_m_s2 = self._thrust_east_m_s2 = self.airspeed_m_s = 0.0
 
     def advance(self, north_m_s2: float, east_m_s2: float, up_m_s2: float, dt_s: float) -> None:
         """One step under a commanded acceleration of the thrust, gravity made up for.
@@ -154,29 +107,12 @@ class Copter:
         v_u = before_u + lift_m_s2 * dt_s
         v_u = -fastest if v_u < -fastest else fastest if v_u > fastest else v_u
 
-        self._move(before_n + v_n, before_e + v_e, before_u + v_u, 0.5 * dt_s)
-        self.velocity_north_m_s, self.velocity_east_m_s, self.velocity_up_m_s = v_n, v_e, v_u
+        self._move(v_n, v_e, v_u, dt_s)
         self.acceleration_north_m_s2, self.acceleration_east_m_s2 = a_n, a_e
         self.acceleration_up_m_s2 = a_u
         self.airspeed_m_s = math.hypot(v_n - self.wind_north_m_s, v_e - self.wind_east_m_s)
 
     def fall(self, dt_s: float) -> None:
         """One step without motors."""
-        before_u = self.velocity_up_m_s
-        self.velocity_up_m_s = before_u - GRAVITY_M_S2 * dt_s
-        self._move(
-            2.0 * self.velocity_north_m_s,
-            2.0 * self.velocity_east_m_s,
-            before_u + self.velocity_up_m_s,
-            0.5 * dt_s,
-        )
-
-    def _move(self, north: float, east: float, up: float, half_dt_s: float) -> None:
-        """Advance the position; north, east, up: velocity before plus velocity after, in m/s."""
-        metres_north, metres_east = metres_per_degree(self.latitude_deg)
-        self.latitude_deg += north * half_dt_s / metres_north
-        longitude_deg = self.longitude_deg + east * half_dt_s / metres_east
-        if not -180.0 <= longitude_deg < 180.0:
-            longitude_deg = (longitude_deg + 180.0) % 360.0 - 180.0
-        self.longitude_deg = longitude_deg
-        self.altitude_amsl_m += up * half_dt_s
+        up_m_s = self.velocity_up_m_s - GRAVITY_M_S2 * dt_s
+        self._move(self.velocity_north_m_s, self.velocity_east_m_s, up_m_s, dt_s)

@@ -1,16 +1,15 @@
 """A plane as a point mass in coordinated flight through air that moves.
 
 It is told a bank angle, a climb rate and an airspeed, and follows each within its limits.  The
-air carries it: ground velocity is air velocity plus wind.  A climb costs no airspeed.  Mutable,
-with plain floats, as copter.py says.
+air carries it: ground velocity is air velocity plus wind.  A climb costs no airspeed.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
+from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2
-from vehicle_sim.geodesy import metres_per_degree
 
 ROLL_RESPONSE_S = 0.1
 """Time constant from commanded to actual bank; fits the ground track of the recorded ArduPlane
@@ -42,59 +41,23 @@ class PlaneLimits:
 
 
 @final
-class Plane:
-    """Where the vehicle is and how it moves: true north, true east, up."""
+@dataclass(slots=True, kw_only=True, eq=False)
+class Plane(Vehicle):
+    """Where the vehicle is and how it moves."""
 
-    __slots__ = (
-        "_climb_m_s",
-        "_slip_east_m_s",
-        "_slip_north_m_s",
-        "acceleration_east_m_s2",
-        "acceleration_north_m_s2",
-        "acceleration_up_m_s2",
-        "airspeed_m_s",
-        "altitude_amsl_m",
-        "heading_rad",
-        "latitude_deg",
-        "limits",
-        "longitude_deg",
-        "pitch_rad",
-        "roll_rad",
-        "throttle",
-        "turn_efficiency",
-        "velocity_east_m_s",
-        "velocity_north_m_s",
-        "velocity_up_m_s",
-        "wind_east_m_s",
-        "wind_north_m_s",
-        "wind_up_m_s",
-    )
+    limits: PlaneLimits = PlaneLimits()
+    turn_efficiency: float = field(init=False, default=1.0)
+    """Lateral acceleration over g tan(bank); less than 1 of an airframe that slips in turns."""
+    _climb_m_s: float = field(init=False, default=0.0)
+    _slip_north_m_s: float = field(init=False, default=0.0)
+    _slip_east_m_s: float = field(init=False, default=0.0)
 
-    def __init__(
-        self,
-        *,
-        latitude_deg: float,
-        longitude_deg: float,
-        altitude_amsl_m: float,
-        heading_rad: float = 0.0,
-        limits: PlaneLimits | None = None,
-    ) -> None:
-        self.limits = PlaneLimits() if limits is None else limits
-        self.latitude_deg = latitude_deg
-        self.longitude_deg = longitude_deg
-        self.heading_rad = heading_rad % math.tau
-        self.turn_efficiency = 1.0
-        """Lateral acceleration over g tan(bank); less than 1 of an airframe that slips in turns."""
-        self.wind_north_m_s = self.wind_east_m_s = self.wind_up_m_s = 0.0
-        self.stand(altitude_amsl_m)
+    def __post_init__(self) -> None:
+        self.heading_rad %= math.tau
 
     def stand(self, altitude_amsl_m: float) -> None:
         """Come to rest at this height."""
-        self.altitude_amsl_m = altitude_amsl_m
-        self.velocity_north_m_s = self.velocity_east_m_s = self.velocity_up_m_s = 0.0
-        self.acceleration_north_m_s2 = self.acceleration_east_m_s2 = 0.0
-        self.acceleration_up_m_s2 = 0.0
-        self.roll_rad = self.pitch_rad = self.throttle = 0.0
+        self._rest(altitude_amsl_m)
         self._climb_m_s = self._slip_north_m_s = self._slip_east_m_s = 0.0
         self.airspeed_m_s = self._flow_along_the_nose_m_s()
 
@@ -151,7 +114,7 @@ class Plane:
         self._slip_north_m_s *= fading
         self._slip_east_m_s *= fading
         flat_m_s = airspeed * math.sqrt(1.0 - steepness * steepness)
-        self._move(
+        self._accelerate(
             flat_m_s * math.cos(self.heading_rad) + self.wind_north_m_s + self._slip_north_m_s,
             flat_m_s * math.sin(self.heading_rad) + self.wind_east_m_s + self._slip_east_m_s,
             climb + self.wind_up_m_s,
@@ -163,7 +126,7 @@ class Plane:
         cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
         speed = self.velocity_north_m_s * cosine + self.velocity_east_m_s * sine
         speed = max(speed + acceleration_m_s2 * dt_s, 0.0)
-        self._move(speed * cosine, speed * sine, 0.0, dt_s)
+        self._accelerate(speed * cosine, speed * sine, 0.0, dt_s)
         self.velocity_up_m_s = self.acceleration_up_m_s2 = 0.0
         self.roll_rad = self.pitch_rad = self._climb_m_s = 0.0
         self.airspeed_m_s = self._flow_along_the_nose_m_s()
@@ -180,20 +143,9 @@ class Plane:
         self.throttle = 0.0
         self.velocity_up_m_s = 0.0
 
-    def _move(self, north_m_s: float, east_m_s: float, up_m_s: float, dt_s: float) -> None:
-        """Take on this velocity; the position advances by the mean of the old and the new."""
-        metres_north, metres_east = metres_per_degree(self.latitude_deg)
-        half_s = 0.5 * dt_s
-        self.latitude_deg += (self.velocity_north_m_s + north_m_s) * half_s / metres_north
-        east_deg = (self.velocity_east_m_s + east_m_s) * half_s / metres_east
-        longitude_deg = self.longitude_deg + east_deg
-        if not -180.0 <= longitude_deg < 180.0:
-            longitude_deg = (longitude_deg + 180.0) % 360.0 - 180.0
-        self.longitude_deg = longitude_deg
-        self.altitude_amsl_m += (self.velocity_up_m_s + up_m_s) * half_s
+    def _accelerate(self, north_m_s: float, east_m_s: float, up_m_s: float, dt_s: float) -> None:
+        """One step to this velocity."""
         self.acceleration_north_m_s2 = (north_m_s - self.velocity_north_m_s) / dt_s
         self.acceleration_east_m_s2 = (east_m_s - self.velocity_east_m_s) / dt_s
         self.acceleration_up_m_s2 = (up_m_s - self.velocity_up_m_s) / dt_s
-        self.velocity_north_m_s = north_m_s
-        self.velocity_east_m_s = east_m_s
-        self.velocity_up_m_s = up_m_s
+        self._move(north_m_s, east_m_s, up_m_s, dt_s)
