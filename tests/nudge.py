@@ -6,12 +6,12 @@ What hangs on them is found by moving what it is computed from (fixture `nudge`,
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from planning import flying_kernel
+from renewed import replace
 
 from companion.mission import machine
 from companion.planner import plan as planning

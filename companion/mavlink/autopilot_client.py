@@ -7,8 +7,9 @@ messages and events out.
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any, Final, final
+
+from msgspec.structs import replace
 
 from companion.mavlink import fence, parameter_client, plan_client
 from companion.mavlink.autopilots import Autopilot, LaunchPose, autopilot_of

@@ -5,8 +5,9 @@ up in the local frame, altitudes AMSL.
 """
 
 import enum
-from dataclasses import dataclass
 from typing import final
+
+from msgspec import Struct
 
 from companion.mission.vehicle_traits import VehicleTraits
 from companion.planner.request import PlanOutcome, PlanRequest
@@ -42,20 +43,21 @@ class Landed(enum.Enum):
     LANDING = "landing"
 
 
+class Timed(Struct, frozen=True, kw_only=True):
+    """What happened, and when."""
+
+    time_s: float
+
+
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tick:
+class Tick(Timed, frozen=True, kw_only=True):
     """The vehicle's clock moved on."""
 
-    time_s: float
-
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VehicleStatus:
+class VehicleStatus(Timed, frozen=True, kw_only=True):
     """A heartbeat of the autopilot."""
 
-    time_s: float
     mode: Mode
     armed: bool
     failsafe: bool = False
@@ -63,11 +65,9 @@ class VehicleStatus:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VehicleFound:
+class VehicleFound(Timed, frozen=True, kw_only=True):
     """The autopilot is identified: its traits, or None if it is not supported."""
 
-    time_s: float
     system_id: int
     traits: VehicleTraits | None
     name: str
@@ -75,11 +75,9 @@ class VehicleFound:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Position:
+class Position(Timed, frozen=True, kw_only=True):
     """The vehicle's reported position."""
 
-    time_s: float
     position_nea_m: Vector
     velocity_nea_m_s: Vector
     heading_rad: float | None = None
@@ -87,87 +85,68 @@ class Position:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LandedState:
+class LandedState(Timed, frozen=True, kw_only=True):
     """On the ground or in the air."""
 
-    time_s: float
     landed: Landed
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TakeOffTaken:
+class TakeOffTaken(Timed, frozen=True, kw_only=True):
     """The autopilot has accepted a take-off: it will begin."""
-
-    time_s: float
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GpsFix:
+class GpsFix(Timed, frozen=True, kw_only=True):
     """Whether the receiver has a three-dimensional fix."""
 
-    time_s: float
     good: bool
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Estimator:
+class Estimator(Timed, frozen=True, kw_only=True):
     """Whether the autopilot's estimator reports a valid horizontal position."""
 
-    time_s: float
     good: bool
     error_m: float | None = None
     """Horizontal accuracy, if reported."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Home:
+class Home(Timed, frozen=True, kw_only=True):
     """The vehicle's home, whose altitude take-off heights are measured from."""
 
-    time_s: float
     position_nea_m: Vector
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Origin:
+class Origin(Timed, frozen=True, kw_only=True):
     """Where the autopilot's own local frame begins (GPS_GLOBAL_ORIGIN)."""
 
-    time_s: float
     position_nea_m: Vector
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Echo:
+class Echo(Timed, frozen=True, kw_only=True):
     """The autopilot's reported target (POSITION_TARGET_*)."""
 
-    time_s: float
     position_nea_m: Vector
     velocity_nea_m_s: Vector | None = None
     """Velocity of the target; None if not reported."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Battery:
+class Battery(Timed, frozen=True, kw_only=True):
     """What is left in the battery."""
 
-    time_s: float
     remaining: float
     """Share of a full one, 0 to 1."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkDelay:
+class LinkDelay(Timed, frozen=True, kw_only=True):
     """How long a message takes to the vehicle and back (TIMESYNC)."""
 
-    time_s: float
     round_trip_s: float
 
 
@@ -181,11 +160,9 @@ class Item(enum.Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Prepared:
+class Prepared(Timed, frozen=True, kw_only=True):
     """One of the things to prepare is done, or refused."""
 
-    time_s: float
     item: Item
     refusal: str = ""
     """Why the vehicle must not fly as it is: what, its value, the rule."""
@@ -193,11 +170,9 @@ class Prepared:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FenceChanged:
+class FenceChanged(Timed, frozen=True, kw_only=True):
     """The vehicle's complete fence, as of now."""
 
-    time_s: float
     zones: tuple[Zone, ...]
     floor_amsl_m: float | None = None
     ceiling_amsl_m: float | None = None
@@ -205,20 +180,16 @@ class FenceChanged:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TargetsChanged:
+class TargetsChanged(Timed, frozen=True, kw_only=True):
     """The targets of the vehicle's mission, if ours takes them from there."""
 
-    time_s: float
     targets_ne_m: tuple[tuple[float, float], ...]
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SettingsChanged:
+class SettingsChanged(Timed, frozen=True, kw_only=True):
     """Planner parameters were set: they apply from the next plan on."""
 
-    time_s: float
     task: Task
     """As it is now, all of it."""
     what: str
@@ -237,11 +208,9 @@ class OrderKind(enum.Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Order:
+class Order(Timed, frozen=True, kw_only=True):
     """A command to the companion from an authorised sender."""
 
-    time_s: float
     kind: OrderKind
     target_ne_m: tuple[float, float] | None = None
     speed_m_s: float | None = None
@@ -250,40 +219,31 @@ class Order:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rebooted:
+class Rebooted(Timed, frozen=True, kw_only=True):
     """The autopilot's clock has begun again."""
-
-    time_s: float
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NearSeen:
+class NearSeen(Timed, frozen=True, kw_only=True):
     """The sensor of near things has looked around, or its silence means something else now."""
 
-    time_s: float
     sight: Sight
     near: NearMap
     """As it is now: it changes with the next sweep, so it is not kept."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroundSeen:
+class GroundSeen(Timed, frozen=True, kw_only=True):
     """The downward rangefinder does not agree with the known map, or does again."""
 
-    time_s: float
     above_m: float
     """So much higher is the ground than the map says, with several readings; 0: it agrees."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScanDone:
+class ScanDone(Timed, frozen=True, kw_only=True):
     """The radar has answered as far as it will; cells answered of cells asked for."""
 
-    time_s: float
     scan: Scan
     asked: int
     answered: int
@@ -295,55 +255,42 @@ class ScanDone:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanReady:
+class PlanReady(Timed, frozen=True, kw_only=True):
     """The answer to a plan request, at the time when it was due or later."""
 
-    time_s: float
     outcome: PlanOutcome
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanLate:
+class PlanLate(Timed, frozen=True, kw_only=True):
     """A plan was due and is still being computed (real time only)."""
 
-    time_s: float
     plan_id: int
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlannerDied:
+class PlannerDied(Timed, frozen=True, kw_only=True):
     """A part of the companion (planner, reader, writer) has died: nothing is sent any more."""
 
-    time_s: float
     error: str
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkLost:
+class LinkLost(Timed, frozen=True, kw_only=True):
     """Nothing has been heard of the vehicle for a while."""
 
-    time_s: float
     silent_s: float
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FenceBreach:
+class FenceBreach(Timed, frozen=True, kw_only=True):
     """The autopilot says that the vehicle is where its own fence forbids it to be."""
-
-    time_s: float
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DuplicateId:
+class DuplicateId(Timed, frozen=True, kw_only=True):
     """Another sender with the companion's ids was heard."""
 
-    time_s: float
     certain: bool
     """Whether it has gone on for long enough to exclude frames left by a dead companion."""
     news: bool = False
@@ -351,11 +298,9 @@ class DuplicateId:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OthersHeard:
+class OthersHeard(Timed, frozen=True, kw_only=True):
     """All that is known of others in the air, before a position."""
 
-    time_s: float
     ours: int
     """Our system id."""
     tracks: tuple[Track, ...]
@@ -363,11 +308,8 @@ class OthersHeard:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StopAsked:
+class StopAsked(Timed, frozen=True, kw_only=True):
     """The operator ends the mission now."""
-
-    time_s: float
 
 
 Event = (
@@ -413,14 +355,12 @@ class Outcome(enum.Enum):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RequestStreams:
+class RequestStreams(Struct, frozen=True, kw_only=True):
     """Request the message streams that the mission needs."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetMode:
+class SetMode(Struct, frozen=True, kw_only=True):
     """Ask for a flight mode."""
 
     mode: Mode
@@ -429,14 +369,12 @@ class SetMode:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Arm:
+class Arm(Struct, frozen=True, kw_only=True):
     """Ask the autopilot to arm."""
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TakeOff:
+class TakeOff(Struct, frozen=True, kw_only=True):
     """Ask for a climb, from where the vehicle stands, by its autopilot's own take-off."""
 
     above_home_m: float
@@ -444,24 +382,21 @@ class TakeOff:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetSpeed:
+class SetSpeed(Struct, frozen=True, kw_only=True):
     """Send the mission's speed to an autopilot that controls its own speed."""
 
     speed_m_s: float
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StartScan:
+class StartScan(Struct, frozen=True, kw_only=True):
     """Ask the radar what is within range of a point."""
 
     centre_nea_m: Vector
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class Plan(Struct, frozen=True, kw_only=True):
     """Compute the next subpath; the answer takes effect at due_s."""
 
     request: PlanRequest
@@ -469,8 +404,7 @@ class Plan:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Setpoint:
+class Setpoint(Struct, frozen=True, kw_only=True):
     """Position and velocity for now, with this yaw."""
 
     time_s: float
@@ -482,8 +416,7 @@ class Setpoint:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClaimWay:
+class ClaimWay(Struct, frozen=True, kw_only=True):
     """Tell other vehicles of ours which straight stretch this one keeps to."""
 
     time_s: float
@@ -492,8 +425,7 @@ class ClaimWay:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StatusText:
+class StatusText(Struct, frozen=True, kw_only=True):
     """A short text to ground stations and the terminal."""
 
     text: str
@@ -503,8 +435,7 @@ class StatusText:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class End:
+class End(Struct, frozen=True, kw_only=True):
     """The mission is over."""
 
     outcome: Outcome

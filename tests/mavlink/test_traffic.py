@@ -1,13 +1,13 @@
 """Others in the air from the wire: what reports become; nonsense and floods are bounded."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as wire
+from renewed import replace
 
 from companion.config import load_mission
 from companion.mavlink.frames import Incoming, Receiver, packed
