@@ -106,6 +106,15 @@ def payload_of(frame: bytes, size: int) -> bytes:
     return frame[head : head + frame[1]].ljust(size, b"\0")
 
 
+def payload_as_sent(message: Message, size: int) -> bytes:
+    """So many bytes of the payload that a message came in; empty if it came in none.
+
+    For what its fields do not tell: extensions newer than the dialect, the bits of a float.
+    """
+    frame = bytes(message.get_msgbuf() or b"")
+    return payload_of(frame, size)[:size] if frame else b""
+
+
 def boot_ms_of(frame: bytes, number: int) -> int | None:
     """The time since boot at which a frame was sent, if its message contains it; ms."""
     at = _BOOT_MS_AT.get(number)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.frames import payload_as_sent
 
 MESSAGES: Final = (
     wire.MAVLINK_MSG_ID_PARAM_VALUE,
@@ -86,7 +87,8 @@ def decoded(message: Message, *, bytewise: bool) -> float:
     form = _FORMATS.get(message.param_type) if bytewise else None
     if form is None:
         return float(message.param_value)
-    (whole,) = struct.unpack_from(form, _float_bytes(message))
+    raw = payload_as_sent(message, 4) or struct.pack("<f", message.param_value)
+    (whole,) = struct.unpack_from(form, raw)
     return float(whole)
 
 
@@ -107,15 +109,6 @@ def encoded(value: float, kind: int, *, bytewise: bool) -> float:
         return float(whole)
     (as_float,) = struct.unpack("<f", raw.ljust(4, b"\0"))
     return float(as_float)
-
-
-def _float_bytes(message: Message) -> bytes:
-    """The four bytes of param_value as they came: on the way through a float some would change."""
-    frame = bytes(message.get_msgbuf() or b"")
-    if not frame:
-        return struct.pack("<f", message.param_value)
-    head = 10 if frame[0] == wire.PROTOCOL_MARKER_V2 else 6
-    return frame[head : head + min(4, frame[1])].ljust(4, b"\0")
 
 
 @final

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Final, final
 
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.frames import payload_as_sent
 
 MISSION: Final = wire.MAV_MISSION_TYPE_MISSION
 FENCE: Final = wire.MAV_MISSION_TYPE_FENCE
@@ -201,9 +202,9 @@ class PlanClient:
 
     def _on_ids(self, message: Message) -> None:
         """PX4 reports the ids of its lists once a second: download a list whose id is new."""
-        ids = _payload(message, 18)
+        ids = payload_as_sent(message, 18)
         for kind, at in ((MISSION, 6), (FENCE, 10), (RALLY, 14)):
-            (told,) = struct.unpack_from("<I", ids, at)
+            told = int.from_bytes(ids[at : at + 4], "little")
             watch = self._watches[kind]
             if told and watch.opaque_id and told != watch.opaque_id:
                 watch.due_s = watch.read_s = -math.inf
@@ -211,7 +212,7 @@ class PlanClient:
     def _on_count(self, transfer: _Transfer, message: Message, now_s: float) -> list[Message]:
         if transfer.reads:
             return []
-        opaque_id = struct.unpack_from("<I", _payload(message, 9), 5)[0]
+        opaque_id = int.from_bytes(payload_as_sent(message, 9)[5:9], "little")
         if transfer.tries == 1:  # so this is the answer to that request
             waited_s = now_s - transfer.asked_s
             transfer.item_s = min(max(2.0 * waited_s, _ITEM_S), _LIST_S)
@@ -353,14 +354,3 @@ class PlanClient:
 
     def _ack(self, kind: int, result: int) -> Message:
         return wire.MAVLink_mission_ack_message(self._system_id, AUTOPILOT_COMPONENT, result, kind)
-
-
-def _payload(message: Message, size: int) -> bytes:
-    """The payload as it came, up to this size.
-
-    The installed dialect does not know the ids at its end.
-    """
-    frame = bytes(message.get_msgbuf() or b"")
-    if not frame or frame[0] != wire.PROTOCOL_MARKER_V2:
-        return bytes(size)
-    return frame[10 : 10 + min(size, frame[1])].ljust(size, b"\0")

@@ -29,6 +29,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from companion.errors import InputError
+from companion.mavlink.frames import V1, V2, frame_extent
 from companion.mission.journal import SCHEMA, VERSION, plain
 from companion.telemetry import inputs
 from companion.world.known_map import KnownMap, packed_map, unpacked_map
@@ -37,11 +38,10 @@ RESUME_SCHEMA = "companion-resume"
 RESUME_VERSION = 1
 _WRITTEN = ("journal.jsonl", "flight.tlog", "mission.toml", "run.json", inputs.FILE)
 _STAMP = struct.Struct(">Q")
-_STAMP_BYTES, _HEAD_BYTES = 8, 11
+_STAMP_BYTES = _STAMP.size
 _PORTION = 2**20
 LONGEST_RECORD = 288  # bytes, of the telemetry log
 _LONGEST_TORN = 2**26  # a start with a large map
-_SIGNED, _SIGNATURE_BYTES = 0x01, 13
 
 
 _MOST = 2**62
@@ -276,7 +276,7 @@ def _first_stamp_us(tlog: Path) -> int | None:
             data = file.read(LONGEST_RECORD)
     except OSError:
         return None
-    if not _record_bytes(data[:_HEAD_BYTES]):
+    if not _record_end(data, 0):
         return None
     (stamp_us,) = _STAMP.unpack_from(data)
     return stamp_us if 0 < stamp_us < _MOST else None
@@ -310,10 +310,9 @@ class Records:
         """What comes next: us since 1970, frame."""
         self._read(LONGEST_RECORD)
         data, at = self._data, self._at
-        length = _record_bytes(data[at : at + _HEAD_BYTES])
-        if not length or at + length > len(data):
+        if not 0 < (end := _record_end(data, at)) <= len(data):
             return None
-        return _STAMP.unpack_from(data, at)[0], data[at + _STAMP_BYTES : at + length]
+        return _STAMP.unpack_from(data, at)[0], data[at + _STAMP_BYTES : end]
 
     def take(self) -> tuple[int, bytes] | None:
         """What comes next, and on to what follows."""
@@ -346,15 +345,11 @@ class Records:
         self.close()
 
 
-def _record_bytes(data: bytes) -> int:
-    """Length of the record that begins with these bytes (_HEAD_BYTES); 0 if none does."""
-    frame = data[_STAMP_BYTES : _STAMP_BYTES + 3]
-    if len(frame) < 3 or frame[0] not in (0xFD, 0xFE):
-        return 0
-    if frame[0] == 0xFE:
-        return _STAMP_BYTES + 8 + frame[1]
-    signature = _SIGNATURE_BYTES if frame[2] & _SIGNED else 0
-    return _STAMP_BYTES + 12 + frame[1] + signature
+def _record_end(data: bytes, at: int) -> int:
+    """Where the record ends that begins there, beyond the data perhaps; 0 if none does."""
+    begin = at + _STAMP_BYTES
+    is_frame = begin < len(data) and data[begin] in (V1, V2)
+    return frame_extent(data, begin)[0] if is_frame else 0
 
 
 def _whole_lines(path: Path) -> int:
