@@ -90,10 +90,6 @@ def vehicle(text: str) -> str:
     return TEXT.replace("tracking_error_m", f"{text}\ntracking_error_m", 1)
 
 
-def test_the_take_off_ends_above_the_floor_by_twice_the_tracking_error() -> None:
-    assert load_mission("environment-1").take_off_amsl_m == 3030.0
-
-
 @given(tracking_m=st.floats(0.1, 40.0), navigation_m=st.floats(0.0, 40.0))
 def test_the_take_off_ends_where_paths_may_begin(
     file: Path, tracking_m: float, navigation_m: float
@@ -127,14 +123,6 @@ def test_an_error_or_a_dead_man_time_may_be_0_and_not_negative(file: Path, key: 
     message = refused(file, vehicle(f"{key} = -0.1"))
     assert f"vehicle.{key} = -0.1" in message
     assert "greater than or equal to 0" in message
-
-
-def test_a_dead_man_reach_that_sight_cannot_hold_is_refused_before_take_off(file: Path) -> None:
-    """V times 40 s, and to brake, is 8.25 km: with the rest of L too much for R = 20 km."""
-    tail_m = 150.0 * 40.0 + 150.0**2 / (2.0 * 5.0)
-    message = refused(file, vehicle("dead_man_s = 40.0"))
-    assert "eq. 4" in message
-    assert f"L = {150.0 * (5.0 + 4.0 + 0.3) + tail_m:g} m" in message
 
 
 @pytest.mark.parametrize("name", sorted(OPTIMISERS))
@@ -232,12 +220,6 @@ def test_an_altitude_without_its_datum_is_told_so(file: Path, name: str) -> None
     assert "Did you mean floor_amsl_m?" in message
 
 
-def test_the_altitude_of_a_radar_needs_its_datum_too(file: Path) -> None:
-    message = refused(file, renamed("altitude_amsl_m", "altitude_m"))
-    assert "radars[0].altitude_m = 0.0" in message
-    assert "datum" in message
-
-
 @pytest.mark.parametrize(
     ("extra", "field"),
     [
@@ -324,98 +306,6 @@ def test_empty_targets_are_refused(file: Path) -> None:
     assert "targets" in refused(file, text)
     head, tail = text.split("[origin]", 1)
     assert "at least 1 item" in refused(file, f"{head}targets = []\n[origin]{tail}")
-
-
-# --- rules between keys
-
-
-def target(north_m: float, east_m: float) -> str:
-    return re.sub(
-        r"\[\[targets\]\]\nnorth_m.*\neast_m.*\n",
-        f"[[targets]]\nnorth_m = {north_m}\neast_m = {east_m}\n",
-        TEXT,
-    )
-
-
-@pytest.mark.parametrize(
-    ("north_m", "east_m", "axis"),
-    [(105_000.1, 0.0, "north"), (-5000.1, 0.0, "north"), (0.0, 105_001.0, "east")],
-)
-def test_a_target_outside_the_map_is_refused(
-    file: Path, north_m: float, east_m: float, axis: str
-) -> None:
-    message = refused(file, target(north_m, east_m))
-    value = north_m if axis == "north" else east_m
-    assert f"targets[0].{axis}_m = {value}" in message
-    assert "outside the map" in message
-
-
-def test_a_target_keeps_the_required_clearance_from_the_edge_of_the_map(file: Path) -> None:
-    assert load(file, target(104_470.0, -4470.0)).targets_ne_m == ((104_470.0, -4470.0),)
-    assert "nearer than 530 m" in refused(file, target(104_471.0, 0.0))
-
-
-CIRCLE = '[[keep_outs]]\nname = "zone"\nnorth_m = 50000.0\neast_m = 50000.0\nradius_m = 3000.0\n'
-SQUARE = (
-    '[[keep_outs]]\nname = "zone"\nvertices_m = [[4e4, 4e4], [6e4, 4e4], [6e4, 6e4], [4e4, 6e4]]\n'
-)
-
-
-@pytest.mark.parametrize("zone", [CIRCLE, SQUARE], ids=["circle", "polygon"])
-def test_a_target_in_or_too_near_a_keep_out_is_refused(file: Path, zone: str) -> None:
-    edge_m = 53_000.0 if zone is CIRCLE else 60_000.0
-    inside = refused(file, f"{target(50_000.0, 51_000.0)}\n{zone}")
-    assert "targets[0] = [50000.0, 51000.0]" in inside
-    assert "inside keep-out 'zone'" in inside
-    near = refused(file, f"{target(edge_m + 529.0, 50_000.0)}\n{zone}")
-    assert "nearer than 530 m (d_s and the vehicle's errors) to keep-out 'zone'" in near
-    load(file, f"{target(edge_m + 531.0, 50_000.0)}\n{zone}")
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("planning_time_s", "60.0"),
-        ("speed_m_s", "600.0"),
-        ("scan_range_m", "5000.0"),
-        ("safety_distance_m", "9000.0"),
-    ],
-    ids=["T", "V", "R", "d_s"],
-)
-def test_each_quantity_that_breaks_equation_4_is_refused_with_what_helps(
-    file: Path, key: str, value: str
-) -> None:
-    message = refused(file, with_value(key, value))
-    assert "eq. 4" in message
-    for letter in ("V = ", "d_s = ", "L = ", "R = "):
-        assert letter in message
-    assert key in message
-
-
-def test_an_l_that_is_shorter_than_equation_4_is_refused_and_one_as_long_is_taken(
-    file: Path,
-) -> None:
-    least_m = 150.0 * (5.0 + 4.0 + 3 * 0.1) + max(0.15 * 20_000.0, 150.0**2 / 10.0 + 500.0)
-
-    def text(length_m: float) -> str:
-        return TEXT.replace("overlap_m", f"scan_distance_m = {length_m}\noverlap_m", 1)
-
-    message = refused(file, text(least_m - 1.0))
-    assert f"planner.scan_distance_m = {least_m - 1.0}" in message
-    assert f"{least_m:g}" in message
-    assert load(file, text(least_m)).task.scan_distance_m == least_m
-
-
-def test_a_map_turned_inside_out_a_band_without_height_and_a_turn_too_wide_are_refused(
-    file: Path,
-) -> None:
-    assert "area.north_max_m = -6000.0" in refused(file, with_value("north_max_m", "-6000.0"))
-    assert "area.east_max_m" in refused(file, with_value("east_max_m", "-5000.0"))
-    band_m = 4.0 * (15.0 + 5.0)  # tracking and navigation error above the floor, and below
-    low, enough = f"{3000.0 + band_m}", f"{3001.0 + band_m}"
-    assert f"ceiling_amsl_m = {low}" in refused(file, with_value("ceiling_amsl_m", low))
-    load(file, with_value("ceiling_amsl_m", enough))
-    assert "turn_radius_m = 10001.0" in refused(file, with_value("turn_radius_m", "10001.0"))
 
 
 # --- worlds

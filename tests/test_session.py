@@ -1,6 +1,5 @@
 """The whole companion as bytes in and bytes out, against a scripted vehicle."""
 
-import math
 import sys
 from dataclasses import asdict, replace
 from itertools import pairwise
@@ -9,14 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as wire
 
 sys.path.insert(0, str(Path(__file__).parent / "runtime"))
 from scripted_vehicle import (
     BRAKE,
-    GEOD,
     GUIDED,
     MISSION,
     Pair,
@@ -28,8 +24,6 @@ from scripted_vehicle import (
 
 from companion.mission.events import Outcome
 from companion.mission.state import Phase, Reason
-from companion.path.bspline import Cubics
-from companion.planner.request import PlanRequest
 from companion.session import Session
 
 LATCHED_S = 3.0  # heartbeats of one a second
@@ -165,48 +159,6 @@ def test_two_flights_are_byte_for_byte_the_same(flown: Pair) -> None:
     assert again.record == flown.record
 
 
-def preflight(limit_s: float = 14.0) -> bytes:
-    """What a vehicle says up to the first scan, in one stretch, to a session that hears it all."""
-    it = pair(lockstep=False)
-    data = b""
-    for _ in range(round(limit_s * 10)):
-        said = it.vehicle.tick()
-        data += said
-        it.feed(said)
-    assert it.session.state.phase is Phase.FLYING
-    return data
-
-
-PREFLIGHT = preflight()
-
-
-def replayed(chunks: list[bytes]) -> tuple[list[bytes], list[Any]]:
-    session = Session(MISSION, seed=1, lockstep=False)
-    frames, journal = [], []
-    for chunk in chunks:
-        session.receive(chunk)
-        out = session.run()
-        frames += out.frames
-        journal += out.journal
-    return frames, journal
-
-
-@settings(max_examples=12)
-@given(cuts=st.lists(st.integers(0, len(PREFLIGHT)), max_size=60))
-def test_it_does_not_matter_where_the_bytes_are_cut(cuts: list[int]) -> None:
-    edges = [0, *sorted(cuts), len(PREFLIGHT)]
-    chunks = [PREFLIGHT[a:b] for a, b in pairwise(edges)]
-    assert replayed(chunks) == WHOLE
-
-
-WHOLE = replayed([PREFLIGHT])
-
-
-def test_byte_by_byte_is_as_good_as_all_at_once() -> None:
-    assert replayed([bytes([byte]) for byte in PREFLIGHT]) == WHOLE
-    assert len(WHOLE[0]) > 20
-
-
 # --- lockstep
 
 
@@ -279,23 +231,6 @@ def test_in_real_time_a_plan_that_is_due_is_late_once_and_taken_when_it_comes() 
     it.session.deliver(straight_plan(it.asked))
     it.tick()
     assert kinds(it).count("plan ready") == 1
-
-
-def test_a_dead_planner_ends_the_stream_with_the_next_position() -> None:
-    it = flying()
-    it.session.part_died("planner", "ValueError: made up")
-    count = len(it.frames)
-    it.run_until(ended)
-    assert it.out.end is not None
-    assert it.out.end.outcome is Outcome.FAILED
-    after = messages(it.frames[count:])
-    assert "SET_POSITION_TARGET_GLOBAL_INT" not in {m.get_type() for m in after}
-    assert it.vehicle.mode == BRAKE
-    count = len(it.frames)
-    for _ in range(50):
-        it.tick()
-    later = {m.get_type() for m in messages(it.frames[count:])}
-    assert not later & {"HEARTBEAT", "SET_POSITION_TARGET_GLOBAL_INT"}
 
 
 # --- who is listened to
@@ -419,22 +354,6 @@ def test_a_pause_from_who_may_stops_the_vehicle_and_is_acknowledged() -> None:
     assert it.out.end.outcome is Outcome.ARRIVED
 
 
-def test_an_order_from_who_may_not_is_denied_and_changes_nothing() -> None:
-    it = flying()
-    before = it.session.state.flight
-    [ack] = ordered(it, wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0, sender=(77, 1))
-    assert ack.result == wire.MAV_RESULT_DENIED
-    assert it.session.state.flight is before
-
-
-def test_an_order_that_does_not_fit_now_is_acknowledged_so() -> None:
-    it = pair().run_until(lambda it: it.session.state.phase is Phase.PREPARING)
-    [ack] = ordered(it, wire.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
-    assert ack.result == wire.MAV_RESULT_TEMPORARILY_REJECTED
-    assert it.session.state.phase is Phase.PREPARING
-    assert it.session.warned[1] == "pause refused: the mission is preparing"
-
-
 def set_parameter(
     it: Pair, name: str, value: float, sender: tuple[int, int] = (255, 190)
 ) -> list[Any]:
@@ -452,21 +371,6 @@ def test_a_setting_is_answered_noted_and_counts_in_the_next_plan() -> None:
     it.run_until(lambda it: it.asked is not None)
     assert it.asked is not None
     assert it.asked.task.settings.safety_distance_m == 600.0
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "sender"),
-    [("PLN_SAFE_DIST", 600.0, (77, 1)), ("PLN_SAFE_DIST", -5.0, (255, 190))],
-    ids=["who may not", "out of range"],
-)
-def test_a_setting_that_is_refused_changes_nothing(
-    name: str, value: float, sender: tuple[int, int]
-) -> None:
-    it = pair().run_until(lambda it: it.session.state.phase is Phase.TAKING_OFF)
-    before = it.session.state.task
-    for answer in set_parameter(it, name, value, sender):
-        assert answer.param_value == before.settings.safety_distance_m
-    assert it.session.state.task is before
 
 
 # --- a reserve for the parts that die, and for the next companion
@@ -506,134 +410,6 @@ def test_the_farewell_of_a_companion_in_flight_puts_the_vehicle_on_hold_first() 
     assert (hold.command, hold.param2) == (176, BRAKE)
     assert text.text == "ended: the companion was stopped"
     assert heartbeat.get_type() == "HEARTBEAT"
-
-
-def test_a_flight_goes_on_from_its_checkpoint_without_a_jump_of_the_setpoint() -> None:
-    """1 m and 1 m/s: where the vehicle is led before the companion dies, and after."""
-    it = flying()
-    mission = replace(MISSION, system_id=1)
-    for seconds in (3, 9, 12):
-        for _ in range(seconds * 10):
-            it.tick()
-        kept = it.session.farewell().checkpoint
-        assert kept is not None
-        known = it.session.state.flight.known
-        last = it.sent("SET_POSITION_TARGET_GLOBAL_INT")[-1]
-        session = Session(mission, seed=1, lockstep=True, resume=(kept, known))
-        it = Pair(session, it.vehicle)
-        it.run_until(lambda it: bool(it.sent("SET_POSITION_TARGET_GLOBAL_INT")))
-        first = it.sent("SET_POSITION_TARGET_GLOBAL_INT")[0]
-        passed_s = (first.time_boot_ms - last.time_boot_ms) * 1e-3
-        assert passed_s < 2.0
-        assert abs(first.alt - last.alt) < 1.0
-        for axis in ("vx", "vy", "vz"):
-            assert abs(getattr(first, axis) - getattr(last, axis)) <= 1.0
-        speed = math.hypot(last.vx, last.vy)  # it flew on as it was told, to within a tick
-        assert abs(apart_m(first, last) - (passed_s - 0.05) * speed) <= 1.0 + 0.05 * speed
-    it.run_until(ended)
-    assert it.out.end is not None
-    assert it.out.end.outcome is Outcome.ARRIVED
-
-
-def apart_m(a: Any, b: Any) -> float:
-    places = (a.lon_int, a.lat_int, b.lon_int, b.lat_int)
-    return float(GEOD.inv(*(1e-7 * value for value in places))[2])
-
-
-# --- shadow
-
-
-def test_a_shadow_sends_nothing_that_moves_or_changes_the_vehicle() -> None:
-    """Another companion flies; ours hears the same vehicle and only asks, reads and talks."""
-    it = pair()
-    shadow = Session(replace(MISSION, system_id=1), seed=2, lockstep=False, shadow=True)
-    frames: list[bytes] = []
-    for _ in range(600):
-        said = it.vehicle.tick()
-        it.feed(said)
-        shadow.receive(said)
-        frames += shadow.run().frames
-    assert shadow.state.phase is Phase.SHADOW
-    assert it.session.state.phase in (Phase.FLYING, Phase.ARRIVED, Phase.DONE)
-    sent = {m.get_type() for m in messages(frames)}
-    assert sent <= MAY_WATCH
-    commands = {m.command for m in messages(frames) if m.get_type() == "COMMAND_LONG"}
-    assert commands <= {511, 512}
-    assert shadow.hold_frames() == []
-    assert {m.get_type() for m in messages(shadow.farewell().frames)} <= MAY_WATCH
-
-
-MAY_WATCH = {
-    "HEARTBEAT",
-    "STATUSTEXT",
-    "COMMAND_LONG",
-    "TERRAIN_REQUEST",
-    "TERRAIN_CHECK",
-    "PARAM_REQUEST_READ",
-    "MISSION_REQUEST_LIST",
-    "MISSION_REQUEST_INT",
-    "MISSION_ACK",
-    "TIMESYNC",
-    "GPS_GLOBAL_ORIGIN",
-    "AUTOPILOT_VERSION",
-}
-
-
-# --- garbage
-
-
-@settings(max_examples=12)
-@given(
-    places=st.lists(st.integers(0, 200), min_size=1, max_size=20),
-    junk=st.binary(min_size=1, max_size=80).map(
-        lambda data: data.translate(None, bytes([0xFD, 0xFE, 0x55]))
-    ),
-)
-def test_garbage_without_a_start_byte_between_frames_changes_nothing(
-    places: list[int], junk: bytes
-) -> None:
-    frames = [bytes(m.get_msgbuf()) for m in messages([PREFLIGHT])]
-    for place in places:
-        frames.insert(place % len(frames), junk)
-    assert replayed([b"".join(frames)]) == WHOLE
-
-
-@given(junk=st.binary(min_size=1, max_size=300))
-def test_after_any_garbage_it_finds_back_within_two_longest_frames(junk: bytes) -> None:
-    session = Session(MISSION, seed=1, lockstep=True)
-    session.receive(junk)
-    session.run()
-    vehicle = Vehicle()
-    for _ in range(30):
-        session.receive(vehicle.heartbeat() + vehicle.synchronisation())
-    assert session.run().frames
-    assert session.state.phase is Phase.PREPARING
-
-
-def test_every_message_of_the_dialect_full_of_ones_or_zeros_is_survived() -> None:
-    it = flying()
-    codec = it.vehicle.autopilot
-    for identifier, kind in sorted(wire.mavlink_map.items()):
-        if kind.msgname in ("GLOBAL_POSITION_INT", "TIMESYNC"):
-            continue  # these are the vehicle's clock
-        for fill in (b"\x00", b"\xff"):
-            size = kind.unpacker.size
-            message = kind.__new__(kind)
-            wire.MAVLink_message.__init__(message, identifier, kind.msgname)
-            frame = wire.MAVLink_message._pack(message, codec, kind.crc_extra, fill * size)
-            it.session.receive(frame)
-    it.session.run()
-
-
-@pytest.mark.parametrize(
-    ("lat", "lon"), [(2**31 - 1, 2**31 - 1), (900_000_001, 0), (0, 0)], ids=["max", "beyond", "0"]
-)
-def test_an_impossible_position_is_survived_while_hovering(lat: int, lon: int) -> None:
-    it = pair(lockstep=False).run_until(lambda it: it.session.state.phase is Phase.FLYING)
-    now = it.vehicle.time_ms + 10
-    bad = wire.MAVLink_global_position_int_message(now, lat, lon, 3_000_000, 0, 0, 0, 0, 0)
-    it.feed(it.vehicle.pack(bad))
-    it.tick()
 
 
 # --- streams, silence, stop
@@ -798,22 +574,6 @@ def test_a_refused_setpoint_is_followed_by_nothing_but_the_hold() -> None:
     modes = [m.param2 for m in messages(it.frames[count:]) if m.get_type() == "COMMAND_LONG"]
     assert GUIDED not in modes
     assert it.vehicle.mode == BRAKE
-
-
-def test_a_setpoint_that_is_out_of_range_ends_the_flight_in_the_hold_mode() -> None:
-    def absurd(request: PlanRequest) -> Any:
-        plan = straight_plan(request)
-        control = plan.subpath.control_nea_m * np.array([1.0, 1.0, np.nan])
-        object.__setattr__(plan.subpath, "_cubics", Cubics(control))
-        return plan
-
-    it = pair()
-    it.planner = absurd
-    it.run_until(ended)
-    assert "setpoint refused" in kinds(it)
-    assert it.vehicle.mode == BRAKE
-    for message in it.sent("SET_POSITION_TARGET_GLOBAL_INT"):
-        assert message.alt < 50_000.0
 
 
 def test_a_simulator_in_lockstep_is_noticed_by_a_companion_that_is_not() -> None:

@@ -78,18 +78,6 @@ def test_nothing_is_raised_whatever_the_bytes(parts: list[bytes]) -> None:
         assert len(receiver._rest) < 300
 
 
-@given(frames, cuts)
-def test_each_kind_of_message_reads_as_pymavlink_reads_it(frame: bytes, where: list[int]) -> None:
-    receiver = Receiver()
-    [message] = [m for part in portions(frame, where) for m in receiver.feed(part)]
-    expected = codec(1).decode(bytearray(frame))
-    assert message.get_type() == expected.get_type()
-    assert repr(message.to_dict()) == repr(expected.to_dict())
-    assert message.get_srcSystem() == message.get_srcComponent() == 1
-    assert message.get_msgId() == expected.get_msgId()
-    assert bytes(message.get_msgbuf()) == frame
-
-
 @given(st.lists(st.tuples(NO_MARKER, frames), max_size=8), cuts)
 def test_every_frame_between_noise_comes_out_in_any_portions(
     parts: list[tuple[bytes, bytes]], where: list[int]

@@ -47,7 +47,6 @@ OVER = (Phase.DONE, Phase.FAULTED)
 MOVING = (SetMode, Setpoint, Arm, TakeOff, SetSpeed)
 """Commands that move a vehicle."""
 STREAMS = (Phase.FLYING, Phase.HOLDING, Phase.ARRIVED, Phase.RETURNING)
-ALOFT = (*STREAMS, Phase.TAKING_OFF, Phase.LANDING)
 ARROWS = {(phase, after) for (phase, _), after in MOVES.items()}
 WITH_A_PERSON = (Reason.MODE_TAKEN, Reason.FAILSAFE, Reason.FENCE_BREACHED, Reason.PAUSED)
 """What a vehicle may be held for as long as it takes: somebody else has the say."""

@@ -72,8 +72,6 @@ from companion.world.threats import CircleZone, PolygonZone, Zone
 
 HOME_AMSL_M = 3000.0
 LEG_M = 300.0
-Taken = list[Command]
-
 _COPTER = Limits(
     speed_m_s=10.0,
     acceleration_m_s2=2.5,

@@ -39,7 +39,6 @@ from companion.telemetry.inputs import FILE, HEADER, Input, InputsFile, packed
 
 BOOTED_S, BEGAN_S, FLOWN_S = 3600.0, 3603.0, 33.0
 """It is known when the vehicle was booted once its clock has been heard some times."""
-RUN_FILES = ("flight.tlog", "journal.jsonl", FILE)
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """A flight replayed decides the same; whatever was changed in its recording is found and named."""
 
-import contextlib
 import json
 import random
 import shutil
@@ -324,23 +323,6 @@ def test_a_recording_that_was_cut_anywhere_is_the_same_up_to_there(
         found = replayed(folder)
         assert found.is_identical, found
         shutil.rmtree(folder)
-
-
-def test_inputs_that_were_spoiled_anywhere_end_in_words(run_dir: Path, tmp_path: Path) -> None:
-    """Nothing is ever raised but an InputError; what can be told is told, the rest is named."""
-    data = (run_dir / FILE).read_bytes()[:30_000]
-    rng = random.Random(2)
-    folder = Path(shutil.copytree(run_dir, tmp_path / "spoiled"))
-    ended = 0
-    for _ in range(60):
-        spoiled = bytearray(data)
-        for _ in range(rng.randint(1, 6)):
-            spoiled[rng.randrange(len(spoiled))] = rng.randrange(256)
-        (folder / FILE).write_bytes(spoiled)
-        with contextlib.suppress(InputError):
-            found = replayed(folder)
-            ended += bool(found.torn or found.damaged) or found.difference is not None
-    assert ended > 8
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ class Fault:
     right_s: float
     """From when on the position is right again."""
     let_go_s: float
-    """When the machine that flies lets go (tests/mission/test_recorded_losses.py)."""
+    """When the machine that flies lets go."""
     last_setpoint_s: float
     """The last one that it sends before."""
     jumps_s: tuple[float, ...]
@@ -450,13 +450,6 @@ def test_the_report_is_plain_values_without_nan(name: str) -> None:
     assert [hold["let_go_s"] for hold in again["holds"]] == [
         hold.let_go_s for hold in report_of(name).holds
     ]
-
-
-def test_a_report_with_plans_is_plain_values_too(minute: tuple[ShadowReport, Sent]) -> None:
-    report, _ = minute
-    again = json.loads(json.dumps(report.as_json(), allow_nan=False))
-    assert len(again["plans"]) == len(report.plans)
-    assert again["own_path"]["max_m"] == report.own_path.max_m  # type: ignore[union-attr]
 
 
 def text_of(report: ShadowReport) -> str:

@@ -9,11 +9,9 @@ from pathlib import Path
 
 import pytest
 from cut_logs import (
-    VEHICLE,
     alone,
     changed,
     mission,
-    packed,
     recorded,
     thinned,
     whole,
@@ -35,11 +33,6 @@ HEALTHY = "px4-offboard-8mps.tlog"
 POSITION = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS = wire.MAVLINK_MSG_ID_GPS_RAW_INT
 EKF = wire.MAVLINK_MSG_ID_EKF_STATUS_REPORT
-CLOCKS = (
-    wire.MAVLINK_MSG_ID_ATTITUDE,
-    wire.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-    wire.MAVLINK_MSG_ID_SYSTEM_TIME,
-)
 
 
 def times(holds: list[Hold]) -> list[tuple[float, float, str]]:
@@ -72,14 +65,6 @@ def test_of_a_log_that_ends_early_all_is_told_up_to_there(tmp_path: Path, until_
     assert [each.from_s for each in cut.health] == [
         each.from_s for each in uncut.health if each.from_s <= until_s
     ]
-
-
-def test_a_log_that_is_cut_within_a_message_is_read_to_there(tmp_path: Path) -> None:
-    path = tmp_path / "torn.tlog"
-    path.write_bytes(recording(PX4).read_bytes()[:700_001])
-    report = alone(path)
-    assert times(report.holds) == times(whole(PX4).holds)
-    assert any("cut short" in str(each) for each in report.log_findings)
 
 
 def test_a_part_from_the_middle_tells_the_same_of_its_faults(tmp_path: Path) -> None:
@@ -133,18 +118,6 @@ def test_after_a_silence_that_nobody_waits_for_it_begins_again(
     assert fix.why[0].code == "NO_FIX"
     assert fix.let_go_s == pytest.approx(76.36 + by_s, abs=0.02)
     assert any("gave up watching 1 time" in note for note in report.notes)
-
-
-@pytest.mark.parametrize("by_s", [-30.0, -3000.0])
-def test_a_log_whose_time_runs_backwards_tells_the_same(tmp_path: Path, by_s: float) -> None:
-    records = shifted(recorded(PX4), 60.0, by_s)
-    report, uncut = alone(written(tmp_path / "back.tlog", records)), whole(PX4)
-    assert [(v, code) for _, v, code in times(report.holds)] == [
-        (v, code) for _, v, code in times(uncut.holds)
-    ]
-    assert report.holds[0].let_go_s == pytest.approx(uncut.holds[0].let_go_s, abs=0.2)
-    assert any("falls back" in str(each) for each in report.log_findings)
-    assert [each.kind for each in report.health] == [each.kind for each in uncut.health]
 
 
 @pytest.mark.parametrize("blind_s", [0.0, 3.0])
@@ -333,25 +306,6 @@ def test_a_planner_that_breaks_ends_the_watch_and_not_the_program(
 
 
 # --- several vehicles, size
-
-
-def test_of_several_vehicles_the_chosen_one_is_watched(tmp_path: Path) -> None:
-    def both() -> Iterator[Record]:
-        for record in recorded(PX4, until_s=100.0):
-            yield record
-            if record.frame[5:7] == bytes(VEHICLE) and record.frame[7] in (0, 24, 33, 230):
-                message = wire.MAVLink(None).decode(bytearray(record.frame))
-                if message.get_type() == "GPS_RAW_INT":
-                    message.fix_type = 3
-                yield Record(record.time_us, packed(message, (2, 1)))
-
-    path = written(tmp_path / "two.tlog", both())
-    with pytest.raises(InputError, match=r"1.*2"):
-        alone(path)
-    assert [hold.why[0].code for hold in alone(path, 1).holds] == ["NO_FIX"]
-    other = alone(path, 2)
-    assert other.system_id == 2
-    assert "NO_FIX" not in {why.code for hold in other.holds for why in hold.why}
 
 
 def test_progress_only_rises_and_comes_to_the_end(tmp_path: Path) -> None:

@@ -95,18 +95,6 @@ def test_pymavlink_reads_every_frame_of_the_log_at_its_time(folder: RunFolder) -
         assert time_s == pytest.approx(expected_s, abs=1e-5)
 
 
-def test_mavlogdump_prints_the_log(folder: RunFolder) -> None:
-    folder.frames(frames())
-    close(folder)
-    program = Path(sys.executable).with_name("mavlogdump.py")
-    command = [sys.executable, program, "--types", "HEARTBEAT", folder.path / "flight.tlog"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=20)
-    lines = done.stdout.splitlines()
-    assert len(lines) == 200
-    assert all("HEARTBEAT {type : 18" in line for line in lines)
-    assert ":13:20." in lines[0]
-
-
 def test_a_record_is_eight_bytes_of_microseconds_and_the_frame(folder: RunFolder) -> None:
     folder.frames([(1.5, b"frame")])
     close(folder)
@@ -210,30 +198,6 @@ def test_a_checkpoint_and_the_known_map_come_back_as_they_were(folder: RunFolder
     found = read_checkpoint(folder.path)
     assert found[0] == values
     assert_same_map(found[1], known_map())
-
-
-def test_a_folder_without_a_checkpoint_says_so(folder: RunFolder) -> None:
-    assert read_checkpoint(folder.path) is None
-    folder.checkpoint({})
-    found = read_checkpoint(folder.path)
-    assert found == ({}, None)
-
-
-@pytest.mark.parametrize("torn", [b"", b"{", b"[]", b'{"schema":"other"}', b"\xff\xfe", b"null"])
-def test_a_checkpoint_that_is_none_is_not_taken_for_one(folder: RunFolder, torn: bytes) -> None:
-    folder.checkpoint({})
-    (folder.path / "resume.json").write_bytes(torn)
-    assert read_checkpoint(folder.path) is None
-
-
-@pytest.mark.parametrize("length", [0, 1, 30, 200, -60, -1])
-def test_a_known_map_that_is_torn_is_none(folder: RunFolder, length: int) -> None:
-    folder.known_map(known_map())
-    folder.checkpoint({})
-    file = folder.path / "known.npz"
-    file.write_bytes(file.read_bytes()[:length])
-    found = read_checkpoint(folder.path)
-    assert found[1] is None
 
 
 def test_a_restart_goes_on_after_the_last_whole_record_and_line(folder: RunFolder) -> None:
