@@ -13,9 +13,9 @@ from vehicle_sim.conformance.rows import (
     Comparison,
     Row,
     paired,
+    row,
     timed_row,
     timed_rows,
-    whole,
 )
 
 ACK_S = 0.25
@@ -91,15 +91,8 @@ def _ack_row(name: str, at_s: float, answers: Sequence[Sequence[tuple[float, int
     if [r for _, r in real] == [r for _, r in simulated]:
         late = [abs(a[0] - b[0]) for a, b in zip(real, simulated, strict=True)]
         difference = max(late, default=0.0) / ACK_S
-    return Row(
-        kind="ack",
-        name=name,
-        at_s=at_s,
-        real=_results(at_s, real),
-        simulated=_results(at_s, simulated),
-        tolerance=f"same results, {ACK_S} s",
-        difference=difference,
-    )
+    shown = [_results(at_s, side) for side in answers]
+    return row("ack", name, shown, f"same results, {ACK_S} s", difference, at_s)
 
 
 def _results(at_s: float, answers: Sequence[tuple[float, int]]) -> str:
@@ -148,12 +141,12 @@ def _parameter_row(
         a, b = _value(ours, integers), _value(theirs, integers)
         allowed = max(0.01 * abs(a), _allowed(ours.param_id))
         more = abs(a - b) / allowed if ours.param_type == theirs.param_type else math.inf
-    row = timed_row(comparison, "parameter", match, str, more=more)
+    timed = timed_row(comparison, "parameter", match, str, more=more)
     return dataclasses.replace(
-        row,
-        real=f"{shown[0]} at {row.real}",
-        simulated=f"{shown[1]} at {row.simulated}",
-        tolerance=f"1 %, same type, {row.tolerance}",
+        timed,
+        real=f"{shown[0]} at {timed.real}",
+        simulated=f"{shown[1]} at {timed.simulated}",
+        tolerance=f"1 %, same type, {timed.tolerance}",
     )
 
 
@@ -173,7 +166,7 @@ def _counts_row(sides: Sequence[Sequence[tuple[float, Any]]]) -> Row:
     shown = [f"count {', '.join(map(str, each)) or NOTHING}" for each in counts]
     shown[1] += f"; {len(wrong)} differ"
     name, differ = "param_count and param_index", bool(wrong or not both)
-    return whole("parameter", name, shown, "equal", differ)
+    return row("parameter", name, shown, "equal", differ)
 
 
 # --- exchanges and single answers -----------------------------------------------------------------
@@ -249,7 +242,7 @@ def once_rows(comparison: Comparison) -> Iterator[Row]:
             shown = (str(ours), NOTHING if theirs is None else str(theirs))
             allowed = f"{tolerance:g}" if tolerance else "equal"
             field, apart = f"{message_name(number)}.{name}", _apart(ours, theirs, tolerance)
-            yield whole("said once", field, shown, allowed, apart)
+            yield row("said once", field, shown, allowed, apart)
 
 
 def _first(side: Side, number: int) -> Any | None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vehicle_sim.conformance.flights import Flight, Posts
 from vehicle_sim.conformance.log import Side
-from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, whole
+from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, row
 
 _SYS_STATUS, _ATTITUDE, _DISTANCE_SENSOR, _SIMSTATE = 1, 30, 132, 164
 _PROXIMITY = 0x4000000
@@ -74,7 +74,7 @@ def _row(kind: str, name: str, pair: Sequence[float | None], unit: str, toleranc
     difference: float | bool = True
     if real is not None and simulated is not None:
         difference = abs(real - simulated) / tolerance
-    return whole(kind, name, shown, f"{tolerance:.3g}{unit}", difference)
+    return row(kind, name, shown, f"{tolerance:.3g}{unit}", difference)
 
 
 def _sectors(side: Side, flight: Flight, posts: Posts) -> dict[int, _Sector]:
@@ -82,8 +82,8 @@ def _sectors(side: Side, flight: Flight, posts: Posts) -> dict[int, _Sector]:
     said = dict[int, list[tuple[float, float]]]()
     for _, m in side.of(_DISTANCE_SENSOR):
         if m.id >= _FIRST_ID:
-            row = (m.time_boot_ms * 1e-3, m.current_distance * 0.01)
-            said.setdefault(m.orientation, []).append(row)
+            measured = (m.time_boot_ms * 1e-3, m.current_distance * 0.01)
+            said.setdefault(m.orientation, []).append(measured)
     if not (truth and turns and said):
         return {}
     places = np.array(posts.places_ne_m())

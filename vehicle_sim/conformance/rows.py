@@ -32,7 +32,7 @@ _STREAM_GAP_S = 0.8
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Row:
     """One thing that a client can tell, on both sides."""
 
@@ -139,22 +139,19 @@ def _setpoint_causes(recording: Recording) -> Iterator[float]:
         before_s, before = h.time_s, kind
 
 
-def whole(
-    kind: str, name: str, shown: Sequence[str], tolerance: str, difference: float | bool
+def row(
+    kind: str,
+    name: str,
+    shown: Sequence[str],
+    tolerance: str,
+    difference: float | bool,
+    at_s: float | None = None,
 ) -> Row:
-    """A row about the whole flight; shown: real and simulated; True: it differs altogether."""
-    real, simulated = shown
+    """One row; shown: real and simulated; True: it differs altogether; None: the whole flight."""
     if isinstance(difference, bool):
         difference = math.inf if difference else 0.0
-    return Row(
-        kind=kind,
-        name=name,
-        at_s=None,
-        real=real,
-        simulated=simulated,
-        tolerance=tolerance,
-        difference=difference,
-    )
+    real, simulated = shown
+    return Row(kind, name, at_s, real, simulated, tolerance, difference)
 
 
 # --- pairing --------------------------------------------------------------------------------------
@@ -239,15 +236,8 @@ def timed_row(
     difference = math.inf
     if real is not None and simulated is not None:
         difference = max(abs(simulated[0] - real[0]) / tolerance_s, more)
-    return Row(
-        kind=kind,
-        name=label(event[1]),
-        at_s=at_s,
-        real=NOTHING if real is None else f"{real[0]:.2f} s",
-        simulated=NOTHING if simulated is None else f"{simulated[0]:.2f} s",
-        tolerance=f"{tolerance_s:.1f} s",
-        difference=difference,
-    )
+    shown = [NOTHING if each is None else f"{each[0]:.2f} s" for each in match]
+    return row(kind, label(event[1]), shown, f"{tolerance_s:.1f} s", difference, at_s)
 
 
 def interval_s(times: Sequence[float]) -> float:

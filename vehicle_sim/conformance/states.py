@@ -13,9 +13,9 @@ from vehicle_sim.conformance.rows import (
     changes,
     interval_s,
     paired,
+    row,
     timed_row,
     timed_rows,
-    whole,
 )
 
 _ARMED = 0x80
@@ -123,15 +123,9 @@ def text_rows(comparison: Comparison) -> Iterator[Row]:
             None if event is None else next(text for t, s, text in side if (t, s) == event)
             for event, side in zip(match, sides, strict=True)
         ]
-        row = timed_row(
-            comparison,
-            "text",
-            match,
-            _text_label,
-            more=_numbers_differ(*words),
-        )
+        timed = timed_row(comparison, "text", match, _text_label, more=_numbers_differ(*words))
         shown = " but ".join(dict.fromkeys(w for w in words if w is not None))
-        yield dataclasses.replace(row, name=f"{shown} ({row.name})")
+        yield dataclasses.replace(timed, name=f"{shown} ({timed.name})")
 
 
 def _text_label(said: _Said) -> str:
@@ -172,7 +166,7 @@ def event_rows(comparison: Comparison) -> Iterator[Row]:
     for number in sorted(arguments[0]):
         ours, theirs = arguments[0][number], arguments[1].get(number, [])
         shown = [" ".join(a.hex() or NOTHING for a in side) or NOTHING for side in (ours, theirs)]
-        yield whole("event arguments", f"event {number}", shown, "equal", ours != theirs)
+        yield row("event arguments", f"event {number}", shown, "equal", ours != theirs)
 
 
 def _event_label(key: tuple[int, int]) -> str:

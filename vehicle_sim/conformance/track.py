@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple, final
 
 from vehicle_sim.conformance.log import TimedFrame, decoded, message_name
-from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, changes
+from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, changes, row
 from vehicle_sim.geodesy import metres_per_degree
 
 # --- Which part of the flight a second belongs to, as the real autopilot told it; and tolerances
@@ -274,15 +274,9 @@ def _bin(
 def _bin_row(kind: str, at_s: float, found: Sequence[tuple[_Look, _Apart]], tolerance: str) -> Row:
     look, apart = max(found, key=lambda x: x[1])
     what = "worst second but one" if look.is_worst else "middle of the seconds"
-    return Row(
-        kind=kind,
-        name=f"{at_s:.0f} s to {at_s + BIN_S:.0f} s",
-        at_s=at_s,
-        real=f"{message_name(look.message)}, {what}",
-        simulated=apart.shown,
-        tolerance=tolerance,
-        difference=apart.difference,
-    )
+    shown = (f"{message_name(look.message)}, {what}", apart.shown)
+    name = f"{at_s:.0f} s to {at_s + BIN_S:.0f} s"
+    return row(kind, name, shown, tolerance, apart.difference, at_s)
 
 
 def _tolerance(kind: str, vehicle: str, phases: Phases, seconds: Sequence[float]) -> str:
@@ -403,15 +397,9 @@ def _battery_row(name: str, at_s: float, real: Any, simulated: Any | None) -> Ro
         percent = abs(real.battery_remaining - simulated.battery_remaining)
         amperes = abs(real.current_battery - simulated.current_battery) / 100.0
         difference = max(volts / _VOLTS, percent / _PER_CENT, amperes / _AMPERES)
-    return Row(
-        kind="battery",
-        name=name,
-        at_s=at_s,
-        real=_charge(real),
-        simulated=NOTHING if simulated is None else _charge(simulated),
-        tolerance=f"{_VOLTS} V, {_PER_CENT:g} %, {_AMPERES:g} A",
-        difference=difference,
-    )
+    shown = [NOTHING if side is None else _charge(side) for side in (real, simulated)]
+    tolerance = f"{_VOLTS} V, {_PER_CENT:g} %, {_AMPERES:g} A"
+    return row("battery", name, shown, tolerance, difference, at_s)
 
 
 def _nearest(messages: Sequence[tuple[float, Any]], at_s: float) -> Any | None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from vehicle_sim.conformance.log import EVENT, TimedFrame, message_name
-from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, interval_s, whole
+from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, interval_s, row
 
 COUNT_PART = 0.02
 """Counts may differ by this part, or by COUNT_LEAST."""
@@ -47,7 +47,7 @@ def _speakers_row(comparison: Comparison) -> Row:
         ", ".join(f"{s}/{c}" for s, c in sorted(side.speakers))
         for side in (comparison.real, comparison.simulated)
     ]
-    return whole("speakers", "system/component", sides, "equal", sides[0] != sides[1])
+    return row("speakers", "system/component", sides, "equal", sides[0] != sides[1])
 
 
 def _count_row(number: int, real: Sequence[TimedFrame], simulated: Sequence[TimedFrame]) -> Row:
@@ -60,36 +60,28 @@ def _count_row(number: int, real: Sequence[TimedFrame], simulated: Sequence[Time
     counts = (len(real), len(simulated))
     difference = math.inf if not all(counts) and any(counts) else abs(counts[0] - counts[1])
     shown = [str(count) for count in counts]
-    return whole("count", message_name(number), shown, f"{allowed:.0f}", difference / allowed)
+    return row("count", message_name(number), shown, f"{allowed:.0f}", difference / allowed)
 
 
 def _first_row(number: int, real: Sequence[TimedFrame], simulated: Sequence[TimedFrame]) -> Row:
     ours, theirs = real[0].time_s, simulated[0].time_s
     tolerance_s = max(FIRST_S, interval_s([h.time_s for h in real]))
-    return Row(
-        kind="first",
-        name=message_name(number),
-        at_s=ours,
-        real=f"{ours:.2f} s",
-        simulated=f"{theirs:.2f} s",
-        tolerance=f"{tolerance_s:.1f} s",
-        difference=abs(ours - theirs) / tolerance_s,
-    )
+    return _seconds("first", number, ours, theirs, tolerance_s, ours)
 
 
 def _silence_row(number: int, real: Sequence[TimedFrame], simulated: Sequence[TimedFrame]) -> Row:
     (at_s, ours), (_, theirs) = _longest(real), _longest(simulated)
     usual_s = interval_s([h.time_s for h in real])
     allowed_s = max(SILENCE_S, 1.1 * usual_s, 0.05 * ours)
-    return Row(
-        kind="longest silence",
-        name=message_name(number),
-        at_s=at_s,
-        real=f"{ours:.2f} s",
-        simulated=f"{theirs:.2f} s",
-        tolerance=f"{allowed_s:.1f} s",
-        difference=abs(ours - theirs) / allowed_s,
-    )
+    return _seconds("longest silence", number, ours, theirs, allowed_s, at_s)
+
+
+def _seconds(
+    kind: str, number: int, ours: float, theirs: float, tolerance_s: float, at_s: float
+) -> Row:
+    shown = [f"{seconds:.2f} s" for seconds in (ours, theirs)]
+    apart = abs(ours - theirs) / tolerance_s
+    return row(kind, message_name(number), shown, f"{tolerance_s:.1f} s", apart, at_s)
 
 
 def _longest(heard: Sequence[TimedFrame]) -> tuple[float, float]:
@@ -117,7 +109,7 @@ def _filling_row(comparison: Comparison, number: int) -> Row:
             wrong.append((name, *shown))
     lists = [", ".join(f"{w[0]} {w[k]}" for w in wrong) or f"{len(names)} fields" for k in (1, 2)]
     tolerance = "constants equal to 0.1 %, others vary"
-    return whole("filling", message_name(number), lists, tolerance, bool(wrong))
+    return row("filling", message_name(number), lists, tolerance, bool(wrong))
 
 
 def _values(values: Sequence[Any]) -> list[Any]:

@@ -18,6 +18,7 @@ from vehicle_sim.autopilots import (
     Status,
     Text,
     Waypoint,
+    height_amsl_m,
 )
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot, Due, boot_of
 from vehicle_sim.autopilots.ardupilot.ekf3 import Timing
@@ -267,12 +268,8 @@ class ArduPlane(ArduPilot):
         """A height in a MAV_FRAME; None where that has none."""
         if not math.isfinite(altitude_m):
             return None
-        if frame in (0, 5):
-            return altitude_m
-        home = self.home
-        if frame in (3, 6, 10, 11) and home is not None:  # no terrain data: above home
-            return altitude_m + home.altitude_amsl_m
-        return None
+        home_m = self.home_amsl_m  # for the ground too: there are no terrain data
+        return height_amsl_m(frame, altitude_m, home_m, home_m)
 
     def _guided_change_speed(self, command: Command) -> Result:
         kind, speed_m_s, acceleration = command.parameters[:3]

@@ -31,6 +31,7 @@ from vehicle_sim.autopilots import (
     SendTelemetry,
     Status,
     Text,
+    height_amsl_m,
 )
 from vehicle_sim.autopilots.ardupilot.ekf3 import Ekf3, Timing
 from vehicle_sim.autopilots.ardupilot.fence import NAMES, Fence
@@ -56,7 +57,6 @@ FIRST_STATISTICS_US, STATISTICS_US = 30_440_000, 31_010_000
 FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
 RECOVERY_US = 10_000_000
 """How long a breached fence is left alone after a mode was chosen inside the breach."""
-_FRAMES_AMSL, _FRAMES_ABOVE_HOME, _FRAMES_TERRAIN = (0, 5), (3, 6), (10, 11)
 
 
 def boot_of(name: str) -> list[Due]:
@@ -389,16 +389,19 @@ class ArduPilot(abc.ABC):
     def place_of(self, command: Command) -> Place | Result:
         """Where p5 to p7 are; of a COMMAND_LONG above sea level as in frame 0."""
         latitude_deg, longitude_deg, altitude_m = command.parameters[4:]
-        frame = command.frame or 0
         if not all(map(math.isfinite, (latitude_deg, longitude_deg, altitude_m))):
             return Result.DENIED
         if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0:
             return Result.DENIED
-        if frame in _FRAMES_ABOVE_HOME and self.home is not None:
-            altitude_m += self.home.altitude_amsl_m
-        elif frame not in (*_FRAMES_AMSL, *_FRAMES_TERRAIN):
+        height_m = height_amsl_m(command.frame or 0, altitude_m, self.home_amsl_m)
+        if height_m is None:
             return Result.UNSUPPORTED_FRAME
-        return Place(latitude_deg, longitude_deg, altitude_m)
+        return Place(latitude_deg, longitude_deg, height_m)
+
+    @property
+    def home_amsl_m(self) -> float | None:
+        """Height of home, once there is one."""
+        return None if self.home is None else self.home.altitude_amsl_m
 
     def _do_set_home(self, command: Command) -> Result:
         if self.ekf.origin is None:

@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import final
 
-from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilots import FRAMES_ABOVE_HOME, Place
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl, Tuning, sqrt_controller
 from vehicle_sim.autopilots.ardupilot.copter_guided import Guided, fly_to
@@ -262,8 +262,6 @@ _NAMES = {
     DO_JUMP: "Jump",
     DO_CHANGE_SPEED: "ChangeSpeed",
 }
-_ABOVE_HOME_FRAMES = (3, 6)
-"""10 and 11 are above terrain, which is at sea level without terrain data."""
 
 
 class Leg(enum.Enum):
@@ -298,7 +296,7 @@ def _finite(value: float) -> float:
 def place_of(item: PlanItem, here: Place, home: Place) -> Place:
     """Where an item is; without coordinates it is here."""
     altitude_m = min(max(_finite(item.z_m), -1e5), 1e5)
-    if item.frame in _ABOVE_HOME_FRAMES:
+    if item.frame in FRAMES_ABOVE_HOME:  # the ground is at sea level without terrain data
         altitude_m += home.altitude_amsl_m
     somewhere = (item.x != 0 or item.y != 0) and abs(item.x) <= 900_000_000
     return Place(

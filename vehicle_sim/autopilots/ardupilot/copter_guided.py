@@ -8,7 +8,13 @@ import math
 from dataclasses import dataclass
 from typing import final
 
-from vehicle_sim.autopilots import Estimate, Place, Setpoint
+from vehicle_sim.autopilots import (
+    FRAMES_ABOVE_TERRAIN,
+    Estimate,
+    Place,
+    Setpoint,
+    height_amsl_m,
+)
 from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, flat_earth_place, offset
 from vehicle_sim.autopilots.attitude import Attitude, AttitudeTarget, attitude_of
@@ -23,7 +29,6 @@ from vehicle_sim.geodesy import metres_per_degree
 
 IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
 _FORCE, IGNORE_YAW, IGNORE_YAW_RATE = 0x200, 0x400, 0x800
-_FRAMES_AMSL, _FRAMES_ABOVE_HOME, _FRAMES_TERRAIN = (0, 5), (3, 6), (10, 11)
 _LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED = 1, 7, 8, 9
 _LOCAL_FRAMES = (_LOCAL_NED, _LOCAL_OFFSET_NED, _BODY_NED, _BODY_OFFSET_NED)
 _FARTHEST_M = 1e6
@@ -124,15 +129,12 @@ def _place(setpoint: Setpoint, bearings: SetpointFrames, *, use_velocity: bool) 
     latitude_deg, longitude_deg, altitude_m = setpoint.position
     if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0:
         return Stop()
-    if setpoint.frame in _FRAMES_ABOVE_HOME:
-        altitude_m += bearings.home.altitude_amsl_m
-    elif setpoint.frame in _FRAMES_TERRAIN:
-        if use_velocity:
-            return Stop()
-        # without terrain data the ground is taken to be at sea level: it flies into it
-    elif setpoint.frame not in _FRAMES_AMSL:
+    if setpoint.frame in FRAMES_ABOVE_TERRAIN and use_velocity:
+        return Stop()
+    height_m = height_amsl_m(setpoint.frame, altitude_m, bearings.home.altitude_amsl_m)
+    if height_m is None:
         return Stop(text=f"Unknown mavlink coordinate frame {setpoint.frame}")
-    return Place(latitude_deg, longitude_deg, altitude_m)
+    return Place(latitude_deg, longitude_deg, height_m)
 
 
 def _local_place(setpoint: Setpoint, bearings: SetpointFrames) -> Place:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple, final
 
-from vehicle_sim.autopilots import Place
+from vehicle_sim.autopilots import FRAMES_AMSL, Place
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.flat_earth import bearing_rad, offset
 from vehicle_sim.autopilots.ardupilot.plane_navigation import Navigation
@@ -163,7 +163,6 @@ _NAMES = {
     CHANGE_SPEED: "ChangeSpeed",
     LAND_START: "LandStart",
 }
-_FRAMES_AMSL = (0, 5)
 _JUMPS_MOST = 32
 """In a row, so that a mission of jumps alone ends."""
 
@@ -236,9 +235,8 @@ class Mission:
     def place_of(self, item: PlanItem) -> Place:
         """Where the item is; of 0, 0 where the vehicle is."""
         here, home = self._host.estimate.place, self._host.home
-        above = item.frame not in _FRAMES_AMSL and home is not None
         altitude_m = item.z_m if math.isfinite(item.z_m) else 0.0
-        if above and home is not None:
+        if item.frame not in FRAMES_AMSL and home is not None:
             altitude_m += home.altitude_amsl_m
         if item.command not in _HAS_PLACE or (item.x == 0 and item.y == 0):
             latitude_deg, longitude_deg = here.latitude_deg, here.longitude_deg

@@ -16,13 +16,13 @@ from vehicle_sim.autopilots import (
     Reboot,
     Result,
     SendTelemetry,
+    height_amsl_m,
 )
 from vehicle_sim.autopilots.px4 import health
 from vehicle_sim.autopilots.px4.autopilot import Handler, Px4
 from vehicle_sim.autopilots.px4.health import text
 from vehicle_sim.autopilots.px4.modes import MAIN_AUTO, MANUAL_MODES, Mode, mode_of
 from vehicle_sim.autopilots.px4.position_control import HERE, Orbit
-from vehicle_sim.autopilots.px4.setpoints import height_of
 
 _FORCE: Final = 21196.0
 _HIGHEST_M: Final = 1e5
@@ -47,7 +47,7 @@ def _place(px4: Px4, command: Command) -> tuple[float, float, float]:
         altitude_m = math.nan
     frame = 0 if command.frame is None else command.frame
     if math.isfinite(altitude_m) and px4.home is not None:
-        height_m = height_of(frame, altitude_m, px4.home, px4.ground_amsl_m)
+        height_m = height_amsl_m(frame, altitude_m, px4.home.altitude_amsl_m, px4.ground_amsl_m)
         altitude_m = altitude_m if height_m is None else height_m
     return latitude_deg, longitude_deg, altitude_m
 

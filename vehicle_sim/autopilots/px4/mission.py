@@ -6,9 +6,8 @@ from typing import Final, NamedTuple, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.autopilots import Place, Reply, SendMessage
+from vehicle_sim.autopilots import Place, Reply, SendMessage, height_amsl_m
 from vehicle_sim.autopilots.px4.modes import Mode
-from vehicle_sim.autopilots.px4.setpoints import height_of
 from vehicle_sim.plans import Jumps, PlanItem, PlanKind, Plans
 
 WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = range(16, 23)
@@ -162,7 +161,7 @@ class Mission:
         first, second, third, fourth = item.parameters
         _, here, home, ground_amsl_m = self._surroundings()
         z_m = item.z_m if abs(item.z_m) <= _HIGHEST_M else math.nan
-        height = height_of(item.frame, z_m, home or here, ground_amsl_m)
+        height = height_amsl_m(item.frame, z_m, (home or here).altitude_amsl_m, ground_amsl_m)
         hold = first if item.command in (WAYPOINT, LOITER_TIME) and first > 0.0 else 0.0
         somewhere = bool(item.x or item.y)
         return Leg(

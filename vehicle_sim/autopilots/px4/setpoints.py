@@ -142,17 +142,6 @@ def flyable(target: Target) -> bool:
     )
 
 
-def height_of(frame: int, altitude_m: float, home: Place, ground_amsl_m: float) -> float | None:
-    """Altitude above sea level of a command's or mission item's z; None: unknown frame."""
-    if frame in (0, _AMSL):
-        return altitude_m
-    if frame in (3, _ABOVE_HOME):
-        return altitude_m + home.altitude_amsl_m
-    if frame in (10, _ABOVE_TERRAIN):
-        return altitude_m + ground_amsl_m
-    return None
-
-
 def _global_position(setpoint: Setpoint, bearings: SetpointFrames) -> Vector | None:
     """In the local frame; NOTHING if any axis is masked; None: unknown frame."""
     if setpoint.type_mask & _POSITION_BITS:
