@@ -33,6 +33,7 @@ from companion.runtime.loop import fly
 from companion.runtime.preflight import run_preflight
 from companion.runtime.signals import stop_signals
 from companion.session import Session
+from companion.sources.files import picture_file
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.resume import ResumeData, load_resume_data
 from companion.telemetry.run_folder import RunFolder
@@ -237,7 +238,12 @@ def preflight_command(
 def plan_command(
     world: Annotated[str, typer.Argument(metavar="WORLD", help="A world.toml or a bundled name.")],
     mission: MissionArgument,
-    out: Annotated[Path, typer.Option(help="Picture to write.")] = Path("plan.png"),
+    figure: Annotated[
+        Path,
+        typer.Option(
+            "--figure", "--out", metavar="FILE", help="Picture to write: .png, .svg or .pdf."
+        ),
+    ] = Path("plan.png"),
     seed: SeedOption = 1,
     profile: ProfileOption = None,
 ) -> None:
@@ -245,7 +251,7 @@ def plan_command(
 
     Writes a picture: the path in three dimensions, from above, and as a vertical profile.
     """
-    console = Console()
+    console, picture = Console(), picture_file("--figure", figure)
     chosen, place = load_mission(mission, profile and profile.value), load_world(world)
     if place.origin_deg != (chosen.frame.latitude_deg, chosen.frame.longitude_deg):
         rule = f"the mission's origin differs from that of the world, {place.origin_deg}"
@@ -271,12 +277,35 @@ def plan_command(
     took_s = time.perf_counter() - began_s
     console.print(plans_table(flight.plans))
     try:
-        length_m = draw_offline(flight, chosen, truth, out)
-    except (OSError, ValueError) as error:
-        raise InputError("--out", str(out), f"no picture ({error})", "Give a .png file.") from error
+        length_m = draw_offline(flight, chosen, truth, picture)
+    except OSError as error:
+        remedy = "Give a file that can be written."
+        raise InputError("--figure", str(picture), f"not written ({error})", remedy) from error
     said = f"{len(flight.legs)} subpaths, {length_m / 1000:.1f} km, planned in {took_s:.1f} s"
-    console.out(f"{said}; picture: {out}", highlight=False)
+    console.out(f"{said}; picture: {picture}", highlight=False)
     _exit_as_planned(flight)
+
+
+@app.command("report")
+def report_command(
+    run_dir: Annotated[
+        Path, typer.Argument(metavar="RUN_DIR", help="The run folder of a flight, ended or not.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Page to write; by default RUN_DIR/report.html."),
+    ] = None,
+) -> None:
+    """Explain a flight on one page: how it went and why, maps, plans, health, events.
+
+    The page is one file that opens without a network, and prints.
+    """
+    from companion.replay.reporting import write_report  # slow to import
+
+    with Console(stderr=True).status("reading the flight"):
+        said = write_report(run_dir, out)
+    for line in said:
+        Console().out(line, highlight=False)
 
 
 @app.command("check")

@@ -39,11 +39,11 @@ def test_check_says_in_words_what_a_mission_will_do() -> None:
 
 
 def test_plan_reaches_the_target_and_writes_a_picture(tmp_path: Path) -> None:
-    picture = tmp_path / "plan.png"
-    options = ("--out", picture)
+    picture = tmp_path / "plan.svg"
+    options = ("--figure", picture)
     code, shown, said = answered("plan", HILLS / "world.toml", HILLS / "mission.toml", *options)
     assert (code, said) == (0, "")
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in picture.read_text(encoding="utf-8")
     assert "subpaths" in shown
 
 
@@ -55,7 +55,8 @@ def test_plan_reaches_the_target_and_writes_a_picture(tmp_path: Path) -> None:
         (("fly", "environment-1", "--seed", "-1"), "--seed"),
         (("fly", "environment-1", "--profile", "bold"), "--profile"),
         (("fly", "environment-1", "environment-2"), "environment-2"),
-        (("plan", str(HILLS / "world.toml"), "environment-1", "--out", "/nowhere/x.png"), "--out"),
+        (("plan", "environment-1", "environment-1", "--figure", "/nowhere/x.png"), "--figure"),
+        (("plan", "environment-1", "environment-1", "--figure", "x.jpg"), ".png, .svg or .pdf"),
         (("check", str(HILLS / "world.toml")), "this is a world"),
         (("export", str(HILLS)), "kml, geojson, csv, plan"),
     ],

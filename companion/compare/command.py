@@ -14,6 +14,7 @@ from companion.compare import effects, table_1
 from companion.compare.missions import Case, Run
 from companion.compare.pool import fly_all, processors
 from companion.errors import InputError
+from companion.sources.files import picture_file, writable
 
 compare_app = typer.Typer(
     no_args_is_help=True,
@@ -35,8 +36,14 @@ SeedOption = Annotated[
 JsonOption = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers to a JSON file.")
 ]
-OutOption = Annotated[
-    Path | None, typer.Option(metavar="PICTURE", help="PNG to write; by default COMMAND.png.")
+FigureOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--figure",
+        "--out",
+        metavar="FILE",
+        help="Picture to write: .png, .svg or .pdf; by default COMMAND.png.",
+    ),
 ]
 
 
@@ -46,23 +53,24 @@ def table_1_command(
     jobs: JobsOption = None,
     seed: SeedOption = 1,
     json_file: JsonOption = None,
-    out: OutOption = None,
+    figure: FigureOption = None,
     per_second: Annotated[
         int, typer.Option(min=1, help="Evaluations that stand for a second of T.")
     ] = table_1.PER_SECOND,
 ) -> None:
     """Table 1: improved DE, classical DE, PSO and GA on two environments with two budgets."""
-    picture, numbers = _files(out or Path("table-1.png"), json_file)
+    picture, numbers = _files(figure or Path("table-1.png"), json_file)
     found = table_1.rows(_flown(table_1.cases(runs, seed, per_second), jobs))
     remarks = table_1.remarks(found, per_second)
     _show([table_1.table(found), table_1.violations_table(found)], remarks)
 
     def draw() -> None:
-        from companion.compare.pictures import draw_table  # slow to import
+        from companion.compare.pictures import compose_table  # slow to import
+        from companion.views.figure import save
 
-        draw_table(found, remarks, picture)
+        save(compose_table(found, remarks), picture)
 
-    _write("--out", picture, draw)
+    _write("--figure", picture, draw)
     _write_numbers(numbers, table_1.facts(found, per_second), runs, seed)
 
 
@@ -73,20 +81,21 @@ def _add_figure(name: str, words: str, effect_of: Callable[[], effects.Effect]) 
         jobs: JobsOption = None,
         seed: SeedOption = 1,
         json_file: JsonOption = None,
-        out: OutOption = None,
+        figure: FigureOption = None,
     ) -> None:
         effect = effect_of()
-        picture, numbers = _files(out or Path(f"{effect.name}.png"), json_file)
+        picture, numbers = _files(figure or Path(f"{effect.name}.png"), json_file)
         found = effects.outcomes(effect, _flown(effects.cases(effect, runs, seed), jobs))
         remarks = effects.remarks(effect)
         _show([effects.table(effect, found)], remarks)
 
         def draw() -> None:
-            from companion.compare.pictures import draw_effect  # slow to import
+            from companion.compare.pictures import compose_effect  # slow to import
+            from companion.views.figure import save
 
-            draw_effect(effect, found, remarks[-1], picture)
+            save(compose_effect(effect, found, remarks[-1]), picture)
 
-        _write("--out", picture, draw)
+        _write("--figure", picture, draw)
         _write_numbers(numbers, effects.facts(effect, found), runs, seed)
 
 
@@ -118,20 +127,12 @@ def _show(tables: Sequence[Table], remarks: Sequence[str]) -> None:
         console.print(remark, highlight=False, markup=False)
 
 
-def _files(out: Path, json_file: Path | None) -> tuple[Path, Path | None]:
+def _files(picture: Path, json_file: Path | None) -> tuple[Path, Path | None]:
     """The picture's file and that of the numbers: both can be written, and they are two."""
-    if json_file is not None and json_file.absolute() == out.absolute():
-        rule = "the picture goes there (--out)"
+    if json_file is not None and json_file.absolute() == picture.absolute():
+        rule = "the picture goes there (--figure)"
         raise InputError("--json", str(json_file), rule, "Name another file.")
-    return _writable("--out", out), json_file and _writable("--json", json_file)
-
-
-def _writable(option: str, path: Path) -> Path:
-    """Refuse a file that cannot be written before minutes are spent on what goes into it."""
-    if path.is_dir() or not path.absolute().parent.is_dir():
-        rule = "it is a folder" if path.is_dir() else "its folder does not exist"
-        raise InputError(option, str(path), rule, "Give a file in a folder that exists.")
-    return path
+    return picture_file("--figure", picture), json_file and writable("--json", json_file)
 
 
 def _write(option: str, path: Path, writer: Callable[[], object]) -> None:
@@ -140,7 +141,7 @@ def _write(option: str, path: Path, writer: Callable[[], object]) -> None:
     except OSError as error:
         remedy = "Give a file that can be written."
         raise InputError(option, str(path), f"not written ({error})", remedy) from error
-    what = {"--out": "picture", "--json": "numbers"}[option]
+    what = {"--figure": "picture", "--json": "numbers"}[option]
     Console().print(f"{what}: {path}", highlight=False, markup=False, soft_wrap=True)
 
 

@@ -2,7 +2,6 @@
 
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,24 +11,12 @@ from matplotlib.figure import Figure
 
 from companion.compare import effects, table_1
 from companion.views import figure as views
-from companion.views.figure import DPI, FlightFigure, TerrainPicture
+from companion.views.figure import FlightFigure, TerrainPicture
 
 _CELLS = 440  # a side of the terrain: 250 m in the bundled environments
 _OURS, _PAPERS = "#0050b5", "#8a6d3b"
 _WIDELY = 3.0  # spread of costs from which on their scale is logarithmic
 _WIDE = 160  # characters in a line of the text under the panels
-
-
-def draw_effect(
-    effect: effects.Effect, found: Sequence[effects.Outcome], remark: str, path: Path
-) -> None:
-    """Write Fig. 3 or Fig. 4 to a PNG file."""
-    compose_effect(effect, found, remark).savefig(path, format="png", dpi=DPI)
-
-
-def draw_table(found: Sequence[table_1.Row], remarks: Sequence[str], path: Path) -> None:
-    """Write Table 1 as a picture to a PNG file."""
-    compose_table(found, remarks).savefig(path, format="png", dpi=DPI)
 
 
 def compose_effect(effect: effects.Effect, found: Sequence[effects.Outcome], remark: str) -> Figure:
@@ -55,15 +42,8 @@ def compose_effect(effect: effects.Effect, found: Sequence[effects.Outcome], rem
         else:
             views.draw_plan(below, flight)
             below.set_title(f"({letters[0]}) from above")
-    shown: dict[str, Any] = {}
-    for axes in canvas.axes:
-        if axes.get_label() == "below":
-            for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                shown.setdefault(label, artist)
-    canvas.legend(
-        list(shown.values()), list(shown), loc="lower center", ncols=8, frameon=False,
-        bbox_to_anchor=(0.5, 0.085),
-    )  # fmt: skip
+    lower = [axes for axes in canvas.axes if axes.get_label() == "below"]
+    views.add_legend(canvas, lower, columns=8, bottom=0.085)
     _write_below(canvas, [f"The paper: {effect.paper}.", remark])
     return canvas
 

@@ -81,7 +81,7 @@ def same(
     """
     console = Console(soft_wrap=True)
     if flight.is_dir():
-        mission_of = _mission_of(flight)
+        mission_of = flown_mission(flight)
         replay: Replay | LogReplay = Replay(flight, mission_of, kernel=load(), from_s=span_s[0])
     else:
         replay = _of_log(flight, how, system, load)
@@ -208,7 +208,7 @@ def changed(
     file = str(folder / "mission.toml")
     other = load_mission(file, profile, settings)
     found = []
-    flown = _mission_of(folder)
+    flown = flown_mission(folder)
     kernel = kernel_for(plans=True, numba=numba) or NUMPY
     with _bar("planning again", 0) as show:
         for each in what_if(folder, flown, other, seed=seed, kernel=kernel):
@@ -255,7 +255,7 @@ def _log(flight: Path) -> Path:
     return log
 
 
-def _mission_of(folder: Path) -> MissionOf:
+def flown_mission(folder: Path) -> MissionOf:
     """The mission of a run folder, as it was flown.  InputError if it is another one now."""
     file = folder / "mission.toml"
     if not answer(file.is_file):

@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 from companion.errors import InputError
-from companion.sources.files import answer
+from companion.sources.files import answer, writable
 
 _KEPT = (
     "flight.tlog",
@@ -65,8 +65,7 @@ def export(
     """
     from companion.replay.exporting import recorded, write  # slow to import
 
-    file = out or run_dir / f"flight.{to.value}"
-    _check_out(file, run_dir)
+    file = out_file(out or run_dir / f"flight.{to.value}", run_dir)
     flight, notes = recorded(run_dir)
     notes += write(flight, to.value, file, path.value)
     said = f"{len(flight.track)} positions, {len(flight.planned)} subpaths, "
@@ -75,13 +74,13 @@ def export(
         Console().out(line, highlight=False)
 
 
-def _check_out(file: Path, run_dir: Path) -> None:
-    """Refuse a file that cannot be written, or that holds what was recorded."""
-    if answer(file.is_dir):
+def out_file(file: Path, run_dir: Path) -> Path:
+    """The file; refuse a file that cannot be written, or that holds what was recorded."""
+    if file.parent != run_dir:  # of a run folder that is not there, others tell
+        writable("--out", file)
+    elif answer(file.is_dir):
         raise InputError("--out", str(file), "it is a folder", "Give a file.")
-    if file.parent != run_dir and not answer(file.absolute().parent.is_dir):
-        rule = "its folder does not exist"
-        raise InputError("--out", str(file), rule, "Give a file in a folder that exists.")
     if file.name in _KEPT and answer(lambda: file.absolute().parent.samefile(run_dir)):
         rule = "that is what the flight was recorded in"
         raise InputError("--out", str(file), rule, "Give another file.")
+    return file

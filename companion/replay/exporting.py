@@ -1,6 +1,6 @@
 """A run folder's flight, put together for export, and written in one of the formats."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -15,20 +15,25 @@ from companion.telemetry.export.plan import Source, write_plan
 from companion.telemetry.export.table import write_csv
 from companion.telemetry.export.track import Track, track_of
 from companion.telemetry.journal import Journal
-from companion.telemetry.logs import open_log
+from companion.telemetry.logs import Record, open_log
 
 FIELD = "RUN_DIR"
 REMEDY = "Give the run folder of a flight: the one that was given to companion fly --out."
 
 
-def recorded(run_dir: Path) -> tuple[RecordedFlight, tuple[str, ...]]:
-    """The flight in a run folder, and what was odd about it.  Raises InputError."""
+def recorded(
+    run_dir: Path, look: Callable[[Record], None] | None = None
+) -> tuple[RecordedFlight, tuple[str, ...]]:
+    """The flight in a run folder, and what was odd about it.  Raises InputError.
+
+    look: is shown each frame of the log, in order.
+    """
     mission = _mission(run_dir)
     journal = Journal(run_dir / "journal.jsonl")
     builder = FlightBuilder(mission)
     for line in journal.lines():
         builder.take(line)
-    track, notes = _track(run_dir / "flight.tlog", builder.system_id)
+    track, notes = _track(run_dir / "flight.tlog", builder.system_id, look)
     if not len(track):
         notes += ("flight.tlog: no position was recorded",)
     if track.left_out:
@@ -71,7 +76,9 @@ _NO_VEHICLE_BYTES = 1000  # a few heartbeats of a companion that has met nobody
 _NOT_NEEDED = "terrain={highest_amsl_m = -500.0}"
 
 
-def _track(file: Path, system_id: int | None) -> tuple[Track, tuple[str, ...]]:
+def _track(
+    file: Path, system_id: int | None, look: Callable[[Record], None] | None
+) -> tuple[Track, tuple[str, ...]]:
     """The positions in the log, and what was odd about it."""
     if not answer(file.is_file):
         raise InputError(FIELD, str(file.parent), "it holds no flight.tlog", REMEDY)
@@ -81,5 +88,12 @@ def _track(file: Path, system_id: int | None) -> tuple[Track, tuple[str, ...]]:
         if file.stat().st_size > _NO_VEHICLE_BYTES:
             raise
         return track_of((), None), ()  # it ended before there was anything to record
-    track = track_of(log.records(), log.system_id)
+    records = log.records() if look is None else _shown(log.records(), look)
+    track = track_of(records, log.system_id)
     return track, tuple(f"{file.name}: {finding}" for finding in log.findings)
+
+
+def _shown(records: Iterable[Record], look: Callable[[Record], None]) -> Iterator[Record]:
+    for record in records:
+        look(record)
+        yield record

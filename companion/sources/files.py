@@ -11,6 +11,8 @@ from companion.errors import InputError
 
 RawTable = dict[str, Any]
 """A table as its file has it: nothing in it has been checked."""
+PICTURES = (".png", ".svg", ".pdf")
+"""How files of pictures end."""
 
 _MAX_BYTES = 64_000_000
 
@@ -35,6 +37,23 @@ def answer(question: Callable[[], bool]) -> bool:
         return question()
     except (OSError, ValueError):
         return False
+
+
+def writable(option: str, path: Path) -> Path:
+    """Refuse a file that cannot be written before time is spent on what goes into it."""
+    is_folder = answer(path.is_dir)
+    if is_folder or not answer(path.absolute().parent.is_dir):
+        rule = "it is a folder" if is_folder else "its folder does not exist"
+        raise InputError(option, str(path), rule, "Give a file in a folder that exists.")
+    return path
+
+
+def picture_file(option: str, path: Path) -> Path:
+    """Likewise a file that does not end as pictures do."""
+    if path.suffix.lower() not in PICTURES:
+        rule = f"a picture ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}"
+        raise InputError(option, str(path), rule, "Name the file so.")
+    return writable(option, path)
 
 
 def toml_table(text: str, where: str) -> RawTable:

@@ -1,12 +1,14 @@
 """A flight as the paper's Fig. 3 shows it: from above at an angle, in plan, in vertical profile."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, final
 
 import numpy as np
 import scipy.spatial
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colorbar import Colorbar
@@ -18,6 +20,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from companion.geodesy import BoolArray, FloatArray
+from companion.world.known_map import KnownMap
 from companion.world.threats import CircleZone, Radar, Zone
 
 SIZE_IN = (14.0, 10.0)
@@ -26,20 +29,21 @@ _BLOCKS = 110  # a side of the terrain seen at an angle: each block is a polygon
 _POINTS = 800  # of the path in that view
 _AZIMUTHS_DEG = (-60, -45, -75, -30, -105, -120, -135, -150)  # of the viewer, from the east, left
 _ELEVATION_DEG = 40
+_SHOWN_IN_KM_M = 2e3  # from this width on
 _HEIGHT = 0.3  # of the box of that view, in its longest side
 _LIGHT = np.array([-0.64, -0.1, 0.76])  # from the west: east, north, up
 _TINTS = LinearSegmentedColormap.from_list(
     "heights", ["#fbf8ef", "#e9dfc3", "#cdb78c", "#a98d60", "#7d6542", "#55432a"]
 )  # darker is higher: readable whatever colours the reader sees
-_PATH, _RADAR, _KEEP_OUT, _UNKNOWN = "#0050b5", "#c2389b", "#e8590c", "#c9ccd1"
+PATH, _RADAR, _KEEP_OUT, _UNKNOWN = "#0050b5", "#c2389b", "#e8590c", "#c9ccd1"
 _Style = dict[str, Any]
 _HALO = [withStroke(linewidth=4.6, foreground="white")]
-_LINE: _Style = {"color": _PATH, "lw": 2.4, "path_effects": _HALO, "label": "planned path"}
-_BEHIND: _Style = {"color": _PATH, "lw": 1.6, "ls": ":"}
+_LINE: _Style = {"color": PATH, "lw": 2.4, "path_effects": _HALO, "label": "planned path"}
+_BEHIND: _Style = {"color": PATH, "lw": 1.6, "ls": ":"}
 _BEHIND["path_effects"] = [withStroke(linewidth=3.0, foreground="white")]
 _FLOWN: _Style = {"color": "black", "lw": 0.9, "label": "flown track"}
 _MARK: _Style = {"ls": "", "mec": "black"}
-_SCAN = _MARK | {"marker": "o", "ms": 5.5, "mfc": "white", "mec": _PATH, "label": "scan (p_scan)"}
+_SCAN = _MARK | {"marker": "o", "ms": 5.5, "mfc": "white", "mec": PATH, "label": "scan (p_scan)"}
 _START = _MARK | {"marker": "s", "ms": 9, "mfc": "#00a37a", "label": "start"}
 _TARGET = _MARK | {"marker": "*", "ms": 17, "mfc": "#ffd60a", "label": "target"}
 _FLOOR: _Style = {"color": "#222222", "lw": 0.8, "ls": "--", "label": "floor of the band"}
@@ -55,6 +59,16 @@ class TerrainPicture:
     north_edges_m: FloatArray  # (rows + 1,)
     east_edges_m: FloatArray  # (columns + 1,)
     heights_m: FloatArray  # (rows, columns), rows to the north, columns to the east
+
+    @classmethod
+    def of(cls, known: KnownMap) -> "TerrainPicture":
+        """The terrain that was seen, or known in advance."""
+        rows, columns = known.upper_m.shape
+        return cls(
+            north_edges_m=known.north_min_m + np.arange(rows + 1) * known.cell_m,
+            east_edges_m=known.east_min_m + np.arange(columns + 1) * known.cell_m,
+            heights_m=np.where(known.firm, known.upper_m, np.nan),
+        )
 
     def under_m(self, points_ne_m: FloatArray) -> FloatArray:
         """Height of the cell that holds each point, nan where unknown.  (..., 2) -> (...)."""
@@ -106,6 +120,13 @@ class FlightFigure:
         return np.concatenate([np.empty((0, 3)), *(self.legs_nea_m or flown)])
 
     @property
+    def unit(self) -> tuple[float, str]:
+        """What lengths are shown in: how many metres, and its name."""
+        terrain = self.terrain
+        widest_m = max(np.ptp(terrain.north_edges_m), np.ptp(terrain.east_edges_m))
+        return (1e3, "km") if widest_m >= _SHOWN_IN_KM_M else (1.0, "m")
+
+    @property
     def altitudes_m(self) -> tuple[float, float]:
         """Least and greatest altitude to show; terrain far above the ceiling is cut off."""
         known = self.terrain.heights_m[np.isfinite(self.terrain.heights_m)]
@@ -118,9 +139,17 @@ class FlightFigure:
         return low, float(high + 0.06 * (high - low))
 
 
+def save(canvas: Figure, path: Path) -> None:
+    """Write a figure as what its name ends with; the same figure gives the same bytes."""
+    kind = path.suffix.lower().removeprefix(".")
+    dateless = {} if kind == "png" else {"svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+    with rc_context({"svg.hashsalt": "companion"}):
+        canvas.savefig(path, format=kind, dpi=DPI, metadata=dateless)
+
+
 def draw(figure: FlightFigure, path: Path) -> None:
-    """Write the three views of a flight to a PNG file."""
-    compose(figure).savefig(path, format="png", dpi=DPI)
+    """Write the three views of a flight to a .png, .svg or .pdf file."""
+    save(compose(figure), path)
 
 
 def compose(figure: FlightFigure) -> Figure:
@@ -135,15 +164,21 @@ def compose(figure: FlightFigure) -> Figure:
     draw_plan(plan, figure)
     profile = canvas.add_axes((0.06, 0.13, 0.905, 0.19), label="profile")
     draw_profile(profile, figure)
+    add_legend(canvas, (plan, profile))
+    return canvas
+
+
+def add_legend(
+    canvas: Figure, shown_in: Iterable[Axes], columns: int | None = None, bottom: float = 0.0
+) -> None:
+    """One legend of what is shown in some axes, each thing once; by default in two rows."""
     shown: _Style = {}
-    for axes in (plan, profile):
+    for axes in shown_in:
         for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
             shown.setdefault(label, artist)
-    columns = math.ceil(len(shown) / 2)
-    canvas.legend(
-        list(shown.values()), list(shown), loc="lower center", ncols=columns, frameon=False
-    )
-    return canvas
+    columns = columns or math.ceil(len(shown) / 2)
+    place: _Style = {"loc": "lower center", "bbox_to_anchor": (0.5, bottom), "frameon": False}
+    canvas.legend(list(shown.values()), list(shown), ncols=columns, **place)
 
 
 def _lines(figure: FlightFigure) -> list[tuple[FloatArray, _Style]]:
@@ -165,21 +200,23 @@ def _marks(figure: FlightFigure) -> list[tuple[FloatArray, _Style]]:
 
 def draw_plan(axes: Axes, figure: FlightFigure) -> None:
     """From above: terrain, radars, keep-outs and the path."""
-    north, east = figure.terrain.north_edges_m / 1e3, figure.terrain.east_edges_m / 1e3
-    heights = np.ma.masked_invalid(figure.terrain.heights_m / 1e3)
-    low, high = (altitude / 1e3 for altitude in figure.altitudes_m)
-    colours = axes.pcolormesh(east, north, heights, cmap=_TINTS, vmin=low, vmax=high)
+    unit_m, unit = figure.unit
+    north, east = figure.terrain.north_edges_m / unit_m, figure.terrain.east_edges_m / unit_m
+    heights = np.ma.masked_invalid(figure.terrain.heights_m / unit_m)
+    low, high = (altitude / unit_m for altitude in figure.altitudes_m)
+    span: _Style = {"vmin": low, "vmax": high}
+    colours = axes.pcolormesh(east, north, heights, cmap=_TINTS, rasterized=True, **span)
     scale = axes.inset_axes((1.03, 0.0, 0.03, 1.0))
     over: Literal["max", "neither"] = (
         "max" if heights.count() and heights.max() > high else "neither"
     )
-    Colorbar(scale, colours, extend=over, label="terrain, km AMSL")
+    Colorbar(scale, colours, extend=over, label=f"terrain, {unit} AMSL")
     for level_m, style in ((figure.floor_amsl_m, _FLOOR), (figure.ceiling_amsl_m, _CEILING)):
-        scale.axhline(level_m / 1e3, **style)
-        if heights.count() and heights.min() < level_m / 1e3 < heights.max():
+        scale.axhline(level_m / unit_m, **style)
+        if heights.count() and heights.min() < level_m / unit_m < heights.max():
             middles = (east[1:] + east[:-1]) / 2, (north[1:] + north[:-1]) / 2
             line = {"colors": style["color"], "linewidths": style["lw"], "linestyles": style["ls"]}
-            axes.contour(*middles, heights, [level_m / 1e3], **line)
+            axes.contour(*middles, heights, [level_m / unit_m], **line)
     if heights.count() < heights.size:
         axes.patch.set(**_HATCHED)
         axes.add_patch(Rectangle((0.0, 0.0), 0.0, 0.0, label="unknown ground", **_HATCHED))
@@ -187,23 +224,24 @@ def draw_plan(axes: Axes, figure: FlightFigure) -> None:
         _draw_radar(axes, radar, figure)
     for keep_out in figure.zones:
         style = {"fc": to_rgba(_KEEP_OUT, 0.3), "ec": _KEEP_OUT, "hatch": "xx", "lw": 1.5}
-        axes.add_patch(Polygon(_outline_en_m(keep_out) / 1e3, label="keep-out", **style))
+        axes.add_patch(Polygon(_outline_en_m(keep_out) / unit_m, label="keep-out", **style))
     for points_nea_m, style in _lines(figure) + _marks(figure):
-        axes.plot(points_nea_m[:, 1] / 1e3, points_nea_m[:, 0] / 1e3, **style)
+        axes.plot(points_nea_m[:, 1] / unit_m, points_nea_m[:, 0] / unit_m, **style)
     axes.set(xlim=east[[0, -1]], ylim=north[[0, -1]], aspect="equal", title="Plan")
-    axes.set(xlabel="east of the origin, km", ylabel="north of the origin, km")
+    axes.set(xlabel=f"east of the origin, {unit}", ylabel=f"north of the origin, {unit}")
 
 
 def _draw_radar(axes: Axes, radar: Radar, figure: FlightFigure) -> None:
     """How far the radar sees within the band, its range, and its name where there is room."""
+    unit_m, _ = figure.unit
     north, east, altitude = radar.centre_nea_m
     off_m = altitude - min(max(altitude, figure.floor_amsl_m), figure.ceiling_amsl_m)
     widest_m = math.sqrt(max(radar.range_m**2 - off_m**2, 0.0))
-    centre = (east / 1e3, north / 1e3)
+    centre = (east / unit_m, north / unit_m)
     fill: _Style = {"fc": to_rgba(_RADAR, 0.28), "ec": _RADAR, "label": "radar, within the band"}
-    axes.add_patch(Circle(centre, widest_m / 1e3, **fill))
+    axes.add_patch(Circle(centre, widest_m / unit_m, **fill))
     rim: _Style = {"fill": False, "ec": _RADAR, "ls": ":", "label": "radar, full range"}
-    axes.add_patch(Circle(centre, radar.range_m / 1e3, **rim))
+    axes.add_patch(Circle(centre, radar.range_m / unit_m, **rim))
     if 0.014 * np.ptp(figure.terrain.east_edges_m) * len(radar.name) < 2.0 * widest_m:
         style: _Style = {"fontsize": 7, "ha": "center", "va": "center", "color": "#5c0f46"}
         style["path_effects"] = [withStroke(linewidth=1.5, foreground="white", alpha=0.6)]
@@ -212,11 +250,12 @@ def _draw_radar(axes: Axes, radar: Radar, figure: FlightFigure) -> None:
 
 def draw_profile(axes: Axes, figure: FlightFigure) -> None:
     """Along the path: the terrain under it, the radars it passes, and its altitude."""
+    unit_m, unit = figure.unit
     path = figure.path_nea_m
-    low, high = (altitude / 1e3 for altitude in figure.altitudes_m)
+    low, high = (altitude / unit_m for altitude in figure.altitudes_m)
     steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(steps)])[: len(path)] / 1e3
-    under = figure.terrain.under_m(path[:, :2]) / 1e3
+    along = np.concatenate([[0.0], np.cumsum(steps)])[: len(path)] / unit_m
+    under = figure.terrain.under_m(path[:, :2]) / unit_m
     axes.fill_between(along, low, under, color="#cdb78c", lw=0.0)
     axes.plot(along, under, color="#6b5433", lw=1.2, label="terrain under the path")
     if np.isnan(under).any():
@@ -226,26 +265,29 @@ def draw_profile(axes: Axes, figure: FlightFigure) -> None:
         half_m = np.sqrt(np.maximum(radar.range_m**2 - off_m**2, 0.0))
         least, most = (radar.centre_nea_m[2] + half for half in (-half_m, half_m))
         seen: _Style = {"where": half_m > 0.0, "fc": to_rgba(_RADAR, 0.28), "lw": 0.0}
-        axes.fill_between(along, least / 1e3, most / 1e3, **seen)
-    axes.axhspan(figure.floor_amsl_m / 1e3, figure.ceiling_amsl_m / 1e3, fc=to_rgba(_PATH, 0.07))
-    axes.axhline(figure.floor_amsl_m / 1e3, **_FLOOR)
-    axes.axhline(figure.ceiling_amsl_m / 1e3, **_CEILING)
+        axes.fill_between(along, least / unit_m, most / unit_m, **seen)
+    axes.axhspan(
+        figure.floor_amsl_m / unit_m, figure.ceiling_amsl_m / unit_m, fc=to_rgba(PATH, 0.07)
+    )
+    axes.axhline(figure.floor_amsl_m / unit_m, **_FLOOR)
+    axes.axhline(figure.ceiling_amsl_m / unit_m, **_CEILING)
     if len(path):
         nearest = scipy.spatial.KDTree(path)
         for points_nea_m, style in _lines(figure) + _marks(figure):
             at = along if style is _LINE else along[nearest.query(points_nea_m)[1]]
             dots = {"ls": "", "marker": ".", "ms": 1.5} if style is _FLOWN else {}
-            axes.plot(at, points_nea_m[:, 2] / 1e3, **(style | dots), clip_on=False, zorder=3)
+            axes.plot(at, points_nea_m[:, 2] / unit_m, **(style | dots), clip_on=False, zorder=3)
         axes.set_xlim(0.0, max(along[-1], 1e-3))
     else:
         axes.text(0.5, 0.5, "nothing was planned or flown", transform=axes.transAxes, ha="center")
         axes.set_xticks([])
     axes.set(ylim=(low, high), title="Vertical profile along the path")
-    axes.set(xlabel="distance along the path over ground, km", ylabel="altitude, km AMSL")
+    axes.set(xlabel=f"distance along the path over ground, {unit}", ylabel=f"altitude, {unit} AMSL")
 
 
 def draw_oblique(axes: Any, figure: FlightFigure) -> None:
     """Terrain, radars and keep-outs in one collection, sorted by depth, and the path over it."""
+    unit_m, unit = figure.unit
     terrain = figure.terrain.coarser()
     low, high = figure.altitudes_m
     least = np.array([terrain.east_edges_m[0], terrain.north_edges_m[0], low])
@@ -261,17 +303,17 @@ def draw_oblique(axes: Any, figure: FlightFigure) -> None:
         colours = np.concatenate([colours, np.tile(to_rgba(colour, 0.22), (len(threat), 1))])
         edges = np.concatenate([edges, np.tile(to_rgba(colour, 0.0), (len(threat), 1))])
     facets: _Style = {"facecolors": colours, "edgecolors": edges, "linewidths": 0.2}
-    axes.add_collection3d(Poly3DCollection(quads / 1e3, **facets))
+    axes.add_collection3d(Poly3DCollection(quads / unit_m, rasterized=True, **facets))
     path = figure.path_nea_m
     path = path[np.linspace(0, len(path) - 1, min(len(path), _POINTS)).astype(int)]
     hidden = {azimuth: _is_hidden(path, terrain, azimuth, stretch) for azimuth in _AZIMUTHS_DEG}
     azimuth = min(hidden, key=lambda it: round(float(hidden[it].sum()) / (len(path) + 1), 1))
     seen = np.where(hidden[azimuth][:, None], np.nan, path)
     for points_nea_m, style in [(path, _BEHIND), (seen, _LINE), *_marks(figure)]:
-        axes.plot(*(points_nea_m.T[[1, 0, 2]] / 1e3), **(style | {"zorder": 5}))
-    limits = np.stack([least, most], axis=-1) / 1e3
-    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], xlabel="east, km", ylabel="north, km")
-    axes.set_zlabel("altitude, km AMSL")
+        axes.plot(*(points_nea_m.T[[1, 0, 2]] / unit_m), **(style | {"zorder": 5}))
+    limits = np.stack([least, most], axis=-1) / unit_m
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+    axes.set(xlabel=f"east, {unit}", ylabel=f"north, {unit}", zlabel=f"altitude, {unit} AMSL")
     axes.zaxis.set_major_locator(MaxNLocator(4))
     axes.set_proj_type("ortho")
     axes.view_init(_ELEVATION_DEG, azimuth)

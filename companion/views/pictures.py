@@ -63,15 +63,10 @@ def _draw(
     from companion.views.figure import FlightFigure, TerrainPicture, draw  # slow to import
 
     limits = mission.task.limits
-    rows, columns = terrain.upper_m.shape
     draw(
         FlightFigure(
             title=f"{mission.name}, profile {mission.task.settings.profile.name}",
-            terrain=TerrainPicture(
-                north_edges_m=terrain.north_min_m + np.arange(rows + 1) * terrain.cell_m,
-                east_edges_m=terrain.east_min_m + np.arange(columns + 1) * terrain.cell_m,
-                heights_m=np.where(terrain.seen, terrain.upper_m, np.nan),
-            ),
+            terrain=TerrainPicture.of(terrain),
             radars=mission.task.radars,
             zones=mission.task.zones,
             floor_amsl_m=limits.floor_amsl_m,

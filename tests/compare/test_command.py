@@ -25,11 +25,11 @@ def test_figure_4_prints_a_table_and_writes_a_picture_and_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(effects, "_EVALUATIONS", 200)
-    picture, numbers = tmp_path / "figure.png", tmp_path / "figure.json"
+    picture, numbers = tmp_path / "figure.pdf", tmp_path / "figure.json"
     words = ["figure-4", "--runs", "1", "--jobs", "1", "--seed", "3"]
-    shown = called(*words, "--out", str(picture), "--json", str(numbers))
+    shown = called(*words, "--figure", str(picture), "--json", str(numbers))
     assert "otherwise it may traverse" in shown
-    assert picture.read_bytes().startswith(PNG)
+    assert picture.read_bytes().startswith(b"%PDF-")
     written = json.loads(numbers.read_text())
     assert (written["runs"], written["seed"]) == (1, 3)
     for each in written["results"]:
@@ -46,7 +46,7 @@ def test_table_1_prints_our_numbers_beside_the_papers(
     monkeypatch.setattr(table_1, "PLANNING_TIMES_S", (3.0,))
     picture, numbers = tmp_path / "table.png", tmp_path / "table.json"
     words = ["table-1", "--runs", "1", "--jobs", "1", "--per-second", "200"]
-    shown = called(*words, "--out", str(picture), "--json", str(numbers))
+    shown = called(*words, "--figure", str(picture), "--json", str(numbers))
     assert "88.3 ± 4.9" in shown
     assert "classical DE" in shown
     assert "T = 3 s is 600 evaluations" in shown
@@ -57,13 +57,19 @@ def test_table_1_prints_our_numbers_beside_the_papers(
 
 
 @pytest.mark.parametrize("command", ["table-1", "figure-3", "figure-4"])
-@pytest.mark.parametrize("option", ["--out", "--json"])
+@pytest.mark.parametrize("option", ["--figure", "--json"])
 def test_a_file_that_cannot_be_written_is_refused_before_anything_is_flown(
     command: str, option: str, tmp_path: Path
 ) -> None:
-    for path in (tmp_path, tmp_path / "nowhere" / "file"):
+    for path in (tmp_path, tmp_path / "nowhere" / "file.png"):
         with pytest.raises(InputError, match=f"{option} = .*{path.name}"):
             called(command, option, str(path))
+
+
+@pytest.mark.parametrize("command", ["table-1", "figure-3", "figure-4"])
+def test_a_picture_of_another_kind_is_refused_with_the_choices(command: str) -> None:
+    with pytest.raises(InputError, match=r"--figure = 'x.jpg': .* \.png, \.svg or \.pdf"):
+        called(command, "--figure", "x.jpg")
 
 
 @pytest.mark.parametrize(
@@ -77,5 +83,5 @@ def test_a_bad_option_is_a_usage_error(words: list[str]) -> None:
 def test_numbers_and_picture_do_not_go_into_one_file(tmp_path: Path) -> None:
     same = str(tmp_path / "figure.png")
     with pytest.raises(InputError, match=r"--json = .*the picture goes there"):
-        called("figure-4", "--runs", "1", "--out", same, "--json", same)
+        called("figure-4", "--runs", "1", "--figure", same, "--json", same)
     assert list(tmp_path.iterdir()) == []

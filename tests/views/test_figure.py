@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import lxml.etree
 import matplotlib._pylab_helpers
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from companion.views.figure import DPI, SIZE_IN, FlightFigure, TerrainPicture, c
 from companion.world.threats import CircleZone, PolygonZone, Radar
 
 CELL_M = 25.0
+PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def hill(north_m: FloatArray, east_m: FloatArray) -> FloatArray:
@@ -72,7 +74,7 @@ def labels_of(axes: Any) -> set[str]:
 def test_the_file_is_a_png_of_the_stated_size_and_no_figure_stays_open(tmp_path: Path) -> None:
     draw(a_flight(), tmp_path / "flight.png")
     content = (tmp_path / "flight.png").read_bytes()
-    assert content[:8] == b"\x89PNG\r\n\x1a\n"
+    assert content[:8] == PNG
     assert struct.unpack(">II", content[16:24]) == tuple(round(side * DPI) for side in SIZE_IN)
     assert not matplotlib._pylab_helpers.Gcf.figs
 
@@ -85,10 +87,27 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("coarse")
-def test_the_same_flight_gives_the_same_picture(tmp_path: Path) -> None:
-    for name in ("one.png", "two.png"):
-        draw(a_flight(), tmp_path / name)
-    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+@pytest.mark.parametrize(
+    ("suffix", "begin"), [(".png", PNG), (".svg", b"<?xml"), (".PDF", b"%PDF")]
+)
+def test_the_same_flight_gives_the_same_picture_of_the_kind_that_is_named(
+    suffix: str, begin: bytes, tmp_path: Path
+) -> None:
+    one, two = tmp_path / f"one{suffix}", tmp_path / f"two{suffix}"
+    for path in (one, two):
+        draw(a_flight(), path)
+    assert one.read_bytes().startswith(begin)
+    assert one.read_bytes() == two.read_bytes()
+
+
+@pytest.mark.usefixtures("coarse")
+def test_the_terrain_of_an_svg_is_an_image_and_its_lines_are_lines(tmp_path: Path) -> None:
+    draw(a_flight(), tmp_path / "flight.svg")
+    elements = [
+        each.tag.partition("}")[2] for each in lxml.etree.parse(tmp_path / "flight.svg").iter("*")
+    ]
+    assert elements.count("image") >= 2
+    assert 50 < elements.count("path") < 3000
 
 
 def test_the_plan_shows_the_path_in_kilometres_with_east_to_the_right() -> None:
@@ -247,4 +266,11 @@ def test_worlds_of_any_size_are_drawn_with_their_own_extent(
     terrain = terrain_of(extent_m, 440, stretch=scale)
     sized = replace(flight, terrain=terrain, legs_nea_m=legs)
     draw(sized, tmp_path / "flight.png")
-    assert axes_of(sized)["plan"].get_xlim() == pytest.approx((0.0, extent_m / 1000.0))
+    unit_m, unit = (1.0, "m") if extent_m < 2000.0 else (1000.0, "km")
+    axes = axes_of(sized)
+    assert axes["plan"].get_xlim() == pytest.approx((0.0, extent_m / unit_m))
+    low, high = np.array(axes["profile"].get_ylim()) * unit_m
+    assert low < sized.floor_amsl_m < sized.ceiling_amsl_m < high
+    for view in axes.values():
+        if view.get_xlabel():
+            assert view.get_xlabel().endswith(f", {unit}")

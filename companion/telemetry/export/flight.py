@@ -75,6 +75,8 @@ class RecordedFlight:
     """Boot, vehicle time and name of each phase."""
     legs: list[tuple[int, float, int]] = field(default_factory=list)
     """Boot, vehicle time and number of each leg."""
+    entries: list[tuple[int, float, Entry]] = field(default_factory=list)
+    """Boot, vehicle time and content of each line of the journal."""
 
     def phase_of_positions(self) -> list[str]:
         """The phase at each position of the track."""
@@ -146,8 +148,7 @@ class FlightBuilder:
                 self._own_zones = line.zones
             case _:
                 pass
-        if isinstance(line, _SHOWN):
-            self._timed.append((self._boot, line.t_s, line))
+        self._timed.append((self._boot, line.t_s, line))
 
     def flight(self, track: Track) -> RecordedFlight:
         """All of it, with the track of the same flight."""
@@ -157,23 +158,11 @@ class FlightBuilder:
             targets_ne_m=self._targets,
             zones=(*self._mission.task.zones, *self._own_zones),
             system_id=self.system_id,
+            entries=_with_rising_times(self._timed),
         )
-        for boot, t_s, entry in _with_rising_times(self._timed):
+        for boot, t_s, entry in flight.entries:
             _add(flight, boot, t_s, entry)
         return flight
-
-
-_SHOWN = (
-    noted.Phase,
-    noted.LegBegun,
-    noted.LinkLost,
-    noted.VehicleRebooted,
-    noted.PartDied,
-    noted.StopAsked,
-    noted.Resumed,
-    noted.End,
-    PlanReady,
-)
 
 
 _HELD = {MissionPhase.HOLDING.value: "hold", MissionPhase.FAULTED.value: "fault"}
@@ -206,8 +195,9 @@ def _add(flight: RecordedFlight, boot: int, t_s: float, entry: Entry) -> None:
         case PlanReady():
             flight.planned.append(PlannedSubpath(plan=entry))
         case _:
-            what, why = _words(entry)
-            flight.moments.append(Moment(what=what, why=why, t_s=t_s, boot=boot))
+            if (words := _words(entry)) is not None:
+                what, why = words
+                flight.moments.append(Moment(what=what, why=why, t_s=t_s, boot=boot))
 
 
 def _end_hold(flight: RecordedFlight, boot: int, t_s: float) -> None:
@@ -220,8 +210,8 @@ def _end_hold(flight: RecordedFlight, boot: int, t_s: float) -> None:
             return
 
 
-def _words(entry: Entry) -> tuple[str, str]:
-    """What has happened, and why or how."""
+def _words(entry: Entry) -> tuple[str, str] | None:
+    """What has happened, and why or how; None: nothing that is worth a point on the map."""
     match entry:
         case noted.LinkLost(silent_s=silent_s):
             return "link lost", f"nothing was heard for {silent_s:g} s"
@@ -236,4 +226,4 @@ def _words(entry: Entry) -> tuple[str, str]:
         case noted.End(outcome=outcome, reason=reason):
             return "end", f"{outcome}: {reason}"
         case _:
-            return entry.kind, ""
+            return None

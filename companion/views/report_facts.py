@@ -1,0 +1,343 @@
+"""What a flight comes to in numbers, from what was recorded: the facts of its report."""
+
+import itertools
+import math
+import statistics
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, final
+
+import numpy as np
+import scipy.spatial
+
+from companion.geodesy import BoolArray, FloatArray
+from companion.mission import journal as noted
+from companion.mission.state import IN_AIR, Phase, Reason
+from companion.planner.cost_to_go import cost_to_go
+from companion.telemetry.export.flight import Moment, RecordedFlight
+from companion.telemetry.export.health import FlightHealth
+from companion.telemetry.export.shapes import local_nea_m
+from companion.telemetry.export.track import IntArray
+from companion.world.clearance import distances_to_terrain_m
+from companion.world.known_map import KnownMap
+from companion.world.threats import detection_probability
+
+_ON_THE_WAY = {
+    phase.value
+    for phase in (*IN_AIR, Phase.SHADOW)
+    if phase not in (Phase.TAKING_OFF, Phase.LANDING)
+}
+_REMEDIES = {reason.text: reason.remedy for reason in Reason}
+_STEP_S = 1.0  # between the points of a route: finer, and the noise of a hover adds up
+_MOST_CELLS = 16  # about a position, in which terrain is looked for
+_AT_ONCE = 4000  # positions
+_LINE_POINTS = 2000  # of a subpath
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Nearest:
+    """Where the vehicle was nearest to something on its way."""
+
+    distance_m: float
+    """Of the vehicle's position as it reported it; at least that if is_bound."""
+    is_bound: bool
+    time_s: float
+    north_m: float
+    east_m: float
+    altitude_amsl_m: float
+    latitude_deg: float
+    longitude_deg: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exposure:
+    """How long the vehicle was within ranges of radars that the mission knows."""
+
+    length_m: float
+    duration_s: float
+    detection: float
+    """The highest probability of detection at any position (eq. 3)."""
+    radar: str
+    """Whose that is."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)  # no slots: what takes time is computed once
+class FlightFacts:
+    """A recorded flight, and what it comes to; times are the vehicle's, seconds since its boot.
+
+    After a reboot they continue as the log's do.
+    """
+
+    flight: RecordedFlight
+    health: FlightHealth
+    known: KnownMap | None
+    """The terrain as far as it was known at the end; None: it was not recorded."""
+    run: dict[str, Any]
+    """What run.json says; empty without it."""
+    mission_toml: str
+    notes: tuple[str, ...]
+    """What is missing, or odd about what was recorded, in words."""
+
+    # --- times and places
+
+    @cached_property
+    def _begins_s(self) -> dict[int, tuple[float, float]]:
+        """Of each boot: its first vehicle time, and where that lies in the time of the report."""
+        track, begins = self.flight.track, dict[int, tuple[float, float]]()
+        for boot in np.unique(track.boot).tolist():
+            first = int(np.argmax(track.boot == boot))
+            passed_s = float(track.time_us[first] - track.time_us[0]) * 1e-6
+            begins[boot] = float(track.t_s[first]), float(track.t_s[0]) + passed_s
+        return begins
+
+    def time_s(self, boot: int, t_s: float) -> float:
+        """The time of the report of a vehicle time after so many reboots."""
+        here_s, there_s = self._begins_s.get(boot, (0.0, 0.0))
+        return t_s - here_s + there_s
+
+    def log_s(self, time_us: IntArray) -> FloatArray:
+        """The time of the report of times of the log.  (N,) -> (N,)."""
+        track = self.flight.track
+        first_us, first_s = (track.time_us[0], track.t_s[0]) if len(track) else (0, 0.0)
+        return np.asarray((time_us - first_us) * 1e-6 + first_s, dtype=np.float64)
+
+    @cached_property
+    def times_s(self) -> FloatArray:
+        """When the vehicle was at each position.  -> (N,)."""
+        return self.log_s(self.flight.track.time_us)
+
+    @cached_property
+    def track_nea_m(self) -> FloatArray:
+        """All positions.  -> (N, 3)."""
+        return local_nea_m(self.flight.track, self.flight.mission.frame)
+
+    @cached_property
+    def on_the_way(self) -> BoolArray:
+        """Which positions are in flight, after take-off and before landing.  -> (N,)."""
+        phases = self.flight.phase_of_positions()
+        return np.array([phase in _ON_THE_WAY for phase in phases], dtype=bool)
+
+    @cached_property
+    def speeds_m_s(self) -> FloatArray:
+        """Over ground, at each position.  -> (N,)."""
+        return np.hypot(self.flight.track.north_m_s, self.flight.track.east_m_s)
+
+    # --- how it ended
+
+    @cached_property
+    def end(self) -> noted.End | None:
+        """The end of the mission; None: the record ends before."""
+        ends = [entry for _, _, entry in self.flight.entries if isinstance(entry, noted.End)]
+        return ends[-1] if ends else None
+
+    @property
+    def remedy(self) -> str:
+        """What to do about a flight that has failed, if that is known."""
+        reason = "" if self.end is None else self.end.reason
+        return next((_REMEDIES[text] for text in _REMEDIES if reason.startswith(text)), "")
+
+    @property
+    def holds(self) -> list[Moment]:
+        """When it was held, and why."""
+        return [moment for moment in self.flight.moments if moment.what == "hold"]
+
+    @property
+    def held_s(self) -> float:
+        """For how long in all, as far as it was recorded."""
+        last_s = float(self.times_s[-1]) if len(self.times_s) else 0.0
+        ends = [last_s if each.until_s is None else each.until_s for each in self.holds]
+        return sum(max(end_s - h.t_s, 0.0) for h, end_s in zip(self.holds, ends, strict=True))
+
+    # --- the route
+
+    @cached_property
+    def route_nea_m(self) -> FloatArray:
+        """Where the vehicle was on its way, once a second.  -> (M, 3)."""
+        chosen = np.flatnonzero(self.on_the_way)
+        if not len(chosen):
+            return np.empty((0, 3))
+        seconds = np.floor(self.times_s[chosen] / _STEP_S)
+        firsts = np.flatnonzero(np.diff(seconds, prepend=-1.0))
+        return self.track_nea_m[chosen[np.union1d(firsts, [len(chosen) - 1])]]
+
+    @property
+    def flown_m(self) -> float:
+        """How far it flew over ground."""
+        return float(np.hypot(*np.diff(self.route_nea_m[:, :2], axis=0).T).sum())
+
+    @cached_property
+    def _stations_ne_m(self) -> list[tuple[float, float]]:
+        """The start of its way, and the targets."""
+        north_m, east_m, _ = self.route_nea_m[0].tolist()
+        return [(north_m, east_m), *self.flight.targets_ne_m]
+
+    @property
+    def straight_m(self) -> float:
+        """From the start of its way straight from target to target."""
+        return sum(math.dist(a, b) for a, b in itertools.pairwise(self._stations_ne_m))
+
+    @property
+    def left_m(self) -> float:
+        """Straight from where it was last to the last target."""
+        return math.dist(self.route_nea_m[-1, :2], self._stations_ne_m[-1])
+
+    @cached_property
+    def hindsight_m(self) -> float | None:
+        """Length of the cheapest route over what was known at the end; None: there is none.
+
+        That of the planner's guidance: it weighs height and radars against length as the mission
+        does, and knows neither turn radius nor what was never seen.
+        """
+        if self.known is None or not self.flight.targets_ne_m:
+            return None
+        length_m = 0.0
+        for here, there in itertools.pairwise(self._stations_ne_m):
+            found = cost_to_go(self.known, self.flight.mission.task, here, there)
+            if found.is_barred:
+                return None
+            length_m += sum(math.dist(a, b) for a, b in itertools.pairwise(found.route_ne_m))
+        return length_m
+
+    @cached_property
+    def clearances_m(self) -> FloatArray:
+        """Distance from the known terrain at each position on the way.  -> (K,).
+
+        In three dimensions, from columns as high as their cells; at most `clearance_reach_m`.
+        """
+        points = self.track_nea_m[self.on_the_way]
+        if self.known is None or not len(points):
+            return np.full(len(points), np.nan)
+        parts = np.array_split(points, max(len(points) // _AT_ONCE, 1))
+        reach_m = self.clearance_reach_m
+        found = [distances_to_terrain_m(self.known, p, reach_m, seen_only=True) for p in parts]
+        return np.concatenate(found)
+
+    @property
+    def clearance_reach_m(self) -> float:
+        """Farther away terrain is not looked for."""
+        task = self.flight.mission.task
+        cell_m = task.cell_m if self.known is None else self.known.cell_m
+        return max(min(8.0 * task.required_clearance_m, _MOST_CELLS * cell_m), 2.0 * cell_m)
+
+    @cached_property
+    def nearest(self) -> Nearest | None:
+        """Where the way was nearest to terrain; None: no terrain or no way was recorded."""
+        if not len(self.clearances_m) or math.isnan(self.clearances_m[0]):
+            return None
+        least = int(np.argmin(self.clearances_m))
+        at = int(np.flatnonzero(self.on_the_way)[least])
+        north_m, east_m, altitude_m = self.track_nea_m[at].tolist()
+        distance_m = float(self.clearances_m[least])
+        return Nearest(
+            distance_m=distance_m,
+            is_bound=distance_m >= self.clearance_reach_m,
+            time_s=float(self.times_s[at]),
+            north_m=north_m,
+            east_m=east_m,
+            altitude_amsl_m=altitude_m,
+            latitude_deg=float(self.flight.track.latitude_deg[at]),
+            longitude_deg=float(self.flight.track.longitude_deg[at]),
+        )
+
+    @cached_property
+    def exposure(self) -> Exposure:
+        """Within radar ranges, on the way."""
+        points, inside = self.track_nea_m, np.zeros(len(self.track_nea_m), dtype=bool)
+        highest, whose = 0.0, ""
+        for radar in self.flight.mission.task.radars:
+            distances_m = radar.distance_m(points)
+            inside |= distances_m <= radar.range_m
+            detection = detection_probability(distances_m, radar.range_m)[self.on_the_way]
+            if (most := float(detection.max(initial=0.0))) > highest:
+                highest, whose = most, radar.name
+        counts = (inside & self.on_the_way)[:-1] & self.on_the_way[1:]
+        steps_m = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        return Exposure(
+            length_m=float(steps_m[counts].sum()),
+            duration_s=float(np.diff(self.times_s)[counts].sum()),
+            detection=highest,
+            radar=whose,
+        )
+
+    # --- the plans
+
+    @cached_property
+    def _lines_nea_m(self) -> list[FloatArray]:
+        """The subpaths that were begun, whole.  -> (S, 3) each."""
+        begun = [each.subpath for each in self.flight.planned if each.leg is not None]
+        return [b.points_nea_m(np.linspace(0.0, b.length_m, _LINE_POINTS + 1)) for b in begun]
+
+    @cached_property
+    def legs_nea_m(self) -> tuple[FloatArray, ...]:
+        """The same, each as far as its successor.  -> (S, 3) each."""
+        lines = self._lines_nea_m
+        cut = []
+        for line, successor in itertools.pairwise(lines):
+            nearest = int(np.argmin(np.linalg.norm(line - successor[0], axis=1)))
+            cut.append(line[: nearest + 1])
+        return (*cut, *lines[-1:])
+
+    @cached_property
+    def off_path_m(self) -> FloatArray:
+        """Distance of each position from the subpath being flown.  -> (N,); NaN: none was.
+
+        Or from the one before, which a vehicle that lags a little is still on.
+        """
+        legs = np.array(self.flight.leg_of_positions(), dtype=np.int64)
+        phases = np.array(self.flight.phase_of_positions())
+        away_m = np.full(len(legs), np.nan)
+        for number, line in enumerate(self._lines_nea_m, start=1):
+            chosen = np.isin(legs, (number, number + 1)) & (phases == Phase.FLYING.value)
+            found_m = _distances_m(self.track_nea_m[chosen], line)
+            away_m[chosen] = np.fmin(away_m[chosen], found_m)
+        return away_m
+
+    @property
+    def planning_s(self) -> tuple[float, float] | None:
+        """How long plans took, median and longest, wall time; None: that was not recorded."""
+        took_s = self.run.get("planning_s")
+        if not isinstance(took_s, list) or not took_s:
+            return None
+        return statistics.median(took_s), max(took_s)
+
+    def count(self, kind: type[noted.Entry]) -> int:
+        """How many entries of a kind the journal has."""
+        return sum(isinstance(entry, kind) for _, _, entry in self.flight.entries)
+
+    # --- link and GPS
+
+    @property
+    def setpoint_gap_s(self) -> float | None:
+        """The longest time between two setpoints in one stretch of flying; None: there are none."""
+        sent_us, track = self.health.setpoints_us, self.flight.track
+        phases = self.flight.phase_of_positions()
+        longest_us = 0
+        for phase, part in self.flight.segments():
+            if phase == Phase.FLYING.value:
+                begin, end = track.time_us[part.start], track.time_us[part.stop - 1]
+                inside = sent_us[(sent_us >= begin) & (sent_us <= end)]
+                longest_us = max(longest_us, int(np.diff(inside).max(initial=0)))
+        return longest_us * 1e-6 if phases and longest_us else None
+
+    @property
+    def without_fix_s(self) -> float:
+        """How long the GPS said that it had no fix in three dimensions, after its first one."""
+        fixes, at_s = self.health.fix_types, self.log_s(self.health.gps_us)
+        lacks = (fixes < 3) & (np.cumsum(fixes >= 3) > 0)
+        return float(np.diff(at_s, append=at_s[-1:])[lacks].sum())
+
+
+def _distances_m(points_nea_m: FloatArray, line_nea_m: FloatArray) -> FloatArray:
+    """Distance of points from a line of many short pieces.  (N, 3), (S, 3) -> (N,)."""
+    nearest = scipy.spatial.KDTree(line_nea_m).query(points_nea_m)[1]
+    least_m = np.full(len(points_nea_m), np.inf)
+    for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(line_nea_m) - 2)):
+        begin, piece = line_nea_m[first], line_nea_m[first + 1] - line_nea_m[first]
+        squared = np.maximum(np.einsum("ij,ij->i", piece, piece), 1e-12)
+        share = np.einsum("ij,ij->i", points_nea_m - begin, piece) / squared
+        foot = begin + np.clip(share, 0.0, 1.0)[:, None] * piece
+        least_m = np.minimum(least_m, np.linalg.norm(points_nea_m - foot, axis=1))
+    return least_m

@@ -1,0 +1,168 @@
+"""The figures of a report: SVG that stands in the page, in light, dark and print.
+
+What is drawn in black, or in the colours below, takes its colour from the page (`var(--...)`).
+Maps stay as light as paper: there only what stands around them does.
+"""
+
+import io
+import re
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from companion.geodesy import BoolArray, FloatArray
+from companion.mission.journal import ScanAsked
+from companion.views import figure as views
+from companion.views.figure import FlightFigure, TerrainPicture
+from companion.views.report_facts import FlightFacts
+from companion.world.known_map import empty_map
+
+_INK: Final = "#010203"
+_THEME: Final = {_INK: "currentColor"}
+_THEME_OF_CHARTS: Final = _THEME | {
+    "#000000": "currentColor",
+    "#222222": "currentColor",
+    "#ffffff": "var(--page)",
+    views.PATH: "var(--path)",
+}
+_INKED: Final = (
+    *("text.color", "axes.labelcolor", "axes.edgecolor", "axes.titlecolor"),
+    *("xtick.color", "ytick.color"),
+)
+_STYLE: Final[Any] = {
+    "svg.fonttype": "none",  # text stays text: it can be searched, and is small
+    "svg.hashsalt": "companion",
+    "savefig.transparent": False,
+    "font.size": 10.0,
+    **dict.fromkeys(_INKED, _INK),
+}
+_NO_METADATA: Final = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+_CHART_POINTS: Final = 3000
+_LINE_POINTS: Final = 2000
+_NO_FIX: Final = "#d55e00"
+
+
+def svg_figures(facts: FlightFacts) -> dict[str, str]:
+    """The figures by name: oblique, plan, profile, legend, charts; without a track, fewer."""
+    shown = _flight_figure(facts)
+    if shown is None:
+        return {}
+    plan_axes: list[Axes] = []
+
+    def oblique(canvas: Figure) -> None:
+        axes = canvas.add_axes((0.0, 0.06, 0.97, 0.94), projection="3d", label="oblique")
+        axes.patch.set_alpha(0.0)
+        views.draw_oblique(axes, shown)
+
+    def plan(canvas: Figure) -> None:
+        plan_axes.append(canvas.add_axes((0.11, 0.1, 0.73, 0.84), label="plan"))
+        views.draw_plan(plan_axes[0], shown)
+
+    def profile(canvas: Figure) -> None:
+        axes = canvas.add_axes((0.07, 0.32, 0.915, 0.6), label="profile")
+        views.draw_profile(axes, shown)
+        views.add_legend(canvas, (*plan_axes, axes), columns=6)
+
+    with rc_context(_STYLE):
+        return {
+            "oblique": _svg("oblique", (5.6, 4.6), oblique, _THEME),
+            "plan": _svg("plan", (5.6, 4.6), plan, _THEME),
+            "profile": _svg("profile", (11.0, 3.6), profile, _THEME_OF_CHARTS),
+            "charts": _svg("charts", (11.0, 7.2), lambda c: _charts(c, facts), _THEME_OF_CHARTS),
+        }
+
+
+def _svg(
+    name: str, size_in: tuple[float, float], draw: Callable[[Figure], None], theme: dict[str, str]
+) -> str:
+    """A figure as an element of a page: no prologue, ids of its own, colours of the page."""
+    canvas, file = Figure(figsize=size_in), io.StringIO()
+    FigureCanvasAgg(canvas)
+    canvas.patch.set_alpha(0.0)
+    draw(canvas)
+    canvas.savefig(file, format="svg", dpi=views.DPI, metadata=_NO_METADATA)
+    text = file.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\1{name}-", text)
+    return re.sub("|".join(theme), lambda found: theme[found[0]], text)
+
+
+def _flight_figure(facts: FlightFacts) -> FlightFigure | None:
+    """What is drawn of a flight; None: neither a position nor a subpath was recorded."""
+    flight, track = facts.flight, facts.track_nea_m
+    task = flight.mission.task
+    if not len(track) and not facts.legs_nea_m:
+        return None
+    start = track[0] if len(track) else facts.legs_nea_m[0][0]
+    scans = (each.centre_nea_m for _, _, each in flight.entries if isinstance(each, ScanAsked))
+    limits, legs_points = task.limits, sum(map(len, facts.legs_nea_m))
+    blank = empty_map(task.cell_m, limits.north_m, limits.east_m)
+    return FlightFigure(
+        title="",
+        terrain=TerrainPicture.of(blank if facts.known is None else facts.known),
+        floor_amsl_m=limits.floor_amsl_m,
+        ceiling_amsl_m=limits.ceiling_amsl_m,
+        start_nea_m=(float(start[0]), float(start[1]), float(start[2])),
+        targets_ne_m=flight.targets_ne_m,
+        legs_nea_m=tuple(_thinned(leg, legs_points) for leg in facts.legs_nea_m),
+        scans_nea_m=() if flight.mission.near else tuple(scans),  # a lidar's is there all the time
+        radars=task.radars,
+        zones=flight.zones,
+        track_nea_m=_thinned(track, len(track)) if len(track) > 1 else None,
+    )
+
+
+def _thinned(line_nea_m: FloatArray, total: int) -> FloatArray:
+    """Some of its points, and the last; total: of all lines that are drawn together."""
+    chosen = np.arange(0, len(line_nea_m), max(total // _LINE_POINTS, 1))
+    return line_nea_m[np.union1d(chosen, [len(line_nea_m) - 1])]
+
+
+def _charts(canvas: Figure, facts: FlightFacts) -> None:
+    """Over time: clearance, distance from the path, speed, satellites; holds are hatched."""
+    task, way = facts.flight.mission.task, facts.on_the_way
+    all_axes: list[Axes] = np.atleast_1d(canvas.subplots(4, 1, sharex=True)).tolist()
+    clearance, aside, speed, satellites = all_axes
+    _line(clearance, facts.times_s[way], facts.clearances_m, np.minimum)
+    required_m = task.settings.safety_distance_m
+    clearance.axhline(required_m, color="black", lw=1.2, ls="--", label="$d_s$")
+    clearance.set(ylabel="clearance of known\nterrain, m", ylim=(0.0, None))
+    _line(aside, facts.times_s, facts.off_path_m, np.maximum)
+    aside.axhline(task.limits.tracking_error_m, color="black", lw=1.2, ls="--")
+    aside.set(ylabel="distance from\nthe path, m", ylim=(0.0, None))
+    _line(speed, facts.times_s, facts.speeds_m_s, np.maximum)
+    speed.axhline(task.limits.speed_m_s, color="black", lw=1.2, ls="--")
+    speed.set(ylabel="ground speed,\nm/s", ylim=(0.0, None))
+    told_s = facts.log_s(facts.health.gps_us)
+    satellites.step(told_s, facts.health.satellites, where="post", color=views.PATH, lw=1.4)
+    _shade(satellites, told_s, facts.health.fix_types < 3, fc=_NO_FIX, alpha=0.45)
+    satellites.set(ylabel="satellites", ylim=(0.0, None), xlabel="vehicle time, s")
+    for axes in all_axes:
+        for hold in facts.holds:
+            begin_s = facts.time_s(hold.boot, hold.t_s)
+            end_s = facts.times_s[-1] if hold.until_s is None else begin_s + hold.until_s - hold.t_s
+            axes.axvspan(begin_s, end_s, fc="none", ec="#888888", hatch="////", lw=0.0)
+        axes.grid(color="#888888", alpha=0.3, lw=0.6)
+        axes.margins(x=0.0)
+    canvas.align_ylabels()
+    canvas.subplots_adjust(left=0.075, right=0.985, top=0.985, bottom=0.07, hspace=0.12)
+
+
+def _line(axes: Axes, times_s: FloatArray, values: FloatArray, worst: np.ufunc) -> None:
+    """A line of not too many points, which keeps the worst of those that it stands for."""
+    if not len(times_s):
+        return
+    firsts = np.arange(0, len(times_s), -(-len(times_s) // _CHART_POINTS))
+    axes.plot(times_s[firsts], worst.reduceat(values, firsts), color=views.PATH, lw=1.4)
+
+
+def _shade(axes: Axes, times_s: FloatArray, where: BoolArray, **style: Any) -> None:
+    """Shade the times from which on something holds, up to where it no longer does."""
+    changes = np.flatnonzero(np.diff(where, prepend=False, append=False))
+    for first, end in changes.reshape(-1, 2).tolist():
+        axes.axvspan(times_s[first], times_s[min(end, len(times_s) - 1)], lw=0.0, **style)
