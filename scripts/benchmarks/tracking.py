@@ -3,6 +3,7 @@
 python scripts/benchmarks/tracking.py        the tables of docs/results/tracking.md
 """
 
+import math
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -30,7 +31,7 @@ def both(row: Any, flown: Any, *names: str) -> Iterator[str]:
         form, _, unit = form.partition(" ")
         for one in (row, flown):
             values = (format(getattr(one, field), form) for field in fields.split("/"))
-            yield " / ".join(values) + (f" {unit}" if unit else "")
+            yield " / ".join(values).replace("nan", "-") + (f" {unit}" if unit else "")
 
 
 def copter() -> None:
@@ -71,6 +72,17 @@ def copter() -> None:
     )
 
 
+def _setpoint(row: tracking_px4.Row) -> str:
+    what = row.kind + (f", {row.lead_s} s ahead" if row.lead_s else "")
+    return what + (f", carrot {row.carrot_m:.0f} m" if row.carrot_m else "")
+
+
+def _flown(row: tracking_px4.Row) -> tracking_px4.Tracking:
+    """With a carrot the target has no time: it is not told how far along it is."""
+    flown = row.fly()
+    return flown._replace(along_mean_m=math.nan, along_max_m=math.nan) if row.carrot_m else flown
+
+
 def main() -> None:
     copter()
     table(
@@ -82,9 +94,17 @@ def main() -> None:
             for name, law, lateral, hz, real in tracking_plane.TABLE
         ),
     )  # fmt: skip
-    print("## PX4 multicopter (px4.md 5)\n")
-    print("A figure eight of least radius 50 m; along and across: mean or rms / max, metres.\n")
-    print(tracking_px4.table() + "\n")
+    table(
+        "## PX4 multicopter (px4.md 5)\n\n"
+        "A figure eight of least radius 50 m; along and across: mean or rms / max, metres.",
+        "v | setpoint | Hz | along, real | sim | across, real | sim | height | sim | v | sim",
+        (
+            (f"{row.speed_m_s:.0f}", _setpoint(row), f"{row.rate_hz:.0f}",
+             *both(row.real, _flown(row), "along_mean_m/along_max_m:.1f",
+                   "cross_rms_m/cross_max_m:.2f", "altitude_rms_m:.2f", "speed_m_s:.1f"))
+            for row in tracking_px4.TABLE
+        ),
+    )  # fmt: skip
     table(
         "## PX4 fixed wing (px4.md 10)\n\n"
         "A curve of least radius 100 m; off path, rms / max, metres.",

@@ -526,6 +526,10 @@ def global_frame(frame: int) -> None:
         over_ground(25.0, -15.0, up_m, (1.0, 0.5, 0.0), frame=frame, mask=POSITION_VELOCITY)
     )
     assert (echo.vx, echo.vy, echo.z) == pytest.approx((1.0, 0.5, -40.0), abs=0.3)
+    echo = wire.echo_of(
+        over_ground(25.0, -15.0, up_m, acceleration=(0.5, 0.0, 0.0), frame=frame, mask=ALL)
+    )
+    assert echo.afx == 0.0  # which GLOBAL_INT does not have
 
 
 AHEAD = (2.0, 0.0, 0.0)
@@ -548,6 +552,7 @@ STOPS: dict[str, tuple[Any, str | None]] = {
         )
         for f in (10, 11)
     },
+    "a latitude of 91 degrees": (over_ground(126.4 * 111_318.845, 0.0, 40.0), None),
     **{
         f"velocity {v:g} m/s": (local((9.0, 0, -30), (v, 0, 0), mask=POSITION_VELOCITY), None)
         for v in (NAN, 1001.0, -1001.0)
@@ -700,16 +705,18 @@ NOT_SURVIVED: dict[str, tuple[Any]] = {
     "NaN used acceleration": (local(ZERO, ZERO, (NAN, 0.0, 0.0), mask=ALL),),
     "NaN used yaw": (local((0.0, 0.0, -30.0), mask=0x9F8, yaw_rad=NAN),),
     "x = 1e9": (local((1e9, 0.0, -30.0)),),
+    "an altitude of 1e9": (over_ground(10.0, 0.0, 1e9),),
 }
 
 
 @says_in_rows("3 values", {f"{what} is the end of it": row for what, row in NOT_SURVIVED.items()})
 def not_survived(setpoint: Any) -> None:
     wire = hovering()
-    wire.send(setpoint)
-    wire.run(1.0)
+    begun_s = wire.now_s
+    wire.run(1.0, lambda: wire.send(setpoint))
     assert wire.not_survived is not None
-    assert wire.texts()[-1].startswith("SIM:")
+    (text,) = wire.texts(since_s=begun_s)  # once
+    assert text.startswith("SIM:")
     wire.run(5.0)
     assert wire.ned_m[2] == pytest.approx(-30.0, abs=1.0)
 

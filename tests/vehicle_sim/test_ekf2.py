@@ -1,18 +1,16 @@
 """EKF2 of the simulated PX4 through a loss of GPS, against px4-gps-loss.tlog and px4.md 8."""
 
 import math
-import struct
-from typing import Any
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import all as mavlink
 from recordings import recording
 from tracking_px4 import Curve, Rig
 
 from vehicle_sim.autopilots import Event
 from vehicle_sim.autopilots.px4 import health
 from vehicle_sim.autopilots.px4.modes import Mode
+from vehicle_sim.conformance.log import Side, read_recording
 from vehicle_sim.sensors.gps import GpsConditions
 
 _LOG = "px4-gps-loss.tlog"
@@ -21,18 +19,6 @@ _FIX = GpsConditions(fix_type=3, lag_s=0.0)
 _LOST_S = 30.0
 """80.97 to 110.97 s of the log."""
 _SPEED_M_S = 6.0
-
-
-def _recorded(number: int) -> list[Any]:
-    """Messages of the vehicle of this number."""
-    data, parser, found = recording(_LOG).read_bytes(), mavlink.MAVLink(None), []
-    offset = 0
-    while offset < len(data):
-        frame = data[offset + 8 : offset + 20 + data[offset + 9]]
-        offset += 8 + len(frame)
-        if struct.unpack("<I", frame[7:10] + b"\0")[0] == number and frame[5:7] == b"\1\1":
-            found.append(parser.decode(bytearray(frame)))
-    return found
 
 
 class Loss:
@@ -111,9 +97,8 @@ def test_it_comes_back_and_flies_on_by_itself(loss: Loss) -> None:
 
 def test_accuracy_grows_as_recorded(loss: Loss) -> None:
     """ESTIMATOR_STATUS of the log: within 0.35 m and 15 %, the two seconds of the jump apart."""
-    recorded = [
-        (message.time_usec * 1e-6 - 80.97, message.pos_horiz_accuracy) for message in _recorded(230)
-    ]
+    told = Side(read_recording(recording(_LOG)).said).of(230)
+    recorded = [(m.time_usec * 1e-6 - 80.97, m.pos_horiz_accuracy) for _, m in told]
     compared = 0
     for since_s, accuracy_m in recorded:
         if 0.2 < since_s < 30.0 and not 5.0 < since_s < 7.0:

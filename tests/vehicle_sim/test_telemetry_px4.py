@@ -2,7 +2,6 @@
 
 import math
 import struct
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -12,22 +11,11 @@ from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Battery, Event, Report
 from vehicle_sim.autopilots.px4.profile import FIXED_WING_RATES_HZ
+from vehicle_sim.conformance.log import read_recording
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.dialect import layout_of, message_class
 from vehicle_sim.wire.frames import Packer
 from vehicle_sim.wire.telemetry_px4 import MESSAGES
-
-_LOG = "px4-offboard-short.tlog"
-
-
-def _recorded() -> Iterator[tuple[int, bytes]]:
-    """Number and frame of what the vehicle sent."""
-    data, offset = recording(_LOG).read_bytes(), 0
-    while offset < len(data):
-        frame = data[offset + 8 : offset + 20 + data[offset + 9]]
-        offset += 8 + len(frame)
-        if frame[5:7] == b"\1\1":
-            yield struct.unpack("<I", frame[7:10] + b"\0")[0], frame
 
 
 def _packed(message: Any, like: bytes) -> bytes:
@@ -40,7 +28,8 @@ def _packed(message: Any, like: bytes) -> bytes:
 def test_lacking_messages_are_the_recorded_bytes() -> None:
     """CRC_EXTRA, order and truncation: what is read out of a frame packs to the same frame."""
     seen = dict.fromkeys((380, 410, 411), 0)
-    for number, frame in _recorded():
+    for heard in read_recording(recording("px4-offboard-short.tlog")).said:
+        number, frame = heard.number, heard.frame
         if number not in seen:
             continue
         payload = frame[10:-2].ljust(60, b"\0")

@@ -291,25 +291,3 @@ TABLE: tuple[Row, ...] = (
     _carrot(10.0, 0.30, 0.67, 0.12, 9.2),
 )
 """px4.md 5, one row each."""
-
-
-def line(row: Row, measured: Tracking) -> str:
-    """One line of the table: real, simulated."""
-    what = row.kind + (f", {row.lead_s} s ahead" if row.lead_s else "")
-    what += f", carrot {row.carrot_m:.0f} m" if row.carrot_m else ""
-    along, across, height, speed = [], [], [], []
-    for t in (row.real, measured):
-        known = not math.isnan(row.real.along_mean_m)
-        along.append(f"{t.along_mean_m:.1f} / {t.along_max_m:.1f}" if known else "- / -")
-        across.append(f"{t.cross_rms_m:.2f} / {t.cross_max_m:.2f}")
-        height.append(f"{t.altitude_rms_m:.2f}")
-        speed.append(f"{t.speed_m_s:.1f}")
-    cells = (f"{row.speed_m_s:.0f}", what, f"{row.rate_hz:.0f}", *along, *across, *height, *speed)
-    return "| " + " | ".join(cells) + " |"
-
-
-def table() -> str:
-    """All rows: real beside simulated."""
-    head = "| v | setpoint | Hz | along, real | sim | across, real | sim | height | sim | v | sim |"
-    rule = "| --- " * 11 + "|"
-    return "\n".join((head, rule, *(line(row, row.fly()) for row in TABLE)))

@@ -310,24 +310,20 @@ def goal_of(number: int, item: PlanItem, here: Place, home: Place) -> Goal:
     """What a navigation item asks for."""
     place = place_of(item, here, home)
     p1 = _finite(item.parameters[0])
-    match item.command:
-        case _ if item.command == TAKEOFF:
-            above = here.at(max(place.altitude_amsl_m, here.altitude_amsl_m))
-            return Goal(number=number, leg=Leg.TAKEOFF, place=above)
-        case _ if item.command == LAND:
-            there = place.at(here.altitude_amsl_m)
-            return Goal(number=number, leg=Leg.LAND, place=there)
-        case _ if item.command == RETURN:
-            return Goal(number=number, leg=Leg.RETURN, place=home)
-        case _ if item.command == LOITER_UNLIM:
-            return Goal(number=number, leg=Leg.GO, place=place, hold_s=math.inf)
-        case _ if item.command == LOITER_TURNS:
-            radius_m = min(max(abs(_finite(item.parameters[2])) or 10.0, 1.0), 1e4)
-            return Goal(number=number, leg=Leg.CIRCLE, place=place, turns=p1, radius_m=radius_m)
-        case _ if item.command == DELAY:
-            return Goal(number=number, leg=Leg.WAIT, place=here, hold_s=max(p1, 0.0))
-        case _:
-            return Goal(number=number, leg=Leg.GO, place=place, hold_s=max(p1, 0.0))
+    if item.command == TAKEOFF:
+        above = here.at(max(place.altitude_amsl_m, here.altitude_amsl_m))
+        return Goal(number=number, leg=Leg.TAKEOFF, place=above)
+    if item.command == LAND:
+        return Goal(number=number, leg=Leg.LAND, place=place.at(here.altitude_amsl_m))
+    if item.command == RETURN:
+        return Goal(number=number, leg=Leg.RETURN, place=home)
+    if item.command == LOITER_TURNS:
+        radius_m = min(max(abs(_finite(item.parameters[2])) or 10.0, 1.0), 1e4)
+        return Goal(number=number, leg=Leg.CIRCLE, place=place, turns=p1, radius_m=radius_m)
+    if item.command == DELAY:
+        return Goal(number=number, leg=Leg.WAIT, place=here, hold_s=max(p1, 0.0))
+    hold_s = math.inf if item.command == LOITER_UNLIM else max(p1, 0.0)
+    return Goal(number=number, leg=Leg.GO, place=place, hold_s=hold_s)
 
 
 @final
