@@ -5,12 +5,12 @@ import platform
 import sys
 import time
 import traceback
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TextIO, cast, final
 
 import typer
 from rich.console import Console
@@ -34,10 +34,12 @@ from companion.runtime.preflight import run_preflight
 from companion.runtime.signals import stop_signals
 from companion.session import Session
 from companion.sources.files import picture_file
+from companion.telemetry.flight_status import SCHEMA, VERSION, FlightBegun, flight_status
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.resume import ResumeData, load_resume_data
 from companion.telemetry.run_folder import RunFolder
-from companion.views.live import Progress
+from companion.views.live import MachineLines, Progress
+from companion.views.output import PatientOutput
 from companion.views.pictures import draw_flown, draw_offline
 from companion.views.text import checks_table, flight_table, mission_summary, plans_table
 from companion.world.known_map import empty_map
@@ -150,6 +152,14 @@ def fly_command(
     signing_key: KeyOption = None,
     seed: SeedOption = 1,
     profile: ProfileOption = None,
+    as_json: Annotated[
+        bool,
+        typer.Option(
+            "--json",
+            help="Print lines of JSON for machines, how the flight stands and at last how it "
+            "ended; what is for people goes to standard error.",
+        ),
+    ] = False,
 ) -> None:
     """Fly a mission: find the vehicle, take off (or take over), follow subpaths to the target.
 
@@ -157,29 +167,36 @@ def fly_command(
     Exit code: 0 arrived, 1 the flight failed, 2 the input was wrong, 75 it may go on (--resume),
     70 a crash, 130 stopped by Ctrl-C.
     """
-    console = Console()
-    if resume and out is None:
-        rule = "there is no flight to go on with"
-        raise InputError("--resume", True, rule, "Give the run folder with --out.")
-    if resume and out is not None and (out / "mission.toml").is_file():
-        mission = _as_begun(mission, out)
-    chosen = _for_system(load_mission(mission, profile and profile.value), system)
-    _say_notes(chosen, console)
-    folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
-    key = None if signing_key is None else SigningKey(signing_key)
-    recalled = _recalled(folder_path, chosen, console) if resume else None
-    session = Session(
-        chosen,
-        seed=seed,
-        lockstep=lockstep,
-        shadow=shadow,
-        signing=key and key.signing(clock_s=_clock_s()),
-        resume=recalled and recalled.resume,
-        has_ground=bool(ground),
-        version=version("companion"),
-    )
-    flown = _flown(session, connect, ground or [], folder_path, mission, key, recalled)
-    _exit_as_it_ended(flown, connect)
+    with contextlib.ExitStack() as stack:
+        output = stack.enter_context(PatientOutput(sys.stderr if as_json else sys.stdout))
+        machine = None
+        if as_json:
+            machine = MachineLines(stack.enter_context(PatientOutput(sys.stdout)))
+            stack.enter_context(machine)
+        console = Console(file=cast("TextIO", output))
+        shows = _Shows(console=console, output=output, machine=machine)
+        if resume and out is None:
+            rule = "there is no flight to go on with"
+            raise InputError("--resume", True, rule, "Give the run folder with --out.")
+        if resume and out is not None and (out / "mission.toml").is_file():
+            mission = _as_begun(mission, out)
+        chosen = _for_system(load_mission(mission, profile and profile.value), system)
+        _say_notes(chosen, shows.console)
+        folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
+        key = None if signing_key is None else SigningKey(signing_key)
+        recalled = _recalled(folder_path, chosen, shows.console) if resume else None
+        session = Session(
+            chosen,
+            seed=seed,
+            lockstep=lockstep,
+            shadow=shadow,
+            signing=key and key.signing(clock_s=_clock_s()),
+            resume=recalled and recalled.resume,
+            has_ground=bool(ground),
+            version=version("companion"),
+        )
+        flown = _flown(session, connect, ground or [], folder_path, mission, key, recalled, shows)
+        _exit_as_it_ended(flown, connect)
 
 
 @app.command("preflight")
@@ -362,6 +379,18 @@ def main() -> None:
 # --- the beginning of a command
 
 
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Shows:
+    """Who is told of a flight."""
+
+    console: Console
+    output: PatientOutput
+    """What the console writes to."""
+    machine: MachineLines | None
+    """None: nobody has asked for JSON."""
+
+
 def _for_system(mission: Mission, system: int | None) -> Mission:
     """The mission for the vehicle that was asked for."""
     return mission if system is None else replace(mission, system_id=system)
@@ -406,12 +435,13 @@ def _flown(
     mission: str,
     key: SigningKey | None,
     recalled: ResumeData | None,
+    shows: _Shows,
 ) -> FlightSummary:
     """Fly a session, record it, and show how it went.
 
     recalled: what there was of the flight that is gone on with; None: it is a new one.
     """
-    console, began, lockstep = Console(), datetime.now(UTC), session.context.lockstep
+    console, began, lockstep = shows.console, datetime.now(UTC), session.context.lockstep
     planner = Planner(lockstep=lockstep) if lockstep else None
     if planner is not None:  # in real time nothing waits for a compiler
         with console.status(_LOADING):
@@ -427,24 +457,46 @@ def _flown(
             set_aside=() if recalled is None else recalled.unreadable,
             durable=not lockstep,
         ) as folder,
-        Progress(console) as progress,
+        Progress(console, shows.output) as progress,
         stop_signals() as stop_asked,
     ):
-        profile = session.mission.task.settings.profile.name
-        name, seed = session.mission.name, session.context.seed
-        folder.header({"mission": name, "seed": seed, "profile": profile, "lockstep": lockstep})
+        begun = FlightBegun(
+            schema=SCHEMA,
+            version=VERSION,
+            mission=session.mission.name,
+            run_folder=str(folder.path),
+            profile=session.mission.task.settings.profile.name,
+            seed=session.context.seed,
+            lockstep=lockstep,
+            shadow=session.context.shadow,
+            companion=version("companion"),
+        )
+        if shows.machine is not None:
+            shows.machine.say(begun)
+        told = ("mission", "seed", "profile", "lockstep")
+        folder.header({name: getattr(begun, name) for name in told})
+
+        def show(flown: FlightSummary) -> None:
+            status = flight_status(flown)
+            progress.show(status)
+            if shows.machine is not None:
+                shows.machine.show(status)
+
         flown = fly(
             session,
             link,
             folder,
             ground=grounds,
             lockstep=lockstep,
-            on_progress=progress.show,
+            on_progress=show,
             stop_asked=lambda: bool(stop_asked),
             planner=planner,
             persist=None if key is None else partial(_keep_time, key, session.signing),
         )
         folder.run_json(_run_facts(flown, began, connect))
+    if shows.machine is not None:
+        shows.machine.say(flight_status(flown))
+        shows.machine.end = flown.end
     flown.resumed = recalled is not None and recalled.resume is not None
     _show(flown, folder, console)
     return flown

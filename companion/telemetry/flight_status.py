@@ -5,13 +5,13 @@ does no work for it.
 """
 
 import math
-from typing import Final, final
+from typing import Final, Literal, final
 
 import numpy as np
 from msgspec import Struct
 
 from companion.mission.decisions import reason_text
-from companion.mission.events import Vector
+from companion.mission.events import Outcome, Vector
 from companion.mission.health import way_left_m
 from companion.mission.state import IN_AIR, Phase, Reason, State, TakenOver
 from companion.mission.stopped import FAILSAFE_OVER
@@ -20,8 +20,7 @@ from companion.telemetry.flight_summary import FlightSummary
 from companion.world.clearance import distance_to_terrain_m
 from companion.world.known_map import KnownMap
 
-LOOKS: Final = 8.0
-"""Safety distances: things that are farther away than this are not looked for."""
+_LOOKS = 0.5  # of the scan range R: what is farther away is not looked for
 _WARNED_S = 60.0  # for how long a warning or a text stands
 _WIND_S = 10.0  # for how long what the vehicle says of the wind does
 _MOVES_M_S = 0.2
@@ -35,8 +34,8 @@ class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sta
     """Vehicle time: seconds since its boot (until its clock is known, since the start)."""
     wall_s: float
     """Since the vehicle was first heard."""
-    times_real_time: float
-    """Vehicle time over wall time since then."""
+    times_real_time: float | None
+    """Vehicle time over wall time since then; null before."""
     phase: str
     """Of the mission (docs/reference/mission-states.md)."""
     reason: str | None
@@ -80,7 +79,9 @@ class FlightStatus(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sta
     above_ground_m: float | None
     """Height above the highest ground that the known map allows for below; null: unknown."""
     clearance_m: float | None
-    """Distance to the terrain and things that are known; at most 8 safety distances."""
+    """Distance to the terrain and things that are known; at most `looked_m`."""
+    looked_m: float
+    """How far around the vehicle they are looked for."""
     safety_distance_m: float
     """d_s of the mission: what the vehicle has to keep from them."""
     speed_m_s: float
@@ -152,10 +153,11 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         off_m = off_path_m(flight.reference, leg, np.asarray(here))
     plan = flown.plans[-1] if flown.plans else None
     heard, lost = session.frames_heard
+    looked_m = _LOOKS * task.settings.scan_range_m
     return FlightStatus(
         t_s=round(now_s, 6),
         wall_s=flown.elapsed_s,
-        times_real_time=flown.times_real_time,
+        times_real_time=flown.times_real_time if flown.elapsed_s > 0.0 else None,
         phase=state.phase.value,
         reason=reason,
         code=None if state.reason is None else state.reason.name,
@@ -177,7 +179,8 @@ def flight_status(flown: FlightSummary) -> FlightStatus:
         position_age_s=None if here is None else now_s - vehicle.position_at_s,
         altitude_amsl_m=None if here is None else here[2],
         above_ground_m=None if here is None else _above_ground_m(flight.known, here),
-        clearance_m=None if here is None else _clearance_m(state, here),
+        clearance_m=None if here is None else _clearance_m(state, here, looked_m),
+        looked_m=looked_m,
         safety_distance_m=task.settings.safety_distance_m,
         speed_m_s=speed_m_s,
         course_rad=math.atan2(east_m_s, north_m_s) % math.tau if speed_m_s >= _MOVES_M_S else None,
@@ -210,7 +213,7 @@ def _reason(state: State) -> tuple[str | None, str | None]:
         return None, None
     over = isinstance(state.hold, TakenOver) and state.hold.failsafe_over
     if over and reason is Reason.FAILSAFE:
-        return FAILSAFE_OVER, reason.remedy
+        return FAILSAFE_OVER, None
     detail, remedy = reason_text(state, reason)
     return f"{reason.text}{state.detail or detail}", state.remedy or remedy
 
@@ -226,7 +229,50 @@ def _above_ground_m(known: KnownMap, here_nea_m: Vector) -> float | None:
     return here_nea_m[2] - float(known.upper_m[known.cell_of(*here_nea_m[:2])])
 
 
-def _clearance_m(state: State, here_nea_m: Vector) -> float:
-    most_m = LOOKS * state.task.settings.safety_distance_m
-    known = state.flight.known
-    return distance_to_terrain_m(known, np.asarray(here_nea_m), most_m, seen_only=True)
+def _clearance_m(state: State, here_nea_m: Vector, most_m: float) -> float:
+    here = np.asarray(here_nea_m)
+    return distance_to_terrain_m(state.flight.known, here, most_m, seen_only=True)
+
+
+# --- the lines of `fly --json`
+
+
+SCHEMA: Final = "companion-flight"
+VERSION: Final = 1
+"""Of the lines.  What may come without a new one: more fields, more kinds of lines."""
+
+
+@final
+class FlightBegun(Struct, frozen=True, kw_only=True, tag_field="kind", tag="begun"):
+    """The first line."""
+
+    schema: Literal["companion-flight"]
+    """Says what these lines are."""
+    version: int
+    """Of this schema."""
+    mission: str
+    """The mission's name."""
+    run_folder: str
+    """Where the flight is recorded."""
+    profile: str
+    """How the planner takes the paper: flight or paper."""
+    seed: int
+    """Of the search."""
+    lockstep: bool
+    """Whether vehicle and companion wait for each other."""
+    shadow: bool
+    """Whether it only watches."""
+    companion: str
+    """The version of the program."""
+
+
+@final
+class FlightEnded(Struct, frozen=True, kw_only=True, tag_field="kind", tag="ended"):
+    """The last line."""
+
+    outcome: Outcome
+    """How it has ended."""
+    reason: str
+    """Why, and what to do about it."""
+    exit_code: int
+    """Of the program."""

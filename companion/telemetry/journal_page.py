@@ -1,6 +1,7 @@
-"""docs/reference/journal.md, made from the declarations of the journal by `scripts/docs`."""
+"""Reference pages made from declarations by `scripts/docs`: journal.md and fly-json.md."""
 
 import ast
+import enum
 import inspect
 import textwrap
 import types
@@ -13,6 +14,8 @@ from msgspec import Struct, structs
 from companion.mission import journal
 from companion.mission.journal import KINDS, VERSION
 from companion.path.certificate import Certificate
+from companion.telemetry.flight_status import VERSION as FLY_JSON
+from companion.telemetry.flight_status import FlightBegun, FlightEnded, FlightStatus
 from companion.world.threats import CircleZone, PolygonZone
 
 _HEAD = f"""# The journal
@@ -46,6 +49,21 @@ no new version: readers pass over what they do not know, and say so. Everything 
 | 3 | `plan asked` has `rest` in place of `stops` | null |
 """
 
+_FLY_JSON = f"""# The lines of `companion fly --json`
+
+Made from `companion/telemetry/flight_status.py` by `scripts/docs`; do not edit.
+
+One JSON object a line on standard output, and nothing else; what is for people goes to standard
+error. `begun` comes first, `ended` last, whatever ends the program but a kill (of a command line
+that is not understood there is no line). `status` comes four times a second, and up to ten times
+when there is news. A slow reader misses some of these, one that leaves all: the flight goes on, and
+its journal has everything. This page is about version {FLY_JSON}. More fields and more kinds of
+lines may come without a new one.
+
+Units are part of the names. `_nea_m` is north and east of the mission's origin in its local frame,
+and altitude above mean sea level; null is what is not known.
+"""
+
 _CHAPTERS: Final[dict[type, str]] = {
     journal.Phase: "The mission",
     journal.ScanAsked: "Scans and subpaths",
@@ -73,11 +91,19 @@ def journal_markdown() -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _section(kind: type) -> Iterator[str]:
+def fly_json_markdown() -> str:
+    """The page: every kind of line of `fly --json` with its fields."""
+    lines = [_FLY_JSON]
+    for kind in (FlightBegun, FlightStatus, FlightEnded):
+        lines += [f"## `{kind.__struct_config__.tag}`", "", *_section(kind, left_out="")]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _section(kind: type, left_out: str = "t_s") -> Iterator[str]:
     yield " ".join((kind.__doc__ or "").split())
     yield ""
     hints, words = get_type_hints(kind, include_extras=True), words_of(kind)
-    fields = [name for name in hints if name != "t_s"]
+    fields = [name for name in hints if name != left_out]
     declared = structs.fields(kind) if issubclass(kind, Struct) else ()
     optional = {field.name for field in declared if not field.required}
     if fields:
@@ -113,6 +139,8 @@ def _words(kind: Any) -> str:
     origin, inner = get_origin(kind), get_args(kind)
     if kind in _PLAIN:
         return _PLAIN[kind]
+    if isinstance(kind, type) and issubclass(kind, enum.Enum):
+        return ", ".join(f"`{each.value}`" for each in kind)
     if origin is Annotated:
         return _words(inner[0])
     if origin is Literal:

@@ -1,49 +1,85 @@
-"""The progress of a flight, in the terminal: one line that is redrawn, or lines in a log."""
+"""A flight while it is flown: a table that is redrawn, lines in a log, or JSON for machines."""
 
-import contextlib
-from typing import Self, final
+import math
+import time
+from collections import deque
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Final, Self, final
 
-from rich.console import Console, JustifyMethod
+import msgspec
+from rich.console import Console, Group
 from rich.live import Live
+from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from companion.mission.decisions import reason_text
-from companion.mission.state import IN_AIR, Reason, TakenOver
-from companion.mission.stopped import FAILSAFE_OVER
-from companion.telemetry.flight_summary import FlightSummary
-from companion.views.text import clearance_text
+from companion.errors import CompanionError
+from companion.mission.events import End, Outcome
+from companion.telemetry.flight_status import FlightBegun, FlightEnded, FlightStatus
+from companion.views.output import PatientOutput
 
-_STANDS_S = 60.0  # a warning
+_SHOWN_S = 0.25  # between two pictures of a flight in which nothing happens
+_LOSS_S = 10.0  # of which the share of lost frames is told
+_CRASHED = 70
+
+_CELL, _CELLS = 40, 3  # columns that a value takes with its heading, and values in a row at most
+_HEADING = 9
+_SEVERE, _NOTABLE = "bold red", "yellow"
+_PHASES: Final = {
+    **dict.fromkeys(("flying", "arrived", "done", "returning"), "bold green"),
+    **dict.fromkeys(("holding", "handing over"), "bold yellow"),
+    "faulted": _SEVERE,
+}
+_SLOW_S, _SILENT_S = 1.0, 3.0  # of the link
+_LOSSY, _LOW = 0.05, 0.1  # share of the frames; of the battery, above the reserve
 
 
 @final
 class Progress:
-    """Shows a flight while it is flown; a context manager that gives the terminal back."""
+    """Shows a flight to people; a context manager that gives the terminal back.
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._redraws = console.is_terminal and not console.is_dumb_terminal
-        self._broken = False
+    On a terminal a table at its foot, and above it a line for each thing that happens; anywhere
+    else only lines, for each subpath too.
+    """
+
+    def __init__(self, console: Console, output: PatientOutput) -> None:
+        """output: what the console writes to."""
+        self._console, self._output = console, output
+        self._redraws = output.isatty() and not console.is_dumb_terminal
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._told: tuple[object, ...] = ()
+        self._said: str | None = None
+        self._shown_s = -math.inf
+        self._frames: deque[tuple[int, int]] = deque(maxlen=round(_LOSS_S / _SHOWN_S))
 
-    def show(self, flown: FlightSummary) -> None:
-        """Draw the flight as it stands now."""
-        if self._broken:
+    def show(self, status: FlightStatus) -> None:
+        """Show the flight as it stands now; to be called often."""
+        now_s, lines = time.monotonic(), list(self._lines(status))
+        for line in lines:
+            self._console.print(line, highlight=False, soft_wrap=not self._redraws, markup=False)
+        if not lines and now_s - self._shown_s < _SHOWN_S:
             return
-        try:
-            self._show(flown)
-        except OSError:  # the terminal is gone; the flight goes on
-            self._broken = True
+        self._shown_s = now_s
+        self._frames.append((status.frames_heard, status.frames_lost))
+        if self._redraws and not self._output.is_behind:
+            width = self._console.width
+            self._live.update(status_table(status, width, self._lost()), refresh=True)
 
-    def _show(self, flown: FlightSummary) -> None:
-        state = flown.session.state
-        if self._redraws:
-            self._live.update(progress_table(flown), refresh=True)
-        elif self._told != (tells := (state.phase, state.flight.legs_flown, *_news(flown))):
-            self._told = tells
-            self._console.print(progress_line(flown), highlight=False, soft_wrap=True, markup=False)
+    def _lines(self, status: FlightStatus) -> Iterator[str]:
+        """What is new, in lines that stay."""
+        said, self._said = self._said, status.vehicle_text
+        if self._said not in (said, None):
+            yield f"t {status.t_s:7.1f} s  vehicle: {self._said}"
+        told, self._told = self._told, _news(status, legs=not self._redraws)
+        if self._told != told:
+            yield event_line(status) if self._redraws else progress_line(status)
+
+    def _lost(self) -> float:
+        """Share of the autopilot's frames that were lost of late."""
+        (heard_before, lost_before), (heard, lost) = self._frames[0], self._frames[-1]
+        lately = lost - lost_before
+        return lately / max(heard - heard_before + lately, 1)
 
     def __enter__(self) -> Self:
         if self._redraws:
@@ -51,73 +87,232 @@ class Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._redraws and not self._broken:
-            with contextlib.suppress(OSError):
-                self._live.stop()
+        if self._redraws:
+            self._live.stop()
 
 
-def progress_table(flown: FlightSummary) -> Table:
-    """A heading and a line: fits into 80 columns."""
-    state = flown.session.state
-    table = Table(box=None, padding=(0, 1), pad_edge=False, caption_justify="left")
-    values = {"phase": state.phase.value, "time": f"{flown.session.now_s:.0f} s"}
-    values["to go"] = "" if flown.to_go_m is None else f"{flown.to_go_m / 1000:.1f} km"
-    values |= dict.fromkeys(("subpath", "cost", "clearance", "planned in"), "")
-    if flown.plans:
-        values["subpath"] = f"{state.flight.legs_flown}"
-        values["cost"] = f"{flown.plans[-1].cost:.2f}"
-        values["clearance"] = clearance_text(flown.plans[-1].certificate)
-        values["planned in"] = f"{flown.plans_s[-1] * 1e3:.0f} ms"
-    values["real time"] = f"{flown.times_real_time:.0f}x"
-    for heading, width in zip(values, (10, 7, 8, 7, 5, 9, 10, 9), strict=True):
-        justify: JustifyMethod = "left" if heading == "phase" else "right"
-        table.add_column(heading, header_style="dim", min_width=width, justify=justify)
-    table.add_row(*values.values())
-    if notice := _notice(flown):
-        table.caption = Text(notice)
-    return table
+@final
+class MachineLines:
+    """Shows a flight to machines: JSON, an object a line (docs/reference/fly-json.md).
+
+    A context manager: its last line says how the flight has ended, whatever has ended it.
+    """
+
+    def __init__(self, output: PatientOutput) -> None:
+        """output: nothing else is written to it."""
+        self.end: End | None = None
+        """Of the mission, once it is over."""
+        self._output = output
+        self._told: tuple[object, ...] = ()
+        self._shown_s = -math.inf
+
+    def say(self, line: FlightBegun | FlightStatus | FlightEnded) -> None:
+        """Write one line."""
+        self._output.write(f"{msgspec.json.encode(line).decode()}\n")
+
+    def show(self, status: FlightStatus) -> None:
+        """Write how the flight stands, if something is new or it is time; to be called often.
+
+        What a slow reader has no time for is left out.
+        """
+        now_s, news = time.monotonic(), (status.vehicle_text, *_news(status, legs=True))
+        is_due = news != self._told or now_s - self._shown_s >= _SHOWN_S
+        if is_due and not self._output.is_behind:
+            self._told, self._shown_s = news, now_s
+            self.say(status)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _: object, error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        code = 0 if error is None else getattr(error, "exit_code", _CRASHED)
+        if self.end is None or isinstance(error, CompanionError):
+            outcome, reason = Outcome.FAILED, f"{error}"
+        else:
+            outcome, reason = self.end.outcome, self.end.reason
+        self.say(FlightEnded(outcome=outcome, reason=reason, exit_code=code))
 
 
-def progress_line(flown: FlightSummary) -> str:
-    """Phase, time, distance to go, subpath, its cost and clearance, planning time, speed-up."""
-    session = flown.session
-    state = session.state
-    parts = [f"{state.phase.value:<10}", f"t {session.now_s:7.1f} s"]
-    if flown.to_go_m is not None:
-        parts.append(f"to go {flown.to_go_m / 1000:6.1f} km")
-    if flown.plans:
-        newest = flown.plans[-1]
-        parts.append(f"subpath {state.flight.legs_flown:2d}")
-        parts.append(f"cost {newest.cost:5.2f}")
-        parts.append(f"clearance {clearance_text(newest.certificate):>9}")
-    if flown.plans_s:
-        parts.append(f"planned in {flown.plans_s[-1] * 1e3:4.0f} ms")
-    if session.now_s > 0.0:
-        parts.append(f"{flown.times_real_time:4.0f}x real time")
-    if notice := _notice(flown):
+# --- in words
+
+
+def _news(status: FlightStatus, *, legs: bool) -> tuple[object, ...]:
+    """What there is a new line for."""
+    return status.phase, status.code, _notice(status), legs and status.subpaths_flown
+
+
+def _notice(status: FlightStatus) -> str:
+    """Why the mission holds, and the autopilot's failsafe; else the latest warning."""
+    failsafe = "the autopilot is in failsafe" if status.failsafe else ""
+    return status.reason or failsafe or status.warning or ""
+
+
+def event_line(status: FlightStatus) -> str:
+    """What has just happened."""
+    notice = _notice(status)
+    return f"t {status.t_s:7.1f} s  {status.phase}{notice and ': '}{notice}"
+
+
+def progress_line(status: FlightStatus) -> str:
+    """The same with how the flight stands: for a log."""
+    parts = [f"t {status.t_s:7.1f} s", f"{status.phase:<10}"]
+    if status.to_go_m is not None:
+        parts.append(f"to go {_length(status.to_go_m):>8}")
+    if status.altitude_amsl_m is not None:
+        parts.append(f"altitude {status.altitude_amsl_m:5.0f} m")
+    if status.plan_cost is not None:
+        parts.append(f"subpath {status.subpaths_flown:2d}")
+        parts.append(f"cost {status.plan_cost:5.2f}")
+        parts.append(f"clearance {_proof(status):>10}")
+    if status.plan_took_s is not None:
+        parts.append(f"planned in {status.plan_took_s * 1e3:4.0f} ms")
+    if status.times_real_time is not None:
+        parts.append(f"{status.times_real_time:4.0f}x real time")
+    if notice := _notice(status):
         parts.append(f"({notice})")
     return "  ".join(parts)
 
 
-def _notice(flown: FlightSummary) -> str:
-    """Why the mission holds, and the autopilot's failsafe; else the latest warning."""
-    state, (reason, over, failsafe, warning) = flown.session.state, _news(flown)
-    if over:
-        return FAILSAFE_OVER
-    if reason is not None:
-        return f"{reason.text}{reason_text(state, reason)[0]}"
-    return "the autopilot is in failsafe" if failsafe else warning
+def status_table(status: FlightStatus, width: int, lost: float) -> Group:
+    """All that a person flies by, in a terminal of so many columns.
 
-
-def _news(flown: FlightSummary) -> tuple[Reason | None, bool, bool, str]:
-    """What a notice is about: the reason to hold, the autopilot's failsafe, and a warning.
-
-    A warning is old once the mission has moved on, or it has stood for a while.
+    lost: share of the autopilot's frames that were lost of late.
     """
-    state, (warned_at_s, warning) = flown.session.state, flown.session.warned
-    said_in_phase = warned_at_s >= state.since_s
-    stands = said_in_phase and 0.0 <= flown.session.now_s - warned_at_s < _STANDS_S
-    failsafe = state.vehicle.failsafe and state.phase in IN_AIR
-    told = isinstance(state.hold, TakenOver) and state.hold.failsafe_over
-    over = told and state.reason is Reason.FAILSAFE
-    return state.reason, over, failsafe, warning if stands else ""
+    title = Text.assemble(
+        (status.phase.upper(), _PHASES.get(status.phase, "bold")),
+        f"  to target {status.target} of {status.targets}" if status.targets else "",
+        f", subpath {status.subpaths_flown}" if status.subpaths_flown else "",
+    )
+    count = max(min(width // _CELL, _CELLS), 1)
+    table = Table.grid(padding=(0, 1, 0, 0), expand=True)
+    for _ in range(count):
+        table.add_column(style="dim", width=_HEADING, no_wrap=True)
+        table.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
+    cells = list[str | Text]()
+    for heading, text, style in _values(status, lost):
+        cells += [heading, Text(text, style)]
+    for first in range(0, len(cells), 2 * count):
+        table.add_row(*cells[first : first + 2 * count])
+    head = Rule(title, style="dim", align="left")
+    return Group(head, table, *_notes(status))
+
+
+_Value = tuple[str, str, str]
+"""Heading, at most 9 characters; text, at most 28; style."""
+
+
+def _values(status: FlightStatus, lost: float) -> Iterator[_Value]:
+    """The most important first."""
+    yield "to go", _to_go(status), ""
+    yield "altitude", _altitude(status), ""
+    yield "speed", _speed(status), ""
+    yield _clearance(status)
+    off_m = status.off_path_m
+    off = off_m is not None and off_m > status.tracking_error_m
+    yield "off path", "-" if off_m is None else f"{off_m:.1f} m", _NOTABLE if off else ""
+    yield _battery(status)
+    yield _link(status, lost)
+    yield "mode", _mode(status), _SEVERE if status.failsafe else ""
+    plan = "-" if status.plan_took_s is None else f"took {status.plan_took_s * 1e3:.0f} ms"
+    if status.plan_cost is not None:
+        plan = f"cost {status.plan_cost:.2f}, {plan}"
+    yield "last plan", plan, ""
+    if status.plans_failed:
+        yield "proof", f"! failed {status.plans_failed} times", _NOTABLE
+    elif status.plan_cost is not None:
+        yield "proof", f"{_proof(status)} to terrain", _SEVERE if status.plan_broken else ""
+    pace = status.times_real_time
+    yield "time", f"{status.t_s:.0f} s{'' if pace is None else f', {pace:.0f}x real time'}", ""
+    if status.wind_m_s is not None and status.wind_from_rad is not None:
+        yield "wind", f"{status.wind_m_s:.1f} m/s from {_bearing(status.wind_from_rad)}", ""
+
+
+def _notes(status: FlightStatus) -> Iterator[Text]:
+    """What does not fit into a cell: it is wrapped."""
+    reason, warning = status.reason, status.warning
+    if reason is not None:
+        yield Text(f"! {reason}. {status.remedy or ''}", _NOTABLE)
+    elif status.refusal is not None and status.plans_failed:
+        yield Text(f"! {status.refusal}", _NOTABLE)
+    if warning is not None and (reason is None or not (reason in warning or warning in reason)):
+        yield Text(f"! {warning}", _NOTABLE)
+    age_s = status.position_age_s
+    if age_s is not None and age_s > _SLOW_S:
+        yield Text(f"! position and speed are {age_s:.0f} s old", _SEVERE)
+
+
+def _to_go(status: FlightStatus) -> str:
+    if status.to_go_m is None:
+        return "-"
+    if status.time_left_s is None:
+        return _length(status.to_go_m)
+    minutes, seconds = divmod(round(status.time_left_s), 60)
+    hours, minutes = divmod(minutes, 60)
+    clock = f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
+    return f"{_length(status.to_go_m)}, in {clock}"
+
+
+def _altitude(status: FlightStatus) -> str:
+    if status.altitude_amsl_m is None:
+        return "-"
+    above = status.above_ground_m
+    text = f"{status.altitude_amsl_m:.0f} m AMSL"
+    return text if above is None else f"{text}, {above:.0f} m AGL"
+
+
+def _speed(status: FlightStatus) -> str:
+    course = "" if status.course_rad is None else f" to {_bearing(status.course_rad)}"
+    speed = f"{status.speed_m_s:.{0 if status.speed_m_s > 99.0 else 1}f}"
+    return f"{speed} m/s{course}, climb {status.climb_m_s:+.1f}"
+
+
+def _clearance(status: FlightStatus) -> _Value:
+    clear_m, least_m = status.clearance_m, status.safety_distance_m
+    if clear_m is None:
+        return "clearance", "-", ""
+    more = "> " if clear_m >= status.looked_m else ""
+    too_near = clear_m < least_m and status.subpaths_flown > 0
+    text = f"{more}{_length(clear_m)} (d_s {_length(least_m)})"
+    return "clearance", f"! {text}" if too_near else text, _SEVERE if too_near else ""
+
+
+def _battery(status: FlightStatus) -> _Value:
+    left, reserve = status.battery_left, status.battery_reserve
+    if left is None:
+        return "battery", "not told", ""
+    style = _SEVERE if left <= reserve else _NOTABLE if left <= reserve + _LOW else ""
+    return "battery", f"{'! ' if style else ''}{left:.0%} (reserve {reserve:.0%})", style
+
+
+def _link(status: FlightStatus, lost: float) -> _Value:
+    age_s = status.link_age_s
+    if age_s is None:
+        return "link", "nothing heard", _NOTABLE
+    trip_s = status.link_round_trip_s
+    trip = "" if trip_s is None or age_s > _SLOW_S else f", {trip_s * 1e3:.0f} ms"
+    style = _SEVERE if age_s > _SILENT_S else _NOTABLE if age_s > _SLOW_S or lost > _LOSSY else ""
+    return "link", f"{'! ' if style else ''}{age_s:.1f} s old, {lost:.0%} lost{trip}", style
+
+
+def _mode(status: FlightStatus) -> str:
+    armed = "armed" if status.armed else "disarmed"
+    return f"{status.mode or '-'}, {armed}{', FAILSAFE' if status.failsafe else ''}"
+
+
+def _proof(status: FlightStatus) -> str:
+    """The clearance that is proven for the newest plan."""
+    clear_m = status.plan_clearance_m
+    return "not proven" if status.plan_broken or clear_m is None else _length(clear_m)
+
+
+def _length(value_m: float) -> str:
+    if value_m < 10.0:
+        return f"{value_m:.1f} m"
+    return f"{value_m:.0f} m" if value_m < 9_950.0 else f"{value_m / 1000:.1f} km"
+
+
+def _bearing(angle_rad: float) -> str:
+    """As people say it: three digits."""
+    return f"{round(math.degrees(angle_rad)) % 360:03d}"

@@ -5,6 +5,7 @@ import math
 import re
 import tracemalloc
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from companion.mission import journal as noted
 from companion.mission.journal import KINDS, VERSION, Header, PlanAsked, PlanReady
 from companion.mission.state import Reason
 from companion.telemetry.journal import _UPGRADES, Journal
-from companion.telemetry.journal_page import journal_markdown, words_of
+from companion.telemetry.journal_page import fly_json_markdown, journal_markdown, words_of
 
 ROOT = Path(__file__).parents[2]
 OLD = Path(__file__).parent / "journals"
@@ -86,9 +87,12 @@ def test_every_kind_that_the_code_can_write_is_documented_and_no_other() -> None
     assert found == KINDS.keys()
 
 
-def test_the_page_is_that_of_the_models() -> None:
-    page = (ROOT / "docs/reference/journal.md").read_text(encoding="utf-8")
-    assert page == journal_markdown(), "run scripts/docs"
+@pytest.mark.parametrize(
+    ("name", "made"), [("journal", journal_markdown), ("fly-json", fly_json_markdown)]
+)
+def test_a_page_is_that_of_the_models(name: str, made: Callable[[], str]) -> None:
+    page = (ROOT / f"docs/reference/{name}.md").read_text(encoding="utf-8")
+    assert page == made(), "run scripts/docs"
 
 
 def test_the_page_explains_every_kind_and_every_field() -> None:

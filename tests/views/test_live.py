@@ -1,17 +1,31 @@
-"""What the terminal says of a flight while it is flown, in lines as for a log."""
+"""What the terminal says of a flight while it is flown: a table, lines as for a log, and JSON."""
 
+import io
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from renewed import replace
 from rich.console import Console
 
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "telemetry"))
+from test_flight_status import flights
+from test_output import written
+
 from companion.config import load_mission
+from companion.errors import FlightFailed, InputError
+from companion.mission.events import End, Outcome
 from companion.mission.state import Phase, Reason, Silent, TakenOver
 from companion.mission.stopped import FAILSAFE_OVER
 from companion.session import Session
+from companion.telemetry.flight_status import FlightStatus, flight_status
 from companion.telemetry.flight_summary import FlightSummary
-from companion.views.live import Progress, progress_line, progress_table
+from companion.views.live import MachineLines, Progress, status_table
+from companion.views.output import PatientOutput
 
 
 class Terminal:
@@ -21,8 +35,8 @@ class Terminal:
         self.flown = FlightSummary(
             session=Session(load_mission("environment-1"), seed=1, lockstep=False)
         )
-        self.console = Console(width=200, force_terminal=False, record=True)
-        self.progress = Progress(self.console)
+        self.console = Console(width=200, force_terminal=False, record=True, file=io.StringIO())
+        self.progress = Progress(self.console, PatientOutput(io.StringIO()))
 
     def show(self, time_s: float, *, failsafe: bool = False, **changes: Any) -> list[str]:
         """The lines that this prints."""
@@ -30,8 +44,13 @@ class Terminal:
         session.clock.read(time_s)
         vehicle = replace(session.state.vehicle, failsafe=failsafe)
         session.state = replace(session.state, now_s=time_s, vehicle=vehicle, **changes)
-        self.progress.show(self.flown)
+        self.progress.show(flight_status(self.flown))
         return self.console.export_text().splitlines()
+
+    def table(self) -> str:
+        """What stands in the table now."""
+        self.console.print(status_table(flight_status(self.flown), 80, 0.0))
+        return self.console.export_text()
 
     def warn(self, text: str) -> None:
         self.flown.session._send_text(text, warning=True)
@@ -43,6 +62,7 @@ def test_why_it_holds_is_not_said_any_more_once_it_flies() -> None:
     terminal.warn(f"hold: {Reason.NO_FIX.text}")
     [held] = terminal.show(100.1, phase=Phase.HOLDING, since_s=100.0, reason=Reason.NO_FIX)
     assert Reason.NO_FIX.text in held
+    assert terminal.table().count(Reason.NO_FIX.text) == 1
     [flies] = terminal.show(110.0, phase=Phase.FLYING, since_s=110.0, reason=None)
     assert "hold" not in flies
     assert "(" not in flies
@@ -89,13 +109,136 @@ def test_a_warning_stands_for_a_minute(later_s: float, stands: bool) -> None:
     [line] = terminal.show(100.2)
     assert line.endswith("(scan: 3 of 9 blocks answered)")
     terminal.show(100.0 + later_s)
-    assert ("scan:" in progress_line(terminal.flown)) is stands
-    assert (progress_table(terminal.flown).caption is not None) is stands
+    assert ("scan:" in terminal.table()) is stands
 
 
 def test_a_vehicle_that_was_up_for_long_is_flown_at_the_pace_of_the_clock() -> None:
     terminal = Terminal()
     terminal.show(3_000.0, phase=Phase.FLYING, since_s=2_990.0, reason=None)
     terminal.flown.elapsed_s = 30.0
-    terminal.show(3_030.0)
-    assert "   1x real time" in progress_line(terminal.flown)
+    [line] = terminal.show(3_030.0, phase=Phase.RETURNING)
+    assert "   1x real time" in line
+
+
+# --- the table
+
+
+def shown(status: FlightStatus, width: int, **options: Any) -> str:
+    """The table as it stands in a terminal of so many columns."""
+    file = io.StringIO()
+    console = Console(width=width, file=file, legacy_windows=False, **options)
+    console.print(status_table(status, width, 0.0))
+    return file.getvalue()
+
+
+def recorded() -> Iterator[FlightStatus]:
+    """All kinds of things that happen, with the longest values."""
+    for name in ("copter-loses-gps", "px4-plane-told-to-return", "plane-meets-new-fence"):
+        for number, (flown, _) in enumerate(flights(name)):
+            if number % 7 == 0:
+                yield flight_status(flown)
+    yield replace(
+        flight_status(flown),
+        wind_m_s=12.5,
+        wind_from_rad=3.0,
+        altitude_amsl_m=-1234.5,
+        above_ground_m=-1234.5,
+        speed_m_s=150.0,
+        course_rad=6.0,
+        climb_m_s=-10.0,
+        way_left_m=1.5e5,
+        to_go_m=1.5e5,
+        time_left_s=36_000.0,
+        link_age_s=599.9,
+        link_round_trip_s=1.999,
+        times_real_time=187.0,
+        t_s=86_400.0,
+        clearance_m=9_000.0,
+        looked_m=9_000.0,
+        safety_distance_m=1_000.0,
+        plan_cost=1234.56,
+        plan_took_s=29.999,
+        plan_clearance_m=9_000.0,
+    )
+
+
+@pytest.fixture(scope="module")
+def statuses() -> list[FlightStatus]:
+    return list(recorded())
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 120, 200])
+def test_it_is_whole_in_a_terminal_of_this_width(statuses: list[FlightStatus], width: int) -> None:
+    assert {"flying", "holding"} <= {status.phase for status in statuses}
+    for status in statuses:
+        text = shown(status, width)
+        assert "…" not in text, text
+        lines = text.splitlines()
+        assert max(map(len, lines)) <= width
+        assert len(lines) <= {40: 22, 60: 20, 80: 14}.get(width, 10)
+        flat = " ".join(text.split())
+        assert status.phase.upper() in flat
+        if status.altitude_amsl_m is not None:
+            assert f"{status.altitude_amsl_m:.0f} m AMSL" in flat
+        if status.reason is not None and status.remedy is not None:
+            assert f"{status.reason}. {status.remedy}" in flat
+
+
+@pytest.mark.parametrize("width", [1, 10, 20, 39])
+def test_in_a_narrower_one_values_are_cut_and_nothing_fails(
+    statuses: list[FlightStatus], width: int
+) -> None:
+    for status in statuses[::10]:
+        assert max(map(len, shown(status, width).splitlines())) <= max(width, 16)
+
+
+def test_what_is_wrong_is_told_without_colours_too(statuses: list[FlightStatus]) -> None:
+    bad = replace(
+        statuses[-1], clearance_m=3.0, battery_left=0.1, link_age_s=4.0, position_age_s=4.0
+    )
+    plain = shown(bad, 80)
+    assert "\x1b" not in plain
+    assert plain.count("!") >= 4
+    assert "\x1b[1;31m" in shown(bad, 80, force_terminal=True, color_system="standard")
+
+
+# --- for machines
+
+
+def lines_of(buffer: io.StringIO) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in buffer.getvalue().splitlines()]
+
+
+@pytest.mark.parametrize(
+    ("end", "error", "expected"),
+    [
+        (("ARRIVED", "there"), None, ("arrived", "there", 0)),
+        (("FAILED", "silent"), FlightFailed("silent", "Look."), ("failed", "silent. Look.", 1)),
+        (None, InputError("a", 1, "no", "Give 2."), ("failed", "a = 1: no. Give 2.", 2)),
+        (None, ZeroDivisionError("division"), ("failed", "division", 70)),
+    ],
+    ids=["arrived", "failed", "wrong input", "crashed"],
+)
+def test_the_last_line_is_how_it_ended(
+    end: tuple[str, str] | None, error: Exception | None, expected: tuple[str, str, int]
+) -> None:
+    buffer = io.StringIO()
+    with PatientOutput(buffer) as output:
+        lines = MachineLines(output)
+        if end is not None:
+            lines.end = End(outcome=Outcome[end[0]], reason=end[1], remedy="")
+        lines.__exit__(None, error, None)
+    [last] = lines_of(buffer)
+    assert (last["outcome"], last["reason"], last["exit_code"]) == expected
+
+
+def test_a_line_is_for_news_or_after_a_while() -> None:
+    status = flight_status(Terminal().flown)
+    buffer = io.StringIO()
+    with PatientOutput(buffer) as output:
+        lines = MachineLines(output)
+        for _ in range(3):
+            lines.show(status)
+            written(output)
+        lines.show(replace(status, phase="holding"))
+    assert [line["phase"] for line in lines_of(buffer)] == [status.phase, "holding"]

@@ -1,0 +1,90 @@
+"""Standard output for a program that may not wait: what reads it may be slow, stuck or gone."""
+
+import io
+import os
+import queue
+import threading
+from typing import Self, TextIO, final
+
+_MOST = 1000  # texts that wait for a reader: a log that nobody reads is given up
+_LEAVES_S = 1.0  # what a reader gets at the end to take the rest
+
+
+@final
+class PatientOutput(io.TextIOBase):
+    """A text stream that a thread of its own writes: whoever prints never waits, and never fails.
+
+    A context manager; at its end the reader has a second for what it has not taken yet.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        """stream: one with a file descriptor is written to past its own buffer and lock.
+
+        So the end of the program does not wait for it either.
+        """
+        self._stream = stream
+        try:
+            self._descriptor: int | None = stream.fileno()
+        except (OSError, ValueError):
+            self._descriptor = None
+        self._texts: queue.Queue[str | None] = queue.Queue()
+        self._gone = False
+        self._thread = threading.Thread(target=self._run, name="output", daemon=True)
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether there is more to write: what is soon replaced anyway had better be left out."""
+        return self._texts.unfinished_tasks > 0
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """As of the stream."""
+        return self._stream.encoding or "utf-8"
+
+    def isatty(self) -> bool:
+        """As of the stream."""
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        """As of the stream."""
+        return self._stream.fileno()
+
+    def writable(self) -> bool:
+        """Always."""
+        return True
+
+    def write(self, text: str) -> int:
+        """Have it written as soon as the reader takes it."""
+        if not self._gone and self._texts.qsize() < _MOST:
+            self._texts.put(text)
+        return len(text)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._texts.put(None)
+        self._thread.join(_LEAVES_S)
+
+    def _run(self) -> None:
+        goes_on = True
+        while goes_on:
+            text = self._texts.get()
+            goes_on = text is not None
+            try:
+                self._put(text or "")
+            except (OSError, ValueError):  # the reader has left: so be it
+                self._gone = True
+            self._texts.task_done()
+
+    def _put(self, text: str) -> None:
+        if self._gone:
+            return
+        if self._descriptor is None:
+            self._stream.write(text)
+            self._stream.flush()
+            return
+        left = memoryview(text.encode(self.encoding, errors="replace"))
+        while left:
+            left = left[os.write(self._descriptor, left) :]

@@ -1,0 +1,191 @@
+"""A flight as it is shown while it is flown: on a terminal, as JSON, to readers that leave."""
+
+import fcntl
+import json
+import os
+import pty
+import re
+import struct
+import subprocess
+import termios
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from flights import _ENVIRONMENT, BIN, Flight, flown_as, simulator, warm_up
+from programs import ROOT, free_port
+
+pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("hills")]
+WIDTH = 80
+PAGE = ROOT / "docs" / "reference" / "fly-json.md"
+TICK_S = 0.1
+_ENDS_S = 400.0
+
+
+class Shown:
+    """A flight of the hills that is shown on a terminal, and as JSON to a pipe."""
+
+    def __init__(self, folder: Path, *, reader: str = "reads") -> None:
+        """reader: "reads", "leaves" after the first line, or "waits" and never reads."""
+        world, mission, *options = flown_as("hills")
+        port, out = free_port(), os.pipe()
+        fcntl.fcntl(out[1], fcntl.F_SETPIPE_SZ, 4096)
+        us, them = pty.openpty()
+        fcntl.ioctl(them, termios.TIOCSWINSZ, struct.pack("HHHH", 24, WIDTH, 0, 0))
+        connect = ("--connect", f"udpin:127.0.0.1:{port}", "--out", str(folder))
+        warm_up()
+        self.folder = folder
+        self.process = subprocess.Popen(
+            [BIN / "companion", "fly", mission, *options, "--lockstep", "--json", *connect],
+            stdin=them,
+            stdout=out[1],
+            stderr=them,
+            cwd=ROOT,
+            env={**_ENVIRONMENT, "TERM": "xterm-256color", "COLUMNS": f"{WIDTH}"},
+        )
+        os.close(them)
+        os.close(out[1])
+        self.screen, self.json = b"", b""
+        threads = [threading.Thread(target=self._watch, args=(us,))]
+        if reader == "reads":
+            threads.append(threading.Thread(target=self._read, args=(out[0],)))
+        for thread in threads:
+            thread.start()
+        try:
+            where = ("--connect", f"udpout:127.0.0.1:{port}")
+            vehicle = simulator(world, folder, *where, "--lockstep")
+            if reader == "leaves":
+                os.read(out[0], 1)
+                os.close(out[0])
+            self.code = self.process.wait(_ENDS_S)
+            vehicle.wait()
+        finally:
+            self.process.kill()
+        for thread in threads:
+            thread.join()
+        if reader == "waits":
+            os.close(out[0])
+
+    def _watch(self, terminal: int) -> None:
+        try:
+            while part := os.read(terminal, 65536):
+                self.screen += part
+        except OSError:  # Linux's end of a terminal
+            os.close(terminal)
+
+    def _read(self, pipe: int) -> None:
+        while part := os.read(pipe, 65536):
+            self.json += part
+        os.close(pipe)
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Shown:
+    return Shown(tmp_path_factory.mktemp("shown") / "run")
+
+
+@pytest.fixture(scope="module")
+def lines(shown: Shown) -> list[dict[str, Any]]:
+    assert shown.json.endswith(b"\n")
+    return [json.loads(line) for line in shown.json.splitlines()]
+
+
+def documented() -> dict[str, dict[str, str]]:
+    """Kind of line -> field -> type, by the page."""
+    kinds: dict[str, dict[str, str]] = {}
+    for line in PAGE.read_text(encoding="utf-8").splitlines():
+        if heading := re.fullmatch(r"## `(\w+)`", line):
+            fields = kinds[heading[1]] = {}
+        elif row := re.fullmatch(r"\| `(\w+)` \| (.+?) \| (.+) \|", line):
+            fields[row[1]] = row[2]
+    return kinds
+
+
+def fits(value: object, kind: str) -> bool:
+    """Whether a value is of a type as the page has it."""
+    if kind.endswith(" or null"):
+        return value is None or fits(value, kind.removesuffix(" or null"))
+    if kind.startswith("`"):
+        return f"`{value}`" in kind.split(", ")
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return {
+        "text": isinstance(value, str),
+        "number": is_number,
+        "whole number": is_number and isinstance(value, int),
+        "true or false": isinstance(value, bool),
+        "[north, east, altitude]": isinstance(value, list) and len(value) == 3,
+        "list of text": isinstance(value, list) and all(isinstance(each, str) for each in value),
+    }[kind]
+
+
+def test_every_line_has_the_fields_of_the_page_and_no_others(lines: list[dict[str, Any]]) -> None:
+    kinds = documented()
+    assert [line["kind"] for line in lines[:1] + lines[-1:]] == ["begun", "ended"]
+    assert {line["kind"] for line in lines[1:-1]} == {"status"}
+    for line in lines:
+        fields = kinds[line["kind"]]
+        assert line.keys() == fields.keys() | {"kind"}
+        for name, kind in fields.items():
+            assert fits(line[name], kind), (name, line[name])
+
+
+def test_the_lines_say_what_the_journal_says(shown: Shown, lines: list[dict[str, Any]]) -> None:
+    flight = Flight(folder=shown.folder, companion=None, simulator=None)  # type: ignore[arg-type]
+    header, *entries = flight.journal
+    begun, *statuses, ended = lines
+    assert {name: begun[name] for name in ("mission", "seed", "profile", "lockstep")} == {
+        name: header[name] for name in ("mission", "seed", "profile", "lockstep")
+    }
+    assert (ended["outcome"], ended["reason"]) == (flight.end["outcome"], flight.end["reason"])
+    assert ended["exit_code"] == shown.code == 0
+    phases = [(0.0, "waiting"), *((e["t_s"], e["phase"]) for e in entries if e["kind"] == "phase")]
+    legs = [entry["t_s"] for entry in entries if entry["kind"] == "leg"]
+    costs = {entry["cost"] for entry in entries if entry["kind"] == "plan ready"}
+    for line in statuses:
+        about = [p for t, p in phases if abs(t - line["t_s"]) <= TICK_S]
+        before = [p for t, p in phases if t <= line["t_s"]][-1]
+        assert line["phase"] in (before, *about), line
+        count = [sum(t <= line["t_s"] + by for t in legs) for by in (-TICK_S, TICK_S)]
+        assert count[0] <= line["subpaths_flown"] <= count[1]
+        assert line["plan_cost"] in {None, *costs}
+    assert {"flying", "done"} <= {line["phase"] for line in statuses}
+    assert [line["t_s"] for line in statuses] == sorted(line["t_s"] for line in statuses)
+
+
+def test_the_lines_say_where_the_vehicle_truly_is(
+    shown: Shown, lines: list[dict[str, Any]]
+) -> None:
+    flight = Flight(folder=shown.folder, companion=None, simulator=None)  # type: ignore[arg-type]
+    truth = {round(row["t_s"], 1): row for row in flight.truth}
+    compared = 0
+    for line in lines[1:-1]:
+        row = truth.get(round(line["t_s"], 1))
+        if line["phase"] == "flying" and row is not None:
+            compared += 1
+            assert line["altitude_amsl_m"] == pytest.approx(row["altitude_amsl_m"], abs=10.0)
+            speed = (row["velocity_north_m_s"] ** 2 + row["velocity_east_m_s"] ** 2) ** 0.5
+            assert line["speed_m_s"] == pytest.approx(speed, abs=5.0)
+    assert compared > 3
+
+
+def test_on_a_terminal_a_table_is_drawn_and_the_cursor_is_given_back(shown: Shown) -> None:
+    text = shown.screen.decode()
+    assert text.count("\x1b[?25l") == text.count("\x1b[?25h") > 0
+    assert text.rindex("\x1b[?25h") < text.index("run folder: ")
+    plain = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text)
+    for word in ("FLYING", "to go", "AMSL", "clearance", "battery", "link", "proof"):
+        assert word in plain
+    table = [line for line in plain.splitlines() if line.startswith(("to go ", "FLYING "))]
+    assert table
+    assert max(map(len, table)) <= WIDTH
+
+
+@pytest.mark.parametrize("reader", ["leaves", "waits"])
+def test_a_reader_that_does_not_read_changes_nothing_of_the_flight(
+    reader: str, shown: Shown, tmp_path: Path
+) -> None:
+    other = Shown(tmp_path / "run", reader=reader)
+    assert other.code == 0
+    journals = [(each.folder / "journal.jsonl").read_bytes() for each in (shown, other)]
+    assert journals[0] == journals[1]
