@@ -55,6 +55,7 @@ from vehicle_sim.autopilots.attitude import (
 )
 from vehicle_sim.dynamics.copter import Copter
 from vehicle_sim.plans import PlanKind
+from vehicle_sim.sensors.gps import Fix
 
 EKF_CHECKS = 10
 """In a row, ten a second, before the failsafe acts."""
@@ -89,6 +90,7 @@ class ArduCopter(ArduPilot):
     TABLE = modes.TABLE
     TIMING = modes.TIMING
     PREARM_US: ClassVar[int] = 23_300_000
+    HEIGHTS_NEED_HOME: ClassVar[bool] = False
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABLE", "FS_GCS_TIMEOUT")
 
     def boot(self) -> Sequence[Due]:
@@ -111,6 +113,9 @@ class ArduCopter(ArduPilot):
     def read_parameters(self) -> None:
         """They are read live."""
         self.flight.read_parameters()
+
+    def wait_for_home(self, fix: Fix) -> None:
+        """Home comes with the estimator's origin."""
 
     def slow(self) -> None:
         """Ten times a second."""
@@ -349,12 +354,10 @@ class ArduCopter(ArduPilot):
             return Result.ACCEPTED
         return self._by_mode(modes.AUTO)
 
-    def set_mission_current(self, number: int) -> Result:
-        """In AUTO it goes there at once."""
-        result = super().set_mission_current(number)
-        if result is Result.ACCEPTED and self.mode == modes.AUTO and number > 0:
+    def fly_item(self, number: int) -> None:
+        """Of the mission, in AUTO."""
+        if self.mode == modes.AUTO and number > 0:
             self.flight.auto.jump_to(number)
-        return result
 
     # --- setpoints ----------------------------------------------------------------------------
 

@@ -32,7 +32,6 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import (
 )
 from vehicle_sim.autopilots.ardupilot.profile import (
     GPS_GLOBAL_ORIGIN,
-    HEARTBEAT,
     HOME_POSITION,
     profile,
 )
@@ -51,7 +50,6 @@ from vehicle_sim.sensors.gps import Fix
 
 TABLE = (*table("ardupilot/shared", "ardupilot/plane"), *SIM_PARAMETERS)
 CAPABILITIES = 62319
-READY_US = 1_727_000
 ORIGIN_SAID_US = 2_261_000
 """From setting the origin to saying it and home."""
 HOME_SET_US = 850_000
@@ -81,6 +79,7 @@ class ArduPlane(ArduPilot):
     TABLE = TABLE
     TIMING = TIMING
     PREARM_US: ClassVar[int] = 22_800_000
+    HEIGHTS_NEED_HOME: ClassVar[bool] = True
     GCS_FAILSAFE: ClassVar[tuple[str, str]] = ("FS_GCS_ENABL", "FS_LONG_TIMEOUT")
 
     def boot(self) -> Sequence[Due]:
@@ -92,35 +91,17 @@ class ArduPlane(ArduPilot):
         self._first_fix_us: int | None = None
         self._origin_due_us: int | None = None
         self._flight = Flight(self, self.vehicle)
-        self.fly = self._fly
+        self.fly = self._flight.step
 
     # --- each step ----------------------------------------------------------------------------
 
-    def _fly(self, dt_s: float, ground_amsl_m: float) -> None:
-        """Control and move the plane for one step, by the estimate."""
-        if self.mode == Mode.INITIALISING and self.now_us >= READY_US:
-            self.mode = Mode.MANUAL
-            self.send(HEARTBEAT)
-        if self.ekf.began_aiding:
-            self.send_text(6, "AHRS: EKF3 active")
-        self._flight.step(dt_s, ground_amsl_m)
-
-    def step(self, now_us: int, dt_s: float, ground_amsl_m: float, fix: Fix) -> Sequence[Reply]:
-        """Fly on to now_us, over ground of this height, with the newest GPS fix."""
-        if self.home is None:
-            self._watch_fix(now_us, fix)
-        replies = super().step(now_us, dt_s, ground_amsl_m, fix)
-        if self.home is None:  # until then heights are above where it started
-            self.estimate.altitude_amsl_m = 0.0
-        return replies
-
-    def _watch_fix(self, now_us: int, fix: Fix) -> None:
+    def wait_for_home(self, fix: Fix) -> None:
         """Home is where the first fix was, a moment later: plane does not wait for the EKF."""
         if not fix.usable:
             return
         if self._first_fix_us is None:
-            self._first_fix_us = now_us
-        elif now_us - self._first_fix_us >= HOME_SET_US:
+            self._first_fix_us = self.now_us
+        elif self.now_us - self._first_fix_us >= HOME_SET_US:
             self.home = Place(fix.latitude_deg, fix.longitude_deg, fix.altitude_amsl_m)
             self.send(HOME_POSITION)
             self.change_parameter("MIS_TOTAL", max(len(self.plans[PlanKind.MISSION]), 1))
@@ -220,12 +201,10 @@ class ArduPlane(ArduPilot):
             return Result.DENIED
         return self._change_to(Mode.AUTO)
 
-    def set_mission_current(self, number: int) -> Result:
-        """MISSION_SET_CURRENT and its command: AUTO goes there at once."""
-        result = super().set_mission_current(number)
-        if result is Result.ACCEPTED and self.mode == Mode.AUTO:
+    def fly_item(self, number: int) -> None:
+        """Of the mission, in AUTO."""
+        if self.mode == Mode.AUTO:
             self._flight.mission.begin(number)
-        return result
 
     def _do_reposition(self, command: Command) -> Result:
         p = command.parameters
@@ -359,11 +338,6 @@ class ArduPlane(ArduPilot):
             self.send_text(6, f"Change alt to {above_m:.1f}")
 
     # --- arming -------------------------------------------------------------------------------
-
-    @property
-    def may_disarm(self) -> bool:
-        """Without force: not while it flies."""
-        return not self.flying
 
     def arming_refusal(self) -> str | None:
         """Why it may not be armed now."""

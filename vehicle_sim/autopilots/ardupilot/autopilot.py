@@ -82,6 +82,8 @@ class ArduPilot(abc.ABC):
     """When the PREARM_CHECK bit gets healthy."""
     fly: Callable[[float, float], None]
     """Control and move the vehicle for one step of this length, over ground of this height AMSL."""
+    HEIGHTS_NEED_HOME: ClassVar[bool]
+    """Until there is a home, heights are above where it started."""
     GCS_FAILSAFE: ClassVar[tuple[str, str]]
     """The parameters that say whether a lost ground station matters, and after how long."""
 
@@ -174,6 +176,8 @@ class ArduPilot(abc.ABC):
         """Fly on to now_us, over ground of this height, with the newest GPS fix."""
         self.now_us = now_us
         ekf = self.ekf
+        if self.home is None:
+            self.wait_for_home(fix)
         ekf.step(now_us, self.vehicle, fix)
         if ekf.became_origin:
             self._on_origin()
@@ -187,7 +191,13 @@ class ArduPilot(abc.ABC):
             self.slow()
         self.fly(dt_s, ground_amsl_m)
         ekf.follow(self.vehicle)
+        if self.home is None and self.HEIGHTS_NEED_HOME:
+            self.estimate.altitude_amsl_m = 0.0
         return self._taken() if self._out else ()
+
+    @abc.abstractmethod
+    def wait_for_home(self, fix: Fix) -> None:
+        """There is no home yet; the newest fix."""
 
     @abc.abstractmethod
     def read_parameters(self) -> None:
@@ -438,7 +448,12 @@ class ArduPilot(abc.ABC):
         if not 0 <= number < max(len(self.plans[PlanKind.MISSION]), 1):
             return Result.FAILED
         self.mission_current = number
+        self.fly_item(number)
         return Result.ACCEPTED
+
+    @abc.abstractmethod
+    def fly_item(self, number: int) -> None:
+        """Another item of the mission is the current one: in AUTO it goes there at once."""
 
     def _when_disarmed(self, command: Command) -> Result:
         """Calibration and storage: there is nothing to do."""
@@ -479,7 +494,7 @@ class ArduPilot(abc.ABC):
     def _arm_or_disarm(self, command: Command) -> Result:
         arm, force = command.parameters[:2]
         if arm == 0.0:
-            if self.armed and not (self.may_disarm or force == FORCE_DISARM):
+            if self.flying and self.armed and force != FORCE_DISARM:
                 return Result.FAILED
             if self.armed:
                 self.disarm()
@@ -498,11 +513,6 @@ class ArduPilot(abc.ABC):
         self.send(HOME_POSITION, GPS_GLOBAL_ORIGIN)
         self.on_armed()
         return Result.ACCEPTED
-
-    @property
-    def may_disarm(self) -> bool:
-        """Without force."""
-        return self.landed
 
     @abc.abstractmethod
     def arming_refusal(self) -> str | None:

@@ -23,6 +23,7 @@ from vehicle_sim.autopilots.ardupilot.plane_navigation import (
     indicated_airspeed_m_s,
     true_airspeed_m_s,
 )
+from vehicle_sim.autopilots.ardupilot.profile import HEARTBEAT
 from vehicle_sim.dynamics.plane import PITCH_AT_CRUISE_RAD, Plane
 from vehicle_sim.parameters import Parameters
 
@@ -185,6 +186,8 @@ SLOWING_M_S2 = 2.2
 EXCESS_CLIMB = 0.9
 """After a take-off the excess of speed is turned into height: climb for each m/s of it."""
 GLIDE_M_S = 2.5
+READY_US = 1_727_000
+"""Since boot, until it leaves INITIALISING."""
 BRAKING_M_S2 = -3.0
 CRASH_M_S = 4.0
 
@@ -416,8 +419,13 @@ class Flight:
     # --- at every step ----------------------------------------------------------------------------
 
     def step(self, dt_s: float, ground_amsl_m: float) -> None:
-        """Move the plane."""
+        """Control and move the plane, by the estimate."""
         host, plane = self._host, self._plane
+        if host.mode == Mode.INITIALISING and host.now_us >= READY_US:
+            host.mode = Mode.MANUAL
+            host.send(HEARTBEAT)
+        if host.ekf.began_aiding:
+            host.send_text(6, "AHRS: EKF3 active")
         if host.landed:
             self._on_ground(dt_s, ground_amsl_m)
             return
