@@ -22,7 +22,7 @@ from typing import Any, Final, final
 
 from msgspec.structs import replace
 
-from companion.mavlink import near_scanner, traffic
+from companion.mavlink import near_scanner, near_sensing, traffic
 from companion.mavlink.autopilot_client import AutopilotClient, AutopilotCommand
 from companion.mavlink.autopilots import described
 from companion.mavlink.component import REQUESTS, Component
@@ -381,7 +381,7 @@ class Session:
 
     def _on_near(self, heard: Incoming) -> None:
         """A message of the sensor of near things; of another kind, it says nothing."""
-        if self.near is not None and heard.number in near_scanner.MESSAGES.values():
+        if self.near is not None and heard.number in near_sensing.MESSAGES.values():
             self.near.on_message(heard.message, self.now_s)
 
     def _look_near(self, position: events.Position | None) -> None:
@@ -437,7 +437,7 @@ class Session:
         message, now_s = heard.message, self.clock.now_s
         if self.near is not None and heard.number in near_scanner.OF_AUTOPILOT:
             self.near.on_message(message, now_s)
-        if self.rangefinder is not None and heard.number == near_scanner.SECTORS:
+        if self.rangefinder is not None and heard.number == near_sensing.SECTORS:
             self.rangefinder.on_message(message, now_s)
         if replies := vehicle.on_message(message, now_s):
             self._outbox.send(replies, now_s)

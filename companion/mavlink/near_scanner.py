@@ -13,7 +13,7 @@ from companion.geodesy import LocalFrame
 from companion.mavlink import rangefinder
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mavlink.mounting import MountingCheck
-from companion.mavlink.near_sensing import NearSensing, Poses
+from companion.mavlink.near_sensing import HEALTH, MESSAGES, SECTORS, NearSensing, Poses
 from companion.mission.events import NearSeen, ScanDone, Vector
 from companion.mission.mission import Mission
 from companion.mission.state import State
@@ -21,14 +21,6 @@ from companion.world.known_map import NO_ANSWER, KnownMap, Scan
 from companion.world.near_map import NearMap, Rules, Sight, Window
 
 ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
-HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
-SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
-MESSAGES: Final = {
-    "obstacle_distance": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
-    "distance_sensor": SECTORS,
-    "obstacle_distance_3d": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE_3D,
-}
-"""What each kind of sensor sends."""
 OF_AUTOPILOT: Final = (HEALTH, *MESSAGES.values())
 _RATE_HZ: Final = 20.0
 _HIGH: Final = 1.0  # of R above the ceiling: there occupied cells end
@@ -69,9 +61,8 @@ class NearScanner:
         """Whether there is a scan under way."""
         self._frame: LocalFrame = mission.frame
         self._poses = Poses()
-        self._kind, self._component = sensor.kind, sensor.component_id
+        self._component = sensor.component_id
         self._sensing = NearSensing(sensor, self._poses, self._ground_at_m)
-        self._on_distances = getattr(self._sensing, f"on_{sensor.kind}")
         self._near = NearMap.empty(blank.lattice, Rules())
         self._known, self._ground_m = blank, blank.guess_m
         limits, settings = mission.task.limits, mission.task.settings
@@ -111,10 +102,8 @@ class NearScanner:
         if number == ATTITUDE:
             at_s = message.time_boot_ms * 1e-3
             self._poses.on_attitude(at_s, message.roll, message.pitch, message.yaw)
-        elif number == MESSAGES[self._kind] and message.get_srcComponent() == self._component:
-            self._on_distances(message, now_s)
-        elif number == HEALTH and self._kind == "distance_sensor":
-            self._sensing.on_health(message, now_s)
+        elif number == HEALTH or message.get_srcComponent() == self._component:
+            self._sensing.on_message(message, now_s)
 
     def seen(self, now_s: float) -> NearSeen | None:
         """What is new: sweeps, or what the silence means; None: nothing."""

@@ -17,7 +17,7 @@ import numpy as np
 from companion.geodesy import FloatArray, wrap_rad
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import Vector
-from companion.world.near_map import NearSensor, Sight, Sweep
+from companion.world.near_map import Kind, NearSensor, Sight, Sweep
 
 _BODY: Final = (wire.MAV_FRAME_BODY_FRD, wire.MAV_FRAME_BODY_NED)
 _NORTH: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_LOCAL_NED)
@@ -26,6 +26,14 @@ _UNKNOWN_CM: Final = 65_535
 _SECTORS: Final = 8
 HORIZONTAL: Final = range(_SECTORS)
 """Orientations of DISTANCE_SENSOR: sectors of 45 degrees, clockwise from the nose."""
+HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
+SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
+MESSAGES: Final[dict[Kind, int]] = {
+    "obstacle_distance": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
+    "distance_sensor": SECTORS,
+    "obstacle_distance_3d": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE_3D,
+}
+"""What each kind of sensor sends."""
 _KEPT_S = 3.0
 _GAP_S = 0.3  # between two positions or attitudes of which a pose is made
 _OTHER_CLOCK_S = 1.0  # a stamp farther from the vehicle's time is none of its clock
@@ -188,6 +196,14 @@ class NearSensing:
         self._heard_s = self._health_s = -math.inf
         self._well = False
         """By its last word, at `_health_s`."""
+
+    def on_message(self, message: Message, now_s: float) -> None:
+        """A message of its kind, of its component; or SYS_STATUS of the autopilot."""
+        number = message.get_msgId()
+        if number == MESSAGES[self._sensor.kind]:
+            _READERS[self._sensor.kind](self, message, now_s)
+        elif number == HEALTH and self._sensor.kind == "distance_sensor":
+            self.on_health(message, now_s)
 
     def on_obstacle_distance(self, message: Message, now_s: float) -> None:
         """OBSTACLE_DISTANCE of the sensor's component, at vehicle time now_s."""
@@ -394,6 +410,13 @@ class NearSensing:
                 from_nose=from_nose,
             )
         )
+
+
+_READERS: Final[dict[Kind, Callable[[NearSensing, Message, float], None]]] = {
+    "obstacle_distance": NearSensing.on_obstacle_distance,
+    "distance_sensor": NearSensing.on_distance_sensor,
+    "obstacle_distance_3d": NearSensing.on_obstacle_distance_3d,
+}
 
 
 def _sweep(look: _Look, pose: Pose, sensor: NearSensor, height_m: float) -> Sweep:

@@ -7,7 +7,7 @@ newer names and their units; results are in the autopilot's units.
 import enum
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 from companion.mission.mission import Mission
@@ -29,31 +29,20 @@ class Severity(enum.Enum):
 class ParameterIssue:
     """One parameter that does not fit the mission, or that the operator should know about."""
 
-    name: str
-    """The autopilot's name of it."""
-    value: float | None
-    """In the autopilot's own unit; None: it has no such parameter."""
-    rule: str
-    remedy: str
     severity: Severity
+    rule: str
+    remedy: str = ""
     set_to: float | None = None
-    """Of SET: the value to give it, in the autopilot's own unit."""
+    """Of SET: the value to give it, in the autopilot's own unit; in SI while it is checked."""
+    name: str = ""
+    """The autopilot's name of it; empty while it is checked."""
+    value: float | None = None
+    """In the autopilot's own unit; None: it has no such parameter."""
 
     def __str__(self) -> str:
         """One line: the parameter, its value, the rule, the remedy."""
         value = "unknown" if self.value is None else f"{self.value:g}"
         return f"{self.name} = {value}: {self.rule}." + (f" {self.remedy}." if self.remedy else "")
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CheckResult:
-    """Result of a check of one value; `set_to` in SI."""
-
-    severity: Severity
-    rule: str
-    remedy: str = ""
-    set_to: float | None = None
 
 
 @final
@@ -86,7 +75,7 @@ class CheckContext:
         return self.mission.task.limits
 
 
-ParameterCheck = Callable[[float, CheckContext], CheckResult | None]
+ParameterCheck = Callable[[float, CheckContext], ParameterIssue | None]
 """Checks a value in SI (angles in degrees); None: it is fine."""
 
 
@@ -192,14 +181,8 @@ def _checked(
         if not case.mission.sets_parameters:
             severity, remedy = Severity.REFUSE, f"Set it to {set_to:g}"
             set_to = None
-    return ParameterIssue(
-        name=alias.name,
-        value=values[alias.name],
-        rule=verdict.rule,
-        remedy=remedy,
-        severity=severity,
-        set_to=set_to,
-    )
+    issue = replace(verdict, severity=severity, remedy=remedy, set_to=set_to)
+    return replace(issue, name=alias.name, value=values[alias.name])
 
 
 def _missing(rule: ParameterRule) -> ParameterIssue | None:
@@ -223,19 +206,19 @@ def _as_written(value: float) -> float:
 # --- verdicts -------------------------------------------------------------------------------------
 
 
-def refused(rule: str, remedy: str) -> CheckResult:
+def refused(rule: str, remedy: str) -> ParameterIssue:
     """Refuse the flight."""
-    return CheckResult(severity=Severity.REFUSE, rule=rule, remedy=remedy)
+    return ParameterIssue(severity=Severity.REFUSE, rule=rule, remedy=remedy)
 
 
-def to_set(value: float, rule: str) -> CheckResult:
+def to_set(value: float, rule: str) -> ParameterIssue:
     """Set the parameter to this value, SI."""
-    return CheckResult(severity=Severity.SET, rule=rule, set_to=value)
+    return ParameterIssue(severity=Severity.SET, rule=rule, set_to=value)
 
 
-def note(rule: str, remedy: str = "") -> CheckResult:
+def note(rule: str, remedy: str = "") -> ParameterIssue:
     """A note to the operator."""
-    return CheckResult(severity=Severity.NOTE, rule=rule, remedy=remedy)
+    return ParameterIssue(severity=Severity.NOTE, rule=rule, remedy=remedy)
 
 
 # --- checks that compare: texts have {value}, {planned} and {up}, the planned one up to tenths ----
@@ -251,7 +234,7 @@ def at_least(
 ) -> ParameterCheck:
     """The value must be at least (a share of) what the mission plans with."""
 
-    def check(value: float, case: CheckContext) -> CheckResult | None:
+    def check(value: float, case: CheckContext) -> ParameterIssue | None:
         needed = planned(case.limits)
         is_enough = value >= share * needed - EQUAL_WITHIN
         return None if is_enough else _result(severity, rule, remedy, value, needed)
@@ -262,7 +245,7 @@ def at_least(
 def at_most(planned: Callable[[Limits], float], rule: str, remedy: str) -> ParameterCheck:
     """The value must be at most what the mission plans with."""
 
-    def check(value: float, case: CheckContext) -> CheckResult | None:
+    def check(value: float, case: CheckContext) -> ParameterIssue | None:
         needed = planned(case.limits)
         if value <= needed + EQUAL_WITHIN:
             return None
@@ -273,9 +256,9 @@ def at_most(planned: Callable[[Limits], float], rule: str, remedy: str) -> Param
 
 def _result(
     severity: Severity, rule: str, remedy: str, value: float, planned: float
-) -> CheckResult:
+) -> ParameterIssue:
     known = {"value": value, "planned": planned, "up": up_to_tenths(planned)}
-    return CheckResult(
+    return ParameterIssue(
         severity=severity, rule=rule.format_map(known), remedy=remedy.format_map(known)
     )
 
@@ -293,7 +276,7 @@ def when(
     severity: Severity = Severity.NOTE,
 ) -> ParameterCheck:
     """A result if the condition is true."""
-    verdict = CheckResult(severity=severity, rule=rule, remedy=remedy)
+    verdict = ParameterIssue(severity=severity, rule=rule, remedy=remedy)
     return lambda value, case: verdict if wrong(value, case) else None
 
 

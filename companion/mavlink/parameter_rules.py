@@ -12,8 +12,8 @@ from companion.mavlink.parameter_checks import (
     EQUAL_WITHIN,
     Alias,
     CheckContext,
-    CheckResult,
     ParameterCheck,
+    ParameterIssue,
     ParameterRule,
     Severity,
     at_least,
@@ -58,7 +58,7 @@ def _begins_to_brake_s(
 
 def _timeout(
     value: float, slack_s: float, case: CheckContext, what: str = "the vehicle flies on"
-) -> CheckResult | None:
+) -> ParameterIssue | None:
     """A time-out of the stream: short enough for the certified reach, long enough for a radio."""
     what = f"after the last setpoint {what}"
     dead_man_s = case.limits.dead_man_s
@@ -81,19 +81,19 @@ def _timeout(
     return None
 
 
-def _guid_timeout(value: float, case: CheckContext) -> CheckResult | None:
+def _guid_timeout(value: float, case: CheckContext) -> ParameterIssue | None:
     """ArduCopter's GUID_TIMEOUT, at least 0.1 s (ardupilot.md 3)."""
     slack_s = _begins_to_brake_s(case, "WPNAV_ACCEL", "PSC_JERK_XY", (2.5, 5.0))
     return _timeout(max(value, 0.1), slack_s, case)
 
 
-def _offboard_timeout(value: float, case: CheckContext) -> CheckResult | None:
+def _offboard_timeout(value: float, case: CheckContext) -> ParameterIssue | None:
     """PX4's COM_OF_LOSS_T; the mode changes 0.12 s after it (px4.md 6)."""
     slack_s = 0.12 + _begins_to_brake_s(case, "MPC_ACC_HOR", "MPC_JERK_AUTO", (3.0, 4.0))
     return _timeout(value, slack_s, case)
 
 
-def _offboard_timeout_of_a_plane(value: float, case: CheckContext) -> CheckResult | None:
+def _offboard_timeout_of_a_plane(value: float, case: CheckContext) -> ParameterIssue | None:
     """PX4's COM_OF_LOSS_T; then it circles where it is (px4.md 10)."""
     return _timeout(value, 0.5, case, "the plane flies straight on")
 
@@ -129,7 +129,7 @@ def _turning_m_s2(limits: Limits) -> float:
     return limits.speed_m_s**2 / limits.turn_radius_m
 
 
-def _turns(value: float, case: CheckContext) -> CheckResult | None:
+def _turns(value: float, case: CheckContext) -> ParameterIssue | None:
     """ArduCopter's WPNAV_ACCEL limits how curves are followed, too."""
     turn_m_s2 = _turning_m_s2(case.limits)
     if turn_m_s2 <= _CORNERS * value + EQUAL_WITHIN:
@@ -141,7 +141,7 @@ def _turns(value: float, case: CheckContext) -> CheckResult | None:
     )
 
 
-def _tilt(value: float, case: CheckContext) -> CheckResult | None:
+def _tilt(value: float, case: CheckContext) -> ParameterIssue | None:
     """The tilt limit as acceleration, without drag, which is unknown."""
     needed_m_s2 = max(case.limits.acceleration_m_s2, _turning_m_s2(case.limits))
     has_m_s2 = _GRAVITY_M_S2 * math.tan(math.radians(min(max(value, 0.0), 80.0)))
@@ -155,7 +155,7 @@ def _tilt(value: float, case: CheckContext) -> CheckResult | None:
     )
 
 
-def _drag(value: float, case: CheckContext) -> CheckResult | None:
+def _drag(value: float, case: CheckContext) -> ParameterIssue | None:
     """Of ArduCopter's own airframe: 10.2 m/s at 30 deg, 15.5 m/s at 45 deg (ardupilot.md 3)."""
     held_m_s = 15.5 * math.tan(math.radians(min(value, 80.0))) ** 0.762
     speed = case.limits.speed_m_s
@@ -168,7 +168,7 @@ def _drag(value: float, case: CheckContext) -> CheckResult | None:
     )
 
 
-def _speed_of_offboard(value: float, case: CheckContext) -> CheckResult | None:
+def _speed_of_offboard(value: float, case: CheckContext) -> ParameterIssue | None:
     """At MPC_XY_VEL_MAX it falls behind without recovery (px4.md 5)."""
     speed = case.limits.speed_m_s
     if speed <= 0.8 * value + EQUAL_WITHIN:
@@ -184,7 +184,7 @@ def _speed_of_offboard(value: float, case: CheckContext) -> CheckResult | None:
     )
 
 
-def _own_speed(value: float, case: CheckContext) -> CheckResult | None:
+def _own_speed(value: float, case: CheckContext) -> ParameterIssue | None:
     """The speed of the autopilot's own modes."""
     speed = case.limits.speed_m_s
     if abs(value - speed) <= 0.05 * speed:
@@ -192,7 +192,7 @@ def _own_speed(value: float, case: CheckContext) -> CheckResult | None:
     return note(f"on its own (return, loiter) it flies {value:g} m/s, the mission {speed:g}")
 
 
-def _only_speed(value: float, case: CheckContext) -> CheckResult | None:
+def _only_speed(value: float, case: CheckContext) -> ParameterIssue | None:
     """PX4's fixed wing always flies at this speed (px4.md 10)."""
     speed = case.limits.speed_m_s
     if value > 1.05 * speed:
@@ -210,7 +210,7 @@ def _tightest_circle_m(speed_m_s: float, bank_deg: float) -> float:
     return speed_m_s**2 / (_GRAVITY_M_S2 * math.tan(bank))
 
 
-def _bank(value: float, case: CheckContext) -> CheckResult | None:
+def _bank(value: float, case: CheckContext) -> ParameterIssue | None:
     """The bank limits how tightly it turns."""
     limits = case.limits
     tightest_m = _tightest_circle_m(limits.speed_m_s, value)
@@ -229,7 +229,7 @@ def _circles(wider_m: float, bank: str) -> ParameterCheck:
     bank: the parameter that limits the bank.
     """
 
-    def check(value: float, case: CheckContext) -> CheckResult | None:
+    def check(value: float, case: CheckContext) -> ParameterIssue | None:
         limits, flown_m = case.limits, abs(value) + wider_m
         if limits.hovers or flown_m <= limits.loiter_radius_m + EQUAL_WITHIN:
             return None
@@ -245,7 +245,7 @@ def _circles(wider_m: float, bank: str) -> ParameterCheck:
     return check
 
 
-def _take_off_height(value: float, case: CheckContext) -> CheckResult | None:
+def _take_off_height(value: float, case: CheckContext) -> ParameterIssue | None:
     """The autopilot's own take-off ends there; the companion climbs on."""
     limits, home_amsl_m = case.limits, case.home_amsl_m
     if home_amsl_m is None or home_amsl_m + value <= limits.ceiling_amsl_m:
@@ -308,7 +308,7 @@ _FASTEST: Final = at_least(
 # --- who else may take the vehicle ----------------------------------------------------------------
 
 
-def _guided_options(value: float, case: CheckContext) -> CheckResult | None:
+def _guided_options(value: float, case: CheckContext) -> ParameterIssue | None:
     """GUID_OPTIONS: bits that change what setpoints mean."""
     del case
     if int(value) & (16 | 32):

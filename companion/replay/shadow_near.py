@@ -4,22 +4,20 @@ import math
 from collections import Counter
 from typing import Final, final
 
-from companion.geodesy import LocalFrame, deg
-from companion.mavlink.autopilots.messages import is_nowhere
+from companion.geodesy import LocalFrame
+from companion.mavlink.autopilots.messages import position
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import Receiver
-from companion.mavlink.near_sensing import HORIZONTAL, NearSensing, Poses
+from companion.mavlink.near_sensing import HEALTH, HORIZONTAL, SECTORS, NearSensing, Poses
+from companion.mavlink.near_sensing import MESSAGES as KIND_MESSAGES
 from companion.replay.shadow_report import NearThings
 from companion.world.near_map import Kind, NearMap, NearSensor, Rules
 from companion.world.rays import Lattice
 
 _ATTITUDE: Final = wire.MAVLINK_MSG_ID_ATTITUDE
 _POSITION: Final = wire.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-_HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
-_SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
-_AROUND: Final = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE
-_POINTS: Final = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE_3D
-MESSAGES: Final = frozenset({_ATTITUDE, _POSITION, _HEALTH, _SECTORS, _AROUND, _POINTS})
+_KINDS: Final = {number: kind for kind, number in KIND_MESSAGES.items()}
+MESSAGES: Final = frozenset({_ATTITUDE, _POSITION, HEALTH, *_KINDS})
 """All that is read here."""
 _CELLS_PER_RANGE: Final = 64
 _LEAST_CELL_M: Final = 0.25
@@ -102,9 +100,9 @@ class NearWatch:
         system_id, component = sender
         if system_id != self._system_id or component == COMPANION_COMPONENT:
             return
-        if component != AUTOPILOT_COMPONENT and number not in (_AROUND, _POINTS):
+        if component != AUTOPILOT_COMPONENT and (number == SECTORS or number not in _KINDS):
             return
-        if not self.sensors and number in (_ATTITUDE, _HEALTH):
+        if not self.sensors and number in (_ATTITUDE, HEALTH):
             return  # most logs are without a sensor
         for message in self._receiver.feed(frame):
             if number == _ATTITUDE:
@@ -118,32 +116,23 @@ class NearWatch:
             sensor.take()
 
     def _on_position(self, message: Message) -> None:
-        latitude_deg, longitude_deg = deg(message.lat), deg(message.lon)
-        if is_nowhere(latitude_deg, longitude_deg):
+        if (told := position(message, 0.0, self._frame)) is None:
             return
-        now_s = message.time_boot_ms * 1e-3
-        north_m, east_m = self._frame.to_local_m(latitude_deg, longitude_deg)
-        place = north_m, east_m, message.alt * 1e-3
-        self._poses.on_position(now_s, place, self._frame.grid_north_rad(north_m, east_m))
+        now_s, (north_m, east_m, _) = told.time_s, told.position_nea_m
+        grid_north_rad = self._frame.grid_north_rad(north_m, east_m)
+        self._poses.on_position(now_s, told.position_nea_m, grid_north_rad)
         before_s, self.here = self.here[0], (now_s, (north_m, east_m))
         if 0.0 < now_s - before_s < _LONGEST_S:
             for sensor in self.sensors.values():
                 sensor.found.seconds[sensor.sensing.sight(now_s).name] += now_s - before_s
 
     def _on_sensor(self, message: Message, number: int, component: int, now_s: float) -> None:
-        if number == _HEALTH:
-            for (kind, _), sensor in self.sensors.items():
-                if kind == "distance_sensor":
-                    sensor.sensing.on_health(message, now_s)
-        elif number == _AROUND:
-            sensor = self._sensor("obstacle_distance", component, message)
-            sensor.sensing.on_obstacle_distance(message, now_s)
-        elif number == _POINTS:
-            sensor = self._sensor("obstacle_distance_3d", component, message)
-            sensor.sensing.on_obstacle_distance_3d(message, now_s)
-        elif message.orientation in HORIZONTAL:
-            sensor = self._sensor("distance_sensor", component, message)
-            sensor.sensing.on_distance_sensor(message, now_s)
+        if number == HEALTH:
+            for sensor in self.sensors.values():
+                sensor.sensing.on_message(message, now_s)
+        elif number != SECTORS or message.orientation in HORIZONTAL:
+            sensor = self._sensor(_KINDS[number], component, message)
+            sensor.sensing.on_message(message, now_s)
 
     def _sensor(self, kind: Kind, component: int, message: Message) -> _Sensor:
         if (kind, component) not in self.sensors:
