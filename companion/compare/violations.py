@@ -23,7 +23,7 @@ _TOLERANCE = 1e-6  # relative: what lies on a bound has not crossed it
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Violations:
-    """Metres of a route that break a bound, and the extremes."""
+    """Metres of a route that break a bound."""
 
     route_m: float
     clearance_m: float
@@ -36,8 +36,6 @@ class Violations:
     """Climbing or diving more steeply than the vehicle can."""
     band_m: float
     """Below the floor or above the ceiling."""
-    least_clearance_m: float
-    tightest_turn_m: float
 
     @property
     def any(self) -> bool:
@@ -67,7 +65,6 @@ def violations(
     low, high = limits.floor_amsl_m, limits.ceiling_amsl_m
     slack = _TOLERANCE * (high - low)
     altitude = points[:, 2]
-    tightest = float(curvature.max(initial=0.0))
     return Violations(
         route_m=float(step_m.sum()),
         clearance_m=metres(clearance < task.settings.safety_distance_m * (1.0 - _TOLERANCE)),
@@ -78,8 +75,6 @@ def violations(
             | (climb < -limits.dive_angle_rad - _TOLERANCE)
         ),
         band_m=metres((altitude < low - slack) | (altitude > high + slack)),
-        least_clearance_m=float(clearance.min(initial=np.inf)),
-        tightest_turn_m=1.0 / tightest if tightest > 0.0 else np.inf,
     )
 
 

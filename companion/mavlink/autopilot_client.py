@@ -125,7 +125,7 @@ class AutopilotClient:
         """Its own fence, once it was read."""
         self.here_ne_m: tuple[float, float] | None = None
         self._targets_version = 0
-        self._parameters_told = self._plans_told = False
+        self._plans_told = False
         self._began = False
         self._asked_time_s = self._told_round_trip_s = -1e9
         self._outstanding: dict[int, float] = {}
@@ -167,7 +167,7 @@ class AutopilotClient:
         self.streams.forget()
         self.parameters.restart()
         self.plans.refresh()
-        self._parameters_told = self._plans_told = False
+        self._plans_told = False
         self.origin_nea_m = self._home_nea_m = None
         self._sets.clear()
         self._refusal_told = ""
@@ -385,7 +385,6 @@ class AutopilotClient:
         ]
         refusal = self._in_words(refused[0]) if refused else ""
         again, self._refusal_told = refusal == self._refusal_told != "", refusal
-        self._parameters_told = True
         return [] if again else [Prepared(time_s=now_s, item=Item.PARAMETERS, refusal=refusal)]
 
     def _set(self, findings: list[ParameterIssue]) -> bool:

@@ -187,10 +187,8 @@ def _with_fence(state: State, event: FenceChanged) -> Step:
 
 def _with_near_things(state: State, event: NearSeen) -> Step:
     """A sensor has looked around: stop if it is blind now, or something is in the way."""
-    vehicle = state.vehicle
-    if event.sight is not vehicle.sight:
-        vehicle = replace(vehicle, sight=event.sight, sight_at_s=event.time_s)
-        state = replace(state, vehicle=vehicle)
+    if event.sight is not state.vehicle.sight:
+        state = replace(state, vehicle=replace(state.vehicle, sight=event.sight))
     flight = state.flight
     if state.phase not in _ON_PATH or flight.leg is None:
         return state, [], None

@@ -37,8 +37,6 @@ class VehicleTraits:
     """Whether guided mode needs a running setpoint stream (OFFBOARD)."""
     holds_in_guided: bool = False
     """Whether it holds at its last setpoint in guided mode indefinitely."""
-    reports_target: bool = True
-    """Whether it reports its target in guided mode (POSITION_TARGET_*)."""
     lands: bool = True
     """Whether it has a mode to land in place."""
 

@@ -13,8 +13,6 @@ CLEAN = Violations(
     turn_m=0.0,
     climb_m=0.0,
     band_m=0.0,
-    least_clearance_m=600.0,
-    tightest_turn_m=3_000.0,
 )
 
 

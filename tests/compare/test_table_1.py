@@ -19,8 +19,6 @@ CLEAN = Violations(
     turn_m=0.0,
     climb_m=0.0,
     band_m=0.0,
-    least_clearance_m=600.0,
-    tightest_turn_m=3_000.0,
 )
 
 
@@ -157,8 +155,6 @@ def test_violations_are_shares_of_missions_and_means_of_metres() -> None:
         turn_m=10.0,
         climb_m=0.0,
         band_m=0.0,
-        least_clearance_m=400.0,
-        tightest_turn_m=10.0,
     )
     facts = table_1.violation_facts([run(1.0), run(1.0, violations=bad)])
     assert facts["clearance"] == {"missions": 0.5, "mean_m": 15.0}

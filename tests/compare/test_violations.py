@@ -42,8 +42,6 @@ def test_a_level_straight_line_over_a_plain_violates_nothing(task: Task) -> None
     found = measured(straight((0.0, 0.0, 3000.0), (20_000.0, 0.0, 3000.0)), task)
     assert not found.any
     assert found.route_m == pytest.approx(20_000.0)
-    assert found.least_clearance_m == pytest.approx(3000.0)
-    assert found.tightest_turn_m > 1e6
 
 
 @given(range_m=st.floats(4_000.0, 15_000.0), off=st.floats(0.0, 0.95))
@@ -97,14 +95,12 @@ def test_a_turn_counts_when_it_is_tighter_than_the_limit(
     corners = np.array([(0.0, 0.0), (k, 0.0), (1.0, 1.0 - k), (1.0, 1.0)]) * radius_m
     curve = Subpath(control_nea_m=np.insert(corners, 2, 3000.0, axis=1))
     found = measured(curve, task)
-    assert found.tightest_turn_m == pytest.approx(radius_m, rel=0.02)
     assert (found.turn_m == pytest.approx(curve.length_m, rel=0.01)) if breaks else not found.turn_m
 
 
 def test_a_join_with_r2_of_0_is_a_corner(task: Task) -> None:
     corners = np.array([(0.0, 0.0), (0.0, 0.0), (9_000.0, 4_000.0), (20_000.0, 0.0)])
     found = measured(Subpath(control_nea_m=np.insert(corners, 2, 3000.0, axis=1)), task)
-    assert found.tightest_turn_m == 0.0
     assert found.turn_m > 0.0
 
 

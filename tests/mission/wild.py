@@ -14,7 +14,7 @@ from made_up import MISSION, certificate, not_planned, planned, scan, straight, 
 from renewed import replace
 from watch import Watch
 
-from companion.mavlink.autopilots import ALL
+from companion.mavlink.autopilots import ALL, PX4_FIXED_WING
 from companion.mission import changes, checkpoint, machine
 from companion.mission.decisions import Context
 from companion.mission.events import (
@@ -284,7 +284,7 @@ class Wild:
             said.append(LandedState(time_s=now, landed=self.landed))
             said.append(GpsFix(time_s=now, good=not self.is_wrong("fix")))
             said.append(Estimator(time_s=now, good=not self.is_wrong("estimator"), error_m=1.0))
-        if self.traits.reports_target and self.mode is Mode.GUIDED and beat % 2 == 0:
+        if self.traits is not PX4_FIXED_WING.traits and self.mode is Mode.GUIDED and beat % 2 == 0:
             echo = self.goal or self.here
             if self.is_wrong("echo"):
                 echo = (echo[0] + 900.0, echo[1], echo[2])

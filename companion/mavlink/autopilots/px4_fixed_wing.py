@@ -73,7 +73,6 @@ PX4_FIXED_WING = Autopilot(
         take_off=TakeoffSequence.CLIMB_THEN_ARM,
         lead_s=1.5,
         needs_setpoints_before_offboard=True,
-        reports_target=False,
     ),
     rules=PX4_FIXED_WING_RULES,
     modes=px4.Px4Modes(),
