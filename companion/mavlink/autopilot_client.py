@@ -107,13 +107,12 @@ class AutopilotClient:
         self._mission, self._lockstep = mission, lockstep
         self._sets_parameters = sets_parameters
         self._home_nea_m: Vector | None = None
-        self._heading_cdeg = 0
+        self._heading_cdeg = self._breaches = self._targets_version = 0
         self._judged = -1
         self._sets: dict[str, int] = {}
         """How often each parameter was set."""
         self._refusal_told = ""
         self._home_first = number == wire.MAV_AUTOPILOT_ARDUPILOTMEGA
-        self._breaches = 0
         self._drawing_of: tuple[int, float] | None = None
         self._drawing: fence.FenceBuilder | None = None
         self._drawn: fence.Fence | None = None
@@ -124,7 +123,6 @@ class AutopilotClient:
         self.fence: fence.Fence | None = None
         """Its own fence, once it was read."""
         self.here_ne_m: tuple[float, float] | None = None
-        self._targets_version = 0
         self._plans_told = False
         self._began = False
         self._asked_time_s = self._told_round_trip_s = -1e9
