@@ -1,5 +1,5 @@
 # Sourced by the other scripts: a virtual environment in the checkout, with pinned versions.
-# usage: . scripts/setup.sh requirements.txt
+# usage: . scripts/setup.sh requirements.txt [uncompiled]
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
 python=${PYTHON:-python3}
 venv=${VENV:-.venv}
@@ -22,8 +22,11 @@ if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
     echo "setting up $venv (once, about a minute) ..."
     "$python" -m venv "$venv" &&
         "$venv/bin/pip" install -q --no-compile --disable-pip-version-check --require-hashes -r "$1" &&
-        "$venv/bin/pip" install -q --disable-pip-version-check --no-deps --no-build-isolation -e . &&
-        env -u PYTHONDONTWRITEBYTECODE "$venv/bin/python" -c "$compiles" ||
+        "$venv/bin/pip" install -q --disable-pip-version-check --no-deps --no-build-isolation -e . ||
         exit 1
     echo "$wanted" >"$stamp"
+fi
+if [ "$2" != uncompiled ] && [ "$(cat "$stamp-compiled" 2>/dev/null)" != "$wanted" ]; then
+    env -u PYTHONDONTWRITEBYTECODE "$venv/bin/python" -c "$compiles" || exit 1
+    echo "$wanted" >"$stamp-compiled"
 fi

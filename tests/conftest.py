@@ -38,14 +38,19 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Without --all nothing nightly runs; what a file makes once is made by one worker."""
+    """Without --all nothing nightly runs; what a file makes once is made by one worker.
+
+    Flights come first: whoever begins the last of them late keeps the other workers waiting.
+    """
     if not config.getoption("--all"):
         nightly = set(_nightly(items))
         config.hook.pytest_deselected(items=[item for item in items if item in nightly])
         items[:] = [item for item in items if item not in nightly]
+    items.sort(key=lambda item: item.path.parent.name not in ("closed_loop", "interop"))
     for item in items if config.pluginmanager.hasplugin("xdist") else ():
         if not item.get_closest_marker("xdist_group"):
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+            file = item.path.relative_to(config.rootpath).with_suffix("")
+            item.add_marker(pytest.mark.xdist_group(".".join(file.parts[1:])))
 
 
 def _nightly(items: list[pytest.Item]) -> Iterator[pytest.Item]:

@@ -17,9 +17,12 @@ from companion.mavlink.parameter_rules import (
     PX4_MULTICOPTER_RULES,
 )
 from companion.runtime.connection import parsed
+from companion.views.states import mission_states_markdown, troubleshooting_markdown
 from vehicle_sim.cli import app as simulator_app
 from vehicle_sim.cli import bundled_worlds
+from vehicle_sim.faults.timeline import faults_page
 from vehicle_sim.links import parse_endpoint
+from vehicle_sim.world_page import world_page
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -175,3 +178,15 @@ def test_the_missions_for_simulations_are_on_the_page_and_fly_without_a_radar() 
         assert mission.scanner_component_id is None
         assert mission.fence_from_vehicle
         assert mission.system_id is None
+
+
+def test_the_pages_that_are_made_from_the_code_are_up_to_date() -> None:
+    made = {
+        "reference/faults": faults_page(),
+        "reference/world": world_page(),
+        "reference/mission-states": mission_states_markdown(),
+        "troubleshooting": troubleshooting_markdown(),
+    }
+    for name, text in made.items():
+        page = (ROOT / f"docs/{name}.md").read_text(encoding="utf-8")
+        assert page == text, f"{name}: run scripts/docs"

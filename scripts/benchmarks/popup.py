@@ -18,17 +18,16 @@ from pathlib import Path
 from typing import Any
 
 import running
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+import in_process
 from pymavlink.dialects.v20 import all as wire
 
 import vehicle_sim
 from companion.config import load_mission
 from companion.geodesy import deg_e7
 from companion.mission.state import Reason
-from companion.planner.plan import plan
-from companion.runtime.compiler import load_kernel
-from companion.session import Session
 from vehicle_sim.scene import Scene, Upright
-from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import World, read_world
 
 _WORLDS = Path(vehicle_sim.__file__).parents[1] / "companion" / "environments"
@@ -39,7 +38,6 @@ _STANDS_M_S = 0.1
 _AT_SPEED, _LATER_S = 0.95, 0.5
 _WATCHED_S, _LIMIT_S = 12.0, 200.0
 _SETPOINT = wire.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
-_KERNEL = load_kernel()
 
 
 def open_world(name: str) -> World:
@@ -48,40 +46,17 @@ def open_world(name: str) -> World:
     return replace(world, woods=(), walls=(), buildings=(), trees=(), wires=())
 
 
-class Flight:
+class Flight(in_process.Flight):
     """One flight, until some seconds after the post has appeared."""
 
     def __init__(self, name: str, seed: int, world: World | None = None) -> None:
         """world: by default that of the mission, without anything that stands in it."""
-        self.mission = load_mission(name)
-        self.session = Session(self.mission, seed=seed, lockstep=True)
-        self.simulation = Simulation(world or open_world(name), seed=seed)
-        self.asked: Any = None
+        super().__init__(load_mission(name), world or open_world(name), seed=seed)
         self.setpoints: list[float] = []
         """When they were sent."""
         self._parser = wire.MAVLink(None)
 
-    @property
-    def now_s(self) -> float:
-        return self.simulation.now_us * 1e-6
-
-    def step(self) -> None:
-        """One step of the simulator, and all that the companion says to it."""
-        self.simulation.step()
-        for _, frame in self.simulation.take_frames():
-            self.session.receive(frame, self.now_s)
-            out = self.session.run()
-            while True:
-                self.asked = out.plan or self.asked
-                for sent in out.frames:
-                    self._keep(sent)
-                    self.simulation.receive(0, sent)
-                if not out.awaits_plan:
-                    break
-                self.session.deliver(plan(self.asked, lambda: False, _KERNEL))
-                out = self.session.run()
-
-    def _keep(self, frame: bytes) -> None:
+    def sends(self, frame: bytes) -> None:
         for message in self._parser.parse_buffer(frame) or ():
             if message.get_msgId() == _SETPOINT:
                 self.setpoints.append(self.now_s)

@@ -1,9 +1,13 @@
-"""Flights by a lidar through a garden that nobody knows: trees, and a wall with a gap."""
+"""Flights by a lidar through a garden that nobody knows: trees, and a wall with a gap.
+
+The first one, and the one that is killed, are two programs; the others are flown in this process.
+"""
 
 import math
 from pathlib import Path
 from typing import Any
 
+import in_process
 import pytest
 import shapely
 from flights import ENVIRONMENTS, Flight, edited, kept, launch, run
@@ -12,8 +16,10 @@ from companion.config import load_mission
 from companion.mission.state import Reason
 from companion.replay.reproduce import Replay
 from companion.runtime.compiler import load_kernel
+from vehicle_sim.world import read_world
 
-pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("garden")]
+pytestmark = pytest.mark.closed_loop
+TWO_PROGRAMS = pytest.mark.xdist_group("garden")
 
 TREES_NE_M = (
     *((10.0, 1.5), (12.0, -6.0), (14.0, 6.0), (18.0, -1.0), (19.0, -12.0), (20.0, 10.0)),
@@ -75,18 +81,17 @@ def mission(folder: Path, *changes: tuple[str, str]) -> Path:
     return edited(forest, folder / "mission.toml", smaller, nearer, *changes)
 
 
-def flown_through(folder: Path, world: Path, *faults: str) -> Flight:
-    path = folder / "faults.txt"
-    path.write_text("".join(f"{fault}\n" for fault in faults), encoding="utf-8")
-    flight = launch(
-        folder / "run", world, folder / "mission.toml", simulator_options=("--faults", path)
+def flown_through(folder: Path, world: Path, faults: str = "") -> in_process.Flight:
+    flight = in_process.Flight(
+        load_mission(str(folder / "mission.toml")), read_world(world), faults=faults
     )
-    flight.wait()
+    flight.fly()
     return flight
 
 
-def stays_clear(flight: Flight) -> None:
+def arrived_clear(flight: Flight | in_process.Flight) -> None:
     """Every sample of the truth keeps d_s from all that stands there, and it is at the target."""
+    assert flight.outcome == "arrived"
     in_air = [row for row in flight.truth if not row["landed"]]
     assert len(in_air) > 100
     points = shapely.points([(row["north_m"], row["east_m"]) for row in in_air])
@@ -101,14 +106,18 @@ def stays_clear(flight: Flight) -> None:
 def by_lidar(tmp_path_factory: pytest.TempPathFactory) -> Flight:
     folder = tmp_path_factory.mktemp("garden")
     mission(folder)
-    return flown_through(folder, garden(folder))
+    flight = launch(folder / "run", garden(folder), folder / "mission.toml")
+    flight.wait()
+    return flight
 
 
+@TWO_PROGRAMS
 def test_a_lidar_with_noise_and_lost_echoes_leads_through_the_gap(by_lidar: Flight) -> None:
     by_lidar.ended_well()
-    stays_clear(by_lidar)
+    arrived_clear(by_lidar)
 
 
+@TWO_PROGRAMS
 def test_that_flight_is_replayed_as_it_was(by_lidar: Flight) -> None:
     path = str(by_lidar.folder.parent / "mission.toml")
     replay = Replay(
@@ -123,8 +132,7 @@ def test_that_flight_is_replayed_as_it_was(by_lidar: Flight) -> None:
 def test_a_lidar_that_is_dead_for_a_while_is_waited_for_in_a_hold(tmp_path: Path) -> None:
     mission(tmp_path)
     flight = flown_through(tmp_path, garden(tmp_path), "at 58 s for 8 s: lidar_dead")
-    flight.ended_well()
-    stays_clear(flight)
+    arrived_clear(flight)
     [silent] = [row["t_s"] for row in flight.journal if is_hold(row, Reason.SENSOR_SILENT)]
     assert 58.5 < silent < 62.0
     stands = [row for row in flight.truth if silent + 3.0 < row["t_s"] < 66.0]
@@ -132,6 +140,7 @@ def test_a_lidar_that_is_dead_for_a_while_is_waited_for_in_a_hold(tmp_path: Path
     assert flight.says.count(Reason.SENSOR_SILENT.text) == 1
 
 
+@TWO_PROGRAMS
 def test_killed_between_the_trees_and_started_again_it_learns_them_anew_and_arrives(
     tmp_path: Path,
 ) -> None:
@@ -145,7 +154,7 @@ def test_killed_between_the_trees_and_started_again_it_learns_them_anew_and_arri
     flight.companion = run(*map(str, flight.companion.process.args))  # type: ignore[union-attr]
     flight.wait()
     flight.ended_well()
-    stays_clear(flight)
+    arrived_clear(flight)
     assert not (flight.folder / "known.npz").exists()
     journal = flight.journal
     [_, again] = [number for number, row in enumerate(journal) if "schema" in row]
@@ -179,7 +188,7 @@ def test_eight_wide_sectors_of_an_autopilot_that_is_silent_in_the_open_lead_past
     world = tmp_path / "world.toml"
     world.write_text(f'{WORLD}output = "autopilot"\n{TREE}', encoding="utf-8")
     flight = flown_through(tmp_path, world)
-    flight.ended_well()
+    assert flight.outcome == "arrived"
     assert min(row["near_m"] for row in flight.truth if not row["landed"]) >= SAFE_M
     assert not any(Reason.SENSOR_SILENT.text in text for text in flight.says)
 
@@ -229,5 +238,4 @@ def test_the_points_of_a_depth_camera_lead_through_the_gap(tmp_path: Path) -> No
     world = garden(tmp_path, of_lidar=ROWS)
     farther = ("range_m = 16.0", "range_m = 20.0"), ("step_deg = 2.5", "step_deg = 3.0")
     flight = flown_through(tmp_path, edited(world, world, *farther))
-    flight.ended_well()
-    stays_clear(flight)
+    arrived_clear(flight)
