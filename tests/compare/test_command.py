@@ -72,14 +72,6 @@ def test_a_picture_of_another_kind_is_refused_with_the_choices(command: str) -> 
         called(command, "--figure", "x.jpg")
 
 
-@pytest.mark.parametrize(
-    "words", [["--runs", "0"], ["--jobs", "0"], ["--seed", "-1"], ["--runs", "many"], ["--nothing"]]
-)
-def test_a_bad_option_is_a_usage_error(words: list[str]) -> None:
-    result = CliRunner().invoke(compare_app, ["figure-4", *words])
-    assert result.exit_code == 2
-
-
 def test_numbers_and_picture_do_not_go_into_one_file(tmp_path: Path) -> None:
     same = str(tmp_path / "figure.png")
     with pytest.raises(InputError, match=r"--json = .*the picture goes there"):

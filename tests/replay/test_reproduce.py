@@ -261,17 +261,6 @@ def test_another_entry_in_the_journal_is_found_and_the_command_ends_with_1(copy:
     assert "not identical" in out
 
 
-def test_nothing_before_from_is_compared(copy: Path) -> None:
-    path = copy / "journal.jsonl"
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    place = next(i for i, line in enumerate(lines) if '"kind":"arm"' in line)
-    at_s = json.loads(lines[place])["t_s"]
-    lines[place] = lines[place].replace('"kind":"arm"', '"kind":"leg"')
-    path.write_text("".join(lines), encoding="utf-8")
-    assert not replayed(copy, from_s=at_s - 1.0).is_identical
-    assert replayed(copy, from_s=at_s + 1.0).is_identical
-
-
 def test_another_weight_changes_plans_and_not_what_is_flown_by_the_recorded_ones(
     copy: Path,
 ) -> None:

@@ -323,28 +323,6 @@ def test_any_value_anywhere_is_taken_or_an_input_error(path: Path, data: st.Data
         load_mission(str(path))
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"{}", b'{"fileType": "Plan"}', json.dumps(plan(item(177))).encode()]
-)
-def test_on_the_command_line_a_bad_plan_is_one_line_and_exit_code_2(
-    path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    content: bytes,
-) -> None:
-    from companion.cli import main
-
-    path.write_bytes(content)
-    monkeypatch.setattr(sys, "argv", ["companion", "check", str(path)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert len(err.splitlines()) == 1
-    assert err.startswith("error: ")
-
-
 # --- versions, and what a program may leave out
 
 
