@@ -15,7 +15,7 @@ from typing import Final, final
 import numpy as np
 
 from companion.geodesy import FloatArray, wrap_rad
-from companion.mavlink.dialect import Message, wire
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
 from companion.mission.events import Vector
 from companion.world.near_map import Kind, NearSensor, Sight, Sweep
 
@@ -24,8 +24,6 @@ _NORTH: Final = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_LOCAL_NED)
 _NORTH_OFFSET: Final = (wire.MAV_FRAME_LOCAL_OFFSET_NED,)
 _UNKNOWN_CM: Final = 65_535
 _SECTORS: Final = 8
-HORIZONTAL: Final = range(_SECTORS)
-"""Orientations of DISTANCE_SENSOR: sectors of 45 degrees, clockwise from the nose."""
 HEALTH: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
 SECTORS: Final = wire.MAVLINK_MSG_ID_DISTANCE_SENSOR
 MESSAGES: Final[dict[Kind, int]] = {
@@ -34,8 +32,12 @@ MESSAGES: Final[dict[Kind, int]] = {
     "obstacle_distance_3d": wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE_3D,
 }
 """What each kind of sensor sends."""
+_SECTOR_RAD: Final = math.tau / _SECTORS
+_HORIZONTAL: Final = range(_SECTORS)  # orientations of DISTANCE_SENSOR, clockwise from the nose
+_FIRST_SECTOR_ID: Final = 10  # of ArduPilot's proximity: less are rangefinders, of one beam each
 _KEPT_S = 3.0
 _GAP_S = 0.3  # between two positions or attitudes of which a pose is made
+_APART_S = 0.03  # what is nearer in time is one sweep told twice, or a flood
 _OTHER_CLOCK_S = 1.0  # a stamp farther from the vehicle's time is none of its clock
 _EMPTY_AFTER_S = 1.2  # the longest row of wrong "max" took 0.9 s, the shortest true one 2.9 s
 _SILENT_S = 0.6  # several messages at 10 Hz
@@ -43,6 +45,17 @@ _SET_S = 0.1  # in which the messages of one stamp come: a stamp may stand still
 _SET_MOST = 5000  # messages
 _ABOVE_GROUND = 0.8  # of the height: a beam that has come down farther may meet the ground
 _HEALTH_S = 2.5  # between two SYS_STATUS, and one of them lost
+
+
+def is_sector(message: Message) -> bool:
+    """Whether a DISTANCE_SENSOR speaks for one of eight sectors.
+
+    One beam does not: a rangefinder of ArduPilot that looks ahead, or what has a narrow field.
+    """
+    one_beam = 0.0 < message.horizontal_fov < 0.99 * _SECTOR_RAD
+    if message.get_srcComponent() == AUTOPILOT_COMPONENT:
+        one_beam |= message.id < _FIRST_SECTOR_ID
+    return message.orientation in _HORIZONTAL and not one_beam
 
 
 @final
@@ -193,6 +206,8 @@ class NearSensing:
         """Those of ArduPilot's eight that were ever told."""
         self._full_since_s = np.empty(0)
         """Since when each sector, as the sensor counts them, has said "max"; inf: it does not."""
+        self._taken_s = -math.inf, -math.inf
+        """The stamp of the newest sweep, and when it came."""
         self._heard_s = self._health_s = -math.inf
         self._well = False
         """By its last word, at `_health_s`."""
@@ -222,22 +237,23 @@ class NearSensing:
         if width_deg < 0.0:  # counter-clockwise: the last comes first
             told_cm, offset_deg = told_cm[::-1], offset_deg + (count - 1) * width_deg
         width_rad = math.radians(abs(width_deg))
-        time_s = self._time_of(message.time_usec * 1e-6, now_s)
+        if (told_cm != _UNKNOWN_CM).any():  # one that knows nothing at all is blind
+            self._heard_s = now_s
         self._take(
             told_cm,
             (message.min_distance, message.max_distance),
             empty_cm=message.max_distance + 1,
-            time_s=time_s,
+            time_s=self._time_of(message.time_usec * 1e-6, now_s),
             first_rad=math.radians(offset_deg) - 0.5 * width_rad,
             width_rad=width_rad,
             from_nose=message.frame in _BODY,
         )
-        if (told_cm != _UNKNOWN_CM).any():  # one that knows nothing at all is blind
-            self._heard_s = now_s
 
     def on_distance_sensor(self, message: Message, now_s: float) -> None:
         """One of ArduPilot's eight sectors; those of one stamp belong together."""
-        if message.orientation not in HORIZONTAL:
+        if not is_sector(message):
+            if message.orientation in _HORIZONTAL:
+                self._refuse("one beam does not speak for a sector")
             return
         if self._is_over(now_s, time_boot_ms=message.time_boot_ms):
             self._take_sectors()
@@ -274,9 +290,12 @@ class NearSensing:
 
     def _take_points(self) -> None:
         messages, self._set = self._set, []
+        time_s = self._time_of(messages[0].time_boot_ms * 1e-3, self._set_s)
+        if time_s is None:
+            return
         self._looks.append(
             _Points(
-                time_s=self._time_of(messages[0].time_boot_ms * 1e-3, self._set_s),
+                time_s=time_s,
                 points_m=np.array([(each.x, each.y, each.z) for each in messages]).T,
                 from_nose=messages[0].frame in _BODY,
             )
@@ -297,14 +316,13 @@ class NearSensing:
         told_cm[list(left_out)] = one.max_distance
         if not 0 <= one.min_distance < one.max_distance:
             return self._refuse("max_distance is no more than min_distance")
-        width_rad = math.tau / _SECTORS
         self._take(
             told_cm,
             (one.min_distance, one.max_distance),
             empty_cm=math.inf,
             time_s=self._time_of(one.time_boot_ms * 1e-3, self._set_s),
-            first_rad=-0.5 * width_rad,
-            width_rad=width_rad,
+            first_rad=-0.5 * _SECTOR_RAD,
+            width_rad=_SECTOR_RAD,
             from_nose=True,
         )
 
@@ -320,12 +338,11 @@ class NearSensing:
         self._health_s, self._well = now_s, well
         if well and was_well and now_s - self._heard_s > _EMPTY_AFTER_S:
             nothing = np.full(_SECTORS, np.inf)
-            width_rad = math.tau / _SECTORS
             self._looks.append(
                 _Look(
                     time_s=now_s - self._sensor.latency_s,
-                    first_rad=-0.5 * width_rad,
-                    width_rad=width_rad,
+                    first_rad=-0.5 * _SECTOR_RAD,
+                    width_rad=_SECTOR_RAD,
                     clear_m=np.full(_SECTORS, self._sensor.range_m),
                     echo_m=nothing,
                     from_nose=True,
@@ -360,11 +377,19 @@ class NearSensing:
                     result.append(_sweep_of_points(look, pose, self._sensor, height_m))
         return result
 
-    def _time_of(self, stamp_s: float, now_s: float) -> float:
-        """When it was measured; a stamp of another clock counts as now."""
+    def _time_of(self, stamp_s: float, now_s: float) -> float | None:
+        """When it was measured; None: there is one of that time.
+
+        A stamp of another clock counts as now; one that stands still is taken all the same.
+        """
         if abs(stamp_s - now_s) > _OTHER_CLOCK_S:
             self.refused["a stamp of another clock"] += 1
             stamp_s = now_s
+        before_s, came_s = self._taken_s
+        if 0.0 <= stamp_s - before_s < _APART_S and 0.0 <= now_s - came_s < _SET_S:
+            self._refuse("more than 30 sweeps a second")
+            return None
+        self._taken_s = stamp_s, now_s
         return stamp_s - self._sensor.latency_s
 
     def _refuse(self, why: str) -> None:
@@ -376,7 +401,7 @@ class NearSensing:
         limits_cm: tuple[float, float],
         *,
         empty_cm: float,
-        time_s: float,
+        time_s: float | None,
         first_rad: float,
         width_rad: float,
         from_nose: bool,
@@ -385,6 +410,8 @@ class NearSensing:
 
         Any other value outside the limits says nothing.
         """
+        if time_s is None:
+            return
         least_cm, most_cm = limits_cm
         full = (told_cm == most_cm) | ((told_cm >= empty_cm) & (told_cm != _UNKNOWN_CM))
         if len(self._full_since_s) != len(full):

@@ -8,7 +8,7 @@ from companion.geodesy import LocalFrame
 from companion.mavlink.autopilots.messages import position
 from companion.mavlink.dialect import AUTOPILOT_COMPONENT, COMPANION_COMPONENT, Message, wire
 from companion.mavlink.frames import Receiver
-from companion.mavlink.near_sensing import HEALTH, HORIZONTAL, SECTORS, NearSensing, Poses
+from companion.mavlink.near_sensing import HEALTH, SECTORS, NearSensing, Poses, is_sector
 from companion.mavlink.near_sensing import MESSAGES as KIND_MESSAGES
 from companion.replay.shadow_report import NearThings
 from companion.world.near_map import Kind, NearMap, NearSensor, Rules
@@ -130,7 +130,7 @@ class NearWatch:
         if number == HEALTH:
             for sensor in self.sensors.values():
                 sensor.sensing.on_message(message, now_s)
-        elif number != SECTORS or message.orientation in HORIZONTAL:
+        elif number != SECTORS or is_sector(message):
             sensor = self._sensor(_KINDS[number], component, message)
             sensor.sensing.on_message(message, now_s)
 

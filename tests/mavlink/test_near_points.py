@@ -179,7 +179,8 @@ def test_a_flood_in_one_moment_is_worked_off_in_parts() -> None:
     it = sensing(poses())
     for _ in range(12_000):
         it.on_obstacle_distance_3d(point(5.0, 0.0, 0.0), NOW_S)
-    assert len(it.sweeps()) == 2
+    assert len(it.sweeps()) == 1
+    assert it.refused == {"more than 30 sweeps a second": 1}
 
 
 def test_the_scanner_of_a_mission_keeps_a_map_of_points() -> None:

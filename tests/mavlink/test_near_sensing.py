@@ -155,10 +155,22 @@ def test_sectors_that_are_more_than_a_turn_or_less_are_taken_as_they_are(increme
 
 def test_a_stamp_of_another_clock_counts_as_now() -> None:
     sensing = NearSensing(LIDAR, standing())
-    for stamp_us in (0, 1_795_321_194_894_000, round((NOW_S + 5.0) * 1e6)):
-        sensing.on_obstacle_distance(obstacle_distance([500], time_usec=stamp_us), NOW_S)
-    assert [sweep.time_s for sweep in sensing.sweeps()] == [NOW_S] * 3
+    stamps_us, times_s = (0, 1_795_321_194_894_000, 15_000_000), [NOW_S, NOW_S + 0.1, NOW_S + 0.2]
+    for stamp_us, now_s in zip(stamps_us, times_s, strict=True):
+        sensing.on_obstacle_distance(obstacle_distance([500], time_usec=stamp_us), now_s)
+    assert [sweep.time_s for sweep in sensing.sweeps()] == times_s
     assert sensing.refused == {"a stamp of another clock": 3}
+
+
+def test_what_is_told_again_at_once_is_one_sweep_and_proves_no_more() -> None:
+    """A driver at 125 Hz: three sweeps in a row would be of one turn of the lidar."""
+    sensing = NearSensing(LIDAR, standing())
+    for k in range(20):
+        now_s = NOW_S + 0.008 * k
+        sensing.on_obstacle_distance(obstacle_distance(time_usec=round(now_s * 1e6)), now_s)
+    taken_s = [sweep.time_s - NOW_S for sweep in sensing.sweeps()]
+    assert taken_s == pytest.approx([0.0, 0.032, 0.064, 0.096, 0.128])
+    assert sensing.refused == {"more than 30 sweeps a second": 15}
 
 
 def test_a_measurement_waits_until_the_pose_of_its_time_is_known() -> None:
@@ -212,6 +224,30 @@ def test_a_lidar_that_dies_is_told_from_one_that_sees_nothing() -> None:
         status = wire.MAVLink_sys_status_message(bit, bit, health, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
         sensing.on_health(status, NOW_S + 1.0)
         assert sensing.sight(NOW_S + 1.5) is sight
+
+
+@pytest.mark.parametrize(
+    ("component", "fields", "is_taken"),
+    [
+        (1, {"id": 10}, True),
+        (1, {"id": 0}, False),  # a rangefinder of ArduPilot that looks ahead
+        (1, {"id": 17, "horizontal_fov": math.radians(3.0)}, False),
+        (158, {"id": 0}, True),
+        (158, {"id": 0, "horizontal_fov": math.radians(45.0)}, True),
+        (158, {"id": 0, "horizontal_fov": math.radians(27.0)}, False),
+    ],
+)
+def test_one_beam_does_not_speak_for_a_sector(
+    component: int, fields: dict[str, Any], is_taken: bool
+) -> None:
+    sensing = NearSensing(BEHIND_AUTOPILOT, standing())
+    values = {"time_boot_ms": 9950, "min_distance": 20, "max_distance": 1600, "type": 0}
+    values |= {"current_distance": 700, "orientation": 0, "covariance": 0}
+    message = wire.MAVLink_distance_sensor_message(**{**values, **fields})
+    message.pack(wire.MAVLink(None, srcSystem=1, srcComponent=component))
+    sensing.on_distance_sensor(message, NOW_S)
+    assert (sensing.sight(NOW_S) is Sight.SEES) == is_taken
+    assert sensing.refused.total() == (not is_taken)
 
 
 def test_sectors_whose_stamp_stands_still_go_on_to_be_taken() -> None:
