@@ -210,11 +210,11 @@ def _seen(known: KnownMap, first: list[int], count: list[int], cells: int) -> Bo
     firm = known.firm
     result = np.ones((count[0], count[1]), dtype=bool)
     for south, west in np.ndindex(2, 2):
-        index = (
+        rows, columns = (
             np.clip(first[axis] + cells * np.arange(count[axis]) - before, 0, size - 1)
             for axis, (before, size) in enumerate(zip((south, west), firm.shape, strict=True))
         )
-        result &= firm[np.ix_(*index)]
+        result &= firm.take(rows, axis=0).take(columns, axis=1)
     return result
 
 
@@ -237,23 +237,25 @@ def _lowest_m(
     stride = cells
     if cells > 2 * reach:
         reach, stride = 1, 2
-    window = np.ix_(
-        *(
-            _cells_about(first[axis], count[axis], cells, reach, known.upper_m.shape[axis])
-            for axis in (0, 1)
-        )
+    rows, columns = (
+        _cells_about(first[axis], count[axis], cells, reach, known.upper_m.shape[axis])
+        for axis in (0, 1)
     )
-    upper = believed_m[window].astype(np.float32)
+    upper = believed_m.take(rows, axis=0).take(columns, axis=1).astype(np.float32)
     lowest, part = np.full((2, count[0], count[1]), -np.inf, dtype=np.float32)
     if not (upper > task.limits.floor_amsl_m - clearance).any():
         return lowest.astype(np.float64)
-    for down in range(2 * reach):
-        for left in range(2 * reach):
-            gaps = (max(at - reach, reach - 1 - at) * known.cell_m for at in (down, left))
+    last = 2 * reach - 1
+    for left in range(reach):  # cells to the west and east, south and north are as far away
+        strip, other = (upper[:, at::stride][:, : count[1]] for at in (left, last - left))
+        strip = np.maximum(strip, other)
+        for down in range(reach):
+            gaps = ((reach - 1 - at) * known.cell_m for at in (down, left))
             gap = max(math.hypot(*gaps) - known.registration_m, 0.0)
             if gap < clearance:
-                near = upper[down::stride, left::stride][: count[0], : count[1]]
-                np.add(near, math.sqrt(clearance**2 - gap**2), out=part)
+                south, north = (strip[at::stride][: count[0]] for at in (down, last - down))
+                np.maximum(south, north, out=part)
+                part += math.sqrt(clearance**2 - gap**2)
                 np.maximum(lowest, part, out=lowest)
     return lowest.astype(np.float64)
 

@@ -92,8 +92,10 @@ def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float)
     corner = near.lattice.north_min_m, near.lattice.east_min_m
     first = np.array([window[0].start, window[1].start])
     middles = (cells + first + 0.5) * cell_m + corner
-    gaps = np.maximum(np.abs(points[:, None] - middles) - 0.5 * cell_m, 0.0)
-    return bool((np.hypot(gaps[..., 0], gaps[..., 1]) < required_m).any())
+    north, east = (
+        np.maximum(np.abs(points[:, k, None] - middles[:, k]) - 0.5 * cell_m, 0.0) for k in (0, 1)
+    )
+    return bool((north * north + east * east < required_m**2).any())
 
 
 def _is_clear(cubics: FloatArray, piece: list[float], table: ZoneTable, wanted_m: float) -> bool:
