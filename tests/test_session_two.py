@@ -1,0 +1,192 @@
+"""Two sessions with the same ids on one link, and one whose link sends back what it says."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import all as wire
+
+sys.path.insert(0, str(Path(__file__).parent / "runtime"))
+from scripted_vehicle import MISSION, Pair, Vehicle, messages
+
+from companion.mavlink.link import Output
+from companion.mavlink.preflight import CheckStatus, checks_of
+from companion.mission import checkpoint
+from companion.mission.events import Outcome
+from companion.mission.state import Phase, Reason
+from companion.session import Session
+
+OURS = replace(MISSION, system_id=1)
+COMMANDS = ("COMMAND_LONG", "COMMAND_INT", "SET_POSITION_TARGET_GLOBAL_INT")
+ASKS = (wire.MAV_CMD_SET_MESSAGE_INTERVAL, wire.MAV_CMD_REQUEST_MESSAGE)
+
+
+def session(**keywords: Any) -> Session:
+    return Session(OURS, seed=1, lockstep=False, **keywords)
+
+
+class Bus:
+    """A vehicle and its companions, each of whom hears all the others."""
+
+    def __init__(self, *, reflects: int = 0) -> None:
+        self.vehicle = Vehicle(lockstep=False)
+        self.pairs: list[Pair] = []
+        self.reflects, self.ticks = reflects, 0
+
+    def joins(self, one: Session) -> Pair:
+        self.pairs.append(Pair(one, self.vehicle))
+        return self.pairs[-1]
+
+    def tick(self) -> None:
+        self.ticks += 1
+        said = self.vehicle.tick()
+        for pair in list(self.pairs):
+            count = len(pair.frames)
+            pair.feed(said)
+            if pair.asked is not None and pair.out.plan is not None:
+                pair.session.deliver(pair.planner(pair.asked))
+            self.carry(pair, pair.frames[count:])
+
+    def carry(self, speaker: Pair, frames: list[bytes]) -> None:
+        for pair in self.pairs:
+            if pair is not speaker and pair.out.end is None:
+                pair.feed(b"".join(frames))
+        for _ in range(self.reflects):
+            speaker.feed(b"".join(frames))
+
+    def run(self, seconds: float) -> "Bus":
+        for _ in range(round(seconds * 10)):
+            self.tick()
+        return self
+
+    def flying(self) -> Pair:
+        """The first, on its way."""
+        first = self.joins(session())
+        for _ in range(3000):
+            if first.session.state.flight.leg is not None:
+                return first
+            self.tick()
+        raise AssertionError(first.session.state.phase)
+
+
+def warned(it: Pair, text: str = Reason.NOT_ALONE.text) -> list[float]:
+    """When people were told."""
+    says = [entry for entry in it.journal if entry["kind"] == "say" and entry["warning"]]
+    return [entry["t_s"] for entry in says if text in entry["text"]]
+
+
+def commanded(it: Pair) -> list[Any]:
+    """What moves or changes the vehicle; not what only asks it."""
+    said = (message for message in messages(it.frames) if message.get_type() in COMMANDS)
+    return [each for each in said if getattr(each, "command", 0) not in ASKS]
+
+
+@pytest.mark.parametrize("reflects", [1, 2])
+def test_a_link_that_sends_back_what_we_say_is_no_second_companion(reflects: int) -> None:
+    bus = Bus(reflects=reflects)
+    it = bus.flying()
+    bus.run(20.0)
+    assert it.session.state.phase is Phase.FLYING
+    assert warned(it) == []
+    assert not it.session.state.duplicate_id
+    assert len(messages(it.frames)) > 300
+
+
+def test_the_one_that_came_second_ends_in_the_air_and_the_first_flies_on() -> None:
+    bus = Bus()
+    first = bus.flying()
+    second = bus.joins(session())
+    bus.run(30.0)
+    end = second.out.end
+    assert end is not None
+    assert (end.outcome, end.reason) == (Outcome.FAILED, Reason.NOT_ALONE.text)
+    assert commanded(second) == []
+    assert len(warned(first)) == 1
+    assert "another companion" in [entry["kind"] for entry in first.journal]
+    texts = [m.text for m in messages(first.frames) if m.get_type() == "STATUSTEXT"]
+    assert Reason.NOT_ALONE.text in "".join(texts)
+    assert first.session.warned[1].startswith(Reason.NOT_ALONE.text)
+    assert first.session.state.phase is Phase.FLYING
+
+
+def test_the_same_flight_started_twice_is_flown_once() -> None:
+    """The second has the path of the first, from the same run folder."""
+    bus = Bus()
+    first = bus.flying()
+    bus.run(3.0)
+    values = {"system_id": 1, **checkpoint.values_of(first.session.state)}
+    resume = (values, first.session.state.flight.known)
+    second = bus.joins(session(resume=resume))
+    bus.run(15.0)
+    assert second.out.end is not None
+    assert second.out.end.reason == Reason.NOT_ALONE.text
+    assert commanded(second) == []
+    assert first.session.state.phase is Phase.FLYING
+
+
+def test_on_the_ground_neither_takes_off() -> None:
+    bus = Bus()
+    pairs = [bus.joins(session()), bus.joins(session())]
+    bus.run(30.0)
+    assert not bus.vehicle.armed
+    for pair in pairs:
+        assert pair.out.end is not None
+        assert pair.out.end.reason == Reason.NOT_ALONE.text
+
+
+def test_what_fly_refuses_preflight_refuses() -> None:
+    bus = Bus()
+    bus.flying()
+    looks = bus.joins(session(shadow=True))
+    bus.run(6.0)
+    [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
+    assert check.status is CheckStatus.REFUSED
+    assert check.what == f"1/195: {Reason.NOT_ALONE.text}"
+    assert check.remedy == Reason.NOT_ALONE.remedy
+
+
+def test_alone_preflight_says_so() -> None:
+    bus = Bus(reflects=1)
+    looks = bus.joins(session(shadow=True))
+    bus.run(6.0)
+    [check] = [c for c in checks_of(looks.session) if c.name == "companion"]
+    assert (check.status, check.what) == (CheckStatus.PASSED, "nobody else is 1/195")
+
+
+def test_what_a_companion_before_this_one_has_left_in_buffers_holds_nothing_up_for_long() -> None:
+    bus = Bus()
+    first = bus.flying()
+    bus.run(3.0)
+    values = {"system_id": 1, **checkpoint.values_of(first.session.state)}
+    left, known = b"".join(first.frames[-40:]), first.session.state.flight.known
+    bus.pairs.clear()
+    again = bus.joins(session(resume=(values, known)))
+    bus.run(0.5)
+    again.feed(left)
+    bus.run(6.0)
+    assert again.out.end is None
+    assert again.session.state.phase is Phase.FLYING
+    assert warned(again) == []
+
+
+def test_a_flight_without_its_memory_is_said_to_people_and_in_the_journal() -> None:
+    bus = Bus()
+    first = bus.flying()
+    bus.run(3.0)
+    now_s = first.session.now_s
+    bus.pairs.clear()
+    values = checkpoint.without_checkpoint(
+        "resume.json: torn", system_id=1, time_s=now_s, plan_id=4
+    )
+    again = bus.joins(session(resume=(values, None)))
+    bus.run(20.0)
+    [resumed] = [entry for entry in again.journal if entry["kind"] == "resumed"]
+    assert resumed["lost"] == "resume.json: torn"
+    texts = [m.text for m in messages(again.frames) if m.get_type() == "STATUSTEXT"]
+    assert "without memory of the flight: resume.json: torn" in "".join(texts)
+    assert len(warned(again, "without memory")) == 1
+    assert not [m for m in commanded(again) if getattr(m, "command", 0) == 400]
+    assert isinstance(again.out, Output)
+    assert again.session.state.phase is Phase.FLYING
