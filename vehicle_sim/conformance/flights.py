@@ -10,16 +10,15 @@ import functools
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, final
+from typing import Any, final
 
 import msgspec
 import numpy as np
 
 from vehicle_sim.conformance.log import Place, Recording, TimedFrame, decoded, heard
-from vehicle_sim.dynamics import Vehicle
 from vehicle_sim.sensors.lidar import LidarTable
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import Tree, World, flat_world
@@ -157,27 +156,6 @@ _POST_M = 1000.0
 _ATTITUDE, _GLOBAL = 30, 33
 
 
-class Flying(Protocol):
-    """What the player needs of a simulation."""
-
-    @property
-    def now_us(self) -> int:
-        """Vehicle time."""
-
-    def step(self) -> object:
-        """Fly for one step."""
-
-    def receive(self, link: int, data: bytes, /) -> None:
-        """Handle what came in by a link."""
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """What flies."""
-
-    def take_frames(self) -> Sequence[tuple[int, bytes]]:
-        """What goes out, each with its link."""
-
-
 @final
 class Player:
     """Plays one recording.
@@ -186,7 +164,7 @@ class Player:
     the vehicle boots alone, and what it says then was not recorded either.
     """
 
-    def __init__(self, flying: Flying, recording: Recording, flight: Flight) -> None:
+    def __init__(self, flying: Simulation, recording: Recording, flight: Flight) -> None:
         self._flying = flying
         self._recording = recording
         self._flight = flight

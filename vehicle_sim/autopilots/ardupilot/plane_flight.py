@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from typing import final
 
-from vehicle_sim.autopilots import Estimate, Landed, Place, Waypoint
+from vehicle_sim.autopilots import Landed, Place, Waypoint
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.flat_earth import distance_m, offset
 from vehicle_sim.autopilots.ardupilot.plane_mission import NOT_FORCED, Forced, Guided, Mission
@@ -134,50 +134,6 @@ class Takeoff:
         return math.radians(level + min(max(share, 0.0), 1.0) * (free - level))
 
 
-@final
-class Landing:
-    """One landing after another."""
-
-    def __init__(self, parameters: Parameters, say: Callable[[int, str], None]) -> None:
-        self._parameters = parameters
-        self._say = say
-        self.flaring = False
-        """From the flare until it disarms by itself."""
-
-    def step(
-        self,
-        plane: Plane,
-        navigation: Navigation,
-        estimate: Estimate,
-        *,
-        height_m: float,
-        bank_rad: float,
-        cruise_m_s: float,
-        dt_s: float,
-    ) -> None:
-        """One step in the air; the height is that above the ground."""
-        speed = math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
-        if not self.flaring and height_m <= self._parameters["LAND_FLARE_ALT"]:
-            self.flaring = True
-            self._say(
-                6,
-                f"Flare {height_m:.1f}m sink={-estimate.velocity_up_m_s:.2f} "
-                f"speed={plane.airspeed_m_s:.1f} dist={navigation.distance_m:.1f}",
-            )
-        if self.flaring:
-            plane.advance(0.0, -FLARE_SINK_M_S, cruise_m_s * FLARE_SPEED, dt_s)
-            plane.throttle = 0.0
-            return
-        slope = 0.0
-        before, following = navigation.before, navigation.next
-        if before is not None and following is not None:
-            length_m = max(distance_m(before, following), 1.0)
-            slope = (following.altitude_amsl_m - before.altitude_amsl_m) / length_m
-        error_m = navigation.target_amsl_m - estimate.altitude_amsl_m
-        climb = slope * speed + error_m / ERROR_S
-        plane.advance(bank_rad, climb, cruise_m_s * APPROACH_SPEED, dt_s)
-
-
 TURN_EFFICIENCY = 0.745
 """Lateral acceleration over g tan(bank) of the recorded airframe, which slips in turns (measured:
 0.745 +- 0.01 over 240 s); that is why its circles are wider than asked."""
@@ -220,7 +176,8 @@ class Flight:
         """TAKEOFF has settled where it goes."""
         self._settling = False
         """Climbing on with the speed that is left from a take-off."""
-        self.landing = Landing(parameters, host.send_text)
+        self._flaring = False
+        """From the flare until it disarms by itself."""
         self._still_us = 0
         self.read_parameters()
 
@@ -237,7 +194,7 @@ class Flight:
     def enter(self, mode: Mode) -> None:
         """Begin to fly in this mode; what GUIDED was told is forgotten."""
         self.guided.forget()
-        self.landing.flaring = False
+        self._flaring = False
         self.mission.stop()
         navigation, here = self.navigation, self._host.estimate.place
         navigation.l1.forget()
@@ -386,7 +343,7 @@ class Flight:
                 climbed_m = self._host.estimate.place.altitude_amsl_m - self._start.altitude_amsl_m
                 limit = self.takeoff.bank_limit_rad(climbed_m)
                 bank = min(max(bank, -limit), limit)
-        return 0.0 if self.landing.flaring else bank
+        return 0.0 if self._flaring else bank
 
     def _end_climb(self) -> None:
         """From take-off to normal flight."""
@@ -455,20 +412,37 @@ class Flight:
             plane.throttle = 1.0
         elif mode == Mode.AUTO and self.mission.lands:
             self.heights.begin(height_m)
-            self.landing.step(
-                plane,
-                self.navigation,
-                host.estimate,
-                height_m=height_m - ground_amsl_m,
-                bank_rad=bank,
-                cruise_m_s=self._cruise_m_s(),
-                dt_s=dt_s,
-            )
+            self._land(bank, height_m - ground_amsl_m, dt_s)
             self._speed_m_s = plane.airspeed_m_s
         else:
             self._cruise(bank, height_m, forced, dt_s)
         if plane.altitude_amsl_m <= ground_amsl_m:
             self._touch_down(ground_amsl_m)
+
+    def _land(self, bank: float, height_m: float, dt_s: float) -> None:
+        """Down the slope and through the flare, from so high above the ground."""
+        plane, navigation, estimate = self._plane, self.navigation, self._host.estimate
+        cruise_m_s = self._cruise_m_s()
+        if not self._flaring and height_m <= self._host.parameters["LAND_FLARE_ALT"]:
+            self._flaring = True
+            self._host.send_text(
+                6,
+                f"Flare {height_m:.1f}m sink={-estimate.velocity_up_m_s:.2f} "
+                f"speed={plane.airspeed_m_s:.1f} dist={navigation.distance_m:.1f}",
+            )
+        if self._flaring:
+            plane.advance(0.0, -FLARE_SINK_M_S, cruise_m_s * FLARE_SPEED, dt_s)
+            plane.throttle = 0.0
+            return
+        slope = 0.0
+        before, following = navigation.before, navigation.next
+        if before is not None and following is not None:
+            length_m = max(distance_m(before, following), 1.0)
+            slope = (following.altitude_amsl_m - before.altitude_amsl_m) / length_m
+        speed = math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
+        error_m = navigation.target_amsl_m - estimate.altitude_amsl_m
+        climb = slope * speed + error_m / ERROR_S
+        plane.advance(bank, climb, cruise_m_s * APPROACH_SPEED, dt_s)
 
     def _cruise_m_s(self) -> float:
         """True airspeed for the one that is wanted."""
@@ -529,11 +503,11 @@ class Flight:
     def _wait_to_disarm(self) -> None:
         """Some time after a landing."""
         host = self._host
-        if not host.armed or not self.landing.flaring:
+        if not host.armed or not self._flaring:
             return
         delay_us = host.parameters["LAND_DISARMDELAY"] * 1e6
         if delay_us > 0.0 and host.now_us - self._still_us >= delay_us:
-            self.landing.flaring = False
+            self._flaring = False
             host.disarm()
             self._host.send_text(6, "Auto disarmed")
 
@@ -545,7 +519,7 @@ class Flight:
         host.landed = True
         self.takeoff.abandon()
         self._still_us = host.now_us
-        if not self.landing.flaring and sink > CRASH_M_S:
+        if not self._flaring and sink > CRASH_M_S:
             self.crashed = True
             plane.stand(ground_amsl_m)
             self._host.send_text(0, "Crash detected")

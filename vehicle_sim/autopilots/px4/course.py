@@ -217,58 +217,6 @@ def true_airspeed_m_s(equivalent_m_s: float, altitude_amsl_m: float) -> float:
     return equivalent_m_s / math.sqrt(max(1.0 - 2.25577e-5 * altitude_amsl_m, 0.1) ** 4.2559)
 
 
-@final
-class Energy:
-    """Climb and airspeed to fly.  Mutable."""
-
-    def __init__(self) -> None:
-        self.airspeed_m_s = 0.0
-        """To command."""
-        self.climb_m_s = 0.0
-
-    def speed_up(
-        self,
-        wanted_m_s: float,
-        level_most_m_s: float,
-        airspeed_m_s: float,
-        dt_s: float,
-        *,
-        at_once: bool,
-    ) -> None:
-        """Airspeed towards the wanted one, with what the climb leaves of the level flight's.
-
-        at_once: full throttle or none, not what the integrator finds.
-        """
-        reach = level_most_m_s - CLIMB_COSTS * max(self.climb_m_s, 0.0)
-        reach = min(wanted_m_s, reach)
-        if at_once:
-            self.airspeed_m_s = reach
-            return
-        speed = min(self.airspeed_m_s, airspeed_m_s + AHEAD_M_S)
-        if speed > reach:
-            self.airspeed_m_s = speed + (reach - speed) * min(dt_s / SLOWS_DOWN_S, 1.0)
-        else:
-            speed += RECOVERY_M_S2 * dt_s
-            self.airspeed_m_s = min(max(speed, reach - RECOVERS_AT_ONCE_M_S), reach)
-
-    def climb_to(
-        self,
-        altitude_amsl_m: float,
-        here_amsl_m: float,
-        *,
-        wanted_m_s: float,
-        airspeed_m_s: float,
-        response_s: float,
-        climb_most_m_s: float,
-        sink_most_m_s: float,
-    ) -> None:
-        """Climb or sink towards a height, less what the airspeed lacks of the wanted one."""
-        lacking_m = (wanted_m_s * wanted_m_s - airspeed_m_s * airspeed_m_s) / (2.0 * GRAVITY_M_S2)
-        lacking_m = min(max(lacking_m, -MAX_TRADED_M), MAX_TRADED_M)
-        climb = (altitude_amsl_m - lacking_m - here_amsl_m) / response_s
-        self.climb_m_s = min(max(climb, -sink_most_m_s), climb_most_m_s)
-
-
 _WIND_S = 5.0
 """Time constant of the wind estimate."""
 _LEVEL_THROTTLE_S_M, _CLIMB_THROTTLE_S_M = 0.0875, 0.1
@@ -325,7 +273,6 @@ class Course:
     def __init__(self, plane: Plane, limits: Limits) -> None:
         self._plane = plane
         self.limits = limits
-        self._energy = Energy()
         self._kind = _Kind.STAY
         self._a = self._b = 0j
         """Centre, target or end of the leg; tangent, direction or start of the leg."""
@@ -343,7 +290,8 @@ class Course:
         """True airspeed to aim at."""
         self.bank_most_rad = math.pi
         """Near the ground."""
-        self.bank_rad = 0.0
+        self.bank_rad = self.climb_m_s = self.commanded_m_s = 0.0
+        """To command; the last is the airspeed."""
         self.throttle = 0.0
         self.nearest_m = 0j
         """Of the path, in the local frame."""
@@ -434,16 +382,6 @@ class Course:
         """Of the circle, or the place to fly to."""
         return self._a
 
-    @property
-    def climb_m_s(self) -> float:
-        """To command."""
-        return self._energy.climb_m_s
-
-    @property
-    def commanded_m_s(self) -> float:
-        """Airspeed to command."""
-        return self._energy.airspeed_m_s
-
     def distance_m(self, local_m: Vector) -> float:
         """To the place."""
         return size(self._a - complex(local_m[0], local_m[1]))
@@ -459,16 +397,11 @@ class Course:
             math.hypot(estimate.velocity_north_m_s, estimate.velocity_east_m_s)
         )
 
-    @staticmethod
-    def true_airspeed_m_s(equivalent_m_s: float, altitude_amsl_m: float) -> float:
-        """What an airspeed parameter means up here."""
-        return true_airspeed_m_s(equivalent_m_s, altitude_amsl_m)
-
     # --- commands -----------------------------------------------------------------------------
 
     def start(self, airspeed_m_s: float) -> None:
         """It has left the ground at this airspeed."""
-        self._energy.airspeed_m_s = airspeed_m_s
+        self.commanded_m_s = airspeed_m_s
         self.bank_rad = self._bank_wanted_rad = 0.0
         self._wind_m_s = 0j
 
@@ -498,24 +431,39 @@ class Course:
 
     def _balance(self, altitude_m: float, airspeed: float, dt_s: float) -> None:
         """Climb, airspeed and throttle."""
-        energy, limits, airframe = self._energy, self.limits, self._plane.limits
-        level_m_s = airframe.airspeed_max_m_s
-        if self.climb_rate_m_s == self.climb_rate_m_s:
-            energy.climb_m_s = self.climb_rate_m_s
-        else:
-            energy.climb_to(
-                self._altitude_m,
-                altitude_m,
-                wanted_m_s=self.airspeed_m_s,
-                airspeed_m_s=airspeed,
-                response_s=limits.altitude_response_s,
-                climb_most_m_s=min(limits.climb_most_m_s, airframe.climb_max_m_s),
-                sink_most_m_s=limits.sink_most_m_s,
-            )
-        energy.speed_up(self.airspeed_m_s, level_m_s, airspeed, dt_s, at_once=self._at_once)
+        level_m_s = self._plane.limits.airspeed_max_m_s
+        rate_m_s = self.climb_rate_m_s
+        self.climb_m_s = rate_m_s if rate_m_s == rate_m_s else self._climb(altitude_m, airspeed)
+        self._speed_up(airspeed, dt_s)
         effort = (airspeed - level_m_s) * _LEVEL_THROTTLE_S_M
-        effort += 1.0 + energy.climb_m_s * _CLIMB_THROTTLE_S_M
+        effort += 1.0 + self.climb_m_s * _CLIMB_THROTTLE_S_M
         self.throttle = min(max(effort, 0.0), 1.0)
+
+    def _climb(self, altitude_m: float, airspeed: float) -> float:
+        """Towards the height, less what the airspeed lacks of the wanted one."""
+        limits, wanted_m_s = self.limits, self.airspeed_m_s
+        lacking_m = (wanted_m_s * wanted_m_s - airspeed * airspeed) / (2.0 * GRAVITY_M_S2)
+        lacking_m = min(max(lacking_m, -MAX_TRADED_M), MAX_TRADED_M)
+        climb = (self._altitude_m - lacking_m - altitude_m) / limits.altitude_response_s
+        most_m_s = min(limits.climb_most_m_s, self._plane.limits.climb_max_m_s)
+        return min(max(climb, -limits.sink_most_m_s), most_m_s)
+
+    def _speed_up(self, airspeed: float, dt_s: float) -> None:
+        """Towards the wanted airspeed, with what the climb leaves of the level flight's.
+
+        At once: full throttle or none, not what the integrator finds.
+        """
+        reach = self._plane.limits.airspeed_max_m_s - CLIMB_COSTS * max(self.climb_m_s, 0.0)
+        reach = min(self.airspeed_m_s, reach)
+        speed = min(self.commanded_m_s, airspeed + AHEAD_M_S)
+        if self._at_once:
+            speed = reach
+        elif speed > reach:
+            speed += (reach - speed) * min(dt_s / SLOWS_DOWN_S, 1.0)
+        else:
+            speed += RECOVERY_M_S2 * dt_s
+            speed = min(max(speed, reach - RECOVERS_AT_ONCE_M_S), reach)
+        self.commanded_m_s = speed
 
     def _path(self, here: complex, velocity: complex, altitude_m: float) -> Path | None:
         """The path at this place; None: keep the bank."""

@@ -18,7 +18,7 @@ from vehicle_sim.autopilots.attitude import IGNORE_THRUST, Attitude, AttitudeTar
 from vehicle_sim.autopilots.px4 import mission
 from vehicle_sim.autopilots.px4.autopilot import Px4
 from vehicle_sim.autopilots.px4.commands import HANDLERS
-from vehicle_sim.autopilots.px4.course import Course, Limits, size
+from vehicle_sim.autopilots.px4.course import Course, Limits, size, true_airspeed_m_s
 from vehicle_sim.autopilots.px4.modes import MANUAL_MODES, Mode
 from vehicle_sim.autopilots.px4.profile import FIXED_WING_RATES_HZ, profile
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target
@@ -190,7 +190,7 @@ class Px4FixedWing(Px4):
         return self._true(min(max(wanted, least), max(most, least)))
 
     def _true(self, equivalent_m_s: float) -> float:
-        return self.course.true_airspeed_m_s(equivalent_m_s, self.estimate.altitude_amsl_m)
+        return true_airspeed_m_s(equivalent_m_s, self.estimate.altitude_amsl_m)
 
     def _start_climb(self, altitude_amsl_m: float) -> None:
         """Straight on where the nose points, and up; from the ground after the roll."""

@@ -16,10 +16,7 @@ from vehicle_sim.autopilots.px4.position_control import (
     PositionControl,
     Trajectory,
     Wanted,
-    manual,
-    sink,
-    stopping_point,
-    turning_rad_s,
+    beyond,
 )
 from vehicle_sim.autopilots.px4.profile import RATES_HZ, profile
 from vehicle_sim.autopilots.px4.setpoints import NOTHING, Target, Vector, flyable
@@ -100,8 +97,7 @@ class Px4Multicopter(Px4):
         if not continues:
             self._path.start(self.local_m, (north, east, -up))
         self._goal = NOTHING
-        stops = stopping_point(self.local_m, self._velocity, self.parameters)
-        self._began_m = stops if mode is Mode.LOITER else self.local_m
+        self._began_m = self._stopping_point() if mode is Mode.LOITER else self.local_m
         self._leg = None
         self._returning = 0
         self._aim_yaw_rad = _NAN
@@ -121,6 +117,14 @@ class Px4Multicopter(Px4):
         elif mode is Mode.ORBIT:
             self._goal = self._given(*(self.orbit or HERE)[:3])  # its centre
         self._held = Attitude(0.0, 0.0, self.vehicle.heading_rad)
+
+    def _stopping_point(self) -> Vector:
+        """Where braking will end: the navigator holds there (preproject_stop_point)."""
+        (north_m, east_m, down_m), (v_n, v_e, _) = self.local_m, self._velocity
+        braking = max(self.parameters["MPC_ACC_HOR"], 0.5)
+        jerk = max(self.parameters["MPC_JERK_AUTO"], 0.5)
+        seconds = math.hypot(v_n, v_e) / (2.0 * braking) + braking / jerk
+        return north_m + v_n * seconds, east_m + v_e * seconds, down_m
 
     @property
     def _velocity(self) -> Vector:
@@ -290,7 +294,7 @@ class Px4Multicopter(Px4):
         if mode is Mode.OFFBOARD:
             return self._offboard()
         if mode is Mode.DESCEND:
-            return sink(self.parameters)
+            return self._sink()
         if mode in MANUAL_MODES:
             return self._fly_manual(dt_s)
         self._automatic(dt_s)
@@ -441,19 +445,34 @@ class Px4Multicopter(Px4):
 
     # --- by hand ------------------------------------------------------------------------------
 
+    def _sink(self) -> Wanted:
+        """Without a pilot the flight tasks of these modes cannot run: level, and down."""
+        return NOTHING, (_NAN, _NAN, self.parameters["MPC_LAND_SPEED"]), NOTHING
+
     def _fly_manual(self, dt_s: float) -> Wanted:
-        parameters, pilot = self.parameters, self.pilot
-        manual_control = pilot.manual_control
-        if manual_control is None or not pilot.present(self.now_us, parameters["COM_RC_LOSS_T"]):
-            return sink(parameters)
-        self._yaw_rad += turning_rad_s(manual_control, parameters) * dt_s
-        return manual(
-            manual_control,
-            self._path,
-            parameters,
-            self.vehicle.heading_rad,
-            dt_s,
-            holds_position=self.mode is Mode.POSCTL,
+        """One step of Position mode, or of the others as if they were Altitude."""
+        parameters, pilot, path = self.parameters, self.pilot, self._path
+        sticks = pilot.manual_control
+        if sticks is None or not pilot.present(self.now_us, parameters["COM_RC_LOSS_T"]):
+            return self._sink()
+        self._yaw_rad += beyond(sticks.yaw) * math.radians(parameters["MPC_MAN_Y_MAX"]) * dt_s
+        lift = 2.0 * sticks.throttle - 1.0
+        most = parameters["MPC_Z_VEL_MAX_UP" if lift > 0.0 else "MPC_Z_VEL_MAX_DN"]
+        down_m_s = -beyond(lift) * most
+        ahead, aside = beyond(sticks.pitch), beyond(sticks.roll)
+        heading_rad = self.vehicle.heading_rad
+        sine, cosine = math.sin(heading_rad), math.cos(heading_rad)
+        north, east = ahead * cosine - aside * sine, ahead * sine + aside * cosine
+        if self.mode is Mode.POSCTL:
+            most = parameters["MPC_VEL_MANUAL"]
+            path.towards_speed(north * most, east * most, down_m_s, dt_s)
+            return path.wanted()
+        path.towards_speed(0.0, 0.0, down_m_s, dt_s)
+        lean = GRAVITY_M_S2 * math.tan(math.radians(parameters["MPC_MAN_TILT_MAX"]))
+        return (
+            (_NAN, _NAN, path.p[2]),
+            (_NAN, _NAN, path.v[2]),
+            (north * lean, east * lean, path.a[2]),
         )
 
     def _turn(self, dt_s: float) -> None:

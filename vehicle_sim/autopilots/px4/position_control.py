@@ -7,8 +7,7 @@ is cut, position first, at MPC_XY_VEL_MAX; the wanted acceleration at the tilt l
 import math
 from typing import Final, NamedTuple, final
 
-from vehicle_sim.autopilots import ManualControl
-from vehicle_sim.autopilots.px4.setpoints import NOTHING, Vector
+from vehicle_sim.autopilots.px4.setpoints import Vector
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2
 from vehicle_sim.parameters import Parameters
 
@@ -155,14 +154,6 @@ def braking_speed_m_s(distance_m: float, acceleration_m_s2: float, jerk_m_s3: fl
     return 0.5 * (math.sqrt(lost * lost + 8.0 * acceleration_m_s2 * distance_m) - lost)
 
 
-def stopping_point(position: Vector, velocity: Vector, parameters: Parameters) -> Vector:
-    """Where braking will end: the navigator holds there (preproject_stop_point)."""
-    braking = max(parameters["MPC_ACC_HOR"], 0.5)
-    jerk = max(parameters["MPC_JERK_AUTO"], 0.5)
-    seconds = math.hypot(velocity[0], velocity[1]) / (2.0 * braking) + braking / jerk
-    return position[0] + velocity[0] * seconds, position[1] + velocity[1] * seconds, position[2]
-
-
 @final
 class Trajectory:
     """Position, velocity and acceleration of the point: north, east, down.  Mutable."""
@@ -245,50 +236,11 @@ class Trajectory:
         return math.hypot(self.v[0], self.v[1]) < _STANDS_M_S
 
 
-_NAN: Final = math.nan
 _DEAD: Final = 0.1
 """MPC_HOLD_DZ: share of a stick's travel that means nothing."""
 
 Wanted = tuple[Vector, Vector, Vector]
 """Position, velocity and acceleration; NaN: not given."""
-
-
-def sink(parameters: Parameters) -> Wanted:
-    """Without a pilot the flight tasks of these modes cannot run: level, and down."""
-    return NOTHING, (_NAN, _NAN, parameters["MPC_LAND_SPEED"]), NOTHING
-
-
-def turning_rad_s(manual_control: ManualControl, parameters: Parameters) -> float:
-    """Rate of the heading that the yaw stick asks for."""
-    return beyond(manual_control.yaw) * math.radians(parameters["MPC_MAN_Y_MAX"])
-
-
-def manual(
-    manual_control: ManualControl,
-    path: Trajectory,
-    parameters: Parameters,
-    heading_rad: float,
-    dt_s: float,
-    *,
-    holds_position: bool,
-) -> Wanted:
-    """One step of Position mode (holds_position), or of the others as if they were Altitude."""
-    lift = 2.0 * manual_control.throttle - 1.0
-    down_m_s = -beyond(lift) * parameters["MPC_Z_VEL_MAX_UP" if lift > 0.0 else "MPC_Z_VEL_MAX_DN"]
-    ahead, aside = beyond(manual_control.pitch), beyond(manual_control.roll)
-    sine, cosine = math.sin(heading_rad), math.cos(heading_rad)
-    north, east = ahead * cosine - aside * sine, ahead * sine + aside * cosine
-    if holds_position:
-        most = parameters["MPC_VEL_MANUAL"]
-        path.towards_speed(north * most, east * most, down_m_s, dt_s)
-        return path.wanted()
-    path.towards_speed(0.0, 0.0, down_m_s, dt_s)
-    lean = GRAVITY_M_S2 * math.tan(math.radians(parameters["MPC_MAN_TILT_MAX"]))
-    return (
-        (_NAN, _NAN, path.p[2]),
-        (_NAN, _NAN, path.v[2]),
-        (north * lean, east * lean, path.a[2]),
-    )
 
 
 def beyond(stick: float) -> float:
