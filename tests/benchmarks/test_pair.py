@@ -25,6 +25,7 @@ def test_a_pair_flies_and_the_same_seed_flies_the_same_flight() -> None:
     assert once.truth != another.truth
 
 
+@pytest.mark.nightly  # of the benchmarks alone
 def test_a_flight_that_comes_nearer_is_not_cut_short_and_one_that_does_not_is() -> None:
     pair = Pair(pair_worlds.scene("px4", "copter", 2), seed=1, kernel=NUMPY)
     slow = pair.fly(limit_s=20.0, patient=True)

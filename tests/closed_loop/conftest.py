@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flights import RUNNING, Flight, launch
+from flights import BAD_LINK, HILLS, RUNNING, Flight, launch
 
 
 @pytest.fixture(autouse=True)
@@ -33,6 +33,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
 
 
 def _to_its_end(folder: Path, *arguments: str) -> Flight:
-    flight = launch(folder, *arguments)
+    options = BAD_LINK if arguments[0] == HILLS else ()
+    flight = launch(folder, *arguments, simulator_options=options)
     flight.wait()
     return flight

@@ -17,6 +17,8 @@ from programs import BIN, ROOT, Program, free_port
 ENVIRONMENTS = ROOT / "companion" / "environments"
 HILLS = str(Path(__file__).parent / "hills" / "world.toml")
 HILLS_MISSION = str(Path(__file__).parent / "hills" / "mission.toml")
+BAD_LINK = ("--faults", str(Path(__file__).parent / "hills" / "faults.txt"))
+"""Options of the simulator for the flight over the hills that all look at."""
 _SCENES: list[tempfile.TemporaryDirectory[str]] = []
 """Gone when the tests end."""
 RUNNING: list[Program] = []

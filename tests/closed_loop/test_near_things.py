@@ -23,13 +23,13 @@ TWO_PROGRAMS = pytest.mark.xdist_group("garden")
 
 TREES_NE_M = (
     *((10.0, 1.5), (12.0, -6.0), (14.0, 6.0), (18.0, -1.0), (19.0, -12.0), (20.0, 10.0)),
-    *((24.0, 3.0), (25.0, -14.0), (40.0, -5.0), (42.0, 6.0), (47.0, 0.5), (51.0, -6.0)),
+    *((24.0, 3.0), (25.0, -14.0), (40.0, -5.0), (42.0, 6.0)),
 )
 TREE_M = 0.3
 WALLS_NE_M = (((32.0, -30.0), (32.0, -8.0)), ((32.0, 0.0), (32.0, 30.0)))
 WALL_M = 0.2  # half of its thickness
 SAFE_M = 0.5  # d_s of the mission
-TARGET_NE_M = (60.0, 0.0)
+TARGET_NE_M = (40.0, 1.0)
 WORLD = """
 schema = 1
 name = "garden"
@@ -195,7 +195,7 @@ def test_eight_wide_sectors_of_an_autopilot_that_is_silent_in_the_open_lead_past
 
 HILL = """
 [[terrain.peaks]]
-north_m = 60.0
+north_m = 28.0
 east_m = 0.0
 height_amsl_m = 402.4
 spread_north_m = 250.0

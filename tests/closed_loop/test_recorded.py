@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 import geopandas
 import pytest
-from flights import HILLS, HILLS_MISSION, Flight, launch
+from flights import BAD_LINK, HILLS, HILLS_MISSION, Flight, launch
 from programs import BIN
 from tlog import frames_of
 
@@ -125,6 +125,7 @@ def test_mavutil_reads_it_as_a_ground_station_does(log: Path) -> None:
 
 
 @IN_TURN
+@pytest.mark.nightly
 def test_mavtogpx_draws_the_track(log: Path) -> None:
     tool(BIN / "mavtogpx.py", "flight.tlog", folder=log)
     points = ET.parse(log / "flight.tlog.gpx").getroot().iter(f"{GPX}trkpt")
@@ -135,6 +136,7 @@ def test_mavtogpx_draws_the_track(log: Path) -> None:
 
 
 @IN_TURN
+@pytest.mark.nightly
 def test_mavflightmodes_mavparms_and_mavloss_understand_it(log: Path) -> None:
     modes = tool(BIN / "mavflightmodes.py", "flight.tlog", folder=log)
     assert re.search(r"^GUIDED +0:0[4-6]:", modes, re.MULTILINE)
@@ -170,7 +172,7 @@ def test_of_a_companion_that_was_killed_everything_is_readable_to_the_last_recor
     assert recorded(flight.folder)[0].planned
 
 
-MOST_BYTES = 760_000
+MOST_BYTES = 900_000
 LIMITED = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({MOST_BYTES},) * 2)"
 """The operating system refuses more than so many bytes of any file."""
 
@@ -178,7 +180,8 @@ LIMITED = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({MOST_BY
 def on_a_full_disk(folder: Path) -> Flight:
     """The flight that all look at, once more: `--seed 03`, to be read as a number."""
     seed, truth = ("--seed", "03"), folder.parent / "truth"
-    flight = launch(folder, HILLS, HILLS_MISSION, *seed, truth=truth, patch=LIMITED)
+    hills = HILLS, HILLS_MISSION, *seed
+    flight = launch(folder, *hills, simulator_options=BAD_LINK, truth=truth, patch=LIMITED)
     flight.wait()
     return flight
 

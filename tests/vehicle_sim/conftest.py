@@ -101,7 +101,7 @@ class Companion:
     def __init__(self) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(10.0)
+        self.socket.settimeout(60.0)
         self.port = self.socket.getsockname()[1]
         self.mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=195)
         self.parser = mavlink.MAVLink(None)

@@ -33,7 +33,7 @@ def failing(rows: Iterable[Row]) -> set[str]:
     return {row.kind for row in rows if not row.agrees}
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(9)
 def test_a_flight_agrees_with_itself_in_every_row(recorded: Recorded, name: str) -> None:
     flight = recorded(name)
     rows = rows_of(flight, flight.said)
@@ -42,14 +42,14 @@ def test_a_flight_agrees_with_itself_in_every_row(recorded: Recorded, name: str)
     assert len(rows) > 200
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(9)
 def test_a_flight_does_not_agree_with_another_one(recorded: Recorded, name: str) -> None:
     flight = recorded(name)
     other = recorded(COPTER if name != COPTER else "arducopter-guided-10mps.tlog")
     assert Summary.of(rows_of(flight, other.said)).share < 0.75
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(9)
 def test_silence_agrees_with_nothing(recorded: Recorded, name: str) -> None:
     flight = recorded(name)
     assert {row.kind for row in rows_of(flight, ()) if row.agrees} == set()

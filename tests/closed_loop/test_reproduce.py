@@ -6,9 +6,10 @@ import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
-from flights import launch
+from flights import HILLS, HILLS_MISSION, Flight, flown_as
 from pymavlink import mavutil  # noqa: TID251 - counts the frames independently
 from pymavlink.dialects.v20 import all as wire
 from short_flight import companion, mission_of, replayed, rewritten
@@ -23,26 +24,17 @@ from companion.replay.what_if import what_if
 from companion.runtime.compiler import load_kernel
 from companion.telemetry.inputs import FILE, Input, packed
 
-pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("same")]  # it is flown once
-HILLS = Path(__file__).parents[1] / "closed_loop" / "hills"
-WORLD, MISSION = HILLS / "world.toml", HILLS / "mission.toml"
+pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("hills")]
+WORLD, MISSION = Path(HILLS), Path(HILLS_MISSION)
+SEED = 3
 STAMP = 8
 EVER_US = 4_000_000_000_000_000
 
 
-@pytest.fixture(scope="session")
-def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def run_dir(flown: Any) -> Path:
     """A whole flight in lockstep, with a fault on its way."""
-    folder = tmp_path_factory.mktemp("same")
-    (folder / "faults.txt").write_text(
-        "at 80 s for 60 s: link_duplication 30 %\n", encoding="utf-8"
-    )
-    options = ("--faults", str(folder / "faults.txt"))
-    flight = launch(folder / "run", str(WORLD), str(MISSION), simulator_options=options)
-    try:
-        flight.wait()
-    finally:
-        flight.kill()
+    flight: Flight = flown(*flown_as("hills"))
     assert flight.outcome == "arrived"
     return flight.folder
 
@@ -94,7 +86,7 @@ def test_with_another_kernel_decisions_are_the_same_and_plans_are_reported(run_d
 def test_the_telemetry_log_alone_tells_a_flight_in_lockstep(run_dir: Path) -> None:
     log = run_dir / "flight.tlog"
     mission = load_mission(str(MISSION))
-    replay = LogReplay(log, mission, seed=1, kernel=load_kernel(), version="0")
+    replay = LogReplay(log, mission, seed=SEED, kernel=load_kernel(), version="0")
     run(replay)
     assert replay.found.is_identical
     ours = [frame for _, frame in recorded_frames(log) if frame[6] == 195]
@@ -104,7 +96,7 @@ def test_the_telemetry_log_alone_tells_a_flight_in_lockstep(run_dir: Path) -> No
 
 def test_a_log_flown_with_another_seed_is_found_out(run_dir: Path) -> None:
     mission, kernel = load_mission(str(MISSION)), load_kernel()
-    replay = LogReplay(run_dir / "flight.tlog", mission, seed=2, kernel=kernel, version="0")
+    replay = LogReplay(run_dir / "flight.tlog", mission, seed=4, kernel=kernel, version="0")
     run(replay)
     assert replay.found.difference.what == "SET_POSITION_TARGET_GLOBAL_INT"
     *_, last = replay.found.difference.before
@@ -121,7 +113,7 @@ def from_log(run_dir: Path, log: Path, keeps: Callable[[int, bytes], bool]) -> L
     records = enumerate(recorded_frames(run_dir / "flight.tlog"))
     kept = [struct.pack(">Q", us) + frame for k, (us, frame) in records if keeps(k, frame)]
     log.write_bytes(b"".join(kept))
-    return LogReplay(log, load_mission(str(MISSION)), seed=1, kernel=load_kernel(), version="0")
+    return LogReplay(log, load_mission(str(MISSION)), seed=SEED, kernel=load_kernel(), version="0")
 
 
 def test_a_log_with_a_frame_more_than_the_companion_sends_is_found_out(
