@@ -112,6 +112,8 @@ class FlightFigure:
     track_nea_m: FloatArray | None = None  # (N, 3)
     """Where the vehicle was."""
     caption: str = ""
+    altitudes_shown_m: tuple[float, float] | None = None
+    """Least and greatest altitude to show; None: as far as is needed (`altitudes_m`)."""
 
     @property
     def path_nea_m(self) -> FloatArray:
@@ -129,6 +131,8 @@ class FlightFigure:
     @property
     def altitudes_m(self) -> tuple[float, float]:
         """Least and greatest altitude to show; terrain far above the ceiling is cut off."""
+        if self.altitudes_shown_m is not None:
+            return self.altitudes_shown_m
         known = self.terrain.heights_m[np.isfinite(self.terrain.heights_m)]
         flown = [line_nea_m[:, 2] for line_nea_m, _ in _lines(self)]
         band = [self.floor_amsl_m, self.ceiling_amsl_m, self.start_nea_m[2]]
@@ -285,8 +289,11 @@ def draw_profile(axes: Axes, figure: FlightFigure) -> None:
     axes.set(xlabel=f"distance along the path over ground, {unit}", ylabel=f"altitude, {unit} AMSL")
 
 
-def draw_oblique(axes: Any, figure: FlightFigure) -> None:
-    """Terrain, radars and keep-outs in one collection, sorted by depth, and the path over it."""
+def draw_oblique(axes: Any, figure: FlightFigure, azimuth_deg: int | None = None) -> None:
+    """Terrain, radars and keep-outs in one collection, sorted by depth, and the path over it.
+
+    azimuth_deg: from where it is seen, from the east, left; None: where most of the path is seen.
+    """
     unit_m, unit = figure.unit
     terrain = figure.terrain.coarser()
     low, high = figure.altitudes_m
@@ -306,7 +313,8 @@ def draw_oblique(axes: Any, figure: FlightFigure) -> None:
     axes.add_collection3d(Poly3DCollection(quads / unit_m, rasterized=True, **facets))
     path = figure.path_nea_m
     path = path[np.linspace(0, len(path) - 1, min(len(path), _POINTS)).astype(int)]
-    hidden = {azimuth: _is_hidden(path, terrain, azimuth, stretch) for azimuth in _AZIMUTHS_DEG}
+    views = _AZIMUTHS_DEG if azimuth_deg is None else (azimuth_deg,)
+    hidden = {azimuth: _is_hidden(path, terrain, azimuth, stretch) for azimuth in views}
     azimuth = min(hidden, key=lambda it: round(float(hidden[it].sum()) / (len(path) + 1), 1))
     seen = np.where(hidden[azimuth][:, None], np.nan, path)
     for points_nea_m, style in [(path, _BEHIND), (seen, _LINE), *_marks(figure)]:

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, final
 
 import numpy as np
-import scipy.spatial
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.mission import journal as noted
@@ -37,17 +36,15 @@ _LINE_POINTS = 2000  # of a subpath
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nearest:
-    """Where the vehicle was nearest to something on its way."""
+    """Where the vehicle, by its own word, was nearest to terrain on its way."""
 
     distance_m: float
-    """Of the vehicle's position as it reported it; at least that if is_bound."""
     is_bound: bool
+    """Whether it is farther than that."""
     time_s: float
-    north_m: float
-    east_m: float
-    altitude_amsl_m: float
-    latitude_deg: float
-    longitude_deg: float
+    place_nea_m: list[float]
+    place_deg: tuple[float, float]
+    """Latitude and longitude."""
 
 
 @final
@@ -83,20 +80,10 @@ class FlightFacts:
 
     # --- times and places
 
-    @cached_property
-    def _begins_s(self) -> dict[int, tuple[float, float]]:
-        """Of each boot: its first vehicle time, and where that lies in the time of the report."""
-        track, begins = self.flight.track, dict[int, tuple[float, float]]()
-        for boot in np.unique(track.boot).tolist():
-            first = int(np.argmax(track.boot == boot))
-            passed_s = float(track.time_us[first] - track.time_us[0]) * 1e-6
-            begins[boot] = float(track.t_s[first]), float(track.t_s[0]) + passed_s
-        return begins
-
-    def time_s(self, boot: int, t_s: float) -> float:
-        """The time of the report of a vehicle time after so many reboots."""
-        here_s, there_s = self._begins_s.get(boot, (0.0, 0.0))
-        return t_s - here_s + there_s
+    def time_s(self, moment: Moment) -> float:
+        """The time of the report of something that happened."""
+        at = self.flight.index_at(moment.boot, moment.t_s)
+        return moment.t_s if at is None else float(self.times_s[at])
 
     def log_s(self, time_us: IntArray) -> FloatArray:
         """The time of the report of times of the log.  (N,) -> (N,)."""
@@ -120,10 +107,16 @@ class FlightFacts:
         phases = self.flight.phase_of_positions()
         return np.array([phase in _ON_THE_WAY for phase in phases], dtype=bool)
 
-    @cached_property
-    def speeds_m_s(self) -> FloatArray:
-        """Over ground, at each position.  -> (N,)."""
-        return np.hypot(self.flight.track.north_m_s, self.flight.track.east_m_s)
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last position on the way."""
+        return float(np.ptp(self.times_s[self.on_the_way])) if self.on_the_way.any() else 0.0
+
+    @property
+    def vehicle(self) -> str:
+        """What was flown."""
+        found = (e.name for _, _, e in self.flight.entries if isinstance(e, noted.VehicleFound))
+        return next(found, "")
 
     # --- how it ended
 
@@ -169,20 +162,20 @@ class FlightFacts:
         return float(np.hypot(*np.diff(self.route_nea_m[:, :2], axis=0).T).sum())
 
     @cached_property
-    def _stations_ne_m(self) -> list[tuple[float, float]]:
-        """The start of its way, and the targets."""
-        north_m, east_m, _ = self.route_nea_m[0].tolist()
-        return [(north_m, east_m), *self.flight.targets_ne_m]
+    def stations_ne_m(self) -> list[tuple[float, float]]:
+        """The start of its way, and the targets; none without a way."""
+        starts = [(north_m, east_m) for north_m, east_m, _ in self.route_nea_m[:1].tolist()]
+        return [*starts, *self.flight.targets_ne_m] if starts else []
 
     @property
     def straight_m(self) -> float:
         """From the start of its way straight from target to target."""
-        return sum(math.dist(a, b) for a, b in itertools.pairwise(self._stations_ne_m))
+        return sum(math.dist(a, b) for a, b in itertools.pairwise(self.stations_ne_m))
 
     @property
     def left_m(self) -> float:
         """Straight from where it was last to the last target."""
-        return math.dist(self.route_nea_m[-1, :2], self._stations_ne_m[-1])
+        return math.dist(self.route_nea_m[-1, :2], self.stations_ne_m[-1])
 
     @cached_property
     def hindsight_m(self) -> float | None:
@@ -191,10 +184,10 @@ class FlightFacts:
         That of the planner's guidance: it weighs height and radars against length as the mission
         does, and knows neither turn radius nor what was never seen.
         """
-        if self.known is None or not self.flight.targets_ne_m:
+        if self.known is None:
             return None
         length_m = 0.0
-        for here, there in itertools.pairwise(self._stations_ne_m):
+        for here, there in itertools.pairwise(self.stations_ne_m):
             found = cost_to_go(self.known, self.flight.mission.task, here, there)
             if found.is_barred:
                 return None
@@ -229,17 +222,13 @@ class FlightFacts:
             return None
         least = int(np.argmin(self.clearances_m))
         at = int(np.flatnonzero(self.on_the_way)[least])
-        north_m, east_m, altitude_m = self.track_nea_m[at].tolist()
-        distance_m = float(self.clearances_m[least])
+        distance_m, track = float(self.clearances_m[least]), self.flight.track
         return Nearest(
             distance_m=distance_m,
             is_bound=distance_m >= self.clearance_reach_m,
             time_s=float(self.times_s[at]),
-            north_m=north_m,
-            east_m=east_m,
-            altitude_amsl_m=altitude_m,
-            latitude_deg=float(self.flight.track.latitude_deg[at]),
-            longitude_deg=float(self.flight.track.longitude_deg[at]),
+            place_nea_m=self.track_nea_m[at].tolist(),
+            place_deg=(float(track.latitude_deg[at]), float(track.longitude_deg[at])),
         )
 
     @cached_property
@@ -265,35 +254,14 @@ class FlightFacts:
     # --- the plans
 
     @cached_property
-    def _lines_nea_m(self) -> list[FloatArray]:
-        """The subpaths that were begun, whole.  -> (S, 3) each."""
-        begun = [each.subpath for each in self.flight.planned if each.leg is not None]
-        return [b.points_nea_m(np.linspace(0.0, b.length_m, _LINE_POINTS + 1)) for b in begun]
-
-    @cached_property
     def legs_nea_m(self) -> tuple[FloatArray, ...]:
-        """The same, each as far as its successor.  -> (S, 3) each."""
-        lines = self._lines_nea_m
-        cut = []
-        for line, successor in itertools.pairwise(lines):
-            nearest = int(np.argmin(np.linalg.norm(line - successor[0], axis=1)))
-            cut.append(line[: nearest + 1])
-        return (*cut, *lines[-1:])
-
-    @cached_property
-    def off_path_m(self) -> FloatArray:
-        """Distance of each position from the subpath being flown.  -> (N,); NaN: none was.
-
-        Or from the one before, which a vehicle that lags a little is still on.
-        """
-        legs = np.array(self.flight.leg_of_positions(), dtype=np.int64)
-        phases = np.array(self.flight.phase_of_positions())
-        away_m = np.full(len(legs), np.nan)
-        for number, line in enumerate(self._lines_nea_m, start=1):
-            chosen = np.isin(legs, (number, number + 1)) & (phases == Phase.FLYING.value)
-            found_m = _distances_m(self.track_nea_m[chosen], line)
-            away_m[chosen] = np.fmin(away_m[chosen], found_m)
-        return away_m
+        """The subpaths that were begun, each as far as its successor.  -> (S, 3) each."""
+        begun = [each.subpath for each in self.flight.planned if each.leg is not None]
+        lines = [b.points_nea_m(np.linspace(0.0, b.length_m, _LINE_POINTS + 1)) for b in begun]
+        for at, successor in enumerate(lines[1:]):
+            nearest = int(np.argmin(np.linalg.norm(lines[at] - successor[0], axis=1)))
+            lines[at] = lines[at][: nearest + 1]
+        return tuple(lines)
 
     @property
     def planning_s(self) -> tuple[float, float] | None:
@@ -303,24 +271,21 @@ class FlightFacts:
             return None
         return statistics.median(took_s), max(took_s)
 
-    def count(self, kind: type[noted.Entry]) -> int:
+    def count(self, kind: str) -> int:
         """How many entries of a kind the journal has."""
-        return sum(isinstance(entry, kind) for _, _, entry in self.flight.entries)
+        return sum(entry.kind == kind for _, _, entry in self.flight.entries)
 
     # --- link and GPS
 
     @property
-    def setpoint_gap_s(self) -> float | None:
-        """The longest time between two setpoints in one stretch of flying; None: there are none."""
-        sent_us, track = self.health.setpoints_us, self.flight.track
-        phases = self.flight.phase_of_positions()
-        longest_us = 0
-        for phase, part in self.flight.segments():
+    def setpoint_gap_s(self) -> float:
+        """The longest time between two setpoints in one stretch of flying; 0: there are none."""
+        sent_us, time_us, longest_us = self.health.setpoints_us, self.flight.track.time_us, 0
+        for phase, part in self.flight.segments() if len(time_us) else ():
             if phase == Phase.FLYING.value:
-                begin, end = track.time_us[part.start], track.time_us[part.stop - 1]
-                inside = sent_us[(sent_us >= begin) & (sent_us <= end)]
-                longest_us = max(longest_us, int(np.diff(inside).max(initial=0)))
-        return longest_us * 1e-6 if phases and longest_us else None
+                begin, end = np.searchsorted(sent_us, time_us[[part.start, part.stop - 1]])
+                longest_us = max(longest_us, int(np.diff(sent_us[begin:end]).max(initial=0)))
+        return longest_us * 1e-6
 
     @property
     def without_fix_s(self) -> float:
@@ -329,15 +294,8 @@ class FlightFacts:
         lacks = (fixes < 3) & (np.cumsum(fixes >= 3) > 0)
         return float(np.diff(at_s, append=at_s[-1:])[lacks].sum())
 
-
-def _distances_m(points_nea_m: FloatArray, line_nea_m: FloatArray) -> FloatArray:
-    """Distance of points from a line of many short pieces.  (N, 3), (S, 3) -> (N,)."""
-    nearest = scipy.spatial.KDTree(line_nea_m).query(points_nea_m)[1]
-    least_m = np.full(len(points_nea_m), np.inf)
-    for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(line_nea_m) - 2)):
-        begin, piece = line_nea_m[first], line_nea_m[first + 1] - line_nea_m[first]
-        squared = np.maximum(np.einsum("ij,ij->i", piece, piece), 1e-12)
-        share = np.einsum("ij,ij->i", points_nea_m - begin, piece) / squared
-        foot = begin + np.clip(share, 0.0, 1.0)[:, None] * piece
-        least_m = np.minimum(least_m, np.linalg.norm(points_nea_m - foot, axis=1))
-    return least_m
+    @property
+    def fewest_satellites(self) -> float:
+        """That the GPS saw after its first fix; NaN: it did not say."""
+        seen = self.health.satellites[np.cumsum(self.health.fix_types >= 3) > 0]
+        return float(np.fmin.reduce(seen, initial=np.nan))

@@ -49,7 +49,7 @@ _NO_FIX: Final = "#d55e00"
 
 def svg_figures(facts: FlightFacts) -> dict[str, str]:
     """The figures by name: oblique, plan, profile, legend, charts; without a track, fewer."""
-    shown = _flight_figure(facts)
+    shown = flight_figure(facts)
     if shown is None:
         return {}
     plan_axes: list[Axes] = []
@@ -73,7 +73,7 @@ def svg_figures(facts: FlightFacts) -> dict[str, str]:
             "oblique": _svg("oblique", (5.6, 4.6), oblique, _THEME),
             "plan": _svg("plan", (5.6, 4.6), plan, _THEME),
             "profile": _svg("profile", (11.0, 3.6), profile, _THEME_OF_CHARTS),
-            "charts": _svg("charts", (11.0, 7.2), lambda c: _charts(c, facts), _THEME_OF_CHARTS),
+            "charts": _svg("charts", (11.0, 5.6), lambda c: _charts(c, facts), _THEME_OF_CHARTS),
         }
 
 
@@ -92,7 +92,7 @@ def _svg(
     return re.sub("|".join(theme), lambda found: theme[found[0]], text)
 
 
-def _flight_figure(facts: FlightFacts) -> FlightFigure | None:
+def flight_figure(facts: FlightFacts) -> FlightFigure | None:
     """What is drawn of a flight; None: neither a position nor a subpath was recorded."""
     flight, track = facts.flight, facts.track_nea_m
     task = flight.mission.task
@@ -124,18 +124,16 @@ def _thinned(line_nea_m: FloatArray, total: int) -> FloatArray:
 
 
 def _charts(canvas: Figure, facts: FlightFacts) -> None:
-    """Over time: clearance, distance from the path, speed, satellites; holds are hatched."""
+    """Over time: clearance, speed, satellites; holds are hatched."""
     task, way = facts.flight.mission.task, facts.on_the_way
-    all_axes: list[Axes] = np.atleast_1d(canvas.subplots(4, 1, sharex=True)).tolist()
-    clearance, aside, speed, satellites = all_axes
+    all_axes: list[Axes] = np.atleast_1d(canvas.subplots(3, 1, sharex=True)).tolist()
+    clearance, speed, satellites = all_axes
     _line(clearance, facts.times_s[way], facts.clearances_m, np.minimum)
     required_m = task.settings.safety_distance_m
     clearance.axhline(required_m, color="black", lw=1.2, ls="--", label="$d_s$")
     clearance.set(ylabel="clearance of known\nterrain, m", ylim=(0.0, None))
-    _line(aside, facts.times_s, facts.off_path_m, np.maximum)
-    aside.axhline(task.limits.tracking_error_m, color="black", lw=1.2, ls="--")
-    aside.set(ylabel="distance from\nthe path, m", ylim=(0.0, None))
-    _line(speed, facts.times_s, facts.speeds_m_s, np.maximum)
+    speeds_m_s = np.hypot(facts.flight.track.north_m_s, facts.flight.track.east_m_s)
+    _line(speed, facts.times_s, speeds_m_s, np.maximum)
     speed.axhline(task.limits.speed_m_s, color="black", lw=1.2, ls="--")
     speed.set(ylabel="ground speed,\nm/s", ylim=(0.0, None))
     told_s = facts.log_s(facts.health.gps_us)
@@ -144,13 +142,13 @@ def _charts(canvas: Figure, facts: FlightFacts) -> None:
     satellites.set(ylabel="satellites", ylim=(0.0, None), xlabel="vehicle time, s")
     for axes in all_axes:
         for hold in facts.holds:
-            begin_s = facts.time_s(hold.boot, hold.t_s)
+            begin_s = facts.time_s(hold)
             end_s = facts.times_s[-1] if hold.until_s is None else begin_s + hold.until_s - hold.t_s
             axes.axvspan(begin_s, end_s, fc="none", ec="#888888", hatch="////", lw=0.0)
         axes.grid(color="#888888", alpha=0.3, lw=0.6)
         axes.margins(x=0.0)
     canvas.align_ylabels()
-    canvas.subplots_adjust(left=0.075, right=0.985, top=0.985, bottom=0.07, hspace=0.12)
+    canvas.subplots_adjust(left=0.075, right=0.985, top=0.985, bottom=0.09, hspace=0.12)
 
 
 def _line(axes: Axes, times_s: FloatArray, values: FloatArray, worst: np.ufunc) -> None:

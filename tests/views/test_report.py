@@ -20,7 +20,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "telemetry"))
 from pymavlink.dialects.v20 import all as wire
-from recorded import run_folder
+from recorded import EPOCH_US, run_folder
 from short_flight import fly_short
 
 from companion.cli import main
@@ -193,7 +193,8 @@ def test_holds_plans_and_times_are_those_of_the_files(run_dir: Path, page: str) 
     said, words = entries(run_dir), words_of(page)
     held = [e for e in said if e["kind"] == "phase" and "holding" in (e["phase"], e["was"])]
     assert f"Holds 1, {held[1]['t_s'] - held[0]['t_s']:.0f} s in all paused by a person" in words
-    assert "300 ms, longest 900 ms 2 of 2 subpaths flown; 0 plans refused, 0 late" in words
+    assert "Planning time, median 300 ms, longest 900 ms T is" in words
+    assert "2 of 2 subpaths flown; 0 plans refused, 0 late" in words
     assert "2026-05-04 10:20:30 UTC" in words
     assert "✔ Arrived : target reached" in words.replace("Arrived:", "Arrived :")
     for entry in said:
@@ -209,24 +210,59 @@ def test_the_cheapest_route_in_hindsight_is_no_shorter_than_the_straight_line(
     assert facts.straight_m * (1.0 - 1e-6) <= facts.hindsight_m <= 1.5 * facts.straight_m
 
 
-def test_missing_frames_and_silences_are_counted(copy: Path, facts: FlightFacts) -> None:
-    log, records, at = (copy / "flight.tlog").read_bytes(), [], 0
+def records_of(run: Path) -> list[tuple[int, bytes]]:
+    """Stamp and frame of each record of the log."""
+    log, records, at = (run / "flight.tlog").read_bytes(), [], 0
     while at < len(log):
         end = at + 8 + 12 + log[at + 9]
-        records.append(log[at:end])
+        records.append((struct.unpack_from(">Q", log, at)[0], log[at + 8 : end]))
         at = end
-    of_autopilot = [k for k, each in enumerate(records) if each[8 + 6] == 1]
+    return records
+
+
+def write_log(run: Path, records: list[tuple[int, bytes]]) -> None:
+    log = b"".join(struct.pack(">Q", stamp_us) + frame for stamp_us, frame in records)
+    (run / "flight.tlog").write_bytes(log)
+
+
+def test_missing_frames_and_silences_are_counted(copy: Path, facts: FlightFacts) -> None:
+    records = records_of(copy)
+    of_autopilot = [k for k, each in enumerate(records) if each[1][6] == 1]
     dropped = set(of_autopilot[500:520]) | {of_autopilot[700]}
-    whole = [struct.unpack_from(">Q", records[k])[0] for k in of_autopilot]
-    (copy / "flight.tlog").write_bytes(
-        b"".join(each for k, each in enumerate(records) if k not in dropped)
-    )
+    write_log(copy, [each for k, each in enumerate(records) if k not in dropped])
     health = facts_of(copy).health
     assert health.lost - facts.health.lost == len(dropped)
     assert health.heard == len(of_autopilot) - len(dropped)
-    left = np.array([each for k, each in zip(of_autopilot, whole, strict=True) if k not in dropped])
+    left = np.array([records[k][0] for k in of_autopilot if k not in dropped])
     assert health.silence_us == np.diff(left).max()
     assert health.silent_from_us == left[np.argmax(np.diff(left))]
+
+
+def test_times_without_a_fix_and_gaps_of_setpoints_are_those_of_the_log(copy: Path) -> None:
+    parser, changed, sent_us = wire.MAVLink(None, srcSystem=1, srcComponent=1), [], list[int]()
+    for stamp_us, frame in records_of(copy):
+        message: Any = parser.decode(bytearray(frame))
+        time_s = (stamp_us - EPOCH_US) * 1e-6
+        if message.get_type() == "GPS_RAW_INT":
+            message.satellites_visible = 9
+            if 60.0 <= time_s < 70.0:
+                message.fix_type, message.satellites_visible = 1, 2
+            parser.seq = frame[4]
+            frame = message.pack(parser)
+        if (
+            message.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"
+            and message.get_srcComponent() == 195
+        ):
+            if 50.0 <= time_s < 51.5:
+                continue
+            sent_us.append(stamp_us)
+        changed.append((stamp_us, frame))
+    write_log(copy, changed)
+    facts, sent_s = facts_of(copy), (np.array(sent_us) - EPOCH_US) * 1e-6
+    assert facts.without_fix_s == pytest.approx(10.0, abs=1.0)
+    assert facts.fewest_satellites == 2.0
+    assert facts.setpoint_gap_s == pytest.approx(np.diff(sent_s[sent_s > 45.0]).max(), abs=1e-6)
+    assert facts.setpoint_gap_s > 1.5
 
 
 # --- the page
