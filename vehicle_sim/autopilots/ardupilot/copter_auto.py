@@ -8,7 +8,7 @@ from typing import final
 from vehicle_sim.autopilots import FRAMES_ABOVE_HOME, Place
 from vehicle_sim.autopilots.ardupilot.autopilot import ArduPilot
 from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl, Tuning, sqrt_controller
-from vehicle_sim.autopilots.ardupilot.copter_guided import Guided, fly_to
+from vehicle_sim.autopilots.ardupilot.copter_guided import Guided
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, bearing_rad, distance_m, offset
 from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Copter
 from vehicle_sim.parameters import Parameters
@@ -142,7 +142,7 @@ class Motion:
         """Fly to a place that does not move."""
         control = self.control
         control.moved(dt_s)
-        fly_to(control, place.latitude_deg, place.longitude_deg, place.altitude_amsl_m, dt_s)
+        control.fly_to(place.latitude_deg, place.longitude_deg, place.altitude_amsl_m, dt_s)
         return control.wanted(dt_s)
 
     def run_landing(self, dt_s: float) -> Vector:

@@ -217,12 +217,28 @@ class PositionControl:
             v_e += east_m * share
         self.towards_velocity(v_n, v_e, acceleration[0], acceleration[1], dt_s)
 
-    def distance_m(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
-        """From the desired position to there, north and east."""
-        return (
-            (latitude_deg - self.latitude_deg) * self._metres_north,
-            (longitude_deg - self.longitude_deg) * self._metres_east,
-        )
+    def fly_to(
+        self, latitude_deg: float, longitude_deg: float, altitude_amsl_m: float, dt_s: float
+    ) -> None:
+        """Steer for a place that does not move: the climb and the way there in proportion."""
+        north_m = (latitude_deg - self.latitude_deg) * self._metres_north
+        east_m = (longitude_deg - self.longitude_deg) * self._metres_east
+        level_m = math.sqrt(north_m * north_m + east_m * east_m)
+        up_m = altitude_amsl_m - self.altitude_amsl_m
+        speed_m_s, most_up = self.speed_m_s, self.speed_up_m_s
+        if up_m < 0.0:
+            most_up = self.speed_down_m_s
+        up_m = abs(up_m)
+        # the slower of the two sets the pace, as kinematic_limit does
+        if level_m * most_up < up_m * speed_m_s:
+            speed_m_s = level_m * most_up / up_m
+        elif level_m > 1e-6:
+            most_up = max(up_m * speed_m_s / level_m, 1e-3)
+        self.towards_place(latitude_deg, longitude_deg, (0.0, 0.0), (0.0, 0.0), speed_m_s, dt_s)
+        up, down = self.speed_up_m_s, self.speed_down_m_s
+        self.speed_up_m_s, self.speed_down_m_s = min(up, most_up), min(down, most_up)
+        self.towards_altitude(altitude_amsl_m, 0.0, 0.0, dt_s)
+        self.speed_up_m_s, self.speed_down_m_s = up, down
 
     def towards_climb(self, up_m_s: float, a_up: float, dt_s: float) -> None:
         """Shape towards a vertical velocity, and move the desired height."""

@@ -10,7 +10,6 @@ from typing import final
 
 from vehicle_sim.autopilots import (
     FRAMES_ABOVE_TERRAIN,
-    Estimate,
     Place,
     Setpoint,
     height_amsl_m,
@@ -18,7 +17,7 @@ from vehicle_sim.autopilots import (
 from vehicle_sim.autopilots.ardupilot.copter_control import PositionControl
 from vehicle_sim.autopilots.ardupilot.flat_earth import Vector, flat_earth_place, offset
 from vehicle_sim.autopilots.attitude import Attitude, AttitudeTarget, attitude_of
-from vehicle_sim.dynamics.copter import GRAVITY_M_S2, Limits
+from vehicle_sim.dynamics.copter import GRAVITY_M_S2
 from vehicle_sim.geodesy import metres_per_degree
 
 # --- How ArduCopter reads SET_POSITION_TARGET: masks, frames, and what it calls "stop" ------------
@@ -195,8 +194,8 @@ class Tracker:
     has: held still, it would saw the acceleration up and down at the rate of the stream.
     """
 
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
+    def __init__(self, control: PositionControl) -> None:
+        self._control = control
         self.received_us = 0
         self.forget()
 
@@ -211,7 +210,7 @@ class Tracker:
         self.received_us = now_us
         if gap_s < 1e-3:
             return
-        limits = self._limits
+        limits = self._control.copter.limits
         slope = tuple((new - old) / gap_s for new, old in zip(velocity, before, strict=True))
         smooth = math.hypot(slope[0], slope[1]) <= limits.acceleration_m_s2 and (
             abs(slope[2]) <= limits.acceleration_vertical_m_s2
@@ -221,33 +220,26 @@ class Tracker:
         else:
             self.forget()
 
-    def wanted(
-        self,
-        estimate: Estimate,
-        place: Vector,
-        velocity: Vector,
-        acceleration: Vector,
-        speeds_m_s: tuple[float, float],
-        now_us: int,
-    ) -> Vector:
-        """Acceleration north, east, up towards a place (degrees, degrees, metres) that moves."""
+    def wanted(self, guided: "Guided", now_us: int) -> Vector:
+        """Acceleration north, east, up towards the target that moves."""
+        estimate, tuning = self._control.estimate, self._control.tuning
         metres_north, metres_east = metres_per_degree(estimate.latitude_deg)
-        north_m = (place[0] - estimate.latitude_deg) * metres_north
-        east_m = (place[1] - estimate.longitude_deg) * metres_east
-        up_m = place[2] - estimate.altitude_amsl_m
+        north_m = (guided.latitude_deg - estimate.latitude_deg) * metres_north
+        east_m = (guided.longitude_deg - estimate.longitude_deg) * metres_east
+        up_m = guided.altitude_amsl_m - estimate.altitude_amsl_m
         north, east = north_m * KP_1_S2, east_m * KP_1_S2
-        square, most = north * north + east * east, KV_1_S * speeds_m_s[0]
+        square, most = north * north + east * east, KV_1_S * tuning.speed_m_s
         if square > most * most:
             share = most / math.sqrt(square)
             north, east = north * share, east * share
-        most_up = KV_1_S * speeds_m_s[1]
+        most_up = KV_1_S * tuning.speed_up_m_s
         up = up_m * KP_1_S2
         up = -most_up if up < -most_up else most_up if up > most_up else up
         age_s = (now_us - self.received_us) * 1e-6
         ahead_s = age_s if age_s <= 2.0 * self._interval_s else 0.0
-        v_n, v_e, v_u = velocity
+        v_n, v_e, v_u = guided.velocity
         s_n, s_e, s_u = self._slope
-        a_n, a_e, a_u = acceleration
+        a_n, a_e, a_u = guided.acceleration
         return (
             north + KV_1_S * (v_n + s_n * ahead_s - estimate.velocity_north_m_s) + a_n,
             east + KV_1_S * (v_e + s_e * ahead_s - estimate.velocity_east_m_s) + a_e,
@@ -262,7 +254,7 @@ class Guided:
     def __init__(self, control: PositionControl, timeout_s: float) -> None:
         self.control = control
         copter = control.copter
-        self.tracker = None if copter.drag_1_s else Tracker(copter.limits)
+        self.tracker = None if copter.drag_1_s else Tracker(control)
         self.latitude_deg = self.longitude_deg = self.altitude_amsl_m = 0.0
         self.received_us = 0
         self.paused = False
@@ -406,14 +398,7 @@ class Guided:
                 and not self.paused
             ):
                 self._was_tracking = True
-                return self.tracker.wanted(
-                    control.estimate,
-                    (self.latitude_deg, self.longitude_deg, self.altitude_amsl_m),
-                    self.velocity,
-                    self.acceleration,
-                    (control.tuning.speed_m_s, control.tuning.speed_up_m_s),
-                    now_us,
-                )
+                return self.tracker.wanted(self, now_us)
             if self._was_tracking:
                 self._was_tracking = False
                 copter = control.copter
@@ -440,7 +425,7 @@ class Guided:
             )
             control.towards_altitude(self.altitude_amsl_m, up, a_u, dt_s)
         else:
-            fly_to(control, self.latitude_deg, self.longitude_deg, self.altitude_amsl_m, dt_s)
+            control.fly_to(self.latitude_deg, self.longitude_deg, self.altitude_amsl_m, dt_s)
         return control.wanted(dt_s)
 
     def _accelerate(self, dt_s: float) -> None:
@@ -459,30 +444,3 @@ def _submode(target: Target) -> Submode:
     if target.place is None:
         return Submode.ACCELERATION if target.velocity_neu_m_s is None else Submode.VELOCITY
     return Submode.POSITION if target.velocity_neu_m_s is None else Submode.POSITION_VELOCITY
-
-
-def fly_to(
-    control: PositionControl,
-    latitude_deg: float,
-    longitude_deg: float,
-    altitude_amsl_m: float,
-    dt_s: float,
-) -> None:
-    """Steer for a place that does not move: the climb and the way there in proportion."""
-    north_m, east_m = control.distance_m(latitude_deg, longitude_deg)
-    level_m = math.sqrt(north_m * north_m + east_m * east_m)
-    up_m = altitude_amsl_m - control.altitude_amsl_m
-    speed_m_s, most_up = control.speed_m_s, control.speed_up_m_s
-    if up_m < 0.0:
-        most_up = control.speed_down_m_s
-    up_m = abs(up_m)
-    # the slower of the two sets the pace, as kinematic_limit does
-    if level_m * most_up < up_m * speed_m_s:
-        speed_m_s = level_m * most_up / up_m
-    elif level_m > 1e-6:
-        most_up = max(up_m * speed_m_s / level_m, 1e-3)
-    control.towards_place(latitude_deg, longitude_deg, (0.0, 0.0), (0.0, 0.0), speed_m_s, dt_s)
-    up, down = control.speed_up_m_s, control.speed_down_m_s
-    control.speed_up_m_s, control.speed_down_m_s = min(up, most_up), min(down, most_up)
-    control.towards_altitude(altitude_amsl_m, 0.0, 0.0, dt_s)
-    control.speed_up_m_s, control.speed_down_m_s = up, down

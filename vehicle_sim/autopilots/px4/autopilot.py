@@ -515,18 +515,15 @@ class Px4(abc.ABC):
         north_m, east_m, _ = self.local_m
         home_n, home_e = self.projection.to_local(home.latitude_deg, home.longitude_deg)
         away_m = math.hypot(north_m - home_n, east_m - home_e)
-        breached = self.fence.check(
-            self.projection,
-            north_m,
-            east_m,
-            home=(away_m, self.estimate.altitude_amsl_m - home.altitude_amsl_m),
-            limits=(parameters["GF_MAX_HOR_DIST"], parameters["GF_MAX_VER_DIST"]),
+        above_m = self.estimate.altitude_amsl_m - home.altitude_amsl_m
+        breached = (
+            0.0 < parameters["GF_MAX_HOR_DIST"] < away_m
+            or 0.0 < parameters["GF_MAX_VER_DIST"] < above_m
+            or not self.fence.allows(self.projection, north_m, east_m)
         )
-        action = (
-            failsafe.FENCE.get(int(parameters["GF_ACTION"]), Action.WARN)
-            if breached
-            else Action.NONE
-        )
+        self.fence.note(breached=breached)
+        chosen = failsafe.FENCE.get(int(parameters["GF_ACTION"]), Action.WARN)
+        action = chosen if breached else Action.NONE
         if self._incidents.note(Cause.FENCE, action):
             self.emit(text(4, "Geofence: approaching or outside geofence"))
 

@@ -22,25 +22,11 @@ class Fence:
         self.breached = False
         self.breaches = 0
 
-    def check(
-        self,
-        projection: Projection,
-        north_m: float,
-        east_m: float,
-        *,
-        home: tuple[float, float],
-        limits: tuple[float, float],
-    ) -> bool:
-        """Look once; home: distance and height from there; limits: GF_MAX_HOR_DIST, _VER_DIST."""
-        allowed = self.allows(projection, north_m, east_m)
-        away_m, above_m = home
-        most_away_m, most_above_m = limits
-        if 0.0 < most_away_m < away_m or 0.0 < most_above_m < above_m:
-            allowed = False
-        if not allowed and not self.breached:
+    def note(self, *, breached: bool) -> None:
+        """Whether the vehicle is outside of what is allowed now."""
+        if breached and not self.breached:
             self.breaches += 1
-        self.breached = not allowed
-        return self.breached
+        self.breached = breached
 
     def allows(self, projection: Projection, north_m: float, east_m: float) -> bool:
         """Whether a place is inside any zone that keeps in, and outside all that keep out."""
