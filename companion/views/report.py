@@ -15,6 +15,7 @@ from markupsafe import Markup
 
 from companion.objective.scene import Weights
 from companion.telemetry.export.flight import PlannedSubpath
+from companion.telemetry.export.shapes import utc_text
 from companion.views.report_facts import FlightFacts
 from companion.views.report_figures import svg_figures
 from companion.views.words import entry_words, metres
@@ -55,11 +56,12 @@ def _degrees(angle_rad: float) -> str:
 
 
 def _began(facts: FlightFacts) -> str:
-    """When it was flown, as far as run.json says."""
+    """When it was flown, as run.json says, or the log."""
     with suppress(TypeError, ValueError):
         began = datetime.fromisoformat(facts.run.get("began", ""))
         return f"{began.astimezone(UTC):%Y-%m-%d %H:%M:%S} UTC"
-    return "at a time that was not recorded"
+    times_us = facts.flight.track.time_us
+    return utc_text(times_us[0]) if len(times_us) else "at a time that was not recorded"
 
 
 def _weighed(facts: FlightFacts, planned: PlannedSubpath) -> list[tuple[float, float]]:
