@@ -1,13 +1,15 @@
 """The planner as researchers call it: docs/library.md runs, and what it returns was flown."""
 
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import truth
+import worlds
+from lattice import curve_cost
 
 from companion import library
 from companion.errors import InputError
@@ -15,11 +17,6 @@ from companion.library import OPTIMISERS, Flown, Task, fly
 from companion.objective.scene import PROFILES
 from companion.path.certificate import Certificate
 from companion.world.known_map import KnownMap, Scan
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts" / "benchmarks"))
-import truth
-import worlds
-from lattice import curve_cost
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"
 WHERE: dict[str, Any] = {

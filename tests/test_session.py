@@ -1,16 +1,12 @@
 """The whole companion as bytes in and bytes out, against a scripted vehicle."""
 
-import sys
 from dataclasses import asdict, replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as wire
-
-sys.path.insert(0, str(Path(__file__).parent / "runtime"))
 from scripted_vehicle import (
     BRAKE,
     GUIDED,

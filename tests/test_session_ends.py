@@ -1,14 +1,10 @@
 """Every end is said on the link before the heartbeat ends, by name and with its reason."""
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-
-sys.path.insert(0, str(Path(__file__).parent / "runtime"))
 from scripted_vehicle import MISSION, Pair, Vehicle, messages, pair
 
 from companion.mission.events import Outcome

@@ -1,13 +1,9 @@
 """A link to ground stations beside the vehicle's: the companion is there, and no vehicle is."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import all as wire
-
-sys.path.insert(0, str(Path(__file__).parent / "runtime"))
 from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
 from companion.mavlink.link import Output

@@ -1,14 +1,10 @@
 """The whole companion with a lidar as its eyes, as bytes in and bytes out."""
 
 import math
-import sys
-from pathlib import Path
 
 import pytest
-from pymavlink.dialects.v20 import all as wire
-
-sys.path.insert(0, str(Path(__file__).parent / "runtime"))
 import scripted_vehicle
+from pymavlink.dialects.v20 import all as wire
 from scripted_vehicle import Pair, Vehicle
 
 from companion.config import load_mission

@@ -1,14 +1,10 @@
 """Two sessions with the same ids on one link, and one whose link sends back what it says."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-
-sys.path.insert(0, str(Path(__file__).parent / "runtime"))
 from scripted_vehicle import MISSION, Pair, Vehicle, messages
 
 from companion.mavlink.link import Output

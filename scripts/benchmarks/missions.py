@@ -2,7 +2,7 @@
 
     scripts/bench missions [--worlds 100] [--seeds 20] [--jobs 2] [--json FILE]
                            [--only dense|bundled|sparse] [--profile paper]
-    scripts/bench missions --family gathered [--seed 7] [--worlds 20] [--each] [--ompl]
+    scripts/bench missions --family gathered [--seed 7] [--worlds 20] [--each]
                            [--elevation]
 
 Every mission is flown without a vehicle (simulated scans, perfect tracking); its cost is compared
@@ -102,8 +102,6 @@ class MissionResult:
     rival_cost: float = math.nan
     """J; NaN where the rival did not arrive."""
     rival_clearance_m: float = math.nan
-    reference_cost: float = math.nan
-    """J of the reference with full knowledge (--ompl)."""
 
     @property
     def ratio(self) -> float:
@@ -130,7 +128,6 @@ class How:
     """Which worlds are drawn."""
     profile: str
     rival: bool
-    ompl: bool = False
     elevation: bool = False
     """Whether ours is given an elevation file for guidance."""
 
@@ -295,17 +292,11 @@ def flown_mission(group: str, index: int, seed: int, how: How) -> MissionResult:
     clearance_m = truth.terrain_distance_m(
         flight.points_nea_m, world.terrain, 2.0 * world.task.required_clearance_m
     )
-    reference = math.nan
-    if how.ompl:
-        import ompl_reference
-
-        reference = ompl_reference.cost(world)
     return replace(
         result,
         rival_plans=flight.plans,
         rival_cost=flight.cost(world) if flight.arrived else math.nan,
         rival_clearance_m=float(clearance_m.min()),
-        reference_cost=reference,
     )
 
 
@@ -346,7 +337,6 @@ def summary(results: Sequence[MissionResult]) -> dict[str, Any]:
         "length": longer,
         "rival": [r.rival_cost / r.best_cost for r in results],
         "pair": [r.cost / r.rival_cost for r in arrived],
-        "reference": [r.reference_cost / r.best_cost for r in results],
     }
     return {
         "missions": len(results),
@@ -423,7 +413,6 @@ _IF_ANY: tuple[tuple[str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("rival_flew", "J / the rival's J", _four("pair")),
     ("rival_flew", "ours no dearer than the rival",
      lambda s: f"{100 * s['cheaper_than_rival']:.0f} %"),
-    ("reference_median", "reference's J / J*", _four("reference")),
 )  # fmt: skip
 """Rows that are there if this figure of some group is a number, and not 0."""
 
@@ -499,15 +488,13 @@ def main() -> int:
             "of a family: an elevation file for guidance, blurred, off by 100 m and noisy",
         ),
         each=(False, "a line for each world of a family"),
-        ompl=(False, "beside RRT* with full knowledge, if the package ompl is there"),
     )
     how = How(seed=families.SEED, profile=options.profile, rival=False)
     title = "Whole missions against the full-knowledge optimum"
     if options.family:
         names = families.FAMILIES if "all" in options.family else dict.fromkeys(options.family)
         todo = [(name, index, 1) for name in names for index in range(options.worlds or 20)]
-        how = replace(how, seed=options.seed, rival=True, ompl=options.ompl,
-                      elevation=options.elevation)  # fmt: skip
+        how = replace(how, seed=options.seed, rival=True, elevation=options.elevation)
         title = f"Missions by family, seed {how.seed}"
     else:
         todo = missions(options.only, options.worlds or 100, options.seeds)

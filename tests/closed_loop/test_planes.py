@@ -1,16 +1,12 @@
 """Planes, flown by both programs in one process, in exact steps of vehicle time."""
 
 import math
-import sys
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from flights import ENVIRONMENTS, NIGHTLY, warm_up
-from programs import ROOT
-
-sys.path.insert(0, str(ROOT / "scripts" / "benchmarks"))
 from pair import Pair
 
 from companion.config import load_mission

@@ -3,15 +3,12 @@
 import ast
 import json
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-from programs import ROOT, free_port
+from programs import free_port
 from pymavlink.dialects.v20 import all as wire
-
-sys.path.insert(0, str(ROOT / "tests" / "telemetry"))
 from recorded import run_folder
 
 from companion.replay.exporting import recorded

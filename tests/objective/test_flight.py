@@ -1,10 +1,8 @@
 """Joins and costs of profile `flight` against scipy's splines and a scalar implementation."""
 
 import math
-import sys
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning import spline
+from scenes import LIMITS, R_M, cube, random_scene
 from scipy.integrate import quad
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq
@@ -31,9 +30,6 @@ from companion.objective.scene import (
 from companion.path.subpath import Subpath
 from companion.world.clearance import Surface
 from companion.world.threats import CircleZone, PolygonZone, Zone
-
-sys.path.insert(0, str(Path(__file__).parent))
-from scenes import LIMITS, R_M, cube, random_scene
 
 FloatArray = NDArray[np.float64]
 

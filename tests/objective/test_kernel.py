@@ -1,21 +1,17 @@
 """The scalar objective, as plain Python, against the numpy one."""
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import cube, random_scene
 
 from companion.objective import kernel
 from companion.objective import scene as flight
 from companion.world.threats import Radar
-
-sys.path.insert(0, str(Path(__file__).parent))
-from scenes import cube, random_scene
 
 seeds = st.integers(0, 10**6)
 

@@ -1,10 +1,9 @@
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from brute_force import FloatArray, random_case, truth
 from planning import limits
 
 from companion.path.certificate import Certificate, Margins, certify, pack_surroundings
@@ -12,9 +11,6 @@ from companion.path.limits import Limits
 from companion.path.subpath import Subpath
 from companion.world.known_map import KnownMap
 from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
-
-sys.path.insert(0, str(Path(__file__).parent))
-from brute_force import FloatArray, random_case, truth
 
 LIMITS = limits(
     turn_radius_m=200.0,

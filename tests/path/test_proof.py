@@ -1,9 +1,8 @@
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from brute_force import Case, FloatArray, column_distance_m, curve, random_case
 from hypothesis import given
 from hypothesis import strategies as st
 from planning import flying_kernel
@@ -20,9 +19,6 @@ from companion.path.proof_distance import (
 )
 from companion.path.proof_shape import extremes, largest, runs_forward
 from companion.world.threats import CircleZone, PolygonZone
-
-sys.path.insert(0, str(Path(__file__).parent))
-from brute_force import Case, FloatArray, column_distance_m, curve, random_case
 
 seeds = st.integers(0, 10**6)
 T = np.linspace(0.0, 1.0, 801)

@@ -1,10 +1,9 @@
-import sys
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
+from dense_check import violations
 from planning import ask, spline
 
 from companion.path import proof
@@ -16,9 +15,6 @@ from companion.planner.request import Backtrack, FlownSegment
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.threats import CircleZone
-
-sys.path.insert(0, str(Path(__file__).parent))
-from dense_check import violations
 
 START, TARGET = (1_000.0, 1_200.0, 500.0), (4_800.0, 2_600.0)
 

@@ -1,10 +1,9 @@
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from dense_check import keep_out_distance_m, violations
 from planning import ask, column_distance_m, spline
 
 from companion.planner.plan import plan
@@ -12,9 +11,6 @@ from companion.planner.request import NotPlanned, Planned, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.threats import CircleZone, PolygonZone, Radar, Zone
-
-sys.path.insert(0, str(Path(__file__).parent))
-from dense_check import keep_out_distance_m, violations
 
 REQUIRED_M = 70.0  # d_s 60 m, tracking 5 m, navigation 5 m
 

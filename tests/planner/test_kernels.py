@@ -1,12 +1,12 @@
 import ast
 import math
-import sys
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 from planning import ask
+from scenes import cube, random_scene
 
 from companion.objective import kernel
 from companion.optimise import refined_de
@@ -16,9 +16,6 @@ from companion.planner.plan import plan
 from companion.planner.request import Planned
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "objective"))
-from scenes import cube, random_scene
 
 once = pytest.mark.xdist_group("compiled")  # one worker compiles it, for all of these
 seeds = pytest.mark.parametrize("seed", range(8))

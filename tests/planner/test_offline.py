@@ -1,10 +1,9 @@
 import math
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
+from dense_check import violations
 from planning import spline
 from scipy.optimize import brentq
 
@@ -14,9 +13,6 @@ from companion.planner.request import NotPlanned, Planned, PlanOutcome, PlanRequ
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.terrain import PeakTerrain
-
-sys.path.insert(0, str(Path(__file__).parent))
-from dense_check import violations
 
 START = (800.0, 800.0, 450.0)
 TARGET = (7_200.0, 7_000.0)

@@ -1,11 +1,10 @@
 import math
-import sys
 from dataclasses import replace
 from itertools import count
-from pathlib import Path
 
 import numpy as np
 import pytest
+from dense_check import keep_out_distance_m, violations
 from numpy.typing import NDArray
 from planning import ask as asked
 from planning import column_distance_m, spline
@@ -20,9 +19,6 @@ from companion.world.known_map import KnownMap, empty_map
 from companion.world.simulated_scan import true_map
 from companion.world.terrain import Peak, PeakTerrain
 from companion.world.threats import PolygonZone
-
-sys.path.insert(0, str(Path(__file__).parent))
-from dense_check import keep_out_distance_m, violations
 
 FloatArray = NDArray[np.float64]
 

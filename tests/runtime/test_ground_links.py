@@ -1,15 +1,12 @@
 """Links to ground stations beside a flight: heard, answered, no reason to wait or to end."""
 
 import socket
-import sys
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from stub_session import HEARTBEAT, HOLD, PATIENCE_S, SETPOINT, QueueLink, StubSession
 from test_workers import Rig
 

@@ -1,7 +1,6 @@
 """The loop around a session, with a scripted vehicle in place of the socket."""
 
 import json
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -10,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from scripted_vehicle import BRAKE, MISSION, Vehicle, straight_plan
 from stub_session import HEARTBEAT, HOLD, SETPOINT, QueueLink, StubSession, as_any, packed
 

@@ -1,15 +1,11 @@
 """What the gate lets through and tells apart; `test_workers` has the watchdog at work."""
 
-import sys
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import all as wire
-
-sys.path.insert(0, str(Path(__file__).parent))
 from stub_session import HEARTBEAT, HOLD, PATIENCE_S, SETPOINT, QueueLink, packed
 
 from companion.runtime.watchdog import (
