@@ -48,6 +48,7 @@ def heights_m(world: worlds.BenchmarkWorld, north: FloatArray, east: FloatArray)
     return world.terrain.height_m(north, east)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("family", families.FAMILIES)
 @pytest.mark.parametrize("index", [0, 1])
 def test_every_world_has_a_way_by_an_independent_search(family: str, index: int) -> None:

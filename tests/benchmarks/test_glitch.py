@@ -40,7 +40,7 @@ def flown(autopilot: pair_worlds.Firmware, kind: pair_worlds.Kind) -> tuple[Flow
     return pair.fly(), began_s[0]
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("kind", ["copter", "plane"])
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_nothing_is_flown_by_a_position_that_the_estimator_has_given_in_to(
