@@ -266,10 +266,9 @@ class FlightFacts:
     @property
     def planning_s(self) -> tuple[float, float] | None:
         """How long plans took, median and longest, wall time; None: that was not recorded."""
-        took_s = self.run.get("planning_s")
-        if not isinstance(took_s, list) or not took_s:
-            return None
-        return statistics.median(took_s), max(took_s)
+        told = self.run.get("planning_s")
+        took_s = [t for t in told if isinstance(t, int | float)] if isinstance(told, list) else []
+        return (statistics.median(took_s), max(took_s)) if took_s else None
 
     def count(self, kind: str) -> int:
         """How many entries of a kind the journal has."""

@@ -401,6 +401,12 @@ def test_damaged_files_beside_the_record_are_named(copy: Path, name: str) -> Non
     assert f"{name}: " in words_of(report_of(copy))
 
 
+def test_a_run_json_with_other_values_than_ours_is_told_without_them(copy: Path) -> None:
+    odd = {"planning_s": ["x", None], "began": 5, "times_real_time": "fast", "companion": [1]}
+    (copy / "run.json").write_text(json.dumps(odd))
+    assert "Planning time, median not recorded" in words_of(report_of(copy))
+
+
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.97])
 def test_a_flight_that_was_cut_off_is_told_as_far_as_it_goes(copy: Path, share: float) -> None:
     for name in ("journal.jsonl", "flight.tlog"):
