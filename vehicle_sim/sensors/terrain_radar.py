@@ -32,7 +32,8 @@ _CELLS_NORTH, _CELLS_EAST = ROWS * BLOCK_CELLS, COLUMNS * BLOCK_CELLS
 _GRID_CELLS_PER_RANGE = 400
 _GRID_MARGIN = 0.25
 _TILE_CELLS = 100
-_PASSES = 4
+_CHUNK = 10
+"""Grid cells on a side of a square, and samples of a line, that are looked at together at first."""
 _PARTS = 3  # a side
 _MAX_DIVISIONS = 2
 _LOWEST_M, _HIGHEST_M = -32767.0, 32767.0
@@ -104,6 +105,10 @@ class _Grid:
         self.lowest_amsl_m = np.empty((self.size, self.size))
         self.lowest_around_amsl_m = np.empty((self.size, self.size))
         """Of each cell and the eight around it."""
+        squares = self.size // _CHUNK
+        self.highest_near_amsl_m = np.full((squares, squares), -np.inf)
+        """The highest of `lowest_amsl_m` in each square of cells and the eight around it."""
+        self._highest_amsl_m = np.full((squares + 2, squares + 2), -np.inf)  # with a margin
         self._terrain = terrain
         self._found = np.zeros((tiles, tiles), dtype=bool)
 
@@ -116,8 +121,11 @@ class _Grid:
         (top, bottom), (left, right) = (
             (first // _TILE_CELLS, last // _TILE_CELLS + 1) for first, last in (rows, columns)
         )
-        for row, column in np.argwhere(~self._found[top:bottom, left:right]):
+        new = np.argwhere(~self._found[top:bottom, left:right])
+        for row, column in new:
             self._find(top + int(row), left + int(column))
+        if len(new):
+            self.highest_near_amsl_m = _of_nine(np.maximum, self._highest_amsl_m)
 
     def _find(self, row: int, column: int) -> None:
         edges = np.arange(-1.0, _TILE_CELLS + 2.0)
@@ -127,9 +135,11 @@ class _Grid:
         tile = tuple(slice(first, first + _TILE_CELLS) for first in start)
         lowest = self._terrain.lowest_in_grid_amsl_m(north, east)
         self.lowest_amsl_m[tile] = lowest[1:-1, 1:-1]
-        lowest = np.minimum(np.minimum(lowest[:-2], lowest[1:-1]), lowest[2:])
-        lowest = np.minimum(np.minimum(lowest[:, :-2], lowest[:, 1:-1]), lowest[:, 2:])
-        self.lowest_around_amsl_m[tile] = lowest
+        side = _TILE_CELLS // _CHUNK
+        at = tuple(slice(1 + first * side, 1 + (first + 1) * side) for first in (row, column))
+        squares = lowest[1:-1, 1:-1].reshape(side, _CHUNK, side, _CHUNK)
+        self._highest_amsl_m[at] = squares.max(axis=(1, 3))
+        self.lowest_around_amsl_m[tile] = _of_nine(np.minimum, lowest)
         self._found[row, column] = True
         for edge in (0, -1):  # lines beyond the edge are looked up there
             for lowest in (self.lowest_amsl_m, self.lowest_around_amsl_m):
@@ -152,15 +162,12 @@ class TerrainRadar:
         if not bits or request.spacing_m <= 0 or abs(request.latitude_deg) >= 90.0:
             return ()
         north, east = _cells_of(np.array(bits))
-        corners_ne_m = self._corners_ne_m(request)[  # (C, 4, 2), anticlockwise from the south-west
-            np.stack([north, north, north + 1, north + 1], axis=-1),
-            np.stack([east, east + 1, east + 1, east], axis=-1),
-        ]
         heights = np.full(len(north), UNSEEN_M, dtype=np.int64)
         near = np.flatnonzero(self._within_range(request, view, north, east))
         if len(near):
-            highest, place_ne_m = self._terrain.highest_in_quads_amsl_m(corners_ne_m[near])
-            seen = self._seen(corners_ne_m[near], highest, place_ne_m, view)
+            corners_ne_m = self._corners_ne_m(request, north[near], east[near])
+            highest, place_ne_m = self._terrain.highest_in_quads_amsl_m(corners_ne_m)
+            seen = self._seen(corners_ne_m, highest, place_ne_m, view)
             rounded = np.clip(np.ceil(highest[seen]), _LOWEST_M, _HIGHEST_M)
             heights[near[seen]] = rounded.astype(np.int64)
         blocks = heights.reshape(len(bits), BLOCK_CELLS * BLOCK_CELLS).tolist()
@@ -184,17 +191,23 @@ class TerrainRadar:
         north_m, east_m = self._frame.to_local(view.latitude_deg, view.longitude_deg)
         return bool(self._in_sight((north_m, east_m, view.altitude_amsl_m), point_ne_m)[0])
 
-    def _corners_ne_m(self, request: ScanRequest) -> FloatArray:
-        """The lattice of the request's cell corners in the local frame.  -> (29, 33, 2)."""
-        north, east = np.meshgrid(
-            np.arange(_CELLS_NORTH + 1) * float(request.spacing_m),
-            np.arange(_CELLS_EAST + 1) * float(request.spacing_m),
-            indexing="ij",
-        )
+    def _corners_ne_m(
+        self, request: ScanRequest, north: NDArray[np.intp], east: NDArray[np.intp]
+    ) -> FloatArray:
+        """Corners of cells in the local frame, anticlockwise from the south-west.
+
+        (C,), (C,) -> (C, 4, 2).
+        """
+        rows = np.stack([north, north, north + 1, north + 1], axis=-1)
+        columns = np.stack([east, east + 1, east + 1, east], axis=-1)
+        corners_ne_m = np.empty((_CELLS_NORTH + 1, _CELLS_EAST + 1, 2))
+        wanted = np.zeros(corners_ne_m.shape[:2], dtype=bool)
+        wanted[rows, columns] = True  # each once: cells share them
+        north_m, east_m = (each * np.float64(request.spacing_m) for each in np.nonzero(wanted))
         corner = LocalFrame(latitude_deg=request.latitude_deg, longitude_deg=request.longitude_deg)
-        latitude_deg, longitude_deg = corner.to_geographic_many(north.ravel(), east.ravel())
-        local = self._frame.to_local_many(latitude_deg, longitude_deg)
-        return np.stack(local, axis=-1).reshape(*north.shape, 2)
+        local = self._frame.to_local_many(*corner.to_geographic_many(north_m, east_m))
+        corners_ne_m[wanted] = np.stack(local, axis=-1)
+        return corners_ne_m[rows, columns]
 
     def _within_range(
         self,
@@ -300,14 +313,9 @@ class TerrainRadar:
         grid = self._grid_about(eye[0], eye[1])
         farthest_m = float(np.max(np.hypot(offset_ne_m[:, 0], offset_ne_m[:, 1]), initial=0.0))
         count = max(math.ceil(farthest_m / grid.cell_m), 1)
-        share = ((np.arange(count) + 0.5) / count)[:, None]  # (S, 1) of the way to the point
-        free = np.arange(len(offset_ne_m))
-        for k in range(_PASSES):  # most of what is hidden is so for more than one sample
-            lines = _Lines(eye=eye, offset_ne_m=offset_ne_m[free], top_amsl_m=top_amsl_m[free])
-            free = free[~lines.blocked(grid, share[k::_PASSES], around=around)]
-        seen = np.zeros(len(offset_ne_m), dtype=bool)
-        seen[free] = True
-        return seen
+        share = (np.arange(count) + 0.5) / count  # of the way to the point
+        lines = _Lines(eye=eye, offset_ne_m=offset_ne_m, top_amsl_m=top_amsl_m)
+        return ~lines.blocked(grid, share, around=around)
 
     def _grid_about(self, north_m: float, east_m: float) -> _Grid:
         """The grid that reaches beyond the range on all sides of this point."""
@@ -343,25 +351,59 @@ class _Lines:
     """Of the ground at the points.  (K,)."""
 
     def blocked(self, grid: _Grid, share: FloatArray, *, around: bool) -> NDArray[np.bool_]:
-        """Whether the ground rises above each line at shares of the way.  (S, 1) -> (K,)."""
-        if not share.size or not self.top_amsl_m.size:
-            return np.zeros(len(self.top_amsl_m), dtype=bool)
+        """Whether the ground rises above each line at rising shares of the way.  (S,) -> (K,).
+
+        Samples must be no farther from each other than a cell of the grid.  Most lie far above
+        the ground: only where the highest of the neighbourhood is above a line, each is looked up.
+        """
+        every = np.arange(len(self.top_amsl_m))
+        if not len(every):
+            return np.zeros(0, dtype=bool)
+        rows, columns = self._cells(grid, share[[0, -1], None], every)
+        grid.find((int(rows.min()), int(rows.max())), (int(columns.min()), int(columns.max())))
+        first = np.arange(0, len(share), _CHUNK)
+        middle, last = (
+            np.minimum(first + more, len(share) - 1) for more in (_CHUNK // 2, _CHUNK - 1)
+        )
+        lowest_amsl_m = grid.lowest_around_amsl_m if around else grid.lowest_amsl_m
+        rows, columns = self._cells(grid, share[middle, None], every)
+        # most of what is hidden is so for more than one sample
+        line_m = self._heights_m(share[middle, None], every)
+        blocked = np.logical_or.reduce(lowest_amsl_m[rows, columns] > line_m)
+        ends_m = [self._heights_m(share[end, None], every) for end in (first, last)]
+        near_amsl_m = grid.highest_near_amsl_m[rows // _CHUNK, columns // _CHUNK]
+        chunk, line = np.nonzero((near_amsl_m > np.minimum(*ends_m)) & ~blocked)
+        sample = np.minimum(first[chunk] + np.arange(_CHUNK)[:, None], len(share) - 1)
+        rows, columns = self._cells(grid, share[sample], line)
+        is_under = lowest_amsl_m[rows, columns] > self._heights_m(share[sample], line)
+        blocked[line[is_under.any(axis=0)]] = True
+        return blocked
+
+    def _cells(
+        self, grid: _Grid, share: FloatArray, line: NDArray[np.intp]
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Row and column of the grid at these shares of these lines.  (S, L), (L,) -> (S, L)."""
+        low_m, offset_m = (grid.south_m, grid.west_m), self.offset_ne_m[line].T / grid.cell_m
         row, column = (
             np.clip(
-                ((eye_m - low_m) / grid.cell_m + share * (offset_m / grid.cell_m)).astype(np.int32),
+                ((self.eye[k] - low_m[k]) / grid.cell_m + share * offset_m[k]).astype(np.int32),
                 0,
                 grid.size - 1,
             )
-            for eye_m, low_m, offset_m in zip(
-                self.eye[:2], (grid.south_m, grid.west_m), self.offset_ne_m.T, strict=True
-            )
+            for k in (0, 1)
         )
-        ends = [(int(each.min()), int(each.max())) for each in (row, column)]
-        grid.find(ends[0], ends[1])
-        line_m = self.eye[2] + share * (self.top_amsl_m - self.eye[2])
-        lowest_amsl_m = grid.lowest_around_amsl_m if around else grid.lowest_amsl_m
-        found: NDArray[np.bool_] = (lowest_amsl_m[row, column] > line_m).any(axis=0)
-        return found
+        return row, column
+
+    def _heights_m(self, share: FloatArray, line: NDArray[np.intp]) -> FloatArray:
+        """Height of these lines at these shares of the way.  (S, L), (L,) -> (S, L)."""
+        return self.eye[2] + share * (self.top_amsl_m[line] - self.eye[2])
+
+
+def _of_nine(best: np.ufunc, cells: FloatArray) -> FloatArray:
+    """The best of each cell and the eight around it.  (N + 2, M + 2) -> (N, M)."""
+    cells = best(best(cells[:-2], cells[1:-1]), cells[2:])
+    nine: FloatArray = best(best(cells[:, :-2], cells[:, 1:-1]), cells[:, 2:])
+    return nine
 
 
 def _divided(corners_ne_m: FloatArray) -> FloatArray:
