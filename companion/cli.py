@@ -286,7 +286,7 @@ def plan_command(
         task,
         blank=blank,
         truth=truth,
-        start_nea_m=(*place.start_ne_m, chosen.take_off_amsl_m),
+        start_nea_m=(*place.start_ne_m, chosen.task.take_off_amsl_m),
         targets_ne_m=chosen.targets_ne_m,
         seed=seed,
         planner=partial(plan, kernel=kernel),

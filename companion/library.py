@@ -164,7 +164,7 @@ def _mission(
         read = load_mission(mission)
         task, targets, known = read.task, targets or read.targets_ne_m, known or read.known
         if start_nea_m is None and isinstance(world, str):
-            start_nea_m = (*load_world(world).start_ne_m, read.take_off_amsl_m)
+            start_nea_m = (*load_world(world).start_ne_m, read.task.take_off_amsl_m)
     else:
         task = mission
     if start_nea_m is None:

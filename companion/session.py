@@ -450,7 +450,7 @@ class Session:
             self._note(**noted)
 
     def _after_time_only(self, heard: Incoming) -> None:
-        """What may be due now."""
+        """What may be due after a message that tells the mission nothing but a time."""
         if (vehicle := self.vehicle) is None:
             return
         vehicle.count(heard.number, self.now_s)
@@ -481,7 +481,7 @@ class Session:
             delay = self.vehicle.on_timesync(message, self.now_s, heard.at_s)
             if delay is not None:
                 self._handle(delay)
-        self._on_autopilot(heard)
+        self._after_time_only(heard)
         if message.tc1 != 0:
             return
         self._time_asked += 1

@@ -103,7 +103,7 @@ def test_the_take_off_ends_where_paths_may_begin(
     error_m = tracking_m + navigation_m
     assert mission.task.margins.band_inset_m == pytest.approx(error_m)
     low, high = mission.task.band_amsl_m
-    assert 3000.0 + error_m <= low <= mission.take_off_amsl_m < high <= 5000.0 - error_m
+    assert 3000.0 + error_m <= low <= mission.task.take_off_amsl_m < high <= 5000.0 - error_m
 
 
 def test_errors_and_the_dead_man_time_of_the_vehicle_are_taken_as_they_are_written(

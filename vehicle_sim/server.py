@@ -18,7 +18,7 @@ from vehicle_sim.wire.routing import targets
 
 FIRST_HEARTBEAT_S = 60.0
 SILENCE_S = 30.0
-_HELLO_S = 0.2
+_HELLO_S = 0.05
 _PATIENCE_S = 0.1
 """How long a wait may last before it looks whether it shall stop."""
 _SLIP_S = 0.25

@@ -63,7 +63,7 @@ def bundled_case(name: str) -> Case:
         world=name,
         terrain=world.terrain,
         task=as_published(mission.task),
-        start_nea_m=(*world.start_ne_m, mission.take_off_amsl_m),
+        start_nea_m=(*world.start_ne_m, mission.task.take_off_amsl_m),
         target_ne_m=mission.targets_ne_m[-1],
     )
 

@@ -253,7 +253,7 @@ def _take_off_height(value: float, case: CheckContext) -> ParameterIssue | None:
     return refused(
         f"its take-off ends at {home_amsl_m + value:.0f} m AMSL, above the ceiling of "
         f"{limits.ceiling_amsl_m:g} m",
-        f"Set it to {max(case.mission.take_off_amsl_m - home_amsl_m, 0.0):.0f}",
+        f"Set it to {max(case.mission.task.take_off_amsl_m - home_amsl_m, 0.0):.0f}",
     )
 
 

@@ -302,11 +302,11 @@ def _position(session: PreflightInputs, state: State) -> Iterator[Check]:
         error = "" if vehicle.error_m is None else f", to {vehicle.error_m:.1f} m"
         north_m, east_m = (round(value) + 0 for value in here[:2])
         yield _check("position", True, f"{north_m} m north, {east_m} m east{error}")
-    height_m = ground.height_m(state, session.context)
+    height_m = ground.height_m(state)
     if home is not None:
         what = f"the climb ends {height_m:.0f} m above home"
         yield _check("take-off", height_m > 0.0, what, Reason.HOME_TOO_HIGH.remedy)
-    clear = ground.may_take_off(state, session.context)
+    clear = ground.may_take_off(state)
     where = "on the map and clear of zones" if clear else Reason.OUTSIDE.text
     yield _check("place", clear, where, Reason.OUTSIDE.remedy)
     yield from _datum(session, here)

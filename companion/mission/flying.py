@@ -1,6 +1,5 @@
 """What happens in the phase `flying`: follow a leg, scan, plan, go on to the next (design 6)."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -350,7 +349,7 @@ def _hover(state: State, event: Position, context: Context) -> Step:
 def _waiting_place(state: State, event: Position, context: Context) -> Vector:
     """Where to wait for a leg: here, within the altitude band if the descent is clear."""
     north, east, altitude = event.position_nea_m
-    lowest_m = dataclasses.replace(context.mission, task=task_ahead(state, context)).take_off_amsl_m
+    lowest_m = task_ahead(state, context).take_off_amsl_m
     height_m = max(min(altitude, state.task.band_amsl_m[1]), lowest_m)
     required_m = state.task.required_clearance_m
     down = np.array([north, east, height_m])

@@ -1,6 +1,5 @@
 """The phases before the flight: waiting, preparing, arming, taking off.  Each wait has an end."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -178,9 +177,9 @@ def _on_ground(state: State, context: Context) -> Step:
         return give_up(state, Reason.NO_TARGETS)
     if state.vehicle.armed and not state.armed_by_us:
         return give_up(state, Reason.ARMED_ALREADY)
-    if height_m(state, context) <= 0.0:
+    if height_m(state) <= 0.0:
         return give_up(state, Reason.HOME_TOO_HIGH)
-    if not may_take_off(state, context):
+    if not may_take_off(state):
         return give_up(state, Reason.OUTSIDE)
     if not battery_lasts(state, context.mission):
         return give_up(state, Reason.BATTERY_SHORT)
@@ -209,7 +208,7 @@ def _in_flight(state: State) -> Step:
     return replace(state, reason=reason), [], Trigger.IN_FLIGHT
 
 
-def arming(state: State, event: Event, context: Context) -> Step:
+def arming(state: State, event: Event, _context: Context) -> Step:
     """Request the first mode of the take-off sequence, then arming, once a second."""
     vehicle, traits = state.vehicle, state.vehicle.traits
     if isinstance(event, LinkLost):
@@ -231,11 +230,11 @@ def arming(state: State, event: Event, context: Context) -> Step:
     if vehicle.mode is first:
         return ask(replace(state, armed_by_us=True), Arm())
     if traits.take_off is TakeoffSequence.CLIMB_THEN_ARM:
-        return _ask_to_take_off(state, context)
+        return _ask_to_take_off(state)
     return ask(state, SetMode(mode=first))
 
 
-def taking_off(state: State, event: Event, context: Context) -> Step:
+def taking_off(state: State, event: Event, _context: Context) -> Step:
     """Wait until it is at the floor of the band; request the climb if that comes after arming.
 
     An autopilot with a take-off mode holds after it, and is then taken over.
@@ -244,22 +243,22 @@ def taking_off(state: State, event: Event, context: Context) -> Step:
     guided = traits.take_off is TakeoffSequence.GUIDED_THEN_CLIMB
     modes = (Mode.GUIDED,) if guided else (Mode.TAKE_OFF, Mode.HOLD, Mode.GUIDED)
     if vehicle.landed is Landed.ON_GROUND:
-        return _still_on_ground(state, event, context, modes)
+        return _still_on_ground(state, event, modes)
     reason = cannot_fly(state, event, modes)
     if reason is not None:
         return fault(state, reason)
-    if isinstance(event, Position) and _has_climbed(state, event, context, guided=guided):
+    if isinstance(event, Position) and _has_climbed(state, event, guided=guided):
         if guided:
             return state, [], Trigger.AIRBORNE
         return replace(state, reason=Reason.TAKING_OVER), [], Trigger.HANDED_OVER
-    if in_phase_s(state) > _longest_climb_s(state, context):
+    if in_phase_s(state) > _longest_climb_s(state):
         return give_up(state, Reason.NO_TAKE_OFF)
     return state, [], None
 
 
-def _has_climbed(state: State, event: Position, context: Context, *, guided: bool) -> bool:
+def _has_climbed(state: State, event: Position, *, guided: bool) -> bool:
     """Whether it is at the requested height, or at the end of the autopilot's own take-off."""
-    landed, off_m = state.vehicle.landed, event.position_nea_m[2] - take_off_amsl_m(state, context)
+    landed, off_m = state.vehicle.landed, event.position_nea_m[2] - state.task.take_off_amsl_m
     if guided:
         return landed is Landed.IN_AIR and abs(off_m) < AT_M and is_at_rest(state, event)
     if landed is not Landed.IN_AIR:
@@ -272,28 +271,28 @@ def _has_climbed(state: State, event: Position, context: Context, *, guided: boo
     return level and risen_m > _CLIMBED_M and state.vehicle.mode is not Mode.OTHER
 
 
-def _still_on_ground(state: State, event: Event, context: Context, modes: tuple[Mode, ...]) -> Step:
+def _still_on_ground(state: State, event: Event, modes: tuple[Mode, ...]) -> Step:
     reason = cannot_fly(state, event, modes, may_be_grounded=True)
     if reason is not None:
         return give_up(state, reason)
-    if height_m(state, context) <= 0.0:
+    if height_m(state) <= 0.0:
         return give_up(state, Reason.HOME_TOO_HIGH)
-    if in_phase_s(state) > _longest_climb_s(state, context):
+    if in_phase_s(state) > _longest_climb_s(state):
         return give_up(state, Reason.NO_TAKE_OFF)
     if modes != (Mode.GUIDED,):
         return state, [], None
-    return _ask_to_take_off(state, context)
+    return _ask_to_take_off(state)
 
 
-def _ask_to_take_off(state: State, context: Context) -> Step:
+def _ask_to_take_off(state: State) -> Step:
     """Request the take-off until it is accepted, and again if it has not begun after a while."""
     if state.now_s - state.vehicle.take_off_taken_at_s < _BEGINS_S:
         return state, [], None
-    above_home_m, amsl_m = height_m(state, context), take_off_amsl_m(state, context)
+    above_home_m, amsl_m = height_m(state), state.task.take_off_amsl_m
     return ask(state, TakeOff(above_home_m=above_home_m, altitude_amsl_m=amsl_m))
 
 
-def may_take_off(state: State, context: Context) -> bool:
+def may_take_off(state: State) -> bool:
     """Whether the vehicle is on the map and its climb-out clear of zones (planes: ahead)."""
     task, here = state.task, state.vehicle.position_nea_m
     if here is None:
@@ -301,32 +300,27 @@ def may_take_off(state: State, context: Context) -> bool:
     for value, (low, high) in zip(here, (task.limits.north_m, task.limits.east_m), strict=False):
         if not low <= value <= high:
             return False
-    north, east = _climb_out_ne_m(state, context, here)
+    north, east = _climb_out_ne_m(state, here)
     gaps_m = index_of(task.zones).gaps_m(north, east, 2.0 * task.zone_clearance_m)
     return bool(gaps_m.min() >= task.zone_clearance_m)
 
 
-def _climb_out_ne_m(state: State, context: Context, here: Vector) -> tuple[FloatArray, FloatArray]:
+def _climb_out_ne_m(state: State, here: Vector) -> tuple[FloatArray, FloatArray]:
     """Ground track of the climb-out: straight up, or ahead along a plane's heading."""
     limits, heading = state.task.limits, state.vehicle.heading_rad
-    climb_s = max(height_m(state, context), 0.0) / limits.climb_rate_m_s
+    climb_s = max(height_m(state), 0.0) / limits.climb_rate_m_s
     ahead_m = 0.0 if limits.hovers or heading is None else limits.speed_m_s * climb_s
     along = np.linspace(0.0, ahead_m, _CLIMB_SAMPLES)
     heading = heading or 0.0
     return here[0] + along * math.cos(heading), here[1] + along * math.sin(heading)
 
 
-def take_off_amsl_m(state: State, context: Context) -> float:
-    """Where the climb-out ends, within the vehicle's own fence too."""
-    return dataclasses.replace(context.mission, task=state.task).take_off_amsl_m
-
-
-def height_m(state: State, context: Context) -> float:
+def height_m(state: State) -> float:
     """How far above home the climb-out ends."""
     home = state.vehicle.home_nea_m
-    return take_off_amsl_m(state, context) - (0.0 if home is None else home[2])
+    return state.task.take_off_amsl_m - (0.0 if home is None else home[2])
 
 
-def _longest_climb_s(state: State, context: Context) -> float:
+def _longest_climb_s(state: State) -> float:
     climb_rate = state.task.limits.climb_rate_m_s
-    return 2.0 * max(height_m(state, context), 0.0) / climb_rate + _TAKE_OFF_SLACK_S
+    return 2.0 * max(height_m(state), 0.0) / climb_rate + _TAKE_OFF_SLACK_S

@@ -118,13 +118,3 @@ class Mission:
         raised_m = max(min(wanted_m, highest_m) - lowest_m, 0.0)
         limits = replace(limits, floor_amsl_m=limits.floor_amsl_m + raised_m)
         return replace(task, limits=limits)
-
-    @property
-    def take_off_amsl_m(self) -> float:
-        """Where the climb-out ends: the floor of the band plus the tracking and navigation error.
-
-        Never lower than paths are planned, as the first one begins here.
-        """
-        limits = self.task.limits
-        lowest_m, _ = self.task.band_amsl_m
-        return max(limits.floor_amsl_m + 2.0 * limits.tracking_error_m, lowest_m)

@@ -165,7 +165,7 @@ def _column(state: State, here: Vector, context: Context) -> Vector | None:
     if not state.airborne:
         return None
     if state.phase is Phase.TAKING_OFF:
-        return here[0], here[1], context.mission.take_off_amsl_m
+        return here[0], here[1], context.mission.task.take_off_amsl_m
     if state.phase is Phase.LANDING and home is not None:
         return here[0], here[1], min(home[2], here[2])
     stays = state.phase is Phase.ARRIVED or isinstance(state.hold, HoldMode)

@@ -173,6 +173,16 @@ class Task:
         inset = 1.1 * self.error_m if self.settings.profile.verified else 0.0
         return self.limits.floor_amsl_m + inset, self.limits.ceiling_amsl_m - inset
 
+    @cached_property
+    def take_off_amsl_m(self) -> float:
+        """Where the climb-out ends: the floor of the band plus the tracking and navigation error.
+
+        Never lower than paths are planned, as the first one begins here.
+        """
+        limits = self.limits
+        lowest_m, _ = self.band_amsl_m
+        return max(limits.floor_amsl_m + 2.0 * limits.tracking_error_m, lowest_m)
+
     @property
     def end_radius_m(self) -> float:
         """Radius of the circle about p_scan on which subpaths end.

@@ -23,8 +23,8 @@ def mission_summary(mission: Mission) -> str:
     lines = [
         f"{mission.name}: profile {profile.name}",
         f"  {_vehicle(mission)}",
-        f"  Take off, climb {_upwards(mission)} {_m(mission.take_off_amsl_m)} AMSL, then fly at "
-        f"{limits.speed_m_s:g} m/s between {_m(limits.floor_amsl_m)} and "
+        f"  Take off, climb {_upwards(mission)} {_m(mission.task.take_off_amsl_m)} AMSL, "
+        f"then fly at {limits.speed_m_s:g} m/s between {_m(limits.floor_amsl_m)} and "
         f"{_m(limits.ceiling_amsl_m)} AMSL.",
         f"  {_targets(mission)}",
         f"  Turns no tighter than {_m(limits.turn_radius_m)}, climbs to "

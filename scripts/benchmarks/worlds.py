@@ -97,7 +97,7 @@ def bundled(name: str) -> BenchmarkWorld:
         name=name,
         terrain=world.terrain,
         task=mission.task,
-        start_nea_m=(*world.start_ne_m, mission.take_off_amsl_m),
+        start_nea_m=(*world.start_ne_m, mission.task.take_off_amsl_m),
         targets_ne_m=mission.targets_ne_m,
     )
 

@@ -68,7 +68,7 @@ def test_no_leg_comes_near_a_ridge_whose_faces_are_seen_at_a_grazing_angle(
     flight = fly(
         task,
         true_map(PeakTerrain(peaks=peaks, ground_amsl_m=0.0), blank),
-        (5_000.0, MIDDLE_M, mission.take_off_amsl_m),
+        (5_000.0, MIDDLE_M, mission.task.take_off_amsl_m),
         (SIDE_M - 5_000.0, MIDDLE_M),
         seed=seed,
     )

@@ -62,7 +62,7 @@ def test_each_waypoint_is_flown_to_at_its_own_altitude(tmp_path: Path) -> None:
 
 
 def test_the_climb_ends_at_the_lowest_of_them(tmp_path: Path) -> None:
-    assert blind(tmp_path, 40.0).take_off_amsl_m == pytest.approx(HOME[2] + 40.0, abs=0.2)
+    assert blind(tmp_path, 40.0).task.take_off_amsl_m == pytest.approx(HOME[2] + 40.0, abs=0.2)
 
 
 def test_with_a_radar_the_altitude_is_free_within_the_band(tmp_path: Path) -> None:

@@ -571,7 +571,7 @@ def test_every_path_of_the_band_is_clear_of_the_stated_ground_or_the_floor_is_re
         mission = load(folder, text.replace("floor_amsl_m = 900.0", floor))
     lowest_m, _ = mission.task.band_amsl_m
     assert lowest_m - highest_m >= safety_m + mission.task.error_m
-    assert mission.take_off_amsl_m - highest_m >= safety_m + mission.task.error_m
+    assert mission.task.take_off_amsl_m - highest_m >= safety_m + mission.task.error_m
 
 
 @pytest.mark.parametrize(

@@ -233,8 +233,8 @@ def test_a_plan_is_flown_without_a_radar_over_ground_of_a_stated_height(
     assert (mission.known.upper_m == home_m + higher_m).all()
     lowest_m, highest_m = mission.task.band_amsl_m
     least_m = max(home_m, home_m + higher_m) + mission.task.required_clearance_m
-    assert least_m <= lowest_m < mission.take_off_amsl_m + 1e-9
-    assert mission.take_off_amsl_m < highest_m
+    assert least_m <= lowest_m < mission.task.take_off_amsl_m + 1e-9
+    assert mission.task.take_off_amsl_m < highest_m
 
 
 def test_a_missing_plan_is_no_such_file() -> None:

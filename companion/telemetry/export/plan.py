@@ -187,7 +187,7 @@ def _fence(zones: tuple[Zone, ...], frame: LocalFrame) -> Json:
 
 def _rally(flight: RecordedFlight) -> list[list[float]]:
     """Latitude, longitude, and above home the altitude at which the mission begins."""
-    frame, above_m = flight.mission.frame, flight.mission.take_off_amsl_m - _home(flight)[2]
+    frame, above_m = flight.mission.frame, flight.mission.task.take_off_amsl_m - _home(flight)[2]
     return [
         [*(round(value, 7) for value in frame.to_geodetic_deg(*place)), round(above_m, 1)]
         for place in flight.mission.rally_ne_m
