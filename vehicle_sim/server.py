@@ -170,8 +170,6 @@ class Server:
 
     def _listen(self, wait_s: float) -> bool:
         """Handle what is there, waiting so long for the first; tell whether anything was."""
-        if self._receive():
-            return True
         sockets = [each for link in self._heard for each in link.sockets]
         ready, _, _ = select.select(sockets, [], [], max(wait_s, 0.0))
         return bool(ready) and self._receive()

@@ -89,9 +89,13 @@ class StreamParser:
         if mcrf4xx(frame[1:tail] + layout.crc_extra) != frame[tail] | frame[tail + 1] << 8:
             return at + 1
         message = layout.message(frame[head:tail])
-        flags, sequence_at = (frame[2:4], 4) if head == _HEADER_2 else (b"\0\0", 2)
-        whence = frame[sequence_at : sequence_at + 3]  # sequence, system, component
-        message._header = mavlink.MAVLink_header(number, *flags, frame[1], *whence)
+        header = message.get_header()
+        header.mlen = frame[1]
+        if head == _HEADER_2:
+            _, _, header.incompat_flags, header.compat_flags = frame[:4]
+            header.seq, header.srcSystem, header.srcComponent = frame[4:7]
+        else:
+            header.seq, header.srcSystem, header.srcComponent = frame[2:5]
         message._msgbuf = frame
         found.append((frame, message))
         return end

@@ -5,6 +5,7 @@ number passes through unharmed: the autopilots decide what to make of it.
 """
 
 import math
+from functools import lru_cache
 from typing import Any, Final
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -20,6 +21,8 @@ _NOWHERE = 0x7FFFFFFF
 """x or y of a COMMAND_INT that gives no place."""
 _LOCAL_FRAMES = frozenset({1, 2, 4, 7, 8, 9, 12, 20, 21})
 """MAV_FRAME in which x and y are 1e-4 metres."""
+_sender = lru_cache(maxsize=64)(Sender)
+"""The same few speak all the time."""
 _TimeSync: Final = message_class("TIMESYNC")
 _Event: Final = message_class("EVENT")
 _DEFLECTION = 1000.0
@@ -32,7 +35,7 @@ _NO_DEFLECTION = 0x7FFF
 def sender(message: Any, link: int) -> Sender:
     """Who sent this message that came by this link."""
     header = message.get_header()
-    return Sender(system=header.srcSystem, component=header.srcComponent, link=link)
+    return _sender(system=header.srcSystem, component=header.srcComponent, link=link)
 
 
 def command(message: Any, origin: Sender) -> Command:

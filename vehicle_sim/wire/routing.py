@@ -6,6 +6,7 @@ started with forwarding, as those of its simulator are.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final, final
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -51,6 +52,8 @@ class Route:
     to_radar: bool = False
 
 
+_route = cache(Route)
+"""There are few different ones."""
 _NOWHERE: Final = Route()
 _AUTOPILOT: Final = Route(to_autopilot=True)
 
@@ -126,12 +129,12 @@ class Router:
         if number == _HEARTBEAT:
             known = {at for system, component, at in self._routes if (system, component) == source}
             others = tuple(at for at in self._links if at != link and at not in known)
-            return Route(links=others, to_autopilot=True, to_radar=True)
+            return _route(links=others, to_autopilot=True, to_radar=True)
         system, component = targets(message)
         if number in _NEVER_FORWARDED:
             return _AUTOPILOT if not system or system == self._system else _NOWHERE
         if system == self._system and component == self._component:
-            return Route(to_autopilot=self._accepts(source))
+            return _route(to_autopilot=self._accepts(source))
         ours = not system or system == self._system
         anybody = not component or system != self._system
         links = self._matching(system, component, link, anybody=anybody)
@@ -141,7 +144,7 @@ class Router:
         local = ours and (component in (None, 0, self._component) or not (links or only_radar))
         if number == _MANUAL_CONTROL:
             local = message.target == self._system
-        return Route(links=links, to_autopilot=local and self._accepts(source), to_radar=to_radar)
+        return _route(links=links, to_autopilot=local and self._accepts(source), to_radar=to_radar)
 
     def _matching(
         self, system: int | None, component: int | None, link: int, *, anybody: bool
@@ -150,6 +153,8 @@ class Router:
 
         anybody: match the system only.
         """
+        if len(self._links) < 2:
+            return ()
         found = {
             at
             for its_system, its_component, at in self._routes
@@ -168,7 +173,7 @@ class Router:
         links: tuple[int, ...] = ()
         if (system, component) != (self._system, self._component):  # for PX4 alone
             links = self._matching(system, component, link, anybody=not component)
-        return Route(
+        return _route(
             links=links,
             to_autopilot=self._px4_takes(message, system, component),
             to_radar=self._hears(system, component),
