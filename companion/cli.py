@@ -18,6 +18,16 @@ from rich.console import Console
 from companion.compare.command import compare_app
 from companion.config import bundled, load_mission, load_world, mission_name, mission_text
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
+from companion.live_view.command import (
+    VIEW_PORT,
+    HostOption,
+    PortOption,
+    ViewAsked,
+    free_udp_port,
+    started_view,
+    stay,
+    view_command,
+)
 from companion.mavlink.preflight import CheckStatus, checks_of, flight_check
 from companion.mavlink.signing import Signing
 from companion.mission.events import Outcome
@@ -69,6 +79,7 @@ app = typer.Typer(
 app.add_typer(compare_app, name="compare")
 app.command("replay")(replay_command)
 app.command("export")(export)
+app.command("view")(view_command)
 
 
 MissionArgument = Annotated[
@@ -160,6 +171,18 @@ def fly_command(
             "ended; what is for people goes to standard error.",
         ),
     ] = False,
+    view: Annotated[
+        bool, typer.Option("--view", help="Show the flight in the browser while it is flown.")
+    ] = False,
+    view_control: Annotated[
+        bool,
+        typer.Option(
+            "--view-control",
+            help="The same, and who has the token that is printed gives orders there.",
+        ),
+    ] = False,
+    view_port: PortOption = VIEW_PORT,
+    view_host: HostOption = "127.0.0.1",
 ) -> None:
     """Fly a mission: find the vehicle, take off (or take over), follow subpaths to the target.
 
@@ -185,6 +208,12 @@ def fly_command(
         folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
         key = None if signing_key is None else SigningKey(signing_key)
         recalled = _recalled(folder_path, chosen, shows.console) if resume else None
+        if view_control and key is not None:
+            rule = "the page does not sign its orders"
+            remedy = "Use --view, or leave out --signing-key."
+            raise InputError("--view-control", True, rule, remedy)
+        orders = f"127.0.0.1:{free_udp_port()}" if view_control else None
+        grounds = [*(ground or ()), *([] if orders is None else [f"udpin:{orders}"])]
         session = Session(
             chosen,
             seed=seed,
@@ -192,10 +221,21 @@ def fly_command(
             shadow=shadow,
             signing=key and key.signing(clock_s=_clock_s()),
             resume=recalled and recalled.resume,
-            has_ground=bool(ground),
+            has_ground=bool(grounds),
             version=version("companion"),
         )
-        flown = _flown(session, connect, ground or [], folder_path, mission, key, recalled, shows)
+        if view or view_control:
+            asked = ViewAsked(
+                folder=folder_path,
+                port=view_port,
+                host=view_host,
+                ground=orders and f"udpout:{orders}",
+            )
+            stack.enter_context(started_view(asked, console))
+        flown = _flown(session, connect, grounds, folder_path, mission, key, recalled, shows)
+        stopped = flown.end is not None and flown.end.outcome is Outcome.STOPPED
+        if (view or view_control) and console.is_terminal and not stopped:
+            stay(console)
         _exit_as_it_ended(flown, connect)
 
 

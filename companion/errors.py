@@ -30,7 +30,7 @@ class InputError(CompanionError):
             shown = f"{shown[:_MAX_SHOWN]}..."
         message = f"{field} = {shown}: {rule}. {remedy}"
         super().__init__("".join(c if c.isprintable() else " " for c in message))
-        self.field, self.rule = field, rule
+        self.field, self.value, self.rule, self.remedy = field, value, rule, remedy
 
 
 class _Ended(CompanionError):

@@ -28,7 +28,7 @@ def recorded(
 
     look: is shown each frame of the log, in order.
     """
-    mission = _mission(run_dir)
+    mission = mission_of(run_dir)
     journal = Journal(run_dir / "journal.jsonl")
     builder = FlightBuilder(mission)
     for line in journal.lines():
@@ -61,7 +61,7 @@ def write(flight: RecordedFlight, to: str, file: Path, source: Source) -> tuple[
         raise InputError("--out", str(file), rule, "Give a file that can be written.") from error
 
 
-def _mission(run_dir: Path) -> Mission:
+def mission_of(run_dir: Path) -> Mission:
     """The mission as it was flown; what is known of its terrain does not matter here."""
     file = run_dir / "mission.toml"
     if not answer(file.is_file):

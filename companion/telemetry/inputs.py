@@ -34,7 +34,7 @@ HEADER: Final = (SCHEMA, VERSION)
 FILE: Final = "inputs.msgpack"
 _PORTION: Final = 2**20
 _LONGEST: Final = 64 * 2**20  # a start with a large map
-_UNREADABLE = (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException)
+UNREADABLE = (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException)
 
 Input = tuple[Any, ...]
 
@@ -86,7 +86,7 @@ class InputsFile:
                         break
                     self.read_bytes = end = unpacker.tell()
                     yield tuple(told)
-            except _UNREADABLE:
+            except UNREADABLE:
                 is_whole = False
         self.torn_bytes = size - end
         self.is_damaged = not is_whole and not is_hole(self.path, end)
@@ -102,7 +102,7 @@ def whole_inputs(path: Path, start: int = 0) -> int:
         file.seek(at)
         unpacker = msgpack.Unpacker(file, read_size=_PORTION, max_buffer_size=_LONGEST)
         end = 0
-        with suppress(*_UNREADABLE):
+        with suppress(*UNREADABLE):
             for _ in unpacker:
                 end = unpacker.tell()
     return at + end

@@ -61,7 +61,8 @@ class Journal:
         self.headers: list[Header] = []
         """One for each time that the companion was started; none if nothing was recorded."""
         self._unknown: Counter[str] = Counter()
-        self._torn_bytes = 0
+        self._torn_bytes = self._read_bytes = self._read_lines = 0
+        self._read: Callable[[bytes, str], Entry | None] = self._before_any_header
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -79,22 +80,30 @@ class Journal:
         """Headers and entries in their order; raises InputError, also while it is read."""
         self.headers.clear()
         self._unknown.clear()
-        self._torn_bytes = 0
-        read: Callable[[bytes, str], Entry | None] = self._before_any_header
-        for number, text in enumerate(self._whole_lines(), start=1):
-            where = f"{self.path.name} line {number}"
+        self._read_bytes = self._read_lines = 0
+        self._read = self._before_any_header
+        return self.new_lines()
+
+    def new_lines(self) -> Iterator[Header | Entry]:
+        """Those after the last one that was read, of a journal that still grows."""
+        for text in self._whole_lines():
+            self._read_bytes += len(text)
+            self._read_lines += 1
+            where = f"{self.path.name} line {self._read_lines}"
             if text.startswith(_HEADER):
                 header = _header_of(raw := _decoded(text, where), where)
-                read = self._reader_of(header.version)
+                self._read = self._reader_of(header.version)
                 self._count_unknown(raw, header, "header")
                 self.headers.append(header)
                 yield header
-            elif (entry := read(text, where)) is not None:
+            elif (entry := self._read(text, where)) is not None:
                 yield entry
 
     def _whole_lines(self) -> Iterator[bytes]:
         try:
             with self.path.open("rb") as file:
+                file.seek(self._read_bytes)
+                self._torn_bytes = 0
                 while line := file.readline(_MAX_BYTES):
                     if line.endswith(b"\n"):
                         yield line

@@ -257,6 +257,7 @@ class Pair:
     frames: list[bytes] = field(default_factory=list)
     journal: list[Entry] = field(default_factory=list)
     record: list[tuple[float, bytes]] = field(default_factory=list)
+    inputs: list[tuple[Any, ...]] = field(default_factory=list)
     asked: PlanRequest | None = None
     out: Output = field(default_factory=Output)
 
@@ -264,6 +265,7 @@ class Pair:
         self.frames += out.frames
         self.journal += out.journal
         self.record += out.record
+        self.inputs += out.inputs
         self.asked = out.plan or self.asked
         self.out = out
         for frame in out.frames:

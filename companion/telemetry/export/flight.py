@@ -125,7 +125,8 @@ class FlightBuilder:
         self._mission = mission
         self._targets = mission.targets_ne_m
         self._own_zones: tuple[Zone, ...] = ()
-        self._timed: list[tuple[int, float, Entry]] = []
+        self.timed: list[tuple[int, float, Entry]] = []
+        """Each entry with its vehicle time, and how often the autopilot had rebooted."""
         self._boot, self._last_s = 0, -math.inf
         self._restarted = False
 
@@ -148,7 +149,7 @@ class FlightBuilder:
                 self._own_zones = line.zones
             case _:
                 pass
-        self._timed.append((self._boot, line.t_s, line))
+        self.timed.append((self._boot, line.t_s, line))
 
     def flight(self, track: Track) -> RecordedFlight:
         """All of it, with the track of the same flight."""
@@ -158,7 +159,7 @@ class FlightBuilder:
             targets_ne_m=self._targets,
             zones=(*self._mission.task.zones, *self._own_zones),
             system_id=self.system_id,
-            entries=_with_rising_times(self._timed),
+            entries=with_rising_times(self.timed),
         )
         for boot, t_s, entry in flight.entries:
             _add(flight, boot, t_s, entry)
@@ -168,7 +169,7 @@ class FlightBuilder:
 _HELD = {MissionPhase.HOLDING.value: "hold", MissionPhase.FAULTED.value: "fault"}
 
 
-def _with_rising_times(timed: list[tuple[int, float, Entry]]) -> list[tuple[int, float, Entry]]:
+def with_rising_times(timed: list[tuple[int, float, Entry]]) -> list[tuple[int, float, Entry]]:
     """The same with times that never fall within a boot: the first ones may be another clock's."""
     least: dict[int, float] = {}
     for place in range(len(timed) - 1, -1, -1):

@@ -60,26 +60,44 @@ _ARRAYS = tuple(each.name for each in fields(Track) if each.name != "left_out")
 
 def track_of(records: Iterable[Record], system_id: int | None) -> Track:
     """The positions of a vehicle's autopilot; of any vehicle's if system_id is None."""
-    stamps = array("q")
-    columns: dict[str, array[float]] = {name: array("d") for name in _FIELDS}
-    appends = [columns[name].append for name in _FIELDS]
-    without = 0
+    builder = TrackBuilder(system_id)
     for record in records:
-        frame = record.frame
+        builder.take(record.time_us, record.frame)
+    return builder.track()
+
+
+@final
+class TrackBuilder:
+    """Takes frames one by one, for a log that still grows."""
+
+    def __init__(self, system_id: int | None) -> None:
+        """system_id: of the vehicle; None: any."""
+        self._system_id = system_id
+        self._stamps = array("q")
+        self._columns: dict[str, array[float]] = {name: array("d") for name in _FIELDS}
+        self._appends = [self._columns[name].append for name in _FIELDS]
+        self._without = 0
+
+    def take(self, time_us: int, frame: bytes) -> None:
+        """A frame, and when it was logged."""
         if number_of(frame) != _POSITION.id:
-            continue
+            return
         system, component = sender_of(frame)
-        if component != AUTOPILOT_COMPONENT or system_id not in (None, system):
-            continue
+        if component != AUTOPILOT_COMPONENT or self._system_id not in (None, system):
+            return
         values = _UNPACK(payload_of(frame, _BYTES)[:_BYTES])
         _, latitude, longitude = values[:3]
         if latitude == longitude == 0 or abs(latitude) > 900_000_000:
-            without += 1
-            continue
-        stamps.append(record.time_us)
-        for append, value in zip(appends, values, strict=True):
+            self._without += 1
+            return
+        self._stamps.append(time_us)
+        for append, value in zip(self._appends, values, strict=True):
             append(value)
-    return _track(stamps, {name: np.array(column) for name, column in columns.items()}, without)
+
+    def track(self) -> Track:
+        """The positions so far."""
+        wired = {name: np.array(column) for name, column in self._columns.items()}
+        return _track(self._stamps, wired, self._without)
 
 
 def _track(stamps: "array[int]", wired: dict[str, FloatArray], without: int) -> Track:

@@ -1,0 +1,1 @@
+"""A flight in the browser: live, and again from its run folder (decision 0024)."""

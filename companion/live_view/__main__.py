@@ -1,0 +1,50 @@
+"""The view of a flight that is flown: a process of its own, so that it cannot slow it down.
+
+Its first line says where it serves, or why it does not; it ends with its standard input.
+"""
+
+import json
+import os
+import sys
+import threading
+
+from companion.errors import InputError
+from companion.live_view.server import Asked, serve
+
+_NICE = 5
+
+
+def main() -> None:
+    """Serve what the first line asks for."""
+    os.nice(_NICE)
+    values = json.loads(sys.stdin.readline())
+    asked = Asked(**{**values, "paths": tuple(values["paths"])})
+    over = threading.Event()
+
+    def watch() -> None:
+        sys.stdin.read()
+        over.set()
+
+    threading.Thread(target=watch, daemon=True).start()
+    said: list[str] = []
+
+    def on_ready(address: str) -> None:
+        said.append(address)
+        _say({"address": address})
+
+    try:
+        serve(asked, on_ready, over.is_set)
+    except InputError as error:
+        if said:  # nobody reads a second line
+            sys.stderr.write(f"warning: no view any more: {error}\n")
+        else:
+            _say({"error": [error.field, error.value, error.rule, error.remedy]})
+
+
+def _say(line: dict[str, object]) -> None:
+    sys.stdout.write(json.dumps(line) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

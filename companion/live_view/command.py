@@ -1,0 +1,139 @@
+"""`companion view`, and the view that `companion fly --view` starts."""
+
+import contextlib
+import importlib.util
+import json
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, final
+
+import typer
+from rich.console import Console
+
+from companion.errors import InputError
+from companion.runtime.signals import stop_signals
+
+VIEW_PORT = 8080
+PortOption = Annotated[
+    int, typer.Option(min=0, max=65535, help="Port of the page; 0: any that is free.")
+]
+HostOption = Annotated[
+    str,
+    typer.Option(
+        metavar="HOST",
+        help="Address to serve on; other than loopback, the page asks for the token printed here.",
+    ),
+]
+_END_S, _POLL_S = 5.0, 0.2
+
+
+def view_command(
+    flights: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN_DIR|LOG...", help="Run folders, or logs: .tlog, .bin, .ulg."),
+    ],
+    view_port: PortOption = VIEW_PORT,
+    view_host: HostOption = "127.0.0.1",
+    system: Annotated[
+        int | None,
+        typer.Option(min=1, max=255, help="System id of the vehicle, of several in a log."),
+    ] = None,
+) -> None:
+    """Show flights in the browser: the ground as it was known, plans, charts and events over time.
+
+    A run folder that is still written is shown as it grows.  Ends with Ctrl-C.
+    """
+    check_viser("companion view")
+    from companion.live_view.server import Asked, serve  # slow to import
+
+    asked = Asked(paths=tuple(map(str, flights)), host=view_host, port=view_port, system_id=system)
+    with stop_signals() as stop_asked:
+        serve(asked, partial(_say_address, Console()), lambda: bool(stop_asked))
+
+
+def _say_address(console: Console, address: str) -> None:
+    console.print(f"view: {address}", highlight=False, soft_wrap=True, markup=False)
+
+
+def check_viser(option: str) -> None:
+    """InputError if what shows flights is not installed."""
+    if importlib.util.find_spec("viser") is None:
+        rule = "viser is not installed"
+        raise InputError(option, True, rule, "Install it: pip install 'companion[view]'.")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewAsked:
+    """How a flight is to be shown while it is flown."""
+
+    folder: Path
+    port: int
+    host: str
+    ground: str | None
+    """A link to the companion, for orders; None: nobody gives any."""
+
+
+@contextlib.contextmanager
+def started_view(asked: ViewAsked, console: Console) -> Iterator[None]:
+    """Show a flight from a process of its own.  InputError if it cannot be shown."""
+    check_viser("--view")
+    with subprocess.Popen(
+        [sys.executable, "-m", "companion.live_view"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # Ctrl-C is for the flight
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            line = {
+                "paths": [str(asked.folder)],
+                "host": asked.host,
+                "port": asked.port,
+                "live": True,
+                "ground": asked.ground,
+            }
+            process.stdin.write(json.dumps(line) + "\n")
+            process.stdin.flush()
+            said: dict[str, Any] = json.loads(process.stdout.readline() or '{"error": null}')
+            if "address" not in said:
+                raise _refused(said["error"])
+            _say_address(console, said["address"])
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                process.stdin.close()
+            try:
+                process.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+def stay(console: Console) -> None:
+    """Keep the page of a flight that is over, until Ctrl-C."""
+    console.print("the flight is over; Ctrl-C closes its page", highlight=False)
+    with stop_signals() as stop_asked:
+        while not stop_asked:
+            time.sleep(_POLL_S)
+
+
+def _refused(error: list[Any] | None) -> InputError:
+    if error is None:
+        return InputError("--view", True, "it did not start", "Look above for the reason.")
+    return InputError(*error)
+
+
+def free_udp_port() -> int:
+    """A port of loopback that nobody uses now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

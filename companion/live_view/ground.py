@@ -1,0 +1,231 @@
+"""The ground as it was known: a session that is fed the recorded inputs knows what the flight knew.
+
+It decides nothing and sends nothing: the answers of the planner are taken as recorded, so it runs
+at hundreds of times real time, behind a flight as well as after it.
+"""
+
+import math
+import pickle
+import time
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar, final
+
+import msgpack
+import numpy as np
+import scipy.ndimage
+from numpy.typing import NDArray
+
+from companion.errors import InputError
+from companion.geodesy import BoolArray
+from companion.mission.events import Vector
+from companion.mission.mission import Mission
+from companion.planner.request import PlanRequest
+from companion.replay.actions import flown_mission
+from companion.replay.session_inputs import (
+    RUNTIME_RECORDS,
+    DamagedInputError,
+    feed,
+    session_of,
+    start_of,
+)
+from companion.session import Session
+from companion.sources.files import answer
+from companion.telemetry import inputs
+from companion.world.clearance import distance_to_terrain_m
+from companion.world.guess import guessed_m
+from companion.world.known_map import KnownMap, unpacked_map
+
+UNKNOWN, GUESSED, PROVEN = range(3)
+_Number = TypeVar("_Number", bound=np.generic)
+_ORIGIN: Final = (0.0, 0.0)
+_PORTION: Final = 2**20
+_BEGUN_AGAIN_S: Final = 2.0
+_CONTINUED: Final = (
+    0.25  # of R beyond what was seen: farther away, a guess is a plain (decision 0021)
+)
+_MOST_CELLS: Final = 480  # along a side, of what is drawn
+_MOST_APART: Final = 20  # cells: farther away from terrain a clearance is not told
+_SAMPLE_S: Final = 0.5
+_STEPS: Final = 50  # inputs between two looks at the clock
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ground:
+    """The terrain, as it is known or guessed.  Rows to the north, columns to the east."""
+
+    cell_m: float
+    north_min_m: float
+    east_min_m: float
+    height_m: NDArray[np.float32]
+    """(rows, columns), AMSL; of unknown cells, nothing."""
+    kind: NDArray[np.uint8]
+    """(rows, columns): UNKNOWN, GUESSED or PROVEN."""
+
+
+def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission) -> Ground:
+    """A known map as it is drawn: what is no terrain but a sight line counts as guessed.
+
+    Of near things nothing is guessed.
+    """
+    range_m, firm = mission.task.settings.scan_range_m, known.firm & np.isfinite(known.upper_m)
+    if mission.near is not None:
+        height_m = np.where(firm, known.upper_m, -np.inf)
+    else:
+        height_m = guessed_m(known, here_ne_m, range_m)
+    if known.guess_m is None:
+        near = _is_near(firm, _CONTINUED * range_m / known.cell_m)
+        height_m[~(near | np.isfinite(known.upper_m))] = -np.inf
+    kind = np.where(np.isfinite(height_m), np.uint8(GUESSED), np.uint8(UNKNOWN))
+    kind[firm] = PROVEN
+    step = -(-max(kind.shape) // _MOST_CELLS)
+    if step > 1:  # of each block the surest cells, and of these the highest
+        surest = _highest(kind, step)
+        of_block = surest.repeat(step, 0).repeat(step, 1)[: kind.shape[0], : kind.shape[1]]
+        height_m = _highest(np.where(kind == of_block, height_m, -np.inf), step)
+        kind = surest
+    return Ground(
+        cell_m=known.cell_m * step,
+        north_min_m=known.north_min_m,
+        east_min_m=known.east_min_m,
+        height_m=np.where(kind == UNKNOWN, 0.0, height_m).astype(np.float32),
+        kind=kind,
+    )
+
+
+def _highest(values: NDArray[_Number], step: int) -> NDArray[_Number]:
+    """The highest value of each block of step x step cells."""
+    rows, columns = (np.arange(0, count, step) for count in values.shape)
+    highest: NDArray[_Number] = np.maximum.reduceat(
+        np.maximum.reduceat(values, rows, 0), columns, 1
+    )
+    return highest
+
+
+def _is_near(cells: BoolArray, most: float) -> BoolArray:
+    """Which cells have one of these within so many cells."""
+    if not cells.any():
+        return cells
+    near: BoolArray = scipy.ndimage.distance_transform_edt(~cells) <= most
+    return near
+
+
+def last_ground(folder: Path, mission: Mission) -> Ground | None:
+    """What was known in the end, if a run folder has it: at once, before anything is replayed."""
+    try:
+        known = unpacked_map((folder / "known.npz").read_bytes())
+    except (OSError, ValueError):
+        return None
+    if mission.known is not None:
+        known = known.with_what_was_given(mission.known)
+    return ground_of(known, (mission.targets_ne_m or (_ORIGIN,))[0], mission)
+
+
+@final
+class Replica:
+    """The session of a flight once more, as far as its inputs are recorded."""
+
+    def __init__(self, folder: Path) -> None:
+        """Nothing is read yet.  A folder without inputs never has any ground."""
+        self._folder, self._file = folder, folder / inputs.FILE
+        self._read_bytes = 0
+        self._unpacker = msgpack.Unpacker(max_buffer_size=64 * 2**20)
+        self._session: Session | None = None
+        self._known: KnownMap | None = None
+        self._boot = 0
+        self._asked_at_s: tuple[int, float] | None = None
+        self.ended: str | None = None
+        """Why nothing follows from more inputs."""
+        self.now: tuple[int, float] = (0, 0.0)
+        """Boot and vehicle time that it has come to."""
+        self.grounds: list[tuple[int, float, bytes]] = []
+        """Boot, vehicle time, and what was known from then on."""
+        self.samples: list[tuple[int, float, float, float]] = []
+        """Boot, vehicle time, clearance to what was known of the terrain then, and its altitude
+        under the vehicle; NaN: not known, or farther than it is looked for."""
+        self.request: PlanRequest | None = None
+        """What the planner was asked last."""
+        self.planning_s: dict[int, float] = {}
+        """How long it took to answer, as far as the times at which messages came tell."""
+        self._at_s: float | None = None
+        self._sampled_s = -math.inf
+
+    def advance(self, seconds: float, clock: Callable[[], float] = time.thread_time) -> bool:
+        """Go on for so long, of processor time; whether there is more to read at once."""
+        if self.ended is not None or not answer(self._file.is_file):
+            return False
+        until_s = clock() + seconds
+        while clock() < until_s:
+            if not self._some():
+                return False
+        return self.ended is None
+
+    def _some(self) -> bool:
+        """A few inputs; whether there were any."""
+        try:
+            for _ in range(_STEPS):
+                try:
+                    told = next(self._unpacker)
+                except StopIteration:
+                    with self._file.open("rb") as file:
+                        file.seek(self._read_bytes)
+                        data = file.read(_PORTION)
+                    self._read_bytes += len(data)
+                    self._unpacker.feed(data)
+                    return bool(data)
+                self._take(tuple(told))
+        except (DamagedInputError, InputError, *inputs.UNREADABLE) as error:
+            self.ended = str(error)
+        except Exception as error:  # noqa: BLE001 - the session's own, as in the flight
+            self.ended = f"{type(error).__name__}: {error}"
+        return self.ended is None
+
+    def _take(self, told: tuple[Any, ...]) -> None:
+        match told:
+            case (inputs.SCHEMA, *_):
+                return
+            case ("start", *_):
+                mission_of = flown_mission(self._folder)
+                self._session, self._known = session_of(start_of(told), mission_of), None
+                return
+            case ("receive", _, float(at_s), *_):
+                self._at_s = at_s
+            case ("deliver", {"plan_id": int(plan_id)}) if self._asked_at_s is not None:
+                if self._at_s is not None and plan_id == self._asked_at_s[0]:
+                    self.planning_s[plan_id] = self._at_s - self._asked_at_s[1]
+        if (session := self._session) is None or told[0] in RUNTIME_RECORDS:
+            return
+        output = feed(session, told)
+        if session.now_s < self.now[1] - _BEGUN_AGAIN_S:
+            self._boot, self._sampled_s = self._boot + 1, -math.inf
+        self.now = self._boot, session.now_s
+        if output is not None and output.plan is not None:
+            self.request = output.plan
+            self._asked_at_s = None if self._at_s is None else (output.plan.plan_id, self._at_s)
+        known, here = session.state.flight.known, session.state.vehicle.position_nea_m
+        if known is not self._known:
+            self._known = known
+            ground = ground_of(known, (here or (*_ORIGIN, 0.0))[:2], session.mission)
+            self.grounds.append((*self.now, zlib.compress(pickle.dumps(ground), 1)))
+        if here is not None and self.now >= (self._boot, self._sampled_s + _SAMPLE_S):
+            self._sampled_s = session.now_s
+            self.samples.append((*self.now, *_nearness_m(known, here)))
+
+    def ground(self, number: int) -> Ground:
+        """One of `grounds`."""
+        ground: Ground = pickle.loads(zlib.decompress(self.grounds[number][2]))  # packed here
+        return ground
+
+
+def _nearness_m(known: KnownMap, here_nea_m: Vector) -> tuple[float, float]:
+    """The distance of the vehicle to proven terrain, and how high that is under it; NaN: none."""
+    most_m = _MOST_APART * known.cell_m
+    away_m = distance_to_terrain_m(known, np.array(here_nea_m), most_m, seen_only=True)
+    row, column = known.cell_of(*here_nea_m[:2])
+    rows, columns = known.upper_m.shape
+    is_firm = 0 <= row < rows and 0 <= column < columns and bool(known.firm[row, column])
+    under_m = float(known.upper_m[row, column]) if is_firm else math.nan
+    return math.nan if away_m >= most_m else away_m, under_m

@@ -1,0 +1,118 @@
+"""The buttons that matter: for who has the token, each behind a question."""
+
+import hmac
+from collections.abc import Callable, Sequence
+from typing import Any, Final, final
+
+import viser
+
+from companion.geodesy import LocalFrame
+from companion.live_view import control
+from companion.live_view.control import GroundStation
+from companion.live_view.recording import length_text
+from companion.mavlink.dialect import Message
+
+Place = tuple[float, float]
+PlaceOf = Callable[[Sequence[float], Sequence[float]], Place | None]
+"""North and east of where a ray meets the ground."""
+_SHOWN_S: Final = 12.0
+_PLAIN: Final = (
+    ("hold", "Stop, and hold?", control.hold),
+    ("continue", "Continue to the target?", control.proceed),
+    ("return", "Return along the flown path?", control.come_back),
+)
+
+
+@final
+class Orders:
+    """Gives orders for clients that know the token."""
+
+    def __init__(
+        self,
+        station: GroundStation,
+        frame: LocalFrame,
+        token: str,
+        is_trusted: Callable[[int], bool],
+    ) -> None:
+        """frame: of the mission; is_trusted: whether a client has come with the token."""
+        self._station, self._frame, self._token = station, frame, token
+        self._is_trusted = is_trusted
+
+    def offer(self, client: viser.ClientHandle, place_of: PlaceOf) -> None:
+        """Put the buttons on one client's page, or the question for the token."""
+        self._offer(client, place_of, trusted=self._is_trusted(client.client_id))
+
+    def _offer(self, client: viser.ClientHandle, place_of: PlaceOf, *, trusted: bool) -> None:
+        folder = client.gui.add_folder("control", order=-1.0)
+        with folder:
+            if trusted:
+                self._add_buttons(client, place_of)
+                return
+            asked = client.gui.add_text("token", "", hint="The terminal has printed it.")
+            button = client.gui.add_button("unlock")
+
+        def unlock(_: Any) -> None:
+            if is_token(asked.value, self._token):
+                folder.remove()
+                self._offer(client, place_of, trusted=True)
+            else:
+                why = "this is not the token that the terminal has printed"
+                _tell(client, "refused", why, is_good=False)
+
+        button.on_click(unlock)
+
+    def _add_buttons(self, client: viser.ClientHandle, place_of: PlaceOf) -> None:
+        for label, question, make in _PLAIN:
+            button = client.gui.add_button(label)
+            button.on_click(self._asking(client, label, question, make))
+        target = client.gui.add_button("new target", hint="Then click on the ground.")
+        target.on_click(lambda _: self._pick(client, place_of))
+
+    def _asking(
+        self, client: viser.ClientHandle, label: str, question: str, make: Callable[[], Message]
+    ) -> Callable[[Any], None]:
+        def ask(_: Any) -> None:
+            self._ask(client, label, question, make)
+
+        return ask
+
+    def _ask(
+        self, client: viser.ClientHandle, label: str, question: str, make: Callable[[], Message]
+    ) -> None:
+        """Ask first; then order, and show the answer."""
+        with client.gui.add_modal(question) as modal:
+            yes, no = client.gui.add_button(f"yes, {label}"), client.gui.add_button("no")
+        no.on_click(lambda _: modal.close())
+
+        def order(_: Any) -> None:
+            modal.close()
+            answer = self._station.order(make)
+            _tell(client, label, answer, is_good=answer.startswith("accepted"))
+
+        yes.on_click(order)
+
+    def _pick(self, client: viser.ClientHandle, place_of: PlaceOf) -> None:
+        _tell(client, "new target", "click on the ground", is_good=True)
+
+        def picked(event: viser.SceneClickEvent) -> None:
+            client.scene.remove_click_callback(picked)
+            place = place_of(event.ray_origin, event.ray_direction)
+            if place is None:
+                _tell(client, "new target", "there is no ground there", is_good=False)
+                return
+            where = f"{length_text(place[0])} north, {length_text(place[1])} east"
+            question = f"New target: {where}?"
+            self._ask(client, "new target", question, lambda: control.go_to(place, self._frame))
+
+        client.scene.on_click()(picked)
+
+
+def is_token(given: str, token: str) -> bool:
+    """Compared so that the time it takes tells nothing."""
+    return hmac.compare_digest(given.strip().encode(), token.encode())
+
+
+def _tell(client: viser.ClientHandle, title: str, text: str, *, is_good: bool) -> None:
+    client.add_notification(
+        title, text, auto_close_seconds=_SHOWN_S, color="teal" if is_good else "red"
+    )

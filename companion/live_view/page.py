@@ -1,0 +1,422 @@
+"""The page: a server on this computer that shows recordings, and what people do there.
+
+Callbacks of the page only put jobs into a queue; one thread does all of them, reads and draws.
+"""
+
+import math
+import queue
+import time
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+import viser
+from viser import uplot
+
+from companion.geodesy import FloatArray
+from companion.live_view import panel, shapes
+from companion.live_view.ground import Ground, Replica, last_ground
+from companion.live_view.orders import Orders
+from companion.live_view.panel import (
+    Charts,
+    Moment,
+    charts_of,
+    clock_text,
+    near_ground,
+    planning_of,
+)
+from companion.live_view.recording import Recording
+from companion.live_view.scene import LAYERS, Scene
+
+_PERIOD_S: Final = 0.1
+_READ_S: Final = 0.3
+_CHARTS_S: Final = 1.5
+_REPLAY_S: Final = 0.06  # of processor time in a period, for what was known of the ground
+_SPEEDS: Final = ("1x", "5x", "20x", "60x", "300x")
+_VIEWS: Final = ("overview", "follow", "top")
+_FOLLOW: Final = np.array([-11.0, 0.0, 5.5])  # of the camera behind the vehicle
+_NEAR, _FAR = 0.05, 2000.0
+
+
+@final
+@dataclass(slots=True)
+class Flight:
+    """One recording, and what follows from it."""
+
+    name: str
+    recording: Recording
+    replica: Replica | None = None
+    charts: Charts = field(default_factory=Charts)
+    _last: Ground | None = None
+    _ground: tuple[int, Ground | None] = (-1, None)
+    _charted: tuple[int, int] = (-1, -1)
+
+    @staticmethod
+    def of(path: Path, system_id: int | None = None) -> "Flight":
+        """Read as much as there is.  InputError if it is no flight."""
+        recording = Recording(path, system_id)
+        recording.read()
+        flight = Flight(path.name or str(path), recording)
+        if recording.mission is not None:
+            flight.replica = Replica(path)
+            flight._last = last_ground(path, recording.mission)
+        return flight
+
+    def more(self) -> None:
+        """Read what was recorded since, and go on to know the ground."""
+        self.recording.read()
+        if self.replica is not None:
+            self.replica.advance(_REPLAY_S)
+
+    def ground_at(self, time_s: float) -> tuple[Ground | None, str]:
+        """What was known of the ground; and what of that is not up to date."""
+        replica, recording = self.replica, self.recording
+        if replica is None:
+            return None, ""
+        reached_s = recording.time_of(*replica.now)
+        if reached_s + 1.0 < time_s and replica.ended is None and self._last is not None:
+            return self._last, f"ground as at the end: read until {clock_text(reached_s)}"
+        times_s = [recording.time_of(boot, t_s) for boot, t_s, _ in replica.grounds]
+        at = bisect_right(times_s, time_s) - 1
+        if at != self._ground[0]:
+            self._ground = at, None if at < 0 else replica.ground(at)
+        return self._ground[1], "" if replica.ended is None else f"ground: {replica.ended}"
+
+    def chart(self) -> bool:
+        """Bring the charts up to date; whether anything is new."""
+        samples = 0 if self.replica is None else len(self.replica.samples)
+        if self._charted == (counts := (len(self.recording.times_s), samples)):
+            return False
+        self._charted = counts
+        self.charts = charts_of(self.recording, self.replica)
+        return True
+
+    def moment(self, time_s: float) -> Moment:
+        """What the panel shows."""
+        decided = self.recording.decided_at(time_s)
+        clearance_m, under_m = near_ground(self.recording, self.replica, np.array([time_s]))
+        planning_s = None
+        if decided.ready is not None:
+            planning_s = planning_of(self.recording, self.replica).get(decided.ready.plan_id)
+        return Moment(
+            recording=self.recording,
+            time_s=time_s,
+            decided=decided,
+            clearance_m=float(clearance_m[0]),
+            under_m=float(under_m[0]),
+            planning_s=planning_s,
+            behind=self.ground_at(time_s)[1],
+        )
+
+
+@final
+class Page:
+    """What all browsers that are connected see."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        flights: Sequence[Flight],
+        *,
+        orders: Orders | None = None,
+    ) -> None:
+        """orders: may be given here by who knows the token; None: nobody may."""
+        self._server, self._flights, self._shown = server, tuple(flights), flights[0]
+        self._jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._orders = orders
+        self._scene: Scene | None = None
+        self._time_s, self._speed, self._plays = 0.0, 1.0, False
+        self._newest = True  # until somebody goes elsewhere
+        self._views: dict[int, str] = {}
+        self._here: FloatArray = np.zeros(3)
+        self._shown_s: tuple[float, int] = (-1.0, -1)
+        self._read_at_s = self._charted_at_s = -math.inf
+        self._wanted_candidates = False
+        gui = server.gui
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 80, 181))
+        gui.set_panel_label("companion view")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(370)
+        self._build()
+        server.initial_camera.near, server.initial_camera.far = _NEAR, _FAR
+        position, look_at = _overview()
+        server.initial_camera.position, server.initial_camera.look_at = position, look_at
+        server.on_client_connect(lambda client: self._do(lambda: self._welcome(client)))
+        server.on_client_disconnect(lambda client: self._do(lambda: self._forget(client)))
+
+    # --- what is on it
+
+    def _build(self) -> None:
+        gui = self._server.gui
+        if len(self._flights) > 1:
+            names = [flight.name for flight in self._flights]
+            chosen = gui.add_dropdown("flight", names, initial_value=names[0])
+            chosen.on_update(lambda event: self._do(lambda: self._choose(event.target.value)))
+        self._slider: Any = gui.add_slider("time, s", 0.0, 1.0, 0.1, 0.0)
+        self._slider.on_update(self._when_moved)
+        self._play = gui.add_button("play")
+        self._play.on_click(lambda _: self._do(self._toggle))
+        speeds = gui.add_dropdown("speed", _SPEEDS, initial_value=_SPEEDS[0])
+        speeds.on_update(lambda event: self._do(lambda: self._set_speed(event.target.value)))
+        jumps = gui.add_button_group("go to", ("next plan", "next hold", "newest"))
+        jumps.on_click(lambda event: self._do(lambda: self.jump(event.target.value)))
+        views = gui.add_button_group("camera", _VIEWS)
+        views.on_click(self._when_viewed)
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("flight"):
+            self._status = gui.add_html("")
+        with tabs.add_tab("events"):
+            self._events = gui.add_html("")
+        charts = gui.add_panel()
+        with charts.add_tab("charts"):
+            self._charts = [self._add_chart(*each) for each in _CHARTS]
+        charts.dock_left()
+        charts.set_width(300)
+        with tabs.add_tab("show"):
+            candidates = gui.add_checkbox("candidates of the newest plan", initial_value=False)
+            candidates.on_update(
+                lambda event: self._do(lambda: self._want_candidates(event.target.value))
+            )
+            for layer in LAYERS:
+                self._add_layer(layer)
+
+    def _add_layer(self, layer: str) -> None:
+        box = self._server.gui.add_checkbox(layer, initial_value=True)
+
+        def hide() -> None:
+            if self._scene is not None:
+                self._scene.hide(layer, hidden=not box.value)
+
+        box.on_update(lambda _: self._do(hide))
+
+    def _add_chart(self, title: str, names: tuple[str, ...], colours: tuple[str, ...]) -> Any:
+        series = [uplot.Series(label="time, s")]
+        series += [
+            uplot.Series(
+                label=name,
+                stroke=colour,
+                width=2,
+                points={"show": len(names) == 1 and "ms" in title},
+            )
+            for name, colour in zip(names, colours, strict=True)
+        ]
+        nothing = np.zeros(0)
+        return self._server.gui.add_uplot(
+            tuple(nothing for _ in series),
+            tuple(series),
+            title=title,
+            scales={"x": uplot.Scale(time=False)},
+            legend=uplot.Legend(show=len(names) > 1, live=False),
+            aspect=1.75,
+        )
+
+    # --- what people do
+
+    def _do(self, job: Callable[[], None]) -> None:
+        self._jobs.put(job)
+
+    def _when_moved(self, event: Any) -> None:
+        if event.client is not None:  # else it was moved from here
+            self._do(lambda: self.go_to(float(event.target.value)))
+
+    @property
+    def status(self) -> str:
+        """What the panel says, as HTML."""
+        return self._status.content
+
+    def go_to(self, time_s: float) -> None:
+        """Show the flight as it was then.  In the page's own thread, as all that has no _."""
+        self._newest, self._time_s = False, time_s
+
+    def _toggle(self) -> None:
+        self._plays = not self._plays
+        self._newest = False
+        self._play.label = "pause" if self._plays else "play"
+
+    def _set_speed(self, text: str) -> None:
+        self._speed = float(text.rstrip("x"))
+
+    def jump(self, where: str) -> None:
+        """Go to the next plan, the next hold, or to what is newest."""
+        recording = self._shown.recording
+        if where == "newest":
+            self._newest, self._time_s = True, recording.ends_s
+            return
+        kind = "plan" if where == "next plan" else "hold"
+        later = [
+            e.time_s for e in recording.events if e.kind == kind and e.time_s > self._time_s + 0.05
+        ]
+        if later:
+            self.go_to(later[0])
+
+    def _choose(self, name: str) -> None:
+        self._shown = next(flight for flight in self._flights if flight.name == name)
+        self._scene = None
+
+    def _want_candidates(self, wanted: bool) -> None:
+        self._wanted_candidates, self._shown_s = wanted, (-1.0, -1)
+
+    def _when_viewed(self, event: Any) -> None:
+        if event.client is not None:
+            self._do(lambda: self._view(event.client, event.target.value))
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        self._view(client, "overview")
+        if self._orders is not None:
+            self._orders.offer(client, self.place_of)
+
+    def _forget(self, client: viser.ClientHandle) -> None:
+        self._views.pop(client.client_id, None)
+
+    def _view(self, client: viser.ClientHandle, view: str) -> None:
+        self._views[client.client_id] = view
+        camera = client.camera
+        if view == "overview":
+            position, look_at = _overview()
+        elif view == "top":
+            position, look_at = np.array([0.0, -0.5, 108.0]), np.zeros(3)
+        else:
+            heading_rad = self._heading_rad()
+            ahead = np.array([math.sin(heading_rad), math.cos(heading_rad), 0.0])
+            position = self._here + _FOLLOW[0] * ahead + [0.0, 0.0, _FOLLOW[2]]
+            look_at = self._here + 4.0 * ahead
+        with client.atomic():
+            camera.position = position
+            camera.look_at = look_at
+
+    def place_of(
+        self, origin: Sequence[float], direction: Sequence[float]
+    ) -> tuple[float, float] | None:
+        """North and east of what is under the mouse; None: nothing."""
+        if self._scene is None:
+            return None
+        return shapes.met(
+            self._scene.scale, self._scene.ground, np.array(origin), np.array(direction)
+        )
+
+    # --- what is shown
+
+    def run(self, stopped: Callable[[], bool]) -> None:
+        """Read, and show, until that is over."""
+        before_s = time.monotonic()
+        while not stopped():
+            began_s = time.monotonic()
+            self.step(began_s, began_s - before_s)
+            before_s = began_s
+            self._wait(began_s + _PERIOD_S)
+
+    def _wait(self, until_s: float) -> None:
+        """Do the jobs that come; a person does not wait for the next period."""
+        while True:
+            try:
+                self._jobs.get(timeout=max(until_s - time.monotonic(), 0.001))()
+            except queue.Empty:
+                return
+
+    def step(self, now_s: float, passed_s: float) -> None:
+        """One look at what there is."""
+        for flight in self._flights:
+            if now_s - self._read_at_s >= _READ_S:
+                flight.recording.read()
+            if flight.replica is not None:
+                flight.replica.advance(_REPLAY_S)
+        if now_s - self._read_at_s >= _READ_S:
+            self._read_at_s = now_s
+        recording = self._shown.recording
+        if not len(recording.times_s):
+            self._status.content = panel.waiting_html(recording)
+            return
+        if self._scene is None:
+            self._server.scene.reset()
+            self._scene, self._shown_s = Scene(self._server, recording), (-1.0, -1)
+        if self._newest:
+            self._time_s = recording.ends_s
+        elif self._plays:
+            self._time_s = min(self._time_s + passed_s * self._speed, recording.ends_s)
+        self._show(now_s)
+
+    def _show(self, now_s: float) -> None:
+        flight, scene = self._shown, self._scene
+        assert scene is not None
+        replica = flight.replica
+        key = self._time_s, 0 if replica is None else len(replica.grounds)
+        if key != self._shown_s:
+            self._shown_s = key
+            moment = flight.moment(self._time_s)
+            ground, _ = flight.ground_at(self._time_s)
+            if ground is not None:
+                scene.show_ground(ground)
+            here = scene.show(self._time_s, moment.decided, self._heading_rad())
+            self._follow(here)
+            for other in self._flights:
+                if other is not flight:
+                    scene.show_other(other.name, other.recording, self._time_s)
+            self._set(self._status, panel.status_html(moment, scene.scale.stretch))
+            self._set(self._events, panel.events_html(flight.recording.events, self._time_s))
+            ends_s = round(flight.recording.ends_s + 0.05, 1)
+            if self._slider.max != ends_s:
+                self._slider.max = max(ends_s, 0.1)
+            self._slider.value = round(self._time_s, 1)
+        if now_s - self._charted_at_s >= _CHARTS_S and flight.chart():
+            self._charted_at_s = now_s
+            for chart, data in zip(self._charts, _chart_data(flight.charts), strict=True):
+                chart.scales = _scales(data)
+                chart.data = data
+
+    def _set(self, part: Any, content: str) -> None:
+        if part.content != content:
+            part.content = content
+
+    def _follow(self, here: FloatArray) -> None:
+        moved, self._here = here - self._here, here
+        for client in self._server.get_clients().values():
+            if self._views.get(client.client_id) == "follow":
+                client.camera.position = client.camera.position + moved
+
+    def _heading_rad(self) -> float:
+        recording = self._shown.recording
+        row = recording.row_at(self._time_s)
+        heading_deg = float(recording.track.heading_deg[row])
+        if math.isnan(heading_deg):
+            track = recording.track
+            return math.atan2(float(track.east_m_s[row]), float(track.north_m_s[row]))
+        return math.radians(heading_deg)
+
+
+_CHARTS: Final = (
+    ("altitude and known ground, m AMSL", ("altitude", "ground"), ("#0050b5", "#8a6a3a")),
+    ("clearance, m", ("clearance",), ("#00705a",)),
+    ("off the path, m", ("off the path",), ("#c2389b",)),
+    ("planning time, ms", ("planning",), ("#e8590c",)),
+)
+
+
+def _chart_data(charts: Charts) -> tuple[tuple[FloatArray, ...], ...]:
+    times_s = charts.times_s
+    return (
+        (times_s, charts.altitude_m, charts.under_m),
+        (times_s, charts.clearance_m),
+        (times_s, charts.aside_m),
+        (charts.plan_times_s, charts.planning_ms),
+    )
+
+
+def _scales(data: tuple[FloatArray, ...]) -> dict[str, uplot.Scale]:
+    """Ranges of the axes, by hand: a gap in the data leaves the page none to find."""
+    values = np.concatenate(data[1:])
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+    margin = max(0.06 * (high - low), 1e-3 + 1e-3 * abs(high))
+    last_s = float(data[0][-1]) if len(data[0]) else 1.0
+    return {
+        "x": uplot.Scale(time=False, range=(0.0, max(last_s, 1.0))),
+        "y": uplot.Scale(range=(low - margin, high + margin)),
+    }
+
+
+def _overview() -> tuple[FloatArray, FloatArray]:
+    """Camera and what it looks at: all of the map, from the south-west."""
+    return np.array([-40.0, -76.0, 50.0]), np.array([2.0, -9.0, 0.0])

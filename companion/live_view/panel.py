@@ -1,0 +1,248 @@
+"""The side panel: numbers, cost terms, charts and events, as text for the page."""
+
+import html
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, final
+
+import numpy as np
+import scipy.spatial
+
+from companion.geodesy import FloatArray
+from companion.live_view.ground import Replica
+from companion.live_view.recording import (
+    BATTERY,
+    Decided,
+    Event,
+    Recording,
+    length_text,
+    subpath_of,
+)
+from companion.mission.journal import PlanReady
+
+_CHART_POINTS: Final = 600
+_CURVE_POINTS: Final = 200
+_BARS: Final = ("length", "height", "guide", "crash", "radar", "constraints")
+_SOUND, _ALARM = "#00705a", "#b3261e"
+_STYLE: Final = (
+    "<style>.fl{font:13px/1.45 system-ui,sans-serif;padding:2px 8px 6px}"
+    ".fl table{width:100%;border-collapse:collapse}.fl td{padding:1px 0;vertical-align:top}"
+    ".fl td+td{text-align:right;font-variant-numeric:tabular-nums;font-weight:600}"
+    ".fl .p{font-size:17px;font-weight:700}.fl .r{color:#b3261e;font-weight:600}"
+    ".fl i{display:inline-block;height:9px;background:#0050b5;border-radius:2px}"
+    ".fl .h{color:#667;margin-top:6px;font-weight:600}.fl .n{color:#667}</style>"
+)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """A flight at a time, as the panel shows it."""
+
+    recording: Recording
+    time_s: float
+    decided: Decided
+    clearance_m: float
+    under_m: float
+    planning_s: float | None
+    behind: str = ""
+    """What of it is not up to date."""
+
+
+def status_html(moment: Moment, stretch: float) -> str:
+    """Phase and reason, target, speed, altitude, clearance, the last plan and the link."""
+    recording, decided = moment.recording, moment.decided
+    row = recording.row_at(moment.time_s)
+    north_m, east_m, altitude_m = recording.places_nea_m[row].tolist()
+    track = recording.track
+    speed_m_s = math.hypot(float(track.north_m_s[row]), float(track.east_m_s[row]))
+    rows = {
+        "time": clock_text(moment.time_s),
+        "altitude": f"{altitude_m:,.0f} m AMSL",
+        "over known ground": length_text(altitude_m - moment.under_m),
+        "clearance": length_text(moment.clearance_m),
+        "speed": f"{speed_m_s:.1f} m/s, {float(track.up_m_s[row]):+.1f} up",
+    }
+    if decided.targets_ne_m and recording.mission is not None:
+        target = decided.asked.target_ne_m if decided.asked else decided.targets_ne_m[-1]
+        to_go_m = math.hypot(target[0] - north_m, target[1] - east_m)
+        rows["target"] = f"{length_text(target[0])} N, {length_text(target[1])} E"
+        rows["to go"] = f"{length_text(to_go_m)}, {_to_go_time(to_go_m, speed_m_s)}"
+    link = f"{recording.rate_hz(moment.time_s):.0f} positions/s"
+    if decided.round_trip_s is not None:
+        link += f", {decided.round_trip_s * 1e3:.0f} ms round trip"
+    rows["link"] = link
+    battery = recording.newest(BATTERY, moment.time_s)
+    if battery is not None and battery[1].battery_remaining >= 0:
+        rows["battery"] = f"{battery[1].battery_remaining} %"
+    reason = f"<div class=r>{html.escape(decided.reason)}</div>" if decided.reason else ""
+    warned = f"<div class=n>{html.escape(decided.warning)}</div>" if decided.warning else ""
+    behind = f"<div class=n>{html.escape(moment.behind)}</div>" if moment.behind else ""
+    name = recording.mission.name if recording.mission else recording.path.name
+    head = f"<div class=n>{html.escape(name)}; heights drawn {stretch:g} times</div>"
+    phase = "" if recording.mission is None else f"<div class=p>{html.escape(decided.phase)}</div>"
+    plan = _plan_html(decided, moment.planning_s)
+    return f"{_STYLE}<div class=fl>{head}{phase}{reason}{_table(rows)}{plan}{warned}{behind}</div>"
+
+
+def waiting_html(recording: Recording) -> str:
+    """Before there is a position."""
+    name = recording.mission.name if recording.mission else recording.path.name
+    return (
+        f"{_STYLE}<div class=fl>{html.escape(name)}<div class=p>waiting for the vehicle</div></div>"
+    )
+
+
+def _plan_html(decided: Decided, planning_s: float | None) -> str:
+    plan = decided.ready
+    if plan is None:
+        return ""
+    certificate = plan.certificate
+    proven = f'<span style="color:{_SOUND}">proven, {certificate.pieces} pieces</span>'
+    if certificate.broken:
+        broken = html.escape(", ".join(certificate.broken))
+        proven = f'<span style="color:{_ALARM}">not proven: {broken}</span>'
+    rows = {
+        "flying subpath": f"{decided.leg_number}",
+        "length": length_text(plan.length_m),
+        "cost, and to go from its end": f"{plan.cost or 0.0:.2f} + {plan.to_go or 0.0:.2f}",
+        "candidates": f"{plan.evaluations:,}",
+        "planning took": "-" if planning_s is None else f"{planning_s * 1e3:,.0f} ms",
+        "certificate": proven,
+        "proven clearance": length_text(certificate.clearance_m),
+    }
+    terms = {name: plan.terms.get(name) or 0.0 for name in _BARS}
+    bars = "".join(
+        f"<tr><td>{name}</td><td style='width:62%;text-align:left'>"
+        f"<i style='width:{min(max(value, 0.0), 100.0) * 0.72:.1f}%'></i> {value:.1f}</td></tr>"
+        for name, value in terms.items()
+    )
+    return (
+        f"<div class=h>newest plan (number {plan.plan_id})</div>{_table(rows)}"
+        f"<div class=h>its cost terms, 0 to 100</div><table>{bars}</table>"
+    )
+
+
+def _table(rows: Mapping[str, str]) -> str:
+    cells = (f"<tr><td>{name}</td><td>{value}</td></tr>" for name, value in rows.items())
+    return f"<table>{''.join(cells)}</table>"
+
+
+def _to_go_time(distance_m: float, speed_m_s: float) -> str:
+    return clock_text(distance_m / speed_m_s) if speed_m_s > 0.5 else "standing"
+
+
+def clock_text(time_s: float) -> str:
+    """Minutes and seconds, or hours and minutes too."""
+    minutes, seconds = divmod(int(time_s), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
+
+
+def events_html(events: list[Event], time_s: float, most: int = 14) -> str:
+    """The last events up to a time, newest first."""
+    past = [event for event in events if event.time_s <= time_s][-most:]
+    lines = (
+        f"<tr><td style='width:52px'>{clock_text(event.time_s)}</td>"
+        f"<td style='text-align:left;font-weight:400'>{html.escape(event.text)}</td></tr>"
+        for event in reversed(past)
+    )
+    return f"{_STYLE}<div class=fl><table>{''.join(lines)}</table></div>"
+
+
+# --- charts
+
+
+@final
+@dataclass(slots=True)
+class Charts:
+    """What the charts show of one flight: rows of the track, and what belongs to each."""
+
+    rows: Any = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    altitude_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    under_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    clearance_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    aside_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    times_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    plan_times_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    planning_ms: FloatArray = field(default_factory=lambda: np.empty(0))
+
+
+def charts_of(recording: Recording, replica: Replica | None) -> Charts:
+    """All of a flight so far, at a few hundred points."""
+    count = len(recording.times_s)
+    rows = np.unique(np.linspace(0, count - 1, min(count, _CHART_POINTS)).astype(np.intp))
+    times_s = recording.times_s[rows]
+    clearance_m, under_m = near_ground(recording, replica, times_s)
+    planning = planning_of(recording, replica)
+    return Charts(
+        rows=rows,
+        times_s=times_s,
+        altitude_m=recording.places_nea_m[rows, 2],
+        under_m=under_m,
+        clearance_m=clearance_m,
+        aside_m=_aside_m(recording, rows),
+        plan_times_s=np.array([time_s for time_s, _ in recording.plans]),
+        planning_ms=np.array(
+            [planning.get(plan.plan_id, math.nan) * 1e3 for _, plan in recording.plans]
+        ),
+    )
+
+
+def planning_of(recording: Recording, replica: Replica | None) -> dict[int, float]:
+    """How long each plan took, by its number."""
+    noted = recording.planning_s
+    answered = [plan.plan_id for _, plan in recording.plans]
+    if len(noted) == len(answered):
+        return dict(zip(answered, noted, strict=True))
+    return {} if replica is None else replica.planning_s
+
+
+def near_ground(
+    recording: Recording, replica: Replica | None, times_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Clearance, and altitude of the known ground under the vehicle; NaN: not known.  (N,) each."""
+    none = np.full(len(times_s), np.nan)
+    if replica is None or not replica.samples:
+        return none, none
+    sampled = np.array(
+        [(recording.time_of(boot, t_s), c, u) for boot, t_s, c, u in replica.samples]
+    )
+    at = np.searchsorted(sampled[:, 0], times_s, "right") - 1
+    told = (at >= 0) & (times_s - sampled[np.maximum(at, 0), 0] < 2.0)
+    return np.where(told, sampled[at, 1], np.nan), np.where(told, sampled[at, 2], np.nan)
+
+
+def _aside_m(recording: Recording, rows: Any) -> FloatArray:
+    """Distance from the path that was flown, metres; NaN: there was none.  (N,).
+
+    The vehicle is behind the point that it is led by, so the subpath before counts too.
+    """
+    aside = np.full(len(rows), np.inf)
+    of_plan: dict[int, tuple[PlanReady, list[int]]] = {}
+    for at, row in enumerate(rows):
+        decided = recording.decided_at(float(recording.times_s[row]))
+        for plan in (decided.leg, decided.leg_before):
+            if plan is not None:
+                of_plan.setdefault(plan.plan_id, (plan, []))[1].append(at)
+    for plan, those in of_plan.values():
+        away_m = _from_curve_m(plan, recording.places_nea_m[rows[those]])
+        aside[those] = np.minimum(aside[those], away_m)
+    return np.where(np.isfinite(aside), aside, np.nan)
+
+
+def _from_curve_m(plan: PlanReady, places_nea_m: FloatArray) -> FloatArray:
+    """Distance of points to a curve.  (N, 3) -> (N,)."""
+    subpath = subpath_of(plan)
+    points = subpath.points_nea_m(np.linspace(0.0, subpath.length_m, _CURVE_POINTS))
+    nearest = scipy.spatial.KDTree(points).query(places_nea_m)[1]
+    least = np.full(len(places_nea_m), np.inf)
+    for shift in (-1, 0):
+        first = np.clip(nearest + shift, 0, len(points) - 2)
+        begin, along = points[first], points[first + 1] - points[first]
+        share = np.einsum("ij,ij->i", places_nea_m - begin, along)
+        share = np.clip(share / np.maximum(np.einsum("ij,ij->i", along, along), 1e-12), 0.0, 1.0)
+        away = np.linalg.norm(places_nea_m - begin - share[:, None] * along, axis=-1)
+        least = np.minimum(least, away)
+    return least

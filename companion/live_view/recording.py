@@ -1,0 +1,337 @@
+"""A flight as far as it is recorded: read from its run folder while that grows, or from any log.
+
+Nothing here asks the companion: whoever watches a flight cannot slow it down.
+"""
+
+import json
+import math
+from bisect import bisect_right
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Final, Self, final
+
+import numpy as np
+
+from companion.errors import InputError
+from companion.geodesy import FloatArray, LocalFrame
+from companion.mavlink.dialect import AUTOPILOT_COMPONENT, Message, wire
+from companion.mavlink.frames import decoded, number_of, sender_of
+from companion.mission import journal as noted
+from companion.mission.journal import Entry
+from companion.mission.mission import Mission
+from companion.path.subpath import Subpath
+from companion.replay.exporting import mission_of
+from companion.sources.files import answer
+from companion.telemetry.export import shapes
+from companion.telemetry.export.flight import FlightBuilder, with_rising_times
+from companion.telemetry.export.track import Track, TrackBuilder
+from companion.telemetry.journal import Journal
+from companion.telemetry.logs import open_log
+from companion.telemetry.run_folder import Records
+from companion.world.threats import Zone
+
+BATTERY: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
+SECTORS: Final = wire.MAVLINK_MSG_ID_OBSTACLE_DISTANCE
+_TEXT: Final = wire.MAVLINK_MSG_ID_STATUSTEXT
+_NEW_BOOT_S: Final = 1.0  # shown between the last position before a reboot and the first after it
+_RATE_OVER_S: Final = 5.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something worth a line in the list of events."""
+
+    time_s: float
+    """Since the first position."""
+    kind: str
+    """plan, refused, hold, phase, warning, command, order, lost or end."""
+    text: str
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Decided:
+    """What the journal has said up to some moment."""
+
+    phase: str = "waiting"
+    reason: str = ""
+    leg: noted.PlanReady | None = None
+    """The subpath that is flown,"""
+    leg_before: noted.PlanReady | None = None
+    """and the one before it."""
+    leg_number: int = 0
+    asked: noted.PlanAsked | None = None
+    """The newest question to the planner,"""
+    ready: noted.PlanReady | None = None
+    """and its newest answer."""
+    targets_ne_m: tuple[tuple[float, float], ...] = ()
+    vehicle_zones: tuple[Zone, ...] = ()
+    round_trip_s: float | None = None
+    warning: str = ""
+
+
+@final
+class Recording:
+    """One flight.  Times are seconds since its first position; they go on across reboots."""
+
+    def __init__(self, path: Path, system_id: int | None = None) -> None:
+        """path: a run folder, or a log of any kind.  InputError if it is neither."""
+        self.path = path
+        self.mission: Mission | None = None
+        self._journal: Journal | None = None
+        self._tlog: Records | None = None
+        self._vehicle = system_id
+        self._kept: dict[int, tuple[list[float], list[bytes]]] = {
+            each: ([], []) for each in (BATTERY, SECTORS, _TEXT)
+        }
+        if path.is_dir():
+            self.mission = mission_of(path)
+            if not answer((path / "flight.tlog").is_file):
+                rule, remedy = "it holds no flight.tlog", "Give the run folder of a flight."
+                raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
+            self._journal = Journal(path / "journal.jsonl")
+            self._builder = FlightBuilder(self.mission)
+            self._positions: TrackBuilder | None = None
+        else:
+            log = open_log(path, system_id=system_id)
+            self._positions, self._vehicle = TrackBuilder(log.system_id), log.system_id
+            for record in log.records():
+                self._take(record.time_us, record.frame)
+        self.track: Track = TrackBuilder(None).track()
+        self.times_s: FloatArray = np.empty(0)
+        self.places_nea_m: FloatArray = np.empty((0, 3))
+        self._begins_s: FloatArray = np.zeros(1)
+        """Of each boot, what its clock is behind."""
+        self._decided: tuple[list[float], list[Decided]] = ([], [])
+        self.events: list[Event] = []
+        self.plans: list[tuple[float, noted.PlanReady]] = []
+        """All subpaths that were found, by the time from which they were known."""
+        self.frame: LocalFrame | None = self.mission and self.mission.frame
+        self._settle()
+        if self._journal is None and not len(self.track):
+            rule, remedy = "there is no position in it", "Give the log of a flight."
+            raise InputError("RUN_DIR|LOG", str(path), rule, remedy)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._tlog is not None:
+            self._tlog.close()
+
+    def read(self) -> bool:
+        """Read what has been recorded since; whether anything was."""
+        if self._journal is None:
+            return False
+        more = False
+        for line in self._journal.new_lines() if answer(self._journal.path.is_file) else ():
+            self._builder.take(line)
+            more = True
+        system_id = self._builder.system_id
+        if self._tlog is None:
+            if system_id is None:
+                return more
+            self._tlog = Records(self.path / "flight.tlog")
+            self._positions, self._vehicle = TrackBuilder(system_id), system_id
+        while (record := self._tlog.take()) is not None:
+            self._take(*record)
+            more = True
+        if more:
+            self._settle()
+        return more
+
+    def _take(self, time_us: int, frame: bytes) -> None:
+        assert self._positions is not None
+        number = number_of(frame)
+        if (kept := self._kept.get(number)) is not None:
+            if number == SECTORS or sender_of(frame) == (self._vehicle, AUTOPILOT_COMPONENT):
+                kept[0].append(time_us * 1e-6)
+                kept[1].append(frame)
+        else:
+            self._positions.take(time_us, frame)
+
+    def _settle(self) -> None:
+        """Bring all that is derived up to date."""
+        if self._positions is None:
+            return
+        before, self.track = len(self.track), self._positions.track()
+        if not len(self.track):
+            return
+        if self.frame is None:
+            self.frame = LocalFrame(
+                latitude_deg=float(self.track.latitude_deg[0]),
+                longitude_deg=float(self.track.longitude_deg[0]),
+            )
+        same = max(
+            min(before, len(self.track)) - 2, 0
+        )  # of the last ones one may have been a stray
+        fresh = self.track.part(slice(same, None))
+        fresh_nea_m = shapes.local_nea_m(fresh, self.frame)
+        self.places_nea_m = np.concatenate([self.places_nea_m[:same], fresh_nea_m])
+        first = np.flatnonzero(np.diff(self.track.boot, prepend=-1))
+        begins = [-float(self.track.t_s[0])]
+        for row in first[1:].tolist():
+            ended_s = float(self.track.t_s[row - 1]) + begins[-1]
+            begins.append(ended_s + _NEW_BOOT_S - float(self.track.t_s[row]))
+        self._begins_s = np.array(begins)
+        self.times_s = self.track.t_s + self._begins_s[self.track.boot]
+        if self._journal is not None:
+            self._settle_decisions()
+        else:
+            self.events = [
+                Event(time_s=at_s, kind="warning", text=message.text)
+                for at_s, message in self._messages(_TEXT)
+            ]
+
+    def time_of(self, boot: int, t_s: float) -> float:
+        """A vehicle time as seconds since the first position."""
+        begin_s = self._begins_s[min(boot, len(self._begins_s) - 1)]
+        return max(t_s + float(begin_s), 0.0)
+
+    def _settle_decisions(self) -> None:
+        assert self.mission is not None
+        known = Decided(targets_ne_m=self.mission.targets_ne_m)
+        times, states = [0.0], [known]
+        events, plans = list[Event](), list[tuple[float, noted.PlanReady]]()
+        for boot, t_s, entry in with_rising_times(self._builder.timed):
+            time_s = self.time_of(boot, t_s)
+            if (after := _after(known, entry)) is not known:
+                times.append(time_s)
+                states.append(known := after)
+            if isinstance(entry, noted.PlanReady):
+                plans.append((time_s, entry))
+            if (told := _told(entry)) is not None:
+                events.append(Event(time_s=time_s, kind=told[0], text=told[1]))
+        self._decided, self.events, self.plans = (times, states), events, plans
+
+    # --- what is asked of it
+
+    @property
+    def ends_s(self) -> float:
+        """When its last position was."""
+        return float(self.times_s[-1]) if len(self.times_s) else 0.0
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has ended, or is a log that does not grow."""
+        return self._journal is None or (bool(self.events) and self.events[-1].kind == "end")
+
+    def row_at(self, time_s: float) -> int:
+        """The position that was the newest; there is one."""
+        return max(int(np.searchsorted(self.times_s, time_s, "right")) - 1, 0)
+
+    def decided_at(self, time_s: float) -> Decided:
+        """What was decided."""
+        times, states = self._decided
+        return states[max(bisect_right(times, time_s) - 1, 0)] if states else Decided()
+
+    def zones_at(self, time_s: float) -> tuple[Zone, ...]:
+        """The mission's, and the vehicle's own."""
+        own = () if self.mission is None else self.mission.task.zones
+        return (*own, *self.decided_at(time_s).vehicle_zones)
+
+    def rate_hz(self, time_s: float) -> float:
+        """How often positions came, lately."""
+        after, until = np.searchsorted(self.times_s, [time_s - _RATE_OVER_S, time_s], "right")
+        return float(until - after) / _RATE_OVER_S
+
+    def newest(self, number: int, time_s: float) -> tuple[float, Message] | None:
+        """The newest message of a kind that is kept, and how old it was, seconds."""
+        stamps, frames = self._kept[number]
+        row = self.row_at(time_s)
+        now_s = self.track.time_us[row] * 1e-6 + (time_s - self.times_s[row])
+        at = bisect_right(stamps, now_s) - 1
+        if at < 0:
+            return None
+        return now_s - stamps[at], decoded(frames[at], wire.mavlink_map[number])
+
+    def _messages(self, number: int) -> Iterator[tuple[float, Message]]:
+        began_s = self.track.time_us[0] * 1e-6
+        for at_s, frame in zip(*self._kept[number], strict=True):
+            yield max(at_s - began_s, 0.0), decoded(frame, wire.mavlink_map[number])
+
+    @cached_property
+    def planning_s(self) -> list[float]:
+        """How long each plan took, if the flight is over and has noted it."""
+        with suppress(OSError, ValueError, AttributeError):
+            noted_s = json.loads((self.path / "run.json").read_bytes()).get("planning_s")
+            return [float(each) for each in noted_s or ()]
+        return []
+
+
+def subpath_of(plan: noted.PlanReady) -> Subpath:
+    """The curve of a plan."""
+    return Subpath(control_nea_m=np.array(plan.control_nea_m, dtype=np.float64))
+
+
+def _after(known: Decided, entry: Entry) -> Decided:
+    """What is decided once an entry has been noted."""
+    match entry:
+        case noted.Phase():
+            return replace(known, phase=entry.phase, reason=entry.reason or "")
+        case noted.LegBegun():
+            return replace(known, leg=known.ready, leg_before=known.leg, leg_number=entry.number)
+        case noted.PlanAsked():
+            return replace(known, asked=entry)
+        case noted.PlanReady():
+            return replace(known, ready=entry)
+        case noted.Fence():
+            return replace(known, vehicle_zones=entry.zones)
+        case noted.Targets():
+            return replace(known, targets_ne_m=entry.targets_ne_m)
+        case noted.OrderGiven(target_ne_m=(north_m, east_m)):
+            return replace(known, targets_ne_m=((north_m, east_m),))
+        case noted.LinkDelay():
+            return replace(known, round_trip_s=entry.round_trip_s)
+        case noted.Said(warning=True) | noted.VehicleSays():
+            return replace(known, warning=entry.text)
+        case _:
+            return known
+
+
+def _told(entry: Entry) -> tuple[str, str] | None:
+    """The kind and the words of an entry that is worth an event."""
+    match entry:
+        case noted.Phase(phase="holding" | "faulted", reason=reason):
+            return "hold", f"{entry.phase}: {reason or 'without a reason'}"
+        case noted.Phase():
+            return "phase", entry.phase + (f": {entry.reason}" if entry.reason else "")
+        case noted.PlanReady():
+            to = " to the target" if entry.reaches_target else ""
+            return (
+                "plan",
+                f"subpath of {length_text(entry.length_m)}{to}, cost {entry.cost or 0:.2f}",
+            )
+        case noted.PlanRefused():
+            return "refused", f"no subpath: {entry.reason.replace('_', ' ').lower()}"
+        case noted.PlanLate():
+            return "refused", "the plan is late"
+        case noted.Said(warning=True):
+            return "warning", entry.text
+        case noted.OrderGiven():
+            return "order", f"{entry.sender} orders: {entry.order.lower()}"
+        case noted.CommandHeard(result=str(result)) if result != "ACCEPTED":
+            return "order", f"command {entry.command} of {entry.sender}: {result} {entry.why or ''}"
+        case noted.LinkLost():
+            return "lost", f"nothing was heard for {entry.silent_s:g} s"
+        case noted.VehicleRebooted():
+            return "lost", "the autopilot has rebooted"
+        case noted.Resumed():
+            return "phase", "the companion was started again"
+        case noted.PartDied():
+            return "lost", f"a part has died: {entry.error}"
+        case noted.End():
+            return "end", f"{entry.outcome}: {entry.reason}"
+        case _:
+            return None
+
+
+def length_text(length_m: float) -> str:
+    """A length in words: metres, or kilometres."""
+    if not math.isfinite(length_m):
+        return "-"
+    return f"{length_m:,.0f} m" if abs(length_m) < 2000.0 else f"{length_m / 1e3:,.1f} km"

@@ -1,0 +1,377 @@
+"""What is drawn, as triangles and lines in the coordinates of the scene: x east, y north, z up.
+
+The scene is as wide whatever the flight: a forest of 300 m or a map of 110 km.
+"""
+
+import json
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final, NamedTuple, final
+
+import numpy as np
+import scipy.ndimage
+from numpy.typing import NDArray
+
+from companion.geodesy import FloatArray
+from companion.live_view.ground import GUESSED, PROVEN, Ground
+from companion.live_view.recording import Recording
+from companion.world.threats import CircleZone, Radar, Zone
+
+WIDTH: Final = 100.0  # of the scene
+_HEIGHT: Final = 0.11  # of the range of altitudes that matters, in widths: mountains are seen
+_STRETCHES: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 8.0)
+_TILE_CELLS: Final = 60
+_CIRCLE_POINTS: Final = 64
+_BELOW: Final = 0.25  # of the ground: there lies what is not known
+_LIGHT: Final = np.array([-0.55, 0.45, 0.70])  # from the north-west, as on maps
+_TINTS: Final = np.array(
+    [[231, 226, 190], [214, 198, 146], [188, 158, 104], [152, 120, 76], [116, 88, 58]]
+)
+"""Altitudes in colours: darker is higher, whatever colours the reader sees."""
+_GLB, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+IndexArray = NDArray[np.uint32]
+
+
+class Mesh(NamedTuple):
+    """Triangles."""
+
+    vertices: FloatArray  # (V, 3)
+    faces: IndexArray  # (F, 3)
+    colours: NDArray[np.uint8] | None = None  # (V, 3)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Area:
+    """What the scene shows: ranges of north, east and altitude AMSL."""
+
+    north_m: tuple[float, float]
+    east_m: tuple[float, float]
+    low_m: float
+    high_m: float
+
+    @staticmethod
+    def of(recording: Recording) -> "Area":
+        """The mission's map, from the ground that it starts from; of a log alone, its track's."""
+        places = recording.places_nea_m
+        if recording.mission is not None:
+            limits = recording.mission.task.limits
+            low_m = min(float(places[0, 2]), limits.floor_amsl_m)
+            above_m = 0.0 if recording.mission.near is None else recording.mission.near.range_m
+            return Area(
+                north_m=limits.north_m,
+                east_m=limits.east_m,
+                low_m=low_m,
+                high_m=limits.ceiling_amsl_m + above_m,  # so high are things that were seen there
+            )
+        low, high = places.min(axis=0), places.max(axis=0)
+        middle, half = (low + high) / 2.0, 0.6 * max(float((high - low)[:2].max()), 50.0)
+        north_m, east_m = ((float(at) - half, float(at) + half) for at in middle[:2])
+        return Area(north_m=north_m, east_m=east_m, low_m=float(low[2]), high_m=float(high[2]))
+
+    @property
+    def width_m(self) -> float:
+        """Of its longer side."""
+        return max(self.north_m[1] - self.north_m[0], self.east_m[1] - self.east_m[0])
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scale:
+    """How the local frame lies in the scene."""
+
+    centre_ne_m: tuple[float, float]
+    base_amsl_m: float
+    unit_m: float
+    """What one unit of the scene is."""
+    stretch: float
+    """Heights are drawn so many times larger."""
+
+    @staticmethod
+    def of(area: Area) -> "Scale":
+        """With heights stretched as far as mountains need to be seen from above."""
+        wanted = _HEIGHT * area.width_m / max(area.high_m - area.low_m, 1.0)
+        return Scale(
+            centre_ne_m=(sum(area.north_m) / 2.0, sum(area.east_m) / 2.0),
+            base_amsl_m=area.low_m,
+            unit_m=area.width_m / WIDTH,
+            stretch=max(each for each in _STRETCHES if each <= max(wanted, 1.0)),
+        )
+
+    def scene(self, places_nea_m: FloatArray) -> FloatArray:
+        """Places in the scene.  (..., 3) north, east, altitude -> (..., 3) x, y, z."""
+        north, east, altitude = np.moveaxis(np.asarray(places_nea_m, dtype=np.float64), -1, 0)
+        return np.stack(
+            [
+                (east - self.centre_ne_m[1]) / self.unit_m,
+                (north - self.centre_ne_m[0]) / self.unit_m,
+                (altitude - self.base_amsl_m) * self.stretch / self.unit_m,
+            ],
+            axis=-1,
+        )
+
+    def nea_m(self, points: FloatArray) -> FloatArray:
+        """The other way round.  (..., 3) -> (..., 3)."""
+        x, y, z = np.moveaxis(points, -1, 0)
+        return np.stack(
+            [
+                y * self.unit_m + self.centre_ne_m[0],
+                x * self.unit_m + self.centre_ne_m[1],
+                z * self.unit_m / self.stretch + self.base_amsl_m,
+            ],
+            axis=-1,
+        )
+
+
+# --- the ground
+
+
+def proven_tiles(
+    ground: Ground, scale: Scale, top_m: float
+) -> Iterator[tuple[tuple[int, int], bytes, Mesh]]:
+    """The proven ground in square pieces: where each is, what tells it from others, and itself.
+
+    top_m: the altitude of the darkest colour.
+    """
+    proven = ground.kind == PROVEN
+    corners_m = _corner_heights_m(ground, proven)
+    colours = _shaded(ground, corners_m, scale, top_m)
+    rows, columns = proven.shape
+    for row in range(0, rows, _TILE_CELLS):
+        for column in range(0, columns, _TILE_CELLS):
+            cells = slice(row, row + _TILE_CELLS), slice(column, column + _TILE_CELLS)
+            here = proven[cells]
+            if here.any():
+                seen_m = np.where(here, ground.height_m[cells], 0.0)
+                key = here.tobytes() + seen_m.astype(np.float32).tobytes()
+                yield (
+                    (row, column),
+                    key,
+                    _cells_mesh(ground, scale, here, corners_m, colours, (row, column)),
+                )
+
+
+def guessed_mesh(ground: Ground, scale: Scale) -> Mesh | None:
+    """The guessed ground."""
+    guessed = ground.kind == GUESSED
+    if not guessed.any():
+        return None
+    return _cells_mesh(ground, scale, guessed, _corner_heights_m(ground, guessed), None, (0, 0))
+
+
+def _corner_heights_m(ground: Ground, drawn: NDArray[np.bool_]) -> FloatArray:
+    """Heights of the corners of cells: the mean of those drawn about them.  (rows+1, columns+1)."""
+    height = np.pad(np.where(drawn, ground.height_m, 0.0).astype(np.float64), 1)
+    count = np.pad(drawn.astype(np.float64), 1)
+    total, number = (
+        each[:-1, :-1] + each[1:, :-1] + each[:-1, 1:] + each[1:, 1:] for each in (height, count)
+    )
+    return total / np.maximum(number, 1.0)
+
+
+def _shaded(ground: Ground, corners_m: FloatArray, scale: Scale, top_m: float) -> NDArray[np.uint8]:
+    """Colours of the corners: by altitude, lit from the north-west.  (rows+1, columns+1, 3)."""
+    smooth = scipy.ndimage.uniform_filter(corners_m, 3)
+    north, east = np.gradient(smooth * scale.stretch, ground.cell_m)
+    normal = np.stack([-east, -north, np.ones_like(east)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    light = 0.62 + 0.48 * np.clip(normal @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
+    share = np.clip((corners_m - scale.base_amsl_m) / max(top_m - scale.base_amsl_m, 1.0), 0.0, 1.0)
+    at = share * (len(_TINTS) - 1)
+    tint = np.stack([np.interp(at, range(len(_TINTS)), _TINTS[:, k]) for k in range(3)], axis=-1)
+    return np.clip(tint * light[..., None], 0, 255).astype(np.uint8)
+
+
+def _cells_mesh(
+    ground: Ground,
+    scale: Scale,
+    drawn: NDArray[np.bool_],
+    corners_m: FloatArray,
+    colours: NDArray[np.uint8] | None,
+    origin: tuple[int, int],
+) -> Mesh:
+    """A quad for each drawn cell; vertices are shared.  origin: row and column of the first."""
+    rows, columns = drawn.shape
+    corners = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
+    sw, se = corners[:-1, :-1][drawn], corners[:-1, 1:][drawn]
+    nw, ne = corners[1:, :-1][drawn], corners[1:, 1:][drawn]
+    faces = np.concatenate([np.stack([sw, se, ne], -1), np.stack([sw, ne, nw], -1)])
+    used, faces = np.unique(faces, return_inverse=True)
+    row, column = np.divmod(used, columns + 1)
+    row, column = row + origin[0], column + origin[1]
+    places = np.stack(
+        [
+            ground.north_min_m + row * ground.cell_m,
+            ground.east_min_m + column * ground.cell_m,
+            corners_m[row, column],
+        ],
+        axis=-1,
+    )
+    return Mesh(
+        scale.scene(places),
+        faces.reshape(-1, 3).astype(np.uint32),
+        None if colours is None else colours[row, column],
+    )
+
+
+def plate(scale: Scale, area: Area) -> Mesh:
+    """What nothing is known of: the whole map, flat."""
+    (south, north), (west, east) = area.north_m, area.east_m
+    low = scale.base_amsl_m
+    corners = np.array(
+        [[south, west, low], [south, east, low], [north, east, low], [north, west, low]]
+    )
+    flat = scale.scene(corners) - [0.0, 0.0, _BELOW]
+    return Mesh(flat, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32))
+
+
+def grid_lines(scale: Scale, area: Area, step_m: float) -> FloatArray:
+    """Lines on the plate, so far apart.  -> (L, 2, 3)."""
+    low, lines = scale.base_amsl_m, []
+    (south, north), (west, east) = area.north_m, area.east_m
+    for at in np.arange(math.ceil(south / step_m), north / step_m) * step_m:
+        lines.append([[at, west, low], [at, east, low]])
+    for at in np.arange(math.ceil(west / step_m), east / step_m) * step_m:
+        lines.append([[south, at, low], [north, at, low]])
+    return scale.scene(np.array(lines)) - [0.0, 0.0, _BELOW / 2.0]
+
+
+def grid_step_m(area: Area) -> float:
+    """A round length: some ten of them across the map."""
+    about_m = area.width_m / 10.0
+    power = 10.0 ** math.floor(math.log10(about_m))
+    return max(each * power for each in (1.0, 2.0, 5.0) if each * power <= about_m)
+
+
+def painted_glb(mesh: Mesh) -> bytes:
+    """A mesh with colours of its own as binary glTF 2.0, to be drawn as painted: without light."""
+    assert mesh.colours is not None
+    opaque = np.insert(mesh.colours, 3, 255, axis=1).astype(np.uint8)
+    vertices = mesh.vertices.astype("<f4")
+    parts = [vertices.tobytes(), opaque.tobytes(), mesh.faces.astype("<u4").tobytes()]
+    begins = np.cumsum([0, *(len(part) for part in parts)]).tolist()
+    views = [{"buffer": 0, "byteOffset": a, "byteLength": b - a} for a, b in pairwise(begins)]
+    number, size = len(vertices), mesh.faces.size
+    accessors: list[dict[str, object]] = [
+        {"bufferView": 0, "componentType": 5126, "count": number, "type": "VEC3"},
+        {
+            "bufferView": 1,
+            "componentType": 5121,
+            "count": number,
+            "type": "VEC4",
+            "normalized": True,
+        },
+        {"bufferView": 2, "componentType": 5125, "count": size, "type": "SCALAR"},
+    ]
+    accessors[0] |= {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
+    drawn = {"attributes": {"POSITION": 0, "COLOR_0": 1}, "indices": 2, "material": 0}
+    unlit = "KHR_materials_unlit"
+    head = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": [unlit],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [drawn]}],
+        "materials": [{"extensions": {unlit: {}}, "doubleSided": True}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": begins[-1]}],
+    }
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = (
+        _CHUNK.pack(len(text), b"JSON") + text + _CHUNK.pack(begins[-1], b"BIN\0") + b"".join(parts)
+    )
+    return _GLB.pack(b"glTF", 2, _GLB.size + len(chunks)) + chunks
+
+
+# --- threats
+
+
+def radar_mesh(radar: Radar, scale: Scale, band_m: tuple[float, float]) -> Mesh:
+    """The sphere of a radar between two altitudes, closed above."""
+    north, east, altitude = radar.centre_nea_m
+    sines = np.clip([(end - altitude) / radar.range_m for end in band_m], -1.0, 1.0)
+    lift = np.arcsin(np.linspace(sines[0], sines[1], 14))[:, None]
+    turn = np.linspace(0.0, math.tau, _CIRCLE_POINTS + 1)
+    ball = [np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift) + 0.0 * turn]
+    return _grid_mesh(scale.scene(np.stack(ball, -1) * radar.range_m + [north, east, altitude]))
+
+
+def zone_mesh(zone: Zone, scale: Scale, band_m: tuple[float, float]) -> Mesh:
+    """The walls of a zone."""
+    outline = outline_ne_m(zone)
+    walls = np.stack([np.insert(outline, 2, altitude, axis=1) for altitude in band_m])
+    return _grid_mesh(scale.scene(walls))
+
+
+def outline_ne_m(zone: Zone) -> FloatArray:
+    """The closed outline of a zone.  -> (N, 2)."""
+    if isinstance(zone, CircleZone):
+        return circle_ne_m((zone.north_m, zone.east_m), zone.radius_m)
+    return np.array([*zone.vertices_ne_m, zone.vertices_ne_m[0]], dtype=np.float64)
+
+
+def circle_ne_m(centre_ne_m: tuple[float, float], radius_m: float) -> FloatArray:
+    """A closed circle.  -> (N, 2)."""
+    turn = np.linspace(0.0, math.tau, _CIRCLE_POINTS + 1)
+    return radius_m * np.stack([np.cos(turn), np.sin(turn)], -1) + np.asarray(centre_ne_m)
+
+
+def _grid_mesh(points: FloatArray) -> Mesh:
+    """(M, N, 3) -> a mesh of (M - 1) (N - 1) quads."""
+    rows, columns, _ = points.shape
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+    return Mesh(points.reshape(-1, 3), faces.astype(np.uint32))
+
+
+# --- lines
+
+
+def segments(points: FloatArray) -> FloatArray:
+    """The pieces of a line.  (N, 3) -> (N - 1, 2, 3)."""
+    return np.stack([points[:-1], points[1:]], axis=1)
+
+
+def dart() -> Mesh:
+    """The vehicle: a flat arrowhead of unit length that points to +x, with a keel."""
+    vertices = np.array(
+        [
+            [0.6, 0, 0],
+            [-0.4, 0.4, 0],
+            [-0.2, 0, 0],
+            [-0.4, -0.4, 0],
+            [-0.2, 0, 0.22],
+            [-0.2, 0, -0.1],
+        ]
+    )
+    faces = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]]
+    return Mesh(vertices, np.array(faces, dtype=np.uint32))
+
+
+def met(
+    scale: Scale, ground: Ground | None, origin: FloatArray, direction: FloatArray
+) -> tuple[float, float] | None:
+    """North and east of where a ray first meets the ground; None: it goes by.  origin: (3,)."""
+    lengths = np.linspace(0.0, 6.0 * WIDTH, 12_000)
+    places = scale.nea_m(origin + lengths[:, None] * direction)
+    surface = np.full(len(places), scale.base_amsl_m)
+    if ground is not None:
+        row = np.floor((places[:, 0] - ground.north_min_m) / ground.cell_m).astype(np.intp)
+        column = np.floor((places[:, 1] - ground.east_min_m) / ground.cell_m).astype(np.intp)
+        rows, columns = ground.kind.shape
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        row, column = row[inside], column[inside]
+        known = ground.kind[row, column] != 0
+        surface[inside] = np.where(known, ground.height_m[row, column], scale.base_amsl_m)
+    below = np.flatnonzero(places[:, 2] <= surface)
+    if not len(below):
+        return None
+    north_m, east_m, _ = places[below[0]].tolist()
+    return north_m, east_m

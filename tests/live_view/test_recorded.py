@@ -1,0 +1,213 @@
+"""What the page shows of a flight that was recorded, without a browser."""
+
+import re
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rich
+import viser
+from programs import free_port
+from recorded import flown, mission_file, record
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
+
+from companion.errors import InputError
+from companion.live_view.ground import PROVEN, UNKNOWN, Replica
+from companion.live_view.page import Flight, Page
+from companion.live_view.panel import charts_of
+from companion.live_view.recording import Recording
+from companion.live_view.server import Asked, serve
+from companion.live_view.shapes import Area, Scale, met
+from companion.session import Session
+from companion.telemetry.inputs import HEADER, packed
+
+_PIECES = 5
+_PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
+_PATIENCE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Session]:
+    """A flight with its inputs, paused once, and the session that has flown it."""
+    folder = tmp_path_factory.mktemp("recorded")
+    file = mission_file(folder)
+    it = flown(file)
+    record(folder / "run", it, file.read_text(encoding="utf-8"))
+    (folder / "run" / "inputs.msgpack").write_bytes(b"".join(packed([HEADER, *it.inputs])))
+    return folder / "run", it.session
+
+
+def test_a_flight_that_grows_is_read_like_one_that_is_over(
+    run_dir: tuple[Path, Session], tmp_path: Path
+) -> None:
+    """In pieces that end anywhere, as another process sees files that are written."""
+    folder, _ = run_dir
+    with Recording(folder) as whole:
+        whole.read()
+    names = ("flight.tlog", "journal.jsonl", "inputs.msgpack")
+    data = {name: (folder / name).read_bytes() for name in names}
+    (tmp_path / "mission.toml").write_bytes((folder / "mission.toml").read_bytes())
+    for name in names:
+        (tmp_path / name).touch()
+    replica = Replica(tmp_path)
+    with Recording(tmp_path) as growing:
+        for piece in range(1, _PIECES + 1):
+            for name in names:
+                (tmp_path / name).write_bytes(data[name][: len(data[name]) * piece // _PIECES])
+            growing.read()
+            while replica.advance(_PATIENCE_S):
+                pass
+    assert growing.events == whole.events
+    assert np.array_equal(growing.times_s, whole.times_s)
+    assert np.array_equal(growing.places_nea_m, whole.places_nea_m)
+    at_once = Replica(folder)
+    while at_once.advance(_PATIENCE_S):
+        pass
+    assert replica.ended is None
+    assert np.array_equal(replica.samples, at_once.samples, equal_nan=True)
+    assert len(replica.grounds) == len(at_once.grounds)
+
+
+def test_the_ground_is_what_the_flight_knew(run_dir: tuple[Path, Session]) -> None:
+    folder, session = run_dir
+    replica = Replica(folder)
+    while replica.advance(_PATIENCE_S):
+        pass
+    known, first, last = session.state.flight.known, replica.ground(0), replica.ground(-1)
+    assert (first.kind == UNKNOWN).all()
+    assert np.array_equal(last.kind == PROVEN, known.firm)
+    assert last.height_m[known.firm] == pytest.approx(known.upper_m[known.firm])
+
+
+def test_charts_tell_the_clearance_and_the_way_off_the_path(
+    run_dir: tuple[Path, Session],
+) -> None:
+    folder, _ = run_dir
+    flight = Flight.of(folder)
+    assert flight.replica is not None
+    while flight.replica.advance(_PATIENCE_S):
+        pass
+    with flight.recording:
+        charts = charts_of(flight.recording, flight.replica)
+    told = np.isfinite(charts.clearance_m)
+    above_m = (charts.altitude_m - charts.under_m)[told]
+    assert told.any()
+    assert (charts.clearance_m[told] <= above_m + 1e-6).all()  # straight down is one way
+    assert np.nanmax(charts.aside_m) < flight.recording.mission.task.limits.tracking_error_m  # type: ignore[union-attr]
+
+
+def test_a_ray_meets_the_ground_where_it_is_drawn(run_dir: tuple[Path, Session]) -> None:
+    folder, _ = run_dir
+    with Recording(folder) as recording:
+        recording.read()
+    scale = Scale.of(Area.of(recording))
+    place_nea_m = np.array([3000.0, 2000.0, scale.base_amsl_m])
+    eye = scale.scene(place_nea_m + np.array([-8000.0, 5000.0, 9000.0]))
+    ray = scale.scene(place_nea_m) - eye
+    found = met(scale, None, eye, ray / np.linalg.norm(ray))
+    assert found == pytest.approx(place_nea_m[:2], abs=2.0 * scale.unit_m)
+    assert scale.nea_m(scale.scene(place_nea_m)) == pytest.approx(place_nea_m)
+
+
+# --- the page
+
+
+@pytest.fixture(scope="module")
+def shown(run_dir: tuple[Path, Session]) -> Iterator[tuple[viser.ViserServer, Page]]:
+    rich.get_console().quiet = True
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    flight = Flight.of(run_dir[0])
+    page = Page(server, [flight])
+    for second in range(40):  # of its clock: until all is read
+        page.step(float(second), 1.0)
+    with flight.recording:
+        yield server, page
+    server.stop()
+
+
+def test_all_of_a_flight_is_in_the_scene(shown: tuple[viser.ViserServer, Page]) -> None:
+    server, _ = shown
+    names = set(server.scene._handle_from_node_name)
+    for name in ("/vehicle", "/track", "/unknown", "/guessed", "/targets/1", "/plan/p_scan"):
+        assert name in names
+    assert {"/plan/p_prog", "/plan/leg", "/plan/control", "/plan/guide", "/scan/reach"} <= names
+    assert [name for name in names if re.fullmatch(r"/proven/\d+_\d+", name)]
+    labels = {
+        handle.text  # type: ignore[attr-defined]
+        for name, handle in server.scene._handle_from_node_name.items()
+        if name.endswith("/label")
+    }
+    assert {"target", 'keep-out tower <&> "mast"', "keep-out village", "keep-in county"} <= labels
+
+
+def test_the_panel_follows_the_time(shown: tuple[viser.ViserServer, Page]) -> None:
+    server, page = shown
+    page.go_to(0.0)
+    page.step(100.0, 0.1)
+    began, place = page.status, server.scene.get_handle_by_name("/vehicle").position.copy()  # type: ignore[union-attr]
+    page.jump("next hold")
+    page.step(101.0, 0.1)
+    assert page.status != began
+    assert "paused by a person" in page.status
+    assert not np.allclose(server.scene.get_handle_by_name("/vehicle").position, place)  # type: ignore[union-attr]
+
+
+# --- who may see it
+
+
+@pytest.fixture
+def served(run_dir: tuple[Path, Session]) -> Iterator[Callable[[str], str]]:
+    """Serves the flight on a host, from this process; gives the address that is printed."""
+    over, threads = threading.Event(), list[threading.Thread]()
+
+    def start(host: str) -> str:
+        said, ready = list[str](), threading.Event()
+
+        def on_ready(address: str) -> None:
+            said.append(address)
+            ready.set()
+
+        asked = Asked(paths=(str(run_dir[0]),), host=host, port=0)
+        threads.append(threading.Thread(target=serve, args=(asked, on_ready, over.is_set)))
+        threads[-1].start()
+        assert ready.wait(_PATIENCE_S)
+        return said[0]
+
+    yield start
+    over.set()
+    for thread in threads:
+        thread.join()
+
+
+def test_elsewhere_than_on_loopback_the_token_is_asked_for(
+    served: Callable[[str], str],
+) -> None:
+    address = served("0.0.0.0")
+    found = re.search(r":(\d+)/\?websocket=ws://.*/\?token=(\S+)", address)
+    assert found is not None
+    place = f"ws://127.0.0.1:{found[1]}/"
+    for wrong in ("", "?token=", "?token=guessed"):
+        with connect(place + wrong, subprotocols=[_PROTOCOL], max_size=None) as socket:
+            with pytest.raises(ConnectionClosed) as closed:
+                socket.recv(_PATIENCE_S)
+            assert "the address that the terminal has printed" in str(closed.value.rcvd)
+    right = f"{place}?token={found[2]}"
+    with connect(right, subprotocols=[_PROTOCOL], max_size=None) as socket:
+        assert socket.recv(_PATIENCE_S)
+
+
+def test_a_port_that_is_taken_is_told(run_dir: tuple[Path, Session]) -> None:
+    port = free_port()
+    other = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
+    with pytest.raises(InputError, match=f"--view-port = {port}: .* in use"):
+        serve(Asked(paths=(str(run_dir[0]),), port=port), lambda _: None, lambda: True)
+    other.stop()
+
+
+def test_a_folder_without_a_flight_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="it holds no mission"):
+        serve(Asked(paths=(str(tmp_path),), port=0), lambda _: None, lambda: True)
