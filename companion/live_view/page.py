@@ -6,6 +6,7 @@ Callbacks of the page only put jobs into a queue; one thread does all of them, r
 import math
 import queue
 import time
+import traceback
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -30,6 +31,8 @@ from companion.live_view.panel import (
 )
 from companion.live_view.recording import Recording
 from companion.live_view.scene import LAYERS, Scene
+from companion.path.subpath import Subpath
+from companion.planner.plan import candidates_nea_m
 
 _PERIOD_S: Final = 0.1
 _READ_S: Final = 0.3
@@ -38,6 +41,7 @@ _REPLAY_S: Final = 0.06  # of processor time in a period, for what was known of 
 _SPEEDS: Final = ("1x", "5x", "20x", "60x", "300x")
 _VIEWS: Final = ("overview", "follow", "top")
 _FOLLOW: Final = np.array([-11.0, 0.0, 5.5])  # of the camera behind the vehicle
+_CANDIDATES: Final = 30
 _NEAR, _FAR = 0.05, 2000.0
 
 
@@ -64,12 +68,6 @@ class Flight:
             flight.replica = Replica(path)
             flight._last = last_ground(path, recording.mission)
         return flight
-
-    def more(self) -> None:
-        """Read what was recorded since, and go on to know the ground."""
-        self.recording.read()
-        if self.replica is not None:
-            self.replica.advance(_REPLAY_S)
 
     def ground_at(self, time_s: float) -> tuple[Ground | None, str]:
         """What was known of the ground; and what of that is not up to date."""
@@ -134,7 +132,9 @@ class Page:
         self._here: FloatArray = np.zeros(3)
         self._shown_s: tuple[float, int] = (-1.0, -1)
         self._read_at_s = self._charted_at_s = -math.inf
-        self._wanted_candidates = False
+        self._wants_candidates = False
+        self._candidates_of: int | None = None
+        """The plan whose candidates are drawn."""
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 80, 181))
         gui.set_panel_label("companion view")
@@ -254,10 +254,10 @@ class Page:
 
     def _choose(self, name: str) -> None:
         self._shown = next(flight for flight in self._flights if flight.name == name)
-        self._scene = None
+        self._scene, self._candidates_of = None, None
 
     def _want_candidates(self, wanted: bool) -> None:
-        self._wanted_candidates, self._shown_s = wanted, (-1.0, -1)
+        self._wants_candidates, self._shown_s = wanted, (-1.0, -1)
 
     def _when_viewed(self, event: Any) -> None:
         if event.client is not None:
@@ -312,9 +312,13 @@ class Page:
         """Do the jobs that come; a person does not wait for the next period."""
         while True:
             try:
-                self._jobs.get(timeout=max(until_s - time.monotonic(), 0.001))()
+                job = self._jobs.get(timeout=max(until_s - time.monotonic(), 0.001))
             except queue.Empty:
                 return
+            try:
+                job()
+            except Exception:  # noqa: BLE001 - of one browser, which may be gone: others look on
+                traceback.print_exc()
 
     def step(self, now_s: float, passed_s: float) -> None:
         """One look at what there is."""
@@ -351,6 +355,7 @@ class Page:
                 scene.show_ground(ground)
             here = scene.show(self._time_s, moment.decided, self._heading_rad())
             self._follow(here)
+            self._show_candidates(scene)
             for other in self._flights:
                 if other is not flight:
                     scene.show_other(other.name, other.recording, self._time_s)
@@ -365,6 +370,19 @@ class Page:
             for chart, data in zip(self._charts, _chart_data(flight.charts), strict=True):
                 chart.scales = _scales(data)
                 chart.data = data
+
+    def _show_candidates(self, scene: Scene) -> None:
+        """The best of the search for the newest plan that the replica has come to."""
+        replica = self._shown.replica
+        request = None if replica is None else replica.request
+        wanted = request.plan_id if self._wants_candidates and request is not None else None
+        if wanted == self._candidates_of:
+            return
+        self._candidates_of = wanted
+        control = (
+            () if request is None or wanted is None else candidates_nea_m(request, _CANDIDATES)
+        )
+        scene.show_candidates([Subpath(control_nea_m=each) for each in control])
 
     def _set(self, part: Any, content: str) -> None:
         if part.content != content:

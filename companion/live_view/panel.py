@@ -157,9 +157,8 @@ def events_html(events: list[Event], time_s: float, most: int = 14) -> str:
 @final
 @dataclass(slots=True)
 class Charts:
-    """What the charts show of one flight: rows of the track, and what belongs to each."""
+    """What the charts show of one flight, at times of their own."""
 
-    rows: Any = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     altitude_m: FloatArray = field(default_factory=lambda: np.empty(0))
     under_m: FloatArray = field(default_factory=lambda: np.empty(0))
     clearance_m: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -177,7 +176,6 @@ def charts_of(recording: Recording, replica: Replica | None) -> Charts:
     clearance_m, under_m = near_ground(recording, replica, times_s)
     planning = planning_of(recording, replica)
     return Charts(
-        rows=rows,
         times_s=times_s,
         altitude_m=recording.places_nea_m[rows, 2],
         under_m=under_m,

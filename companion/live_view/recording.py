@@ -215,11 +215,6 @@ class Recording:
         """When its last position was."""
         return float(self.times_s[-1]) if len(self.times_s) else 0.0
 
-    @property
-    def is_over(self) -> bool:
-        """Whether it has ended, or is a log that does not grow."""
-        return self._journal is None or (bool(self.events) and self.events[-1].kind == "end")
-
     def row_at(self, time_s: float) -> int:
         """The position that was the newest; there is one."""
         return max(int(np.searchsorted(self.times_s, time_s, "right")) - 1, 0)

@@ -14,6 +14,7 @@ from companion.live_view.ground import Ground
 from companion.live_view.recording import SECTORS, Decided, Recording, length_text, subpath_of
 from companion.live_view.shapes import Area, Mesh, Scale
 from companion.mission.journal import PlanReady
+from companion.path.subpath import Subpath
 from companion.world.threats import Zone
 
 Rgb = tuple[int, int, int]
@@ -30,7 +31,7 @@ _OTHERS: Final[Rgb] = (120, 120, 120)
 _CANDIDATE: Final[Rgb] = (90, 130, 190)
 _TRACK_POINTS: Final = 1500
 _CURVE_POINTS: Final = 80
-LAYERS: Final = ("guessed ground", "radars and zones", "scan", "control points", "labels")
+LAYERS: Final = ("guessed ground", "radars and zones", "scan", "control points")
 """What can be hidden."""
 
 
@@ -222,17 +223,20 @@ class Scene:
                 )
         self._hide()
 
-    def show_candidates(self, curves_nea_m: Sequence[FloatArray]) -> None:
-        """Draw the candidates of a search; none: take them away.  Each (S, 3)."""
+    def show_candidates(self, curves: Sequence[Subpath]) -> None:
+        """Draw the candidates of a search; none: take them away."""
         self._remove("/candidates")
-        if curves_nea_m:
-            pieces = [shapes.segments(self.scale.scene(each)) for each in curves_nea_m]
+        if curves:
+            pieces = [shapes.segments(self._points(each)) for each in curves]
             self._lines("/candidates", np.concatenate(pieces), _CANDIDATE, 1.0)
 
+    def _points(self, subpath: Subpath) -> FloatArray:
+        """Some points of a curve.  -> (S, 3)."""
+        lengths_m = np.linspace(0.0, subpath.length_m, _CURVE_POINTS)
+        return self.scale.scene(subpath.points_nea_m(lengths_m))
+
     def _curve(self, name: str, plan: PlanReady, width: float) -> None:
-        subpath = subpath_of(plan)
-        points = subpath.points_nea_m(np.linspace(0.0, subpath.length_m, _CURVE_POINTS))
-        self._lines(name, shapes.segments(self.scale.scene(points)), PATH, width)
+        self._lines(name, shapes.segments(self._points(subpath_of(plan))), PATH, width)
 
     # --- what was seen
 

@@ -99,6 +99,18 @@ def plan(
     return replace(outcome, stopped_after=patience.stopped_after)
 
 
+def candidates_nea_m(request: PlanRequest, most: int) -> FloatArray:
+    """Control points of the best candidates of a plan's first search, best first, to look at them.
+
+    -> (M, points, 3); empty where nothing is searched.
+    """
+    outward, verified = request.flown is None, request.task.settings.profile.verified
+    if not (outward and verified) or _impossible(request) or start_violation(request):
+        return np.empty((0, 4, 3))
+    search = _Plan(request, _TimeBudget(lambda: False), NUMPY)
+    return search.ranked_nea_m(most)
+
+
 @final
 class _TimeBudget:
     """Wraps `stop`: counts the calls until it is true, and then stays true."""
@@ -247,6 +259,11 @@ class _Plan:
         if self._is_better_to_stop(best):
             return self._refused(Refusal.BETTER_TO_STOP)
         return best
+
+    def ranked_nea_m(self, most: int) -> FloatArray:
+        """Control points of the best candidates of the first search.  -> (M, points, 3)."""
+        self._tries += 1
+        return control_points(self._search(self._scene)[:most], self._scene)
 
     def _is_better_to_stop(self, best: Planned) -> bool:
         """Whether it costs less to stop at the end of the current leg and continue from there.
