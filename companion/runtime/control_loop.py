@@ -6,10 +6,10 @@ import threading
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import final
+from typing import Protocol, final
 
 from companion.mavlink.link import VEHICLE_LINK, Output
-from companion.planner.request import Planned
+from companion.planner.request import Planned, PlanRequest
 from companion.runtime.latency import StreamTimes
 from companion.runtime.link import GroundLinks, Link
 from companion.runtime.recorder import WRITER, Batch, Writer
@@ -21,7 +21,6 @@ from companion.runtime.workers import (
     Item,
     LinkReader,
     PlanComputed,
-    PlannerWorker,
     WorkerLost,
 )
 from companion.session import Session
@@ -38,6 +37,19 @@ _MAX_PLANS = 2_000
 _RESERVE_S = 10.0
 
 
+class Planning(Protocol):
+    """Who computes the plans, and puts them into the event queue."""
+
+    @property
+    def newest(self) -> int:
+        """Number of the last request: an answer to an earlier one is not waited for."""
+        ...
+
+    def ask(self, request: PlanRequest) -> None:
+        """Compute a request, now or soon."""
+        ...
+
+
 @final
 @dataclass(slots=True, kw_only=True)
 class ControlLoop:
@@ -50,7 +62,7 @@ class ControlLoop:
     gate: Gate
     event_queue: EventQueue
     reader: LinkReader
-    planning: PlannerWorker
+    planning: Planning
     writer: Writer
     watchdog: Watchdog
     times: StreamTimes

@@ -128,6 +128,18 @@ class GroundLinks:
                 link.send([*frames])
 
 
+def datagrams(frames: Sequence[bytes]) -> Iterator[bytes]:
+    """Frames in their order, as many in each datagram as go over a network in one piece."""
+    batch = b""
+    for frame in frames:
+        if batch and len(batch) + len(frame) > LARGEST_DATAGRAM:
+            yield batch
+            batch = b""
+        batch += frame
+    if batch:
+        yield batch
+
+
 @final
 class UdpLink(Link):
     """Datagrams to and from one peer: for udpin, the sender that turned out to be the vehicle."""
@@ -172,13 +184,9 @@ class UdpLink(Link):
         """Send frames in order, in few datagrams; dropped before a peer was heard."""
         if self._peer is None:
             return
-        batch = b""
-        for frame in [*frames, b""]:
-            if batch and (not frame or len(batch) + len(frame) > LARGEST_DATAGRAM):
-                with contextlib.suppress(OSError):  # a datagram that is lost, like any other
-                    self._socket.sendto(batch, self._peer)
-                batch = b""
-            batch += frame
+        for datagram in datagrams(frames):
+            with contextlib.suppress(OSError):  # a datagram that is lost, like any other
+                self._socket.sendto(datagram, self._peer)
 
     def close(self) -> None:
         """Close the port."""

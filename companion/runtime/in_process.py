@@ -1,0 +1,183 @@
+"""A flight in one process: a session and a simulated vehicle in lockstep, without sockets.
+
+    flown = fly_in_process(session, Simulation(world, seed=1), planner=Planner(lockstep=True))
+
+The control loop is the one that flies over UDP, here in the caller's thread: it is given the same
+datagrams, and the vehicle the same answers, so the flight is the same to the byte (decision 0026).
+Vehicle time goes on when all that the vehicle has said is answered.  Nothing waits, and a clock is
+read only to say how long it took.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol, final
+
+from companion.planner.request import PlanRequest
+from companion.runtime.control_loop import ControlLoop
+from companion.runtime.latency import StreamTimes
+from companion.runtime.link import GroundLinks, Link, datagrams
+from companion.runtime.recorder import Batch, InlineWriter, Recorder, Writer
+from companion.runtime.watchdog import Failure, Gate, Watchdog
+from companion.runtime.workers import EventQueue, LinkReader, PlanComputed, PlanFunction, WorkerLost
+from companion.session import Session
+from companion.telemetry.flight_summary import FlightSummary
+from companion.telemetry.run_folder import RunFolder
+
+
+class SimulatedVehicle(Protocol):
+    """A vehicle without sockets and clock; `vehicle_sim.simulation.Simulation` is one."""
+
+    @property
+    def now_us(self) -> int:
+        """Its time since the start."""
+        ...
+
+    @property
+    def companion(self) -> object | None:
+        """Whose heartbeat it has heard; None: nobody's yet."""
+        ...
+
+    def send_heartbeat(self) -> None:
+        """Queue its heartbeats; its time stands still."""
+        ...
+
+    def begin(self) -> None:
+        """The flight begins: frames are counted from here."""
+        ...
+
+    def step(self) -> bool:
+        """Fly one step; whether it ends a tick, which has to be answered."""
+        ...
+
+    def ask_for_sync(self) -> int:
+        """Queue the TIMESYNC request that ends a tick."""
+        ...
+
+    def take_frames(self) -> list[tuple[int, bytes]]:
+        """What it says by now: link and frame."""
+        ...
+
+    def receive(self, link: int, data: bytes) -> None:
+        """Tell it something by a link."""
+        ...
+
+
+@final
+class VehicleLink(Link):
+    """A link to a vehicle in this process: with nothing left to receive, it flies on by a tick."""
+
+    def __init__(self, vehicle: SimulatedVehicle, on_step: Callable[[], None]) -> None:
+        """on_step: called after each step of the vehicle."""
+        self._vehicle, self._on_step = vehicle, on_step
+        self._waiting: deque[bytes] = deque()
+        self._began = False
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        """The next datagram; None if the vehicle said nothing in this tick."""
+        del timeout_s
+        if not self._waiting:
+            self._fly_on()
+        return self._waiting.popleft() if self._waiting else None
+
+    def send(self, frames: list[bytes]) -> None:
+        """Tell the vehicle, at its present time."""
+        for datagram in datagrams(frames):
+            self._vehicle.receive(0, datagram)
+
+    def close(self) -> None:
+        """There is nothing to let go of."""
+
+    def _fly_on(self) -> None:
+        vehicle = self._vehicle
+        if vehicle.companion is None and not self._began:
+            vehicle.send_heartbeat()
+        else:
+            if not self._began:
+                self._began = True
+                vehicle.begin()
+            complete = False
+            while not complete:
+                complete = vehicle.step()
+                self._on_step()
+            vehicle.ask_for_sync()
+        self._waiting.extend(datagrams([frame for _, frame in vehicle.take_frames()]))
+
+
+@final
+class _Planning:
+    """Computes plans at once (`workers.PlannerWorker`)."""
+
+    def __init__(self, planner: PlanFunction, event_queue: EventQueue) -> None:
+        self.newest = 0
+        self._planner, self._event_queue = planner, event_queue
+
+    def ask(self, request: PlanRequest) -> None:
+        self.newest += 1
+        began_s = time.perf_counter()
+        outcome = self._planner(request, lambda: False)
+        took_s = time.perf_counter() - began_s
+        self._event_queue.put(PlanComputed(self.newest, outcome, took_s))
+
+
+@final
+class _NoWriter:
+    """Records nothing."""
+
+    def put(self, batch: Batch) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def fly_in_process(
+    session: Session,
+    vehicle: SimulatedVehicle,
+    *,
+    planner: PlanFunction,
+    folder: RunFolder | None = None,
+    writer: Writer | None = None,
+    stop_asked: Callable[[], bool] = lambda: False,
+    on_step: Callable[[], None] = lambda: None,
+) -> FlightSummary:
+    """Fly a session in lockstep until its mission ends; errors of session and planner are raised.
+
+    folder: where it is recorded; or any writer in its place.  stop_asked: ends the mission, as
+    Ctrl-C does.  on_step: called after each step of the vehicle, to look at it or to change it.
+    """
+
+    def clock() -> float:
+        return vehicle.now_us * 1e-6
+
+    def on_loss(failure: Failure) -> None:
+        event_queue.put(WorkerLost(failure, vital=False))
+
+    began_s = time.perf_counter()
+    event_queue, ground, flown = EventQueue(), GroundLinks([]), FlightSummary(session=session)
+    link = VehicleLink(vehicle, on_step)
+    gate = Gate(link, clock)
+    if folder is not None:
+        writer = InlineWriter(Recorder(folder, clock, persist=None), on_loss)
+    ControlLoop(
+        session=session,
+        flown=flown,
+        link=link,
+        ground=ground,
+        gate=gate,
+        event_queue=event_queue,
+        reader=LinkReader(link, event_queue, gate, clock),
+        planning=_Planning(planner, event_queue),
+        writer=writer or _NoWriter(),
+        watchdog=Watchdog(
+            gate,
+            clock=clock,
+            hold_frames=session.hold_frames,
+            on_failure=lambda *_: None,
+            on_loss=on_loss,
+        ),
+        times=StreamTimes(),
+        lockstep=True,
+        stop_asked=stop_asked,
+        clock=clock,
+    ).run()
+    flown.elapsed_s = time.perf_counter() - began_s
+    return flown
