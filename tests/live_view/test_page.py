@@ -1,0 +1,180 @@
+"""The page in a real browser: what it shows of a flight, and what can be done there.
+
+One flight for all: it is led from the page while it is flown, then opened again from its folder.
+"""
+
+import io
+import re
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flights import HILLS, HILLS_MISSION, Flight, launch
+from PIL import Image
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+from programs import free_port
+
+from companion.live_view.server import Asked, serve
+
+_OPTIONS = (
+    *("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"),
+    *("--enable-unsafe-swiftshader", "--disable-background-networking", "--mute-audio"),
+)
+_PATIENCE_MS = 60_000.0
+_COARSE = "fixedDpr=0.5"  # a quarter of the pixels: there is no graphics processor
+_ENDURING = ("--param", "BATT_CAPACITY=100000")
+Start = Callable[[], Browser]
+expect.set_options(timeout=_PATIENCE_MS)
+
+
+@pytest.fixture(scope="module")
+def browser(chromium: Path) -> Iterator[Start]:
+    """Starts one.  Without a graphics processor one draws one page, and never another."""
+    with sync_playwright() as playwright:
+        start = playwright.chromium.launch
+        yield lambda: start(executable_path=chromium, args=list(_OPTIONS))
+
+
+@pytest.fixture(scope="module")
+def flight(chromium: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
+    """In real time, four times: a vehicle that waits is somewhere else after a look at it."""
+    del chromium  # without a browser nobody looks at it
+    folder = tmp_path_factory.mktemp("viewed") / "run"
+    view = ("--view-control", "--view-port", "0")
+    clock = ("--speedup", "4", *_ENDURING)
+    flying = launch(folder, HILLS, HILLS_MISSION, *view, clock=clock)
+    yield flying
+    flying.kill()
+
+
+@pytest.fixture(scope="module")
+def address(flight: Flight) -> str:
+    """Of its page, with the token."""
+    return flight.companion.expect(r"view: (\S+)").group(1)
+
+
+@pytest.fixture(scope="module")
+def page(browser: Start, address: str) -> Iterator[Page]:
+    """The page of the flight, for who has the token."""
+    with opened(browser, address) as page:
+        expect(page.get_by_text("flying", exact=True)).to_be_visible()
+        yield page
+
+
+@contextmanager
+def opened(browser: Start, address: str, *, forgiving: bool = False) -> Iterator[Page]:
+    """A page whose console has no word of an error in the end.
+
+    forgiving: its server goes away meanwhile, and it says so.
+    """
+    started = browser()
+    page = started.new_page(viewport={"width": 1000, "height": 640})
+    page.set_default_timeout(_PATIENCE_MS)
+    said: list[str] = []
+    page.on("console", lambda told: said.append(told.text) if told.type == "error" else None)
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(f"{address}{'&' if '?' in address else '?'}{_COARSE}")
+    yield page
+    started.close()
+    assert forgiving or said == []
+
+
+def row(page: Page, name: str) -> str:
+    """What a row of the panel says."""
+    return page.locator("tr", has_text=re.compile(f"^{name}")).first.inner_text()
+
+
+def drawn(page: Page) -> dict[str, float]:
+    """Shares of the pixels of the scene that can only be of one thing."""
+    picture = Image.open(
+        io.BytesIO(page.locator("canvas[data-engine]").first.screenshot())
+    ).convert("RGB")
+    red, green, blue = np.moveaxis(np.asarray(picture, dtype=float), -1, 0)
+    shares = {
+        "path": (blue > red + 90.0) & (blue > green + 60.0),
+        "radar": (red > green + 10.0) & (blue > green + 10.0),
+        "proven ground": (red > blue + 12.0) & (green > blue + 4.0) & (red < green + 60.0),
+        "unknown ground": (abs(red - green) < 8.0) & (abs(blue - green) < 10.0) & (red < 215.0),
+    }
+    return {name: float(those.mean()) for name, those in shares.items()}
+
+
+def order(page: Page, label: str) -> str:
+    """Give an order; what the page says that came of it."""
+    page.get_by_role("button", name=label, exact=True).press("Enter")
+    return confirmed(page, label)
+
+
+def confirmed(page: Page, label: str) -> str:
+    page.get_by_role("button", name=f"yes, {label}").press("Enter")
+    told = page.locator(".mantine-Notification-root", has_text=label).last
+    expect(told).to_contain_text(re.compile("accepted|refused|no answer"))
+    return told.inner_text()
+
+
+# --- while it is flown
+
+
+def test_who_has_no_token_is_refused(browser: Start, address: str) -> None:
+    with opened(browser, address.partition("?")[0]) as page:
+        page.get_by_role("textbox").first.fill("a guess")
+        page.get_by_role("button", name="unlock").press("Enter")
+        expect(page.get_by_text("this is not the token")).to_be_visible()
+        assert page.get_by_role("button", name="hold", exact=True).count() == 0
+
+
+def test_what_is_flown_is_on_the_page_and_changes(page: Page) -> None:
+    expect(page.get_by_text("newest plan")).to_be_visible()
+    before = row(page, "to go")
+    expect(page.locator("tr", has_text=re.compile("^to go")).first).not_to_have_text(before)
+    assert min(drawn(page).values()) > 2e-4, drawn(page)
+
+
+def test_who_has_the_token_holds_and_continues(page: Page, flight: Flight) -> None:
+    assert "accepted" in order(page, "hold")
+    expect(page.get_by_text("paused by a person").first).to_be_visible()
+    assert "accepted" in order(page, "continue")
+    expect(page.get_by_text("flying", exact=True)).to_be_visible()
+    orders = [entry["order"] for entry in flight.journal if entry.get("kind") == "order"]
+    assert orders == ["PAUSE", "CONTINUE"]
+
+
+# --- again, from its folder
+
+
+@contextmanager
+def served(folder: Path, port: int) -> Iterator[str]:
+    """The page of a run folder, from this process."""
+    over, ready = threading.Event(), threading.Event()
+    asked = Asked(paths=(str(folder),), port=port)
+    serving = threading.Thread(
+        target=serve, args=(asked, lambda _: ready.set(), over.is_set), daemon=True
+    )
+    serving.start()
+    assert ready.wait(_PATIENCE_MS / 1e3)
+    yield f"http://127.0.0.1:{port}/"
+    over.set()
+    serving.join()
+
+
+def test_a_run_folder_is_shown_again_and_the_page_comes_back(
+    browser: Start, flight: Flight, page: Page
+) -> None:
+    page.close()
+    flight.companion.interrupt(60.0)
+    port = free_port()
+    with ExitStack() as stack:
+        with served(flight.folder, port) as address:
+            again = stack.enter_context(opened(browser, address, forgiving=True))
+            expect(again.get_by_text("next plan")).to_be_visible()
+            again.get_by_role("button", name="next hold").click()
+            slider = again.get_by_role("slider")
+            slider.press("Home")
+            expect(again.locator("tr", has_text=re.compile("^time"))).to_have_text("time0:00")
+            again.get_by_role("button", name="next hold").click()
+            expect(again.get_by_text("paused by a person").first).to_be_visible()
+        with served(flight.folder, port):
+            expect(again.locator("tr", has_text=re.compile("^time"))).not_to_have_text("time0:00")
