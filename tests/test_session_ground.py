@@ -22,11 +22,9 @@ class Beside(Pair):
         session = Session(MISSION, seed=1, lockstep=True, has_ground=has_ground)
         super().__init__(session, Vehicle(lockstep=True))
         self.to_ground: list[bytes] = []
-        self.inputs: list[Any] = []
 
     def take(self, out: Output) -> Output:
         self.to_ground += out.to_ground
-        self.inputs += out.inputs
         return super().take(out)
 
     def hear(self, message: Any, sender: tuple[int, int] = PERSON, link: int = 1) -> None:
