@@ -3,6 +3,8 @@
 What was proven stays proven: a leg is checked only against rules that are new or stricter.
 """
 
+import math
+
 import numpy as np
 
 from companion.geodesy import FloatArray
@@ -80,6 +82,9 @@ def comes_too_near(leg: Leg, from_m: float, zones: tuple[Zone, ...], required_m:
 def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float) -> bool:
     """Whether something stands nearer than required to the rest of a leg, seen from above.
 
+    What is too near already may be left: a stop would be on the same path.  It must lead away, to
+    where the distance is kept, within as much of the path.
+
     Looked at every half cell along the leg; what lies between two points is nearer by less than a
     thirtieth of a cell where required_m is a cell or more.
     """
@@ -95,7 +100,12 @@ def meets_near_things(leg: Leg, from_m: float, near: NearMap, required_m: float)
     north, east = (
         np.maximum(np.abs(points[:, k, None] - middles[:, k]) - 0.5 * cell_m, 0.0) for k in (0, 1)
     )
-    return bool((north * north + east * east < required_m**2).any())
+    gaps_m2 = (north * north + east * east).min(axis=1, initial=math.inf)
+    kept = gaps_m2 >= required_m**2
+    left_at = int(np.argmax(kept)) if kept.any() else steps
+    if left_at and lengths[left_at] - from_m > required_m:
+        return True
+    return bool((gaps_m2[:left_at] < gaps_m2[0]).any() or not kept[left_at:].all())
 
 
 def _is_clear(cubics: FloatArray, piece: list[float], table: ZoneTable, wanted_m: float) -> bool:

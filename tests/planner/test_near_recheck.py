@@ -51,11 +51,12 @@ def test_a_leg_meets_what_stands_nearer_to_its_rest_than_required(
     cells = [tuple(rng.integers(0, PLACE.shape).tolist()) for _ in range(rng.integers(0, 6))]
     from_m = share * leg.subpath.length_m
     lengths = np.linspace(from_m, leg.subpath.length_m, 4001)
-    gap = gap_m(leg.subpath.points_nea_m(lengths)[:, :2], cells)
+    points = leg.subpath.points_nea_m(lengths)[:, :2]
+    gap, now = gap_m(points, cells), gap_m(points[:1], cells)
     meets = meets_near_things(leg, from_m, near_map(cells), required_m)
     if gap >= required_m + 1e-9:
         assert not meets
-    elif gap < required_m - CELL_M / 30.0:
+    elif gap < required_m - CELL_M / 30.0 and now >= required_m:
         assert meets
 
 
@@ -68,6 +69,21 @@ def test_what_is_behind_or_was_wiped_out_is_not_met() -> None:
     near.met_since_s[20, 40] = math.inf
     assert not meets_near_things(leg, 0.0, near, 0.5)
     assert meets_near_things(leg, leg.subpath.length_m, near_map([(84, 40)]), 0.5)  # at its end
+
+
+def straight_on(north_m: float) -> Leg:
+    control = np.outer(np.linspace(0.0, 1.0, 4), [north_m, 0.0, 0.0])
+    return Leg(number=1, plan_id=1, subpath=Subpath(control_nea_m=control), reaches_target=False)
+
+
+def test_what_is_too_near_is_left_by_a_leg_that_leads_away_soon_and_to_nothing_else() -> None:
+    behind, abeam = (18, 40), [(row, 42) for row in range(10, 110)]  # 0.25 m south, 0.5 m east
+    assert not meets_near_things(straight_on(8.0), 0.0, near_map([behind]), 1.0)
+    assert not meets_near_things(straight_on(8.0), 0.3, near_map([behind]), 1.0)
+    assert meets_near_things(straight_on(0.5), 0.0, near_map([behind]), 1.0)  # it ends too near
+    assert meets_near_things(straight_on(8.0), 0.0, near_map([(22, 40)]), 1.0)  # ahead
+    assert meets_near_things(straight_on(8.0), 0.0, near_map(abeam), 1.0)  # along a wall
+    assert meets_near_things(straight_on(8.0), 0.0, near_map([behind, (44, 40)]), 1.0)  # to another
 
 
 # --- routes
