@@ -5,11 +5,13 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
 
-RUN = Path(__file__).parents[1] / ".ci" / "run"
+ROOT = Path(__file__).parents[1]
+RUN = ROOT / ".ci" / "run"
 TEST = """#!/usr/bin/env bash
 cd "$(dirname "$0")/.." || exit 1
 { ls -A; echo "beside: $(ls ..)"; echo "home: $(ls -A "$HOME")"; echo "options: $*"
@@ -99,3 +101,34 @@ def test_tests_of_one_group_are_run_by_one_worker(tmp_path: Path) -> None:
         workers.setdefault(number, set()).add(worker)
     assert [len(each) for each in workers.values()] == [1] * 9
     assert set.union(*workers.values()) == {"gw0", "gw1"}
+
+
+WITHOUT_DEVELOPERS = """
+import sys
+class Refuses:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {names!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Refuses())
+{compiles}
+import companion.cli, vehicle_sim.server, companion.live_view.server
+"""
+
+
+def test_a_clone_is_set_up_and_flies_with_what_users_install() -> None:
+    pins = {
+        name: set(re.findall(r"^([\w.-]+)==", (ROOT / name).read_text(encoding="utf-8"), re.M))
+        for name in ("requirements.txt", "requirements-dev.txt")
+    }
+    only = pins["requirements-dev.txt"] - pins["requirements.txt"]
+    assert "pytest" in only
+    names = {
+        module
+        for module, distributions in packages_distributions().items()
+        if {each.lower().replace("_", "-") for each in distributions} <= only
+    }
+    assert "pytest" in names
+    setup = (ROOT / "scripts" / "setup.sh").read_text(encoding="utf-8")
+    [compiles] = re.findall(r"^compiles='(.*?)\n[^\n]*load_kernel\(\)'$", setup, re.M | re.S)
+    program = WITHOUT_DEVELOPERS.format(names=names, compiles=compiles)
+    subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True, timeout=120)
