@@ -95,7 +95,7 @@ class Orders:
         _tell(client, "new target", "click on the ground", is_good=True)
 
         def picked(event: viser.SceneClickEvent) -> None:
-            client.scene.remove_click_callback(picked)
+            client.scene.remove_click_callback()
             place = place_of(event.ray_origin, event.ray_direction)
             if place is None:
                 _tell(client, "new target", "there is no ground there", is_good=False)
@@ -104,6 +104,7 @@ class Orders:
             question = f"New target: {where}?"
             self._ask(client, "new target", question, lambda: control.go_to(place, self._frame))
 
+        client.scene.remove_click_callback()  # of a target that was wanted before
         client.scene.on_click()(picked)
 
 

@@ -4,8 +4,10 @@ One flight for all: it is led from the page while it is flown, then opened again
 """
 
 import io
+import math
 import re
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -17,6 +19,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from programs import free_port
 
+from companion.geodesy import FloatArray
 from companion.live_view.server import Asked, serve
 
 _OPTIONS = (
@@ -25,6 +28,7 @@ _OPTIONS = (
 )
 _PATIENCE_MS = 60_000.0
 _COARSE = "fixedDpr=0.5"  # a quarter of the pixels: there is no graphics processor
+_SCENE = "canvas[data-engine]"  # the charts have canvases too
 _ENDURING = ("--param", "BATT_CAPACITY=100000")
 Start = Callable[[], Browser]
 expect.set_options(timeout=_PATIENCE_MS)
@@ -87,12 +91,15 @@ def row(page: Page, name: str) -> str:
     return page.locator("tr", has_text=re.compile(f"^{name}")).first.inner_text()
 
 
+def scene_rgb(page: Page) -> FloatArray:
+    """The picture of the scene.  -> (3, rows, columns)."""
+    picture = Image.open(io.BytesIO(page.locator(_SCENE).screenshot())).convert("RGB")
+    return np.moveaxis(np.asarray(picture, dtype=np.float64), -1, 0)
+
+
 def drawn(page: Page) -> dict[str, float]:
     """Shares of the pixels of the scene that can only be of one thing."""
-    picture = Image.open(
-        io.BytesIO(page.locator("canvas[data-engine]").first.screenshot())
-    ).convert("RGB")
-    red, green, blue = np.moveaxis(np.asarray(picture, dtype=float), -1, 0)
+    red, green, blue = scene_rgb(page)
     shares = {
         "path": (blue > red + 90.0) & (blue > green + 60.0),
         "radar": (red > green + 10.0) & (blue > green + 10.0),
@@ -113,6 +120,33 @@ def confirmed(page: Page, label: str) -> str:
     told = page.locator(".mantine-Notification-root", has_text=label).last
     expect(told).to_contain_text(re.compile("accepted|refused|no answer"))
     return told.inner_text()
+
+
+Place = tuple[float, float]
+"""In the picture of the scene: shares of its width and height."""
+
+
+def clicked(page: Page, place: Place) -> str:
+    """A new target, by a click on the scene; what the page says that came of it."""
+    button = page.get_by_role("button", name="new target", exact=True)
+    for _ in range(2):  # who is impatient is asked once all the same
+        button.press("Enter")
+    expect(page.get_by_text("click on the ground").first).to_be_visible()
+    scene = page.locator(_SCENE)
+    box = scene.bounding_box()
+    assert box is not None
+    scene.click(position={"x": place[0] * box["width"], "y": place[1] * box["height"]})
+    return confirmed(page, "new target")
+
+
+def mast_foot(page: Page) -> Place:
+    """Where in the picture the mast of a target stands: the lowest that is of its colour."""
+    red, green, blue = scene_rgb(page)
+    rows, columns = np.nonzero((red > 200.0) & (abs(green - 89.0) < 40.0) & (blue < 60.0))
+    if not len(rows):
+        return math.inf, math.inf
+    height, width = red.shape
+    return float(columns[rows.argmax()]) / width, float(rows.max()) / height
 
 
 # --- while it is flown
@@ -140,6 +174,15 @@ def test_who_has_the_token_holds_and_continues(page: Page, flight: Flight) -> No
     expect(page.get_by_text("flying", exact=True)).to_be_visible()
     orders = [entry["order"] for entry in flight.journal if entry.get("kind") == "order"]
     assert orders == ["PAUSE", "CONTINUE"]
+
+
+def test_a_click_sets_a_target_where_it_was_or_is_refused_with_the_reason(page: Page) -> None:
+    place, beside_the_map = (0.5, 0.6), (0.1, 0.95)
+    assert "accepted" in clicked(page, place)
+    until_s = time.monotonic() + _PATIENCE_MS / 1e3
+    while math.dist(foot := mast_foot(page), place) > 0.03:
+        assert time.monotonic() < until_s, foot
+    assert "give a place on the mission's map" in clicked(page, beside_the_map)
 
 
 # --- again, from its folder
