@@ -4,8 +4,8 @@ import math
 import re
 import struct
 from collections.abc import Callable, Sequence
-from operator import attrgetter
-from typing import Any, Final, final
+from operator import attrgetter, itemgetter
+from typing import Any, Final, NamedTuple, final
 
 from pymavlink.dialects.v20 import all as mavlink
 
@@ -96,16 +96,24 @@ def message_class(name: str) -> Any:
 class Layout:
     """How the messages of one class are read and packed: found out once for each."""
 
-    __slots__ = ("_fields", "_make", "_unpack", "crc_extra", "number", "payload", "size")
-
     def __init__(self, kind: Any) -> None:
         self.number: int = kind.id
         self.crc_extra = bytes([kind.crc_extra])
         self.size: int = kind.unpacker.size
-        self.payload: Callable[[Any], bytes] = _packing(kind)
-        """All of it; zeros at its end may be left off."""
+        self._pack = _packing(kind)
         self._unpack: Callable[[bytes], tuple[Any, ...]] = kind.unpacker.unpack_from
         self._make: Callable[..., Any] = kind
+        types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
+        self._attributes = _getting(
+            attrgetter,
+            [
+                f"_{name}_raw" if length and types[name] == "char" else name  # as bytes
+                for name, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True)
+            ],
+        )
+        self._in_order = _getting(
+            itemgetter, [*map(kind.fieldnames.index, kind.ordered_fieldnames)]
+        )
         order, lengths = getattr(kind, "orders", ()), kind.lengths
         starts = [sum(lengths[:k]) for k in range(len(lengths))]
         places = [(starts[k], starts[k] + lengths[k]) for k in order]
@@ -126,6 +134,23 @@ class Layout:
             payload = payload.ljust(self.size, b"\0")
         return self._make(*self._fields(self._unpack(payload)))
 
+    def payload(self, message: Any) -> bytes:
+        """All of the payload of a message; zeros at its end may be left off."""
+        return self._pack(self._attributes(message))
+
+    def prepared(self, values: Sequence[Any]) -> "Prepared":
+        """A message to be sent, from its fields in the order of its constructor; texts as bytes."""
+        return Prepared(self, self._pack(self._in_order(values)))
+
+
+@final
+class Prepared(NamedTuple):
+    """A message that is only to be sent: telemetry, of which no object needs to be made."""
+
+    layout: Layout
+    payload: bytes
+    """All of it."""
+
 
 _layouts: dict[Any, Layout] = {}
 
@@ -138,46 +163,37 @@ def layout_of(kind: Any) -> Layout:
     return layout
 
 
-def _packing(kind: Any) -> Callable[[Any], bytes]:
-    pack, values_of = kind.unpacker.pack, _values(kind)
+def _getting(getter: Callable[..., Any], which: Sequence[Any]) -> Callable[[Any], Sequence[Any]]:
+    """What gets these attributes or items of something, even if it is only one."""
+    get: Callable[[Any], Any] = getter(*which)
+    return get if len(which) > 1 else lambda whole: (get(whole),)
+
+
+def _packing(kind: Any) -> Callable[[Sequence[Any]], bytes]:
+    """What packs the values of a message's fields, in the order of its payload."""
+    pack, lengths = kind.unpacker.pack, kind.lengths
     codes = [
         code
         for count, code in re.findall(r"(\d*)([a-zA-Z])", kind.unpacker.format)
         for _ in range(1 if code == "s" else int(count or 1))
     ]
 
-    def payload(message: Any) -> bytes:
-        values = values_of(message)
+    def payload(values: Sequence[Any]) -> bytes:
         try:
             return pack(*values)
         except (struct.error, OverflowError):
             return pack(*map(_fitted, values, codes))
 
-    return payload
-
-
-def _values(kind: Any) -> Callable[[Any], Sequence[Any]]:
-    """The values of such a message in the order of its payload."""
-    lengths = kind.lengths
-    types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
-    names = [
-        f"_{name}_raw" if length and types[name] == "char" else name  # as bytes
-        for name, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True)
-    ]
-    get = attrgetter(*names)
-
-    def flat(message: Any) -> Sequence[Any]:
-        values = list[Any]()
-        for value, length in zip(get(message), lengths, strict=True):
+    def payload_with_arrays(values: Sequence[Any]) -> bytes:
+        flat = list[Any]()
+        for value, length in zip(values, lengths, strict=True):
             if length == 1:
-                values.append(value)
+                flat.append(value)
             else:
-                values.extend(value)
-        return values
+                flat.extend(value)
+        return payload(flat)
 
-    if any(length > 1 for length in lengths):
-        return get if len(names) == 1 else flat
-    return get if len(names) > 1 else lambda message: (get(message),)
+    return payload_with_arrays if any(length > 1 for length in lengths) else payload
 
 
 def _fitted(value: Any, code: str) -> Any:

@@ -12,7 +12,7 @@ from typing import Any, final
 from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.wire.dialect import layout_of
+from vehicle_sim.wire.dialect import Prepared, layout_of
 from vehicle_sim.wire.signing import LinkSigner
 
 DATAGRAM_BYTES = 1400
@@ -138,8 +138,12 @@ class Packer:
         """The message as a frame with the next sequence number."""
         sequence = self._sequence
         self._sequence = (sequence + 1) & 255
-        layout = layout_of(type(message))
-        payload = layout.payload(message).rstrip(b"\0") or b"\0"
+        if type(message) is Prepared:
+            layout, payload = message
+        else:
+            layout = layout_of(type(message))
+            payload = layout.payload(message)
+        payload = payload.rstrip(b"\0") or b"\0"
         number, signer = layout.number, self.signer
         signed = signer is not None and signer.active
         body = (

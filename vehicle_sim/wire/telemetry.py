@@ -11,7 +11,7 @@ from typing import Any, Final
 from pymavlink.dialects.v20 import all as mavlink
 
 from vehicle_sim.autopilots import Estimate, Place, Report
-from vehicle_sim.wire.dialect import message_class
+from vehicle_sim.wire.dialect import Prepared, layout_of, message_class
 from vehicle_sim.wire.frames import bounded, degrees_e7
 
 INT16, INT32, UINT16 = 32767, 2_147_483_647, 65535
@@ -20,7 +20,7 @@ PLANE: Final = 1
 _IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_ACCELERATION = 0x007, 0x038, 0x1C0
 _IGNORE_YAW_RATE = 0x800
 
-Builder = Callable[[Report], Any | None]
+Builder = Callable[[Report], Prepared | None]
 Value = int | float | bytes | Sequence[int | float]
 Form = Mapping[str, Value | Callable[[Report], Any]]
 """How a message is filled: name of a field -> its value, or where to take it from.
@@ -72,7 +72,7 @@ def _builder(kind: Any, form: Form) -> Builder:
             for place, each in zip(fields, value, strict=True):
                 blank[place] = each
 
-    def build(report: Report) -> Any | None:
+    def build(report: Report) -> Prepared | None:
         values = blank.copy()
         for place, take in singles:
             value = values[place] = take(report)
@@ -89,7 +89,7 @@ def _builder(kind: Any, form: Form) -> Builder:
                 return None
             for place, each in zip(fields, several, strict=True):
                 values[place] = each
-        return kind(*values)
+        return layout_of(kind).prepared(values)
 
     return build
 
