@@ -2,6 +2,7 @@ import contextlib
 import io
 import json
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from typing import final
 
 import pytest
 from programs import BIN, HURRIED, Program, free_port
+from recorded import run_folder
 
 from companion.cli import main
 
@@ -99,6 +101,21 @@ def refused(*arguments: str | Path) -> str:
     assert len(said.splitlines()) == 1, said
     assert said.startswith("error: ")
     return said
+
+
+@pytest.mark.parametrize("how", [("view", str(HILLS)), ("fly", "environment-1", "--view")])
+def test_without_what_shows_flights_it_is_named(
+    how: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)  # as if it were not installed
+    assert "pip install 'companion[view]'" in refused(*how)
+
+
+def test_a_page_on_a_port_that_is_taken(tmp_path: Path) -> None:
+    folder = run_folder(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert f"--view-port = {port}" in refused("view", folder, "--view-port", str(port))
 
 
 def kept(folder: Path, resume: str | bytes) -> Path:

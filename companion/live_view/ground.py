@@ -69,11 +69,12 @@ class Ground:
 def ground_of(known: KnownMap, here_ne_m: tuple[float, float], mission: Mission) -> Ground:
     """A known map as it is drawn: what is no terrain but a sight line counts as guessed.
 
-    Of near things nothing is guessed.
+    Of near things nothing is guessed; they are drawn as high as the highest path.
     """
     range_m, firm = mission.task.settings.scan_range_m, known.firm & np.isfinite(known.upper_m)
     if mission.near is not None:
-        height_m = np.where(firm, known.upper_m, -np.inf)
+        highest_m = mission.task.limits.ceiling_amsl_m
+        height_m = np.where(firm, np.minimum(known.upper_m, highest_m), -np.inf)
     else:
         height_m = guessed_m(known, here_ne_m, range_m)
     if known.guess_m is None:

@@ -75,13 +75,16 @@ class Flight:
         if replica is None:
             return None, ""
         reached_s = recording.time_of(*replica.now)
-        if reached_s + 1.0 < time_s and replica.ended is None and self._last is not None:
-            return self._last, f"ground as at the end: read until {clock_text(reached_s)}"
+        behind = ""
+        if reached_s + 1.0 < time_s and replica.ended is None:
+            behind = f"the ground is read until {clock_text(reached_s)}"
+            if self._last is not None:
+                return self._last, f"ground as at the end: {behind}"
         times_s = [recording.time_of(boot, t_s) for boot, t_s, _ in replica.grounds]
         at = bisect_right(times_s, time_s) - 1
         if at != self._ground[0]:
             self._ground = at, None if at < 0 else replica.ground(at)
-        return self._ground[1], "" if replica.ended is None else f"ground: {replica.ended}"
+        return self._ground[1], behind if replica.ended is None else f"ground: {replica.ended}"
 
     def chart(self) -> bool:
         """Bring the charts up to date; whether anything is new."""

@@ -80,7 +80,8 @@ def status_html(moment: Moment, stretch: float) -> str:
     warned = f"<div class=n>{html.escape(decided.warning)}</div>" if decided.warning else ""
     behind = f"<div class=n>{html.escape(moment.behind)}</div>" if moment.behind else ""
     name = recording.mission.name if recording.mission else recording.path.name
-    head = f"<div class=n>{html.escape(name)}; heights drawn {stretch:g} times</div>"
+    drawn = "" if stretch == 1.0 else f"; heights drawn {stretch:g} times"
+    head = f"<div class=n>{html.escape(name)}{drawn}</div>"
     phase = "" if recording.mission is None else f"<div class=p>{html.escape(decided.phase)}</div>"
     plan = _plan_html(decided, moment.planning_s)
     return f"{_STYLE}<div class=fl>{head}{phase}{reason}{_table(rows)}{plan}{warned}{behind}</div>"

@@ -22,6 +22,7 @@ from companion.world.threats import CircleZone, Radar, Zone
 
 WIDTH: Final = 100.0  # of the scene
 _HEIGHT: Final = 0.11  # of the range of altitudes that matters, in widths: mountains are seen
+_NEAR_M: Final = 1000.0  # wide: a map of near things
 _STRETCHES: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 8.0)
 _TILE_CELLS: Final = 60
 _CIRCLE_POINTS: Final = 64
@@ -60,12 +61,11 @@ class Area:
         if recording.mission is not None:
             limits = recording.mission.task.limits
             low_m = min(float(places[0, 2]), limits.floor_amsl_m)
-            above_m = 0.0 if recording.mission.near is None else recording.mission.near.range_m
             return Area(
                 north_m=limits.north_m,
                 east_m=limits.east_m,
                 low_m=low_m,
-                high_m=limits.ceiling_amsl_m + above_m,  # so high are things that were seen there
+                high_m=limits.ceiling_amsl_m,
             )
         low, high = places.min(axis=0), places.max(axis=0)
         middle, half = (low + high) / 2.0, 0.6 * max(float((high - low)[:2].max()), 50.0)
@@ -92,8 +92,10 @@ class Scale:
 
     @staticmethod
     def of(area: Area) -> "Scale":
-        """With heights stretched as far as mountains need to be seen from above."""
+        """With heights stretched as far as mountains need to be seen from above; trees do not."""
         wanted = _HEIGHT * area.width_m / max(area.high_m - area.low_m, 1.0)
+        if area.width_m < _NEAR_M:
+            wanted = 1.0
         return Scale(
             centre_ne_m=(sum(area.north_m) / 2.0, sum(area.east_m) / 2.0),
             base_amsl_m=area.low_m,

@@ -3,20 +3,21 @@
 import re
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rich
 import viser
-from programs import free_port
 from recorded import flown, mission_file, record
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
+from companion.config import load_mission
 from companion.errors import InputError
-from companion.live_view.ground import PROVEN, UNKNOWN, Replica
+from companion.live_view.ground import PROVEN, UNKNOWN, Replica, ground_of
 from companion.live_view.page import Flight, Page
 from companion.live_view.panel import charts_of
 from companion.live_view.recording import Recording
@@ -81,6 +82,19 @@ def test_the_ground_is_what_the_flight_knew(run_dir: tuple[Path, Session]) -> No
     assert (first.kind == UNKNOWN).all()
     assert np.array_equal(last.kind == PROVEN, known.firm)
     assert last.height_m[known.firm] == pytest.approx(known.upper_m[known.firm])
+
+
+def test_trees_hide_no_vehicle_that_flies_between_them() -> None:
+    """A flat beam does not see how high they are: so high as paths may be is all that matters."""
+    mission = load_mission("forest")
+    known = Session(mission, seed=1, lockstep=True).state.flight.known
+    upper_m, seen = known.upper_m.copy(), known.seen.copy()
+    upper_m[:, :80], seen[:, :100] = 400.5, True
+    upper_m[:, 80:100] = 430.0
+    ground = ground_of(replace(known, upper_m=upper_m, seen=seen), (0.0, 0.0), mission)
+    drawn_m = ground.height_m[ground.kind == PROVEN]
+    assert set(np.unique(drawn_m)) == {400.5, mission.task.limits.ceiling_amsl_m}
+    assert (ground.kind == UNKNOWN).sum() + len(drawn_m) == ground.kind.size
 
 
 def test_charts_tell_the_clearance_and_the_way_off_the_path(
@@ -198,14 +212,6 @@ def test_elsewhere_than_on_loopback_the_token_is_asked_for(
     right = f"{place}?token={found[2]}"
     with connect(right, subprotocols=[_PROTOCOL], max_size=None) as socket:
         assert socket.recv(_PATIENCE_S)
-
-
-def test_a_port_that_is_taken_is_told(run_dir: tuple[Path, Session]) -> None:
-    port = free_port()
-    other = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
-    with pytest.raises(InputError, match=f"--view-port = {port}: .* in use"):
-        serve(Asked(paths=(str(run_dir[0]),), port=port), lambda _: None, lambda: True)
-    other.stop()
 
 
 def test_a_folder_without_a_flight_is_told(tmp_path: Path) -> None:
