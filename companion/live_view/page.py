@@ -223,7 +223,8 @@ class Page:
 
     def _when_moved(self, event: Any) -> None:
         if event.client is not None:  # else it was moved from here
-            self._do(lambda: self.go_to(float(event.target.value)))
+            time_s = float(event.target.value)  # now: a step that is under way sets it back
+            self._do(lambda: self.go_to(time_s))
 
     @property
     def status(self) -> str:

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -168,6 +169,21 @@ def test_the_panel_follows_the_time(shown: tuple[viser.ViserServer, Page]) -> No
     assert page.status != began
     assert "paused by a person" in page.status
     assert not np.allclose(server.scene.get_handle_by_name("/vehicle").position, place)  # type: ignore[union-attr]
+
+
+def test_the_time_that_somebody_moves_to_holds_though_the_page_moves_on(
+    shown: tuple[viser.ViserServer, Page],
+) -> None:
+    _, page = shown
+    page.jump("newest")
+    page.step(102.0, 0.1)
+    slider = page._slider
+    newest_s, slider.value = slider.value, 7.0  # as viser has it, once a browser has said so
+    page._when_moved(SimpleNamespace(client=object(), target=slider))
+    slider.value = newest_s  # a step was under way
+    page._wait(0.0)
+    page.step(103.0, 0.1)
+    assert slider.value == 7.0
 
 
 # --- who may see it
