@@ -9,8 +9,8 @@ import viser
 from companion.geodesy import LocalFrame
 from companion.live_view import control
 from companion.live_view.control import GroundStation
-from companion.live_view.recording import length_text
 from companion.mavlink.dialect import Message
+from companion.views.words import metres
 
 Place = tuple[float, float]
 PlaceOf = Callable[[Sequence[float], Sequence[float]], Place | None]
@@ -100,7 +100,7 @@ class Orders:
             if place is None:
                 _tell(client, "new target", "there is no ground there", is_good=False)
                 return
-            where = f"{length_text(place[0])} north, {length_text(place[1])} east"
+            where = f"{metres(place[0])} north, {metres(place[1])} east"
             question = f"New target: {where}?"
             self._ask(client, "new target", question, lambda: control.go_to(place, self._frame))
 

@@ -30,7 +30,7 @@ from companion.live_view.panel import (
     planning_of,
 )
 from companion.live_view.recording import Recording
-from companion.live_view.scene import LAYERS, Scene
+from companion.live_view.scene import Scene
 from companion.path.subpath import Subpath
 from companion.planner.plan import candidates_nea_m
 
@@ -168,6 +168,10 @@ class Page:
         jumps.on_click(lambda event: self._do(lambda: self.jump(event.target.value)))
         views = gui.add_button_group("camera", _VIEWS)
         views.on_click(self._when_viewed)
+        candidates = gui.add_checkbox("candidates", initial_value=False)
+        candidates.on_update(
+            lambda event: self._do(lambda: self._want_candidates(event.target.value))
+        )
         tabs = gui.add_tab_group()
         with tabs.add_tab("flight"):
             self._status = gui.add_html("")
@@ -178,22 +182,6 @@ class Page:
             self._charts = [self._add_chart(*each) for each in _CHARTS]
         charts.dock_left()
         charts.set_width(300)
-        with tabs.add_tab("show"):
-            candidates = gui.add_checkbox("candidates of the newest plan", initial_value=False)
-            candidates.on_update(
-                lambda event: self._do(lambda: self._want_candidates(event.target.value))
-            )
-            for layer in LAYERS:
-                self._add_layer(layer)
-
-    def _add_layer(self, layer: str) -> None:
-        box = self._server.gui.add_checkbox(layer, initial_value=True)
-
-        def hide() -> None:
-            if self._scene is not None:
-                self._scene.hide(layer, hidden=not box.value)
-
-        box.on_update(lambda _: self._do(hide))
 
     def _add_chart(self, title: str, names: tuple[str, ...], colours: tuple[str, ...]) -> Any:
         series = [uplot.Series(label="time, s")]

@@ -16,10 +16,10 @@ from companion.live_view.recording import (
     Decided,
     Event,
     Recording,
-    length_text,
     subpath_of,
 )
 from companion.mission.journal import PlanReady
+from companion.views.words import metres
 
 _CHART_POINTS: Final = 600
 _CURVE_POINTS: Final = 200
@@ -60,15 +60,15 @@ def status_html(moment: Moment, stretch: float) -> str:
     rows = {
         "time": clock_text(moment.time_s),
         "altitude": f"{altitude_m:,.0f} m AMSL",
-        "over known ground": length_text(altitude_m - moment.under_m),
-        "clearance": length_text(moment.clearance_m),
+        "over known ground": metres(altitude_m - moment.under_m),
+        "clearance": metres(moment.clearance_m),
         "speed": f"{speed_m_s:.1f} m/s, {float(track.up_m_s[row]):+.1f} up",
     }
     if decided.targets_ne_m and recording.mission is not None:
         target = decided.asked.target_ne_m if decided.asked else decided.targets_ne_m[-1]
         to_go_m = math.hypot(target[0] - north_m, target[1] - east_m)
-        rows["target"] = f"{length_text(target[0])} N, {length_text(target[1])} E"
-        rows["to go"] = f"{length_text(to_go_m)}, {_to_go_time(to_go_m, speed_m_s)}"
+        rows["target"] = f"{metres(target[0])} N, {metres(target[1])} E"
+        rows["to go"] = f"{metres(to_go_m)}, {_to_go_time(to_go_m, speed_m_s)}"
     link = f"{recording.rate_hz(moment.time_s):.0f} positions/s"
     if decided.round_trip_s is not None:
         link += f", {decided.round_trip_s * 1e3:.0f} ms round trip"
@@ -106,12 +106,12 @@ def _plan_html(decided: Decided, planning_s: float | None) -> str:
         proven = f'<span style="color:{_ALARM}">not proven: {broken}</span>'
     rows = {
         "flying subpath": f"{decided.leg_number}",
-        "length": length_text(plan.length_m),
+        "length": metres(plan.length_m),
         "cost, and to go from its end": f"{plan.cost or 0.0:.2f} + {plan.to_go or 0.0:.2f}",
         "candidates": f"{plan.evaluations:,}",
         "planning took": "-" if planning_s is None else f"{planning_s * 1e3:,.0f} ms",
         "certificate": proven,
-        "proven clearance": length_text(certificate.clearance_m),
+        "proven clearance": metres(certificate.clearance_m),
     }
     terms = {name: plan.terms.get(name) or 0.0 for name in _BARS}
     bars = "".join(
@@ -141,7 +141,7 @@ def clock_text(time_s: float) -> str:
     return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
 
 
-def events_html(events: list[Event], time_s: float, most: int = 14) -> str:
+def events_html(events: list[Event], time_s: float, most: int = 30) -> str:
     """The last events up to a time, newest first."""
     past = [event for event in events if event.time_s <= time_s][-most:]
     lines = (
@@ -192,9 +192,8 @@ def charts_of(recording: Recording, replica: Replica | None) -> Charts:
 def planning_of(recording: Recording, replica: Replica | None) -> dict[int, float]:
     """How long each plan took, by its number."""
     noted = recording.planning_s
-    answered = [plan.plan_id for _, plan in recording.plans]
-    if len(noted) == len(answered):
-        return dict(zip(answered, noted, strict=True))
+    if len(noted) == len(recording.asked_ids):
+        return dict(zip(recording.asked_ids, noted, strict=True))
     return {} if replica is None else replica.planning_s
 
 

@@ -4,7 +4,6 @@ Nothing here asks the companion: whoever watches a flight cannot slow it down.
 """
 
 import json
-import math
 from bisect import bisect_right
 from collections.abc import Iterator
 from contextlib import suppress
@@ -31,6 +30,7 @@ from companion.telemetry.export.track import Track, TrackBuilder
 from companion.telemetry.journal import Journal
 from companion.telemetry.logs import open_log
 from companion.telemetry.run_folder import Records
+from companion.views.words import entry_words
 from companion.world.threats import Zone
 
 BATTERY: Final = wire.MAVLINK_MSG_ID_SYS_STATUS
@@ -48,7 +48,7 @@ class Event:
     time_s: float
     """Since the first position."""
     kind: str
-    """plan, refused, hold, phase, warning, command, order, lost or end."""
+    """plan, hold, or empty: neither."""
     text: str
 
 
@@ -110,6 +110,8 @@ class Recording:
         self.events: list[Event] = []
         self.plans: list[tuple[float, noted.PlanReady]] = []
         """All subpaths that were found, by the time from which they were known."""
+        self.asked_ids: list[int] = []
+        """Of all that the planner was asked for."""
         self.frame: LocalFrame | None = self.mission and self.mission.frame
         self._settle()
         if self._journal is None and not len(self.track):
@@ -183,7 +185,7 @@ class Recording:
             self._settle_decisions()
         else:
             self.events = [
-                Event(time_s=at_s, kind="warning", text=message.text)
+                Event(time_s=at_s, kind="", text=message.text)
                 for at_s, message in self._messages(_TEXT)
             ]
 
@@ -197,6 +199,7 @@ class Recording:
         known = Decided(targets_ne_m=self.mission.targets_ne_m)
         times, states = [0.0], [known]
         events, plans = list[Event](), list[tuple[float, noted.PlanReady]]()
+        asked = list[int]()
         for boot, t_s, entry in with_rising_times(self._builder.timed):
             time_s = self.time_of(boot, t_s)
             if (after := _after(known, entry)) is not known:
@@ -204,9 +207,12 @@ class Recording:
                 states.append(known := after)
             if isinstance(entry, noted.PlanReady):
                 plans.append((time_s, entry))
-            if (told := _told(entry)) is not None:
-                events.append(Event(time_s=time_s, kind=told[0], text=told[1]))
+            if isinstance(entry, noted.PlanAsked):
+                asked.append(entry.plan_id)
+            if (told := entry_words(entry)) is not None:
+                events.append(Event(time_s=time_s, kind=_kind(entry), text=told[0]))
         self._decided, self.events, self.plans = (times, states), events, plans
+        self.asked_ids = asked
 
     # --- what is asked of it
 
@@ -251,7 +257,7 @@ class Recording:
 
     @cached_property
     def planning_s(self) -> list[float]:
-        """How long each plan took, if the flight is over and has noted it."""
+        """How long each answer took, if the flight is over and has noted it."""
         with suppress(OSError, ValueError, AttributeError):
             noted_s = json.loads((self.path / "run.json").read_bytes()).get("planning_s")
             return [float(each) for each in noted_s or ()]
@@ -288,45 +294,11 @@ def _after(known: Decided, entry: Entry) -> Decided:
             return known
 
 
-def _told(entry: Entry) -> tuple[str, str] | None:
-    """The kind and the words of an entry that is worth an event."""
+def _kind(entry: Entry) -> str:
     match entry:
-        case noted.Phase(phase="holding" | "faulted", reason=reason):
-            return "hold", f"{entry.phase}: {reason or 'without a reason'}"
-        case noted.Phase():
-            return "phase", entry.phase + (f": {entry.reason}" if entry.reason else "")
+        case noted.Phase(phase="holding" | "faulted"):
+            return "hold"
         case noted.PlanReady():
-            to = " to the target" if entry.reaches_target else ""
-            return (
-                "plan",
-                f"subpath of {length_text(entry.length_m)}{to}, cost {entry.cost or 0:.2f}",
-            )
-        case noted.PlanRefused():
-            return "refused", f"no subpath: {entry.reason.replace('_', ' ').lower()}"
-        case noted.PlanLate():
-            return "refused", "the plan is late"
-        case noted.Said(warning=True):
-            return "warning", entry.text
-        case noted.OrderGiven():
-            return "order", f"{entry.sender} orders: {entry.order.lower()}"
-        case noted.CommandHeard(result=str(result)) if result != "ACCEPTED":
-            return "order", f"command {entry.command} of {entry.sender}: {result} {entry.why or ''}"
-        case noted.LinkLost():
-            return "lost", f"nothing was heard for {entry.silent_s:g} s"
-        case noted.VehicleRebooted():
-            return "lost", "the autopilot has rebooted"
-        case noted.Resumed():
-            return "phase", "the companion was started again"
-        case noted.PartDied():
-            return "lost", f"a part has died: {entry.error}"
-        case noted.End():
-            return "end", f"{entry.outcome}: {entry.reason}"
+            return "plan"
         case _:
-            return None
-
-
-def length_text(length_m: float) -> str:
-    """A length in words: metres, or kilometres."""
-    if not math.isfinite(length_m):
-        return "-"
-    return f"{length_m:,.0f} m" if abs(length_m) < 2000.0 else f"{length_m / 1e3:,.1f} km"
+            return ""

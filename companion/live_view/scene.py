@@ -11,10 +11,11 @@ import viser
 from companion.geodesy import FloatArray
 from companion.live_view import shapes
 from companion.live_view.ground import Ground
-from companion.live_view.recording import SECTORS, Decided, Recording, length_text, subpath_of
+from companion.live_view.recording import SECTORS, Decided, Recording, subpath_of
 from companion.live_view.shapes import Area, Mesh, Scale
 from companion.mission.journal import PlanReady
 from companion.path.subpath import Subpath
+from companion.views.words import metres
 from companion.world.threats import Zone
 
 Rgb = tuple[int, int, int]
@@ -31,8 +32,6 @@ _OTHERS: Final[Rgb] = (120, 120, 120)
 _CANDIDATE: Final[Rgb] = (90, 130, 190)
 _TRACK_POINTS: Final = 1500
 _CURVE_POINTS: Final = 80
-LAYERS: Final = ("guessed ground", "radars and zones", "scan", "control points")
-"""What can be hidden."""
 
 
 @final
@@ -44,7 +43,6 @@ class Scene:
         self.area = Area.of(recording)
         self.scale = Scale.of(self.area)
         self.ground: Ground | None = None
-        self.hidden: set[str] = set()
         self._tiles: dict[tuple[int, int], bytes] = {}
         self._drawn: dict[str, Any] = {}
         """What each part was drawn from last."""
@@ -68,9 +66,7 @@ class Scene:
         lines = shapes.grid_lines(self.scale, self.area, step_m)
         self._lines("/grid", lines, (168, 172, 178), 1.0)
         corner = np.array([self.area.north_m[0], self.area.east_m[0], self.scale.base_amsl_m])
-        self._label(
-            "/legend/grid", f"grid {length_text(step_m)}", self.scale.scene(corner), "top-left"
-        )
+        self._label("/legend/grid", f"grid {metres(step_m)}", self.scale.scene(corner), "top-left")
         north = np.array([self.area.north_m[1], sum(self.area.east_m) / 2, self.scale.base_amsl_m])
         self._label("/legend/north", "N", self.scale.scene(north), "bottom-center")
 
@@ -112,7 +108,6 @@ class Scene:
                 self._remove("/guessed")
             else:
                 self._mesh("/guessed", guessed, _GUESSED, opacity=0.38)
-            self._hide()
 
     def _top_m(self) -> float:
         low_m, high_m = self.scale.base_amsl_m, self.area.high_m
@@ -169,7 +164,6 @@ class Scene:
             self._label(f"{name}/label", f"{what} {zone.name}".strip(), top, "bottom-center")
             rim = np.insert(outline, 2, band[1], axis=1)
             self._lines(f"{name}/rim", shapes.segments(self.scale.scene(rim)), colour, 2.0)
-        self._hide()
 
     def _show_targets(self, targets_ne_m: tuple[tuple[float, float], ...]) -> None:
         if self._same("targets", targets_ne_m):
@@ -182,7 +176,6 @@ class Scene:
             self._ball(f"/targets/{number}/head", mast[0, 1], 0.8, KEEP_OUT)
             text = "target" if len(targets_ne_m) == 1 else f"target {number}"
             self._label(f"/targets/{number}/label", text, mast[0, 1] + [0, 0, 0.6], "bottom-center")
-        self._hide()
 
     # --- what was planned
 
@@ -221,7 +214,6 @@ class Scene:
                     head_radius=0.2,
                     head_length=0.7,
                 )
-        self._hide()
 
     def show_candidates(self, curves: Sequence[Subpath]) -> None:
         """Draw the candidates of a search; none: take them away."""
@@ -257,7 +249,6 @@ class Scene:
             ring = shapes.circle_ne_m((north, east), mission.task.settings.scan_range_m)
             points = self.scale.scene(np.insert(ring, 2, altitude, axis=1))
             self._lines("/scan/reach", shapes.segments(points), _SCAN, 2.0)
-        self._hide()
 
     def _fan(self, here_nea_m: FloatArray, message: Any, heading_rad: float) -> Mesh:
         """What a horizontal lidar passed over: a fan of its sectors, in centimetres on the wire."""
@@ -298,18 +289,6 @@ class Scene:
             self._label(f"/others/{name}/label", name, points[-1], "bottom-left")
 
     # --- nodes
-
-    def hide(self, layer: str, *, hidden: bool) -> None:
-        """Hide or show one of `LAYERS`."""
-        (self.hidden.add if hidden else self.hidden.discard)(layer)
-        self._hide()
-
-    def _hide(self) -> None:
-        for layer, name in zip(
-            LAYERS, ("/guessed", "/threats", "/scan", "/plan/control"), strict=False
-        ):
-            if (node := self._scene.get_handle_by_name(name)) is not None:
-                node.visible = layer not in self.hidden
 
     def _same(self, part: str, source: Any) -> bool:
         """Whether a part was drawn from just this."""

@@ -342,19 +342,10 @@ def segments(points: FloatArray) -> FloatArray:
 
 
 def dart() -> Mesh:
-    """The vehicle: a flat arrowhead of unit length that points to +x, with a keel."""
-    vertices = np.array(
-        [
-            [0.6, 0, 0],
-            [-0.4, 0.4, 0],
-            [-0.2, 0, 0],
-            [-0.4, -0.4, 0],
-            [-0.2, 0, 0.22],
-            [-0.2, 0, -0.1],
-        ]
-    )
-    faces = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]]
-    return Mesh(vertices, np.array(faces, dtype=np.uint32))
+    """The vehicle: an arrowhead of unit length that points to +x."""
+    vertices = [[0.6, 0, 0], [-0.4, 0.4, 0], [-0.2, 0, 0], [-0.4, -0.4, 0], [-0.2, 0, 0.22]]
+    faces = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 2], [3, 2, 0]]
+    return Mesh(np.array(vertices), np.array(faces, dtype=np.uint32))
 
 
 def met(

@@ -1,5 +1,6 @@
 """The entries of a journal in words, for people."""
 
+import math
 from typing import Final
 
 from companion.mission import journal as noted
@@ -60,6 +61,8 @@ def entry_words(entry: Entry) -> tuple[str, bool] | None:
 
 def metres(length_m: float) -> str:
     """A length as people read it."""
+    if not math.isfinite(length_m):
+        return "-"
     if abs(length_m) >= 10_000.0:
         return f"{length_m / 1000.0:,.1f} km"
     return f"{length_m:,.{0 if abs(length_m) >= 50.0 else 1 if abs(length_m) >= 5.0 else 2}f} m"
