@@ -79,7 +79,7 @@ class Flight:
         if reached_s + 1.0 < time_s and replica.ended is None:
             behind = f"the ground is read until {clock_text(reached_s)}"
             if self._last is not None:
-                return self._last, f"ground as at the end: {behind}"
+                return self._last, f"{behind}; shown as at the end"
         times_s = [recording.time_of(boot, t_s) for boot, t_s, _ in replica.grounds]
         at = bisect_right(times_s, time_s) - 1
         if at != self._ground[0]:

@@ -6,6 +6,7 @@ One flight for all: it is led from the page while it is flown, then opened again
 import io
 import math
 import re
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -210,7 +211,7 @@ def test_a_run_folder_is_shown_again_and_the_page_comes_back(
 ) -> None:
     page.close()
     flight.companion.interrupt(60.0)
-    port = free_port()
+    port = free_port(socket.SOCK_STREAM)
     with ExitStack() as stack:
         with served(flight.folder, port) as address:
             again = stack.enter_context(opened(browser, address, forgiving=True))
