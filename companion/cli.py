@@ -15,6 +15,7 @@ from typing import Annotated, TextIO, cast, final
 import typer
 from rich.console import Console
 
+from companion import extras
 from companion.compare.command import compare_app
 from companion.config import bundled, load_mission, load_world, mission_name, mission_text
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
@@ -205,6 +206,9 @@ def fly_command(
             mission = _as_begun(mission, out)
         chosen = _for_system(load_mission(mission, profile and profile.value), system)
         _say_notes(chosen, shows.console)
+        if extras.missing("fast"):
+            slower = "note: numba is not installed: plans take some ten times as long."
+            console.out(f"{slower} {extras.hint('fast')}", highlight=False)
         folder_path = out or Path("runs") / f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{chosen.name}"
         key = None if signing_key is None else SigningKey(signing_key)
         recalled = _recalled(folder_path, chosen, shows.console) if resume else None

@@ -13,6 +13,7 @@ from typing import final
 
 import numpy as np
 
+from companion import extras
 from companion.config import load_mission, load_world
 from companion.errors import InputError
 from companion.geodesy import FloatArray
@@ -144,6 +145,8 @@ def _kernel() -> Kernel:
     kernel = load_kernel()
     if kernel is NUMPY:
         text = "numba is not there or does not work: numpy plans, some thirty times slower"
+        if extras.missing("fast"):
+            text += f". {extras.hint('fast')}"
         warnings.warn(text, RuntimeWarning, stacklevel=3)
     return kernel
 

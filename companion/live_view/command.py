@@ -1,7 +1,6 @@
 """`companion view`, and the view that `companion fly --view` starts."""
 
 import contextlib
-import importlib.util
 import json
 import socket
 import subprocess
@@ -16,6 +15,7 @@ from typing import Annotated, Any, final
 import typer
 from rich.console import Console
 
+from companion import extras
 from companion.errors import InputError
 from companion.runtime.signals import stop_signals
 
@@ -49,7 +49,7 @@ def view_command(
 
     A run folder that is still written is shown as it grows.  Ends with Ctrl-C.
     """
-    check_viser("companion view")
+    extras.need("view", "companion view")
     from companion.live_view.server import Asked, serve  # slow to import
 
     asked = Asked(paths=tuple(map(str, flights)), host=view_host, port=view_port, system_id=system)
@@ -59,13 +59,6 @@ def view_command(
 
 def _say_address(console: Console, address: str) -> None:
     console.print(f"view: {address}", highlight=False, soft_wrap=True, markup=False)
-
-
-def check_viser(option: str) -> None:
-    """InputError if what shows flights is not installed."""
-    if importlib.util.find_spec("viser") is None:
-        rule = "viser is not installed"
-        raise InputError(option, True, rule, "Install it: pip install 'companion[view]'.")
 
 
 @final
@@ -83,7 +76,7 @@ class ViewAsked:
 @contextlib.contextmanager
 def started_view(asked: ViewAsked, console: Console) -> Iterator[None]:
     """Show a flight from a process of its own.  InputError if it cannot be shown."""
-    check_viser("--view")
+    extras.need("view", "--view")
     with subprocess.Popen(
         [sys.executable, "-m", "companion.live_view"],
         stdin=subprocess.PIPE,

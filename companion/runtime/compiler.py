@@ -11,13 +11,13 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import final
 
 import numpy as np
 from platformdirs import user_cache_dir
 
+from companion import extras
 from companion.path.limits import Limits
 from companion.planner import kernels
 from companion.planner.kernels import NUMPY, Kernel
@@ -57,7 +57,7 @@ def load_beside_plans() -> Kernel:
     made meanwhile, until the watchdog considers the planner hung.
     """
     cache = _prepare_cache()
-    if cache is not None and find_spec("numba") and not (cache / _COMPLETE).exists():
+    if cache is not None and not extras.missing("fast") and not (cache / _COMPLETE).exists():
         command = [sys.executable, "-P", "-m", "companion.runtime.compiler"]
         with subprocess.Popen(command, stdin=subprocess.PIPE) as child:
             child.wait()

@@ -1,0 +1,34 @@
+"""Packages that only some installations have: which extra brings which, and what to say without.
+
+Whatever imports one of them calls `need` first.
+"""
+
+from importlib.util import find_spec
+
+from companion.errors import InputError
+
+PACKAGES = {
+    "fast": ("numba",),
+    "view": ("viser",),
+    "campaign": ("pyarrow",),
+    "cluster": ("dask", "distributed"),
+    "rivals": ("ompl",),
+}
+"""What each extra of pyproject.toml brings, by the names that are imported."""
+
+
+def missing(extra: str) -> list[str]:
+    """The packages of an extra that are not installed."""
+    return [package for package in PACKAGES[extra] if find_spec(package) is None]
+
+
+def hint(extra: str) -> str:
+    """How to install an extra."""
+    return f"Install it: pip install 'companion[{extra}]'."
+
+
+def need(extra: str, field: str, value: object = True) -> None:
+    """InputError if an extra is not installed that this option, or this value of it, needs."""
+    if absent := missing(extra):
+        rule = f"{' and '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
+        raise InputError(field, value, rule, hint(extra))
