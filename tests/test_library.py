@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import truth
-import worlds
-from lattice import curve_cost
 
 from companion import library
+from companion.campaign import drawn_world, truth
+from companion.campaign.route_cost import curve_cost
 from companion.errors import InputError
 from companion.library import OPTIMISERS, Flown, Task, fly
 from companion.objective.scene import PROFILES
@@ -66,7 +65,7 @@ def test_every_flown_point_keeps_the_distance_of_the_task_to_the_heights(
 
 
 def test_the_cost_is_that_of_the_benchmarks(page: dict[str, Any]) -> None:
-    world = worlds.bundled("environment-1")
+    world = drawn_world.bundled("environment-1")
     flown: Flown = page["swarm"]
     whole = sum(
         curve_cost(truth.sampled(leg.subpath.control_nea_m, 5.0), world, far)

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import running
-from truth import mountain
+
+from companion.campaign.truth import mountain
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "path"))
 from brute_force import (

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
-import truth
-from lattice import Rates
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter
 from scipy.optimize import minimize
-from worlds import BenchmarkWorld
 
+from companion.campaign import truth
+from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.route_cost import Rates
 from companion.world.threats import CircleZone, Radar
 
 FloatArray = NDArray[np.float64]
@@ -77,7 +77,7 @@ class Problem:
 
     def __init__(
         self,
-        world: BenchmarkWorld,
+        world: DrawnWorld,
         surface: Smooth,
         points: int,
         soft: tuple[Radar, ...],

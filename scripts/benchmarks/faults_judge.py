@@ -26,10 +26,10 @@ from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
-import truth
 from numpy.typing import NDArray
 from pair import Flown
 
+from companion.campaign import truth
 from companion.mission.state import Reason
 from companion.world.threats import Zone
 

@@ -22,11 +22,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 import running
-import worlds
 from numpy.typing import NDArray
 from rich.table import Table
-from worlds import BenchmarkWorld
 
+from companion.campaign import drawn_world
+from companion.campaign.drawn_world import DrawnWorld
 from companion.geodesy import LocalFrame
 from companion.planner.cost_to_go import cost_to_go
 from companion.planner.plan import plan
@@ -68,7 +68,7 @@ def timed(task: Callable[[], Result], repetitions: int = _REPETITIONS) -> tuple[
 # --- one scene
 
 
-def map_of(world: BenchmarkWorld) -> KnownMap:
+def map_of(world: DrawnWorld) -> KnownMap:
     """A map of which nothing is known: the area, or as much of it as a mission may have."""
     limits, cell = world.task.limits, world.task.cell_m
     half = 0.5 * cell * math.floor(math.sqrt(_MOST_CELLS))
@@ -79,7 +79,7 @@ def map_of(world: BenchmarkWorld) -> KnownMap:
     )
 
 
-def scan_of(world: BenchmarkWorld, terrain: Terrain, known: KnownMap) -> Scan:
+def scan_of(world: DrawnWorld, terrain: Terrain, known: KnownMap) -> Scan:
     """What the radar sees from the start: made from a map of its surroundings alone."""
     reach = math.ceil(world.task.settings.scan_range_m / known.cell_m) + 4
     row, column = known.cell_of(*world.start_nea_m[:2])
@@ -96,7 +96,7 @@ def scan_of(world: BenchmarkWorld, terrain: Terrain, known: KnownMap) -> Scan:
     return replace(scan, row=scan.row + row, column=scan.column + column)
 
 
-def near(world: BenchmarkWorld) -> PeakTerrain:
+def near(world: DrawnWorld) -> PeakTerrain:
     """The mountains that reach into the surroundings of the start (the simulator's business)."""
     reach = 1.2 * world.task.settings.scan_range_m
     n, e = world.start_nea_m[:2]
@@ -108,7 +108,7 @@ def near(world: BenchmarkWorld) -> PeakTerrain:
     return replace(world.terrain, peaks=tuple(p for p in world.terrain.peaks if touches(p)))
 
 
-def in_reach(world: BenchmarkWorld) -> int:
+def in_reach(world: DrawnWorld) -> int:
     """Mountains and radars that come within the scan range of the start."""
     start, reach = world.start_nea_m[:2], world.task.settings.scan_range_m
     close = [math.dist((p.north_m, p.east_m), start) < reach for p in world.terrain.peaks]
@@ -117,7 +117,7 @@ def in_reach(world: BenchmarkWorld) -> int:
 
 
 def measured(
-    world: BenchmarkWorld, terrain: Terrain, kernel: Any, seed: int, read_s: float = 0.0
+    world: DrawnWorld, terrain: Terrain, kernel: Any, seed: int, read_s: float = 0.0
 ) -> Figures:
     """One scene.  read_s: what reading its world took."""
     blank, map_s = timed(lambda: map_of(world), 1)
@@ -154,7 +154,7 @@ def obstacles(most: int, scenes: int, kernel: Any) -> list[Figures]:
     """10, 100, ... obstacles at equal density."""
     rows = []
     for size in (10**k for k in range(1, 9) if 10**k <= most):
-        grown = [worlds.spread_out(size, variant) for variant in range(scenes)]
+        grown = [drawn_world.spread_out(size, variant) for variant in range(scenes)]
         found = [measured(w, near(w), kernel, seed) for seed, w in enumerate(grown, 1)]
         rows.append(_row(size, found))
     return rows
@@ -207,7 +207,7 @@ def elevations(most: float, scenes: int, kernel: Any) -> list[Figures]:
 
 
 def _elevation(path: Path, cells: int, scenes: int, kernel: Any) -> Figures:
-    base = worlds.bundled("environment-2")
+    base = drawn_world.bundled("environment-2")
     half_m = 0.45 * math.sqrt(cells) * _ARC_S / 3600.0 * _DEG_M
     north, east = (-half_m, half_m), (-0.65 * half_m, 0.65 * half_m)  # cos 47 deg, and to spare
     frame = LocalFrame(latitude_deg=47.0, longitude_deg=8.0)
@@ -262,7 +262,7 @@ def main() -> None:
         scenes=5,
     )
     kernel = load_kernel()
-    smallest = worlds.spread_out(10)
+    smallest = drawn_world.spread_out(10)
     measured(smallest, near(smallest), kernel, seed=1)  # compiles
     grown = obstacles(options.most, options.scenes, kernel)
     console.print(table(grown, "Growth with the obstacles at equal density", "obstacles"))

@@ -1,20 +1,16 @@
-"""What a metre of a route costs, and the cheapest ways over a grid when everything is known.
-
-J = integral of [a1 100 / (2.4 R) + a2 100 (z - floor) / (ceiling - floor) / R + a5 300 p / R] ds:
-the objective of subpaths (eq. 5-7, 10, scaled as in planner-numbers A) per metre of route.
-"""
+"""The cheapest ways over a grid when everything is known."""
 
 import math
-from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-import truth
-import worlds
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
-from worlds import BenchmarkWorld
+
+from companion.campaign import drawn_world
+from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.route_cost import Rates
 
 FloatArray = NDArray[np.float64]
 
@@ -24,61 +20,16 @@ _REACH = 4  # lattice offsets: all coprime pairs up to this, 48 directions
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rates:
-    """Cost per metre, in metres of level flight at the floor; `unit`: J per such metre."""
-
-    unit: float
-    height: float
-    """At the ceiling."""
-    radar: float
-    """Per unit of detection probability."""
-
-    @staticmethod
-    def of(world: BenchmarkWorld) -> "Rates":
-        settings = world.task.settings
-        unit = settings.weights.length * 100.0 / (2.4 * settings.scan_range_m)
-        return Rates(
-            unit=unit,
-            height=settings.weights.height * 100.0 / settings.scan_range_m / unit,
-            radar=settings.weights.radar * 300.0 / settings.scan_range_m / unit,
-        )
-
-
-def cost_rate(points_nea_m: FloatArray, world: BenchmarkWorld) -> FloatArray:
-    """J per metre at points.  (S, 3) -> (S,)."""
-    rates = Rates.of(world)
-    band = world.ceiling_amsl_m - world.floor_amsl_m
-    total = 1.0 + rates.height * (points_nea_m[:, 2] - world.floor_amsl_m) / band
-    for radar in world.task.radars:
-        distance = np.linalg.norm(points_nea_m - np.asarray(radar.centre_nea_m), axis=-1)
-        seen = 1.0 / (1.0 + (distance / radar.range_m) ** 4)
-        total = total + rates.radar * np.where(distance <= radar.range_m, seen, 0.0)
-    return total * rates.unit
-
-
-def curve_cost(curve: truth.Curve, world: BenchmarkWorld, until_m: float = math.inf) -> float:
-    """J of a sampled curve, from its start as far as until_m along it."""
-    until = min(until_m, float(curve.length_m[-1]))
-    middle = 0.5 * (curve.points_nea_m[1:] + curve.points_nea_m[:-1])
-    pieces = np.clip(until - curve.length_m[:-1], 0.0, np.diff(curve.length_m))
-    return float(cost_rate(middle, world) @ pieces)
-
-
-# --- ways over the grid
-
-
-@final
 class Lattice:
     """The world on a lattice of points, and the cheapest ways over it."""
 
-    def __init__(self, world: BenchmarkWorld, cell_m: float = GRID_M) -> None:
+    def __init__(self, world: DrawnWorld, cell_m: float = GRID_M) -> None:
         self.world, self.cell_m = world, cell_m
-        self.north_m, self.east_m = worlds.axes_m(world, cell_m)
+        self.north_m, self.east_m = drawn_world.axes_m(world, cell_m)
         fine = 0.5 * cell_m
-        north, east = worlds.axes_m(world, fine)
+        north, east = drawn_world.axes_m(world, fine)
         self.fine_shape = (2 * len(self.north_m) - 1, 2 * len(self.east_m) - 1)
-        surface = worlds.lowest_safe_m(world, SURFACE_M, world.task.required_clearance_m)
+        surface = drawn_world.lowest_safe_m(world, SURFACE_M, world.task.required_clearance_m)
         every = round(fine / SURFACE_M)
         self.need_m = surface[::every, ::every][: self.fine_shape[0], : self.fine_shape[1]]
         self._fine_ne = (north[: self.fine_shape[0], None], east[None, : self.fine_shape[1]])

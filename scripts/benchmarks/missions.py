@@ -20,19 +20,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, final
 
-import families
 import numpy as np
 import optimum
 import rival
 import running
-import truth
-import worlds
-from lattice import curve_cost
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
-from worlds import BenchmarkWorld
 
+from companion.campaign import drawn_world, families, truth
+from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.route_cost import curve_cost
 from companion.objective.scene import PROFILES
 from companion.planner.offline import OfflineFlight, fly_offline
 from companion.planner.plan import plan
@@ -135,7 +133,7 @@ class How:
 # --- flying
 
 
-def fly(world: BenchmarkWorld, seed: int, blank: KnownMap) -> tuple[OfflineFlight, list[float]]:
+def fly(world: DrawnWorld, seed: int, blank: KnownMap) -> tuple[OfflineFlight, list[float]]:
     """The mission without a vehicle -> flight, seconds of processor time per plan.
 
     blank: what is known of the world before the first scan.
@@ -165,7 +163,7 @@ def fly(world: BenchmarkWorld, seed: int, blank: KnownMap) -> tuple[OfflineFligh
 
 
 def measured(
-    world: BenchmarkWorld, seed: int, best: optimum.Optimum | None, blank: KnownMap
+    world: DrawnWorld, seed: int, best: optimum.Optimum | None, blank: KnownMap
 ) -> MissionResult:
     """Fly one mission and measure it.  blank: what is known before it."""
     flight, plan_s = fly(world, seed, blank)
@@ -209,7 +207,7 @@ def measured(
     )
 
 
-def _arrived(flight: OfflineFlight, world: BenchmarkWorld, curves: list[truth.Curve]) -> bool:
+def _arrived(flight: OfflineFlight, world: DrawnWorld, curves: list[truth.Curve]) -> bool:
     """Whether it came to the last target, by where the last curve ends."""
     if flight.failure is not None or not curves:
         return False
@@ -233,7 +231,7 @@ def _until(curve: truth.Curve, far_m: float) -> truth.Curve:
     )
 
 
-def _measures(curve: truth.Curve, world: BenchmarkWorld) -> truth.Measures:
+def _measures(curve: truth.Curve, world: DrawnWorld) -> truth.Measures:
     return truth.measure(
         curve,
         terrain=world.terrain,
@@ -244,7 +242,7 @@ def _measures(curve: truth.Curve, world: BenchmarkWorld) -> truth.Measures:
     )
 
 
-def join(before_nea_m: FloatArray, after_nea_m: FloatArray, world: BenchmarkWorld) -> Join:
+def join(before_nea_m: FloatArray, after_nea_m: FloatArray, world: DrawnWorld) -> Join:
     """What jumps where one curve goes over to the next, from the control points alone.
 
     The next curve's start is projected onto the curve before (Newton from the nearest of 2,000
@@ -280,8 +278,10 @@ def _tangent_curvature(curve: Any, u: float) -> tuple[FloatArray, FloatArray]:
 
 def flown_mission(group: str, index: int, seed: int, how: How) -> MissionResult:
     """Fly one world's mission, and the rival's if there is one."""
-    world = worlds.bundled(group) if group in _BUNDLED else families.world(group, how.seed, index)
-    best = families.best_of(world)
+    world = (
+        drawn_world.bundled(group) if group in _BUNDLED else families.world(group, how.seed, index)
+    )
+    best = optimum.best_of(world)
     settings = replace(world.task.settings, profile=PROFILES[how.profile])
     ours = replace(world, task=replace(world.task, settings=settings))
     blank = families.unseen_with_elevation(ours, index) if how.elevation else families.unseen(ours)

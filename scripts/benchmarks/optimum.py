@@ -12,28 +12,36 @@
    upper bound of the optimum's. How close: effort 2 (finer curves, more starts) and the grid's
    cost, which leaves turn radius and climb limit out.
 
-`families.best_of` looks for it where it was found before.
+`best_of` looks for it where it was found before.
 """
 
+import functools
+import hashlib
 import json
 import math
-from dataclasses import dataclass, replace
+import os
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
+import descent
+import lattice
 import numpy as np
-import truth
-import worlds
 from descent import Margins, Problem, Smooth
-from lattice import GRID_M, SURFACE_M, Lattice, Rates, curve_cost
+from lattice import GRID_M, SURFACE_M, Lattice
 from numpy.typing import NDArray
-from worlds import BenchmarkWorld
+from platformdirs import user_cache_dir
 
+from companion.campaign import drawn_world, route_cost, truth
+from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.route_cost import Rates, curve_cost
 from companion.world.threats import Radar
 
 FloatArray = NDArray[np.float64]
 
 _USUAL_SIDE_M = 150_000.0  # of a world; in a larger one curves get more control points
+_SOLVER = (__file__, descent.__file__, lattice.__file__, truth.__file__, route_cost.__file__)
+_SOLVER_SIDE_M, _SOLVER_CLEARANCE_M = 110_000.0, 260.0
 OPTIMA = Path(__file__).with_name("optima.json")
 
 
@@ -63,7 +71,7 @@ class Optimum:
 class Solver:
     """Everything about one world that its curves share."""
 
-    def __init__(self, world: BenchmarkWorld) -> None:
+    def __init__(self, world: DrawnWorld) -> None:
         if len(world.targets_ne_m) != 1:
             raise ValueError("the optimum is that of one start and one target")
         self.world = world
@@ -72,8 +80,8 @@ class Solver:
         side = max(limits.north_m[1] - limits.north_m[0], limits.east_m[1] - limits.east_m[0])
         self.finer = max(1.0, side / _USUAL_SIDE_M)
         self.lattice = Lattice(world, GRID_M * max(round(side / 180_000.0), 1))
-        north, east = worlds.axes_m(world, SURFACE_M)
-        need = worlds.lowest_safe_m(world, SURFACE_M, world.task.required_clearance_m)
+        north, east = drawn_world.axes_m(world, SURFACE_M)
+        need = drawn_world.lowest_safe_m(world, SURFACE_M, world.task.required_clearance_m)
         self.surface = Smooth(north, east, need)
         self.tried = 0
 
@@ -192,9 +200,7 @@ class Solver:
         )
 
 
-def radar_intrusion_m(
-    curve: truth.Curve, world: BenchmarkWorld, soft: tuple[Radar, ...] = ()
-) -> float:
+def radar_intrusion_m(curve: truth.Curve, world: DrawnWorld, soft: tuple[Radar, ...] = ()) -> float:
     """How deep a curve goes into radar ranges, soft ones left out; negative: outside all."""
     depths = [
         radar.range_m
@@ -214,7 +220,7 @@ def refined(control: FloatArray, points: int) -> FloatArray:
     return np.concatenate([control[:1], middle, control[-1:]])
 
 
-def optimum(world: BenchmarkWorld, *, effort: int = 1) -> Optimum:
+def optimum(world: DrawnWorld, *, effort: int = 1) -> Optimum:
     """The best route; effort 2 and more: more starts and finer curves.
 
     A way's cost over the grid is within 0.4 % of what its curve costs, or below it where the curve
@@ -289,3 +295,54 @@ def load() -> dict[str, Optimum]:
 def of_row(row: dict[str, Any]) -> Optimum:
     """As JSON has it."""
     return Optimum(**row | {"control_nea_m": tuple(map(tuple, row["control_nea_m"]))})
+
+
+# --- of any world, found once
+
+
+def best(drawn: DrawnWorld) -> Optimum:
+    """The full-knowledge optimum, found in the world at the size that its solver is made for.
+
+    J is the same at every size.  ValueError: none was found.
+    """
+    limits = drawn.task.limits
+    side = max(limits.north_m[1] - limits.north_m[0], limits.east_m[1] - limits.east_m[0])
+    scale = max(_SOLVER_SIDE_M / side, _SOLVER_CLEARANCE_M / drawn.task.required_clearance_m)
+    if abs(scale - 1.0) < 1e-9:
+        return optimum(drawn)
+    found = optimum(drawn_world.scaled(drawn, scale))
+    return replace(
+        found,
+        fingerprint=drawn.fingerprint,
+        length_m=found.length_m / scale,
+        shortest_m=found.shortest_m / scale,
+        radar_m=found.radar_m / scale,
+        control_nea_m=tuple((n / scale, e / scale, a / scale) for n, e, a in found.control_nea_m),
+    )
+
+
+def best_of(world: DrawnWorld) -> Optimum | None:
+    """The optimum, from the store of this solver or found now; None if none was found."""
+    known = load().get(world.fingerprint)
+    if known is not None:
+        return known
+    stored = _store() / f"{world.fingerprint}.json"
+    if stored.is_file():
+        return of_row(json.loads(stored.read_text(encoding="utf-8")))
+    try:
+        found = best(world)
+    except ValueError:
+        return None
+    stored.parent.mkdir(parents=True, exist_ok=True)
+    part = stored.with_suffix(f".{os.getpid()}")
+    part.write_text(json.dumps(asdict(found)), encoding="utf-8")
+    part.replace(stored)
+    return found
+
+
+@functools.cache
+def _store() -> Path:
+    digest = hashlib.sha256()
+    for path in _SOLVER:
+        digest.update(Path(path).read_bytes())
+    return Path(user_cache_dir("companion")) / f"optima-{digest.hexdigest()[:16]}"

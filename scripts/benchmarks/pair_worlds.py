@@ -14,10 +14,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Literal, final
 
 import numpy as np
-import truth
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
 
+from companion.campaign import truth
 from companion.geodesy import LocalFrame
 from companion.mission.mission import EndAction, Fallback, Mission
 from companion.path.limits import Limits

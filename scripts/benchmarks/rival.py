@@ -13,13 +13,13 @@ from itertools import pairwise
 from typing import final
 
 import numpy as np
-import truth
-import worlds
-from lattice import Rates, cost_rate
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
-from worlds import BenchmarkWorld
+
+from companion.campaign import drawn_world, truth
+from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.route_cost import Rates, cost_rate
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -45,7 +45,7 @@ class RivalFlight:
     plans: int
     scans: int
 
-    def cost(self, world: BenchmarkWorld) -> float:
+    def cost(self, world: DrawnWorld) -> float:
         """J, as of curves."""
         middle = 0.5 * (self.points_nea_m[1:] + self.points_nea_m[:-1])
         return float(cost_rate(middle, world) @ self._pieces_m)
@@ -59,7 +59,7 @@ class RivalFlight:
         return np.linalg.norm(np.diff(self.points_nea_m, axis=0), axis=-1)
 
 
-def fly(world: BenchmarkWorld) -> RivalFlight:
+def fly(world: DrawnWorld) -> RivalFlight:
     """The rival's flight to the only target of a world."""
     rival = Rival(world)
     at = np.array(world.start_nea_m[:2])
@@ -83,19 +83,19 @@ def fly(world: BenchmarkWorld) -> RivalFlight:
 class Rival:
     """What it knows, and what it makes of it."""
 
-    def __init__(self, world: BenchmarkWorld) -> None:
+    def __init__(self, world: DrawnWorld) -> None:
         self.world, self.rates = world, Rates.of(world)
         self.range_m = world.task.settings.scan_range_m
         self.cell_m = self.range_m / _CELLS_PER_RANGE
         self.fine_m = self.cell_m / _FINE
-        north, east = worlds.axes_m(world, self.cell_m)
+        north, east = drawn_world.axes_m(world, self.cell_m)
         self.shape = (len(north), len(east))
         self.corner_ne_m = np.array([north[0], east[0]])
-        fine_n, fine_e = worlds.axes_m(world, self.fine_m)
+        fine_n, fine_e = drawn_world.axes_m(world, self.fine_m)
         fine = (_FINE * (len(north) - 1) + 1, _FINE * (len(east) - 1) + 1)
         self.fine_n, self.fine_e = fine_n[: fine[0], None], fine_e[None, : fine[1]]
         clearance = world.task.required_clearance_m + _SPARE * self.fine_m
-        need = worlds.lowest_safe_m(world, self.fine_m, clearance)
+        need = drawn_world.lowest_safe_m(world, self.fine_m, clearance)
         self.need_m = need[: fine[0], : fine[1]]
         self.height_m = truth.height_m(world.terrain, self.fine_n[::2], self.fine_e[:, ::2])
         self.seen = np.zeros(self.height_m.shape, dtype=bool)

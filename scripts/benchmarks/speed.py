@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import running
-from truth import mountain
 
+from companion.campaign.truth import mountain
 from companion.config import load_mission
 from companion.path.subpath import Pose
 from companion.planner import plan as planning

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-import worlds
 from numpy.typing import NDArray
 
+from companion.campaign import drawn_world
 from companion.objective.scene import FlightScene
 from companion.path.subpath import Pose
 from companion.planner import plan
@@ -87,7 +87,7 @@ def record(kernel: Kernel) -> dict[str, Any]:
     """Fly every mission and keep what some of its plans were asked; no best values yet."""
     scans, plans = {}, []
     for name in WORLDS:
-        world = worlds.by_name(name)
+        world = drawn_world.by_name(name)
         asked: list[PlanRequest] = []
 
         def ask(request: PlanRequest, asked: list[PlanRequest] = asked) -> PlanOutcome:
@@ -134,7 +134,7 @@ def problems(data: dict[str, Any]) -> list[Problem]:
     """The problems of the file, as the planner poses them today."""
     result = []
     for number, (name, scans) in enumerate(data["scans"].items()):
-        world = worlds.by_name(name)
+        world = drawn_world.by_name(name)
         limits = world.task.limits
         known = empty_map(world.task.cell_m, limits.north_m, limits.east_m)
         truth = true_map(world.terrain, known)

@@ -3,35 +3,32 @@
 import math
 from dataclasses import replace
 
-import families
 import numpy as np
-import optimum
 import pytest
 import rival
-import truth
-import worlds
-from lattice import Rates
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from companion.campaign import drawn_world, families, truth
+from companion.campaign.route_cost import Rates, curve_cost
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
 
 FloatArray = NDArray[np.float64]
 
 
-def quick(family: str) -> worlds.BenchmarkWorld:
+def quick(family: str) -> drawn_world.DrawnWorld:
     return families.world(family, families.SEED, 0)
 
 
 @pytest.mark.parametrize("family", families.FAMILIES)
 def test_a_world_follows_from_family_seed_and_index_alone(family: str) -> None:
     families.world.cache_clear()
-    worlds._drawn.cache_clear()
+    drawn_world._drawn.cache_clear()
     last, first = families.world(family, 5, 1), families.world(family, 5, 0)
     families.world.cache_clear()
-    worlds._drawn.cache_clear()
+    drawn_world._drawn.cache_clear()
     assert families.world(family, 5, 0).fingerprint == first.fingerprint
     assert families.world(family, 5, 1).fingerprint == last.fingerprint
     others = {families.world(family, *pair).fingerprint for pair in ((5, 2), (6, 0))}
@@ -39,11 +36,11 @@ def test_a_world_follows_from_family_seed_and_index_alone(family: str) -> None:
 
 
 def test_the_default_seed_of_dense_and_sparse_draws_what_was_always_drawn() -> None:
-    assert families.world("dense", families.SEED, 3) == worlds.dense(3)
-    assert families.world("sparse", families.SEED, 3) == worlds.by_name("sparse-3")
+    assert families.world("dense", families.SEED, 3) == drawn_world.dense(3)
+    assert families.world("sparse", families.SEED, 3) == drawn_world.by_name("sparse-3")
 
 
-def heights_m(world: worlds.BenchmarkWorld, north: FloatArray, east: FloatArray) -> FloatArray:
+def heights_m(world: drawn_world.DrawnWorld, north: FloatArray, east: FloatArray) -> FloatArray:
     """The companion's own terrain, which the proof of the way does not use."""
     return world.terrain.height_m(north, east)
 
@@ -78,7 +75,7 @@ def test_every_world_has_a_way_by_an_independent_search(family: str, index: int)
         for end in (world.start_nea_m[:2], world.targets_ne_m[0])
     )
     assert pools[start] == pools[target]
-    assert not worlds.is_straight_line_free(world)
+    assert not drawn_world.is_straight_line_free(world)
 
 
 def test_worlds_of_small_vehicles_have_their_clearances_and_cells() -> None:
@@ -101,12 +98,12 @@ def test_worlds_of_small_vehicles_have_their_clearances_and_cells() -> None:
         *(pytest.param(name, marks=pytest.mark.nightly) for name in ("gathered", "relief")),
     ],
 )
-def flown(request: pytest.FixtureRequest) -> tuple[worlds.BenchmarkWorld, rival.RivalFlight]:
+def flown(request: pytest.FixtureRequest) -> tuple[drawn_world.DrawnWorld, rival.RivalFlight]:
     world = quick(request.param)
     return world, rival.fly(world)
 
 
-Flown = tuple[worlds.BenchmarkWorld, rival.RivalFlight]
+Flown = tuple[drawn_world.DrawnWorld, rival.RivalFlight]
 
 
 def test_the_rival_arrives_and_never_enters_terrain(flown: Flown) -> None:
@@ -140,7 +137,7 @@ def test_the_rivals_cost_is_the_sum_along_what_it_flew(flown: Flown) -> None:
 
 
 def test_the_rival_knows_nothing_behind_a_mountain_nor_beyond_its_range() -> None:
-    base = worlds.dense(0)
+    base = drawn_world.dense(0)
     mountain = Peak(
         north_m=50e3, east_m=50e3, height_amsl_m=6e3, spread_north_m=3e3, spread_east_m=3e3
     )
@@ -157,12 +154,10 @@ def test_the_rival_knows_nothing_behind_a_mountain_nor_beyond_its_range() -> Non
 
 def test_a_world_at_another_size_costs_the_same() -> None:
     world = quick("plane")
-    larger = worlds.scaled(world, 7.0)
+    larger = drawn_world.scaled(world, 7.0)
     line = np.linspace(world.start_nea_m, (*world.targets_ne_m[0], world.ceiling_amsl_m), 4)
     small, large = (truth.sampled(control, 0.5 * k) for control, k in ((line, 1), (7 * line, 7)))
-    assert optimum.curve_cost(large, larger) == pytest.approx(
-        optimum.curve_cost(small, world), rel=1e-9
-    )
+    assert curve_cost(large, larger) == pytest.approx(curve_cost(small, world), rel=1e-9)
     rates = Rates.of(world), Rates.of(larger)
     assert rates[0].unit == pytest.approx(7.0 * rates[1].unit)
     at = np.array([[1_000.0, 2_000.0]])

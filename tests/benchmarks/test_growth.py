@@ -4,13 +4,13 @@ import growth
 import numpy as np
 import pytest
 import rasterio
-import worlds
 
+from companion.campaign import drawn_world
 from companion.world.simulated_scan import simulated_scan, true_map
 
 
 def test_a_scan_of_the_surroundings_alone_is_that_of_the_whole_world() -> None:
-    world = worlds.spread_out(100)
+    world = drawn_world.spread_out(100)
     blank = growth.map_of(world)
     range_m = world.task.settings.scan_range_m
     whole = simulated_scan(true_map(world.terrain, blank), world.start_nea_m, range_m)
@@ -24,7 +24,7 @@ def test_a_scan_of_the_surroundings_alone_is_that_of_the_whole_world() -> None:
 def test_the_map_never_has_more_cells_than_a_mission_may_have(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    world = worlds.spread_out(100)
+    world = drawn_world.spread_out(100)
     assert growth.map_of(world).upper_m.size > 100_000
     monkeypatch.setattr(growth, "_MOST_CELLS", 100_000.0)
     assert 90_000 < growth.map_of(world).upper_m.size <= 100_000

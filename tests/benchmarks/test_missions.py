@@ -4,8 +4,9 @@ from dataclasses import replace
 import missions
 import numpy as np
 import pytest
-import worlds
 from numpy.typing import NDArray
+
+from companion.campaign import drawn_world
 
 FloatArray = NDArray[np.float64]
 
@@ -22,7 +23,7 @@ def split(control: FloatArray, at: float) -> tuple[FloatArray, FloatArray]:
 
 def test_a_curve_goes_over_into_its_own_rest_without_a_jump() -> None:
     _, rest = split(CURVE, 0.6)
-    found = missions.join(CURVE, rest, worlds.bundled("environment-2"))
+    found = missions.join(CURVE, rest, drawn_world.bundled("environment-2"))
     assert found.worst < 1e-9
 
 
@@ -32,7 +33,7 @@ def test_a_join_that_turns_jumps_by_the_angle() -> None:
     turn = np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0]])
     turn = np.vstack([turn, [0.0, 0.0, 1.0]])
     turned = rest[0] + (rest - rest[0]) @ turn.T
-    found = missions.join(CURVE, turned, worlds.bundled("environment-2"))
+    found = missions.join(CURVE, turned, drawn_world.bundled("environment-2"))
     assert found.position < 1e-12
     tangent = rest[1] - rest[0]
     level = np.linalg.norm(tangent[:2]) / np.linalg.norm(tangent)
@@ -43,7 +44,7 @@ def test_a_join_from_a_straight_line_jumps_by_the_curvature_of_the_next() -> Non
     line = np.array([[n, 0.0, 3_100.0] for n in (0.0, 3e3, 6e3, 9e3)])
     h, r2 = 700.0, 2_000.0
     bent = np.array([[8e3, 0, 3_100], [8e3 + r2, 0, 3_100], [14e3, h, 3_100], [18e3, 4e3, 3_100]])
-    found = missions.join(line, bent, worlds.bundled("environment-2"))
+    found = missions.join(line, bent, drawn_world.bundled("environment-2"))
     assert found.position < 1e-12
     assert found.tangent < 1e-12
     assert found.curvature == pytest.approx(2_500.0 * 2.0 / 3.0 * h / r2**2, rel=1e-9)
@@ -52,7 +53,7 @@ def test_a_join_from_a_straight_line_jumps_by_the_curvature_of_the_next() -> Non
 def test_a_join_beside_the_curve_jumps_in_position() -> None:
     line = np.array([[n, 0.0, 3_100.0] for n in (0.0, 3e3, 6e3, 9e3)])
     beside = line + np.array([7e3, 2.0, 0.0])
-    found = missions.join(line, beside, worlds.bundled("environment-2"))
+    found = missions.join(line, beside, drawn_world.bundled("environment-2"))
     assert found.position == pytest.approx(2.0 / 20_000.0)
 
 

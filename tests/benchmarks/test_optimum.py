@@ -4,17 +4,19 @@ from dataclasses import replace
 import numpy as np
 import optimum
 import pytest
-import truth
-import worlds
 from descent import Margins, Problem
-from lattice import Lattice, Rates, cost_rate, curve_cost
+from lattice import Lattice
 
+from companion.campaign import drawn_world, truth
+from companion.campaign.route_cost import Rates, cost_rate, curve_cost
 from companion.world.terrain import Peak, PeakTerrain
 from companion.world.threats import Radar
 
 
-def small(*, radars: tuple[Radar, ...] = (), peaks: tuple[Peak, ...] = ()) -> worlds.BenchmarkWorld:
-    base = worlds.bundled("environment-2")
+def small(
+    *, radars: tuple[Radar, ...] = (), peaks: tuple[Peak, ...] = ()
+) -> drawn_world.DrawnWorld:
+    base = drawn_world.bundled("environment-2")
     limits = replace(base.task.limits, north_m=(-5e3, 45e3), east_m=(-20e3, 20e3))
     world = replace(
         base,
@@ -116,7 +118,7 @@ def test_a_finer_curve_is_the_same_curve() -> None:
 
 @pytest.mark.parametrize("name", ["environment-1", "environment-2", "dense-0", "dense-8"])
 def test_stored_optima_are_feasible_and_cost_what_is_said(name: str) -> None:
-    world = worlds.by_name(name)
+    world = drawn_world.by_name(name)
     known = optimum.load()
     assert world.fingerprint in known, "the world has changed: its row is stale"
     found = known[world.fingerprint]

@@ -4,9 +4,9 @@ import numpy as np
 import pair_files
 import pair_worlds
 import pytest
-import truth
 from pair import Flown, Pair
 
+from companion.campaign import truth
 from companion.config import load_mission
 from companion.planner.kernels import NUMPY
 from vehicle_sim.world import read_world

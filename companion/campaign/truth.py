@@ -49,6 +49,7 @@ class Curve:
 
     @property
     def climb_rad(self) -> FloatArray:
+        """Angle above the horizontal; (S,)."""
         return np.arctan2(self.first[:, 2], np.hypot(self.first[:, 0], self.first[:, 1]))
 
 
@@ -103,7 +104,7 @@ def height_m(
         heights = terrain.heights_m.astype(np.float64)
         return np.asarray(map_coordinates(heights, at, order=1, mode="nearest"))
     if terrain.sum_of_peaks:
-        raise ValueError("the benchmark's worlds take the highest of the peaks, not their sum")
+        raise ValueError("drawn worlds take the highest of the peaks, not their sum")
     result = np.full(np.broadcast_shapes(north_m.shape, east_m.shape), terrain.ground_amsl_m)
     for peak in terrain.peaks:
         x = (north_m - peak.north_m) / peak.spread_north_m
@@ -322,7 +323,7 @@ def measure(
     """Everything about one sampled curve."""
     points = curve.points_nea_m
     clearance = terrain_distance_m(points, terrain, 2.0 * required_clearance_m)
-    zones = [float(keep_out_distance_m(points, zone).min()) for zone in zones]
+    aside = [float(keep_out_distance_m(points, zone).min()) for zone in zones]
     beyond = [
         max(edges[0] - float(points[:, axis].min()), float(points[:, axis].max()) - edges[1])
         for axis, edges in enumerate((limits.north_m, limits.east_m))
@@ -331,7 +332,7 @@ def measure(
     return Measures(
         length_m=float(curve.length_m[-1]),
         clearance_m=float(clearance.min()),
-        keep_out_m=min(zones, default=math.inf),
+        keep_out_m=min(aside, default=math.inf),
         turn_radius_m=float(1.0 / max(np.abs(curve.curvature_1_m).max(), 1e-9)),
         climb_rad=float(climb.max()),
         dive_rad=float(-climb.min()),

@@ -7,27 +7,18 @@ without is drawn again.
 """
 
 import functools
-import hashlib
-import json
 import math
-import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import replace
 
-import descent
-import lattice
 import numpy as np
-import optimum
-import truth
-import worlds
 from matplotlib.cbook import get_sample_data
 from numpy.typing import NDArray
-from platformdirs import user_cache_dir
 from scipy.ndimage import label, map_coordinates, maximum_filter, uniform_filter
-from truth import mountain
-from worlds import BenchmarkWorld
 
+from companion.campaign import drawn_world
+from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.truth import mountain
 from companion.path.limits import Limits
 from companion.planner.settings import PlannerSettings, Task
 from companion.world.known_map import KnownMap, empty_map
@@ -41,27 +32,25 @@ SEED = 0
 """The default: the families `dense` and `sparse` are then what they have always been."""
 _SPARE = 0.0375  # of R: half the width of the way through, beside the clearance
 _MOST_DRAWS = 2_000
-_SOLVER = (optimum, descent, lattice, truth)
-_SOLVER_SIDE_M, _SOLVER_CLEARANCE_M = 110_000.0, 260.0
 
 
 @functools.cache
-def world(family: str, seed: int, index: int) -> BenchmarkWorld:
+def world(family: str, seed: int, index: int) -> DrawnWorld:
     """One world, always the same for the same three."""
     if family in ("dense", "sparse"):
-        return (worlds.dense if family == "dense" else worlds.sparse)(index, seed)
+        return (drawn_world.dense if family == "dense" else drawn_world.sparse)(index, seed)
     stream, draw = _FAMILIES[family]
     rng = np.random.default_rng((stream, seed, index))
     for _ in range(_MOST_DRAWS):
         drawn = draw(rng, f"{family}-{seed}-{index}")
-        if drawn is not None and has_way(drawn) and not worlds.is_straight_line_free(drawn):
+        if drawn is not None and has_way(drawn) and not drawn_world.is_straight_line_free(drawn):
             return drawn
     raise AssertionError(f"{family}: no world {index} of seed {seed} in {_MOST_DRAWS} draws")
 
 
-def has_way(drawn: BenchmarkWorld) -> bool:
+def has_way(drawn: DrawnWorld) -> bool:
     """Whether there is a way through with some room."""
-    return worlds.has_way_through(drawn, _SPARE * drawn.task.settings.scan_range_m)
+    return drawn_world.has_way_through(drawn, _SPARE * drawn.task.settings.scan_range_m)
 
 
 # --- what is known of a world before the flight
@@ -69,13 +58,13 @@ def has_way(drawn: BenchmarkWorld) -> bool:
 _FILE_SPACING_M, _FILE_BLUR, _FILE_SHIFT_M, _FILE_NOISE_M = 100.0, 5, 100.0, 30.0
 
 
-def unseen(world: BenchmarkWorld) -> KnownMap:
+def unseen(world: DrawnWorld) -> KnownMap:
     """The map of a world of which nothing is known."""
     limits = world.task.limits
     return empty_map(world.task.cell_m, limits.north_m, limits.east_m)
 
 
-def unseen_with_elevation(world: BenchmarkWorld, seed: int) -> KnownMap:
+def unseen_with_elevation(world: DrawnWorld, seed: int) -> KnownMap:
     """The same with an elevation file for guidance: blurred to 500 m, 100 m off, 30 m of noise."""
     blank, rng = unseen(world), np.random.default_rng(seed)
     bearing = rng.uniform(0.0, 2.0 * math.pi)
@@ -103,9 +92,9 @@ def unseen_with_elevation(world: BenchmarkWorld, seed: int) -> KnownMap:
 # --- 100 km x 100 km, the mission of environment-2
 
 
-def _gathered(rng: np.random.Generator, name: str) -> BenchmarkWorld:
+def _gathered(rng: np.random.Generator, name: str) -> DrawnWorld:
     """12 mountains and 10 radars gathered about the straight line, where the mission must pass."""
-    base = worlds.bundled("environment-2")
+    base = drawn_world.bundled("environment-2")
     peaks: list[Peak] = []
     while len(peaks) < 12:
         north, east = _beside_the_line(rng, base, 18_000.0)
@@ -122,9 +111,9 @@ def _gathered(rng: np.random.Generator, name: str) -> BenchmarkWorld:
     )
 
 
-def _walls(rng: np.random.Generator, name: str) -> BenchmarkWorld:
+def _walls(rng: np.random.Generator, name: str) -> DrawnWorld:
     """Ridges across the way, each with a gap and a saddle, and pockets that open to the start."""
-    base = worlds.bundled("environment-2")
+    base = drawn_world.bundled("environment-2")
     peaks: list[Peak] = []
     for middle in (37_000.0, 74_000.0, 108_000.0):
         if rng.uniform() < 0.8:
@@ -152,7 +141,7 @@ def _walls(rng: np.random.Generator, name: str) -> BenchmarkWorld:
                    task=replace(base.task, radars=radars, zones=()))  # fmt: skip
 
 
-def _ridge(base: BenchmarkWorld, line_m: FloatArray, top_m: FloatArray) -> list[Peak]:
+def _ridge(base: DrawnWorld, line_m: FloatArray, top_m: FloatArray) -> list[Peak]:
     """Mountains in a row: (N, 2) metres along the straight line and aside of it."""
     found = []
     for (along, aside), top in zip(line_m.tolist(), top_m.tolist(), strict=True):
@@ -178,7 +167,7 @@ def _relief_m() -> FloatArray:
     return np.asarray(map_coordinates(heights, np.meshgrid(rows, columns, indexing="ij"), order=1))
 
 
-def _relief(rng: np.random.Generator, name: str) -> BenchmarkWorld | None:
+def _relief(rng: np.random.Generator, name: str) -> DrawnWorld | None:
     """A crop of real relief, turned, mirrored and enlarged, much of it above the ceiling."""
     grown, steeper = rng.uniform(1.2, 2.5), rng.uniform(1.0, 1.5)
     whole, nodes = _relief_m(), 261
@@ -222,7 +211,7 @@ def _relief(rng: np.random.Generator, name: str) -> BenchmarkWorld | None:
 # --- small vehicles
 
 
-def _copter(rng: np.random.Generator, name: str) -> BenchmarkWorld:
+def _copter(rng: np.random.Generator, name: str) -> DrawnWorld:
     """Hills, towers and keep-outs for a copter of 8 to 12 m/s that sees 300 to 1,500 m."""
     range_m = float(rng.uniform(300.0, 1_500.0))
     limits = replace(
@@ -235,7 +224,7 @@ def _copter(rng: np.random.Generator, name: str) -> BenchmarkWorld:
                   times_s=(1.0, 2.0))  # fmt: skip
 
 
-def _plane(rng: np.random.Generator, name: str) -> BenchmarkWorld:
+def _plane(rng: np.random.Generator, name: str) -> DrawnWorld:
     """Hills, masts and keep-outs for a plane of 22 m/s that sees 3 to 5 km."""
     range_m = float(rng.uniform(3_000.0, 5_000.0))
     limits = replace(
@@ -259,7 +248,7 @@ def _small(
     towers: tuple[float, float],
     safety_m: float,
     times_s: tuple[float, float],
-) -> BenchmarkWorld:
+) -> DrawnWorld:
     """Hills and towers (radius at the ground) about a straight line of any bearing."""
     bearing, ground = rng.uniform(0.0, 2.0 * math.pi), float(rng.uniform(100.0, 700.0))
     margin = 1.5 * range_m
@@ -322,7 +311,7 @@ def _own(
     *,
     safety_m: float,
     times_s: tuple[float, float] = (3.0, 3.0),
-) -> BenchmarkWorld:
+) -> DrawnWorld:
     """A world whose mission is not that of a bundled one."""
     settings = PlannerSettings(
         scan_range_m=range_m,
@@ -332,7 +321,7 @@ def _own(
         overlap_m=0.1 * range_m,
     )
     (start_n, start_e), (target_n, target_e) = ends_ne_m
-    return BenchmarkWorld(
+    return DrawnWorld(
         name=name,
         terrain=terrain,
         task=Task(limits=replace(limits, north_m=edges_m[0], east_m=edges_m[1]), settings=settings),
@@ -341,7 +330,7 @@ def _own(
     )
 
 
-def _with_band(drawn: BenchmarkWorld, floor_m: float, ceiling_m: float) -> BenchmarkWorld:
+def _with_band(drawn: DrawnWorld, floor_m: float, ceiling_m: float) -> DrawnWorld:
     """The same world between these altitudes; the start is a little above the lowest."""
     limits = replace(
         drawn.task.limits, floor_amsl_m=float(floor_m), ceiling_amsl_m=float(ceiling_m)
@@ -353,7 +342,7 @@ def _with_band(drawn: BenchmarkWorld, floor_m: float, ceiling_m: float) -> Bench
 
 def _radars(
     rng: np.random.Generator,
-    base: BenchmarkWorld,
+    base: DrawnWorld,
     count: int,
     range_m: tuple[float, float],
     aside_m: float,
@@ -373,7 +362,7 @@ def _radars(
     return tuple(radars)
 
 
-def _at(base: BenchmarkWorld, along_m: float, aside_m: float) -> tuple[float, float]:
+def _at(base: DrawnWorld, along_m: float, aside_m: float) -> tuple[float, float]:
     """A place so far along the straight line from the start, and so far to the right of it."""
     start, target = np.array(base.start_nea_m[:2]), np.array(base.targets_ne_m[0])
     ahead = (target - start) / np.linalg.norm(target - start)
@@ -382,72 +371,21 @@ def _at(base: BenchmarkWorld, along_m: float, aside_m: float) -> tuple[float, fl
 
 
 def _beside_the_line(
-    rng: np.random.Generator, base: BenchmarkWorld, aside_m: float
+    rng: np.random.Generator, base: DrawnWorld, aside_m: float
 ) -> tuple[float, float]:
     """A place about the middle three quarters of the straight line, normally so far aside."""
     way = math.dist(base.start_nea_m[:2], base.targets_ne_m[0])
     return _at(base, float(rng.uniform(0.125, 0.875)) * way, float(rng.normal(0.0, aside_m)))
 
 
-def _leaves_ends(base: BenchmarkWorld, at_ne_m: tuple[float, float], reach_m: float) -> bool:
+def _leaves_ends(base: DrawnWorld, at_ne_m: tuple[float, float], reach_m: float) -> bool:
     """Whether something so large leaves 0.15 R about the start and the target."""
     room = 0.15 * base.task.settings.scan_range_m + base.task.limits.loiter_radius_m
     ends = (base.start_nea_m[:2], base.targets_ne_m[0])
     return all(math.dist(at_ne_m, end) >= reach_m + room for end in ends)
 
 
-# --- the optimum
-
-
-def best(drawn: BenchmarkWorld) -> optimum.Optimum:
-    """The full-knowledge optimum, found in the world at the size that its solver is made for.
-
-    J is the same at every size.  ValueError: none was found.
-    """
-    limits = drawn.task.limits
-    side = max(limits.north_m[1] - limits.north_m[0], limits.east_m[1] - limits.east_m[0])
-    scale = max(_SOLVER_SIDE_M / side, _SOLVER_CLEARANCE_M / drawn.task.required_clearance_m)
-    if abs(scale - 1.0) < 1e-9:
-        return optimum.optimum(drawn)
-    found = optimum.optimum(worlds.scaled(drawn, scale))
-    return replace(
-        found,
-        fingerprint=drawn.fingerprint,
-        length_m=found.length_m / scale,
-        shortest_m=found.shortest_m / scale,
-        radar_m=found.radar_m / scale,
-        control_nea_m=tuple((n / scale, e / scale, a / scale) for n, e, a in found.control_nea_m),
-    )
-
-
-def best_of(world: BenchmarkWorld) -> optimum.Optimum | None:
-    """The optimum, from the store of this solver or found now; None if none was found."""
-    known = optimum.load().get(world.fingerprint)
-    if known is not None:
-        return known
-    stored = _store() / f"{world.fingerprint}.json"
-    if stored.is_file():
-        return optimum.of_row(json.loads(stored.read_text(encoding="utf-8")))
-    try:
-        found = best(world)
-    except ValueError:
-        return None
-    stored.parent.mkdir(parents=True, exist_ok=True)
-    part = stored.with_suffix(f".{os.getpid()}")
-    part.write_text(json.dumps(asdict(found)), encoding="utf-8")
-    part.replace(stored)
-    return found
-
-
-@functools.cache
-def _store() -> Path:
-    digest = hashlib.sha256()
-    for module in _SOLVER:
-        digest.update(Path(str(module.__file__)).read_bytes())
-    return Path(user_cache_dir("companion")) / f"optima-{digest.hexdigest()[:16]}"
-
-
-_Draw = Callable[[np.random.Generator, str], BenchmarkWorld | None]
+_Draw = Callable[[np.random.Generator, str], DrawnWorld | None]
 _FAMILIES: dict[str, tuple[int, _Draw]] = {
     "gathered": (11, _gathered),
     "walls": (12, _walls),

@@ -18,8 +18,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
-from truth import height_m, mountain
 
+from companion.campaign.truth import height_m, mountain
 from companion.config import load_mission, load_world
 from companion.planner.settings import Task
 from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
@@ -42,7 +42,7 @@ _STREAMS = {"dense": 1, "sparse": 2, "growth": 3}
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BenchmarkWorld:
+class DrawnWorld:
     """A world and the mission in it."""
 
     name: str
@@ -90,10 +90,11 @@ def _terrain_facts(terrain: PeakTerrain | ArrayTerrain) -> tuple[Any, ...]:
 
 
 @functools.cache
-def bundled(name: str) -> BenchmarkWorld:
+def bundled(name: str) -> DrawnWorld:
     """One of the environments that come with the package."""
     mission, world = load_mission(name), load_world(name)
-    return BenchmarkWorld(
+    assert isinstance(world.terrain, PeakTerrain | ArrayTerrain)  # all of them are
+    return DrawnWorld(
         name=name,
         terrain=world.terrain,
         task=mission.task,
@@ -102,17 +103,17 @@ def bundled(name: str) -> BenchmarkWorld:
     )
 
 
-def dense(number: int, seed: int = 0) -> BenchmarkWorld:
+def dense(number: int, seed: int = 0) -> DrawnWorld:
     """12 to 28 mountains and 10 to 14 radars."""
     return _drawn("dense", number, seed, (12, 28), (10, 14), (6_000.0, 11_000.0))
 
 
-def sparse(number: int, seed: int = 0) -> BenchmarkWorld:
+def sparse(number: int, seed: int = 0) -> DrawnWorld:
     """4 to 8 mountains and 3 to 5 radars."""
     return _drawn("sparse", number, seed, (4, 8), (3, 5), (9_000.0, 15_000.0))
 
 
-def by_name(name: str) -> BenchmarkWorld:
+def by_name(name: str) -> DrawnWorld:
     """`dense-7`, `sparse-2`, or a bundled name."""
     kind, _, number = name.rpartition("-")
     if kind in ("dense", "sparse"):
@@ -120,7 +121,7 @@ def by_name(name: str) -> BenchmarkWorld:
     return bundled(name)
 
 
-def spread_out(count: int, variant: int = 0) -> BenchmarkWorld:
+def spread_out(count: int, variant: int = 0) -> DrawnWorld:
     """Obstacles at equal density (0.004 per km2, 60 % mountains) on an area that grows.
 
     Worlds of one variant lie in each other: that of 100 holds that of 10 in its middle, so that
@@ -144,7 +145,7 @@ def spread_out(count: int, variant: int = 0) -> BenchmarkWorld:
         inner_m, size = outer_m, 10 * size
     edge_m = max(inner_m + 5_000.0, 60_000.0)
     limits = replace(base.task.limits, north_m=(-edge_m, edge_m), east_m=(-edge_m, edge_m))
-    return BenchmarkWorld(
+    return DrawnWorld(
         name=f"growth-{count}",
         terrain=PeakTerrain(peaks=tuple(peaks), ground_amsl_m=0.0),
         task=replace(base.task, limits=limits, radars=tuple(radars)),
@@ -161,7 +162,7 @@ def _drawn(
     mountains: tuple[int, int],
     radars: tuple[int, int],
     range_m: tuple[float, float],
-) -> BenchmarkWorld:
+) -> DrawnWorld:
     rng = np.random.default_rng(
         (_STREAMS[kind], number, seed) if seed else (_STREAMS[kind], number)
     )
@@ -219,9 +220,9 @@ def _somewhere(rng: np.random.Generator, ring: _Ring) -> tuple[float, float]:
             return north, east
 
 
-def scaled(world: BenchmarkWorld, by: float) -> BenchmarkWorld:
+def scaled(world: DrawnWorld, by: float) -> DrawnWorld:
     """The same world at another size: lengths and speeds times a factor.  J stays what it is."""
-    return _scaled(world, by, "")  # type: ignore[no-any-return]
+    return _scaled(world, by, "")
 
 
 def _scaled(value: Any, by: float, name: str) -> Any:
@@ -238,7 +239,7 @@ def _scaled(value: Any, by: float, name: str) -> Any:
 # --- the proof that there is a way
 
 
-def axes_m(world: BenchmarkWorld, cell_m: float) -> tuple[FloatArray, FloatArray]:
+def axes_m(world: DrawnWorld, cell_m: float) -> tuple[FloatArray, FloatArray]:
     """North and east of lattice points over the map, edges included where they fit."""
     limits = world.task.limits
     return (
@@ -248,7 +249,7 @@ def axes_m(world: BenchmarkWorld, cell_m: float) -> tuple[FloatArray, FloatArray
 
 
 def lowest_safe_m(
-    world: BenchmarkWorld, cell_m: float, clearance_m: float, aside_m: float = 0.0
+    world: DrawnWorld, cell_m: float, clearance_m: float, aside_m: float = 0.0
 ) -> FloatArray:
     """Lowest altitude at lattice points that is clearance_m from the terrain, to metres.
 
@@ -271,7 +272,7 @@ def lowest_safe_m(
 
 
 @functools.lru_cache(maxsize=4)
-def free_at_floor(world: BenchmarkWorld) -> BoolArray:
+def free_at_floor(world: DrawnWorld) -> BoolArray:
     """Lattice points that are clear of terrain, radars and keep-outs at the floor of the band."""
     cell = _cell_m(world)
     north, east = (axis.reshape(shape) for axis, shape in
@@ -288,11 +289,11 @@ def free_at_floor(world: BenchmarkWorld) -> BoolArray:
     return free
 
 
-def _cell_m(world: BenchmarkWorld) -> float:
+def _cell_m(world: DrawnWorld) -> float:
     return world.task.settings.scan_range_m / _CELLS_PER_RANGE
 
 
-def has_way_through(world: BenchmarkWorld, spare_m: float) -> bool:
+def has_way_through(world: DrawnWorld, spare_m: float) -> bool:
     """Whether a disc of radius spare_m can be moved from start to target at the floor."""
     free, cell = free_at_floor(world), _cell_m(world)
     wide = distance_transform_edt(np.pad(free, 1), sampling=cell)[1:-1, 1:-1] > spare_m
@@ -306,7 +307,7 @@ def has_way_through(world: BenchmarkWorld, spare_m: float) -> bool:
     return len(found) == 1 and found != {0}
 
 
-def is_straight_line_free(world: BenchmarkWorld) -> bool:
+def is_straight_line_free(world: DrawnWorld) -> bool:
     """Whether the line from start to target is free at the floor."""
     corner = (world.task.limits.north_m[0], world.task.limits.east_m[0])
     line = np.linspace(world.start_nea_m[:2], world.targets_ne_m[0], 2_000)

@@ -3,23 +3,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import worlds
 
+from companion.campaign import drawn_world
 from companion.world.terrain import Peak
 from companion.world.threats import Radar
 
 
 def test_a_world_is_always_the_same_and_differs_from_the_next() -> None:
-    first = worlds.dense(3)
-    worlds._drawn.cache_clear()
-    assert worlds.dense(3) == first
-    assert worlds.dense(3).fingerprint == first.fingerprint
-    assert worlds.dense(4).fingerprint != first.fingerprint
-    assert worlds.by_name("dense-3") == first
+    first = drawn_world.dense(3)
+    drawn_world._drawn.cache_clear()
+    assert drawn_world.dense(3) == first
+    assert drawn_world.dense(3).fingerprint == first.fingerprint
+    assert drawn_world.dense(4).fingerprint != first.fingerprint
+    assert drawn_world.by_name("dense-3") == first
 
 
 def test_the_fingerprint_follows_what_the_optimum_depends_on() -> None:
-    world = worlds.dense(0)
+    world = drawn_world.dense(0)
     limits = replace(world.task.limits, turn_radius_m=2_600.0)
     changed = replace(world, task=replace(world.task, limits=limits))
     assert changed.fingerprint != world.fingerprint
@@ -27,7 +27,7 @@ def test_the_fingerprint_follows_what_the_optimum_depends_on() -> None:
 
 @pytest.mark.parametrize("number", range(20))
 def test_dense_worlds_have_the_promised_obstacles_and_free_ends(number: int) -> None:
-    world = worlds.dense(number)
+    world = drawn_world.dense(number)
     assert 12 <= len(world.terrain.peaks) <= 28
     assert 10 <= len(world.task.radars) <= 14
     for end in (world.start_nea_m, (*world.targets_ne_m[0], world.floor_amsl_m)):
@@ -61,17 +61,17 @@ def ridge(gap_m: float) -> tuple[Peak, ...]:
 def test_there_is_a_way_through_a_wall_when_its_gap_is_wide_enough(
     gap_m: float, open_: bool
 ) -> None:
-    base = worlds.dense(0)
+    base = drawn_world.dense(0)
     terrain = replace(base.terrain, peaks=ridge(gap_m))
     world = replace(base, terrain=terrain, task=replace(base.task, radars=()))
-    assert worlds.has_way_through(world, worlds.SPARE_M) is open_
+    assert drawn_world.has_way_through(world, drawn_world.SPARE_M) is open_
     watched = Radar(name="r", centre_nea_m=(50_000.0, 50_000.0, 0.0), range_m=9_000.0)
     closed = replace(world, task=replace(world.task, radars=(watched,)))
-    assert not worlds.has_way_through(closed, worlds.SPARE_M)
+    assert not drawn_world.has_way_through(closed, drawn_world.SPARE_M)
 
 
 def test_the_lowest_safe_altitude_over_a_summit_is_the_clearance_above_it() -> None:
-    base = worlds.dense(0)
+    base = drawn_world.dense(0)
     summit = Peak(
         north_m=50_000.0,
         east_m=50_000.0,
@@ -80,14 +80,14 @@ def test_the_lowest_safe_altitude_over_a_summit_is_the_clearance_above_it() -> N
         spread_east_m=5e3,
     )
     world = replace(base, terrain=replace(base.terrain, peaks=(summit,)))
-    need = worlds.lowest_safe_m(world, 250.0, 500.0)
+    need = drawn_world.lowest_safe_m(world, 250.0, 500.0)
     assert need[220, 220] == 4_500.0  # -5 km + 220 cells: the summit, the centre of curvature below
     assert need[0, 0] == pytest.approx(500.0, abs=0.1)
 
 
 @pytest.mark.parametrize("count", [10, 100, 1_000, 10_000])
 def test_growing_worlds_keep_their_density_and_the_length_of_the_way(count: int) -> None:
-    world = worlds.spread_out(count)
+    world = drawn_world.spread_out(count)
     obstacles = np.array(places(world))
     assert len(obstacles) == count
     assert np.abs(obstacles).max() <= 500.0 * math.sqrt(count / 0.004) + 5.0
@@ -97,14 +97,14 @@ def test_growing_worlds_keep_their_density_and_the_length_of_the_way(count: int)
     assert way_m == pytest.approx(40_000.0 * math.sqrt(2.0))
 
 
-def places(world: worlds.BenchmarkWorld) -> list[tuple[float, float]]:
+def places(world: drawn_world.DrawnWorld) -> list[tuple[float, float]]:
     found = [(p.north_m, p.east_m) for p in world.terrain.peaks]
     return found + [r.centre_nea_m[:2] for r in world.task.radars]
 
 
 def test_a_growing_world_holds_the_smaller_one_unchanged() -> None:
-    small, large = worlds.spread_out(10), worlds.spread_out(1_000)
+    small, large = drawn_world.spread_out(10), drawn_world.spread_out(1_000)
     assert set(places(small)) <= set(places(large))
     near = [place for place in places(large) if max(map(abs, place)) < 24_990.0]
     assert sorted(near) == sorted(places(small))
-    assert set(places(worlds.spread_out(10, variant=1))).isdisjoint(places(small))
+    assert set(places(drawn_world.spread_out(10, variant=1))).isdisjoint(places(small))

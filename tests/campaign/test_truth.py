@@ -2,10 +2,10 @@ import math
 
 import numpy as np
 import pytest
-import truth
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from companion.campaign import truth
 from companion.path.limits import Limits
 from companion.world.terrain import Peak, PeakTerrain
 from companion.world.threats import CircleZone, PolygonZone, Radar
