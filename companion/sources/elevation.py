@@ -1,6 +1,6 @@
 """Elevation files: GeoTIFF and SRTM .hgt, read where a world or a mission needs them, and checked.
 
-The only module that imports rasterio, and only when a file is named.  It opens just these two
+The only module that imports rasterio, and only when a file is named.  It reads just these two
 formats and existing files: GDAL would follow a name to the network otherwise.
 """
 
@@ -107,6 +107,34 @@ def read_known_map(
     known = np.isfinite(upper)
     seen = np.zeros_like(known) if may_be_scanned else known
     return replace(blank, upper_m=upper, seen=seen, given=known)
+
+
+def write_elevation(
+    path: Path,
+    heights_m: FloatArray,
+    north_west_deg: tuple[float, float],
+    step_deg: tuple[float, float],
+) -> None:
+    """Write heights AMSL, (rows to the south, columns to the east), as a GeoTIFF in WGS84.
+
+    north_west_deg: latitude and longitude of the first; step_deg: of a row and of a column.
+    """
+    rasterio, (step_n, step_e) = importlib.import_module("rasterio"), step_deg
+    north, west = north_west_deg[0] + 0.5 * step_n, north_west_deg[1] - 0.5 * step_e
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        crs="EPSG:4326",
+        dtype="float32",
+        count=1,
+        height=heights_m.shape[0],
+        width=heights_m.shape[1],
+        transform=rasterio.Affine(step_e, 0.0, west, 0.0, -step_n, north),
+        compress="deflate",
+        predictor=3,
+    ) as file:
+        file.write(heights_m.astype(np.float32), 1)
 
 
 class _RefusedError(Exception):
