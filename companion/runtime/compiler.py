@@ -5,7 +5,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 import threading
 import warnings
 from collections.abc import Callable
@@ -15,9 +14,9 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from platformdirs import user_cache_dir
 
 from companion import extras
+from companion.caches import cache_folder, is_writable
 from companion.path.limits import Limits
 from companion.planner import kernels
 from companion.planner.kernels import NUMPY, Kernel
@@ -102,14 +101,13 @@ def _prepare_cache() -> Path | None:
     except OSError:
         return None  # installed without sources
     name = f"kernel-{digest.hexdigest()[:16]}"
-    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or user_cache_dir("companion"))
+    chosen = os.environ.get("NUMBA_CACHE_DIR") or cache_folder()
+    if chosen is None:
+        return None
+    folder = Path(chosen)
     if folder.name != name:  # it is when this process, or the one that started it, has been here
         folder /= name
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError:
+    if not is_writable(folder):
         return None
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     return folder

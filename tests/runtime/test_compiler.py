@@ -15,6 +15,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from companion import caches
 from companion.path.limits import Limits
 from companion.planner import kernels
 from companion.planner.kernels import NUMPY, Kernel
@@ -246,7 +247,7 @@ def test_without_a_given_folder_the_users_own_cache_is_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(compiler, "user_cache_dir", lambda name: str(tmp_path / name))
+    monkeypatch.setattr(caches, "user_cache_dir", lambda name: str(tmp_path / name))
     assert compiler._prepare_cache()
     assert Path(os.environ["NUMBA_CACHE_DIR"]).parent == tmp_path / "companion"
 
@@ -260,9 +261,11 @@ def test_where_nothing_can_be_written_there_is_no_cache(
 
 
 UNCACHED = """
+import tempfile
+tempfile.tempdir = "{nowhere}"
 from companion.planner import kernels
 from companion.runtime import compiler
-whole = {}
+whole = {whole}
 if whole:
     print(compiler.load_kernel().name)
 else:
@@ -279,8 +282,9 @@ def test_on_a_read_only_system_the_kernel_is_compiled_without_a_cache(tmp_path: 
     nowhere = str(tmp_path / "file" / "home")
     environment = {**os.environ, "HOME": nowhere, "XDG_CACHE_HOME": nowhere, "NUMBA_OPT": "0"}
     environment.pop("NUMBA_CACHE_DIR", None)
+    whole = "COMPANION_DEEP_TESTS" in os.environ
     done = subprocess.run(
-        [sys.executable, "-c", UNCACHED.format("COMPANION_DEEP_TESTS" in os.environ)],
+        [sys.executable, "-c", UNCACHED.format(nowhere=nowhere, whole=whole)],
         env=environment,
         capture_output=True,
         text=True,
