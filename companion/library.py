@@ -130,8 +130,8 @@ def fly(
 @contextmanager
 def _searched_with(optimiser: str | Maker | None, task: Task) -> Iterator[Task]:
     """The task, with another optimiser if one is given."""
-    if isinstance(optimiser, str) and optimiser not in OPTIMISERS:
-        raise InputError("optimiser", optimiser, "there is none", f"One of {list(OPTIMISERS)}.")
+    if isinstance(optimiser, str):
+        OPTIMISERS.chosen(optimiser, "optimiser")
     with (
         temporarily_registered(optimiser) if callable(optimiser) else nullcontext(optimiser) as name
     ):

@@ -1,4 +1,7 @@
-"""Every optimiser by the name under which a task asks for it."""
+"""Every optimiser by the name under which a task asks for it.
+
+Other distributions add theirs by an entry point `companion.optimisers`.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -6,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from companion.entry_points import Parts
 from companion.geodesy import FloatArray
 from companion.optimise import differential_evolution as de
 from companion.optimise.genetic import Genetic
@@ -22,7 +26,21 @@ def _classical(mutation: de.Mutation) -> Maker:
     return partial(de.ClassicalDE, settings=de.Settings(mutation=mutation))
 
 
-OPTIMISERS: dict[str, Maker] = {
+def _wrong_with(make: Maker) -> str | None:
+    """What is not as an `Optimiser` must be; None: nothing."""
+    if not callable(make):
+        return "it cannot be called"
+    made, dimensions = make(3, 60, np.random.default_rng(0), None), 3
+    for name in ("ask", "tell", "population", "costs"):
+        if not hasattr(made, name):
+            return f"what it makes has no {name}"
+    asked = np.asarray(made.ask())
+    if asked.ndim != 2 or asked.shape[1] != dimensions:
+        return f"ask() gives the shape {asked.shape}, not (P, {dimensions})"
+    return None
+
+
+_OWN: dict[str, Maker] = {
     "improved-de": ImprovedDE,
     "refined-de": RefinedDE,
     "de/rand/1/bin": _classical(de.RAND_1),
@@ -33,6 +51,7 @@ OPTIMISERS: dict[str, Maker] = {
     "pso": ParticleSwarm,
     "ga": Genetic,
 }
+OPTIMISERS = Parts("companion.optimisers", _OWN, what="optimiser", check=_wrong_with)
 
 
 @contextmanager

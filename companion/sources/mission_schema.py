@@ -3,7 +3,8 @@
 from dataclasses import fields
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
 
 from companion.mission.mission import EndAction, Fallback, Mission, TrafficRules
 from companion.objective.scene import Weights
@@ -118,12 +119,21 @@ _DISTANCES = ("scan_range_m", "safety_distance_m", "scan_distance_m")
 _TIMES = ("planning_time_s", "scan_time_s")
 
 
+def _known_optimiser(name: str) -> str:
+    """One of ours, or of another distribution's, which is loaded here to be sure of it."""
+    if name not in OPTIMISERS:
+        known = " or ".join(repr(each) for each in OPTIMISERS)
+        raise PydanticCustomError("optimiser", "Input should be {known}", {"known": known})
+    OPTIMISERS[name]
+    return name
+
+
 class PlannerTable(keys_of(PlannerSettings, *_DISTANCES, *_TIMES, "evaluations")):  # type: ignore[misc]
     """Distances and times of the online procedure, and the budget of the search."""
 
     overlap_m: NotNegative | None = None
     profile: Literal["flight", "paper"] = "flight"
-    optimiser: Literal[tuple(OPTIMISERS)] | None = None  # type: ignore[valid-type]
+    optimiser: Annotated[str, AfterValidator(_known_optimiser)] | None = None
     weights: WeightsTable = WeightsTable()
 
 

@@ -8,8 +8,9 @@
 Every mission is flown without a vehicle (simulated scans, perfect tracking); its cost is compared
 with the full-knowledge optimum of `optimum`, and every metre of every subpath, its tail included,
 is measured against the true world by `truth`: the planner's own figures are not asked.  With
---family the worlds are those of `families`, and a rival that knows as little (`rival`) flies them
-too; all are costed by the same measure along what they fly.
+--family the worlds are those of `campaign.families`, and a rival that knows as little flies them
+too (A* over what it has seen: `campaign.rivals`); all are costed by the same measure along what
+they fly.
 """
 
 import math
@@ -22,7 +23,6 @@ from typing import Any, final
 
 import numpy as np
 import optimum
-import rival
 import running
 from numpy.typing import NDArray
 from rich.console import Console
@@ -30,6 +30,9 @@ from rich.table import Table
 
 from companion.campaign import drawn_world, families, truth
 from companion.campaign.drawn_world import DrawnWorld
+from companion.campaign.rivals import a_star
+from companion.campaign.rivals import flight as rival
+from companion.campaign.rivals.measure import measured as route_measured
 from companion.campaign.route_cost import curve_cost
 from companion.objective.scene import PROFILES
 from companion.planner.offline import OfflineFlight, fly_offline
@@ -288,15 +291,13 @@ def flown_mission(group: str, index: int, seed: int, how: How) -> MissionResult:
     result = measured(ours, seed, best, blank)
     if not how.rival:
         return result
-    flight = rival.fly(world)
-    clearance_m = truth.terrain_distance_m(
-        flight.points_nea_m, world.terrain, 2.0 * world.task.required_clearance_m
-    )
+    flown = rival.fly(world, a_star.plan)
+    of_rival = route_measured(world, flown.points_nea_m)
     return replace(
         result,
-        rival_plans=flight.plans,
-        rival_cost=flight.cost(world) if flight.arrived else math.nan,
-        rival_clearance_m=float(clearance_m.min()),
+        rival_plans=len(flown.plan_s),
+        rival_cost=of_rival.cost if flown.arrived else math.nan,
+        rival_clearance_m=of_rival.clearance_m,
     )
 
 

@@ -13,17 +13,16 @@ A place is north + 1j east, in metres.
 """
 
 import cmath
-import heapq
 import math
 from typing import Any, final
 
-import numba
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
 from popup import Flight
 from pymavlink.dialects.v20 import all as wire
 
+from companion.campaign.rivals.a_star import EIGHT, search, step_costs
 from companion.mavlink.near_scanner import NearScanner
 from companion.mission.state import Phase
 from companion.world.near_map import NearMap
@@ -38,7 +37,6 @@ _PAST_M = 2.0  # OA_BENDYRULER_LOOKAHEAD_PAST_DEST, and _STEP2_MIN
 _ASIDE = [0.0, *(side * step for step in range(5, 175, 5) for side in (-1.0, 1.0))]
 _PURSUES = 0.125  # of R, ahead of the vehicle on its way: 2 m in the forest
 _VELOCITY = 0b110111000111  # POSITION_TARGET_TYPEMASK: all but the velocity is ignored
-_WAYS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 class Clearances:
@@ -150,7 +148,6 @@ class AStar(Clearances):
         return complex(places[np.searchsorted(along_m, self._ahead_m)])
 
 
-@numba.njit(cache=True)
 def a_star(
     rate: FloatArray, start: tuple[int, int], end: tuple[int, int]
 ) -> tuple[float, NDArray[np.int64]]:
@@ -159,35 +156,13 @@ def a_star(
     rate: of a cell, 1 or more; inf: not to be entered.  A step costs its length in cells times the
     mean of both; the start counts 1.  -> inf and nothing if there is no way.
     """
-    rows, columns = rate.shape
-    best, before = np.full((rows, columns), np.inf), np.full((rows, columns, 2), -1)
-    done = np.zeros((rows, columns), dtype=np.bool_)
-    best[start] = 0.0
-    heap = [(0.0, start[0], start[1])]
-    while len(heap) and not done[end]:
-        _, row, column = heapq.heappop(heap)
-        if done[row, column]:
-            continue
-        done[row, column] = True
-        own = 1.0 if (row, column) == start else rate[row, column]
-        for by_row, by_column in _WAYS:
-            i, j = row + by_row, column + by_column
-            if 0 <= i < rows and 0 <= j < columns:
-                length = math.hypot(by_row, by_column)
-                cost = best[row, column] + 0.5 * length * (own + rate[i, j])
-                if cost < best[i, j]:
-                    best[i, j], before[i, j] = cost, (row, column)
-                    up, across = abs(i - end[0]), abs(j - end[1])
-                    left = max(up, across) + (math.sqrt(2.0) - 1.0) * min(up, across)
-                    heapq.heappush(heap, (cost + left, i, j))
-    way = np.empty((0, 2), dtype=np.int64)
-    if done[end]:
-        cells, row, column = [end], *end
-        while (row, column) != start:
-            row, column = before[row, column]
-            cells.append((row, column))
-        way = np.array(cells)[::-1].copy()
-    return best[end], way
+    rate = rate.copy()
+    rate[start] = 1.0
+    costs, ways = step_costs(rate, 1, EIGHT), np.array(EIGHT)
+    found: tuple[float, NDArray[np.int64]] = search()(
+        costs, ways, np.array([start]), np.zeros(1), np.array(end)
+    )
+    return found
 
 
 @final

@@ -1,11 +1,9 @@
-"""Laws of the families of worlds, and of the rival that missions in them are held against."""
+"""Laws of the families of worlds."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-import rival
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
@@ -13,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from companion.campaign import drawn_world, families, truth
 from companion.campaign.route_cost import Rates, curve_cost
-from companion.world.terrain import ArrayTerrain, Peak, PeakTerrain
+from companion.world.terrain import ArrayTerrain
 
 FloatArray = NDArray[np.float64]
 
@@ -89,67 +87,6 @@ def test_worlds_of_small_vehicles_have_their_clearances_and_cells() -> None:
         assert 3_000.0 <= plane.settings.scan_range_m <= 5_000.0
         assert 110.0 <= plane.limits.turn_radius_m <= 150.0
         assert not plane.limits.hovers
-
-
-@pytest.fixture(
-    scope="module",
-    params=[
-        "copter",
-        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("gathered", "relief")),
-    ],
-)
-def flown(request: pytest.FixtureRequest) -> tuple[drawn_world.DrawnWorld, rival.RivalFlight]:
-    world = quick(request.param)
-    return world, rival.fly(world)
-
-
-Flown = tuple[drawn_world.DrawnWorld, rival.RivalFlight]
-
-
-def test_the_rival_arrives_and_never_enters_terrain(flown: Flown) -> None:
-    world, flight = flown
-    points = flight.points_nea_m
-    assert flight.arrived
-    assert math.dist(points[-1, :2], world.targets_ne_m[0]) < 1e-6
-    over = points[:, 2] - world.terrain.height_m(points[:, 0], points[:, 1])
-    need = world.task.required_clearance_m
-    assert over.min() >= 0.95 * need
-    assert truth.terrain_distance_m(points, world.terrain, 2.0 * need).min() >= 0.95 * need
-    assert points[:, 2].min() >= world.floor_amsl_m - 1e-6
-    assert points[:, 2].max() <= world.ceiling_amsl_m + 1e-6
-
-
-def test_the_rivals_cost_is_the_sum_along_what_it_flew(flown: Flown) -> None:
-    world, flight = flown
-    settings, weights = world.task.settings, world.task.settings.weights
-    total = 0.0
-    for a, b in zip(flight.points_nea_m, flight.points_nea_m[1:], strict=False):
-        middle, length = 0.5 * (a + b), math.dist(a, b)
-        share = (middle[2] - world.floor_amsl_m) / (world.ceiling_amsl_m - world.floor_amsl_m)
-        rate = weights.length * 100.0 / 2.4 + weights.height * 100.0 * share
-        for radar in world.task.radars:
-            away = math.dist(middle, radar.centre_nea_m)
-            if away <= radar.range_m:
-                rate += weights.radar * 300.0 / (1.0 + (away / radar.range_m) ** 4)
-        total += rate / settings.scan_range_m * length
-    assert flight.cost(world) == pytest.approx(total, rel=1e-9)
-    assert flight.length_m > 0.99 * math.dist(world.start_nea_m[:2], world.targets_ne_m[0])
-
-
-def test_the_rival_knows_nothing_behind_a_mountain_nor_beyond_its_range() -> None:
-    base = drawn_world.dense(0)
-    mountain = Peak(
-        north_m=50e3, east_m=50e3, height_amsl_m=6e3, spread_north_m=3e3, spread_east_m=3e3
-    )
-    terrain = PeakTerrain(peaks=(mountain,), ground_amsl_m=0.0)
-    world = replace(base, terrain=terrain, task=replace(base.task, radars=()))
-    seeing = rival.Rival(world)
-    seeing.look(np.array([40e3, 50e3]))
-    n, e = seeing.fine_n[::2, 0], seeing.fine_e[0, ::2]
-    away = np.hypot(n[:, None] - 40e3, e[None, :] - 50e3)
-    assert not seeing.seen[away > 20e3 + 1.0].any()
-    assert seeing.seen[(away < 20e3 - 300.0) & (n[:, None] < 40e3)].all()
-    assert not seeing.seen[np.ix_((n > 52e3) & (n < 57e3), np.abs(e - 50e3) < 1e3)].any()
 
 
 def test_a_world_at_another_size_costs_the_same() -> None:
