@@ -1,7 +1,6 @@
 """A flight explained on one page: self-contained HTML, made from what was recorded.
 
-What the flight comes to is `report_facts`, how it reads is `report.html.j2`.  The page loads
-nothing and runs nothing; the template escapes all that comes from the flight.
+What the flight comes to is `report_facts`, how it reads is `report.html.j2`.
 """
 
 import math
@@ -10,30 +9,23 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Final
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from companion.objective.scene import Weights
 from companion.telemetry.export.flight import PlannedSubpath
 from companion.telemetry.export.shapes import utc_text
+from companion.views.page import page
 from companion.views.report_facts import FlightFacts
 from companion.views.report_figures import svg_figures
-from companion.views.words import entry_words, metres
+from companion.views.words import entry_words
 
 _TERMS: Final = tuple(Weights.__dataclass_fields__)
 
 
 def report_html(facts: FlightFacts) -> str:
     """The page.  What could not be recorded is named in it."""
-    pages = Environment(
-        loader=PackageLoader("companion", "views"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    pages.filters |= {"metres": metres, "number": _number, "degrees": _degrees}
-    return pages.get_template("report.html.j2").render(
+    return page(
+        "report.html.j2",
         facts=facts,
         task=facts.flight.mission.task,
         began=_began(facts),
@@ -42,17 +34,6 @@ def report_html(facts: FlightFacts) -> str:
         weighed=lambda planned: _weighed(facts, planned),
         events=_events(facts),
     )
-
-
-def _number(value: float | None, digits: int = 0) -> str:
-    """A number, or a dash if it is not known or unbounded."""
-    if value is None or not math.isfinite(value):
-        return "–"
-    return f"{round(value, digits) + 0.0:,.{digits}f}"
-
-
-def _degrees(angle_rad: float) -> str:
-    return f"{_number(math.degrees(angle_rad), 1)}°"
 
 
 def _began(facts: FlightFacts) -> str:

@@ -1,47 +1,23 @@
 """The figures of a report: SVG that stands in the page, in light, dark and print.
 
-What is drawn in black, or in the colours below, takes its colour from the page (`var(--...)`).
-Maps stay as light as paper: there only what stands around them does.
+Maps stay as light as paper: only what stands around them takes its colours from the page.
 """
 
-import io
-import re
-from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from companion.geodesy import BoolArray, FloatArray
 from companion.mission.journal import ScanAsked
 from companion.views import figure as views
 from companion.views.figure import FlightFigure, TerrainPicture
+from companion.views.page import STYLE, THEME, THEME_OF_CHARTS, svg
 from companion.views.report_facts import FlightFacts
 from companion.world.known_map import empty_map
 
-_INK: Final = "#010203"
-_THEME: Final = {_INK: "currentColor"}
-_THEME_OF_CHARTS: Final = _THEME | {
-    "#000000": "currentColor",
-    "#222222": "currentColor",
-    "#ffffff": "var(--page)",
-    views.PATH: "var(--path)",
-}
-_INKED: Final = (
-    *("text.color", "axes.labelcolor", "axes.edgecolor", "axes.titlecolor"),
-    *("xtick.color", "ytick.color"),
-)
-_STYLE: Final[Any] = {
-    "svg.fonttype": "none",  # text stays text: it can be searched, and is small
-    "svg.hashsalt": "companion",
-    "savefig.transparent": False,
-    "font.size": 10.0,
-    **dict.fromkeys(_INKED, _INK),
-}
-_NO_METADATA: Final = dict.fromkeys(("Date", "Creator", "Format", "Type"))
 _CHART_POINTS: Final = 3000
 _LINE_POINTS: Final = 2000
 _NO_FIX: Final = "#d55e00"
@@ -68,28 +44,13 @@ def svg_figures(facts: FlightFacts) -> dict[str, str]:
         views.draw_profile(axes, shown)
         views.add_legend(canvas, (*plan_axes, axes), columns=6)
 
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         return {
-            "oblique": _svg("oblique", (5.6, 4.6), oblique, _THEME),
-            "plan": _svg("plan", (5.6, 4.6), plan, _THEME),
-            "profile": _svg("profile", (11.0, 3.6), profile, _THEME_OF_CHARTS),
-            "charts": _svg("charts", (11.0, 5.6), lambda c: _charts(c, facts), _THEME_OF_CHARTS),
+            "oblique": svg("oblique", (5.6, 4.6), oblique, THEME),
+            "plan": svg("plan", (5.6, 4.6), plan, THEME),
+            "profile": svg("profile", (11.0, 3.6), profile, THEME_OF_CHARTS),
+            "charts": svg("charts", (11.0, 5.6), lambda c: _charts(c, facts), THEME_OF_CHARTS),
         }
-
-
-def _svg(
-    name: str, size_in: tuple[float, float], draw: Callable[[Figure], None], theme: dict[str, str]
-) -> str:
-    """A figure as an element of a page: no prologue, ids of its own, colours of the page."""
-    canvas, file = Figure(figsize=size_in), io.StringIO()
-    FigureCanvasAgg(canvas)
-    canvas.patch.set_alpha(0.0)
-    draw(canvas)
-    canvas.savefig(file, format="svg", dpi=views.DPI, metadata=_NO_METADATA)
-    text = file.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\1{name}-", text)
-    return re.sub("|".join(theme), lambda found: theme[found[0]], text)
 
 
 def flight_figure(facts: FlightFacts) -> FlightFigure | None:
