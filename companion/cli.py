@@ -16,6 +16,7 @@ import typer
 from rich.console import Console
 
 from companion import extras
+from companion.campaign.command import campaign_app
 from companion.compare.command import compare_app
 from companion.config import bundled, load_mission, load_world, mission_name, mission_text
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
@@ -77,6 +78,7 @@ app = typer.Typer(
 )
 
 
+app.add_typer(campaign_app, name="campaign")
 app.add_typer(compare_app, name="compare")
 app.command("replay")(replay_command)
 app.command("export")(export)

@@ -206,7 +206,7 @@ def _flown(flight: OfflineFlight, task: Task, kernel: Kernel) -> Flown:
         why=why,
         points_nea_m=points,
         length_m=sum(flight.flown_m),
-        terms=_terms(points, task),
+        terms=route_terms(points, task),
         certificates=tuple(planned.certificate for planned in flight.plans),
         kernel=kernel.name,
         details=flight,
@@ -222,7 +222,7 @@ def _points_nea_m(flight: OfflineFlight, task: Task) -> FloatArray:
     return np.concatenate(pieces)
 
 
-def _terms(points_nea_m: FloatArray, task: Task) -> dict[str, float]:
+def route_terms(points_nea_m: FloatArray, task: Task) -> dict[str, float]:
     """Eq. 5 to 7 and 10 as integrals along a path, scaled as of subpaths (planner-numbers A)."""
     weights, unit = task.settings.weights, 100.0 / task.settings.scan_range_m
     middle = 0.5 * (points_nea_m[1:] + points_nea_m[:-1])

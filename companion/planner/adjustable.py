@@ -150,7 +150,7 @@ PARAMETERS: Final = (
     _parameter("PLN_ERR_NAV", Limits, "navigation_error_m"),
 )
 """The order is that of param_index, and part of the protocol: add at the end.  What they mean
-stands in docs/ground-station.md."""
+stands in docs/reference/parameters.md."""
 
 BY_NAME: Final = {parameter.name: parameter for parameter in PARAMETERS}
 _MARGINS: Final = [

@@ -326,7 +326,7 @@ def rule_of(parameter: Parameter) -> TypeAdapter[Any]:
 
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=NAMES)
 def test_its_row_of_the_page_has_its_key_and_range(parameter: Parameter) -> None:
-    page = Path(__file__).parents[2] / "docs" / "ground-station.md"
+    page = Path(__file__).parents[2] / "docs" / "reference" / "parameters.md"
     row = next(r for r in page.read_text("utf-8").splitlines() if f"`{parameter.name}`" in r)
     least = "above" if parameter.above_low else "or more"
     assert f"| `{parameter.key}` |" in row

@@ -1,0 +1,192 @@
+"""`companion campaign`: run one, or go on with one that was interrupted."""
+
+import contextlib
+import hashlib
+import os
+import time
+from collections.abc import Generator
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast, get_args
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from typer.core import TyperGroup
+
+from companion.campaign.execute import fly_locally, fly_on_cluster
+from companion.campaign.file import (
+    CampaignTable,
+    Keep,
+    Over,
+    Run,
+    bundled_campaigns,
+    check_over,
+    load_campaign,
+    runs_of,
+)
+from companion.campaign.row import Row
+from companion.campaign.run import check_runs
+from companion.campaign.store import Store
+from companion.errors import InputError
+
+_INTERRUPTED = 130
+_WRITE_S = 2.0
+"""Rows are written when so much time has passed, or so many are there."""
+_WRITE_ROWS = 500
+
+
+class _RunIsDefault(TyperGroup):
+    """`companion campaign FILE` is `companion campaign run FILE`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and args[0] not in self.commands and not args[0].startswith("-"):
+            args = ["run", *args]
+        return super().parse_args(ctx, args)
+
+
+campaign_app = typer.Typer(
+    cls=_RunIsDefault,
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    help="Thousands of missions from one file, on all cores or on a cluster.",
+)
+
+
+@campaign_app.command("run")
+def run_command(
+    campaign: Annotated[
+        str,
+        typer.Argument(
+            metavar="CAMPAIGN",
+            help=f"A campaign file, or a bundled name: {', '.join(bundled_campaigns())}.",
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder to write; by default campaigns/NAME.  What is there is gone on with."
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Runs at a time; by default as many as cores.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="A Dask scheduler, tcp://host:8786, to fly on its workers."
+        ),
+    ] = None,
+    over: Annotated[
+        str | None,
+        typer.Option(
+            help="*process*, *udp* (both programs, over sockets) or *planner*, as the file's."
+        ),
+    ] = None,
+    keep: Annotated[
+        str | None, typer.Option(help="Run folders to keep: *all*, *failures* or *none*.")
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, help="Runs of each combination, in place of the file's.")
+    ] = None,
+    most: Annotated[
+        int | None, typer.Option(min=1, help="At most so many of the runs, evenly chosen.")
+    ] = None,
+    only: Annotated[
+        list[int] | None,
+        typer.Option(min=0, help="This run alone, by its number.  May be repeated."),
+    ] = None,
+) -> None:
+    """Fly all runs of a campaign; rows are written to a Parquet data set as they come.
+
+    Interrupted, however rudely, the same command goes on.  Exit code: 0 all runs have a row, 2
+    wrong input, 130 stopped by Ctrl-C.
+    """
+    table, text, folder = load_campaign(campaign)
+    if seeds is not None:
+        table = table.model_copy(update={"seeds": seeds})
+    how = cast("Over", _one_of("--over", over, Over) or table.over)
+    kept = cast("Keep", _one_of("--keep", keep, Keep) or table.keep)
+    check_over(table, how, campaign)
+    runs = _chosen(runs_of(table, folder, how, kept), most, only)
+    check_runs(runs, campaign)
+    console, began_s = Console(soft_wrap=True), time.perf_counter()
+    path = (out or Path("campaigns") / table.name).absolute()
+    digest = hashlib.sha256("\n".join(map(repr, runs)).encode()).hexdigest()
+    with Store(path, text=text, digest=digest, count=len(runs)) as store:
+        todo = [run for run in runs if run.number not in store.done]
+        if len(todo) < len(runs):
+            console.print(f"{len(runs) - len(todo)} of {len(runs)} runs are there already")
+        rows = (
+            fly_on_cluster(todo, path, scheduler)
+            if scheduler
+            else fly_locally(todo, path, jobs or os.cpu_count() or 1)
+        )
+        try:
+            counts = _collect(rows, store, table, len(runs), console)
+        except KeyboardInterrupt:
+            console.print(
+                f"stopped: {len(store.done)} of {len(runs)} runs are there. "
+                "The same command goes on."
+            )
+            raise typer.Exit(_INTERRUPTED) from None
+    took_s = time.perf_counter() - began_s
+    said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    console.print(f"{len(todo)} runs in {took_s:.0f} s: {said or 'nothing to do'}", highlight=False)
+    console.out(f"campaign: {path}", highlight=False)
+
+
+def _one_of(option: str, value: str | None, kinds: Any) -> str | None:
+    if value is not None and value not in get_args(kinds):
+        raise InputError(option, value, "there is none", f"One of: {', '.join(get_args(kinds))}.")
+    return value
+
+
+def _chosen(runs: list[Run], most: int | None, only: list[int] | None) -> list[Run]:
+    if only:
+        if beyond := [number for number in only if number >= len(runs)]:
+            rule = f"the campaign has runs 0 to {len(runs) - 1}"
+            raise InputError("--only", beyond[0], rule, "Give one of them.")
+        return [runs[number] for number in sorted(set(only))]
+    if most is None or most >= len(runs):
+        return runs
+    return [runs[k * len(runs) // most] for k in range(most)]
+
+
+def _collect(
+    rows: Any, store: Store, campaign: CampaignTable, count: int, console: Console
+) -> dict[str, int]:
+    """Write rows as they come, and show how far it is -> how many came to what."""
+    counts = {"arrived": 0, "not arrived": 0, "with violations": 0, "errors": 0}
+    waiting, written_s = list[Row](), time.monotonic()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[said]}"),
+    )
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task(campaign.name, total=count, completed=len(store.done), said="")
+        try:
+            with contextlib.closing(cast("Generator[Row]", rows)):
+                for row in rows:
+                    waiting.append(row)
+                    name = _what(row)
+                    counts[name] += 1
+                    said = ", ".join(f"{n} {k}" for k, n in counts.items() if n)
+                    progress.update(task, advance=1, said=said)
+                    now_s = time.monotonic()
+                    if now_s - written_s >= _WRITE_S or len(waiting) >= _WRITE_ROWS:
+                        store.add(waiting)
+                        waiting, written_s = [], now_s
+        finally:
+            store.add(waiting)
+    return counts
+
+
+def _what(row: Row) -> Literal["arrived", "not arrived", "with violations", "errors"]:
+    if row.error is not None:
+        return "errors"
+    if row.violations:
+        return "with violations"
+    return "arrived" if row.arrived else "not arrived"

@@ -1,0 +1,138 @@
+"""Where runs are flown: on the cores of this machine, or on a Dask cluster.
+
+Both take runs and give rows as they come, in any order; a worker that is lost takes no run with it.
+"""
+
+import multiprocessing
+import multiprocessing.connection
+import os
+import signal
+import threading
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from pathlib import Path
+
+from companion.campaign.file import Run
+from companion.campaign.flight import end_programs
+from companion.campaign.row import Row
+from companion.campaign.run import fly_run, lost_run
+from companion.errors import FlightInterrupted, InputError
+from companion.extras import need
+from companion.runtime.compiler import load_kernel
+
+_RETRIES = 3
+"""How often a run may lose its worker until that is held against it."""
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+_AHEAD = 4
+"""Runs to a worker that are handed out before they are needed."""
+
+
+def fly_locally(runs: Sequence[Run], out: Path, jobs: int) -> Iterator[Row]:
+    """On so many cores, each run in one of as many processes."""
+    for name in _ONE_THREAD:
+        os.environ.setdefault(name, "1")
+    load_kernel()  # compiled once, before all look for it
+    left, lost = list(reversed(runs)), dict[int, int]()
+    while left:
+        left = yield from _until_broken(left, lost, out, jobs)
+
+
+def _until_broken(
+    left: list[Run], lost: dict[int, int], out: Path, jobs: int
+) -> Generator[Row, None, list[Run]]:
+    """Fly until all are done or a worker is lost -> what is left, the next one last."""
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker
+    )
+    # After a loss nobody knows whose it was: so many fly that few are suspected.
+    ahead = jobs if lost else _AHEAD * jobs
+    waiting: dict[Future[Row], Run] = {}
+    try:
+        while left or waiting:
+            while left and len(waiting) < ahead:
+                run = left.pop()
+                waiting[pool.submit(fly_run, run, out)] = run
+            done, _ = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in done:
+                if future.exception() is None:
+                    del waiting[future]
+                    yield future.result()
+            if waiting.keys() & done:
+                return (yield from _left(left, waiting.values(), lost))
+    except BrokenProcessPool:  # while one was handed out
+        left.append(run)
+        return (yield from _left(left, waiting.values(), lost))
+    except BaseException:  # Ctrl-C: what is being flown is flown again another time
+        for child in set(multiprocessing.active_children()) - others:
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return []
+
+
+def _left(
+    left: list[Run], flown: Iterable[Run], lost: dict[int, int]
+) -> Generator[Row, None, list[Run]]:
+    """Count a lost worker against all that it may have flown, and give up those that lose many."""
+    again = []
+    for run in flown:
+        lost[run.number] = lost.get(run.number, 0) + 1
+        if lost[run.number] < _RETRIES:
+            again.append(run)
+        else:
+            yield lost_run(run, f"its worker died {_RETRIES} times")
+    return [*left, *reversed(again)]
+
+
+def _begin_worker() -> None:
+    """Ctrl-C is the parent's; a worker whose parent was killed ends too."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: _end_worker())
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        multiprocessing.connection.wait([parent.sentinel])
+        _end_worker()
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+def _end_worker() -> None:
+    """At once: the pool's loop would take an exception for the answer of a run, and go on."""
+    end_programs()
+    os._exit(1)
+
+
+def fly_on_cluster(runs: Sequence[Run], out: Path, scheduler: str) -> Iterator[Row]:
+    """On the workers of a Dask scheduler, which sees to those that it loses."""
+    need("cluster", "--scheduler", scheduler)
+    from distributed import Client, as_completed
+
+    try:
+        client = Client(scheduler, timeout="10s")
+    except (OSError, ValueError) as error:
+        rule = f"no Dask scheduler answers there ({' '.join(str(error).split())})"
+        remedy = "Start one with: dask scheduler. See docs/campaigns.md."
+        raise InputError("--scheduler", scheduler, rule, remedy) from None
+    with client:
+        futures = client.map(
+            partial(fly_run, out=out), runs, pure=False, retries=_RETRIES, batch_size=1_000
+        )
+        by_key = {future.key: run for future, run in zip(futures, runs, strict=True)}
+        try:
+            for future in as_completed(futures):
+                if future.status == "finished":
+                    yield future.result()
+                elif future.status == "error":
+                    yield lost_run(by_key[future.key], repr(future.exception()))
+                else:
+                    text = "the Dask scheduler is gone, or has cancelled the campaign"
+                    raise FlightInterrupted(text, "Give the same command again to go on.")
+                future.release()
+        finally:
+            client.cancel(futures)

@@ -1,0 +1,261 @@
+"""Campaign files: which missions are flown, how often, and what differs; a list of runs of them.
+
+A campaign is data: places (worlds with their missions), factors that are combined, each with each,
+and how many seeds of every combination.
+"""
+
+import difflib
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal, final
+
+from pydantic import Field
+
+from companion.campaign.families import FAMILIES
+from companion.config import bundled
+from companion.errors import InputError
+from companion.objective.scene import PROFILES
+from companion.optimise.registry import OPTIMISERS
+from companion.planner.settings import PlannerSettings
+from companion.ranges import Positive
+from companion.sources.files import answer, read_text, toml_table
+from companion.sources.mission_schema import Name
+from companion.sources.schema import Table, keys_of, validated
+
+Over = Literal["process", "udp", "planner"]
+Keep = Literal["all", "failures", "none"]
+Vehicle = Literal["ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plane"]
+
+SPREAD = "spread"
+"""A family whose index is how many obstacles there are, always as densely."""
+_NONE = "none"
+_MOST_RUNS = 1_000_000
+_OF_VEHICLES = ("vehicle", "sensor", "faults", "wind", "noise")
+_CHOSEN = ("sensor", "faults", "wind", "noise")
+_Index = Annotated[int, Field(ge=0, le=10_000_000)]
+_Seed = Annotated[int, Field(ge=0, le=2**31)]
+_Choices = Annotated[list[Name], Field(min_length=1)]
+
+
+class PlaceTable(Table):
+    """A world and the mission in it, or some worlds of a random family."""
+
+    world: str | None = None
+    mission: str | None = None
+    """Left out: the bundled one of that name, or mission.toml beside the world."""
+    family: Literal[(*FAMILIES, SPREAD)] | None = None  # type: ignore[valid-type]
+    seed: _Seed = 0
+    """Of the family: which worlds are drawn."""
+    first: _Index = 0
+    count: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+    indices: list[_Index] | None = None
+    """In place of `first` and `count`."""
+
+
+_Budget = keys_of(PlannerSettings, "evaluations").model_fields["evaluations"]
+
+
+class FactorsTable(Table):
+    """What is combined, each with each; what is left out is as the mission has it."""
+
+    vehicle: Annotated[list[Vehicle], Field(min_length=1)] | None = None
+    profile: list[Literal[tuple(PROFILES)]] | None = None  # type: ignore[valid-type]
+    optimiser: _Choices | None = None
+    budget: list[Annotated[int, Field(ge=60, le=200_000)]] | None = None
+    planner: _Choices | None = None
+    knowledge: list[Literal["scans", "full"]] | None = None
+    sensor: _Choices | None = None
+    faults: _Choices | None = None
+    wind: _Choices | None = None
+    noise: _Choices | None = None
+
+
+class ChoiceTable(Table):
+    """What a name among sensors, faults, winds or noises stands for."""
+
+    name: Name
+    faults: str = ""
+    """Lines of the simulator's timeline."""
+    world: list[str] = Field(default=[])
+    """Other values of keys of the world file: "scanner.range_m=8000"."""
+    mission: list[str] = Field(default=[])
+
+
+class CampaignTable(Table):
+    """A campaign file."""
+
+    schema_: Annotated[Literal[1], Field(alias="schema")]
+    name: Name
+    over: Over = "process"
+    keep: Keep = "failures"
+    seeds: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+    first_seed: _Seed = 1
+    limit_s: Positive = 7200.0
+    """Of vehicle time: a flight that is longer is stopped."""
+    places: Annotated[list[PlaceTable], Field(min_length=1)]
+    factors: FactorsTable = FactorsTable()
+    choices: list[ChoiceTable] = Field(default=[])
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """One world and its mission."""
+
+    label: str
+    world: str
+    """A bundled name, a path, or the name of a drawn one."""
+    mission: str | None = None
+    family: str | None = None
+    family_seed: int | None = None
+    family_index: int | None = None
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """One run, all that it depends on; None: as the mission has it."""
+
+    number: int
+    key: str
+    seed: int
+    place: Place
+    over: Over
+    keep: Keep
+    limit_s: float
+    vehicle: str | None = None
+    profile: str | None = None
+    optimiser: str | None = None
+    budget: int | None = None
+    planner: str = "ours"
+    knowledge: str = "scans"
+    sensor: str | None = None
+    faults: str | None = None
+    wind: str | None = None
+    noise: str | None = None
+    timeline: str = ""
+    world_settings: tuple[str, ...] = ()
+    mission_settings: tuple[str, ...] = ()
+
+
+def bundled_campaigns() -> list[str]:
+    """The names of the campaigns that come with the package."""
+    folder = resources.files("companion") / "campaign" / "bundled"
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir())
+
+
+def load_campaign(name_or_path: str) -> tuple[CampaignTable, str, Path]:
+    """A bundled campaign or a file -> campaign, text, the folder that its paths are of."""
+    path, names = Path(name_or_path), ", ".join(bundled_campaigns())
+    if name_or_path in bundled_campaigns():
+        path = Path(str(resources.files("companion"))) / "campaign/bundled" / f"{name_or_path}.toml"
+    elif not answer(path.exists):
+        rule = "no such file, and no bundled campaign"
+        raise InputError("CAMPAIGN", name_or_path, rule, f"Give a file, or one of: {names}.")
+    text = read_text(path, "CAMPAIGN", f"Give a campaign file, or one of: {names}.")
+    table = toml_table(text, name_or_path)
+    campaign = validated(CampaignTable, table, name_or_path)
+    _check(campaign, name_or_path)
+    return campaign, text, path.absolute().parent
+
+
+def _check(campaign: CampaignTable, where: str) -> None:
+    """What one table alone cannot know."""
+    factors = campaign.factors
+    for name in factors.optimiser or ():
+        if name not in OPTIMISERS:
+            remedy = f"One of: {', '.join(OPTIMISERS)}."
+            raise InputError(f"{where}: factors.optimiser", name, "there is none", remedy)
+    known = [choice.name for choice in campaign.choices]
+    for factor in _CHOSEN:
+        for name in getattr(factors, factor) or ():
+            if name not in (_NONE, *known):
+                near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)
+                remedy = f"Did you mean {near[0]}?" if near else "Add it to [[choices]]."
+                rule = "no choice has this name"
+                raise InputError(f"{where}: factors.{factor}", name, rule, remedy)
+    for k, place in enumerate(campaign.places):
+        if (place.world is None) == (place.family is None):
+            rule = "a place has either a world or a family"
+            raise InputError(f"{where}: places[{k}]", place.world, rule, "Leave out the other.")
+
+
+def check_over(campaign: CampaignTable, over: Over, where: str) -> None:
+    """InputError if its factors do not go with how it is flown."""
+    for factor in _OF_VEHICLES:
+        if over == "planner" and getattr(campaign.factors, factor):
+            rule = "the planner alone has no vehicle"
+            remedy = 'Leave it out, or fly: over = "process".'
+            raise InputError(f"{where}: factors.{factor}", over, rule, remedy)
+    for factor, ours in (("planner", ["ours"]), ("knowledge", ["scans"])):
+        if over != "planner" and (getattr(campaign.factors, factor) or ours) != ours:
+            rule = "rivals and full knowledge are of the planner alone"
+            raise InputError(f"{where}: factors.{factor}", over, rule, 'Write over = "planner".')
+
+
+def runs_of(campaign: CampaignTable, folder: Path, over: Over, keep: Keep) -> list[Run]:
+    """Every run, in the order in which they are flown; folder: what its paths are relative to.
+
+    All seeds of a combination follow each other last, so that the first runs already show each
+    combination once.
+    """
+    places = [place for table in campaign.places for place in _places(table, folder)]
+    factors = {
+        name: getattr(campaign.factors, name) or [None] for name in FactorsTable.model_fields
+    }
+    combinations = list(itertools.product(places, *factors.values()))
+    if campaign.seeds * len(combinations) > _MOST_RUNS:
+        rule = f"that makes more than {_MOST_RUNS:,} runs"
+        raise InputError("seeds", campaign.seeds, rule, "Ask for fewer.")
+    choices = {choice.name: choice for choice in campaign.choices}
+    found: list[Run] = []
+    for seed in range(campaign.first_seed, campaign.first_seed + campaign.seeds):
+        for place, *values in combinations:
+            given = {k: v for k, v in zip(factors, values, strict=True) if v is not None}
+            chosen = [choices[v] for k, v in given.items() if k in _CHOSEN and v != _NONE]
+            found.append(
+                Run(
+                    number=len(found),
+                    key="/".join([place.label, *map(str, given.values()), f"seed-{seed}"]),
+                    seed=seed,
+                    place=place,
+                    over=over,
+                    keep=keep,
+                    limit_s=campaign.limit_s,
+                    timeline="\n".join(each.faults.strip() for each in chosen if each.faults),
+                    world_settings=_joined(each.world for each in chosen),
+                    mission_settings=_joined(each.mission for each in chosen),
+                    **given,
+                )
+            )
+    return found
+
+
+def _joined(lists: Iterable[list[str]]) -> tuple[str, ...]:
+    return tuple(itertools.chain.from_iterable(lists))
+
+
+def _places(table: PlaceTable, folder: Path) -> Sequence[Place]:
+    if table.family is not None:
+        indices = table.indices or range(table.first, table.first + table.count)
+        return [
+            Place(
+                label=f"{table.family}-{table.seed}/{index}",
+                world=f"{table.family}-{table.seed}-{index}",
+                family=table.family,
+                family_seed=table.seed,
+                family_index=index,
+            )
+            for index in indices
+        ]
+    world, mission = str(table.world), table.mission
+    if world not in bundled():
+        path = folder / world
+        world, mission = str(path), mission or str(path.with_name("mission.toml"))
+    if mission is not None and mission not in bundled():
+        mission = str(folder / mission)
+    label = world if world in bundled() else Path(world).parent.name or Path(world).stem
+    return [Place(label=label, world=world, mission=mission or world)]

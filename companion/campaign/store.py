@@ -1,0 +1,147 @@
+"""The Parquet data set of a campaign: rows as they come, none lost, none twice.
+
+    campaign.toml      the file as it was given
+    runs.json          how many runs there are, and what they are: who resumes is held to it
+    rows/*.parquet     parts, each written under another name first: there are only whole ones
+    runs/000123/       folders of runs that are kept
+
+A run is done when its row is in a part.  What was flown but not written when the power went is
+flown again, and is the same.  Two writers at once are refused.
+"""
+
+import fcntl
+import json
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self, final
+
+from companion.campaign.row import Row, schema
+from companion.errors import InputError
+from companion.extras import need
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+ROWS = "rows"
+_LOCK, _RUNS, _FILE = ".lock", "runs.json", "campaign.toml"
+
+
+@final
+class Store:
+    """A campaign's folder, open for writing."""
+
+    def __init__(self, folder: Path, *, text: str, digest: str, count: int) -> None:
+        """text: of the campaign's file.  digest: of all runs; count: how many.
+
+        InputError if the folder holds another campaign, is written to by another process, or
+        cannot be written to.
+        """
+        need("campaign", "companion campaign", str(folder))
+        self.folder = folder
+        try:
+            (folder / ROWS).mkdir(parents=True, exist_ok=True)
+            self._lock = (folder / _LOCK).open("w")
+            self._take_lock()
+            self._begin(text, {"digest": digest, "runs": count})
+        except OSError as error:
+            rule = f"it cannot be written to ({error.strerror})"
+            raise InputError("--out", str(folder), rule, "Give a folder that can be.") from error
+        except InputError:
+            self._lock.close()
+            raise
+        self._remove_unfinished()
+        self.done = _numbers(folder)
+        """The runs whose rows are there."""
+        self._parts = len(list((folder / ROWS).glob("*.parquet")))
+
+    def _take_lock(self) -> None:
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            rule = "another process is at this campaign"
+            remedy = "Wait for it, or give another folder."
+            raise InputError("--out", str(self.folder), rule, remedy) from None
+
+    def _begin(self, text: str, facts: dict[str, Any]) -> None:
+        runs = self.folder / _RUNS
+        if runs.exists():
+            if json.loads(runs.read_bytes()) != facts:
+                rule = "it holds another campaign, or the same with other options"
+                raise InputError("--out", str(self.folder), rule, "Give a new folder.")
+            return
+        if any((self.folder / ROWS).iterdir()):
+            rule = "it holds rows of something else"
+            raise InputError("--out", str(self.folder), rule, "Give a new folder.")
+        _write(self.folder / _FILE, text.encode())
+        _write(runs, json.dumps(facts).encode())
+
+    def _remove_unfinished(self) -> None:
+        """What a killed process was writing: it has the lock no more."""
+        import shutil
+
+        for path in (self.folder / ROWS).glob(".*.new"):
+            path.unlink()
+        for path in (self.folder / "runs").glob(".new-*"):
+            shutil.rmtree(path, ignore_errors=True)
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Rows, on the disk when this returns; those that are there already are left out."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        fresh = {row.run: row for row in rows if row.run not in self.done}
+        if not fresh:
+            return
+        table = pa.Table.from_pylist([asdict(row) for row in fresh.values()], schema())
+        sink = pa.BufferOutputStream()
+        pq.write_table(table, sink)
+        path = self.folder / ROWS / f"part-{self._parts:06d}-{min(fresh):07d}.parquet"
+        _write(path, sink.getvalue().to_pybytes())
+        self._parts += 1
+        self.done |= fresh.keys()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.close()
+
+
+def _write(path: Path, content: bytes) -> None:
+    """A file that is there whole or not at all, and stays after a power cut."""
+    new = path.with_name(f".{path.name}.new")
+    with new.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    new.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _numbers(folder: Path) -> set[int]:
+    import pyarrow.parquet as pq
+
+    found: set[int] = set()
+    for part in (folder / ROWS).glob("*.parquet"):
+        found |= set(pq.read_table(part, columns=["run"])["run"].to_pylist())
+    return found
+
+
+def read_rows(folder: Path) -> "pa.Table":
+    """All rows so far, by their numbers.  InputError if there is no campaign."""
+    need("campaign", "companion campaign", str(folder))
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    parts: Iterable[Path] = sorted((folder / ROWS).glob("*.parquet"))
+    tables = [pq.read_table(part, schema=schema()) for part in parts]
+    if not tables:
+        rule = "there are no rows of a campaign in it"
+        raise InputError("FOLDER", str(folder), rule, "Give the folder of a campaign.")
+    return pa.concat_tables(tables).sort_by("run")

@@ -1,0 +1,243 @@
+"""A campaign's data set is the same however it is flown, and whatever dies meanwhile."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.campaign.command import campaign_app
+from companion.campaign.execute import fly_locally, fly_on_cluster
+from companion.campaign.file import Run, bundled_campaigns, load_campaign, runs_of
+from companion.campaign.row import TIMING, Row
+from companion.campaign.run import fly_run
+from companion.campaign.store import Store, read_rows
+from companion.errors import InputError
+
+pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("campaign")]
+
+PLANNED = """
+schema = 1
+name = "planned"
+over = "planner"
+keep = "none"
+seeds = 2
+[[places]]
+family = "copter"
+count = 2
+[factors]
+budget = [200, 400]
+"""
+FLOWN = """
+schema = 1
+name = "flown"
+keep = "failures"
+[[places]]
+world = "sitl-arducopter"
+[factors]
+faults = ["none", "dead"]
+[[choices]]
+name = "dead"
+faults = "at 60 s: battery 1 %"
+"""
+COMMAND = [sys.executable, "-c", "from companion.cli import main; main()", "campaign"]
+PATIENCE_S = 120.0
+
+
+def campaign_file(folder: Path, text: str) -> Path:
+    path = folder / "campaign.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def runs(folder: Path, text: str, over: Any = None) -> list[Run]:
+    table, _, base = load_campaign(str(campaign_file(folder, text)))
+    return runs_of(table, base, over or table.over, table.keep)
+
+
+def same(rows: Any) -> list[dict[str, Any]]:
+    """Rows by their numbers, without what differs from machine to machine."""
+    plain = [row.deterministic() if isinstance(row, Row) else row for row in rows]
+    plain = [{k: v for k, v in row.items() if k not in TIMING} for row in plain]
+    return sorted(plain, key=lambda row: row["run"])
+
+
+def wait_until(so: Callable[[], Any]) -> Any:
+    until_s = time.monotonic() + PATIENCE_S
+    while not (found := so()):
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
+    return found
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    """What comes of it, one run after the other."""
+    folder = tmp_path_factory.mktemp("planned")
+    return same(fly_run(run, folder) for run in runs(folder, PLANNED))
+
+
+def test_on_all_cores_it_is_the_same(planned: Any, tmp_path: Path) -> None:
+    rows = list(fly_locally(runs(tmp_path, PLANNED), tmp_path, 2))
+    assert same(rows) == planned
+    assert len({row.worker for row in rows}) == 2
+    assert all(row.arrived and row.violations == 0 for row in rows)
+
+
+def test_a_local_worker_that_is_killed_takes_no_run_with_it(planned: Any, tmp_path: Path) -> None:
+    flying = fly_locally(runs(tmp_path, PLANNED), tmp_path, 2)
+    rows = [next(flying)]
+    os.kill(int(rows[0].worker.rpartition("/")[2]), signal.SIGKILL)
+    rows += flying
+    assert same(rows) == planned
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[tuple[str, list["subprocess.Popen[bytes]"]]]:
+    """A scheduler and two workers, in processes of their own -> address, workers."""
+    address_file = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "distributed.cli"]
+    here = ["--host", "127.0.0.1", "--no-dashboard"]
+    quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+
+    def start(program: str, *options: str) -> "subprocess.Popen[bytes]":
+        command = [*dask[:2], f"distributed.cli.dask_{program}", *options]
+        return subprocess.Popen(command, cwd=tmp_path, **quiet)
+
+    scheduler = start("scheduler", *here, "--port", "0", "--scheduler-file", str(address_file))
+    started = [scheduler]
+    try:
+        wait_until(address_file.is_file)
+        address = wait_until(lambda: _address(address_file))
+        alone = ["--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        workers = [start("worker", address, *alone) for _ in range(2)]
+        started += workers
+        yield address, workers
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+def _address(file: Path) -> str | None:
+    try:
+        return str(json.loads(file.read_text(encoding="utf-8"))["address"])
+    except ValueError:  # being written
+        return None
+
+
+def test_a_cluster_that_loses_a_worker_half_way_brings_the_same(
+    planned: Any, cluster: Any, tmp_path: Path
+) -> None:
+    address, workers = cluster
+    todo = runs(tmp_path, PLANNED)
+    rows = list[Row]()
+    for row in fly_on_cluster(todo, tmp_path, address):
+        rows.append(row)
+        if len(rows) == len(todo) // 2:
+            of = {int(row.worker.rpartition("/")[2]) for row in rows}
+            lost = next(worker for worker in workers if worker.pid in of)
+            lost.kill()
+    assert len(rows) == len(todo)
+    assert same(rows) == planned
+
+
+def test_killed_and_started_again_it_is_as_if_it_had_not_been(planned: Any, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [*COMMAND, str(campaign_file(tmp_path, PLANNED)), "--out", str(out), "--jobs", "1"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as first:
+        wait_until(lambda: list((out / "rows").glob("part-*.parquet")))
+        first.kill()
+    there = read_rows(out).num_rows
+    again = subprocess.run(command, check=True, capture_output=True, text=True)
+    if there < len(planned):
+        assert f"{there} of {len(planned)} runs are there already" in again.stdout
+    assert same(read_rows(out).to_pylist()) == planned
+    third = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert "0 runs" in third.stdout
+
+
+def test_over_udp_it_is_what_it_is_in_one_process(tmp_path: Path) -> None:
+    here = [fly_run(run, tmp_path / "here") for run in runs(tmp_path, FLOWN)]
+    udp = [fly_run(run, tmp_path / "udp") for run in runs(tmp_path, FLOWN, "udp")]
+    assert same({**row, "over": "process"} for row in same(udp)) == same(here)
+    arrived, failed = here
+    assert arrived.arrived
+    assert arrived.violations == 0
+    assert (arrived.subpaths_checked or 0) >= 3
+    assert arrived.folder == ""
+    assert not failed.arrived
+    for row, out in ((failed, "here"), (udp[1], "udp")):
+        folder = tmp_path / out / str(row.folder)
+        names = {"journal.jsonl", "flight.tlog", "mission.toml", "world.toml", "truth.jsonl"}
+        assert names <= {path.name for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("name", bundled_campaigns())
+def test_the_first_run_of_a_bundled_campaign_flies(name: str, tmp_path: Path) -> None:
+    table, _, base = load_campaign(name)
+    first = runs_of(table, base, table.over, "none")[0]
+    row = fly_run(first, tmp_path)
+    assert row.error is None
+    assert row.arrived, row.reason
+    assert row.violations == 0
+
+
+def test_a_run_that_raises_is_a_row(tmp_path: Path) -> None:
+    [run, *_] = runs(tmp_path, FLOWN.replace("[factors]", '[factors]\nvehicle = ["px4-plane"]'))
+    row = fly_run(run, tmp_path)
+    assert row.outcome == "error"
+    assert row.error
+    assert "\n" not in row.error
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "says"),
+    [
+        ("schema = 1", "", "schema"),
+        ('name = "flown"', 'nmae = "flown"', "Did you mean name?"),
+        ('world = "sitl-arducopter"', "", "either a world or a family"),
+        ('world = "sitl-arducopter"', 'family = "hills"', "places[0].family"),
+        ('world = "sitl-arducopter"', 'world = "nowhere.toml"', "no such file"),
+        ('"none", "dead"', '"none", "dade"', "Did you mean dead?"),
+        ("battery 1 %", "battery much", "battery"),
+        ('keep = "failures"', 'over = "planner"', "the planner alone has no vehicle"),
+        ("[factors]", '[factors]\noptimiser = ["luck"]', "refined-de"),
+        ("[factors]", "[factors]\nbudget = [1]", "budget"),
+        ("schema = 1", "schema = [", "not TOML"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said_in_one_line(
+    was: str, now: str, says: str, tmp_path: Path
+) -> None:
+    assert was in FLOWN
+    path = campaign_file(tmp_path, FLOWN.replace(was, now))
+    command = [*COMMAND, "run", str(path), "--out", str(tmp_path / "out")]
+    with pytest.raises(InputError) as refused:
+        campaign_app(command[4:], standalone_mode=False)
+    assert says in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_of_something_else_and_a_busy_one_are_refused(tmp_path: Path) -> None:
+    busy, again = (lambda: Store(tmp_path, text="", digest="a", count=1) for _ in range(2))
+    with busy(), pytest.raises(InputError, match="another process"):
+        again()
+    with pytest.raises(InputError, match="another campaign"):
+        Store(tmp_path, text="", digest="b", count=1)
+
+
+def test_a_row_is_written_once(planned: Any, tmp_path: Path) -> None:
+    row = fly_run(runs(tmp_path, PLANNED)[0], tmp_path)
+    for _ in range(2):
+        with Store(tmp_path / "out", text="", digest="a", count=1) as store:
+            store.add([row, row])
+            store.add([row])
+    assert same(read_rows(tmp_path / "out").to_pylist()) == planned[:1]
