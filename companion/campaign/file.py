@@ -15,6 +15,7 @@ from typing import Annotated, Literal, final
 from pydantic import Field
 
 from companion.campaign.families import FAMILIES
+from companion.campaign.rivals.registry import PLANNERS
 from companion.config import bundled
 from companion.errors import InputError
 from companion.objective.scene import PROFILES
@@ -31,7 +32,7 @@ Vehicle = Literal["ardupilot-copter", "ardupilot-plane", "px4-copter", "px4-plan
 
 SPREAD = "spread"
 """A family whose index is how many obstacles there are, always as densely."""
-_NONE = "none"
+_NONE, _OURS = "none", "ours"
 _MOST_RUNS = 1_000_000
 _OF_VEHICLES = ("vehicle", "sensor", "faults", "wind", "noise")
 _CHOSEN = ("sensor", "faults", "wind", "noise")
@@ -169,6 +170,10 @@ def _check(campaign: CampaignTable, where: str) -> None:
         if name not in OPTIMISERS:
             remedy = f"One of: {', '.join(OPTIMISERS)}."
             raise InputError(f"{where}: factors.optimiser", name, "there is none", remedy)
+    for name in factors.planner or ():
+        if name != _OURS and name not in PLANNERS:
+            remedy = f"One of: {_OURS}, {', '.join(PLANNERS)}."
+            raise InputError(f"{where}: factors.planner", name, "there is none", remedy)
     known = [choice.name for choice in campaign.choices]
     for factor in _CHOSEN:
         for name in getattr(factors, factor) or ():
@@ -190,7 +195,7 @@ def check_over(campaign: CampaignTable, over: Over, where: str) -> None:
             rule = "the planner alone has no vehicle"
             remedy = 'Leave it out, or fly: over = "process".'
             raise InputError(f"{where}: factors.{factor}", over, rule, remedy)
-    for factor, ours in (("planner", ["ours"]), ("knowledge", ["scans"])):
+    for factor, ours in (("planner", [_OURS]), ("knowledge", ["scans"])):
         if over != "planner" and (getattr(campaign.factors, factor) or ours) != ours:
             rule = "rivals and full knowledge are of the planner alone"
             raise InputError(f"{where}: factors.{factor}", over, rule, 'Write over = "planner".')

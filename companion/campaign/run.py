@@ -25,6 +25,10 @@ from companion.campaign.drawn_files import write
 from companion.campaign.drawn_world import DrawnWorld
 from companion.campaign.file import SPREAD, Place, Run
 from companion.campaign.flight import Flight, FlightFiles
+from companion.campaign.rivals import flight as rivals
+from companion.campaign.rivals import ours
+from companion.campaign.rivals.measure import measured
+from companion.campaign.rivals.registry import PLANNERS
 from companion.campaign.row import Row
 from companion.config import load_mission, load_world, mission_text
 from companion.errors import InputError
@@ -125,6 +129,10 @@ def _flown(run: Run, folder: Path) -> dict[str, Any]:
 
 def _planned(run: Run, folder: Path) -> dict[str, Any]:
     drawn = _with_factors(_drawn(run.place), run)
+    if run.keep != "none":
+        write(drawn, folder)
+    if run.planner != "ours" or run.knowledge != "scans":
+        return _route(run, drawn)
     began_s = time.process_time()
     flown = fly(
         drawn.terrain,
@@ -135,8 +143,6 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
     )
     took_s = time.process_time() - began_s
     details = flown.details
-    if run.keep != "none":
-        write(drawn, folder)
     plans = len(details.plans) + details.holds
     found = _of_task(drawn.task) | {
         "outcome": "arrived" if flown.arrived else "failed",
@@ -150,6 +156,46 @@ def _planned(run: Run, folder: Path) -> dict[str, Any]:
     }
     subpaths = [leg.subpath.control_nea_m for leg in details.legs]
     return found | _of_track(flown.points_nea_m, drawn) | _checked(subpaths, drawn)
+
+
+def _route(run: Run, drawn: DrawnWorld) -> dict[str, Any]:
+    """Of a planner of whole routes, or of ours with full knowledge."""
+    knowledge: Any = run.knowledge
+    if run.planner == "ours":
+        flown = ours.fly(drawn, knowledge=knowledge, seed=run.seed)
+    else:
+        budget = run.budget or rivals.EVALUATIONS
+        flown = rivals.fly(
+            drawn, PLANNERS[run.planner], knowledge=knowledge, evaluations=budget, seed=run.seed
+        )
+    found = _of_task(drawn.task) | {
+        "outcome": "arrived" if flown.arrived else "failed",
+        "reason": flown.why or None,
+        "arrived": flown.arrived,
+        "plans": len(flown.plan_s),
+        "holds": len(flown.stops),
+        "plan_ms_median": 1e3 * float(np.median(flown.plan_s)) if flown.plan_s else None,
+        "plan_ms_p99": 1e3 * float(np.quantile(flown.plan_s, 0.99)) if flown.plan_s else None,
+        "straight_m": _straight_m(drawn.start_nea_m, drawn.targets_ne_m),
+    }
+    if len(flown.points_nea_m) < 2:
+        return found
+    measures = measured(drawn, flown.points_nea_m, flown.stops)
+    kept = {
+        "clearance": measures.keeps_clearance,
+        "turn": measures.keeps_turns,
+        "slope": measures.keeps_slopes,
+    }
+    broken = [name for name, is_kept in kept.items() if not is_kept]
+    return (
+        found
+        | _of_track(flown.points_nea_m, drawn)
+        | {
+            "violations": len(broken),
+            "violated": "; ".join(broken) or None,
+            "clearance_least_m": measures.clearance_m,
+        }
+    )
 
 
 def _drawn(place: Place) -> DrawnWorld:
@@ -374,7 +420,7 @@ def check_runs(runs: Sequence[Run], where: str) -> None:
 
     One run of each kind is looked at; of a family, one world.
     """
-    kinds = {}
+    kinds = dict[Any, Run]()
     for run in runs:
         place = run.place.family or (run.place.world, run.place.mission)
         settings = (run.world_settings, run.mission_settings, run.vehicle, run.timeline)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 
 from companion.campaign.command import campaign_app
 from companion.campaign.execute import fly_locally, fly_on_cluster
@@ -220,7 +221,7 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(
     path = campaign_file(tmp_path, FLOWN.replace(was, now))
     command = [*COMMAND, "run", str(path), "--out", str(tmp_path / "out")]
     with pytest.raises(InputError) as refused:
-        campaign_app(command[4:], standalone_mode=False)
+        typer.main.get_command(campaign_app)(command[4:], standalone_mode=False)
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
     assert not (tmp_path / "out").exists()
