@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 import typer
 
-from companion.campaign.command import campaign_app
 from companion.campaign.execute import fly_locally, fly_on_cluster
 from companion.campaign.file import Run, bundled_campaigns, load_campaign, runs_of
 from companion.campaign.row import TIMING, Row
 from companion.campaign.run import fly_run
 from companion.campaign.store import Store, read_rows
+from companion.cli import app
 from companion.errors import InputError
 
 pytestmark = [pytest.mark.closed_loop, pytest.mark.xdist_group("campaign")]
@@ -221,7 +221,7 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(
     path = campaign_file(tmp_path, FLOWN.replace(was, now))
     command = [*COMMAND, "run", str(path), "--out", str(tmp_path / "out")]
     with pytest.raises(InputError) as refused:
-        typer.main.get_command(campaign_app)(command[4:], standalone_mode=False)
+        typer.main.get_command(app)(command[3:], standalone_mode=False)
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
     assert not (tmp_path / "out").exists()
