@@ -170,7 +170,17 @@ def _parameters(drawn: DrawnWorld, autopilot: Autopilot) -> dict[str, float]:
     """What an operator has set before: a battery that lasts, and the mission's speed."""
     limits = drawn.task.limits
     if autopilot == "px4":
-        return {"SIM_BAT_DRAIN": 10_000.0}
+        lasts = {"SIM_BAT_DRAIN": 10_000.0}
+        if not limits.hovers:
+            return lasts | {
+                "FW_AIRSPD_TRIM": limits.speed_m_s,
+                "FW_AIRSPD_MAX": 1.3 * limits.speed_m_s,
+            }
+        return lasts | {
+            "MPC_XY_VEL_MAX": 1.3 * limits.speed_m_s,
+            "MPC_Z_VEL_MAX_UP": max(3.0, limits.climb_rate_m_s),
+            "MPC_Z_VEL_MAX_DN": max(1.5, limits.climb_rate_m_s),
+        }
     lasts = {"BATT_CAPACITY": 100_000.0}
     if not limits.hovers:
         return lasts | {"AIRSPEED_CRUISE": limits.speed_m_s}

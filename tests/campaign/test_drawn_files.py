@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.campaign import families, truth
-from companion.campaign.drawn_files import write
+from companion.campaign.drawn_files import Autopilot, write
 from companion.campaign.drawn_world import DrawnWorld
 from companion.config import load_mission, load_world
 from companion.runtime.compiler import Planner
@@ -52,9 +52,12 @@ def test_what_is_read_back_is_what_was_drawn(family: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.closed_loop
-def test_a_drawn_world_is_flown_from_its_files_to_its_target(tmp_path: Path) -> None:
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_drawn_world_is_flown_from_its_files_to_its_target(
+    autopilot: Autopilot, tmp_path: Path
+) -> None:
     drawn = families.world("copter", 5, 0)
-    world_path, mission_path = write(drawn, tmp_path)
+    world_path, mission_path = write(drawn, tmp_path, autopilot)
     simulation = Simulation(read_world(world_path), seed=1)
     session = Session(load_mission(str(mission_path)), seed=1, lockstep=True)
     flown = fly_in_process(session, simulation, planner=Planner(lockstep=True))
