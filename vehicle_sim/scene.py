@@ -56,12 +56,9 @@ class Scene:
         self._farthest_m = float(halves_m.max(initial=0.0))
         """No point of a piece is farther from its middle."""
         self._middles = cKDTree(middles) if len(middles) else None
-        self._solids = [_Solid.of(thing) for thing in things if thing.closed]
-
-    @property
-    def empty(self) -> bool:
+        self.empty = self._middles is None
         """Whether there is nothing but ground."""
-        return self._middles is None
+        self._solids = [_Solid.of(thing) for thing in things if thing.closed]
 
     def distance_m(self, points_nea_m: FloatArray) -> FloatArray:
         """To the nearest point of any near thing, the ground not counted.  (P, 3) -> (P,).

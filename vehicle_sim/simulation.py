@@ -393,7 +393,7 @@ class Simulation:
             self._watch_near()
         if self._lidar is not None:
             self._step_lidar()
-        if controller.ranging is not None:
+        if controller.ranging is not None and controller.ranging.proximity.kind:
             controller.ranging.proximity.step(since_boot_us)
         complete = now_us >= controller.streams.soonest_us and controller.stream(now_us)
         if looks and not complete:  # without positions there are ticks all the same

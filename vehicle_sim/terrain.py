@@ -97,7 +97,7 @@ class PeakTerrain:
         if not len(self.peak_height_m):
             return self.ground_amsl_m
         each_m = self._peaks_m(north_m - self.peak_north_m, east_m - self.peak_east_m)
-        joined = float(each_m.max() if self.combine == "maximum" else each_m.sum())
+        joined = max(each_m.tolist()) if self.combine == "maximum" else float(each_m.sum())
         return joined if joined > self.ground_amsl_m else self.ground_amsl_m
 
     def _peak_bounds_m(

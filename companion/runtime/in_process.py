@@ -24,6 +24,8 @@ from companion.session import Session
 from companion.telemetry.flight_summary import FlightSummary
 from companion.telemetry.run_folder import RunFolder
 
+_PORTION = 20_000  # frames: two megabytes
+
 
 class SimulatedVehicle(Protocol):
     """A vehicle without sockets and clock; `vehicle_sim.simulation.Simulation` is one."""
@@ -67,7 +69,7 @@ class SimulatedVehicle(Protocol):
 class VehicleLink(Link):
     """A link to a vehicle in this process: with nothing left to receive, it flies on by a tick."""
 
-    def __init__(self, vehicle: SimulatedVehicle, on_step: Callable[[], None]) -> None:
+    def __init__(self, vehicle: SimulatedVehicle, on_step: Callable[[], None] | None) -> None:
         """on_step: called after each step of the vehicle."""
         self._vehicle, self._on_step = vehicle, on_step
         self._waiting: deque[bytes] = deque()
@@ -99,7 +101,8 @@ class VehicleLink(Link):
             complete = False
             while not complete:
                 complete = vehicle.step()
-                self._on_step()
+                if self._on_step is not None:
+                    self._on_step()
             vehicle.ask_for_sync()
         self._waiting.extend(datagrams([frame for _, frame in vehicle.take_frames()]))
 
@@ -121,6 +124,29 @@ class _Planning:
 
 
 @final
+class _PortionWriter:
+    """Writes in large portions: a flight that is cut short here is flown again, not resumed."""
+
+    def __init__(self, writer: InlineWriter) -> None:
+        self._writer, self._portion = writer, Batch()
+
+    def put(self, batch: Batch) -> None:
+        """Write it, now or with what follows."""
+        self._portion.add(batch)
+        if len(self._portion.record) >= _PORTION:
+            self._write()
+
+    def close(self) -> None:
+        """Write what is left."""
+        self._write()
+        self._writer.close()
+
+    def _write(self) -> None:
+        self._writer.put(self._portion)
+        self._portion = Batch()
+
+
+@final
 class _NoWriter:
     """Records nothing."""
 
@@ -137,7 +163,7 @@ def fly_in_process(
     folder: RunFolder | None = None,
     writer: Writer | None = None,
     stop_asked: Callable[[], bool] = lambda: False,
-    on_step: Callable[[], None] = lambda: None,
+    on_step: Callable[[], None] | None = None,
 ) -> FlightSummary:
     """Fly a session in lockstep until its mission ends; errors of session and planner are raised.
 
@@ -156,8 +182,9 @@ def fly_in_process(
     link = VehicleLink(vehicle, on_step)
     gate = Gate(link, clock)
     if folder is not None:
-        writer = InlineWriter(Recorder(folder, clock, persist=None), on_loss)
-    ControlLoop(
+        writer = _PortionWriter(InlineWriter(Recorder(folder, clock, persist=None), on_loss))
+    writer = writer or _NoWriter()
+    loop = ControlLoop(
         session=session,
         flown=flown,
         link=link,
@@ -166,7 +193,7 @@ def fly_in_process(
         event_queue=event_queue,
         reader=LinkReader(link, event_queue, gate, clock),
         planning=_Planning(planner, event_queue),
-        writer=writer or _NoWriter(),
+        writer=writer,
         watchdog=Watchdog(
             gate,
             clock=clock,
@@ -178,6 +205,10 @@ def fly_in_process(
         lockstep=True,
         stop_asked=stop_asked,
         clock=clock,
-    ).run()
+    )
+    try:
+        loop.run()
+    finally:
+        writer.close()
     flown.elapsed_s = time.perf_counter() - began_s
     return flown

@@ -21,7 +21,7 @@ _LEAVE_S = 5.0
 @final
 @dataclass(slots=True, kw_only=True)
 class Batch:
-    """The records of one iteration."""
+    """The records of one iteration, or of several."""
 
     record: list[tuple[float, bytes]] = field(default_factory=list)
     journal: list[dict[str, Any]] = field(default_factory=list)
@@ -41,6 +41,14 @@ class Batch:
         frames = sum(len(frame) for _, frame in self.record)
         told = sum(len(each[1]) for each in self.inputs if each[0] == "receive")
         return frames + told + _ENTRY_BYTES * len(self.journal)
+
+    def add(self, more: "Batch") -> None:
+        """Take in what came after; of checkpoint and map the newest count."""
+        self.record += more.record
+        self.journal += more.journal
+        self.inputs += more.inputs
+        self.checkpoint = more.checkpoint or self.checkpoint
+        self.known = more.known or self.known
 
 
 WRITER = "writer"
@@ -164,11 +172,7 @@ class WriterThread:
                 if more is None:
                     self._batches.put(None)
                     break
-                first.record += more.record
-                first.journal += more.journal
-                first.inputs += more.inputs
-                first.checkpoint = more.checkpoint or first.checkpoint
-                first.known = more.known or first.known
+                first.add(more)
         return first
 
     def _tell(self) -> None:

@@ -301,7 +301,7 @@ class Fuzz(RuleBasedStateMachine):
         assert 0 <= status.mission_current <= 65535
         assert self.autopilot.mode_name
         assert is_somewhere(estimate.place)
-        for place in (status.home, status.origin):
+        for place in (self.autopilot.home, status.origin):
             assert place is None or is_somewhere(place), place
         if status.waypoint is not None:
             place = status.waypoint.place

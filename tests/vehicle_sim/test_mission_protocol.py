@@ -46,9 +46,10 @@ class Vehicle:
 
     def __init__(self, firmware: Firmware) -> None:
         self.plans = Plans()
-        self.status = SimpleNamespace(home=HOME, mission_current=1)
+        self.status = SimpleNamespace(mission_current=1)
         autopilot = SimpleNamespace(
             plans=self.plans,
+            home=HOME,
             status=lambda: self.status,
             on_plan=self.on_plan,
             on_command=self.on_command,

@@ -104,13 +104,13 @@ def test_home_can_be_moved() -> None:
     rig = Rig()
     rig.run(6.0)
     assert rig.command(179, 0.0, 0.0, 0.0, 0.0, 47.4, 8.55, 500.0, frame=0) == [Result.ACCEPTED]
-    home = rig.px4.status().home
+    home = rig.px4.home
     assert home is not None
     assert (home.latitude_deg, home.altitude_amsl_m) == (47.4, 500.0)
     for altitude_m in (math.nan, 3.4e38):
         result = rig.command(179, 0.0, 0.0, 0.0, 0.0, 47.4, 8.55, altitude_m, frame=0)
         assert result == [Result.DENIED]
-    assert rig.px4.status().home == home
+    assert rig.px4.home == home
 
 
 def test_a_reposition_switches_to_hold() -> None:

@@ -299,7 +299,6 @@ class Status(NamedTuple):
     landed_state: int
     prearm_ok: bool
     """The PREARM_CHECK bit of SYS_STATUS."""
-    home: Place | None = None
     origin: Place | None = None
     """Of the estimator; its local frame is the autopilot's own flat earth about this point."""
     local_ned_m: tuple[float, float, float] | None = None
@@ -424,6 +423,7 @@ class Autopilot(Protocol):
     parameters: Parameters
     plans: Plans
     estimate: Estimate
+    home: Place | None
 
     @property
     def vehicle(self) -> Vehicle:

@@ -138,7 +138,7 @@ class _Grid:
         side = _TILE_CELLS // _CHUNK
         at = tuple(slice(1 + first * side, 1 + (first + 1) * side) for first in (row, column))
         squares = lowest[1:-1, 1:-1].reshape(side, _CHUNK, side, _CHUNK)
-        self._highest_amsl_m[at] = squares.max(axis=(1, 3))
+        self._highest_amsl_m[at] = squares.max(axis=1).max(axis=2)
         self.lowest_around_amsl_m[tile] = _of_nine(np.minimum, lowest)
         self._found[row, column] = True
         for edge in (0, -1):  # lines beyond the edge are looked up there

@@ -342,7 +342,7 @@ class ArduPilotMissions(MissionProtocol):
 
     def _home_item(self) -> PlanItem:
         """Item 0 of a mission is always home, not what was uploaded; zero before home is set."""
-        home = self._autopilot.status().home
+        home = self._autopilot.home
         if home is None:
             return PlanItem(frame=0, command=_WAYPOINT)
         return PlanItem(

@@ -181,7 +181,7 @@ def place_e7_mm(place: Place | Estimate | None) -> tuple[int, int, int] | None:
 
 
 def _above_home_mm(report: Report) -> int:
-    home = report.status.home
+    home = report.autopilot.home
     above_m = 0.0 if home is None else report.estimate.altitude_amsl_m - home.altitude_amsl_m
     return bounded(above_m * 1e3, INT32)
 
@@ -267,7 +267,7 @@ COMMON: Final[Table] = {
         "seq total": lambda r: (r.status.mission_current, r.status.mission_total),
         "mission_state": lambda r: r.status.mission_state,
     },
-    "HOME_POSITION": {"latitude longitude altitude": lambda r: place_e7_mm(r.status.home)},
+    "HOME_POSITION": {"latitude longitude altitude": lambda r: place_e7_mm(r.autopilot.home)},
     "HEARTBEAT": {
         "type autopilot": lambda r: (r.profile.vehicle_type, r.profile.autopilot),
         "base_mode custom_mode": lambda r: (r.status.base_mode, r.status.mode),

@@ -122,7 +122,7 @@ def _airspeed_variance(report: Report) -> float:
 
 def _home_ned_m(report: Report) -> tuple[float, float, float]:
     """In the estimator's frame."""
-    home, origin = report.status.home, report.status.origin
+    home, origin = report.autopilot.home, report.status.origin
     if home is None or origin is None:
         return _NAN, _NAN, _NAN
     north_deg = home.latitude_deg - origin.latitude_deg
@@ -174,7 +174,7 @@ def _wind(report: Report) -> tuple[float, float]:
 
 def _terrain_wanted(report: Report) -> tuple[int, int]:
     """The grid about home, which it remembers."""
-    home = report.status.home or report.vehicle
+    home = report.autopilot.home or report.vehicle
     return degrees_e7(home.latitude_deg - 0.0115), degrees_e7(home.longitude_deg - 0.0104)
 
 

@@ -120,13 +120,13 @@ def _orbit(report: Report) -> tuple[float, ...] | None:
 
 def _home_down_m(report: Report) -> float | None:
     """Seen from the origin."""
-    home, origin = report.status.home, report.status.origin
+    home, origin = report.autopilot.home, report.status.origin
     return home and origin and origin.altitude_amsl_m - home.altitude_amsl_m
 
 
 def _return_s(report: Report) -> int:
     """RTL_TIME_MARGIN and a rough way home; 0 on the ground."""
-    home, local_ned_m = report.status.home, report.status.local_ned_m
+    home, local_ned_m = report.autopilot.home, report.status.local_ned_m
     if _on_ground(report) or home is None or local_ned_m is None:
         return 0
     way_s = math.hypot(local_ned_m[0], local_ned_m[1]) / 5.0
@@ -183,7 +183,7 @@ def _range_cm(report: Report) -> int | None:
 def _altitudes_m(report: Report) -> tuple[float, ...]:
     """Above the sea, the origin, home and the ground's own height; and above the ground."""
     status, amsl_m = report.status, report.estimate.altitude_amsl_m
-    origin, home, above_m = status.origin, status.home, status.above_ground_m
+    origin, home, above_m = status.origin, report.autopilot.home, status.above_ground_m
     local_m = _NAN if origin is None else amsl_m - origin.altitude_amsl_m
     return (
         _NAN if origin is None else amsl_m,
@@ -222,12 +222,12 @@ def _drone_id_motion(report: Report) -> tuple[int, int, int]:
 
 
 def _drone_id_height_m(report: Report) -> float:
-    home = report.status.home
+    home = report.autopilot.home
     return 0.0 if home is None else report.fix.altitude_amsl_m - home.altitude_amsl_m
 
 
 def _drone_id_operator(report: Report) -> tuple[float, float, float]:
-    home = report.status.home
+    home = report.autopilot.home
     return (0, 0, -1000.0) if home is None else (*place_e7(home), home.altitude_amsl_m)
 
 

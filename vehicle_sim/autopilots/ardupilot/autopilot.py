@@ -595,7 +595,6 @@ class ArduPilot(abc.ABC):
         return Status(
             mode=self.mode,
             prearm_ok=self.now_us >= self.PREARM_US,
-            home=self.home,
             origin=self.ekf.origin,
             local_ned_m=self.local_ned_m(),
             mission_current=self.mission_current,

@@ -375,7 +375,6 @@ class Px4(abc.ABC):
             landed_state=self._landed_state(),
             prearm_ok=self.now_us >= ARMABLE_US
             and self._can_arm(self._checks.reported_position_ok, self._checks.reported_signal),
-            home=self.home,
             origin=self.origin,
             local_ned_m=self.local_m,
             target=self._echo(),

@@ -1,0 +1,151 @@
+"""How fast a flight in one process is, without sockets, and what takes the time.
+
+By processor time, a recorded flight of a bundled environment, the fastest of some.  Beside it what
+it is made of: the plans; the simulator alone, told the same again; and the floor that messages set:
+the same frames packed, found and decoded by either program's own code, and nothing else.
+usage: python scripts/benchmarks/one_process.py [--environment environment-1] [--repeats 3]
+           [--json FILE]
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import running
+
+import companion
+from companion.config import load_mission, mission_text
+from companion.mavlink.dialect import codec
+from companion.mavlink.frames import Receiver, packed
+from companion.planner.request import PlanOutcome, PlanRequest
+from companion.runtime.compiler import Planner
+from companion.runtime.in_process import fly_in_process
+from companion.session import Session
+from companion.telemetry.run_folder import RunFolder
+from vehicle_sim.simulation import Simulation
+from vehicle_sim.wire.frames import Packer, StreamParser
+from vehicle_sim.world import read_world
+
+BAR = 400.0
+ENVIRONMENTS = Path(companion.__file__).parent / "environments"
+Tick = tuple[int, list[bytes], list[bytes]]
+"""Until when the vehicle flies, what it is told before, and what it says then."""
+
+
+class Overheard:
+    """A vehicle that notes what it is told and what it says."""
+
+    def __init__(self, vehicle: Simulation) -> None:
+        self.ticks: list[Tick] = []
+        self._vehicle, self._told = vehicle, list[bytes]()
+        self.send_heartbeat, self.begin = vehicle.send_heartbeat, vehicle.begin
+        self.step, self.ask_for_sync = vehicle.step, vehicle.ask_for_sync
+
+    @property
+    def now_us(self) -> int:
+        return self._vehicle.now_us
+
+    @property
+    def companion(self) -> object | None:
+        return self._vehicle.companion
+
+    def take_frames(self) -> list[tuple[int, bytes]]:
+        frames = self._vehicle.take_frames()
+        self.ticks.append((self.now_us, self._told, [frame for _, frame in frames]))
+        self._told = []
+        return frames
+
+    def receive(self, link: int, data: bytes) -> None:
+        self._told.append(data)
+        self._vehicle.receive(link, data)
+
+
+def flown(name: str, vehicle: Overheard | Simulation, planner: Planner) -> tuple[float, float]:
+    """Processor time of a recorded flight, and of its plans."""
+    began_s, plans_s = time.process_time(), 0.0
+
+    def planned(request: PlanRequest, is_late: Callable[[], bool]) -> PlanOutcome:
+        nonlocal plans_s
+        asked_s = time.process_time()
+        outcome = planner(request, is_late)
+        plans_s += time.process_time() - asked_s
+        return outcome
+
+    mission, text = load_mission(name), mission_text(name)
+    session = Session(mission, seed=1, lockstep=True)
+    with (
+        TemporaryDirectory() as folder,
+        RunFolder(Path(folder) / "run", mission_toml=text, epoch_us=1, durable=False) as run,
+    ):
+        fly_in_process(session, vehicle, planner=planned, folder=run)
+    return time.process_time() - began_s, plans_s
+
+
+def told_again(vehicle: Simulation, ticks: list[Tick]) -> float:
+    """Processor time of the simulator alone, which says the same again."""
+    began_s = time.process_time()
+    for now_us, told, said in ticks:
+        for data in told:
+            vehicle.receive(0, data)
+        if now_us == 0:
+            vehicle.send_heartbeat()
+        else:
+            if vehicle.now_us == 0:
+                vehicle.begin()
+            while vehicle.now_us < now_us:
+                vehicle.step()
+            vehicle.ask_for_sync()
+        assert [frame for _, frame in vehicle.take_frames()] == said
+    return time.process_time() - began_s
+
+
+def frames_alone(ticks: list[Tick]) -> float:
+    """Processor time of packing, finding and decoding all frames on both sides."""
+    again, parser = Receiver(), StreamParser(datagrams=True)
+    vehicles = [[message for _, message in parser.feed(b"".join(said))] for _, _, said in ticks]
+    companions = [again.feed(b"".join(told)) for _, told, _ in ticks]
+    began_s, packer, link, receiver = time.process_time(), Packer(1, 1), codec(1), Receiver()
+    for (_, told, said), theirs, ours in zip(ticks, vehicles, companions, strict=True):
+        for message in theirs:
+            packer.frame(message)
+        receiver.read(b"".join(said), 0.0)
+        for message in ours:
+            packed(message, link)
+        parser.feed(b"".join(told))
+    return time.process_time() - began_s
+
+
+def main() -> int:
+    wanted, console = running.begin(
+        __doc__, environment=("environment-1", "a bundled one"), repeats=(3, "the fastest counts")
+    )
+    name, planner = wanted.environment, Planner(lockstep=True)
+    planner.wait()
+    world = read_world(ENVIRONMENTS / name / "world.toml")
+    overheard = Overheard(Simulation(world))
+    flown(name, overheard, planner)
+    ticks, flight_s = overheard.ticks, overheard.now_us * 1e-6
+    times = range(wanted.repeats)
+    whole_s, plans_s = min(flown(name, Simulation(world), planner) for _ in times)
+    alone_s = min(told_again(Simulation(world), ticks) for _ in times)
+    frames_s = min(frames_alone(ticks) for _ in times)
+    table = running.figures(f"{name}: {flight_s:.0f} s in one process", "", "s", "us a tick", "x")
+    rows = {
+        f"the flight, recorded (bar {BAR:.0f})": whole_s,
+        "its plans": plans_s,
+        "the simulator alone, told the same": alone_s,
+        "companion, control loop and recording": whole_s - plans_s - alone_s,
+        "the frames alone, both ways and both sides": frames_s,
+    }
+    for what, took_s in rows.items():
+        per_tick_us = took_s / len(ticks) * 1e6
+        table.add_row(what, f"{took_s:.2f}", f"{per_tick_us:.0f}", f"{flight_s / took_s:.0f}")
+    console.print(table)
+    running.store(wanted.json, {"flight_s": flight_s, "ticks": len(ticks), "processor_s": rows})
+    return running.ended(console, kept=flight_s / whole_s >= BAR)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
