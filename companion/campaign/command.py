@@ -24,6 +24,7 @@ from companion.campaign.file import (
     load_campaign,
     runs_of,
 )
+from companion.campaign.report_command import report_command
 from companion.campaign.row import Row
 from companion.campaign.run import check_runs
 from companion.campaign.store import Store
@@ -50,6 +51,9 @@ campaign_app = typer.Typer(
     rich_markup_mode="markdown",
     help="Thousands of missions from one file, on all cores or on a cluster.",
 )
+
+
+campaign_app.command("report")(report_command)
 
 
 @campaign_app.command("run")

@@ -268,6 +268,8 @@ class Difference:
     medians: Interval
     """Difference of the medians; of the means if it is a rate."""
     means: Interval
+    relative: Interval | None
+    """Median over the pairs of the difference as a share of the reference; None: of a rate."""
     wins: int
     """Pairs in which the other one is better."""
     ties: int
@@ -278,13 +280,6 @@ class Difference:
     """Corrected for the comparisons of the same measure (Holm 1979)."""
     tests: int = 1
     """How many those are."""
-
-    @property
-    def relative(self) -> Interval | None:
-        """The difference of the medians as a share of the reference's."""
-        if self.measure.is_rate or self.reference == 0.0:
-            return None
-        return self.medians.over(abs(self.reference))
 
     @property
     def can_tell(self) -> bool:
@@ -395,6 +390,9 @@ def _difference(measure: Measure, pairs: Sequence[tuple[Row, Row]]) -> Differenc
         reference=float((_mean if measure.is_rate else _median)(reference)),
         medians=means if measure.is_rate else bootstrapped(_between(_median), reference, other),
         means=means,
+        relative=None
+        if measure.is_rate or not reference.all()
+        else bootstrapped(_median, np.sort(apart / np.abs(reference))),
         wins=wins,
         ties=int(np.sum(ties)),
         losses=losses,
