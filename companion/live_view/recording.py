@@ -70,6 +70,8 @@ class Decided:
     """and its newest answer."""
     targets_ne_m: tuple[tuple[float, float], ...] = ()
     vehicle_zones: tuple[Zone, ...] = ()
+    keep_outs: tuple[Zone, ...] = ()
+    """Ordered in flight."""
     round_trip_s: float | None = None
     warning: str = ""
 
@@ -233,7 +235,8 @@ class Recording:
     def zones_at(self, time_s: float) -> tuple[Zone, ...]:
         """The mission's, and the vehicle's own."""
         own = () if self.mission is None else self.mission.task.zones
-        return (*own, *self.decided_at(time_s).vehicle_zones)
+        decided = self.decided_at(time_s)
+        return (*own, *decided.vehicle_zones, *decided.keep_outs)
 
     def rate_hz(self, time_s: float) -> float:
         """How often positions came, lately."""
@@ -284,6 +287,8 @@ def _after(known: Decided, entry: Entry) -> Decided:
             return replace(known, vehicle_zones=entry.zones)
         case noted.Targets():
             return replace(known, targets_ne_m=entry.targets_ne_m)
+        case noted.OrderGiven() if (zone := entry.keep_out) is not None:
+            return replace(known, keep_outs=(*known.keep_outs, zone))
         case noted.OrderGiven(target_ne_m=(north_m, east_m)):
             return replace(known, targets_ne_m=((north_m, east_m),))
         case noted.LinkDelay():

@@ -11,7 +11,7 @@ import enum
 import math
 import struct
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 from companion.geodesy import LocalFrame, deg
@@ -35,6 +35,7 @@ _SLOWEST_SHARE = 0.75  # of a plane's speed: its stall speed is not known here
 _LARGEST_FLOAT = 3.4e38
 _SAME_S = 5.0  # a command that comes again within this time may be the same one
 _MAX_SENDERS = 64
+_NOT_GIVEN_E7 = 2**31 - 1
 _FRAMES = frozenset(
     {
         wire.MAV_FRAME_GLOBAL,
@@ -67,6 +68,7 @@ class _CommandOutcome:
     order: OrderKind | None = None
     target_ne_m: tuple[float, float] | None = None
     speed_m_s: float | None = None
+    radius_m: float | None = None
     replies: tuple[Message, ...] = ()
 
 
@@ -150,6 +152,7 @@ class CommandServer:
             kind=meaning.order,
             target_ne_m=meaning.target_ne_m,
             speed_m_s=meaning.speed_m_s,
+            radius_m=meaning.radius_m,
             sender=ids_text(sender),
         )
         self._last.pop(sender, None)
@@ -218,6 +221,24 @@ class CommandServer:
     def _return(self, _message: Message) -> _CommandOutcome:
         return _CommandOutcome(Result.ACCEPTED, order=OrderKind.RETURN)
 
+    def _land(self, message: Message) -> _CommandOutcome:
+        """Land where it is."""
+        if any(value not in (0.0, _NOT_GIVEN_E7) and value == value for value in _place(message)):
+            text = "land: it lands where it is; first DO_REPOSITION there"
+            return _CommandOutcome(Result.DENIED, text)
+        return _CommandOutcome(Result.ACCEPTED, order=OrderKind.LAND)
+
+    def _keep_out(self, message: Message) -> _CommandOutcome:
+        """A circle to keep out of, at any altitude."""
+        radius_m = from_float32(message.param1)
+        sides_m = (high - low for low, high in (self._limits.north_m, self._limits.east_m))
+        largest_m = math.hypot(*sides_m)
+        if not 0.0 < radius_m <= largest_m:
+            text = f"keep-out: radius {radius_m:g} m: must be more than 0, at most {largest_m:.0f}"
+            return _CommandOutcome(Result.DENIED, text)
+        meaning = self._at_place(message, OrderKind.KEEP_OUT)
+        return replace(meaning, radius_m=radius_m) if meaning.order is not None else meaning
+
     def _change_speed(self, message: Message) -> _CommandOutcome:
         speed = from_float32(message.param2)
         if message.param1 not in (wire.SPEED_TYPE_AIRSPEED, wire.SPEED_TYPE_GROUNDSPEED):
@@ -231,18 +252,23 @@ class CommandServer:
 
     def _reposition(self, message: Message) -> _CommandOutcome:
         """A new target; the planner chooses the altitude, so the one given is ignored."""
-        if message.get_type() == "COMMAND_INT" and message.frame not in _FRAMES:
-            text = f"reposition: frame {message.frame} is not one of 0, 3, 5, 6"
-            return _CommandOutcome(Result.UNSUPPORTED_MAV_FRAME, text)
-        target = self._target_ne_m(message)
-        if target is None:
-            return _CommandOutcome(Result.DENIED, "reposition: give a place on the mission's map")
-        kind, speed = OrderKind.REPOSITION, from_float32(message.param1)
-        if not speed > 0.0:  # not given: as it is
-            return _CommandOutcome(Result.ACCEPTED, order=kind, target_ne_m=target)
+        meaning, speed = self._at_place(message, OrderKind.REPOSITION), from_float32(message.param1)
+        if meaning.order is None or not speed > 0.0:  # not given: as it is
+            return meaning
         if refusal := self._too_fast_or_slow(speed):
             return _CommandOutcome(Result.DENIED, refusal)
-        return _CommandOutcome(Result.ACCEPTED, order=kind, target_ne_m=target, speed_m_s=speed)
+        return replace(meaning, speed_m_s=speed)
+
+    def _at_place(self, message: Message, kind: OrderKind) -> _CommandOutcome:
+        """An order with a place on the map; refused without."""
+        name = kind.name.lower()
+        if message.get_type() == "COMMAND_INT" and message.frame not in _FRAMES:
+            text = f"{name}: frame {message.frame} is not one of 0, 3, 5, 6"
+            return _CommandOutcome(Result.UNSUPPORTED_MAV_FRAME, text)
+        place = self._place_ne_m(message)
+        if place is None:
+            return _CommandOutcome(Result.DENIED, f"{name}: give a place on the mission's map")
+        return _CommandOutcome(Result.ACCEPTED, order=kind, target_ne_m=place)
 
     def _too_fast_or_slow(self, speed_m_s: float) -> str:
         low, high = speed_bounds_m_s(self._limits)
@@ -250,12 +276,11 @@ class CommandServer:
             return ""
         return f"speed {speed_m_s:g} m/s: must be {low:.3g} to {high:.3g}"
 
-    def _target_ne_m(self, message: Message) -> tuple[float, float] | None:
-        """Target of a DO_REPOSITION; None if it is invalid or off the map."""
+    def _place_ne_m(self, message: Message) -> tuple[float, float] | None:
+        """The place of a command; None if it is invalid or off the map."""
+        latitude, longitude = _place(message)
         if message.get_type() == "COMMAND_INT":
             latitude, longitude = deg(message.x), deg(message.y)
-        else:
-            latitude, longitude = message.param5, message.param6
         on_earth = (
             abs(latitude) <= 90.0 and abs(longitude) <= 180.0
         )  # not NaN, nor 2**31 - 1: not given
@@ -284,8 +309,17 @@ _ORDERS: Final[dict[int, _Handler]] = {
     wire.MAV_CMD_DO_REPOSITION: CommandServer._reposition,
     wire.MAV_CMD_DO_CHANGE_SPEED: CommandServer._change_speed,
     wire.MAV_CMD_NAV_RETURN_TO_LAUNCH: CommandServer._return,
+    wire.MAV_CMD_NAV_LAND: CommandServer._land,
+    wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: CommandServer._keep_out,
 }
 """Orders: from commanders only."""
+
+
+def _place(message: Message) -> tuple[float, float]:
+    """Latitude and longitude of a command, in its own units: degrees, or 1e-7 of them."""
+    if message.get_type() == "COMMAND_INT":
+        return message.x, message.y
+    return message.param5, message.param6
 
 
 def _is_repeated(message: Message, before: _PendingOrder, now_s: float) -> bool:

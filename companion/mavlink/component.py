@@ -74,7 +74,7 @@ class Component:
     def on_time(self, now_s: float, state: State, *, faulted: bool) -> list[Message]:
         """The messages that are due; no heartbeat while faulted or done."""
         changed = self._parameters.follow(state.given)
-        self._parameters.fence = state.fence
+        self._parameters.fence, self._parameters.keep_outs = state.fence, state.keep_outs
         self._parameters.targets_ne_m = state.targets_ne_m
         self._parameters.airborne = state.airborne
         here, around = state.vehicle.position_nea_m, None

@@ -21,10 +21,11 @@ from companion.mavlink.addressing import (
 from companion.mavlink.commands import from_float32, speed_bounds_m_s
 from companion.mavlink.dialect import Message, wire
 from companion.mission.events import FenceChanged
-from companion.mission.state import within_fence
+from companion.mission.state import within
 from companion.planner.adjustable import PARAMETERS, Parameter, differences
 from companion.planner.rules import newly_broken
 from companion.planner.settings import Task
+from companion.world.threats import CircleZone
 
 _PACE_S = 0.04  # between two values of a list: 25 a second are a sixth of 57,600 baud
 
@@ -52,6 +53,7 @@ class ParameterServer:
         self.targets_ne_m = targets_ne_m
         """Must remain valid after every change."""
         self.fence: FenceChanged | None = None
+        self.keep_outs: tuple[CircleZone, ...] = ()
         """The vehicle's own: the rules hold within it as well."""
         self.charted = False
         """Whether terrain is known in advance: it lies in cells of the mission's own size."""
@@ -154,8 +156,7 @@ class ParameterServer:
         if self.charted and after.cell_m != before.cell_m:
             return f"the terrain known in advance lies in its cells: set {parameter.key} instead"
         broken = newly_broken(before, after)
-        if self.fence is not None:
-            before, after = (within_fence(task, self.fence) for task in (before, after))
+        before, after = (within(task, self.fence, self.keep_outs) for task in (before, after))
         broken = broken or newly_broken(before, after, self.targets_ne_m)
         if broken is None:
             return ""

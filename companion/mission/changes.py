@@ -4,6 +4,7 @@ import enum
 import math
 from typing import Final
 
+import numpy as np
 from msgspec.structs import replace
 
 from companion.mission import following, loiter, low_ground
@@ -30,6 +31,8 @@ from companion.mission.state import (
     OVER,
     Answered,
     Flight,
+    Grounded,
+    LandOrdered,
     OnSetpoints,
     Orders,
     Outward,
@@ -37,9 +40,9 @@ from companion.mission.state import (
     Phase,
     Planning,
     Reason,
-    Replan,
     ReplanHome,
     ReturnOrdered,
+    Silent,
     State,
     TakenOver,
     Trigger,
@@ -50,6 +53,7 @@ from companion.planner.adjustable import loosest
 from companion.planner.recheck import is_touched, meets_near_things
 from companion.planner.rules import target_refusal
 from companion.world.known_map import empty_map
+from companion.world.threats import CircleZone
 from companion.world.zone_index import index_of
 
 _ON_PATH = (Phase.FLYING, Phase.RETURNING)
@@ -80,7 +84,14 @@ def order_result(state: State, order: Order) -> OrderResult:
         case OrderKind.RETURN:
             held = state.hold is not None and not _accepts_orders(state)
             return OrderResult.ACCEPTED if in_air and not held else OrderResult.NOT_NOW
-        case OrderKind.SPEED:
+        case OrderKind.LAND:
+            held = isinstance(state.hold, TakenOver | Grounded | Silent)
+            if state.phase is not Phase.LANDING and (held or not in_air):
+                return OrderResult.NOT_NOW
+            return OrderResult.ACCEPTED if state.vehicle.traits.lands else OrderResult.INVALID
+        case OrderKind.KEEP_OUT if order.target_ne_m is None or order.radius_m is None:
+            return OrderResult.INVALID
+        case OrderKind.SPEED | OrderKind.KEEP_OUT:
             return OrderResult.NOT_NOW if state.phase in OVER else OrderResult.ACCEPTED
 
 
@@ -90,6 +101,8 @@ def why_not(state: State, order: Order) -> str:
     if order_result(state, order) is OrderResult.INVALID:
         place = order.target_ne_m
         why = "it has no target" if place is None else target_refusal(state.task, place)
+        if order.kind is OrderKind.LAND:
+            why = f"{state.vehicle.traits.name} is not told to land: send it back"
     elif order.kind is OrderKind.PAUSE and _is_short(state):
         why = Reason.BATTERY_LOW.text
     elif state.phase is Phase.HOLDING and state.reason is not None:
@@ -172,8 +185,32 @@ def _with_fence(state: State, event: FenceChanged) -> Step:
     """A new fence: recheck the rest of the path, and stop if it conflicts."""
     known = state.fence is not None
     state = state.with_rules(state.given, event)
-    count = len(event.zones)
-    says: list[Command] = [StatusText(text=f"fence: {count} zones", warning=known)]
+    return _with_zones(state, StatusText(text=f"fence: {len(event.zones)} zones", warning=known))
+
+
+def _with_keep_out(state: State, order: Order) -> Step:
+    """Another keep-out, from now on."""
+    assert order.target_ne_m is not None
+    assert order.radius_m is not None
+    (north_m, east_m), radius_m = order.target_ne_m, order.radius_m
+    given = [(zone.north_m, zone.east_m, zone.radius_m) for zone in state.keep_outs]
+    if (north_m, east_m, radius_m) in given:
+        return state, [], None
+    zone = CircleZone(
+        name=f"ordered keep-out {len(given) + 1}", north_m=north_m, east_m=east_m, radius_m=radius_m
+    )
+    state = state.with_rules(state.given, state.fence, (*state.keep_outs, zone))
+    says: list[Command] = [StatusText(text=f"{zone.name}: radius {radius_m:.0f} m")]
+    for target in state.targets_ne_m[state.flight.target :]:
+        if float(zone.distance_m(*np.array(target))) < state.task.zone_search_clearance_m:
+            text = target_refusal(state.task, target)
+            says.append(StatusText(text=text, warning=True))
+    return _with_zones(state, *says)
+
+
+def _with_zones(state: State, *said: Command) -> Step:
+    """Zones have changed: stop if the rest of the path conflicts with them."""
+    says = list(said)
     if (inside := _inside(state)) and state.phase not in _ON_PATH:
         says.append(StatusText(text=f"inside zone {inside}", warning=True))
     if not _is_touched(state):
@@ -258,7 +295,7 @@ def _with_targets(state: State, targets_ne_m: tuple[tuple[float, float], ...], w
         if state.asks == 0:
             return state, says, Trigger.NEXT_TARGET
         return replace(state, reason=Reason.TAKING_OVER), says, Trigger.FAULT  # it may hold by now
-    if isinstance(state.hold, Paused | ReturnOrdered):
+    if isinstance(state.hold, Paused | ReturnOrdered | LandOrdered):
         return with_hold_reason(state, Reason.NEW_TARGET), says, None
     return state, says, None
 
@@ -286,6 +323,10 @@ def _ordered(state: State, order: Order) -> Step:
             return _with_speed(state, order.speed_m_s)
         case OrderKind.RETURN:
             return _return(state)
+        case OrderKind.LAND:
+            return _land(state)
+        case OrderKind.KEEP_OUT:
+            return _with_keep_out(state, order)
 
 
 def _go_on(state: State) -> Step:
@@ -327,17 +368,42 @@ def _with_speed(state: State, speed_m_s: float | None) -> Step:
 
 
 def _return(state: State) -> Step:
-    if state.flight.returning:  # on its way back, or paused on it
-        return _go_on(state) if state.orders.active is Reason.PAUSED else (state, [], None)
-    state = replace(state, orders=Orders(Reason.RETURN_ASKED))
-    if state.phase is Phase.FLYING:
-        return following.stop(state, Reason.RETURN_ASKED)
-    if isinstance(state.hold, Replan | Paused):
-        return with_hold_reason(state, Reason.RETURN_ASKED), [], None
-    if state.phase is Phase.ARRIVED:
-        if state.asks:  # for the end action's mode, which it may have by now
-            return replace(state, reason=Reason.TAKING_OVER), [], Trigger.FAULT
-        return following.stop(state, Reason.RETURN_ASKED)
+    if state.flight.returning:  # on its way back, or paused or told to land on it
+        return _back_again(state)
+    return _stop_for(state, Reason.RETURN_ASKED)
+
+
+def _back_again(state: State) -> Step:
+    """Go on with the backtrack."""
+    flight, stop, orders = state.flight, state.flight.stop, state.orders
+    if Reason.LAND_ASKED not in (orders.active, orders.suspended):
+        return _go_on(state) if orders.active is Reason.PAUSED else (state, [], None)
+    state = replace(state, orders=Orders())
+    if stop is not None and stop.reason in (Reason.PAUSED, Reason.LAND_ASKED):
+        flight = replace(flight, stop=replace(stop, reason=Reason.CONTINUED))
+        return replace(state, flight=flight), [StatusText(text="going on")], None
+    if isinstance(state.hold, Paused | LandOrdered):
+        return with_hold_reason(state, Reason.CONTINUED), [StatusText(text="going on")], None
+    return state, [], None
+
+
+def _land(state: State) -> Step:
+    """Land where it is, once it has stopped."""
+    if state.phase is Phase.LANDING or state.orders.active is Reason.LAND_ASKED:
+        return state, [], None
+    return _stop_for(state, Reason.LAND_ASKED)
+
+
+def _stop_for(state: State, order: Reason) -> Step:
+    """Stop as the phase allows; then the order is carried out."""
+    state = replace(state, orders=Orders(order))
+    if state.phase is Phase.ARRIVED and state.asks:  # for the end action's mode: it may have it
+        return replace(state, reason=Reason.TAKING_OVER), [], Trigger.FAULT
+    if state.phase in (*_ON_PATH, Phase.ARRIVED):
+        return following.stop(state, order)
+    if isinstance(state.hold, OnSetpoints) and state.reason is not order:
+        state = replace(state, flight=replace(state.flight, planning_backtrack=None))
+        return with_hold_reason(state, order), [], None
     return state, [], None
 
 

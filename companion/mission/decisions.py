@@ -173,6 +173,12 @@ def has_had_control(state: State) -> bool:
     return state.in_control_since_s < math.inf
 
 
+def landing_order(state: State) -> Reason | None:
+    """The order that a landing follows; None: it is the end of the mission, or its fallback."""
+    ordered = state.flight.fallen_back is Reason.LAND_ASKED
+    return Reason.LAND_ASKED if ordered else None
+
+
 def with_hold_reason(state: State, reason: Reason) -> State:
     """The state with another reason for the hold."""
     hold = state.hold if isinstance(state.hold, reason.hold) else reason.hold()

@@ -205,6 +205,8 @@ class OrderKind(enum.Enum):
     REPOSITION = "go to a new target"
     SPEED = "change the speed"
     RETURN = "return"
+    LAND = "land where it is"
+    KEEP_OUT = "keep out of a circle from now on"
 
 
 @final
@@ -213,7 +215,10 @@ class Order(Timed, frozen=True, kw_only=True):
 
     kind: OrderKind
     target_ne_m: tuple[float, float] | None = None
+    """Where to (REPOSITION); the centre (KEEP_OUT)."""
     speed_m_s: float | None = None
+    radius_m: float | None = None
+    """Of a circle (KEEP_OUT)."""
     sender: str = ""
     """System and component, for the journal: "255/190"."""
 

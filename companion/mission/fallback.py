@@ -41,10 +41,13 @@ _ASKS = 5  # in vain, once a second
 
 
 def wanted_fallback(state: State, context: Context) -> Fallback:
-    """The mission's fallback, or return if that was ordered or is in progress."""
-    flight = state.flight
-    orders, asked_for = state.orders, Reason.RETURN_ASKED
-    asked = asked_for in (state.reason, orders.active, orders.suspended, flight.fallen_back)
+    """The mission's fallback, or what was ordered or is in progress."""
+    flight, orders = state.flight, state.orders
+    ordered = (state.reason, orders.active, orders.suspended)
+    asked = Reason.RETURN_ASKED in (*ordered, flight.fallen_back)
+    landing = flight.fallen_back is Reason.LAND_ASKED and not asked
+    if landing or Reason.LAND_ASKED in ordered:
+        return Fallback.LAND
     ends_there = state.phase is Phase.ARRIVED and context.mission.end_action is EndAction.RETURN
     home = asked or ends_there or flight.returning or flight.homeward
     return Fallback.RETURN if home else context.mission.fallback

@@ -136,8 +136,8 @@ def battery_runs_low(state: State) -> bool:
     if state.reason is Reason.PAUSED:
         return True
     flight = state.flight
-    going_back = flight.homeward or state.orders.active is Reason.RETURN_ASKED
-    return flight.fallen_back is None and not going_back
+    ordered = state.orders.active in (Reason.RETURN_ASKED, Reason.LAND_ASKED)
+    return flight.fallen_back is None and not (flight.homeward or ordered)
 
 
 def given_up_for_battery(state: State) -> State:

@@ -23,6 +23,7 @@ from companion.mission.decisions import (
     is_gone,
     is_second_companion,
     is_silent,
+    landing_order,
     takeover_reason,
 )
 from companion.mission.events import (
@@ -144,7 +145,8 @@ def _landing_goes_on(state: State) -> Step:
     state = replace(state, landing=False)
     if state.sank and vehicle.mode is not Mode.LAND:
         says = StatusText(text=LANDING_ABORTED, warning=True)
-        return replace(state, orders=Orders(Reason.PAUSED)), [says], None
+        orders = Orders(Reason.PAUSED, landing_order(state))
+        return replace(state, orders=orders), [says], None
     return state, [], Trigger.END_LAND if vehicle.mode in (Mode.LAND, Mode.GUIDED) else None
 
 

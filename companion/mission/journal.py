@@ -283,14 +283,27 @@ class CommandHeard(Entry, frozen=True, tag="command"):
 class OrderGiven(Entry, frozen=True, tag="order"):
     """An order to the companion that was accepted."""
 
-    order: Literal["START", "PAUSE", "CONTINUE", "REPOSITION", "SPEED", "RETURN"]
+    order: Literal[
+        "START", "PAUSE", "CONTINUE", "REPOSITION", "SPEED", "RETURN", "LAND", "KEEP_OUT"
+    ]
     """The order."""
     sender: str
     """System and component id of the sender: "255/190"."""
     target_ne_m: NorthEast | None
-    """Where to go (REPOSITION)."""
+    """Where to go (REPOSITION); the centre (KEEP_OUT)."""
     speed_m_s: float | None
     """How fast (SPEED)."""
+    radius_m: float | None = None
+    """Of the circle (KEEP_OUT)."""
+
+    @property
+    def keep_out(self) -> CircleZone | None:
+        """The keep-out that was ordered; None: it was another order."""
+        if self.target_ne_m is None or self.radius_m is None:
+            return None
+        north_m, east_m = self.target_ne_m
+        name = "ordered keep-out"
+        return CircleZone(name=name, north_m=north_m, east_m=east_m, radius_m=self.radius_m)
 
 
 # --- the vehicle

@@ -57,6 +57,7 @@ from companion.mission.state import (
     OVER,
     Grounded,
     HoldMode,
+    LandOrdered,
     Orders,
     Paused,
     Phase,
@@ -259,7 +260,7 @@ def _hold(state: State, commands: list[Command]) -> tuple[State, list[Command]]:
     reason = state.reason or Reason.NO_PLAN
     state = replace(state, hold=reason.hold())
     match state.hold:
-        case Paused() | ReturnOrdered():
+        case Paused() | ReturnOrdered() | LandOrdered():
             state = replace(state, orders=replace(state.orders, active=reason))
         case TakenOver():
             state = replace(state, taken=True)
@@ -300,7 +301,7 @@ def _end_of(before: State, trigger: Trigger) -> End:
         if fallen_back is None:
             return End(outcome=Outcome.ARRIVED, reason="target reached", remedy="")
         how = _AS_IT_SHOULD[trigger]
-        asked = fallen_back is Reason.RETURN_ASKED
+        asked = fallen_back in (Reason.RETURN_ASKED, Reason.LAND_ASKED)
         outcome = Outcome.STOPPED if asked else Outcome.FAILED
         detail, remedy = reason_text(before, fallen_back)
         return End(outcome=outcome, reason=f"{how}: {fallen_back.text}{detail}", remedy=remedy)

@@ -17,6 +17,7 @@ from companion.planner.request import FlownSegment, Refusal
 from companion.planner.settings import Task
 from companion.world.known_map import KnownMap
 from companion.world.near_map import Sight
+from companion.world.threats import CircleZone
 from companion.world.traffic import Claim, Track
 
 
@@ -53,7 +54,7 @@ class Trigger(enum.Enum):
     TARGET_REACHED = "the last leg was flown to its end"
     NEXT_TARGET = "stopped at a target that is not the last"
     END_HOLD = "stopped at the last target, in the hold mode"
-    END_LAND = "stopped at the last target, or where it came back to: told to land"
+    END_LAND = "stopped at the last target, where it came back to, or where told: told to land"
     BACKTRACK = "told to return: along the flown path"
     HAND_OVER = "no way back of ours is left: its autopilot is told to return by itself"
     HANDED_ON = "its autopilot returns by itself, and has it from here on"
@@ -167,7 +168,12 @@ class Silent(Struct, frozen=True):
     """Not in control: the vehicle is silent."""
 
 
-OnSetpoints = Replan | Paused | ReturnOrdered
+@final
+class LandOrdered(Struct, frozen=True):
+    """Hold by setpoints until it is at rest, then land."""
+
+
+OnSetpoints = Replan | Paused | ReturnOrdered | LandOrdered
 """Holds with a valid position."""
 Hold = OnSetpoints | HoldMode | TakeOver | StreamLost | TakenOver | Grounded | Silent
 """How a vehicle is held, with the state of the hold; selected by `Reason`."""
@@ -264,6 +270,7 @@ class Reason(enum.Enum):
     CONTINUED = ("told to go on while it still stopped", "Wait for the way on.", Replan, False)
     PAUSED = ("paused by a person", "Send the command to continue.", Paused, False)
     RETURN_ASKED = ("told to return", "Wait until it has landed.", ReturnOrdered)
+    LAND_ASKED = ("told to land", "Wait until it has landed.", LandOrdered, False)
     BATTERY_LOW = (
         "the battery will not reach the target and the reserve",
         "Bring the vehicle down.",
@@ -561,9 +568,9 @@ class Orders(Struct, frozen=True):
     """Orders of the operator, or of the battery, which outlast other holds."""
 
     active: Reason | None = None
-    """PAUSED, RETURN_ASKED or BATTERY_LOW."""
+    """PAUSED, RETURN_ASKED, LAND_ASKED or BATTERY_LOW."""
     suspended: Reason | None = None
-    """The order suspended by a pause: RETURN_ASKED."""
+    """The order suspended by a pause: RETURN_ASKED or LAND_ASKED."""
 
     def paused(self) -> "Orders":
         """With a pause."""
@@ -617,10 +624,12 @@ class State(Struct, frozen=True, kw_only=True):
     given: Task
     """The task without the vehicle's fence."""
     fence: FenceChanged | None = None
+    keep_outs: tuple[CircleZone, ...] = ()
+    """Ordered in flight."""
     flown_under: Task | None = None
     """The loosest version of `given` in the air, if it was changed there."""
     task: Task
-    """The task for planning: the given one within the vehicle's fence."""
+    """The task for planning: `given` with the vehicle's fence and the ordered keep-outs."""
     targets_ne_m: tuple[tuple[float, float], ...]
     traffic: Traffic | None = None
     """None: the mission does not watch it."""
@@ -638,11 +647,20 @@ class State(Struct, frozen=True, kw_only=True):
             flight=Flight(known=known),
         )
 
-    def with_rules(self, given: Task, fence: FenceChanged | None) -> "State":
-        """The state under another task or fence; unchanged if they are equal."""
-        task = given if fence is None else within_fence(given, fence)
+    def with_rules(
+        self,
+        given: Task,
+        fence: FenceChanged | None,
+        keep_outs: tuple[CircleZone, ...] | None = None,
+    ) -> "State":
+        """The state under another task, fence or keep-outs (None: the same).
+
+        Its `task` is the old one if they are equal.
+        """
+        keep_outs = self.keep_outs if keep_outs is None else keep_outs
+        task = within(given, fence, keep_outs)
         task = self.task if task == self.task else task
-        return replace(self, given=given, fence=fence, task=task)
+        return replace(self, given=given, fence=fence, keep_outs=keep_outs, task=task)
 
     def rebase_time(self, shift_s: float) -> "State":
         """The state on a clock that shows shift_s more: its own time, and the waits that go on."""
@@ -659,8 +677,10 @@ class State(Struct, frozen=True, kw_only=True):
         )
 
 
-def within_fence(task: Task, fence: FenceChanged) -> Task:
-    """A task with a vehicle's own fence around it."""
+def within(task: Task, fence: FenceChanged | None, keep_outs: tuple[CircleZone, ...] = ()) -> Task:
+    """A task with a vehicle's own fence around it, and more keep-outs."""
+    if fence is None:
+        return dataclasses.replace(task, zones=(*task.zones, *keep_outs)) if keep_outs else task
     limits = task.limits
     floor, ceiling = limits.floor_amsl_m, limits.ceiling_amsl_m
     if fence.floor_amsl_m is not None:
@@ -668,4 +688,4 @@ def within_fence(task: Task, fence: FenceChanged) -> Task:
     if fence.ceiling_amsl_m is not None:
         ceiling = min(ceiling, fence.ceiling_amsl_m)
     limits = dataclasses.replace(limits, floor_amsl_m=floor, ceiling_amsl_m=ceiling)
-    return dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones))
+    return dataclasses.replace(task, limits=limits, zones=(*task.zones, *fence.zones, *keep_outs))

@@ -20,6 +20,7 @@ from companion.mission.decisions import (
     is_gone,
     is_grounded,
     is_silent,
+    landing_order,
     longest_silence_s,
     reason_text,
     takeover_reason,
@@ -42,6 +43,7 @@ from companion.mission.mission import EndAction, Fallback
 from companion.mission.state import (
     Grounded,
     HoldMode,
+    LandOrdered,
     OnSetpoints,
     Orders,
     Paused,
@@ -94,7 +96,7 @@ def holding(state: State, event: Event, context: Context) -> Step:
     if is_grounded(state):
         return give_up(state, Reason.GROUNDED)
     match hold:
-        case Replan() | Paused() | ReturnOrdered():
+        case Replan() | Paused() | ReturnOrdered() | LandOrdered():
             return _hold_on_setpoints(state, event, context, hold)
         case HoldMode() | TakeOver() | None:
             return _hold_in_its_own_mode(state, event, context)
@@ -228,6 +230,8 @@ def _hold_on_setpoints(state: State, event: Event, context: Context, hold: OnSet
     near, pause_s = context.mission.near, _PAUSE_S
     if near is not None:  # what it sees now is on the map at once
         pause_s = _SENSOR_S if state.vehicle.sight.is_blind else state.task.settings.planning_time_s
+    if isinstance(hold, LandOrdered):
+        return (state, commands, None) if moving else _land_here(state, commands)
     if isinstance(hold, Paused) or in_phase_s(state) < pause_s or moving:
         return state, commands, None
     on_way_back = _is_backtracking(state)
@@ -316,11 +320,20 @@ def _hold_in_its_own_mode(state: State, event: Event, context: Context) -> Step:
     )
     if not state.obeyed or (mode is Mode.GUIDED and (doubted or not is_stationary)):
         return ask(replace(_replan_hover(state), obeyed=False), SetMode(mode=Mode.HOLD))
+    if is_stationary and mode is Mode.HOLD and state.orders.active is Reason.LAND_ASKED:
+        return _land_here(state, [])
     if not is_stationary or not _is_trusted(state):
         return _replan_hover(state), [], None
     if mode is Mode.GUIDED:
         return resumed(_replan_hover(state))
     return _ask_for_guided(state, event, context)
+
+
+def _land_here(state: State, commands: list[Command]) -> Step:
+    """Land, as ordered."""
+    state = replace(state, flight=replace(state.flight, fallen_back=Reason.LAND_ASKED))
+    says = StatusText(text=f"{Reason.LAND_ASKED.text}: landing here", about="phase")
+    return state, [*commands, says], Trigger.END_LAND
 
 
 def _taken(state: State) -> Step:
@@ -516,5 +529,6 @@ def _broken_off(state: State) -> Step:
     state = replace(state, flight=flight)
     if reason is Reason.FENCE_BREACHED:
         return fault(state, reason)
-    state, commands, trigger = fault(replace(state, orders=Orders(Reason.PAUSED)), reason)
+    orders = Orders(Reason.PAUSED, landing_order(state))
+    state, commands, trigger = fault(replace(state, orders=orders), reason)
     return state, [*commands, StatusText(text=LANDING_ABORTED, warning=True)], trigger

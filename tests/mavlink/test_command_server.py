@@ -34,6 +34,7 @@ from by_hand import (
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, IN_PROGRESS, WRONG_FRAME = 0, 1, 2, 3, 5, 9
 START, PAUSE, REPOSITION, SPEED, RETURN = 300, 193, 192, 178, 20
+LAND, KEEP_OUT = 21, 5004
 REQUEST, SET_INTERVAL, GET_INTERVAL, CAPABILITIES = 512, 511, 510, 520
 LATITUDE_DEG, LONGITUDE_DEG = ORIGIN_DEG = 47.0, 8.0
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -85,6 +86,8 @@ def place_e7(north_m: float, east_m: float) -> tuple[int, int]:
         (PAUSE, (1.0,), OrderKind.CONTINUE),
         (RETURN, (), OrderKind.RETURN),
         (RETURN, tuple([math.nan] * 7), OrderKind.RETURN),
+        (LAND, (), OrderKind.LAND),
+        (LAND, (0.0, 0.0, 0.0, math.nan), OrderKind.LAND),
     ],
 )
 def test_an_order_is_passed_on_and_acknowledged_when_it_was_taken(
@@ -131,6 +134,13 @@ def test_an_order_that_the_machine_refuses_is_refused() -> None:
         (REPOSITION, (-1.0, 0.0, 0.0, math.nan, 95.0, 8.0, 100.0)),
         (REPOSITION, (-1.0, 0.0, 0.0, math.nan, 48.0, 8.0, 100.0)),
         (REPOSITION, (-1.0, 0.0, 0.0, math.nan, -47.0, -172.0, 100.0)),
+        (LAND, (0.0, 0.0, 0.0, math.nan, 47.0, 8.0, 0.0)),
+        (KEEP_OUT, (0.0, 0.0, 0.0, 0.0, 47.001, 8.001, 0.0)),
+        (KEEP_OUT, (-5.0, 0.0, 0.0, 0.0, 47.001, 8.001, 0.0)),
+        (KEEP_OUT, (math.nan, 0.0, 0.0, 0.0, 47.001, 8.001, 0.0)),
+        (KEEP_OUT, (1e6, 0.0, 0.0, 0.0, 47.001, 8.001, 0.0)),
+        (KEEP_OUT, (50.0, 0.0, 0.0, 0.0, math.nan, 8.001, 0.0)),
+        (KEEP_OUT, (50.0, 0.0, 0.0, 0.0, 48.0, 8.0, 0.0)),
         (REPOSITION, (9.0, 0.0, 0.0, math.nan, 47.001, 8.001, 100.0)),
         (REPOSITION, (math.inf, 0.0, 0.0, math.nan, 47.001, 8.001, 100.0)),
     ],
@@ -162,11 +172,26 @@ def test_a_new_target_lies_where_the_geodesic_says(
     assert answer.order.target_ne_m == pytest.approx((north_m, east_m), abs=0.5)
 
 
+def test_a_keep_out_is_a_circle_about_its_place() -> None:
+    x, y = place_e7(1_200.0, -700.0)
+    for message in (
+        command_int(KEEP_OUT, 55.5, x=x, y=y, frame_id=0),
+        command_long(KEEP_OUT, 55.5, 0.0, 0.0, 0.0, x * 1e-7, y * 1e-7, 0.0),
+    ):
+        answer, acks = answered(made(), message)
+        assert acks == [Ack(KEEP_OUT, ACCEPTED, PERSON)]
+        assert answer.order is not None
+        assert (answer.order.kind, answer.order.radius_m) == (OrderKind.KEEP_OUT, 55.5)
+        assert answer.order.target_ne_m == pytest.approx((1_200.0, -700.0), abs=0.5)
+
+
 @pytest.mark.parametrize("frame_id", [1, 2, 4, 7, 8, 9, 10, 11, 12, 20, 21, 255])
 def test_another_frame_is_refused_as_such(frame_id: int) -> None:
     x, y = place_e7(100.0, 100.0)
     _, acks = answered(made(), command_int(REPOSITION, x=x, y=y, frame_id=frame_id))
     assert acks == [Ack(REPOSITION, WRONG_FRAME, PERSON)]
+    _, acks = answered(made(), command_int(KEEP_OUT, 50.0, x=x, y=y, frame_id=frame_id))
+    assert acks == [Ack(KEEP_OUT, WRONG_FRAME, PERSON)]
     _, acks = answered(made(), command_int(PAUSE, frame_id=frame_id))  # it has no place
     assert acks == [Ack(PAUSE, ACCEPTED, PERSON)]
 
@@ -260,7 +285,7 @@ def test_our_own_messages_sent_back_by_a_router_are_ignored() -> None:
     assert made().on_message(command_long(START, sender=OURS), 1.0) == Reply()
 
 
-@pytest.mark.parametrize("command", [21, 22, 176, 400, 246, 2000, 0, 65_535])
+@pytest.mark.parametrize("command", [22, 176, 400, 246, 2000, 0, 65_535])
 def test_what_we_cannot_do_is_unsupported(command: int) -> None:
     for sender in (PERSON, STRANGER):
         _, acks = answered(made(), command_long(command, sender=sender))

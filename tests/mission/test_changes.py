@@ -75,6 +75,8 @@ TAKEN = {
     OrderKind.PAUSE: {"flying", "no plan"},
     OrderKind.RETURN: {"flying", "no plan", "arrived"},
     OrderKind.REPOSITION: {"flying", "no plan", "taken", "no fix", "arrived"},
+    OrderKind.LAND: {"flying", "no plan", "no fix", "arrived", "landing"},
+    OrderKind.KEEP_OUT: set(AT_ONCE),
     OrderKind.SPEED: set(AT_ONCE),
     OrderKind.START: set(AT_ONCE) - {"landing"},
     OrderKind.CONTINUE: set(AT_ONCE) - {"landing"},
@@ -83,9 +85,14 @@ TAKEN = {
 
 
 def order(kind: OrderKind, craft: Craft) -> Order:
-    target = (6_000.0, 2_000.0) if kind is OrderKind.REPOSITION else None
-    speed = 50.0 if kind is OrderKind.SPEED else None
-    return Order(time_s=craft.now_s, kind=kind, target_ne_m=target, speed_m_s=speed)
+    placed = kind in (OrderKind.REPOSITION, OrderKind.KEEP_OUT)
+    return Order(
+        time_s=craft.now_s,
+        kind=kind,
+        target_ne_m=(6_000.0, 2_000.0) if placed else None,
+        speed_m_s=50.0 if kind is OrderKind.SPEED else None,
+        radius_m=300.0 if kind is OrderKind.KEEP_OUT else None,
+    )
 
 
 @pytest.mark.parametrize("state", AT_ONCE)
@@ -109,6 +116,12 @@ def carried_out(kind: OrderKind, craft: Craft) -> bool:
             return any(plan.request.flown is not None for plan in craft.sent(Plan)[asked:])
         case OrderKind.REPOSITION:
             return craft.state.targets_ne_m == ((6_000.0, 2_000.0),)
+        case OrderKind.LAND:
+            craft.run_for(60.0)
+            return SetMode(mode=Mode.LAND) in craft.sent(SetMode)
+        case OrderKind.KEEP_OUT:
+            zone = craft.state.task.zones[-1]
+            return isinstance(zone, CircleZone) and zone.radius_m == 300.0
         case OrderKind.SPEED:
             return craft.state.flight.speed_limit_m_s == 50.0
         case OrderKind.START | OrderKind.CONTINUE:

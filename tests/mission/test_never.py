@@ -63,6 +63,7 @@ OFTEN = {
     Reason.PAUSED,
     Reason.NEW_TARGET,
     Reason.RETURN_ASKED,
+    Reason.LAND_ASKED,
     Reason.BATTERY_LOW,
     Reason.REFUSED,
     Reason.NOT_READY,

@@ -14,6 +14,7 @@ from made_up import (
     Craft,
     arrived,
     flying,
+    holding_without_fix,
     holding_without_plan,
     not_planned,
     planned,
@@ -28,6 +29,7 @@ from companion.mission import changes, checkpoint
 from companion.mission.changes import OrderResult
 from companion.mission.events import (
     End,
+    FenceChanged,
     Mode,
     Order,
     OrderKind,
@@ -54,8 +56,19 @@ EVERY_DRIVING = pytest.mark.parametrize("traits", DRIVINGS, ids=NAME)
 
 def tell(craft: Craft, kind: OrderKind) -> OrderResult:
     """An order, as the session gives it: obeyed if it is accepted."""
-    target = OTHER_NE_M if kind is OrderKind.REPOSITION else None
-    order = Order(time_s=craft.now_s, kind=kind, target_ne_m=target)
+    placed = kind in (OrderKind.REPOSITION, OrderKind.KEEP_OUT)
+    return give(
+        craft,
+        Order(
+            time_s=craft.now_s,
+            kind=kind,
+            target_ne_m=OTHER_NE_M if placed else None,
+            radius_m=100.0 if kind is OrderKind.KEEP_OUT else None,
+        ),
+    )
+
+
+def give(craft: Craft, order: Order) -> OrderResult:
     verdict = changes.order_result(craft.state, order)
     if verdict is OrderResult.ACCEPTED:
         craft.obey(craft.take(order))
@@ -420,7 +433,8 @@ def test_what_is_over_and_what_only_watches_obeys_no_order() -> None:
     over.take(StopAsked(time_s=over.now_s))
     shadow.run_until(lambda craft: craft.phase is Phase.SHADOW)
     for craft in (over, shadow):
-        kinds = [kind for kind in OrderKind if craft is over or kind is not OrderKind.SPEED]
+        settings = (OrderKind.SPEED, OrderKind.KEEP_OUT)  # of what is planned, not flown
+        kinds = [kind for kind in OrderKind if craft is over or kind not in settings]
         assert {tell(craft, kind) for kind in kinds} == {OrderResult.NOT_NOW}
 
 
@@ -459,3 +473,152 @@ def test_its_own_hold_after_a_restart_is_not_taken_for_a_persons() -> None:
     craft.velocity = (0.0, 0.0, 0.0)
     assert frozen != craft.velocity
     assert craft.fly_to(Phase.DONE).end().outcome is Outcome.ARRIVED
+
+
+def lands(craft: Craft) -> bool:
+    return craft.phase is Phase.LANDING
+
+
+@pytest.mark.parametrize("traits", DRIVINGS, ids=NAME)
+def test_told_to_land_it_stops_on_its_path_and_lands_there(traits: VehicleTraits) -> None:
+    wild = on_its_way_back(traits)
+    told = tell(wild, OrderKind.LAND)
+    assert told is (OrderResult.ACCEPTED if traits.lands else OrderResult.INVALID)
+    if not traits.lands:
+        assert traits.name in changes.why_not(
+            wild.state, Order(time_s=wild.now_s, kind=OrderKind.LAND)
+        )
+
+
+def test_it_has_stopped_before_it_lands_and_that_is_how_the_flight_ends() -> None:
+    craft = under_way()
+    craft.run_for(5.0)
+    assert tell(craft, OrderKind.LAND) is OrderResult.ACCEPTED
+    assert craft.phase is Phase.FLYING  # it brakes on the path
+    craft.run_until(lands)
+    assert craft.state.hold is None
+    [setpoint] = craft.sent(Setpoint)[-1:]
+    assert setpoint.velocity_nea_m_s == (0.0, 0.0, 0.0)
+    craft.run_until(ended)
+    [end] = craft.sent(End)
+    assert (end.outcome, end.reason) == (Outcome.STOPPED, "landed: told to land")
+    assert SetMode(mode=Mode.RETURN) not in craft.sent(SetMode)
+
+
+@pytest.mark.parametrize("when", ["braking", "standing"])
+def test_a_landing_that_is_paused_is_a_landing_again(when: str) -> None:
+    craft = under_way()
+    craft.run_for(5.0)
+    tell(craft, OrderKind.LAND)
+    craft.run_for(0.5)
+    assert tell(craft, OrderKind.PAUSE) is OrderResult.ACCEPTED
+    craft.run_for(0.5 if when == "braking" else 60.0)
+    assert not lands(craft)
+    restarted(craft)
+    craft.run_for(30.0)
+    assert not lands(craft)
+    tell(craft, OrderKind.CONTINUE)
+    craft.run_until(lands)
+
+
+@pytest.mark.parametrize("kind", [OrderKind.REPOSITION, OrderKind.RETURN])
+def test_another_order_takes_the_place_of_a_landing(kind: OrderKind) -> None:
+    craft = under_way()
+    craft.run_for(5.0)
+    tell(craft, OrderKind.LAND)
+    craft.run_for(1.0)
+    assert tell(craft, kind) is OrderResult.ACCEPTED
+    craft.run_until(lambda craft: craft.phase in (Phase.RETURNING, Phase.ARRIVED, Phase.LANDING))
+    wanted = Phase.RETURNING if kind is OrderKind.RETURN else Phase.ARRIVED
+    assert craft.phase is wanted
+
+
+def test_a_return_goes_on_that_was_told_to_land_and_then_to_return() -> None:
+    craft = under_way()
+    craft.run_for(5.0)
+    tell(craft, OrderKind.RETURN)
+    craft.run_until(lambda craft: craft.phase is Phase.RETURNING)
+    craft.run_for(3.0)
+    tell(craft, OrderKind.LAND)
+    craft.run_for(1.0)
+    assert tell(craft, OrderKind.RETURN) is OrderResult.ACCEPTED
+    craft.run_for(1.0)
+    craft.run_until(lambda craft: craft.phase is Phase.RETURNING)
+    assert Phase.LANDING not in {after.phase for _, _, after, _ in craft.steps}
+
+
+def test_without_a_position_it_lands_once_its_autopilot_has_stopped_it() -> None:
+    craft = holding_without_fix()
+    assert tell(craft, OrderKind.LAND) is OrderResult.ACCEPTED
+    craft.run_until(lands, 60.0)
+
+
+def test_a_landing_that_a_person_broke_off_is_a_landing_again_when_told_to_go_on() -> None:
+    craft = under_way()
+    craft.run_for(5.0)
+    tell(craft, OrderKind.LAND)
+    craft.run_until(lambda craft: lands(craft) and craft.state.obeyed)
+    craft.mode = Mode.GUIDED
+    craft.run_until(lambda craft: craft.phase is Phase.HOLDING)
+    craft.run_for(20.0)
+    assert craft.phase is Phase.HOLDING
+    tell(craft, OrderKind.START)
+    craft.run_until(lands)
+
+
+# --- keep-outs
+
+
+def keep_out(craft: Craft, place_ne_m: tuple[float, float], radius_m: float) -> OrderResult:
+    kind = OrderKind.KEEP_OUT
+    order = Order(time_s=craft.now_s, kind=kind, target_ne_m=place_ne_m, radius_m=radius_m)
+    return give(craft, order)
+
+
+@pytest.mark.parametrize(("aside_m", "stops"), [(0.0, True), (9_000.0, False)])
+def test_a_keep_out_stops_a_vehicle_only_where_it_lies_on_the_rest_of_its_path(
+    aside_m: float, stops: bool
+) -> None:
+    craft = under_way()
+    craft.run_for(5.0)
+    leg = craft.state.flight.leg
+    assert leg is not None
+    north_m, east_m, _ = leg.subpath.pose(leg.subpath.length_m).point_nea_m
+    north_m, east_m = north_m - aside_m * 0.7, east_m + aside_m * 0.7
+    assert keep_out(craft, (north_m, east_m), 100.0) is OrderResult.ACCEPTED
+    craft.run_for(0.5)
+    stop = craft.state.flight.stop
+    assert (stop is not None and stop.reason is Reason.NEW_THREAT) == stops
+    asked = len(craft.sent(Plan))
+    craft.run_until(lambda craft: len(craft.sent(Plan)) > asked)
+    assert craft.state.keep_outs[0] in craft.sent(Plan)[-1].request.task.zones
+
+
+def test_keep_outs_outlive_the_fence_the_settings_the_companion_and_the_autopilot() -> None:
+    craft = under_way()
+    for radius_m in (100.0, 200.0, 100.0):  # the third is the first again
+        assert keep_out(craft, (-3_000.0, 500.0), radius_m) is OrderResult.ACCEPTED
+    zones = craft.state.keep_outs
+    assert [zone.radius_m for zone in zones] == [100.0, 200.0]
+    craft.take(FenceChanged(time_s=craft.now_s, zones=()))
+    set_in_flight(craft, 31.0)
+    restarted(craft)
+    craft.take(Rebooted(time_s=craft.now_s))
+    assert craft.state.keep_outs == zones
+    assert craft.state.task.zones[-2:] == zones
+
+
+def test_a_keep_out_over_the_target_is_kept_and_told() -> None:
+    craft = under_way()
+    [target] = craft.state.targets_ne_m
+    assert keep_out(craft, target, 100.0) is OrderResult.ACCEPTED
+    said = [each.text for each in craft.sent(StatusText) if each.warning]
+    assert any("inside keep-out" in text for text in said)
+
+
+def test_a_checkpoint_from_before_there_were_keep_outs_is_read() -> None:
+    craft = under_way()
+    values = checkpoint.values_of(craft.state)
+    del values["keep_outs"]
+    state = checkpoint.restored(craft.context.mission, craft.state.flight.known, values)
+    assert state.keep_outs == ()

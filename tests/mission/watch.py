@@ -67,6 +67,7 @@ ON_SETPOINTS = (
     Reason.NEW_TARGET,
     Reason.CONTINUED,
     Reason.RETURN_ASKED,
+    Reason.LAND_ASKED,
     Reason.BATTERY_LOW,
 )
 

@@ -1,8 +1,8 @@
 """Laws about what people order and what the battery leaves, checked at each step as in `watch`.
 
 A pause is kept until a word ends it, or the battery; told to return, it flies to no target any
-more; what was planned before an order is not flown after it; and with a battery below its reserve
-it leads to no target, whatever it is told.
+more, told to land, nowhere; what was planned before an order is not flown after it; and with a
+battery below its reserve it leads to no target, whatever it is told.
 """
 
 import math
@@ -40,7 +40,7 @@ class WatchOrders:
 
     def forgotten(self) -> None:
         """A companion that knows nothing of it goes on."""
-        self.paused = self.returns = False
+        self.paused = self.returns = self.lands = False
         self.orders = self.orders_when_asked = 0
         self.short_at_s, self.battery_at_s = math.inf, 0.0
 
@@ -53,10 +53,11 @@ class WatchOrders:
         self._hear(before, event)
         if after.orders.active is Reason.BATTERY_LOW:
             self.paused = False
-        self.kept += self.paused or self.returns or self._low_s > SHORT_S
+        self.kept += self.paused or self.returns or self.lands or self._low_s > SHORT_S
         target = after.targets_ne_m[after.flight.target] if after.targets_ne_m else None
         if after.phase is not before.phase and after.phase in SETS_OUT:
             assert not self.paused, f"set out in a pause: {before.reason} -> {after.phase}"
+            assert not self.lands, f"told to land, and sets out: {before.reason}"
             outward = after.phase is Phase.FLYING and target in self.goals
             assert not (self.returns and outward), "told to return, and flies to a target"
         held = after.phase is Phase.HOLDING and before.phase is not Phase.HOLDING
@@ -70,6 +71,7 @@ class WatchOrders:
         for command in commands:
             if isinstance(command, Plan):
                 self.orders_when_asked = self.orders
+                assert not self.lands or after.phase is Phase.SHADOW, "told to land, and plans"
                 if command.request.flown is None and command.request.target_ne_m in self.goals:
                     assert not self.paused, "plans in a pause"
                     assert not self.returns, "told to return, and plans to a target"
@@ -96,7 +98,7 @@ class WatchOrders:
                 self.short_at_s = math.inf
             case Order(kind=OrderKind.REPOSITION, target_ne_m=target) if target is not None:
                 self.goals.add(target)
-                self.paused = self.returns = False
+                self.paused = self.returns = self.lands = False
                 self.short_at_s, self.orders = math.inf, self.orders + 1
             case Order(kind=OrderKind.PAUSE):
                 self.paused, self.orders = True, self.orders + 1
@@ -104,5 +106,8 @@ class WatchOrders:
                 self.paused = False
             case Order(kind=OrderKind.RETURN):
                 self.paused, self.returns = False, not before.flight.returning
+                self.lands = False
+            case Order(kind=OrderKind.LAND) if before.phase is not Phase.LANDING:
+                self.paused, self.lands = False, True
             case _:
                 pass

@@ -92,6 +92,7 @@ _PLANE = replace(
 _SETTINGS = PlannerSettings(
     scan_range_m=800.0, safety_distance_m=12.0, planning_time_s=1.0, scan_time_s=1.0
 )
+PLACED = (OrderKind.REPOSITION, OrderKind.KEEP_OUT)
 _TARGETS = ((400.0, 300.0), (-500.0, 200.0), (-300.0, -600.0))
 
 
@@ -522,8 +523,9 @@ class Wild:
         order = Order(
             time_s=self.now_s,
             kind=kind,
-            target_ne_m=(at[0], at[1]) if kind is OrderKind.REPOSITION else None,
+            target_ne_m=(at[0], at[1]) if kind in PLACED else None,
             speed_m_s=speed if kind in (OrderKind.SPEED, OrderKind.REPOSITION) else None,
+            radius_m=float(rng.choice([20.0, 80.0, 300.0])) if kind is OrderKind.KEEP_OUT else None,
         )
         if changes.order_result(self.state, order) is changes.OrderResult.ACCEPTED:
             self.take(order)

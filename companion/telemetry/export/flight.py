@@ -125,6 +125,7 @@ class FlightBuilder:
         self._mission = mission
         self._targets = mission.targets_ne_m
         self._own_zones: tuple[Zone, ...] = ()
+        self._keep_outs: tuple[Zone, ...] = ()
         self.timed: list[tuple[int, float, Entry]] = []
         """Each entry with its vehicle time, and how often the autopilot had rebooted."""
         self._boot, self._last_s = 0, -math.inf
@@ -143,6 +144,8 @@ class FlightBuilder:
                 self.system_id = line.system_id
             case noted.Targets():
                 self._targets = line.targets_ne_m
+            case noted.OrderGiven() if (zone := line.keep_out) is not None:
+                self._keep_outs = (*self._keep_outs, zone)
             case noted.OrderGiven(target_ne_m=(north_m, east_m)):
                 self._targets = ((north_m, east_m),)
             case noted.Fence():
@@ -157,7 +160,7 @@ class FlightBuilder:
             mission=self._mission,
             track=track,
             targets_ne_m=self._targets,
-            zones=(*self._mission.task.zones, *self._own_zones),
+            zones=(*self._mission.task.zones, *self._own_zones, *self._keep_outs),
             system_id=self.system_id,
             entries=with_rising_times(self.timed),
         )
