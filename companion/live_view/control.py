@@ -42,17 +42,31 @@ def come_back() -> Message:
     return _long(wire.MAV_CMD_NAV_RETURN_TO_LAUNCH)
 
 
+def land() -> Message:
+    """Land where it is."""
+    return _long(wire.MAV_CMD_NAV_LAND)
+
+
+def keep_out(place_ne_m: tuple[float, float], frame: LocalFrame, radius_m: float) -> Message:
+    """A circle to keep out of from now on."""
+    return _at(wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, place_ne_m, frame, radius_m)
+
+
 def go_to(place_ne_m: tuple[float, float], frame: LocalFrame) -> Message:
     """A new target."""
+    return _at(wire.MAV_CMD_DO_REPOSITION, place_ne_m, frame, -1.0)
+
+
+def _at(command: int, place_ne_m: tuple[float, float], frame: LocalFrame, first: float) -> Message:
     latitude_deg, longitude_deg = frame.to_geodetic_deg(*place_ne_m)
     return wire.MAVLink_command_int_message(
         0,
         COMPANION_COMPONENT,
         wire.MAV_FRAME_GLOBAL,
-        wire.MAV_CMD_DO_REPOSITION,
+        command,
         0,
         0,
-        *(-1.0, 0.0, 0.0, 0.0),
+        *(first, 0.0, 0.0, 0.0),
         *(deg_e7(latitude_deg), deg_e7(longitude_deg), 0.0),
     )
 

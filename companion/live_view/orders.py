@@ -16,10 +16,12 @@ Place = tuple[float, float]
 PlaceOf = Callable[[Sequence[float], Sequence[float]], Place | None]
 """North and east of where a ray meets the ground."""
 _SHOWN_S: Final = 12.0
+_RADIUS_M: Final = 500.0
 _PLAIN: Final = (
     ("hold", "Stop, and hold?", control.hold),
     ("continue", "Continue to the target?", control.proceed),
     ("return", "Return along the flown path?", control.come_back),
+    ("land", "Land where it is?", control.land),
 )
 
 
@@ -66,7 +68,24 @@ class Orders:
             button = client.gui.add_button(label)
             button.on_click(self._asking(client, label, question, make))
         target = client.gui.add_button("new target", hint="Then click on the ground.")
-        target.on_click(lambda _: self._pick(client, place_of))
+        radius = client.gui.add_number("radius, m", _RADIUS_M, min=1.0, step=1.0)
+        keep_out = client.gui.add_button("keep-out", hint="Then click on its centre.")
+
+        def go_there(place: Place) -> Message:
+            return control.go_to(place, self._frame)
+
+        target.on_click(lambda _: self._pick(client, place_of, "new target", "", go_there))
+
+        def ask_for_keep_out(_: Any) -> None:
+            radius_m = float(radius.value)
+
+            def keep_out_there(place: Place) -> Message:
+                return control.keep_out(place, self._frame, radius_m)
+
+            of = f" of radius {metres(radius_m)}"
+            self._pick(client, place_of, "keep-out", of, keep_out_there)
+
+        keep_out.on_click(ask_for_keep_out)
 
     def _asking(
         self, client: viser.ClientHandle, label: str, question: str, make: Callable[[], Message]
@@ -91,20 +110,28 @@ class Orders:
 
         yes.on_click(order)
 
-    def _pick(self, client: viser.ClientHandle, place_of: PlaceOf) -> None:
-        _tell(client, "new target", "click on the ground", is_good=True)
+    def _pick(
+        self,
+        client: viser.ClientHandle,
+        place_of: PlaceOf,
+        label: str,
+        of: str,
+        make: Callable[[Place], Message],
+    ) -> None:
+        """Give an order with the place of the next click; of: what else there is to ask about."""
+        _tell(client, label, "click on the ground", is_good=True)
 
         def picked(event: viser.SceneClickEvent) -> None:
             client.scene.remove_click_callback()
             place = place_of(event.ray_origin, event.ray_direction)
             if place is None:
-                _tell(client, "new target", "there is no ground there", is_good=False)
+                _tell(client, label, "there is no ground there", is_good=False)
                 return
             where = f"{metres(place[0])} north, {metres(place[1])} east"
-            question = f"New target: {where}?"
-            self._ask(client, "new target", question, lambda: control.go_to(place, self._frame))
+            question = f"{label.capitalize()}{of}: {where}?"
+            self._ask(client, label, question, lambda: make(place))
 
-        client.scene.remove_click_callback()  # of a target that was wanted before
+        client.scene.remove_click_callback()  # of a place that was wanted before
         client.scene.on_click()(picked)
 
 

@@ -127,9 +127,9 @@ Place = tuple[float, float]
 """In the picture of the scene: shares of its width and height."""
 
 
-def clicked(page: Page, place: Place) -> str:
-    """A new target, by a click on the scene; what the page says that came of it."""
-    button = page.get_by_role("button", name="new target", exact=True)
+def clicked(page: Page, place: Place, label: str = "new target") -> str:
+    """An order with a place, by a click on the scene; what the page says that came of it."""
+    button = page.get_by_role("button", name=label, exact=True)
     for _ in range(2):  # who is impatient is asked once all the same
         button.press("Enter")
     expect(page.get_by_text("click on the ground").first).to_be_visible()
@@ -137,7 +137,7 @@ def clicked(page: Page, place: Place) -> str:
     box = scene.bounding_box()
     assert box is not None
     scene.click(position={"x": place[0] * box["width"], "y": place[1] * box["height"]})
-    return confirmed(page, "new target")
+    return confirmed(page, label)
 
 
 def mast_foot(page: Page) -> Place:
@@ -188,6 +188,22 @@ def test_a_click_sets_a_target_where_it_was_or_is_refused_with_the_reason(page: 
     assert "give a place on the mission's map" in clicked(page, beside_the_map)
 
 
+def test_a_click_sets_a_keep_out_of_the_radius_that_is_asked_for(
+    page: Page, flight: Flight
+) -> None:
+    radius = page.get_by_role("textbox", name="radius, m")
+    radius.fill("750")
+    radius.press("Enter")
+    assert "accepted" in clicked(page, (0.4, 0.5), "keep-out")
+    [given] = [entry for entry in flight.journal if entry.get("order") == "KEEP_OUT"]
+    assert given["radius_m"] == 750.0
+
+
+def test_told_to_land_it_lands_where_it_is(page: Page) -> None:
+    assert "accepted" in order(page, "land")
+    expect(page.get_by_text("landing", exact=True)).to_be_visible()
+
+
 # --- again, from its folder
 
 
@@ -209,6 +225,9 @@ def served(folder: Path, port: int) -> Iterator[str]:
 def test_a_run_folder_is_shown_again_and_the_page_comes_back(
     browser: Start, flight: Flight, page: Page
 ) -> None:
+    if not any(entry.get("order") == "PAUSE" for entry in flight.journal):  # it is run alone
+        order(page, "hold")
+        expect(page.get_by_text("paused by a person").first).to_be_visible()
     page.close()
     flight.companion.interrupt(60.0)
     port = free_port(socket.SOCK_STREAM)
