@@ -56,7 +56,7 @@ def files(root: Path, *parts: str) -> set[str]:
         path.relative_to(root).as_posix()
         for part in parts
         for path in (root / part).rglob("*")
-        if path.is_file() and path.suffix != ".pyc"
+        if path.is_file() and "__pycache__" not in path.parts
     }
 
 

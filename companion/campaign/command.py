@@ -6,29 +6,21 @@ import os
 import time
 from collections.abc import Generator
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from typer.core import TyperGroup
 
-from companion.campaign.execute import fly_locally, fly_on_cluster
-from companion.campaign.file import (
-    CampaignTable,
-    Keep,
-    Over,
-    Run,
-    bundled_campaigns,
-    check_over,
-    load_campaign,
-    runs_of,
-)
+from companion.campaign import bundled_campaigns
 from companion.campaign.report_command import report_command
 from companion.campaign.row import Row
-from companion.campaign.run import check_runs
 from companion.campaign.store import Store
 from companion.errors import InputError
+
+if TYPE_CHECKING:
+    from companion.campaign.file import Run
 
 _INTERRUPTED = 130
 _WRITE_S = 2.0
@@ -105,28 +97,30 @@ def run_command(
     Interrupted, however rudely, the same command goes on.  Exit code: 0 all runs have a row, 2
     wrong input, 130 stopped by Ctrl-C.
     """
-    table, text, folder = load_campaign(campaign)
+    from companion.campaign import execute, file, run  # slow to import
+
+    table, text, folder = file.load_campaign(campaign)
     if seeds is not None:
         table = table.model_copy(update={"seeds": seeds})
-    how = cast("Over", _one_of("--over", over, Over) or table.over)
-    kept = cast("Keep", _one_of("--keep", keep, Keep) or table.keep)
-    check_over(table, how, campaign)
-    runs = _chosen(runs_of(table, folder, how, kept), most, only)
-    check_runs(runs, campaign)
+    how = cast("file.Over", _one_of("--over", over, file.Over) or table.over)
+    kept = cast("file.Keep", _one_of("--keep", keep, file.Keep) or table.keep)
+    file.check_over(table, how, campaign)
+    runs = _chosen(file.runs_of(table, folder, how, kept), most, only)
+    run.check_runs(runs, campaign)
     console, began_s = Console(soft_wrap=True), time.perf_counter()
     path = (out or Path("campaigns") / table.name).absolute()
     digest = hashlib.sha256("\n".join(map(repr, runs)).encode()).hexdigest()
     with Store(path, text=text, digest=digest, count=len(runs)) as store:
-        todo = [run for run in runs if run.number not in store.done]
+        todo = [each for each in runs if each.number not in store.done]
         if len(todo) < len(runs):
             console.print(f"{len(runs) - len(todo)} of {len(runs)} runs are there already")
         rows = (
-            fly_on_cluster(todo, path, scheduler)
+            execute.fly_on_cluster(todo, path, scheduler)
             if scheduler
-            else fly_locally(todo, path, jobs or os.cpu_count() or 1)
+            else execute.fly_locally(todo, path, jobs or os.cpu_count() or 1)
         )
         try:
-            counts = _collect(rows, store, table, len(runs), console)
+            counts = _collect(rows, store, table.name, len(runs), console)
         except KeyboardInterrupt:
             console.print(
                 f"stopped: {len(store.done)} of {len(runs)} runs are there. "
@@ -145,7 +139,7 @@ def _one_of(option: str, value: str | None, kinds: Any) -> str | None:
     return value
 
 
-def _chosen(runs: list[Run], most: int | None, only: list[int] | None) -> list[Run]:
+def _chosen(runs: list["Run"], most: int | None, only: list[int] | None) -> list["Run"]:
     if only:
         if beyond := [number for number in only if number >= len(runs)]:
             rule = f"the campaign has runs 0 to {len(runs) - 1}"
@@ -157,7 +151,7 @@ def _chosen(runs: list[Run], most: int | None, only: list[int] | None) -> list[R
 
 
 def _collect(
-    rows: Any, store: Store, campaign: CampaignTable, count: int, console: Console
+    rows: Any, store: Store, campaign: str, count: int, console: Console
 ) -> dict[str, int]:
     """Write rows as they come, and show how far it is -> how many came to what."""
     counts = {"arrived": 0, "not arrived": 0, "with violations": 0, "errors": 0}
@@ -170,7 +164,7 @@ def _collect(
         TextColumn("{task.fields[said]}"),
     )
     with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task(campaign.name, total=count, completed=len(store.done), said="")
+        task = progress.add_task(campaign, total=count, completed=len(store.done), said="")
         try:
             with contextlib.closing(cast("Generator[Row]", rows)):
                 for row in rows:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from matplotlib.cbook import get_sample_data
 from numpy.typing import NDArray
 from scipy.ndimage import label, map_coordinates, maximum_filter, uniform_filter
 
@@ -157,6 +156,8 @@ def _ridge(base: DrawnWorld, line_m: FloatArray, top_m: FloatArray) -> list[Peak
 @functools.cache
 def _relief_m() -> FloatArray:
     """Real heights about a fault in Tennessee, 80 m apart: matplotlib's sample."""
+    from matplotlib.cbook import get_sample_data  # slow to import
+
     with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as data:
         heights = np.asarray(data["elevation"], dtype=np.float64)[::-1]
         latitude = math.radians(0.5 * float(data["ymin"] + data["ymax"]))

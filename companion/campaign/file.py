@@ -14,6 +14,7 @@ from typing import Annotated, Literal, final
 
 from pydantic import Field
 
+from companion.campaign import bundled_campaigns
 from companion.campaign.families import FAMILIES
 from companion.campaign.rivals.registry import PLANNERS
 from companion.config import bundled
@@ -140,12 +141,6 @@ class Run:
     timeline: str = ""
     world_settings: tuple[str, ...] = ()
     mission_settings: tuple[str, ...] = ()
-
-
-def bundled_campaigns() -> list[str]:
-    """The names of the campaigns that come with the package."""
-    folder = resources.files("companion") / "campaign" / "bundled"
-    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir())
 
 
 def load_campaign(name_or_path: str) -> tuple[CampaignTable, str, Path]:

@@ -6,15 +6,6 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from companion.campaign.report import (
-    read_campaign,
-    report_html,
-    report_lines,
-    report_of,
-    rows_csv,
-    summary_csv,
-    terminal_tables,
-)
 from companion.errors import InputError
 
 
@@ -47,16 +38,21 @@ def report_command(
     Groups are compared with the first of the campaign, in runs of the same world and seed. The
     page is one file that opens without a network, and prints.
     """
+    from companion.campaign import report as campaign  # slow to import
+
     console = Console(soft_wrap=True)
     with Console(stderr=True).status("reading the campaign"):
-        report = report_of(read_campaign(folder), by or ())
-        files = {"--html": {html or folder / "report.html": report_html(report)}}
+        report = campaign.report_of(campaign.read_campaign(folder), by or ())
+        files = {"--html": {html or folder / "report.html": campaign.report_html(report)}}
         if csv is not None:
             rows = csv.with_name(f"{csv.stem}-rows.csv")
-            files["--csv"] = {csv: summary_csv(report), rows: rows_csv(report.campaign.rows)}
-    for table in terminal_tables(report):
+            files["--csv"] = {
+                csv: campaign.summary_csv(report),
+                rows: campaign.rows_csv(report.campaign.rows),
+            }
+    for table in campaign.terminal_tables(report):
         console.print(table)
-    for line in report_lines(report):
+    for line in campaign.report_lines(report):
         console.out(line, highlight=False)
     for option, texts in files.items():
         for path, text in texts.items():

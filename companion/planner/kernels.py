@@ -8,13 +8,14 @@ import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from inspect import isfunction
 from types import ModuleType
-from typing import Any, final
+from typing import Any, cast, final
 
 import numpy as np
 
+from companion import extras
 from companion.geodesy import FloatArray, LocalFrame
 from companion.objective import kernel
 from companion.objective import scene as numpy_form
@@ -99,6 +100,16 @@ def compiled(*, cache: str | None) -> Kernel:
         return np.asarray(costs(x, pack(scene)))
 
     return Kernel(name="numba", search=search_scene, costs=costs_of, prove=prove)
+
+
+@cache
+def compiled_alone(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that is not of the planner's kernel, compiled where numba is installed."""
+    if extras.missing("fast"):
+        return function
+    import numba
+
+    return cast("Callable[..., Any]", numba.njit(function))
 
 
 SOURCES = (numpy_form, kernel, refined_de, proof, proof_distance, proof_shape)

@@ -22,9 +22,11 @@ from numpy.typing import NDArray
 from popup import Flight
 from pymavlink.dialects.v20 import all as wire
 
-from companion.campaign.rivals.a_star import EIGHT, search, step_costs
+from companion.campaign.rivals.a_star import EIGHT, step_costs
+from companion.campaign.rivals.a_star import a_star as search
 from companion.mavlink.near_scanner import NearScanner
 from companion.mission.state import Phase
+from companion.planner.kernels import compiled_alone
 from companion.world.near_map import NearMap
 from vehicle_sim.world import World
 
@@ -159,7 +161,7 @@ def a_star(
     rate = rate.copy()
     rate[start] = 1.0
     costs, ways = step_costs(rate, 1, EIGHT), np.array(EIGHT)
-    found: tuple[float, NDArray[np.int64]] = search()(
+    found: tuple[float, NDArray[np.int64]] = compiled_alone(search)(
         costs, ways, np.array([start]), np.zeros(1), np.array(end)
     )
     return found

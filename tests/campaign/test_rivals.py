@@ -19,6 +19,7 @@ from companion.campaign.rivals.problem import Field, NoRoute, RouteProblem
 from companion.campaign.rivals.registry import PLANNERS
 from companion.campaign.route_cost import Rates, cost_rate
 from companion.errors import InputError
+from companion.planner.kernels import compiled_alone
 from companion.world.terrain import Peak, PeakTerrain
 from companion.world.threats import Radar
 
@@ -126,7 +127,7 @@ def test_a_star_over_the_grid_costs_what_dijkstra_finds(seed: int) -> None:
     start, end = np.array([[2, 2], [3, 2]]), np.array([37, 38])
     first = np.array([1.5, 0.25])
     from_starts = dijkstra(graph, indices=start @ (columns, 1))[:, end @ (columns, 1)]
-    for search in (a_star.a_star, a_star.search()):
+    for search in (a_star.a_star, compiled_alone(a_star.a_star)):
         found, way = search(costs / 4, np.array(a_star.SIXTEEN), start, first, end)
         assert found == pytest.approx((from_starts / 4 + first).min())
         assert tuple(way[-1]) == tuple(end)

@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 import typer
 
+from companion.campaign import bundled_campaigns
 from companion.campaign.execute import fly_locally, fly_on_cluster
-from companion.campaign.file import Run, bundled_campaigns, load_campaign, runs_of
+from companion.campaign.file import Run, load_campaign, runs_of
 from companion.campaign.row import TIMING, Row
 from companion.campaign.run import fly_run
 from companion.campaign.store import Store, read_rows

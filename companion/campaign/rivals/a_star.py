@@ -1,15 +1,13 @@
 """A* on a grid, the route pulled straight (string pulling) where that costs no more."""
 
-import functools
 import heapq
 import math
-from collections.abc import Callable, Sequence
-from importlib.util import find_spec
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from companion.campaign.rivals.problem import Field, FloatArray, IntArray, NoRoute, RouteProblem
+from companion.planner.kernels import compiled_alone
 
 EIGHT = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 SIXTEEN = (*EIGHT, *((i, j) for i in (-2, -1, 1, 2) for j in (-2, -1, 1, 2) if abs(i) != abs(j)))
@@ -31,7 +29,7 @@ def plan(problem: RouteProblem, rng: np.random.Generator) -> FloatArray | NoRout
     end = nearest(field, target, costs.shape[:2], _STRIDE)
     if not len(nodes):
         return NoRoute(why="the start is shut in")
-    cost, way = search()(costs / _STRIDE, ways, nodes, first, end)
+    cost, way = compiled_alone(a_star)(costs / _STRIDE, ways, nodes, first, end)
     if not math.isfinite(cost):
         return NoRoute(why="no way over the grid")
     route = np.concatenate([[start], field.place_m(_STRIDE * way)])
@@ -122,14 +120,3 @@ def a_star(
         row, column = cells[-1]
         cells.append((int(before[row, column, 0]), int(before[row, column, 1])))
     return best[end_row, end_column], np.array(cells)[::-1].copy()
-
-
-@functools.cache
-def search() -> Callable[..., Any]:
-    """`a_star`, compiled where numba is installed: a hundred times faster."""
-    if find_spec("numba") is None:
-        return a_star
-    import numba
-
-    compiled: Callable[..., Any] = numba.njit(a_star)
-    return compiled
