@@ -15,6 +15,7 @@ from importlib.metadata import Distribution
 from pathlib import Path
 
 import pytest
+from flights import one_target
 from notices import needed
 from programs import ROOT, Program, free_port
 
@@ -144,18 +145,11 @@ def test_both_programs_say_their_version(user: OrdinaryUser, program: str) -> No
     assert user.runs(program, "--version").split() == [PROJECT["version"]]
 
 
-def short_mission() -> str:
-    """The bundled round without its far targets."""
-    path = ROOT / "companion" / "environments" / "sitl-arducopter" / "mission.toml"
-    head, _, _, last = path.read_text(encoding="utf-8").split("[[targets]]")
-    return f"{head}[[targets]]{last}"
-
-
 @pytest.mark.closed_loop
 def test_an_ordinary_user_flies_replays_and_reports(user: OrdinaryUser) -> None:
     """With a read-only home and without numba: nothing that is said sounds like a fault."""
     port = free_port()
-    (user.work / "mission.toml").write_text(short_mission(), encoding="utf-8")
+    (user.work / "mission.toml").write_text(one_target(), encoding="utf-8")
     simulator = user.starts(
         "vehicle-sim", "sitl-arducopter", "--lockstep", f"--connect=udpout:127.0.0.1:{port}"
     )

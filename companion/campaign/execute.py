@@ -33,7 +33,8 @@ def fly_locally(runs: Sequence[Run], out: Path, jobs: int) -> Iterator[Row]:
     """On so many cores, each run in one of as many processes."""
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
-    load_kernel()  # compiled once, before all look for it
+    if runs:
+        load_kernel()  # compiled once, before all look for it
     left, lost = list(reversed(runs)), dict[int, int]()
     while left:
         left = yield from _until_broken(left, lost, out, jobs)

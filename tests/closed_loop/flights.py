@@ -206,6 +206,13 @@ def edited(source: str | Path, target: Path, *changes: tuple[str, str]) -> Path:
     return target
 
 
+def one_target() -> str:
+    """The mission of sitl-arducopter without its far targets."""
+    path = ENVIRONMENTS / "sitl-arducopter" / "mission.toml"
+    head, _, _, last = path.read_text(encoding="utf-8").split("[[targets]]")
+    return f"{head}[[targets]]{last}"
+
+
 def short_mission(name: str, folder: Path) -> Path:
     """A bundled mission with a battery that lasts; of a copter it is shorter, with more joins."""
     changes = [("\n[end]\n", "\n[battery]\nreserve_percent = 2\n[end]\n")]
