@@ -1,5 +1,3 @@
-import contextlib
-import io
 import json
 import os
 import socket
@@ -10,10 +8,9 @@ from pathlib import Path
 from typing import final
 
 import pytest
+from answers import answered
 from programs import BIN, HURRIED, Program, free_port
 from recorded import run_folder
-
-from companion.cli import main
 
 COMPANION = BIN / "companion"
 HILLS = Path(__file__).parent / "closed_loop" / "hills"
@@ -77,21 +74,6 @@ def test_so_it_is_of_the_program() -> None:
 
 
 # --- the other ways of flying
-
-
-def answered(*arguments: str | Path) -> tuple[object, str, str]:
-    """Exit code, and what is printed and said of errors, in this process: there are many."""
-    shown, said = io.StringIO(), io.StringIO()
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        contextlib.redirect_stdout(shown),
-        contextlib.redirect_stderr(said),
-    ):
-        patch.setattr(sys, "argv", ["companion", *map(str, arguments)])
-        patch.setenv("NUMBA_CACHE_DIR", os.environ.get("NUMBA_CACHE_DIR", ""))
-        with pytest.raises(SystemExit) as ended:
-            main()
-    return ended.value.code, shown.getvalue(), said.getvalue()
 
 
 def refused(*arguments: str | Path) -> str:

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 import typer
+from answers import answered
+from recorded import run_folder
+from recordings import recording
 
 from companion.cli import app
 from companion.config import bundled, load_mission
@@ -96,6 +99,69 @@ def test_a_command_of_the_docs_is_understood(page: str, line: str) -> None:
             parsed(address)
         named, known = given.get("mission"), bundled()
     assert named is None or named in known or PLACEHOLDERS.fullmatch(named), named
+
+
+PROGRAM = (
+    r"(?:companion|vehicle-sim|python|scripts/\w+|build/\S+|cd|ls|make|mavproxy\.py|pip|printf"
+    r"|sim_vehicle\.py|sudo)"
+)
+SHELL = re.compile(rf"(?:\$ )?((?:\w+=\S+ )*{PROGRAM}(?: .*?)?)(?:\s+#\s.*)?")
+NOT_RUN = {
+    r"companion (fly|preflight) ": "needs a vehicle: closed_loop/ and runtime/ have simulated ones",
+    r"companion view ": "until Ctrl-C, for a browser: live_view/",
+    r"companion campaign ": "takes minutes to hours: tests of companion/campaign run small ones",
+    r"companion compare ": "takes minutes: compare/ computes a part of it",
+    r"companion replay FILE --connect ": "in real time, to a ground station: replay/",
+    r"companion replay (RUN_DIR|runs/)": "of a whole flight: test_release and closed_loop/",
+    r"vehicle-sim": "until its client leaves: vehicle_sim/ and interop/",
+    r"scripts/fly$": "sets a clone up: test_ci; its flight: closed_loop/",
+    r"(sim_vehicle\.py|mavproxy\.py|make|build/\S+|PX4_\S+) ": "programs of others: interop/",
+    r"(sudo|ls|printf|pip) ": "about the reader's own computer",
+    r"(cd tests/recordings$|python -m vehicle_sim\.conformance )": "takes minutes: vehicle_sim/",
+}
+"""Commands that are not executed as they stand on the pages, and why."""
+
+
+def shell_commands() -> set[str]:
+    """Each command of a block of code, without its comment."""
+    blocks = [
+        block
+        for page in PAGES
+        for block in re.findall(r"^```\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+    ]
+    found = (SHELL.fullmatch(line) for line in "".join(blocks).splitlines())
+    return {each[1].strip() for each in found if each}
+
+
+def executed() -> list[str]:
+    """What of them is executed here."""
+    return sorted(line for line in shell_commands() if not any(re.match(r, line) for r in NOT_RUN))
+
+
+def test_what_is_not_executed_has_a_reason_that_is_used() -> None:
+    lines = shell_commands()
+    assert [reason for reason in NOT_RUN if not any(re.match(reason, line) for line in lines)] == []
+    assert len(executed()) >= 7
+    assert {line.split()[0] for line in executed()} == {"companion"}
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run_folder(tmp_path_factory.mktemp("flight"))
+
+
+@pytest.mark.xdist_group("commands of the pages")
+@pytest.mark.parametrize("line", executed())
+def test_a_command_of_the_pages_does_what_it_says(
+    line: str, flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = str(recording("px4-gps-loss.tlog"))
+    meant = {"RUN_DIR": str(flight), "MISSION": "sitl-px4", "LOG": log, "FILE": log}
+    words = [meant.get(word, log if word == "flight.bin" else word) for word in shlex.split(line)]
+    monkeypatch.chdir(tmp_path)
+    code, shown, said = answered(*words[1:])
+    assert code == 0, (shown, said)
+    assert shown.strip()
 
 
 def texts() -> list[tuple[Path, str]]:
