@@ -1,5 +1,6 @@
 """Serves the page: one address, and who may see and do what."""
 
+import errno
 import secrets
 import socket
 import time
@@ -20,7 +21,7 @@ from companion.live_view.page import Flight, Page
 from companion.sources.files import answer
 
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
-_EVERYWHERE: Final = ("0.0.0.0", "::")
+_EVERYWHERE: Final = ("", "0.0.0.0", "::")
 _REFUSED: Final = 1002  # the page then shows the reason, and does not try again
 _POLL_S: Final = 0.1
 
@@ -83,11 +84,13 @@ def _server(host: str, port: int) -> viser.ViserServer:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
-        except (OSError, OverflowError) as error:
-            rule = f"{host} cannot be served there ({getattr(error, 'strerror', None) or error})"
-            raise InputError(
-                "--view-port", port, rule, "Give another port, or 0 for any."
-            ) from error
+        except OSError as error:
+            why = error.strerror or str(error)
+            if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+                rule, remedy = f"it is no address of this computer ({why})", "Give one, or 0.0.0.0."
+                raise InputError("--view-host", host, rule, remedy) from error
+            rule, remedy = f"{host} cannot be served there ({why})", "Give another port, or 0."
+            raise InputError("--view-port", port, rule, remedy) from error
     rich.get_console().quiet = True  # it prints a box about itself
     server = viser.ViserServer(host=host, port=port, verbose=False)
     server.request_share_url = lambda **_: None  # type: ignore[method-assign]
