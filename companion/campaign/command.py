@@ -110,7 +110,10 @@ def run_command(
     console, began_s = Console(soft_wrap=True), time.perf_counter()
     path = (out or Path("campaigns") / table.name).absolute()
     digest = hashlib.sha256("\n".join(map(repr, runs)).encode()).hexdigest()
-    with Store(path, text=text, digest=digest, count=len(runs)) as store:
+    source = [campaign if campaign in bundled_campaigns() else str(Path(campaign).absolute())]
+    if seeds is not None:
+        source += ["--seeds", str(seeds)]
+    with Store(path, text=text, digest=digest, count=len(runs), source=source) as store:
         todo = [each for each in runs if each.number not in store.done]
         if len(todo) < len(runs):
             console.print(f"{len(runs) - len(todo)} of {len(runs)} runs are there already")

@@ -57,6 +57,8 @@ class Campaign:
     """Runs that it has in all; None: that is not known."""
     repeated: int
     """Rows that were left out: their run has one already."""
+    source: tuple[str, ...]
+    """What the command is asked for to fly one of these runs again."""
 
     @property
     def missing(self) -> int:
@@ -115,24 +117,27 @@ def read_campaign(folder: Path) -> Campaign:
     except (OSError, pa.ArrowException) as error:
         rule = f"its rows cannot be read ({str(error).splitlines()[0]})"
         raise InputError("FOLDER", str(folder), rule, remedy) from error
-    expected = _expected(folder)
+    facts = _facts(folder)
+    expected = facts.get("runs")
     if not parts and expected is None:
         raise InputError("FOLDER", str(folder), "it holds no campaign", remedy)
     rows = {row["run"]: Row(**row) for row in reversed(found)}
     return Campaign(
         folder=folder,
         rows=tuple(rows[run] for run in sorted(rows)),
-        expected=expected,
+        expected=expected if isinstance(expected, int) else None,
         repeated=len(found) - len(rows),
+        source=tuple(map(str, facts.get("source") or [folder / "campaign.toml"])),
     )
 
 
-def _expected(folder: Path) -> int | None:
+def _facts(folder: Path) -> dict[str, Any]:
+    """What runs.json says; nothing, if it cannot be read."""
     try:
-        count = json.loads((folder / "runs.json").read_bytes())["runs"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return None
-    return count if isinstance(count, int) else None
+        facts = json.loads((folder / "runs.json").read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return facts if isinstance(facts, dict) else {}
 
 
 # --- what there is to say
@@ -261,10 +266,9 @@ def replay_command(campaign: Campaign, row: Row) -> str:
     """The command that shows a run again: its folder replayed, or the run flown again."""
     if row.folder:
         return shlex.join(["companion", "replay", str(campaign.folder / row.folder)])
-    file = str(campaign.folder / "campaign.toml")
     again = f"{campaign.folder}-run-{row.run}"
     asked = ["--only", str(row.run), "--over", row.over, "--keep", "all", "--out", again]
-    return shlex.join(["companion", "campaign", "run", file, *asked])
+    return shlex.join(["companion", "campaign", "run", *campaign.source, *asked])
 
 
 # --- in words

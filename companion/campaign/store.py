@@ -1,7 +1,8 @@
 """The Parquet data set of a campaign: rows as they come, none lost, none twice.
 
     campaign.toml      the file as it was given
-    runs.json          how many runs there are, and what they are: who resumes is held to it
+    runs.json          how many runs there are, and what they are: who resumes is held to it;
+                       and what to ask for to fly one of them again
     rows/*.parquet     parts, each written under another name first: there are only whole ones
     runs/000123/       folders of runs that are kept
 
@@ -12,17 +13,14 @@ flown again, and is the same.  Two writers at once are refused.
 import fcntl
 import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, final
+from typing import Any, Self, final
 
 from companion.campaign.row import Row, schema
 from companion.errors import InputError
 from companion.extras import need
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 ROWS = "rows"
 _LOCK, _RUNS, _FILE = ".lock", "runs.json", "campaign.toml"
@@ -32,8 +30,12 @@ _LOCK, _RUNS, _FILE = ".lock", "runs.json", "campaign.toml"
 class Store:
     """A campaign's folder, open for writing."""
 
-    def __init__(self, folder: Path, *, text: str, digest: str, count: int) -> None:
+    def __init__(
+        self, folder: Path, *, text: str, digest: str, count: int, source: Sequence[str]
+    ) -> None:
         """text: of the campaign's file.  digest: of all runs; count: how many.
+
+        source: what names these runs by these numbers again, as arguments of the command.
 
         InputError if the folder holds another campaign, is written to by another process, or
         cannot be written to.
@@ -44,7 +46,7 @@ class Store:
             (folder / ROWS).mkdir(parents=True, exist_ok=True)
             self._lock = (folder / _LOCK).open("w")
             self._take_lock()
-            self._begin(text, {"digest": digest, "runs": count})
+            self._begin(text, {"digest": digest, "runs": count, "source": [*source]})
         except OSError as error:
             rule = f"it cannot be written to ({error.strerror})"
             raise InputError("--out", str(folder), rule, "Give a folder that can be.") from error
@@ -67,7 +69,7 @@ class Store:
     def _begin(self, text: str, facts: dict[str, Any]) -> None:
         runs = self.folder / _RUNS
         if runs.exists():
-            if json.loads(runs.read_bytes()) != facts:
+            if json.loads(runs.read_bytes())["digest"] != facts["digest"]:
                 rule = "it holds another campaign, or the same with other options"
                 raise InputError("--out", str(self.folder), rule, "Give a new folder.")
             return
@@ -131,17 +133,3 @@ def _numbers(folder: Path) -> set[int]:
     for part in (folder / ROWS).glob("*.parquet"):
         found |= set(pq.read_table(part, columns=["run"])["run"].to_pylist())
     return found
-
-
-def read_rows(folder: Path) -> "pa.Table":
-    """All rows so far, by their numbers.  InputError if there is no campaign."""
-    need("campaign", "companion campaign", str(folder))
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    parts: Iterable[Path] = sorted((folder / ROWS).glob("*.parquet"))
-    tables = [pq.read_table(part, schema=schema()) for part in parts]
-    if not tables:
-        rule = "there are no rows of a campaign in it"
-        raise InputError("FOLDER", str(folder), rule, "Give the folder of a campaign.")
-    return pa.concat_tables(tables).sort_by("run")

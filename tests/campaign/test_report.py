@@ -18,6 +18,7 @@ from companion.campaign.report import read_campaign, report_html, report_lines, 
 from companion.campaign.row import Row, schema
 from companion.cli import main
 
+SOURCE = ["a campaign.toml", "--seeds", "3"]
 EVIL = "</pre></svg><script>alert('x')</script>"
 
 
@@ -27,7 +28,8 @@ def campaign(folder: Path, rows: list[Row], expected: int | None = None) -> Path
         table = pa.Table.from_pylist([asdict(each) for each in rows[at : at + 30]], schema())
         pq.write_table(table, folder / "rows" / f"part-{at:06d}.parquet")
     count = len(rows) if expected is None else expected
-    (folder / "runs.json").write_text(json.dumps({"digest": "x", "runs": count}))
+    facts = {"digest": "x", "runs": count, "source": SOURCE}
+    (folder / "runs.json").write_text(json.dumps(facts))
     return folder
 
 
@@ -112,8 +114,7 @@ def test_the_worst_runs_are_listed_with_a_command_that_shows_them_again(tmp_path
     lowest, _, command = worst["Least clearance"].shown[0]
     assert lowest.run == 31
     words = shlex.split(command)
-    assert words[:5] == ["companion", "campaign", "run", str(folder / "campaign.toml"), "--only"]
-    assert words[5] == "31"
+    assert words[:8] == ["companion", "campaign", "run", *SOURCE, "--only", "31"]
 
 
 def test_a_row_that_is_there_twice_counts_once_and_is_told(tmp_path: Path) -> None:

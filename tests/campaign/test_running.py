@@ -2,11 +2,13 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +19,10 @@ from flights import one_target
 from companion.campaign import bundled_campaigns
 from companion.campaign.execute import fly_locally, fly_on_cluster
 from companion.campaign.file import Run, load_campaign, runs_of
+from companion.campaign.report import read_campaign, replay_command
 from companion.campaign.row import TIMING, Row
 from companion.campaign.run import fly_run
-from companion.campaign.store import Store, read_rows
+from companion.campaign.store import Store
 from companion.cli import app
 from companion.errors import InputError
 
@@ -159,13 +162,18 @@ def test_killed_and_started_again_it_is_as_if_it_had_not_been(planned: Any, tmp_
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as first:
         wait_until(lambda: list((out / "rows").glob("part-*.parquet")))
         first.kill()
-    there = read_rows(out).num_rows
+    there = len(read_campaign(out).rows)
     again = subprocess.run(command, check=True, capture_output=True, text=True)
     if there < len(planned):
         assert f"{there} of {len(planned)} runs are there already" in again.stdout
-    assert same(read_rows(out).to_pylist()) == planned
+    assert same(read_campaign(out).rows) == planned
     third = subprocess.run(command, check=True, capture_output=True, text=True)
     assert "0 runs" in third.stdout
+    campaign = read_campaign(out)
+    asked = shlex.split(replay_command(campaign, campaign.rows[3]))[2:]
+    flown = subprocess.run([*COMMAND, *asked], check=True, capture_output=True, text=True)
+    [row] = read_campaign(Path(asked[asked.index("--out") + 1])).rows
+    assert same([replace(row, folder="")]) == planned[3:4], flown.stdout
 
 
 def test_over_udp_it_is_what_it_is_in_one_process(tmp_path: Path) -> None:
@@ -241,17 +249,21 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(
 
 
 def test_a_folder_of_something_else_and_a_busy_one_are_refused(tmp_path: Path) -> None:
-    busy, again = (lambda: Store(tmp_path, text="", digest="a", count=1) for _ in range(2))
+    busy, again = (
+        lambda: Store(tmp_path, text="", digest="a", count=1, source=[]) for _ in range(2)
+    )
     with busy(), pytest.raises(InputError, match="another process"):
         again()
     with pytest.raises(InputError, match="another campaign"):
-        Store(tmp_path, text="", digest="b", count=1)
+        Store(tmp_path, text="", digest="b", count=1, source=[])
 
 
 def test_a_row_is_written_once(planned: Any, tmp_path: Path) -> None:
     row = fly_run(runs(tmp_path, PLANNED)[0], tmp_path)
     for _ in range(2):
-        with Store(tmp_path / "out", text="", digest="a", count=1) as store:
+        with Store(tmp_path / "out", text="", digest="a", count=1, source=[]) as store:
             store.add([row, row])
             store.add([row])
-    assert same(read_rows(tmp_path / "out").to_pylist()) == planned[:1]
+    written = read_campaign(tmp_path / "out")
+    assert same(written.rows) == planned[:1]
+    assert written.repeated == 0
