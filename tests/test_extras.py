@@ -35,11 +35,11 @@ def test_what_is_missing_is_named_with_the_command_that_installs_it(
 
 
 def test_each_package_of_an_extra_is_imported_in_one_place() -> None:
-    """By one package of ours: there whoever lacks it is told so.  Without numba all goes on."""
+    """By one package of ours: there whoever lacks it is told so."""
     importers: dict[str, set[str]] = {}
     for path in (ROOT / "companion").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         for name in re.findall(r"^\s*(?:import|from) (\w+)", text, re.M):
             importers.setdefault(name, set()).add(path.relative_to(ROOT).parts[1])
-    for package in {each for every in extras.PACKAGES.values() for each in every} - {"numba"}:
+    for package in (each for every in extras.PACKAGES.values() for each in every):
         assert len(importers.get(package, set())) <= 1, (package, importers[package])
