@@ -80,10 +80,9 @@ def test_what_is_no_file_is_refused_in_one_line(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match="it is no ordinary file"):
         open_log(tmp_path / "pipe")
-    with pytest.raises(InputError, match="it cannot be read"):
-        open_log(tmp_path / ("x" * 400))
-    with pytest.raises(InputError, match=r"it cannot be read|there is no such file"):
-        open_log(Path("a\0b"))
+    for impossible in (tmp_path / ("x" * 400), Path("a\0b")):  # Python 3.14 says of both: not there
+        with pytest.raises(InputError, match=r"it cannot be read|there is no such file"):
+            open_log(impossible)
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
     with pytest.raises(InputError):
