@@ -7,6 +7,7 @@ from companion import cli
 from companion.errors import CompanionError, FlightFailed, FlightInterrupted, InputError
 
 CONNECTING = Path(__file__).parents[1] / "docs" / "connecting.md"
+SERVICE = Path(__file__).parents[1] / "deploy" / "companion.service"
 STOPPED, CRASHED = 130, 70
 
 
@@ -33,16 +34,17 @@ def test_input_is_exit_code_2_and_flight_1_and_both_are_the_companions() -> None
     assert issubclass(FlightFailed, CompanionError)
 
 
-def test_the_documented_service_starts_again_what_may_go_on_and_nothing_that_was_decided() -> None:
-    text = CONNECTING.read_text(encoding="utf-8")
+def test_the_service_starts_again_what_may_go_on_and_nothing_that_was_decided() -> None:
+    text = SERVICE.read_text(encoding="utf-8")
     [prevented] = re.findall(r"^RestartPreventExitStatus=(.*)$", text, re.MULTILINE)
     decided = {FlightFailed.exit_code, InputError.exit_code, STOPPED}
     assert set(map(int, prevented.split())) == decided
     assert not decided & {FlightInterrupted.exit_code, CRASHED}
     assert "Restart=on-failure" in text
     assert "StartLimitIntervalSec=0" in text  # a vehicle in the air is not given up for trying
+    page = CONNECTING.read_text(encoding="utf-8")
     for code in (0, *decided, FlightInterrupted.exit_code, CRASHED):
-        assert f"| {code} |" in text
+        assert f"| {code} |" in page
 
 
 def test_a_crash_is_a_traceback_and_an_exit_code_that_no_decision_has(
