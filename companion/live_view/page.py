@@ -38,6 +38,7 @@ _PERIOD_S: Final = 0.1
 _READ_S: Final = 0.3
 _CHARTS_S: Final = 1.5
 _REPLAY_S: Final = 0.06  # of processor time in a period, for what was known of the ground
+_BEHIND_S: Final = 2.0  # between two grounds while it is read: a browser draws each anew
 _SPEEDS: Final = ("1x", "5x", "20x", "60x", "300x")
 _VIEWS: Final = ("overview", "follow", "top")
 _FOLLOW: Final = np.array([-11.0, 0.0, 5.5])  # of the camera behind the vehicle
@@ -133,7 +134,7 @@ class Page:
         self._newest = True  # until somebody goes elsewhere
         self._views: dict[int, str] = {}
         self._here: FloatArray = np.zeros(3)
-        self._shown_s: tuple[float, int] = (-1.0, -1)
+        self._shown_s, self._shown_ground = -1.0, (False, -1)
         self._read_at_s = self._charted_at_s = -math.inf
         self._wants_candidates = False
         self._candidates_of: int | None = None
@@ -249,7 +250,7 @@ class Page:
         self._scene, self._candidates_of = None, None
 
     def _want_candidates(self, wanted: bool) -> None:
-        self._wants_candidates, self._shown_s = wanted, (-1.0, -1)
+        self._wants_candidates, self._shown_s = wanted, -1.0
 
     def _when_viewed(self, event: Any) -> None:
         if event.client is not None:
@@ -327,7 +328,8 @@ class Page:
             return
         if self._scene is None:
             self._server.scene.reset()
-            self._scene, self._shown_s = Scene(self._server, recording), (-1.0, -1)
+            self._scene = Scene(self._server, recording)
+            self._shown_s, self._shown_ground = -1.0, (False, -1)
         if self._newest:
             self._time_s = recording.ends_s
         elif self._plays:
@@ -338,13 +340,15 @@ class Page:
         flight, scene = self._shown, self._scene
         assert scene is not None
         replica = flight.replica
-        key = self._time_s, 0 if replica is None else len(replica.grounds)
-        if key != self._shown_s:
-            self._shown_s = key
-            moment = flight.moment(self._time_s)
-            ground, _ = flight.ground_at(self._time_s)
-            if ground is not None:
+        ground, behind = flight.ground_at(self._time_s)
+        of_ground = False, 0 if replica is None else len(replica.grounds)
+        if replica is not None and replica.ended is None and behind:
+            of_ground = True, int(now_s / _BEHIND_S)
+        if (self._time_s, of_ground) != (self._shown_s, self._shown_ground):
+            if ground is not None and (not of_ground[0] or of_ground != self._shown_ground):
                 scene.show_ground(ground)
+            self._shown_s, self._shown_ground = self._time_s, of_ground
+            moment = flight.moment(self._time_s)
             here = scene.show(self._time_s, moment.decided, self._heading_rad())
             self._follow(here)
             self._show_candidates(scene)

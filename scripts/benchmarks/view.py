@@ -1,6 +1,9 @@
-"""Who looks at a flight does not slow it down: gaps between setpoints with 0, 1 and 5 readers.
+"""What it takes to look at a flight: for who looks, and for the flight.
 
     scripts/bench view [--speedup 4] [--seconds 60]
+
+First an hour's run folder is opened by `companion view` in chromium, without a graphics processor,
+and its slider is dragged there and back.  Then the gaps between setpoints with 0, 1 and 5 readers.
 
 Real processes: the simulator, `companion fly --view`, and readers of its page that take all that a
 browser is sent (without drawing it, which is another computer's work), at last one that never
@@ -9,7 +12,9 @@ reads.  One flight each; the gaps are those that `companion fly` notes itself, i
 
 import argparse
 import json
+import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -20,12 +25,22 @@ import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
+import rich
 import viser
+from playwright.sync_api import Page, sync_playwright
 from rich.console import Console
 from rich.table import Table
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "telemetry"))
+from recorded import record
+from scripted_vehicle import Pair, Vehicle
+
+from companion.config import load_mission, mission_text
+from companion.session import Session
+from companion.telemetry.inputs import HEADER, packed
 
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent
@@ -39,6 +54,31 @@ _READERS = (
 )
 _PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 _STALLED_BYTES = 4096
+_OPENED_BAR_S = 5.0
+_BACK_AND_FORTH = "".join(
+    f"\n[[targets]]\nnorth_m = {there}\neast_m = {there}\n" for there in (0.0, 1e5, 0.0)
+)
+_LIMIT_S = 5000.0
+_CHROMIUM = (
+    *("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"),
+    *("--enable-unsafe-swiftshader", "--disable-background-networking"),
+)
+_COARSE = "fixedDpr=0.5"  # a quarter of the pixels, for want of a graphics processor
+_DRAGGED_S = 10.0
+_TIME_ROW = "tr:has(td:text-is('time'))"
+_IS_READ = "!document.body.textContent.includes('the ground is read until')"
+_READ_MS = 60_000.0
+_COUNT = """() => {
+    window.frames_drawn = 0; window.times_shown = new Set();
+    const count = () => {
+        window.frames_drawn += 1;
+        const row = [...document.querySelectorAll("tr")].find(
+            each => each.querySelector("td")?.textContent == "time");
+        window.times_shown.add(row.textContent);
+        requestAnimationFrame(count);
+    };
+    requestAnimationFrame(count);
+}"""
 
 
 def main() -> None:
@@ -47,6 +87,8 @@ def main() -> None:
     parser.add_argument("--speedup", type=float, default=4.0)
     parser.add_argument("--seconds", type=float, default=60.0, help="of the wall clock, a flight")
     options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        _look_at(_hour(Path(folder)))
     table = Table(
         "browsers", "setpoints", "gap p99.9, ms", "longest, ms", "position to setpoint p99"
     )
@@ -57,6 +99,91 @@ def main() -> None:
         answers = f"{facts['position_to_setpoint_p99_ms']:.1f} ms"
         table.add_row(name, f"{facts['setpoints']:,}", *gaps, answers)
     Console(width=100).print(table)
+
+
+def _hour(folder: Path) -> Path:
+    """The run folder of a flight there and back across environment-1, flown in this process."""
+    text = mission_text("environment-1") + _BACK_AND_FORTH
+    file = folder / "mission.toml"
+    file.write_text(text, encoding="utf-8")
+    it = Pair(Session(load_mission(str(file)), seed=1, lockstep=True), Vehicle())
+    it.run_until(lambda it: it.out.end is not None, _LIMIT_S)
+    record(folder / "hour", it, text)
+    (folder / "hour" / "inputs.msgpack").write_bytes(b"".join(packed([HEADER, *it.inputs])))
+    print(f"a flight of {it.session.now_s / 60.0:.0f} minutes, {len(it.record):,} messages")
+    return folder / "hour"
+
+
+def _look_at(folder: Path) -> None:
+    """Open a run folder in a browser, and drag its slider."""
+    with sync_playwright() as playwright, ExitStack() as stack:
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=list(_CHROMIUM)
+        )
+        stack.callback(browser.close)
+        page = browser.new_page(viewport={"width": 1200, "height": 760})
+        rich.get_console().quiet = True  # viser prints a box about itself
+        bare = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        stack.callback(bare.stop)
+        bare.gui.add_html("<table><tr><td>time</td></tr></table>")
+        began_s = time.monotonic()
+        _wait_for_row(page, f"http://127.0.0.1:{bare.get_port()}/")
+        print(f"a bare page of viser is there after {time.monotonic() - began_s:.1f} s")
+        began_s = time.monotonic()
+        command = [BIN / "companion", "view", folder, "--view-port", "0"]
+        view = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        stack.callback(view.terminate)
+        assert view.stdout is not None
+        address = view.stdout.readline().split()[1]
+        served_s = time.monotonic() - began_s
+        _wait_for_row(page, address)
+        opened_s = time.monotonic() - began_s
+        print(
+            f"the flight is served after {served_s:.1f} s, shown after {opened_s:.1f} s "
+            f"(bar {_OPENED_BAR_S:g} s); companion view has computed "
+            f"{_processor_s(view.pid):.1f} s; load {os.getloadavg()[0]:.1f}"
+        )
+        page.wait_for_function(_IS_READ, timeout=_READ_MS, polling=1000)
+        print(f"all of its ground is read after {time.monotonic() - began_s:.1f} s")
+        for name, is_dragged in (("at rest", False), ("dragged", True)):
+            used_s = _processor_s(view.pid)
+            frames_hz, places_hz = _watched(page, is_dragged=is_dragged)
+            used_s = _processor_s(view.pid) - used_s
+            print(
+                f"slider {name}: {frames_hz:.1f} frames/s, {places_hz:.1f} moments shown/s, "
+                f"{used_s / _DRAGGED_S:.0%} of a processor; load {os.getloadavg()[0]:.1f}"
+            )
+
+
+def _wait_for_row(page: Page, address: str) -> None:
+    page.goto(f"{address}?{_COARSE}")
+    page.locator(_TIME_ROW).first.wait_for()
+
+
+def _processor_s(pid: int) -> float:
+    """What a process has computed so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _watched(page: Page, *, is_dragged: bool) -> tuple[float, float]:
+    """Frames, and different moments of the flight, that the page shows in a second."""
+    track = page.locator(".mantine-Slider-root").first.bounding_box()
+    assert track is not None
+    middle = track["y"] + 0.5 * track["height"]
+    page.evaluate(_COUNT)
+    began_s = time.monotonic()
+    if is_dragged:
+        page.mouse.move(track["x"] + 0.9 * track["width"], middle)
+        page.mouse.down()
+    while (passed_s := time.monotonic() - began_s) < _DRAGGED_S:
+        if is_dragged:  # there and back in 4 s
+            share = 0.1 + 0.8 * abs(1.0 - passed_s % 4.0 / 2.0)
+            page.mouse.move(track["x"] + share * track["width"], middle)
+        page.wait_for_timeout(10.0)
+    page.mouse.up()
+    shown = page.evaluate("[window.frames_drawn, window.times_shown.size - 1]")
+    return shown[0] / passed_s, shown[1] / passed_s
 
 
 def _flown(

@@ -18,7 +18,7 @@ from websockets.typing import Subprotocol
 
 from companion.config import load_mission
 from companion.errors import InputError
-from companion.live_view.ground import PROVEN, UNKNOWN, Replica, ground_of
+from companion.live_view.ground import PROVEN, UNKNOWN, Ground, Replica, ground_of
 from companion.live_view.page import Flight, Page
 from companion.live_view.panel import charts_of
 from companion.live_view.recording import Recording
@@ -184,6 +184,29 @@ def test_the_time_that_somebody_moves_to_holds_though_the_page_moves_on(
     page._wait(0.0)
     page.step(103.0, 0.1)
     assert slider.value == 7.0
+
+
+def test_while_the_ground_is_read_browsers_are_not_sent_each_state_of_it(
+    run_dir: tuple[Path, Session], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They draw slower than it is read, and would be behind for minutes."""
+    sent = list[Ground]()
+    show = "companion.live_view.scene.Scene.show_ground"
+    monkeypatch.setattr(show, lambda _, ground: sent.append(ground))
+    monkeypatch.setattr("companion.live_view.page._REPLAY_S", 0.0)
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    flight, now_s = Flight.of(run_dir[0]), 0.0
+    assert flight.replica is not None
+    page = Page(server, [flight])
+    with flight.recording:
+        while flight.replica._some():
+            page.step(now_s, 0.1)
+            now_s += 0.1
+        page.step(now_s, 0.1)
+    server.stop()
+    assert 2 <= len(sent) <= now_s / 2.0 + 2.0
+    assert np.array_equal(sent[-1].kind, flight.replica.ground(-1).kind)
+    assert "read until" not in page.status
 
 
 # --- who may see it
