@@ -46,7 +46,8 @@ _BEGUN_AGAIN_S: Final = 2.0
 _CONTINUED: Final = (
     0.25  # of R beyond what was seen: farther away, a guess is a plain (decision 0021)
 )
-_MOST_CELLS: Final = 480  # along a side, of what is drawn
+_MOST_CELLS: Final = 240
+"""Along a side, of what is drawn; 480 are one frame a second without a graphics processor."""
 _MOST_APART: Final = 20  # cells: farther away from terrain a clearance is not told
 _SAMPLE_S: Final = 0.5
 _STEPS: Final = 50  # inputs between two looks at the clock
