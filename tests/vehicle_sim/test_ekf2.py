@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from conformance.log import Side, read_recording
 from recordings import recording
 from tracking_px4 import Curve, Rig
 
 from vehicle_sim.autopilots import Event
 from vehicle_sim.autopilots.px4 import health
 from vehicle_sim.autopilots.px4.modes import Mode
-from vehicle_sim.conformance.log import Side, read_recording
 from vehicle_sim.sensors.gps import GpsConditions
 
 _LOG = "px4-gps-loss.tlog"

@@ -5,13 +5,13 @@ import struct
 from typing import Any
 
 import pytest
+from conformance.log import read_recording
 from pymavlink.dialects.v20 import all as mavlink
 from recordings import recording
 from tracking_px4 import Rig
 
 from vehicle_sim.autopilots import Battery, Event, Report
 from vehicle_sim.autopilots.px4.profile import FIXED_WING_RATES_HZ
-from vehicle_sim.conformance.log import read_recording
 from vehicle_sim.wire import messages
 from vehicle_sim.wire.dialect import layout_of, message_class
 from vehicle_sim.wire.frames import Packer

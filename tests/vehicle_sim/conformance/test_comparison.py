@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.conformance.compare import compare
-from vehicle_sim.conformance.flights import Flight, flight_of
-from vehicle_sim.conformance.log import Recording, Side, TimedFrame, decoded
-from vehicle_sim.conformance.report import Summary
-from vehicle_sim.conformance.rows import Row
+from conformance.compare import compare
+from conformance.flights import Flight, flight_of
+from conformance.log import Recording, Side, TimedFrame, decoded
+from conformance.report import Summary
+from conformance.rows import Row
 
 Recorded = Callable[[str], Recording]
 Change = Callable[[TimedFrame], Iterable[TimedFrame]]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 from recordings import FOLDER, recording
 
-from vehicle_sim.conformance.log import Clock, Recording, decoded, heard, read_recording, records
+from conformance.log import Clock, Recording, decoded, heard, read_recording, records
 from vehicle_sim.errors import InputError
 
 Recorded = Callable[[str], Recording]

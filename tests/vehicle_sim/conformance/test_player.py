@@ -8,8 +8,8 @@ from typing import Any, cast
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from vehicle_sim.conformance.flights import Fault, Player, flight_of, timeline, world_of
-from vehicle_sim.conformance.log import Recording, decoded
+from conformance.flights import Fault, Player, flight_of, timeline, world_of
+from conformance.log import Recording, decoded
 from vehicle_sim.dynamics.plane import Plane
 from vehicle_sim.faults.timeline import Timeline
 

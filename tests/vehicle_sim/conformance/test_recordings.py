@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import pytest
 
-from vehicle_sim.conformance.compare import compare
-from vehicle_sim.conformance.flights import flight_of, play
-from vehicle_sim.conformance.log import Recording, Side
-from vehicle_sim.conformance.report import Summary
+from conformance.compare import compare
+from conformance.flights import flight_of, play
+from conformance.log import Recording, Side
+from conformance.report import Summary
 
 Recorded = Callable[[str], Recording]
 LEAST_SHARE = 0.95

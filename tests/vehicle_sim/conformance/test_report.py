@@ -4,16 +4,15 @@ import io
 import json
 import math
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
-from vehicle_sim.conformance.flights import Reason, flight_of
-from vehicle_sim.conformance.log import Recording
-from vehicle_sim.conformance.report import (
+from conformance.flights import Reason, flight_of
+from conformance.log import Recording
+from conformance.report import (
     Summary,
     as_json,
     as_table,
@@ -21,7 +20,7 @@ from vehicle_sim.conformance.report import (
     markdown_row,
     with_tables,
 )
-from vehicle_sim.conformance.rows import Row
+from conformance.rows import Row
 
 Recorded = Callable[[str], Recording]
 
@@ -130,7 +129,7 @@ def test_the_documentation_has_a_place_for_the_tables() -> None:
 
 
 def test_a_file_that_is_none_ends_with_a_line_and_not_a_traceback(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "vehicle_sim.conformance", str(tmp_path / "none.tlog")]
+    command = [Path(__file__).parents[3] / "scripts/conformance", tmp_path / "none.tlog"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 2
     assert done.stderr.startswith("error: LOG = ")

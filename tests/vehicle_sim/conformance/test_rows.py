@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vehicle_sim.conformance.rows import WINDOW_S, Event, Match, changes, paired
+from conformance.rows import WINDOW_S, Event, Match, changes, paired
 
 EVENTS = st.lists(
     st.tuples(st.floats(0.0, 60.0), st.sampled_from("abc")), max_size=6, unique_by=lambda e: e[0]

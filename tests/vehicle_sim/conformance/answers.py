@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from vehicle_sim.conformance.log import Side, decoded, enum_name, message_name
-from vehicle_sim.conformance.rows import (
+from conformance.log import Side, decoded, enum_name, message_name
+from conformance.rows import (
     NOTHING,
     Comparison,
     Row,

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from vehicle_sim.conformance.log import EVENT, TimedFrame, message_name
-from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, interval_s, row
+from conformance.log import EVENT, TimedFrame, message_name
+from conformance.rows import NOTHING, Comparison, Row, interval_s, row
 
 COUNT_PART = 0.02
 """Counts may differ by this part, or by COUNT_LEAST."""

@@ -12,9 +12,9 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from vehicle_sim.conformance.flights import Flight, Posts
-from vehicle_sim.conformance.log import Side
-from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, row
+from conformance.flights import Flight, Posts
+from conformance.log import Side
+from conformance.rows import NOTHING, Comparison, Row, row
 
 _SYS_STATUS, _ATTITUDE, _DISTANCE_SENSOR, _SIMSTATE = 1, 30, 132, 164
 _PROXIMITY = 0x4000000

@@ -9,8 +9,8 @@ from typing import Any, final
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-from vehicle_sim.conformance.log import Recording
-from vehicle_sim.conformance.rows import Row
+from conformance.log import Recording
+from conformance.rows import Row
 
 
 @final

@@ -1,4 +1,4 @@
-"""python -m vehicle_sim.conformance LOG: how like the recorded autopilot the simulated one is."""
+"""scripts/conformance LOG: how like the recorded autopilot the simulated one is."""
 
 import json
 from pathlib import Path
@@ -7,10 +7,10 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from vehicle_sim.conformance.compare import compare
-from vehicle_sim.conformance.flights import flight_of, play
-from vehicle_sim.conformance.log import Recording, Side, read_recording
-from vehicle_sim.conformance.report import (
+from conformance.compare import compare
+from conformance.flights import flight_of, play
+from conformance.log import Recording, Side, read_recording
+from conformance.report import (
     Summary,
     as_json,
     as_table,
@@ -18,7 +18,7 @@ from vehicle_sim.conformance.report import (
     markdown_row,
     with_tables,
 )
-from vehicle_sim.conformance.rows import Row
+from conformance.rows import Row
 from vehicle_sim.terminal import run
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -30,9 +30,6 @@ def conformance(
     logs: Annotated[
         list[Path], typer.Argument(metavar="LOG...", help="A .tlog of a flight, or .tlog.xz.")
     ],
-    table: Annotated[  # noqa: ARG001
-        bool, typer.Option("--table", help="Print a table.  This is what happens unasked.")
-    ] = True,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write every row; - to print.")
     ] = None,
@@ -80,8 +77,8 @@ def _write(path: Path, text: str) -> None:
 
 
 def main() -> None:
-    """Entry of python -m vehicle_sim.conformance."""
-    run(app, "python -m vehicle_sim.conformance")
+    """Entry of scripts/conformance."""
+    run(app, "scripts/conformance")
 
 
 if __name__ == "__main__":

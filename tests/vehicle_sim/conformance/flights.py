@@ -18,7 +18,7 @@ from typing import Any, final
 import msgspec
 import numpy as np
 
-from vehicle_sim.conformance.log import Place, Recording, TimedFrame, decoded, heard
+from conformance.log import Place, Recording, TimedFrame, decoded, heard
 from vehicle_sim.sensors.lidar import LidarTable
 from vehicle_sim.simulation import Simulation
 from vehicle_sim.world import Tree, World, flat_world

@@ -7,8 +7,8 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, final
 
-from vehicle_sim.conformance.flights import Flight, Reason
-from vehicle_sim.conformance.log import Recording, Side, decoded
+from conformance.flights import Flight, Reason
+from conformance.log import Recording, Side, decoded
 
 Key = TypeVar("Key", bound=Hashable)
 Event = tuple[float, Key]

@@ -5,8 +5,8 @@ import re
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from vehicle_sim.conformance.log import EVENT, enum_name
-from vehicle_sim.conformance.rows import (
+from conformance.log import EVENT, enum_name
+from conformance.rows import (
     NOTHING,
     Comparison,
     Row,

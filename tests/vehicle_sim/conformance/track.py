@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple, final
 
-from vehicle_sim.conformance.log import TimedFrame, decoded, message_name
-from vehicle_sim.conformance.rows import NOTHING, Comparison, Row, changes, row
+from conformance.log import TimedFrame, decoded, message_name
+from conformance.rows import NOTHING, Comparison, Row, changes, row
 from vehicle_sim.geodesy import metres_per_degree
 
 # --- Which part of the flight a second belongs to, as the real autopilot told it; and tolerances

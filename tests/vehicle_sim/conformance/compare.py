@@ -3,10 +3,10 @@
 import dataclasses
 import itertools
 
-from vehicle_sim.conformance import answers, lidar, states, track, traffic
-from vehicle_sim.conformance.flights import Flight
-from vehicle_sim.conformance.log import Recording, Side
-from vehicle_sim.conformance.rows import Comparison, Row
+from conformance import answers, lidar, states, track, traffic
+from conformance.flights import Flight
+from conformance.log import Recording, Side
+from conformance.rows import Comparison, Row
 
 _ALL = (
     answers.ack_rows,
